@@ -1,0 +1,137 @@
+/* Public interface of zoo's one-dimensional blood-flow solver.
+ *
+ * All quantities are in cgs units: cm, s, g, dyn/cm^2, ml/s (= cm^3/s).  The
+ * caller owns every buffer; the library keeps no state, prints nothing and
+ * never exits.  Two solves may run at the same time in two threads when each
+ * has a workspace of its own.
+ */
+#ifndef ZOO_H
+#define ZOO_H
+
+#include <stdint.h>
+
+/* cffi:begin */
+enum zoo_status {
+    ZOO_OK = 0,
+    ZOO_BAD_ARGUMENT = 1, /* an input is out of range; report.vessel names the vessel, or -1 */
+    ZOO_CFL = 2,          /* the wave speed outran the time step and no finer one was allowed */
+    ZOO_COLLAPSE = 3,     /* a cross-section fell to zero or below */
+    ZOO_WALL_LIMIT = 4,   /* a cross-section passed the tangent wall's largest area */
+    ZOO_NO_ROOT = 5,      /* a junction or an outlet had no solution */
+    ZOO_NOT_PERIODIC = 6, /* max_beats passed before the beat repeated itself */
+    ZOO_WORKSPACE = 7     /* the workspace handed in is too small */
+};
+
+enum zoo_wall { ZOO_WALL_LINEAR = 0, ZOO_WALL_TANGENT = 1 };
+
+enum zoo_friction {
+    ZOO_FRICTION_CURRENT = 0, /* r = sqrt(A / pi), as eq. (3.1) is printed */
+    ZOO_FRICTION_REST = 1,    /* r = r0(x) */
+    ZOO_FRICTION_FIXED = 2    /* r = friction_radius in every vessel */
+};
+
+/* The vessels; a parent stands before its children, vessel 0 is the root. */
+typedef struct {
+    int32_t n_vessels;
+    const int32_t *parent;     /* [n_vessels] index of the parent, -1 for the root */
+    const int32_t *n_cells;    /* [n_vessels] grid cells, at least 2 */
+    const double *length;      /* [n_vessels] cm */
+    const double *radius_in;   /* [n_vessels] cm, at rest, at the inlet */
+    const double *radius_out;  /* [n_vessels] cm, at rest, at the outlet; linear between */
+    const double *R1;          /* [n_vessels] dyn s/cm^5, read at terminal vessels only */
+    const double *R2;          /* [n_vessels] dyn s/cm^5 */
+    const double *C;           /* [n_vessels] cm^5/dyn */
+} zoo_network;
+
+/* The fluid and the wall. */
+typedef struct {
+    double density;             /* g/cm^3 */
+    double viscosity;           /* g/(cm s) */
+    double momentum_correction; /* factor of q^2/A; 1 as eq. (3.1) is printed */
+    int32_t wall;               /* enum zoo_wall */
+    double wall_factor;         /* k in p = k chi tan(...): 1 as printed, 1/pi as in the published code */
+    int32_t friction;           /* enum zoo_friction */
+    double friction_radius;     /* cm, read for ZOO_FRICTION_FIXED */
+} zoo_physics;
+
+/* The flow into the root: samples at m period/n_samples, linear between, periodic. */
+typedef struct {
+    double period;      /* s */
+    int32_t n_samples;
+    const double *flow; /* [n_samples] ml/s */
+} zoo_inflow;
+
+/* Where and when the solution is wanted. */
+typedef struct {
+    int32_t n_series;
+    const int32_t *vessel;  /* [n_series] index */
+    const double *position; /* [n_series] 0 at the inlet, 1 at the outlet */
+    int32_t n_times;
+    const double *times;    /* [n_times] s, ascending, in [0, period] */
+} zoo_outputs;
+
+typedef struct {
+    double cfl;             /* wanted largest (|u| + c) dt/dx, in (0, 1) */
+    int32_t steps_per_beat; /* 0: chosen from cfl */
+    int32_t max_steps;      /* upper limit of the steps in a beat */
+    int32_t max_beats;
+    double tolerance;       /* dyn/cm^2, on the estimated distance from the periodic state */
+    int32_t accelerate;     /* 1: extrapolate from beat to beat (Anderson), 0: plain beats */
+} zoo_numerics;
+
+typedef struct {
+    zoo_network network;
+    zoo_physics physics;
+    zoo_inflow inflow;
+    zoo_outputs outputs;
+    zoo_numerics numerics;
+} zoo_problem;
+
+/* One set of parameters is a row of each array. */
+typedef struct {
+    const double *stiffness; /* [n_sets][n_vessels] chi, dyn/cm^2 */
+    const double *gamma;     /* [n_sets][n_vessels], read by the tangent wall */
+    const double *psi1;      /* [n_sets][n_vessels] factor of R1 */
+    const double *psi2;      /* [n_sets][n_vessels] factor of R2 */
+    const double *c;         /* [n_sets][n_vessels] factor of C */
+} zoo_parameters;
+
+typedef struct {
+    int32_t status;         /* enum zoo_status */
+    int32_t vessel;         /* where it failed, or -1 */
+    double time;            /* s from the start of the beat in which it failed */
+    int32_t beats;          /* beats computed */
+    int32_t steps_per_beat; /* of the last beat */
+    double change;          /* dyn/cm^2, largest difference between the last beat's end and its start */
+    double distance;        /* dyn/cm^2, change / (1 - slowest decay per beat) */
+    double max_cfl;         /* largest (|u| + c) dt/dx met in the last beat */
+    double inflow;          /* ml, into the root over the last beat */
+    double outflow;         /* ml, out of all terminals over the last beat */
+    double junction_defect; /* ml/s, largest |flow in - flow out| at a junction in the last beat */
+    int64_t total_steps;    /* time steps over all beats */
+} zoo_report;
+
+/* Bytes of workspace that zoo_solve needs for n_sets sets of parameters. */
+int32_t zoo_workspace_size(const zoo_problem *problem, int64_t n_sets, int64_t *bytes);
+
+/* Solve to the periodic state for n_sets sets of parameters.
+ * pressure, flow, area: [n_sets][n_series][n_times], dyn/cm^2, ml/s, cm^2; the
+ * rows of a set that failed are filled with NaN.  reports: [n_sets].  Returns ZOO_OK unless
+ * the problem itself is unusable (then reports may be unwritten). */
+int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_parameters *parameters,
+                  void *workspace, int64_t workspace_bytes, double *pressure, double *flow,
+                  double *area, zoo_report *reports);
+
+/* Pressure of the wall (dyn/cm^2) at area A (cm^2); for plots and tests. */
+double zoo_wall_pressure(int32_t wall, double wall_factor, double stiffness, double gamma,
+                         double area, double rest_area);
+
+/* Wave speed (cm/s) at area A (cm^2). */
+double zoo_wave_speed(int32_t wall, double wall_factor, double stiffness, double gamma, double area,
+                      double rest_area, double density);
+
+/* One line of English for a status. */
+const char *zoo_status_text(int32_t status);
+/* cffi:end */
+
+#endif

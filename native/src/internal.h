@@ -1,0 +1,162 @@
+/* What the solver's source files share: the layout of a run in memory.
+ *
+ * The nodes of all vessels stand one after the other in one array, so that one
+ * loop serves the whole tree.  Vessel v has nodes first[v] .. last[v]; the
+ * midpoint between nodes j and j+1 has index j.  The midpoint after a vessel's
+ * last node joins two vessels that are not joined: lam_mid is 0 there and what
+ * is computed there is never read.
+ *
+ * `lanes` parameter sets are solved side by side: a lane array has element
+ * [j*lanes + l] for node j and set l.  lanes is 1 (loops vectorise over nodes)
+ * or ZOO_LANES (loops vectorise over sets).
+ */
+#ifndef ZOO_INTERNAL_H
+#define ZOO_INTERNAL_H
+
+#include <stddef.h>
+
+#include "../include/zoo.h"
+#include "wall.h"
+
+enum {
+    ZOO_LANES = 16,
+    ZOO_HISTORY = 4,   /* beats kept for the extrapolation */
+    ZOO_CHECKS = 32,   /* times in a beat at which the state is checked */
+    ZOO_STEP_UNIT = 64 /* steps per beat are a multiple of this when chosen from cfl */
+};
+
+/* Junctions with the same number of branches; branch 0 is the parent, and
+ * branch b of junction j has the number x = b*count + j. */
+typedef struct {
+    int count, branches;
+    int *node, *mid, *junction;          /* [branches*count] end node, midpoint next to it, j */
+    double *w, *per_w, *sign;            /* [branches*count] dx/2, dt/w, 1 for the parent else -1 */
+    double *A0, *f_s, *f_c;              /* [branches*count] rest area and friction at the node */
+    double *soft;                        /* [branches*count*lanes] 1/K */
+    double *rest;                        /* [count] sum of w A0 */
+    double *soft1, *soft2;               /* [count*lanes] sums of w A0/K and w A0/K^2 */
+    double *area, *c, *beta;             /* [branches*count*lanes] scratch of a step */
+    double *volume, *sum_c, *sum_beta;   /* [count*lanes] scratch of a step */
+} zoo_junctions;
+
+/* The Windkessels at the ends of the terminal vessels. */
+typedef struct {
+    int count;
+    int *vessel, *node;                  /* [count] */
+    double *per_w, *A0;                  /* [count] 2 dt/dx, rest area at the node */
+    double *R1, *R2, *C;                 /* [count*lanes] */
+    double *decay, *fill, *E, *inv_R1;   /* [count*lanes] e, R2 (1 - e), 2 R1 + R2 (1 - e), 1/R1 */
+    double *v;                           /* [count*lanes] pressure on the compliance, dyn/cm^2 */
+    double *volume;                      /* [count*lanes] ml that left so far in this beat */
+    double *a, *p;                       /* [count*lanes] scratch of the root search */
+} zoo_outlets;
+
+typedef struct {
+    const zoo_problem *problem;
+    int lanes, wall, n_vessels, n_nodes, n_groups;
+    double dt, momentum, inv_density;
+    int uniform; /* 1: all vessels of each lane share one stiffness and one gamma */
+
+    /* grid, per vessel and per node */
+    int *first, *last;                   /* [n_vessels] */
+    int *vessel_of;                      /* [n_nodes] */
+    double *dx;                          /* [n_vessels] */
+    double *A0, *inv_A0;                 /* [n_nodes] rest area, and its inverse */
+    double *inv_A0_mid;                  /* [n_nodes] at midpoints */
+    double *f_s, *f_c, *f_s_mid, *f_c_mid; /* [n_nodes] friction = (f_s sqrt(A/A0) + f_c) q/A */
+    double *lam_mid;                     /* [n_nodes] dt/dx, 0 between vessels */
+    double *lam, *half_dt;               /* [n_nodes] dt/dx and dt/2, 0 at boundary nodes */
+
+    /* wall, lane arrays at nodes; midpoint j lies in the vessel of node j */
+    double *K, *theta;                   /* [n_nodes*lanes] */
+
+    /* state at nodes: area, flow, pressure, momentum flux, friction force */
+    double *A, *q, *P, *M, *G;           /* [n_nodes*lanes] */
+    /* the same at midpoints, half a step on */
+    double *Ah, *qh, *Ph, *Mh, *Gh;      /* [n_nodes*lanes] */
+
+    zoo_junctions *groups;               /* [n_groups] */
+
+    zoo_outlets outlets;
+    int no_root;                         /* a root search did not end in this step */
+
+    /* inflow on the steps of a beat */
+    double *flow_node;                   /* [max_steps+1] at the steps */
+    double *flow_mean;                   /* [max_steps] mean over each step */
+    double *flow_sum;                    /* [n_samples+1] running integral of the samples */
+    int n_steps;
+
+    /* outputs: cubic in space from four nodes, cubic in time from four steps */
+    int *out_node;                       /* [n_series*4] */
+    double *out_weight;                  /* [n_series*4] */
+    double *ring;                        /* [4][n_series][3][lanes] */
+    double *sample;                      /* [n_times][n_series][3][lanes] */
+    int next_time;
+
+    /* beat to beat */
+    int n_state;                         /* doubles of one lane's state: A, q, v */
+    double *start;                       /* [n_state*lanes] state at the start of the beat */
+    double *states, *ends;               /* [ZOO_HISTORY][n_state*lanes] starts and ends of past beats */
+    double *weight;                      /* [n_state*lanes] turns a difference of state into a pressure */
+    double *slow;                        /* [lanes] estimated slowest decay factor per beat */
+
+    /* per lane */
+    int *live;                           /* 1: still to be solved */
+    zoo_report *report;                  /* [lanes] */
+    int64_t *set_of;                     /* [lanes] row of the parameter arrays */
+} zoo_sim;
+
+/* A loop over nodes (or branches, or terminals) j, their lanes l and elements
+ * i = j*W + l that the compiler may vectorise: over j when there is one lane,
+ * else over the lanes.  The iterations must not depend on each other.  The
+ * empty asm keeps the compiler from vectorising over j instead of l. */
+#define ZOO_SIMD _Pragma("GCC ivdep") _Pragma("GCC unroll 1")
+#define ZOO_LOOP(W, i, j, l, from, to, ...)                  \
+    do {                                                     \
+        if ((W) == 1) {                                      \
+            ZOO_SIMD for (ptrdiff_t j = (from); j < (to); j++) { \
+                const ptrdiff_t i = j, l = 0;                \
+                (void)l;                                     \
+                __VA_ARGS__                                  \
+            }                                                \
+        } else {                                             \
+            for (ptrdiff_t j = (from); j < (to); j++) {      \
+                __asm__ volatile("");                        \
+                ZOO_SIMD for (ptrdiff_t l = 0; l < (W); l++) { \
+                    const ptrdiff_t i = j * (W) + l;         \
+                    __VA_ARGS__                              \
+                }                                            \
+            }                                                \
+        }                                                    \
+    } while (0)
+
+/* layout.c: carve the arrays out of the workspace; with base NULL only count the bytes. */
+int64_t zoo_layout(const zoo_problem *problem, int lanes, zoo_sim *sim, void *base);
+int zoo_check_problem(const zoo_problem *problem);
+void zoo_set_grid(zoo_sim *sim);
+int zoo_set_parameters(zoo_sim *sim, const zoo_parameters *parameters);
+void zoo_set_softness(zoo_sim *sim, zoo_junctions *junctions, int lane);
+void zoo_set_step(zoo_sim *sim, int n_steps);
+
+/* start.c: the state from which the first beat starts. */
+void zoo_start(zoo_sim *sim);
+double zoo_start_speed(const zoo_sim *sim);
+
+/* step.c: advance by one step; returns 1 if some node left the wall's range. */
+int zoo_step(zoo_sim *sim, int step);
+void zoo_refresh_nodes(zoo_sim *sim);
+double zoo_speed(const zoo_sim *sim, int lane);
+double zoo_junction_defect(const zoo_sim *sim, int lane);
+
+/* output.c: sample the wanted series while the beat runs. */
+void zoo_output_begin(zoo_sim *sim);
+void zoo_output_step(zoo_sim *sim, int step);
+void zoo_output_store(const zoo_sim *sim, int lane, double *pressure, double *flow, double *area);
+
+/* periodic.c: beats until the solution repeats itself, for all lanes of sim. */
+void zoo_periodic(zoo_sim *sim, double *pressure, double *flow, double *area);
+void zoo_pack(const zoo_sim *sim, double *state);
+void zoo_unpack(zoo_sim *sim, const double *state);
+int zoo_extrapolate(zoo_sim *sim, int lane, int n_past);
+
+#endif

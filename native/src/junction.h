@@ -1,0 +1,144 @@
+/* Where vessels meet: equal pressure, and no flow lost.
+ *
+ * Each branch brings the half cell (width w = dx/2) between its end and its
+ * last midpoint.  Mass balance of the joined half cells over a step,
+ *
+ *   sum_b w_b (A_b' - A_b) = dt sum_b s_b q_mid,b     (s = 1 parent, -1 daughter),
+ *
+ * with A_b' = A_b(P'), is one equation for the one pressure P' of the junction.
+ * It is solved in closed form for the linear wall (a quadratic in P') and for
+ * equal walls (then A'/A0 is one ratio for all); otherwise by Newton.  Each
+ * half cell's own balance gives the flow through its end at mid-step, and
+ * these sum to zero exactly.  The momentum balance of each half cell is linear
+ * in the mid-step pressure P_h, which is the one that makes the flows at the
+ * new time sum to zero.
+ *
+ * A junction's branches are numbered branch-major: branch b of junction j is
+ * x = b*count + j, so that each loop runs over all junctions of the group.
+ */
+#ifndef ZOO_JUNCTION_H
+#define ZOO_JUNCTION_H
+
+#include "internal.h"
+
+/* Newton for the area ratios of tangent walls that differ: the branches'
+ * pressures are set equal, and the volume to the given one, both linearised. */
+ZOO_INLINE void junction_newton(const int wall, const int W, zoo_sim *s, zoo_junctions *ju)
+{
+    const int n = ju->count, nb = ju->branches;
+    const int *restrict node = ju->node;
+    const double *restrict w = ju->w, *restrict A0 = ju->A0, *restrict volume = ju->volume;
+    const double *restrict A = s->A, *restrict P = s->P, *restrict K = s->K, *restrict th = s->theta;
+    double *restrict a = ju->area, *restrict p = ju->c, *restrict slope = ju->beta;
+    double *restrict have = ju->sum_c, *restrict soft = ju->sum_beta;
+    /* the pressure of the old time is known already */
+    ZOO_LOOP(W, i, x, l, 0, n * nb, {
+        const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
+        a[i] = A[o] / A0[x];
+        p[i] = P[o];
+    });
+    for (int iteration = 0; iteration < 30; iteration++) {
+        int unfinished = 0;
+        ZOO_LOOP(W, i, x, l, 0, n * nb, {
+            const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
+            slope[i] = wall_slope(wall, K[o], th[o], p[i], sqrt(a[i]));
+        });
+        ZOO_LOOP(W, i, j, l, 0, n, {
+            have[i] = volume[i];
+            soft[i] = 0.0;
+        });
+        for (int b = 0; b < nb; b++) {
+            const ptrdiff_t from = (ptrdiff_t)b * n;
+            ZOO_LOOP(W, i, j, l, 0, n, {
+                const double size = w[from + j] * A0[from + j];
+                const ptrdiff_t y = from * W + i;
+                have[i] -= size * (a[y] - p[y] / slope[y]);
+                soft[i] += size / slope[y];
+            });
+        }
+        for (int b = 0; b < nb; b++) {
+            const ptrdiff_t from = (ptrdiff_t)b * n;
+            ZOO_LOOP(W, i, j, l, 0, n, {
+                const ptrdiff_t y = from * W + i, o = (ptrdiff_t)node[from + j] * W + l;
+                /* never more than halfway to the wall's limit */
+                const double room = 0.5 * (wall_limit(wall, th[o]) - a[y]);
+                double move = (have[i] / soft[i] - p[y]) / slope[y];
+                move = move > room ? room : move;
+                a[y] += move;
+                p[y] = wall_p(wall, K[o], th[o], a[y], sqrt(a[y]));
+                unfinished |= fabs(move) > 1e-8; /* quadratic: the next move would be below rounding */
+            });
+        }
+        if (!unfinished)
+            return;
+    }
+    s->no_root = 1;
+}
+
+ZOO_INLINE void junction_body(const int wall, const int W, zoo_sim *s, zoo_junctions *ju)
+{
+    const int n = ju->count, nb = ju->branches;
+    const int newton = wall == ZOO_WALL_TANGENT && !s->uniform;
+    const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum;
+    const int *restrict node = ju->node, *restrict mid = ju->mid, *restrict junction = ju->junction;
+    const double *restrict w = ju->w, *restrict per_w = ju->per_w, *restrict A0 = ju->A0,
+                           *restrict f_s = ju->f_s, *restrict f_c = ju->f_c, *restrict sign = ju->sign;
+    const double *restrict soft = ju->soft, *restrict rest = ju->rest, *restrict k1 = ju->soft1,
+                 *restrict k2 = ju->soft2;
+    double *restrict volume = ju->volume, *restrict area = ju->area, *restrict c = ju->c,
+                     *restrict beta = ju->beta, *restrict sum_c = ju->sum_c, *restrict sum_beta = ju->sum_beta;
+    double *restrict A = s->A, *restrict q = s->q;
+    const double *restrict Ah = s->Ah, *restrict qh = s->qh, *restrict Ph = s->Ph,
+                           *restrict Mh = s->Mh, *restrict Gh = s->Gh;
+
+    ZOO_LOOP(W, i, j, l, 0, n, {
+        volume[i] = w[j] * A[(ptrdiff_t)node[j] * W + l] + dt * qh[(ptrdiff_t)mid[j] * W + l];
+        sum_c[i] = sum_beta[i] = 0.0;
+    });
+    for (int b = 1; b < nb; b++) {
+        const ptrdiff_t from = (ptrdiff_t)b * n;
+        ZOO_LOOP(W, i, j, l, 0, n, {
+                volume[i] += w[from + j] * A[(ptrdiff_t)node[from + j] * W + l] - dt * qh[(ptrdiff_t)mid[from + j] * W + l];
+        });
+    }
+    if (newton)
+        junction_newton(wall, W, s, ju);
+    else if (wall == ZOO_WALL_LINEAR) /* sum w A0 (1 + P/K)^2 = volume; P takes volume's place */
+        ZOO_LOOP(W, i, j, l, 0, n, {
+            const double excess = volume[i] - rest[j];
+            volume[i] = excess / (k1[i] + sqrt(k1[i] * k1[i] + k2[i] * excess));
+        });
+    else
+        ZOO_LOOP(W, i, j, l, 0, n, { volume[i] /= rest[j]; });
+    if (newton)
+        ZOO_LOOP(W, i, j, l, 0, n, { sum_c[i] = sum_beta[i] = 0.0; });
+
+    ZOO_LOOP(W, i, x, l, 0, n * nb, {
+        const ptrdiff_t o = (ptrdiff_t)node[x] * W + l, m = (ptrdiff_t)mid[x] * W + l;
+        const double found = volume[(ptrdiff_t)junction[x] * W + l], root = 1.0 + found * soft[i];
+        const double a = newton ? area[i] : wall == ZOO_WALL_LINEAR ? root * root : found;
+        const double now = A[o], then = a * A0[x], half = 0.5 * (now + then);
+        const double flux = qh[m] - sign[x] * (then - now) / per_w[x], u = flux / half;
+        const double drag = (f_s[x] * sqrt(half / A0[x]) + f_c[x]) * u;
+        const double push = 0.5 * per_w[x] * (half + Ah[m]) * inv_rho;
+        area[i] = then;
+        beta[i] = push;
+        c[i] = q[o] - sign[x] * (per_w[x] * (alpha * flux * u - Mh[m]) - push * Ph[m]) -
+               0.5 * dt * (drag + Gh[m]);
+    });
+    for (int b = 0; b < nb; b++) {
+        const ptrdiff_t from = (ptrdiff_t)b * n;
+        ZOO_LOOP(W, i, j, l, 0, n, {
+            sum_c[i] += sign[from + j] * c[from * W + i];
+            sum_beta[i] += beta[from * W + i];
+        });
+    }
+    ZOO_LOOP(W, i, j, l, 0, n, { sum_c[i] /= sum_beta[i]; }); /* P_h */
+    ZOO_LOOP(W, i, x, l, 0, n * nb, {
+        const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
+        q[o] = c[i] - sign[x] * beta[i] * sum_c[(ptrdiff_t)junction[x] * W + l];
+        A[o] = area[i];
+    });
+}
+
+#endif

@@ -1,0 +1,84 @@
+/* Entry points: split the sets of parameters into groups of lanes and run them. */
+#include <math.h>
+
+#include "internal.h"
+
+enum { FEWEST_FOR_LANES = 3 }; /* below this the lanes would mostly be empty */
+
+static int lanes_for(int64_t n_sets)
+{
+    return n_sets >= FEWEST_FOR_LANES ? ZOO_LANES : 1;
+}
+
+int32_t zoo_workspace_size(const zoo_problem *problem, int64_t n_sets, int64_t *bytes)
+{
+    zoo_sim sim;
+    if (zoo_check_problem(problem) || n_sets < 1)
+        return ZOO_BAD_ARGUMENT;
+    *bytes = zoo_layout(problem, lanes_for(n_sets), &sim, NULL) + 64;
+    return ZOO_OK;
+}
+
+int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_parameters *parameters,
+                  void *workspace, int64_t workspace_bytes, double *pressure, double *flow,
+                  double *area, zoo_report *reports)
+{
+    int64_t bytes;
+    if (zoo_workspace_size(problem, n_sets, &bytes) != ZOO_OK)
+        return ZOO_BAD_ARGUMENT;
+    if (workspace == NULL || workspace_bytes < bytes)
+        return ZOO_WORKSPACE;
+    char *base = (char *)workspace + (64 - (uintptr_t)workspace % 64) % 64;
+    int64_t done = 0;
+    zoo_sim sim;
+    int built = 0;
+    while (done < n_sets) {
+        int lanes = lanes_for(n_sets - done);
+        if (lanes != built) {
+            zoo_layout(problem, lanes, &sim, base);
+            zoo_set_grid(&sim);
+            built = lanes;
+        }
+        /* lanes past the last set repeat it, and are not stored */
+        int used = n_sets - done < lanes ? (int)(n_sets - done) : lanes;
+        for (int l = 0; l < lanes; l++)
+            sim.set_of[l] = done + (l < used ? l : used - 1);
+        int good = zoo_set_parameters(&sim, parameters);
+        for (int l = used; l < lanes; l++)
+            sim.live[l] = 0;
+        sim.no_root = 0;
+        if (good > 0)
+            zoo_periodic(&sim, pressure, flow, area);
+        for (int l = 0; l < used; l++) {
+            reports[done + l] = sim.report[l];
+            if (sim.report[l].status != ZOO_OK)
+                zoo_output_store(&sim, l, pressure, flow, area);
+        }
+        done += used;
+    }
+    return ZOO_OK;
+}
+
+const char *zoo_status_text(int32_t status)
+{
+    switch (status) {
+    case ZOO_OK:
+        return "solved to the periodic state";
+    case ZOO_BAD_ARGUMENT:
+        return "an input is not a positive finite number, or out of its range";
+    case ZOO_CFL:
+        return "the time step is too long for the wave speed (CFL)";
+    case ZOO_COLLAPSE:
+        return "a vessel collapsed: its cross-section fell to zero";
+    case ZOO_WALL_LIMIT:
+        return "a vessel grew beyond the largest area of the tangent wall";
+    case ZOO_NO_ROOT:
+        return "no pressure satisfies a junction or an outlet";
+    case ZOO_NOT_PERIODIC:
+        return "the beats did not become periodic within the limit";
+    case ZOO_WORKSPACE:
+        return "the workspace is too small";
+    default:
+        return "unknown status";
+    }
+}

@@ -1,0 +1,154 @@
+/* The state from which the first beat starts.
+ *
+ * First the steady flow of the mean inflow through vessels and Windkessels
+ * (the pressure drop along a vessel is the scheme's own friction); then that
+ * state is scaled to the start of the beat: all compliances in one vessel of
+ * capacity C_sum, emptied through R_sum, filled by the inflow, has the
+ * periodic pressure
+ *
+ *   v(0) = int_0^T exp(-(T-t)/tau) q_in(t) dt / (C_sum (1 - exp(-T/tau))),  tau = R_sum C_sum.
+ *
+ * Its decay over a beat, exp(-T/tau), is kept as the estimate of the slowest
+ * one of the whole tree.
+ */
+#include <math.h>
+
+#include "internal.h"
+
+enum { START_SWEEPS = 6 };
+
+/* Steady resistance of one vessel at the pressures that stand in P. */
+static double vessel_resistance(const zoo_sim *s, int k, int l)
+{
+    double sum = 0.0;
+    for (int j = s->first[k]; j <= s->last[k]; j++) {
+        int i = j * s->lanes + l;
+        double a = wall_area_ratio(s->wall, s->K[i], s->theta[i], s->P[i]);
+        double A = a * s->A0[j], end = j == s->first[k] || j == s->last[k] ? 0.5 : 1.0;
+        sum += end * (s->f_s[j] * sqrt(a) + s->f_c[j]) / (A * A * s->inv_density);
+    }
+    return sum * s->dx[k];
+}
+
+/* dA/dp integrated over one vessel. */
+static double vessel_compliance(const zoo_sim *s, int k, int l)
+{
+    double sum = 0.0;
+    for (int j = s->first[k]; j <= s->last[k]; j++) {
+        int i = j * s->lanes + l;
+        double a = wall_area_ratio(s->wall, s->K[i], s->theta[i], s->P[i]);
+        double end = j == s->first[k] || j == s->last[k] ? 0.5 : 1.0;
+        sum += end * s->A0[j] / wall_slope(s->wall, s->K[i], s->theta[i], s->P[i], sqrt(a));
+    }
+    return sum * s->dx[k];
+}
+
+/* Equivalent resistance of vessel k and all below it; `below` is scratch [n_vessels]. */
+static double resistance_from(const zoo_sim *s, int l, double *own, double *below)
+{
+    const int32_t *parent = s->problem->network.parent;
+    for (int k = 0; k < s->n_vessels; k++)
+        below[k] = 0.0; /* conductance of what hangs on k */
+    for (int t = 0; t < s->outlets.count; t++)
+        below[s->outlets.vessel[t]] = 1.0 / (s->outlets.R1[t * s->lanes + l] + s->outlets.R2[t * s->lanes + l]);
+    for (int k = s->n_vessels - 1; k >= 0; k--) {
+        own[k] = vessel_resistance(s, k, l);
+        if (k > 0)
+            below[parent[k]] += 1.0 / (own[k] + 1.0 / below[k]);
+    }
+    return own[0] + 1.0 / below[0];
+}
+
+/* Steady pressures into P and flows into q, for the mean inflow. */
+static void steady(zoo_sim *s, int l, double mean_flow, double *own, double *below)
+{
+    const int32_t *parent = s->problem->network.parent;
+    int W = s->lanes;
+    for (int j = 0; j < s->n_nodes; j++)
+        s->P[j * W + l] = 0.0;
+    for (int sweep = 0; sweep < START_SWEEPS; sweep++) {
+        double root = mean_flow * resistance_from(s, l, own, below);
+        for (int k = 0; k < s->n_vessels; k++) {
+            double p_in = k ? s->P[s->last[parent[k]] * W + l] : root;
+            double flow = k ? p_in / (own[k] + 1.0 / below[k]) : mean_flow;
+            for (int j = s->first[k]; j <= s->last[k]; j++) {
+                double part = (double)(j - s->first[k]) / (s->last[k] - s->first[k]);
+                s->P[j * W + l] = p_in - part * flow * own[k];
+                s->q[j * W + l] = flow;
+            }
+        }
+    }
+}
+
+void zoo_start(zoo_sim *s)
+{
+    const zoo_inflow *in = &s->problem->inflow;
+    const int32_t *parent = s->problem->network.parent;
+    int W = s->lanes, nv = s->n_vessels;
+    double mean_flow = s->flow_sum[in->n_samples] / in->period, h = in->period / in->n_samples;
+    /* vessel by vessel scratch, borrowed from the history that is not in use yet */
+    double *own = s->states, *below = own + nv, *capacity = below + nv;
+    for (int l = 0; l < W; l++) {
+        steady(s, l, mean_flow, own, below);
+        double vessels = 0.0, total = 0.0;
+        for (int k = 0; k < nv; k++)
+            vessels += capacity[k] = vessel_compliance(s, k, l);
+        for (int t = 0; t < s->outlets.count; t++)
+            total += s->outlets.C[t * W + l];
+        total += vessels;
+        double resistance = s->P[l] / mean_flow, tau = resistance * total;
+        double filled = 0.0;
+        for (int i = 0; i < in->n_samples; i++)
+            filled += h * in->flow[i] * exp(-(in->period - i * h) / tau);
+        s->slow[l] = exp(-in->period / tau);
+        double ratio = filled / (total * (1.0 - s->slow[l])) / s->P[l];
+
+        /* flow out of the terminals now, less the inflow, comes out of the vessels */
+        for (int j = 0; j < s->n_nodes; j++) {
+            s->P[j * W + l] *= ratio;
+            s->q[j * W + l] *= ratio;
+        }
+        double surplus = (ratio * mean_flow - in->flow[0]) / vessels;
+        for (int k = nv - 1; k > 0; k--)
+            capacity[parent[k]] += capacity[k];
+        for (int k = 0; k < nv; k++) {
+            double below_k = capacity[k];
+            for (int d = k + 1; d < nv; d++)
+                if (parent[d] == k)
+                    below_k -= capacity[d];
+            for (int j = s->first[k]; j <= s->last[k]; j++) {
+                double part = (double)(j - s->first[k]) / (s->last[k] - s->first[k]);
+                s->q[j * W + l] -= surplus * (capacity[k] - part * below_k);
+            }
+        }
+        for (int j = 0; j < s->n_nodes; j++) {
+            int i = j * W + l;
+            s->A[i] = s->A0[j] * wall_area_ratio(s->wall, s->K[i], s->theta[i], s->P[i]);
+        }
+        for (int t = 0; t < s->outlets.count; t++) {
+            int i = s->last[s->outlets.vessel[t]] * W + l;
+            s->outlets.v[t * W + l] = s->P[i] - s->outlets.R1[t * W + l] * s->q[i];
+        }
+    }
+    zoo_refresh_nodes(s);
+}
+
+/* Largest (|u| + c)/dx that the first beat is likely to meet, 1/s, over all
+ * lanes: at twice the starting pressure, with the largest inflow. */
+double zoo_start_speed(const zoo_sim *s)
+{
+    const zoo_inflow *in = &s->problem->inflow;
+    double peak = 0.0, worst = 0.0;
+    for (int i = 0; i < in->n_samples; i++)
+        peak = in->flow[i] > peak ? in->flow[i] : peak;
+    for (int j = 0; j < s->n_nodes; j++)
+        for (int l = 0; l < s->lanes; l++) {
+            int i = j * s->lanes + l;
+            double p = 2.0 * s->P[i], a = wall_area_ratio(s->wall, s->K[i], s->theta[i], p);
+            double c = sqrt(a * wall_slope(s->wall, s->K[i], s->theta[i], p, sqrt(a)) * s->inv_density);
+            double u = s->vessel_of[j] == 0 ? peak * s->inv_A0[j] / a : 0.0;
+            double speed = (u + c) / s->dx[s->vessel_of[j]];
+            worst = speed > worst ? speed : worst;
+        }
+    return worst;
+}

@@ -1,0 +1,91 @@
+/* One time step: Richtmyer's two-step Lax-Wendroff inside the vessels
+ * (scheme.h), then junctions (junction.h), outlets (outlet.h) and the inlet.
+ * Each physical idea is an inline body; here they are put together once for
+ * each wall law and lane count, and once more for each instruction set. */
+#include "internal.h"
+#include "junction.h"
+#include "outlet.h"
+#include "scheme.h"
+
+#if defined(__x86_64__) && defined(__GLIBC__) && (defined(__GNUC__) || defined(__clang__)) && \
+    !defined(ZOO_NO_CLONES)
+#define ZOO_CLONES __attribute__((target_clones("default", "arch=x86-64-v3", "arch=x86-64-v4")))
+#else
+#define ZOO_CLONES
+#endif
+
+/* The inlet: the flow is given, the area follows from the mass balance of the
+ * half cell next to it.  A' = A - (2 dt/dx) (q_mid - mean inflow of the step). */
+ZOO_INLINE void inlet_body(const int W, zoo_sim *s, int step)
+{
+    for (int l = 0; l < W; l++) {
+        s->A[l] -= 2.0 * s->dt / s->dx[0] * (s->qh[l] - s->flow_mean[step]);
+        s->q[l] = s->flow_node[step + 1];
+    }
+}
+
+ZOO_INLINE int step_body(const int wall, const int W, zoo_sim *s, int step)
+{
+    scheme_half(wall, W, s);
+    for (int g = 0; g < s->n_groups; g++)
+        junction_body(wall, W, s, &s->groups[g]);
+    outlet_body(wall, W, s);
+    inlet_body(W, s, step);
+    return scheme_full(wall, W, 1, s);
+}
+
+#define ZOO_STEP(name, wall, W) \
+    ZOO_CLONES static int name(zoo_sim *s, int step) { return step_body(wall, W, s, step); }
+ZOO_STEP(step_linear_1, ZOO_WALL_LINEAR, 1)
+ZOO_STEP(step_linear_n, ZOO_WALL_LINEAR, ZOO_LANES)
+ZOO_STEP(step_tangent_1, ZOO_WALL_TANGENT, 1)
+ZOO_STEP(step_tangent_n, ZOO_WALL_TANGENT, ZOO_LANES)
+
+int zoo_step(zoo_sim *s, int step)
+{
+    if (s->wall == ZOO_WALL_LINEAR)
+        return s->lanes == 1 ? step_linear_1(s, step) : step_linear_n(s, step);
+    return s->lanes == 1 ? step_tangent_1(s, step) : step_tangent_n(s, step);
+}
+
+/* Pressure, momentum flux and friction at the nodes, from areas and flows that were just set. */
+void zoo_refresh_nodes(zoo_sim *s)
+{
+    if (s->wall == ZOO_WALL_LINEAR)
+        (void)scheme_full(ZOO_WALL_LINEAR, s->lanes, 0, s);
+    else
+        (void)scheme_full(ZOO_WALL_TANGENT, s->lanes, 0, s);
+}
+
+/* Largest (|u| + c)/dx of one lane, 1/s; NaN when the state is not a number. */
+double zoo_speed(const zoo_sim *s, int lane)
+{
+    double worst = 0.0;
+    for (int j = 0; j < s->n_nodes; j++) {
+        int i = j * s->lanes + lane;
+        double a = s->A[i] * s->inv_A0[j];
+        double slope = wall_slope(s->wall, s->K[i], s->theta[i], s->P[i], sqrt(a));
+        double speed = (fabs(s->q[i] / s->A[i]) + sqrt(a * slope * s->inv_density)) /
+                       s->dx[s->vessel_of[j]];
+        if (!(speed <= worst))
+            worst = speed;
+    }
+    return worst;
+}
+
+/* Largest |flow in - flow out| of a junction's nodes, ml/s. */
+double zoo_junction_defect(const zoo_sim *s, int lane)
+{
+    double worst = 0.0;
+    for (int g = 0; g < s->n_groups; g++) {
+        const zoo_junctions *ju = &s->groups[g];
+        for (int i = 0; i < ju->count; i++) {
+            double sum = 0.0;
+            for (int b = 0; b < ju->branches; b++)
+                sum += (b == 0 ? 1.0 : -1.0) * s->q[ju->node[b * ju->count + i] * s->lanes + lane];
+            if (!(fabs(sum) <= worst))
+                worst = fabs(sum);
+        }
+    }
+    return worst;
+}

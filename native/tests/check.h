@@ -1,0 +1,121 @@
+/* A check that counts, and a small problem to try things on. */
+#ifndef ZOO_TEST_CHECK_H
+#define ZOO_TEST_CHECK_H
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "../src/internal.h"
+
+static int checks, failures; /* only the first 20 failures are printed */
+
+#define CHECK(condition)                                                            \
+    do {                                                                            \
+        checks++;                                                                   \
+        if (!(condition)) {                                                         \
+            if (failures++ < 20)                                                    \
+                fprintf(stderr, "%s:%d: failed: %s\n", __FILE__, __LINE__, #condition); \
+        }                                                                           \
+    } while (0)
+
+/* |x - y| <= bound, and both numbers */
+#define NEAR(x, y, bound)                                                                    \
+    do {                                                                                     \
+        double x_ = (x), y_ = (y);                                                           \
+        checks++;                                                                            \
+        if (!(fabs(x_ - y_) <= (bound))) {                                                   \
+            if (failures++ < 20)                                                             \
+                fprintf(stderr, "%s:%d: %s = %.17g, %s = %.17g\n", __FILE__, __LINE__, #x, x_, #y, y_); \
+        }                                                                                    \
+    } while (0)
+
+static inline int finish(const char *name)
+{
+    printf("%s: %d passed, %d failed\n", name, checks - failures, failures);
+    return failures != 0;
+}
+
+/* One root, a bifurcation, one daughter that goes on into one vessel and one
+ * that splits in three: junctions with 2, 3 and 4 branches; 4 terminals. */
+enum { NV = 8, NSAMPLES = 256, NTIMES = 50, NSERIES = 3 };
+static const int32_t tree_parent[NV] = {-1, 0, 0, 1, 2, 2, 2, 3};
+static const int32_t tree_cells[NV] = {16, 12, 8, 5, 2, 7, 9, 3};
+static const double tree_length[NV] = {0.41, 0.3, 0.2, 0.13, 0.06, 0.18, 0.22, 0.08};
+static const double tree_in[NV] = {0.047, 0.03, 0.035, 0.028, 0.015, 0.02, 0.022, 0.026};
+static const double tree_out[NV] = {0.047, 0.03, 0.030, 0.028, 0.015, 0.018, 0.022, 0.026};
+static const double tree_R1[NV] = {0, 0, 0, 0, 2e5, 1.5e5, 1e5, 0.5e5};
+static const double tree_R2[NV] = {0, 0, 0, 0, 8e5, 6e5, 4e5, 2e5};
+static const double tree_C[NV] = {0, 0, 0, 0, 1.3e-7, 1.8e-7, 2.7e-7, 5e-7};
+static const int32_t tree_vessel[NSERIES] = {0, 4, 7};
+static const double tree_position[NSERIES] = {0.0, 0.5, 1.0};
+
+typedef struct {
+    zoo_problem problem;
+    double flow[NSAMPLES], times[NTIMES];
+    double stiffness[64 * NV], gamma[64 * NV], psi1[64 * NV], psi2[64 * NV], c[64 * NV];
+    zoo_parameters parameters;
+    char *memory;
+    zoo_sim sim;
+} tree;
+
+static inline void tree_make(tree *t, int wall)
+{
+    memset(t, 0, sizeof *t);
+    for (int i = 0; i < NSAMPLES; i++) {
+        double x = (double)i / NSAMPLES;
+        t->flow[i] = x < 0.5 ? 0.5 * pow(sin(2.0 * ZOO_PI * x), 2) : 0.0;
+    }
+    for (int i = 0; i < NTIMES; i++)
+        t->times[i] = 0.11 * i / (NTIMES - 1);
+    t->problem.network = (zoo_network){NV, tree_parent, tree_cells, tree_length, tree_in, tree_out,
+                                       tree_R1, tree_R2, tree_C};
+    t->problem.physics = (zoo_physics){1.055, 0.049, 1.0, wall, 1.0, ZOO_FRICTION_CURRENT, 0.07};
+    t->problem.inflow = (zoo_inflow){0.11, NSAMPLES, t->flow};
+    t->problem.outputs = (zoo_outputs){NSERIES, tree_vessel, tree_position, NTIMES, t->times};
+    t->problem.numerics = (zoo_numerics){0.9, 0, 32768, 60, 1.0, 1};
+    for (int i = 0; i < 64 * NV; i++) {
+        t->stiffness[i] = 5e4 * (1.0 + 0.02 * (i % NV)) * (1.0 + 0.01 * (i / NV));
+        t->gamma[i] = 4.0 + 0.1 * (i % NV);
+        t->psi1[i] = 0.8;
+        t->psi2[i] = 1.0 + 0.003 * (i / NV);
+        t->c[i] = 1.1;
+    }
+    t->parameters = (zoo_parameters){t->stiffness, t->gamma, t->psi1, t->psi2, t->c};
+}
+
+/* A run set up as zoo_solve does it, for looking inside. */
+static inline void tree_open(tree *t, int lanes, int n_steps)
+{
+    int64_t bytes = zoo_layout(&t->problem, lanes, &t->sim, NULL);
+    t->memory = aligned_alloc(64, (size_t)bytes);
+    memset(t->memory, 0xff, (size_t)bytes); /* NaN everywhere: nothing may be read before it is set */
+    zoo_layout(&t->problem, lanes, &t->sim, t->memory);
+    zoo_set_grid(&t->sim);
+    for (int l = 0; l < lanes; l++)
+        t->sim.set_of[l] = l;
+    t->sim.no_root = 0;
+    if (zoo_set_parameters(&t->sim, &t->parameters) != lanes)
+        abort();
+    zoo_set_step(&t->sim, n_steps);
+}
+
+static inline void tree_close(tree *t)
+{
+    free(t->memory);
+    t->memory = NULL;
+}
+
+/* Blood in all vessels of one lane, ml: whole cells inside, half cells at the ends. */
+static inline double tree_volume(const zoo_sim *s, int lane)
+{
+    double sum = 0.0;
+    for (int k = 0; k < s->n_vessels; k++)
+        for (int j = s->first[k]; j <= s->last[k]; j++)
+            sum += (j == s->first[k] || j == s->last[k] ? 0.5 : 1.0) * s->dx[k] *
+                   s->A[j * s->lanes + lane];
+    return sum;
+}
+
+#endif

@@ -1,0 +1,107 @@
+/* One step: what must not change, what must balance, and lanes that must agree. */
+#include "check.h"
+
+static tree one, many;
+
+/* Fluid at rest at one pressure stays at rest, in tapered vessels too. */
+static void rest(int wall)
+{
+    tree_make(&one, wall);
+    memset(one.flow, 0, sizeof one.flow);
+    tree_open(&one, 1, 1024);
+    zoo_sim *s = &one.sim;
+    for (int j = 0; j < s->n_nodes; j++) {
+        s->A[j] = s->A0[j] * wall_area_ratio(wall, s->K[j], s->theta[j], 8000.0);
+        s->q[j] = 0.0;
+    }
+    for (int t = 0; t < s->outlets.count; t++) {
+        s->outlets.v[t] = 8000.0;
+        s->outlets.C[t] = 1e9; /* so large that nothing drains */
+    }
+    zoo_set_step(s, 1024);
+    zoo_refresh_nodes(s);
+    for (int i = 0; i < 200; i++)
+        CHECK(zoo_step(s, i) == 0);
+    for (int j = 0; j < s->n_nodes; j++) {
+        NEAR(s->P[j], 8000.0, 1e-7);
+        NEAR(s->q[j], 0.0, 1e-11);
+    }
+    tree_close(&one);
+}
+
+/* Blood is neither lost nor made, and junctions pass on what they get. */
+static void mass(int wall)
+{
+    tree_make(&one, wall);
+    tree_open(&one, 1, 1600);
+    zoo_sim *s = &one.sim;
+    zoo_start(s);
+    memset(s->outlets.volume, 0, (size_t)s->outlets.count * sizeof(double));
+    double before = tree_volume(s, 0), in = 0.0, out = 0.0;
+    for (int i = 0; i < 1600; i++) {
+        CHECK(zoo_step(s, i) == 0);
+        in += s->dt * s->flow_mean[i];
+        CHECK(zoo_junction_defect(s, 0) < 1e-13);
+    }
+    for (int t = 0; t < s->outlets.count; t++)
+        out += s->outlets.volume[t];
+    CHECK(in > 0.01 && out > 0.01);
+    NEAR(tree_volume(s, 0) - before, in - out, 1e-14);
+    /* one pressure at every junction, and the Windkessel's own law at every outlet */
+    for (int g = 0; g < s->n_groups; g++)
+        for (int x = 0; x < s->groups[g].branches * s->groups[g].count; x++)
+            NEAR(s->P[s->groups[g].node[x]], s->P[s->groups[g].node[s->groups[g].junction[x]]], 1e-6);
+    for (int t = 0; t < s->outlets.count; t++)
+        NEAR(s->P[s->outlets.node[t]], s->outlets.v[t] + s->outlets.R1[t] * s->q[s->outlets.node[t]], 1e-6);
+    tree_close(&one);
+}
+
+/* Each lane computes what it would compute alone. */
+static void lanes(int wall)
+{
+    tree_make(&many, wall);
+    tree_open(&many, ZOO_LANES, 1600);
+    zoo_start(&many.sim);
+    for (int i = 0; i < 800; i++)
+        zoo_step(&many.sim, i);
+    for (int l = 0; l < ZOO_LANES; l += 5) {
+        tree_make(&one, wall);
+        one.parameters = (zoo_parameters){one.stiffness + l * NV, one.gamma + l * NV, one.psi1 + l * NV,
+                                          one.psi2 + l * NV, one.c + l * NV};
+        tree_open(&one, 1, 1600);
+        zoo_start(&one.sim);
+        for (int i = 0; i < 800; i++)
+            zoo_step(&one.sim, i);
+        for (int j = 0; j < one.sim.n_nodes; j++) {
+            NEAR(many.sim.P[j * ZOO_LANES + l], one.sim.P[j], 1e-7);
+            NEAR(many.sim.q[j * ZOO_LANES + l], one.sim.q[j], 1e-11);
+        }
+        tree_close(&one);
+    }
+    tree_close(&many);
+}
+
+/* An area that is not positive is reported. */
+static void wrong(void)
+{
+    tree_make(&one, ZOO_WALL_TANGENT);
+    tree_open(&one, 1, 1600);
+    zoo_start(&one.sim);
+    one.sim.A[5] = -1e-3;
+    CHECK(zoo_step(&one.sim, 0) == 1);
+    zoo_start(&one.sim);
+    one.sim.A[5] = one.sim.A0[5] * 10.0;
+    CHECK(zoo_step(&one.sim, 0) == 1);
+    tree_close(&one);
+}
+
+int main(void)
+{
+    for (int wall = ZOO_WALL_LINEAR; wall <= ZOO_WALL_TANGENT; wall++) {
+        rest(wall);
+        mass(wall);
+        lanes(wall);
+    }
+    wrong();
+    return finish("step");
+}

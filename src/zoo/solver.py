@@ -1,0 +1,537 @@
+"""The NumPy face of the compiled solver: one solve, or a batch of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zoo._native import ffi, lib
+from zoo.conventions import PRINTED, Conventions
+from zoo.network import Network
+from zoo.units import cgs_to_mmhg
+
+if TYPE_CHECKING:
+    from zoo.study import Study
+
+Array = NDArray[np.float64]
+
+WALLS = {"linear": lib.ZOO_WALL_LINEAR, "tangent": lib.ZOO_WALL_TANGENT}
+FRICTIONS = {
+    "current": lib.ZOO_FRICTION_CURRENT,
+    "rest": lib.ZOO_FRICTION_REST,
+    "fixed": lib.ZOO_FRICTION_FIXED,
+}
+STATUS_NAMES: dict[int, str] = {
+    lib.ZOO_OK: "ok",
+    lib.ZOO_BAD_ARGUMENT: "bad-argument",
+    lib.ZOO_CFL: "cfl",
+    lib.ZOO_COLLAPSE: "collapse",
+    lib.ZOO_WALL_LIMIT: "wall-limit",
+    lib.ZOO_NO_ROOT: "no-root",
+    lib.ZOO_NOT_PERIODIC: "not-periodic",
+    lib.ZOO_WORKSPACE: "workspace",
+}
+PARAMETERS = ("stiffness", "gamma", "psi1", "psi2", "c")
+PUBLISHED_CELLS_PER_CM = 40
+
+
+class SolverError(RuntimeError):
+    """A solve that did not reach a periodic state; its text says why and what to change."""
+
+
+class SolverArgumentError(SolverError, ValueError):
+    """An input of the solver is out of range."""
+
+
+class CFLError(SolverError):
+    """The time step is too long for the wave speed."""
+
+
+class CollapseError(SolverError):
+    """A vessel's cross-section fell to zero."""
+
+
+class WallLimitError(SolverError):
+    """A vessel's cross-section passed the largest one of the tangent wall."""
+
+
+class RootError(SolverError):
+    """A junction or an outlet has no pressure that satisfies its equations."""
+
+
+class NotPeriodicError(SolverError):
+    """The beats did not repeat themselves within the limit."""
+
+
+_ERRORS: dict[int, tuple[type[SolverError], str]] = {
+    lib.ZOO_BAD_ARGUMENT: (
+        SolverArgumentError,
+        "stiffness, gamma, psi1, psi2 and c must be positive and finite",
+    ),
+    lib.ZOO_CFL: (CFLError, "raise steps_per_beat, or set it to 0 to have it chosen"),
+    lib.ZOO_COLLAPSE: (CollapseError, "raise the stiffness or lower psi1 and psi2"),
+    lib.ZOO_WALL_LIMIT: (WallLimitError, "raise the stiffness, lower gamma, or lower psi1 and psi2"),
+    lib.ZOO_NO_ROOT: (RootError, "check the stiffness and the Windkessel values around that vessel"),
+    lib.ZOO_NOT_PERIODIC: (NotPeriodicError, "raise max_beats or tolerance_mmHg, or lower psi2 times c"),
+}
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """Numerical settings of a solve.
+
+    Parameters
+    ----------
+    dx_cm : float
+        Target cell length; each vessel has the nearest whole number of cells, at least two.
+        The convention ``truncate_lengths`` has its own grid, 40 cells per cm.
+    refine : int
+        Divides the cells and, with them, the time step.
+    cfl : float
+        Wanted largest (abs(u) + c) dt/dx, between 0 and 1.
+    steps_per_beat : int
+        Time steps in a beat before refinement; 0 chooses them from `cfl`, in multiples of 64.
+    max_steps, max_beats : int
+        Limits beyond which a solve fails.
+    tolerance_mmHg : float
+        Largest accepted distance from the periodic state, estimated from the last beat's change.
+    accelerate : bool
+        Extrapolate from beat to beat.
+    """
+
+    dx_cm: float = 0.025
+    refine: int = 1
+    cfl: float = 0.9
+    steps_per_beat: int = 0
+    max_steps: int = 65536
+    max_beats: int = 60
+    tolerance_mmHg: float = 2e-3
+    accelerate: bool = True
+
+    def __post_init__(self) -> None:
+        positive = ("dx_cm", "refine", "cfl", "max_steps", "max_beats", "tolerance_mmHg")
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise SolverArgumentError(f"{name} = {getattr(self, name)}: must be positive")
+        if not self.cfl < 1:
+            raise SolverArgumentError(f"cfl = {self.cfl}: must be below 1, the scheme's stability limit")
+        if self.steps_per_beat and not 32 <= self.steps_per_beat * self.refine <= self.max_steps:
+            raise SolverArgumentError(
+                f"steps_per_beat = {self.steps_per_beat}: must be 0 (chosen from cfl) or, times refine, "
+                f"between 32 and max_steps = {self.max_steps}"
+            )
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A solve at one set of parameters.
+
+    `pressure_mmHg`, `flow_ml_s` and `area_cm2` have shape (n_series, n_times) and are NaN when it failed.
+    `change_mmHg` is the largest difference between the end and the start of the last beat,
+    `distance_mmHg` the estimated distance from the periodic state; `inflow_ml` and `outflow_ml` are
+    volumes over the last beat, `junction_defect_ml_s` the largest flow that a junction lost or made.
+    """
+
+    pressure_mmHg: Array
+    flow_ml_s: Array
+    area_cm2: Array
+    status: int
+    reason: str
+    vessel: int | None
+    time_s: float
+    beats: int
+    steps_per_beat: int
+    total_steps: int
+    change_mmHg: float
+    distance_mmHg: float
+    max_cfl: float
+    inflow_ml: float
+    outflow_ml: float
+    junction_defect_ml_s: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether the solve reached the periodic state."""
+        return self.status == lib.ZOO_OK
+
+
+@dataclass(frozen=True)
+class BatchSolution:
+    """Solves at many sets of parameters: arrays with a leading axis n_sets, a status each."""
+
+    pressure_mmHg: Array
+    flow_ml_s: Array
+    area_cm2: Array
+    status: NDArray[np.int32]
+    vessel: NDArray[np.int32]
+    time_s: Array
+    beats: NDArray[np.int32]
+    steps_per_beat: NDArray[np.int32]
+    change_mmHg: Array
+    max_cfl: Array
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Which of the sets reached the periodic state, shape (n_sets,)."""
+        ok: NDArray[np.bool_] = self.status == lib.ZOO_OK
+        return ok
+
+    def status_counts(self) -> dict[str, int]:
+        """How many sets ended in each status."""
+        values, counts = np.unique(self.status, return_counts=True)
+        return {STATUS_NAMES[int(v)]: int(n) for v, n in zip(values, counts, strict=True)}
+
+
+class Solver:
+    """Pressure, flow and area in a vessel tree at the periodic state (eq. 3.1 to 3.7 of Paun et al. 2020).
+
+    Parameters
+    ----------
+    network : Network
+        Vessels, blood and nominal Windkessels.
+    inflow_time_s, inflow_ml_s : array (n,)
+        Flow into the root over one period, uniform in time from 0, without the repeated last sample.
+    wall : {"linear", "tangent"}
+        Eq. (3.3) or (3.4).
+    conventions : Conventions
+        How the equations are read (wall factor, friction radius, lengths, mmHg).
+    series : sequence of (vessel id, position)
+        Where the solution is wanted; position 0 is the inlet, 1 the outlet.
+    times_s : array (n_times,)
+        When, from the start of the beat; times beyond the period are taken modulo it.
+    options : SolverOptions
+        Numerical settings.
+
+    Raises
+    ------
+    SolverArgumentError
+        If an argument is out of range.
+
+    References
+    ----------
+    Paun et al. 2020, doi 10.1098/rsif.2020.0886.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        inflow_time_s: ArrayLike,
+        inflow_ml_s: ArrayLike,
+        *,
+        wall: str = "linear",
+        conventions: Conventions = PRINTED,
+        series: Sequence[tuple[int, float]] = (),
+        times_s: ArrayLike = (),
+        options: SolverOptions | None = None,
+    ) -> None:
+        if wall not in WALLS:
+            raise SolverArgumentError(f"wall = {wall!r}: must be one of {', '.join(WALLS)}")
+        self.network = network
+        self.inflow_time_s = np.array(inflow_time_s, dtype=np.float64)
+        self.inflow_ml_s = np.array(inflow_ml_s, dtype=np.float64)
+        self.wall = wall
+        self.conventions = conventions
+        self.series = tuple((int(vessel), float(position)) for vessel, position in series)
+        self.times_s = np.array(times_s, dtype=np.float64)
+        self.options = options or SolverOptions()
+        self._build()
+
+    @classmethod
+    def for_study(
+        cls,
+        study: Study,
+        wall: str = "linear",
+        *,
+        series: Sequence[tuple[int, float]] | None = None,
+        times_s: ArrayLike | None = None,
+        options: SolverOptions | None = None,
+        conventions: Conventions | None = None,
+    ) -> Solver:
+        """Make the solver of a study, at the study's own series and times unless others are given."""
+        if series is None:
+            series = [(s.vessel, s.position) for s in study.series]
+        return cls(
+            Network.from_study(study),
+            study.inflow_time_s,
+            study.inflow_ml_s,
+            wall=wall,
+            conventions=conventions or study.conventions,
+            series=series,
+            times_s=study.time_s if times_s is None else times_s,
+            options=options,
+        )
+
+    # the native structs hold pointers, so a pickle keeps the arguments and builds them again
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        del state["_problem"], state["_kept"], state["_workspaces"]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._build()
+
+    def grid(self) -> tuple[NDArray[np.int32], Array]:
+        """Cells and length (cm) of each vessel on the grid, each of shape (n_vessels,)."""
+        length = self.network.length_cm
+        if self.conventions.truncate_lengths:
+            cells = np.floor(PUBLISHED_CELLS_PER_CM * length + 1e-9).astype(np.int32)
+            if np.any(cells < 1):
+                vessel = self.network.ids[int(np.argmin(cells))]
+                raise SolverArgumentError(
+                    f"vessel {vessel}: shorter than one cell of 1/{PUBLISHED_CELLS_PER_CM} cm, "
+                    "which truncated lengths cannot hold; use true lengths"
+                )
+            length = cells / PUBLISHED_CELLS_PER_CM
+            cells = np.maximum(2, cells)
+        else:
+            cells = np.maximum(2, np.rint(length / self.options.dx_cm)).astype(np.int32)
+        return (cells * self.options.refine).astype(np.int32), np.asarray(length, dtype=np.float64)
+
+    def _build(self) -> None:
+        net, options, conventions = self.network, self.options, self.conventions
+        self._kept: list[Any] = []
+        self._workspaces: dict[int, Any] = {}
+        problem = ffi.new("zoo_problem *")
+
+        def reals(values: ArrayLike) -> Any:
+            data = np.ascontiguousarray(values, dtype=np.float64)
+            self._kept.append(data)
+            return ffi.from_buffer("double[]", data)
+
+        def ints(values: ArrayLike) -> Any:
+            data = np.ascontiguousarray(values, dtype=np.int32)
+            self._kept.append(data)
+            return ffi.from_buffer("int32_t[]", data)
+
+        cells, length = self.grid()
+        n = problem.network
+        n.n_vessels = len(net.ids)
+        n.parent, n.n_cells, n.length = ints(net.parent), ints(cells), reals(length)
+        n.radius_in, n.radius_out = reals(net.radius_in_cm), reals(net.radius_out_cm)
+        n.R1, n.R2, n.C = reals(net.R1), reals(net.R2), reals(net.C)
+
+        p = problem.physics
+        p.density, p.viscosity, p.momentum_correction = net.density, net.viscosity, 1.0
+        p.wall, p.wall_factor = WALLS[self.wall], conventions.wall_factor
+        if conventions.friction not in FRICTIONS:
+            raise SolverArgumentError(
+                f"friction = {conventions.friction!r}: must be one of {', '.join(FRICTIONS)}"
+            )
+        p.friction, p.friction_radius = FRICTIONS[conventions.friction], conventions.friction_radius_cm
+
+        flow = self.inflow_ml_s
+        if flow.ndim != 1 or len(flow) < 4 or not np.all(np.isfinite(flow)) or not flow.mean() > 0:
+            raise SolverArgumentError("inflow: needs at least 4 finite samples with a positive mean")
+        problem.inflow.period = net.period_s
+        problem.inflow.n_samples, problem.inflow.flow = len(flow), reals(flow)
+
+        known = {int(v) for v in net.ids}
+        for vessel, position in self.series:
+            if vessel not in known:
+                raise SolverArgumentError(f"series: vessel {vessel} is not in the network; it has {sorted(known)}")
+            if not 0 <= position <= 1:
+                raise SolverArgumentError(f"series: position {position} of vessel {vessel} is not in [0, 1]")
+        times = np.mod(self.times_s, net.period_s)
+        times[self.times_s == net.period_s] = net.period_s
+        self._order = np.argsort(times, kind="stable")
+        out = problem.outputs
+        out.n_series, out.n_times = len(self.series), len(times)
+        out.vessel = ints([net.index(vessel) for vessel, _ in self.series])
+        out.position = reals([position for _, position in self.series])
+        out.times = reals(times[self._order])
+
+        num = problem.numerics
+        num.cfl = options.cfl
+        num.steps_per_beat = options.steps_per_beat * options.refine
+        num.max_steps, num.max_beats = options.max_steps, options.max_beats
+        num.tolerance = options.tolerance_mmHg * conventions.mmhg
+        num.accelerate = options.accelerate
+        self._problem = problem
+
+    def _broadcast(self, values: dict[str, ArrayLike], n_sets: int) -> dict[str, Array]:
+        """Every parameter as (n_sets, n_vessels)."""
+        n_vessels = len(self.network.ids)
+        rows = {}
+        for name, value in values.items():
+            data = np.asarray(value, dtype=np.float64)
+            if data.ndim == 1 and n_sets > 1 and len(data) == n_sets and n_sets != n_vessels:
+                data = data[:, None]
+            try:
+                rows[name] = np.ascontiguousarray(np.broadcast_to(data, (n_sets, n_vessels)))
+            except ValueError:
+                raise SolverArgumentError(
+                    f"{name}: shape {data.shape} fits neither one value nor one per vessel ({n_vessels})"
+                ) from None
+        return rows
+
+    def _run(self, values: dict[str, ArrayLike], n_sets: int) -> tuple[list[Array], Any]:
+        rows = self._broadcast(values, n_sets)
+        size = ffi.new("int64_t *")
+        if lib.zoo_workspace_size(self._problem, n_sets, size) != lib.ZOO_OK:
+            raise SolverArgumentError("the network, the inflow or the options are out of range")
+        # taken out while in use, so that two threads never share one
+        workspace = self._workspaces.pop(size[0], None)
+        if workspace is None:
+            workspace = np.empty(size[0], dtype=np.uint8)
+        parameters = ffi.new("zoo_parameters *")
+        for name in PARAMETERS:
+            setattr(parameters, name, ffi.from_buffer("double[]", rows[name]))
+        shape = (n_sets, len(self.series), len(self.times_s))
+        waves = [np.empty(shape) for _ in range(3)]
+        reports = ffi.new("zoo_report[]", n_sets)
+        code = lib.zoo_solve(
+            self._problem,
+            n_sets,
+            parameters,
+            ffi.from_buffer("char[]", workspace),
+            size[0],
+            *(ffi.from_buffer("double[]", wave) for wave in waves),
+            reports,
+        )
+        self._workspaces[size[0]] = workspace
+        if code != lib.ZOO_OK:
+            raise SolverArgumentError(ffi.string(lib.zoo_status_text(code)).decode())
+        ordered = []
+        for wave in waves:
+            back = np.empty(shape)
+            back[..., self._order] = wave
+            ordered.append(back)
+        ordered[0] = cgs_to_mmhg(ordered[0], self.conventions.mmhg)
+        return ordered, reports
+
+    def _reason(self, report: Any) -> str:
+        text: str = ffi.string(lib.zoo_status_text(report.status)).decode()
+        if report.status == lib.ZOO_OK:
+            return text
+        where = f" in vessel {self.network.ids[report.vessel]}" if report.vessel >= 0 else ""
+        when = f" at {report.time:.4g} s of the beat" if report.time > 0 else ""
+        if report.status == lib.ZOO_NOT_PERIODIC:
+            when = (
+                f" of {self.options.max_beats} beats (last change "
+                f"{cgs_to_mmhg(report.change, self.conventions.mmhg):.3g} mmHg)"
+            )
+        if report.status == lib.ZOO_CFL:
+            when = f": largest (|u| + c) dt/dx was {report.max_cfl:.3f} with {report.steps_per_beat} steps"
+        return f"{text}{where}{when}; {_ERRORS[report.status][1]}"
+
+    def solve(
+        self,
+        stiffness: ArrayLike,
+        gamma: ArrayLike = 2.0,
+        psi1: ArrayLike = 1.0,
+        psi2: ArrayLike = 1.0,
+        c: ArrayLike = 1.0,
+        *,
+        check: bool = True,
+    ) -> Solution:
+        """Solve to the periodic state at one set of parameters.
+
+        Parameters
+        ----------
+        stiffness : float or array (n_vessels,)
+            chi, g/(cm s^2).
+        gamma : float or array (n_vessels,)
+            Scaling parameter of the tangent wall; the linear wall does not read it.
+        psi1, psi2, c : float or array (n_vessels,)
+            Factors of the nominal R1, R2 and C; values at vessels that are not terminals are not read.
+        check : bool
+            Raise when the solve fails; otherwise the status says so.
+
+        Returns
+        -------
+        Solution
+
+        Raises
+        ------
+        SolverError
+            One of its subclasses, when the solve fails and `check` is true.
+        """
+        waves, reports = self._run(dict(zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True)), 1)
+        report = reports[0]
+        if check and report.status != lib.ZOO_OK:
+            raise _ERRORS[report.status][0](self._reason(report))
+        mmhg = self.conventions.mmhg
+        return Solution(
+            pressure_mmHg=waves[0][0],
+            flow_ml_s=waves[1][0],
+            area_cm2=waves[2][0],
+            status=report.status,
+            reason=self._reason(report),
+            vessel=int(self.network.ids[report.vessel]) if report.vessel >= 0 else None,
+            time_s=report.time,
+            beats=report.beats,
+            steps_per_beat=report.steps_per_beat,
+            total_steps=report.total_steps,
+            change_mmHg=cgs_to_mmhg(report.change, mmhg),
+            distance_mmHg=cgs_to_mmhg(report.distance, mmhg),
+            max_cfl=report.max_cfl,
+            inflow_ml=report.inflow,
+            outflow_ml=report.outflow,
+            junction_defect_ml_s=report.junction_defect,
+        )
+
+    def solve_batch(
+        self,
+        stiffness: ArrayLike,
+        gamma: ArrayLike = 2.0,
+        psi1: ArrayLike = 1.0,
+        psi2: ArrayLike = 1.0,
+        c: ArrayLike = 1.0,
+    ) -> BatchSolution:
+        """Solve at many sets of parameters, eight side by side; a set that fails has a status and NaN rows.
+
+        Parameters
+        ----------
+        stiffness, gamma, psi1, psi2, c : array (n_sets, n_vessels), (n_sets, 1), or a single value
+            As in `solve`; the number of sets is the largest leading axis.
+
+        Returns
+        -------
+        BatchSolution
+            Sets solved side by side take the finest time step that one of them needs, so they agree
+            with single solves to within the discretisation error, and exactly when `steps_per_beat` is set.
+        """
+        values = {
+            name: np.asarray(value, dtype=np.float64)
+            for name, value in zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True)
+        }
+        values = {name: v[:, None] if v.ndim == 1 else v for name, v in values.items()}
+        n_sets = max(v.shape[0] if v.ndim else 1 for v in values.values())
+        waves, reports = self._run(values, n_sets)
+
+        def field(name: str, dtype: Any = np.float64) -> Any:
+            return np.array([getattr(reports[i], name) for i in range(n_sets)], dtype=dtype)
+
+        return BatchSolution(
+            *waves,
+            status=field("status", np.int32),
+            vessel=field("vessel", np.int32),
+            time_s=field("time"),
+            beats=field("beats", np.int32),
+            steps_per_beat=field("steps_per_beat", np.int32),
+            change_mmHg=cgs_to_mmhg(field("change"), self.conventions.mmhg),
+            max_cfl=field("max_cfl"),
+        )
+
+    def settings(self) -> dict[str, Any]:
+        """Wall, conventions and numerical options, for a run's record."""
+        return {"wall": self.wall, "conventions": asdict(self.conventions), "options": asdict(self.options)}
+
+
+def wall_pressure_mmHg(
+    wall: str, area_ratio: ArrayLike, stiffness: float, gamma: float = 2.0, *, conventions: Conventions = PRINTED
+) -> Array:
+    """Pressure of the wall law, eq. (3.3) or (3.4), at A/A0 (dimensionless); NaN outside its range."""
+    ratio = np.asarray(area_ratio, dtype=np.float64)
+    pressure = np.array(
+        [
+            lib.zoo_wall_pressure(WALLS[wall], conventions.wall_factor, stiffness, gamma, float(a), 1.0)
+            for a in ratio.ravel()
+        ]
+    )
+    return np.asarray(cgs_to_mmhg(pressure.reshape(ratio.shape), conventions.mmhg))
