@@ -24,6 +24,3 @@ ffibuilder.set_source(
     depends=[f"native/{path.relative_to(ROOT)}" for path in sorted(ROOT.glob("*/*.h"))],
     extra_compile_args=[] if sys.platform == "win32" else FLAGS,
 )
-
-if __name__ == "__main__":
-    ffibuilder.compile(verbose=True)

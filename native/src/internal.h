@@ -22,7 +22,7 @@ enum {
     ZOO_LANES = 16,
     ZOO_HISTORY = 4,   /* beats kept for the extrapolation */
     ZOO_CHECKS = 32,   /* times in a beat at which the state is checked */
-    ZOO_STEP_UNIT = 64 /* steps per beat are a multiple of this when chosen from cfl */
+    ZOO_STEP_UNIT = 32 /* steps per beat are a multiple of this when chosen from cfl */
 };
 
 /* Junctions with the same number of branches; branch 0 is the parent, and

@@ -31,7 +31,7 @@ ZOO_INLINE void scheme_half(const int wall, const int W, zoo_sim *s)
         double qm = 0.5 * (q[i] + q[k]) -
                     0.5 * lam[j] * (M[k] - M[i] + mean * inv_rho * (P[k] - P[i])) -
                     quarter_dt * (G[i] + G[k]);
-        double a = Am * inv_A0[j], r = sqrt(a), u = qm / Am;
+        double a = Am * inv_A0[j], y = wall_rsqrt(a), r = a * y, u = qm * inv_A0[j] * y * y;
         Ah[i] = Am;
         qh[i] = qm;
         Ph[i] = wall_p(wall, K[i], th[i], a, r);
@@ -67,7 +67,7 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int advance, zoo_s
             A[i] = An;
             q[i] = qn;
         }
-        double a = An * inv_A0[j], r = sqrt(a), u = qn / An;
+        double a = An * inv_A0[j], y = wall_rsqrt(a), r = a * y, u = qn * inv_A0[j] * y * y;
         P[i] = wall_p(wall, K[i], th[i], a, r);
         M[i] = alpha * qn * u;
         G[i] = (f_s[j] * r + f_c[j]) * u;

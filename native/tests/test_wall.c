@@ -4,7 +4,14 @@
 int main(void)
 {
     for (double x = -1.57; x < 1.57; x += 0.001)
-        NEAR(wall_tan(x), tan(x), 4e-15 * fabs(tan(x)) * (1.0 + fabs(tan(x))) + 1e-300);
+        NEAR(wall_tan(x), tan(x), 2e-14 * fabs(tan(x)) * (1.0 + fabs(tan(x))) + 1e-300);
+
+    for (double x = 1e-6; x < 1e12; x *= 1.37) {
+        NEAR(wall_rsqrt(x) * sqrt(x), 1.0, 2e-14);
+        NEAR(wall_reciprocal(x) * x, 1.0, 2e-14);
+        NEAR(wall_reciprocal(-x) * x, -1.0, 2e-14);
+    }
+    CHECK(isnan(wall_rsqrt(-1.0)));
 
     for (int wall = ZOO_WALL_LINEAR; wall <= ZOO_WALL_TANGENT; wall++) {
         double chi = 6e4, gamma = 4.5, k = 1.0 / ZOO_PI;

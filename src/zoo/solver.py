@@ -94,7 +94,7 @@ class SolverOptions:
     cfl : float
         Wanted largest (abs(u) + c) dt/dx, between 0 and 1.
     steps_per_beat : int
-        Time steps in a beat before refinement; 0 chooses them from `cfl`, in multiples of 64.
+        Time steps in a beat before refinement; 0 chooses them from `cfl`, in multiples of 32.
     max_steps, max_beats : int
         Limits beyond which a solve fails.
     tolerance_mmHg : float
@@ -105,7 +105,7 @@ class SolverOptions:
 
     dx_cm: float = 0.025
     refine: int = 1
-    cfl: float = 0.9
+    cfl: float = 0.95
     steps_per_beat: int = 0
     max_steps: int = 65536
     max_beats: int = 60
@@ -359,8 +359,6 @@ class Solver:
         rows = {}
         for name, value in values.items():
             data = np.asarray(value, dtype=np.float64)
-            if data.ndim == 1 and n_sets > 1 and len(data) == n_sets and n_sets != n_vessels:
-                data = data[:, None]
             try:
                 rows[name] = np.ascontiguousarray(np.broadcast_to(data, (n_sets, n_vessels)))
             except ValueError:
@@ -369,8 +367,8 @@ class Solver:
                 ) from None
         return rows
 
-    def _run(self, values: dict[str, ArrayLike], n_sets: int) -> tuple[list[Array], Any]:
-        rows = self._broadcast(values, n_sets)
+    def _run(self, rows: dict[str, Array]) -> tuple[list[Array], Any]:
+        n_sets = len(rows["stiffness"])
         size = ffi.new("int64_t *")
         if lib.zoo_workspace_size(self._problem, n_sets, size) != lib.ZOO_OK:
             raise SolverArgumentError("the network, the inflow or the options are out of range")
@@ -451,7 +449,8 @@ class Solver:
         SolverError
             One of its subclasses, when the solve fails and `check` is true.
         """
-        waves, reports = self._run(dict(zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True)), 1)
+        values = dict(zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True))
+        waves, reports = self._run(self._broadcast(values, 1))
         report = reports[0]
         if check and report.status != lib.ZOO_OK:
             raise _ERRORS[report.status][0](self._reason(report))
@@ -502,13 +501,17 @@ class Solver:
         }
         values = {name: v[:, None] if v.ndim == 1 else v for name, v in values.items()}
         n_sets = max(v.shape[0] if v.ndim else 1 for v in values.values())
-        waves, reports = self._run(values, n_sets)
+        rows = self._broadcast(dict(values), n_sets)
+        # sets solved side by side wait for the slowest, which is the one with the longest decay, psi2 c
+        order = np.argsort((rows["psi2"] * rows["c"]).mean(axis=1), kind="stable")
+        back = np.argsort(order)
+        waves, reports = self._run({name: v[order] for name, v in rows.items()})
 
         def field(name: str, dtype: Any = np.float64) -> Any:
-            return np.array([getattr(reports[i], name) for i in range(n_sets)], dtype=dtype)
+            return np.array([getattr(reports[i], name) for i in back], dtype=dtype)
 
         return BatchSolution(
-            *waves,
+            *(wave[back] for wave in waves),
             status=field("status", np.int32),
             vessel=field("vessel", np.int32),
             time_s=field("time"),

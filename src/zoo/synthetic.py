@@ -1,0 +1,164 @@
+"""Synthetic studies: model E's family with correlated errors (section 2.2 of Paun et al. 2020).
+
+`python -m zoo.synthetic FOLDER` makes the embedded study `demo` again.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import beta
+
+from zoo.likelihood import neural_network_kernel
+from zoo.network import Network, stiffness_profile
+from zoo.solver import Solver, SolverOptions
+from zoo.study import Series, Study, read_network, save_study
+
+Array = NDArray[np.float64]
+
+PERIOD_S = 0.11
+PEAK_ML_S, PEAK_TIME_S, EJECTION_S, MEAN_ML_S = 0.55, 0.0215, 0.058, 0.169
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Parameters that a synthetic study was made with (units of the paper's Table 2)."""
+
+    f1: float = 2.0e5
+    f2: float = -80.0
+    f3: float = 4.0e4
+    psi1: float = 0.30
+    psi2: float = 0.60
+    c: float = 1.70
+    w: float = 5.4e4
+    b: float = 137.0
+
+
+def ejection(n: int = 1024) -> tuple[Array, Array]:
+    """Inflow of one beat with the facts of the measured one, and a shape of its own.
+
+    q(t) = peak (x/x0)^a ((1 - x)/(1 - x0))^d for x = t/0.058 s in (0, 1) and zero after, with x0 = 0.0215/0.058,
+    d = a (1 - x0)/x0 so that the peak lies at x0, and a such that the mean is 0.169 ml/s.
+
+    Parameters
+    ----------
+    n : int
+        Samples in the period of 0.11 s.
+
+    Returns
+    -------
+    time_s, flow_ml_s : array (n,)
+    """
+    top = PEAK_TIME_S / EJECTION_S
+
+    def mean(a: float) -> float:
+        d = a * (1 - top) / top
+        return float(PEAK_ML_S * EJECTION_S / PERIOD_S * beta(a + 1, d + 1) / (top**a * (1 - top) ** d))
+
+    a = brentq(lambda a: mean(a) - MEAN_ML_S, 0.5, 4.0)
+    time = np.arange(n) * PERIOD_S / n
+    x = np.clip(time / EJECTION_S, 0, 1)
+    return time, PEAK_ML_S * (x / top) ** a * ((1 - x) / (1 - top)) ** (a * (1 - top) / top)
+
+
+def correlated_errors(rng: np.random.Generator, time_s: Array, w: float, b: float, n_series: int) -> Array:
+    """Draws of the paper's error process (neural-network kernel), shape (n_series, n_times), mmHg."""
+    covariance = neural_network_kernel(time_s, w, b) + 3.44e-6 * np.eye(len(time_s))
+    return rng.standard_normal((n_series, len(time_s))) @ np.linalg.cholesky(covariance).T
+
+
+def falls_towards_periphery(network: Network, vessels: Sequence[int], pressure: Array) -> bool:
+    """Whether the mean pressure of every observed vessel lies below that of its nearest observed ancestor."""
+    mean = dict(zip(vessels, pressure.mean(axis=1), strict=True))
+    for vessel in vessels:
+        k = network.parent[network.index(vessel)]
+        while k >= 0 and int(network.ids[k]) not in mean:
+            k = network.parent[k]
+        if k >= 0 and mean[vessel] >= mean[int(network.ids[k])]:
+            return False
+    return True
+
+
+def synthetic_study(
+    base: Study,
+    *,
+    name: str,
+    truth: Truth | None = None,
+    sites: Sequence[tuple[int, float]] = ((1, 0.0),),
+    n_times: int = 512,
+    seed: int = 0,
+    max_draws: int = 100_000,
+) -> Study:
+    """A study with the vessels and inflow of `base` and pressures made by model E plus correlated errors.
+
+    The errors of all sites are drawn together until the mean pressure falls towards the periphery.  The
+    solver runs on a grid four times finer than its default, so that the data are not its own.
+
+    Raises
+    ------
+    RuntimeError
+        If `max_draws` draws of the errors all break the pressure's order.
+
+    References
+    ----------
+    Paun et al. 2020, section 2.2, doi 10.1098/rsif.2020.0886.
+    """
+    truth = truth or Truth()
+    rng = np.random.default_rng(seed)
+    network = Network.from_study(base)
+    times = np.arange(n_times) * base.period_s / n_times
+    solver = Solver.for_study(
+        base, series=sites, times_s=times, options=SolverOptions(refine=4, tolerance_mmHg=1e-6)
+    )
+    unit = base.conventions.stiffness_radius_unit_cm
+    stiffness = stiffness_profile(network.radius_in_cm, truth.f1, truth.f2, truth.f3, unit)
+    clean = solver.solve(stiffness, psi1=truth.psi1, psi2=truth.psi2, c=truth.c).pressure_mmHg
+    for _ in range(max_draws):
+        noisy = clean + correlated_errors(rng, times, truth.w, truth.b, len(sites))
+        if falls_towards_periphery(network, [vessel for vessel, _ in sites], noisy):
+            break
+    else:
+        raise RuntimeError(
+            f"{max_draws} draws of the errors all broke the fall of pressure towards the periphery; "
+            "observe fewer vessels, or lower b"
+        )
+    series = tuple(
+        Series(vessel, position, "pressure_mmHg", np.round(row, 4))
+        for (vessel, position), row in zip(sites, noisy, strict=True)
+    )
+    return replace(base, name=name, time_s=times, series=series)
+
+
+def signal_to_noise(study: Study, truth: Truth | None = None) -> float:
+    """Mean square of the observed pressure over the variance of the errors at mid-beat."""
+    truth = truth or Truth()
+    variance = neural_network_kernel(np.array([0.5 * study.period_s]), truth.w, truth.b)[0, 0]
+    return float(np.mean(study.values**2) / variance)
+
+
+DEMO_SITES = ((1, 0.0), (2, 0.5), (3, 0.5))
+DEMO_SEED = 2020
+DEMO_TIMES = 256
+
+
+def demo_study() -> Study:
+    """The embedded study: the mouse's vessels, an inflow of our own, pressure in the MPA and its daughters."""
+    blood, vessels = read_network(Path(str(files("zoo") / "data" / "mouse-c6" / "network.toml")))
+    time, flow = ejection()
+    base = Study("demo", PERIOD_S, blood, vessels, time, np.round(flow, 6), np.array([]), ())
+    return synthetic_study(base, name="demo", sites=DEMO_SITES, n_times=DEMO_TIMES, seed=DEMO_SEED)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python -m zoo.synthetic FOLDER")
+    made = demo_study()
+    save_study(made, sys.argv[1])
+    print(f"{sys.argv[1]}: {len(made.series)} series, signal to noise {signal_to_noise(made):.0f}")
