@@ -12,7 +12,7 @@ DECLARATIONS = HEADER.split("/* cffi:begin */")[1].split("/* cffi:end */")[0]
 
 # No -march: step.c carries a version for each instruction set and picks one when loaded.
 # The two -fno flags only drop errno and trap semantics, which no code here reads.
-FLAGS = ["-std=gnu11", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fopenmp-simd", "-Wno-psabi"]
+FLAGS = ["-std=gnu11", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"]
 
 ffibuilder = FFI()
 ffibuilder.cdef(re.sub(r"/\*.*?\*/", "", DECLARATIONS, flags=re.S))

@@ -156,7 +156,7 @@ class Solution:
     @property
     def ok(self) -> bool:
         """Whether the solve reached the periodic state."""
-        return self.status == lib.ZOO_OK
+        return bool(self.status == lib.ZOO_OK)
 
 
 @dataclass(frozen=True)
@@ -251,17 +251,24 @@ class Solver:
         options: SolverOptions | None = None,
         conventions: Conventions | None = None,
     ) -> Solver:
-        """Make the solver of a study, at the study's own series and times unless others are given."""
+        """Make the solver of a study, at the study's own series and times unless others are given.
+
+        At the study's own times the conventions' ``sample_lag_beats`` is added; times that are given are
+        taken as they are.
+        """
+        conventions = conventions or study.conventions
         if series is None:
             series = [(s.vessel, s.position) for s in study.series]
+        if times_s is None:
+            times_s = study.time_s + conventions.sample_lag_beats * study.period_s
         return cls(
             Network.from_study(study),
             study.inflow_time_s,
             study.inflow_ml_s,
             wall=wall,
-            conventions=conventions or study.conventions,
+            conventions=conventions,
             series=series,
-            times_s=study.time_s if times_s is None else times_s,
+            times_s=times_s,
             options=options,
         )
 
@@ -333,7 +340,9 @@ class Solver:
         known = {int(v) for v in net.ids}
         for vessel, position in self.series:
             if vessel not in known:
-                raise SolverArgumentError(f"series: vessel {vessel} is not in the network; it has {sorted(known)}")
+                raise SolverArgumentError(
+                    f"series: vessel {vessel} is not in the network; it has {sorted(known)}"
+                )
             if not 0 <= position <= 1:
                 raise SolverArgumentError(f"series: position {position} of vessel {vessel} is not in [0, 1]")
         times = np.mod(self.times_s, net.period_s)
@@ -510,8 +519,11 @@ class Solver:
         def field(name: str, dtype: Any = np.float64) -> Any:
             return np.array([getattr(reports[i], name) for i in back], dtype=dtype)
 
+        pressure, flow, area = (wave[back] for wave in waves)
         return BatchSolution(
-            *(wave[back] for wave in waves),
+            pressure_mmHg=pressure,
+            flow_ml_s=flow,
+            area_cm2=area,
             status=field("status", np.int32),
             vessel=field("vessel", np.int32),
             time_s=field("time"),
@@ -527,7 +539,12 @@ class Solver:
 
 
 def wall_pressure_mmHg(
-    wall: str, area_ratio: ArrayLike, stiffness: float, gamma: float = 2.0, *, conventions: Conventions = PRINTED
+    wall: str,
+    area_ratio: ArrayLike,
+    stiffness: float,
+    gamma: float = 2.0,
+    *,
+    conventions: Conventions = PRINTED,
 ) -> Array:
     """Pressure of the wall law, eq. (3.3) or (3.4), at A/A0 (dimensionless); NaN outside its range."""
     ratio = np.asarray(area_ratio, dtype=np.float64)

@@ -44,8 +44,8 @@ class Truth:
 def ejection(n: int = 1024) -> tuple[Array, Array]:
     """Inflow of one beat with the facts of the measured one, and a shape of its own.
 
-    q(t) = peak (x/x0)^a ((1 - x)/(1 - x0))^d for x = t/0.058 s in (0, 1) and zero after, with x0 = 0.0215/0.058,
-    d = a (1 - x0)/x0 so that the peak lies at x0, and a such that the mean is 0.169 ml/s.
+    q(t) = peak (x/x0)^a ((1 - x)/(1 - x0))^d for x = t/0.058 s in (0, 1) and zero after, with
+    x0 = 0.0215/0.058, d = a (1 - x0)/x0 so that the peak lies at x0, and a such that the mean is 0.169 ml/s.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ DEMO_TIMES = 256
 
 
 def demo_study() -> Study:
-    """The embedded study: the mouse's vessels, an inflow of our own, pressure in the MPA and its daughters."""
+    """The embedded study: the mouse's vessels, our own inflow, pressure in the MPA and its daughters."""
     blood, vessels = read_network(Path(str(files("zoo") / "data" / "mouse-c6" / "network.toml")))
     time, flow = ejection()
     base = Study("demo", PERIOD_S, blood, vessels, time, np.round(flow, 6), np.array([]), ())

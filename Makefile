@@ -1,0 +1,43 @@
+# Needs only python3 >= 3.11, a C compiler and make.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.zoo-setup
+PYTEST_ARGS ?= -n auto --dist loadfile
+NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
+
+.PHONY: setup test check demo bench clean
+setup: $(STAMP)
+
+# Versions come from requirements.lock, those of the build tools too.
+$(STAMP): pyproject.toml setup.py requirements.lock src/zoo/__init__.py $(NATIVE)
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "zoo needs Python 3.11 or newer, this is " + sys.version)'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint requirements.lock setuptools cffi
+	$(BIN)/python -m pip install --quiet --constraint requirements.lock --no-build-isolation --editable '.[dev]'
+	@touch $@
+
+test: setup
+	$(MAKE) --no-print-directory -C native test
+	$(BIN)/pytest $(PYTEST_ARGS)
+
+check: setup
+	$(BIN)/ruff check .
+	$(BIN)/mypy src/zoo models
+
+# The embedded study from waves to WAIC; results in demo-output/.
+demo: setup
+	mkdir -p demo-output
+	$(BIN)/zoo simulate demo --stiffness 4e4 --psi1 0.3 --psi2 0.6 --c 1.7 -o demo-output/waves.nc
+	$(BIN)/zoo sample A demo -o demo-output/A.nc
+	$(BIN)/zoo sample B demo -o demo-output/B.nc
+	$(BIN)/zoo compare demo --models A,B -o demo-output
+
+bench: setup
+	$(BIN)/python benchmarks/bench_solver.py
+
+clean:
+	$(MAKE) --no-print-directory -C native clean
+	rm -rf build dist zoo.egg-info src/zoo.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis $(STAMP)
+	rm -f src/zoo/_native*.so native/src/*.o
+	find src models tests benchmarks -name __pycache__ -type d -exec rm -rf {} +

@@ -1,0 +1,71 @@
+"""The models of Paun et al. 2020, one short file each; installed as ``zoo.models``."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pymc as pm
+
+if __name__ != "zoo.models":
+    raise ImportError(
+        f"the models were imported as {__name__!r}: use `from zoo import model_A` or `import zoo.models`; "
+        "a second copy under another name would not be the one that the package uses"
+    )
+
+MODELS = ("A", "B")
+
+
+def _module(name: str) -> tuple[Any, str]:
+    letter = name.upper()
+    if letter not in MODELS:
+        raise ValueError(f"model {name!r}: must be one of {', '.join(MODELS)}")
+    return import_module(f"zoo.models.model_{letter.lower()}"), letter
+
+
+def get_model(name: str) -> Callable[..., pm.Model]:
+    """The function that builds a model from a study.
+
+    Parameters
+    ----------
+    name : str
+        Letter of Table 2, upper or lower case.
+
+    Returns
+    -------
+    callable
+        ``model_X(study, *, options=None, conventions=None) -> pm.Model``.
+
+    Raises
+    ------
+    ValueError
+        If there is no such model.
+    """
+    module, letter = _module(name)
+    model: Callable[..., pm.Model] = getattr(module, f"model_{letter}")
+    return model
+
+
+def suggested(name: str) -> dict[str, float]:
+    """Values of every free parameter of a model, near the published posterior medians.
+
+    Parameters
+    ----------
+    name : str
+        Letter of Table 2, upper or lower case.
+
+    Returns
+    -------
+    dict
+        In the units of the model's file.
+
+    Raises
+    ------
+    ValueError
+        If there is no such model.
+    """
+    module, _ = _module(name)
+    return dict(module.SUGGESTED)

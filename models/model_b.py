@@ -1,0 +1,30 @@
+"""Model B: linear wall, one stiffness, correlated errors (Paun et al. 2020, doi 10.1098/rsif.2020.0886)."""
+
+from __future__ import annotations
+
+import pymc as pm
+
+from zoo.conventions import Conventions
+from zoo.likelihood import gp_errors, study_model
+from zoo.op import blood_flow
+from zoo.solver import SolverOptions
+from zoo.study import Study
+
+# published posterior medians
+SUGGESTED = {"f3": 4.31e4, "psi1": 0.28, "psi2": 0.87, "c": 1.35, "w": 5.36e4, "b": 137.0}
+
+
+def model_B(
+    study: Study, *, options: SolverOptions | None = None, conventions: Conventions | None = None
+) -> pm.Model:
+    """Linear wall, the same stiffness in every vessel, a Gaussian process for the errors."""
+    with study_model("B", study, SUGGESTED) as model:
+        f3 = pm.Uniform("f3", 2e4, 1e5)  # stiffness, g cm-1 s-2
+        psi1 = pm.Uniform("psi1", 0.05, 2.5)  # factors on the nominal R1, R2 and C of every outlet
+        psi2 = pm.Uniform("psi2", 0.05, 2.5)
+        c = pm.Uniform("c", 0.05, 2.5)
+
+        mean, ok = blood_flow(study, "linear", f3, psi1, psi2, c, options=options, conventions=conventions)
+
+        gp_errors(mean, ok, study, w_range=(1e4, 9e4), b_range=(1, 500))  # w, b log-uniform
+    return model

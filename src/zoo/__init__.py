@@ -1,0 +1,67 @@
+"""Bayesian models of pulmonary blood flow: one beat of measured flow and pressure to a comparison of models.
+
+Everything listed in ``__all__`` is loaded when it is first used, so that importing this package, a model
+or ``load_study`` takes a moment and not the seconds that PyMC needs.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from zoo.models import MODELS
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Conventions": "conventions",
+    "PRINTED": "conventions",
+    "PUBLISHED_CODE": "conventions",
+    "get_conventions": "conventions",
+    "FetchError": "fetch",
+    "fetch_dataset": "fetch",
+    "Series": "study",
+    "Study": "study",
+    "StudyError": "study",
+    "Vessel": "study",
+    "list_studies": "study",
+    "load_study": "study",
+    "save_study": "study",
+    "Network": "network",
+    "Solver": "solver",
+    "SolverError": "solver",
+    "SolverOptions": "solver",
+    "BloodFlowOp": "op",
+    "sample": "sampling",
+    "compare": "comparison",
+}
+
+__all__ = ["__version__", *_HOME, *(f"model_{letter}" for letter in MODELS)]
+
+
+def _model(letter: str) -> Any:
+    """Function that builds a model; PyMC is imported when it is called."""
+    module, name = f"zoo.models.model_{letter.lower()}", f"model_{letter}"
+
+    def build(study: Any, **settings: Any) -> Any:
+        return getattr(import_module(module), name)(study, **settings)
+
+    build.__name__ = build.__qualname__ = name
+    build.__module__ = __name__
+    build.__doc__ = f"Model {letter} of a study, a ``pm.Model``; its priors and settings are in {module}."
+    return build
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        value = getattr(import_module(f"zoo.{_HOME[name]}"), name)
+    elif name in __all__:
+        value = _model(name.removeprefix("model_"))
+    else:
+        raise AttributeError(f"module 'zoo' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,460 @@
+"""Which model predicts the measured series best: WAIC, PSIS-LOO, sums of squared errors, in one table."""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Literal, NamedTuple
+
+import arviz as az
+import numpy as np
+import pandas as pd
+import pymc as pm
+import pytensor
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp
+
+from zoo.likelihood import DECOMPOSITIONS, ModelRecord, pointwise_log_likelihoods
+from zoo.results import Verdict, verdict
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+N_DRAWS = 1000  # as in the paper
+CRITERIA = ("waic", "loo")
+_DEVIANCE = -2.0
+
+
+class ComparisonError(ValueError):
+    """Models that cannot be compared; its text says why and what to change."""
+
+
+class OneObservation(NamedTuple):
+    """WAIC of a whole series taken as one observation, on the deviance scale."""
+
+    waic: float
+    p_waic: float
+
+
+def waic_one_observation(joint: ArrayLike) -> OneObservation:
+    """WAIC with all measured values as a single observation.
+
+    -2 (log mean exp l_s - var l_s), l_s the joint log-likelihood at draw s: one term, so there is no
+    standard error.
+
+    Parameters
+    ----------
+    joint : array (n_draws,)
+        Joint log-likelihood at each posterior draw.
+
+    Returns
+    -------
+    waic : float
+        Deviance scale: lower is better.
+    p_waic : float
+        Effective number of parameters, the variance.
+
+    References
+    ----------
+    Watanabe 2010; Gelman, Hwang and Vehtari 2014, eq. 12, doi 10.1007/s11222-013-9416-2.
+    """
+    values = np.asarray(joint, dtype=np.float64).ravel()
+    lppd = float(logsumexp(values)) - math.log(len(values))
+    p = float(np.var(values, ddof=1))
+    return OneObservation(_DEVIANCE * (lppd - p), p)
+
+
+def record_of(model: pm.Model) -> ModelRecord:
+    """The record of a model made by ``iid_errors`` or ``gp_errors``.
+
+    Raises
+    ------
+    ComparisonError
+        If the model has none.
+    """
+    record = getattr(model, "zoo", None)
+    if not isinstance(record, ModelRecord):
+        raise ComparisonError("this PyMC model has no record: make its errors with iid_errors or gp_errors")
+    return record
+
+
+def thin(idata: az.InferenceData, n_draws: int | None = N_DRAWS) -> xr.Dataset:
+    """Evenly spaced draws of the posterior, as many from each chain.
+
+    Parameters
+    ----------
+    idata : InferenceData
+        With a posterior.
+    n_draws : int or None
+        Draws of all chains together, rounded up to the same number in each; None takes all.
+
+    Returns
+    -------
+    Dataset
+        Dimensions chain, draw, ...
+    """
+    posterior: xr.Dataset = idata["posterior"]
+    available = posterior.sizes["draw"]
+    wanted = available if n_draws is None else math.ceil(n_draws / posterior.sizes["chain"])
+    kept = np.unique(np.linspace(0, available - 1, max(1, min(wanted, available))).round().astype(int))
+    return posterior.isel(draw=kept)
+
+
+def solver_inputs(model: pm.Model, posterior: xr.Dataset) -> list[Array]:
+    """What the solver is called with at each posterior draw.
+
+    Parameters
+    ----------
+    model : pm.Model
+        With a record.
+    posterior : Dataset
+        Draws of every free parameter, dimensions chain, draw, ...
+
+    Returns
+    -------
+    list of five arrays (n_chains n_draws, n_vessels)
+        Stiffness (g cm-1 s-2), gamma, psi1, psi2, c; the draws of the first chain stand first.
+
+    Raises
+    ------
+    ComparisonError
+        If a parameter is missing.
+    """
+    record = record_of(model)
+    draws = [_flat(posterior, name, record) for name in record.parameters]
+    variables = [model[name] for name in record.parameters]
+    function = pytensor.function(variables, record.mean.owner.inputs, on_unused_input="ignore")
+    points = [function(*point) for point in zip(*draws, strict=True)]
+    return [np.stack(column) for column in zip(*points, strict=True)]
+
+
+def _flat(posterior: xr.Dataset, name: str, record: ModelRecord) -> Array:
+    """Draws of one parameter, (n_chains n_draws, ...)."""
+    if name not in posterior:
+        raise ComparisonError(
+            f"model {record.name}: no {name!r} in the posterior, which has {', '.join(map(str, posterior))}: "
+            "give the draws of this model"
+        )
+    values = posterior[name].transpose("chain", "draw", ...).to_numpy()
+    return np.asarray(values.reshape(-1, *values.shape[2:]), dtype=np.float64)
+
+
+def posterior_means(model: pm.Model, posterior: xr.Dataset, *, progress: Progress | None = None) -> Array:
+    """Series of the solver at each posterior draw, each distinct draw solved once.
+
+    Parameters
+    ----------
+    model : pm.Model
+        With a record.
+    posterior : Dataset
+        Draws, dimensions chain, draw, ...
+    progress : callable
+        Called with the number of solves done and to do.
+
+    Returns
+    -------
+    array (n_chains n_draws, n_series, n_times)
+        In the series' own units; NaN where a solve failed.
+    """
+    op = record_of(model).op
+    inputs = solver_inputs(model, posterior)
+    points, which = np.unique(np.concatenate(inputs, axis=1), axis=0, return_inverse=True)
+
+    def solve(point: Array) -> Array:
+        solution = op.solver.solve(*np.split(point, len(inputs)), check=False)
+        return op.observed(solution) if solution.ok else np.full(op.shape, np.nan)
+
+    # One by one, as when sampling: a batch solves all its sets with the time step of the stiffest, which
+    # moves the Gaussian process' log-likelihood by a few tenths.
+    means = np.empty((len(points), *op.shape))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for i, mean in enumerate(pool.map(solve, points)):
+            means[i] = mean
+            if progress is not None:
+                progress(i + 1, len(points))
+    return np.asarray(means[which.ravel()])
+
+
+def log_likelihoods(
+    idata: az.InferenceData,
+    model: pm.Model,
+    *,
+    n_draws: int | None = N_DRAWS,
+    decompositions: tuple[str, ...] = DECOMPOSITIONS,
+    progress: Progress | None = None,
+) -> xr.Dataset:
+    """Log-likelihood at posterior draws in several decompositions, from one solve a draw.
+
+    Parameters
+    ----------
+    idata : InferenceData
+        Posterior of `model`.
+    model : pm.Model
+        With a record.
+    n_draws : int or None
+        See `thin`.
+    decompositions : tuple of str
+        Of "sequential", log p(y_i | y_<i); "leave-one-out", log p(y_i | y_-i); "joint", log p(y).
+    progress : callable
+        Called with the number of solves done and to do.
+
+    Returns
+    -------
+    Dataset
+        One variable for each decomposition: (chain, draw, series, time), "joint" (chain, draw).
+
+    Raises
+    ------
+    ComparisonError
+        If a solve failed.
+
+    References
+    ----------
+    Buerkner, Gabry and Vehtari 2021, doi 10.1007/s00180-020-01045-4.
+    """
+    record = record_of(model)
+    posterior = thin(idata, n_draws)
+    means = posterior_means(model, posterior, progress=progress)
+    if not np.all(np.isfinite(means)):
+        failed = int(np.sum(~np.isfinite(means).all(axis=(1, 2))))
+        raise ComparisonError(
+            f"model {record.name}: {failed} of {len(means)} posterior draws do not solve: compare with the "
+            "study, conventions and solver options that the draws were made with"
+        )
+    errors = {name: _flat(posterior, name, record) for name in record.error_parameters}
+    coords: dict[str, Any] = {
+        "chain": posterior["chain"].to_numpy(),
+        "draw": posterior["draw"].to_numpy(),
+        "series": [series.label for series in record.study.series],
+        "time": np.asarray(record.study.time_s),
+    }
+    n_chains, n_kept = posterior.sizes["chain"], posterior.sizes["draw"]
+    terms = {}
+    found = pointwise_log_likelihoods(record.error, record.study, means, errors, decompositions)
+    for decomposition, values in found.items():
+        dims = ("chain", "draw", "series", "time")[: values.ndim + 1]
+        terms[decomposition] = (dims, values.reshape(n_chains, n_kept, *values.shape[1:]))
+    return xr.Dataset(terms, coords=coords)
+
+
+def log_likelihood(
+    idata: az.InferenceData,
+    model: pm.Model,
+    decomposition: str = "sequential",
+    n_draws: int | None = N_DRAWS,
+) -> xr.DataArray:
+    """`log_likelihoods` in one decomposition."""
+    return log_likelihoods(idata, model, n_draws=n_draws, decompositions=(decomposition,))[decomposition]
+
+
+def add_log_likelihood(
+    idata: az.InferenceData,
+    model: pm.Model,
+    decomposition: str = "sequential",
+    n_draws: int | None = N_DRAWS,
+) -> az.InferenceData:
+    """Thinned posterior with its log-likelihood terms as "y", for ``az.waic``, ``az.loo`` and ``az.compare``.
+
+    Parameters
+    ----------
+    idata : InferenceData
+        Posterior of `model`; left as it is.
+    model : pm.Model
+        With a record.
+    decomposition : {"sequential", "leave-one-out"}
+        Of the terms.
+    n_draws : int or None
+        See `thin`.
+
+    Returns
+    -------
+    InferenceData
+        Groups posterior and log_likelihood, of the same draws.
+    """
+    return _scored(thin(idata, n_draws), log_likelihood(idata, model, decomposition, n_draws))
+
+
+def _scored(posterior: xr.Dataset, terms: xr.DataArray) -> az.InferenceData:
+    return az.InferenceData(posterior=posterior, log_likelihood=terms.to_dataset(name="y"))
+
+
+def sse_at_median(idata: az.InferenceData, model: pm.Model) -> float:
+    """Sum of squared errors with every parameter at its posterior median.
+
+    The paper's "Euclidean distance": the sum over series and times of (y - mean(median))^2.
+
+    Parameters
+    ----------
+    idata : InferenceData
+        Posterior of `model`.
+    model : pm.Model
+        With a record.
+
+    Returns
+    -------
+    float
+        In the squared unit of the series; NaN when the solve fails.
+    """
+    median = idata["posterior"].median(("chain", "draw")).expand_dims(("chain", "draw"))
+    [mean] = posterior_means(model, median)
+    return float(np.sum((record_of(model).study.values - mean) ** 2))
+
+
+def compare(
+    idatas: Mapping[str, az.InferenceData],
+    models: Mapping[str, pm.Model],
+    *,
+    ic: Literal["waic", "loo"] = "waic",
+    n_draws: int | None = N_DRAWS,
+    weights: Literal["stacking", "BB-pseudo-BMA", "pseudo-BMA"] = "stacking",
+    verdicts: Mapping[str, Verdict] | None = None,
+    progress: Progress | None = None,
+) -> pd.DataFrame:
+    """Rank models by how well they predict the measured series, on the deviance scale (lower is better).
+
+    WAIC comes from the sequential terms log p(y_i | y_<i), whose sum is the joint log-likelihood; beside
+    it stand WAIC from the leave-one-out terms, WAIC with the whole series as one observation, and PSIS-LOO
+    (from the leave-one-out terms, the only ones whose importance weights leave a point out).
+
+    Parameters
+    ----------
+    idatas : mapping of name to InferenceData
+        Posteriors.
+    models : mapping of name to pm.Model
+        The models they were drawn from, all of one study.
+    ic : {"waic", "loo"}
+        What ranks, and what differences and weights belong to.
+    n_draws : int or None
+        Draws of each posterior, see `thin`.
+    weights : {"stacking", "BB-pseudo-BMA", "pseudo-BMA"}
+        See ``az.compare``.
+    verdicts : mapping of name to Verdict
+        On convergence; made from the whole posteriors when absent.
+    progress : callable
+        Called with the number of solves done and to do, for each model.
+
+    Returns
+    -------
+    DataFrame
+        One row a model, the best first. `difference` and `difference_se` are to the best; `standing` says
+        what they mean. `waic_warning`: a term's variance exceeds 0.4. `pareto_k_bad`: points where
+        PSIS-LOO is not to be trusted, k > min(1 - 1/log10(draws), 0.7). `sse` is at the posterior median.
+
+    Raises
+    ------
+    ComparisonError
+        If a model is missing, models belong to different studies, or draws do not solve.
+
+    References
+    ----------
+    Vehtari, Gelman and Gabry 2017, doi 10.1007/s11222-016-9696-4.
+    """
+    if ic not in CRITERIA:
+        raise ComparisonError(f"ic = {ic!r}: must be one of {', '.join(CRITERIA)}")
+    _check_comparable(idatas, models)
+    rows: dict[str, dict[str, Any]] = {}
+    scores: dict[str, Any] = {}
+    for name, idata in idatas.items():
+        model = models[name]
+        terms = log_likelihoods(idata, model, n_draws=n_draws, progress=progress)
+        posterior = thin(idata, n_draws)[list(record_of(model).parameters)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # they become columns
+            waic = az.waic(_scored(posterior, terms["sequential"]), pointwise=True, scale="deviance")
+            left_out = _scored(posterior, terms["leave-one-out"])
+            waic_left_out = az.waic(left_out, pointwise=True, scale="deviance")
+            loo = az.loo(left_out, pointwise=True, scale="deviance")
+        one = waic_one_observation(terms["joint"].to_numpy())
+        pareto_k = loo.pareto_k.to_numpy()
+        found = (verdicts or {}).get(name) or verdict(idata, var_names=list(record_of(model).parameters))
+        scores[name] = waic if ic == "waic" else loo
+        rows[name] = {
+            "waic": waic.elpd_waic,
+            "waic_se": waic.se,
+            "p_waic": waic.p_waic,
+            "waic_warning": bool(waic.warning),
+            "waic_leave_one_out": waic_left_out.elpd_waic,
+            "waic_one_observation": one.waic,
+            "p_one_observation": one.p_waic,
+            "loo": loo.elpd_loo,
+            "loo_se": loo.se,
+            "p_loo": loo.p_loo,
+            "pareto_k_max": float(np.max(pareto_k)),
+            "pareto_k_bad": int(np.sum(pareto_k > loo.good_k)),
+            "sse": sse_at_median(idata, model),
+            "draws": terms.sizes["chain"] * terms.sizes["draw"],
+            "converged": found.passes,
+            "rhat_max": found.max_rhat,
+            "ess_min": found.min_ess,
+            "convergence": found.text,
+        }
+    _shift_terms(scores, f"{ic}_i")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ArviZ' use of pandas
+        ranked = az.compare(scores, ic=ic, method=weights, scale="deviance", seed=0)
+    table: pd.DataFrame = pd.DataFrame.from_dict(rows, orient="index").loc[ranked.index]
+    table.insert(0, "rank", ranked["rank"])
+    table.insert(1, "difference", ranked["elpd_diff"])
+    table.insert(2, "difference_se", ranked["dse"])
+    table.insert(3, "weight", ranked["weight"])
+    standing = [
+        "best" if rank == 0 else describe_difference(difference, se)
+        for rank, difference, se in zip(ranked["rank"], ranked["elpd_diff"], ranked["dse"], strict=True)
+    ]
+    table.insert(4, "standing", standing)
+    table.index.name = "model"
+    table.attrs.update({"ic": ic, "scale": "deviance", "weights": weights})
+    return table
+
+
+def _shift_terms(scores: Mapping[str, Any], terms: str) -> None:
+    """Take the best model's term from every model's at each observation.
+
+    Differences and weights stay the same; without it exp(log p) underflows in the stacking weights.
+    """
+    best = np.min([score[terms] for score in scores.values()], axis=0)
+    for score in scores.values():
+        score[terms] = score[terms] - best
+
+
+def describe_difference(difference: float, se: float) -> str:
+    """What a difference to the best model means, given its standard error.
+
+    Parameters
+    ----------
+    difference : float
+        Deviance scale, not negative.
+    se : float
+        Its standard error.
+
+    Returns
+    -------
+    str
+        "within its SE of the best", or by how many standard errors it is behind.
+    """
+    if difference <= se:
+        return "within its SE of the best"
+    if se == 0:
+        return "behind the best"
+    return f"{difference / se:.1f} SE behind the best"
+
+
+def _check_comparable(idatas: Mapping[str, az.InferenceData], models: Mapping[str, pm.Model]) -> None:
+    if not idatas:
+        raise ComparisonError("no posteriors: give at least one")
+    first: ModelRecord | None = None
+    for name in idatas:
+        if name not in models:
+            raise ComparisonError(f"posterior {name!r}: no model of that name among {', '.join(models)}")
+        record = record_of(models[name])
+        first = first or record
+        same = record.study.values.shape == first.study.values.shape
+        if not same or not np.array_equal(record.study.values, first.study.values):
+            raise ComparisonError(
+                f"model {name}: was fitted to study {record.study.name!r}, the first to "
+                f"{first.study.name!r} with other values: compare models of the same observations"
+            )

@@ -1,0 +1,403 @@
+"""The vessel tree as flat arrays, and the nominal loads of terminals that a study gives none for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zoo.study import Blood, ReadOnlyArrays, Study, StudyError, Vessel, Windkessel, read_only, root_pressure
+from zoo.study import sort_vessels as _sort_vessels
+from zoo.units import MMHG, mmhg_to_cgs
+
+Array = NDArray[np.float64]
+
+R1_SHARE = 0.2
+"""R1/(R1 + R2) of a derived load."""
+QUIET_SHARE = 0.05
+"""Diastole is where the inflow stays below this share of its peak."""
+MIN_DIASTOLE_SAMPLES = 8
+_INTEGERS = ("ids", "parent")
+
+
+@dataclass(frozen=True, eq=False)
+class Network(ReadOnlyArrays):
+    """The vessel tree as arrays, parents before their children; read-only.
+
+    Parameters
+    ----------
+    ids : int array (n,)
+        Ids of the vessels; the order of the study, apart from parents that stood after their children.
+    parent : int array (n,)
+        Index of the vessel that feeds it, -1 for the root, which is vessel 0.
+    length_cm, radius_in_cm, radius_out_cm : array (n,)
+        cm, at rest.
+    R1, R2 : array (n,)
+        Nominal resistances of the terminals, dyn s/cm5; NaN elsewhere.
+    C : array (n,)
+        Nominal compliance of the terminals, cm5/dyn; NaN elsewhere.
+    density : float
+        g/cm3.
+    viscosity : float
+        g/(cm s).
+    period_s : float
+        s.
+    """
+
+    ids: NDArray[np.int32]
+    parent: NDArray[np.int32]
+    length_cm: Array
+    radius_in_cm: Array
+    radius_out_cm: Array
+    R1: Array
+    R2: Array
+    C: Array
+    density: float
+    viscosity: float
+    period_s: float
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, (np.ndarray, list, tuple)):
+                dtype = np.int32 if name in _INTEGERS else np.float64
+                object.__setattr__(self, name, read_only(value, dtype))
+
+    @classmethod
+    def from_vessels(cls, vessels: Sequence[Vessel], blood: Blood, period_s: float) -> Network:
+        """Arrays of a list of vessels.
+
+        Parameters
+        ----------
+        vessels : sequence of Vessel
+            One tree; every terminal with a Windkessel.
+        blood : Blood
+        period_s : float
+            s.
+
+        Returns
+        -------
+        Network
+
+        Raises
+        ------
+        StudyError
+            If the vessels are not one tree, a size is not positive, or a terminal has no Windkessel.
+        """
+        order = _sort_vessels(vessels)
+        ordered = [vessels[i] for i in order]
+        index = {v.id: i for i, v in enumerate(ordered)}
+        feeding = {v.parent for v in ordered}
+        _positive("blood", vars(blood))
+        _positive("beat", {"period_s": period_s})
+        loads = []
+        for v in ordered:
+            sizes = {name: getattr(v, name) for name in ("length_cm", "radius_cm", "radius_out_cm")}
+            _positive(f"vessel {v.id}", sizes)
+            if v.windkessel is None and v.id not in feeding:
+                raise StudyError(
+                    f"network: vessel {v.id}: windkessel: is missing at a terminal; give R1, R2 and C in cgs"
+                )
+            if v.windkessel is not None:
+                _positive(f"vessel {v.id}: windkessel", vars(v.windkessel))
+            loads.append(v.windkessel or Windkessel(math.nan, math.nan, math.nan))
+        return cls(
+            ids=np.array([v.id for v in ordered], np.int32),
+            parent=np.array([-1 if v.parent is None else index[v.parent] for v in ordered], np.int32),
+            length_cm=np.array([v.length_cm for v in ordered]),
+            radius_in_cm=np.array([v.radius_cm for v in ordered]),
+            radius_out_cm=np.array([v.radius_out_cm for v in ordered]),
+            R1=np.array([load.R1 for load in loads]),
+            R2=np.array([load.R2 for load in loads]),
+            C=np.array([load.C for load in loads]),
+            density=float(blood.density_g_cm3),
+            viscosity=float(blood.viscosity_g_cm_s),
+            period_s=float(period_s),
+        )
+
+    @classmethod
+    def from_study(cls, study: Study) -> Network:
+        """Arrays of a study's vessels; terminals without a Windkessel get a nominal one.
+
+        It is derived by `nominal_windkessel` from the pressure observed in the root, the mean inflow and
+        the decay of the diastolic pressure.
+
+        Parameters
+        ----------
+        study : Study
+
+        Returns
+        -------
+        Network
+
+        Raises
+        ------
+        StudyError
+            If the vessels are not one tree, or a nominal load is needed and cannot be derived.
+        """
+        return cls.from_vessels(with_nominal_loads(study), study.blood, study.period_s)
+
+    def index(self, vessel_id: int) -> int:
+        """Index of a vessel in the arrays, from its id.
+
+        Raises
+        ------
+        StudyError
+            If there is no such vessel.
+        """
+        found = np.flatnonzero(self.ids == vessel_id)
+        if len(found) == 0:
+            known = ", ".join(str(i) for i in sorted(self.ids.tolist()))
+            raise StudyError(f"vessel = {vessel_id}: not in the network; use one of {known}")
+        return int(found[0])
+
+    @property
+    def terminals(self) -> NDArray[np.intp]:
+        """Indices of the vessels that feed no other."""
+        return np.setdiff1d(np.arange(len(self.ids)), self.parent)
+
+    def children(self, i: int) -> NDArray[np.intp]:
+        """Indices of the vessels that vessel `i` (an index) feeds."""
+        return np.flatnonzero(self.parent == i)
+
+
+def _positive(where: str, values: dict[str, Any]) -> None:
+    for name, value in values.items():
+        if not 0 < value < math.inf:
+            raise StudyError(f"network: {where}: {name} = {value!r}: must be positive and finite; correct it")
+
+
+def stiffness_profile(
+    radius_cm: ArrayLike, f1: float, f2: float, f3: float, radius_unit_cm: float = 1.0
+) -> Array:
+    """Stiffness as a function of the radius at rest: chi = f1 exp(f2 r0/u) + f3 (eq. 3.5).
+
+    Parameters
+    ----------
+    radius_cm : array (n,)
+        r0, cm.
+    f1, f3 : float
+        g/(cm s2).
+    f2 : float
+        Per u.
+    radius_unit_cm : float
+        u, cm: 1 as printed, 0.1 in the published code.
+
+    Returns
+    -------
+    array (n,)
+        chi, g/(cm s2).
+
+    References
+    ----------
+    Paun et al. 2020, eq. (3.5), doi 10.1098/rsif.2020.0886.
+    """
+    radius = np.asarray(radius_cm, dtype=np.float64)
+    return np.asarray(f1 * np.exp(f2 * radius / radius_unit_cm) + f3)
+
+
+def poiseuille_split(vessels: Sequence[Vessel]) -> dict[int, float]:
+    """Share of the root's mean flow in each vessel, split at each junction by Poiseuille's conductance.
+
+    q_k / q_parent = g_k / sum of g over the siblings, with g = r^4/L of the vessel alone; in a tapered one
+    r^4/L becomes 1/integral of dx/r^4 = 3 r1^3 r2^3 / (L (r1^2 + r1 r2 + r2^2)).
+
+    Parameters
+    ----------
+    vessels : sequence of Vessel
+        One tree.
+
+    Returns
+    -------
+    dict of int to float
+        Id -> share; 1 at the root, and the terminals add up to 1.
+
+    Raises
+    ------
+    StudyError
+        If the vessels are not one tree.
+
+    References
+    ----------
+    Qureshi et al. 2018, doi 10.1007/s10237-018-1078-8.
+    """
+    ordered = [vessels[i] for i in _sort_vessels(vessels)]
+    conductance: dict[int, float] = {}
+    total: dict[int | None, float] = {}
+    for v in ordered:
+        r1, r2 = v.radius_cm, v.radius_out_cm
+        conductance[v.id] = 3 * r1**3 * r2**3 / (v.length_cm * (r1**2 + r1 * r2 + r2**2))
+        total[v.parent] = total.get(v.parent, 0.0) + conductance[v.id]
+    share: dict[int, float] = {}
+    for v in ordered:
+        share[v.id] = 1.0 if v.parent is None else share[v.parent] * conductance[v.id] / total[v.parent]
+    return share
+
+
+def diastolic_tau(
+    time_s: ArrayLike,
+    pressure: ArrayLike,
+    inflow_time_s: ArrayLike,
+    inflow: ArrayLike,
+    period_s: float,
+    quiet: float = QUIET_SHARE,
+) -> float:
+    """Time constant of the exponential decay of the pressure in diastole: p = p0 exp(-t/tau).
+
+    Diastole is the longest part of the beat in which abs(inflow) stays below `quiet` times its peak, which
+    may reach over the end of the beat, and ends where the pressure is lowest in it. Least squares on log p.
+
+    Parameters
+    ----------
+    time_s : array (n,)
+        Times of the pressure, s, ascending, over one period.
+    pressure : array (n,)
+        Any unit, from a zero that is the pressure behind the Windkessels.
+    inflow_time_s, inflow : array (m,)
+        Times (s) and flow into the root, any unit, over one period.
+    period_s : float
+        s.
+    quiet : float
+        Share of the peak.
+
+    Returns
+    -------
+    float
+        tau, s.
+
+    Raises
+    ------
+    StudyError
+        If the inflow is never quiet for long enough, the pressure is not positive, or it does not fall.
+
+    References
+    ----------
+    Qureshi et al. 2018, doi 10.1007/s10237-018-1078-8.
+    """
+    t, p, q = (np.asarray(a, dtype=np.float64) for a in (time_s, pressure, inflow))
+    at_pressure = np.interp(t, np.asarray(inflow_time_s, dtype=np.float64), np.abs(q), period=period_s)
+    still = at_pressure < quiet * np.max(np.abs(q))
+    n = len(t)
+    best, run, start = 0, 0, 0
+    for i in range(2 * n):
+        run = run + 1 if still[i % n] else 0
+        if min(run, n) > best:
+            best, start = run, i - run + 1
+    rows = np.arange(start, start + best)
+    if best >= MIN_DIASTOLE_SAMPLES:
+        rows = rows[: int(np.argmin(p[rows % n])) + 1]
+    if len(rows) < MIN_DIASTOLE_SAMPLES or best == n:
+        raise StudyError(
+            f"diastole: {len(rows)} of {n} pressure samples are usable, the inflow being below {quiet:g} of "
+            "its peak: tau cannot be fitted; give every terminal a windkessel"
+        )
+    falling = p[rows % n]
+    if np.min(falling) <= 0:
+        raise StudyError(
+            f"diastole: pressure = {np.min(falling):.6g}: must be positive for an exponential decay; "
+            "correct its zero, or give every terminal a windkessel"
+        )
+    slope = float(np.polyfit(t[rows % n] + rows // n * period_s, np.log(falling), 1)[0])
+    if not slope < 0:
+        raise StudyError(
+            f"diastole: d(log p)/dt = {slope:.6g} 1/s: the pressure does not fall; give every terminal "
+            "a windkessel"
+        )
+    return -1.0 / slope
+
+
+def nominal_windkessel(
+    vessels: Sequence[Vessel],
+    mean_pressure_mmHg: float,
+    mean_flow_ml_s: float,
+    tau_s: float,
+    *,
+    mmhg: float = MMHG,
+) -> dict[int, Windkessel]:
+    """Nominal loads of all terminals: R1 + R2 = mean pressure / mean flow of the vessel, C = tau/(R1 + R2).
+
+    R1/(R1 + R2) = 0.2, and the flow of a vessel is its share of the root's by `poiseuille_split`.
+
+    Parameters
+    ----------
+    vessels : sequence of Vessel
+        One tree.
+    mean_pressure_mmHg : float
+        In the root, taken for that in the terminals; mmHg.
+    mean_flow_ml_s : float
+        Into the root, ml/s.
+    tau_s : float
+        Time constant of the diastolic pressure, s.
+    mmhg : float
+        dyn/cm2 in 1 mmHg.
+
+    Returns
+    -------
+    dict of int to Windkessel
+        Id of each terminal -> load in cgs.
+
+    Raises
+    ------
+    StudyError
+        If the vessels are not one tree, or a mean or tau is not positive.
+
+    References
+    ----------
+    Qureshi et al. 2018, doi 10.1007/s10237-018-1078-8.
+    """
+    _positive(
+        "nominal windkessel",
+        {"mean_pressure_mmHg": mean_pressure_mmHg, "mean_flow_ml_s": mean_flow_ml_s, "tau_s": tau_s},
+    )
+    share = poiseuille_split(vessels)
+    feeding = {v.parent for v in vessels}
+    loads = {}
+    for v in vessels:
+        if v.id not in feeding:
+            total = mmhg_to_cgs(mean_pressure_mmHg, mmhg) / (mean_flow_ml_s * share[v.id])
+            loads[v.id] = Windkessel(R1_SHARE * total, (1 - R1_SHARE) * total, tau_s / total)
+    return loads
+
+
+def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
+    """A study's vessels, where terminals without a Windkessel have got their nominal one.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    tuple of Vessel
+        In the study's order.
+
+    Raises
+    ------
+    StudyError
+        If a load is needed and no pressure of the root is observed, or `diastolic_tau` cannot be fitted.
+    """
+    feeding = {v.parent for v in study.vessels}
+    bare = [v.id for v in study.vessels if v.id not in feeding and v.windkessel is None]
+    if not bare:
+        return study.vessels
+    where = f"{study.source}: study {study.name!r}: vessel {bare[0]} has no windkessel"
+    observed = root_pressure(study.vessels, study.series)
+    if observed is None:
+        raise StudyError(f"{where}, and no pressure_mmHg of the root is observed; add one of the two")
+    try:
+        tau = diastolic_tau(
+            study.time_s, observed.value, study.inflow_time_s, study.inflow_ml_s, study.period_s
+        )
+        loads = nominal_windkessel(
+            study.vessels,
+            float(observed.value.mean()),
+            float(study.inflow_ml_s.mean()),
+            tau,
+            mmhg=study.conventions.mmhg,
+        )
+    except StudyError as error:
+        raise StudyError(f"{where}, and none can be derived: {error}") from None
+    return tuple(replace(v, windkessel=loads[v.id]) if v.id in bare else v for v in study.vessels)

@@ -1,0 +1,281 @@
+"""Comparison of models: terms from re-solved draws, WAIC three ways, PSIS-LOO, the table."""
+
+from __future__ import annotations
+
+import math
+
+import arviz as az
+import numpy as np
+import pymc as pm
+import pytest
+from scipy import stats
+
+from test_op import small_study
+from zoo.comparison import (
+    ComparisonError,
+    add_log_likelihood,
+    compare,
+    describe_difference,
+    log_likelihood,
+    log_likelihoods,
+    posterior_means,
+    solver_inputs,
+    sse_at_median,
+    thin,
+    waic_one_observation,
+)
+from zoo.likelihood import iid_errors, study_model
+from zoo.models import get_model
+from zoo.op import blood_flow, radius_dependent_stiffness
+from zoo.results import diagnose
+from zoo.solver import Solver, SolverOptions
+from zoo.study import Study
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:For one or more samples the posterior variance",
+    "ignore:Estimated shape parameter of Pareto",
+    "ignore:The inplace keyword in DataFrame.sort_values",
+)
+
+CENTRE = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.0025, "w": 5e4, "b": 100.0}
+
+
+def posterior(model: pm.Model, n_draws: int = 40, seed: int = 0, spread: float = 0.003) -> az.InferenceData:
+    """Draws scattered around the truth, two chains, every draw twice as Metropolis leaves them."""
+    rng = np.random.default_rng(seed)
+    draws = {
+        name: CENTRE[name] * np.exp(spread * rng.standard_normal((2, n_draws // 2))).repeat(2, axis=1)
+        for name in model.zoo.parameters
+    }
+    return az.from_dict(posterior=draws)
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return small_study()
+
+
+@pytest.fixture(scope="module")
+def models(study: Study) -> dict[str, pm.Model]:
+    return {name: get_model(name)(study) for name in ("A", "B")}
+
+
+@pytest.fixture(scope="module")
+def idatas(models: dict[str, pm.Model]) -> dict[str, az.InferenceData]:
+    return {name: posterior(model) for name, model in models.items()}
+
+
+# WAIC with one observation
+
+
+def test_one_observation_by_hand() -> None:
+    joint = np.array([-3.0, -2.0, -2.5])
+    lppd = math.log(np.mean(np.exp(joint)))
+    result = waic_one_observation(joint)
+    assert result.p_waic == pytest.approx(0.25)
+    assert result.waic == pytest.approx(-2 * (lppd - 0.25))
+
+
+def test_one_observation_does_not_overflow() -> None:
+    result = waic_one_observation(np.array([[2240.0, 2243.0], [2241.0, 2242.0]]))
+    assert result.waic == pytest.approx(waic_one_observation([0.0, 3.0, 1.0, 2.0]).waic - 2 * 2240)
+
+
+def test_one_observation_of_a_normal_mean() -> None:
+    # y ~ N(mu, 1), mu | y ~ N(y, 1): E exp(l) and var(l) = var(chi2_1)/4 are known
+    mu = np.random.default_rng(1).standard_normal(200_000)
+    result = waic_one_observation(stats.norm.logpdf(0.0, mu, 1.0))
+    assert result.p_waic == pytest.approx(0.5, rel=0.03)
+    assert result.waic == pytest.approx(-2 * (stats.norm.logpdf(0.0, 0.0, math.sqrt(2.0)) - 0.5), rel=0.01)
+
+
+# draws
+
+
+def test_thin_takes_the_same_number_from_each_chain(idatas) -> None:
+    assert dict(thin(idatas["A"], 11).sizes) == {"chain": 2, "draw": 6}
+    assert list(thin(idatas["A"], 6)["draw"].to_numpy()) == [0, 20, 39]
+    assert thin(idatas["A"], 10_000).sizes["draw"] == 40
+    assert thin(idatas["A"], None).sizes["draw"] == 40
+
+
+def test_solver_inputs_of_vectors_and_scalars(study: Study) -> None:
+    with study_model("E-like", study) as model:
+        f1 = pm.Uniform("f1", 1e3, 1e7)
+        f3 = pm.Uniform("f3", 3e4, 6e4)
+        psi1 = pm.Uniform("psi1", 0.05, 2.5, dims="vessel")
+        chi = radius_dependent_stiffness(study, f1, -50.0, f3)
+        mean, ok = blood_flow(study, "linear", chi, psi1, 0.9, 1.2)
+        iid_errors(mean, ok, study)
+    draws = {
+        "f1": np.array([[1e5, 2e5]]),
+        "f3": np.array([[4e4, 5e4]]),
+        "psi1": np.array([[[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]]),
+        "sigma2": np.ones((1, 2)),
+    }
+    stiffness, gamma, psi1_in, psi2, c = solver_inputs(model, az.from_dict(posterior=draws).posterior)
+    radius = np.array([0.047, 0.026, 0.037])
+    np.testing.assert_allclose(stiffness[1], 2e5 * np.exp(-50 * radius) + 5e4)
+    np.testing.assert_allclose(psi1_in, draws["psi1"][0])
+    for values, constant in ((gamma, 2.0), (psi2, 0.9), (c, 1.2)):
+        np.testing.assert_array_equal(values, np.full((2, 3), constant))
+
+
+def test_means_are_the_solver_s_at_each_draw(study: Study, models, idatas) -> None:
+    draws = thin(idatas["B"], 8)
+    reported: list[tuple[int, int]] = []
+    means = posterior_means(models["B"], draws, progress=lambda done, of: reported.append((done, of)))
+    assert means.shape == (8, 2, 32)
+    flat = {name: draws[name].to_numpy().ravel() for name in draws}
+    for i in (0, 7):
+        point = [flat["f3"][i], 2.0, flat["psi1"][i], flat["psi2"][i], flat["c"][i]]
+        np.testing.assert_allclose(means[i], Solver.for_study(study).solve(*point).pressure_mmHg, rtol=1e-12)
+    assert reported[-1][0] == reported[-1][1]
+
+
+def test_repeated_draws_are_solved_once(models, idatas) -> None:
+    reported = []
+    means = posterior_means(models["A"], thin(idatas["A"], None), progress=lambda *n: reported.append(n))
+    assert len(means) == 80
+    assert reported[-1] == (40, 40)
+
+
+# log-likelihood
+
+
+@pytest.mark.parametrize("name", ["A", "B"])
+def test_terms_agree_with_pymc(name: str, models, idatas) -> None:
+    idata = idatas[name].copy()
+    pm.compute_log_likelihood(idata, model=models[name], progressbar=False)
+    ours = log_likelihood(idata, models[name], n_draws=None)
+    assert ours.dims == idata.log_likelihood["y"].dims
+    np.testing.assert_allclose(ours, idata.log_likelihood["y"], rtol=1e-9, atol=1e-9)
+
+
+def test_decompositions(study: Study, models, idatas) -> None:
+    b = log_likelihoods(idatas["B"], models["B"], n_draws=10)
+    np.testing.assert_allclose(b["sequential"].sum(("series", "time")), b["joint"], rtol=1e-12)
+    assert float(abs(b["leave-one-out"] - b["sequential"]).max()) > 0.1
+    # given everything, the last point of a series is no worse known than given the past: the same
+    np.testing.assert_allclose(b["leave-one-out"][..., -1], b["sequential"][..., -1], rtol=1e-5, atol=1e-5)
+    a = log_likelihoods(idatas["A"], models["A"], n_draws=10)
+    np.testing.assert_array_equal(a["leave-one-out"], a["sequential"])
+    assert list(a["series"].to_numpy()) == [series.label for series in study.series]
+
+
+def test_added_terms_serve_arviz(models, idatas) -> None:
+    scored = {name: add_log_likelihood(idatas[name], models[name], n_draws=20) for name in models}
+    table = az.compare(scored, ic="waic", scale="deviance")
+    assert set(table.index) == {"A", "B"}
+    assert "log_likelihood" not in idatas["A"].groups()
+
+
+def test_sse_at_the_median(study: Study, models, idatas) -> None:
+    median = {name: float(np.median(idatas["A"].posterior[name])) for name in idatas["A"].posterior}
+    solution = Solver.for_study(study).solve(median["f3"], 2.0, median["psi1"], median["psi2"], median["c"])
+    expected = np.sum((study.values - solution.pressure_mmHg) ** 2)
+    assert sse_at_median(idatas["A"], models["A"]) == pytest.approx(expected, rel=1e-6)
+
+
+# the table
+
+
+def test_table(study: Study, models, idatas) -> None:
+    table = compare(idatas, models, n_draws=None)
+    assert list(table["rank"]) == [0, 1]
+    assert table.index[0] == "A"  # the noise is white
+    best, other = table.iloc[0], table.iloc[1]
+    assert best["standing"] == "best"
+    assert other["difference"] == pytest.approx(other["waic"] - best["waic"])
+    assert other["standing"] == describe_difference(other["difference"], other["difference_se"])
+    assert table["weight"].sum() == pytest.approx(1.0)
+    terms = log_likelihoods(idatas["A"], models["A"], n_draws=None)
+    values = terms["sequential"].to_numpy().reshape(80, -1)
+    lppd = np.log(np.mean(np.exp(values), axis=0))
+    assert best["waic"] == pytest.approx(-2 * np.sum(lppd - values.var(axis=0)))
+    assert best["waic_one_observation"] == pytest.approx(waic_one_observation(values.sum(axis=1)).waic)
+    assert best["waic_leave_one_out"] == pytest.approx(best["waic"])
+    assert best["loo"] == pytest.approx(best["waic"], abs=1.0)
+    assert best["sse"] == pytest.approx(sse_at_median(idatas["A"], models["A"]))
+    k = az.loo(add_log_likelihood(idatas["A"], models["A"], n_draws=None), pointwise=True).pareto_k
+    assert best["pareto_k_max"] == pytest.approx(float(k.max()))
+    assert best["pareto_k_bad"] == int((k > 1 - 1 / math.log10(80)).sum())
+    assert best["draws"] == 80
+    assert not best["converged"]
+    assert "2 chains: at least 4 are needed" in best["convergence"]
+    assert table.attrs["scale"] == "deviance"
+
+
+def test_table_ranked_by_loo_with_given_verdicts(models, idatas) -> None:
+    rng = np.random.default_rng(0)
+    good = diagnose({"x": rng.standard_normal((4, 1000))})
+    assert good.passes
+    table = compare(idatas, models, ic="loo", n_draws=20, verdicts={"A": good})
+    assert table.loc["A", "converged"]
+    assert not table.loc["B", "converged"]
+    difference = table["loo"].iloc[1] - table["loo"].iloc[0]
+    assert table["difference"].iloc[1] == pytest.approx(difference)
+
+
+def test_table_of_one_model(models, idatas) -> None:
+    table = compare({"A": idatas["A"]}, models, n_draws=20)
+    assert table.loc["A", "weight"] == pytest.approx(1.0)
+    assert table.loc["A", "standing"] == "best"
+
+
+def test_two_fits_of_one_model_are_within_their_error(models, idatas) -> None:
+    again = posterior(models["A"], seed=1)
+    table = compare({"first": idatas["A"], "second": again}, {"first": models["A"], "second": models["A"]})
+    assert table["difference"].iloc[1] < 5.0
+    assert table["standing"].iloc[1] == describe_difference(*table[["difference", "difference_se"]].iloc[1])
+
+
+def test_weights_do_not_underflow(models, idatas) -> None:
+    # at a sigma2 of 1e-6 some terms of A are below -745, where exp is zero
+    sharp = posterior(models["A"])
+    sharp.posterior["sigma2"] = sharp.posterior["sigma2"] * 0 + 1e-6
+    table = compare({"A": sharp, "B": idatas["B"]}, models, n_draws=20)
+    assert float(log_likelihood(sharp, models["A"], n_draws=20).min()) < -745
+    assert table.loc["B", "weight"] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_weights_and_differences_are_arviz_s(models, idatas) -> None:
+    scored = {name: add_log_likelihood(idatas[name], models[name], n_draws=20) for name in models}
+    theirs = az.compare(scored, ic="waic", scale="deviance")
+    ours = compare(idatas, models, n_draws=20)
+    assert list(ours.index) == list(theirs.index)
+    for column, its in {"waic": "elpd_waic", "difference": "elpd_diff", "difference_se": "dse"}.items():
+        np.testing.assert_allclose(ours[column], theirs[its], rtol=1e-6, err_msg=column)
+    np.testing.assert_allclose(ours["weight"], theirs["weight"], atol=0.02)
+
+
+def test_a_difference_in_words() -> None:
+    assert describe_difference(3.0, 4.0) == "within its SE of the best"
+    assert describe_difference(10.0, 4.0) == "2.5 SE behind the best"
+    assert describe_difference(0.0, 0.0) == "within its SE of the best"
+    assert describe_difference(1.0, 0.0) == "behind the best"
+
+
+def test_what_cannot_be_compared_is_refused(study: Study, models, idatas) -> None:
+    with pytest.raises(ComparisonError, match="no posteriors"):
+        compare({}, models)
+    with pytest.raises(ComparisonError, match=r"ic = 'bic': must be one of waic, loo"):
+        compare(idatas, models, ic="bic")
+    with pytest.raises(ComparisonError, match=r"posterior 'C': no model of that name among A, B"):
+        compare({"C": idatas["A"]}, models)
+    with pytest.raises(
+        ComparisonError, match=r"no 'w' in the posterior, which has f3, psi1, psi2, c, sigma2"
+    ):
+        compare({"B": idatas["A"]}, models)
+    with pytest.raises(ComparisonError, match="has no record"):
+        compare({"A": idatas["A"]}, {"A": pm.Model()})
+    other = get_model("A")(small_study(n_times=16))
+    with pytest.raises(ComparisonError, match="with other values: compare models of the same observations"):
+        compare({"A": idatas["A"], "other": idatas["A"]}, {"A": models["A"], "other": other})
+
+
+def test_draws_that_do_not_solve_are_refused(study: Study, idatas) -> None:
+    hasty = get_model("A")(study, options=SolverOptions(max_beats=1, tolerance_mmHg=1e-12))
+    with pytest.raises(ComparisonError, match="10 of 10 posterior draws do not solve"):
+        log_likelihoods(idatas["A"], hasty, n_draws=10)
+    assert math.isnan(sse_at_median(idatas["A"], hasty))

@@ -1,0 +1,378 @@
+"""Error models: terms against brute force, PyMC faces against SciPy, failed solves, pickling."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from types import SimpleNamespace
+
+import arviz as az
+import cloudpickle
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pytensor.tensor.linalg import cholesky, solve_triangular
+from scipy import stats
+
+from zoo import likelihood
+from zoo.likelihood import (
+    JITTER,
+    NOISE_VARIANCE,
+    GPErrors,
+    IidErrors,
+    LogUniform,
+    gp_leave_one_out,
+    gp_sequential,
+    gp_terms,
+    iid_terms,
+    neural_network_kernel,
+    pointwise_log_likelihood,
+)
+from zoo.op import MissingGradientError
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:For one or more samples the posterior variance",
+    "ignore:The inplace keyword in DataFrame.sort_values",
+)
+
+PERIOD_S = 0.11
+TIME_S = (np.arange(40) + 0.5) * PERIOD_S / 40
+W, B = 5.4e4, 137.0
+
+
+def covariance(time_s: np.ndarray, w: float, b: float) -> np.ndarray:
+    """Kernel and noise written out entry by entry."""
+
+    def product(t: float, u: float) -> float:
+        return 2 * (b + w * t * u)
+
+    kernel = [
+        [
+            2 / math.pi * math.asin(product(t, u) / math.sqrt((1 + product(t, t)) * (1 + product(u, u))))
+            for u in time_s
+        ]
+        for t in time_s
+    ]
+    return np.array(kernel) + (2.44e-6 + 1e-6) * np.eye(len(time_s))
+
+
+def draw_residual(n_series: int = 2, seed: int = 0, time_s: np.ndarray = TIME_S) -> np.ndarray:
+    root = np.linalg.cholesky(covariance(time_s, W, B))
+    return np.random.default_rng(seed).standard_normal((n_series, len(time_s))) @ root.T
+
+
+def observed_study(values: np.ndarray, quantity: str = "pressure_mmHg") -> SimpleNamespace:
+    """Just what the error models read of a study."""
+    series = tuple(
+        SimpleNamespace(quantity=quantity, label=f"v{i + 1}@0 {quantity}", value=row)
+        for i, row in enumerate(values)
+    )
+    return SimpleNamespace(
+        name="s", source="s", series=series, values=values, time_s=TIME_S[: values.shape[1]]
+    )
+
+
+# the kernel
+
+
+def test_kernel_is_the_written_out_formula() -> None:
+    expected = covariance(TIME_S, W, B) - (NOISE_VARIANCE + JITTER) * np.eye(len(TIME_S))
+    np.testing.assert_allclose(neural_network_kernel(TIME_S, W, B), expected, rtol=0, atol=1e-13)
+
+
+def test_kernel_between_two_sets_of_times_is_a_block_of_the_whole() -> None:
+    block = neural_network_kernel(TIME_S[:7], W, B, TIME_S[7:])
+    np.testing.assert_allclose(block, neural_network_kernel(TIME_S, W, B)[:7, 7:], rtol=0, atol=1e-14)
+
+
+def test_kernel_is_the_covariance_of_a_wide_random_network() -> None:
+    # Williams 1998: erf units with normal weights; (2/pi) asin(...) is E[erf(a + v t) erf(a + v t')]
+    rng = np.random.default_rng(3)
+    t, u, w, b = 0.02, 0.07, 300.0, 0.5
+    bias, weight = math.sqrt(b) * rng.standard_normal(400_000), math.sqrt(w) * rng.standard_normal(400_000)
+    from scipy.special import erf
+
+    sample = erf(bias + weight * t) * erf(bias + weight * u)
+    [[k]] = neural_network_kernel([t], w, b, [u])
+    assert abs(sample.mean() - k) < 5 * sample.std() / math.sqrt(len(sample))
+
+
+# sequential and leave-one-out terms
+
+
+@given(
+    w=st.floats(1e4, 9e4),
+    b=st.floats(1.0, 500.0),
+    n=st.integers(2, 40),
+    n_series=st.integers(1, 3),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=40, deadline=None)
+def test_sequential_terms_add_up_to_the_multivariate_normal(
+    w: float, b: float, n: int, n_series: int, seed: int
+) -> None:
+    residual = draw_residual(n_series, seed)[:, :n]
+    joint = stats.multivariate_normal(np.zeros(n), covariance(TIME_S[:n], w, b))
+    expected = np.atleast_1d(joint.logpdf(residual))
+    np.testing.assert_allclose(
+        gp_sequential(residual, TIME_S[:n], w, b).sum(axis=1), expected, rtol=1e-6, atol=1e-4
+    )
+
+
+def conditional(residual: np.ndarray, k: np.ndarray, i: int, given_index: np.ndarray) -> float:
+    """log p(y_i | y_given) by conditioning the normal distribution."""
+    if len(given_index) == 0:
+        return float(stats.norm.logpdf(residual[i], 0, math.sqrt(k[i, i])))
+    gain = np.linalg.solve(k[np.ix_(given_index, given_index)], k[given_index, i])
+    variance = k[i, i] - gain @ k[given_index, i]
+    return float(stats.norm.logpdf(residual[i], gain @ residual[given_index], math.sqrt(variance)))
+
+
+def test_each_sequential_term_is_the_density_given_the_past() -> None:
+    residual, k = draw_residual(), covariance(TIME_S, W, B)
+    terms = gp_sequential(residual, TIME_S, W, B)
+    for row, series in zip(terms, residual, strict=True):
+        expected = [conditional(series, k, i, np.arange(i)) for i in range(len(TIME_S))]
+        np.testing.assert_allclose(row, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_each_leave_one_out_term_is_the_density_given_all_others() -> None:
+    residual, k = draw_residual(), covariance(TIME_S, W, B)
+    terms = gp_leave_one_out(residual, TIME_S, W, B)
+    for row, series in zip(terms, residual, strict=True):
+        others = [np.delete(np.arange(len(TIME_S)), i) for i in range(len(TIME_S))]
+        expected = [conditional(series, k, i, rest) for i, rest in enumerate(others)]
+        np.testing.assert_allclose(row, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_terms_at_the_size_of_the_measured_series() -> None:
+    time_s = (np.arange(512) + 0.25) * PERIOD_S / 512
+    residual = draw_residual(1, 5, time_s)
+    k = covariance(time_s, W, B)
+    expected = stats.multivariate_normal(np.zeros(512), k).logpdf(residual)
+    assert gp_sequential(residual, time_s, W, B).sum() == pytest.approx(expected, rel=1e-6)
+    inverse = np.linalg.inv(k)
+    v = 1 / np.diag(inverse)
+    expected_terms = stats.norm.logpdf((inverse @ residual[0]) * v, 0, np.sqrt(v))
+    np.testing.assert_allclose(
+        gp_leave_one_out(residual, time_s, W, B)[0], expected_terms, rtol=1e-5, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize(("w", "b"), [(math.nan, B), (W, math.nan), (-1.0, B), (W, 0.0), (math.inf, B)])
+def test_no_nan_where_there_is_no_covariance(w: float, b: float) -> None:
+    residual = draw_residual()
+    assert np.all(gp_sequential(residual, TIME_S, w, b) == -np.inf)
+    assert np.all(gp_leave_one_out(residual, TIME_S, w, b) == -np.inf)
+
+
+def test_terms_are_finite_over_the_whole_prior_box() -> None:
+    time_s = (np.arange(512) + 0.25) * PERIOD_S / 512
+    for w in likelihood.W_RANGE:
+        for b in likelihood.B_RANGE:
+            assert np.all(np.isfinite(gp_sequential(np.full((1, 512), 100.0), time_s, w, b)))
+
+
+def test_one_factorisation_for_repeated_w_and_b() -> None:
+    likelihood._factor.cache_clear()
+    for residual in (draw_residual(1), draw_residual(3), draw_residual(2, 9)):
+        gp_sequential(residual, TIME_S, W, B)
+        gp_leave_one_out(residual, TIME_S, W, B)
+    assert likelihood._factor.cache_info().misses == 1
+    gp_sequential(draw_residual(), TIME_S, W + 1, B)
+    assert likelihood._factor.cache_info().misses == 2
+
+
+def test_iid_terms() -> None:
+    residual = draw_residual()
+    np.testing.assert_allclose(iid_terms(residual, 0.13), stats.norm.logpdf(residual, 0, math.sqrt(0.13)))
+
+
+def test_pointwise_log_likelihood_of_draws() -> None:
+    residual = draw_residual()
+    study = observed_study(residual)
+    means = np.stack([np.zeros_like(residual), np.full_like(residual, 0.01), np.full_like(residual, np.nan)])
+    draws = {"w": [W, 2 * W, W], "b": [B, B, B], "sigma2": [0.1, 0.2, 0.3]}
+    joint = pointwise_log_likelihood("gp", study, means, draws, "joint")
+    for i, w in enumerate((W, 2 * W)):
+        normal = stats.multivariate_normal(np.zeros(len(TIME_S)), covariance(TIME_S, w, B))
+        assert joint[i] == pytest.approx(normal.logpdf(residual - means[i]).sum(), rel=1e-6)
+    assert joint[2] == -np.inf
+    sequential = pointwise_log_likelihood("gp", study, means, draws, "sequential")
+    np.testing.assert_allclose(sequential.sum(axis=(1, 2)), joint)
+    iid = [pointwise_log_likelihood("iid", study, means, draws, d) for d in ("sequential", "leave-one-out")]
+    np.testing.assert_array_equal(*iid)
+    np.testing.assert_allclose(iid[0][1], stats.norm.logpdf(residual - 0.01, 0, math.sqrt(0.2)))
+
+
+def test_unknown_names_are_refused() -> None:
+    study, means = observed_study(draw_residual()), np.zeros((1, 2, 40))
+    with pytest.raises(ValueError, match=r"error = 'ar1': must be one of iid, gp"):
+        pointwise_log_likelihood("ar1", study, means, {})
+    with pytest.raises(
+        ValueError, match=r"decomposition = 'loo': must be one of sequential, leave-one-out, joint"
+    ):
+        pointwise_log_likelihood("gp", study, means, {"w": [W], "b": [B]}, "loo")
+
+
+# PyTensor and PyMC faces
+
+
+def reference_terms(
+    residual: pt.TensorVariable, time_s: np.ndarray, w: pt.TensorVariable, b: pt.TensorVariable
+):
+    """The sequential terms in plain PyTensor."""
+    t = pt.constant(time_s)
+    norm = 1 + 2 * (b + w * t * t)
+    inner = 2 * (b + w * t[:, None] * t[None, :]) / pt.sqrt(norm[:, None] * norm[None, :])
+    k = 2 / np.pi * pt.arcsin(inner) + (NOISE_VARIANCE + JITTER) * pt.eye(len(time_s))
+    root = cholesky(k, lower=True)
+    z = solve_triangular(root, residual.T, lower=True).T
+    return -0.5 * (np.log(2 * np.pi) + z**2) - pt.log(pt.diag(root))
+
+
+def test_op_agrees_with_plain_pytensor() -> None:
+    residual, w, b = pt.dmatrix(), pt.dscalar(), pt.dscalar()
+    outputs = [gp_terms(residual, TIME_S, w, b), reference_terms(residual, TIME_S, w, b)]
+    ours, reference = pytensor.function([residual, w, b], outputs)(draw_residual(3), W, B)
+    assert ours.shape == (3, len(TIME_S))
+    np.testing.assert_allclose(ours, reference, rtol=1e-6, atol=1e-6)
+
+
+def test_op_checks_dimensions_and_knows_its_shape() -> None:
+    with pytest.raises(ValueError, match="must be 2, 1, 0, 0"):
+        gp_terms(pt.dvector(), TIME_S, W, B)
+    residual = pt.dmatrix()
+    shape = pytensor.function([residual], gp_terms(residual, TIME_S, W, B).shape)
+    assert not any(isinstance(node.op, likelihood.GPTermsOp) for node in shape.maker.fgraph.apply_nodes)
+    assert tuple(shape(np.zeros((3, 40)))) == (3, 40)
+
+
+def test_op_says_that_it_has_no_gradient() -> None:
+    w = pt.dscalar()
+    with pytest.raises(MissingGradientError, match=r"pm.sample\(step=pm.DEMetropolisZ\(\)\)"):
+        pytensor.grad(gp_terms(np.zeros((1, 40)), TIME_S, w, B).sum(), w)
+
+
+def gp_model(values: np.ndarray, ok: int = 1) -> pm.Model:
+    with pm.Model() as model:
+        shift = pm.Uniform("shift", -1, 1)
+        w = LogUniform("w", *likelihood.W_RANGE)
+        b = LogUniform("b", *likelihood.B_RANGE)
+        GPErrors("y", shift + pt.zeros(values.shape), np.int8(ok), TIME_S, w, b, observed=values)
+    return model
+
+
+def iid_model(values: np.ndarray, ok: int = 1) -> pm.Model:
+    with pm.Model() as model:
+        shift = pm.Uniform("shift", -1, 1)
+        sigma2 = pm.InverseGamma("sigma2", 3.0, 1.0)
+        IidErrors("y", shift + pt.zeros(values.shape), np.int8(ok), sigma2, observed=values)
+    return model
+
+
+def test_log_density_of_the_gp_model() -> None:
+    values = draw_residual()
+    model = gp_model(values)
+    logp = model.compile_fn(model.logp(vars=[model["y"]], sum=False)[0], inputs=model.value_vars)
+    point = {"shift_interval__": 0.4, "w_chain__": 0.3, "b_chain__": -0.2}
+    shift, w, b = (float(x) for x in model.compile_fn(_backward(model), inputs=model.value_vars)(point))
+    assert 1e4 < w < 9e4
+    assert 1 < b < 500
+    expected = stats.multivariate_normal(np.zeros(40), covariance(TIME_S, w, b)).logpdf(values - shift)
+    np.testing.assert_allclose(logp(point).sum(axis=1), expected, rtol=1e-6)
+
+
+def _backward(model: pm.Model) -> list:
+    return model.replace_rvs_by_values([model["shift"] * 1.0, model["w"] * 1.0, model["b"] * 1.0])
+
+
+@pytest.mark.parametrize("make", [iid_model, gp_model])
+def test_failed_solves_have_no_density_and_no_nan(make) -> None:
+    values = draw_residual()
+    terms = {}
+    for ok in (0, 1):
+        model = make(values, ok)
+        function = model.compile_fn(model.logp(vars=[model["y"]], sum=False)[0], inputs=model.value_vars)
+        terms[ok] = function(model.initial_point())
+        assert terms[ok].shape == values.shape
+        draw = pm.draw(model["y"], random_seed=1)
+        assert draw.shape == values.shape
+        assert np.all(np.isnan(draw)) == (ok == 0)
+    assert np.all(terms[0] == -np.inf)
+    assert np.all(np.isfinite(terms[1]))
+
+
+def test_draws_of_the_gp_have_its_covariance() -> None:
+    n = 8
+    y = GPErrors.dist(np.full((2, n), 3.0), np.int8(1), TIME_S[::5], 2e4, 5.0)
+    draws = pm.draw(y, draws=4000, random_seed=2).reshape(-1, n)
+    k = covariance(TIME_S[::5], 2e4, 5.0)
+    np.testing.assert_allclose(draws.mean(axis=0), 3.0, atol=5 / math.sqrt(len(draws)))
+    np.testing.assert_allclose(np.cov(draws.T), k, atol=8 / math.sqrt(len(draws)))
+    assert stats.kstest(((draws - 3) @ np.linalg.inv(np.linalg.cholesky(k)).T).ravel(), "norm").pvalue > 1e-3
+
+
+def test_draws_of_a_given_size() -> None:
+    gp = GPErrors.dist(np.zeros((2, 8)), np.int8(1), TIME_S[:8], W, B, size=(3,))
+    assert pm.draw(gp, random_seed=1).shape == (3, 2, 8)
+    iid = IidErrors.dist(np.zeros((2, 8)), np.int8(1), 0.5, size=(3, 2, 8))
+    draws = pm.draw(iid, draws=200, random_seed=1)
+    assert draws.shape == (200, 3, 2, 8)
+    assert draws.var() == pytest.approx(0.5, rel=0.05)
+
+
+def test_log_uniform_against_scipy() -> None:
+    x = np.array([0.5, 1.0, 7.0, 499.9, 501.0])
+    distribution = LogUniform.dist(1.0, 500.0)
+    np.testing.assert_allclose(pm.logp(distribution, x).eval(), stats.loguniform(1, 500).logpdf(x))
+    draws = pm.draw(distribution, draws=2000, random_seed=4)
+    assert stats.kstest(draws, stats.loguniform(1, 500).cdf).pvalue > 1e-3
+
+
+def test_log_uniform_is_logistic_in_the_unconstrained_space() -> None:
+    with pm.Model() as model:
+        LogUniform("b", 1.0, 500.0)
+    logp = model.compile_logp()
+    for value in (-3.0, 0.0, 2.5):
+        assert float(logp({"b_chain__": value})) == pytest.approx(stats.logistic.logpdf(value))
+
+
+@pytest.mark.parametrize("make", [iid_model, gp_model])
+def test_models_survive_pickling(make) -> None:
+    model = make(draw_residual())
+    copy = pickle.loads(cloudpickle.dumps(model))
+    point = model.initial_point()
+    assert float(copy.compile_logp()(point)) == float(model.compile_logp()(point))
+
+
+def test_waic_of_both_error_models_and_their_comparison() -> None:
+    values = draw_residual()
+    idatas = {}
+    for name, model in {"iid": iid_model(values), "gp": gp_model(values)}.items():
+        with model:
+            idata = pm.sample(
+                step=pm.DEMetropolisZ(),
+                draws=100,
+                tune=100,
+                chains=2,
+                cores=1,
+                progressbar=False,
+                compute_convergence_checks=False,
+                random_seed=1,
+            )
+            pm.compute_log_likelihood(idata, progressbar=False)
+            predictive = pm.sample_posterior_predictive(
+                idata, var_names=["y"], progressbar=False, random_seed=1
+            )
+        assert idata.log_likelihood["y"].shape == (2, 100, *values.shape)
+        assert predictive.posterior_predictive["y"].shape == (2, 100, *values.shape)
+        assert np.all(np.isfinite(predictive.posterior_predictive["y"]))
+        assert az.waic(idata, scale="deviance").n_data_points == values.size
+        idatas[name] = idata
+    table = az.compare(idatas, ic="waic", scale="deviance")
+    assert table.index[0] == "gp"  # the values were drawn from it

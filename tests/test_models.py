@@ -1,0 +1,235 @@
+"""Every model of the zoo: priors as published, finite where it should be, ready for PyMC and ArviZ."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import arviz as az
+import cloudpickle
+import numpy as np
+import pymc as pm
+import pytest
+from scipy import stats
+
+from test_op import small_study
+from zoo.conventions import PUBLISHED_CODE
+from zoo.likelihood import ERROR_PARAMETERS, LogUniform, ModelRecord, gp_errors, iid_errors, study_model
+from zoo.models import MODELS, get_model, suggested
+from zoo.network import Network
+from zoo.op import blood_flow
+from zoo.solver import Solver, SolverOptions
+from zoo.study import Study
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:For one or more samples the posterior variance",
+    "ignore:The inplace keyword in DataFrame.sort_values",
+)
+
+# Table 2 of Paun et al. 2020: wall, error, bounds of the uniform priors, bounds of the log-uniform ones
+TABLE_2 = {
+    "A": (
+        "linear",
+        "iid",
+        {"f3": (2e4, 1e5), "psi1": (0.05, 2.5), "psi2": (0.05, 2.5), "c": (0.05, 2.5)},
+        {},
+    ),
+    "B": (
+        "linear",
+        "gp",
+        {"f3": (2e4, 1e5), "psi1": (0.05, 2.5), "psi2": (0.05, 2.5), "c": (0.05, 2.5)},
+        {"w": (1e4, 9e4), "b": (1, 500)},
+    ),
+}
+NAMES = list(MODELS)
+# of the small study, whose errors are white: any w and b
+TRUTH = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.0025, "w": 5e4, "b": 100.0}
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return small_study()
+
+
+def likelihood_terms(model: pm.Model, parameters: dict[str, float]) -> np.ndarray:
+    """Terms of "y" at values of the free parameters."""
+    names = list(model.zoo.parameters)
+    idata = az.from_dict(posterior={name: np.array([[parameters[name]]]) for name in names})
+    return (
+        pm.compute_log_likelihood(idata, model=model, progressbar=False).log_likelihood["y"].to_numpy()[0, 0]
+    )
+
+
+def test_registry(study: Study) -> None:
+    assert {"A", "B"} <= set(NAMES)
+    assert set(NAMES) <= set("ABCDEFGHI")
+    for name in NAMES:
+        assert get_model(name)(study).zoo.name == name
+        assert get_model(name).__name__ == f"model_{name}"
+        assert get_model(name.lower()) is get_model(name)
+    with pytest.raises(ValueError, match=r"model 'Z': must be one of A, B"):
+        get_model("Z")
+
+
+def test_every_model_of_the_registry_has_its_row_of_table_2() -> None:
+    assert set(NAMES) == set(TABLE_2)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_priors_are_those_of_table_2(name: str, study: Study) -> None:
+    wall, error, uniform, log_uniform = TABLE_2[name]
+    model = get_model(name)(study)
+    assert (model.zoo.wall, model.zoo.error) == (wall, error)
+    assert model.zoo.parameters == (*uniform, *ERROR_PARAMETERS[error])
+    priors = {p: stats.uniform(low, high - low) for p, (low, high) in uniform.items()}
+    priors |= {p: stats.loguniform(low, high) for p, (low, high) in log_uniform.items()}
+    if error == "iid":
+        priors["sigma2"] = stats.invgamma(0.001, scale=0.001)
+    assert set(priors) == set(model.zoo.parameters)
+    for parameter, prior in priors.items():
+        low, high = (uniform | log_uniform).get(parameter, (1e-3, 10.0))
+        x = np.array([low / 2, low * 1.001, (low + high) / 2, high * 0.999, high * 2])
+        np.testing.assert_allclose(pm.logp(model[parameter], x).eval(), prior.logpdf(x), err_msg=parameter)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_suggested_parameters_give_a_finite_density(name: str, study: Study) -> None:
+    model = get_model(name)(study)
+    assert tuple(suggested(name)) == model.zoo.parameters
+    assert dict(model.zoo.suggested) == suggested(name)
+    terms = likelihood_terms(model, suggested(name))
+    assert terms.shape == (2, 32)
+    assert np.all(np.isfinite(terms))
+    assert np.isfinite(model.compile_logp()(model.initial_point()))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_dimensions_and_record(name: str, study: Study) -> None:
+    options = SolverOptions(dx_cm=0.05)
+    model = get_model(name)(study, options=options, conventions=PUBLISHED_CODE)
+    assert model.coords["vessel"] == tuple(Network.from_study(study).ids)
+    assert model.coords["series"] == tuple(series.label for series in study.series)
+    np.testing.assert_array_equal(model.coords["time"], study.time_s)
+    assert model.named_vars_to_dims["y"] == ("series", "time")
+    record = model.zoo
+    assert isinstance(record, ModelRecord)
+    assert record.study is study
+    assert record.options == options
+    assert record.op.solver.conventions == PUBLISHED_CODE
+    assert record.error_parameters == ERROR_PARAMETERS[record.error]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_pickled_model_keeps_its_density_and_record(name: str, study: Study) -> None:
+    model = get_model(name)(study)
+    copy = pickle.loads(cloudpickle.dumps(model))
+    point = model.initial_point()
+    model.zoo.op.clear_cache()
+    model.zoo.op.reset_counts()
+    assert float(copy.compile_logp()(point)) == float(model.compile_logp()(point))
+    assert (copy.zoo.name, copy.zoo.parameters) == (model.zoo.name, model.zoo.parameters)
+    assert copy.zoo.op == model.zoo.op
+    assert copy.zoo.op.counts["solves"] == 1  # in one process copies share their solved points
+
+
+def test_likelihood_of_a(study: Study) -> None:
+    values = {"f3": 4.7e4, "psi1": 0.25, "psi2": 0.95, "c": 1.1, "sigma2": 0.3}
+    solution = Solver.for_study(study).solve(4.7e4, 2.0, 0.25, 0.95, 1.1)
+    expected = stats.norm.logpdf(study.values, solution.pressure_mmHg, np.sqrt(0.3))
+    np.testing.assert_allclose(likelihood_terms(get_model("A")(study), values), expected, rtol=1e-10)
+
+
+def test_likelihood_of_b(study: Study) -> None:
+    values = {"f3": 4.7e4, "psi1": 0.25, "psi2": 0.95, "c": 1.1, "w": 3e4, "b": 40.0}
+    residual = study.values - Solver.for_study(study).solve(4.7e4, 2.0, 0.25, 0.95, 1.1).pressure_mmHg
+    t = study.time_s
+    norm = 1 + 2 * (40.0 + 3e4 * t**2)
+    k = 2 / np.pi * np.arcsin(2 * (40.0 + 3e4 * np.outer(t, t)) / np.sqrt(np.outer(norm, norm)))
+    normal = stats.multivariate_normal(np.zeros(len(t)), k + 3.44e-6 * np.eye(len(t)))
+    terms = likelihood_terms(get_model("B")(study), values)
+    np.testing.assert_allclose(terms.sum(axis=1), normal.logpdf(residual), rtol=1e-6)
+
+
+def sample(model: pm.Model, draws: int = 30, **settings: Any) -> az.InferenceData:
+    with model:
+        return pm.sample(
+            step=pm.DEMetropolisZ(),
+            draws=draws,
+            tune=draws,
+            chains=2,
+            cores=2,
+            progressbar=False,
+            compute_convergence_checks=False,
+            random_seed=3,
+            **settings,
+        )
+
+
+def test_sampling_waic_and_predictive_draws_of_all(study: Study) -> None:
+    idatas = {}
+    for name in NAMES:
+        model = get_model(name)(study)
+        idata = sample(model, initvals={p: TRUTH[p] for p in model.zoo.parameters})
+        assert set(idata.posterior) == set(model.zoo.parameters)
+        pm.compute_log_likelihood(idata, model=model, progressbar=False)
+        assert idata.log_likelihood["y"].dims == ("chain", "draw", "series", "time")
+        assert np.all(np.isfinite(idata.log_likelihood["y"]))
+        predictive = pm.sample_posterior_predictive(
+            idata, model=model, var_names=["y"], progressbar=False, random_seed=1
+        ).posterior_predictive["y"]
+        assert predictive.shape == (2, 30, 2, 32)
+        assert np.all(np.isfinite(predictive))
+        idatas[name] = idata
+    table = az.compare(idatas, ic="waic", scale="deviance")
+    assert set(table.index) == set(NAMES)
+    assert np.all(np.isfinite(table["elpd_waic"]))
+
+
+def stiff_model(study: Study, errors: Callable) -> pm.Model:
+    """A wall that may be so stiff that no time step allowed is short enough."""
+    with study_model("stiff", study) as model:
+        f3 = LogUniform("f3", 1e3, 1e12)
+        mean, ok = blood_flow(study, "linear", f3, 0.3, 0.9, 1.2)
+        errors(mean, ok, study)
+    return model
+
+
+@pytest.mark.parametrize("errors", [iid_errors, gp_errors])
+def test_no_density_where_the_solve_fails_and_finite_elsewhere(errors: Callable, study: Study) -> None:
+    model = stiff_model(study, errors)
+    record = model.zoo
+    assert record.name == "stiff"
+    record.op.clear_cache()
+    record.op.reset_counts()
+    others = {"sigma2": 0.1, "w": 5e4, "b": 100.0}
+    assert np.all(np.isfinite(likelihood_terms(model, {"f3": 2e5, **others})))
+    assert np.all(likelihood_terms(model, {"f3": 1e11, **others}) == -np.inf)
+    assert record.op.counts["failures"] == {"cfl": 1}
+
+
+def test_a_chain_leaves_failed_solves_out(study: Study) -> None:
+    model = stiff_model(study, iid_errors)
+    idata = sample(model, initvals={"f3": 5e4})
+    pm.compute_log_likelihood(idata, model=model, progressbar=False)
+    assert np.all(np.isfinite(idata.log_likelihood["y"]))
+
+
+def test_errors_refuse_what_they_cannot_hold_for() -> None:
+    mixed = small_study(quantities=("pressure_mmHg", "flow_ml_s"))
+    with pytest.raises(
+        ValueError, match="observes flow_ml_s and pressure_mmHg: one sigma2 cannot hold for both"
+    ):
+        get_model("A")(mixed)
+    with pytest.raises(ValueError, match=r"observes v2@0.5 flow_ml_s: the Gaussian process' amplitude"):
+        get_model("B")(mixed)
+    get_model("A")(small_study(quantities=("flow_ml_s", "flow_ml_s")))
+
+
+def test_a_model_made_without_study_model_is_recorded_too(study: Study) -> None:
+    coords = {"series": [0, 1], "time": study.time_s}
+    with pm.Model(coords=coords) as model:
+        f3 = pm.Uniform("f3", 2e4, 1e5)
+        mean, ok = blood_flow(study, "linear", f3, 0.3, 0.9, 1.2)
+        iid_errors(mean, ok, study)
+    assert (model.zoo.name, model.zoo.parameters) == ("custom", ("f3", "sigma2"))

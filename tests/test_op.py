@@ -1,0 +1,341 @@
+"""The solver as a PyTensor operation: values, cache, counts, failures, processes, sampling."""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+from dataclasses import replace
+
+import cloudpickle
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import pytest
+from pytensor.graph.traversal import ancestors
+
+from zoo.conventions import PRINTED, PUBLISHED_CODE
+from zoo.network import Network, stiffness_profile
+from zoo.op import (
+    CACHE_SIZE,
+    BloodFlowOp,
+    MissingGradientError,
+    blood_flow,
+    radius_dependent_stiffness,
+)
+from zoo.solver import Solver, SolverOptions
+from zoo.study import Blood, Series, Study, Vessel, Windkessel
+
+POINT = (5e4, 2.0, 0.3, 0.9, 1.2)  # stiffness, gamma, psi1, psi2, c
+
+
+def small_study(n_times: int = 32, quantities: tuple[str, ...] = ("pressure_mmHg", "pressure_mmHg")) -> Study:
+    """Three vessels, observed with noise of 0.05 in the root and, given two quantities, a daughter."""
+    period = 0.11
+    vessels = (
+        Vessel(1, "root", 0.41, 0.047, 0.047, None, None),
+        Vessel(2, "left", 0.44, 0.026, 0.026, 1, Windkessel(5e4, 2e5, 1.6e-7)),
+        Vessel(3, "right", 0.37, 0.037, 0.037, 1, Windkessel(3e4, 1.2e5, 2.6e-7)),
+    )
+    inflow_time = np.arange(256) * period / 256
+    time = np.arange(n_times) * period / n_times
+    blank = [
+        Series(vessel, position, quantity, np.zeros(n_times))
+        for (vessel, position), quantity in zip(((1, 0.0), (2, 0.5)), quantities, strict=False)
+    ]
+    study = Study(
+        name="small",
+        period_s=period,
+        blood=Blood(1.055, 0.049),
+        vessels=vessels,
+        inflow_time_s=inflow_time,
+        inflow_ml_s=0.5 * np.maximum(0.0, np.sin(2 * np.pi * inflow_time / period)) ** 2,
+        time_s=time,
+        series=tuple(blank),
+        conventions=PRINTED,
+        source="small",
+        checksum="small",
+    )
+    solution = Solver.for_study(study).solve(*POINT)
+    noise = 0.05 * np.random.default_rng(1).standard_normal((len(blank), n_times))
+    series = [replace(s, value=getattr(solution, s.quantity)[i] + noise[i]) for i, s in enumerate(blank)]
+    return replace(study, series=tuple(series))
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return small_study()
+
+
+@pytest.fixture
+def op(study: Study) -> BloodFlowOp:
+    op = BloodFlowOp(Solver.for_study(study), ["pressure_mmHg", "pressure_mmHg"])
+    op.clear_cache()
+    op.reset_counts()
+    return op
+
+
+def at(point: tuple[float, ...], n: int = 3) -> list[np.ndarray]:
+    return [np.full(n, x) for x in point]
+
+
+def symbolic(op: BloodFlowOp) -> pytensor.compile.Function:
+    inputs = [pt.dvector() for _ in range(5)]
+    return pytensor.function(inputs, op(*inputs))
+
+
+# values
+
+
+def test_mean_is_the_solver_s_and_ok_is_one(op: BloodFlowOp) -> None:
+    mean, ok = symbolic(op)(*at(POINT))
+    np.testing.assert_array_equal(mean, op.solver.solve(*POINT).pressure_mmHg)
+    assert ok == 1
+    assert ok.dtype == np.int8
+
+
+def test_each_series_is_in_its_own_quantity() -> None:
+    study = small_study(quantities=("area_cm2", "flow_ml_s"))
+    mean, _ = blood_flow(study, "linear", *(POINT[i] for i in (0, 2, 3, 4)))
+    solution = Solver.for_study(study).solve(*POINT)
+    expected = np.stack([solution.area_cm2[0], solution.flow_ml_s[1]])
+    np.testing.assert_allclose(mean.eval(), expected, rtol=1e-12)
+
+
+def test_scalars_and_vectors_of_parameters(study: Study) -> None:
+    scalar, _ = blood_flow(study, "tangent", 5e4, 0.3, 0.9, 1.2, 4.0)
+    vector, _ = blood_flow(study, "tangent", np.full(3, 5e4), np.full(3, 0.3), 0.9, 1.2, np.full(3, 4.0))
+    np.testing.assert_array_equal(scalar.eval(), vector.eval())
+    softer, _ = blood_flow(study, "tangent", [5e4, 4e4, 5e4], 0.3, 0.9, 1.2, 4.0)
+    assert np.abs(softer.eval() - scalar.eval()).max() > 1e-3
+
+
+def test_options_and_conventions_reach_the_solver(study: Study) -> None:
+    mean, _ = blood_flow(
+        study, "linear", 5e4, 0.3, 0.9, 1.2, options=SolverOptions(dx_cm=0.05), conventions=PUBLISHED_CODE
+    )
+    solver = mean.owner.op.solver
+    assert solver.options.dx_cm == 0.05
+    assert solver.conventions == PUBLISHED_CODE
+
+
+@pytest.mark.parametrize("conventions", [PRINTED, PUBLISHED_CODE])
+def test_radius_dependent_stiffness_is_the_network_s_profile(study: Study, conventions) -> None:
+    chi = radius_dependent_stiffness(study, 2e5, -30.0, 4e4, conventions=conventions)
+    radius = Network.from_study(study).radius_in_cm
+    expected = stiffness_profile(radius, 2e5, -30.0, 4e4, conventions.stiffness_radius_unit_cm)
+    np.testing.assert_allclose(chi.eval(), expected, rtol=1e-13)
+
+
+# cache and counts
+
+
+def test_a_repeated_point_is_solved_once(op: BloodFlowOp) -> None:
+    function = symbolic(op)
+    for _ in range(3):
+        function(*at(POINT))
+    assert op.counts == {"evaluations": 3, "solves": 1, "failures": {}}
+
+
+def test_the_oldest_point_leaves_the_cache_first(op: BloodFlowOp) -> None:
+    points = [at((5e4 + 100 * i, *POINT[1:])) for i in range(CACHE_SIZE + 1)]
+    for point in points:
+        op.evaluate(*point)
+    op.evaluate(*points[-1])
+    op.evaluate(*points[1])
+    assert op.counts["solves"] == CACHE_SIZE + 1
+    op.evaluate(*points[0])
+    assert op.counts["solves"] == CACHE_SIZE + 2
+
+
+def test_a_point_differs_by_its_last_bit(op: BloodFlowOp) -> None:
+    op.evaluate(*at(POINT))
+    near = at(POINT)
+    near[0][1] = np.nextafter(near[0][1], np.inf)
+    op.evaluate(*near)
+    assert op.counts["solves"] == 2
+
+
+def test_work_in_place_does_not_reach_the_cache(op: BloodFlowOp) -> None:
+    function = symbolic(op)
+    first, _ = function(*at(POINT))
+    first *= 2.0
+    second, _ = function(*at(POINT))
+    np.testing.assert_array_equal(second, first / 2.0)
+    inputs = [pt.dvector() for _ in range(5)]
+    shifted = pytensor.function(inputs, pt.exp(op(*inputs)[0] * 0.01) - 3.0)
+    np.testing.assert_array_equal(shifted(*at(POINT)), shifted(*at(POINT)))
+
+
+def test_copies_share_points_and_counts_and_others_do_not(study: Study, op: BloodFlowOp) -> None:
+    op.evaluate(*at(POINT))
+    twin = BloodFlowOp(Solver.for_study(study), op.quantities)
+    assert twin == op
+    assert hash(twin) == hash(op)
+    twin.evaluate(*at(POINT))
+    assert op.counts["evaluations"] == 2
+    assert op.counts["solves"] == 1
+    others = [
+        BloodFlowOp(Solver.for_study(study, wall="tangent"), op.quantities),
+        BloodFlowOp(Solver.for_study(study, options=SolverOptions(refine=2)), op.quantities),
+        BloodFlowOp(Solver.for_study(study, conventions=PUBLISHED_CODE), op.quantities),
+        BloodFlowOp(Solver.for_study(replace(study, inflow_ml_s=2 * study.inflow_ml_s)), op.quantities),
+        BloodFlowOp(Solver.for_study(study), ["pressure_mmHg", "flow_ml_s"]),
+    ]
+    assert len({other.key for other in [op, *others]}) == 6
+    assert all(other.counts["evaluations"] == 0 for other in others)
+
+
+# failures
+
+
+def test_a_failed_solve_is_zero_and_counted(study: Study) -> None:
+    op = BloodFlowOp(Solver.for_study(study, wall="tangent"), ["pressure_mmHg", "pressure_mmHg"])
+    op.reset_counts()
+    function = symbolic(op)
+    cases = [
+        ((1e10, *POINT[1:]), "cfl"),  # so stiff that no time step allowed is short enough
+        ((100.0, 0.1, *POINT[2:]), "wall-limit"),
+        ((-1.0, *POINT[1:]), "bad-argument"),
+        ((np.nan, *POINT[1:]), "bad-argument"),
+    ]
+    for point, _ in cases:
+        mean, ok = function(*at(point))
+        assert ok == 0
+        assert mean.shape == op.shape
+        assert np.all(mean == 0)
+    assert op.counts["failures"] == {"cfl": 1, "wall-limit": 1, "bad-argument": 2}
+    assert function(*at(POINT))[1] == 1
+
+
+def test_a_solver_that_cannot_finish_is_counted_by_status(study: Study) -> None:
+    solver = Solver.for_study(study, options=SolverOptions(max_beats=1, tolerance_mmHg=1e-12))
+    op = BloodFlowOp(solver, ["pressure_mmHg", "pressure_mmHg"])
+    op.reset_counts()
+    assert not op.evaluate(*at(POINT))[1]
+    assert op.counts["failures"] == {"not-periodic": 1}
+
+
+def test_wrong_arguments_raise(study: Study, op: BloodFlowOp) -> None:
+    with pytest.raises(ValueError, match=r"psi1 has shape \(2,\): must be a scalar or \(3,\)"):
+        symbolic(op)(*at(POINT)[:2], np.ones(2), *at(POINT)[3:])
+    with pytest.raises(ValueError, match=r"stiffness has shape .*: must be a vector of length 3"):
+        blood_flow(study, "linear", np.full(4, 5e4), 0.3, 0.9, 1.2)
+    with pytest.raises(ValueError, match="1 for 2 series"):
+        BloodFlowOp(op.solver, ["pressure_mmHg"])
+    with pytest.raises(ValueError, match="quantity = 'pressure': must be one of pressure_mmHg"):
+        BloodFlowOp(op.solver, ["pressure", "pressure_mmHg"])
+    with pytest.raises(ValueError, match=r"study 'small' has no observations: add observations.csv"):
+        blood_flow(replace(study, series=()), "linear", 5e4, 0.3, 0.9, 1.2)
+
+
+# PyTensor
+
+
+def test_shape_is_known_without_a_solve(op: BloodFlowOp) -> None:
+    inputs = [pt.dvector() for _ in range(5)]
+    mean, ok = op(*inputs)
+    assert mean.type.shape == (2, 32)
+    assert ok.ndim == 0
+    shape = pytensor.function(inputs, mean.shape, on_unused_input="ignore")(*at(POINT))
+    assert tuple(shape) == (2, 32)
+    assert op.counts["evaluations"] == 0
+
+
+def test_gradient_says_what_to_do(study: Study) -> None:
+    stiffness = pt.dscalar()
+    mean, _ = blood_flow(study, "linear", stiffness, 0.3, 0.9, 1.2)
+    with pytest.raises(MissingGradientError, match=r"pass .* pm.sample\(step=pm.DEMetropolisZ\(\)\)"):
+        pytensor.grad(mean.sum(), stiffness)
+
+
+def linear_model(study: Study) -> pm.Model:
+    """Three parameters, errors of known size."""
+    with pm.Model() as model:
+        f3 = pm.Uniform("f3", 2e4, 1e5)
+        psi2 = pm.Uniform("psi2", 0.05, 2.5)
+        c = pm.Uniform("c", 0.05, 2.5)
+        mean, _ = blood_flow(study, "linear", f3, 0.3, psi2, c)
+        pm.Normal("y", mean, 0.5, observed=study.values)
+    return model
+
+
+def test_sampling_without_a_step_stops_with_that_message(study: Study) -> None:
+    with linear_model(study), pytest.raises(MissingGradientError, match=r"step=pm\.DEMetropolisZ"):
+        pm.sample(draws=5, tune=5, chains=1, progressbar=False)
+
+
+def test_find_map_goes_on_without_a_gradient(study: Study) -> None:
+    with linear_model(study):
+        best = pm.find_MAP(progressbar=False)
+    assert best["f3"] == pytest.approx(POINT[0], rel=0.1)
+    assert best["psi2"] == pytest.approx(POINT[3], rel=0.02)
+
+
+# processes
+
+
+def _solve_in_child(op: BloodFlowOp, point: list[np.ndarray]) -> tuple[np.ndarray, dict]:
+    op.evaluate(*point)
+    mean, _ = op.evaluate(*point)
+    return mean, op.counts
+
+
+@pytest.mark.parametrize("method", multiprocessing.get_all_start_methods())
+def test_op_in_another_process(op: BloodFlowOp, method: str) -> None:
+    here, _ = op.evaluate(*at(POINT))
+    with multiprocessing.get_context(method).Pool(1) as pool:
+        there, counts = pool.apply(_solve_in_child, (op, at(POINT)))
+    np.testing.assert_array_equal(there, here)
+    assert counts == {"evaluations": 2, "solves": 1, "failures": {}}  # its own, not the parent's
+    assert op.counts == {"evaluations": 1, "solves": 1, "failures": {}}
+
+
+def test_pickled_op_and_compiled_function(op: BloodFlowOp) -> None:
+    copy = pickle.loads(pickle.dumps(op))
+    assert copy == op
+    function = pickle.loads(cloudpickle.dumps(symbolic(op)))
+    mean, ok = function(*at(POINT))
+    np.testing.assert_array_equal(mean, op.evaluate(*at(POINT))[0])
+    assert ok == 1
+    assert op.counts["solves"] == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", multiprocessing.get_all_start_methods())
+def test_sampling_in_two_processes(study: Study, method: str) -> None:
+    with linear_model(study):
+        idata = pm.sample(
+            step=pm.DEMetropolisZ(),
+            draws=20,
+            tune=20,
+            chains=2,
+            cores=2,
+            mp_ctx=method,
+            progressbar=False,
+            compute_convergence_checks=False,
+            random_seed=1,
+        )
+    assert idata.posterior["f3"].shape == (2, 20)
+    assert np.all(np.isfinite(idata.posterior["f3"]))
+
+
+def test_one_solve_a_draw(study: Study) -> None:
+    model = linear_model(study)
+    [op] = {v.owner.op for v in ancestors([model["y"]]) if v.owner and isinstance(v.owner.op, BloodFlowOp)}
+    op.clear_cache()
+    op.reset_counts()
+    with model:
+        pm.sample(
+            step=pm.DEMetropolisZ(),
+            draws=60,
+            tune=40,
+            chains=1,
+            cores=1,
+            progressbar=False,
+            compute_convergence_checks=False,
+            random_seed=1,
+        )
+    counts = op.counts
+    assert counts["evaluations"] >= 2 * 100
+    assert 100 <= counts["solves"] <= 103

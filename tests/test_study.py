@@ -1,0 +1,868 @@
+"""The study format: what is read, what is refused and how, and that writing and reading agree."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import math
+import pickle
+import re
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import zoo
+from zoo.conventions import PRINTED, PUBLISHED_CODE
+from zoo.study import (
+    MIN_SAMPLES,
+    QUANTITIES,
+    Blood,
+    Series,
+    Study,
+    StudyError,
+    Vessel,
+    Windkessel,
+    list_studies,
+    load_study,
+    save_study,
+    sort_vessels,
+)
+
+PERIOD = 0.11
+STUDY = """\
+name = "three vessels"
+network = "network.toml"
+inflow = "inflow.csv"
+observations = "observations.csv"
+period_s = 0.11
+"""
+NETWORK = """\
+[blood]
+density_g_cm3 = 1.055
+viscosity_g_cm_s = 0.049
+
+[[vessel]]
+id = 1
+name = "root"
+length_cm = 0.41
+radius_cm = 0.047
+
+[[vessel]]
+id = 2
+name = "left"
+length_cm = 0.445
+radius_cm = 0.026
+radius_out_cm = 0.024
+parent = 1
+windkessel = { R1 = 5e4, R2 = 2e5, C = 1.6e-7 }
+
+[[vessel]]
+id = 3
+name = "right"
+length_cm = 0.372
+radius_cm = 0.037
+parent = 1
+windkessel = { R1 = 3e4, R2 = 1.2e5, C = 2.6e-7 }
+"""
+
+
+def inflow_rows(n: int = 64, period: float = PERIOD) -> list[str]:
+    rows = ["time_s,flow_ml_s"]
+    for m in range(n):
+        rows.append(f"{m * period / n:.8f},{0.3 * math.sin(math.pi * m / n) ** 2:.6f}")
+    return rows
+
+
+def observation_rows(n: int = 32, period: float = PERIOD) -> list[str]:
+    rows = ["vessel,position,quantity,time_s,value"]
+    for vessel, position in ((1, "0.0"), (2, "0.5")):
+        for m in range(n):
+            rows.append(f"{vessel},{position},pressure_mmHg,{m * period / n:.8f},{10 + vessel + 0.1 * m:.4f}")
+    return rows
+
+
+Files = dict[str, list[str]]
+
+
+def files() -> Files:
+    return {
+        "study.toml": STUDY.splitlines(),
+        "network.toml": NETWORK.splitlines(),
+        "inflow.csv": inflow_rows(),
+        "observations.csv": observation_rows(),
+    }
+
+
+def write(folder: Path, content: Files) -> Path:
+    for name, lines in content.items():
+        (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder
+
+
+def test_what_is_read(tmp_path: Path) -> None:
+    study = load_study(write(tmp_path, files()))
+    assert study.name == "three vessels"
+    assert study.period_s == 0.11
+    assert study.blood == Blood(1.055, 0.049)
+    assert study.conventions == PRINTED
+    assert study.source == tmp_path
+    assert study.vessels == (
+        Vessel(1, "root", 0.41, 0.047, 0.047, None, None),
+        Vessel(2, "left", 0.445, 0.026, 0.024, 1, Windkessel(5e4, 2e5, 1.6e-7)),
+        Vessel(3, "right", 0.372, 0.037, 0.037, 1, Windkessel(3e4, 1.2e5, 2.6e-7)),
+    )
+    assert [s.label for s in study.series] == ["v1@0 pressure_mmHg", "v2@0.5 pressure_mmHg"]
+    printed = np.loadtxt(tmp_path / "inflow.csv", delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(study.inflow_ml_s, printed[:, 1])
+    np.testing.assert_allclose(study.inflow_time_s, printed[:, 0], atol=6e-9)
+    np.testing.assert_allclose(study.inflow_time_s, np.arange(64) * 0.11 / 64, rtol=1e-15)
+    np.testing.assert_allclose(study.time_s, np.arange(32) * 0.11 / 32, rtol=1e-15)
+    np.testing.assert_allclose(study.values[1], 12 + 0.1 * np.arange(32), rtol=1e-14)
+
+
+def test_forms_that_mean_the_same(tmp_path: Path) -> None:
+    plain = load_study(write(tmp_path, files()))
+    variants: dict[str, Callable[[Files], None]] = {
+        "shuffled rows": lambda f: f["observations.csv"].__setitem__(
+            slice(1, None), f["observations.csv"][:0:-1]
+        ),
+        "blank rows": lambda f: f["inflow.csv"].insert(5, ""),
+        "spaces": lambda f: f.__setitem__("inflow.csv", [r.replace(",", " , ") for r in f["inflow.csv"]]),
+        "first sample again": lambda f: f["inflow.csv"].append("0.11,0.000000"),
+        "byte-order mark": lambda f: f["inflow.csv"].__setitem__(0, "\ufeff" + f["inflow.csv"][0]),
+        "carriage returns": lambda f: f.__setitem__("inflow.csv", [r + "\r" for r in f["inflow.csv"]]),
+        "columns in another order": lambda f: f.__setitem__(
+            "inflow.csv", [",".join(r.split(",")[::-1]) for r in f["inflow.csv"]]
+        ),
+    }
+    for what, change in variants.items():
+        changed = files()
+        change(changed)
+        again = load_study(write(tmp_path, changed))
+        if what == "shuffled rows":
+            assert [s.vessel for s in again.series] == [2, 1], what
+            assert again.series[1].value.tobytes() == plain.series[0].value.tobytes(), what
+        else:
+            assert again.checksum == plain.checksum, what
+
+
+def test_observations_may_begin_later_or_be_absent(tmp_path: Path) -> None:
+    content = files()
+    offset = [f"1,1,flow_ml_s,{(m + 0.5) * PERIOD / 20:.8f},{m}" for m in range(20)]
+    content["observations.csv"] = [content["observations.csv"][0], *offset]
+    study = load_study(write(tmp_path, content))
+    np.testing.assert_allclose(study.time_s, (np.arange(20) + 0.5) * PERIOD / 20, atol=6e-9)
+    assert study.series[0].label == "v1@1 flow_ml_s"
+    content["study.toml"].remove('observations = "observations.csv"')
+    study = load_study(write(tmp_path, content))
+    assert study.series == ()
+    assert study.time_s.shape == (0,)
+    assert study.values.shape == (0, 0)
+
+
+def test_conventions_of_a_study(tmp_path: Path) -> None:
+    content = files()
+    write(tmp_path, content)
+    assert load_study(tmp_path, "published-code").conventions == PUBLISHED_CODE
+    content["study.toml"].append('conventions = "published-code"')
+    write(tmp_path, content)
+    assert load_study(tmp_path).conventions == PUBLISHED_CODE
+    assert load_study(tmp_path, PRINTED).conventions == PRINTED
+    content["study.toml"][-1] = 'conventions = { base = "published-code", friction = "current" }'
+    own = load_study(write(tmp_path, content))
+    assert own.conventions.name == "custom (published-code with friction=current)"
+    save_study(own, tmp_path / "again")
+    assert load_study(tmp_path / "again") == own
+
+
+# ---------------------------------------------------------------------------------------------------
+# Mistakes: (file, text to replace or row to change, what to put there) -> what the error says
+
+
+def swap(file: str, old: str, new: str) -> Callable[[Files], None]:
+    def change(content: Files) -> None:
+        text = "\n".join(content[file])
+        assert text.count(old) >= 1, old
+        content[file] = text.replace(old, new, 1).split("\n")
+
+    return change
+
+
+def drop(file: str, row: int) -> Callable[[Files], None]:
+    return lambda content: content[file].pop(row - 1) and None
+
+
+def add(file: str, row: str) -> Callable[[Files], None]:
+    return lambda content: content[file].append(row)
+
+
+def put(file: str, rows: list[str]) -> Callable[[Files], None]:
+    return lambda content: content.__setitem__(file, rows)
+
+
+def remove(file: str) -> Callable[[Files], None]:
+    return lambda content: content.pop(file) and None
+
+
+LATE = [f"{m * PERIOD / 64 + 0.0005:.8f},1.0" for m in range(64)]
+STEPS = 1 + 0.018 * np.sin(2 * np.pi * (np.arange(100) + 0.5) / 100)  # neighbours agree, the whole does not
+DRIFTING = (np.concatenate([[0], np.cumsum(STEPS)])[:100] * PERIOD / 100).tolist()
+EXTRA = '\n[[vessel]]\nid = {}\nname = "x"\nlength_cm = 1\nradius_cm = 0.1\n'
+LOAD = "windkessel = { R1 = 1, R2 = 1, C = 1 }\n"
+OBS, INF, NET, TOP = "observations.csv", "inflow.csv", "network.toml", "study.toml"
+
+MISTAKES: list[tuple[str, Callable[[Files], None], str]] = [
+    # study.toml
+    ("toml", add(TOP, "period ="), r"study\.toml: not valid TOML: .*line 6.*; correct that line"),
+    ("latin-1", add(TOP, "# \udce9"), r"study\.toml: byte \d+ is not UTF-8; save"),
+    ("misspelt", swap(TOP, "period_s", "period"), r"study\.toml: period: unknown field; .*'period_s'\?"),
+    ("no name", swap(TOP, 'name = "three vessels"\n', ""), r"study\.toml: name: is missing; add it"),
+    ("blank name", swap(TOP, "three vessels", " "), r"study\.toml: name = ' ': must be one line"),
+    (
+        "number as text",
+        swap(TOP, "0.11", '"0.11"'),
+        r"period_s = '0\.11': must be a number; write it without",
+    ),
+    ("name as number", swap(TOP, '"three vessels"', "3"), r"name = 3: must be text; write it in quotes"),
+    ("period zero", swap(TOP, "0.11", "0.0"), r"period_s = 0\.0: must be positive; correct it"),
+    ("period nan", swap(TOP, "0.11", "nan"), r"period_s = nan: must be"),
+    ("period inf", swap(TOP, "0.11", "inf"), r"period_s = inf: must be finite"),
+    (
+        "no network",
+        swap(TOP, "network.toml", "net.toml"),
+        r"network = 'net\.toml': no such file in .*; add it",
+    ),
+    ("no inflow", remove(INF), r"study\.toml: inflow = 'inflow\.csv': no such file in"),
+    ("no observations", remove(OBS), r"study\.toml: observations = 'observations\.csv': no such file in"),
+    ("inflow a number", swap(TOP, '"inflow.csv"', "3"), r"inflow = 3: must be a file name; write it"),
+    (
+        "conventions",
+        add(TOP, 'conventions = "prnted"'),
+        r"study\.toml: conventions: name = 'prnted': .*'printed'\?",
+    ),
+    (
+        "switch",
+        add(TOP, 'conventions = { friction = "none" }'),
+        r"study\.toml: conventions: friction = 'none': unknown; use one of current",
+    ),
+    (
+        "fetch",
+        swap(TOP, '"inflow.csv"', '{ fetsh = "x" }'),
+        r"study\.toml: inflow: fetsh: unknown field; .*'fetch'",
+    ),
+    # network.toml
+    (
+        "no blood",
+        swap(NET, "[blood]", "[blod]"),
+        r"network\.toml: blod: unknown field; did you mean 'blood'\?",
+    ),
+    ("no vessels", put(NET, NETWORK.split("\n")[:3]), r"network\.toml: vessel: is missing; add it"),
+    (
+        "empty",
+        put(NET, ["vessel = []", *NETWORK.split("\n")[:3]]),
+        r"the list is empty",
+    ),
+    ("density", swap(NET, "1.055", "-1.055"), r"blood: density_g_cm3 = -1\.055: must be positive"),
+    (
+        "viscosity",
+        swap(NET, "viscosity_g_cm_s = 0.049\n", ""),
+        r"blood: viscosity_g_cm_s: is missing; add it",
+    ),
+    (
+        "misspelt size",
+        swap(NET, "length_cm = 0.445", "lenght_cm = 0.445"),
+        r"network\.toml, row 11: vessel 2: lenght_cm: unknown field; did you mean 'length_cm'\?",
+    ),
+    ("length 0", swap(NET, "0.445", "0"), r"row 11: vessel 2: length_cm = 0: must be positive; correct it"),
+    ("length nan", swap(NET, "0.445", "nan"), r"row 11: vessel 2: length_cm = nan: must be"),
+    ("radius", swap(NET, "0.026", "-0.026"), r"vessel 2: radius_cm = -0\.026: must be positive; correct it"),
+    ("outlet radius", swap(NET, "0.024", "0.0"), r"vessel 2: radius_out_cm = 0\.0: must be positive"),
+    ("radius inf", swap(NET, "0.037", "inf"), r"row 20: vessel 3: radius_cm = inf: must be finite"),
+    ("id text", swap(NET, "id = 3", 'id = "3"'), r"row 20: vessel 3: id = '3': must be a whole number"),
+    ("id 0", swap(NET, "id = 3", "id = 0"), r"row 20: vessel 0: id = 0: must be at least 1"),
+    ("no id", swap(NET, "id = 3\n", ""), r"row 20: vessel number 3: id: is missing"),
+    (
+        "same id",
+        swap(NET, "id = 3", "id = 2"),
+        r"row 20: vessel 2: id = 2: also the id of .*row 11.*; give each",
+    ),
+    (
+        "orphan",
+        swap(NET, "parent = 1", "parent = 7"),
+        r"row 11: vessel 2: parent = 7: no such vessel; use the id",
+    ),
+    (
+        "two roots",
+        swap(NET, "parent = 1\n", ""),
+        r"row 11: vessel 2: parent: is missing, but vessel 1 is the root",
+    ),
+    (
+        "no root",
+        swap(NET, "radius_cm = 0.047", "radius_cm = 0.047\nparent = 1"),
+        r"row 5: vessel 1: parent = 1: vessels feed each other in a circle \(1 <- 1\); follow the flow",
+    ),
+    (
+        "circle",
+        swap(
+            NET,
+            "[[vessel]]\nid = 2",
+            "\n".join(
+                f'[[vessel]]\nid = {i}\nname = "x"\nlength_cm = 1\nradius_cm = 0.1\nparent = {j}'
+                for i, j in ((7, 9), (8, 7), (9, 8))
+            )
+            + "\n[[vessel]]\nid = 2",
+        ),
+        r"vessel 7: parent = 9: vessels feed each other in a circle \(7 <- 9 <- 8 <- 7\); follow",
+    ),
+    (
+        "load inside",
+        add(NET, EXTRA.format(4) + "parent = 3\n" + LOAD),
+        r"row 20: vessel 3: windkessel: only a terminal may have one, but this feeds 4; remove it",
+    ),
+    ("load zero", swap(NET, "R2 = 2e5", "R2 = 0.0"), r"vessel 2: windkessel\.R2 = 0\.0: must be positive"),
+    (
+        "load misspelt",
+        swap(NET, "R2 = 2e5", "R3 = 2e5"),
+        r"vessel 2: windkessel\.R3: unknown field; did you mean",
+    ),
+    ("load without C", swap(NET, ", C = 1.6e-7", ""), r"vessel 2: windkessel\.C: is missing; add it"),
+    (
+        "load a number",
+        swap(NET, "{ R1 = 5e4, R2 = 2e5, C = 1.6e-7 }", "3"),
+        r"windkessel = 3: must be a table",
+    ),
+    # inflow.csv
+    ("empty file", put(INF, []), r"inflow\.csv: the file is empty; its first row is time_s,flow_ml_s"),
+    (
+        "no rows",
+        put(INF, ["time_s,flow_ml_s"]),
+        rf"inflow: 0 samples: too few for a beat; give at least {MIN_SAMPLES}",
+    ),
+    (
+        "no header",
+        drop(INF, 1),
+        r"inflow\.csv, row 1: '0\.00000000': unknown column; use one of time_s, flow_ml_s",
+    ),
+    (
+        "column",
+        swap(INF, "flow_ml_s", "flow_mls"),
+        r"row 1: 'flow_mls': unknown column; did you mean 'flow_ml_s'",
+    ),
+    ("missing column", put(INF, ["time_s", "0", "1"]), r"row 1: flow_ml_s: column missing; add it to time_s"),
+    ("twice", put(INF, ["time_s,time_s"]), r"row 1: 'time_s': the column occurs twice; keep one"),
+    (
+        "cells",
+        swap(INF, "0.00171875,", "0.00171875,,"),
+        r"row 3: 3 cells where the header has 2; give time_s,flow",
+    ),
+    (
+        "text",
+        swap(INF, "0.00171875,", "0.00171875,x"),
+        r"row 3: flow_ml_s = 'x0\.000722': not a number; correct",
+    ),
+    (
+        "nan",
+        swap(INF, "0.00171875,0.000722", "0.00171875,nan"),
+        r"row 3: flow_ml_s = 'nan': must be finite; inter",
+    ),
+    ("inf", swap(INF, "0.00171875,", "1e999,"), r"inflow\.csv, row 3: time_s = '1e999': must be finite"),
+    ("quote", swap(INF, "0.00171875,", '"0.00171875'), r"inflow\.csv, row \d+: .*; correct that row"),
+    (
+        "few",
+        put(INF, inflow_rows(15)),
+        r"inflow\.csv: inflow: 15 samples: too few for a beat; give at least 16",
+    ),
+    (
+        "gap",
+        drop(INF, 11),
+        r"inflow\.csv, row 11: time_s = 0\.01718\d+: inflow: 0\.0034\d+ s after the sample before, where",
+    ),
+    (
+        "same time",
+        add(INF, "0.00171875,0.1"),
+        r"row 66: time_s = 0\.00171875: inflow: a second sample .* row 3; keep",
+    ),
+    (
+        "period too long",
+        swap(TOP, "0.11", "0.12"),
+        r"inflow\.csv, row 65: time_s = 0\.10828125: inflow: 64 samples 0\.00171875 s apart make a beat "
+        r"of 0\.11 s, but period_s = 0\.12 in study\.toml; correct period_s",
+    ),
+    (
+        "period too short",
+        swap(TOP, "0.11", "0.1"),
+        r"64 samples .* make a beat of 0\.11 s, but period_s = 0\.1 in",
+    ),
+    (
+        "one sample missing at the end",
+        drop(INF, 65),
+        r"63 samples .* make a beat of 0\.108281\d* s, but period_s",
+    ),
+    (
+        "last is not the first",
+        add(INF, "0.11,0.2"),
+        r"row 66: flow_ml_s = 0\.2: inflow: a period_s = 0\.11 after the first sample \(0\), so",
+    ),
+    (
+        "late",
+        put(INF, ["time_s,flow_ml_s", *LATE]),
+        r"row 2: time_s = 0\.0005: inflow: the inflow must begin at time 0",
+    ),
+    (
+        "drift",
+        put(INF, ["time_s,flow_ml_s", *(f"{t:.9f},1" for t in DRIFTING)]),
+        r"time_s = .*: inflow: .* s from its place on a uniform grid; resample",
+    ),
+    (
+        "backwards",
+        put(INF, ["time_s,flow_ml_s", *(r.replace(",", ",-") for r in inflow_rows()[1:])]),
+        r"study\.toml: inflow = 'inflow\.csv': mean flow_ml_s = -0\.15: must be positive; count flow",
+    ),
+    # observations.csv
+    (
+        "only a header",
+        put(OBS, observation_rows()[:1]),
+        r"observations\.csv: no samples; add some, or remove",
+    ),
+    (
+        "vessel",
+        swap(OBS, "\n2,0.5", "\n9,0.5"),
+        r"observations\.csv, row 34: vessel = 9: not in the network; use one of 1",
+    ),
+    (
+        "vessel text",
+        swap(OBS, "\n2,0.5", "\nMPA,0.5"),
+        r"row 34: vessel = 'MPA': not a whole number; use a vessel's id",
+    ),
+    ("vessel 1.5", swap(OBS, "\n2,0.5", "\n1.5,0.5"), r"row 34: vessel = '1\.5': not a whole number"),
+    ("position", swap(OBS, "\n2,0.5", "\n2,1.5"), r"row 34: position = 1\.5: must be in \[0, 1\]"),
+    ("position < 0", swap(OBS, "\n2,0.5", "\n2,-0.1"), r"row 34: position = -0\.1: must be in \[0, 1\]"),
+    ("position nan", swap(OBS, "\n2,0.5", "\n2,nan"), r"row 34: position = 'nan': must be finite"),
+    (
+        "quantity",
+        swap(OBS, "\n2,0.5,pressure_mmHg", "\n2,0.5,presure_mmHg"),
+        r"row 34: quantity = 'presure_mmHg': unknown; did you mean 'pressure_mmHg'\? use one of press",
+    ),
+    (
+        "value",
+        swap(OBS, "0.00343750,11.1000", "0.00343750,"),
+        r"observations\.csv, row 3: value = '': not a number",
+    ),
+    ("underscore", swap(OBS, "11.1000", "11_1"), r"row 3: value = '11_1': not a number; correct it"),
+    ("value inf", swap(OBS, "11.1000", "-inf"), r"row 3: value = '-inf': must be finite"),
+    (
+        "duplicate",
+        add(OBS, "2,0.50,pressure_mmHg,0.0,3"),
+        r"row 66: time_s = 0: v2@0\.5 pressure_mmHg: a second sam",
+    ),
+    (
+        "sample missing",
+        drop(OBS, 50),
+        r"observations\.csv, row 50: time_s = .*v2@0\.5 pressure_mmHg: 0\.0068\d+ s after",
+    ),
+    (
+        "another grid",
+        put(OBS, observation_rows()[:33] + observation_rows(64)[65:]),
+        r"row 34: time_s = 0: v2@0\.5 pressure_mmHg: 64 samples from 0 s, but v1@0 pressure_mmHg has 32 from",
+    ),
+    (
+        "shifted grid",
+        put(
+            OBS,
+            observation_rows()[:33] + [f"2,0,flow_ml_s,{(m + 0.5) * PERIOD / 32:.8f},1" for m in range(32)],
+        ),
+        r"row 34: time_s = 0\.00171875: v2@0 flow_ml_s: 32 samples from 0\.00171875 s, but v1@0",
+    ),
+    (
+        "before the beat",
+        put(
+            OBS,
+            [observation_rows()[0], *(f"1,0,flow_ml_s,{(m - 0.5) * PERIOD / 32:.8f},1" for m in range(32))],
+        ),
+        r"row 2: time_s = -0\.00171875: v1@0 flow_ml_s: before the beat; count from its start",
+    ),
+    (
+        "after the beat",
+        put(
+            OBS, [observation_rows()[0], *(f"1,0,flow_ml_s,{(m + 3) * PERIOD / 32:.8f},1" for m in range(32))]
+        ),
+        r"row 33: time_s = 0\.116875: v1@0 flow_ml_s: past the period, as the series begins late",
+    ),
+    (
+        "second beat",
+        put(OBS, [observation_rows()[0], *(f"1,0,flow_ml_s,{m * PERIOD / 32:.8f},1" for m in range(64))]),
+        r"row 65: time_s = 0\.2165625: v1@0 flow_ml_s: 64 samples .* make a beat of 0\.22 s, but",
+    ),
+    (
+        "negative area",
+        put(OBS, [observation_rows()[0], *(f"1,0,area_cm2,{m * PERIOD / 32:.8f},-1" for m in range(32))]),
+        r"row 2: value = -1\.0: an area_cm2 must be positive",
+    ),
+]
+
+
+@pytest.mark.parametrize(("what", "change", "message"), MISTAKES, ids=[m[0] for m in MISTAKES])
+def test_a_mistake_is_named_in_one_line(
+    tmp_path: Path, what: str, change: Callable[[Files], None], message: str
+) -> None:
+    content = files()
+    load_study(write(tmp_path, content))
+    change(content)
+    for name in files():
+        (tmp_path / name).unlink()
+    for name, lines in content.items():
+        (tmp_path / name).write_bytes(("\n".join(lines) + "\n").encode("utf-8", "surrogateescape"))
+    with pytest.raises(StudyError, match=message) as error:
+        load_study(tmp_path)
+    text = str(error.value)
+    assert "\n" not in text
+    assert text.startswith(str(tmp_path)), "the file comes first"
+    assert re.search(r"; \w+", text), "a remedy ends it"
+
+
+def test_a_bare_terminal_needs_an_observed_root(tmp_path: Path) -> None:
+    content = files()
+    swap(NET, "windkessel = { R1 = 5e4, R2 = 2e5, C = 1.6e-7 }", "")(content)
+    assert load_study(write(tmp_path, content)).vessels[1].windkessel is None
+    message = (
+        r"network\.toml, row 11: vessel 2: windkessel: is missing at a terminal, .*root \(vessel 1\); add"
+    )
+    only_left = [r for r in observation_rows() if not r.startswith("1,")]
+    for change in (put(OBS, only_left), swap(TOP, 'observations = "observations.csv"', "")):
+        broken = {name: list(lines) for name, lines in content.items()}
+        change(broken)
+        with pytest.raises(StudyError, match=message):
+            load_study(write(tmp_path, broken))
+
+
+def test_names_and_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "mouse-c6" in list_studies()
+    with pytest.raises(StudyError, match=r"mouse-c7: neither a folder .* did you mean 'mouse-c6'\?"):
+        load_study("mouse-c7")
+    with pytest.raises(StudyError, match=r"no study\.toml in this folder; add one"):
+        load_study(tmp_path)
+    write(tmp_path, files())
+    assert load_study(str(tmp_path)) == load_study(tmp_path / "study.toml")
+    monkeypatch.chdir(tmp_path)
+    write_here = tmp_path / "mouse-c6"
+    write_here.mkdir()
+    write(write_here, files())
+    with pytest.raises(
+        StudyError, match=r"mouse-c6: both a built-in study and a folder here; write \./mouse-c6"
+    ):
+        load_study("mouse-c6")
+    assert load_study("./mouse-c6").name == "three vessels"
+    assert load_study(Path("mouse-c6")).name == "three vessels"
+
+
+def test_a_built_in_copy_reads_the_same_checks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fetched columns: numbers of one file, averaged in groups that must fit."""
+    column = tmp_path / "column.dat"
+    monkeypatch.setattr(zoo.study, "fetch_file", lambda name: column)
+    content = files()
+    swap(TOP, '"inflow.csv"', '{ fetch = "set/q.dat" }')(content)
+    table = '{ fetch = "set/p.dat", vessel = 1, position = 0.5, quantity = "flow_ml_s", average = 2 }'
+    swap(TOP, '"observations.csv"', table)(content)
+    write(tmp_path, content)
+    column.write_text("\n".join(str(1 + m % 40) for m in range(41)) + "\n")
+    with pytest.raises(
+        StudyError, match=r"average = 2: does not divide the 41 samples of set/p\.dat; use a divisor"
+    ):
+        load_study(tmp_path)
+    column.write_text("\n".join(str(1 + m) for m in range(40)) + "\n")
+    with pytest.raises(StudyError, match=r"column\.dat, row 40: value = 40: inflow: .* must repeat that one"):
+        load_study(tmp_path)
+    column.write_text("1\n2\nx\n")
+    with pytest.raises(StudyError, match=r"column\.dat, row 3: value = 'x': not a number"):
+        load_study(tmp_path)
+    column.write_text("\n".join(str(1 + m % 39) for m in range(40)) + "\n")
+    study = load_study(tmp_path)
+    assert study.inflow_ml_s.tolist() == list(range(1, 40))
+    assert study.values[0].tolist() == [1.5 + 2 * m for m in range(19)] + [(39 + 1) / 2]
+    np.testing.assert_allclose(study.time_s, (np.arange(20) + 0.25) * PERIOD / 20, rtol=1e-12)
+    swap(TOP, "position = 0.5", "position = 2.0")(content)
+    with pytest.raises(StudyError, match=r"study\.toml: observations: position = 2\.0: must be in \[0, 1\]"):
+        load_study(write(tmp_path, content))
+
+
+# ---------------------------------------------------------------------------------------------------
+# The object
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Study:
+    return load_study(write(tmp_path, files()))
+
+
+def test_arrays_are_read_only_and_survive_a_pickle(study: Study) -> None:
+    for copy in (study, pickle.loads(pickle.dumps(study)), pickle.loads(pickle.dumps(study, protocol=5))):
+        arrays = [copy.inflow_time_s, copy.inflow_ml_s, copy.time_s, *(s.value for s in copy.series)]
+        for array in arrays:
+            assert array.dtype == np.float64
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 1.0
+        assert copy == study
+        assert hash(copy) == hash(study)
+        assert copy.values.tobytes() == study.values.tobytes()
+    mine = np.zeros(32)
+    series = Series(1, 0.0, "flow_ml_s", mine)
+    mine[:] = 7
+    assert series.value.max() == 0, "a series does not share memory that its maker can write to"
+
+
+def test_checksum_follows_the_content(study: Study) -> None:
+    same = replace(study, name="other", conventions=PUBLISHED_CODE, source="elsewhere", checksum="?")
+    assert same.checksum == study.checksum
+    assert same != study
+    named = replace(study, vessels=(replace(study.vessels[0], name="MPA"), *study.vessels[1:]))
+    assert named.checksum == study.checksum
+    assert len(study.checksum) == 64
+    inflow = study.inflow_ml_s.copy()
+    inflow[3] = np.nextafter(inflow[3], 1)
+    first = study.series[0]
+    others = [
+        replace(study, inflow_ml_s=inflow),
+        replace(study, period_s=0.12),
+        replace(study, blood=Blood(1.06, 0.049)),
+        replace(study, vessels=(replace(study.vessels[0], radius_cm=0.048), *study.vessels[1:])),
+        replace(study, vessels=(*study.vessels[:2], replace(study.vessels[2], windkessel=None))),
+        replace(study, series=(replace(first, vessel=3), study.series[1])),
+        replace(study, series=(replace(first, position=1.0), study.series[1])),
+        replace(study, series=(replace(first, quantity="flow_ml_s"), study.series[1])),
+        replace(study, series=study.series[:1]),
+        replace(study, series=study.series[::-1]),
+        replace(study, time_s=study.time_s + 1e-9),
+    ]
+    assert len({study.checksum, *(other.checksum for other in others)}) == len(others) + 1
+
+
+def test_arrays_must_fit_each_other(study: Study) -> None:
+    with pytest.raises(StudyError, match=r"inflow_ml_s: shape \(3,\) does not fit the 64 times"):
+        replace(study, inflow_ml_s=np.ones(3))
+    with pytest.raises(StudyError, match=r"v1@0 pressure_mmHg: shape \(32,\) does not fit the 31 times"):
+        replace(study, time_s=study.time_s[1:])
+
+
+# ---------------------------------------------------------------------------------------------------
+# Writing and reading back
+
+positive = st.floats(min_value=1e-12, max_value=1e12, allow_subnormal=False)
+finite = st.floats(allow_nan=False, allow_infinity=False, width=64).map(
+    lambda x: x if abs(x) < 1e300 else 1.0
+)
+words = st.text(st.characters(codec="utf-8", categories=["L", "N", "P", "S"]), min_size=1, max_size=8)
+
+
+@st.composite
+def studies(draw: st.DrawFn) -> Study:
+    n = draw(st.integers(1, 12))
+    ids = draw(st.lists(st.integers(1, 2**31 - 1), min_size=n, max_size=n, unique=True))
+    parents = [None, *(draw(st.integers(0, i - 1)) for i in range(1, n))]
+    loads = st.builds(Windkessel, positive, positive, positive)
+    vessels = []
+    for i in range(n):
+        radius = draw(positive)
+        vessels.append(
+            Vessel(
+                id=ids[i],
+                name=draw(words),
+                length_cm=draw(positive),
+                radius_cm=radius,
+                radius_out_cm=draw(st.one_of(st.just(radius), positive)),
+                parent=None if parents[i] is None else ids[parents[i]],
+                windkessel=None if i in parents else draw(loads),
+            )
+        )
+    vessels = draw(st.permutations(vessels))
+    period = draw(st.floats(1e-3, 10.0))
+    n_inflow, n_times = draw(st.integers(MIN_SAMPLES, 24)), draw(st.integers(MIN_SAMPLES, 24))
+    inflow = draw(st.lists(st.floats(-1, 10), min_size=n_inflow, max_size=n_inflow))
+    inflow[0] = 1.0 + n_inflow  # a positive mean
+    offset = draw(st.floats(0, 0.8)) * period / n_times
+    places = draw(
+        st.lists(
+            st.tuples(
+                st.sampled_from(ids), st.floats(0, 1).map(lambda x: x + 0.0), st.sampled_from(QUANTITIES)
+            ),
+            max_size=3,
+            unique=True,
+        )
+    )
+    series = []
+    for vessel, position, quantity in places:
+        values = draw(st.lists(finite, min_size=n_times, max_size=n_times))
+        values = [abs(v) + 1e-3 for v in values] if quantity == "area_cm2" else values
+        series.append(Series(vessel, position, quantity, np.array(values)))
+    conventions = draw(
+        st.sampled_from([PRINTED, PUBLISHED_CODE, PUBLISHED_CODE.replace(friction="rest", mmhg=1333.0)])
+    )
+    return Study(
+        name=draw(words),
+        period_s=period,
+        blood=Blood(draw(positive), draw(positive)),
+        vessels=tuple(vessels),
+        inflow_time_s=np.arange(n_inflow) * (period / n_inflow),
+        inflow_ml_s=np.array(inflow),
+        time_s=offset + np.arange(n_times) * (period / n_times) if series else np.empty(0),
+        series=tuple(series),
+        conventions=conventions,
+    )
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(study=studies())
+def test_round_trip_is_exact(tmp_path: Path, study: Study) -> None:
+    save_study(study, tmp_path / "x" / "y")
+    again = load_study(tmp_path / "x" / "y")
+    assert again.name == study.name
+    assert again.vessels == study.vessels
+    assert again.blood == study.blood
+    assert again.conventions == study.conventions
+    assert again.checksum == study.checksum
+    assert again == study
+    for name in ("inflow_time_s", "inflow_ml_s", "time_s", "values"):
+        assert getattr(again, name).tobytes() == getattr(study, name).tobytes(), name
+
+
+@settings(max_examples=100, deadline=None)
+@given(data=st.data())
+def test_parents_stand_before_children_in_every_tree(data: st.DataObject) -> None:
+    n = data.draw(st.integers(1, 30))
+    parents = [None, *(data.draw(st.integers(0, i - 1)) for i in range(1, n))]
+    tree = [Vessel(i + 1, "v", 1.0, 0.1, 0.1, None if p is None else p + 1) for i, p in enumerate(parents)]
+    shuffled = data.draw(st.permutations(tree))
+    order = sort_vessels(shuffled)
+    assert sorted(order) == list(range(n))
+    seen: set[int | None] = {None}
+    for i in order:
+        assert shuffled[i].parent in seen
+        seen.add(shuffled[i].id)
+    assert sort_vessels([shuffled[i] for i in order]) == list(range(n)), "a sorted tree stays as it is"
+
+
+@settings(max_examples=100, deadline=None)
+@given(data=st.data())
+def test_a_circle_is_found_in_every_tree(data: st.DataObject) -> None:
+    """Giving a vessel one of its own descendants as a parent always makes one."""
+    n = data.draw(st.integers(2, 20))
+    parents = [None, *(data.draw(st.integers(0, i - 1)) for i in range(1, n))]
+    low = data.draw(st.integers(1, n - 1))
+    line = [low]
+    while parents[line[-1]] is not None:
+        line.append(parents[line[-1]])
+    top = data.draw(st.sampled_from(line))
+    parents[top] = low
+    tree = [Vessel(i + 1, "v", 1.0, 0.1, 0.1, None if p is None else p + 1) for i, p in enumerate(parents)]
+    with pytest.raises(StudyError, match="circle") as error:
+        sort_vessels(data.draw(st.permutations(tree)))
+    circle = [int(word) for word in re.findall(r"\((.*)\)", str(error.value))[0].split(" <- ")]
+    assert circle[0] == circle[-1]
+    for child, parent in pairwise(circle):
+        assert parents[child - 1] == parent - 1
+
+
+# ---------------------------------------------------------------------------------------------------
+# Studies that exist
+
+
+def test_mouse_c6_network_in_the_package() -> None:
+    """The published number of vessels and of outlets, and loads with the published share and tau."""
+    folder = Path(zoo.__file__).parent / "data" / "mouse-c6"
+    table = tomllib.loads((folder / "network.toml").read_text())
+    assert len(table["vessel"]) == 21
+    loads = [v["windkessel"] for v in table["vessel"] if "windkessel" in v]
+    assert len(loads) == 11
+    for load in loads:
+        total = load["R1"] + load["R2"]
+        assert load["R1"] / total == pytest.approx(0.2, rel=1e-9)
+        assert min(abs(total * load["C"] - tau) for tau in (0.1341, 0.1402525)) < 1e-7
+
+
+@pytest.mark.needs_data
+def test_mouse_c6(data_dir: Path) -> None:
+    study = load_study("mouse-c6")
+    assert study.conventions == PUBLISHED_CODE
+    assert study.period_s == 0.11
+    assert study.source == "built-in study mouse-c6"
+    flow = np.loadtxt(data_dir / "mouse-c6" / "qC6_8192.dat")
+    np.testing.assert_array_equal(study.inflow_ml_s, flow[:8192])
+    assert study.inflow_ml_s.max() == pytest.approx(0.5523)
+    assert study.inflow_ml_s.mean() == pytest.approx(0.169, abs=5e-4)
+    assert study.inflow_time_s[study.inflow_ml_s.argmax()] == pytest.approx(0.0215, abs=1e-4)
+    pressure = np.loadtxt(data_dir / "mouse-c6" / "pC6_1024.dat")
+    assert study.values.shape == (1, 512)
+    assert (study.series[0].vessel, study.series[0].position) == (1, 0.0)
+    np.testing.assert_allclose(study.values[0], (pressure[::2] + pressure[1::2]) / 2, rtol=1e-14)
+    np.testing.assert_allclose(study.time_s, (np.arange(512) * 2 + 0.5) * 0.11 / 1024, rtol=1e-12)
+    assert load_study("mouse-c6", "printed").conventions == PRINTED
+
+
+@pytest.mark.needs_data
+def test_mouse_c6_has_the_published_tree_and_loads(data_dir: Path) -> None:
+    vessels = {v.id: v for v in load_study("mouse-c6").vessels}
+    with open(data_dir / "network" / "mouse21.csv", newline="") as file:
+        for row in csv.DictReader(file):
+            vessel = vessels.pop(int(row["vessel"]))
+            assert vessel.parent == (int(row["parent"]) if row["parent"] else None)
+            assert vessel.length_cm == float(row["length_cm"])
+            assert vessel.radius_cm == vessel.radius_out_cm == float(row["radius_cm"])
+    assert not vessels
+    vessels = {v.id: v for v in load_study("mouse-c6").vessels}
+    pressure_unit, flow_unit, time_unit = 1.055 * 981 * 0.1, 0.1, 0.01
+    with open(data_dir / "network" / "nominal_windkessel.csv", newline="") as file:
+        published = list(csv.DictReader(file))
+    assert {int(row["vessel"]) for row in published} == {v.id for v in vessels.values() if v.windkessel}
+    for row in published:
+        load = vessels[int(row["vessel"])].windkessel
+        assert load is not None
+        resistance = pressure_unit / flow_unit
+        assert load.R1 == pytest.approx(float(row["R1"]) * resistance, rel=1e-9)
+        assert load.R2 == pytest.approx(float(row["R2"]) * resistance, rel=1e-9)
+        assert load.C == pytest.approx(float(row["C"]) * time_unit / resistance, rel=1e-9)
+
+
+@pytest.mark.needs_data
+def test_mouse_c6_against_the_published_solver(data_dir: Path) -> None:
+    """Published solver's waves at model A's medians: sum of squares 64.6 at the first of each pair's time
+    (its authors' figure is 66), and so at the pairs' mean time when the wave is taken there."""
+    study = load_study("mouse-c6")
+    with gzip.open(data_dir / "reference" / "linear_constant_A.csv.gz", "rt") as file:
+        waves = np.loadtxt(file, delimiter=",", skiprows=1, usecols=(0, 1))
+    at_first = np.interp(study.time_s - study.time_s[0], waves[:, 0], waves[:, 1], period=0.11)
+    assert np.sum((at_first - study.values[0]) ** 2) == pytest.approx(64.62, abs=0.01)
+    at_mean = np.interp(study.time_s, waves[:, 0], waves[:, 1], period=0.11)
+    assert np.sum((at_mean - study.values[0]) ** 2) == pytest.approx(65.35, abs=0.02)
+
+
+@pytest.mark.needs_data
+def test_blind_cases(blind_cases: list[Path]) -> None:
+    """All cases of the independent simulator load, with the same tree and loads as mouse-c6."""
+    assert len(blind_cases) == 25
+    mouse = load_study("mouse-c6")
+    for folder in blind_cases:
+        study = load_study(folder)
+        assert study.name == folder.name
+        assert study.conventions == PRINTED
+        assert study.inflow_ml_s.shape == (1024,)
+        np.testing.assert_allclose(study.time_s, np.arange(512) * 0.11 / 512, rtol=1e-12)
+        with open(folder / "observations.csv", newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert study.values.ravel().tolist() == [float(row["value"]) for row in rows]
+        assert len(study.series) == len({(row["vessel"], row["position"]) for row in rows})
+        for own, other in zip(study.vessels, mouse.vessels, strict=True):
+            assert (own.id, own.parent) == (other.id, other.parent)
+            assert (own.length_cm, own.radius_cm) == (other.length_cm, other.radius_cm)
+            if own.windkessel is None or other.windkessel is None:
+                assert own.windkessel == other.windkessel
+            else:
+                for name in ("R1", "R2", "C"):
+                    assert getattr(own.windkessel, name) == pytest.approx(
+                        getattr(other.windkessel, name), rel=1e-8
+                    )
