@@ -34,7 +34,7 @@ def smallest_shift(wanted: float, left: Vessel, right: Vessel) -> float:
     def ratio(shift: float) -> float:
         d = sign * shift
         up = (left.radius_cm + d) ** 4 / (left.length_cm - d)
-        return up / ((right.radius_cm - d) ** 4 / (right.length_cm + d))
+        return float(up / ((right.radius_cm - d) ** 4 / (right.length_cm + d)))
 
     low, high = 0.0, 0.01
     for _ in range(60):
@@ -61,7 +61,7 @@ def with_loads(study: Study, loads: dict[int, Windkessel]) -> list[Vessel]:
 def waves(solver: Solver, point: Sequence[float] | np.ndarray) -> np.ndarray:
     """MPA pressure, mmHg, at stiffness, psi1, psi2 and c."""
     f3, psi1, psi2, c = point
-    return solver.solve(f3, psi1=psi1, psi2=psi2, c=c).pressure_mmHg[0]
+    return np.asarray(solver.solve(f3, psi1=psi1, psi2=psi2, c=c).pressure_mmHg[0])
 
 
 def main() -> None:
