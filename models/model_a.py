@@ -1,4 +1,7 @@
-"""Model A: linear wall, one stiffness, independent errors (Paun et al. 2020, doi 10.1098/rsif.2020.0886)."""
+"""Model A: linear wall, one stiffness, independent errors.
+
+Paun et al. 2020, doi 10.1098/rsif.2020.0886.
+"""
 
 from __future__ import annotations
 

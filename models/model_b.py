@@ -1,4 +1,7 @@
-"""Model B: linear wall, one stiffness, correlated errors (Paun et al. 2020, doi 10.1098/rsif.2020.0886)."""
+"""Model B: linear wall, one stiffness, correlated errors.
+
+Paun et al. 2020, doi 10.1098/rsif.2020.0886.
+"""
 
 from __future__ import annotations
 

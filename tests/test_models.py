@@ -28,18 +28,23 @@ pytestmark = pytest.mark.filterwarnings(
 )
 
 # Table 2 of Paun et al. 2020: wall, error, bounds of the uniform priors, bounds of the log-uniform ones
-TABLE_2 = {
-    "A": (
-        "linear",
-        "iid",
-        {"f3": (2e4, 1e5), "psi1": (0.05, 2.5), "psi2": (0.05, 2.5), "c": (0.05, 2.5)},
-        {},
-    ),
-    "B": (
-        "linear",
+SCALES = {"psi1": (0.05, 2.5), "psi2": (0.05, 2.5), "c": (0.05, 2.5)}
+CONSTANT = {"f3": (2e4, 1e5)}
+BY_RADIUS = {"f1": (1e3, 1e7), "f2": (-300, -50), "f3": (3e4, 6e4)}
+GAMMA = {"gamma": (1, 2 * np.pi)}
+GP_BOUNDS = {"w": (1e4, 9e4), "b": (1, 500)}
+TABLE_2: dict[str, tuple[str, str, dict[str, tuple[float, float]], dict[str, tuple[float, float]]]] = {
+    "A": ("linear", "iid", CONSTANT | SCALES, {}),
+    "B": ("linear", "gp", CONSTANT | SCALES, GP_BOUNDS),
+    "C": ("linear", "gp", CONSTANT | SCALES, GP_BOUNDS),
+    "D": ("linear", "iid", BY_RADIUS | SCALES, {}),
+    "E": ("linear", "gp", BY_RADIUS | SCALES, GP_BOUNDS),
+    "H": ("tangent", "gp", {"f3": (3e4, 5e5)} | GAMMA | SCALES, GP_BOUNDS),
+    "I": (
+        "tangent",
         "gp",
-        {"f3": (2e4, 1e5), "psi1": (0.05, 2.5), "psi2": (0.05, 2.5), "c": (0.05, 2.5)},
-        {"w": (1e4, 9e4), "b": (1, 500)},
+        {"f1": (5e3, 1e5), "f2": (-200, 0), "f3": (1e4, 5e5)} | GAMMA | SCALES,
+        GP_BOUNDS,
     ),
 }
 NAMES = list(MODELS)
@@ -89,7 +94,8 @@ def test_priors_are_those_of_table_2(name: str, study: Study) -> None:
     assert set(priors) == set(model.zoo.parameters)
     for parameter, prior in priors.items():
         low, high = (uniform | log_uniform).get(parameter, (1e-3, 10.0))
-        x = np.array([low / 2, low * 1.001, (low + high) / 2, high * 0.999, high * 2])
+        inside = np.linspace(low, high, 7)[1:-1]
+        x = np.array([low - 1e-3 * (high - low), *inside, high + 1e-3 * (high - low)])
         np.testing.assert_allclose(pm.logp(model[parameter], x).eval(), prior.logpdf(x), err_msg=parameter)
 
 
@@ -170,7 +176,10 @@ def test_sampling_waic_and_predictive_draws_of_all(study: Study) -> None:
     idatas = {}
     for name in NAMES:
         model = get_model(name)(study)
-        idata = sample(model, initvals={p: TRUTH[p] for p in model.zoo.parameters})
+        idata = sample(
+            model,
+            initvals=suggested(model.zoo.name) | {p: TRUTH[p] for p in model.zoo.parameters if p in TRUTH},
+        )
         assert set(idata.posterior) == set(model.zoo.parameters)
         pm.compute_log_likelihood(idata, model=model, progressbar=False)
         assert idata.log_likelihood["y"].dims == ("chain", "draw", "series", "time")
