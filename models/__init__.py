@@ -16,7 +16,7 @@ if __name__ != "zoo.models":
         "a second copy under another name would not be the one that the package uses"
     )
 
-MODELS = ("A", "B", "C", "D", "E", "H", "I")
+MODELS = ("A", "B", "C", "D", "E", "F", "G", "H", "I")
 
 
 def _module(name: str) -> tuple[Any, str]:

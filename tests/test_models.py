@@ -31,6 +31,7 @@ pytestmark = pytest.mark.filterwarnings(
 SCALES = {"psi1": (0.05, 2.5), "psi2": (0.05, 2.5), "c": (0.05, 2.5)}
 CONSTANT = {"f3": (2e4, 1e5)}
 BY_RADIUS = {"f1": (1e3, 1e7), "f2": (-300, -50), "f3": (3e4, 6e4)}
+POPULATION = {"m_chi": (1e4, 1.1e5), "v_chi": (0.5, 30), "z_chi": (-2, 2)}  # where their priors are compared
 GAMMA = {"gamma": (1, 2 * np.pi)}
 GP_BOUNDS = {"w": (1e4, 9e4), "b": (1, 500)}
 TABLE_2: dict[str, tuple[str, str, dict[str, tuple[float, float]], dict[str, tuple[float, float]]]] = {
@@ -39,6 +40,8 @@ TABLE_2: dict[str, tuple[str, str, dict[str, tuple[float, float]], dict[str, tup
     "C": ("linear", "gp", CONSTANT | SCALES, GP_BOUNDS),
     "D": ("linear", "iid", BY_RADIUS | SCALES, {}),
     "E": ("linear", "gp", BY_RADIUS | SCALES, GP_BOUNDS),
+    "F": ("linear", "iid", POPULATION | SCALES, {}),
+    "G": ("linear", "gp", POPULATION | SCALES, GP_BOUNDS),
     "H": ("tangent", "gp", {"f3": (3e4, 5e5)} | GAMMA | SCALES, GP_BOUNDS),
     "I": (
         "tangent",
@@ -57,10 +60,16 @@ def study() -> Study:
     return small_study()
 
 
+def shape_of(model: pm.Model, name: str) -> tuple[int, ...]:
+    """Of one free parameter."""
+    return tuple(int(n) for n in model[name].shape.eval())
+
+
 def likelihood_terms(model: pm.Model, parameters: dict[str, float]) -> np.ndarray:
     """Terms of "y" at values of the free parameters."""
     names = list(model.zoo.parameters)
-    idata = az.from_dict(posterior={name: np.array([[parameters[name]]]) for name in names})
+    values = {name: np.broadcast_to(parameters[name], shape_of(model, name)) for name in names}
+    idata = az.from_dict(posterior={name: value[None, None] for name, value in values.items()})
     return (
         pm.compute_log_likelihood(idata, model=model, progressbar=False).log_likelihood["y"].to_numpy()[0, 0]
     )
@@ -89,6 +98,12 @@ def test_priors_are_those_of_table_2(name: str, study: Study) -> None:
     assert model.zoo.parameters == (*uniform, *ERROR_PARAMETERS[error])
     priors = {p: stats.uniform(low, high - low) for p, (low, high) in uniform.items()}
     priors |= {p: stats.loguniform(low, high) for p, (low, high) in log_uniform.items()}
+    if "m_chi" in priors:
+        priors |= {
+            "m_chi": stats.norm(6e4, 1.5e4),
+            "v_chi": stats.invgamma(3, scale=7.78),
+            "z_chi": stats.norm(),
+        }
     if error == "iid":
         priors["sigma2"] = stats.invgamma(0.001, scale=0.001)
     assert set(priors) == set(model.zoo.parameters)
@@ -96,7 +111,37 @@ def test_priors_are_those_of_table_2(name: str, study: Study) -> None:
         low, high = (uniform | log_uniform).get(parameter, (1e-3, 10.0))
         inside = np.linspace(low, high, 7)[1:-1]
         x = np.array([low - 1e-3 * (high - low), *inside, high + 1e-3 * (high - low)])
-        np.testing.assert_allclose(pm.logp(model[parameter], x).eval(), prior.logpdf(x), err_msg=parameter)
+        # one value of each component of a vector at a time
+        found = [pm.logp(model[parameter], np.full(shape_of(model, parameter), v)).eval().flat[0] for v in x]
+        np.testing.assert_allclose(found, prior.logpdf(x), err_msg=parameter)
+
+
+@pytest.mark.parametrize("name", ["F", "G"])
+def test_prior_of_each_vessels_stiffness(name: str, study: Study) -> None:
+    """Table 2: 90 % of it in (2e4, 1e5)."""
+    model = get_model(name)(study)
+    chi = pm.draw(model["chi"], draws=20_000, random_seed=4)
+    assert chi.shape[1:] == (len(Network.from_study(study).ids),)
+    assert np.mean((chi > 2e4) & (chi < 1e5)) == pytest.approx(0.9, abs=0.01)
+    # information is shared: the stiffnesses of two vessels are correlated
+    assert 0.2 < np.corrcoef(chi[:, 0], chi[:, 1])[0, 1] < 0.6
+
+
+@pytest.mark.parametrize("name", ["F", "G"])
+def test_limits_of_the_population(name: str, study: Study) -> None:
+    """Its variance gone, all vessels are equal, which is model A or B; its variance large, they are free."""
+    values = suggested(name) | {"sigma2": 0.3, "w": 3e4, "b": 40.0}
+    z = np.linspace(-1, 1, len(Network.from_study(study).ids))
+    equal = likelihood_terms(get_model(name)(study), values | {"v_chi": 1e-16, "z_chi": z})
+    simple = likelihood_terms(get_model({"F": "A", "G": "B"}[name])(study), values | {"f3": values["m_chi"]})
+    np.testing.assert_allclose(equal, simple, rtol=1e-6, atol=1e-5)
+    model = get_model(name)(study)
+    stiff = {"m_chi": 5e4, "v_chi": 1e6, "z_chi": (np.geomspace(2e4, 9e4, len(z)) - 5e4) / 1e7}
+    chi = model.replace_rvs_by_values([model["chi"]])[0]
+    point = {model.rvs_to_values[model[k]]: v for k, v in stiff.items()}
+    del point[model.rvs_to_values[model["v_chi"]]]
+    free = chi.eval(point | {model.rvs_to_values[model["v_chi"]]: np.log(1e6)})
+    np.testing.assert_allclose(free, np.geomspace(2e4, 9e4, len(z)))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -172,15 +217,21 @@ def sample(model: pm.Model, draws: int = 30, **settings: Any) -> az.InferenceDat
         )
 
 
+def start(model: pm.Model) -> dict[str, Any]:
+    """Suggested values, and the truth where it is known."""
+    values = suggested(model.zoo.name) | {p: TRUTH[p] for p in model.zoo.parameters if p in TRUTH}
+    return {name: np.broadcast_to(value, shape_of(model, name)) for name, value in values.items()}
+
+
 def test_sampling_waic_and_predictive_draws_of_all(study: Study) -> None:
     idatas = {}
     for name in NAMES:
         model = get_model(name)(study)
         idata = sample(
             model,
-            initvals=suggested(model.zoo.name) | {p: TRUTH[p] for p in model.zoo.parameters if p in TRUTH},
+            initvals=start(model),
         )
-        assert set(idata.posterior) == set(model.zoo.parameters)
+        assert set(idata.posterior) - {"chi"} == set(model.zoo.parameters)
         pm.compute_log_likelihood(idata, model=model, progressbar=False)
         assert idata.log_likelihood["y"].dims == ("chain", "draw", "series", "time")
         assert np.all(np.isfinite(idata.log_likelihood["y"]))
