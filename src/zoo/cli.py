@@ -1,0 +1,825 @@
+"""The command `zoo`: fetch data, simulate, sample, compare; each command imports what it needs."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+
+import typer
+
+if TYPE_CHECKING:
+    import arviz as az
+    import numpy as np
+    import xarray as xr
+
+    from zoo.conventions import Conventions
+    from zoo.solver import Solution
+    from zoo.study import Study
+
+POSITIONS = (0.0, 0.5, 1.0)
+QUANTITIES = ("pressure_mmHg", "flow_ml_s", "area_cm2")
+DEFAULT_ESS = 400.0
+FIRST_CHECK = 500
+
+app = typer.Typer(
+    name="zoo",
+    help="Bayesian models of pulmonary blood flow: from one beat of measurements to a comparison of models.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+_debug = False
+
+
+class UsageError(ValueError):
+    """An option that cannot be used; its text says what to change."""
+
+
+@app.callback()
+def main(
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
+) -> None:
+    """Options of all commands."""
+    global _debug
+    _debug = debug or bool(os.environ.get("ZOO_DEBUG"))
+
+
+Command = TypeVar("Command", bound=Callable[..., None])
+
+
+def _reporting(command: Command) -> Command:
+    """Turn errors into one red line and an exit code: 2 for what the user can change, 1 for our faults."""
+
+    @functools.wraps(command)
+    def run(*args: Any, **kwargs: Any) -> None:
+        try:
+            command(*args, **kwargs)
+        except typer.Exit:
+            raise
+        except KeyboardInterrupt:
+            _complain("interrupted; the same command goes on from its checkpoint if it has one")
+            raise typer.Exit(130) from None
+        except Exception as error:
+            if _debug:
+                raise
+            ours = any(kind.__module__.split(".")[0] in ("zoo", __name__) for kind in type(error).__mro__)
+            text = " ".join(str(error).split()) or type(error).__name__
+            if ours or isinstance(error, OSError):
+                _complain(text)
+                raise typer.Exit(2) from None
+            _complain(f"unexpected {type(error).__name__}: {text}; `zoo --debug ...` shows where")
+            raise typer.Exit(1) from None
+
+    return run  # type: ignore[return-value]
+
+
+def _complain(text: str) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    Console(stderr=True).print(Text(f"error: {text}", style="red"), soft_wrap=True)
+
+
+def _say(*lines: Any) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    for line in lines:
+        Console().print(line, highlight=False, soft_wrap=isinstance(line, str | Text))
+
+
+# -------------------------------------------------------------------------------------------------
+# options that several commands share
+
+StudyArgument = Annotated[
+    str, typer.Argument(metavar="STUDY", help="A built-in study (see `zoo studies`) or a folder.")
+]
+ConventionsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--conventions", help="printed or published-code, instead of the study's own.", metavar="NAME"
+    ),
+]
+WallFactor = Annotated[
+    float | None, typer.Option("--wall-factor", help="Factor k of the tangent wall: p = k chi tan(...).")
+]
+RadiusUnit = Annotated[
+    float | None, typer.Option("--stiffness-radius-unit", help="Unit of r0 in eq. 3.5, cm.", metavar="CM")
+]
+Friction = Annotated[
+    str | None, typer.Option("--friction", help="Radius of the friction term: current, rest or fixed.")
+]
+FrictionRadius = Annotated[
+    float | None, typer.Option("--friction-radius", help="That of `--friction fixed`, cm.", metavar="CM")
+]
+Truncate = Annotated[
+    bool | None,
+    typer.Option("--truncate-lengths/--true-lengths", help="Vessels of whole cells of 0.025 cm, or true."),
+]
+Mmhg = Annotated[float | None, typer.Option("--mmhg", help="dyn/cm2 in 1 mmHg.")]
+Dx = Annotated[
+    float | None, typer.Option("--dx", help="Target cell length, cm (default 0.025).", metavar="CM")
+]
+Steps = Annotated[int | None, typer.Option("--steps", help="Time steps in a beat; 0 chooses them.")]
+Tolerance = Annotated[
+    float | None,
+    typer.Option("--tolerance", help="Accepted distance from the periodic state, mmHg.", metavar="MMHG"),
+]
+
+
+def _load(name: str, conventions: str | None, switches: Mapping[str, Any]) -> Study:
+    """Study with the conventions of the options: a name, single switches, or both."""
+    from zoo.conventions import get_conventions
+    from zoo.study import load_study
+
+    given = {switch: value for switch, value in switches.items() if value is not None}
+    wanted: Conventions | None = None
+    if conventions is not None or given:
+        base = get_conventions(conventions) if conventions is not None else load_study(name).conventions
+        wanted = base.replace(**given)
+    return load_study(name, wanted)
+
+
+def _switches(
+    wall_factor: float | None,
+    radius_unit: float | None,
+    friction: str | None,
+    friction_radius: float | None,
+    truncate: bool | None,
+    mmhg: float | None,
+) -> dict[str, Any]:
+    return {
+        "wall_factor": wall_factor,
+        "stiffness_radius_unit_cm": radius_unit,
+        "friction": friction,
+        "friction_radius_cm": friction_radius,
+        "truncate_lengths": truncate,
+        "mmhg": mmhg,
+    }
+
+
+def _options(dx: float | None, steps: int | None, tolerance: float | None) -> Any:
+    from zoo.solver import SolverOptions
+
+    given: dict[str, Any] = {"dx_cm": dx, "steps_per_beat": steps, "tolerance_mmHg": tolerance}
+    return SolverOptions(**{name: value for name, value in given.items() if value is not None})
+
+
+def _numbers(option: str, text: str, study: Study) -> list[float]:
+    """One value, or one for each vessel in the order of the study's network file."""
+    values = []
+    for part in text.split(","):
+        try:
+            values.append(float(part))
+        except ValueError:
+            raise UsageError(
+                f"{option} {text}: {part.strip()!r} is not a number; write 5.17e4 or 4e4,5e4"
+            ) from None
+        if not math.isfinite(values[-1]):
+            raise UsageError(f"{option} {text}: {part.strip()!r} is not finite; give a finite number")
+    n = len(study.vessels)
+    if len(values) not in (1, n):
+        raise UsageError(
+            f"{option}: {len(values)} values; give one for all vessels, or one for each of the {n} vessels "
+            f"of {study.name}, with commas between them"
+        )
+    return values
+
+
+def _parent_exists(path: Path) -> Path:
+    if not path.parent.is_dir():
+        raise UsageError(f"{path}: folder {path.parent} does not exist; create it or choose another path")
+    return path
+
+
+# -------------------------------------------------------------------------------------------------
+# data
+
+
+@app.command()
+@_reporting
+def fetch(name: Annotated[str, typer.Argument(metavar="NAME", help="Data set, such as mouse-c6.")]) -> None:
+    """Get measured data: from ZOO_DATA_DIR, this user's cache or the public source, checked by SHA-256."""
+    from zoo.fetch import fetch_dataset
+
+    for path in fetch_dataset(name):
+        _say(f"{path}  [green]sha256 as expected[/green]")
+
+
+@app.command()
+@_reporting
+def studies() -> None:
+    """List the built-in studies."""
+    from rich.table import Table
+
+    from zoo.fetch import FetchError
+    from zoo.study import list_studies, load_study
+
+    table = Table("study", "vessels", "period (s)", "observed", "conventions", box=None, pad_edge=False)
+    for name in list_studies():
+        try:
+            study = load_study(name)
+        except FetchError:
+            table.add_row(name, "", "", f"its data are missing: zoo fetch {name}", "")
+            continue
+        observed = ", ".join(f"{s.label} ({len(s.value)} samples)" for s in study.series) or "nothing"
+        table.add_row(name, str(len(study.vessels)), f"{study.period_s:g}", observed, study.conventions.name)
+    _say(table)
+
+
+@app.command()
+@_reporting
+def version() -> None:
+    """Versions of this package and of the libraries that shape the draws."""
+    from zoo.results import versions
+
+    for name, value in versions().items():
+        _say(f"{name} {value}")
+
+
+# -------------------------------------------------------------------------------------------------
+# simulate
+
+
+@app.command()
+@_reporting
+def simulate(
+    study: StudyArgument,
+    wall: Annotated[str, typer.Option("--wall", help="linear (eq. 3.3) or tangent (eq. 3.4).")] = "linear",
+    stiffness: Annotated[
+        str | None,
+        typer.Option("--stiffness", help="chi, g/(cm s2): one value, or one per vessel with commas."),
+    ] = None,
+    f1: Annotated[float | None, typer.Option("--f1", help="chi = f1 exp(f2 r0) + f3 (eq. 3.5).")] = None,
+    f2: Annotated[float | None, typer.Option("--f2", help="See --f1.")] = None,
+    f3: Annotated[float | None, typer.Option("--f3", help="See --f1; alone it is the stiffness.")] = None,
+    gamma: Annotated[
+        str | None, typer.Option("--gamma", help="Of the tangent wall: one value, or one per vessel.")
+    ] = None,
+    psi1: Annotated[str, typer.Option("--psi1", help="Factor on R1: one value, or one per vessel.")] = "1",
+    psi2: Annotated[str, typer.Option("--psi2", help="Factor on R2.")] = "1",
+    c: Annotated[str, typer.Option("--c", help="Factor on C.")] = "1",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="waves.nc, or waves.csv in the long format.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="Figure of the waves: .png, .pdf or .svg.")
+    ] = None,
+    times: Annotated[int, typer.Option("--times", help="Times in the beat, from its start.")] = 512,
+    conventions: ConventionsOption = None,
+    wall_factor: WallFactor = None,
+    stiffness_radius_unit: RadiusUnit = None,
+    friction: Friction = None,
+    friction_radius: FrictionRadius = None,
+    truncate_lengths: Truncate = None,
+    mmhg: Mmhg = None,
+    dx: Dx = None,
+    steps: Steps = None,
+    tolerance: Tolerance = None,
+) -> None:
+    """Solve at one set of parameters: every vessel at positions 0, 0.5 and 1; pressure, flow and area."""
+    import numpy as np
+
+    from zoo.network import Network
+    from zoo.solver import Solver
+
+    switches = _switches(
+        wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg
+    )
+    loaded = _load(study, conventions, switches)
+    network = Network.from_study(loaded)
+    if output is not None and _parent_exists(output).suffix not in (".nc", ".csv"):
+        raise UsageError(f"--output {output}: unknown ending {output.suffix!r}; use .nc or .csv")
+    if plot is not None:
+        _parent_exists(plot)
+    if times < 2:
+        raise UsageError(f"--times {times}: give at least 2 times in the beat")
+    if wall == "tangent" and gamma is None:
+        raise UsageError("--wall tangent needs --gamma, such as --gamma 5.2")
+    if wall == "linear" and gamma is not None:
+        raise UsageError("--gamma belongs to the tangent wall: add --wall tangent, or leave it out")
+    order = [[v.id for v in loaded.vessels].index(int(i)) for i in network.ids]
+
+    def each(option: str, text: str) -> np.ndarray:
+        values = np.array(_numbers(option, text, loaded))
+        return values[order] if len(values) > 1 else np.full(len(order), values[0])
+
+    parameters: dict[str, Any] = {
+        "stiffness": _stiffness(stiffness, f1, f2, f3, loaded, network.radius_in_cm, each),
+        "gamma": each("--gamma", gamma if gamma is not None else "2"),
+        "psi1": each("--psi1", psi1),
+        "psi2": each("--psi2", psi2),
+        "c": each("--c", c),
+    }
+    options = _options(dx, steps, tolerance)
+    time_s = np.arange(times) * loaded.period_s / times
+    places = [(int(i), p) for i in network.ids for p in POSITIONS]
+    solver = Solver.for_study(loaded, wall, series=places, times_s=time_s, options=options)
+    solution = solver.solve(**parameters)
+    waves = _waves(solution, [int(i) for i in network.ids], time_s)
+    waves.attrs |= {
+        "study": loaded.name,
+        "study_checksum": loaded.checksum,
+        "conventions": loaded.conventions.name,
+        "wall": wall,
+        "beats": solution.beats,
+        "steps_per_beat": solution.steps_per_beat,
+        "distance_from_periodic_state_mmHg": solution.distance_mmHg,
+    }
+    for name, values in parameters.items():
+        waves[name] = ("vessel", values)
+    if output is not None:
+        _write_waves(waves, output)
+    if plot is not None:
+        from zoo.plots import save_figure, waves_figure
+
+        save_figure(waves_figure(waves, loaded), plot)
+    error = None
+    if loaded.series:
+        at_data = Solver.for_study(loaded, wall, options=options).solve(**parameters)
+        rows = [getattr(at_data, s.quantity)[i] - s.value for i, s in enumerate(loaded.series)]
+        error = float(np.sum(np.square(rows)))
+    _say(*_simulation_summary(loaded, wall, waves, solution, error))
+    _say(*(f"wrote {path}" for path in (output, plot) if path is not None))
+
+
+def _stiffness(
+    stiffness: str | None,
+    f1: float | None,
+    f2: float | None,
+    f3: float | None,
+    study: Study,
+    radius_cm: np.ndarray,
+    each: Callable[[str, str], np.ndarray],
+) -> np.ndarray:
+    from zoo.network import stiffness_profile
+
+    profile = [f1, f2, f3]
+    if stiffness is not None:
+        if any(value is not None for value in profile):
+            raise UsageError("--stiffness and --f1 --f2 --f3 are two ways to say the same: give one of them")
+        return each("--stiffness", stiffness)
+    if f3 is None:
+        raise UsageError("no stiffness: give --stiffness 5.17e4, or --f3 (with --f1 and --f2 for eq. 3.5)")
+    if (f1 is None) != (f2 is None):
+        raise UsageError(
+            "--f1 and --f2 belong together in chi = f1 exp(f2 r0) + f3: give both, or --f3 alone"
+        )
+    unit = study.conventions.stiffness_radius_unit_cm
+    return stiffness_profile(radius_cm, f1 or 0.0, f2 or 0.0, f3, unit)
+
+
+def _waves(solution: Solution, vessels: Sequence[int], time_s: np.ndarray) -> xr.Dataset:
+    """Dataset with dimensions vessel, position, time."""
+    import xarray as xr
+
+    shape = (len(vessels), len(POSITIONS), len(time_s))
+    units = {"pressure_mmHg": "mmHg", "flow_ml_s": "ml/s", "area_cm2": "cm2"}
+    waves = xr.Dataset(
+        {
+            quantity: (
+                ("vessel", "position", "time"),
+                getattr(solution, quantity).reshape(shape),
+                {"units": unit},
+            )
+            for quantity, unit in units.items()
+        },
+        coords={
+            "vessel": list(vessels),
+            "position": list(POSITIONS),
+            "time": ("time", time_s, {"units": "s"}),
+        },
+    )
+    return waves
+
+
+def _write_waves(waves: xr.Dataset, path: Path) -> None:
+    if path.suffix == ".nc":
+        waves.to_netcdf(path, engine="h5netcdf")
+        return
+    time_s = [f"{t:.9g}" for t in waves["time"].to_numpy()]
+    with open(path, "w", newline="") as file:
+        file.write("vessel,position,quantity,time_s,value\n")
+        for vessel in waves["vessel"].to_numpy():
+            for position in POSITIONS:
+                for quantity in QUANTITIES:
+                    values = waves[quantity].sel(vessel=vessel, position=position).to_numpy()
+                    head = f"{vessel},{position:g},{quantity}"
+                    file.writelines(f"{head},{t},{v:.9g}\n" for t, v in zip(time_s, values, strict=True))
+
+
+def _simulation_summary(
+    study: Study, wall: str, waves: xr.Dataset, solution: Solution, sse: float | None
+) -> list[str]:
+    root = next(v for v in study.vessels if v.parent is None)
+    pressure = waves["pressure_mmHg"].sel(vessel=root.id, position=0.0).to_numpy()
+    flow = waves["flow_ml_s"].sel(vessel=root.id, position=0.0).to_numpy()
+    lines = [
+        f"[bold]{study.name}[/bold]: {wall} wall, conventions {study.conventions.name}",
+        f"pressure at the inlet of {root.name or f'vessel {root.id}'}: systolic {pressure.max():.2f}, "
+        f"diastolic {pressure.min():.2f}, mean {pressure.mean():.2f} mmHg; mean flow {flow.mean():.4f} ml/s",
+        f"periodic after {solution.beats} beats of {solution.steps_per_beat} steps, "
+        f"{solution.distance_mmHg:.1g} mmHg from the periodic state; status: {solution.reason or 'ok'}",
+    ]
+    if sse is not None:
+        n = sum(len(s.value) for s in study.series)
+        lines.append(f"sum of squared errors against the {n} observed values: {sse:.4g}")
+    return lines
+
+
+# -------------------------------------------------------------------------------------------------
+# sample
+
+
+def _model_names() -> tuple[str, ...]:
+    import zoo
+
+    return tuple(sorted(n.removeprefix("model_") for n in zoo.__all__ if n.startswith("model_")))
+
+
+def _model_name(name: str) -> str:
+    names = _model_names()
+    if name.strip().upper() not in names:
+        raise UsageError(f"model {name!r}: unknown; there is {', '.join(names)}")
+    return name.strip().upper()
+
+
+def _model(name: str, study: Study) -> Any:
+    import zoo
+
+    return getattr(zoo, f"model_{name}")(study)
+
+
+def _until(text: str | None, draws: int | None) -> float | None:
+    """Effective sample size to reach; None for a fixed number of draws."""
+    if text is None:
+        return DEFAULT_ESS if draws is None else None
+    if text.lower() == "none":
+        return None
+    name, _, number = text.partition("=")
+    try:
+        value = float(number)
+    except ValueError:
+        value = math.nan
+    if name.strip().lower() != "ess" or not (math.isfinite(value) and value > 0):
+        raise UsageError(
+            f"--until {text}: write --until ess=400, or --until none for a fixed number of draws"
+        )
+    return value
+
+
+DrawsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--draws", help="Stored draws of each chain; without it, until converged.", show_default=False
+    ),
+]
+TuneOption = Annotated[
+    int | None, typer.Option("--tune", help="Steps to adapt, thrown away.", show_default=False)
+]
+ChainsOption = Annotated[int, typer.Option("--chains", help="Chains; at least 4 for a verdict.")]
+CoresOption = Annotated[
+    int | None, typer.Option("--cores", help="Processes at a time; all cores by default.", show_default=False)
+]
+StepOption = Annotated[str, typer.Option("--step", help="demetropolisz or metropolis.")]
+ThinOption = Annotated[
+    int | None,
+    typer.Option("--thin", help="Steps for each stored draw; the dimension by default.", show_default=False),
+]
+SeedOption = Annotated[
+    int | None, typer.Option("--seed", help="Seed; recorded if not given.", show_default=False)
+]
+UntilOption = Annotated[
+    str | None,
+    typer.Option(
+        "--until", help="ess=400: go on until every parameter has it and R-hat <= 1.01.", show_default=False
+    ),
+]
+MaxDrawsOption = Annotated[
+    int | None,
+    typer.Option("--max-draws", help="Limit of --until; 20 times the first check.", show_default=False),
+]
+ResumeOption = Annotated[
+    bool,
+    typer.Option("--resume/--fresh", help="Go on from the checkpoint beside the output, or throw it away."),
+]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
+
+
+@app.command()
+@_reporting
+def sample(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="Such as A or B.")],
+    study: StudyArgument,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="NetCDF file; MODEL-STUDY.nc by default.", show_default=False),
+    ] = None,
+    draws: DrawsOption = None,
+    tune: TuneOption = None,
+    chains: ChainsOption = 4,
+    cores: CoresOption = None,
+    step: StepOption = "demetropolisz",
+    thin: ThinOption = None,
+    seed: SeedOption = None,
+    until: UntilOption = None,
+    max_draws: MaxDrawsOption = None,
+    resume: ResumeOption = True,
+    quiet: QuietOption = False,
+    conventions: ConventionsOption = None,
+    wall_factor: WallFactor = None,
+    stiffness_radius_unit: RadiusUnit = None,
+    friction: Friction = None,
+    friction_radius: FrictionRadius = None,
+    truncate_lengths: Truncate = None,
+    mmhg: Mmhg = None,
+) -> None:
+    """Sample a model's posterior on a study, until converged; an interrupted run goes on where it was."""
+    name = _model_name(model)
+    goal = _until(until, draws)
+    switches = _switches(
+        wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg
+    )
+    loaded = _load(study, conventions, switches)
+    path = _parent_exists(Path(f"{name}-{loaded.name}.nc") if output is None else output)
+    settings: dict[str, Any] = {
+        "tune": tune,
+        "chains": chains,
+        "cores": cores or _cores(chains),
+        "step": step,
+        "thin": thin,
+    }
+    settings |= {"seed": seed, "max_draws": max_draws, "draws": draws or FIRST_CHECK, "until_ess": goal}
+    idata = _sample(name, loaded, path, settings, resume=resume, progress=not quiet)
+    _say(*_posterior_summary(idata, goal), f"wrote {path}")
+
+
+def _cores(chains: int) -> int:
+    return max(1, min(chains, os.cpu_count() or 1))
+
+
+def _sample(
+    name: str, study: Study, path: Path, settings: Mapping[str, Any], *, resume: bool, progress: bool
+) -> az.InferenceData:
+    """Run a model with the checkpoint beside its output, and write the output."""
+    from zoo.results import save
+    from zoo.sampling import CheckpointError
+    from zoo.sampling import sample as run
+
+    folder = path.with_suffix(".checkpoint")
+    if not resume:
+        _remove_checkpoint(folder)
+    try:
+        idata = run(_model(name, study), checkpoint=folder, progress=progress, **settings)
+    except CheckpointError as error:
+        raise UsageError(f"{error} (--fresh removes it)") from None
+    save(idata, path)
+    return idata
+
+
+def _remove_checkpoint(folder: Path) -> None:
+    """Delete the files of a checkpoint, and nothing else."""
+    if not folder.is_dir():
+        return
+    for pattern in ("run.json", "start.pkl", "chain-*.pkl", "*.part", "lock"):
+        for file in folder.glob(pattern):
+            file.unlink()
+    try:
+        folder.rmdir()
+    except OSError:
+        raise UsageError(f"{folder}: holds files that are not a checkpoint's; move them away") from None
+
+
+def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]:
+    import numpy as np
+    from rich.table import Table
+    from rich.text import Text
+
+    from zoo.results import ESS_TARGET, RunRecord, scalars, verdict
+
+    found = verdict(idata, ess=goal or ESS_TARGET)
+    table = Table(box=None, pad_edge=False)
+    table.add_column("parameter")
+    for column in ("median", "2.5 %", "97.5 %", "R-hat", "ESS bulk", "ESS tail"):
+        table.add_column(column, justify="right")
+    posterior = idata["posterior"]
+    arrays = {str(n): posterior[n].transpose("chain", "draw", ...).to_numpy() for n in posterior.data_vars}
+    judged = {p.name: p for p in found.parameters}
+    for label, values in scalars(arrays):
+        if label in judged:
+            p = judged[label]
+            cells = [f"{q:.4g}" for q in np.quantile(values, (0.5, 0.025, 0.975))]
+            cells += [f"{p.rhat:.3f}", f"{p.ess_bulk:.0f}", f"{p.ess_tail:.0f}"]
+            table.add_row(label, *cells, style=None if p.passes else "yellow")
+    record = RunRecord.of(idata)
+    failed = ", ".join(f"{n} {status}" for status, n in record.failures.items()) or "none"
+    return [
+        table,
+        Text(found.text, style="green" if found.passes else "yellow"),
+        f"{found.chains} chains of {found.draws} draws, seed {record.seed}; {record.solves} solves "
+        f"({record.solves_per_step:.2f} a step), failed: {failed}; {record.wall_seconds:.0f} s",
+    ]
+
+
+# -------------------------------------------------------------------------------------------------
+# compare
+
+
+@app.command()
+@_reporting
+def compare(
+    study: StudyArgument,
+    models: Annotated[str, typer.Option("--models", help="With commas, such as A,B.")] = "A,B",
+    posteriors: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--posteriors", help="A file, or a folder of files, from `zoo sample`; may be repeated."
+        ),
+    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for table and figures.")] = Path(
+        "comparison"
+    ),
+    criterion: Annotated[
+        Literal["waic", "loo"], typer.Option("--ic", help="What ranks: waic or loo.")
+    ] = "waic",
+    n_draws: Annotated[
+        int, typer.Option("--n-draws", help="Draws of each posterior that are scored.")
+    ] = 1000,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
+    draws: DrawsOption = None,
+    tune: TuneOption = None,
+    chains: ChainsOption = 4,
+    cores: CoresOption = None,
+    seed: SeedOption = None,
+    until: UntilOption = None,
+    max_draws: MaxDrawsOption = None,
+    resume: ResumeOption = True,
+    quiet: QuietOption = False,
+    conventions: ConventionsOption = None,
+    wall_factor: WallFactor = None,
+    stiffness_radius_unit: RadiusUnit = None,
+    friction: Friction = None,
+    friction_radius: FrictionRadius = None,
+    truncate_lengths: Truncate = None,
+    mmhg: Mmhg = None,
+) -> None:
+    """Rank models by how well they predict a study; posteriors that are missing are sampled first."""
+    names = [_model_name(part) for part in models.split(",") if part.strip()]
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise UsageError(f"--models {models}: give at least two different models, such as --models A,B")
+    goal = _until(until, draws)
+    if n_draws < 10:
+        raise UsageError(f"--n-draws {n_draws}: give at least 10")
+    switches = _switches(
+        wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg
+    )
+    loaded = _load(study, conventions, switches)
+    _parent_exists(output.resolve()).mkdir(exist_ok=True)
+    files = _find_posteriors(posteriors or [], output, names)
+    settings: dict[str, Any] = {
+        "tune": tune,
+        "chains": chains,
+        "cores": cores or _cores(chains),
+        "seed": seed,
+    }
+    settings |= {"max_draws": max_draws, "draws": draws or FIRST_CHECK, "until_ess": goal}
+
+    from zoo.comparison import compare as rank
+    from zoo.results import load
+
+    built: dict[str, Any] = {}
+    found: dict[str, Any] = {}
+    for name in names:
+        built[name] = _model(name, loaded)
+        if name in files and resume:
+            found[name] = load(files[name])
+            _check_posterior(found[name], files[name], built[name])
+            _say(f"model {name}: posterior of {files[name]}")
+        else:
+            path = output / f"{name}.nc"
+            found[name] = _sample(name, loaded, path, settings, resume=resume, progress=not quiet)
+            _say(f"model {name}: sampled, wrote {path}")
+    table = rank(found, built, ic=criterion, n_draws=n_draws)
+    table.to_csv(output / "comparison.csv")
+    _say(*_comparison_summary(table, criterion, loaded), f"wrote {output / 'comparison.csv'}")
+    if figures:
+        _figures(table, built, found, loaded, output)
+
+
+def _find_posteriors(given: Sequence[Path], output: Path, names: Sequence[str]) -> dict[str, Path]:
+    """Files with posteriors of the models: those given, by their record, or of an earlier comparison."""
+    from zoo.results import RunRecord, load
+
+    found = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
+    for path in given:
+        if not path.exists():
+            raise UsageError(f"--posteriors {path}: no such file or folder; `zoo sample` writes posteriors")
+        for file in sorted(path.glob("*.nc")) if path.is_dir() else [path]:
+            idata = load(file) if path.is_file() or _is_posterior(file) else None
+            if idata is None:
+                continue
+            name = RunRecord.of(idata).model
+            if name in names:
+                found[name] = file
+            elif path.is_file():
+                raise UsageError(f"--posteriors {file}: is of model {name}, not of {', '.join(names)}")
+    return found
+
+
+def _is_posterior(file: Path) -> bool:
+    from zoo.results import ResultsError, RunRecord, load
+
+    try:
+        RunRecord.of(load(file))
+    except ResultsError:
+        return False
+    return True
+
+
+def _check_posterior(idata: az.InferenceData, path: Path, model: Any) -> None:
+    """Refuse a posterior that was not drawn from this model, study and conventions."""
+    from zoo.results import RunRecord
+
+    record, ours = RunRecord.of(idata), model.zoo
+    for what, found, wanted in (
+        ("model", record.model, ours.name),
+        ("study", record.study, ours.study.name),
+        ("checksum of the study", record.study_checksum, ours.study.checksum),
+        ("conventions", record.conventions.get("name", ""), ours.op.solver.conventions.name),
+    ):
+        if found != wanted:
+            raise UsageError(
+                f"{path}: {what} is {found}, here it is {wanted}; sample again, or give those that belong"
+            )
+
+
+def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
+    from rich.table import Table
+    from rich.text import Text
+
+    name = {"waic": "WAIC", "loo": "PSIS-LOO"}[criterion]
+    title = f"{study.name}: models by {name}, lower is better"
+    shown = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    shown.add_column("model", no_wrap=True)
+    for column in ("WAIC", "SE", "as one", "PSIS-LOO", "diff.", "its SE", "weight", "SSE", "converged"):
+        shown.add_column(column, justify="right", no_wrap=True)
+    for model, row in table.iterrows():
+        shown.add_row(
+            str(model),
+            f"{row['waic']:.1f}",
+            f"{row['waic_se']:.1f}",
+            f"{row['waic_one_observation']:.1f}",
+            f"{row['loo']:.1f}",
+            f"{row['difference']:.1f}",
+            f"{row['difference_se']:.1f}",
+            f"{row['weight']:.2f}",
+            f"{row['sse']:.3g}",
+            "yes" if row["converged"] else "no",
+        )
+    legend = "as one: WAIC with the whole series as one observation, which has no standard error"
+    standing = [f"model {model}: {row['standing']}" for model, row in table.iterrows() if row["rank"] > 0]
+    unsure = [
+        f"model {model}: {row['pareto_k_bad']} points with Pareto k > 0.7: do not trust PSIS-LOO there"
+        for model, row in table.iterrows()
+        if row["pareto_k_bad"] > 0
+    ]
+    notes = [
+        Text(f"model {name}: {row['convergence']}", style="yellow")
+        for name, row in table.iterrows()
+        if not row["converged"]
+    ]
+    return [shown, legend, *standing, *unsure, *notes]
+
+
+def _figures(
+    table: Any, models: Mapping[str, Any], found: Mapping[str, Any], study: Study, output: Path
+) -> None:
+    from zoo.plots import (
+        comparison_figure,
+        fit_figure,
+        pair_figure,
+        predictive_draws,
+        rank_figure,
+        save_figure,
+        trace_figure,
+    )
+
+    save_figure(comparison_figure(table), output / "comparison.png")
+    for name, idata in found.items():
+        names = list(models[name].zoo.parameters)
+        means, predictions = predictive_draws(models[name], idata)
+        fit = fit_figure(study, means, predictions, title=f"model {name} on {study.name}")
+        save_figure(fit, output / f"fit-{name}.png")
+        for kind, draw in (("trace", trace_figure), ("rank", rank_figure), ("pair", pair_figure)):
+            save_figure(draw(idata, names), output / f"{kind}-{name}.png")
+    _say(f"wrote figures to {output}")
+
+
+if __name__ == "__main__":
+    sys.exit(app())

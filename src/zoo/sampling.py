@@ -1,0 +1,450 @@
+"""Markov chain Monte Carlo for models with a costly, gradient-free solver.
+
+The mode is found first, chains run in processes of their own, and a killed run resumes with the same draws.
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+import pymc as pm
+from numpy.typing import ArrayLike
+
+from zoo.chains import Chains, CheckpointError, Task, unpickle, write
+from zoo.mode import LogPosterior, Mode, SamplingError, Start, disperse, find_mode, model_name, search_mode
+from zoo.progress import Display
+from zoo.results import ESS_TARGET, RunRecord, diagnose
+from zoo.steps import Array, DEMetropolisZ, Metropolis
+
+if TYPE_CHECKING:
+    import arviz as az
+
+__all__ = [
+    "CheckpointError",
+    "DEMetropolisZ",
+    "Metropolis",
+    "Mode",
+    "SamplingError",
+    "find_mode",
+    "sample",
+]
+
+CHECKPOINT_FORMAT = 1
+STEPS = ("demetropolisz", "metropolis")
+CRANK_NICOLSON = 0.5
+"""Share of the steps of `sample(step="demetropolisz")` that are Crank-Nicolson moves."""
+
+
+class Folder:
+    """A checkpoint folder: run.json (what is being run), start.pkl, chain-K.pkl; locked while in use."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            self._lock: IO[str] = open(path / "lock", "w")  # noqa: SIM115 (closed by close)
+        except OSError as error:
+            raise CheckpointError(
+                f"{path}: cannot be used as checkpoint folder ({error.strerror}); choose another"
+            ) from None
+        try:
+            import fcntl
+
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except ImportError:  # no such locks on this system
+            pass
+        except OSError:
+            self._lock.close()
+            raise CheckpointError(
+                f"{path}: another run is using this checkpoint folder; wait for it or choose another"
+            ) from None
+
+    def close(self) -> None:
+        """Give the folder free."""
+        self._lock.close()
+
+    def chain(self, chain: int) -> Path:
+        """File of one chain."""
+        return self.path / f"chain-{chain}.pkl"
+
+    def run(self) -> dict[str, Any] | None:
+        """What is stored in run.json, or None."""
+        file = self.path / "run.json"
+        if not file.exists():
+            return None
+        try:
+            content = json.loads(file.read_text())
+            assert isinstance(content["identity"], dict)
+        except (json.JSONDecodeError, KeyError, TypeError, AssertionError):
+            raise CheckpointError(f"{file}: cannot be read; remove the folder to start afresh") from None
+        return dict(content)
+
+    def write_run(self, content: Mapping[str, Any]) -> None:
+        """Store run.json."""
+        text = json.dumps(content, indent=1, sort_keys=True, default=str)
+        write(self.path / "run.json", text.encode())
+
+    def start(self) -> Start | None:
+        """Stored mode and starts, or None."""
+        file = self.path / "start.pkl"
+        if not file.exists():
+            return None
+        found = unpickle(file)
+        if not isinstance(found, Start):
+            raise CheckpointError(f"{file}: not a start; remove the folder to start afresh")
+        return found
+
+    def write_start(self, start: Start) -> None:
+        """Store mode and starts."""
+        write(self.path / "start.pkl", pickle.dumps(start, protocol=5))
+
+
+def _identity(logp: LogPosterior, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What must not change when a run is resumed; the log-posterior at three points stands for all data."""
+    record = getattr(logp.model, "zoo", None)
+    study = getattr(record, "study", None)
+    solver = getattr(getattr(record, "op", None), "solver", None)
+    conventions = getattr(solver, "conventions", None) or getattr(study, "conventions", None)
+    q = logp.vector(logp.initial)
+    rng = np.random.default_rng(20200886)
+    probes = [q, q + 0.05 * rng.standard_normal(len(q)), q + 0.1 * rng.standard_normal(len(q))]
+    identity = {
+        "format": CHECKPOINT_FORMAT,
+        "pymc": pm.__version__,
+        "model": model_name(logp.model),
+        "variables": {v.name: list(np.shape(logp.initial[v.name])) for v in logp.variables},
+        "study": str(getattr(study, "name", "")),
+        "study checksum": str(getattr(study, "checksum", "")),
+        "conventions": _as_dict(conventions),
+        "solver options": _as_dict(getattr(record, "options", None)),
+        "log-posterior at three points": [logp(probe) for probe in probes],
+        **settings,
+    }
+    return dict(json.loads(json.dumps(identity, default=str)))
+
+
+def _as_dict(value: Any) -> dict[str, Any]:
+    if value is None:
+        return {}
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    return dict(value) if isinstance(value, Mapping) else {"value": str(value)}
+
+
+def _check_identity(path: Path, stored: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
+    for name, mine in identity.items():
+        theirs = stored.get(name)
+        if name == "log-posterior at three points" and isinstance(theirs, list) and len(theirs) == len(mine):
+            same = bool(np.allclose(theirs, mine, rtol=1e-9, atol=1e-7))
+        else:
+            same = theirs == mine
+        if not same:
+            raise CheckpointError(
+                f"{path}: checkpoint of another run: {name} is {_short(theirs)} there and {_short(mine)} "
+                "here; use the same settings, another folder, or remove this one"
+            )
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 120 else text[:117] + "..."
+
+
+def sample(
+    model: Any,
+    *,
+    draws: int = 1000,
+    tune: int | None = None,
+    chains: int = 4,
+    cores: int = 2,
+    step: str = "demetropolisz",
+    thin: int | None = None,
+    seed: int | None = None,
+    checkpoint: str | Path | None = None,
+    checkpoint_seconds: float = 30.0,
+    progress: bool = True,
+    until_ess: float | None = None,
+    max_draws: int | None = None,
+    start: Mapping[str, ArrayLike] | Mode | None = None,
+    step_options: Mapping[str, Any] | None = None,
+) -> az.InferenceData:
+    """Sample a model's posterior, resumably, with a process for each chain.
+
+    The mode is found first; the chains start from a t distribution twice as wide as the Gaussian around it.
+    The draws depend on the model, the seed and the settings, not on `cores`, on interruptions or on how long
+    anything took.
+
+    Parameters
+    ----------
+    model : pymc.Model
+        With continuous free variables only.
+    draws : int
+        Stored draws of each chain.
+    tune : int, optional
+        Steps of each chain that are thrown away while the step method adapts; if absent 1000, or 150 for
+        each dimension where that is more.
+    chains : int
+        Chains; fewer than four cannot pass the verdict.
+    cores : int
+        Processes at work at a time, with one thread each.
+    step : {"demetropolisz", "metropolis"}
+        Step method: all variables move jointly.
+    thin : int, optional
+        Steps for each stored draw; the number of dimensions if absent.
+    seed : int, optional
+        Drawn and recorded if absent; a resumed run takes that of its checkpoint.
+    checkpoint : path, optional
+        Folder for the state of the run; if it holds one, the run goes on from there. A finished run can be
+        taken up again with more `draws` or another `until_ess`.
+    checkpoint_seconds : float
+        How often each chain is written, in s.
+    progress : bool
+        Show progress on standard error.
+    until_ess : float, optional
+        Keep going until every parameter has R-hat <= 1.01 and bulk and tail effective sample sizes of this
+        much, or `max_draws` are reached; the first check is after `draws`.
+    max_draws : int, optional
+        Limit of the stored draws of each chain; 20 `draws` if absent.
+    start : mapping or Mode, optional
+        Values to search the mode from, or the result of `find_mode`.
+    step_options : mapping, optional
+        Arguments of the step method instead of the defaults, such as `crank_nicolson=0`.
+
+    Returns
+    -------
+    arviz.InferenceData
+        posterior; sample_stats (for each stored draw: lp, accept, accepted, solves, solver_failures);
+        observed_data; attributes with the run record (`zoo.results.RunRecord.of`).
+
+    Raises
+    ------
+    SamplingError
+        For a setting out of range, a model that cannot be sampled, or a chain that fails.
+    CheckpointError
+        If the checkpoint belongs to another model, study or settings, or is in use.
+
+    References
+    ----------
+    ter Braak, Vrugt (2008), doi 10.1007/s11222-008-9104-9; Vehtari et al. (2021), doi 10.1214/20-BA1221.
+    """
+    _check_settings(draws, tune, chains, cores, step, thin, seed, until_ess, max_draws)
+    began = time.monotonic()
+    folder = None if checkpoint is None else Folder(Path(checkpoint))
+    try:
+        logp = LogPosterior(model)
+        d = len(logp.template.data)
+        tune = max(1000, 150 * d) if tune is None else tune
+        thin = d if thin is None else thin
+        options = _step_options(step, step_options)
+        stored = None if folder is None else folder.run()
+        if seed is None:
+            seed = (
+                int(stored["identity"]["seed"])
+                if stored
+                else int(np.random.SeedSequence().generate_state(1)[0])
+            )
+        settings: dict[str, Any] = {
+            "step": step,
+            "step options": options,
+            "tune": tune,
+            "thin": thin,
+            "chains": chains,
+            "seed": int(seed),
+            "start": _start_settings(start),
+        }
+        identity = _identity(logp, settings)
+        if stored is None:
+            stored = {
+                "identity": identity,
+                "started": datetime.now(UTC).isoformat(timespec="seconds"),
+                "sittings": 0,
+            }
+            stored["wall_seconds"] = 0.0
+        elif folder is not None:
+            _check_identity(folder.path, stored["identity"], identity)
+        stored["sittings"] += 1
+        earlier = float(stored["wall_seconds"])
+        with Display(progress, tune=tune, thin=thin, cores=cores, ess=until_ess) as show:
+            show.say(_opening(model, d, settings, stored))
+            if folder is not None:
+                folder.write_run(stored)
+            beginning = None if folder is None else folder.start()
+            if beginning is None:
+                mode = start if isinstance(start, Mode) else search_mode(logp, start, seed=int(seed))
+                beginning = disperse(logp, mode, chains, int(seed))
+                if folder is not None:
+                    folder.write_start(beginning)
+                show.say(f"mode: log-posterior {mode.logp:.2f} after {mode.evaluations} evaluations")
+            tasks = [
+                Task(
+                    model=model,
+                    chain=chain,
+                    seed=int(seed),
+                    start=beginning.starts[chain],
+                    reference=beginning.reference,
+                    archive=beginning.archive,
+                    step=step,
+                    options=options,
+                    tune=tune,
+                    thin=thin,
+                    checkpoint=None if folder is None else folder.chain(chain).resolve(),
+                    checkpoint_seconds=checkpoint_seconds,
+                )
+                for chain in range(chains)
+            ]
+            fleet = Chains(tasks, cores, show)
+            try:
+                kept = _run(fleet, draws, until_ess, max_draws or 20 * draws)
+            finally:
+                fleet.close()
+                stored["wall_seconds"] = earlier + time.monotonic() - began
+                if folder is not None:
+                    folder.write_run(stored)
+            idata = _inference_data(model, fleet.draws(kept), fleet.stats(kept))
+            record = _record(model, fleet, beginning, stored, settings, kept, draws, until_ess, cores)
+            record.attach(idata)
+            show.say(diagnose(fleet.draws(kept), ess=until_ess or ESS_TARGET).text)
+        return idata
+    finally:
+        if folder is not None:
+            folder.close()
+
+
+def _check_settings(
+    draws: int,
+    tune: int | None,
+    chains: int,
+    cores: int,
+    step: str,
+    thin: int | None,
+    seed: int | None,
+    until_ess: float | None,
+    max_draws: int | None,
+) -> None:
+    least = {
+        "draws": (draws, 1),
+        "tune": (tune, 0),
+        "chains": (chains, 1),
+        "cores": (cores, 1),
+        "thin": (thin, 1),
+        "seed": (seed, 0),
+    }
+    least["max_draws"] = (max_draws, draws)
+    for name, (value, limit) in least.items():
+        if value is not None and (not isinstance(value, int | np.integer) or value < limit):
+            raise SamplingError(f"{name} = {value}: must be a whole number of at least {limit}")
+    if step not in STEPS:
+        raise SamplingError(f"step = {step!r}: must be one of {', '.join(STEPS)}")
+    if until_ess is not None and not (np.isfinite(until_ess) and until_ess > 0):
+        raise SamplingError(f"until_ess = {until_ess}: must be a positive number, such as {ESS_TARGET:.0f}")
+    if until_ess is not None and chains < 2:
+        raise SamplingError(f"chains = {chains}: until_ess needs R-hat, which needs at least 2 chains; use 4")
+
+
+def _step_options(step: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
+    if step == "demetropolisz":
+        options: dict[str, Any] = {"crank_nicolson": CRANK_NICOLSON, "tune_drop_fraction": 0.5}
+    else:
+        options = {"joint": True, "adapt": True}
+    return {**options, **dict(given or {})}
+
+
+def _start_settings(start: Mapping[str, ArrayLike] | Mode | None) -> Any:
+    if start is None:
+        return None
+    if isinstance(start, Mode):
+        return [float(value) for value in start.vector]
+    return {name: np.asarray(value, dtype=float).tolist() for name, value in start.items()}
+
+
+def _opening(model: Any, d: int, settings: Mapping[str, Any], stored: Mapping[str, Any]) -> str:
+    study = getattr(getattr(model, "zoo", None), "study", None)
+    on = f" on {study.name}" if study is not None else ""
+    again = "" if stored["sittings"] == 1 else f", resumed (sitting {stored['sittings']})"
+    return (
+        f"model {model_name(model)}{on}: {d} dimensions, {settings['chains']} chains of {settings['step']}, "
+        f"tune {settings['tune']}, thin {settings['thin']}, seed {settings['seed']}{again}"
+    )
+
+
+def _run(fleet: Chains, draws: int, until_ess: float | None, limit: int) -> int:
+    """Advance the chains to the end; returns the number of draws of each chain that count."""
+    kept = draws
+    fleet.advance(kept)
+    if until_ess is None:
+        return kept
+    while kept < limit:
+        # only numbers of draws and the draws decide where to look, so a resumed run stops where it would have
+        verdict = diagnose(fleet.draws(kept), ess=until_ess)
+        if not verdict.parameters or all(p.passes for p in verdict.parameters):
+            break
+        factor = 1.1 * until_ess / max(verdict.min_ess, 1.0)
+        kept = min(limit, int(np.ceil(kept * float(np.clip(factor, 1.25, 2.0)))))
+        fleet.advance(kept)
+    return kept
+
+
+def _inference_data(model: Any, draws: Mapping[str, Array], stats: Mapping[str, Array]) -> az.InferenceData:
+    import arviz as az
+    from pymc.backends.arviz import find_observations
+
+    dims = {name: list(names) for name, names in model.named_vars_to_dims.items()}
+    coords = {name: np.asarray(values) for name, values in model.coords.items() if values is not None}
+    whole = ("solves", "solver_failures")
+    observed = find_observations(model)
+    idata: az.InferenceData = az.from_dict(
+        posterior=dict(draws),
+        sample_stats={n: v.astype(np.int64) if n in whole else v for n, v in stats.items()},
+        observed_data=observed or None,
+        coords=coords,
+        dims=dims,
+    )
+    return idata
+
+
+def _record(
+    model: Any,
+    fleet: Chains,
+    beginning: Start,
+    stored: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    kept: int,
+    draws: int,
+    until_ess: float | None,
+    cores: int,
+) -> RunRecord:
+    identity = stored["identity"]
+    solves = sum(state.solves for state in fleet.states)
+    steps = sum(state.steps for state in fleet.states)
+    failures: Counter[str] = Counter()
+    for state in fleet.states:
+        failures.update(state.failures)
+    shown = {name: value for name, value in settings.items() if name != "seed"}
+    shown |= {"draws": kept, "first check": draws, "until_ess": until_ess, "cores": cores}
+    return RunRecord(
+        model=model_name(model),
+        study=identity["study"],
+        study_checksum=identity["study checksum"],
+        conventions=identity["conventions"],
+        solver=identity["solver options"],
+        settings=shown,
+        seed=int(settings["seed"]),
+        solves=solves,
+        steps=steps,
+        mode_evaluations=beginning.mode.evaluations,
+        failures=dict(sorted(failures.items())),
+        solves_per_draw=solves / (kept * len(fleet.states)),
+        solves_per_step=solves / max(1, steps),
+        wall_seconds=float(stored["wall_seconds"]),
+        sittings=int(stored["sittings"]),
+        started=str(stored["started"]),
+    )

@@ -1,0 +1,505 @@
+"""Step methods of PyMC's Metropolis family that evaluate the log-posterior once a step and count solves."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+import pymc as pm
+from numpy.typing import ArrayLike, NDArray
+from pymc.blocking import RaveledVars
+from pymc.pytensorf import compile as compile_function
+from pymc.pytensorf import floatX, join_nonshared_inputs
+from pymc.step_methods.arraystep import metrop_select
+from pymc.step_methods.metropolis import DEMetropolisZState, MetropolisState, MultivariateNormalProposal
+from pymc.step_methods.state import dataclass_state
+from pymc.util import get_value_vars_from_user_vars
+from pytensor.compile.mode import Mode as CompileMode
+
+Array = NDArray[np.float64]
+Point = dict[str, np.ndarray]
+StepResult = tuple[RaveledVars, list[dict[str, Any]]]
+
+T_DOF = 5.0
+"""Degrees of freedom of the t distributions that proposals and starts are drawn from."""
+_CN_ACCEPTANCE = 0.25
+_FIRST_REFIT = 200
+
+
+def counting_ops(function: Any) -> list[Any]:
+    """Operations with `counts` in a compiled function, each once (copies of one share its counts)."""
+    found: dict[Any, Any] = {}
+
+    def visit(graph: Any) -> None:
+        for node in graph.apply_nodes:
+            if isinstance(getattr(node.op, "counts", None), Mapping):
+                found.setdefault(getattr(node.op, "key", id(node.op)), node.op)
+            inner = getattr(node.op, "fgraph", None)
+            if inner is not None and inner is not graph:
+                visit(inner)
+
+    visit(function.maker.fgraph)
+    return list(found.values())
+
+
+def count(ops: Sequence[Any]) -> tuple[int, Counter[str]]:
+    """Solves so far in this process, and failed ones by status."""
+    solves = 0
+    failures: Counter[str] = Counter()
+    for op in ops:
+        counts = op.counts
+        solves += int(counts["solves"])
+        failures.update(counts.get("failures", {}))
+    return solves, failures
+
+
+class Archive:
+    """Past points of a chain, which DEMetropolisZ draws its jumps from; a list of rows in one growing array.
+
+    Parameters
+    ----------
+    points : array (n, n_dim), optional
+        First points.
+    """
+
+    def __init__(self, points: ArrayLike | None = None) -> None:
+        self._rows = np.empty((0, 0)) if points is None else np.array(points, dtype=float, ndmin=2)
+        self._n = len(self._rows)
+
+    @property
+    def points(self) -> Array:
+        """All points, (n, n_dim); a view, not to be written to."""
+        return self._rows[: self._n]
+
+    def append(self, point: Array) -> None:
+        """Add one point (n_dim,) at the end."""
+        if self._n == len(self._rows):
+            grown = np.empty((max(256, 2 * self._n), len(point)))
+            if self._n:
+                grown[: self._n] = self.points
+            self._rows = grown
+        self._rows[self._n] = point
+        self._n += 1
+
+    def __len__(self) -> int:
+        return self._n
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return Archive(self.points[index])
+        return self.points[index]
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter(self.points)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Archive:
+        return Archive(self.points)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Archive, (self.points.copy(),)
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Centre and scatter of a posterior in the unconstrained space.
+
+    Parameters
+    ----------
+    mean : array (n_dim,)
+    covariance : array (n_dim, n_dim)
+    """
+
+    mean: Array
+    covariance: Array
+    cholesky: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cholesky", np.linalg.cholesky(self.covariance))
+
+    def whiten(self, q: Array) -> Array:
+        """Coordinates (n_dim,) in which the Gaussian is standard normal."""
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(self.cholesky, q - self.mean, lower=True, check_finite=False))
+
+    def colour(self, u: Array) -> Array:
+        """The inverse of `whiten`; u may be (n, n_dim)."""
+        return np.asarray(self.mean + u @ self.cholesky.T)
+
+    def refit(self, points: Array) -> Gaussian:
+        """Blend with the moments of correlated draws of a chain.
+
+        A chain of n draws in d dimensions is counted as n / (4 d) independent ones, the present covariance
+        as d of them and the present mean as two.
+
+        Parameters
+        ----------
+        points : array (n, n_dim)
+        """
+        n, d = points.shape
+        weight = n / (4.0 * d)
+        mean = (points.mean(0) * weight + self.mean * 2.0) / (weight + 2.0)
+        covariance = (np.cov(points.T).reshape(d, d) * weight + self.covariance * d) / (weight + d)
+        return Gaussian(mean, covariance)
+
+
+class _OneEvaluation:
+    """Mix-in for PyMC's Metropolis family: remembers the current point's log-posterior, counts solves.
+
+    PyMC compiles logp(proposed) - logp(current), two evaluations a step. Here the log-posterior is compiled
+    alone; its last values are kept by the bytes of the point and of the variables that other step methods
+    own, so the current point is never evaluated again.
+    """
+
+    _logp: Any
+    _memory: dict[bytes, float]
+    shared: dict[str, Any]
+
+    def _prepare(
+        self,
+        model: Any,
+        variables: Sequence[Any],
+        point: Point,
+        compile_kwargs: Mapping[str, Any] | None,
+    ) -> None:
+        shared = pm.make_shared_replacements(point, variables, model)
+        self.shared = {var.name: value for var, value in shared.items()}
+        self._logp = compile_logp(model, variables, point, shared, compile_kwargs)
+        self._memory = {}
+        self._ops: list[Any] | None = None
+        del self.delta_logp  # PyMC's own, in the instance; the method below takes its place
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_ops": None}
+
+    def logp(self, q: Array) -> float:
+        """Log-posterior at q (n_dim,), from memory if q is one of the last two points."""
+        key = q.tobytes() + b"".join(np.asarray(v.get_value()).tobytes() for v in self.shared.values())
+        if key not in self._memory:
+            value = float(self._logp(q))
+            while len(self._memory) > 1:
+                del self._memory[next(iter(self._memory))]
+            self._memory[key] = value
+        else:
+            self._memory[key] = self._memory.pop(key)  # to the end: the next to go is the other one
+        return self._memory[key]
+
+    def delta_logp(self, q: Array, q0: Array) -> float:
+        """Log-posterior at q minus that at q0."""
+        current = self.logp(q0)
+        return self.logp(q) - current
+
+    def _solves(self) -> tuple[int, int]:
+        if self._ops is None:
+            self._ops = counting_ops(self._logp)
+        solves, failures = count(self._ops)
+        return solves, sum(failures.values())
+
+    def _counted(self, q0: RaveledVars, step: Callable[[RaveledVars], StepResult]) -> StepResult:
+        before = self._solves()
+        q, stats = step(q0)
+        after = self._solves()
+        stats[0]["solves"] = after[0] - before[0]
+        stats[0]["solver_failures"] = after[1] - before[1]
+        stats[0]["model_logp"] = self.logp(q.data)
+        return q, stats
+
+
+_COUNT_STATS: dict[str, Any] = {
+    "solves": (np.int64, []),
+    "solver_failures": (np.int64, []),
+    "model_logp": (np.float64, []),
+}
+
+
+def compile_logp(
+    model: Any,
+    variables: Sequence[Any],
+    point: Point,
+    shared: Mapping[Any, Any],
+    compile_kwargs: Mapping[str, Any] | None = None,
+) -> Any:
+    [logp], joined = join_nonshared_inputs(
+        point=point, outputs=[model.logp()], inputs=list(variables), shared_inputs=dict(shared)
+    )
+    function = compile_function([joined], logp, **dict(compile_kwargs or {}))
+    function.trust_input = True
+    return function
+
+
+def _uncompiled() -> dict[str, Any]:
+    """PyMC's constructors compile a function that we replace; this makes that a matter of milliseconds."""
+    return {"mode": CompileMode(linker="py", optimizer=None)}  # type: ignore[arg-type]
+
+
+@dataclass_state
+class _DEState(DEMetropolisZState):
+    _memory: dict[bytes, float]
+    _reference: Gaussian | None
+    _seen: int
+    _next_refit: int
+    _cn_tuned: int
+    beta: float
+
+
+class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
+    """PyMC's DEMetropolisZ with one evaluation of the log-posterior a step, and two additions, both optional.
+
+    With its defaults the draws equal those of `pm.DEMetropolisZ` for the same seed. `archive` starts the
+    history that jumps are drawn from. A share `crank_nicolson` of the steps proposes
+
+        u' = sqrt(1 - beta^2) u + beta sqrt(s) xi,   s = (nu + |u|^2) / chi^2_{nu + d},   xi ~ N(0, I),
+
+    with u the point whitened by a Gaussian (`reference`), which leaves a t distribution with nu = 5 degrees
+    of freedom around it invariant; acceptance corrects for the posterior over that t. The Gaussian is
+    refitted to the history and beta adapted to an acceptance of 0.25 while tuning; both are fixed after it.
+
+    Parameters
+    ----------
+    vars : list of variables, optional
+        All continuous ones if absent.
+    archive : array (n, n_dim), optional
+        First history, unconstrained.
+    reference : Gaussian, optional
+        First reference; needed for Crank-Nicolson moves before the first 200 steps are done.
+    crank_nicolson : float
+        Share in [0, 1) of the Crank-Nicolson moves.
+    **kwargs
+        As `pm.DEMetropolisZ`: S, proposal_dist, lamb, scaling, tune, tune_interval, tune_drop_fraction,
+        model, initial_point, compile_kwargs, rng, blocked.
+
+    Raises
+    ------
+    ValueError
+        If `crank_nicolson` is not in [0, 1).
+
+    References
+    ----------
+    ter Braak, Vrugt (2008), doi 10.1007/s11222-008-9104-9; Kamatani (2018), doi 10.1016/j.spa.2017.06.001;
+    Cotter, Roberts, Stuart, White (2013), doi 10.1214/13-STS421.
+    """
+
+    name = "DEMetropolisZ"
+    stats_dtypes_shapes: ClassVar[dict[str, Any]] = {
+        **pm.DEMetropolisZ.stats_dtypes_shapes,
+        "beta": (np.float64, []),
+        **_COUNT_STATS,
+    }
+    _state_class = _DEState
+
+    def __init__(
+        self,
+        vars: Any = None,
+        *,
+        archive: ArrayLike | None = None,
+        reference: Gaussian | None = None,
+        crank_nicolson: float = 0.0,
+        model: Any = None,
+        initial_point: Point | None = None,
+        compile_kwargs: Mapping[str, Any] | None = None,
+        **kwargs: Any,
+    ) -> None:
+        if not 0 <= crank_nicolson < 1:
+            raise ValueError(f"crank_nicolson = {crank_nicolson}: must be in [0, 1)")
+        model = pm.modelcontext(model)
+        point = model.initial_point() if initial_point is None else initial_point
+        if (
+            vars is not None
+        ):  # PyMC sizes its defaults by all variables of the model, which fails for some of them
+            size = sum(point[v.name].size for v in get_value_vars_from_user_vars(vars, model))
+            kwargs["S"] = np.ones(size) if kwargs.get("S") is None else kwargs["S"]
+            kwargs["lamb"] = 2.38 / np.sqrt(2 * size) if kwargs.get("lamb") is None else kwargs["lamb"]
+        super().__init__(vars, model=model, initial_point=point, compile_kwargs=_uncompiled(), **kwargs)
+        self._prepare(model, self.vars, point, compile_kwargs)
+        self.crank_nicolson = crank_nicolson
+        self._first_archive = Archive(archive)
+        self._first_reference = reference
+        self._set_untuned()
+
+    def _set_untuned(self) -> None:
+        self._history = Archive(self._first_archive.points)
+        self._reference = self._first_reference
+        self._seen = len(self._history)  # of the history, what is not this chain's own
+        self._next_refit = _FIRST_REFIT
+        self._cn_tuned = 0
+        self.beta = 0.5
+
+    def reset_tuning(self) -> None:
+        """Forget the history and all that was tuned."""
+        super().reset_tuning()
+        self._set_untuned()
+
+    def astep(self, q0: RaveledVars) -> StepResult:
+        """One step from q0; returns the new point and its statistics."""
+        return self._counted(q0, self._one_step)
+
+    def _one_step(self, q0: RaveledVars) -> StepResult:
+        if self.crank_nicolson:
+            if self.tune and len(self._history) - self._seen >= self._next_refit:
+                self._refit()
+                self._next_refit = int(1.5 * self._next_refit)
+            if self._reference is not None and self.rng.uniform() < self.crank_nicolson:
+                return self._crank_nicolson(q0, self._reference)
+        q, stats = super().astep(q0)
+        stats[0]["beta"] = self.beta
+        return q, stats
+
+    def _crank_nicolson(self, q0: RaveledVars, reference: Gaussian) -> StepResult:
+        d = len(q0.data)
+        u = reference.whiten(q0.data)
+        scale = np.sqrt((T_DOF + u @ u) / self.rng.chisquare(T_DOF + d))
+        new = np.sqrt(1.0 - self.beta**2) * u + self.beta * scale * self.rng.standard_normal(d)
+        q = floatX(reference.colour(new))
+        log_t = -0.5 * (T_DOF + d) * (np.log1p(u @ u / T_DOF) - np.log1p(new @ new / T_DOF))
+        log_accept = self.delta_logp(q, q0.data) + log_t
+        q_new, accepted = metrop_select(log_accept, q, q0.data, rng=self.rng)
+        self._history.append(q_new)
+        accept = 0.0 if np.isnan(log_accept) else float(np.exp(min(log_accept, 700.0)))
+        stats = {
+            "scaling": float(np.mean(self.scaling)),
+            "lambda": self.lamb,
+            "beta": self.beta,
+            "accept": accept,
+            "accepted": accepted,
+        }
+        if self.tune:
+            self._cn_tuned += 1
+            gain = 2.0 / np.sqrt(self._cn_tuned)
+            self.beta = float(min(1.0, self.beta * np.exp(gain * (min(1.0, accept) - _CN_ACCEPTANCE))))
+        return RaveledVars(q_new, q0.point_map_info), [stats]
+
+    def _refit(self) -> None:
+        own = self._history.points[self._seen :]
+        own = own[len(own) // 3 :]
+        n, d = own.shape
+        if n < 10 * d:
+            return
+        if self._reference is None:
+            scatter = np.cov(own.T).reshape(d, d)
+            floor = np.diag(1e-8 + 1e-3 * np.diag(scatter))
+            self._reference = Gaussian(own.mean(0), scatter + floor)
+        else:
+            start = self._first_reference or self._reference
+            self._reference = start.refit(own)
+        self._cn_tuned //= 2
+
+    def stop_tuning(self) -> None:
+        """Fix the reference and beta, and drop the first part of the history."""
+        if self.crank_nicolson:
+            self._refit()
+        super().stop_tuning()
+
+
+@dataclass_state
+class _MetropolisState(MetropolisState):
+    _memory: dict[bytes, float]
+    proposal_dist: Any
+    _own: Archive
+    _next_refit: int
+
+
+class Metropolis(_OneEvaluation, pm.Metropolis):
+    """PyMC's Metropolis with one evaluation of the log-posterior a proposal, and joint proposals.
+
+    With `joint=False` the draws equal those of `pm.Metropolis(blocked=True)` for the same seed: one
+    coordinate after the other. With `joint=True` all coordinates move at once, and with `adapt=True` the
+    proposal's covariance is refitted to the chain while tuning (2.38^2 / d times it), fixed after it.
+
+    Parameters
+    ----------
+    vars : list of variables, optional
+        All if absent.
+    joint : bool
+        One proposal for all coordinates.
+    reference : Gaussian, optional
+        Its covariance shapes the first joint proposals (instead of S).
+    adapt : bool
+        Refit the covariance of joint proposals while tuning.
+    **kwargs
+        As `pm.Metropolis`: S, proposal_dist, scaling, tune, tune_interval, model, initial_point,
+        compile_kwargs, rng.
+
+    References
+    ----------
+    Haario, Saksman, Tamminen (2001), doi 10.2307/3318737.
+    """
+
+    name = "metropolis"
+    default_blocked = True
+    proposal_dist: Any
+    stats_dtypes_shapes: ClassVar[dict[str, Any]] = {**pm.Metropolis.stats_dtypes_shapes, **_COUNT_STATS}
+    _state_class = _MetropolisState
+
+    def __init__(
+        self,
+        vars: Any = None,
+        *,
+        joint: bool = True,
+        reference: Gaussian | None = None,
+        adapt: bool = False,
+        model: Any = None,
+        initial_point: Point | None = None,
+        compile_kwargs: Mapping[str, Any] | None = None,
+        **kwargs: Any,
+    ) -> None:
+        model = pm.modelcontext(model)
+        point = model.initial_point() if initial_point is None else initial_point
+        self.joint = joint
+        self._first_reference = reference
+        if reference is not None and joint and kwargs.get("S") is None:
+            kwargs["S"] = reference.covariance * 2.38**2 / len(reference.mean)
+        super().__init__(vars, model=model, initial_point=point, compile_kwargs=_uncompiled(), **kwargs)
+        self._prepare(model, self.vars, point, compile_kwargs)
+        self.adapt = adapt and joint and not self.any_discrete
+        if joint:
+            self.elemwise_update = False
+            self.enum_dims = np.arange(1)
+            self.accept_rate_iter = np.zeros(1)
+            self.accepted_iter = np.zeros(1, dtype=bool)
+            self.accepted_sum = np.zeros(1, dtype=int)
+        self._first_proposal: Any = self.proposal_dist
+        self._set_untuned()
+
+    def _set_untuned(self) -> None:
+        self.proposal_dist = self._first_proposal
+        self._own = Archive()
+        self._next_refit = _FIRST_REFIT
+
+    def reset_tuning(self) -> None:
+        """Forget all that was tuned."""
+        super().reset_tuning()
+        self._set_untuned()
+
+    def astep(self, q0: RaveledVars) -> StepResult:
+        """One step from q0; returns the new point and its statistics."""
+        return self._counted(q0, self._one_step)
+
+    def _one_step(self, q0: RaveledVars) -> StepResult:
+        q, stats = super().astep(q0)
+        if self.adapt and self.tune:
+            self._own.append(q.data)
+            if len(self._own) >= self._next_refit:
+                self._refit()
+                self._next_refit = int(1.5 * self._next_refit)
+        return q, stats
+
+    def _refit(self) -> None:
+        own = self._own.points[len(self._own) // 3 :]
+        n, d = own.shape
+        if n < 10 * d:
+            return
+        start = self._first_reference or Gaussian(
+            own.mean(0), np.cov(own.T).reshape(d, d) + 1e-10 * np.eye(d)
+        )
+        self.proposal_dist = MultivariateNormalProposal(start.refit(own).covariance * 2.38**2 / d)
+        self.scaling = np.ones(1)
+
+    def stop_tuning(self) -> None:
+        """Fix the proposal."""
+        if self.adapt:
+            self._refit()
+            self._own = Archive()
+        super().stop_tuning()

@@ -1,0 +1,207 @@
+"""Records, files and verdicts, against draws whose effective sample size is known."""
+
+from __future__ import annotations
+
+import json
+
+import arviz as az
+import numpy as np
+import pytest
+
+from zoo import results
+from zoo.results import ResultsError, RunRecord, diagnose, load, save, verdict
+
+
+def autoregressive(rng: np.random.Generator, chains: int, draws: int, phi: float) -> np.ndarray:
+    """AR(1) draws with unit variance; their effective sample size is n (1 - phi) / (1 + phi)."""
+    noise = rng.normal(size=(chains, draws))
+    out = np.empty((chains, draws))
+    out[:, 0] = noise[:, 0]
+    for i in range(1, draws):
+        out[:, i] = phi * out[:, i - 1] + np.sqrt(1 - phi**2) * noise[:, i]
+    return out
+
+
+@pytest.fixture
+def record() -> RunRecord:
+    return RunRecord(
+        model="B",
+        study="demo",
+        study_checksum="abc",
+        conventions={"name": "printed", "wall_factor": 1.0},
+        solver={"dx_cm": 0.025},
+        settings={"step": "demetropolisz", "tune": 1000},
+        seed=7,
+        solves=4000,
+        steps=4000,
+        mode_evaluations=120,
+        failures={"cfl": 2},
+        solves_per_draw=6.0,
+        solves_per_step=1.0,
+        wall_seconds=12.5,
+        sittings=1,
+        started="2026-01-01T00:00:00+00:00",
+    )
+
+
+@pytest.fixture
+def idata() -> az.InferenceData:
+    rng = np.random.default_rng(0)
+    return az.from_dict(
+        posterior={"c": rng.normal(size=(4, 1000)), "chi": rng.normal(size=(4, 1000, 2))},
+        sample_stats={"lp": rng.normal(size=(4, 1000))},
+    )
+
+
+def test_record_survives_the_file(tmp_path, idata, record):
+    record.attach(idata)
+    path = save(idata, tmp_path / "B.nc")
+    again = load(path)
+    assert RunRecord.of(again) == record
+    np.testing.assert_array_equal(again.posterior.chi, idata.posterior.chi)
+    np.testing.assert_array_equal(again.sample_stats.lp, idata.sample_stats.lp)
+    assert list(tmp_path.iterdir()) == [path]  # no temporary file left
+    path.unlink()  # and the file is not held open
+
+
+def test_record_holds_the_versions(record):
+    import pymc
+
+    assert record.versions["pymc"] == pymc.__version__
+    assert record.versions["numpy"] == np.__version__
+    assert set(record.versions) == {"python", "zoo", "pymc", "pytensor", "arviz", "numpy"}
+
+
+def test_record_in_plain_json_from_numpy_values(record):
+    from dataclasses import replace
+
+    odd = replace(record, seed=np.int64(3), solver={"dx_cm": np.float64(0.5), "points": np.arange(2)})
+    raw = json.loads(odd.to_json())
+    assert raw["seed"] == 3
+    assert raw["solver"] == {"dx_cm": 0.5, "points": [0, 1]}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "run record: not JSON"),
+        ("[1]", "not a JSON object"),
+        ("{}", "field 'model' is missing"),
+    ],
+)
+def test_broken_record(text, message):
+    with pytest.raises(ResultsError, match=message):
+        RunRecord.from_json(text)
+
+
+def test_record_of_a_later_version_drops_what_it_does_not_know(record):
+    raw = json.loads(record.to_json())
+    raw["weather"] = "fine"
+    assert RunRecord.from_json(json.dumps(raw)) == record
+
+
+def test_no_record(idata):
+    with pytest.raises(ResultsError, match="no run record in this InferenceData"):
+        RunRecord.of(idata)
+
+
+def test_save_and_load_say_what_is_wrong(tmp_path, idata):
+    with pytest.raises(ResultsError, match=r"folder .*nowhere does not exist; create it"):
+        save(idata, tmp_path / "nowhere" / "A.nc")
+    with pytest.raises(ResultsError, match=r"A\.nc: no such file; `zoo sample MODEL STUDY -o A\.nc`"):
+        load(tmp_path / "A.nc")
+    (tmp_path / "text.nc").write_text("not a posterior")
+    with pytest.raises(ResultsError, match=r"text\.nc: not a readable NetCDF file"):
+        load(tmp_path / "text.nc")
+    az.from_dict(prior={"a": np.zeros((1, 3))}).to_netcdf(str(tmp_path / "prior.nc"))
+    with pytest.raises(ResultsError, match="no group 'posterior'"):
+        load(tmp_path / "prior.nc")
+
+
+def test_independent_draws_pass(idata):
+    found = verdict(idata)
+    assert found.passes
+    assert [p.name for p in found.parameters] == ["c", "chi[0]", "chi[1]"]
+    assert (found.chains, found.draws) == (4, 1000)
+    assert found.text.startswith("converged: R-hat at most 1.0")
+    assert found["chi[1]"].rhat == pytest.approx(float(az.rhat(idata.posterior).chi[1]))
+    assert found.max_rhat <= 1.01
+    assert found.min_ess > 3000
+
+
+def test_correlated_draws_fail_by_their_effective_size():
+    rng = np.random.default_rng(1)
+    draws = {"slow": autoregressive(rng, 4, 1500, 0.95), "fast": rng.normal(size=(4, 1500))}
+    found = diagnose(draws)
+    expected = 6000 * 0.05 / 1.95
+    assert found["slow"].ess_bulk == pytest.approx(expected, rel=0.35)
+    assert not found.passes
+    assert found["fast"].passes
+    assert "slow: " in found.text
+    assert f"bulk ESS {found['slow'].ess_bulk:.0f} < 400" in found.text
+    assert "fast" not in found.text
+    factor = 400 / min(found["slow"].ess_bulk, found["slow"].ess_tail)
+    assert f"about {factor:.1f} times as many" in found.text
+    assert diagnose(draws, ess=50)["slow"].ess_bulk > 50
+
+
+def test_chains_that_have_not_met():
+    rng = np.random.default_rng(2)
+    draws = rng.normal(size=(4, 1000))
+    draws[0] += 5
+    found = diagnose({"c": draws})
+    assert found["c"].rhat > 1.2
+    assert "have not met: tune for longer" in found.text
+
+
+def test_slow_drift_fails_by_rhat_alone():
+    rng = np.random.default_rng(3)
+    draws = rng.normal(size=(4, 4000))
+    draws[0] += 0.35
+    found = diagnose({"c": draws}, ess=20)
+    assert found["c"].rhat > 1.01
+    assert not found.passes
+    assert f"R-hat {found['c'].rhat:.3f} > 1.01" in found.text
+    assert "ESS" not in found.text
+
+
+def test_too_few_chains_or_draws():
+    rng = np.random.default_rng(4)
+    three = diagnose({"c": rng.normal(size=(3, 2000))})
+    assert not three.passes
+    assert three["c"].passes
+    assert "3 chains: at least 4 are needed" in three.text
+    one = diagnose({"c": rng.normal(size=(1, 2000))})
+    assert not one["c"].passes
+    few = diagnose({"c": rng.normal(size=(4, 3))})
+    assert not few.passes
+    assert few.max_rhat == np.inf
+    assert few.min_ess == 0
+
+
+def test_constants_are_left_out_but_not_stuck_chains():
+    rng = np.random.default_rng(5)
+    found = diagnose({"c": rng.normal(size=(4, 1000)), "fixed": np.full((4, 1000), 2.0)})
+    assert [p.name for p in found.parameters] == ["c"]
+    assert found.passes
+    stuck = rng.normal(size=(4, 1000))
+    stuck[:] = stuck[:, :1]  # each chain stays where it began
+    found = diagnose({"c": stuck})
+    assert not found.passes
+    nothing = diagnose({"fixed": np.full((4, 100), 2.0)})
+    assert not nothing.passes
+    assert "no parameter varies" in nothing.text
+
+
+def test_verdict_on_chosen_variables(idata):
+    assert [p.name for p in verdict(idata, var_names=["c"]).parameters] == ["c"]
+    with pytest.raises(ResultsError, match="no parameter 'zz' in the posterior; it has c, chi"):
+        verdict(idata, var_names=["zz"])
+    with pytest.raises(ResultsError, match="no group 'posterior'"):
+        verdict(az.InferenceData())
+    with pytest.raises(KeyError):
+        verdict(idata)["zz"]
+
+
+def test_version_of_what_is_not_installed():
+    assert results._version("no-such-distribution") == "unknown"
