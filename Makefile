@@ -29,8 +29,8 @@ check: setup
 demo: setup
 	mkdir -p demo-output
 	$(BIN)/zoo simulate demo --stiffness 4e4 --psi1 0.3 --psi2 0.6 --c 1.7 -o demo-output/waves.nc
-	$(BIN)/zoo sample A demo -o demo-output/A.nc
-	$(BIN)/zoo sample B demo -o demo-output/B.nc
+	$(BIN)/zoo sample A demo --seed 1 -o demo-output/A.nc
+	$(BIN)/zoo sample B demo --seed 1 -o demo-output/B.nc
 	$(BIN)/zoo compare demo --models A,B -o demo-output
 
 bench: setup

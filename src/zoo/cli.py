@@ -123,6 +123,12 @@ Truncate = Annotated[
     typer.Option("--truncate-lengths/--true-lengths", help="Vessels of whole cells of 0.025 cm, or true."),
 ]
 Mmhg = Annotated[float | None, typer.Option("--mmhg", help="dyn/cm2 in 1 mmHg.")]
+SampleLag = Annotated[
+    float | None,
+    typer.Option(
+        "--sample-lag", help="Compare this part of a beat after each sample's time.", metavar="BEATS"
+    ),
+]
 Dx = Annotated[
     float | None, typer.Option("--dx", help="Target cell length, cm (default 0.025).", metavar="CM")
 ]
@@ -153,6 +159,7 @@ def _switches(
     friction_radius: float | None,
     truncate: bool | None,
     mmhg: float | None,
+    sample_lag: float | None,
 ) -> dict[str, Any]:
     return {
         "wall_factor": wall_factor,
@@ -161,6 +168,7 @@ def _switches(
         "friction_radius_cm": friction_radius,
         "truncate_lengths": truncate,
         "mmhg": mmhg,
+        "sample_lag_beats": sample_lag,
     }
 
 
@@ -279,6 +287,7 @@ def simulate(
     friction_radius: FrictionRadius = None,
     truncate_lengths: Truncate = None,
     mmhg: Mmhg = None,
+    sample_lag: SampleLag = None,
     dx: Dx = None,
     steps: Steps = None,
     tolerance: Tolerance = None,
@@ -290,7 +299,7 @@ def simulate(
     from zoo.solver import Solver
 
     switches = _switches(
-        wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg
+        wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg, sample_lag
     )
     loaded = _load(study, conventions, switches)
     network = Network.from_study(loaded)
@@ -539,12 +548,13 @@ def sample(
     friction_radius: FrictionRadius = None,
     truncate_lengths: Truncate = None,
     mmhg: Mmhg = None,
+    sample_lag: SampleLag = None,
 ) -> None:
     """Sample a model's posterior on a study, until converged; an interrupted run goes on where it was."""
     name = _model_name(model)
     goal = _until(until, draws)
     switches = _switches(
-        wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg
+        wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg, sample_lag
     )
     loaded = _load(study, conventions, switches)
     path = _parent_exists(Path(f"{name}-{loaded.name}.nc") if output is None else output)
@@ -668,6 +678,7 @@ def compare(
     friction_radius: FrictionRadius = None,
     truncate_lengths: Truncate = None,
     mmhg: Mmhg = None,
+    sample_lag: SampleLag = None,
 ) -> None:
     """Rank models by how well they predict a study; posteriors that are missing are sampled first."""
     names = [_model_name(part) for part in models.split(",") if part.strip()]
@@ -677,7 +688,7 @@ def compare(
     if n_draws < 10:
         raise UsageError(f"--n-draws {n_draws}: give at least 10")
     switches = _switches(
-        wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg
+        wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg, sample_lag
     )
     loaded = _load(study, conventions, switches)
     _parent_exists(output.resolve()).mkdir(exist_ok=True)
