@@ -215,9 +215,18 @@ def test_simulate_conventions_and_single_switches(tiny: Path, tmp_path: Path) ->
     one = run("simulate", tiny, *SIMULATE, "--friction", "rest")
     assert "conventions custom (printed with friction=rest)" in one
     both = run(
-        "simulate", tiny, *SIMULATE, "--conventions", "published-code", "--true-lengths", "--mmhg", "1333.22"
+        "simulate",
+        tiny,
+        *SIMULATE,
+        "--conventions",
+        "published-code",
+        "--true-lengths",
+        "--mmhg",
+        "1333.22",
+        "--sample-lag",
+        "0.25",
     )
-    assert "published-code with truncate_lengths=False, mmhg=1333.22" in both
+    assert "published-code with truncate_lengths=False, mmhg=1333.22, sample_lag_beats=0.25" in both
     plain = run("simulate", tiny, *SIMULATE)
     assert (
         len({text.splitlines()[1] for text in (published, one, both, plain)}) == 4
