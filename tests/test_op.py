@@ -183,7 +183,10 @@ def test_copies_share_points_and_counts_and_others_do_not(study: Study, op: Bloo
         BloodFlowOp(Solver.for_study(study), ["pressure_mmHg", "flow_ml_s"]),
     ]
     assert len({other.key for other in [op, *others]}) == 6
-    assert all(other.counts["evaluations"] == 0 for other in others)
+    before = [other.counts for other in others]  # not 0 where another test still holds the same operation
+    op.evaluate(*at(POINT))
+    assert op.counts["evaluations"] == 3
+    assert [other.counts for other in others] == before
 
 
 # failures
