@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 import subprocess
 import sys
 import time
@@ -385,7 +386,7 @@ def test_fresh_removes_only_a_checkpoint(tiny: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_compare_samples_what_is_missing_and_writes_table_and_figures(
-    sampled: tuple[Path, str], tiny: Path, tmp_path: Path
+    sampled: tuple[Path, str], tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
     output = run(
@@ -426,6 +427,15 @@ def test_compare_samples_what_is_missing_and_writes_table_and_figures(
     )
     assert "model B: posterior of" in again
     assert "sampled" not in again
+    # posteriors in the working directory are found by their names, if they belong
+    here = tmp_path / "here"
+    here.mkdir()
+    shutil.copy(sampled[0], here / "A.nc")
+    shutil.copy(out / "B.nc", here / "B.nc")
+    monkeypatch.chdir(here)
+    found = run("compare", tiny.resolve(), "--models", "A,B", "--n-draws", 40, "--no-figures")
+    assert "model A: posterior of A.nc" in found
+    assert "model B: posterior of B.nc" in found
 
 
 def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ enum zoo_status {
     ZOO_OK = 0,
     ZOO_BAD_ARGUMENT = 1, /* an input is out of range; report.vessel names the vessel, or -1 */
     ZOO_CFL = 2,          /* the wave speed outran the time step and no finer one was allowed */
-    ZOO_COLLAPSE = 3,     /* a cross-section fell to zero or below */
+    ZOO_COLLAPSE = 3,     /* a cross-section fell to zero, or to the tangent wall's smallest area */
     ZOO_WALL_LIMIT = 4,   /* a cross-section passed the tangent wall's largest area */
     ZOO_NO_ROOT = 5,      /* a junction or an outlet had no solution */
     ZOO_NOT_PERIODIC = 6, /* max_beats passed before the beat repeated itself */
@@ -104,10 +104,10 @@ typedef struct {
     int32_t steps_per_beat; /* of the last beat */
     double change;          /* dyn/cm^2, largest difference between the last beat's end and its start */
     double distance;        /* dyn/cm^2, change / (1 - slowest decay per beat) */
-    double max_cfl;         /* largest (|u| + c) dt/dx met in the last beat */
+    double max_cfl;         /* largest (|u| + c) dt/dx at 32 times of the last beat */
     double inflow;          /* ml, into the root over the last beat */
     double outflow;         /* ml, out of all terminals over the last beat */
-    double junction_defect; /* ml/s, largest |flow in - flow out| at a junction in the last beat */
+    double junction_defect; /* ml/s, largest |flow in - flow out| of a junction at these times */
     int64_t total_steps;    /* time steps over all beats */
 } zoo_report;
 

@@ -3,8 +3,8 @@
  * The nodes of all vessels stand one after the other in one array, so that one
  * loop serves the whole tree.  Vessel v has nodes first[v] .. last[v]; the
  * midpoint between nodes j and j+1 has index j.  The midpoint after a vessel's
- * last node joins two vessels that are not joined: lam_mid is 0 there and what
- * is computed there is never read.
+ * last node joins two vessels that are not joined: lam_mid is 0 there, so that
+ * what is computed stays finite, and lam is 0 where it would be used.
  *
  * `lanes` parameter sets are solved side by side: a lane array has element
  * [j*lanes + l] for node j and set l.  lanes is 1 (loops vectorise over nodes)
@@ -78,7 +78,9 @@ typedef struct {
     zoo_junctions *groups;               /* [n_groups] */
 
     zoo_outlets outlets;
-    int no_root;                         /* a root search did not end in this step */
+    int no_root;                         /* a root search did not end in this step, */
+    int *stuck;                          /* [lanes] in these lanes, */
+    int *outran;                         /* [lanes] and these outran the time step */
 
     /* inflow on the steps of a beat */
     double *flow_node;                   /* [max_steps+1] at the steps */

@@ -60,10 +60,11 @@ ZOO_INLINE void junction_newton(const int wall, const int W, zoo_sim *s, zoo_jun
             const ptrdiff_t from = (ptrdiff_t)b * n;
             ZOO_LOOP(W, i, j, l, 0, n, {
                 const ptrdiff_t y = from * W + i, o = (ptrdiff_t)node[from + j] * W + l;
-                /* never more than halfway to the wall's limit */
+                /* never more than halfway to the wall's limits */
                 const double room = 0.5 * (wall_limit(wall, th[o]) - a[y]);
                 double move = (have[i] / soft[i] - p[y]) / slope[y];
-                move = move > room ? room : move;
+                const double fall = 0.5 * (wall_floor(wall, th[o]) - a[y]);
+                move = move > room ? room : move < fall ? fall : move;
                 a[y] += move;
                 p[y] = wall_p(wall, K[o], th[o], a[y], sqrt(a[y]));
                 unfinished |= fabs(move) > 1e-8; /* quadratic: the next move would be below rounding */
@@ -73,6 +74,12 @@ ZOO_INLINE void junction_newton(const int wall, const int W, zoo_sim *s, zoo_jun
             return;
     }
     s->no_root = 1;
+    for (int l = 0; l < W; l++)
+        for (ptrdiff_t y = 0; y < (ptrdiff_t)n * nb; y++) {
+            const ptrdiff_t i = ju->junction[y] * (ptrdiff_t)W + l;
+            const double target = have[i] / soft[i];
+            s->stuck[l] |= !(fabs(target - p[y * W + l]) <= 1e-6 * fabs(target));
+        }
 }
 
 ZOO_INLINE void junction_body(const int wall, const int W, zoo_sim *s, zoo_junctions *ju)

@@ -169,6 +169,8 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     INTS(s->vessel_of, n);
     INTS(s->out_node, 4 * ns);
     INTS(s->live, W);
+    INTS(s->stuck, W);
+    INTS(s->outran, W);
     REALS(s->dx, nv);
     REALS(s->A0, n);
     REALS(s->inv_A0, n);

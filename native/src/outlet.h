@@ -41,7 +41,8 @@ ZOO_INLINE void outlet_newton(const int wall, const int W, zoo_sim *s)
             const double slope = wall_slope(wall, K[o], th[o], p[i], sqrt(a[i])) + E[i] * A0[t] / per_w[t];
             const double room = 0.5 * (wall_limit(wall, th[o]) - a[i]);
             double move = -miss / slope;
-            move = move > room ? room : move;
+            const double fall = 0.5 * (wall_floor(wall, th[o]) - a[i]);
+            move = move > room ? room : move < fall ? fall : move;
             a[i] += move;
             p[i] = wall_p(wall, K[o], th[o], a[i], sqrt(a[i]));
             unfinished |= fabs(move) > 1e-8;
@@ -50,6 +51,13 @@ ZOO_INLINE void outlet_newton(const int wall, const int W, zoo_sim *s)
             return;
     }
     s->no_root = 1;
+    for (int l = 0; l < W; l++)
+        for (ptrdiff_t t = 0; t < n; t++) {
+            const ptrdiff_t i = t * W + l, o = (ptrdiff_t)node[t] * W + l;
+            const double Q = qh[o - W] - (a[i] * A0[t] - A[o]) / per_w[t];
+            const double target = (1.0 + decay[i]) * v[i] + E[i] * Q - P[o];
+            s->stuck[l] |= !(fabs(target - p[i]) <= 1e-6 * (fabs(target) + fabs(P[o])));
+        }
 }
 
 ZOO_INLINE void outlet_body(const int wall, const int W, zoo_sim *s)

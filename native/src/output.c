@@ -1,6 +1,7 @@
 /* Samples of the wanted series, taken while the beat runs.
  *
- * In space: the cubic through the four nearest nodes of the vessel.  In time:
+ * In space: the cubic through the four nearest nodes of the vessel (the parabola
+ * through all three of a vessel of two cells).  In time:
  * the cubic through four successive steps, centred where it can be and
  * one-sided in the first and last step of the beat, so that no sample needs
  * anything from outside it.  Both are of higher order than the scheme.

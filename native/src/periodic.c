@@ -9,8 +9,8 @@
  * and since a plain beat only removes the part 1 - exp(-T/tau) of the
  * distance, the run ends when change/(1 - exp(-T/tau)) is below the tolerance.
  * Between beats the start is extrapolated from the last few by Anderson's
- * method (Walker & Ni 2011, doi 10.1137/10078356X): the combination of past
- * starts whose combined change is least.
+ * method (Walker & Ni 2011, doi 10.1137/10078356X): past ends, combined with
+ * the weights for which the combined change is least.
  */
 #include <math.h>
 #include <string.h>
@@ -110,7 +110,7 @@ int zoo_extrapolate(zoo_sim *s, int lane, int n_past)
                 y -= x[r] * (s->ends[i] - s->ends[(r + 1) * size + i]);
             if (trial == 0 && i < n) {
                 double ratio = y * s->inv_A0[i / W];
-                if (!(ratio > 0.05) || ratio >= wall_limit(s->wall, s->theta[i]))
+                if (!(ratio > 0.05) || ratio <= wall_floor(s->wall, s->theta[i]) || ratio >= wall_limit(s->wall, s->theta[i]))
                     return 0;
             }
             if (trial == 1) {
@@ -179,17 +179,20 @@ static void find_failures(zoo_sim *s, int step)
             int i = j * s->lanes + l, k = s->vessel_of[j];
             double a = s->A[i] * s->inv_A0[j];
             int boundary = j == s->first[k] || j == s->last[k];
-            if (a > 0.0 && a < wall_limit(s->wall, s->theta[i]))
+            if (a > wall_floor(s->wall, s->theta[i]) && a < wall_limit(s->wall, s->theta[i]))
                 continue;
             vessel = k;
             status = a >= wall_limit(s->wall, s->theta[i]) ? ZOO_WALL_LIMIT
                      : isnan(a) && boundary                ? ZOO_NO_ROOT
                                                            : ZOO_COLLAPSE;
         }
+        if (status == ZOO_OK && s->no_root && s->stuck[l])
+            status = ZOO_NO_ROOT;
         if (status != ZOO_OK && s->live[l])
             retire(s, l, status, vessel, step * s->dt);
         else if (status != ZOO_OK)
             disarm(s, l);
+        s->stuck[l] = 0;
     }
 }
 
@@ -204,9 +207,12 @@ static double beat(zoo_sim *s, double limit)
     for (int l = 0; l < s->lanes; l++) {
         if (!s->live[l])
             continue;
-        s->report[l].max_cfl = 0.0;
+        s->report[l].max_cfl = zoo_speed(s, l) * s->dt;
         s->report[l].junction_defect = 0.0;
+        s->report[l].steps_per_beat = s->n_steps;
     }
+    memset(s->stuck, 0, (size_t)s->lanes * sizeof *s->stuck);
+    memset(s->outran, 0, (size_t)s->lanes * sizeof *s->outran);
     zoo_output_begin(s);
     for (int step = 0; step < s->n_steps; step++) {
         int wrong = zoo_step(s, step);
@@ -220,10 +226,11 @@ static double beat(zoo_sim *s, double limit)
                 double speed = zoo_speed(s, l), defect = zoo_junction_defect(s, l);
                 if (defect > s->report[l].junction_defect)
                     s->report[l].junction_defect = defect;
-                if (speed * s->dt > s->report[l].max_cfl)
+                /* a state that blew up says nothing about the speed that made it do so */
+                if (!wrong && speed * s->dt > s->report[l].max_cfl)
                     s->report[l].max_cfl = speed * s->dt;
-                if (speed * s->dt > limit)
-                    unstable = 1;
+                s->outran[l] = speed * s->dt > limit;
+                unstable |= s->outran[l];
                 if (speed > now)
                     now = speed;
             }
@@ -231,16 +238,7 @@ static double beat(zoo_sim *s, double limit)
             if (unstable)
                 return -fastest;
             if (wrong || s->no_root) {
-                int before = 0, after = 0;
-                for (int l = 0; l < s->lanes; l++)
-                    before += s->live[l];
                 find_failures(s, step + 1);
-                for (int l = 0; l < s->lanes; l++)
-                    after += s->live[l];
-                if (s->no_root && before == after)
-                    for (int l = 0; l < s->lanes; l++)
-                        if (s->live[l])
-                            retire(s, l, ZOO_NO_ROOT, -1, (step + 1) * s->dt);
                 s->no_root = 0;
                 if (!any_live(s))
                     return fastest;
@@ -287,7 +285,7 @@ void zoo_periodic(zoo_sim *s, double *pressure, double *flow, double *area)
             int more = steps_for(s, -1.05 * fastest);
             if (fixed || s->n_steps >= num->max_steps) {
                 for (int l = 0; l < s->lanes; l++)
-                    if (s->live[l] && s->report[l].max_cfl > limit)
+                    if (s->live[l] && s->outran[l])
                         retire(s, l, ZOO_CFL, -1, 0.0);
             } else {
                 if (more < s->n_steps + s->n_steps / 8)

@@ -56,7 +56,7 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int advance, zoo_s
     const double half_inv_rho = 0.5 * s->inv_density, alpha = s->momentum;
     const int n = s->n_nodes;
     int wrong = 0;
-    /* midpoint -1 exists and holds finite numbers: see zoo_layout */
+    /* midpoint -1 exists and holds finite numbers: see zoo_set_grid */
     ZOO_LOOP(W, i, j, l, 0, n, {
         const ptrdiff_t k = i - W;
         double An = A[i], qn = q[i];
@@ -73,7 +73,7 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int advance, zoo_s
         G[i] = (f_s[j] * r + f_c[j]) * u;
         double good = An > 0.0 ? 1.0 : 0.0;
         if (wall == ZOO_WALL_TANGENT)
-            good = th[i] * (a - 1.0) < 0.5 * ZOO_PI ? good : 0.0;
+            good = fabs(th[i] * (a - 1.0)) < 0.5 * ZOO_PI ? good : 0.0;
         wrong |= good != 1.0;
     });
     return wrong;

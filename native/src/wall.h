@@ -18,7 +18,7 @@
 
 /* 1/sqrt(x) and 1/x: a single-precision seed, which is several times cheaper
  * than the double-precision instruction, and one Newton step in double
- * (relative error below 2e-14).  The loops of the scheme are bound by square
+ * (relative error about 2e-14).  The loops of the scheme are bound by square
  * roots and divisions, so this is where their time goes. */
 ZOO_INLINE double wall_rsqrt(double x)
 {
@@ -33,8 +33,9 @@ ZOO_INLINE double wall_reciprocal(double x)
 }
 
 /* tan(x) for |x| < pi/2 by Lambert's continued fraction for tan(x/2), cut at
- * its eighth term (relative error 5e-16), then the double-angle formula.  No
- * branch and one division, so that loops over it vectorise. */
+ * its eighth term (relative error 5e-16), then the double-angle formula with the
+ * reciprocal above (2e-14; more within 1e-3 of the asymptotes, where rounding
+ * of x counts).  No branch, so that loops over it vectorise. */
 ZOO_INLINE double wall_tan(double x)
 {
     double y = 0.5 * x, z = y * y;
@@ -72,6 +73,13 @@ ZOO_INLINE double wall_slope(int wall, double K, double theta, double p, double 
 ZOO_INLINE double wall_limit(int wall, double theta)
 {
     return wall == ZOO_WALL_LINEAR ? INFINITY : 1.0 + 0.5 * ZOO_PI / theta;
+}
+
+/* Smallest a the law allows: the tangent's other asymptote, if it lies above 0. */
+ZOO_INLINE double wall_floor(int wall, double theta)
+{
+    double a = wall == ZOO_WALL_LINEAR ? 0.0 : 1.0 - 0.5 * ZOO_PI / theta;
+    return a > 0.0 ? a : 0.0;
 }
 
 /* a at pressure p; used to set a run up, not inside it. */

@@ -92,6 +92,11 @@ static void wrong(void)
     zoo_start(&one.sim);
     one.sim.A[5] = one.sim.A0[5] * 10.0;
     CHECK(zoo_step(&one.sim, 0) == 1);
+    for (int j = 0; j < one.sim.n_nodes; j++)
+        one.sim.theta[j] = ZOO_PI; /* gamma 1: areas lie between A0/2 and 3 A0/2 */
+    zoo_start(&one.sim);
+    one.sim.A[5] = one.sim.A0[5] * 0.4;
+    CHECK(zoo_step(&one.sim, 0) == 1);
     tree_close(&one);
 }
 

@@ -32,6 +32,8 @@ int main(void)
         }
     }
     CHECK(isnan(zoo_wall_pressure(ZOO_WALL_TANGENT, 1.0, 5e4, 2.0, 2.01, 1.0))); /* limit: 1 + gamma/2 */
+    CHECK(isnan(zoo_wall_pressure(ZOO_WALL_TANGENT, 1.0, 5e4, 1.0, 0.4, 1.0))); /* floor: 1 - gamma/2 */
+    CHECK(zoo_wall_pressure(ZOO_WALL_TANGENT, 1.0, 5e4, 1.0, 0.6, 1.0) < 0.0);
     CHECK(isnan(zoo_wall_pressure(ZOO_WALL_LINEAR, 1.0, 5e4, 2.0, -0.1, 1.0)));
     CHECK(isnan(zoo_wave_speed(ZOO_WALL_LINEAR, 1.0, 5e4, 2.0, 0.0, 1.0, 1.0)));
     return finish("wall");

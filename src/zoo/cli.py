@@ -649,7 +649,9 @@ def compare(
     posteriors: Annotated[
         list[Path] | None,
         typer.Option(
-            "--posteriors", help="A file, or a folder of files, from `zoo sample`; may be repeated."
+            "--posteriors",
+            help="A file, or a folder of files, from `zoo sample`; may be repeated. A.nc and so on in the "
+            "working directory are found without.",
         ),
     ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for table and figures.")] = Path(
@@ -708,6 +710,9 @@ def compare(
     found: dict[str, Any] = {}
     for name in names:
         built[name] = _model(name, loaded)
+        here = Path(f"{name}.nc")
+        if name not in files and _belongs(here, built[name]):
+            files[name] = here
         if name in files and resume:
             found[name] = load(files[name])
             _check_posterior(found[name], files[name], built[name])
@@ -749,6 +754,19 @@ def _is_posterior(file: Path) -> bool:
     try:
         RunRecord.of(load(file))
     except ResultsError:
+        return False
+    return True
+
+
+def _belongs(file: Path, model: Any) -> bool:
+    """Whether a file in the working directory is a posterior of this model, study and conventions."""
+    from zoo.results import load
+
+    if not file.is_file() or not _is_posterior(file):
+        return False
+    try:
+        _check_posterior(load(file), file, model)
+    except UsageError:
         return False
     return True
 

@@ -76,7 +76,10 @@ _ERRORS: dict[int, tuple[type[SolverError], str]] = {
     lib.ZOO_COLLAPSE: (CollapseError, "raise the stiffness or lower psi1 and psi2"),
     lib.ZOO_WALL_LIMIT: (WallLimitError, "raise the stiffness, lower gamma, or lower psi1 and psi2"),
     lib.ZOO_NO_ROOT: (RootError, "check the stiffness and the Windkessel values around that vessel"),
-    lib.ZOO_NOT_PERIODIC: (NotPeriodicError, "raise max_beats or tolerance_mmHg, or lower psi2 times c"),
+    lib.ZOO_NOT_PERIODIC: (
+        NotPeriodicError,
+        "raise max_beats or tolerance_mmHg, or shorten the decay: lower psi2 or c, or raise the stiffness",
+    ),
 }
 
 
@@ -423,7 +426,10 @@ class Solver:
                 f"{cgs_to_mmhg(report.change, self.conventions.mmhg):.3g} mmHg)"
             )
         if report.status == lib.ZOO_CFL:
-            when = f": largest (|u| + c) dt/dx was {report.max_cfl:.3f} with {report.steps_per_beat} steps"
+            when = (
+                f": (|u| + c) dt/dx, which must stay below 1, stood at {report.max_cfl:.2f} "
+                f"with {report.steps_per_beat} steps"
+            )
         return f"{text}{where}{when}; {_ERRORS[report.status][1]}"
 
     def solve(
@@ -491,7 +497,7 @@ class Solver:
         psi2: ArrayLike = 1.0,
         c: ArrayLike = 1.0,
     ) -> BatchSolution:
-        """Solve at many sets of parameters, eight side by side; a set that fails has a status and NaN rows.
+        """Solve at many sets of parameters, sixteen side by side; a set that fails has a status and NaN rows.
 
         Parameters
         ----------
@@ -502,7 +508,8 @@ class Solver:
         -------
         BatchSolution
             Sets solved side by side take the finest time step that one of them needs, so they agree
-            with single solves to within the discretisation error, and exactly when `steps_per_beat` is set.
+            with single solves to within the discretisation error, and to rounding when `steps_per_beat` is
+            set and the tolerance is met in the same beat.
         """
         values = {
             name: np.asarray(value, dtype=np.float64)
