@@ -611,7 +611,7 @@ def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]
     from rich.table import Table
     from rich.text import Text
 
-    from zoo.results import ESS_TARGET, RunRecord, scalars, verdict
+    from zoo.results import ESS_TARGET, RunRecord, geweke, mpsrf, scalars, verdict
 
     found = verdict(idata, ess=goal or ESS_TARGET)
     table = Table(box=None, pad_edge=False)
@@ -621,17 +621,24 @@ def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]
     posterior = idata["posterior"]
     arrays = {str(n): posterior[n].transpose("chain", "draw", ...).to_numpy() for n in posterior.data_vars}
     judged = {p.name: p for p in found.parameters}
+    p_values: list[float] = []
     for label, values in scalars(arrays):
         if label in judged:
+            p_values += list(geweke(values)) if values.shape[1] >= 40 else []
             p = judged[label]
             cells = [f"{q:.4g}" for q in np.quantile(values, (0.5, 0.025, 0.975))]
             cells += [f"{p.rhat:.3f}", f"{p.ess_bulk:.0f}", f"{p.ess_tail:.0f}"]
             table.add_row(label, *cells, style=None if p.passes else "yellow")
     record = RunRecord.of(idata)
     failed = ", ".join(f"{n} {status}" for status, n in record.failures.items()) or "none"
+    paper = f"as the paper tests: multivariate scale reduction factor {mpsrf(arrays):.3f} (limit 1.1)"
+    if p_values:
+        below = sum(p < 0.05 for p in p_values)
+        paper += f"; Geweke p below 0.05 in {below} of {len(p_values)} (expected {0.05 * len(p_values):.1f})"
     return [
         table,
         Text(found.text, style="green" if found.passes else "yellow"),
+        paper,
         f"{found.chains} chains of {found.draws} draws, seed {record.seed}; {record.solves} solves "
         f"({record.solves_per_step:.2f} a step), failed: {failed}; {record.wall_seconds:.0f} s",
     ]

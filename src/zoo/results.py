@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
 
 RHAT_LIMIT = 1.01
 """Largest rank-normalised R-hat of a converged parameter (Vehtari et al. 2021)."""
@@ -362,6 +365,80 @@ def diagnose(draws: Mapping[str, np.ndarray], *, ess: float = ESS_TARGET) -> Ver
         found.append(ParameterVerdict(name, rhat, bulk, tail, good))
     passes = bool(found) and all(p.passes for p in found) and shape[0] >= MIN_CHAINS
     return Verdict(tuple(found), shape[0], shape[1], passes, _verdict_text(found, *shape, ess))
+
+
+def geweke(values: ArrayLike) -> Array:
+    """P-values of Geweke's test: do the first 10 % and the last 50 % of a chain have one mean?
+
+    z = (mean_a - mean_b)/sqrt(var_a/ess_a + var_b/ess_b), p = 2 (1 - Phi(|z|)).
+
+    Parameters
+    ----------
+    values : array (n_chains, n_draws)
+        Draws of one scalar, at least 40 of each chain.
+
+    Returns
+    -------
+    array (n_chains,)
+        NaN for a chain that does not vary.
+
+    Raises
+    ------
+    ResultsError
+        If there are too few draws.
+
+    References
+    ----------
+    Geweke 1992, in Bayesian Statistics 4, pp. 169-193; the paper asks for p > 0.05.
+    """
+    import arviz as az
+    from scipy.stats import norm
+
+    draws = np.asarray(values, dtype=np.float64)
+    n = draws.shape[1]
+    if n < 40:
+        raise ResultsError(f"{n} draws are too few for Geweke's test; it needs 40")
+    p = np.full(len(draws), np.nan)
+    for i, chain in enumerate(draws):
+        if np.ptp(chain) == 0:
+            continue
+        parts = chain[: n // 10], chain[n - n // 2 :]
+        variance = sum(part.var(ddof=1) / float(az.ess(part[None], method="mean")) for part in parts)
+        p[i] = 2 * norm.sf(abs(parts[0].mean() - parts[1].mean()) / np.sqrt(variance))
+    return p
+
+
+def mpsrf(draws: Mapping[str, np.ndarray]) -> float:
+    """Multivariate potential scale reduction factor of Brooks and Gelman.
+
+    (n - 1)/n + (m + 1)/m lambda, lambda the largest eigenvalue of W^-1 B/n, with W the covariance within
+    and B/n the covariance between m chains of n draws. It is on the scale of variances.
+
+    Parameters
+    ----------
+    draws : mapping
+        Variable -> array (n_chains, n_draws, ...). Elements that never vary are left out.
+
+    Returns
+    -------
+    float
+        1 when the chains agree; NaN for a single chain.
+
+    References
+    ----------
+    Brooks and Gelman 1998, eq. (4.1), doi 10.1080/10618600.1998.10474787; the paper asks for <= 1.1.
+    """
+    from scipy.linalg import eigh
+
+    columns = [v for _, v in scalars(draws) if v.size and np.ptp(v) > 0]
+    if not columns or len(columns[0]) < 2:
+        return float("nan")
+    x = np.stack(columns, axis=-1).astype(np.float64)
+    x /= x.std(axis=(0, 1))
+    m, n, d = x.shape
+    within = np.mean([np.cov(chain.T).reshape(d, d) for chain in x], axis=0)
+    between = np.cov(x.mean(axis=1).T).reshape(d, d)
+    return float((n - 1) / n + (m + 1) / m * eigh(between, within, eigvals_only=True)[-1])
 
 
 def verdict(idata: Any, *, ess: float = ESS_TARGET, var_names: list[str] | None = None) -> Verdict:
