@@ -46,7 +46,8 @@ def ejection(n: int = 1024) -> tuple[Array, Array]:
 
     q = peak (1 - cos(pi x/2)^(2 m)), x = t/0.0215 s while it rises and (0.058 s - t)/(0.058 s - 0.0215 s)
     while it falls, zero after; m such that the mean is 0.169 ml/s: 1 - Gamma(m + 1/2)/(sqrt(pi) Gamma(m + 1))
-    = 0.169 T/(0.55 0.058). It starts and ends without a corner, so that the solver keeps its order.
+    = 0.169 T/(0.55 0.058). It starts and ends without a corner, which a
+    scheme of second order would answer with wiggles.
 
     Parameters
     ----------
