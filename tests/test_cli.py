@@ -384,6 +384,17 @@ def test_fresh_removes_only_a_checkpoint(tiny: Path, tmp_path: Path) -> None:
     assert [f.name for f in folder.iterdir()] == ["diary.txt"]
 
 
+def test_fresh_does_not_take_a_checkpoint_from_a_running_job(tiny: Path, tmp_path: Path) -> None:
+    from zoo.sampling import Folder
+
+    held = Folder(tmp_path / "A.checkpoint")
+    message = fails("sample", "A", tiny, "-o", tmp_path / "A.nc", "--fresh", *QUICK)
+    assert "another run is using this checkpoint folder" in message
+    assert "--fresh" not in message
+    assert held.path.is_dir()
+    held.close()
+
+
 @pytest.mark.slow
 def test_compare_samples_what_is_missing_and_writes_table_and_figures(
     sampled: tuple[Path, str], tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -579,14 +579,16 @@ def _sample(
 ) -> az.InferenceData:
     """Run a model with the checkpoint beside its output, and write the output."""
     from zoo.results import save
-    from zoo.sampling import CheckpointError
+    from zoo.sampling import CheckpointError, CheckpointInUseError
     from zoo.sampling import sample as run
 
     folder = path.with_suffix(".checkpoint")
-    if not resume:
-        _remove_checkpoint(folder)
     try:
+        if not resume:
+            _remove_checkpoint(folder)
         idata = run(_model(name, study), checkpoint=folder, progress=progress, **settings)
+    except CheckpointInUseError as error:
+        raise UsageError(str(error)) from None
     except CheckpointError as error:
         raise UsageError(f"{error} (--fresh removes it)") from None
     save(idata, path)
@@ -594,9 +596,12 @@ def _sample(
 
 
 def _remove_checkpoint(folder: Path) -> None:
-    """Delete the files of a checkpoint, and nothing else."""
+    """Delete the files of a checkpoint that no run is using, and nothing else."""
+    from zoo.sampling import Folder
+
     if not folder.is_dir():
         return
+    Folder(folder).close()  # refused while another run holds it
     for pattern in ("run.json", "start.pkl", "chain-*.pkl", "*.part", "lock"):
         for file in folder.glob(pattern):
             file.unlink()
@@ -701,7 +706,7 @@ def compare(
     )
     loaded = _load(study, conventions, switches)
     _parent_exists(output.resolve()).mkdir(exist_ok=True)
-    files = _find_posteriors(posteriors or [], output, names)
+    files = _find_posteriors(posteriors or [], output, names, loaded)
     settings: dict[str, Any] = {
         "tune": tune,
         "chains": chains,
@@ -735,7 +740,9 @@ def compare(
         _figures(table, built, found, loaded, output)
 
 
-def _find_posteriors(given: Sequence[Path], output: Path, names: Sequence[str]) -> dict[str, Path]:
+def _find_posteriors(
+    given: Sequence[Path], output: Path, names: Sequence[str], study: Study
+) -> dict[str, Path]:
     """Files with posteriors of the models: those given, by their record, or of an earlier comparison."""
     from zoo.results import RunRecord, load
 
@@ -747,7 +754,10 @@ def _find_posteriors(given: Sequence[Path], output: Path, names: Sequence[str]) 
             idata = load(file) if path.is_file() or _is_posterior(file) else None
             if idata is None:
                 continue
-            name = RunRecord.of(idata).model
+            record = RunRecord.of(idata)
+            name = record.model
+            if path.is_dir() and record.study_checksum != study.checksum:
+                continue  # a folder may hold posteriors of other studies
             if name in names:
                 found[name] = file
             elif path.is_file():

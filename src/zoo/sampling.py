@@ -44,6 +44,10 @@ CRANK_NICOLSON = 0.5
 """Share of the steps of `sample(step="demetropolisz")` that are Crank-Nicolson moves."""
 
 
+class CheckpointInUseError(CheckpointError):
+    """Another run holds the checkpoint folder."""
+
+
 class Folder:
     """A checkpoint folder: run.json (what is being run), start.pkl, chain-K.pkl; locked while in use."""
 
@@ -64,7 +68,7 @@ class Folder:
             pass
         except OSError:
             self._lock.close()
-            raise CheckpointError(
+            raise CheckpointInUseError(
                 f"{path}: another run is using this checkpoint folder; wait for it or choose another"
             ) from None
 
