@@ -100,7 +100,6 @@ ZOO_INLINE void junction_body(const int wall, const int W, zoo_sim *s, zoo_junct
 
     ZOO_LOOP(W, i, j, l, 0, n, {
         volume[i] = w[j] * A[(ptrdiff_t)node[j] * W + l] + dt * qh[(ptrdiff_t)mid[j] * W + l];
-        sum_c[i] = sum_beta[i] = 0.0;
     });
     for (int b = 1; b < nb; b++) {
         const ptrdiff_t from = (ptrdiff_t)b * n;
@@ -117,8 +116,7 @@ ZOO_INLINE void junction_body(const int wall, const int W, zoo_sim *s, zoo_junct
         });
     else
         ZOO_LOOP(W, i, j, l, 0, n, { volume[i] /= rest[j]; });
-    if (newton)
-        ZOO_LOOP(W, i, j, l, 0, n, { sum_c[i] = sum_beta[i] = 0.0; });
+    ZOO_LOOP(W, i, j, l, 0, n, { sum_c[i] = sum_beta[i] = 0.0; });
 
     ZOO_LOOP(W, i, x, l, 0, n * nb, {
         const ptrdiff_t o = (ptrdiff_t)node[x] * W + l, m = (ptrdiff_t)mid[x] * W + l;

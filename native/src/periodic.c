@@ -110,7 +110,7 @@ int zoo_extrapolate(zoo_sim *s, int lane, int n_past)
                 y -= x[r] * (s->ends[i] - s->ends[(r + 1) * size + i]);
             if (trial == 0 && i < n) {
                 double ratio = y * s->inv_A0[i / W];
-                if (!(ratio > 0.05) || ratio <= wall_floor(s->wall, s->theta[i]) || ratio >= wall_limit(s->wall, s->theta[i]))
+                if (!(ratio > 0.05) || !wall_holds(s->wall, s->theta[i], ratio))
                     return 0;
             }
             if (trial == 1) {
@@ -179,7 +179,7 @@ static void find_failures(zoo_sim *s, int step)
             int i = j * s->lanes + l, k = s->vessel_of[j];
             double a = s->A[i] * s->inv_A0[j];
             int boundary = j == s->first[k] || j == s->last[k];
-            if (a > wall_floor(s->wall, s->theta[i]) && a < wall_limit(s->wall, s->theta[i]))
+            if (wall_holds(s->wall, s->theta[i], a))
                 continue;
             vessel = k;
             status = a >= wall_limit(s->wall, s->theta[i]) ? ZOO_WALL_LIMIT

@@ -6,7 +6,7 @@ double zoo_wall_pressure(int32_t wall, double wall_factor, double stiffness, dou
 {
     double K = wall_scale(wall, wall_factor, stiffness), theta = wall_theta(wall, gamma);
     double a = area / rest_area;
-    if (!(a > wall_floor(wall, theta)) || a >= wall_limit(wall, theta))
+    if (!wall_holds(wall, theta, a))
         return NAN;
     return wall_p(wall, K, theta, a, sqrt(a));
 }
@@ -16,7 +16,7 @@ double zoo_wave_speed(int32_t wall, double wall_factor, double stiffness, double
 {
     double K = wall_scale(wall, wall_factor, stiffness), theta = wall_theta(wall, gamma);
     double a = area / rest_area;
-    if (!(a > wall_floor(wall, theta)) || a >= wall_limit(wall, theta))
+    if (!wall_holds(wall, theta, a))
         return NAN;
     double r = sqrt(a);
     return sqrt(a * wall_slope(wall, K, theta, wall_p(wall, K, theta, a, r), r) / density);

@@ -82,6 +82,12 @@ ZOO_INLINE double wall_floor(int wall, double theta)
     return a > 0.0 ? a : 0.0;
 }
 
+/* Whether the law has a pressure at a; false for NaN. */
+ZOO_INLINE int wall_holds(int wall, double theta, double a)
+{
+    return a > wall_floor(wall, theta) && a < wall_limit(wall, theta);
+}
+
 /* a at pressure p; used to set a run up, not inside it. */
 ZOO_INLINE double wall_area_ratio(int wall, double K, double theta, double p)
 {
