@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from zoo.likelihood import neural_network_kernel
 from zoo.network import Network
@@ -14,6 +15,7 @@ from zoo.synthetic import (
     demo_study,
     ejection,
     falls_towards_periphery,
+    ordered_error_means,
     signal_to_noise,
     synthetic_study,
 )
@@ -49,11 +51,41 @@ def test_embedded_study_is_what_the_command_makes(tmp_path: Path):
     assert not falls_towards_periphery(Network.from_study(embedded), vessels, embedded.values[::-1])
 
 
-def test_errors_that_always_break_the_order_are_an_error():
+def test_means_of_errors_that_keep_the_order_follow_the_law_of_rejection():
+    """Against plain rejection of whole series, on a tree where that is affordable."""
+    network = Network.from_study(load_study("demo"))
+    vessels, clean, sd = [1, 2, 3, 4], np.array([14.7, 14.5, 14.6, 14.4]), 0.6
+    rng = np.random.default_rng(3)
+    ours = np.array([ordered_error_means(rng, network, vessels, clean, sd) for _ in range(600)])
+    drawn = clean + sd * rng.standard_normal((20_000, 4))
+    plain = drawn[[falls_towards_periphery(network, vessels, row[:, None]) for row in drawn]] - clean
+    assert 0.02 < len(plain) / len(drawn) < 0.6
+    for i in range(4):
+        assert stats.ks_2samp(ours[:, i], plain[:, i]).pvalue > 1e-3
+
+
+def test_errors_given_their_means():
+    """Mean as given; the rest has the covariance of a Gaussian process given its mean."""
+    time = np.linspace(0, 0.11, 12)
+    kernel = neural_network_kernel(time, 5e4, 140.0)
+    means = np.full(40_000, 0.7)
+    draws = correlated_errors(np.random.default_rng(1), time, 5e4, 140.0, len(means), means)
+    np.testing.assert_allclose(draws.mean(axis=1), 0.7, atol=1e-9)
+    a = np.full((1, 12), 1 / 12)
+    gain = kernel @ a.T / (a @ kernel @ a.T)
+    np.testing.assert_allclose(draws.mean(axis=0), 0.7 * gain[:, 0], atol=0.02)
+    np.testing.assert_allclose(np.cov(draws.T), kernel - gain @ (a @ kernel), atol=0.03)
+
+
+def test_all_vessels_keep_the_order():
     base = load_study("demo")
     sites = [(v.id, 0.5) for v in base.vessels]
+    made = synthetic_study(base, name="x", sites=sites, n_times=64, seed=5)
+    network = Network.from_study(made)
+    assert falls_towards_periphery(network, [v for v, _ in sites], made.values)
+    rng, rising = np.random.default_rng(0), np.arange(len(sites))
     with pytest.raises(RuntimeError, match="fewer vessels"):
-        synthetic_study(base, name="x", sites=sites, n_times=64, max_draws=20)
+        ordered_error_means(rng, network, [v for v, _ in sites], rising, 0.1, max_draws=1000)
 
 
 def test_another_seed_makes_other_errors_around_the_same_truth():

@@ -391,16 +391,41 @@ class Worker:
         return lines[-1] if lines else ""
 
 
-class Chains:
+class Fleet:
+    """All chains of a run, as their parent sees them."""
+
+    def __init__(self, tasks: Sequence[Task], show: Display) -> None:
+        self.tasks = list(tasks)
+        self.show = show
+        self.states = [ChainState(task.chain) for task in tasks]
+
+    def advance(self, until: int) -> None:
+        """Bring every chain to `until` stored draws."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """End all work; each chain writes its checkpoint first."""
+        raise NotImplementedError
+
+    def draws(self, kept: int) -> dict[str, np.ndarray]:
+        """First `kept` draws, name -> (n_chains, kept, ...)."""
+        each = [state.values(kept) for state in self.states]
+        return {name: np.stack([values[name] for values in each]) for name in each[0]}
+
+    def stats(self, kept: int) -> dict[str, np.ndarray]:
+        """Statistics of the first `kept` draws, name -> (n_chains, kept)."""
+        each = [state.values(kept, stats=True) for state in self.states]
+        return {name: np.stack([values[name] for values in each]) for name in each[0]}
+
+
+class Chains(Fleet):
     """Runs the chains' processes, `cores` at a time, and collects their draws."""
 
     def __init__(self, tasks: Sequence[Task], cores: int, show: Display) -> None:
-        self.tasks = list(tasks)
+        super().__init__(tasks, show)
         self.cores = cores
-        self.show = show
         self.inbox: queue.Queue[Any] = queue.Queue()
         self.workers: dict[int, Worker] = {}
-        self.states = [ChainState(task.chain) for task in tasks]
         self.slice = None if cores >= len(self.tasks) else 5.0
 
     def advance(self, until: int) -> None:
@@ -466,12 +491,35 @@ class Chains:
         for worker in self.workers.values():
             worker.wait(60.0)
 
-    def draws(self, kept: int) -> dict[str, np.ndarray]:
-        """First `kept` draws, name -> (n_chains, kept, ...)."""
-        each = [state.values(kept) for state in self.states]
-        return {name: np.stack([values[name] for values in each]) for name in each[0]}
 
-    def stats(self, kept: int) -> dict[str, np.ndarray]:
-        """Statistics of the first `kept` draws, name -> (n_chains, kept)."""
-        each = [state.values(kept, stats=True) for state in self.states]
-        return {name: np.stack([values[name] for values in each]) for name in each[0]}
+class InlineChains(Fleet):
+    """Runs the chains in this process, taking turns: no process to start, compiled functions shared."""
+
+    turn = 2.0  # s
+
+    def __init__(self, tasks: Sequence[Task], show: Display) -> None:
+        super().__init__(tasks, show)
+        self.chains: list[Chain] = []
+        self._sent = [0] * len(self.tasks)
+
+    def advance(self, until: int) -> None:
+        """Bring every chain to `until` stored draws."""
+        self.chains += [Chain(task) for task in self.tasks[len(self.chains) :]]
+        while behind := [i for i, chain in enumerate(self.chains) if chain.kept < until]:
+            for i in behind:
+                self.chains[i].run(until, self.turn)
+                self._update(i)
+            self.show.update(self.states, until)
+        for i in range(len(self.chains)):  # chains that a checkpoint had brought further
+            self._update(i)
+
+    def _update(self, i: int) -> None:
+        state, chain = self.states[i], self.chains[i]
+        state.update(chain.since(self._sent[i]))
+        self._sent[i] = chain.kept
+        state.phase = "tuning" if state.tuning else "sampling"
+
+    def close(self) -> None:
+        """Write the checkpoints."""
+        for chain in self.chains:
+            chain.save()

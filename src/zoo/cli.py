@@ -1,4 +1,4 @@
-"""The command `zoo`: fetch data, simulate, sample, compare; each command imports what it needs."""
+"""The command `zoo`: fetch data, simulate, sample, compare, report; each command imports what it needs."""
 
 from __future__ import annotations
 
@@ -499,7 +499,11 @@ CoresOption = Annotated[
 StepOption = Annotated[str, typer.Option("--step", help="demetropolisz or metropolis.")]
 ThinOption = Annotated[
     int | None,
-    typer.Option("--thin", help="Steps for each stored draw; the dimension by default.", show_default=False),
+    typer.Option(
+        "--thin",
+        help="Steps for each stored draw; a quarter of the dimension by default.",
+        show_default=False,
+    ),
 ]
 SeedOption = Annotated[
     int | None, typer.Option("--seed", help="Seed; recorded if not given.", show_default=False)
@@ -512,7 +516,7 @@ UntilOption = Annotated[
 ]
 MaxDrawsOption = Annotated[
     int | None,
-    typer.Option("--max-draws", help="Limit of --until; 20 times the first check.", show_default=False),
+    typer.Option("--max-draws", help="Limit of --until; 40 times the first check.", show_default=False),
 ]
 ResumeOption = Annotated[
     bool,
@@ -578,21 +582,17 @@ def _sample(
     name: str, study: Study, path: Path, settings: Mapping[str, Any], *, resume: bool, progress: bool
 ) -> az.InferenceData:
     """Run a model with the checkpoint beside its output, and write the output."""
-    from zoo.results import save
+    from zoo.posteriors import checkpoint_of, sample_to
     from zoo.sampling import CheckpointError, CheckpointInUseError
-    from zoo.sampling import sample as run
 
-    folder = path.with_suffix(".checkpoint")
     try:
         if not resume:
-            _remove_checkpoint(folder)
-        idata = run(_model(name, study), checkpoint=folder, progress=progress, **settings)
+            _remove_checkpoint(checkpoint_of(path))
+        return sample_to(path, _model(name, study), progress=progress, **settings)
     except CheckpointInUseError as error:
         raise UsageError(str(error)) from None
     except CheckpointError as error:
         raise UsageError(f"{error} (--fresh removes it)") from None
-    save(idata, path)
-    return idata
 
 
 def _remove_checkpoint(folder: Path) -> None:
@@ -695,6 +695,9 @@ def compare(
     sample_lag: SampleLag = None,
 ) -> None:
     """Rank models by how well they predict a study; posteriors that are missing are sampled first."""
+    from zoo.comparison import compare as rank
+    from zoo.posteriors import belongs, find, load_for
+
     names = [_model_name(part) for part in models.split(",") if part.strip()]
     if len(names) < 2 or len(set(names)) < len(names):
         raise UsageError(f"--models {models}: give at least two different models, such as --models A,B")
@@ -706,7 +709,8 @@ def compare(
     )
     loaded = _load(study, conventions, switches)
     _parent_exists(output.resolve()).mkdir(exist_ok=True)
-    files = _find_posteriors(posteriors or [], output, names, loaded)
+    files = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
+    files |= find(posteriors or [], names, loaded)
     settings: dict[str, Any] = {
         "tune": tune,
         "chains": chains,
@@ -715,19 +719,15 @@ def compare(
     }
     settings |= {"max_draws": max_draws, "draws": draws or FIRST_CHECK, "until_ess": goal}
 
-    from zoo.comparison import compare as rank
-    from zoo.results import load
-
     built: dict[str, Any] = {}
     found: dict[str, Any] = {}
     for name in names:
         built[name] = _model(name, loaded)
         here = Path(f"{name}.nc")
-        if name not in files and _belongs(here, built[name]):
+        if name not in files and belongs(here, built[name]):
             files[name] = here
         if name in files and resume:
-            found[name] = load(files[name])
-            _check_posterior(found[name], files[name], built[name])
+            found[name] = load_for(files[name], built[name])
             _say(f"model {name}: posterior of {files[name]}")
         else:
             path = output / f"{name}.nc"
@@ -738,71 +738,6 @@ def compare(
     _say(*_comparison_summary(table, criterion, loaded), f"wrote {output / 'comparison.csv'}")
     if figures:
         _figures(table, built, found, loaded, output)
-
-
-def _find_posteriors(
-    given: Sequence[Path], output: Path, names: Sequence[str], study: Study
-) -> dict[str, Path]:
-    """Files with posteriors of the models: those given, by their record, or of an earlier comparison."""
-    from zoo.results import RunRecord, load
-
-    found = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
-    for path in given:
-        if not path.exists():
-            raise UsageError(f"--posteriors {path}: no such file or folder; `zoo sample` writes posteriors")
-        for file in sorted(path.glob("*.nc")) if path.is_dir() else [path]:
-            idata = load(file) if path.is_file() or _is_posterior(file) else None
-            if idata is None:
-                continue
-            record = RunRecord.of(idata)
-            name = record.model
-            if path.is_dir() and record.study_checksum != study.checksum:
-                continue  # a folder may hold posteriors of other studies
-            if name in names:
-                found[name] = file
-            elif path.is_file():
-                raise UsageError(f"--posteriors {file}: is of model {name}, not of {', '.join(names)}")
-    return found
-
-
-def _is_posterior(file: Path) -> bool:
-    from zoo.results import ResultsError, RunRecord, load
-
-    try:
-        RunRecord.of(load(file))
-    except ResultsError:
-        return False
-    return True
-
-
-def _belongs(file: Path, model: Any) -> bool:
-    """Whether a file in the working directory is a posterior of this model, study and conventions."""
-    from zoo.results import load
-
-    if not file.is_file() or not _is_posterior(file):
-        return False
-    try:
-        _check_posterior(load(file), file, model)
-    except UsageError:
-        return False
-    return True
-
-
-def _check_posterior(idata: az.InferenceData, path: Path, model: Any) -> None:
-    """Refuse a posterior that was not drawn from this model, study and conventions."""
-    from zoo.results import RunRecord
-
-    record, ours = RunRecord.of(idata), model.zoo
-    for what, found, wanted in (
-        ("model", record.model, ours.name),
-        ("study", record.study, ours.study.name),
-        ("checksum of the study", record.study_checksum, ours.study.checksum),
-        ("conventions", record.conventions.get("name", ""), ours.op.solver.conventions.name),
-    ):
-        if found != wanted:
-            raise UsageError(
-                f"{path}: {what} is {found}, here it is {wanted}; sample again, or give those that belong"
-            )
 
 
 def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
@@ -850,11 +785,11 @@ def _figures(
         comparison_figure,
         fit_figure,
         pair_figure,
-        predictive_draws,
         rank_figure,
         save_figure,
         trace_figure,
     )
+    from zoo.predictive import predictive_draws
 
     save_figure(comparison_figure(table), output / "comparison.png")
     for name, idata in found.items():
@@ -865,6 +800,62 @@ def _figures(
         for kind, draw in (("trace", trace_figure), ("rank", rank_figure), ("pair", pair_figure)):
             save_figure(draw(idata, names), output / f"{kind}-{name}.png")
     _say(f"wrote figures to {output}")
+
+
+# -------------------------------------------------------------------------------------------------
+# report
+
+
+@app.command()
+@_reporting
+def report(
+    studies: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="STUDY...", help="Studies, a chapter each; all built-in ones if absent."),
+    ] = None,
+    posteriors: Annotated[
+        list[Path] | None,
+        typer.Option("--posteriors", help="Folder of posteriors; may be repeated. Here if absent."),
+    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="HTML file.")] = Path("report.html"),
+    models: Annotated[
+        str, typer.Option("--models", help="Those to take, with commas.")
+    ] = "A,B,C,D,E,F,G,H,I",
+    criterion: Annotated[
+        Literal["waic", "loo"], typer.Option("--ic", help="What ranks: waic or loo.")
+    ] = "waic",
+    n_draws: Annotated[
+        int, typer.Option("--n-draws", help="Draws of each posterior that are scored.")
+    ] = 1000,
+    title: Annotated[str, typer.Option("--title", help="Of the page.")] = "Models of blood flow",
+    quiet: QuietOption = False,
+) -> None:
+    """Write one HTML page on stored posteriors: comparison, fits, convergence, how they were made."""
+    import shlex
+
+    from zoo.report import gather, write_chapters
+    from zoo.study import list_studies
+
+    letters = [_model_name(part) for part in models.split(",") if part.strip()]
+    if n_draws < 10:
+        raise UsageError(f"--n-draws {n_draws}: give at least 10")
+    _parent_exists(output.resolve())
+    names = studies or list(list_studies())
+    folders = posteriors or [Path()]
+    chapters = gather(names, folders, letters=letters, data=bool(os.environ.get("CI")))
+    words = ["zoo", "report", *names]
+    words += [word for folder in folders for word in ("--posteriors", str(folder))]
+    words += ["--models", ",".join(letters), "--ic", criterion, "--n-draws", str(n_draws), "-o", str(output)]
+    write_chapters(
+        output,
+        chapters,
+        title=title,
+        ic=criterion,
+        n_draws=n_draws,
+        command=shlex.join(words),
+        say=(lambda text: None) if quiet else _say,
+    )
+    _say(f"wrote {output}")
 
 
 if __name__ == "__main__":

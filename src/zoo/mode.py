@@ -59,8 +59,31 @@ class LogPosterior:
         for name in values:
             if name not in known:
                 raise SamplingError(f"start: no variable {name!r} in the model; it has {', '.join(known)}")
-        overrides = {known[name]: np.asarray(value, dtype=float) for name, value in values.items()}
+        overrides = {}
+        for name, value in values.items():
+            array, rv = np.asarray(value, dtype=float), known[name]
+            if array.ndim == 0 and rv.ndim > 0:  # one value for all elements
+                array = np.full(rv.shape.eval(), float(array))
+            overrides[rv] = array
         return self.vector(make_initial_point_fn(model=self.model, overrides=overrides)(0))
+
+    def from_draws(self, draws: Mapping[str, ArrayLike]) -> Array:
+        """Draws of every free variable in its own unit, name -> (n, ...), to vectors (n, n_dim)."""
+        import pytensor
+
+        inputs, outputs = [], []
+        for rv in self.model.free_RVs:
+            value = rv.type()
+            transform = self.model.rvs_to_transforms[rv]
+            inputs.append(value)
+            outputs.append(value if transform is None else transform.forward(value, *rv.owner.inputs))
+        function = pytensor.function(inputs, outputs)
+        values = [self.model.rvs_to_values[rv].name for rv in self.model.free_RVs]
+        columns = [np.asarray(draws[rv.name], dtype=float) for rv in self.model.free_RVs]
+        rows = [
+            self.vector(dict(zip(values, function(*row), strict=True))) for row in zip(*columns, strict=True)
+        ]
+        return np.array(rows)
 
     def to_values(self, q: Array) -> dict[str, np.ndarray]:
         """Vector (n_dim,) -> free variables in their own units."""

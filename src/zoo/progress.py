@@ -119,7 +119,7 @@ class Display:
             kept = min(state.kept for state in states)
             goal = kept * max(1.0, self.ess / max(self._verdict.min_ess, 1.0))
         steps = sum(max(0.0, self.tune + goal * self.thin - state.steps) for state in states)
-        return steps / float(np.mean(rates)) / min(self.cores, len(states))
+        return steps / float(np.mean(rates)) / min(max(1, self.cores), len(states))
 
     def summary(self, states: Sequence[ChainState], until: int) -> str:
         """One line on convergence and time."""

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pymc as pm
@@ -222,12 +223,23 @@ def compile_logp(
     shared: Mapping[Any, Any],
     compile_kwargs: Mapping[str, Any] | None = None,
 ) -> Any:
+    """Log-posterior as a function of one vector; kept with the model if nothing else enters."""
+    alone = not shared and not compile_kwargs
+    kept = _compiled.setdefault(model, {})
+    key = tuple(v.name for v in model.value_vars), tuple(v.name for v in variables)
+    if alone and key in kept:
+        return kept[key]
     [logp], joined = join_nonshared_inputs(
         point=point, outputs=[model.logp()], inputs=list(variables), shared_inputs=dict(shared)
     )
     function = compile_function([joined], logp, **dict(compile_kwargs or {}))
     function.trust_input = True
+    if alone:
+        kept[key] = function
     return function
+
+
+_compiled: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
 
 
 def _uncompiled() -> dict[str, Any]:

@@ -1,0 +1,134 @@
+"""Posteriors as files: sampled into one beside its checkpoint, found for a study, refused for another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zoo.results import ResultsError, RunRecord, load, save
+from zoo.sampling import sample
+
+if TYPE_CHECKING:
+    import arviz as az
+
+    from zoo.study import Study
+
+
+class PosteriorError(ValueError):
+    """A stored posterior that does not belong; its text says to what, and what to change."""
+
+
+def sample_to(path: str | Path, model: Any, **settings: Any) -> az.InferenceData:
+    """Sample a model into a NetCDF file, with the checkpoint in a folder beside it.
+
+    Parameters
+    ----------
+    path : path
+        ``X.nc``; the checkpoint is ``X.checkpoint``.
+    model : pymc.Model
+        With a record.
+    **settings
+        Of `zoo.sample`.
+
+    Returns
+    -------
+    InferenceData
+        What the file holds.
+
+    Raises
+    ------
+    zoo.sampling.CheckpointError
+        If the checkpoint is in use, or of another run.
+    """
+    path = Path(path)
+    idata = sample(model, checkpoint=checkpoint_of(path), **settings)
+    save(idata, path)
+    return idata
+
+
+def checkpoint_of(path: Path) -> Path:
+    """Folder of the checkpoint that belongs to a posterior's file."""
+    return path.with_suffix(".checkpoint")
+
+
+def mismatch(idata: az.InferenceData, model: Any) -> str | None:
+    """What a stored posterior has otherwise than a model: its name, study, data or conventions; or None."""
+    record, ours = RunRecord.of(idata), model.zoo
+    for what, found, wanted in (
+        ("model", record.model, ours.name),
+        ("study", record.study, ours.study.name),
+        ("checksum of the study", record.study_checksum, ours.study.checksum),
+        ("conventions", record.conventions.get("name", ""), ours.op.solver.conventions.name),
+    ):
+        if found != wanted:
+            return f"{what} is {found}, here it is {wanted}"
+    return None
+
+
+def load_for(path: str | Path, model: Any) -> az.InferenceData:
+    """Read a posterior that was drawn from this model, study and conventions.
+
+    Raises
+    ------
+    PosteriorError
+        If it was drawn from others.
+    zoo.results.ResultsError
+        If the file is no posterior.
+    """
+    idata: az.InferenceData = load(path)
+    if wrong := mismatch(idata, model):
+        raise PosteriorError(f"{path}: {wrong}; sample again, or give those that belong")
+    return idata
+
+
+def belongs(path: Path, model: Any) -> bool:
+    """Whether a file is there and is a posterior of this model, study and conventions."""
+    try:
+        return path.is_file() and mismatch(load(path), model) is None
+    except ResultsError:
+        return False
+
+
+def find(given: Iterable[Path], names: Sequence[str], study: Study) -> dict[str, Path]:
+    """Posteriors of models on a study among files and folders, by their run records.
+
+    Parameters
+    ----------
+    given : iterable of Path
+        Files, which must be of one of the models, or folders, in which other files are passed over.
+    names : sequence of str
+        Models.
+    study : Study
+        Whose posteriors count.
+
+    Returns
+    -------
+    dict
+        Model -> file; of several the last.
+
+    Raises
+    ------
+    PosteriorError
+        If there is no such file, or it is of another model.
+    zoo.results.ResultsError
+        If a file that was named is no posterior.
+    """
+    found: dict[str, Path] = {}
+    for path in given:
+        if not path.exists():
+            raise PosteriorError(f"{path}: no such file or folder of posteriors; `zoo sample` writes them")
+        for file in sorted(path.glob("*.nc")) if path.is_dir() else [path]:
+            try:
+                record = RunRecord.of(load(file))
+            except ResultsError:
+                if path.is_dir():
+                    continue
+                raise
+            if path.is_dir() and record.study_checksum != study.checksum:
+                continue
+            if record.model in names:
+                found[record.model] = file
+            elif path.is_file():
+                raise PosteriorError(f"{file}: is of model {record.model}, not of {', '.join(names)}")
+    return found
