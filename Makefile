@@ -6,7 +6,7 @@ STAMP := $(VENV)/.zoo-setup
 PYTEST_ARGS ?= -n auto --dist loadfile
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
-.PHONY: setup test check demo bench clean
+.PHONY: setup test check demo report bench clean
 setup: $(STAMP)
 
 # Versions come from requirements.lock, those of the build tools too.
@@ -32,6 +32,20 @@ demo: setup
 	$(BIN)/zoo sample A demo --seed 1 -o demo-output/A.nc
 	$(BIN)/zoo sample B demo --seed 1 -o demo-output/B.nc
 	$(BIN)/zoo compare demo --models A,B -o demo-output
+
+# One page: demo with short chains, mouse-c6 with the stored posteriors.
+REPORT := demo-output/report.html
+SHORT := $(patsubst %,demo-output/short/%.nc,A B H)
+
+report: $(REPORT)
+
+.PHONY: $(REPORT)
+$(REPORT): $(SHORT)
+	$(BIN)/zoo report demo mouse-c6 --posteriors demo-output/short --posteriors notebooks/posteriors -o $@
+
+$(SHORT): demo-output/short/%.nc: $(STAMP)
+	mkdir -p $(@D)
+	$(BIN)/zoo sample $* demo --draws 150 --tune 300 --seed 1 --fresh -o $@
 
 bench: setup
 	$(BIN)/python benchmarks/bench_solver.py

@@ -421,7 +421,8 @@ def test_compare_samples_what_is_missing_and_writes_table_and_figures(
     # white noise of 0.1 mmHg was put in: the independent errors of A must win by far
     assert table.index[0] == "A"
     assert table.loc["B", "difference"] > 0
-    names = {"comparison", *(f"{kind}-{m}" for kind in ("fit", "trace", "rank", "pair") for m in "AB")}
+    kinds = ("fit", "trace", "rank", "pair", "pressure", "flow")
+    names = {"comparison", "pressure", "flow", "loops", *(f"{kind}-{m}" for kind in kinds for m in "AB")}
     assert {f.stem for f in out.glob("*.png")} == names
     again = run(
         "compare",

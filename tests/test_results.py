@@ -233,3 +233,50 @@ def test_mpsrf_of_one_scalar_is_the_classical_factor_and_bounds_those_of_many():
     assert both >= classical
     assert mpsrf({"y": rng.normal(size=(4, 5000, 3))}) == pytest.approx(1, abs=0.01)
     assert np.isnan(mpsrf({"x": x[:1]}))
+
+
+def test_slim_keeps_parameters_record_and_the_verdict_on_all_draws(tmp_path, record):
+    rng = np.random.default_rng(5)
+    whole = az.from_dict(
+        posterior={
+            "c": autoregressive(rng, 4, 1000, 0.5),
+            "chi": 5e4 + rng.normal(size=(4, 1000, 3)),
+            "waves": rng.normal(size=(4, 1000, 7)),
+        },
+        sample_stats={"accepted": np.linspace(0.1, 0.4, 4)[:, None].repeat(1000, 1)},
+        observed_data={"y": np.arange(7.0)},
+        dims={"waves": ["time"], "y": ["time"]},
+        coords={"time": np.arange(7.0)},
+    )
+    record.attach(whole)
+    small = load(save(results.slim(whole, 200), tmp_path / "B.nc"))
+    assert small.groups() == ["posterior"]
+    assert set(small.posterior.data_vars) == {"c", "chi"}
+    assert "time" not in small.posterior.coords
+    assert small.posterior.sizes == {"chain": 4, "draw": 50, "chi_dim_0": 3}
+    kept = small.posterior.draw.to_numpy()
+    assert (kept[0], kept[-1]) == (0, 999)
+    assert set(np.diff(kept)) <= {20, 21}
+    np.testing.assert_allclose(small.posterior.c, whole.posterior.c.isel(draw=kept), rtol=1e-6)
+    assert RunRecord.of(small) == record
+    found = results.diagnostics(small)
+    assert found == results.diagnostics(whole)
+    judged = verdict(whole)
+    assert found.verdict == judged
+    assert found.mpsrf == mpsrf({name: whole.posterior[name].to_numpy() for name in whole.posterior})
+    assert found.geweke["c"] == tuple(geweke(whole.posterior.c))
+    np.testing.assert_allclose(found.acceptance, np.linspace(0.1, 0.4, 4))
+    assert results.diagnostics(results.slim(small, 40)).verdict.draws == 1000  # still of the whole run
+    assert verdict(small).draws == 50
+    assert whole.posterior.sizes["draw"] == 1000
+
+
+def test_slim_refuses(idata, record):
+    with pytest.raises(ResultsError, match="no run record"):
+        results.slim(idata)
+    record.attach(idata)
+    with pytest.raises(ResultsError, match="n_draws = 0: keep at least one"):
+        results.slim(idata, 0)
+    idata.attrs["diagnostics_of_the_whole_run"] = "{}"
+    with pytest.raises(ResultsError, match="slim the posterior again"):
+        results.diagnostics(idata)

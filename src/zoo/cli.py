@@ -656,7 +656,12 @@ def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]
 @app.command()
 @_reporting
 def compare(
-    study: StudyArgument,
+    studies: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="STUDY...", help="Built-in studies (see `zoo studies`) or folders; a table each."
+        ),
+    ],
     models: Annotated[str, typer.Option("--models", help="With commas, such as A,B.")] = "A,B",
     posteriors: Annotated[
         list[Path] | None,
@@ -695,9 +700,6 @@ def compare(
     sample_lag: SampleLag = None,
 ) -> None:
     """Rank models by how well they predict a study; posteriors that are missing are sampled first."""
-    from zoo.comparison import compare as rank
-    from zoo.posteriors import belongs, find, load_for
-
     names = [_model_name(part) for part in models.split(",") if part.strip()]
     if len(names) < 2 or len(set(names)) < len(names):
         raise UsageError(f"--models {models}: give at least two different models, such as --models A,B")
@@ -707,10 +709,9 @@ def compare(
     switches = _switches(
         wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg, sample_lag
     )
-    loaded = _load(study, conventions, switches)
-    _parent_exists(output.resolve()).mkdir(exist_ok=True)
-    files = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
-    files |= find(posteriors or [], names, loaded)
+    loaded = [_load(study, conventions, switches) for study in studies]
+    if len({study.name for study in loaded}) < len(loaded):
+        raise UsageError(f"{', '.join(studies)}: two studies of one name; give each once")
     settings: dict[str, Any] = {
         "tune": tune,
         "chains": chains,
@@ -718,11 +719,32 @@ def compare(
         "seed": seed,
     }
     settings |= {"max_draws": max_draws, "draws": draws or FIRST_CHECK, "until_ess": goal}
+    _parent_exists(output.resolve()).mkdir(exist_ok=True)
+    for study in loaded:
+        folder = output if len(loaded) == 1 else output / study.name
+        folder.mkdir(exist_ok=True)
+        built, found = _posteriors_of(study, names, posteriors or [], folder, settings, resume, not quiet)
+        _compare_on(study, built, found, folder, criterion, n_draws, figures)
 
+
+def _posteriors_of(
+    study: Study,
+    names: Sequence[str],
+    given: Sequence[Path],
+    output: Path,
+    settings: Mapping[str, Any],
+    resume: bool,
+    progress: bool,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Models on a study and their posteriors: given, of an earlier call, in the working directory, or new."""
+    from zoo.posteriors import belongs, find, load_for
+
+    files = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
+    files |= find(given, names, study)
     built: dict[str, Any] = {}
     found: dict[str, Any] = {}
     for name in names:
-        built[name] = _model(name, loaded)
+        built[name] = _model(name, study)
         here = Path(f"{name}.nc")
         if name not in files and belongs(here, built[name]):
             files[name] = here
@@ -731,13 +753,27 @@ def compare(
             _say(f"model {name}: posterior of {files[name]}")
         else:
             path = output / f"{name}.nc"
-            found[name] = _sample(name, loaded, path, settings, resume=resume, progress=not quiet)
+            found[name] = _sample(name, study, path, settings, resume=resume, progress=progress)
             _say(f"model {name}: sampled, wrote {path}")
-    table = rank(found, built, ic=criterion, n_draws=n_draws)
+    return built, found
+
+
+def _compare_on(
+    study: Study,
+    models: Mapping[str, Any],
+    found: Mapping[str, Any],
+    output: Path,
+    criterion: Literal["waic", "loo"],
+    n_draws: int,
+    figures: bool,
+) -> None:
+    from zoo.comparison import compare as rank
+
+    table = rank(found, models, ic=criterion, n_draws=n_draws)
     table.to_csv(output / "comparison.csv")
-    _say(*_comparison_summary(table, criterion, loaded), f"wrote {output / 'comparison.csv'}")
+    _say(*_comparison_summary(table, criterion, study), f"wrote {output / 'comparison.csv'}")
     if figures:
-        _figures(table, built, found, loaded, output)
+        _figures(table, models, found, study, output)
 
 
 def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
@@ -781,25 +817,219 @@ def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
 def _figures(
     table: Any, models: Mapping[str, Any], found: Mapping[str, Any], study: Study, output: Path
 ) -> None:
-    from zoo.plots import (
-        comparison_figure,
-        fit_figure,
-        pair_figure,
-        rank_figure,
-        save_figure,
-        trace_figure,
-    )
-    from zoo.predictive import predictive_draws
+    from zoo import plots, predictive
 
-    save_figure(comparison_figure(table), output / "comparison.png")
+    def save(figure: Any, name: str) -> None:
+        plots.save_figure(figure, output / f"{name}.png")
+
+    save(plots.comparison_figure(table), "comparison")
+    medians, loops = {}, {}
     for name, idata in found.items():
         names = list(models[name].zoo.parameters)
-        means, predictions = predictive_draws(models[name], idata)
-        fit = fit_figure(study, means, predictions, title=f"model {name} on {study.name}")
-        save_figure(fit, output / f"fit-{name}.png")
-        for kind, draw in (("trace", trace_figure), ("rank", rank_figure), ("pair", pair_figure)):
-            save_figure(draw(idata, names), output / f"{kind}-{name}.png")
+        means, predictions = predictive.predictive_draws(models[name], idata)
+        save(
+            plots.fit_figure(study, means, predictions, title=f"model {name} on {study.name}"), f"fit-{name}"
+        )
+        save(plots.trace_figure(idata, names), f"trace-{name}")
+        save(plots.rank_figure(idata, names), f"rank-{name}")
+        single = [n for n in names if idata["posterior"][n].ndim == 2]
+        save(plots.pair_figure(idata, single), f"pair-{name}")
+        waves = predictive.vessel_waves(models[name], idata, n_draws=100)
+        for quantity in ("pressure_mmHg", "flow_ml_s"):
+            kind = quantity.split("_")[0]
+            errors = any(series.quantity == quantity for series in study.series)
+            shown = predictive.bands(predictive.one_place(waves), quantity, (0.95,), errors=errors)
+            save(plots.all_vessels_figure(shown, study, title=f"model {name}, {kind}"), f"{kind}-{name}")
+        medians[name] = predictive.median_waves(waves)
+        loops[name] = predictive.waves_at_medians(models[name], idata)
+    vessels = [int(v) for v in next(iter(loops.values()))["vessel"].to_numpy()]
+    save(plots.models_figure(medians, study), "pressure")
+    save(plots.models_figure(medians, study, quantity="flow_ml_s"), "flow")
+    save(plots.loops_figure(loops, vessels=vessels), "loops")
     _say(f"wrote figures to {output}")
+
+
+# -------------------------------------------------------------------------------------------------
+# reproduce
+
+PAPERS = ("paun2020",)
+
+
+@app.command()
+@_reporting
+def reproduce(
+    paper: Annotated[str, typer.Argument(metavar="PAPER", help="paun2020.")] = "paun2020",
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Folder for posteriors, tables and figures; PAPER by default.",
+            show_default=False,
+        ),
+    ] = None,
+    models: Annotated[str, typer.Option("--models", help="With commas, or all nine.")] = "A,B,C,D,E,F,G,H,I",
+    study: Annotated[str, typer.Option("--study", help="What to fit.")] = "mouse-c6",
+    synthetic: Annotated[
+        bool, typer.Option("--synthetic", help="The studies on synthetic data instead: Tables 3 and 5.")
+    ] = False,
+    data_sets: Annotated[int, typer.Option("--data-sets", help="Synthetic data sets.")] = 20,
+    vessels: Annotated[
+        str, typer.Option("--vessels", help="Vessels with synthetic data, with commas.")
+    ] = "1,3,21",
+    samples: Annotated[int, typer.Option("--samples", help="Samples in a synthetic beat.")] = 256,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
+    draws: DrawsOption = None,
+    tune: TuneOption = None,
+    cores: CoresOption = None,
+    seed: SeedOption = 1,
+    until: UntilOption = None,
+    max_draws: MaxDrawsOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Do a paper again: its models on its data, its tables beside ours; goes on where it was interrupted."""
+    if paper not in PAPERS:
+        raise UsageError(f"{paper}: no such paper; {' or '.join(PAPERS)}")
+    names = [_model_name(part) for part in models.split(",") if part.strip()]
+    if not synthetic and (len(names) < 2 or len(set(names)) < len(names)):
+        raise UsageError(f"--models {models}: give at least two different models, such as --models A,B")
+    folder = Path(paper) if output is None else output
+    _parent_exists(folder.resolve())
+    settings: dict[str, Any] = {"cores": cores or _cores(4), "tune": tune, "max_draws": max_draws}
+    settings |= {"draws": draws or FIRST_CHECK, "until_ess": _until(until, draws)}
+    loaded = _load(study, None, {})
+    if synthetic:
+        counts = _vessel_counts(vessels, loaded)
+        _reproduce_synthetic(
+            loaded, folder / "synthetic", data_sets, counts, samples, settings, figures=figures, quiet=quiet
+        )
+        return
+
+    from zoo.reproduce import reproduce as run
+    from zoo.reproduce import table4_rows
+    from zoo.sampling import CheckpointError
+
+    settings |= {"seed": seed, "progress": not quiet}
+    try:
+        found = run(loaded, folder, names, figures=figures, say=_say, **settings)
+    except CheckpointError as error:
+        raise UsageError(f"{error}; the folder is {folder}") from None
+    headings, rows = table4_rows(found.parameters, found.scores)
+    _say(
+        _text_table(headings, rows, f"Table 4 of {paper}, published and on {loaded.name}"),
+        "cells: median (2.5 %, 97.5 %); = agrees, x does not; WAIC with the whole series as one observation",
+        _cost_summary(found.costs),
+        *found.lines(),
+        f"wrote {folder}",
+    )
+
+
+def _text_table(headings: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> Any:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for i, heading in enumerate(headings):
+        table.add_column(heading, no_wrap=True, justify="left" if i < 2 else "right")
+    for row in rows:
+        style = "green" if row[-2].endswith("=") or "=" in "".join(row) else None
+        table.add_row(*row, style=None if row[1] == "published" else style)
+    return table
+
+
+def _cost_summary(costs: Any) -> Any:
+    headings = ["model", "converged", "R-hat", "ESS", "solves", "failed", "minutes", "paper"]
+    rows = []
+    for model, row in costs.iterrows():
+        paper = f"{row['published_iterations']:.0f} iterations"
+        if row["published_emulator"]:
+            paper += " with an emulator"
+        if row["published_days"] and row["published_days"] == row["published_days"]:
+            paper += f", {row['published_days']:.0f} days"
+        rows.append(
+            [
+                str(model),
+                "yes" if row["converged"] else "no",
+                f"{row['rhat_max']:.3f}",
+                f"{row['ess_min']:.0f}",
+                f"{row['solves']:.0f}",
+                f"{row['failed']:.0f}",
+                f"{row['minutes']:.1f}",
+                paper,
+            ]
+        )
+    return _text_table(headings, rows, "what the posteriors cost")
+
+
+def _vessel_counts(text: str, study: Study) -> list[int]:
+    try:
+        counts = [int(part) for part in text.split(",")]
+    except ValueError:
+        raise UsageError(f"--vessels {text}: give whole numbers with commas, such as 1,3,21") from None
+    for count in counts:
+        if not 1 <= count <= len(study.vessels):
+            raise UsageError(f"--vessels {text}: {study.name} has {len(study.vessels)} vessels")
+    return counts
+
+
+def _reproduce_synthetic(
+    base: Study,
+    folder: Path,
+    data_sets: int,
+    vessels: Sequence[int],
+    samples: int,
+    settings: dict[str, Any],
+    *,
+    figures: bool,
+    quiet: bool,
+) -> None:
+    from zoo import coverage
+    from zoo.reproduce import synthetic_figures, synthetic_tables
+
+    if data_sets < 1:
+        raise UsageError(f"--data-sets {data_sets}: give at least 1")
+    if samples < 16:
+        raise UsageError(f"--samples {samples}: give at least 16")
+    wanted = [s for s in coverage.SCENARIOS if s.vessels in vessels]
+    wanted += [coverage.Scenario(f"mismatch, {n} vessels", "E", n) for n in vessels if n not in (1, 3, 21)]
+    scores = coverage.run(
+        base, folder, data_sets=data_sets, scenarios=wanted, n_times=samples, progress=not quiet, **settings
+    )
+    table, covered = synthetic_tables(scores), coverage.coverage(scores)
+    table.to_csv(folder / "tables-3-and-5.csv")
+    covered.to_csv(folder / "coverage.csv", index=False)
+    rows = []
+    for scenario, row in table.iterrows():
+        rows.append(
+            [
+                str(scenario),
+                f"{row['converged']:.0f} of {row['data_sets']:.0f}",
+                f"{row['relative_sse']:.2g} ({row['published_relative_sse']:.2g})",
+                *(
+                    f"{row[f'density_{name}']:.2g} ({row[f'published_density_{name}']:.2g})"
+                    for name in coverage.THETA
+                ),
+                f"{row['joint_kde']:.2g}, {row['joint_chen']:.2g}",
+                f"{row.get('joint_ratio', math.nan):.3g} ({row['published_joint_ratio']:.3g})",
+            ]
+        )
+    headings = ["scenario", "converged", "relative SSE", *(f"p({name}|y)" for name in coverage.THETA)]
+    headings += ["p(theta|y): kernel, Chen", "ratio to 1 vessel"]
+    _say(_text_table(headings, rows, f"Tables 3 and 5: medians over {data_sets} data sets (published)"))
+    rows = []
+    for (scenario, parameter), group in covered.groupby(["scenario", "parameter"], sort=False):
+        cells = [
+            f"{row['covered']} of {row['data_sets']}{'' if row['within'] else ' x'}"
+            for _, row in group.iterrows()
+        ]
+        rows.append([str(scenario), str(parameter), *cells])
+    headings = ["scenario", "parameter", *(f"{100 * level:.0f} %" for level in coverage.LEVELS)]
+    _say(
+        _text_table(headings, rows, "how often central intervals hold the truth"),
+        "x: outside the central 95 % of the binomial with that probability",
+    )
+    if figures:
+        synthetic_figures(scores, base, folder)
+    _say(f"wrote {folder}")
 
 
 # -------------------------------------------------------------------------------------------------

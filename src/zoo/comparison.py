@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from zoo.likelihood import DECOMPOSITIONS, ModelRecord, pointwise_log_likelihoods
-from zoo.results import Verdict, verdict
+from zoo.results import Verdict, judged
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -370,7 +370,7 @@ def compare(
             loo = az.loo(left_out, pointwise=True, scale="deviance")
         one = waic_one_observation(terms["joint"].to_numpy())
         pareto_k = loo.pareto_k.to_numpy()
-        found = (verdicts or {}).get(name) or verdict(idata, var_names=list(record_of(model).parameters))
+        found = (verdicts or {}).get(name) or judged(idata, var_names=list(record_of(model).parameters))
         scores[name] = waic if ic == "waic" else loo
         rows[name] = {
             "waic": waic.elpd_waic,

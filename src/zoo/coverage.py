@@ -381,7 +381,7 @@ def run(
     Returns
     -------
     DataFrame
-        One row a fit: scenario, data_set, and the columns of `score_fit`.
+        One row a fit: scenario, data_set, file, and the columns of `score_fit`.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -410,7 +410,12 @@ def run(
         task = bar.add_task("fits of synthetic data", total=len(jobs))
         fit_all([job for *_, job in jobs], cores=cores, done=lambda path: bar.advance(task))
     rows = [
-        {"scenario": scenario.name, "data_set": number, **score_fit(job.path, job, values, names=names)}
+        {
+            "scenario": scenario.name,
+            "data_set": number,
+            "file": job.path.name,
+            **score_fit(job.path, job, values, names=names),
+        }
         for scenario, number, job in jobs
     ]
     scores = pd.DataFrame(rows)

@@ -223,6 +223,36 @@ def iid_terms(residual: ArrayLike, sigma2: float) -> Array:
     return terms
 
 
+def whiten(
+    error: str, residuals: Array, time_s: ArrayLike, parameters: Mapping[str, ArrayLike]
+) -> Array | None:
+    """Residuals in units of their errors: z = L^-1 r with L L' the covariance of a series.
+
+    Parameters
+    ----------
+    error : {"iid", "gp"}
+        Error model.
+    residuals : array (..., n_times)
+        In the series' own unit; each last axis is one series.
+    time_s : array (n_times,)
+    parameters : mapping of name to scalar
+        "sigma2", or "w" and "b".
+
+    Returns
+    -------
+    array (..., n_times) or None
+        None where the covariance has no Cholesky factor.
+    """
+    if error == "iid":
+        return np.asarray(residuals / np.sqrt(float(np.asarray(parameters["sigma2"]))))
+    with _one_thread():
+        factor = _factor_at(time_s, float(np.asarray(parameters["w"])), float(np.asarray(parameters["b"])))
+        if factor is None:
+            return None
+        rows = np.reshape(residuals, (-1, residuals.shape[-1]))
+        return _whiten(factor, rows).reshape(residuals.shape)
+
+
 def pointwise_log_likelihoods(
     error: str,
     study: Study,

@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from pymc.blocking import DictToArrayBijection, RaveledVars
-from pymc.pytensorf import floatX
+from pymc.pytensorf import floatX, join_nonshared_inputs
 
+from zoo.likelihood import ModelRecord, whiten
 from zoo.steps import T_DOF, Array, Gaussian, Point, compile_logp, counting_ops
+
+MANY = 12
+"""Dimensions above which the search for the mode uses the structure of zoo's models."""
 
 
 class SamplingError(RuntimeError):
@@ -137,8 +141,9 @@ def find_mode(
     """Find the mode of a model's posterior without gradients, and the Gaussian around it.
 
     A derivative-free trust-region search (COBYQA) from the best of the model's initial point and its
-    suggested values, then Newton steps on a quadratic fitted over steps wide enough to lower the
-    log-posterior by about one, so that rounding and the tolerance of a solver do not matter.
+    suggested values, or Gauss-Newton steps if a model of zoo's has more than 12 parameters; then Newton
+    steps on a quadratic fitted over steps wide enough to lower the log-posterior by about one, so that
+    rounding and the tolerance of a solver do not matter.
 
     Parameters
     ----------
@@ -193,10 +198,13 @@ def search_mode(
         return -value
 
     limit = 300 + 60 * d if max_evaluations is None else max_evaluations
-    if limit > 2 * d + 1:
+    frame = None
+    if d > MANY and isinstance(getattr(logp.model, "zoo", None), ModelRecord):
+        q, best, frame = gauss_newton(logp, q, best, limit=limit)
+    elif limit > 2 * d + 1:
         options = {"initial_tr_radius": 0.5, "final_tr_radius": 0.02, "maxfev": limit}
         minimize(cost, q, method="COBYQA", options=options)
-    q, best, covariance = newton(logp, q, best, passes=8 if d <= 10 else 4)
+    q, best, covariance = newton(logp, q, best, passes=8 if d <= MANY else 3, frame=frame)
     return Mode(q, logp.to_values(q), best, covariance, logp.evaluations - before)
 
 
@@ -233,12 +241,142 @@ def _suggested(model: Any) -> dict[str, Any]:
     return {name: value for name, value in dict(values).items() if name in free}
 
 
-def newton(
-    logp: Callable[[Array], float], q: Array, value: float, *, passes: int
+class _Residuals:
+    """Whitened residuals, log-prior and error parameters of one of zoo's models."""
+
+    def __init__(self, logp: LogPosterior) -> None:
+        import pytensor
+
+        model, record = logp.model, logp.model.zoo
+        self.logp, self.record = logp, record
+        outputs = model.replace_rvs_by_values(
+            [record.mean, record.ok, *(model[name] for name in record.error_parameters)]
+        )
+        values, joined = join_nonshared_inputs(logp.initial, list(outputs), logp.variables, {})
+        self._mean = pytensor.function([joined], values)
+        prior = model.logp(vars=model.free_RVs)
+        [prior], joined = join_nonshared_inputs(logp.initial, [prior], logp.variables, {})
+        self._slope = pytensor.function([joined], pytensor.grad(prior, joined))
+        errors = {model.rvs_to_values[model[name]].name for name in record.error_parameters}
+        own = [np.full(np.size(logp.initial[v.name]), v.name in errors) for v in logp.variables]
+        self.of_errors = np.concatenate(own)
+
+    def mean(self, q: Array) -> tuple[Array | None, dict[str, Any]]:
+        """The solver's series, None where it fails, and the error parameters."""
+        self.logp.evaluations += 1
+        mean, ok, *errors = self._mean(q)
+        return (mean if ok else None), dict(zip(self.record.error_parameters, errors, strict=True))
+
+    def whiten(self, residuals: Array, errors: Mapping[str, Any]) -> Array | None:
+        return whiten(self.record.error, residuals, self.record.study.time_s, errors)
+
+    def prior(self, q: Array) -> tuple[Array, Array]:
+        """Gradient of the log-prior (n_dim,), and its negative second derivatives without negative ones."""
+        slope, h = np.asarray(self._slope(q)), 1e-4
+        columns = [(self._slope(q + h * e) - self._slope(q - h * e)) / (2 * h) for e in np.eye(len(q))]
+        curvature = -np.array(columns)
+        eigenvalues, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+        return slope, vectors @ (np.maximum(eigenvalues, 0.0)[:, None] * vectors.T)
+
+
+def gauss_newton(
+    logp: LogPosterior, q: Array, value: float, *, limit: int, step: float = 0.02
 ) -> tuple[Array, float, Array]:
-    """Newton steps on wide differences: mode (n_dim,), its log-posterior, covariance (n_dim, n_dim)."""
+    """Damped Gauss-Newton steps on the whitened residuals, for models with many parameters.
+
+    With z the whitened residuals and J their derivatives by differences, the step solves
+    (J'J + P + lambda D) s = -J'z + grad log p, P the curvature of the prior and D the diagonal. The
+    parameters of the errors are moved in between, which needs no solve.
+
+    Parameters
+    ----------
+    logp : LogPosterior
+        Of a model with a record.
+    q : array (n_dim,)
+        Start, with log-posterior `value`.
+    limit : int
+        Solves after which no new step is begun.
+    step : float
+        Of the differences, in standard deviations of the prior: far above the solver's tolerance.
+
+    Returns
+    -------
+    q : array (n_dim,)
+    value : float
+    frame : array (n_dim, n_dim)
+        Columns: directions about a standard deviation long.
+    """
+    from scipy.optimize import minimize
+
+    model = _Residuals(logp)
+    data, before = logp.model.zoo.study.values, logp.evaluations
+    theta, eta = np.flatnonzero(~model.of_errors), np.flatnonzero(model.of_errors)
+    curvature = np.diag(model.prior(logp.vector(logp.initial))[1])
+    scale = 1.0 / np.sqrt(np.where(curvature > 0, curvature, 1.0))  # prior standard deviations
+    damping, frame = 1e-3, 0.1 * np.diag(scale)
+    while logp.evaluations - before < limit:
+        first = value
+
+        def cost(x: Array, q: Array = q) -> float:
+            moved = q.copy()
+            moved[eta] = x
+            found = logp(moved)
+            return -found if np.isfinite(found) else 1e300
+
+        spent = logp.evaluations
+        found = minimize(cost, q[eta], method="Nelder-Mead", options={"maxfev": 80, "xatol": 1e-2})
+        logp.evaluations = spent  # the solver remembers the point
+        if -found.fun > value:
+            value, q = -float(found.fun), q.copy()
+            q[eta] = found.x
+        mean, errors = model.mean(q)
+        if mean is None or (z := model.whiten(data - mean, errors)) is None:
+            break
+        columns = []
+        for k in theta:
+            for h in (step * scale[k], -step * scale[k]):
+                moved = q.copy()
+                moved[k] += h
+                there, _ = model.mean(moved)
+                if there is not None:
+                    columns.append((mean - there) / h)
+                    break
+            else:
+                columns.append(np.zeros_like(mean))
+        whitened = model.whiten(np.array(columns), errors)
+        if whitened is None:
+            break
+        J = whitened.reshape(len(theta), -1).T
+        slope, curvature = model.prior(q)
+        gradient = slope[theta] - J.T @ z.ravel()
+        H = J.T @ J + curvature[np.ix_(theta, theta)]
+        eigenvalues, vectors = np.linalg.eigh(H * np.outer(scale[theta], scale[theta]))
+        axes = scale[theta, None] * vectors / np.sqrt(np.maximum(eigenvalues, 1e-2))
+        frame[np.ix_(theta, theta)] = axes
+        D = np.diag(np.maximum(np.diag(H), 1e-6 / scale[theta] ** 2))
+        for _ in range(10):
+            s = np.linalg.solve(H + damping * D, gradient)
+            moved = q.copy()
+            moved[theta] += s * min(1.0, 1.0 / float(np.max(np.abs(s / scale[theta]))))
+            there_value = logp(moved)
+            if there_value > value:
+                q, value, damping = moved, there_value, max(damping / 5, 1e-9)
+                break
+            damping *= 4
+        if value - first < 0.02:
+            break
+    return q, value, frame
+
+
+def newton(
+    logp: Callable[[Array], float], q: Array, value: float, *, passes: int, frame: Array | None = None
+) -> tuple[Array, float, Array]:
+    """Newton steps on wide differences: mode (n_dim,), its log-posterior, covariance (n_dim, n_dim).
+
+    Columns of `frame` are directions, each about a standard deviation long after the first pass.
+    """
     d = len(q)
-    frame = 0.1 * np.eye(d)  # columns: directions, each about a standard deviation long after the first pass
+    frame = 0.1 * np.eye(d) if frame is None else frame
     for turn in range(passes):
         seen: list[tuple[float, Array]] = []
 

@@ -1,23 +1,28 @@
-"""Figures: fits with their bands, chains, comparisons of models, waves; the only use of matplotlib."""
+"""Figures: fits, chains, comparisons, waves, predictions in all vessels; the only use of matplotlib."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
+
+from zoo.predictive import one_place
 
 if TYPE_CHECKING:
     import arviz as az
     import pandas as pd
-    import pymc as pm
     import xarray as xr
 
+    from zoo.calibration import RankTest
     from zoo.study import Study
 
 Array = NDArray[np.float64]
@@ -52,6 +57,8 @@ PARAMETER_LABELS = {
     "f2": "$f_2$ (1/radius unit)",
     "f3": "$f_3$ (g cm$^{-1}$ s$^{-2}$)",
     "chi": r"$\chi$ (g cm$^{-1}$ s$^{-2}$)",
+    "m_chi": r"$m_\chi$ (g cm$^{-1}$ s$^{-2}$)",
+    "v_chi": r"$v_\chi$ (10$^8$ g$^2$ cm$^{-2}$ s$^{-4}$)",
     "gamma": r"$\gamma$",
     "psi1": r"$\psi_1$",
     "psi2": r"$\psi_2$",
@@ -60,6 +67,25 @@ PARAMETER_LABELS = {
     "w": "$w$ (s$^{-2}$)",
     "b": "$b$",
 }
+SCALES = {"f1": 5, "f3": 4, "chi": 4, "m_chi": 4, "w": 4}
+"""Powers of ten that axes of these parameters are in."""
+
+SOLID, DASHED, DOTTED = "-", (0, (4, 1.6)), (0, (1, 1.2))
+MODEL_STYLES: dict[str, tuple[str, Any]] = {
+    "A": (COLOURS[0], DASHED),
+    "B": (COLOURS[0], SOLID),
+    "C": (COLOURS[5], DOTTED),
+    "D": (COLOURS[4], DASHED),
+    "E": (COLOURS[4], SOLID),
+    "F": (COLOURS[2], DASHED),
+    "G": (COLOURS[2], SOLID),
+    "H": (COLOURS[1], SOLID),
+    "I": (COLOURS[3], SOLID),
+}
+"""Colour and line of each model: colours tell wall and stiffness, dashes independent errors."""
+SEVEN_VESSELS = (1, 2, 3, 4, 8, 12, 21)
+"""The paper's text names six of the seven vessels in its figures 8 and 9; 21 is ours."""
+FOUR_VESSELS = (1, 3, 8, 21)
 
 
 class FigureError(ValueError):
@@ -87,56 +113,6 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
 
 # -------------------------------------------------------------------------------------------------
 # fits
-
-
-def predictive_draws(
-    model: pm.Model, idata: az.InferenceData, *, n_draws: int = 200, seed: int = 0
-) -> tuple[Array, Array]:
-    """Waveforms of posterior draws, without and with the model's errors.
-
-    A predicted value is y(t) = m(t) + e(t), with e(t) from the model's own marginal law at each draw: normal
-    with variance sigma2, or with variance k(t, t; w, b) plus the fixed noise and jitter.
-
-    Parameters
-    ----------
-    model : pymc.Model
-        With a record (`model.zoo`).
-    idata : InferenceData
-        Its posterior.
-    n_draws : int
-        Draws of all chains together.
-    seed : int
-        Of the errors.
-
-    Returns
-    -------
-    means : array (n_draws, n_series, n_times)
-        In the series' own units; draws whose solve fails are left out.
-    predictions : array (10 n_draws, n_series, n_times)
-        Ten draws of the errors for each.
-    """
-    from zoo.comparison import posterior_means, record_of, thin
-    from zoo.likelihood import JITTER, NOISE_VARIANCE, neural_network_kernel
-
-    record = record_of(model)
-    posterior = thin(idata, n_draws)
-    means = posterior_means(model, posterior)
-    errors = {
-        name: posterior[name].transpose("chain", "draw", ...).to_numpy().ravel()
-        for name in record.error_parameters
-    }
-    variance = np.empty((len(means), means.shape[-1]))
-    for i in range(len(means)):
-        if record.error == "iid":
-            variance[i] = errors["sigma2"][i]
-        else:
-            kernel = neural_network_kernel(record.study.time_s, errors["w"][i], errors["b"][i])
-            variance[i] = np.diag(kernel) + NOISE_VARIANCE + JITTER
-    good = np.isfinite(means).all(axis=(1, 2))
-    means, variance = means[good], variance[good]
-    noise = np.random.default_rng(seed).standard_normal((10, *means.shape))
-    predictions = means + np.sqrt(variance)[:, None, :] * noise
-    return means, predictions.reshape(-1, *means.shape[1:])
 
 
 def fit_figure(
@@ -203,7 +179,7 @@ def _names(idata: az.InferenceData, var_names: Iterable[str] | None) -> list[str
     return [str(name) for name in posterior.data_vars if "time" not in posterior[name].dims]
 
 
-def _arviz(function: Any, *args: Any, **kwargs: Any) -> Figure:
+def _arviz(function: Any, *args: Any, labels: Mapping[str, str] | None = None, **kwargs: Any) -> Figure:
     """Call an ArviZ plot in our style, and take its figure from pyplot so that its last user frees it."""
     import arviz as az
     import matplotlib.pyplot as plt
@@ -212,7 +188,7 @@ def _arviz(function: Any, *args: Any, **kwargs: Any) -> Figure:
         mpl.rc_context({**STYLE, "figure.constrained_layout.use": True}),
         az.rc_context({"plot.max_subplots": 100}),
     ):
-        labeller = az.labels.MapLabeller(var_name_map=PARAMETER_LABELS)
+        labeller = az.labels.MapLabeller(var_name_map=labels or PARAMETER_LABELS)
         axes = np.atleast_1d(function(*args, labeller=labeller, **kwargs))
         figure: Figure = axes.flat[0].figure
         plt.close(figure)
@@ -259,18 +235,22 @@ def pair_figure(idata: az.InferenceData, var_names: Iterable[str] | None = None)
     import arviz as az
 
     names = _names(idata, var_names)
-    size = 1.7 * sum(int(np.prod(idata["posterior"][name].shape[2:])) for name in names)
-    return _arviz(
+    posterior = idata["posterior"][names]
+    size = 1.7 * sum(int(np.prod(posterior[name].shape[2:])) for name in names)
+    figure = _arviz(
         az.plot_pair,
-        idata,
+        az.InferenceData(posterior=posterior.map(lambda values: values / 10.0 ** SCALES.get(values.name, 0))),
         var_names=names,
+        labels={name: _parameter_label(name) for name in names},
         figsize=(size, size),
         textsize=8,
         marginals=True,
         kind="scatter",
-        scatter_kwargs={"alpha": 0.2, "s": 3, "color": COLOURS[0]},
+        scatter_kwargs={"alpha": 0.25, "s": 9, "color": COLOURS[0]},
         marginal_kwargs={"color": COLOURS[0]},
     )
+    figure.axes[0].set_yticks([])
+    return figure
 
 
 # -------------------------------------------------------------------------------------------------
@@ -385,4 +365,800 @@ def waves_figure(
         handles += [line([], [], color="#666666", ls=styles[p], label=f"position {p:g}") for p in positions]
         columns = math.ceil(len(handles) / 14)
         figure.legend(handles=handles, loc="outside right center", fontsize="small", ncols=columns)
+    return figure
+
+
+# -------------------------------------------------------------------------------------------------
+# predictions in all vessels
+
+
+def model_style(name: str, place: int = 0) -> tuple[str, Any]:
+    """Colour and line of a model, by its letter, or by its place for a model outside the nine."""
+    return MODEL_STYLES.get(name, (COLOURS[place % len(COLOURS)], (SOLID, DASHED, DOTTED)[place // 7 % 3]))
+
+
+def _vessels(data: xr.Dataset, wanted: Sequence[int] | None, usual: Sequence[int]) -> list[int]:
+    """Vessels to show: those asked for, the usual ones, or as many from the root on."""
+    there = [int(v) for v in data["vessel"].to_numpy()]
+    chosen = list(usual if wanted is None else wanted)
+    if wanted is None and not set(chosen) <= set(there):
+        chosen = there[: len(usual)]
+    for vessel in chosen:
+        if vessel not in there:
+            raise FigureError(
+                f"vessel {vessel}: the waves have {', '.join(map(str, there))}; choose of these"
+            )
+    return chosen
+
+
+def _vessel_title(data: xr.Dataset, vessel: int) -> str:
+    name = str(data["name"].sel(vessel=vessel).item()) if "name" in data.coords else ""
+    return f"vessel {vessel}" if name in ("", f"v{vessel}") else name
+
+
+def _first(mapping: Mapping[str, Any], what: str) -> Any:
+    if not mapping:
+        raise FigureError(f"no {what}: give at least one")
+    return next(iter(mapping.values()))
+
+
+def _observed(study: Study | None, quantity: str, data: xr.Dataset, vessel: int) -> list[ArrayLike]:
+    """Measured series of a quantity where the vessel is looked at."""
+    if study is None:
+        return []
+    place = float(data["position"].sel(vessel=vessel)) if "position" in data.coords else 0.0
+    found = [s for s in study.series if (s.vessel, s.quantity) == (vessel, quantity)]
+    return [s.value for s in found if s.position == place]
+
+
+def _draw_measured(axes: Axes, study: Study | None, quantity: str, data: xr.Dataset, vessel: int) -> bool:
+    measured = _observed(study, quantity, data, vessel)
+    for values in measured:
+        time_ms = 1e3 * np.asarray(study.time_s) if study is not None else np.empty(0)
+        axes.plot(time_ms, np.asarray(values), color="black", lw=1.1, zorder=3)
+    return bool(measured)
+
+
+def _draw_bands(axes: Axes, data: xr.Dataset, vessel: int, prob: float, colour: str) -> None:
+    """Prediction band if there is one, credible band and median of one vessel."""
+    one = data.sel(vessel=vessel)
+    time_ms = 1e3 * one["time"].to_numpy()
+    if "prediction_low" in one:
+        low, high = (one[f"prediction_{end}"].sel(prob=prob) for end in ("low", "high"))
+        axes.fill_between(time_ms, low, high, color=colour, alpha=0.2, lw=0)
+    low, high = (one[end].sel(prob=prob) for end in ("low", "high"))
+    axes.fill_between(time_ms, low, high, color=colour, alpha=0.5, lw=0)
+    axes.plot(time_ms, one["median"], color=colour, lw=1.2)
+    axes.set_xlim(time_ms[0], 1e3 * float(data["time"][-1] + data["time"][1]))
+
+
+def _band_handles(prob: float, colour: str, *, prediction: bool, measured: bool) -> list[Any]:
+    patch = mpl.patches.Patch
+    handles: list[Any] = [Line2D([], [], color=colour, lw=1.4, label="posterior median")]
+    handles.append(patch(color=colour, alpha=0.55, lw=0, label=f"{100 * prob:g} % credible"))
+    if prediction:
+        handles.append(patch(color=colour, alpha=0.2, lw=0, label=f"{100 * prob:g} % prediction"))
+    if measured:
+        handles.append(Line2D([], [], color="black", lw=1.1, label="measured"))
+    return handles
+
+
+def _check_prob(data: xr.Dataset, prob: float) -> None:
+    if prob not in data["prob"]:
+        have = ", ".join(f"{float(p):g}" for p in data["prob"].to_numpy())
+        raise FigureError(f"prob = {prob:g}: the bands have {have}; choose of these")
+
+
+def uncertainty_figure(
+    bands: Mapping[str, xr.Dataset],
+    study: Study | None = None,
+    *,
+    vessels: Sequence[int] | None = None,
+    prob: float = 0.95,
+) -> Figure:
+    """Credible and prediction bands of several models in a few vessels (figure 5 of the paper).
+
+    Parameters
+    ----------
+    bands : mapping of name to Dataset
+        From `zoo.predictive.bands`, one for each model, of one quantity; prediction bands are drawn if there.
+    study : Study, optional
+        Its measured series are drawn where they were measured.
+    vessels : sequence of int, optional
+        Rows; four if absent.
+    prob : float
+        Of the bands.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A column for each model, a row for each vessel; one scale for all.
+
+    Raises
+    ------
+    FigureError
+        If a vessel or the probability is not in the bands.
+    """
+    first = one_place(_first(bands, "bands"))
+    shown = _vessels(first, vessels, FOUR_VESSELS)
+    quantity = str(first.attrs["quantity"])
+    pressure = quantity == "pressure_mmHg"
+    measured = False
+    with mpl.rc_context(STYLE):
+        size = (1.2 + 2.7 * len(bands), 1.0 + 1.75 * len(shown))
+        figure = Figure(figsize=size, layout="constrained")
+        grid = figure.subplots(
+            len(shown), len(bands), squeeze=False, sharex=True, sharey="all" if pressure else "row"
+        )
+        for column, (name, data) in enumerate(bands.items()):
+            _check_prob(data, prob)
+            data = one_place(data)
+            for row, vessel in enumerate(shown):
+                axes = grid[row, column]
+                _draw_bands(axes, data, vessel, prob, model_style(name, column)[0])
+                measured |= _draw_measured(axes, study, quantity, data, vessel)
+                if column == 0:
+                    axes.set_ylabel(f"{_vessel_title(data, vessel)}\n{QUANTITY_LABELS[quantity]}")
+            grid[0, column].set_title(f"model {name}")
+            grid[-1, column].set_xlabel("time in the beat (ms)")
+        prediction = any("prediction_low" in data for data in bands.values())
+        handles = _band_handles(prob, "#555555", prediction=prediction, measured=measured)
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small")
+    return figure
+
+
+def all_vessels_figure(
+    bands: xr.Dataset, study: Study | None = None, *, prob: float = 0.95, title: str = ""
+) -> Figure:
+    """Bands of one model in all vessels.
+
+    Parameters
+    ----------
+    bands : Dataset
+        From `zoo.predictive.bands`; prediction bands are drawn if there.
+    study : Study, optional
+        Its measured series are drawn where they were measured.
+    prob : float
+        Of the bands.
+    title : str
+        Above the panels.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A panel for each vessel; pressures have one scale.
+
+    Raises
+    ------
+    FigureError
+        If the probability is not in the bands.
+    """
+    _check_prob(bands, prob)
+    data = one_place(bands)
+    quantity = str(data.attrs["quantity"])
+    shown = [int(v) for v in data["vessel"].to_numpy()]
+    colour = model_style(str(data.attrs.get("model", "")))[0]
+    measured = False
+    with mpl.rc_context(STYLE):
+        figure, panels, rest = _panels(len(shown), sharey=quantity == "pressure_mmHg", spare=1)
+        for axes, vessel in zip(panels, shown, strict=True):
+            factor = _area_factor(quantity)
+            _draw_bands(axes, _scaled(data, factor), vessel, prob, colour)
+            measured |= _draw_measured(axes, study, quantity, data, vessel)
+            axes.set_title(_vessel_title(data, vessel))
+        figure.supxlabel("time in the beat (ms)", fontsize="medium")
+        figure.supylabel(_quantity_label(quantity), fontsize="medium")
+        prediction = "prediction_low" in data
+        rest[0].legend(
+            handles=_band_handles(prob, colour, prediction=prediction, measured=measured), loc="center"
+        )
+        if title:
+            figure.suptitle(title)
+    return figure
+
+
+def _area_factor(quantity: str) -> float:
+    return 1e3 if quantity == "area_cm2" else 1.0
+
+
+def _quantity_label(quantity: str) -> str:
+    return "area (10$^{-3}$ cm$^2$)" if quantity == "area_cm2" else QUANTITY_LABELS[quantity]
+
+
+def _scaled(data: xr.Dataset, factor: float) -> xr.Dataset:
+    return data if factor == 1 else data.map(lambda variable: variable * factor, keep_attrs=True)
+
+
+def _panels(
+    n: int, *, sharey: bool = False, sharex: bool = True, spare: int = 0
+) -> tuple[Figure, list[Axes], list[Axes]]:
+    """Figure with `n` panels and `spare` empty ones at least, and the empty ones without frames."""
+    columns = min(n + spare, 4 if n + spare <= 8 else 6)
+    rows = math.ceil((n + spare) / columns)
+    figure = Figure(figsize=(1.0 + 2.05 * columns, 0.9 + 1.75 * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
+    every: list[Axes] = list(grid.flat)
+    for axes in every[n:]:
+        axes.set_axis_off()
+    if sharex:
+        for axes in every[max(0, n - columns) : n]:
+            axes.tick_params(labelbottom=True)
+    return figure, every[:n], every[n:]
+
+
+def _width(place: int, n: int) -> float:
+    """Line width, less for later models, so that those on top of each other can be seen."""
+    return 2.3 - 1.3 * place / max(1, n - 1) if n > 1 else 1.3
+
+
+def _model_handles(names: Iterable[str]) -> list[Any]:
+    handles = []
+    for place, name in enumerate(names):
+        colour, line = model_style(name, place)
+        handles.append(Line2D([], [], color=colour, ls=line, lw=1.6, label=f"model {name}"))
+    return handles
+
+
+def models_figure(
+    medians: Mapping[str, xr.Dataset],
+    study: Study | None = None,
+    *,
+    quantity: str = "pressure_mmHg",
+    vessels: Sequence[int] | None = None,
+) -> Figure:
+    """Median waves of all models in seven vessels, with the residuals (figure 8, and 9 left, of the paper).
+
+    Parameters
+    ----------
+    medians : mapping of name to Dataset
+        From `zoo.predictive.median_waves`, one for each model.
+    study : Study, optional
+        Its measured series are drawn where they were measured, and give a last panel with the residuals,
+        measured minus median, of the first of them.
+    quantity : str
+        pressure_mmHg, flow_ml_s or area_cm2.
+    vessels : sequence of int, optional
+        Panels; seven if absent.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Colours tell wall and stiffness, dashes independent errors.
+
+    Raises
+    ------
+    FigureError
+        If there are no models, or a vessel or quantity is unknown.
+    """
+    first = _first(medians, "medians")
+    if quantity not in QUANTITY_LABELS:
+        raise FigureError(f"quantity = {quantity!r}: must be one of {', '.join(QUANTITY_LABELS)}")
+    shown = _vessels(first, vessels, SEVEN_VESSELS)
+    observed = [v for v in shown if _observed(study, quantity, first, v)]
+    factor = _area_factor(quantity)
+    with mpl.rc_context(STYLE):
+        figure, panels, rest = _panels(len(shown) + bool(observed), spare=0 if observed else 1)
+        waves = panels[: len(shown)]
+        if quantity == "pressure_mmHg":
+            for axes in waves[1:]:
+                axes.sharey(waves[0])
+                place_in_grid = axes.get_subplotspec()
+                axes.tick_params(labelleft=place_in_grid is None or place_in_grid.is_first_col())
+            waves[0].yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        for axes, vessel in zip(waves, shown, strict=True):
+            for place, (name, data) in enumerate(medians.items()):
+                colour, line = model_style(name, place)
+                wave = factor * data[quantity].sel(vessel=vessel)
+                axes.plot(1e3 * data["time"], wave, color=colour, ls=line, lw=_width(place, len(medians)))
+            _draw_measured(axes, study, quantity, first, vessel)
+            axes.set_title(_vessel_title(first, vessel))
+            axes.set_xlim(0, 1e3 * float(first["time"][-1] + first["time"][1]))
+        handles = _model_handles(medians)
+        if observed and study is not None:
+            handles.append(Line2D([], [], color="black", lw=1.1, label="measured"))
+            _draw_residuals(panels[-1], medians, study, quantity, observed[0])
+            panels[-1].set_title(f"residual, {_vessel_title(first, observed[0])}")
+        figure.supxlabel("time in the beat (ms)", fontsize="medium")
+        figure.supylabel(_quantity_label(quantity), fontsize="medium")
+        if rest:
+            rest[0].legend(handles=handles, loc="center", ncols=2 if len(handles) > 5 else 1)
+        else:
+            figure.legend(handles=handles, loc="outside right center", fontsize="small")
+    return figure
+
+
+def _draw_residuals(
+    axes: Axes, medians: Mapping[str, xr.Dataset], study: Study, quantity: str, vessel: int
+) -> None:
+    time_s = np.asarray(study.time_s)
+    axes.axhline(0, color="#999999", lw=0.8)
+    for place, (name, data) in enumerate(medians.items()):
+        colour, line = model_style(name, place)
+        [measured, *_] = _observed(study, quantity, data, vessel)
+        wave = data[quantity].sel(vessel=vessel).to_numpy()
+        predicted = np.interp(time_s, data["time"].to_numpy(), wave, period=study.period_s)
+        axes.plot(
+            1e3 * time_s,
+            np.asarray(measured) - predicted,
+            color=colour,
+            ls=line,
+            lw=_width(place, len(medians)),
+        )
+
+
+def loops_figure(
+    waves: Mapping[str, xr.Dataset],
+    *,
+    vessels: Sequence[int] | None = None,
+    standardised: bool = False,
+) -> Figure:
+    """Pressure against cross-sectional area over the beat (figure 9, right, of the paper).
+
+    The walls are elastic, so pressure is a function of area and a loop is a curve, passed in both directions.
+    Areas are those of the vessels, in cm2. The paper shows (A - l)/(u - l), with the least and largest area
+    l and u of each vessel; with `standardised` so does this figure, l and u taken over the models shown.
+
+    Parameters
+    ----------
+    waves : mapping of name to Dataset
+        From `zoo.predictive.waves_at_medians`, one for each model: in one solve pressure and area belong
+        together, as they do not in pointwise medians.
+    vessels : sequence of int, optional
+        Panels; seven if absent. All vessels: ``list(waves[name].vessel.values)``.
+    standardised : bool
+        Areas between 0 and 1.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Colours tell wall and stiffness, dashes independent errors.
+
+    Raises
+    ------
+    FigureError
+        If there are no models, or a vessel is unknown.
+    """
+    first = _first(waves, "waves")
+    shown = _vessels(first, vessels, SEVEN_VESSELS)
+    with mpl.rc_context(STYLE):
+        figure, panels, rest = _panels(len(shown), sharey=True, sharex=standardised, spare=1)
+        for axes, vessel in zip(panels, shown, strict=True):
+            areas = {name: data["area_cm2"].sel(vessel=vessel).to_numpy() for name, data in waves.items()}
+            least = min(area.min() for area in areas.values())
+            largest = max(area.max() for area in areas.values())
+            for place, (name, data) in enumerate(waves.items()):
+                colour, line = model_style(name, place)
+                area = (areas[name] - least) / (largest - least) if standardised else 1e3 * areas[name]
+                pressure = data["pressure_mmHg"].sel(vessel=vessel).to_numpy()
+                order = np.argsort(area)  # passed once, so that dashes stay dashes
+                axes.plot(area[order], pressure[order], color=colour, ls=line, lw=_width(place, len(waves)))
+            axes.set_title(_vessel_title(first, vessel))
+            if not standardised:
+                axes.xaxis.set_major_locator(MaxNLocator(4))
+        panels[0].yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        label = "standardised area" if standardised else _quantity_label("area_cm2")
+        figure.supxlabel(label, fontsize="medium")
+        figure.supylabel(QUANTITY_LABELS["pressure_mmHg"], fontsize="medium")
+        rest[0].legend(handles=_model_handles(waves), loc="center", ncols=2 if len(waves) > 5 else 1)
+    return figure
+
+
+# -------------------------------------------------------------------------------------------------
+# several posteriors
+
+
+def _parameter_label(name: str) -> str:
+    """Label with unit, in the power of ten of `SCALES`."""
+    label = PARAMETER_LABELS.get(name, name)
+    if name not in SCALES:
+        return label
+    return label.replace(" (", f" (10$^{SCALES[name]}$ ", 1)
+
+
+def _in_scale(name: str, values: ArrayLike) -> Array:
+    return np.asarray(values, dtype=float) / 10.0 ** SCALES.get(name, 0)
+
+
+def posteriors_figure(
+    posteriors: Mapping[str, az.InferenceData | xr.Dataset], var_names: Iterable[str] | None = None
+) -> Figure:
+    """Marginal densities and pairs of parameters of several posteriors (figure 4 of the paper).
+
+    Densities are scaled to the same height, since a posterior with independent errors is many times narrower.
+
+    Parameters
+    ----------
+    posteriors : mapping of name to InferenceData or Dataset
+        Such as those of models A and B; from `zoo.predictive.with_stiffness` they have the stiffness of a
+        vessel in place of f1, f2 and f3.
+    var_names : iterable of str, optional
+        Scalars; those that all have if absent, in the order of the first.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Densities on the diagonal, scatter plots of at most 1000 draws each below.
+
+    Raises
+    ------
+    FigureError
+        If the posteriors have no parameter in common, or not those asked for.
+    """
+    import arviz as az
+
+    _first(posteriors, "posteriors")
+    draws: dict[str, dict[str, Array]] = {}
+    for name, posterior in posteriors.items():
+        data = posterior["posterior"] if isinstance(posterior, az.InferenceData) else posterior
+        scalars = [str(v) for v in data.data_vars if set(data[v].dims) == {"chain", "draw"}]
+        draws[name] = {v: _in_scale(v, data[v].transpose("chain", "draw")).ravel() for v in scalars}
+    every = list(draws.values())
+    names = [v for v in every[0] if all(v in each for each in every)]
+    if var_names is not None:
+        wanted = list(var_names)
+        for v in wanted:
+            if v not in names:
+                raise FigureError(f"parameter {v!r}: the posteriors share {', '.join(names) or 'none'}")
+        names = wanted
+    if not names:
+        raise FigureError("the posteriors have no scalar parameter in common; choose others")
+    n = len(names)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(1.0 + 1.65 * n, 0.6 + 1.5 * n), layout="constrained")
+        grid = figure.subplots(n, n, squeeze=False, sharex="col")
+        for place, values in reversed(list(enumerate(draws.values()))):
+            colour = COLOURS[place % len(COLOURS)]
+            step = max(1, math.ceil(len(values[names[0]]) / 1000))
+            for i, below in enumerate(names):
+                x, density = az.kde(values[below])
+                grid[i, i].plot(x, density / density.max(), color=colour, lw=1.5)
+                grid[i, i].fill_between(x, density / density.max(), color=colour, alpha=0.2, lw=0)
+                for j, across in enumerate(names[:i]):
+                    points = values[across][::step], values[below][::step]
+                    grid[i, j].scatter(*points, s=4, color=colour, alpha=0.3, lw=0, rasterized=True)
+        for i, below in enumerate(names):
+            for j in range(n):
+                axes = grid[i, j]
+                axes.xaxis.set_major_locator(MaxNLocator(3))
+                axes.yaxis.set_major_locator(MaxNLocator(3))
+                if j > i:
+                    axes.set_axis_off()
+                axes.tick_params(labelleft=j == 0 and i > 0, labelsize="small")
+            grid[i, i].set_yticks([])
+            grid[i, i].spines["left"].set_visible(False)
+            grid[i, i].set_ylim(bottom=0)
+            if i > 0:
+                grid[i, 0].set_ylabel(_broken(_parameter_label(below)), fontsize="small")
+            grid[-1, i].set_xlabel(_broken(_parameter_label(below)), fontsize="small")
+        figure.align_ylabels(grid[1:, 0])
+        handles = [
+            Line2D([], [], color=COLOURS[place % len(COLOURS)], lw=2, label=f"model {model}")
+            for place, model in enumerate(draws)
+        ]
+        figure.legend(handles=handles, loc="upper right")
+    return figure
+
+
+def _broken(label: str) -> str:
+    """Unit on a second line."""
+    return label.replace(" (", "\n(", 1)
+
+
+def stiffness_figure(stiffness: Mapping[str, xr.DataArray]) -> Figure:
+    """Stiffness of every vessel against its radius at rest (figure 6, right, of the paper).
+
+    Parameters
+    ----------
+    stiffness : mapping of name to DataArray
+        From `zoo.predictive.stiffness_draws`, one for each model.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Posterior medians and 95 % intervals, with the number of each vessel; those of nearly the same
+        radius stand a little apart.
+    """
+    _first(stiffness, "stiffness draws")
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.2, 4.2), layout="constrained")
+        axes = figure.subplots()
+        tops: dict[int, tuple[float, float]] = {}
+        for place, (name, draws) in enumerate(stiffness.items()):
+            radius = draws["radius_cm"].to_numpy()
+            low, median, high = _in_scale("chi", draws.quantile((0.025, 0.5, 0.975), ("chain", "draw")))
+            x = _apart(radius, 0.0006) + 0.00018 * (place - (len(stiffness) - 1) / 2)
+            colour = COLOURS[place % len(COLOURS)]
+            errors = np.stack([median - low, high - median])
+            axes.errorbar(
+                x,
+                median,
+                errors,
+                fmt="osD^v"[place % 5],
+                color=colour,
+                ms=4,
+                lw=1.2,
+                capsize=2,
+                label=f"model {name}",
+            )
+            for vessel, at, top in zip(draws["vessel"].to_numpy(), x, high, strict=True):
+                tops[int(vessel)] = at, max(top, tops.get(int(vessel), (0, 0))[1])
+        for vessel, (at, top) in tops.items():
+            axes.annotate(
+                str(vessel), (at, top), (0, 3), textcoords="offset points", ha="center", fontsize="x-small"
+            )
+        axes.set_xlabel("radius at rest, $r_0$ (cm); the number is the vessel's")
+        axes.set_ylabel(_parameter_label("chi"))
+        axes.set_ylim(bottom=0)
+        axes.legend(loc="best", fontsize="small", title="median and 95 % interval", title_fontsize="small")
+    return figure
+
+
+def _apart(values: Array, distance: float) -> Array:
+    """Values moved as little as possible so that neighbours are `distance` apart, groups kept centred."""
+    order = np.argsort(values, kind="stable")
+    moved = values[order].astype(float)
+    for _ in range(200):
+        gap = distance - np.diff(moved)
+        push = 0.5 * np.clip(gap, 0, None)
+        if not np.any(gap > 1e-9):
+            break
+        moved[:-1] -= 0.5 * push
+        moved[1:] += 0.5 * push
+    back = np.empty_like(moved)
+    back[order] = moved
+    return back
+
+
+def pressure_stiffness_figure(table: pd.DataFrame, estimate: float | None = None) -> Figure:
+    """Systolic, diastolic and pulse pressure against stiffness (figure 7 of the paper).
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `zoo.predictive.pressure_against_stiffness`; stiffnesses whose solve failed are left out.
+    estimate : float, optional
+        Stiffness to mark with crosses, g cm-1 s-2.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    good = table[table["status"] == "ok"].sort_values("stiffness_g_cm_s2")
+    chi = good["stiffness_g_cm_s2"].to_numpy()
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(5.6, 3.8), layout="constrained")
+        axes = figure.subplots()
+        for place, name in enumerate(("systolic", "diastolic", "pulse")):
+            pressure = good[f"{name}_mmHg"].to_numpy()
+            axes.plot(chi, pressure, color=COLOURS[place], lw=1.6, label=name)
+            if estimate is not None:
+                at = float(np.interp(math.log(estimate), np.log(chi), pressure))
+                axes.plot(estimate, at, "x", color="black", ms=7, mew=1.6, zorder=3)
+        if estimate is not None:
+            exponent = math.floor(math.log10(estimate))
+            text = rf"estimate, {estimate / 10**exponent:.2f} $\times$ 10$^{exponent}$"
+            axes.plot([], [], "x", color="black", ms=7, mew=1.6, label=text)
+        axes.set_xscale("log")
+        axes.set_xlabel(PARAMETER_LABELS["chi"].replace(r"$\chi$", r"stiffness $\chi$"))
+        axes.set_ylabel("pressure at the root's inlet (mmHg)")
+        axes.set_ylim(bottom=0)
+        axes.legend(loc="best", fontsize="small")
+    return figure
+
+
+def intervals_figure(table: pd.DataFrame) -> Figure:
+    """Published medians and 95 % intervals beside ours, a panel for each parameter.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns model, parameter, published_median, published_low, published_high, median, low, high, in the
+        units of the parameters; NaN where the paper has no number.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    FigureError
+        If a column is missing, or there is no row.
+    """
+    ends = ("median", "low", "high")
+    columns = ["model", "parameter", *(f"published_{end}" for end in ends), *ends]
+    missing = [column for column in columns if column not in table.columns]
+    if missing or table.empty:
+        what = f"no column {missing[0]!r}" if missing else "no row"
+        raise FigureError(f"table of intervals: {what}; give {', '.join(columns)}")
+    models = list(dict.fromkeys(table["model"]))
+    names = list(dict.fromkeys(table["parameter"]))
+    across = min(3, len(names))
+    rows = math.ceil(len(names) / across)
+    with mpl.rc_context(STYLE):
+        size = (1.0 + 2.9 * across, 0.8 + rows * (0.75 + 0.24 * len(models)))
+        figure = Figure(figsize=size, layout="constrained")
+        grid = list(figure.subplots(rows, across, squeeze=False, sharey=True).flat)
+        for axes, name in zip(grid, names, strict=False):
+            part = table[table["parameter"] == name]
+            for prefix, shift, colour, marker in (
+                ("published_", -0.16, INK, "o"),
+                ("", 0.16, COLOURS[0], "s"),
+            ):
+                median, low, high = (_in_scale(name, part[f"{prefix}{end}"]) for end in ends)
+                y = np.array([models.index(model) for model in part["model"]]) + shift
+                error = np.stack([median - low, high - median])
+                face = "white" if prefix else colour
+                axes.errorbar(
+                    median, y, xerr=error, fmt=marker, color=colour, mfc=face, ms=4, lw=1.2, capsize=2
+                )
+            values = _in_scale(name, part[[f"{p}{e}" for p in ("published_", "") for e in ends]])
+            if np.nanmin(values) > 0 and np.nanmax(values) > 50 * np.nanmin(values):
+                axes.set_xscale("log")
+            else:
+                axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+            axes.set_xlabel(_parameter_label(name))
+            axes.grid(axis="y", color="#EEEEEE", lw=0.7)
+            axes.set_axisbelow(True)
+            axes.tick_params(axis="y", length=0)
+        for axes in grid[len(names) :]:
+            axes.set_axis_off()
+        grid[0].set_yticks(range(len(models)), models)
+        grid[0].set_ylim(len(models) - 0.5, -0.5)
+        for axes in grid[: len(names) : across]:
+            axes.set_ylabel("model")
+        published = Line2D([], [], color=INK, marker="o", mfc="white", ms=4, lw=1.2, label="published")
+        ours = Line2D([], [], color=COLOURS[0], marker="s", ms=4, lw=1.2, label="zoo")
+        figure.legend(handles=[published, ours], loc="outside upper right", ncols=2, fontsize="small")
+    return figure
+
+
+def forest_figure(posteriors: Mapping[str, az.InferenceData]) -> Figure:
+    """Medians, 50 % and 95 % intervals of the parameters that are single numbers, by model.
+
+    Parameters
+    ----------
+    posteriors : mapping of model to InferenceData
+        Drawn from the upper row of each panel down.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel for each parameter, with the models that have it.
+    """
+    found: dict[str, dict[str, Array]] = {}
+    for model, idata in posteriors.items():
+        posterior = idata["posterior"]
+        for name in map(str, posterior.data_vars):
+            if set(posterior[name].dims) == {"chain", "draw"}:
+                found.setdefault(name, {})[model] = posterior[name].to_numpy().ravel()
+    known = list(PARAMETER_LABELS)
+    names = sorted(found, key=lambda name: known.index(name) if name in known else len(known))
+    columns = min(4, max(1, len(names)))
+    rows = max(1, math.ceil(len(names) / columns))
+    models = list(posteriors)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(2.5 * columns, rows * (0.75 + 0.2 * len(models))), layout="constrained")
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes, name in zip(panels, names, strict=False):
+            for row, model in enumerate(models):
+                if model not in found[name]:
+                    continue
+                low, q1, median, q3, high = np.quantile(found[name][model], (0.025, 0.25, 0.5, 0.75, 0.975))
+                axes.plot((low, high), (row, row), color=COLOURS[0], lw=1.2)
+                axes.plot((q1, q3), (row, row), color=COLOURS[0], lw=3.2, solid_capstyle="butt")
+                axes.plot(median, row, "o", color="white", mec=COLOURS[0], mew=1.4, ms=5)
+            axes.set_yticks(range(len(models)), models)
+            axes.set_ylim(len(models) - 0.5, -0.5)
+            axes.set_xlabel(PARAMETER_LABELS.get(name, name))
+            axes.xaxis.set_major_locator(mpl.ticker.MaxNLocator(3))
+            axes.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4), useMathText=True)
+            axes.grid(axis="x", color="#DDDDDD", lw=0.7)
+            axes.set_axisbelow(True)
+        for axes in panels[len(names) :]:
+            axes.set_visible(False)
+    return figure
+
+
+def calibration_figure(test: RankTest, *, title: str = "") -> Figure:
+    """Ranks of truths among posterior draws, and the difference of their ECDF to a uniform one.
+
+    Parameters
+    ----------
+    test : zoo.calibration.RankTest
+    title : str
+        Above the panels.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        For each quantity a histogram with the 95 % range of a single bin, and the ECDF difference with the
+        95 % band that holds for all ranks together (Säilynoja et al. 2022, doi 10.1007/s11222-022-10090-6).
+    """
+    from scipy.stats import binom
+
+    counts = test.histogram()
+    bins = len(counts)
+    edges = np.linspace(0, 1, bins + 1)
+    low, high = binom.interval(0.95, test.n, 1 / bins)
+    share = np.concatenate([[0.0], test.points, [1.0]])
+    band = [np.concatenate([[0.0], limit, [0.0]]) for limit in test.band()]
+    difference = test.ecdf_difference()
+    largest = 1.15 * max(float(np.abs(difference).max()), float(np.abs(band).max()))
+    columns = len(test.names)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(1.0 + 1.75 * columns, 4.2), layout="constrained")
+        axes = figure.subplots(2, columns, squeeze=False, sharex=True, sharey="row")
+        for k, name in enumerate(test.names):
+            top, bottom = axes[:, k]
+            top.axhspan(low, high, color="#DDDDDD", lw=0)
+            top.axhline(test.n / bins, color="#888888", lw=0.8)
+            top.stairs(counts[:, k], edges, fill=True, color=COLOURS[0], alpha=0.75)
+            top.set_title(PARAMETER_LABELS.get(name, name.replace("_", " ")).split(" (")[0])
+            bottom.fill_between(share, *band, color="#DDDDDD", lw=0)
+            bottom.axhline(0, color="#888888", lw=0.8)
+            steps = np.concatenate([[0.0], difference[:, k], [0.0]])
+            bottom.step(share, steps, where="post", color=COLOURS[0], lw=1.3)
+            bottom.set_ylim(-largest, largest)
+            bottom.set_xlim(0, 1)
+            bottom.set_xticks((0, 0.5, 1), ("0", "0.5", "1"))
+        axes[0, 0].set_ylabel("truths in the bin")
+        axes[1, 0].set_ylabel("ECDF difference")
+        figure.supxlabel("rank of the truth / number of posterior draws", fontsize="medium")
+        if title:
+            figure.suptitle(title)
+    return figure
+
+
+def truth_figure(
+    fits: Mapping[str, Sequence[Mapping[str, ArrayLike]]],
+    truth: Mapping[str, float],
+    *,
+    overlay: bool = False,
+) -> Figure:
+    """Marginal densities of posteriors of data with a known truth, which a dashed line marks.
+
+    Figures 3 and, with `overlay`, 10 of the paper.
+
+    Parameters
+    ----------
+    fits : mapping of name to sequence of mappings
+        For each way to fit, the draws of each data set by parameter.
+    truth : mapping of parameter to value
+        Panels.
+    overlay : bool
+        All ways in one row of panels, instead of a row for each.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from scipy.stats import gaussian_kde
+
+    names = list(truth)
+    rows = 1 if overlay else len(fits)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(2.3 * len(names), 0.7 + 1.9 * rows), layout="constrained")
+        grid = figure.subplots(rows, len(names), squeeze=False, sharex="col")
+        for place, (label, posteriors) in enumerate(fits.items()):
+            row = grid[0 if overlay else place]
+            for axes, name in zip(row, names, strict=True):
+                for number, draws in enumerate(posteriors):
+                    values = np.asarray(_in_scale(name, draws[name]), dtype=float)
+                    low, high = np.quantile(values, (0.0005, 0.9995))
+                    x = np.linspace(low - 0.1 * (high - low), high + 0.1 * (high - low), 300)
+                    density = gaussian_kde(values)(x)
+                    colour = COLOURS[place if overlay else number]
+                    axes.plot(x, density, color=colour, lw=1.5, label=label if axes is row[0] else None)
+                axes.set_yticks([])
+                axes.spines["left"].set_visible(False)
+            if not overlay:
+                row[0].set_ylabel(label)
+        for column, name in enumerate(names):
+            for axes in grid[:, column]:
+                axes.axvline(float(_in_scale(name, truth[name])), color=INK, lw=1.1, ls=(0, (4, 2)))
+            grid[-1, column].set_xlabel(_broken(_parameter_label(name)))
+        if overlay:
+            figure.legend(
+                *grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=len(fits)
+            )
     return figure

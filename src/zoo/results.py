@@ -24,6 +24,7 @@ MIN_CHAINS = 4
 """Fewest chains from which R-hat is trusted."""
 
 _RECORD_ATTR = "run_record"
+_DIAGNOSTICS_ATTR = "diagnostics_of_the_whole_run"
 _VERSIONED = ("zoo", "pymc", "pytensor", "arviz", "numpy")
 
 
@@ -472,6 +473,151 @@ def verdict(idata: Any, *, ess: float = ESS_TARGET, var_names: list[str] | None 
                 f"no parameter {name!r} in the posterior; it has {', '.join(posterior.data_vars)}"
             )
     return diagnose({str(n): posterior[n].transpose("chain", "draw", ...).to_numpy() for n in names}, ess=ess)
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """What the checks of a whole run say.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        R-hat and effective sample sizes of every scalar.
+    mpsrf : float
+        Multivariate scale reduction factor, see `mpsrf`.
+    geweke : dict
+        Scalar -> p-value of Geweke's test for each chain; empty with fewer than 40 draws a chain.
+    acceptance : tuple of float
+        Share of accepted steps of each chain, tuning left out; empty when it was not recorded.
+    """
+
+    verdict: Verdict
+    mpsrf: float
+    geweke: dict[str, tuple[float, ...]]
+    acceptance: tuple[float, ...]
+
+    def to_json(self) -> str:
+        """All of it as one JSON object."""
+        return json.dumps(asdict(self), default=_plain)
+
+    @classmethod
+    def from_json(cls, text: str) -> Diagnostics:
+        """Read back from `to_json`.
+
+        Raises
+        ------
+        ResultsError
+            If the text is not what `to_json` writes.
+        """
+        try:
+            raw = json.loads(text)
+            judged = raw["verdict"]
+            parameters = tuple(ParameterVerdict(**p) for p in judged.pop("parameters"))
+            p_values = {name: tuple(p) for name, p in raw["geweke"].items()}
+            return cls(Verdict(parameters, **judged), raw["mpsrf"], p_values, tuple(raw["acceptance"]))
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ResultsError(
+                f"diagnostics of a run: not readable ({error}); slim the posterior again"
+            ) from None
+
+
+def diagnostics(idata: Any) -> Diagnostics:
+    """Checks of a run: those that `slim` stored of the whole run, or else of the draws that are here.
+
+    Parameters
+    ----------
+    idata : arviz.InferenceData
+        With a posterior group.
+
+    Returns
+    -------
+    Diagnostics
+
+    Raises
+    ------
+    ResultsError
+        If there is no posterior, or stored diagnostics are not readable.
+    """
+    stored = idata.attrs.get(_DIAGNOSTICS_ATTR)
+    if stored is not None:
+        return Diagnostics.from_json(str(stored))
+    judged = verdict(idata)
+    posterior = idata.posterior
+    draws = {str(n): posterior[n].transpose("chain", "draw", ...).to_numpy() for n in posterior.data_vars}
+    varying = {p.name for p in judged.parameters}
+    p_values = {}
+    if judged.draws >= 40:
+        p_values = {
+            name: tuple(geweke(values).tolist()) for name, values in scalars(draws) if name in varying
+        }
+    acceptance: tuple[float, ...] = ()
+    if "sample_stats" in idata.groups() and "accepted" in idata.sample_stats:
+        accepted = idata.sample_stats["accepted"]
+        acceptance = tuple(
+            accepted.mean([d for d in accepted.dims if d != "chain"]).to_numpy().astype(float).tolist()
+        )
+    return Diagnostics(judged, mpsrf(draws), p_values, acceptance)
+
+
+def judged(idata: Any, *, var_names: list[str] | None = None) -> Verdict:
+    """Verdict of the whole run if `slim` stored it, or else on the draws that are here.
+
+    Parameters
+    ----------
+    idata : arviz.InferenceData
+        With a posterior group.
+    var_names : list of str, optional
+        Variables to judge where nothing is stored; all if absent.
+
+    Returns
+    -------
+    Verdict
+    """
+    stored = idata.attrs.get(_DIAGNOSTICS_ATTR)
+    if stored is not None:
+        return Diagnostics.from_json(str(stored)).verdict
+    return verdict(idata, var_names=var_names)
+
+
+def slim(idata: Any, n_draws: int = 1000) -> Any:
+    """A posterior small enough to keep beside the code: evenly spaced draws in single precision.
+
+    Only parameters, their coordinates, the run record and the diagnostics of the whole run stay. Observed
+    data, sample statistics and waveforms (variables over time) do not.
+
+    Parameters
+    ----------
+    idata : arviz.InferenceData
+        From `zoo.sampling.sample`; left as it is.
+    n_draws : int
+        Draws of all chains together, rounded up to the same number in each.
+
+    Returns
+    -------
+    arviz.InferenceData
+        With the group posterior.
+
+    Raises
+    ------
+    ResultsError
+        If there is no posterior, no run record, or fewer than one draw is asked for.
+    """
+    import arviz as az
+
+    if n_draws < 1:
+        raise ResultsError(f"n_draws = {n_draws}: keep at least one draw")
+    found, record = diagnostics(idata), RunRecord.of(idata)
+    posterior = idata.posterior
+    available = posterior.sizes["draw"]
+    wanted = min(available, -(-n_draws // posterior.sizes["chain"]))
+    kept = np.linspace(0, available - 1, wanted).round().astype(int)
+    names = [name for name in posterior.data_vars if "time" not in posterior[name].dims]
+    few = posterior[names].isel(draw=kept).drop_vars("time", errors="ignore").astype(np.float32)
+    created = posterior.attrs.get("created_at")
+    few.attrs = {} if created is None else {"created_at": created}
+    small = az.InferenceData(posterior=few, attrs={_DIAGNOSTICS_ATTR: found.to_json()})
+    record.attach(small)
+    return small
 
 
 def _verdict_text(found: list[ParameterVerdict], chains: int, draws: int, ess: float) -> str:

@@ -1,0 +1,559 @@
+"""What a posterior predicts: waves in every vessel, their bands, stiffness, pressure against stiffness."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import elementwise
+from scipy.special import ndtr, ndtri
+
+from zoo.comparison import Progress, posterior_means, record_of, solver_inputs, thin
+from zoo.likelihood import JITTER, NOISE_VARIANCE, neural_network_kernel
+from zoo.network import Network
+from zoo.results import versions
+from zoo.solver import STATUS_NAMES, WALLS, Solution, Solver
+
+if TYPE_CHECKING:
+    import arviz as az
+    import pymc as pm
+
+    from zoo.study import Study
+
+Array = NDArray[np.float64]
+
+UNITS = {"pressure_mmHg": "mmHg", "flow_ml_s": "ml/s", "area_cm2": "cm2"}
+ERROR_UNITS = {"sigma2": "mmHg2", "w": "s-2", "b": "1"}
+PROBABILITIES = (0.5, 0.8, 0.95)
+STIFFNESS_PARAMETERS = ("f1", "f2", "f3", "m_chi", "v_chi", "z_chi", "chi")
+"""What the nine models make their stiffness of."""
+
+
+class PredictiveError(ValueError):
+    """A prediction that cannot be made; its text says why and what to change."""
+
+
+# -------------------------------------------------------------------------------------------------
+# at the observed series
+
+
+def predictive_draws(
+    model: pm.Model, idata: az.InferenceData, *, n_draws: int | None = 200, seed: int = 0
+) -> tuple[Array, Array]:
+    """Waveforms of posterior draws at the observed series, without and with the model's errors.
+
+    A predicted value is y(t) = m(t) + e(t), with e(t) from the model's own marginal law at each draw: normal
+    with variance sigma2, or with variance k(t, t; w, b) plus the fixed noise and jitter.
+
+    Parameters
+    ----------
+    model : pymc.Model
+        With a record (`model.zoo`).
+    idata : InferenceData
+        Its posterior.
+    n_draws : int or None
+        Draws of all chains together; None takes all.
+    seed : int
+        Of the errors.
+
+    Returns
+    -------
+    means : array (n_draws, n_series, n_times)
+        In the series' own units; draws whose solve fails are left out.
+    predictions : array (10 n_draws, n_series, n_times)
+        Ten draws of the errors for each.
+    """
+    record = record_of(model)
+    posterior = thin(idata, n_draws)
+    means = posterior_means(model, posterior)
+    errors = {
+        name: posterior[name].transpose("chain", "draw", ...).to_numpy().ravel()
+        for name in record.error_parameters
+    }
+    variance = _variance(record.error, np.asarray(record.study.time_s), errors)
+    good = np.isfinite(means).all(axis=(1, 2))
+    means, variance = means[good], variance[good]
+    noise = np.random.default_rng(seed).standard_normal((10, *means.shape))
+    predictions = means + np.sqrt(variance)[:, None, :] * noise
+    return means, predictions.reshape(-1, *means.shape[1:])
+
+
+def _variance(error: str, time_s: Array, parameters: Mapping[str, Array]) -> Array:
+    """Marginal variance of the errors at each draw, (n_draws, n_times)."""
+    if error == "iid":
+        return np.tile(np.asarray(parameters["sigma2"])[:, None], (1, len(time_s)))
+    pairs = zip(parameters["w"], parameters["b"], strict=True)
+    diagonals = [np.diag(neural_network_kernel(time_s, float(w), float(b))) for w, b in pairs]
+    return np.asarray(diagonals) + NOISE_VARIANCE + JITTER
+
+
+# -------------------------------------------------------------------------------------------------
+# in every vessel
+
+
+def vessel_waves(
+    model: pm.Model,
+    idata: az.InferenceData,
+    *,
+    n_draws: int = 200,
+    n_times: int = 256,
+    positions: Sequence[float] = (0.0, 0.5),
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> xr.Dataset:
+    """Pressure, flow and area in every vessel at posterior draws.
+
+    Solved with the wall, conventions and options of the model's record, one by one. As in the paper, the
+    root is to be looked at at position 0, where it is observed, and the other vessels midway: `one_place`
+    picks these. Times are those of the study's samples, so the convention `sample_lag_beats` is in.
+
+    Parameters
+    ----------
+    model : pymc.Model
+        With a record (`model.zoo`).
+    idata : InferenceData
+        Its posterior.
+    n_draws : int
+        Draws of all chains together, evenly spaced; all if there are fewer.
+    n_times : int
+        Times in the beat, uniform from 0.
+    positions : sequence of float
+        Along each vessel, 0 inlet to 1 outlet.
+    seed : int
+        Chooses the first draw.
+    progress : callable
+        Called with the number of solves done and to do.
+
+    Returns
+    -------
+    Dataset
+        pressure_mmHg, flow_ml_s, area_cm2 (draw, vessel, position, time in s), 32-bit; sigma2, or w and b,
+        (draw). Coordinates radius_cm and name of each vessel, chain and posterior_draw of each draw. Draws
+        whose solve failed are left out; the attribute draws_failed counts them.
+
+    Raises
+    ------
+    PredictiveError
+        If a number is out of range, or no draw solves.
+    """
+    if n_draws < 1 or n_times < 2:
+        raise PredictiveError(f"n_draws = {n_draws}, n_times = {n_times}: give at least 1 draw and 2 times")
+    bad = [p for p in positions if not 0 <= p <= 1]
+    if bad or not positions:
+        raise PredictiveError(f"positions = {tuple(positions)}: give numbers from 0 (inlet) to 1 (outlet)")
+    record = record_of(model)
+    network, lag = record.op.solver.network, record.op.solver.conventions.sample_lag_beats
+    time_s = np.arange(n_times) * network.period_s / n_times
+    solver = Solver(
+        network,
+        record.op.solver.inflow_time_s,
+        record.op.solver.inflow_ml_s,
+        wall=record.wall,
+        conventions=record.op.solver.conventions,
+        series=[(int(v), float(p)) for v in network.ids for p in positions],
+        times_s=time_s + lag * network.period_s,
+        options=record.options,
+    )
+    picked = _pick(idata, n_draws, seed)
+    inputs = np.stack(solver_inputs(model, picked), axis=1)
+    points, which = np.unique(inputs, axis=0, return_inverse=True)
+    shape = (len(network.ids), len(positions), n_times)
+    waves = {name: np.full((len(points), *shape), np.nan, dtype=np.float32) for name in UNITS}
+    solved = np.zeros(len(points), dtype=bool)
+    for i, solution in enumerate(_solve_each(solver, points)):
+        solved[i] = solution.ok
+        for name, wave in waves.items():
+            wave[i] = getattr(solution, name).reshape(shape)
+        if progress is not None:
+            progress(i + 1, len(points))
+    which = which.ravel()
+    good = solved[which]
+    if not good.any():
+        raise PredictiveError(
+            f"model {record.name}: none of {len(good)} posterior draws solves: predict with the study and "
+            "conventions that the draws were made with"
+        )
+    dims = ("draw", "vessel", "position", "time")
+    kept: dict[str, Any] = {
+        name: (dims, wave[which[good]], {"units": UNITS[name]}) for name, wave in waves.items()
+    }
+    for name in record.error_parameters:
+        units = {"units": ERROR_UNITS[name]}
+        kept[name] = ("draw", picked[name].to_numpy().ravel()[good], units)
+    names = {vessel.id: vessel.name or f"v{vessel.id}" for vessel in record.study.vessels}
+    coords: dict[str, Any] = {
+        "draw": np.arange(int(good.sum())),
+        "chain": ("draw", picked["chain_of"].to_numpy().ravel()[good]),
+        "posterior_draw": ("draw", picked["draw_of"].to_numpy().ravel()[good]),
+        "vessel": np.asarray(network.ids, dtype=np.int64),
+        "radius_cm": ("vessel", np.asarray(network.radius_in_cm), {"units": "cm"}),
+        "name": ("vessel", [names[int(v)] for v in network.ids]),
+        "position": np.asarray(positions, dtype=float),
+        "time": ("time", time_s, {"long_name": "time in the beat, s"}),
+    }
+    attributes = {
+        "model": record.name,
+        "study": record.study.name,
+        "study_checksum": record.study.checksum,
+        "error": record.error,
+        "observed_quantity": record.study.series[0].quantity,
+        "root": int(network.ids[int(np.argmin(network.parent))]),
+        "seed": seed,
+        "draws_failed": int((~good).sum()),
+        "solver": json.dumps(solver.settings(), sort_keys=True),
+        "versions": json.dumps(versions(), sort_keys=True),
+    }
+    return xr.Dataset(kept, coords=coords, attrs=attributes)
+
+
+def _pick(idata: az.InferenceData, n_draws: int, seed: int) -> xr.Dataset:
+    """Evenly spaced draws of the joined chains from a random first one, as a single chain."""
+    posterior: xr.Dataset = idata["posterior"]
+    total = posterior.sizes["chain"] * posterior.sizes["draw"]
+    n = min(n_draws, total)
+    start = np.random.default_rng(seed).random()
+    kept = np.floor((np.arange(n) + start) * total / n).astype(int)
+    stacked = posterior.stack(joined=("chain", "draw")).isel(joined=kept)
+    origin = {f"{name}_of": ("draw", stacked[name].to_numpy()) for name in ("chain", "draw")}
+    single = stacked.drop_vars(["joined", "chain", "draw"]).rename(joined="draw").assign(origin)
+    return single.expand_dims("chain").transpose("chain", "draw", ...)
+
+
+def _solve_each(solver: Solver, points: Array) -> Iterator[Solution]:
+    """Solutions at points (n_points, 5, n_vessels), in their order, on all cores."""
+
+    def solve(point: Array) -> Solution:
+        return solver.solve(*point, check=False)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        yield from pool.map(solve, points)
+
+
+def one_place(waves: xr.Dataset) -> xr.Dataset:
+    """One position for each vessel: the root's inlet, where it is observed, and midway in the others.
+
+    Parameters
+    ----------
+    waves : Dataset
+        From `vessel_waves` or `bands`, with positions 0 and 0.5.
+
+    Returns
+    -------
+    Dataset
+        Without the dimension position; the coordinate position says which it is for each vessel.
+
+    Raises
+    ------
+    PredictiveError
+        If one of the positions is missing.
+    """
+    if "position" not in waves.dims:
+        return waves
+    for wanted in (0.0, 0.5):
+        if wanted not in waves["position"]:
+            raise PredictiveError(f"waves have no position {wanted}: make them with positions=(0.0, 0.5)")
+    vessels = waves["vessel"]
+    position = xr.where(vessels == waves.attrs["root"], 0.0, 0.5)
+    return waves.sel(position=position)
+
+
+def median_waves(waves: xr.Dataset) -> xr.Dataset:
+    """Posterior median of pressure, flow and area at each time, one place a vessel.
+
+    Parameters
+    ----------
+    waves : Dataset
+        From `vessel_waves`.
+
+    Returns
+    -------
+    Dataset
+        pressure_mmHg, flow_ml_s, area_cm2 (vessel, time).
+    """
+    found: xr.Dataset = one_place(waves)[list(UNITS)].median("draw", keep_attrs=True)
+    return found
+
+
+def waves_at_medians(model: pm.Model, idata: az.InferenceData, *, n_times: int = 256) -> xr.Dataset:
+    """Pressure, flow and area with every parameter at its posterior median, one place a vessel.
+
+    Unlike pointwise medians these are one solve: pressure and area belong together (figure 9).
+
+    Parameters
+    ----------
+    model : pymc.Model
+        With a record (`model.zoo`).
+    idata : InferenceData
+        Its posterior.
+    n_times : int
+        Times in the beat, uniform from 0.
+
+    Returns
+    -------
+    Dataset
+        pressure_mmHg, flow_ml_s, area_cm2 (vessel, time).
+
+    Raises
+    ------
+    PredictiveError
+        If it does not solve.
+    """
+    import arviz as az
+
+    median = idata["posterior"].median(("chain", "draw")).expand_dims(("chain", "draw"))
+    at = median.assign_coords(chain=[0], draw=[0])
+    waves = vessel_waves(model, az.InferenceData(posterior=at), n_draws=1, n_times=n_times)
+    return one_place(waves)[list(UNITS)].isel(draw=0, drop=True)
+
+
+def bands(
+    waves: xr.Dataset, quantity: str, probs: Sequence[float] = PROBABILITIES, *, errors: bool = False
+) -> xr.Dataset:
+    """Pointwise credible intervals of a quantity, and prediction intervals if asked.
+
+    A credible interval has the quantiles of m_s(t) over the draws s; a prediction interval those of the
+    mixture F(y) = mean_s Phi((y - m_s(t))/sd_s(t)), with sd_s(t)^2 the marginal variance of the errors:
+    sigma2, or k(t, t; w, b) plus the fixed noise and jitter. In vessels and at positions without data that
+    assumes that their errors would follow the law of the observed ones.
+
+    Parameters
+    ----------
+    waves : Dataset
+        From `vessel_waves` or `one_place`.
+    quantity : str
+        pressure_mmHg, flow_ml_s or area_cm2.
+    probs : sequence of float
+        Probabilities of the central intervals, between 0 and 1.
+    errors : bool
+        Give prediction intervals too; only for the quantity that the study observes.
+
+    Returns
+    -------
+    Dataset
+        median (vessel, position, time); low, high (prob, ...); with errors prediction_low and
+        prediction_high (prob, ...).
+
+    Raises
+    ------
+    PredictiveError
+        If the quantity or a probability is unknown, or there are no errors for the quantity.
+    """
+    if quantity not in UNITS:
+        raise PredictiveError(f"quantity = {quantity!r}: must be one of {', '.join(UNITS)}")
+    if not probs or not all(0 < p < 1 for p in probs):
+        raise PredictiveError(f"probs = {tuple(probs)}: give probabilities between 0 and 1, such as 0.95")
+    observed = waves.attrs["observed_quantity"]
+    if errors and quantity != observed:
+        raise PredictiveError(
+            f"errors of {quantity}: the model has errors of {observed} only; ask for errors=False"
+        )
+    values = waves[quantity].transpose("draw", ..., "time").astype(float)
+    inner, shape = values.dims[1:], values.shape[1:]
+    tails = np.array([[(1 - p) / 2, (1 + p) / 2] for p in probs])
+    low, high = np.moveaxis(np.quantile(values, tails, axis=0), 1, 0)
+    found: dict[str, Any] = {
+        "median": (inner, np.median(values, axis=0)),
+        "low": (("prob", *inner), low),
+        "high": (("prob", *inner), high),
+    }
+    if errors:
+        parameters = {name: waves[name].to_numpy() for name in ERROR_UNITS if name in waves}
+        variance = _variance(waves.attrs["error"], waves["time"].to_numpy(), parameters)
+        flat = values.to_numpy().reshape(len(values), -1)
+        sd = np.tile(np.sqrt(variance), (1, flat.shape[1] // variance.shape[1]))
+        edges = np.array([[_mixture_quantile(flat, sd, p) for p in pair] for pair in tails])
+        for name, edge in zip(("prediction_low", "prediction_high"), np.moveaxis(edges, 1, 0), strict=True):
+            found[name] = (("prob", *inner), edge.reshape(len(probs), *shape))
+    coords = {name: c for name, c in values.coords.items() if "draw" not in c.dims}
+    attributes = {**waves.attrs, "quantity": quantity, "units": UNITS[quantity], "draws": len(values)}
+    return xr.Dataset(found, coords={**coords, "prob": list(probs)}, attrs=attributes)
+
+
+def _mixture_quantile(means: Array, sd: Array, p: float) -> Array:
+    """Quantile of equal mixtures of normals, means and sd (n_draws, n_points): (n_points,)."""
+
+    def excess(y: Array, i: Array) -> Array:
+        return np.asarray(ndtr((y - means[:, i]) / sd[:, i]).mean(axis=0) - p)
+
+    each = means + sd * ndtri(p)  # the mixture's quantile lies between those of its parts
+    width = 1e-9 + np.ptp(each, axis=0)
+    bracket = (each.min(axis=0) - 1e-3 * width, each.max(axis=0) + 1e-3 * width)
+    tolerances = {"xatol": 1e-6, "xrtol": 1e-8, "fatol": 1e-7}
+    found = elementwise.find_root(excess, bracket, args=(np.arange(means.shape[1]),), tolerances=tolerances)
+    return np.asarray(found.x)
+
+
+def interval_widths(waves: xr.Dataset, prob: float = 0.95) -> pd.DataFrame:
+    """Widths of credible and prediction intervals of the pressure, averaged over the beat.
+
+    Table S1 of the paper; prediction intervals as in `bands`.
+
+    Parameters
+    ----------
+    waves : Dataset
+        From `vessel_waves`; the root at its inlet, other vessels midway.
+    prob : float
+        Probability of the intervals.
+
+    Returns
+    -------
+    DataFrame
+        One row a vessel: radius_cm, credible_width_mmHg, prediction_width_mmHg.
+
+    References
+    ----------
+    Paun et al. 2020, electronic supplementary material, table S1, doi 10.1098/rsif.2020.0886.
+    """
+    found = bands(one_place(waves), "pressure_mmHg", (prob,), errors=True).sel(prob=prob)
+    columns = {
+        "radius_cm": found["radius_cm"],
+        "credible_width_mmHg": (found["high"] - found["low"]).mean("time"),
+        "prediction_width_mmHg": (found["prediction_high"] - found["prediction_low"]).mean("time"),
+    }
+    table = {name: column.to_numpy() for name, column in columns.items()}
+    return pd.DataFrame(table, index=pd.Index(found["vessel"].to_numpy(), name="vessel"))
+
+
+# -------------------------------------------------------------------------------------------------
+# stiffness
+
+
+def stiffness_draws(model: pm.Model, idata: az.InferenceData, *, n_draws: int | None = None) -> xr.DataArray:
+    """Stiffness chi of every vessel at posterior draws, whatever the model makes it of.
+
+    Parameters
+    ----------
+    model : pymc.Model
+        With a record (`model.zoo`).
+    idata : InferenceData
+        Its posterior.
+    n_draws : int or None
+        See `zoo.comparison.thin`; None takes all.
+
+    Returns
+    -------
+    DataArray (chain, draw, vessel)
+        g cm-1 s-2, with the coordinate radius_cm (inlet radius at rest).
+    """
+    posterior = thin(idata, n_draws)
+    network = record_of(model).op.solver.network
+    values = solver_inputs(model, posterior)[0]
+    shape = (posterior.sizes["chain"], posterior.sizes["draw"], len(network.ids))
+    coords: dict[str, Any] = {
+        "chain": posterior["chain"].to_numpy(),
+        "draw": posterior["draw"].to_numpy(),
+        "vessel": np.asarray(network.ids, dtype=np.int64),
+        "radius_cm": ("vessel", np.asarray(network.radius_in_cm), {"units": "cm"}),
+    }
+    return xr.DataArray(
+        values.reshape(shape),
+        dims=("chain", "draw", "vessel"),
+        coords=coords,
+        name="chi",
+        attrs={"units": "g cm-1 s-2", "model": record_of(model).name},
+    )
+
+
+def with_stiffness(model: pm.Model, idata: az.InferenceData, vessel: int | None = None) -> xr.Dataset:
+    """Posterior with one vessel's stiffness chi in place of what the model makes it of.
+
+    f1 and f3 of a radius-dependent stiffness may be unidentifiable where chi(f1, f2, f3) is not (figure 4b).
+
+    Parameters
+    ----------
+    model : pymc.Model
+        With a record (`model.zoo`).
+    idata : InferenceData
+        Its posterior.
+    vessel : int, optional
+        Id; the root if absent.
+
+    Returns
+    -------
+    Dataset
+        chi (chain, draw), g cm-1 s-2, and the other parameters of the model.
+
+    Raises
+    ------
+    PredictiveError
+        If there is no such vessel.
+
+    References
+    ----------
+    Paun et al. 2020, figure 4, doi 10.1098/rsif.2020.0886.
+    """
+    stiffness = stiffness_draws(model, idata)
+    ids = [int(v) for v in stiffness["vessel"].to_numpy()]
+    if vessel is not None and vessel not in ids:
+        raise PredictiveError(f"vessel = {vessel}: the network has {', '.join(map(str, ids))}")
+    others = [name for name in record_of(model).parameters if name not in STIFFNESS_PARAMETERS]
+    one = stiffness.sel(vessel=ids[0] if vessel is None else vessel)
+    chosen = one.drop_vars(["vessel", "radius_cm"]).to_dataset()
+    return chosen.merge(idata["posterior"][others])
+
+
+def pressure_against_stiffness(
+    study: Study,
+    stiffness: ArrayLike | None = None,
+    *,
+    psi1: float = 0.30,
+    psi2: float = 0.97,
+    c: float = 1.23,
+    wall: str = "linear",
+    gamma: float = 2.0,
+) -> pd.DataFrame:
+    """Systolic, diastolic and pulse pressure at the root's inlet for one stiffness of all vessels (figure 7).
+
+    Parameters
+    ----------
+    study : Study
+        Vessels, inflow, conventions.
+    stiffness : array (n,), optional
+        chi, g cm-1 s-2; 49 values from 1e4 to 1e6 if absent.
+    psi1, psi2, c : float
+        Factors on the nominal R1, R2 and C of the terminals; those of the paper's figure.
+    wall : {"linear", "tangent"}
+        Eq. (3.3) or (3.4).
+    gamma : float
+        Of the tangent wall.
+
+    Returns
+    -------
+    DataFrame
+        stiffness_g_cm_s2, systolic_mmHg, diastolic_mmHg, pulse_mmHg, mean_mmHg, status ("ok", or why the
+        solve failed, with NaN pressures).
+
+    Raises
+    ------
+    PredictiveError
+        If a stiffness is not positive, or the wall unknown.
+
+    References
+    ----------
+    Paun et al. 2020, figure 7, doi 10.1098/rsif.2020.0886.
+    """
+    values = np.atleast_1d(np.geomspace(1e4, 1e6, 49) if stiffness is None else np.asarray(stiffness, float))
+    if values.ndim != 1 or not np.all(values > 0):
+        raise PredictiveError(f"stiffness = {values.tolist()}: give positive numbers, g cm-1 s-2")
+    if wall not in WALLS:
+        raise PredictiveError(f"wall = {wall!r}: must be one of {', '.join(WALLS)}")
+    network = Network.from_study(study)
+    root = int(network.ids[int(np.argmin(network.parent))])
+    times = np.arange(1024) * study.period_s / 1024
+    solver = Solver.for_study(study, wall, series=[(root, 0.0)], times_s=times)
+    ones = np.ones(len(network.ids))
+    points = np.array([np.outer((value, gamma, psi1, psi2, c), ones) for value in values])
+    rows = []
+    for value, solution in zip(values, _solve_each(solver, points), strict=True):
+        pressure = solution.pressure_mmHg[0]
+        high, low = float(pressure.max()), float(pressure.min())
+        rows.append((value, high, low, high - low, float(pressure.mean()), STATUS_NAMES[solution.status]))
+    pressures = ("systolic_mmHg", "diastolic_mmHg", "pulse_mmHg", "mean_mmHg")
+    return pd.DataFrame(rows, columns=["stiffness_g_cm_s2", *pressures, "status"])

@@ -1,0 +1,708 @@
+"""A page to read and to print: what models say of studies, how far to trust it, and how it was made."""
+
+from __future__ import annotations
+
+import base64
+import re
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.resources import files
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from PIL import Image
+
+from zoo.comparison import compare, record_of
+from zoo.fetch import FetchError
+from zoo.models import MODELS, get_model
+from zoo.plots import (
+    comparison_figure,
+    fit_figure,
+    forest_figure,
+    models_figure,
+    pair_figure,
+    rank_figure,
+    save_figure,
+)
+from zoo.posteriors import find, load_for
+from zoo.predictive import median_waves, one_place, predictive_draws, vessel_waves
+from zoo.results import (
+    ESS_TARGET,
+    RHAT_LIMIT,
+    Diagnostics,
+    ResultsError,
+    RunRecord,
+    diagnostics,
+    load,
+    scalars,
+    versions,
+)
+from zoo.study import load_study
+
+if TYPE_CHECKING:
+    import arviz as az
+    import pandas as pd
+    import pymc as pm
+
+    from zoo.study import Study
+
+BANNER = "short chains: not converged, do not cite"
+MEANINGS = {
+    "f1": ("stiffness: f1 in f1 exp(f2 r0) + f3", "g cm⁻¹ s⁻²"),
+    "f2": ("stiffness: f2 in f1 exp(f2 r0) + f3", "1/radius unit"),
+    "f3": ("stiffness: constant part", "g cm⁻¹ s⁻²"),
+    "m_chi": ("stiffness: mean of the population", "g cm⁻¹ s⁻²"),
+    "v_chi": ("stiffness: variance of the population", "(10⁴ g cm⁻¹ s⁻²)²"),
+    "z_chi": ("stiffness: deviation of a vessel from the mean", "–"),
+    "chi": ("stiffness of a vessel", "g cm⁻¹ s⁻²"),
+    "gamma": ("shape of the tangent wall", "–"),
+    "psi1": ("factor on the nominal R1", "–"),
+    "psi2": ("factor on the nominal R2", "–"),
+    "c": ("factor on the nominal C", "–"),
+    "sigma2": ("variance of the errors", "mmHg²"),
+    "w": ("error kernel: weights", "s⁻²"),
+    "b": ("error kernel: bias", "–"),
+}
+"""Parameter -> what it is, and its unit."""
+COLOURS = 64
+"""Of a figure in the page: a quarter of the size, and no difference to the eye."""
+WAVE_DRAWS = 60
+CRITERION = {"waic": "WAIC", "loo": "PSIS-LOO"}
+
+
+class ReportError(ValueError):
+    """A report that cannot be written; its text says what to change."""
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """One study's part of the page.
+
+    Parameters
+    ----------
+    name : str
+        Of the study.
+    posteriors : mapping of model to InferenceData
+        Drawn by `zoo.sample`, or slimmed by `zoo.results.slim`.
+    study : Study, optional
+        Without it there are no fits and no ranking, and the chapter says so.
+    models : mapping of model to pm.Model
+        One for each posterior; needed for fits and ranking.
+    table : DataFrame, optional
+        From `zoo.compare`; made here if absent.
+    note : str
+        A paragraph under the heading.
+    commands : sequence of str
+        Run before those that make the posteriors, which come from their records.
+    """
+
+    name: str
+    posteriors: Mapping[str, az.InferenceData]
+    study: Study | None = None
+    models: Mapping[str, pm.Model] = field(default_factory=dict)
+    table: pd.DataFrame | None = None
+    note: str = ""
+    commands: Sequence[str] = ()
+
+
+class Picture(NamedTuple):
+    """A figure inside the page."""
+
+    source: str
+    width: int
+    height: int
+    alt: str
+    caption: str
+
+
+class Row(NamedTuple):
+    """One scalar of a posterior, as text."""
+
+    name: str
+    meaning: str
+    unit: str
+    median: str
+    low: str
+    high: str
+    rhat: str
+    bulk: str
+    tail: str
+    geweke: str
+    passes: bool
+
+
+def write_report(
+    path: str | Path,
+    study: Study,
+    posteriors: Mapping[str, az.InferenceData],
+    models: Mapping[str, pm.Model],
+    *,
+    table: pd.DataFrame | None = None,
+    title: str = "",
+    note: str = "",
+    **options: Any,
+) -> Path:
+    """Write the report on one study; see `write_chapters`.
+
+    Parameters
+    ----------
+    path : path
+        HTML file to write.
+    study : Study
+    posteriors : mapping of model to InferenceData
+    models : mapping of model to pm.Model
+    table : DataFrame, optional
+        From `zoo.compare`; made here if absent.
+    title, note : str
+        Of the page; under the heading of the study.
+    **options
+        Of `write_chapters`.
+
+    Returns
+    -------
+    Path
+        The written file.
+
+    Raises
+    ------
+    ReportError
+        If a posterior has no model, or the folder does not exist.
+    """
+    chapter = Chapter(study.name, posteriors, study, models, table, note)
+    return write_chapters(path, [chapter], title=title or f"Models of blood flow: {study.name}", **options)
+
+
+def write_chapters(
+    path: str | Path,
+    chapters: Sequence[Chapter],
+    *,
+    title: str = "Models of blood flow",
+    ic: str = "waic",
+    n_draws: int = 1000,
+    command: str = "",
+    made: datetime | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Path:
+    """Write one self-contained HTML page with a chapter for each study.
+
+    Figures and style are inside the page; nothing is loaded from elsewhere.
+
+    Parameters
+    ----------
+    path : path
+        HTML file to write.
+    chapters : sequence of Chapter
+    title : str
+    ic : {"waic", "loo"}
+        What ranks, in tables made here.
+    n_draws : int
+        Draws of each posterior that are scored, in tables made here.
+    command : str
+        The command that made the page.
+    made : datetime
+        Now if absent.
+    say : callable
+        Told what is being done, one line each.
+
+    Returns
+    -------
+    Path
+        The written file.
+
+    Raises
+    ------
+    ReportError
+        If there is nothing to report, a posterior has no model, or the folder does not exist.
+    zoo.comparison.ComparisonError
+        If posteriors and models do not fit each other.
+    """
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise ReportError(f"{path}: folder {path.parent} does not exist; create it or choose another path")
+    if not chapters:
+        raise ReportError("no chapters: give at least one study")
+    anchors: set[str] = set()
+    parts = [_part(chapter, _anchor(chapter.name, anchors), ic, n_draws, say) for chapter in chapters]
+    template = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    ).from_string((files("zoo") / "templates" / "report.html").read_text("utf-8"))
+    text = template.render(
+        title=title,
+        made=(made or datetime.now(UTC)).strftime("%d %B %Y, %H:%M UTC").lstrip("0"),
+        versions=versions(),
+        parts=parts,
+        command=command,
+        banner=BANNER,
+        limits={"rhat": RHAT_LIMIT, "ess": int(ESS_TARGET)},
+    )
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def stored(
+    folders: Iterable[Path], study: str, letters: Sequence[str] = MODELS
+) -> dict[str, az.InferenceData]:
+    """Posteriors of a study in folders, by the name in their records: for when its data are not here.
+
+    Parameters
+    ----------
+    folders : iterable of Path
+    study : str
+        Its name.
+    letters : sequence of str
+        Models to take.
+
+    Returns
+    -------
+    dict
+        Model -> InferenceData, in the order of the models' names; of several the last.
+    """
+    found = {}
+    for file in (file for folder in folders for file in sorted(folder.glob("*.nc"))):
+        try:
+            idata = load(file)
+            record = RunRecord.of(idata)
+        except ResultsError:
+            continue
+        if record.study == study and record.model in letters:
+            found[record.model] = idata
+    return dict(sorted(found.items()))
+
+
+def gather(
+    studies: Iterable[str], folders: Sequence[Path], *, letters: Sequence[str] = MODELS, data: bool = False
+) -> list[Chapter]:
+    """Chapters on studies with the posteriors that folders hold.
+
+    A chapter on measured data that cannot be had shows what needs only the posteriors.
+
+    Parameters
+    ----------
+    studies : iterable of str
+        Names or folders, as `zoo.load_study` takes them.
+    folders : sequence of Path
+        With posteriors; each study finds its own by their records.
+    letters : sequence of str
+        Models to take.
+    data : bool
+        Refuse measured data that cannot be had.
+
+    Returns
+    -------
+    list of Chapter
+
+    Raises
+    ------
+    zoo.fetch.FetchError
+        If `data` and measured data cannot be had.
+    zoo.posteriors.PosteriorError
+        If a folder does not exist, or a posterior was drawn with other conventions.
+    ReportError
+        If there is no posterior of any of the studies.
+    """
+    chapters = []
+    for name in studies:
+        try:
+            study = load_study(name)
+        except FetchError as error:
+            if data:
+                raise
+            note = f"The measured data are not here, so there are no fits and no comparison. {error}"
+            posteriors = stored(folders, name, letters)
+            chapters.append(Chapter(name, posteriors, note=note, commands=[f"zoo fetch {name}"]))
+            continue
+        files_found = find(folders, letters, study)
+        models = {letter: get_model(letter)(study) for letter in letters if letter in files_found}
+        posteriors = {letter: load_for(files_found[letter], model) for letter, model in models.items()}
+        commands = [] if posteriors else [f"zoo sample {x} {study.name} --seed 1 -o {x}.nc" for x in letters]
+        chapters.append(Chapter(study.name, posteriors, study, models, commands=commands))
+    if not any(chapter.posteriors for chapter in chapters):
+        names, where = (", ".join(str(x) for x in given) for given in (studies, folders))
+        raise ReportError(
+            f"no posterior of {names} in {where or 'no folder'}; `zoo sample A {chapters[0].name} -o A.nc` "
+            "makes one"
+        )
+    return chapters
+
+
+def sampling_command(record: RunRecord) -> str:
+    """The `zoo sample` that makes a posterior again.
+
+    Parameters
+    ----------
+    record : RunRecord
+
+    Returns
+    -------
+    str
+    """
+    settings = record.settings
+    target = settings.get("until_ess")
+    draws = settings.get("first check" if target else "draws")
+    options = {
+        "--chains": settings.get("chains"),
+        "--draws": draws,
+        "--tune": settings.get("tune"),
+        "--thin": settings.get("thin"),
+        "--until": f"ess={target:g}" if target else "none",
+        "--seed": record.seed,
+    }
+    words = ["zoo", "sample", record.model, record.study]
+    words += [f"{option} {value}" for option, value in options.items() if value is not None]
+    return " ".join([*words, "-o", f"{record.model}.nc"])
+
+
+def summary(
+    table: pd.DataFrame | None, checks: Mapping[str, Diagnostics], records: Mapping[str, RunRecord]
+) -> list[str]:
+    """What was found, in sentences.
+
+    Parameters
+    ----------
+    table : DataFrame or None
+        From `zoo.compare`.
+    checks : mapping of model to Diagnostics
+    records : mapping of model to RunRecord
+
+    Returns
+    -------
+    list of str
+    """
+    failing = [name for name, found in checks.items() if not found.verdict.passes]
+    lines = [_convergence(checks, failing)]
+    if table is not None:
+        lines += _standing(table, provisional=bool(failing))
+    solves = sum(record.solves for record in records.values())
+    failures = sum(sum(record.failures.values()) for record in records.values())
+    lines.append(
+        f"Sampling took {solves} solves of the flow equations; "
+        + ("none failed." if not failures else f"{failures} of them failed, and those points were refused.")
+    )
+    return lines
+
+
+def _convergence(checks: Mapping[str, Diagnostics], failing: Sequence[str]) -> str:
+    if not failing and len(checks) == 1:
+        return f"The posterior of model {next(iter(checks))} converged."
+    if not failing:
+        return f"{'Both' if len(checks) == 2 else f'All {len(checks)}'} posteriors converged."
+    rhat, worst = max((checks[name].verdict.max_rhat, name) for name in failing)
+    ess, least = min((checks[name].verdict.min_ess, name) for name in failing)
+    return (
+        f"Not converged: {_listed(failing)}. The largest R-hat is {rhat:.3f} (model {worst}, "
+        f"limit {RHAT_LIMIT}), the smallest effective sample size {ess:.0f} "
+        f"(model {least}, {ESS_TARGET:.0f} wanted)."
+    )
+
+
+def _standing(table: pd.DataFrame, provisional: bool) -> list[str]:
+    ic = table.attrs.get("ic", "waic")
+    name = CRITERION[ic]
+    best = table.iloc[0]
+    start = "For what such draws are worth, model" if provisional else "Model"
+    lines = []
+    if len(table) == 1:
+        lines.append(f"Model {table.index[0]} has {name} {best[ic]:.1f}, with nothing to compare it to.")
+    else:
+        lines.append(
+            f"{start} {table.index[0]} predicts the observations best of {len(table)} models by {name}: "
+            f"{best[ic]:.1f} (lower is better)."
+        )
+        others = table.iloc[1:]
+        near = others[others["difference"] <= others["difference_se"]]
+        if len(near):
+            lines.append(
+                f"{_listed(near.index)} {'is' if len(near) == 1 else 'are'} within the standard error of the "
+                f"difference ({_differences(near)}): these data do not tell "
+                f"{'it' if len(near) == 1 else 'them'} from {table.index[0]}."
+            )
+        behind = others[others["difference"] > others["difference_se"]]
+        if len(behind):
+            lines.append(f"Behind by more than the standard error of the difference: {_differences(behind)}.")
+    bad = table[table["pareto_k_bad"] > 0]
+    if len(bad):
+        where = ", ".join(f"{model} {int(row['pareto_k_bad'])}" for model, row in bad.iterrows())
+        lines.append(f"PSIS-LOO is not to be trusted at some points (large Pareto k): {where}.")
+    warned = table[table["waic_warning"]]
+    if len(warned):
+        lines.append(
+            f"WAIC of {_listed(warned.index)} has terms that vary by more than 0.4 over the posterior: its "
+            "estimate may be too low."
+        )
+    return lines
+
+
+def _differences(rows: pd.DataFrame) -> str:
+    return ", ".join(
+        f"{model} by {_with_error(row['difference'], row['difference_se'])}" for model, row in rows.iterrows()
+    )
+
+
+def _with_error(value: float, error: float) -> str:
+    return f"{value:.1f} ± {error:.1f}"
+
+
+def _listed(names: Iterable[Any]) -> str:
+    words = [str(name) for name in names]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+# -------------------------------------------------------------------------------------------------
+# parts of the page
+
+
+def _part(chapter: Chapter, anchor: str, ic: str, n_draws: int, say: Callable[[str], None]) -> dict[str, Any]:
+    """What the template shows of a chapter."""
+    posteriors = chapter.posteriors
+    checks = {name: diagnostics(idata) for name, idata in posteriors.items()}
+    records = {name: RunRecord.of(idata) for name, idata in posteriors.items()}
+    table = chapter.table
+    if chapter.study is not None and posteriors:
+        if missing := [name for name in posteriors if name not in chapter.models]:
+            raise ReportError(
+                f"{chapter.name}: posterior {missing[0]!r} has no model; give one, or leave it out"
+            )
+        if table is None:
+            say(f"{chapter.name}: scoring {', '.join(posteriors)}")
+            found = {name: check.verdict for name, check in checks.items()}
+            table = compare(posteriors, chapter.models, ic=ic, n_draws=n_draws, verdicts=found)  # type: ignore[arg-type]
+    failing = [name for name, check in checks.items() if not check.verdict.passes]
+    pictures = {}
+    if table is not None and len(table) > 1:
+        caption = f"{CRITERION[table.attrs.get('ic', 'waic')]} of each model and its difference to the best."
+        pictures["ranking"] = _picture(
+            comparison_figure(table), f"{caption} The table has the numbers.", caption
+        )
+    if posteriors:
+        caption = "Medians, 50 % (thick) and 95 % (thin) intervals of the parameters that are single numbers."
+        alt = f"{caption} The tables below have the numbers."
+        pictures["forest"] = _picture(forest_figure(posteriors), alt, caption)
+    if posteriors and chapter.study is not None:
+        say(f"{chapter.name}: pressure in the vessels")
+        medians = {
+            name: median_waves(one_place(vessel_waves(chapter.models[name], idata, n_draws=WAVE_DRAWS)))
+            for name, idata in posteriors.items()
+        }
+        caption = (
+            f"Median pressure of {WAVE_DRAWS} draws of each model at the inlet of the root and midway in "
+            "the others; last, measured minus median. Where nothing was measured this is prediction alone."
+        )
+        pictures["waves"] = _picture(models_figure(medians, chapter.study), caption, caption)
+    details = []
+    for name in posteriors:
+        say(f"{chapter.name}: model {name}")
+        details.append(_model_part(name, chapter, checks[name], records[name], f"{anchor}-{name.lower()}"))
+    return {
+        "name": chapter.name,
+        "anchor": anchor,
+        "note": chapter.note,
+        "facts": _facts(chapter, records),
+        "failing": failing,
+        "summary": summary(table, checks, records) if posteriors else [],
+        "ranking": [] if table is None else _ranking(table),
+        "criterion": "" if table is None else CRITERION[table.attrs.get("ic", "waic")],
+        "scored": "" if table is None else str(int(table["draws"].max())),
+        "pictures": pictures,
+        "models": details,
+        "checks": [_check_row(name, checks[name], records[name]) for name in posteriors],
+        "runs": [_run_row(records[name]) for name in posteriors],
+        "commands": [*chapter.commands, *(sampling_command(record) for record in records.values())],
+        "data": chapter.study is not None,
+    }
+
+
+def _anchor(name: str, taken: set[str]) -> str:
+    base = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "study"
+    anchor, n = base, 1
+    while anchor in taken:
+        n += 1
+        anchor = f"{base}-{n}"
+    taken.add(anchor)
+    return anchor
+
+
+def _facts(chapter: Chapter, records: Mapping[str, RunRecord]) -> list[tuple[str, str]]:
+    """What a study is and how its equations were solved."""
+    facts = []
+    study = chapter.study
+    if study is not None:
+        series = ", ".join(f"{s.label} ({len(s.value)} samples)" for s in study.series)
+        facts += [("vessels", str(len(study.vessels))), ("period", f"{1e3 * study.period_s:g} ms")]
+        facts += [("observed", series), ("checksum", study.checksum)]
+        if not records:
+            facts.append(("conventions", study.conventions.name))
+    else:
+        facts += [("checksum", value) for value in sorted({r.study_checksum for r in records.values()})]
+    for label, get in (
+        ("conventions", lambda record: _settings(record.conventions)),
+        ("solver", lambda record: _settings(record.solver)),
+        ("seed", lambda record: str(record.seed)),
+    ):
+        which: dict[str, list[str]] = {}
+        for name, record in records.items():
+            which.setdefault(get(record), []).append(name)
+        for value, names in which.items():
+            facts.append((label if len(which) == 1 else f"{label} of {_listed(names)}", value))
+    return facts
+
+
+def _settings(values: Mapping[str, Any]) -> str:
+    named = [f"{name} {_value(value)}" for name, value in values.items() if name != "name"]
+    return ", ".join([str(values["name"]), *named] if "name" in values else named)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _ranking(table: pd.DataFrame) -> list[dict[str, Any]]:
+    rows = []
+    for model, row in table.iterrows():
+        cells = [
+            _with_error(row["waic"], row["waic_se"]),
+            _with_error(row["difference"], row["difference_se"]),
+            f"{row['weight']:.2f}",
+            _with_error(row["loo"], row["loo_se"]),
+            str(int(row["pareto_k_bad"])),
+            f"{row['waic_one_observation']:.1f}",
+            f"{row['p_waic']:.1f}",
+            f"{row['sse']:.3g}",
+        ]
+        converged = bool(row["converged"])
+        rows.append(
+            {"model": str(model), "cells": cells, "standing": row["standing"], "converged": converged}
+        )
+    return rows
+
+
+def _model_part(
+    name: str, chapter: Chapter, check: Diagnostics, record: RunRecord, anchor: str
+) -> dict[str, Any]:
+    idata = chapter.posteriors[name]
+    posterior = idata["posterior"]
+    shown = [str(n) for n in posterior.data_vars if "time" not in posterior[n].dims]
+    single = [n for n in shown if posterior[n].ndim == 2]
+    pictures = []
+    where = f"model {name} on {chapter.name}"
+    if chapter.study is not None:
+        means, predictions = predictive_draws(chapter.models[name], idata)
+        caption = (
+            "Observations, posterior median, 95 % credible band of the model's waveform and 95 % band of "
+            "predicted observations; below, the residual to the median."
+        )
+        pictures.append(
+            _picture(fit_figure(chapter.study, means, predictions), f"Fit of {where}. {caption}", caption)
+        )
+    caption = "Ranks of each chain's draws among all; bars at the dashed line where the chains agree."
+    pictures.append(_picture(rank_figure(idata, single), f"Rank plots of {where}. {caption}", caption))
+    if len(single) > 1:
+        caption = "Draws of pairs of parameters, marginal densities on the diagonal."
+        pictures.append(_picture(pair_figure(idata, single), f"Pair plots of {where}. {caption}", caption))
+    rows = _parameter_rows(posterior, shown, check, chapter.models.get(name))
+    return {
+        "name": name,
+        "anchor": anchor,
+        "about": _about(name),
+        "text": check.verdict.text[:1].upper() + check.verdict.text[1:],
+        "passes": check.verdict.passes,
+        "single": [row for row in rows if "[" not in row.name],
+        "many": [row for row in rows if "[" in row.name],
+        "pictures": pictures,
+        "draws": posterior.sizes["chain"] * posterior.sizes["draw"],
+        "whole": check.verdict.chains * check.verdict.draws,
+    }
+
+
+def _about(name: str) -> str:
+    """First line of a model's docstring, for the models of this package."""
+    if name not in MODELS:
+        return ""
+    return (get_model(name).__doc__ or "").strip().splitlines()[0]
+
+
+def _parameter_rows(
+    posterior: Any, names: Sequence[str], check: Diagnostics, model: pm.Model | None
+) -> list[Row]:
+    unit = "mmHg²"
+    if model is not None:
+        quantities = {series.quantity for series in record_of(model).study.series}
+        unit = "mmHg²" if quantities == {"pressure_mmHg"} else "unit of the series, squared"
+    judged = {p.name: p for p in check.verdict.parameters}
+    draws = {name: posterior[name].transpose("chain", "draw", ...).to_numpy() for name in names}
+    rows = []
+    for label, values in scalars(draws):
+        base = label.partition("[")[0]
+        meaning, own = MEANINGS.get(base, ("", ""))
+        median, low, high = (_number(q) for q in np.quantile(values.astype(float), (0.5, 0.025, 0.975)))
+        p = judged.get(label)
+        rhat, bulk, tail = "–", "–", "–"
+        if p is not None:
+            rhat, bulk, tail = f"{p.rhat:.3f}", f"{p.ess_bulk:.0f}", f"{p.ess_tail:.0f}"
+        p_values = check.geweke.get(label, ())
+        smallest = f"{min(p_values):.2f}" if p_values else "–"
+        chosen = unit if base == "sigma2" else own
+        rows.append(
+            Row(label, meaning, chosen, median, low, high, rhat, bulk, tail, smallest, p is None or p.passes)
+        )
+    return rows
+
+
+def _number(value: float) -> str:
+    """Four significant digits, in full up to 1e6."""
+    return f"{float(f'{value:.4g}'):.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:#.4g}"
+
+
+def _check_row(name: str, check: Diagnostics, record: RunRecord) -> dict[str, Any]:
+    found = check.verdict
+    p_values = [p for values in check.geweke.values() for p in values if np.isfinite(p)]
+    below = sum(p < 0.05 for p in p_values)
+    rates = (
+        [f"{100 * rate:.0f}" for rate in (min(check.acceptance), max(check.acceptance))]
+        if check.acceptance
+        else []
+    )
+    failures = ", ".join(f"{n} {status}" for status, n in record.failures.items()) or "none"
+    parameters = found.parameters
+    cells = [
+        f"{found.chains} × {found.draws}",
+        f"{found.max_rhat:.3f}",
+        f"{min((p.ess_bulk for p in parameters), default=np.nan):.0f}",
+        f"{min((p.ess_tail for p in parameters), default=np.nan):.0f}",
+        f"{check.mpsrf:.3f}",
+        f"{below} of {len(p_values)}" if p_values else "too few draws",
+        "–" if not rates else rates[0] if rates[0] == rates[1] else f"{rates[0]} to {rates[1]}",
+        f"{record.solves + record.mode_evaluations}",
+        failures,
+        f"{record.wall_seconds / 60:.1f}",
+    ]
+    return {"model": name, "passes": found.passes, "cells": cells}
+
+
+def _run_row(record: RunRecord) -> list[str]:
+    settings = record.settings
+    step = (
+        str(settings.get("step", "")).replace("demetropolisz", "DE-MC_Z").replace("metropolis", "Metropolis")
+    )
+    numbers = [str(settings.get(key, "–")) for key in ("tune", "thin")]
+    libraries = ", ".join(f"{name} {version}" for name, version in sorted(record.versions.items()))
+    started = record.started.replace("T", " ").replace("+00:00", " UTC")
+    return [record.model, str(record.seed), step, *numbers, started, str(record.sittings), libraries]
+
+
+def _picture(figure: Any, alt: str, caption: str) -> Picture:
+    """A figure as a PNG in a data URI, with its size in CSS pixels."""
+    with tempfile.TemporaryDirectory() as folder:
+        image = Image.open(save_figure(figure, Path(folder) / "figure.png")).convert("RGB")
+    small = BytesIO()
+    image.quantize(COLOURS).save(small, "PNG", optimize=True)
+    source = "data:image/png;base64," + base64.b64encode(small.getvalue()).decode("ascii")
+    return Picture(
+        source, round(0.6 * image.width), round(0.6 * image.height), alt, caption
+    )  # 160 dots an inch

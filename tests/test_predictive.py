@@ -1,0 +1,354 @@
+"""Predictions in every vessel: against single solves, analytic quantiles, SciPy and PyMC's predictions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import arviz as az
+import numpy as np
+import pymc as pm
+import pytest
+import xarray as xr
+from scipy import stats
+
+from test_op import small_study
+from zoo import predictive
+from zoo.comparison import posterior_means
+from zoo.likelihood import LogUniform, iid_errors, neural_network_kernel, study_model
+from zoo.models import get_model
+from zoo.network import Network, stiffness_profile
+from zoo.op import blood_flow
+from zoo.predictive import (
+    PredictiveError,
+    bands,
+    interval_widths,
+    median_waves,
+    one_place,
+    predictive_draws,
+    pressure_against_stiffness,
+    stiffness_draws,
+    vessel_waves,
+    waves_at_medians,
+    with_stiffness,
+)
+from zoo.solver import Solver, wall_pressure_mmHg
+from zoo.study import Study
+
+CENTRE = {
+    **{"f1": 3e4, "f2": -80.0, "f3": 4.5e4, "m_chi": 5e4, "v_chi": 1.0, "z_chi": 0.5},
+    **{"psi1": 0.3, "psi2": 0.9, "c": 1.2, "gamma": 5.0, "sigma2": 0.09, "w": 5e4, "b": 100.0},
+}
+TIMES = np.arange(40) * 0.11 / 40
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return small_study()
+
+
+def posterior(model: pm.Model, n_draws: int = 20, spread: float = 0.02) -> az.InferenceData:
+    """Draws scattered around a point, two chains; a stiffness of each vessel has its own."""
+    rng = np.random.default_rng(0)
+    draws = {}
+    for name in model.zoo.parameters:
+        shape = (2, n_draws, *((3,) if name == "z_chi" else ()))
+        draws[name] = CENTRE[name] * np.exp(spread * rng.standard_normal(shape))
+    return az.from_dict(posterior=draws)
+
+
+@pytest.mark.parametrize("name", ["B", "I"])
+def test_waves_are_those_of_single_solves(study: Study, name: str) -> None:
+    """At the observed places and times the series of the likelihood; elsewhere a solver of its own."""
+    study = replace(study, conventions=study.conventions.replace(sample_lag_beats=0.05))
+    model = get_model(name)(study)
+    idata = posterior(model, 3)
+    seen: list[tuple[int, int]] = []
+    waves = vessel_waves(model, idata, n_draws=6, n_times=32, progress=lambda i, n: seen.append((i, n)))
+    assert waves.pressure_mmHg.dims == ("draw", "vessel", "position", "time")
+    assert waves.pressure_mmHg.shape == (6, 3, 2, 32)
+    assert seen == [(i + 1, 6) for i in range(6)]
+    expected = posterior_means(model, idata["posterior"])
+    place = waves.pressure_mmHg.sel(vessel=1, position=0.0), waves.pressure_mmHg.sel(vessel=2, position=0.5)
+    np.testing.assert_allclose(np.stack(place, axis=1), expected, rtol=1e-6)
+    k, draw = 4, {v: float(idata["posterior"][v][1, 1]) for v in model.zoo.parameters}
+    assert (waves.chain[k], waves.posterior_draw[k]) == (1, 1)
+    assert float(waves.w[k]) == draw["w"]
+    chi = draw["f3"]
+    if name == "I":
+        chi = stiffness_profile([0.047, 0.026, 0.037], draw["f1"], draw["f2"], draw["f3"])
+    wall = {"B": "linear", "I": "tangent"}[name]
+    times = waves["time"].to_numpy() + 0.05 * 0.11
+    conventions = model.zoo.op.solver.conventions
+    alone = Solver.for_study(study, wall, series=[(3, 0.5)], times_s=times, conventions=conventions)
+    scales = {p: draw[p] for p in ("psi1", "psi2", "c")}
+    solution = alone.solve(chi, draw.get("gamma", 2.0), **scales)
+    for quantity in ("pressure_mmHg", "flow_ml_s", "area_cm2"):
+        found = waves[quantity][k].sel(vessel=3, position=0.5)
+        np.testing.assert_allclose(found, getattr(solution, quantity)[0], rtol=2e-6, atol=1e-7)
+    rest = np.pi * float(waves.radius_cm.sel(vessel=3)) ** 2
+    stiffness = np.broadcast_to(chi, 3)[2]
+    found = wall_pressure_mmHg(
+        wall,
+        waves.area_cm2[k].sel(vessel=3, position=0.5) / rest,
+        stiffness,
+        draw.get("gamma", 2.0),
+        conventions=conventions,
+    )
+    np.testing.assert_allclose(found, waves.pressure_mmHg[k].sel(vessel=3, position=0.5), rtol=1e-4)
+
+
+def test_waves_conserve_volume_and_survive_a_file(study: Study, tmp_path) -> None:
+    model = get_model("A")(study)
+    waves = vessel_waves(model, posterior(model), n_draws=5, positions=(0.0, 0.5, 1.0))
+    flow = waves.flow_ml_s.mean("time")
+    inflow = study.inflow_ml_s.mean()
+    np.testing.assert_allclose(flow.sel(vessel=1), inflow, rtol=1e-4)
+    np.testing.assert_allclose(flow.sel(vessel=2) + flow.sel(vessel=3), inflow, rtol=1e-4)
+    assert waves.attrs["draws_failed"] == 0
+    assert (waves.attrs["model"], waves.attrs["study"], waves.attrs["root"]) == ("A", "small", 1)
+    assert waves.pressure_mmHg.attrs["units"] == "mmHg"
+    waves.to_netcdf(tmp_path / "w.nc", engine="h5netcdf")
+    with xr.open_dataset(tmp_path / "w.nc", engine="h5netcdf") as again:
+        xr.testing.assert_identical(again.load(), waves)
+    kept = vessel_waves(model, posterior(model), n_draws=5, positions=(0.0, 0.5, 1.0))
+    xr.testing.assert_identical(kept, waves)
+    everything = vessel_waves(model, posterior(model, 4), n_draws=100, n_times=16)
+    assert everything.sizes["draw"] == 8
+
+
+def test_draws_that_do_not_solve_are_left_out_and_counted(study: Study) -> None:
+    with study_model("stiff", study) as model:
+        f3 = LogUniform("f3", 1e3, 1e12)
+        iid_errors(*blood_flow(study, "linear", f3, 0.3, 0.9, 1.2), study)
+    f3_draws = np.array([[5e4, 1e11, 6e4], [1e11, 4e4, 1e11]])
+    idata = az.from_dict(posterior={"f3": f3_draws, "sigma2": np.arange(1.0, 7.0).reshape(2, 3)})
+    waves = vessel_waves(model, idata, n_times=32)
+    assert waves.attrs["draws_failed"] == 3
+    assert waves.sigma2.to_numpy().tolist() == [1.0, 3.0, 5.0]
+    systolic = waves.pressure_mmHg.sel(vessel=1, position=0.0).max("time").to_numpy()
+    assert list(np.argsort(systolic)) == [2, 0, 1]  # stiffer, higher
+    only = az.from_dict(posterior={"f3": f3_draws[1:, [0, 2]], "sigma2": np.ones((1, 2))})
+    with pytest.raises(PredictiveError, match="model stiff: none of 2 posterior draws solves"):
+        vessel_waves(model, only)
+
+
+def fake_waves(error: str = "iid", n: int = 4000, **parameters: np.ndarray) -> xr.Dataset:
+    """Waves whose law is known: a normal level at each draw in two vessels, at two positions."""
+    level = np.random.default_rng(5).normal(15.0, 0.4, size=n)
+    shape = np.array([[0.0, 1.0], [2.0, 3.0]])[None, :, :, None] + np.sin(57 * TIMES)
+    pressure = level[:, None, None, None] + shape
+    return xr.Dataset(
+        {
+            "pressure_mmHg": (("draw", "vessel", "position", "time"), pressure),
+            "flow_ml_s": (("draw", "vessel", "position", "time"), pressure / 100),
+            "area_cm2": (("draw", "vessel", "position", "time"), pressure / 1000),
+            **{name: ("draw", values) for name, values in parameters.items()},
+        },
+        coords={
+            "draw": np.arange(n),
+            "vessel": [1, 2],
+            "radius_cm": ("vessel", [0.05, 0.03]),
+            "position": [0.0, 0.5],
+            "time": TIMES,
+        },
+        attrs={"error": error, "root": 1, "observed_quantity": "pressure_mmHg"},
+    )
+
+
+def test_bands_are_the_quantiles_of_a_known_law() -> None:
+    """The level is normal, so the credible interval is that of SciPy; errors of one variance add to it."""
+    waves = fake_waves(sigma2=np.full(4000, 0.09))
+    found = bands(waves, "pressure_mmHg", (0.5, 0.95), errors=True)
+    assert found.low.dims == ("prob", "vessel", "position", "time")
+    centre = (
+        waves.pressure_mmHg[0] - waves.pressure_mmHg[0, 0, 0, 0] + waves.pressure_mmHg[:, 0, 0, 0].median()
+    )
+    np.testing.assert_allclose(found["median"], centre)
+    for prob in (0.5, 0.95):
+        z = stats.norm.ppf(0.5 + prob / 2)
+        one = found.sel(prob=prob)
+        np.testing.assert_allclose(one.high - one.low, 2 * z * 0.4, rtol=0.05)
+        np.testing.assert_allclose(one.prediction_high - one.prediction_low, 2 * z * 0.5, rtol=0.03)
+    assert found.attrs["units"] == "mmHg"
+    flow = bands(waves, "flow_ml_s", (0.95,))
+    assert "prediction_low" not in flow
+    np.testing.assert_allclose(100 * flow.high[0], found.high.sel(prob=0.95))
+
+
+@pytest.mark.parametrize("error", ["iid", "gp"])
+def test_prediction_quantiles_of_a_skew_mixture(error: str) -> None:
+    """Errors of very different size: edges have the wanted probability under the mixture itself."""
+    rng = np.random.default_rng(6)
+    parameters = {
+        "iid": {"sigma2": rng.lognormal(-2, 2, 300)},
+        "gp": {"w": rng.uniform(1e4, 9e4, 300), "b": np.exp(rng.uniform(0, 6, 300))},
+    }[error]
+    waves = fake_waves(error, 300, **parameters)
+    found = bands(waves, "pressure_mmHg", (0.8, 0.95), errors=True)
+    means = waves.pressure_mmHg[:, 1, 1].to_numpy()
+    if error == "iid":
+        variance = np.tile(parameters["sigma2"][:, None], (1, 40))
+    else:
+        q = parameters["b"][:, None] + parameters["w"][:, None] * TIMES**2
+        variance = 2 / np.pi * np.arcsin(2 * q / (1 + 2 * q)) + 2.44e-6 + 1e-6
+    for i, prob in enumerate((0.8, 0.95)):
+        for end, tail in (("low", (1 - prob) / 2), ("high", (1 + prob) / 2)):
+            edge = found[f"prediction_{end}"][i, 1, 1].to_numpy()
+            reached = stats.norm.cdf(edge, means, np.sqrt(variance)).mean(axis=0)
+            np.testing.assert_allclose(reached, tail, atol=1e-5)
+
+
+def test_widths_and_places() -> None:
+    waves = fake_waves(sigma2=np.full(4000, 0.09))
+    placed = one_place(waves)
+    assert placed.pressure_mmHg.dims == ("draw", "vessel", "time")
+    offset = placed.pressure_mmHg[0].mean("time") - waves.pressure_mmHg[0, 0, 0].mean()
+    np.testing.assert_allclose(offset, [0.0, 3.0], atol=1e-9)  # the root's inlet, the other's middle
+    assert one_place(placed) is placed
+    middle = median_waves(waves)
+    assert middle.area_cm2.dims == ("vessel", "time")
+    np.testing.assert_allclose(middle.area_cm2, placed.area_cm2.median("draw"))
+    table = interval_widths(waves)
+    assert list(table.columns) == ["radius_cm", "credible_width_mmHg", "prediction_width_mmHg"]
+    assert list(table.index) == [1, 2]
+    np.testing.assert_allclose(table["credible_width_mmHg"], 3.92 * 0.4, rtol=0.05)
+    np.testing.assert_allclose(table["prediction_width_mmHg"], 3.92 * 0.5, rtol=0.03)
+    with pytest.raises(PredictiveError, match=r"no position 0\.5: make them"):
+        one_place(waves.sel(position=[0.0]))
+
+
+@pytest.mark.parametrize("error", ["iid", "gp"])
+def test_predictions_have_the_variance_of_the_error_model(study: Study, monkeypatch, error: str) -> None:
+    """Against the analytic spread: posterior of the mean and of the errors are independent here."""
+    rng = np.random.default_rng(2)
+    n = 250
+    study = replace(study, time_s=TIMES, series=tuple(replace(s, value=np.ones(40)) for s in study.series))
+    means = study.values[None] + 0.4 * rng.standard_normal((4 * n, 1, 1))
+    means[3] = np.nan
+    errors = {"iid": ("sigma2",), "gp": ("w", "b")}[error]
+    values = {"sigma2": np.full((4, n), 0.09), "w": np.full((4, n), 5e4), "b": np.full((4, n), 130.0)}
+    idata = az.from_dict(posterior={name: values[name] for name in errors})
+    record = SimpleNamespace(study=study, error=error, error_parameters=errors)
+    monkeypatch.setattr(predictive, "record_of", lambda model: record)
+    monkeypatch.setattr(predictive, "posterior_means", lambda model, posterior: means)
+    got_means, predictions = predictive_draws(None, idata, n_draws=None)
+    assert got_means.shape == (4 * n - 1, 2, 40)
+    assert predictions.shape == (10 * (4 * n - 1), 2, 40)
+    gp_variance = np.diag(neural_network_kernel(TIMES, 5e4, 130.0)) + 3.44e-6
+    variance = {"iid": np.full(40, 0.09), "gp": gp_variance}[error]
+    sample = means[np.isfinite(means).all(axis=(1, 2))][:, 0, 0].var()
+    np.testing.assert_allclose(predictions.var(axis=0), np.tile(sample + variance, (2, 1)), rtol=0.06)
+    errors_alone = predictions.reshape(10, -1, 2, 40) - got_means
+    scaled = errors_alone[..., 0, :] / np.sqrt(variance)
+    assert stats.kstest(scaled[:, :, 7].ravel(), "norm").pvalue > 1e-3
+    again = predictive_draws(None, idata, n_draws=None)[1]
+    np.testing.assert_array_equal(predictions, again)  # the seed is fixed
+
+
+def test_prediction_bands_hold_what_pymc_predicts(study: Study) -> None:
+    """Of pm.sample_posterior_predictive, which draws whole series with correlated errors."""
+    model = get_model("B")(study)
+    idata = posterior(model, 200, spread=0.03)
+    drawn = pm.sample_posterior_predictive(
+        idata, model=model, var_names=["y"], progressbar=False, random_seed=1
+    ).posterior_predictive["y"]
+    waves = vessel_waves(model, idata, n_draws=100, n_times=32)
+    found = bands(one_place(waves), "pressure_mmHg", (0.8,), errors=True).isel(prob=0)
+    for i, vessel in enumerate((1, 2)):
+        one = found.sel(vessel=vessel)
+        below = float((drawn[:, :, i] < one.prediction_low.to_numpy()).mean())
+        above = float((drawn[:, :, i] > one.prediction_high.to_numpy()).mean())
+        assert below == pytest.approx(0.1, abs=0.03)
+        assert above == pytest.approx(0.1, abs=0.03)
+
+
+@pytest.mark.parametrize("name", ["A", "E", "G"])
+def test_stiffness_of_every_kind_of_model(study: Study, name: str) -> None:
+    model = get_model(name)(study)
+    idata = posterior(model, 4)
+    draws = {p: idata["posterior"][p].to_numpy() for p in model.zoo.parameters}
+    expected = {
+        "A": lambda: np.repeat(draws["f3"][..., None], 3, axis=2),
+        "E": lambda: (
+            draws["f1"][..., None] * np.exp(draws["f2"][..., None] * np.array([0.047, 0.026, 0.037]))
+            + draws["f3"][..., None]
+        ),
+        "G": lambda: draws["m_chi"][..., None] + 1e4 * np.sqrt(draws["v_chi"])[..., None] * draws["z_chi"],
+    }[name]()
+    found = stiffness_draws(model, idata)
+    assert found.dims == ("chain", "draw", "vessel")
+    np.testing.assert_allclose(found, expected)
+    np.testing.assert_array_equal(found.radius_cm, Network.from_study(study).radius_in_cm)
+    replaced = with_stiffness(model, idata, 3)
+    np.testing.assert_allclose(replaced.chi, expected[:, :, 2])
+    np.testing.assert_allclose(with_stiffness(model, idata).chi, expected[:, :, 0])
+    others = {"A": {"sigma2"}, "E": {"w", "b"}, "G": {"w", "b"}}[name]
+    assert set(replaced.data_vars) == {"chi", "psi1", "psi2", "c"} | others
+    with pytest.raises(PredictiveError, match="vessel = 7: the network has 1, 2, 3"):
+        with_stiffness(model, idata, 7)
+
+
+def test_waves_at_medians_are_one_solve(study: Study) -> None:
+    model = get_model("A")(study)
+    idata = posterior(model, 5, spread=0.1)
+    found = waves_at_medians(model, idata, n_times=64)
+    middle = {p: float(idata["posterior"][p].median()) for p in ("f3", "psi1", "psi2", "c")}
+    times = np.arange(64) * 0.11 / 64
+    solver = Solver.for_study(study, series=[(1, 0.0), (2, 0.5), (3, 0.5)], times_s=times)
+    solution = solver.solve(middle["f3"], 2.0, middle["psi1"], middle["psi2"], middle["c"])
+    np.testing.assert_allclose(found.pressure_mmHg, solution.pressure_mmHg, rtol=1e-6)
+    np.testing.assert_allclose(found.area_cm2, solution.area_cm2, rtol=1e-6)
+
+
+def test_pressure_against_stiffness(study: Study) -> None:
+    """Systole rises with stiffness as the paper finds; one row is a solve; failures have a status."""
+    table = pressure_against_stiffness(study, [1e4, 4.31e4, 1e6, 1e11], psi2=0.9, c=1.2)
+    assert list(table["status"]) == ["ok", "ok", "ok", "cfl"]
+    assert np.all(np.diff(table["systolic_mmHg"][:3]) > 0)
+    assert np.all(np.diff(table["pulse_mmHg"][:3]) > 0)
+    assert table.iloc[3][["systolic_mmHg", "pulse_mmHg"]].isna().all()
+    solver = Solver.for_study(study, series=[(1, 0.0)], times_s=np.linspace(0, 0.11, 4001))
+    pressure = solver.solve(4.31e4, 2.0, 0.30, 0.9, 1.2).pressure_mmHg
+    row = table.iloc[1]
+    np.testing.assert_allclose(row["systolic_mmHg"], pressure.max(), atol=1e-3)
+    np.testing.assert_allclose(row["diastolic_mmHg"], pressure.min(), atol=1e-3)
+    assert row["pulse_mmHg"] == row["systolic_mmHg"] - row["diastolic_mmHg"]
+    assert len(pressure_against_stiffness(study)) == 49
+
+
+def test_what_is_wrong_is_said(study: Study) -> None:
+    waves = fake_waves(sigma2=np.ones(4000))
+    for call, text in (
+        (lambda: bands(waves, "pressure"), r"quantity = 'pressure': must be one of pressure_mmHg, flow_ml_s"),
+        (
+            lambda: bands(waves, "flow_ml_s", errors=True),
+            "errors of flow_ml_s: the model has errors of",
+        ),
+        (lambda: bands(waves, "area_cm2", (95,)), r"probs = \(95,\): give probabilities between 0 and 1"),
+        (lambda: pressure_against_stiffness(study, [-1.0]), r"stiffness = \[-1\.0\]: give positive numbers"),
+        (lambda: pressure_against_stiffness(study, wall="stiff"), "wall = 'stiff': must be one of linear, t"),
+    ):
+        with pytest.raises(PredictiveError, match=text):
+            call()
+    model = get_model("A")(study)
+    for settings, text in (
+        ({"n_draws": 0}, "n_draws = 0, n_times = 256: give at least 1 draw"),
+        ({"positions": (0.0, 2.0)}, r"positions = \(0\.0, 2\.0\): give numbers from 0"),
+        ({"positions": ()}, r"positions = \(\): give numbers"),
+    ):
+        with pytest.raises(PredictiveError, match=text):
+            vessel_waves(model, posterior(model, 2), **settings)
+
+
+@pytest.mark.needs_data
+def test_the_papers_figure_7() -> None:
+    """The mouse: pulse pressure goes from a few mmHg to more than 25 over two decades of stiffness."""
+    from zoo.study import load_study
+
+    table = pressure_against_stiffness(load_study("mouse-c6"), [1e4, 4.31e4, 1e6])
+    assert list(table["status"]) == ["ok"] * 3
+    pulse = table["pulse_mmHg"].to_numpy()
+    assert pulse[0] < 3
+    assert 8 < pulse[1] < 12
+    assert pulse[2] > 25
