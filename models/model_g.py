@@ -17,7 +17,7 @@ from zoo.study import Study
 SUGGESTED = {
     "m_chi": 5e4,
     "v_chi": 2.0,
-    "z_chi": 0.0,
+    "chi": 5e4,
     "psi1": 0.46,
     "psi2": 0.86,
     "c": 1.12,
@@ -37,8 +37,9 @@ def model_G(
     with study_model("G", study, SUGGESTED) as model:
         m_chi = pm.Normal("m_chi", 6e4, 1.5e4)  # population mean of the stiffness, g cm-1 s-2
         v_chi = pm.InverseGamma("v_chi", 3, 7.78)  # its variance, (1e4 g cm-1 s-2)^2
-        z_chi = pm.Normal("z_chi", 0, 1, dims="vessel")  # each vessel's deviation from the mean
-        chi = pm.Deterministic("chi", m_chi + 1e4 * pm.math.sqrt(v_chi) * z_chi, dims="vessel")
+        chi = pm.Normal(  # each vessel's own; sampled as its logarithm, no wall has a negative one
+            "chi", m_chi, 1e4 * pm.math.sqrt(v_chi), dims="vessel", transform=pm.distributions.transforms.log
+        )
         psi1 = pm.Uniform("psi1", 0.05, 2.5)  # factors on the nominal R1, R2 and C of every outlet
         psi2 = pm.Uniform("psi2", 0.05, 2.5)
         c = pm.Uniform("c", 0.05, 2.5)

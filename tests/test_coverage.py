@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import arviz as az
 import numpy as np
@@ -11,23 +11,29 @@ import pymc as pm
 import pytest
 from scipy import stats
 
-from zoo import load_study
+from zoo import load_study, model_E, sample
+from zoo.calibration import cheap_study
 from zoo.coverage import (
     IDENTIFIABLE,
+    K_LIMIT,
     LEVELS,
     PAPER_TRUTH,
+    SCALES,
     THETA,
     Scenario,
     coverage,
     data_set,
+    fill_pool,
     kernel_density,
     marginal_density,
     relative_sse,
     run,
+    score_pool,
     summarise,
 )
 from zoo.mode import LogPosterior
 from zoo.reproduce import published_table4
+from zoo.synthetic import Truth
 
 
 def test_truth_is_the_published_row_of_model_e():
@@ -112,23 +118,54 @@ def test_data_sets_share_the_truth_and_have_errors_of_their_own():
     assert [(s.vessel, s.position) for s in one.series] == [(1, 0.0), (2, 0.5), (3, 0.5)]
 
 
+@pytest.fixture(scope="module")
+def cheap():
+    """The cheap tree, with an error process that leaves wide posteriors."""
+    return cheap_study(64), Truth(f1=2e6, f2=-200.0, f3=4.3e4, psi1=0.6, psi2=0.9, c=1.2, w=4e4, b=60.0)
+
+
+def test_pool_agrees_with_chains(cheap, tmp_path):
+    """Weighted draws of a pool and a chain's draws are of one posterior."""
+    base, truth = cheap
+    study = data_set(base, 3, 1, truth=truth, n_times=64)
+    pool = fill_pool([study], truth, 4000, seed=1)
+    row, draws = score_pool(pool, asdict(truth), 0, n_draws=4000)
+    assert row["pareto_k"] < K_LIMIT
+    assert row["ess_min"] > 100
+    idata = sample(model_E(study), draws=1500, tune=500, thin=2, chains=4, cores=0, seed=2, progress=False)
+    for name in IDENTIFIABLE:
+        chain = idata["posterior"][name].to_numpy().ravel()
+        ours, theirs = (np.quantile(x, (0.1, 0.5, 0.9)) for x in (draws[name], chain))
+        np.testing.assert_allclose(ours, theirs, atol=0.25 * chain.std())
+    density = marginal_density(idata, model_E(study), {n: asdict(truth)[n] for n in THETA}, n_draws=1000)
+    scale = np.prod([SCALES[name] for name in THETA])
+    assert row["joint_direct"] == pytest.approx(density * scale, rel=0.35)
+
+
+def test_pool_says_when_its_weights_cannot_be_trusted(cheap):
+    """A pool around another truth."""
+    base, truth = cheap
+    study = data_set(base, 3, 1, truth=truth, n_times=64)
+    pool = fill_pool([study], replace(truth, psi2=1.6, f3=5.5e4), 1000, seed=1)
+    row, _ = score_pool(pool, asdict(truth), 0)
+    assert not row["converged"]
+
+
 @pytest.mark.slow
-def test_a_small_study_from_end_to_end(tmp_path):
-    """Two scenarios of one data set on a tree of three vessels; done fits are not sampled again."""
-    demo = load_study("demo")
-    loads = load_study("demo").vessels[-1].windkessel
-    daughters = [replace(v, windkessel=v.windkessel or loads) for v in demo.vessels[1:3]]
-    base = replace(demo, vessels=(demo.vessels[0], *daughters))
-    scenarios = (Scenario("without", "A", 1), Scenario("with", "B", 1))
-    settings = {"draws": 40, "tune": 60, "n_times": 32, "data_sets": 1, "scenarios": scenarios}
-    names = ("f3", "psi1", "psi2", "c")
-    found = run(base, tmp_path, progress=False, cores=1, names=names, **settings)
-    assert list(found["scenario"]) == ["without", "with"]
+def test_a_small_study_from_end_to_end(cheap, tmp_path):
+    """Chains and a pool; what is done is not done again."""
+    base, truth = cheap
+    scenarios = (Scenario("without", "A", 1), Scenario("with", "E", 1))
+    settings = {"draws": 40, "tune": 60, "n_times": 64, "data_sets": 2, "scenarios": scenarios}
+    settings |= {"points": 1500, "truth": truth, "progress": False, "names": IDENTIFIABLE, "cores": 1}
+    found = run(base, tmp_path, **settings)
+    assert list(found["scenario"]) == ["without", "without", "with", "with"]
     assert (found["joint_kde"] >= 0).all()
-    table = summarise(found, names)
-    assert list(table["data_sets"]) == [1, 1]
-    stamps = {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("*.nc")}
-    again = run(base, tmp_path, progress=False, cores=1, names=names, **settings)
-    assert {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("*.nc")} == stamps
+    table = summarise(found, IDENTIFIABLE)
+    assert list(table["data_sets"]) == [2, 2]
+    stamps = {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("[Ap]*.n[cp]*")}
+    assert len(stamps) == 3
+    again = run(base, tmp_path, **settings)
+    assert {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("[Ap]*.n[cp]*")} == stamps
     pd.testing.assert_frame_equal(found, again)
     assert not list(tmp_path.glob("*.checkpoint"))

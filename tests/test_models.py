@@ -31,7 +31,9 @@ pytestmark = pytest.mark.filterwarnings(
 SCALES = {"psi1": (0.05, 2.5), "psi2": (0.05, 2.5), "c": (0.05, 2.5)}
 CONSTANT = {"f3": (2e4, 1e5)}
 BY_RADIUS = {"f1": (1e3, 1e7), "f2": (-300, -50), "f3": (3e4, 6e4)}
-POPULATION = {"m_chi": (1e4, 1.1e5), "v_chi": (0.5, 30), "z_chi": (-2, 2)}  # where their priors are compared
+# where their priors are compared, that of chi at this mean and variance
+POPULATION = {"m_chi": (1e4, 1.1e5), "v_chi": (0.5, 30), "chi": (2e4, 1e5)}
+MEAN, VARIANCE = 5e4, 2.25
 GAMMA = {"gamma": (1, 2 * np.pi)}
 GP_BOUNDS = {"w": (1e4, 9e4), "b": (1, 500)}
 TABLE_2: dict[str, tuple[str, str, dict[str, tuple[float, float]], dict[str, tuple[float, float]]]] = {
@@ -102,7 +104,7 @@ def test_priors_are_those_of_table_2(name: str, study: Study) -> None:
         priors |= {
             "m_chi": stats.norm(6e4, 1.5e4),
             "v_chi": stats.invgamma(3, scale=7.78),
-            "z_chi": stats.norm(),
+            "chi": stats.norm(MEAN, 1e4 * np.sqrt(VARIANCE)),
         }
     if error == "iid":
         priors["sigma2"] = stats.invgamma(0.001, scale=0.001)
@@ -111,8 +113,10 @@ def test_priors_are_those_of_table_2(name: str, study: Study) -> None:
         low, high = (uniform | log_uniform).get(parameter, (1e-3, 10.0))
         inside = np.linspace(low, high, 7)[1:-1]
         x = np.array([low - 1e-3 * (high - low), *inside, high + 1e-3 * (high - low)])
+        given = {model["m_chi"]: MEAN, model["v_chi"]: VARIANCE} if parameter == "chi" else {}
         # one value of each component of a vector at a time
-        found = [pm.logp(model[parameter], np.full(shape_of(model, parameter), v)).eval().flat[0] for v in x]
+        graphs = [pm.logp(model[parameter], np.full(shape_of(model, parameter), v)) for v in x]
+        found = [graph.eval(given).flat[0] for graph in graphs]
         np.testing.assert_allclose(found, prior.logpdf(x), err_msg=parameter)
 
 
@@ -130,18 +134,21 @@ def test_prior_of_each_vessels_stiffness(name: str, study: Study) -> None:
 @pytest.mark.parametrize("name", ["F", "G"])
 def test_limits_of_the_population(name: str, study: Study) -> None:
     """Its variance gone, all vessels are equal, which is model A or B; its variance large, they are free."""
-    values = suggested(name) | {"sigma2": 0.3, "w": 3e4, "b": 40.0}
-    z = np.linspace(-1, 1, len(Network.from_study(study).ids))
-    equal = likelihood_terms(get_model(name)(study), values | {"v_chi": 1e-16, "z_chi": z})
-    simple = likelihood_terms(get_model({"F": "A", "G": "B"}[name])(study), values | {"f3": values["m_chi"]})
-    np.testing.assert_allclose(equal, simple, rtol=1e-6, atol=1e-5)
     model = get_model(name)(study)
-    stiff = {"m_chi": 5e4, "v_chi": 1e6, "z_chi": (np.geomspace(2e4, 9e4, len(z)) - 5e4) / 1e7}
-    chi = model.replace_rvs_by_values([model["chi"]])[0]
-    point = {model.rvs_to_values[model[k]]: v for k, v in stiff.items()}
-    del point[model.rvs_to_values[model["v_chi"]]]
-    free = chi.eval(point | {model.rvs_to_values[model["v_chi"]]: np.log(1e6)})
-    np.testing.assert_allclose(free, np.geomspace(2e4, 9e4, len(z)))
+    values = suggested(name) | {"sigma2": 0.3, "w": 3e4, "b": 40.0}
+    simple = get_model({"F": "A", "G": "B"}[name])(study)
+    collapsed = pm.draw(pm.do(model, {"m_chi": 4.7e4, "v_chi": 1e-14})["chi"], draws=5, random_seed=1)
+    np.testing.assert_allclose(collapsed, 4.7e4, rtol=1e-9)
+    np.testing.assert_allclose(
+        likelihood_terms(model, values | {"chi": collapsed[0]}),
+        likelihood_terms(simple, values | {"f3": 4.7e4}),
+        rtol=1e-6,
+        atol=1e-5,
+    )
+    stiffness = np.geomspace(2e4, 9e4, collapsed.shape[1])
+    wide = {model["m_chi"]: 5e4, model["v_chi"]: 1e8}
+    free, same = (pm.logp(model["chi"], at).eval(wide).sum() for at in (stiffness, collapsed[0]))
+    assert abs(free - same) < 1e-3
 
 
 @pytest.mark.parametrize("name", NAMES)

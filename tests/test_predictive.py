@@ -36,7 +36,7 @@ from zoo.solver import Solver, wall_pressure_mmHg
 from zoo.study import Study
 
 CENTRE = {
-    **{"f1": 3e4, "f2": -80.0, "f3": 4.5e4, "m_chi": 5e4, "v_chi": 1.0, "z_chi": 0.5},
+    **{"f1": 3e4, "f2": -80.0, "f3": 4.5e4, "m_chi": 5e4, "v_chi": 1.0, "chi": 5.5e4},
     **{"psi1": 0.3, "psi2": 0.9, "c": 1.2, "gamma": 5.0, "sigma2": 0.09, "w": 5e4, "b": 100.0},
 }
 TIMES = np.arange(40) * 0.11 / 40
@@ -52,7 +52,7 @@ def posterior(model: pm.Model, n_draws: int = 20, spread: float = 0.02) -> az.In
     rng = np.random.default_rng(0)
     draws = {}
     for name in model.zoo.parameters:
-        shape = (2, n_draws, *((3,) if name == "z_chi" else ()))
+        shape = (2, n_draws, *((3,) if name == "chi" else ()))
         draws[name] = CENTRE[name] * np.exp(spread * rng.standard_normal(shape))
     return az.from_dict(posterior=draws)
 
@@ -274,7 +274,7 @@ def test_stiffness_of_every_kind_of_model(study: Study, name: str) -> None:
             draws["f1"][..., None] * np.exp(draws["f2"][..., None] * np.array([0.047, 0.026, 0.037]))
             + draws["f3"][..., None]
         ),
-        "G": lambda: draws["m_chi"][..., None] + 1e4 * np.sqrt(draws["v_chi"])[..., None] * draws["z_chi"],
+        "G": lambda: draws["chi"],
     }[name]()
     found = stiffness_draws(model, idata)
     assert found.dims == ("chain", "draw", "vessel")

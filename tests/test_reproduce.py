@@ -156,7 +156,7 @@ def test_synthetic_tables_stand_beside_the_published_ones():
     rows = []
     for scenario, joint in ((FIRST_SCENARIO, 2.0), ("mismatch, 21 vessels", 600.0)):
         for k in range(3):
-            row = {"scenario": scenario, "relative_sse": 0.1 * k, "joint_kde": 1.0, "joint_chen": joint}
+            row = {"scenario": scenario, "relative_sse": 0.1 * k, "joint_kde": 1.0, "joint_direct": joint}
             rows.append({**row, "converged": True, **{f"density_{n}": 0.5 for n in names}})
     table = synthetic_tables(pd.DataFrame(rows))
     assert table.loc["mismatch, 21 vessels", "joint_ratio"] == pytest.approx(300)

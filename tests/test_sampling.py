@@ -10,6 +10,7 @@ import sys
 import textwrap
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import arviz as az
@@ -23,11 +24,14 @@ from pytensor.graph.op import Op
 from scipy import stats
 
 from zoo import mode as mode_module
-from zoo import sampling
+from zoo import model_F, sampling
+from zoo.calibration import cheap_options, cheap_study
 from zoo.progress import ChainState, Display
 from zoo.results import RunRecord
 from zoo.sampling import CheckpointError, DEMetropolisZ, Metropolis, SamplingError, find_mode, sample
+from zoo.solver import Solver
 from zoo.steps import Archive, Gaussian
+from zoo.study import Series
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 
@@ -334,6 +338,38 @@ def test_mode_in_the_unconstrained_space_and_values_in_units():
     assert mode.covariance[1, 1] == pytest.approx(0.01, rel=0.02)
 
 
+def test_gauss_newton_reaches_the_mode_of_a_hierarchical_model():
+    """From a far start: as high as wide Newton steps can go after it, at the truth's stiffness."""
+    study = three_vessels(np.array([4.0e4, 5.0e4, 6.0e4]), psi1=0.4, psi2=0.7, c=1.2)
+    logp = mode_module.LogPosterior(model_F(study, options=cheap_options()))
+    start = {
+        "m_chi": 7e4,
+        "v_chi": 3.0,
+        "chi": np.full(3, 7e4),
+        "psi1": 1.0,
+        "psi2": 0.4,
+        "c": 0.5,
+        "sigma2": 1.0,
+    }
+    q = logp.from_values(start)
+    found, value, frame = mode_module.gauss_newton(logp, q, logp(q), limit=600)
+    assert logp(found) == value
+    _, best, _ = mode_module.newton(logp, found, value, passes=2, frame=frame)
+    assert value > best - 1.0
+    values = logp.to_values(found)
+    np.testing.assert_allclose(values["chi"][0], 4.0e4, rtol=0.05)
+    np.testing.assert_allclose(values["sigma2"], 0.01, rtol=0.4)
+
+
+def three_vessels(stiffness, **parameters):
+    """The cheap tree with pressures of known stiffness and white errors of 0.1 mmHg."""
+    base = cheap_study(48)
+    solver = Solver.for_study(base, options=cheap_options())
+    clean = solver.solve(stiffness, **parameters).pressure_mmHg
+    noise = 0.1 * np.random.default_rng(3).standard_normal(clean.shape)
+    return replace(base, series=(Series(1, 0.0, "pressure_mmHg", (clean + noise)[0]),))
+
+
 def test_mode_says_what_is_wrong():
     with pm.Model() as impossible:
         pm.Normal("a")
@@ -543,6 +579,20 @@ def test_chain_error_reaches_the_caller():
     with pytest.raises(SamplingError, match="chain 0: FloatingPointError: the bath ran over") as caught:
         sample(model, draws=2000, tune=0, chains=1, thin=1, cores=1, seed=1, progress=False)
     assert any("Traceback" in note for note in caught.value.__notes__)
+
+
+def test_chains_in_turns_draw_what_processes_draw(tmp_path, uninterrupted):
+    """In this process, interrupted by a checkpoint halfway: the draws of the run in processes."""
+    settings = {**SETTINGS, "cores": 0}
+    first = sample(
+        gaussian_model(), checkpoint=tmp_path / "c", **{**settings, "draws": SETTINGS["draws"] // 2}
+    )
+    again = sample(gaussian_model(), checkpoint=tmp_path / "c", **settings)
+    for name in ("a", "bc"):
+        whole = uninterrupted.posterior[name].to_numpy()
+        np.testing.assert_array_equal(again.posterior[name].to_numpy(), whole)
+        half = first.posterior[name].to_numpy()
+        np.testing.assert_array_equal(half, whole[:, : half.shape[1]])
 
 
 def test_until_ess_goes_on_and_stops_at_the_limit(capsys):

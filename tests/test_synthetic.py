@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from zoo.likelihood import neural_network_kernel
-from zoo.network import Network
+from zoo.conventions import get_conventions
+from zoo.likelihood import neural_network_kernel, whiten
+from zoo.network import Network, stiffness_profile
+from zoo.solver import Solver, SolverOptions
 from zoo.study import load_study, save_study
 from zoo.synthetic import (
     Truth,
@@ -93,3 +95,17 @@ def test_another_seed_makes_other_errors_around_the_same_truth():
     one, two = (synthetic_study(base, name="x", truth=Truth(), n_times=64, seed=s) for s in (1, 2))
     difference = one.values - two.values
     assert 0.01 < np.abs(difference).max() < 6.0
+
+
+def test_errors_are_all_that_separates_data_from_their_truth():
+    """With every convention of the published code, the lag of the samples too."""
+    base, truth = load_study("demo", get_conventions("published-code")), Truth(f1=1e5)
+    made = synthetic_study(
+        base, name="x", truth=truth, sites=[(v, 0.5) for v in (1, 2, 3, 9)], seed=2, ordered=False
+    )
+    unit = made.conventions.stiffness_radius_unit_cm
+    stiffness = stiffness_profile(Network.from_study(made).radius_in_cm, truth.f1, truth.f2, truth.f3, unit)
+    solver = Solver.for_study(made, options=SolverOptions(refine=4, tolerance_mmHg=1e-6))
+    clean = solver.solve(stiffness, psi1=truth.psi1, psi2=truth.psi2, c=truth.c).pressure_mmHg
+    z = whiten("gp", made.values - clean, made.time_s, {"w": truth.w, "b": truth.b})
+    assert np.mean(z**2) == pytest.approx(1.0, abs=0.1)

@@ -878,6 +878,9 @@ def reproduce(
         str, typer.Option("--vessels", help="Vessels with synthetic data, with commas.")
     ] = "1,3,21",
     samples: Annotated[int, typer.Option("--samples", help="Samples in a synthetic beat.")] = 256,
+    points: Annotated[
+        int, typer.Option("--points", help="Solves of a pool that all synthetic data sets share.")
+    ] = 16_000,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
     draws: DrawsOption = None,
     tune: TuneOption = None,
@@ -901,7 +904,11 @@ def reproduce(
     if synthetic:
         counts = _vessel_counts(vessels, loaded)
         _reproduce_synthetic(
-            loaded, folder / "synthetic", data_sets, counts, samples, settings, figures=figures, quiet=quiet
+            loaded,
+            folder / "synthetic",
+            settings | {"data_sets": data_sets, "n_times": samples, "points": points, "progress": not quiet},
+            counts,
+            figures=figures,
         )
         return
 
@@ -972,28 +979,19 @@ def _vessel_counts(text: str, study: Study) -> list[int]:
 
 
 def _reproduce_synthetic(
-    base: Study,
-    folder: Path,
-    data_sets: int,
-    vessels: Sequence[int],
-    samples: int,
-    settings: dict[str, Any],
-    *,
-    figures: bool,
-    quiet: bool,
+    base: Study, folder: Path, settings: dict[str, Any], vessels: Sequence[int], *, figures: bool
 ) -> None:
     from zoo import coverage
     from zoo.reproduce import synthetic_figures, synthetic_tables
 
-    if data_sets < 1:
-        raise UsageError(f"--data-sets {data_sets}: give at least 1")
-    if samples < 16:
-        raise UsageError(f"--samples {samples}: give at least 16")
+    for name, least in (("data_sets", 1), ("n_times", 16), ("points", 1000)):
+        if settings[name] < least:
+            option = {"n_times": "--samples"}.get(name, f"--{name.replace('_', '-')}")
+            raise UsageError(f"{option} {settings[name]}: give at least {least}")
     wanted = [s for s in coverage.SCENARIOS if s.vessels in vessels]
     wanted += [coverage.Scenario(f"mismatch, {n} vessels", "E", n) for n in vessels if n not in (1, 3, 21)]
-    scores = coverage.run(
-        base, folder, data_sets=data_sets, scenarios=wanted, n_times=samples, progress=not quiet, **settings
-    )
+    scores = coverage.run(base, folder, scenarios=wanted, **settings)
+    data_sets = settings["data_sets"]
     table, covered = synthetic_tables(scores), coverage.coverage(scores)
     table.to_csv(folder / "tables-3-and-5.csv")
     covered.to_csv(folder / "coverage.csv", index=False)
@@ -1008,7 +1006,7 @@ def _reproduce_synthetic(
                     f"{row[f'density_{name}']:.2g} ({row[f'published_density_{name}']:.2g})"
                     for name in coverage.THETA
                 ),
-                f"{row['joint_kde']:.2g}, {row['joint_chen']:.2g}",
+                f"{row['joint_kde']:.2g}, {row['joint_direct']:.2g}",
                 f"{row.get('joint_ratio', math.nan):.3g} ({row['published_joint_ratio']:.3g})",
             ]
         )

@@ -14,6 +14,8 @@ from pymc.pytensorf import floatX, join_nonshared_inputs
 from zoo.likelihood import ModelRecord, whiten
 from zoo.steps import T_DOF, Array, Gaussian, Point, compile_logp, counting_ops
 
+LARGE = 100.0
+"""Size of an unconstrained coordinate from which it is scaled for the search."""
 MANY = 12
 """Dimensions above which the search for the mode uses the structure of zoo's models."""
 
@@ -202,8 +204,11 @@ def search_mode(
     if d > MANY and isinstance(getattr(logp.model, "zoo", None), ModelRecord):
         q, best, frame = gauss_newton(logp, q, best, limit=limit)
     elif limit > 2 * d + 1:
+        # variables without bounds are in their own units
+        scale = np.where(np.abs(q) > LARGE, np.abs(q), 1.0)
+        frame = 0.1 * np.diag(scale)
         options = {"initial_tr_radius": 0.5, "final_tr_radius": 0.02, "maxfev": limit}
-        minimize(cost, q, method="COBYQA", options=options)
+        minimize(lambda x: cost(x * scale), q / scale, method="COBYQA", options=options)
     q, best, covariance = newton(logp, q, best, passes=8 if d <= MANY else 3, frame=frame)
     return Mode(q, logp.to_values(q), best, covariance, logp.evaluations - before)
 
@@ -314,7 +319,8 @@ def gauss_newton(
     curvature = np.diag(model.prior(logp.vector(logp.initial))[1])
     scale = 1.0 / np.sqrt(np.where(curvature > 0, curvature, 1.0))  # prior standard deviations
     damping, frame = 1e-3, 0.1 * np.diag(scale)
-    while logp.evaluations - before < limit:
+    idle = 0
+    while logp.evaluations - before < limit and idle < 3:
         first = value
 
         def cost(x: Array, q: Array = q) -> float:
@@ -363,8 +369,7 @@ def gauss_newton(
                 q, value, damping = moved, there_value, max(damping / 5, 1e-9)
                 break
             damping *= 4
-        if value - first < 0.02:
-            break
+        idle = idle + 1 if value - first < 0.02 else 0
     return q, value, frame
 
 

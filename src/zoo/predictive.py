@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 UNITS = {"pressure_mmHg": "mmHg", "flow_ml_s": "ml/s", "area_cm2": "cm2"}
 ERROR_UNITS = {"sigma2": "mmHg2", "w": "s-2", "b": "1"}
 PROBABILITIES = (0.5, 0.8, 0.95)
-STIFFNESS_PARAMETERS = ("f1", "f2", "f3", "m_chi", "v_chi", "z_chi", "chi")
+STIFFNESS_PARAMETERS = ("f1", "f2", "f3", "m_chi", "v_chi", "chi")
 """What the nine models make their stiffness of."""
 
 

@@ -58,7 +58,6 @@ MEANINGS = {
     "f3": ("stiffness: constant part", "g cm⁻¹ s⁻²"),
     "m_chi": ("stiffness: mean of the population", "g cm⁻¹ s⁻²"),
     "v_chi": ("stiffness: variance of the population", "(10⁴ g cm⁻¹ s⁻²)²"),
-    "z_chi": ("stiffness: deviation of a vessel from the mean", "–"),
     "chi": ("stiffness of a vessel", "g cm⁻¹ s⁻²"),
     "gamma": ("shape of the tangent wall", "–"),
     "psi1": ("factor on the nominal R1", "–"),

@@ -552,7 +552,7 @@ def synthetic_tables(scores: pd.DataFrame) -> pd.DataFrame:
         rows[scenario] = {**row, "published_joint_ratio": float(np.max(joint)) / one}
     table = table.join(pd.DataFrame.from_dict(rows, orient="index"))
     if FIRST_SCENARIO in table.index:
-        table["joint_ratio"] = table["joint_chen"] / float(table["joint_chen"].loc[FIRST_SCENARIO])
+        table["joint_ratio"] = table["joint_direct"] / float(table["joint_direct"].loc[FIRST_SCENARIO])
     return table
 
 

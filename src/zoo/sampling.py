@@ -10,7 +10,7 @@ import pickle
 import time
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, is_dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -20,7 +20,17 @@ import pymc as pm
 from numpy.typing import ArrayLike
 
 from zoo.chains import Chains, CheckpointError, Fleet, InlineChains, Task, unpickle, write
-from zoo.mode import LogPosterior, Mode, SamplingError, Start, disperse, find_mode, model_name, search_mode
+from zoo.mode import (
+    MANY,
+    LogPosterior,
+    Mode,
+    SamplingError,
+    Start,
+    disperse,
+    find_mode,
+    model_name,
+    search_mode,
+)
 from zoo.progress import Display
 from zoo.results import ESS_TARGET, RunRecord, diagnose
 from zoo.steps import Array, DEMetropolisZ, Metropolis
@@ -40,6 +50,8 @@ __all__ = [
 
 CHECKPOINT_FORMAT = 1
 STEPS = ("demetropolisz", "metropolis")
+PILOTS = 4
+"""Most rounds of short chains that look for a higher mode of a model with many parameters."""
 CRANK_NICOLSON = 0.5
 """Share of the steps of `sample(step="demetropolisz")` that are Crank-Nicolson moves."""
 
@@ -286,6 +298,9 @@ def sample(
             if beginning is None:
                 mode = start if isinstance(start, Mode) else search_mode(logp, start, seed=int(seed))
                 beginning = disperse(logp, mode, chains, int(seed))
+                if d > MANY and not isinstance(start, Mode):
+                    beginning = _improve(logp, beginning, chains, cores, int(seed), step, options, show)
+                    mode = beginning.mode
                 if folder is not None:
                     folder.write_start(beginning)
                 show.say(f"mode: log-posterior {mode.logp:.2f} after {mode.evaluations} evaluations")
@@ -322,6 +337,62 @@ def sample(
     finally:
         if folder is not None:
             folder.close()
+
+
+def _improve(
+    logp: LogPosterior,
+    beginning: Start,
+    chains: int,
+    cores: int,
+    seed: int,
+    step: str,
+    options: Mapping[str, Any],
+    show: Display,
+) -> Start:
+    """Short chains that look for a higher mode; where they find one, the search starts again from there.
+
+    With many parameters the highest point need not lie where the search ends, and chains that were tuned
+    elsewhere take long to get there.
+    """
+    d = len(logp.template.data)
+    for attempt in range(1, PILOTS + 1):
+        tasks = [
+            Task(
+                model=logp.model,
+                chain=chain,
+                seed=int(np.random.SeedSequence(seed, spawn_key=(attempt, 2)).generate_state(1)[0]),
+                start=beginning.starts[chain],
+                reference=beginning.reference,
+                archive=beginning.archive,
+                step=step,
+                options=dict(options),
+                tune=100 * d,
+                thin=1,
+                checkpoint=None,
+                checkpoint_seconds=np.inf,
+            )
+            for chain in range(chains)
+        ]
+        fleet: Fleet = Chains(tasks, cores, show) if cores else InlineChains(tasks, show)
+        kept = 20 * d
+        try:
+            fleet.advance(kept)
+            draws, lp = fleet.draws(kept), fleet.stats(kept)["lp"]
+        finally:
+            fleet.close()
+        chain, draw = np.unravel_index(int(np.argmax(lp)), lp.shape)
+        best = {rv.name: draws[rv.name][chain, draw] for rv in logp.model.free_RVs}
+        mode = beginning.mode
+        if lp[chain, draw] < mode.logp + 2.0:
+            break
+        found = search_mode(logp, best, seed=seed)
+        show.say(
+            f"trial chains {attempt}: from log-posterior {mode.logp:.2f} to {lp[chain, draw]:.2f}, "
+            f"mode there {found.logp:.2f}"
+        )
+        evaluations = mode.evaluations + found.evaluations + sum(state.solves for state in fleet.states)
+        beginning = disperse(logp, replace(found, evaluations=evaluations), chains, seed)
+    return beginning
 
 
 def _check_settings(

@@ -215,7 +215,8 @@ def synthetic_study(
     network = Network.from_study(base)
     times = np.arange(n_times) * base.period_s / n_times
     options = options or SolverOptions(refine=4, tolerance_mmHg=1e-6)
-    solver = Solver.for_study(base, series=sites, times_s=times, options=options)
+    lag = base.conventions.sample_lag_beats * base.period_s
+    solver = Solver.for_study(base, series=sites, times_s=times + lag, options=options)
     unit = base.conventions.stiffness_radius_unit_cm
     stiffness = stiffness_profile(network.radius_in_cm, truth.f1, truth.f2, truth.f3, unit)
     clean = solver.solve(stiffness, psi1=truth.psi1, psi2=truth.psi2, c=truth.c).pressure_mmHg
