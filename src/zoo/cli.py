@@ -913,7 +913,7 @@ def reproduce(
         return
 
     from zoo.reproduce import reproduce as run
-    from zoo.reproduce import table4_rows
+    from zoo.reproduce import table4_lines
     from zoo.sampling import CheckpointError
 
     settings |= {"seed": seed, "progress": not quiet}
@@ -921,14 +921,21 @@ def reproduce(
         found = run(loaded, folder, names, figures=figures, say=_say, **settings)
     except CheckpointError as error:
         raise UsageError(f"{error}; the folder is {folder}") from None
-    headings, rows = table4_rows(found.parameters, found.scores)
     _say(
-        _text_table(headings, rows, f"Table 4 of {paper}, published and on {loaded.name}"),
+        _text_table(
+            ["model", "quantity", "published", "zoo", ""],
+            table4_lines(found.parameters, found.scores),
+            f"Table 4 of {paper}, published and on {loaded.name}",
+        ),
         "cells: median (2.5 %, 97.5 %); = agrees, x does not; WAIC with the whole series as one observation",
         _cost_summary(found.costs),
         *found.lines(),
         f"wrote {folder}",
     )
+
+
+def _beside(name: str, row: Any) -> str:
+    return f"{row[name]:.2g} ({row[f'published_{name}']:.2g})"
 
 
 def _text_table(headings: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> Any:
@@ -938,18 +945,15 @@ def _text_table(headings: Sequence[str], rows: Sequence[Sequence[str]], title: s
     for i, heading in enumerate(headings):
         table.add_column(heading, no_wrap=True, justify="left" if i < 2 else "right")
     for row in rows:
-        style = "green" if row[-2].endswith("=") or "=" in "".join(row) else None
-        table.add_row(*row, style=None if row[1] == "published" else style)
+        table.add_row(*row, style={"=": "green", "x": "yellow"}.get(row[-1]))
     return table
 
 
 def _cost_summary(costs: Any) -> Any:
-    headings = ["model", "converged", "R-hat", "ESS", "solves", "failed", "minutes", "paper"]
+    headings = ["model", "converged", "R-hat", "ESS", "solves", "minutes", "paper"]
     rows = []
     for model, row in costs.iterrows():
-        paper = f"{row['published_iterations']:.0f} iterations"
-        if row["published_emulator"]:
-            paper += " with an emulator"
+        paper = f"{row['published_iterations']:.0f}{'*' if row['published_emulator'] else ''}"
         if row["published_days"] and row["published_days"] == row["published_days"]:
             paper += f", {row['published_days']:.0f} days"
         rows.append(
@@ -959,12 +963,11 @@ def _cost_summary(costs: Any) -> Any:
                 f"{row['rhat_max']:.3f}",
                 f"{row['ess_min']:.0f}",
                 f"{row['solves']:.0f}",
-                f"{row['failed']:.0f}",
                 f"{row['minutes']:.1f}",
                 paper,
             ]
         )
-    return _text_table(headings, rows, "what the posteriors cost")
+    return _text_table(headings, rows, "what the posteriors cost; paper: iterations, * of an emulator")
 
 
 def _vessel_counts(text: str, study: Study) -> list[int]:
@@ -995,24 +998,18 @@ def _reproduce_synthetic(
     table, covered = synthetic_tables(scores), coverage.coverage(scores)
     table.to_csv(folder / "tables-3-and-5.csv")
     covered.to_csv(folder / "coverage.csv", index=False)
-    rows = []
-    for scenario, row in table.iterrows():
-        rows.append(
-            [
-                str(scenario),
-                f"{row['converged']:.0f} of {row['data_sets']:.0f}",
-                f"{row['relative_sse']:.2g} ({row['published_relative_sse']:.2g})",
-                *(
-                    f"{row[f'density_{name}']:.2g} ({row[f'published_density_{name}']:.2g})"
-                    for name in coverage.THETA
-                ),
-                f"{row['joint_kde']:.2g}, {row['joint_direct']:.2g}",
-                f"{row.get('joint_ratio', math.nan):.3g} ({row['published_joint_ratio']:.3g})",
-            ]
-        )
-    headings = ["scenario", "converged", "relative SSE", *(f"p({name}|y)" for name in coverage.THETA)]
-    headings += ["p(theta|y): kernel, Chen", "ratio to 1 vessel"]
-    _say(_text_table(headings, rows, f"Tables 3 and 5: medians over {data_sets} data sets (published)"))
+    shown = {"converged": lambda row: f"{row['converged']:.0f} of {row['data_sets']:.0f}"}
+    for name in ("relative_sse", *(f"density_{name}" for name in coverage.THETA)):
+        label = name.replace("density_", "p(") + "|y)" if name.startswith("density_") else "relative SSE"
+        shown[label] = functools.partial(_beside, name)
+    shown["p(theta|y), kernel"] = lambda row: f"{row['joint_kde']:.2g}"
+    shown["p(theta|y), direct"] = lambda row: f"{row['joint_direct']:.2g}"
+    shown["ratio to 1 vessel"] = lambda row: (
+        f"{row.get('joint_ratio', math.nan):.3g} ({row['published_joint_ratio']:.3g})"
+    )
+    rows = [[label, *(text(row) for _, row in table.iterrows())] for label, text in shown.items()]
+    headings = ["median of", *(str(scenario).replace(", ", ",\n") for scenario in table.index)]
+    _say(_text_table(headings, rows, f"Tables 3 and 5: {data_sets} data sets (published)"))
     rows = []
     for (scenario, parameter), group in covered.groupby(["scenario", "parameter"], sort=False):
         cells = [

@@ -139,8 +139,8 @@ def parameter_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
     """Medians and 95 % intervals, published and obtained, one row for each printed cell.
 
     Two medians agree if each lies in the other's interval and they are at most a quarter of the published
-    interval apart. `mc_errors` is their distance in standard errors: Monte Carlo error of our median and
-    rounding of the printed one.
+    interval apart, both up to the rounding of the printed number. `mc_errors` is their distance in standard
+    errors: Monte Carlo error of our median and rounding of the printed one.
 
     Parameters
     ----------
@@ -165,10 +165,15 @@ def parameter_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
             ours = Interval(*np.quantile(draws.to_numpy(), (0.5, 0.025, 0.975)))
             mcse = float(az.mcse(draws, method="median")[name])
             widths = (ours.median - theirs.median) / (theirs.high - theirs.low)
-            inside = theirs.low <= ours.median <= theirs.high and ours.low <= theirs.median <= ours.high
-            agrees = bool(inside and abs(widths) <= QUARTER)
+            rounded = _rounding(theirs.median)
+            inside = (
+                theirs.low - rounded <= ours.median <= theirs.high + rounded
+                and ours.low - rounded <= theirs.median <= ours.high + rounded
+            )
+            apart = max(0.0, abs(ours.median - theirs.median) - rounded)
+            agrees = bool(inside and apart <= QUARTER * (theirs.high - theirs.low))
             reason = "" if agrees else known.get(f"{model}.{name}", known.get(model, "not explained"))
-            error = np.hypot(mcse, _rounding(theirs.median) / np.sqrt(3))
+            error = np.hypot(mcse, rounded / np.sqrt(3))
             rows.append(
                 {
                     "model": model,
@@ -337,6 +342,25 @@ def table4_rows(parameters: pd.DataFrame, scores: pd.DataFrame) -> tuple[list[st
         below.append(f"{score['sse']:.0f}")
         rows += [above, below]
     return headings, rows
+
+
+def table4_lines(parameters: pd.DataFrame, scores: pd.DataFrame) -> list[list[str]]:
+    """Table 4 as narrow text: model, quantity, published, obtained, mark; one row a cell.
+
+    Returns
+    -------
+    list of list of str
+    """
+    headings, rows = table4_rows(parameters, scores)
+    lines = []
+    for above, below in zip(rows[::2], rows[1::2], strict=True):
+        model = above[0]
+        for heading, theirs, ours in zip(headings[2:], above[2:], below[2:], strict=True):
+            if ours:
+                mark = ours[-1] if ours.endswith((" =", " x")) else ""
+                lines.append([model, heading, theirs, ours.removesuffix(f" {mark}"), mark])
+                model = ""
+    return lines
 
 
 def disagreements(parameters: pd.DataFrame, scores: pd.DataFrame) -> list[str]:
