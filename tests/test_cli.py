@@ -470,3 +470,18 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
     assert "checksum of the study is" in fails(
         "compare", other, "--posteriors", path, "-o", tmp_path / "q", "--models", "A,B"
     )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nature2021"], "nature2021: no such paper; paun2020"),
+        (["--models", "A"], "--models A: give at least two different models"),
+        (["--synthetic", "--vessels", "1,99", "--study", "demo"], "--vessels 1,99: demo has 21 vessels"),
+        (["--synthetic", "--data-sets", "0", "--study", "demo"], "--data-sets 0: give at least 1"),
+        (["--synthetic", "--points", "5", "--study", "demo"], "--points 5: give at least 1000"),
+    ],
+)
+def test_reproduce_says_what_to_change(arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert message in fails("reproduce", *arguments)

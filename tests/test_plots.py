@@ -378,3 +378,20 @@ def test_intervals_stand_beside_the_published_ones():
     assert {"published", "zoo", "A", "B", "$f_3$ (10$^4$ g cm$^{-1}$ s$^{-2}$)"} <= texts(figure)
     with pytest.raises(plots.FigureError, match="no column 'published_low'; give model, parameter"):
         plots.intervals_figure(table.drop(columns="published_low"))
+
+
+@pytest.mark.parametrize(("overlay", "rows"), [(False, 2), (True, 1)])
+def test_truth_figure_marks_the_truth_in_every_panel(overlay, rows):
+    rng = np.random.default_rng(1)
+    truth = {"f3": 4.3e4, "psi1": 0.3}
+    fits = {
+        name: [{"f3": rng.normal(4.3e4, 1e3, 300), "psi1": rng.normal(0.3, 0.05, 300)} for _ in range(3)]
+        for name in ("without", "with")
+    }
+    figure = plots.truth_figure(fits, truth, overlay=overlay)
+    panels = figure.axes
+    assert len(panels) == 2 * rows
+    for axes, value in zip(panels[:2], (4.3, 0.3), strict=True):
+        dashed = [line for line in axes.lines if len(set(line.get_xdata())) == 1]
+        assert [float(line.get_xdata()[0]) for line in dashed] == pytest.approx([value])
+        assert len(axes.lines) == 1 + 3 * (2 if overlay else 1)
