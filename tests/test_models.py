@@ -138,7 +138,7 @@ def test_limits_of_the_population(name: str, study: Study) -> None:
     values = suggested(name) | {"sigma2": 0.3, "w": 3e4, "b": 40.0}
     simple = get_model({"F": "A", "G": "B"}[name])(study)
     collapsed = pm.draw(pm.do(model, {"m_chi": 4.7e4, "v_chi": 1e-14})["chi"], draws=5, random_seed=1)
-    np.testing.assert_allclose(collapsed, 4.7e4, rtol=1e-9)
+    np.testing.assert_allclose(collapsed, 4.7e4, rtol=1e-6)
     np.testing.assert_allclose(
         likelihood_terms(model, values | {"chi": collapsed[0]}),
         likelihood_terms(simple, values | {"f3": 4.7e4}),
