@@ -616,7 +616,7 @@ def test_until_ess_goes_on_and_stops_at_the_limit(capsys):
         ({"draws": 0}, "draws = 0: must be a whole number of at least 1"),
         ({"tune": -1}, "tune = -1: must be a whole number of at least 0"),
         ({"chains": 0}, "chains = 0"),
-        ({"cores": 0}, "cores = 0"),
+        ({"cores": -1}, "cores = -1"),
         ({"thin": 0}, "thin = 0"),
         ({"max_draws": 10}, "max_draws = 10: must be a whole number of at least 1000"),
         ({"step": "nuts"}, "step = 'nuts': must be one of demetropolisz, metropolis"),

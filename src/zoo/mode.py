@@ -206,7 +206,6 @@ def search_mode(
     elif limit > 2 * d + 1:
         # variables without bounds are in their own units
         scale = np.where(np.abs(q) > LARGE, np.abs(q), 1.0)
-        frame = 0.1 * np.diag(scale)
         options = {"initial_tr_radius": 0.5, "final_tr_radius": 0.02, "maxfev": limit}
         minimize(lambda x: cost(x * scale), q / scale, method="COBYQA", options=options)
     q, best, covariance = newton(logp, q, best, passes=8 if d <= MANY else 3, frame=frame)
