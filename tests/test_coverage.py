@@ -128,7 +128,7 @@ def test_pool_agrees_with_chains(cheap, tmp_path):
     """Weighted draws of a pool and a chain's draws are of one posterior."""
     base, truth = cheap
     study = data_set(base, 0, 1, truth=truth, n_times=64)
-    pool = fill_pool([study], truth, 8000, seed=1)
+    pool = fill_pool([study], truth, 16_000, seed=1)
     row, draws = score_pool(pool, asdict(truth), 0, n_draws=4000)
     assert row["pareto_k"] < K_LIMIT
     assert row["ess_min"] > 100
@@ -136,7 +136,7 @@ def test_pool_agrees_with_chains(cheap, tmp_path):
     for name in IDENTIFIABLE:
         chain = idata["posterior"][name].to_numpy().ravel()
         ours, theirs = (np.quantile(x, (0.1, 0.5, 0.9)) for x in (draws[name], chain))
-        np.testing.assert_allclose(ours, theirs, atol=0.35 * chain.std())
+        assert np.all(np.abs(ours - theirs) < np.array([0.6, 0.35, 0.6]) * chain.std()), name
     density = marginal_density(idata, model_E(study), {n: asdict(truth)[n] for n in THETA}, n_draws=1000)
     scale = np.prod([SCALES[name] for name in THETA])
     assert row["joint_direct"] == pytest.approx(density * scale, rel=0.35)
