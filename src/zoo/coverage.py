@@ -81,8 +81,8 @@ def data_set(
 
     Made on the grid that the models use, as in the paper: with 21 vessels the difference to a fine grid moves
     f3 by about a posterior standard deviation (``benchmarks/synthetic_grid.py``), which is no question of
-    statistics. Errors are not selected so that pressures fall towards the periphery: selected ones look like a
-    larger pressure drop and are no draws of the law that the models assume.
+    statistics. Errors are not selected so that pressures fall towards the periphery: selected ones look like
+    a larger pressure drop and are no draws of the law that the models assume.
 
     Parameters
     ----------
