@@ -200,7 +200,7 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
     """WAIC and sums of squared errors, published and obtained.
 
     Differences are to model B. The paper most likely took the whole series as one observation, so that WAIC
-    decides; the sequential one, with the standard error of its difference to B's, stands beside it.
+    decides; the difference of the sequential one stands beside it.
 
     Parameters
     ----------
