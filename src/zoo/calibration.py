@@ -21,6 +21,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from zoo.mode import LogPosterior, Mode, Start, disperse, model_name, newton
+from zoo.progress import bar
 from zoo.sampling import CRANK_NICOLSON
 from zoo.solver import SolverOptions
 from zoo.steps import Archive, DEMetropolisZ
@@ -547,11 +548,11 @@ def simulate_and_rank(
     }
     store = _Store(None if path is None else Path(path), header)
     waiting = [k for k in range(n_replicates) if k not in store.found]
-    with _bar(progress) as bar:
-        task = bar.add_task("replicates", total=n_replicates, completed=n_replicates - len(waiting))
+    with bar(progress) as show:
+        task = show.add_task("replicates", total=n_replicates, completed=n_replicates - len(waiting))
         for replicate in _work(arguments, waiting, seed, settings, cores):
             store.add(replicate)
-            bar.advance(task)
+            show.advance(task)
     return RankTest.of([store.found[k] for k in range(n_replicates)], settings.ranked)
 
 
@@ -602,20 +603,6 @@ def _builder_name(builder: Any) -> str:
     extra = getattr(builder, "keywords", None) or {}
     name = f"{inner.__module__}.{inner.__qualname__}"
     return name + "".join(f", {key}={value!r}" for key, value in sorted(extra.items()))
-
-
-def _bar(wanted: bool) -> Any:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=not wanted,
-    )
 
 
 class _Store:

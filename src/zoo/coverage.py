@@ -31,6 +31,7 @@ from zoo.mode import LogPosterior
 from zoo.models import get_model
 from zoo.network import Network, stiffness_profile
 from zoo.posteriors import belongs, checkpoint_of, load_for, sample_to
+from zoo.progress import bar
 from zoo.results import ESS_TARGET, save, verdict, versions
 from zoo.solver import Solver, SolverOptions
 from zoo.study import Study
@@ -647,9 +648,6 @@ def run(
     DataFrame
         One row a fit: scenario, data_set, file, and the columns of `score_fit`.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     scenarios = [s for s in scenarios if s.vessels <= len(base.vessels)]
     values = asdict(truth)
     studies: dict[int, list[Study]] = {}
@@ -658,21 +656,13 @@ def run(
             data_set(base, i, vessels, truth=truth, n_times=n_times) for i in range(data_sets)
         ]
     folder.mkdir(parents=True, exist_ok=True)
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=not progress,
-    )
     rows: list[dict[str, Any]] = []
-    with bar:
+    with bar(progress) as show:
         for scenario in scenarios:
             pooled = scenario.model == "E"
             what = "solves" if pooled else "posteriors"
-            task = bar.add_task(f"{scenario.name}: {what}", total=points if pooled else data_sets)
-            advance = partial(bar.advance, task)
+            task = show.add_task(f"{scenario.name}: {what}", total=points if pooled else data_sets)
+            advance = partial(show.advance, task)
             made = studies[scenario.vessels]
             if pooled:
                 found = _pooled(scenario, made, truth, folder, points, cores, advance)

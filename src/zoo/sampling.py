@@ -9,7 +9,7 @@ import json
 import pickle
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -304,24 +304,19 @@ def sample(
                 if folder is not None:
                     folder.write_start(beginning)
                 show.say(f"mode: log-posterior {mode.logp:.2f} after {mode.evaluations} evaluations")
-            tasks = [
-                Task(
-                    model=model,
-                    chain=chain,
-                    seed=int(seed),
-                    start=beginning.starts[chain],
-                    reference=beginning.reference,
-                    archive=beginning.archive,
-                    step=step,
-                    options=options,
-                    tune=tune,
-                    thin=thin,
-                    checkpoint=None if folder is None else folder.chain(chain).resolve(),
-                    checkpoint_seconds=checkpoint_seconds,
-                )
-                for chain in range(chains)
-            ]
-            fleet: Fleet = Chains(tasks, cores, show) if cores else InlineChains(tasks, show)
+            fleet = _fleet(
+                model,
+                beginning,
+                int(seed),
+                step,
+                options,
+                tune,
+                thin,
+                cores,
+                show,
+                checkpoint=None if folder is None else folder.chain,
+                checkpoint_seconds=checkpoint_seconds,
+            )
             try:
                 kept = _run(fleet, draws, until_ess, max_draws or 40 * draws)
             finally:
@@ -337,6 +332,41 @@ def sample(
     finally:
         if folder is not None:
             folder.close()
+
+
+def _fleet(
+    model: Any,
+    beginning: Start,
+    seed: int,
+    step: str,
+    options: Mapping[str, Any],
+    tune: int,
+    thin: int,
+    cores: int,
+    show: Display,
+    *,
+    checkpoint: Callable[[int], Path] | None = None,
+    checkpoint_seconds: float = np.inf,
+) -> Fleet:
+    """Chains from the starts of a beginning: in processes, or in this one if `cores` is 0."""
+    tasks = [
+        Task(
+            model=model,
+            chain=chain,
+            seed=seed,
+            start=start,
+            reference=beginning.reference,
+            archive=beginning.archive,
+            step=step,
+            options=dict(options),
+            tune=tune,
+            thin=thin,
+            checkpoint=None if checkpoint is None else checkpoint(chain).resolve(),
+            checkpoint_seconds=checkpoint_seconds,
+        )
+        for chain, start in enumerate(beginning.starts)
+    ]
+    return Chains(tasks, cores, show) if cores else InlineChains(tasks, show)
 
 
 def _improve(
@@ -356,24 +386,8 @@ def _improve(
     """
     d = len(logp.template.data)
     for attempt in range(1, PILOTS + 1):
-        tasks = [
-            Task(
-                model=logp.model,
-                chain=chain,
-                seed=int(np.random.SeedSequence(seed, spawn_key=(attempt, 2)).generate_state(1)[0]),
-                start=beginning.starts[chain],
-                reference=beginning.reference,
-                archive=beginning.archive,
-                step=step,
-                options=dict(options),
-                tune=100 * d,
-                thin=1,
-                checkpoint=None,
-                checkpoint_seconds=np.inf,
-            )
-            for chain in range(chains)
-        ]
-        fleet: Fleet = Chains(tasks, cores, show) if cores else InlineChains(tasks, show)
+        trial = int(np.random.SeedSequence(seed, spawn_key=(attempt, 2)).generate_state(1)[0])
+        fleet = _fleet(logp.model, beginning, trial, step, options, 100 * d, 1, cores, show)
         kept = 20 * d
         try:
             fleet.advance(kept)
