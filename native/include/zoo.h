@@ -52,7 +52,30 @@ typedef struct {
     double wall_factor;         /* k in p = k chi tan(...): 1 as printed, 1/pi as in the published code */
     int32_t friction;           /* enum zoo_friction */
     double friction_radius;     /* cm, read for ZOO_FRICTION_FIXED */
+    double stokes_friction;     /* factor of the Stokes layer's friction; 1 as eq. (3.1) is printed */
+    double viscous_friction;    /* k in a further -k pi nu q/A; 0 as eq. (3.1) is printed, 8 Poiseuille's */
 } zoo_physics;
+
+/* What is added to the equations; all zero is nothing.  Any pointer may be NULL. */
+typedef struct {
+    const double *viscosity_factor;  /* [n_vessels] factor of the viscosity; NULL is 1 */
+    const double *offset_in;         /* [n_vessels] dyn/cm^2, added to the wall's pressure at the inlet */
+    const double *offset_out;        /* [n_vessels] and at the outlet; linear between */
+    const double *viscoelastic_time; /* [n_vessels] s, tau in tau_r dp_v/dt + p_v = tau dp_e/dt */
+    double relaxation_time;          /* s, tau_r; must be positive where viscoelastic_time is given */
+    const double *leak;              /* [n_vessels] cm^4 s/g, A_t + q_x = -leak p */
+    double total_pressure;           /* tau: branches share p + tau rho u^2/2 */
+    double junction_loss;            /* K: daughters' inlets lack K rho/2 u|u| of the parent's end */
+    const double *inertance;         /* [n_vessels] g/cm^4, read at terminals: p = v + R1 q + L dq/dt */
+    int32_t n_sections;              /* parallel RC pairs at each terminal; 0: the Windkessel */
+    const double *section_resistance; /* [n_vessels][n_sections] shares of R2; 0: the section is absent */
+    const double *section_compliance; /* [n_vessels][n_sections] shares of C */
+    const double *throat_severity;   /* [n_vessels] in [0, 1): relative loss of radius at the narrowest place */
+    const double *throat_position;   /* [n_vessels] in [0, 1] of the length */
+    const double *throat_length;     /* [n_vessels] cm */
+    double throat_loss;              /* K_t in K_t rho/2 (A0/A0_throat - 1)^2 (q/A0)^2 */
+    int32_t force;                   /* 1: take the loops with the additions even if they add nothing */
+} zoo_extras;
 
 /* The flow into the root: samples at m period/n_samples, linear between, periodic. */
 typedef struct {
@@ -82,6 +105,7 @@ typedef struct {
 typedef struct {
     zoo_network network;
     zoo_physics physics;
+    zoo_extras extras;
     zoo_inflow inflow;
     zoo_outputs outputs;
     zoo_numerics numerics;

@@ -37,24 +37,37 @@ typedef struct {
     double *soft1, *soft2;               /* [count*lanes] sums of w A0/K and w A0/K^2 */
     double *area, *c, *beta;             /* [branches*count*lanes] scratch of a step */
     double *volume, *sum_c, *sum_beta;   /* [count*lanes] scratch of a step */
+    /* only with additions: scratch of Newton's method, junction_extra.h */
+    double *flow, *old, *a0, *aP, *aH, *q0, *qP, *qH; /* [branches*count*lanes] */
+    double *P, *H, *D, *g0, *gP, *gH;    /* [count*lanes] */
+    double *m0, *mP, *mH, *f0, *fP, *fH; /* [count*lanes] */
 } zoo_junctions;
 
 /* The Windkessels at the ends of the terminal vessels. */
 typedef struct {
     int count;
+    int n_sections;                      /* parallel RC pairs; one is the Windkessel */
     int *vessel, *node;                  /* [count] */
     double *per_w, *A0;                  /* [count] 2 dt/dx, rest area at the node */
     double *R1, *R2, *C;                 /* [count*lanes] */
-    double *decay, *fill, *E, *inv_R1;   /* [count*lanes] e, R2 (1 - e), 2 R1 + R2 (1 - e), 1/R1 */
-    double *v;                           /* [count*lanes] pressure on the compliance, dyn/cm^2 */
+    double *decay, *fill;                /* [n_sections*count*lanes] e, R2 (1 - e) */
+    double *E, *inv_R1;                  /* [count*lanes] 2 R1 + R2 (1 - e), 1/R1 */
+    double *v;                           /* [n_sections*count*lanes] pressure on the compliance, dyn/cm^2 */
     double *volume;                      /* [count*lanes] ml that left so far in this beat */
     double *a, *p;                       /* [count*lanes] scratch of the root search */
+    /* only with additions, outlet_extra.h */
+    double *inertia;                     /* [count*lanes] 4 L/dt */
+    double *keep, *now, *before;         /* [count*lanes] q' = keep q + now y' + before y */
+    double *carry;                       /* [count*lanes] ml/s, the flow that the inertance carries */
+    double *base, *q_mid, *y, *back;     /* [count*lanes] scratch of a step */
 } zoo_outlets;
 
 typedef struct {
     const zoo_problem *problem;
     int lanes, wall, n_vessels, n_nodes, n_groups;
     double dt, momentum, inv_density;
+    int extra;   /* 1: something is added that the plain loops do not have, see zoo_has_extras */
+    int coupled; /* 1: pressures at junctions depend on flows there (total pressure, losses) */
     int uniform; /* 1: all vessels of each lane share one stiffness and one gamma */
 
     /* grid, per vessel and per node */
@@ -74,6 +87,15 @@ typedef struct {
     double *A, *q, *P, *M, *G;           /* [n_nodes*lanes] */
     /* the same at midpoints, half a step on */
     double *Ah, *qh, *Ph, *Mh, *Gh;      /* [n_nodes*lanes] */
+
+    /* only with additions (extra): p = p_e + p_v + offset, p_v = kappa p_e + z,
+     * tau_r dz/dt = -(z + kappa p_e), kappa = tau/tau_r */
+    double relax, relax_half;            /* exp(-dt/tau_r), exp(-dt/(2 tau_r)) */
+    double *offset, *kappa;              /* [n_nodes] */
+    double *leak, *leak_mid;             /* [n_nodes] 0 at the midpoint between two vessels */
+    double *loss, *loss_mid;             /* [n_nodes] of throats: friction += loss A q|q| */
+    double *z, *pe;                      /* [n_nodes*lanes] state, pressure of the wall */
+    double *off, *off_half;              /* [n_nodes*lanes] part of p that is known a step, half a step ahead */
 
     zoo_junctions *groups;               /* [n_groups] */
 
@@ -96,7 +118,7 @@ typedef struct {
     int next_time;
 
     /* beat to beat */
-    int n_state;                         /* doubles of one lane's state: A, q, v */
+    int n_state;                         /* doubles of one lane's state: A, q, v; z and carry when extra */
     double *start;                       /* [n_state*lanes] state at the start of the beat */
     double *states, *ends;               /* [ZOO_HISTORY][n_state*lanes] starts and ends of past beats */
     double *weight;                      /* [n_state*lanes] turns a difference of state into a pressure */
@@ -132,9 +154,25 @@ typedef struct {
         }                                                    \
     } while (0)
 
+/* R and C of section m of terminal t in lane l; R = 0: the section is absent. */
+ZOO_INLINE double zoo_section_resistance(const zoo_sim *s, int m, int t, int l)
+{
+    const zoo_extras *ex = &s->problem->extras;
+    const double R2 = s->outlets.R2[t * s->lanes + l];
+    return ex->n_sections ? R2 * ex->section_resistance[s->outlets.vessel[t] * ex->n_sections + m] : R2;
+}
+
+ZOO_INLINE double zoo_section_compliance(const zoo_sim *s, int m, int t, int l)
+{
+    const zoo_extras *ex = &s->problem->extras;
+    const double C = s->outlets.C[t * s->lanes + l];
+    return ex->n_sections ? C * ex->section_compliance[s->outlets.vessel[t] * ex->n_sections + m] : C;
+}
+
 /* layout.c: carve the arrays out of the workspace; with base NULL only count the bytes. */
 int64_t zoo_layout(const zoo_problem *problem, int lanes, zoo_sim *sim, void *base);
 int zoo_check_problem(const zoo_problem *problem);
+int zoo_has_extras(const zoo_problem *problem);
 void zoo_set_grid(zoo_sim *sim);
 int zoo_set_parameters(zoo_sim *sim, const zoo_parameters *parameters);
 void zoo_set_softness(zoo_sim *sim, zoo_junctions *junctions, int lane);

@@ -15,6 +15,9 @@
  *
  * A junction's branches are numbered branch-major: branch b of junction j is
  * x = b*count + j, so that each loop runs over all junctions of the group.
+ *
+ * With `extra` (see scheme.h) A_b(P') is that of the stiffer wall at P' - off, and
+ * the half cells leak w leak p_mid.  Total pressure and losses: junction_extra.h.
  */
 #ifndef ZOO_JUNCTION_H
 #define ZOO_JUNCTION_H
@@ -23,7 +26,7 @@
 
 /* Newton for the area ratios of tangent walls that differ: the branches'
  * pressures are set equal, and the volume to the given one, both linearised. */
-ZOO_INLINE void junction_newton(const int wall, const int W, zoo_sim *s, zoo_junctions *ju)
+ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zoo_sim *s, zoo_junctions *ju)
 {
     const int n = ju->count, nb = ju->branches;
     const int *restrict node = ju->node;
@@ -31,17 +34,22 @@ ZOO_INLINE void junction_newton(const int wall, const int W, zoo_sim *s, zoo_jun
     const double *restrict A = s->A, *restrict P = s->P, *restrict K = s->K, *restrict th = s->theta;
     double *restrict a = ju->area, *restrict p = ju->c, *restrict slope = ju->beta;
     double *restrict have = ju->sum_c, *restrict soft = ju->sum_beta;
+    const double *restrict kappa = s->kappa, *restrict off = s->off;
+    const double later = 0.5 * (1.0 + s->relax);
     /* the pressure of the old time is known already */
     ZOO_LOOP(W, i, x, l, 0, n * nb, {
         const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
         a[i] = A[o] / A0[x];
         p[i] = P[o];
+        if (extra) /* but not that of the wall with a memory: see scheme.h */
+            p[i] = wall_p(wall, (1.0 + later * kappa[node[x]]) * K[o], th[o], a[i], sqrt(a[i])) + off[o];
     });
     for (int iteration = 0; iteration < 30; iteration++) {
         int unfinished = 0;
         ZOO_LOOP(W, i, x, l, 0, n * nb, {
             const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
-            slope[i] = wall_slope(wall, K[o], th[o], p[i], sqrt(a[i]));
+            slope[i] = extra ? wall_slope(wall, (1.0 + later * kappa[node[x]]) * K[o], th[o], p[i] - off[o], sqrt(a[i]))
+                             : wall_slope(wall, K[o], th[o], p[i], sqrt(a[i]));
         });
         ZOO_LOOP(W, i, j, l, 0, n, {
             have[i] = volume[i];
@@ -66,7 +74,8 @@ ZOO_INLINE void junction_newton(const int wall, const int W, zoo_sim *s, zoo_jun
                 const double fall = 0.5 * (wall_floor(wall, th[o]) - a[y]);
                 move = move > room ? room : move < fall ? fall : move;
                 a[y] += move;
-                p[y] = wall_p(wall, K[o], th[o], a[y], sqrt(a[y]));
+                p[y] = extra ? wall_p(wall, (1.0 + later * kappa[node[from + j]]) * K[o], th[o], a[y], sqrt(a[y])) + off[o]
+                             : wall_p(wall, K[o], th[o], a[y], sqrt(a[y]));
                 unfinished |= fabs(move) > 1e-8; /* quadratic: the next move would be below rounding */
             });
         }
@@ -82,10 +91,10 @@ ZOO_INLINE void junction_newton(const int wall, const int W, zoo_sim *s, zoo_jun
         }
 }
 
-ZOO_INLINE void junction_body(const int wall, const int W, zoo_sim *s, zoo_junctions *ju)
+ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_sim *s, zoo_junctions *ju)
 {
     const int n = ju->count, nb = ju->branches;
-    const int newton = wall == ZOO_WALL_TANGENT && !s->uniform;
+    const int newton = wall == ZOO_WALL_TANGENT && (extra || !s->uniform);
     const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum;
     const int *restrict node = ju->node, *restrict mid = ju->mid, *restrict junction = ju->junction;
     const double *restrict w = ju->w, *restrict per_w = ju->per_w, *restrict A0 = ju->A0,
@@ -97,18 +106,46 @@ ZOO_INLINE void junction_body(const int wall, const int W, zoo_sim *s, zoo_junct
     double *restrict A = s->A, *restrict q = s->q;
     const double *restrict Ah = s->Ah, *restrict qh = s->qh, *restrict Ph = s->Ph,
                            *restrict Mh = s->Mh, *restrict Gh = s->Gh;
+    const double *restrict kappa = s->kappa, *restrict off = s->off, *restrict leak = s->leak,
+                 *restrict loss = s->loss, *restrict K = s->K;
+    double *restrict k0 = ju->m0, *restrict e1 = ju->mP, *restrict e2 = ju->mH, *restrict per_K = ju->a0;
+    const double later = 0.5 * (1.0 + s->relax);
 
     ZOO_LOOP(W, i, j, l, 0, n, {
         volume[i] = w[j] * A[(ptrdiff_t)node[j] * W + l] + dt * qh[(ptrdiff_t)mid[j] * W + l];
+        if (extra) {
+            volume[i] -= dt * w[j] * leak[node[j]] * Ph[(ptrdiff_t)mid[j] * W + l];
+            k0[i] = e1[i] = e2[i] = 0.0;
+        }
     });
     for (int b = 1; b < nb; b++) {
         const ptrdiff_t from = (ptrdiff_t)b * n;
         ZOO_LOOP(W, i, j, l, 0, n, {
                 volume[i] += w[from + j] * A[(ptrdiff_t)node[from + j] * W + l] - dt * qh[(ptrdiff_t)mid[from + j] * W + l];
+                if (extra)
+                    volume[i] -= dt * w[from + j] * leak[node[from + j]] * Ph[(ptrdiff_t)mid[from + j] * W + l];
         });
     }
     if (newton)
-        junction_newton(wall, W, s, ju);
+        junction_newton(wall, W, extra, s, ju);
+    else if (extra) { /* sum w A0 (1 + (P - off)/K)^2 = volume, K of the stiffer wall */
+        for (int b = 0; b < nb; b++) {
+            const ptrdiff_t from = (ptrdiff_t)b * n;
+            ZOO_LOOP(W, i, j, l, 0, n, {
+                const ptrdiff_t x = from + j, o = (ptrdiff_t)node[x] * W + l;
+                const double one = wall_reciprocal((1.0 + later * kappa[node[x]]) * K[o]);
+                const double at_0 = 1.0 - off[o] * one, size = w[x] * A0[x];
+                per_K[from * W + i] = one;
+                k0[i] += size * at_0 * at_0;
+                e1[i] += size * at_0 * one;
+                e2[i] += size * one * one;
+            });
+        }
+        ZOO_LOOP(W, i, j, l, 0, n, {
+            const double excess = volume[i] - k0[i];
+            volume[i] = excess / (e1[i] + sqrt(e1[i] * e1[i] + e2[i] * excess));
+        });
+    }
     else if (wall == ZOO_WALL_LINEAR) /* sum w A0 (1 + P/K)^2 = volume; P takes volume's place */
         ZOO_LOOP(W, i, j, l, 0, n, {
             const double excess = volume[i] - rest[j];
@@ -120,11 +157,13 @@ ZOO_INLINE void junction_body(const int wall, const int W, zoo_sim *s, zoo_junct
 
     ZOO_LOOP(W, i, x, l, 0, n * nb, {
         const ptrdiff_t o = (ptrdiff_t)node[x] * W + l, m = (ptrdiff_t)mid[x] * W + l;
-        const double found = volume[(ptrdiff_t)junction[x] * W + l], root = 1.0 + found * soft[i];
+        const double found = volume[(ptrdiff_t)junction[x] * W + l], root = 1.0 + (extra ? (found - off[o]) * per_K[i] : found * soft[i]);
         const double a = newton ? area[i] : wall == ZOO_WALL_LINEAR ? root * root : found;
         const double now = A[o], then = a * A0[x], half = 0.5 * (now + then);
-        const double flux = qh[m] - sign[x] * (then - now) / per_w[x], u = flux / half;
-        const double drag = (f_s[x] * sqrt(half / A0[x]) + f_c[x]) * u;
+        const double lost = extra ? w[x] * leak[node[x]] * Ph[m] : 0.0;
+        const double flux = qh[m] - sign[x] * (extra ? (then - now) / per_w[x] + lost : (then - now) / per_w[x]);
+        const double u = flux / half, stick = f_s[x] * sqrt(half / A0[x]) + f_c[x];
+        const double drag = (extra ? stick + leak[node[x]] * Ph[m] + loss[node[x]] * half * half * fabs(flux) : stick) * u;
         const double push = 0.5 * per_w[x] * (half + Ah[m]) * inv_rho;
         area[i] = then;
         beta[i] = push;

@@ -25,6 +25,87 @@ static int count_children(const zoo_network *net, int vessel)
     return n;
 }
 
+/* 1 when an array is there and a value lies outside [low, high] or is not finite. */
+static int outside(const double *values, int64_t n, double low, double high)
+{
+    for (int64_t i = 0; values && i < n; i++)
+        if (!(values[i] >= low && values[i] <= high) || isinf(values[i]))
+            return 1;
+    return 0;
+}
+
+static int bad_extras(const zoo_problem *pr)
+{
+    const zoo_network *net = &pr->network;
+    const zoo_extras *ex = &pr->extras;
+    int64_t nv = net->n_vessels, ns = ex->n_sections;
+    if (outside(ex->viscosity_factor, nv, 1e-300, INFINITY) ||
+        outside(ex->offset_in, nv, -INFINITY, INFINITY) || outside(ex->offset_out, nv, -INFINITY, INFINITY) ||
+        outside(ex->viscoelastic_time, nv, 0.0, INFINITY) || outside(ex->leak, nv, 0.0, INFINITY) ||
+        outside(ex->inertance, nv, 0.0, INFINITY) || outside(ex->throat_severity, nv, 0.0, 1.0 - 1e-9) ||
+        outside(ex->throat_position, nv, 0.0, 1.0) || outside(ex->throat_length, nv, 1e-300, INFINITY))
+        return 1;
+    if (outside(&ex->total_pressure, 1, 0.0, INFINITY) || outside(&ex->junction_loss, 1, 0.0, INFINITY) ||
+        outside(&ex->throat_loss, 1, 0.0, INFINITY) || (ex->viscoelastic_time && bad(ex->relaxation_time)))
+        return 1;
+    if (!ex->offset_in != !ex->offset_out)
+        return 1;
+    if (ex->throat_severity && (!ex->throat_position || !ex->throat_length))
+        return 1;
+    if (ns < 0 || (ns > 0 && (!ex->section_resistance || !ex->section_compliance)))
+        return 1;
+    for (int k = 0; k < nv && ns > 0; k++) {
+        double sum = 0.0;
+        for (int64_t i = k * ns; i < (k + 1) * ns && count_children(net, k) == 0; i++) {
+            double rho = ex->section_resistance[i];
+            if (!(rho >= 0.0) || isinf(rho) || (rho > 0.0 && bad(ex->section_compliance[i])))
+                return 1;
+            sum += rho;
+        }
+        if (count_children(net, k) == 0 && !(sum > 0.0))
+            return 1;
+    }
+    return 0;
+}
+
+static int any_nonzero(const double *values, int64_t n)
+{
+    for (int64_t i = 0; values && i < n; i++)
+        if (values[i] != 0.0)
+            return 1;
+    return 0;
+}
+
+/* Whether something is added that only the loops with additions have.  Other
+ * frictions and a throat's narrower radius need none: they change the grid. */
+int zoo_has_extras(const zoo_problem *pr)
+{
+    const zoo_network *net = &pr->network;
+    const zoo_extras *ex = &pr->extras;
+    int nv = net->n_vessels, ns = ex->n_sections;
+    if (ex->force || ex->total_pressure != 0.0 || ex->junction_loss != 0.0 ||
+        any_nonzero(ex->offset_in, nv) || any_nonzero(ex->offset_out, nv) ||
+        any_nonzero(ex->viscoelastic_time, nv) || any_nonzero(ex->leak, nv) ||
+        (ex->throat_loss != 0.0 && any_nonzero(ex->throat_severity, nv)))
+        return 1;
+    for (int k = 0; k < nv; k++) {
+        if (count_children(net, k) > 0)
+            continue;
+        if (ex->inertance && ex->inertance[k] != 0.0)
+            return 1;
+        int there = 0;
+        for (int i = k * ns; i < (k + 1) * ns; i++) {
+            double rho = ex->section_resistance[i];
+            there += rho != 0.0;
+            if (rho != 0.0 && (rho != 1.0 || ex->section_compliance[i] != 1.0))
+                return 1;
+        }
+        if (there > 1)
+            return 1;
+    }
+    return 0;
+}
+
 /* Returns 0 when the problem can be solved at all, else 1. */
 int zoo_check_problem(const zoo_problem *pr)
 {
@@ -43,7 +124,10 @@ int zoo_check_problem(const zoo_problem *pr)
             return 1;
     }
     if (bad(pr->physics.density) || bad(pr->physics.viscosity) || bad(pr->physics.wall_factor) ||
-        !(pr->physics.momentum_correction >= 0.0))
+        !(pr->physics.momentum_correction >= 0.0) || !(pr->physics.stokes_friction >= 0.0) ||
+        !(pr->physics.viscous_friction >= 0.0))
+        return 1;
+    if (bad_extras(pr))
         return 1;
     if (pr->physics.wall != ZOO_WALL_LINEAR && pr->physics.wall != ZOO_WALL_TANGENT)
         return 1;
@@ -97,6 +181,10 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     s->n_nodes = (int)n;
     s->momentum = pr->physics.momentum_correction;
     s->inv_density = 1.0 / pr->physics.density;
+    s->extra = zoo_has_extras(pr);
+    s->coupled = pr->extras.total_pressure != 0.0 || pr->extras.junction_loss != 0.0;
+    int64_t sections = s->extra && pr->extras.n_sections > 0 ? pr->extras.n_sections : 1;
+    int64_t x = s->extra ? 1 : 0; /* no memory for what is not added */
 
 #define INTS(name, count) name = carve(&at, &used, count, sizeof(int))
 #define REALS(name, count) name = carve(&at, &used, count, sizeof(double))
@@ -137,6 +225,13 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
         REALS(g.volume, count * W);
         REALS(g.sum_c, count * W);
         REALS(g.sum_beta, count * W);
+        double **per_branch[] = {&g.flow, &g.old, &g.a0, &g.aP, &g.aH, &g.q0, &g.qP, &g.qH};
+        double **per_junction[] = {&g.P,  &g.H,  &g.D,  &g.g0, &g.gP, &g.gH,
+                                   &g.m0, &g.mP, &g.mH, &g.f0, &g.fP, &g.fH};
+        for (size_t i = 0; i < sizeof per_branch / sizeof *per_branch; i++)
+            REALS(*per_branch[i], x * size * W);
+        for (size_t i = 0; i < sizeof per_junction / sizeof *per_junction; i++)
+            REALS(*per_junction[i], x * count * W);
         if (base)
             s->groups[n_groups] = g;
         n_groups++;
@@ -144,10 +239,11 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     for (int k = 0; k < nv; k++)
         nt += count_children(net, k) == 0;
     s->n_groups = n_groups;
-    s->n_state = (int)(2 * n + nt);
+    s->n_state = (int)(2 * n + sections * nt + x * (n + nt));
 
     zoo_outlets *ou = &s->outlets;
     ou->count = (int)nt;
+    ou->n_sections = (int)sections;
     INTS(ou->vessel, nt);
     INTS(ou->node, nt);
     REALS(ou->per_w, nt);
@@ -155,14 +251,18 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(ou->R1, nt * W);
     REALS(ou->R2, nt * W);
     REALS(ou->C, nt * W);
-    REALS(ou->decay, nt * W);
-    REALS(ou->fill, nt * W);
+    REALS(ou->decay, sections * nt * W);
+    REALS(ou->fill, sections * nt * W);
     REALS(ou->E, nt * W);
     REALS(ou->inv_R1, nt * W);
-    REALS(ou->v, nt * W);
+    REALS(ou->v, sections * nt * W);
     REALS(ou->volume, nt * W);
     REALS(ou->a, nt * W);
     REALS(ou->p, nt * W);
+    double **outlet_extra[] = {&ou->inertia, &ou->keep,  &ou->now, &ou->before, &ou->carry,
+                               &ou->base,    &ou->q_mid, &ou->y,   &ou->back};
+    for (size_t i = 0; i < sizeof outlet_extra / sizeof *outlet_extra; i++)
+        REALS(*outlet_extra[i], x * nt * W);
 
     INTS(s->first, nv);
     INTS(s->last, nv);
@@ -189,6 +289,16 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(s->P, n * W);
     REALS(s->M, n * W);
     REALS(s->G, n * W);
+    REALS(s->offset, x * n);
+    REALS(s->kappa, x * n);
+    REALS(s->leak, x * n);
+    REALS(s->leak_mid, x * n);
+    REALS(s->loss, x * n);
+    REALS(s->loss_mid, x * n);
+    REALS(s->z, x * n * W);
+    REALS(s->pe, x * n * W);
+    REALS(s->off, x * n * W);
+    REALS(s->off_half, x * n * W);
     MIDS(s->Ah);
     MIDS(s->qh);
     MIDS(s->Ph);
@@ -213,18 +323,75 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     return used;
 }
 
-/* Friction = (f_s sqrt(A/A0) + f_c) q/A for the Stokes layer
- * -(2 pi nu r/delta) q/A, delta = sqrt(nu T/(2 pi)), at rest radius r0. */
-static void friction(const zoo_sim *s, double r0, double *f_s, double *f_c)
+/* Friction = (f_s sqrt(A/A0) + f_c) q/A in vessel k at rest radius r0: the Stokes layer's
+ * -(2 pi nu r/delta) q/A, delta = sqrt(nu T/(2 pi)), and a viscous -k pi nu q/A. */
+static void friction(const zoo_sim *s, int k, double r0, double *f_s, double *f_c)
 {
     const zoo_physics *ph = &s->problem->physics;
-    double nu = ph->viscosity / ph->density;
+    const double *factor = s->problem->extras.viscosity_factor;
+    double nu = ph->viscosity / ph->density * (factor ? factor[k] : 1.0);
     double delta = sqrt(nu * s->problem->inflow.period / (2.0 * ZOO_PI));
-    double per_radius = 2.0 * ZOO_PI * nu / delta;
+    double per_radius = 2.0 * ZOO_PI * nu / delta * ph->stokes_friction;
     *f_s = ph->friction == ZOO_FRICTION_CURRENT ? per_radius * r0 : 0.0;
     *f_c = ph->friction == ZOO_FRICTION_REST    ? per_radius * r0
            : ph->friction == ZOO_FRICTION_FIXED ? per_radius * ph->friction_radius
                                                 : 0.0;
+    *f_c += ph->viscous_friction * ZOO_PI * nu;
+}
+
+/* The throat of vessel k: 1 at its narrowest place, 0 outside; x in cm from the inlet. */
+static double throat(const zoo_sim *s, int k, double x)
+{
+    const zoo_extras *ex = &s->problem->extras;
+    if (!ex->throat_severity || ex->throat_severity[k] == 0.0)
+        return 0.0;
+    double from = x - ex->throat_position[k] * s->problem->network.length[k], l = ex->throat_length[k];
+    return fabs(from) < 0.5 * l ? 0.5 * (1.0 + cos(2.0 * ZOO_PI * from / l)) : 0.0;
+}
+
+/* Rest radius of vessel k at x, where it would be r without its throat. */
+static double narrowed(const zoo_sim *s, int k, double x, double r)
+{
+    double part = throat(s, k, x);
+    return part > 0.0 ? r * (1.0 - s->problem->extras.throat_severity[k] * part) : r;
+}
+
+/* Friction of the throat per A q|q|.  The whole loss K_t/2 (A0/A0_throat - 1)^2 (q/A0)^2 is spread
+ * along the throat with the weight (1 + cos)/l, which is smooth, so that the order of the scheme stays. */
+static double throat_loss(const zoo_sim *s, int k, double x, double r)
+{
+    const zoo_extras *ex = &s->problem->extras;
+    double part = throat(s, k, x), A0 = ZOO_PI * r * r;
+    if (part <= 0.0)
+        return 0.0;
+    double open = 1.0 - ex->throat_severity[k], ratio = 1.0 / (open * open) - 1.0;
+    return ex->throat_loss * ratio * ratio * part / (ex->throat_length[k] * A0 * A0);
+}
+
+static double value_or_zero(const double *values, int k)
+{
+    return values ? values[k] : 0.0;
+}
+
+/* What is added at the nodes of vessel k. */
+static void set_extras(zoo_sim *s, int k)
+{
+    const zoo_network *net = &s->problem->network;
+    const zoo_extras *ex = &s->problem->extras;
+    int n = net->n_cells[k];
+    double tau = value_or_zero(ex->viscoelastic_time, k);
+    for (int j = 0; j <= n; j++) {
+        int node = s->first[k] + j;
+        double part = (double)j / n, step = (net->radius_out[k] - net->radius_in[k]) / n;
+        double r = net->radius_in[k] + step * j, mid = j < n ? 0.5 : 0.0;
+        s->offset[node] = (1.0 - part) * value_or_zero(ex->offset_in, k) +
+                          part * value_or_zero(ex->offset_out, k);
+        s->kappa[node] = tau > 0.0 ? tau / ex->relaxation_time : 0.0;
+        s->leak[node] = value_or_zero(ex->leak, k);
+        s->leak_mid[node] = j < n ? s->leak[node] : 0.0;
+        s->loss[node] = throat_loss(s, k, s->dx[k] * j, r);
+        s->loss_mid[node] = throat_loss(s, k, s->dx[k] * (j + mid), r + step * mid);
+    }
 }
 
 /* Weights of the cubic through four neighbouring nodes (three, where a vessel has no four). */
@@ -261,15 +428,20 @@ void zoo_set_grid(zoo_sim *s)
         for (int j = 0; j <= n; j++, node++) {
             double step = (net->radius_out[k] - net->radius_in[k]) / n;
             double r = net->radius_in[k] + step * j;
-            double r_mid = j < n ? r + 0.5 * step : r;
+            double r_mid = j < n ? r + 0.5 * step : r, next = j < n ? r + step : r;
+            r = narrowed(s, k, s->dx[k] * j, r);
+            r_mid = narrowed(s, k, s->dx[k] * (j + (j < n ? 0.5 : 0.0)), r_mid);
+            next = narrowed(s, k, s->dx[k] * (j < n ? j + 1 : j), next);
             s->vessel_of[node] = k;
             s->A0[node] = ZOO_PI * r * r;
             s->inv_A0[node] = 1.0 / s->A0[node];
             /* the mean of the nodes', so that equal A/A0 at the nodes gives the same at the midpoint */
-            s->inv_A0_mid[node] = 2.0 / (s->A0[node] + ZOO_PI * pow(j < n ? r + step : r, 2));
-            friction(s, r, &s->f_s[node], &s->f_c[node]);
-            friction(s, r_mid, &s->f_s_mid[node], &s->f_c_mid[node]);
+            s->inv_A0_mid[node] = 2.0 / (s->A0[node] + ZOO_PI * pow(next, 2));
+            friction(s, k, r, &s->f_s[node], &s->f_c[node]);
+            friction(s, k, r_mid, &s->f_s_mid[node], &s->f_c_mid[node]);
         }
+        if (s->extra)
+            set_extras(s, k);
         if (count_children(net, k) == 0)
             s->outlets.vessel[nt++] = k;
     }
@@ -396,6 +568,36 @@ static double flow_integral(const zoo_sim *s, double t)
     return s->flow_sum[i] + h * f * (a + 0.5 * f * (b - a));
 }
 
+/* Time step of sections, inertances and walls with a memory. */
+static void set_extra_step(zoo_sim *s)
+{
+    zoo_outlets *ou = &s->outlets;
+    const zoo_extras *ex = &s->problem->extras;
+    int W = s->lanes;
+    s->relax = ex->viscoelastic_time ? exp(-s->dt / ex->relaxation_time) : 0.0;
+    s->relax_half = ex->viscoelastic_time ? exp(-0.5 * s->dt / ex->relaxation_time) : 0.0;
+    for (int t = 0; t < ou->count; t++)
+        for (int l = 0; l < W; l++) {
+            int i = t * W + l, k = ou->vessel[t];
+            double L = value_or_zero(ex->inertance, k), fill = 0.0, R1 = ou->R1[i];
+            for (int m = 0; m < ou->n_sections; m++) {
+                int o = (m * ou->count + t) * W + l;
+                double R = zoo_section_resistance(s, m, t, l), RC = R * zoo_section_compliance(s, m, t, l);
+                ou->decay[o] = R > 0.0 ? exp(-s->dt / RC) : 0.0;
+                ou->fill[o] = R > 0.0 ? -R * expm1(-s->dt / RC) : 0.0;
+                fill += ou->fill[o];
+            }
+            ou->inertia[i] = 4.0 * L / s->dt;
+            ou->E[i] = 2.0 * R1 + fill + ou->inertia[i];
+            /* L dq/dt + R1 q = y is integrated exactly for y linear over the step; x = R1 dt/L */
+            double x = L > 0.0 ? R1 * s->dt / L : INFINITY;
+            double mean = x < 1e-3 ? 1.0 - x / 2.0 + x * x / 6.0 : isinf(x) ? 0.0 : -expm1(-x) / x;
+            ou->keep[i] = exp(-x);
+            ou->now[i] = (x < 1e-3 ? x / 2.0 - x * x / 6.0 : 1.0 - mean) / R1;
+            ou->before[i] = (x < 1e-3 ? x / 2.0 - x * x / 3.0 : mean - ou->keep[i]) / R1;
+        }
+}
+
 /* Sets the time step to period/n_steps and everything that depends on it. */
 void zoo_set_step(zoo_sim *s, int n_steps)
 {
@@ -424,6 +626,8 @@ void zoo_set_step(zoo_sim *s, int n_steps)
         ou->E[i] = 2.0 * ou->R1[i] + ou->fill[i];
         ou->inv_R1[i] = 1.0 / ou->R1[i];
     }
+    if (s->extra)
+        set_extra_step(s);
     double before = 0.0;
     for (int i = 0; i <= n_steps; i++) {
         double t = i == n_steps ? in->period : i * s->dt, x = t / in->period * in->n_samples;

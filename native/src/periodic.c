@@ -17,20 +17,34 @@
 
 #include "internal.h"
 
+/* The parts of the state in their order; returns how many there are. */
+enum { PARTS = 5 };
+static int parts_of(const zoo_sim *s, double *part[PARTS], size_t size[PARTS])
+{
+    size_t n = (size_t)s->n_nodes * s->lanes, nt = (size_t)s->outlets.count * s->lanes;
+    double *parts[PARTS] = {s->A, s->q, s->outlets.v, s->z, s->outlets.carry};
+    size_t sizes[PARTS] = {n, n, nt * s->outlets.n_sections, n, nt};
+    memcpy(part, parts, sizeof parts);
+    memcpy(size, sizes, sizeof sizes);
+    return s->extra ? 5 : 3;
+}
+
 void zoo_pack(const zoo_sim *s, double *x)
 {
-    size_t n = (size_t)s->n_nodes * s->lanes;
-    memcpy(x, s->A, n * sizeof *x);
-    memcpy(x + n, s->q, n * sizeof *x);
-    memcpy(x + 2 * n, s->outlets.v, (size_t)s->outlets.count * s->lanes * sizeof *x);
+    double *part[PARTS];
+    size_t size[PARTS];
+    int n = parts_of(s, part, size);
+    for (int i = 0; i < n; x += size[i++])
+        memcpy(x, part[i], size[i] * sizeof *x);
 }
 
 void zoo_unpack(zoo_sim *s, const double *x)
 {
-    size_t n = (size_t)s->n_nodes * s->lanes;
-    memcpy(s->A, x, n * sizeof *x);
-    memcpy(s->q, x + n, n * sizeof *x);
-    memcpy(s->outlets.v, x + 2 * n, (size_t)s->outlets.count * s->lanes * sizeof *x);
+    double *part[PARTS];
+    size_t size[PARTS];
+    int n = parts_of(s, part, size);
+    for (int i = 0; i < n; x += size[i++])
+        memcpy(part[i], x, size[i] * sizeof *x);
     zoo_refresh_nodes(s);
 }
 
@@ -40,12 +54,21 @@ static void set_weights(zoo_sim *s)
     int W = s->lanes, n = s->n_nodes * W;
     for (int i = 0; i < n; i++) {
         double a = s->A[i] * s->inv_A0[i / W];
-        double slope = wall_slope(s->wall, s->K[i], s->theta[i], s->P[i], sqrt(a));
+        double slope = wall_slope(s->wall, s->K[i], s->theta[i], s->extra ? s->pe[i] : s->P[i], sqrt(a));
         s->weight[i] = slope * s->inv_A0[i / W];
         s->weight[n + i] = sqrt(a * slope / s->inv_density) / s->A[i];
     }
-    for (int i = 0; i < s->outlets.count * W; i++)
+    int nv = s->outlets.n_sections * s->outlets.count * W;
+    for (int i = 0; i < nv; i++)
         s->weight[2 * n + i] = 1.0;
+    if (!s->extra)
+        return;
+    /* at rest z = -kappa p_e, and the wall's own pressure is what counts */
+    for (int i = 0; i < n; i++)
+        s->weight[2 * n + nv + i] = 1.0 / (1.0 + s->kappa[i / W]);
+    for (int t = 0; t < s->outlets.count; t++)
+        for (int l = 0; l < W; l++)
+            s->weight[3 * n + nv + t * W + l] = s->weight[n + s->outlets.node[t] * W + l];
 }
 
 /* Largest change over the beat, as a pressure; NaN if the state is not a number. */
@@ -101,8 +124,9 @@ int zoo_extrapolate(zoo_sim *s, int lane, int n_past)
         if (!(fabs(x[r]) < 100.0))
             return 0;
     }
-    double *new_A = s->A, *new_q = s->q;
-    size_t n = (size_t)s->n_nodes * W;
+    double *part[PARTS];
+    size_t sizes[PARTS], n = (size_t)s->n_nodes * W;
+    parts_of(s, part, sizes);
     for (int trial = 0; trial < 2; trial++) /* first look, then write */
         for (size_t i = (size_t)lane; i < size; i += (size_t)W) {
             double y = s->ends[i];
@@ -114,12 +138,11 @@ int zoo_extrapolate(zoo_sim *s, int lane, int n_past)
                     return 0;
             }
             if (trial == 1) {
-                if (i < n)
-                    new_A[i] = y;
-                else if (i < 2 * n)
-                    new_q[i - n] = y;
-                else
-                    s->outlets.v[i - 2 * n] = y;
+                size_t at = i;
+                int p = 0;
+                while (at >= sizes[p])
+                    at -= sizes[p++];
+                part[p][at] = y;
             }
         }
     return 1;
@@ -139,10 +162,21 @@ static void disarm(zoo_sim *s, int lane)
         double *lanes[] = {s->K, s->theta, s->A, s->q, s->P, s->M, s->G, s->Ah, s->qh, s->Ph, s->Mh, s->Gh};
         for (size_t a = 0; a < sizeof lanes / sizeof *lanes; a++)
             lanes[a][j * W + lane] = lanes[a][j * W + from];
+        double *added[] = {s->z, s->pe, s->off, s->off_half};
+        for (size_t a = 0; a < sizeof added / sizeof *added && s->extra; a++)
+            added[a][j * W + lane] = added[a][j * W + from];
     }
-    for (int t = 0; t < s->outlets.count; t++) {
-        zoo_outlets *ou = &s->outlets;
-        double *lanes[] = {ou->R1, ou->R2, ou->C, ou->v, ou->decay, ou->fill, ou->E, ou->inv_R1};
+    zoo_outlets *ou = &s->outlets;
+    for (int t = 0; t < ou->count; t++) {
+        double *lanes[] = {ou->R1, ou->R2, ou->C, ou->E, ou->inv_R1};
+        for (size_t a = 0; a < sizeof lanes / sizeof *lanes; a++)
+            lanes[a][t * W + lane] = lanes[a][t * W + from];
+        double *added[] = {ou->inertia, ou->keep, ou->now, ou->before, ou->carry};
+        for (size_t a = 0; a < sizeof added / sizeof *added && s->extra; a++)
+            added[a][t * W + lane] = added[a][t * W + from];
+    }
+    for (int t = 0; t < ou->count * ou->n_sections; t++) {
+        double *lanes[] = {ou->v, ou->decay, ou->fill};
         for (size_t a = 0; a < sizeof lanes / sizeof *lanes; a++)
             lanes[a][t * W + lane] = lanes[a][t * W + from];
     }
@@ -213,6 +247,8 @@ static double beat(zoo_sim *s, double limit)
     }
     memset(s->stuck, 0, (size_t)s->lanes * sizeof *s->stuck);
     memset(s->outran, 0, (size_t)s->lanes * sizeof *s->outran);
+    if (s->extra)
+        zoo_refresh_nodes(s); /* what the walls remember is known for one length of the step only */
     zoo_output_begin(s);
     for (int step = 0; step < s->n_steps; step++) {
         int wrong = zoo_step(s, step);

@@ -7,6 +7,14 @@
  * whole step.  The pressure term is kept as A p_x: it is second order like the
  * flux form, holds fluid at rest in a tapered vessel exactly, and needs no
  * integral of the wall law.
+ *
+ * With `extra`, A_t + q_x = -leak p, and p = p_e + p_v + offset, where p_e(A) is
+ * the wall's and p_v follows from it with a memory,
+ *
+ *   tau_r dp_v/dt + p_v = tau dp_e/dt,   or   p_v = kappa p_e + z,  tau_r dz/dt = -(z + kappa p_e).
+ *
+ * Over a step, exact for p_e as its mean: z' = e z - kappa (1 - e)/2 (p_e + p_e'), so p' is a
+ * stiffer wall, (1 + kappa (1 + e)/2) p_e', and `off`, which is known before the step.
  */
 #ifndef ZOO_SCHEME_H
 #define ZOO_SCHEME_H
@@ -14,7 +22,7 @@
 #include "internal.h"
 
 /* Areas, flows, pressures, fluxes and friction at the midpoints, half a step on. */
-ZOO_INLINE void scheme_half(const int wall, const int W, zoo_sim *s)
+ZOO_INLINE void scheme_half(const int wall, const int W, const int extra, zoo_sim *s)
 {
     const double *restrict A = s->A, *restrict q = s->q, *restrict K = s->K, *restrict th = s->theta;
     const double *restrict P = s->P, *restrict M = s->M, *restrict G = s->G;
@@ -23,6 +31,9 @@ ZOO_INLINE void scheme_half(const int wall, const int W, zoo_sim *s)
     double *restrict Ah = s->Ah, *restrict qh = s->qh, *restrict Ph = s->Ph, *restrict Mh = s->Mh,
                      *restrict Gh = s->Gh;
     const double alpha = s->momentum, inv_rho = s->inv_density, quarter_dt = 0.25 * s->dt;
+    const double *restrict kappa = s->kappa, *restrict off = s->off_half, *restrict leak = s->leak_mid,
+                 *restrict loss = s->loss_mid;
+    const double later = 0.5 * (1.0 + s->relax_half);
     const int n = s->n_nodes - 1;
     ZOO_LOOP(W, i, j, l, 0, n, {
         const ptrdiff_t k = i + W;
@@ -31,12 +42,18 @@ ZOO_INLINE void scheme_half(const int wall, const int W, zoo_sim *s)
         double qm = 0.5 * (q[i] + q[k]) -
                     0.5 * lam[j] * (M[k] - M[i] + mean * inv_rho * (P[k] - P[i])) -
                     quarter_dt * (G[i] + G[k]);
+        if (extra)
+            Am -= quarter_dt * leak[j] * (P[i] + P[k]);
         double a = Am * inv_A0[j], y = wall_rsqrt(a), r = a * y, u = qm * inv_A0[j] * y * y;
         Ah[i] = Am;
         qh[i] = qm;
         Ph[i] = wall_p(wall, K[i], th[i], a, r);
         Mh[i] = alpha * qm * u;
         Gh[i] = (f_s[j] * r + f_c[j]) * u;
+        if (extra) {
+            Ph[i] = (1.0 + later * kappa[j]) * Ph[i] + 0.5 * (off[i] + off[k]);
+            Gh[i] += (leak[j] * Ph[i] + loss[j] * Am * Am * fabs(qm)) * u;
+        }
     });
 }
 
@@ -44,7 +61,7 @@ ZOO_INLINE void scheme_half(const int wall, const int W, zoo_sim *s)
  * which stay as they are), then P, M = alpha q^2/A and G = f q at all nodes;
  * without `advance` only the latter.  Returns 1 if an area is not positive,
  * not a number or beyond the wall's limit. */
-ZOO_INLINE int scheme_full(const int wall, const int W, const int advance, zoo_sim *s)
+ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const int advance, zoo_sim *s)
 {
     const double *restrict Ah = s->Ah, *restrict qh = s->qh, *restrict Ph = s->Ph,
                            *restrict Mh = s->Mh, *restrict Gh = s->Gh;
@@ -54,6 +71,10 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int advance, zoo_s
     double *restrict A = s->A, *restrict q = s->q, *restrict P = s->P, *restrict M = s->M,
                      *restrict G = s->G;
     const double half_inv_rho = 0.5 * s->inv_density, alpha = s->momentum;
+    const double *restrict kappa = s->kappa, *restrict offset = s->offset, *restrict leak = s->leak,
+                 *restrict loss = s->loss;
+    double *restrict z = s->z, *restrict pe = s->pe, *restrict off = s->off, *restrict off_half = s->off_half;
+    const double e = s->relax, e_half = s->relax_half;
     const int n = s->n_nodes;
     int wrong = 0;
     /* midpoint -1 exists and holds finite numbers: see zoo_set_grid */
@@ -64,6 +85,8 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int advance, zoo_s
             An -= lam[j] * (qh[i] - qh[k]);
             qn -= lam[j] * (Mh[i] - Mh[k] + half_inv_rho * (Ah[i] + Ah[k]) * (Ph[i] - Ph[k])) +
                   half_dt[j] * (Gh[i] + Gh[k]);
+            if (extra)
+                An -= half_dt[j] * leak[j] * (Ph[i] + Ph[k]);
             A[i] = An;
             q[i] = qn;
         }
@@ -71,6 +94,18 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int advance, zoo_s
         P[i] = wall_p(wall, K[i], th[i], a, r);
         M[i] = alpha * qn * u;
         G[i] = (f_s[j] * r + f_c[j]) * u;
+        if (extra) {
+            const double elastic = P[i], g = 0.5 * kappa[j] * (1.0 - e);
+            double memory = z[i];
+            if (advance)
+                memory = e * memory - g * (pe[i] + elastic);
+            P[i] = (1.0 + kappa[j]) * elastic + offset[j] + memory;
+            G[i] += (leak[j] * P[i] + loss[j] * An * An * fabs(qn)) * u;
+            z[i] = memory;
+            pe[i] = elastic;
+            off[i] = offset[j] + e * memory - g * elastic;
+            off_half[i] = offset[j] + e_half * memory - 0.5 * kappa[j] * (1.0 - e_half) * elastic;
+        }
         double good = An > 0.0 ? 1.0 : 0.0;
         if (wall == ZOO_WALL_TANGENT)
             good = fabs(th[i] * (a - 1.0)) < 0.5 * ZOO_PI ? good : 0.0;

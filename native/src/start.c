@@ -17,13 +17,47 @@
 
 enum { START_SWEEPS = 6 };
 
+/* Pressure of the wall where the blood's stands in P; a start needs no wall that is nearly shut. */
+static double wall_pressure(const zoo_sim *s, int j, int i)
+{
+    if (!s->extra)
+        return s->P[i];
+    double p = s->P[i] - s->offset[j], least = -0.3 * s->K[i];
+    return p > least ? p : least;
+}
+
+/* Steady resistance R of the sections behind R1, and the capacity of one pair of this R with their mean time. */
+static double sections_resistance(const zoo_sim *s, int t, int l)
+{
+    double sum = 0.0;
+    for (int m = 0; m < s->outlets.n_sections; m++)
+        sum += zoo_section_resistance(s, m, t, l);
+    return sum;
+}
+
+static double sections_capacity(const zoo_sim *s, int t, int l)
+{
+    double sum = 0.0, all = sections_resistance(s, t, l);
+    for (int m = 0; m < s->outlets.n_sections; m++) {
+        double part = zoo_section_resistance(s, m, t, l) / all;
+        sum += part > 0.0 ? part * part * zoo_section_compliance(s, m, t, l) : 0.0;
+    }
+    return sum;
+}
+
+/* What leaks out of vessel k, ml/s per dyn/cm^2. */
+static double leaks(const zoo_sim *s, int k)
+{
+    return s->extra ? s->leak[s->first[k]] * s->problem->network.length[k] : 0.0;
+}
+
 /* Steady resistance of one vessel at the pressures that stand in P. */
 static double vessel_resistance(const zoo_sim *s, int k, int l)
 {
     double sum = 0.0;
     for (int j = s->first[k]; j <= s->last[k]; j++) {
         int i = j * s->lanes + l;
-        double a = wall_area_ratio(s->wall, s->K[i], s->theta[i], s->P[i]);
+        double a = wall_area_ratio(s->wall, s->K[i], s->theta[i], wall_pressure(s, j, i));
         double A = a * s->A0[j], end = j == s->first[k] || j == s->last[k] ? 0.5 : 1.0;
         sum += end * (s->f_s[j] * sqrt(a) + s->f_c[j]) / (A * A * s->inv_density);
     }
@@ -36,27 +70,31 @@ static double vessel_compliance(const zoo_sim *s, int k, int l)
     double sum = 0.0;
     for (int j = s->first[k]; j <= s->last[k]; j++) {
         int i = j * s->lanes + l;
-        double a = wall_area_ratio(s->wall, s->K[i], s->theta[i], s->P[i]);
+        double p = wall_pressure(s, j, i), a = wall_area_ratio(s->wall, s->K[i], s->theta[i], p);
         double end = j == s->first[k] || j == s->last[k] ? 0.5 : 1.0;
-        sum += end * s->A0[j] / wall_slope(s->wall, s->K[i], s->theta[i], s->P[i], sqrt(a));
+        sum += end * s->A0[j] / wall_slope(s->wall, s->K[i], s->theta[i], p, sqrt(a));
     }
     return sum * s->dx[k];
 }
 
-/* Equivalent resistance of vessel k and all below it; `below` is scratch [n_vessels]. */
+/* Equivalent resistance of the tree; `own` and `below` are scratch [n_vessels], and then hold each
+ * vessel's own resistance and the conductance at its outlet.  Half of a leak sits at either end. */
 static double resistance_from(const zoo_sim *s, int l, double *own, double *below)
 {
     const int32_t *parent = s->problem->network.parent;
     for (int k = 0; k < s->n_vessels; k++)
-        below[k] = 0.0; /* conductance of what hangs on k */
-    for (int t = 0; t < s->outlets.count; t++)
+        below[k] = 0.5 * leaks(s, k); /* conductance of what hangs on k */
+    for (int t = 0; t < s->outlets.count && !s->extra; t++)
         below[s->outlets.vessel[t]] = 1.0 / (s->outlets.R1[t * s->lanes + l] + s->outlets.R2[t * s->lanes + l]);
+    for (int t = 0; t < s->outlets.count && s->extra; t++)
+        below[s->outlets.vessel[t]] += 1.0 / (s->outlets.R1[t * s->lanes + l] + sections_resistance(s, t, l));
     for (int k = s->n_vessels - 1; k >= 0; k--) {
         own[k] = vessel_resistance(s, k, l);
         if (k > 0)
-            below[parent[k]] += 1.0 / (own[k] + 1.0 / below[k]);
+            below[parent[k]] += 1.0 / (own[k] + 1.0 / below[k]) + 0.5 * leaks(s, k);
     }
-    return own[0] + 1.0 / below[0];
+    double rest = own[0] + 1.0 / below[0];
+    return s->extra ? rest / (1.0 + 0.5 * leaks(s, 0) * rest) : rest;
 }
 
 /* Steady pressures into P and flows into q, for the mean inflow. */
@@ -70,7 +108,7 @@ static void steady(zoo_sim *s, int l, double mean_flow, double *own, double *bel
         double root = mean_flow * resistance_from(s, l, own, below);
         for (int k = 0; k < s->n_vessels; k++) {
             double p_in = k ? s->P[s->last[parent[k]] * W + l] : root;
-            double flow = k ? p_in / (own[k] + 1.0 / below[k]) : mean_flow;
+            double flow = k || s->extra ? p_in / (own[k] + 1.0 / below[k]) : mean_flow;
             for (int j = s->first[k]; j <= s->last[k]; j++) {
                 double part = (double)(j - s->first[k]) / (s->last[k] - s->first[k]);
                 s->P[j * W + l] = p_in - part * flow * own[k];
@@ -94,7 +132,7 @@ void zoo_start(zoo_sim *s)
         for (int k = 0; k < nv; k++)
             vessels += capacity[k] = vessel_compliance(s, k, l);
         for (int t = 0; t < s->outlets.count; t++)
-            total += s->outlets.C[t * W + l];
+            total += s->extra ? sections_capacity(s, t, l) : s->outlets.C[t * W + l];
         total += vessels;
         double resistance = s->P[l] / mean_flow, tau = resistance * total;
         double filled = 0.0;
@@ -123,11 +161,20 @@ void zoo_start(zoo_sim *s)
         }
         for (int j = 0; j < s->n_nodes; j++) {
             int i = j * W + l;
-            s->A[i] = s->A0[j] * wall_area_ratio(s->wall, s->K[i], s->theta[i], s->P[i]);
+            double p = wall_pressure(s, j, i);
+            s->A[i] = s->A0[j] * wall_area_ratio(s->wall, s->K[i], s->theta[i], p);
+            if (s->extra)
+                s->z[i] = -s->kappa[j] * p;
         }
         for (int t = 0; t < s->outlets.count; t++) {
             int i = s->last[s->outlets.vessel[t]] * W + l;
             s->outlets.v[t * W + l] = s->P[i] - s->outlets.R1[t * W + l] * s->q[i];
+            if (!s->extra)
+                continue;
+            double v = s->outlets.v[t * W + l], R = sections_resistance(s, t, l);
+            for (int m = 0; m < s->outlets.n_sections; m++)
+                s->outlets.v[(m * s->outlets.count + t) * W + l] = v * zoo_section_resistance(s, m, t, l) / R;
+            s->outlets.carry[t * W + l] = s->q[i];
         }
     }
     zoo_refresh_nodes(s);
@@ -144,8 +191,10 @@ double zoo_start_speed(const zoo_sim *s)
     for (int j = 0; j < s->n_nodes; j++)
         for (int l = 0; l < s->lanes; l++) {
             int i = j * s->lanes + l;
-            double p = 2.0 * s->P[i], a = wall_area_ratio(s->wall, s->K[i], s->theta[i], p);
+            double p = 2.0 * wall_pressure(s, j, i), a = wall_area_ratio(s->wall, s->K[i], s->theta[i], p);
             double c = sqrt(a * wall_slope(s->wall, s->K[i], s->theta[i], p, sqrt(a)) * s->inv_density);
+            if (s->extra)
+                c *= sqrt(1.0 + s->kappa[j]);
             double u = s->vessel_of[j] == 0 ? peak * s->inv_A0[j] / a : 0.0;
             double speed = (u + c) / s->dx[s->vessel_of[j]];
             worst = speed > worst ? speed : worst;

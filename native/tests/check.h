@@ -71,7 +71,7 @@ static inline void tree_make(tree *t, int wall)
         t->times[i] = 0.11 * i / (NTIMES - 1);
     t->problem.network = (zoo_network){NV, tree_parent, tree_cells, tree_length, tree_in, tree_out,
                                        tree_R1, tree_R2, tree_C};
-    t->problem.physics = (zoo_physics){1.055, 0.049, 1.0, wall, 1.0, ZOO_FRICTION_CURRENT, 0.07};
+    t->problem.physics = (zoo_physics){1.055, 0.049, 1.0, wall, 1.0, ZOO_FRICTION_CURRENT, 0.07, 1.0, 0.0};
     t->problem.inflow = (zoo_inflow){0.11, NSAMPLES, t->flow};
     t->problem.outputs = (zoo_outputs){NSERIES, tree_vessel, tree_position, NTIMES, t->times};
     t->problem.numerics = (zoo_numerics){0.9, 0, 32768, 60, 1.0, 1};

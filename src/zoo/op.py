@@ -245,6 +245,9 @@ def _key(solver: Solver, quantities: tuple[str, ...]) -> str:
     digest = hashlib.sha256()
     settings = (solver.wall, solver.conventions, solver.options, solver.series, quantities)
     digest.update(repr((settings, net.density, net.viscosity, net.period_s)).encode())
+    added = solver.physics.settings()
+    if added:
+        digest.update(repr(sorted(added.items())).encode())
     lengths_and_outlets = (net.length_cm, net.radius_in_cm, net.radius_out_cm, net.R1, net.R2, net.C)
     times_and_flow = (solver.inflow_time_s, solver.inflow_ml_s, solver.times_s)
     for array in (net.ids, net.parent, *lengths_and_outlets, *times_and_flow):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from zoo._native import ffi, lib
 from zoo.conventions import PRINTED, Conventions
 from zoo.network import Network
+from zoo.study import ReadOnlyArrays, read_only
 from zoo.units import cgs_to_mmhg
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ STATUS_NAMES: dict[int, str] = {
 }
 PARAMETERS = ("stiffness", "gamma", "psi1", "psi2", "c")
 PUBLISHED_CELLS_PER_CM = 40
+THROAT_LENGTH_CM = 0.15
 
 
 class SolverError(RuntimeError):
@@ -129,6 +131,198 @@ class SolverOptions:
             )
 
 
+# field of Physics: least value, whether that value itself is allowed, and what is allowed in words
+_NUMBERS = {
+    "momentum_correction": (0.0, False, "positive; 1 is a flat profile, 4/3 a parabolic one"),
+    "stokes_friction": (0.0, True, "zero or positive; 1 is eq. (3.1)"),
+    "viscous_friction": (0.0, True, "zero or positive; 8 is Poiseuille's"),
+    "relaxation_time": (0.0, False, "positive, s"),
+    "total_pressure": (0.0, True, "zero or positive; 1 is the total pressure"),
+    "junction_loss": (0.0, True, "zero or positive"),
+    "throat_loss": (0.0, True, "zero or positive; Young and Tsai have 1.52"),
+}
+_PER_VESSEL = {
+    "viscosity_factor": (0.0, False, "positive"),
+    "offset_in": (-np.inf, False, "finite, dyn/cm2"),
+    "offset_out": (-np.inf, False, "finite, dyn/cm2"),
+    "viscoelastic_time": (0.0, True, "zero or positive, s"),
+    "leak": (0.0, True, "zero or positive, cm4 s/g"),
+    "inertance": (0.0, True, "zero or positive, g/cm4; any value, say 0, where a vessel is no terminal"),
+    "section_resistance": (0.0, True, "zero or positive"),
+    "section_compliance": (0.0, True, "zero or positive"),
+    "throat_severity": (0.0, True, "at least 0 and below 1"),
+    "throat_position": (0.0, True, "between 0 (inlet) and 1 (outlet)"),
+    "throat_length": (0.0, False, "positive, cm"),
+}
+_LIMITS = {"throat_severity": 1.0 - 1e-9, "throat_position": 1.0}
+_SECTIONS = ("section_resistance", "section_compliance")
+
+
+@dataclass(frozen=True, eq=False)
+class Physics(ReadOnlyArrays):
+    """What is added to eq. (3.1) to (3.7); the default is nothing. Read-only.
+
+    Arrays have one value per vessel, in the order of ``Network.ids``; None stands for no change.
+
+    Parameters
+    ----------
+    momentum_correction : float
+        alpha, factor of q^2/A; 1 for a flat profile.
+    stokes_friction : float
+        Factor of the Stokes layer's friction, eq. (3.1); 0 switches it off.
+    viscous_friction : float
+        k in a further friction -k pi nu q/A; 8 is Poiseuille's, 2 (zeta + 2) that of a profile of order zeta.
+    viscosity_factor : array (n_vessels,)
+        Factor of the viscosity in each vessel, in both frictions and in delta.
+    offset_in, offset_out : array (n_vessels,)
+        dyn/cm2, added to the wall's pressure at the inlet and outlet, linear between: an external pressure
+        or a hydrostatic head. Given alone, the other is zero.
+    viscoelastic_time : array (n_vessels,)
+        tau, s, in p = p_e + tau dp_e/dt with the wall's p_e (Kelvin-Voigt), slowed by `relaxation_time`.
+    relaxation_time : float
+        tau_r, s: p = p_e + p_v, tau_r dp_v/dt + p_v = tau dp_e/dt (Zener; Kelvin-Voigt as tau_r goes to 0).
+    leak : array (n_vessels,)
+        cm4 s/g (ml/s per dyn/cm2 and cm): A_t + q_x = -leak p. What leaves takes its axial momentum along.
+    total_pressure : float
+        tau: at a junction p + tau rho u^2/2 is shared instead of p, u = q/A at the branch's own end.
+    junction_loss : float
+        K: each daughter's inlet has K rho/2 u abs(u) less pressure than the parent's end, u the parent's.
+    inertance : array (n_vessels,)
+        L, g/cm4, read at terminals: p = v + R1 q + L dq/dt.
+    section_resistance, section_compliance : array (n_vessels, n_sections)
+        Shares rho_k and kappa_k, read at terminals: R1 in series with parallel pairs R_k, C_k (Foster's
+        form), R_k = rho_k psi2 R2, C_k = kappa_k c C, C_k dv_k/dt = q - v_k/R_k, p = R1 q + sum_k v_k.
+        One section of (1, 1) is the Windkessel; one with rho_k = 0 is absent. Given together.
+    throat_severity : array (n_vessels,)
+        s in [0, 1): the radius at rest is multiplied by 1 - s (1 + cos(2 pi (x - x0)/l))/2 for
+        abs(x - x0) < l/2.
+    throat_position : array (n_vessels,)
+        x0/L; 0.5 when not given.
+    throat_length : array (n_vessels,)
+        l, cm; 0.15 when not given.
+    throat_loss : float
+        K_t: over the throat, pressure falls by a further K_t rho/2 (A0/A0_throat - 1)^2 (q/A0)^2, A0 the
+        area at rest without the throat, A0_throat at its narrowest.
+
+    Raises
+    ------
+    SolverArgumentError
+        If a value is out of range.
+
+    References
+    ----------
+    Young and Tsai 1973, doi 10.1016/0021-9290(73)90099-7.
+    """
+
+    momentum_correction: float = 1.0
+    stokes_friction: float = 1.0
+    viscous_friction: float = 0.0
+    viscosity_factor: Array | None = None
+    offset_in: Array | None = None
+    offset_out: Array | None = None
+    viscoelastic_time: Array | None = None
+    relaxation_time: float = 3e-4
+    leak: Array | None = None
+    total_pressure: float = 0.0
+    junction_loss: float = 0.0
+    inertance: Array | None = None
+    section_resistance: Array | None = None
+    section_compliance: Array | None = None
+    throat_severity: Array | None = None
+    throat_position: Array | None = None
+    throat_length: Array | None = None
+    throat_loss: float = 1.52
+
+    def __post_init__(self) -> None:
+        for name, (low, closed, words) in _NUMBERS.items():
+            value = getattr(self, name)
+            if not np.isfinite(value) or value < low or (value == low and not closed):
+                raise SolverArgumentError(f"physics: {name} = {value}: must be {words}")
+            object.__setattr__(self, name, float(value))
+        for name, (low, closed, words) in _PER_VESSEL.items():
+            if getattr(self, name) is None:
+                continue
+            values = read_only(getattr(self, name))
+            object.__setattr__(self, name, values)
+            wanted = 2 if name in _SECTIONS else 1
+            if values.ndim != wanted or not values.size:
+                shape = "(n_vessels, n_sections)" if wanted == 2 else "(n_vessels,)"
+                raise SolverArgumentError(f"physics: {name} has shape {values.shape}: must be {shape}")
+            high = _LIMITS.get(name, np.inf)
+            good = np.isfinite(values) & (values >= low) & (values <= high) & (closed | (values != low))
+            if not good.all():
+                where = np.unravel_index(int(np.argmin(good)), good.shape)
+                at = ", ".join(str(int(i)) for i in where)
+                raise SolverArgumentError(f"physics: {name}[{at}] = {values[where]}: must be {words}")
+        if (self.section_resistance is None) != (self.section_compliance is None):
+            raise SolverArgumentError(
+                "physics: section_resistance and section_compliance must be given together"
+            )
+        if self.section_resistance is not None and self.section_compliance is not None:
+            if self.section_resistance.shape != self.section_compliance.shape:
+                raise SolverArgumentError(
+                    f"physics: section_compliance has shape {self.section_compliance.shape}: must be that of "
+                    f"section_resistance, {self.section_resistance.shape}"
+                )
+            lacking = (self.section_resistance > 0) & ~(self.section_compliance > 0)
+            if lacking.any():
+                vessel, section = (int(i) for i in np.argwhere(lacking)[0])
+                raise SolverArgumentError(
+                    f"physics: section_compliance[{vessel}, {section}] = "
+                    f"{self.section_compliance[vessel, section]}: must be positive where the resistance is"
+                )
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything is added: whether a solve may differ from the default's."""
+        away = [
+            self.momentum_correction != 1,
+            self.stokes_friction != 1,
+            self.viscous_friction != 0,
+            self.viscosity_factor is not None and np.any(self.viscosity_factor != 1),
+            self.total_pressure != 0,
+            self.junction_loss != 0,
+        ]
+        for name in ("offset_in", "offset_out", "viscoelastic_time", "leak", "inertance", "throat_severity"):
+            away.append(getattr(self, name) is not None and np.any(getattr(self, name) != 0))
+        if self.section_resistance is not None and self.section_compliance is not None:
+            there = self.section_resistance > 0
+            one = np.where(there, (self.section_resistance == 1) & (self.section_compliance == 1), True)
+            away.append(not (one.all() and np.all(there.sum(axis=1) <= 1)))
+        return bool(any(away))
+
+    def settings(self) -> dict[str, Any]:
+        """The fields that are not at their default, arrays as lists."""
+        given = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                given[field.name] = value.tolist()
+            elif value != field.default:
+                given[field.name] = value
+        return given
+
+    def fit(self, network: Network) -> None:
+        """Raise SolverArgumentError where an array does not fit the network."""
+        n_vessels = len(network.ids)
+        for name in _PER_VESSEL:
+            values = getattr(self, name)
+            if values is not None and len(values) != n_vessels:
+                raise SolverArgumentError(
+                    f"physics: {name} has shape {values.shape}: must have one row per vessel, {n_vessels}"
+                )
+        if self.section_resistance is not None:
+            for k in network.terminals:
+                if not np.any(self.section_resistance[k] > 0):
+                    raise SolverArgumentError(
+                        f"physics: section_resistance[{int(k)}] = {self.section_resistance[k].tolist()}: "
+                        f"vessel {int(network.ids[k])} is a terminal and needs at least one positive share"
+                    )
+
+
+NO_PHYSICS = Physics()
+
+
 @dataclass(frozen=True)
 class Solution:
     """A solve at one set of parameters.
@@ -208,6 +402,8 @@ class Solver:
         When, from the start of the beat; times beyond the period are taken modulo it.
     options : SolverOptions
         Numerical settings.
+    physics : Physics
+        What is added to the equations.
 
     Raises
     ------
@@ -230,6 +426,7 @@ class Solver:
         series: Sequence[tuple[int, float]] = (),
         times_s: ArrayLike = (),
         options: SolverOptions | None = None,
+        physics: Physics | None = None,
     ) -> None:
         if wall not in WALLS:
             raise SolverArgumentError(f"wall = {wall!r}: must be one of {', '.join(WALLS)}")
@@ -241,6 +438,7 @@ class Solver:
         self.series = tuple((int(vessel), float(position)) for vessel, position in series)
         self.times_s = np.array(times_s, dtype=np.float64)
         self.options = options or SolverOptions()
+        self.physics = physics or NO_PHYSICS
         self._build()
 
     @classmethod
@@ -253,6 +451,7 @@ class Solver:
         times_s: ArrayLike | None = None,
         options: SolverOptions | None = None,
         conventions: Conventions | None = None,
+        physics: Physics | None = None,
     ) -> Solver:
         """Make the solver of a study, at the study's own series and times unless others are given.
 
@@ -273,6 +472,7 @@ class Solver:
             series=series,
             times_s=times_s,
             options=options,
+            physics=physics,
         )
 
     # the native structs hold pointers, so a pickle keeps the arguments and builds them again
@@ -326,13 +526,18 @@ class Solver:
         n.R1, n.R2, n.C = reals(net.R1), reals(net.R2), reals(net.C)
 
         p = problem.physics
-        p.density, p.viscosity, p.momentum_correction = net.density, net.viscosity, 1.0
+        added = self.physics
+        p.density, p.viscosity = net.density, net.viscosity
+        p.momentum_correction = added.momentum_correction
+        p.stokes_friction, p.viscous_friction = added.stokes_friction, added.viscous_friction
         p.wall, p.wall_factor = WALLS[self.wall], conventions.wall_factor
         if conventions.friction not in FRICTIONS:
             raise SolverArgumentError(
                 f"friction = {conventions.friction!r}: must be one of {', '.join(FRICTIONS)}"
             )
         p.friction, p.friction_radius = FRICTIONS[conventions.friction], conventions.friction_radius_cm
+
+        self._set_extras(problem.extras, reals)
 
         flow = self.inflow_ml_s
         if flow.ndim != 1 or len(flow) < 4 or not np.all(np.isfinite(flow)) or not flow.mean() > 0:
@@ -364,6 +569,28 @@ class Solver:
         num.tolerance = options.tolerance_mmHg * conventions.mmhg
         num.accelerate = options.accelerate
         self._problem = problem
+
+    def _set_extras(self, extras: Any, reals: Callable[[ArrayLike], Any]) -> None:
+        """Hand the arrays of the physics to the native struct; what is None stays a null pointer."""
+        added, n_vessels = self.physics, len(self.network.ids)
+        added.fit(self.network)
+        for name in ("viscosity_factor", "viscoelastic_time", "leak", "inertance", *_SECTIONS):
+            values = getattr(added, name)
+            if values is not None:
+                setattr(extras, name, reals(values))
+        zero = np.zeros(n_vessels)
+        if added.offset_in is not None or added.offset_out is not None:
+            extras.offset_in = reals(zero if added.offset_in is None else added.offset_in)
+            extras.offset_out = reals(zero if added.offset_out is None else added.offset_out)
+        if added.section_resistance is not None:
+            extras.n_sections = added.section_resistance.shape[1]
+        if added.throat_severity is not None:
+            extras.throat_severity = reals(added.throat_severity)
+            position, length = added.throat_position, added.throat_length
+            extras.throat_position = reals(zero + 0.5 if position is None else position)
+            extras.throat_length = reals(zero + THROAT_LENGTH_CM if length is None else length)
+        extras.relaxation_time, extras.throat_loss = added.relaxation_time, added.throat_loss
+        extras.total_pressure, extras.junction_loss = added.total_pressure, added.junction_loss
 
     def _broadcast(self, values: dict[str, ArrayLike], n_sets: int) -> dict[str, Array]:
         """Every parameter as (n_sets, n_vessels)."""
@@ -541,8 +768,13 @@ class Solver:
         )
 
     def settings(self) -> dict[str, Any]:
-        """Wall, conventions and numerical options, for a run's record."""
-        return {"wall": self.wall, "conventions": asdict(self.conventions), "options": asdict(self.options)}
+        """Wall, conventions, numerical options and what is added, for a run's record."""
+        return {
+            "wall": self.wall,
+            "conventions": asdict(self.conventions),
+            "options": asdict(self.options),
+            "physics": self.physics.settings(),
+        }
 
 
 def wall_pressure_mmHg(

@@ -1,0 +1,180 @@
+/* Where vessels meet, with total pressure or losses: the balances of junction.h, but
+ *
+ *   p_b + tau rho u_b^2/2 = P - [b a daughter] D,     D = K rho/2 u_0 |u_0|,     u_b = q_b/A_b,
+ *
+ * at the new time.  Pressure and flow of the branches' ends then depend on each
+ * other, and strongly so: a step changes p through u by K u/c times what it
+ * changes u through p, more than one for a large loss, so nothing explicit is
+ * stable.  Newton's method solves for all at once: areas A_b' and flows q_b' of
+ * the branches, shared pressures P at the new time and H at mid-step, and D,
+ *
+ *   F1_b = p(A_b') + tau rho u_b'^2/2 - P + [daughter] D = 0
+ *   F2_b = momentum of the half cell, with H and the mean of d_b = p_b - P = 0
+ *   sum_b w_b A_b' = volume,     sum_b s_b q_b' = 0,     D = K rho/2 u_0' |u_0'|.
+ *
+ * Each branch's two equations are eliminated, dA_b = a0 + aP dP_b + aH dH_b and
+ * dq_b alike with dP_b = dP, dH_b = dH at the parent and dP - dD, dH - dD/2 at
+ * daughters; two equations for dP and dH remain.  It starts from the old time,
+ * which is near: two or three rounds.
+ */
+#ifndef ZOO_JUNCTION_EXTRA_H
+#define ZOO_JUNCTION_EXTRA_H
+
+#include "internal.h"
+
+ZOO_INLINE void junction_extra(const int wall, const int W, zoo_sim *s, zoo_junctions *ju)
+{
+    enum { ROUNDS = 30 };
+    const int n = ju->count, nb = ju->branches;
+    const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum, rho = 1.0 / inv_rho, per_dt = 1.0 / dt;
+    const double dynamic = rho * s->problem->extras.total_pressure, lossy = rho * s->problem->extras.junction_loss;
+    const double later = 0.5 * (1.0 + s->relax);
+    const int *restrict node = ju->node, *restrict mid = ju->mid, *restrict junction = ju->junction;
+    const double *restrict w = ju->w, *restrict per_w = ju->per_w, *restrict A0 = ju->A0,
+                           *restrict f_s = ju->f_s, *restrict f_c = ju->f_c, *restrict sign = ju->sign;
+    const double *restrict kappa = s->kappa, *restrict leak = s->leak, *restrict loss = s->loss,
+                           *restrict off = s->off, *restrict inv_A0 = s->inv_A0, *restrict K = s->K, *restrict th = s->theta;
+    const double *restrict Ah = s->Ah, *restrict qh = s->qh, *restrict Ph = s->Ph, *restrict Mh = s->Mh,
+                           *restrict Gh = s->Gh;
+    double *restrict A = s->A, *restrict q = s->q;
+    double *restrict volume = ju->volume, *restrict area = ju->area, *restrict flow = ju->flow,
+                     *restrict a0 = ju->a0, *restrict aP = ju->aP, *restrict aH = ju->aH,
+                     *restrict q0 = ju->q0, *restrict qP = ju->qP, *restrict qH = ju->qH,
+                     *restrict old = ju->old;
+    double *restrict P = ju->P, *restrict H = ju->H, *restrict D = ju->D, *restrict g0 = ju->g0,
+                     *restrict gP = ju->gP, *restrict gH = ju->gH, *restrict m0 = ju->m0,
+                     *restrict mP = ju->mP, *restrict mH = ju->mH, *restrict f0 = ju->f0,
+                     *restrict fP = ju->fP, *restrict fH = ju->fH;
+
+    ZOO_LOOP(W, i, j, l, 0, n, {
+        const ptrdiff_t o = (ptrdiff_t)node[j] * W + l;
+        const double u = q[o] / A[o];
+        volume[i] = 0.0;
+        D[i] = 0.5 * lossy * u * fabs(u);
+        P[i] = H[i] = s->P[o] + 0.5 * dynamic * u * u;
+    });
+    ZOO_LOOP(W, i, x, l, 0, n * nb, {
+        const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
+        const double u = q[o] / A[o];
+        area[i] = A[o];
+        flow[i] = q[o];
+        /* how far the branch's pressure lies below the shared one at the old time */
+        old[i] = 0.5 * dynamic * u * u + 0.5 * (1.0 - sign[x]) * D[(ptrdiff_t)junction[x] * W + l];
+    });
+    for (int b = 0; b < nb; b++) {
+        const ptrdiff_t from = (ptrdiff_t)b * n;
+        ZOO_LOOP(W, i, j, l, 0, n, {
+            const ptrdiff_t o = (ptrdiff_t)node[from + j] * W + l, m = (ptrdiff_t)mid[from + j] * W + l;
+            volume[i] += w[from + j] * A[o] +
+                         dt * (sign[from + j] * qh[m] - w[from + j] * leak[node[from + j]] * Ph[m]);
+        });
+    }
+    for (int round = 0; round < ROUNDS; round++) {
+        int unfinished = 0;
+        ZOO_LOOP(W, i, x, l, 0, n * nb, {
+            const ptrdiff_t o = (ptrdiff_t)node[x] * W + l, m = (ptrdiff_t)mid[x] * W + l;
+            const ptrdiff_t y = (ptrdiff_t)junction[x] * W + l;
+            const int v = node[x];
+            const double is = sign[x], below = 0.5 * (1.0 - is) * D[y];
+            const double K1 = (1.0 + later * kappa[v]) * K[o], a = area[i] * inv_A0[v];
+            const double root = a * wall_rsqrt(a), per_area = wall_reciprocal(area[i]);
+            const double elastic = wall_p(wall, K1, th[o], a, root), tangent = elastic * wall_reciprocal(K1);
+            const double slope = wall == ZOO_WALL_LINEAR ? 0.5 * K1 * root * per_area
+                                                         : K1 * th[o] * (1.0 + tangent * tangent) * inv_A0[v];
+            const double u = flow[i] * per_area, at_u = dynamic * u * per_area;
+            const double F1 = elastic + off[o] + 0.5 * dynamic * u * u + below - P[y];
+            const double F1_a = slope - at_u * u, F1_q = at_u;
+            /* momentum of the half cell; `half` and `flux` are its end's area and flow at mid-step */
+            const double half = 0.5 * (A[o] + area[i]), ratio = half * inv_A0[v];
+            const double half_root = ratio * wall_rsqrt(ratio), per_half = wall_reciprocal(half);
+            const double flux = qh[m] - is * w[x] * ((area[i] - A[o]) * per_dt + leak[v] * Ph[m]);
+            const double flux_a = -is * w[x] * per_dt, mean_u = flux * per_half;
+            const double drag = (f_s[x] * half_root + f_c[x] + leak[v] * Ph[m]) * per_half, sink = loss[v] * half;
+            const double drag_a = -0.5 * (drag - 0.5 * f_s[x] * half_root * per_half) * per_half;
+            const double push = 0.5 * per_w[x] * (half + Ah[m]) * inv_rho, push_a = 0.25 * per_w[x] * inv_rho;
+            /* mean over the step of how far the branch's pressure lies below the shared one */
+            const double under = 0.5 * (old[i] + 0.5 * dynamic * u * u + below), over = H[y] - under - Ph[m];
+            const double F2 = flow[i] - q[o] + is * (per_w[x] * (alpha * flux * mean_u - Mh[m]) + push * over) +
+                              0.5 * dt * (drag * flux + sink * flux * fabs(flux) + Gh[m]);
+            const double F2_a =
+                is * (per_w[x] * alpha * mean_u * (2.0 * flux_a - 0.5 * mean_u) + push_a * over +
+                      0.5 * push * at_u * u) +
+                0.5 * dt * (drag_a * flux + drag * flux_a + (0.5 * loss[v] * flux + 2.0 * sink * flux_a) * fabs(flux));
+            const double F2_q = 1.0 - 0.5 * is * push * at_u;
+            const double inv = wall_reciprocal(F1_a * F2_q - F1_q * F2_a);
+            a0[i] = (F1_q * F2 - F2_q * F1) * inv;
+            q0[i] = (F2_a * F1 - F1_a * F2) * inv;
+            aP[i] = F2_q * inv;
+            qP[i] = -F2_a * inv;
+            aH[i] = F1_q * is * push * inv;
+            qH[i] = -F1_a * is * push * inv;
+        });
+        /* dD = g0 + gP dP + gH dH, from the parent */
+        ZOO_LOOP(W, i, j, l, 0, n, {
+            const double u = flow[i] / area[i], slope = lossy * fabs(u) / area[i];
+            g0[i] = 0.5 * lossy * u * fabs(u) - D[i] + slope * (q0[i] - u * a0[i]);
+            gP[i] = slope * (qP[i] - u * aP[i]);
+            gH[i] = slope * (qH[i] - u * aH[i]);
+            m0[i] = w[j] * (area[i] + a0[i]) - volume[i];
+            mP[i] = w[j] * aP[i];
+            mH[i] = w[j] * aH[i];
+            f0[i] = flow[i] + q0[i];
+            fP[i] = qP[i];
+            fH[i] = qH[i];
+        });
+        for (int b = 1; b < nb; b++) {
+            const ptrdiff_t from = (ptrdiff_t)b * n;
+            ZOO_LOOP(W, i, j, l, 0, n, {
+                const ptrdiff_t y = from * W + i;
+                const double aD = aP[y] + 0.5 * aH[y], qD = qP[y] + 0.5 * qH[y];
+                m0[i] += w[from + j] * (area[y] + a0[y] - aD * g0[i]);
+                mP[i] += w[from + j] * (aP[y] - aD * gP[i]);
+                mH[i] += w[from + j] * (aH[y] - aD * gH[i]);
+                f0[i] -= flow[y] + q0[y] - qD * g0[i];
+                fP[i] -= qP[y] - qD * gP[i];
+                fH[i] -= qH[y] - qD * gH[i];
+            });
+        }
+        ZOO_LOOP(W, i, j, l, 0, n, {
+            const double inv = 1.0 / (mP[i] * fH[i] - mH[i] * fP[i]);
+            const double dP = (mH[i] * f0[i] - fH[i] * m0[i]) * inv, dH = (fP[i] * m0[i] - mP[i] * f0[i]) * inv;
+            const double dD = g0[i] + gP[i] * dP + gH[i] * dH;
+            P[i] += dP;
+            H[i] += dH;
+            D[i] += dD;
+            m0[i] = dP;
+            mH[i] = dH;
+            g0[i] = dD;
+        });
+        ZOO_LOOP(W, i, x, l, 0, n * nb, {
+            const ptrdiff_t o = (ptrdiff_t)node[x] * W + l, y = (ptrdiff_t)junction[x] * W + l;
+            const double dD = 0.5 * (1.0 - sign[x]) * g0[y], dP = m0[y] - dD, dH = mH[y] - 0.5 * dD;
+            /* never more than halfway to the wall's limits */
+            const double room = 0.5 * (wall_limit(wall, th[o]) * A0[x] - area[i]);
+            const double fall = 0.5 * (wall_floor(wall, th[o]) * A0[x] - area[i]);
+            double move = a0[i] + aP[i] * dP + aH[i] * dH;
+            move = move > room ? room : move < fall ? fall : move;
+            const double turn = q0[i] + qP[i] * dP + qH[i] * dH;
+            area[i] += move;
+            flow[i] += turn;
+            /* what is left after this round is of the order of these squares: below rounding */
+            const double per_area = wall_reciprocal(area[i]), da = move * per_area, du = turn * per_area;
+            unfinished |= K[o] * da * da + (dynamic + lossy) * du * du > 1e-11 * K[o];
+        });
+        if (!unfinished)
+            break;
+        if (round + 1 == ROUNDS) {
+            s->no_root = 1;
+            for (int l = 0; l < W; l++)
+                for (ptrdiff_t y = 0; y < (ptrdiff_t)n; y++)
+                    s->stuck[l] |= !(fabs(m0[y * W + l]) <= 1e-6 * (fabs(P[y * W + l]) + 1.0));
+        }
+    }
+    ZOO_LOOP(W, i, x, l, 0, n * nb, {
+        const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
+        q[o] = flow[i];
+        A[o] = area[i];
+    });
+}
+
+#endif
