@@ -1,0 +1,907 @@
+"""The catalogue of effects: 0 is the base, each has an answer known without the solver, stacking, bases."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from zoo.effects import (
+    BASES,
+    CATALOGUE,
+    FAMILIES,
+    Case,
+    Effect,
+    EffectError,
+    Place,
+    Wave,
+    apply_all,
+    catalogue_table,
+    filtered,
+    foster_fit,
+    get_base,
+    get_effect,
+    ladder_sections,
+    members,
+    relative_viscosity,
+    signature_table,
+    signatures,
+    simulate,
+    total_resistance,
+    tree_impedance,
+    typical_values,
+)
+from zoo.models import get_model, suggested
+from zoo.network import Network, stiffness_profile
+from zoo.solver import Solver, SolverOptions, wall_pressure_mmHg
+from zoo.study import Blood, Study, StudyError, Vessel, Windkessel, load_study
+from zoo.units import MMHG
+
+Array = NDArray[np.float64]
+
+DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "effects.md"
+NAMES = (
+    "viscoelastic-wall tangent-wall radius-dependent-stiffness local-stiffness velocity-profile "
+    "radius-dependent-viscosity hydrostatic taper vessel-radius stenosis vessel-length "
+    "total-pressure-junctions minor-losses venous-pressure uneven-resistance terminal-inertance "
+    "side-branches structured-tree distributed-outflow inflow-gain inflow-shift inflow-bandwidth "
+    "inflow-offset external-pressure catheter-resonance sensor-gain sensor-offset beat-jitter "
+    "correlated-noise coarse-grid"
+).split()
+SOLVED = [name for name in CATALOGUE if CATALOGUE[name].apply is not None]
+ROOT = [(1, 0.0, "pressure_mmHg")]
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return load_study("demo")
+
+
+@pytest.fixture(scope="module")
+def case(study: Study) -> Case:
+    base = get_base("linear-constant")
+    return base.case(study, base.start)
+
+
+@pytest.fixture(scope="module")
+def plain(case: Case) -> Array:
+    return solved(case, ROOT)
+
+
+def beat(case: Case, n: int = 256) -> Array:
+    return np.arange(n, dtype=np.float64) * (case.network.period_s / n)
+
+
+def solved(case: Case, series: list[tuple[int, float, str]], n: int = 256) -> Array:
+    values, reason = simulate(case, series, beat(case, n))
+    assert reason is None
+    return values
+
+
+def added(case: Case, name: str, *values: float, place: Place | None = None) -> Case:
+    """With one effect; the values of its shapes are their centres unless given."""
+    effect = get_effect(name)
+    assert effect.apply is not None
+    rest = tuple(a.centre for a in effect.amplitudes[len(values) :])
+    return effect.apply(case, (*values, *rest), place or effect.places(case.network)[0])
+
+
+def tube(flow_ml_s: float = 0.02, **changed: Any) -> Case:
+    """One short stiff vessel with a steady inflow: Poiseuille's and Kirchhoff's laws give its pressures."""
+    vessel = {"length_cm": 0.5, "radius_cm": 0.03, "radius_out_cm": 0.03} | changed
+    load = Windkessel(2e4, 8e4, 1e-7)
+    network = Network.from_vessels([Vessel(1, "tube", windkessel=load, **vessel)], Blood(1.055, 0.049), 0.11)
+    time = np.arange(64, dtype=np.float64) * (0.11 / 64)
+    study = load_study("demo")
+    demo = get_base("B").case(study, get_base("B").start)
+    ones = np.ones(1)
+    return replace(
+        demo,
+        network=network,
+        inflow_time_s=time,
+        inflow_ml_s=np.full(64, flow_ml_s),
+        stiffness=np.array([1e6]),
+        gamma=2 * ones,
+        psi1=ones,
+        psi2=ones,
+        c=ones,
+        options=SolverOptions(tolerance_mmHg=1e-6, max_beats=200),
+    )
+
+
+def harmonics(values: Array) -> NDArray[np.complex128]:
+    return np.asarray(np.fft.rfft(values) / values.shape[-1])
+
+
+# ---------------------------------------------------------------------------------------------------
+# The catalogue
+
+
+def test_it_holds_every_effect() -> None:
+    assert sorted(CATALOGUE) == sorted(NAMES)
+    assert len(NAMES) == 30
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_entry_is_complete(name: str) -> None:
+    effect = get_effect(name)
+    assert effect.name == name
+    assert effect.family in FAMILIES
+    for text in (effect.statement, effect.equation, effect.signature):
+        assert text
+        assert text == text.strip()
+    assert effect.statement.endswith(".")
+    assert re.search(r"doi 10\.\d{4,}/\S+|definition|Math\. Biosci\. Eng\.", effect.source)
+    assert effect.amplitudes[0].zero_is_base
+    for amplitude in effect.amplitudes:
+        assert amplitude.name
+        assert amplitude.unit
+        assert amplitude.why
+        assert amplitude.scale > 0
+        assert amplitude.low < amplitude.high
+        assert amplitude.starts
+        assert all(start != 0 and amplitude.low <= start <= amplitude.high for start in amplitude.starts)
+        if not amplitude.zero_is_base:
+            assert amplitude.low <= amplitude.centre <= amplitude.high
+        elif amplitude.continuous:
+            assert amplitude.low <= 0 <= amplitude.high
+            assert amplitude.centre == 0
+        else:
+            assert amplitude.low > 0
+
+
+def test_unknown_names_are_refused_with_the_nearest() -> None:
+    with pytest.raises(EffectError, match=r"effect 'stenoses': unknown; did you mean 'stenosis'\?"):
+        get_effect("stenoses")
+    with pytest.raises(EffectError, match=r"base 'linear-constnt': unknown; did you mean 'linear-constant'"):
+        get_base("linear-constnt")
+    with pytest.raises(EffectError, match="family = 'walls': unknown; did you mean 'wall'"):
+        Effect("x", "walls", "x", "x", "x", "x", (), lambda network: (), None)
+
+
+def test_wrong_values_and_places_are_refused(case: Case) -> None:
+    apply = get_effect("catheter-resonance").apply
+    assert apply is not None
+    with pytest.raises(EffectError, match=r"give finite numbers for 1/f_n \(s\), damping \(1\)"):
+        apply(case, (0.01,), Place())
+    with pytest.raises(EffectError, match="finite"):
+        apply(case, (float("nan"), 0.3), Place())
+    with pytest.raises(EffectError, match="stenosis: place: is missing"):
+        added(case, "stenosis", 0.3, place=Place())
+    with pytest.raises(StudyError, match="vessel = 99"):
+        added(case, "stenosis", 0.3, place=Place(99))
+    with pytest.raises(EffectError, match="correlated-noise: is part of the errors"):
+        apply_all(case, [(get_effect("correlated-noise"), (0.1, 0.003), Place())])
+    with pytest.raises(EffectError, match="use a linear base"):
+        added(get_base("H").case(load_study("demo"), get_base("H").start), "tangent-wall", 0.2)
+
+
+def test_what_each_base_is_offered() -> None:
+    offered = {base: {n for n in CATALOGUE if not CATALOGUE[n].offered(base)} for base in BASES}
+    assert offered == {
+        "linear-constant": set(),
+        "linear-radius": {"radius-dependent-stiffness"},
+        "tangent-constant": {"tangent-wall"},
+        "tangent-radius": {"tangent-wall", "radius-dependent-stiffness"},
+    }
+
+
+def test_places(case: Case) -> None:
+    network = case.network
+    assert get_effect("taper").places(network) == (Place(),)
+    assert get_effect("stenosis").places(network) == tuple(Place(v) for v in range(1, 22))
+    inner = get_effect("local-stiffness").places(network)[21:]
+    assert [place.vessel for place in inner] == [2, 3, 4, 6, 8, 10, 14, 16, 18]
+    assert all(place.subtree for place in inner)
+    sides = get_effect("uneven-resistance").places(network)
+    assert sides[0] == Place(2, True)
+    assert [p.vessel for p in sides[1:]] == [5, 7, 9, 11, 12, 13, 15, 17, 19, 20, 21]
+    assert network.ids[members(network, Place(8, True))].tolist() == [8, 10, 11, 12, 13]
+    assert str(Place()), str(Place(3)) == ("everywhere", "vessel 3")
+    assert str(Place(3, True)) == "vessel 3 and below"
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_pickles(name: str, case: Case) -> None:
+    assert pickle.loads(pickle.dumps(get_effect(name))) is get_effect(name)
+    if name in SOLVED:
+        changed = added(case, name, *typical_values(get_effect(name))[:1])
+        again = pickle.loads(pickle.dumps(changed))
+        assert len(again.waves) == len(changed.waves)
+        np.testing.assert_array_equal(again.stiffness, changed.stiffness)
+
+
+# ---------------------------------------------------------------------------------------------------
+# Amplitude 0, small amplitudes, stacking
+
+
+def test_the_base_is_the_solver_bit_for_bit(study: Study) -> None:
+    places = [(1, 0.0, "pressure_mmHg"), (8, 0.5, "flow_ml_s"), (20, 1.0, "area_cm2")]
+    times = study.time_s + 0.001
+    for name, base in BASES.items():
+        case = base.case(study, base.start)
+        solver = Solver.for_study(
+            study,
+            base.wall,
+            series=[(v, x) for v, x, _ in places],
+            times_s=times,
+            conventions=case.conventions,
+        )
+        exact = solver.solve(case.stiffness, case.gamma, case.psi1, case.psi2, case.c)
+        wanted = [exact.pressure_mmHg[0], exact.flow_ml_s[1], exact.area_cm2[2]]
+        values, reason = simulate(case, places, times)
+        assert reason is None
+        np.testing.assert_array_equal(values, wanted, err_msg=name)
+        quiet, _ = simulate(replace(case, waves=(lambda wave: wave,)), places, times)
+        np.testing.assert_array_equal(quiet, wanted)
+
+
+@pytest.mark.parametrize("name", SOLVED)
+def test_amplitude_0_is_the_base(name: str, case: Case, plain: Array) -> None:
+    effect = get_effect(name)
+    zero = (0.0, *typical_values(effect)[1:])
+    assert effect.apply is not None
+    for place in effect.places(case.network):
+        changed = effect.apply(case, zero, place)
+        assert changed is case
+    np.testing.assert_array_equal(solved(changed, ROOT), plain)
+
+
+@pytest.mark.parametrize("name", SOLVED)
+def test_small_amplitudes_change_little_unless_a_switch(name: str, case: Case, plain: Array) -> None:
+    effect = get_effect(name)
+    values = typical_values(effect)
+    place = max(effect.places(case.network)[:3], key=lambda p: p.subtree)
+    if not effect.amplitudes[0].continuous:
+        least = added(case, name, effect.amplitudes[0].low, place=place)
+        assert np.max(np.abs(solved(least, ROOT) - plain)) > 0.1
+        return
+    large = np.max(np.abs(solved(added(case, name, 0.1 * values[0], place=place), ROOT) - plain))
+    small = np.max(np.abs(solved(added(case, name, 0.001 * values[0], place=place), ROOT) - plain))
+    assert small < 0.02 * large + 1e-3
+
+
+def test_the_order_of_effects_does_not_matter(case: Case) -> None:
+    chosen = [
+        (get_effect(name), typical_values(get_effect(name)), place)
+        for name, place in [
+            ("vessel-length", Place(18)),
+            ("hydrostatic", Place()),
+            ("side-branches", Place()),
+            ("uneven-resistance", Place(2, True)),
+            ("distributed-outflow", Place()),
+            ("structured-tree", Place()),
+            ("catheter-resonance", Place()),
+            ("sensor-offset", Place()),
+            ("inflow-shift", Place()),
+            ("coarse-grid", Place()),
+        ]
+    ]
+    forward, backward = (solved(apply_all(case, order), ROOT) for order in (chosen, chosen[::-1]))
+    np.testing.assert_array_equal(forward, backward)
+    assert np.max(np.abs(forward - solved(case, ROOT))) > 0.5
+
+
+def test_an_effect_twice_adds_up(case: Case) -> None:
+    for name in ("external-pressure", "minor-losses", "viscoelastic-wall", "side-branches", "hydrostatic"):
+        a, b = 0.2 * typical_values(get_effect(name))[0], 0.3 * typical_values(get_effect(name))[0]
+        np.testing.assert_allclose(
+            solved(added(added(case, name, a), name, b), ROOT),
+            solved(added(case, name, a + b), ROOT),
+            atol=1e-3,
+        )
+
+
+# ---------------------------------------------------------------------------------------------------
+# Geometry and wall
+
+
+def test_geometry_changes_what_it_says(case: Case) -> None:
+    net = case.network
+    wide = added(case, "vessel-radius", 0.1, place=Place(3)).network
+    at = net.index(3)
+    assert wide.radius_in_cm[at] / net.radius_in_cm[at] == pytest.approx(np.exp(0.1))
+    assert wide.radius_out_cm[at] / net.radius_out_cm[at] == pytest.approx(np.exp(0.1))
+    assert np.sum(wide.radius_in_cm != net.radius_in_cm) == 1
+    np.testing.assert_allclose(added(case, "taper", 0.2).network.radius_out_cm, 0.8 * net.radius_out_cm)
+    np.testing.assert_array_equal(added(case, "taper", 0.2).network.radius_in_cm, net.radius_in_cm)
+    throat = added(case, "stenosis", 0.5, place=Place(5)).physics
+    assert throat.throat_severity is not None
+    assert throat.throat_length is not None
+    assert throat.throat_severity[net.index(5)] == 0.5
+    assert throat.throat_severity.sum() == 0.5
+    assert throat.throat_length[net.index(5)] == pytest.approx(0.8 * 0.052)
+    assert throat.throat_length[net.index(1)] == 0.15
+
+
+def test_a_length_is_free_where_conventions_truncate_it(study: Study) -> None:
+    base = get_base("B")
+    case = base.case(study, base.start, conventions=replace_truncated(study))
+    changed = added(case, "vessel-length", 0.01, place=Place(1))
+    assert not changed.conventions.truncate_lengths
+    assert changed.network.length_cm[0] == pytest.approx(np.floor(40 * 0.41) / 40 * np.exp(0.01))
+    difference = solved(changed, ROOT) - solved(case, ROOT)
+    assert 1e-3 < np.max(np.abs(difference)) < 0.05
+
+
+def replace_truncated(study: Study) -> Any:
+    return study.conventions.replace(truncate_lengths=True)
+
+
+@pytest.mark.parametrize("inverse_gamma", [0.05, 0.2, 0.7])
+def test_the_tangent_wall_has_the_linear_slope_at_rest(inverse_gamma: float, case: Case) -> None:
+    changed = added(case, "tangent-wall", inverse_gamma)
+    h = 1e-5
+    ends = np.array([1 - h, 1 + h])
+    wanted = np.diff(wall_pressure_mmHg("linear", ends, case.stiffness[0]))
+    found = np.diff(wall_pressure_mmHg("tangent", ends, changed.stiffness[0], changed.gamma[0]))
+    assert found == pytest.approx(wanted, rel=1e-6)
+    assert changed.wall == "tangent"
+    assert changed.gamma[0] == pytest.approx(1 / inverse_gamma)
+
+
+def test_stiffness_by_radius_is_equation_3_5(case: Case) -> None:
+    chi, a, decay, radius = case.stiffness[0], 1.3, 0.02, case.network.radius_in_cm
+    f1 = a * chi * np.exp(radius.min() / decay)
+    np.testing.assert_allclose(
+        added(case, "radius-dependent-stiffness", a, decay).stiffness,
+        stiffness_profile(radius, f1, -1 / decay, chi),
+    )
+
+
+def test_local_stiffness_of_a_subtree(case: Case) -> None:
+    ratio = added(case, "local-stiffness", 0.4, place=Place(8, True)).stiffness / case.stiffness
+    stiff = case.network.ids[ratio > 1].tolist()
+    assert stiff == [8, 10, 11, 12, 13]
+    assert ratio[case.network.index(8)] == pytest.approx(np.exp(0.4))
+
+
+def test_viscoelastic_pressure_is_that_of_the_area_and_its_rate(case: Case) -> None:
+    tau = 2e-3
+    changed = added(case, "viscoelastic-wall", tau)
+    pressure, area = solved(changed, [(3, 0.5, "pressure_mmHg"), (3, 0.5, "area_cm2")], 1024)
+    net, at = case.network, case.network.index(3)
+    rest = np.pi * net.radius_in_cm[at] ** 2
+    elastic = 4 / 3 * case.stiffness[at] * (np.sqrt(area / rest) - 1) / MMHG
+    relaxation = changed.physics.relaxation_time
+
+    def lag(omega: Array) -> NDArray[Any]:
+        return np.asarray(1 + 1j * omega * tau / (1 + 1j * omega * relaxation))
+
+    n = 20
+    wanted = harmonics(filtered(elastic, net.period_s, lag))[:n]
+    assert np.max(np.abs(harmonics(pressure)[:n] - wanted)) < 0.01
+
+
+# ---------------------------------------------------------------------------------------------------
+# Fluid and junctions
+
+
+def test_a_parabolic_profile_obeys_poiseuille() -> None:
+    changed = added(tube(), "velocity-profile", 1.0)
+    assert changed.physics.momentum_correction == pytest.approx(4 / 3)
+    assert changed.physics.viscous_friction == 8
+    pressure = solved(changed, [(1, 0.0, "pressure_mmHg"), (1, 1.0, "pressure_mmHg")]).mean(axis=1)
+    drop = 8 * 0.049 * 0.5 * 0.02 / (np.pi * 0.03**4) / MMHG
+    assert pressure[0] - pressure[1] == pytest.approx(
+        drop, rel=0.02
+    )  # the vessel is a little wider than at rest
+
+
+def test_the_viscosity_follows_pries() -> None:
+    changed = added(
+        added(tube(radius_cm=0.01, radius_out_cm=0.01), "velocity-profile", 1.0),
+        "radius-dependent-viscosity",
+        1.0,
+    )
+    assert changed.physics.viscosity_factor is not None
+    d = 200.0
+    wanted = (220 * np.exp(-1.3 * d) + 3.2 - 2.44 * np.exp(-0.06 * d**0.645)) / 3.2
+    assert changed.physics.viscosity_factor[0] == pytest.approx(wanted)
+    assert relative_viscosity(1e6) == pytest.approx(3.2)
+    assert 1 < relative_viscosity(7.0) < 1.5 < relative_viscosity(100.0)
+
+
+def test_a_hydrostatic_head_distends_the_far_end() -> None:
+    slope, flow = 0.5, 1e-3
+    changed = added(replace(tube(flow), stiffness=np.array([1e5])), "hydrostatic", slope)
+    series = [(1, x, q) for x in (0.0, 1.0) for q in ("pressure_mmHg", "area_cm2")]
+    p0, a0, p1, a1 = solved(changed, series).mean(axis=1)
+    assert p0 == pytest.approx(p1, abs=0.02)  # total head: hardly any flow, hardly any drop
+    head = 1.055 * 980.665 * slope * 0.5 / MMHG
+    walls = wall_pressure_mmHg("linear", np.array([a0, a1]) / (np.pi * 0.03**2), 1e5)
+    assert p0 - walls[0] == pytest.approx(0, abs=1e-3)
+    assert p1 - walls[1] == pytest.approx(head, abs=1e-3)
+
+
+def branch_ends(changed: Case) -> tuple[Array, Array]:
+    """Pressures (mmHg) and rho u^2/2 (mmHg) of vessel 1's outlet and the inlets of 2 and 3, (3, n)."""
+    ends = [(1, 1.0), (2, 0.0), (3, 0.0)]
+    series = [(v, x, q) for q in ("pressure_mmHg", "flow_ml_s", "area_cm2") for v, x in ends]
+    p, q, a = solved(changed, series).reshape(3, 3, -1)
+    return p, 1.055 / 2 * (q / a) * np.abs(q / a) / MMHG
+
+
+def test_junctions_share_the_total_pressure(case: Case) -> None:
+    p, dynamic = branch_ends(added(case, "total-pressure-junctions", 0.7))
+    total = p + 0.7 * np.abs(dynamic)
+    assert np.max(np.abs(total - total[0])) < 0.01
+    assert np.max(np.abs(p - p[0])) > 0.05
+
+
+def test_junctions_lose_a_share_of_the_dynamic_pressure(case: Case) -> None:
+    p, dynamic = branch_ends(added(case, "minor-losses", 3.0))
+    assert np.max(np.abs(p[0] - p[1:] - 3 * dynamic[0])) < 0.02
+    assert np.max(dynamic[0]) > 0.2
+
+
+def test_a_throat_costs_pressure() -> None:
+    s, flow = 0.5, 0.02
+    fine = replace(tube().options, dx_cm=0.0125)  # the throat's 0.15 cm in 12 cells
+    long = replace(tube(flow), stiffness=np.array([1e7]), options=fine)
+    drop = [
+        float(-np.diff(solved(c, [(1, 0.0, "pressure_mmHg"), (1, 1.0, "pressure_mmHg")]).mean(axis=1))[0])
+        for c in (long, added(long, "stenosis", s))
+    ]
+    area = np.pi * 0.03**2
+    sudden = 1.52 * 1.055 / 2 * (1 / (1 - s) ** 2 - 1) ** 2 * (flow / area) ** 2 / MMHG
+    x = np.linspace(-0.5, 0.5, 2001)
+    r = 0.03 * (1 - s * (1 + np.cos(2 * np.pi * x)) / 2)
+    layer = np.sqrt(0.049 / 1.055 * 0.11 / (2 * np.pi))
+    # dp/dx = 2 mu q/(pi delta r^3) over the throat, less that of the tube it replaces
+    per_length = 2 * 0.049 / (layer * np.pi) * flow
+    friction = per_length * 0.15 * (np.mean(r**-3) - 0.03**-3) / MMHG
+    assert drop[1] - drop[0] == pytest.approx(sudden + friction, rel=0.07)
+
+
+# ---------------------------------------------------------------------------------------------------
+# Outflow
+
+
+def outlet_impedance(changed: Case, vessel: int) -> NDArray[np.complex128]:
+    """Pressure over flow at a terminal's outlet, harmonics 0 to 8, dyn s/cm5."""
+    series = [(vessel, 1.0, "pressure_mmHg"), (vessel, 1.0, "flow_ml_s")]
+    p, q = harmonics(solved(changed, series, 1024))
+    return np.asarray((MMHG * p / q)[:9])
+
+
+def windkessel(case: Case, vessel: int) -> NDArray[np.complex128]:
+    at, net = case.network.index(vessel), case.network
+    omega = 2 * np.pi / net.period_s * np.arange(9)
+    r2 = case.psi2[at] * net.R2[at]
+    return np.asarray(case.psi1[at] * net.R1[at] + r2 / (1 + 1j * omega * r2 * case.c[at] * net.C[at]))
+
+
+def close(found: NDArray[Any], wanted: NDArray[Any], share: float = 0.01) -> bool:
+    return bool(np.all(np.abs(found - wanted) < share * np.abs(wanted)))
+
+
+def test_the_outlet_without_an_effect_is_a_windkessel(case: Case) -> None:
+    assert close(outlet_impedance(case, 12), windkessel(case, 12))
+
+
+def test_terminal_inertance_adds_i_omega_l(case: Case) -> None:
+    length = 0.1
+    at, net = case.network.index(12), case.network
+    omega = 2 * np.pi / net.period_s * np.arange(9)
+    inertance = net.density * length / (np.pi * net.radius_out_cm[at] ** 2)
+    found = outlet_impedance(added(case, "terminal-inertance", length), 12)
+    assert close(found, windkessel(case, 12) + 1j * omega * inertance)
+
+
+def ladder_impedance(n: int, w: Array) -> NDArray[np.complex128]:
+    """From its far end to its near one: R/n, then C/n in parallel, with R = C = 1."""
+    z: NDArray[np.complex128] = np.zeros(len(w), dtype=np.complex128)
+    for _ in range(n):
+        z = np.asarray(1 / (1 / (z + 1 / n) + 1j * w / n))
+    return z
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 16])
+def test_ladder_sections_are_the_ladder(n: int) -> None:
+    rho, kappa = ladder_sections(n)
+    w = np.geomspace(0.01, 1000, 40)
+    assert rho.sum() == pytest.approx(1)
+    assert np.all(rho > 0)
+    found = np.sum(rho / (1 + 1j * w[:, None] * rho * kappa), axis=1)
+    np.testing.assert_allclose(found, ladder_impedance(n, w), rtol=1e-9)
+
+
+@pytest.mark.parametrize("extra", [2.0, 2.5])
+def test_distributed_outflow_in_a_solve(extra: float, case: Case) -> None:
+    at, net = case.network.index(12), case.network
+    omega = 2 * np.pi / net.period_s * np.arange(9)
+    r2 = case.psi2[at] * net.R2[at]
+    w = omega * r2 * case.c[at] * net.C[at]
+    part = extra % 1
+    ladder = (1 - part) * ladder_impedance(3, w) + part * ladder_impedance(4, w)
+    changed = added(case, "distributed-outflow", extra)
+    assert close(outlet_impedance(changed, 12), case.psi1[at] * net.R1[at] + r2 * ladder)
+    sections = changed.physics.section_resistance
+    assert sections is not None
+    assert sections.shape[1] == (3 if part == 0 else 7)
+
+
+def test_the_longest_ladder_and_tree_have_at_most_40_sections_each(case: Case) -> None:
+    for name, value in (("distributed-outflow", 14.5), ("structured-tree", 1.0), ("structured-tree", 0.5)):
+        sections = added(case, name, value).physics.section_resistance
+        assert sections is not None
+        assert sections.shape[1] <= 40
+    with pytest.raises(EffectError, match="must not be negative"):
+        added(case, "distributed-outflow", -0.5)
+
+
+def branch(radius: float, least: float, m: float, slope: float, w: float) -> complex:
+    """Impedance of one small artery and all below it, as chain matrices of a lossy line."""
+    from scipy.special import jv
+
+    z = 0j
+    if radius >= least * (1 - 1e-9):
+        z = 1 / (1 / branch(0.9 * radius, least, m, slope, w) + 1 / branch(0.6 * radius, least, m, slope, w))
+    area, length = np.pi * radius**2, m * radius
+    if w == 0:
+        return complex(8 * np.pi * 0.049 * length / area**2 + z)
+    k = 1j**1.5 * radius * np.sqrt(w * 1.055 / 0.049)
+    series = 1j * w * 1.055 / area / (1 - 2 * jv(1, k) / (k * jv(0, k)))
+    shunt = 1j * w * area / slope
+    turn, own = np.sqrt(series * shunt) * length, np.sqrt(series / shunt)
+    return complex((np.cosh(turn) * z + own * np.sinh(turn)) / (np.sinh(turn) * z / own + np.cosh(turn)))
+
+
+def count(radius: float, least: float) -> tuple[float, int]:
+    """Volume over m pi of a tree of small arteries, and how many there are."""
+    ends = [count(f * radius, least) for f in (0.9, 0.6)] if radius >= least * (1 - 1e-9) else []
+    return radius**3 + sum(v for v, _ in ends), 1 + sum(n for _, n in ends)
+
+
+def test_tree_impedance_is_that_of_its_vessels() -> None:
+    radius, resistance, compliance = 0.015, 2e6, 6e-8
+    w = 2 * np.pi / 0.11 * np.array([0.0, 1, 5, 20, 40])
+    found = tree_impedance([radius, 0.02], [resistance, 1e6], [compliance, 1e-7], 1.055, 0.049, w)[0]
+    volume, vessels = count(radius, 0.1 * radius)
+    assert vessels > 300
+    m = resistance / branch(radius, 0.1 * radius, 1.0, 1.0, 0.0).real
+    slope = m * np.pi * volume / compliance
+    wanted = np.array([branch(radius, 0.1 * radius, m, slope, float(x)) for x in w])
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
+    assert found[0] == pytest.approx(resistance)
+
+
+def test_the_foster_fit_is_near_the_tree_and_exact_for_steady_flow(case: Case) -> None:
+    net, at = case.network, case.network.terminals
+    omega = 2 * np.pi / net.period_s * np.arange(41)
+    trees = tree_impedance(
+        net.radius_out_cm[at],
+        total_resistance(case)[at],
+        (case.c * net.C)[at],
+        net.density,
+        net.viscosity,
+        omega,
+    )
+    for tree in trees:
+        first, resistance, tau = foster_fit(tree, net.period_s)
+        fit = first + np.sum(resistance / (1 + 1j * omega[:, None] * tau), axis=1)
+        assert first > 0
+        assert fit[0] == pytest.approx(tree[0])
+        assert close(fit, tree, 0.05)
+        assert close(fit[:6], tree[:6], 0.02)
+
+
+@pytest.mark.parametrize("share", [0.4, 1.0])
+def test_structured_tree_in_a_solve(share: float, case: Case) -> None:
+    at, net = case.network.index(12), case.network
+    omega = 2 * np.pi / net.period_s * np.arange(9)
+    tree = tree_impedance(
+        net.radius_out_cm[[at]],
+        total_resistance(case)[[at]],
+        (case.c * net.C)[[at]],
+        net.density,
+        net.viscosity,
+        omega,
+    )[0]
+    found = outlet_impedance(added(case, "structured-tree", share), 12)
+    assert close(found, (1 - share) * windkessel(case, 12) + share * tree, 0.03)
+
+
+def test_venous_pressure_is_where_the_windkessels_end(case: Case) -> None:
+    changed = added(case, "venous-pressure", 4.0)
+    for vessel in (5, 12, 20):
+        series = [(vessel, 1.0, "pressure_mmHg"), (vessel, 1.0, "flow_ml_s")]
+        pressure, flow = solved(changed, series, 1024).mean(axis=1)
+        resistance = total_resistance(case)[case.network.index(vessel)] / MMHG
+        assert pressure == pytest.approx(4 + resistance * flow, abs=0.01)
+
+
+def test_uneven_resistance_moves_flow_to_the_other_side(case: Case) -> None:
+    a, net = 0.6, case.network
+    one = added(case, "uneven-resistance", a, place=Place(12))
+    assert one.psi1[net.index(12)] / case.psi1[0] == pytest.approx(np.exp(a))
+    assert np.sum(one.psi2 != case.psi2) == 1
+    sides = added(case, "uneven-resistance", a, place=Place(2, True))
+    left = members(net, Place(2, True))
+    np.testing.assert_allclose(sides.psi1 / case.psi1, np.where(left, np.exp(a), np.exp(-a)))
+    flows = [(2, 0.0, "flow_ml_s"), (3, 0.0, "flow_ml_s")]
+    before, after = (solved(c, flows).mean(axis=1) for c in (case, sides))
+    assert after.sum() == pytest.approx(before.sum(), rel=1e-3)
+    ratio = (after[0] / after[1]) / (before[0] / before[1])
+    assert np.exp(-2 * a) < ratio < 1.3 * np.exp(-2 * a)  # the vessels' own resistance stays
+
+
+def test_side_branches_carry_what_does_not_arrive(case: Case) -> None:
+    share, net = 0.4, case.network
+    changed = added(case, "side-branches", share)
+    assert changed.physics.leak is not None
+    per_area = changed.physics.leak / net.radius_in_cm
+    np.testing.assert_allclose(per_area, per_area[0])
+    even = added(case, "side-branches", share, 0.0).physics.leak
+    assert even is not None
+    assert np.ptp(even) == 0
+    conductance = np.sum(1 / total_resistance(case)[net.terminals])
+    assert np.sum(changed.physics.leak * net.length_cm) == pytest.approx(share * conductance)
+    ends = [(int(v), 1.0, "flow_ml_s") for v in net.ids[net.terminals]]
+    arrived = solved(changed, ends, 512).mean(axis=1).sum()
+    places = [(int(v), x, "pressure_mmHg") for v in net.ids for x in np.linspace(0, 1, 9)]
+    pressures = solved(changed, places).mean(axis=1).reshape(len(net.ids), 9)
+    along = np.trapezoid(pressures, dx=1 / 8, axis=1) * MMHG * net.length_cm
+    lost = np.sum(changed.physics.leak * along)
+    assert arrived + lost == pytest.approx(case.inflow_ml_s.mean(), rel=2e-3)
+    assert share < lost / arrived < 1.2 * share  # pressures are higher on the way than at the ends
+
+
+def test_an_external_pressure_is_added_to_the_wall(case: Case) -> None:
+    changed = added(case, "external-pressure", -3.0)
+    for vessel, x in ((1, 0.0), (18, 0.5)):
+        at = case.network.index(vessel)
+        pressure, area = solved(changed, [(vessel, x, "pressure_mmHg"), (vessel, x, "area_cm2")])
+        rest = np.pi * case.network.radius_in_cm[at] ** 2
+        wall = wall_pressure_mmHg("linear", area / rest, float(case.stiffness[at]))
+        np.testing.assert_allclose(pressure, wall - 3, atol=2e-3)
+
+
+# ---------------------------------------------------------------------------------------------------
+# Inflow and sensors
+
+
+def test_inflow_gain_and_offset(case: Case) -> None:
+    np.testing.assert_allclose(added(case, "inflow-gain", 0.2).inflow_ml_s, 1.2 * case.inflow_ml_s)
+    shifted = added(case, "inflow-offset", -0.3).inflow_ml_s
+    assert shifted.mean() == pytest.approx(0.7 * case.inflow_ml_s.mean())
+    assert np.ptp(shifted - case.inflow_ml_s) < 1e-12
+
+
+def test_inflow_shift_is_later(case: Case) -> None:
+    n, period = len(case.inflow_ml_s), case.network.period_s
+    whole = added(case, "inflow-shift", 10 * period / n).inflow_ml_s
+    np.testing.assert_allclose(whole, np.roll(case.inflow_ml_s, 10), atol=1e-9)
+    part = added(case, "inflow-shift", -0.0013).inflow_ml_s
+    k = np.arange(60)
+    ratio = harmonics(part)[:60] / harmonics(case.inflow_ml_s)[:60]
+    np.testing.assert_allclose(ratio, np.exp(2j * np.pi * k * 0.0013 / period), rtol=1e-9)
+
+
+def test_inflow_bandwidth_solves_its_equation(case: Case) -> None:
+    tau, period, n = 0.004, case.network.period_s, len(case.inflow_ml_s)
+    smooth = added(case, "inflow-bandwidth", tau).inflow_ml_s
+    rate = np.fft.irfft(np.fft.rfft(smooth) * 2j * np.pi / period * np.arange(n // 2 + 1), n)
+    assert np.max(np.abs(tau * rate + smooth - case.inflow_ml_s)) < 1e-3 * np.max(case.inflow_ml_s)
+    assert smooth.mean() == pytest.approx(case.inflow_ml_s.mean())
+
+
+def acted(case: Case, values: Array, quantity: str = "pressure_mmHg") -> Array:
+    """What the sensors of a case make of one wave."""
+    wave = Wave(values[None, :], (quantity,), case.network.period_s)
+    for act in case.waves:
+        wave = act(wave)
+    return np.asarray(wave.value[0])
+
+
+@pytest.mark.parametrize("damping", [0.1, 0.7])
+def test_catheter_resonance_solves_its_equation(damping: float, case: Case) -> None:
+    from scipy.integrate import solve_ivp
+
+    period, sensor = case.network.period_s, added(case, "catheter-resonance", 0.02, damping)
+    t = beat(case, 1024)
+    w = 2 * np.pi / 0.02
+
+    def pressure(time: Any) -> Any:
+        return 12 + 4 * np.cos(2 * np.pi * time / period) + np.sin(2 * np.pi * 6 * time / period)
+
+    def motion(time: float, state: Array) -> list[float]:
+        return [state[1], w**2 * (pressure(time) - state[0]) - 2 * damping * w * state[1]]
+
+    start = 12 * period
+    done = solve_ivp(motion, (0, start + period), [12.0, 0.0], t_eval=start + t, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(acted(sensor, pressure(t)), done.y[0], atol=1e-4)
+    np.testing.assert_array_equal(acted(sensor, pressure(t), "flow_ml_s"), pressure(t))
+
+
+def test_beat_jitter_is_a_mean_of_shifted_beats(case: Case) -> None:
+    sd, period, t = 0.004, case.network.period_s, beat(case, 1024)
+
+    def pressure(time: Any) -> Any:
+        return 12 + np.exp(2 * np.cos(2 * np.pi * time / period))
+
+    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
+    mean = sum(w * pressure(t - sd * x) for x, w in zip(nodes, weights / weights.sum(), strict=True))
+    for quantity in ("pressure_mmHg", "flow_ml_s"):
+        found = acted(added(case, "beat-jitter", sd), pressure(t), quantity)
+        np.testing.assert_allclose(found, mean, atol=1e-9)
+
+
+def test_sensor_gain_and_offset_act_on_pressures(case: Case) -> None:
+    series = [(1, 0.0, "pressure_mmHg"), (2, 0.5, "flow_ml_s"), (3, 1.0, "area_cm2")]
+    base = solved(case, series)
+    for name, value, wanted in (("sensor-gain", 0.1, 1.1 * base[0]), ("sensor-offset", -2.0, base[0] - 2)):
+        found = solved(added(case, name, value), series)
+        np.testing.assert_allclose(found[0], wanted, atol=2e-4)
+        np.testing.assert_array_equal(found[1:], base[1:])
+
+
+def test_the_sampling_of_sensors_is_fine_enough(case: Case, plain: Array) -> None:
+    """A sensor that delays by a whole number of samples gives the samples of the solution itself."""
+    shift = 8 * case.network.period_s / 256
+
+    def later(wave: Wave) -> Wave:
+        return replace(wave, value=np.roll(wave.value, 32, axis=1))
+
+    found = solved(replace(case, waves=(later,)), ROOT)
+    np.testing.assert_allclose(found, simulate(case, ROOT, beat(case) - shift)[0], atol=1e-3)
+    np.testing.assert_allclose(found, np.roll(plain, 8, axis=1), atol=1e-3)
+
+
+# ---------------------------------------------------------------------------------------------------
+# Numerics, failures, bases
+
+
+def test_coarse_grid_blends_with_cells_of_twice_the_length(case: Case, plain: Array) -> None:
+    coarse = replace(case, options=replace(case.options, dx_cm=0.05))
+    np.testing.assert_allclose(solved(added(case, "coarse-grid", 1.0), ROOT), solved(coarse, ROOT), atol=1e-9)
+    long = tube(length_cm=2.0)
+    pulse = replace(
+        long,
+        stiffness=np.array([3e4]),
+        inflow_time_s=beat(long, 1024),
+        inflow_ml_s=0.02 + 0.02 * np.sin(2 * np.pi * np.arange(1024) / 1024) ** 3,
+        options=SolverOptions(dx_cm=0.05, steps_per_beat=512, tolerance_mmHg=1e-6, max_beats=200),
+    )
+    fine = solved(replace(pulse, options=replace(pulse.options, refine=8)), ROOT)
+    errors = [np.max(np.abs(solved(c, ROOT) - fine)) for c in (pulse, added(pulse, "coarse-grid", -1 / 3))]
+    assert errors[1] < 0.2 * errors[0]
+
+
+def test_a_failed_solve_says_why(case: Case) -> None:
+    values, reason = simulate(replace(case, stiffness=case.stiffness * 1e-3), ROOT, beat(case))
+    assert values.shape == (1, 256)
+    assert np.all(np.isnan(values))
+    assert reason
+    short = replace(case, options=replace(case.options, max_beats=1), coarse_blend=1.0)
+    assert "periodic" in str(simulate(short, ROOT, beat(case))[1])
+    values, reason = simulate(replace(case, inflow_ml_s=-case.inflow_ml_s), ROOT, beat(case))
+    assert "inflow" in str(reason)
+
+
+def test_series_that_do_not_exist_raise(case: Case) -> None:
+    with pytest.raises(StudyError, match="vessel = 99"):
+        simulate(case, [(99, 0.0, "pressure_mmHg")], beat(case))
+    with pytest.raises(EffectError, match="quantity = 'pressure': unknown; did you mean 'pressure_mmHg'"):
+        simulate(case, [(1, 0.0, "pressure")], beat(case))
+    with pytest.raises(EffectError, match=r"position = 1.5 of vessel 1: must be in \[0, 1\]"):
+        simulate(case, [(1, 1.5, "pressure_mmHg")], beat(case))
+
+
+@pytest.mark.parametrize("letter", "ABCDEHI")
+def test_bases_have_the_models_priors(letter: str, study: Study) -> None:
+    base = get_base(letter)
+    assert letter in base.models
+    assert base is get_base(letter.lower())
+    assert base is get_base(base.name)
+    model = get_model(letter)(study)
+    for parameter in base.parameters:
+        prior = model[parameter.name]
+        assert type(prior.owner.op).__name__ == "UniformRV"
+        low, high = (float(x.eval()) for x in prior.owner.inputs[-2:])
+        assert (low, high) == pytest.approx((parameter.low, parameter.high))
+        assert parameter.low < parameter.start < parameter.high
+        assert parameter.start > 0 or not parameter.log
+        assert parameter.unit
+    if letter in "BEHI":
+        wanted = suggested(letter)
+        assert base.start == {name: wanted[name] for name in base.start}
+    free = {variable.name for variable in model.free_RVs}
+    assert {p.name for p in base.parameters} == free & {"f1", "f2", "f3", "gamma", "psi1", "psi2", "c"}
+
+
+def test_bases_that_do_not_fit_are_refused(study: Study) -> None:
+    for letter in ("F", "g"):
+        with pytest.raises(EffectError, match="a stiffness of its own for each vessel"):
+            get_base(letter)
+    with pytest.raises(EffectError, match="2 parameters: give f3, psi1, psi2, c"):
+        get_base("B").case(study, [4e4, 0.3])
+    with pytest.raises(EffectError, match="give f3, psi1, psi2, c"):
+        get_base("B").case(study, {"f3": 4e4, "psi1": 0.3, "psi2": 1.0, "C": 1.0})
+    five = [4e4, 0.3, 0.9, 1.2]
+    np.testing.assert_array_equal(get_base("B").case(study, five).c, np.full(21, 1.2))
+
+
+def test_conventions_of_a_base(study: Study) -> None:
+    published = study.conventions.replace(wall_factor=0.5)
+    other = replace(study, conventions=published)
+    assert get_base("H").case(other, get_base("H").start).conventions.wall_factor == 0.5
+    assert get_base("I").case(other, get_base("I").start).conventions.wall_factor == 1.0
+    given = get_base("I").case(other, get_base("I").start, conventions=published)
+    assert given.conventions.wall_factor == 0.5
+
+
+# ---------------------------------------------------------------------------------------------------
+# Signatures and the document
+
+
+def test_signatures_have_their_sign_and_size(study: Study) -> None:
+    rows = {row.effect: row for row in signatures(study)}
+    assert set(rows) == set(SOLVED)
+    mean = {
+        "taper": 1,
+        "stenosis": 1,
+        "tangent-wall": 1,
+        "velocity-profile": 1,
+        "radius-dependent-viscosity": -1,
+        "minor-losses": 1,
+        "venous-pressure": 1,
+        "side-branches": -1,
+        "inflow-gain": 1,
+        "inflow-offset": 1,
+        "sensor-gain": 1,
+        "sensor-offset": 1,
+    }
+    for name, sign in mean.items():
+        assert rows[name].mean_mmHg * sign > 0.01, name
+    for name in (
+        "inflow-shift",
+        "inflow-bandwidth",
+        "catheter-resonance",
+        "beat-jitter",
+        "viscoelastic-wall",
+    ):
+        assert abs(rows[name].mean_mmHg) < 0.1 * rows[name].rms_mmHg, name
+        assert rows[name].left_mmHg > 0.1, name
+    assert rows["sensor-offset"].rms_mmHg == pytest.approx(2, abs=0.01)
+    for row in rows.values():
+        assert row.left_mmHg < row.rms_mmHg
+        assert row.rms_mmHg <= row.largest_mmHg
+
+
+def test_the_document_holds_the_catalogue() -> None:
+    assert catalogue_table() in DOCUMENT.read_text(encoding="utf-8")
+
+
+def test_the_document_holds_the_signatures(study: Study) -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    printed = {line.split("|")[1]: line.split("|") for line in text.splitlines() if line.count("|") == 7}
+    for line in signature_table(study).splitlines()[2:]:
+        cells = line.split("|")
+        there = printed[cells[1]]
+        assert there[2:4] == cells[2:4]
+        for new, old in zip(cells[4:7], there[4:7], strict=True):
+            assert float(new) == pytest.approx(float(old), rel=0.05, abs=0.011), line
+
+
+def test_the_documents_own_effect_works(case: Case, plain: Array) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), flags=re.S)
+    before = dict(CATALOGUE)
+    try:
+        for block in blocks:
+            exec(compile(block, str(DOCUMENT), "exec"), {})
+        (name,) = set(CATALOGUE) - set(before)
+        difference = solved(added(case, name, *typical_values(get_effect(name))), ROOT) - plain
+        assert np.max(np.abs(difference)) > 0.01
+        again = pickle.loads(pickle.dumps(get_effect(name)))
+        assert again is get_effect(name)
+    finally:
+        for name in set(CATALOGUE) - set(before):
+            del CATALOGUE[name]
