@@ -1,0 +1,871 @@
+"""Screening: the evidence for each effect of the catalogue, from a search and a linearisation.
+
+Each hypothesis (the base with an effect somewhere) is taken to its mode by Gauss-Newton steps with Broyden's
+updates; the marginal likelihood around the mode is that of the linearised model, which is exact for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr, logsumexp
+from scipy.stats import truncnorm
+
+from zoo.conventions import Conventions
+from zoo.discrepancy import (
+    LENGTH_BEATS,
+    LENGTH_GRID,
+    SHARED_GRID,
+    Errors,
+    Harmonics,
+    fit_noise,
+    marginal,
+    noise_log_prior,
+)
+from zoo.effects import CATALOGUE, Base, Effect, Place, apply_all, get_base, simulate
+from zoo.network import Network
+from zoo.solver import SolverArgumentError, SolverOptions
+from zoo.study import Study
+
+Array = NDArray[np.float64]
+
+NO_GAP, UNLISTED, CORRELATED = "no-gap", "unlisted", "correlated-noise"
+
+ALLOWANCE = 0.1
+"""What a listed effect may leave of the gap, as a part of it (sd): an effect is a caricature of its cause."""
+NUMERICS_PART = 1e-3
+"""Error of the solver's grid, for which none is blamed, in parts of a series' range (docs/numerics)."""
+SIZE_PART = 0.05
+"""Prior sd of a free discrepancy, as a part of a series' range."""
+PRIOR_NO_GAP, PRIOR_UNLISTED = 0.5, 0.1
+"""Prior probabilities; the rest is shared equally by the effects that the study can show."""
+DELTA_GRID = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0])
+SIZE_GRID = np.geomspace(2e-3, 20.0, 20)
+VISIBLE = 3.0
+"""Expected log-likelihood ratio, e^3 = 20 to 1, below which two hypotheses are the same to this study."""
+SEARCH = SolverOptions(tolerance_mmHg=2e-4)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A free number of a hypothesis; searched on a log scale if `log`."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    log: bool = False
+    centre: float = 0.0
+    scale: float = 0.0  # of a normal prior; 0: uniform on (low, high)
+
+    @property
+    def unit_step(self) -> float:
+        """What one unit of the search stands for."""
+        return 0.1 if self.log else self.scale or 0.1 * (self.high - self.low)
+
+    def inside(self, value: Array | float) -> Any:
+        """Search coordinate to value."""
+        return np.exp(value) if self.log else value
+
+    def outside(self, value: float) -> float:
+        """Value to search coordinate."""
+        return math.log(value) if self.log else value
+
+    def log_prior(self, u: float) -> float:
+        """Of the search coordinate."""
+        if self.scale:
+            low, high = ((x - self.centre) / self.scale for x in (self.low, self.high))
+            z = (u - self.centre) / self.scale
+            return -0.5 * z * z - math.log(self.scale * math.sqrt(2.0 * math.pi)) - _log_mass(low, high)
+        return -math.log(self.high - self.low) + (u if self.log else 0.0)
+
+
+def _log_mass(low: float, high: float) -> float:
+    """log(Phi(high) - Phi(low)), also far out in a tail."""
+    if low > 0:
+        low, high = -high, -low
+    a, b = float(log_ndtr(low)), float(log_ndtr(high))
+    return b + math.log1p(-math.exp(min(a - b, -1e-12)))
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A base model with effects, the last of which is asked about; without effects it is the base itself."""
+
+    effects: tuple[tuple[str, Place], ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Of the effect asked about."""
+        return self.effects[-1][0] if self.effects else NO_GAP
+
+    @property
+    def place(self) -> Place:
+        """Where it acts."""
+        return self.effects[-1][1] if self.effects else Place()
+
+
+class Forward:
+    """The series of a study under a hypothesis, as harmonics.
+
+    Parameters
+    ----------
+    study : Study
+    base : Base
+    hypothesis : Hypothesis
+    harmonics : Harmonics
+    options : SolverOptions
+    conventions : Conventions, optional
+        Instead of the study's own.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        base: Base,
+        hypothesis: Hypothesis,
+        harmonics: Harmonics,
+        options: SolverOptions = SEARCH,
+        conventions: Conventions | None = None,
+    ) -> None:
+        self.study, self.base, self.hypothesis, self.harmonics = study, base, hypothesis, harmonics
+        self.options = options
+        self.conventions = conventions
+        parameters = [Parameter(p.name, p.unit, p.low, p.high, p.log) for p in base.parameters]
+        self.n_base = len(parameters)
+        for i, (name, _) in enumerate(hypothesis.effects):
+            for a in CATALOGUE[name].amplitudes:
+                label = a.name if i == len(hypothesis.effects) - 1 else f"{name} {a.name}"
+                parameters.append(Parameter(label, a.unit, a.low, a.high, False, a.centre, a.scale))
+        self.parameters = tuple(parameters)
+        self.low = np.array([p.outside(p.low) for p in parameters])
+        self.high = np.array([p.outside(p.high) for p in parameters])
+        self.units = np.array([p.unit_step for p in parameters])
+        self.solves = self.failures = 0
+        self.last_failure = ""
+        self._series = [(s.vessel, s.position, s.quantity) for s in study.series]
+        lag = (conventions or study.conventions).sample_lag_beats
+        self._times = study.time_s + lag * study.period_s
+
+    def values(self, u: Array) -> Array:
+        """Search coordinates to values."""
+        return np.array([p.inside(x) for p, x in zip(self.parameters, u, strict=True)])
+
+    def case(self, u: Array) -> Any:
+        """The solve at these coordinates."""
+        values = self.values(u)
+        theta, at = values[: self.n_base], self.n_base
+        added: list[tuple[Effect, tuple[float, ...], Place]] = []
+        for name, place in self.hypothesis.effects:
+            effect = CATALOGUE[name]
+            n = len(effect.amplitudes)
+            added.append((effect, tuple(float(v) for v in values[at : at + n]), place))
+            at += n
+        case = self.base.case(self.study, theta, self.options, conventions=self.conventions)
+        return apply_all(case, added)
+
+    def waves(self, u: Array, series: Sequence[tuple[int, float, str]] | None = None) -> Array | None:
+        """Series (n_series, n_times) in their own units, or None where the solve failed."""
+        self.solves += 1
+        try:
+            waves, reason = simulate(self.case(u), self._series if series is None else series, self._times)
+        except SolverArgumentError as error:  # such as a vessel narrowed to nothing
+            waves, reason = np.empty(0), str(error)
+        if reason is not None or not np.all(np.isfinite(waves)):
+            self.failures += 1
+            self.last_failure = reason or "not finite"
+            return None
+        return waves
+
+    def __call__(self, u: Array) -> Array | None:
+        """Harmonics, or None where the solve failed."""
+        waves = self.waves(u)
+        return None if waves is None else self.harmonics(waves)
+
+    def prior(self, u: Array) -> tuple[float, Array, Array]:
+        """Log-prior of the coordinates; its precision and pull, as `marginal` wants them."""
+        log_prior = sum(p.log_prior(x) for p, x in zip(self.parameters, u, strict=True))
+        precision = np.array([1.0 / p.scale**2 if p.scale else 0.0 for p in self.parameters])
+        pull = np.array(
+            [(x - p.centre) / p.scale**2 if p.scale else 0.0 for p, x in zip(self.parameters, u, strict=True)]
+        )
+        return float(log_prior), precision, pull
+
+
+@dataclass
+class Point:
+    """Where a search stands."""
+
+    u: Array
+    computed: Array  # harmonics
+    jacobian: Array  # (n, d)
+    cost: float = math.inf
+
+
+class SearchError(RuntimeError):
+    """A search that found no point where the solver succeeds."""
+
+
+class Search:
+    """Gauss-Newton search of one hypothesis' mode, for given errors.
+
+    Parameters
+    ----------
+    forward : Forward
+    data : array (n,)
+        Harmonics of the measured series.
+    S : array (n,)
+        Variances.
+    """
+
+    def __init__(self, forward: Forward, data: Array, S: Array) -> None:
+        self.forward, self.data, self.S = forward, data, S
+
+    def cost(self, u: Array, computed: Array) -> float:
+        """-log posterior, without constants."""
+        r = self.data - computed
+        return 0.5 * float(np.sum(r * r / self.S)) - self.forward.prior(u)[0]
+
+    def at(self, u: Array, jacobian: Array | None = None) -> Point:
+        """A point, with finite differences for its Jacobian unless one is given."""
+        computed = self.forward(u)
+        if computed is None:
+            raise SearchError(self.forward.last_failure)
+        point = Point(u, computed, np.zeros((len(computed), len(u))), self.cost(u, computed))
+        point.jacobian = self.differences(point, None) if jacobian is None else jacobian
+        return point
+
+    def differences(self, point: Point, guess: Array | None) -> Array:
+        """Jacobian by one-sided differences, of steps that change the series by about twice their noise."""
+        forward, wanted = self.forward, 2.0 * math.sqrt(float(len(self.S)))
+        columns = []
+        for i, unit in enumerate(forward.units):
+            step = 0.05 * unit
+            if guess is not None:
+                size = math.sqrt(float(np.sum(guess[:, i] ** 2 / self.S)))
+                step = float(np.clip(wanted / size, 0.01 * unit, 0.3 * unit)) if size > 0 else 0.3 * unit
+            room = (forward.low[i] - point.u[i], forward.high[i] - point.u[i])
+            if step > room[1]:
+                step = max(-step, room[0])
+            moved = None
+            for _ in range(3):
+                u = point.u.copy()
+                u[i] += step
+                if (moved := forward(u)) is not None:
+                    break
+                turned = float(np.clip(-0.4 * step, *room))
+                step = turned if turned else 0.4 * step
+            if moved is None:
+                columns.append(np.zeros_like(point.computed) if guess is None else guess[:, i])
+            else:
+                columns.append((moved - point.computed) / step)
+        return np.stack(columns, axis=1)
+
+    def _step(self, point: Point, damping: float) -> Array:
+        """A damped step that ends inside the bounds."""
+        forward = self.forward
+        _, precision, pull = forward.prior(point.u)
+        scaled = point.jacobian / self.S[:, None]
+        H = point.jacobian.T @ scaled + np.diag(precision)
+        b = scaled.T @ (self.data - point.computed) - pull
+        b += np.array([1.0 if p.log and not p.scale else 0.0 for p in forward.parameters])
+        H += np.diag(damping * np.diag(H) + 1e-9 / forward.units**2)
+        fixed = np.zeros(len(b), bool)
+        step = np.zeros(len(b))
+        for _ in range(len(b) + 1):
+            free = ~fixed
+            if not free.any():
+                break
+            step[free] = np.linalg.solve(
+                H[np.ix_(free, free)], b[free] - H[np.ix_(free, fixed)] @ step[fixed]
+            )
+            aim = point.u + step
+            out = free & ((aim < forward.low) | (aim > forward.high))
+            if not out.any():
+                break
+            step[out] = np.clip(aim, forward.low, forward.high)[out] - point.u[out]
+            fixed |= out
+        # the linearisation is not trusted far away
+        reach = float(np.max(np.abs(step) / forward.units))
+        return step * min(1.0, 8.0 / reach) if reach > 0 else step
+
+    def descend(self, point: Point, iterations: int, gain: float = 0.02) -> Point:
+        """Damped steps with Broyden's updates until one gains less than `gain`."""
+        damping = 1e-3
+        small = 0
+        for _ in range(iterations):
+            step = self._step(point, damping)
+            if float(np.max(np.abs(step) / self.forward.units)) < 1e-5:
+                break
+            u = point.u + step
+            computed = self.forward(u)
+            if computed is None:
+                damping = max(10.0 * damping, 0.1)
+                continue
+            cost = self.cost(u, computed)
+            t = step / self.forward.units
+            miss = computed - point.computed - point.jacobian @ step
+            jacobian = point.jacobian + np.outer(miss, t / self.forward.units) / float(t @ t)
+            if cost < point.cost:
+                small = small + 1 if point.cost - cost < gain else 0
+                point = Point(u, computed, jacobian, cost)
+                damping *= 0.2
+                if small:
+                    break
+            else:
+                point = replace(point, jacobian=jacobian)
+                if point.cost - cost > -gain:
+                    break
+                damping = max(8.0 * damping, 1e-2)
+                if damping > 1e4:
+                    break
+        return point
+
+    def polish(self, point: Point, rounds: int = 3) -> Point:
+        """Fresh Jacobians and descents until one gains nothing."""
+        for _ in range(rounds):
+            before = point.cost
+            point = replace(point, jacobian=self.differences(point, point.jacobian))
+            point = self.descend(point, 6)
+            if before - point.cost < 0.1:
+                break
+        return point
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A hypothesis at its mode.
+
+    `values` are in the parameters' own units; `computed` and `residual` are harmonics; `mean` and `sd` are
+    those of the parameters' posterior, in search coordinates; `log_z` is the log marginal likelihood.
+    """
+
+    hypothesis: Hypothesis
+    forward: Forward = field(repr=False)
+    u: Array
+    computed: Array = field(repr=False)
+    jacobian: Array = field(repr=False)
+    residual: Array = field(repr=False)
+    errors: Mapping[str, Errors]
+    allowances: Mapping[str, float]
+    log_z: float
+    mean: Array
+    covariance: Array = field(repr=False)
+    at_bound: bool
+    polished: bool
+
+    @property
+    def values(self) -> Array:
+        """Parameters at the mode."""
+        return self.forward.values(self.u)
+
+    @property
+    def sd(self) -> Array:
+        """Of the search coordinates."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def amplitude(self, index: int = 0) -> tuple[float, float]:
+        """Mean and sd of an amplitude of the effect asked about, within its bounds."""
+        n = len(CATALOGUE[self.hypothesis.name].amplitudes)
+        i = len(self.u) - n + index
+        p, m, s = self.forward.parameters[i], self.mean[i], self.sd[i]
+        low, high = (p.low - m) / s, (p.high - m) / s
+        if low > 6 or high < -6:  # beyond a bound: all mass stands there
+            return (p.low if low > 6 else p.high), float(s / max(abs(low), abs(high)))
+        mean, variance = truncnorm.stats(low, high, loc=m, scale=s)
+        return float(mean), float(math.sqrt(variance))
+
+
+class Screening:
+    """All hypotheses about one study, one base and the effects that were added to it already.
+
+    Parameters
+    ----------
+    study : Study
+    base : str
+        Name of a base or of a model, such as "linear-constant" or "B".
+    added : sequence of (effect, place)
+        Effects that every hypothesis has.
+    effects : sequence of str, optional
+        Of the catalogue; all that fit the base if absent.
+    cores : int
+        Threads that solve.
+    conventions : Conventions, optional
+        Instead of the study's own.
+    tick : callable, optional
+        Called with a text and the share done.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        base: str = "linear-constant",
+        *,
+        added: Sequence[tuple[str, Place]] = (),
+        effects: Sequence[str] | None = None,
+        cores: int = 2,
+        conventions: Conventions | None = None,
+        tick: Callable[[str, float], None] | None = None,
+    ) -> None:
+        self.study, self.base = study, get_base(base)
+        self.harmonics = Harmonics(study)
+        self.data = self.harmonics(study.values)
+        self.added = tuple(added)
+        self.cores = cores
+        self.conventions = conventions
+        self.network = Network.from_study(study)
+        self.tick = tick or (lambda text, share: None)
+        self.forwards: list[Forward] = []
+        names = [n for n in (effects or CATALOGUE) if CATALOGUE[n].apply is not None and self._offered(n)]
+        self.hypotheses = {
+            name: [Hypothesis((*self.added, (name, place))) for place in CATALOGUE[name].places(self.network)]
+            for name in names
+        }
+        self.range = {
+            q: float(max(np.ptp(study.values[i]) for i in rows)) for q, rows in self.harmonics.rows.items()
+        }
+
+    def _offered(self, name: str) -> bool:
+        return name not in {n for n, p in self.added if p == Place()} and CATALOGUE[name].offered(
+            self.base.name
+        )
+
+    def forward(self, hypothesis: Hypothesis) -> Forward:
+        """Its waveforms."""
+        forward = Forward(self.study, self.base, hypothesis, self.harmonics, conventions=self.conventions)
+        self.forwards.append(forward)
+        return forward
+
+    @property
+    def solves(self) -> int:
+        """So far."""
+        return sum(f.solves for f in self.forwards)
+
+    @property
+    def failures(self) -> int:
+        """Solves that failed so far."""
+        return sum(f.failures for f in self.forwards)
+
+    # -- errors ----------------------------------------------------------------------------------
+
+    def _length(self) -> float:
+        return LENGTH_BEATS[0] * self.study.period_s
+
+    def _noise(
+        self, residual: Array, allowances: Mapping[str, float], free: bool = True
+    ) -> dict[str, Errors]:
+        """Noise (and allowance, if free) that fit a residual."""
+        start = Errors(1.0, delta=0.0, length=self._length())
+        return {
+            q: fit_noise(
+                self.harmonics,
+                residual,
+                q,
+                replace(start, delta=0.0 if free else scale),
+                free_delta=free and scale > 0,
+                scale=scale,
+            )
+            for q, scale in allowances.items()
+        }
+
+    def numerics(self) -> dict[str, float]:
+        """Allowance for the solver's own error, by quantity."""
+        return {q: NUMERICS_PART * size for q, size in self.range.items()}
+
+    def evidence(
+        self, forward: Forward, point: Point, allowances: Mapping[str, float], polished: bool = True
+    ) -> Fit:
+        """Marginal likelihood around a point, in closed form; over the allowance on a grid."""
+        residual = self.data - point.computed
+        errors = self._noise(residual, allowances)
+        log_prior, precision, pull = forward.prior(point.u)
+        log_prior += sum(noise_log_prior(e, self.study.period_s) for e in errors.values())
+        pull = pull - np.array([1.0 if p.log and not p.scale else 0.0 for p in forward.parameters])
+        weights = np.exp(-0.5 * DELTA_GRID**2)
+        weights /= weights.sum()
+        terms, bests = [], []
+        for factor, weight in zip(DELTA_GRID, weights, strict=True):
+            at = {q: replace(e, delta=factor * allowances[q]) for q, e in errors.items()}
+            log_z, step, C = marginal(residual, point.jacobian, self.harmonics.variances(at), precision, pull)
+            mean, sd = point.u + step, np.sqrt(np.diag(C))
+            for i in range(len(mean)):
+                log_z += _log_mass((forward.low[i] - mean[i]) / sd[i], (forward.high[i] - mean[i]) / sd[i])
+            terms.append(math.log(weight) + log_z)
+            bests.append((mean, C, at))
+        best = int(np.argmax(terms))
+        span = forward.high - forward.low
+        at_bound = bool(
+            np.any((point.u - forward.low < 1e-6 * span) | (forward.high - point.u < 1e-6 * span))
+        )
+        return Fit(
+            forward.hypothesis,
+            forward,
+            point.u,
+            point.computed,
+            point.jacobian,
+            residual,
+            bests[best][2],
+            dict(allowances),
+            float(logsumexp(terms)) + log_prior,
+            bests[best][0],
+            bests[best][1],
+            at_bound,
+            polished,
+        )
+
+    # -- the base --------------------------------------------------------------------------------
+
+    def fit_base(self) -> Fit:
+        """The base (with what was added) at its mode, under noise alone."""
+        self.tick("base", 0.0)
+        forward = self.forward(Hypothesis(self.added))
+        starts = [math.log(p.start) if p.log else p.start for p in self.base.parameters]
+        for name, _ in self.added:
+            starts += [a.starts[0] if a.zero_is_base else a.centre for a in CATALOGUE[name].amplitudes]
+        # loose errors first: far from the mode a tenth of the range is what the linearisation is good for
+        S = self.harmonics.variances({q: Errors(0.1 * size) for q, size in self.range.items()})
+        search = Search(forward, self.data, S)
+        point = search.polish(search.descend(search.at(np.array(starts)), 10, 1e-3), 4)
+        for _ in range(3):
+            errors = self._noise(self.data - point.computed, self.numerics())
+            search = Search(forward, self.data, self.harmonics.variances(errors))
+            point = replace(point, cost=search.cost(point.u, point.computed))
+            before = point.cost
+            point = search.polish(point, 2)
+            if before - point.cost < 0.1:
+                break
+        return self.evidence(forward, point, self.numerics())
+
+    def refit_base(self, base: Fit, noise: Mapping[str, Errors]) -> Fit:
+        """The base's best fit beside the noise that a free discrepancy leaves: its residual is the gap."""
+        own = self.numerics()
+        at = {q: replace(e, delta=own[q], length=self._length(), shared=0.0) for q, e in noise.items()}
+        search = Search(base.forward, self.data, self.harmonics.variances(at))
+        point = Point(base.u, base.computed, base.jacobian, search.cost(base.u, base.computed))
+        return self.evidence(base.forward, search.polish(search.descend(point, 8), 2), own)
+
+    def fit_free(self, base: Fit, name: str) -> Fit:
+        """The base with a free smooth discrepancy: shared by the series, or independent in each."""
+        T = self.study.period_s
+        flat = np.array([1.0 if p.log and not p.scale else 0.0 for p in base.forward.parameters])
+        alone = all(len(rows) == 1 for rows in self.harmonics.rows.values())
+        shared = np.zeros(1) if alone or name == CORRELATED else SHARED_GRID
+        scales = {q: SIZE_PART * size for q, size in self.range.items()}
+        noise = {q: replace(e, delta=0.0) for q, e in base.errors.items()}
+        point = Point(base.u, base.computed, base.jacobian)
+        found: Fit | None = None
+        for round_ in range(3):
+            residual = self.data - point.computed
+            log_prior, precision, pull = base.forward.prior(point.u)
+            pull = pull - flat
+            best, terms, best_at = -math.inf, [], noise
+            for length in LENGTH_GRID * T:
+                x = (math.log(length / (LENGTH_BEATS[0] * T))) / LENGTH_BEATS[1]
+                for size in SIZE_GRID:
+                    for rho in shared:
+                        at = {
+                            q: replace(e, delta=size * scales[q], length=length, shared=float(rho))
+                            for q, e in noise.items()
+                        }
+                        log_z, step, C = marginal(
+                            residual, point.jacobian, self.harmonics.variances(at), precision, pull
+                        )
+                        # weights of the grid: log-spaced sizes of a half-normal, a log-normal length
+                        log_w = math.log(size) - 0.5 * size**2 - 0.5 * x * x
+                        terms.append((log_w, log_z))
+                        if log_w + log_z > best:
+                            best, best_at, best_step, best_C = log_w + log_z, at, step, C
+            weights = np.array([w for w, _ in terms])
+            weights -= logsumexp(weights)
+            log_z = float(logsumexp(weights + np.array([z for _, z in terms])))
+            # the noise beside this discrepancy
+            part = residual - point.jacobian @ best_step
+            refit = {q: fit_noise(self.harmonics, part, q, best_at[q]) for q in self.harmonics.quantities}
+            noise = {q: replace(e, delta=0.0) for q, e in refit.items()}
+            log_noise = sum(noise_log_prior(e, T) for e in noise.values())
+            found = Fit(
+                Hypothesis(self.added), base.forward, point.u, point.computed, point.jacobian, residual,
+                {q: replace(best_at[q], sigma=e.sigma, ratio=e.ratio, tau=e.tau) for q, e in refit.items()},
+                {q: best_at[q].delta for q in best_at}, log_z + log_prior + log_noise,
+                point.u + best_step, best_C, False, True,
+            )  # fmt: skip
+            if round_ == 2:
+                break
+            search = Search(base.forward, self.data, self.harmonics.variances(found.errors))
+            point.cost = search.cost(point.u, point.computed)
+            point = search.descend(point, 4)
+        assert found is not None
+        return found
+
+    # -- the effects -----------------------------------------------------------------------------
+
+    def fit_effect(
+        self,
+        hypothesis: Hypothesis,
+        base: Fit,
+        S: Array,
+        allowances: Mapping[str, float],
+        polish: bool = False,
+    ) -> Fit | None:
+        """A hypothesis at the best mode that its starts lead to; None where the solver fails at all."""
+        forward = self.forward(hypothesis)
+        search = Search(forward, self.data, S)
+        amplitudes = CATALOGUE[hypothesis.name].amplitudes
+        best: Point | None = None
+        for k in range(len(amplitudes[0].starts)):
+            start = [a.starts[k] if a.zero_is_base else a.centre for a in amplitudes]
+            try:
+                best = self._from(search, base, np.array(start), best)
+            except SearchError:
+                continue
+        if best is None:
+            return None
+        if polish:
+            best = search.polish(best)
+        return self.evidence(forward, best, allowances, polish)
+
+    def _from(self, search: Search, base: Fit, start: Array, best: Point | None) -> Point | None:
+        """The better of `best` and what a search from this start finds; the base's Jacobian is reused."""
+        u = np.concatenate([base.u, start])
+        computed = search.forward(u)
+        if computed is None:
+            u = np.concatenate([base.u, 0.3 * start])
+            computed = search.forward(u)
+        if computed is None:
+            raise SearchError(search.forward.last_failure)
+        n = len(base.u)
+        jacobian = np.zeros((len(computed), len(u)))
+        jacobian[:, :n] = base.jacobian
+        jacobian[:, n] = (computed - base.computed) / u[n]
+        point = Point(u, computed, jacobian, search.cost(u, computed))
+        for i in range(n + 1, len(u)):  # a shape parameter has no signature at amplitude 0
+            moved = u.copy()
+            step = 0.3 * search.forward.units[i]
+            moved[i] += step if u[i] + step <= search.forward.high[i] else -step
+            other = search.forward(moved)
+            if other is not None:
+                jacobian[:, i] = (other - computed) / (moved[i] - u[i])
+        point = search.descend(point, 12)
+        return point if best is None or point.cost < best.cost else best
+
+    def run(self) -> Screened:
+        """Fit everything."""
+        base = self.fit_base()
+        unlisted = self.fit_free(base, UNLISTED)
+        correlated = self.fit_free(base, CORRELATED)
+        noise = max((unlisted, correlated), key=lambda f: f.log_z).errors
+        base = self.refit_base(base, noise)
+        gap = {q: self.gap_size(base, noise, q) for q in self.harmonics.quantities}
+        allowances = {q: math.hypot(ALLOWANCE * gap[q], own) for q, own in self.numerics().items()}
+        at = {q: replace(e, delta=allowances[q], length=self._length(), shared=0.0) for q, e in noise.items()}
+        S = self.harmonics.variances(at)
+        jobs = [h for places in self.hypotheses.values() for h in places]
+        fits: dict[Hypothesis, Fit] = {}
+
+        def one(h: Hypothesis) -> tuple[Hypothesis, Fit | None]:
+            return h, self.fit_effect(h, base, S, allowances)
+
+        def again(h: Hypothesis) -> tuple[Hypothesis, Fit]:
+            fit = fits[h]
+            search = Search(fit.forward, self.data, S)
+            point = Point(fit.u, fit.computed, fit.jacobian, search.cost(fit.u, fit.computed))
+            return h, self.evidence(fit.forward, search.polish(point), allowances)
+
+        with ThreadPoolExecutor(max(1, self.cores)) as pool:
+            for done, (h, fit) in enumerate(pool.map(one, jobs), 1):
+                self.tick(h.name, 0.7 * done / len(jobs))
+                if fit is not None:
+                    fits[h] = fit
+            leading = []
+            for places in self.hypotheses.values():
+                ranked = sorted((h for h in places if h in fits), key=lambda h: -fits[h].log_z)
+                leading += ranked[:2]
+            for done, (h, fit) in enumerate(pool.map(again, leading), 1):
+                self.tick(h.name, 0.7 + 0.3 * done / len(leading))
+                fits[h] = fit
+        # the best explanation of all leaves the noise: a free discrepancy takes some of it along
+        best = max((unlisted, correlated, *fits.values()), key=lambda f: f.log_z)
+        return Screened(self, base, unlisted, correlated, fits, best.errors, gap, allowances)
+
+    def gap_size(self, fit: Fit, noise: Mapping[str, Errors], quantity: str) -> float:
+        """Rms of the smooth part of a fit's residual, in the quantity's unit."""
+        _, draws = self.smooth(fit.residual, noise, np.random.default_rng(0), 50)
+        return math.sqrt(float(np.mean(self.harmonics.part_of(draws, quantity) ** 2)))
+
+    def smooth(
+        self, residual: Array, noise: Mapping[str, Errors], rng: np.random.Generator, n_draws: int
+    ) -> tuple[Array, Array]:
+        """Posterior of the smooth discrepancy in a residual, its size and length integrated over grids.
+
+        Parameters
+        ----------
+        residual : array (n,)
+            Harmonics.
+        noise : mapping of quantity to Errors
+        rng : Generator
+        n_draws : int
+
+        Returns
+        -------
+        mean : array (n,)
+        draws : array (n_draws, n)
+        """
+        H, T = self.harmonics, self.study.period_s
+        mean, drawn = np.zeros(H.size), np.zeros((n_draws, H.size))
+        shape = (len(self.study.series), H.n)
+        for q, rows in H.rows.items():
+            part = H.part(residual, q)
+            total = H.spectrum(replace(noise[q], delta=0.0), len(rows))
+            logs, gains, owns = [], [], []
+            for length in LENGTH_GRID * T:
+                x = math.log(length / (LENGTH_BEATS[0] * T)) / LENGTH_BEATS[1]
+                unit = H.spectrum(Errors(0.0, delta=1.0, length=float(length)), len(rows))
+                for size in SIZE_GRID:
+                    own = (size * SIZE_PART * self.range[q]) ** 2 * unit
+                    S = total + own
+                    # sizes equally likely on the logarithmic grid: no size is preferred here
+                    logs.append(-0.5 * float(np.sum(part**2 / S + np.log(S))) - 0.5 * x * x)
+                    gains.append(own / S)
+                    owns.append(own)
+            weight = np.exp(np.array(logs) - logsumexp(logs))
+            average = sum(w * g for w, g in zip(weight, gains, strict=True) if w > 1e-9) * part
+            mean.reshape(shape)[rows] = average
+            for k, i in enumerate(rng.choice(len(weight), n_draws, p=weight)):
+                spread = np.sqrt(owns[i] * (1.0 - gains[i]))
+                drawn[k].reshape(shape)[rows] = gains[i] * part + spread * rng.standard_normal(part.shape)
+        return mean, drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """What a screening found."""
+
+    screening: Screening
+    base: Fit
+    unlisted: Fit
+    correlated: Fit
+    fits: Mapping[Hypothesis, Fit]
+    noise: Mapping[str, Errors]
+    gap: Mapping[str, float]
+    allowances: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A screening's hypotheses with their probabilities, best first."""
+
+    screened: Screened
+    names: tuple[str, ...]
+    log_z: Mapping[str, float]
+    probability: Mapping[str, float]
+    best: Mapping[str, Fit]
+    places: Mapping[str, list[tuple[Place, float]]]
+    group: Mapping[str, int]
+    invisible: tuple[str, ...]
+    failed: tuple[str, ...]
+
+    @property
+    def leader(self) -> str:
+        """The most probable explanation."""
+        return self.names[0]
+
+    def members(self, name: str) -> list[str]:
+        """What this study cannot tell from it, itself included, most probable first."""
+        return [n for n in self.names if self.group[n] == self.group[name]]
+
+
+def _projected(fit: Fit, signature: Array, S: Array) -> float:
+    """Half the squared size, in units of the noise, of what other parameters cannot absorb of a signature."""
+    n = fit.forward.n_base + sum(len(CATALOGUE[name].amplitudes) for name, _ in fit.hypothesis.effects[:-1])
+    J = fit.jacobian[:, :n] / np.sqrt(S)[:, None]
+    z = signature / np.sqrt(S)
+    coefficients, *_ = np.linalg.lstsq(J, z, rcond=None)
+    return 0.5 * float(np.sum((z - J @ coefficients) ** 2))
+
+
+def score(screened: Screened) -> Scored:
+    """Probabilities, groups and what the study cannot show."""
+    screening = screened.screening
+    S = screening.harmonics.variances(
+        {
+            q: replace(e, delta=screening.numerics()[q], length=screening._length(), shared=0.0)
+            for q, e in screened.noise.items()
+        }
+    )
+    log_z = {
+        NO_GAP: screened.base.log_z,
+        UNLISTED: screened.unlisted.log_z,
+        CORRELATED: screened.correlated.log_z,
+    }
+    best = {NO_GAP: screened.base, UNLISTED: screened.unlisted, CORRELATED: screened.correlated}
+    places: dict[str, list[tuple[Place, float]]] = {}
+    invisible, failed = [], []
+    for name, hypotheses in screening.hypotheses.items():
+        fits = {h: screened.fits[h] for h in hypotheses if h in screened.fits}
+        if not fits:
+            failed.append(name)
+            continue
+        total = np.array([f.log_z for f in fits.values()])
+        log_z[name] = float(logsumexp(total)) - math.log(len(hypotheses))
+        leader = max(fits.values(), key=lambda f: f.log_z)
+        best[name] = leader
+        weight = np.exp(total - logsumexp(total))
+        places[name] = sorted(
+            ((h.place, float(w)) for h, w in zip(fits, weight, strict=True)), key=lambda x: -x[1]
+        )
+        amplitude = CATALOGUE[name].amplitudes[0]
+        shown = 0.0
+        for fit in fits.values():
+            i = len(fit.u) - len(CATALOGUE[name].amplitudes)
+            reach = min(2.0 * amplitude.scale, max(abs(amplitude.high), abs(amplitude.low)))
+            shown = max(shown, _projected(fit, fit.jacobian[:, i] * reach, S))
+            if fit.hypothesis.name in CATALOGUE and fit.log_z - screened.base.log_z > VISIBLE:
+                shown = math.inf
+        if shown < VISIBLE:
+            invisible.append(name)
+    visible = [n for n in log_z if n not in invisible]
+    listed = [n for n in visible if n not in (NO_GAP, UNLISTED)]
+    prior = {NO_GAP: PRIOR_NO_GAP, UNLISTED: PRIOR_UNLISTED}
+    prior |= {n: (1.0 - PRIOR_NO_GAP - PRIOR_UNLISTED) / max(1, len(listed)) for n in listed}
+    log_p = {n: math.log(prior[n]) + log_z[n] for n in visible}
+    norm = float(logsumexp(list(log_p.values())))
+    probability = {n: math.exp(log_p[n] - norm) if n in log_p else 0.0 for n in log_z}
+    names = sorted(log_z, key=lambda n: (-probability[n], -log_z[n]))
+
+    group: dict[str, int] = {}
+    leaders: list[str] = []
+    free = (UNLISTED, CORRELATED)
+    for name in names:
+        own = best[name].computed
+        moved = name in free or 0.5 * float(np.sum((own - screened.base.computed) ** 2 / S)) > VISIBLE
+        for other in leaders if moved and name not in invisible else []:
+            if (name in free) != (other in free) or other in invisible or other == NO_GAP:
+                continue
+            if name in free:
+                same = abs(log_z[name] - log_z[other]) < VISIBLE
+            else:
+                theirs = best[other].computed
+                same = 0.5 * float(np.sum((own - theirs) ** 2 / S)) < VISIBLE
+            if same:
+                group[name] = group[other]
+                break
+        else:
+            group[name] = len(leaders)
+            leaders.append(name)
+    return Scored(
+        screened,
+        tuple(names),
+        log_z,
+        probability,
+        best,
+        places,
+        group,
+        tuple(sorted(invisible)),
+        tuple(sorted(failed)),
+    )

@@ -1,0 +1,164 @@
+"""A whole diagnosis: phases, the gap and its shrinkage, several effects, the file."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from test_screening import made
+from zoo import load_study
+from zoo.diagnosis import (
+    PHASES,
+    Diagnosis,
+    DiagnosisError,
+    DiagnosisFile,
+    diagnose,
+    phases,
+    read_diagnosis,
+)
+from zoo.effects import EffectError, Place
+from zoo.screening import NO_GAP, UNLISTED
+
+FEW = ["sensor-gain", "inflow-shift", "tangent-wall", "beat-jitter", "local-stiffness"]
+
+
+@pytest.fixture(scope="module")
+def jitter() -> Diagnosis:
+    return diagnose(made([("beat-jitter", (0.003,), Place())]), effects=FEW)
+
+
+def test_the_cause_and_its_shrinkage(jitter: Diagnosis) -> None:
+    file = jitter.file
+    assert jitter.cause == ["beat-jitter"]
+    assert file.gap.before_mmHg > 5 * file.gap.after_mmHg
+    assert file.gap.after_mmHg < 0.03
+    assert jitter.shrinkage > 0.8
+    low, high = file.gap.removed_interval
+    assert low <= jitter.shrinkage <= high
+    assert file.gap.noise_floor_mmHg == pytest.approx(0.05, rel=0.15)
+    assert file.gap.residual_rms_after_mmHg == pytest.approx(0.05, rel=0.15)
+
+
+def test_the_gap_is_the_rms_that_was_put_in(jitter: Diagnosis) -> None:
+    """Residual^2 = gap^2 + noise^2, the noise being known."""
+    gap = jitter.file.gap
+    assert gap.before_mmHg**2 + 0.05**2 == pytest.approx(gap.residual_rms_before_mmHg**2, rel=0.05)
+    for s in gap.per_series:
+        assert s.before.low < s.before.mean < s.before.high
+
+
+def test_held_out_series_are_predicted_better(jitter: Diagnosis) -> None:
+    gap = jitter.file.gap
+    assert gap.held_out == "each series in turn"
+    assert gap.held_out_before_mmHg is not None
+    assert gap.held_out_after_mmHg is not None
+    assert gap.held_out_after_mmHg < 0.3 * gap.held_out_before_mmHg
+
+
+def test_shares_add_up(jitter: Diagnosis) -> None:
+    where = jitter.where
+    assert sum(where.series.values()) == pytest.approx(1.0)
+    assert sum(where.phase.values()) == pytest.approx(1.0)
+    assert sum(where.harmonic.values()) == pytest.approx(1.0)
+    assert where.place[0].vessel is None
+    # a jitter smooths what bends most
+    assert where.phase["upstroke"] + where.phase["peak"] > where.phase["diastole"]
+
+
+def test_bias_of_the_base_is_removed(jitter: Diagnosis) -> None:
+    before, after = jitter.file.base_parameters["base"], jitter.file.base_parameters["with cause"]
+    assert abs(after["f3"] - 4.6e4) < max(abs(before["f3"] - 4.6e4), 4 * after["f3 sd"])
+    assert abs(after["f3"] - 4.6e4) < 4 * after["f3 sd"]
+
+
+def test_the_file_comes_back(jitter: Diagnosis, tmp_path: Path) -> None:
+    path = jitter.save(tmp_path / "gap")
+    again = read_diagnosis(tmp_path / "gap")
+    assert isinstance(again, DiagnosisFile)
+    assert again == jitter.file
+    names = {h["name"] for h in json.loads(path.read_text())["hypotheses"]}
+    assert {NO_GAP, UNLISTED, "correlated-noise", *FEW} == names
+
+
+def test_a_spoilt_file_is_named(jitter: Diagnosis, tmp_path: Path) -> None:
+    path = jitter.save(tmp_path)
+    content = json.loads(path.read_text())
+    content["gap"]["before_mmHg"] = "large"
+    path.write_text(json.dumps(content))
+    with pytest.raises(DiagnosisError, match=r"diagnosis\.json: gap\.before_mmHg"):
+        read_diagnosis(path)
+    with pytest.raises(DiagnosisError, match="cannot be read"):
+        read_diagnosis(tmp_path / "none" / "diagnosis.json")
+
+
+def test_two_effects_are_found_one_after_the_other() -> None:
+    study = made([("beat-jitter", (0.004,), Place()), ("sensor-gain", (0.2,), Place())])
+    found = diagnose(study, effects=FEW)
+    assert {s.name for s in found.file.steps} == {"beat-jitter", "sensor-gain"}
+    sizes = [found.file.steps[0].gap_before_mmHg, *(s.gap_after_mmHg for s in found.file.steps)]
+    assert sizes[0] > sizes[1] > sizes[2]
+    assert found.rounds[-1].leader == NO_GAP
+
+
+def test_no_gap_has_no_cause() -> None:
+    found = diagnose(made([], seed=7), effects=FEW)
+    assert found.cause == [NO_GAP]
+    assert found.file.steps == []
+    assert found.file.gap.removed == 0.0
+    assert found.file.gap.before_mmHg < 0.03
+    assert "no gap" in found.file.verdict
+
+
+def test_one_series_holds_out_blocks() -> None:
+    found = diagnose(made([("beat-jitter", (0.003,), Place())], series=(0,)), effects=FEW[:4])
+    assert found.cause[0] == "beat-jitter"
+    assert "blocks" in found.file.gap.held_out
+    assert found.file.gap.held_out_after_mmHg < found.file.gap.held_out_before_mmHg  # type: ignore[operator]
+
+
+def test_bad_arguments() -> None:
+    study = load_study("demo")
+    with pytest.raises(EffectError, match="linear-constant"):
+        diagnose(study, base="linear-constat")
+    with pytest.raises(DiagnosisError, match="max_effects = 0"):
+        diagnose(study, max_effects=0)
+
+
+def test_phases_of_a_drawn_beat() -> None:
+    """A wave with a foot at 0.1, a peak at 0.3 and a notch at 0.5 of the beat, at any rotation."""
+    n = 400
+    t = np.arange(n) / n
+    wave = np.interp(t, [0, 0.1, 0.3, 0.48, 0.5, 0.54, 1.0], [8, 7, 20, 14, 13.0, 14.2, 8])
+    for turn in (0, 120, 333):
+        found = np.roll(phases(np.roll(wave, turn), 0.1), -turn)
+        assert PHASES[found[int(0.2 * n)]] == "upstroke"
+        assert PHASES[found[int(0.3 * n)]] == "peak"
+        assert PHASES[found[int(0.4 * n)]] == "late-systole"
+        assert PHASES[found[int(0.5 * n)]] == "incisura"
+        assert PHASES[found[int(0.8 * n)]] == "diastole"
+
+
+def test_numbers_in_the_file_are_finite(jitter: Diagnosis) -> None:
+    def walk(value: object) -> None:
+        if isinstance(value, dict):
+            for v in value.values():
+                walk(v)
+        elif isinstance(value, list):
+            for v in value:
+                walk(v)
+        elif isinstance(value, float):
+            assert math.isfinite(value)
+
+    walk(json.loads(jitter.file.model_dump_json()))
+
+
+def test_the_study_may_have_fewer_samples(jitter: Diagnosis) -> None:
+    coarse = replace(
+        jitter.study,
+        time_s=jitter.study.time_s[::4],
+        series=tuple(replace(s, value=s.value[::4]) for s in jitter.study.series),
+    )
+    assert diagnose(coarse, effects=FEW[:4]).cause == ["beat-jitter"]

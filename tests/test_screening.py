@@ -1,0 +1,228 @@
+"""Search, evidence, groups: on data of the solver itself, and against brute force."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from zoo import load_study
+from zoo.discrepancy import Errors, Harmonics, log_density
+from zoo.effects import CATALOGUE, Place, apply_all, get_base, simulate
+from zoo.screening import (
+    NO_GAP,
+    SEARCH,
+    UNLISTED,
+    VISIBLE,
+    Forward,
+    Hypothesis,
+    Parameter,
+    Screening,
+    Search,
+    SearchError,
+    score,
+)
+from zoo.study import Series, Study
+
+QUANTITY = "pressure_mmHg"
+THETA = {"f3": 4.6e4, "psi1": 0.35, "psi2": 0.9, "c": 1.2}
+
+
+def made(
+    added: list[tuple[str, tuple[float, ...], Place]],
+    *,
+    series: tuple[int, ...] = (0, 1, 2),
+    noise: float = 0.05,
+    seed: int = 1,
+    n: int = 256,
+) -> Study:
+    """The demo study with data of the solver: linear-constant, with effects, and white noise in mmHg."""
+    demo = load_study("demo")
+    base = get_base("linear-constant")
+    case = apply_all(
+        base.case(demo, THETA, SEARCH), [(CATALOGUE[name], values, place) for name, values, place in added]
+    )
+    chosen = [demo.series[i] for i in series]
+    times = np.arange(n) * demo.period_s / n
+    waves, reason = simulate(case, [(s.vessel, s.position, s.quantity) for s in chosen], times)
+    assert reason is None
+    waves = waves + noise * np.random.default_rng(seed).standard_normal(waves.shape)
+    return replace(
+        demo,
+        time_s=times,
+        series=tuple(Series(s.vessel, s.position, s.quantity, w) for s, w in zip(chosen, waves, strict=True)),
+    )
+
+
+AMPLITUDES = {
+    "tangent-wall": (0.4,),
+    "beat-jitter": (0.003,),
+    "viscoelastic-wall": (0.0015,),
+    "radius-dependent-stiffness": (1.0, 0.0164),
+    "velocity-profile": (1.0,),
+    "stenosis": (0.4,),
+    "catheter-resonance": (0.012, 0.3),
+    "side-branches": (0.3, 1.0),
+    "structured-tree": (0.7,),
+    "hydrostatic": (0.6,),
+}
+
+
+def amplitudes(name: str) -> tuple[float, ...]:
+    first = CATALOGUE[name].amplitudes[0]
+    return AMPLITUDES.get(name, (min(first.scale, 0.6 * first.high),))
+
+
+@pytest.mark.parametrize("name", [n for n, e in CATALOGUE.items() if e.apply is not None])
+def test_amplitude_is_recovered_from_noise_free_data(name: str) -> None:
+    """To 1 %, or the base alone fits as well: then the effect is absorbed, and no amplitude can be told."""
+    effect = CATALOGUE[name]
+    places = effect.places(get_base("linear-constant").case(load_study("demo"), THETA).network)
+    place = places[min(2, len(places) - 1)]
+    wanted = amplitudes(name)
+    study = made([(name, wanted, place)], noise=0.0)
+    H = Harmonics(study)
+    S = H.variances({QUANTITY: Errors(0.01)})
+    data = H(study.values)
+    forward = Forward(study, get_base("linear-constant"), Hypothesis(((name, place),)), H)
+    search = Search(forward, data, S)
+    start = [math.log(THETA[p]) for p in ("f3", "psi1", "psi2", "c")]
+    u = np.array([*start, *(1.3 * a for a in wanted)])
+    point = search.polish(search.descend(search.at(u), 15, 1e-4), 4)
+    found = forward.values(point.u)[4]
+    if found == pytest.approx(wanted[0], rel=0.01):
+        return
+    base = Search(Forward(study, get_base("linear-constant"), Hypothesis(), H), data, S)
+    alone = base.polish(base.descend(base.at(np.array(start)), 15, 1e-4), 3)
+    absorbed = math.sqrt(float(np.mean((data - alone.computed) ** 2)))
+    assert absorbed < 0.05, f"{found} instead of {wanted[0]}, and the base leaves {absorbed} mmHg"
+
+
+def test_evidence_is_the_integral_over_the_parameters() -> None:
+    """Against importance sampling of all five parameters with the solver itself."""
+    study = made([("sensor-offset", (1.0,), Place())], series=(0,), n=64)
+    screening = Screening(study, effects=["sensor-offset"])
+    screened = screening.run()
+    (fit,) = screened.fits.values()
+    errors = {q: replace(e, delta=0.0) for q, e in fit.errors.items()}
+    S = screening.harmonics.variances(errors)
+    # a wide importance sample of all five parameters around the mode
+    rng = np.random.default_rng(1)
+    L = np.linalg.cholesky(1.5 * fit.covariance)
+    total = []
+    for _ in range(400):
+        z = rng.standard_normal(5)
+        u = fit.mean + L @ z
+        if np.any(u < fit.forward.low) or np.any(u > fit.forward.high):
+            total.append(-math.inf)
+            continue
+        computed = fit.forward(u)
+        assert computed is not None
+        log_q = -0.5 * z @ z - 2.5 * math.log(2 * math.pi) - float(np.log(np.diag(L)).sum())
+        total.append(log_density(screening.data - computed, S) + fit.forward.prior(u)[0] - log_q)
+    wanted = float(logsumexp(total)) - math.log(len(total))
+    point = replace_point(fit)
+    from zoo.discrepancy import noise_log_prior
+
+    again = screening.evidence(fit.forward, point, dict.fromkeys(fit.allowances, 0.0))
+    noise = {q: replace(e, delta=0.0) for q, e in again.errors.items()}
+    for q in noise:  # the same noise as in the brute force, to within its own search
+        assert noise[q].noise == pytest.approx(errors[q].noise, rel=0.05)
+    own = again.log_z - sum(noise_log_prior(e, study.period_s) for e in again.errors.values())
+    shift = log_density(again.residual, S) - log_density(
+        again.residual, screening.harmonics.variances(again.errors)
+    )
+    assert own + shift == pytest.approx(wanted, abs=0.5)
+
+
+def replace_point(fit):  # type: ignore[no-untyped-def]
+    from zoo.screening import Point
+
+    return Point(fit.u, fit.computed, fit.jacobian)
+
+
+@pytest.fixture(scope="module")
+def gain():  # type: ignore[no-untyped-def]
+    study = made([("sensor-gain", (0.15,), Place())])
+    names = ["sensor-gain", "sensor-offset", "inflow-shift", "radius-dependent-viscosity", "tangent-wall"]
+    return score(Screening(study, effects=names).run())
+
+
+def test_the_cause_is_found_with_its_amplitude(gain) -> None:  # type: ignore[no-untyped-def]
+    assert gain.leader == "sensor-gain"
+    assert gain.probability["sensor-gain"] > 0.95
+    mean, sd = gain.best["sensor-gain"].amplitude()
+    assert abs(mean - 0.15) < 4 * sd
+    assert sd < 0.03
+    assert sum(gain.probability.values()) == pytest.approx(1.0)
+
+
+def test_the_free_discrepancy_is_no_better(gain) -> None:  # type: ignore[no-untyped-def]
+    assert gain.log_z[NO_GAP] < gain.log_z[UNLISTED] < gain.log_z["sensor-gain"]
+
+
+def test_what_the_study_cannot_show_is_invisible(gain) -> None:  # type: ignore[no-untyped-def]
+    assert "radius-dependent-viscosity" in gain.invisible
+    assert gain.probability["radius-dependent-viscosity"] == 0.0
+
+
+def test_noise_alone_is_no_gap() -> None:
+    study = made([], seed=3)
+    found = score(Screening(study, effects=["sensor-gain", "inflow-shift", "tangent-wall", "taper"]).run())
+    assert found.leader == NO_GAP
+    assert found.probability[NO_GAP] > 0.5
+
+
+def test_a_bump_is_unlisted() -> None:
+    """A click in all series that no effect of the list makes."""
+    study = made([], seed=4)
+    t = study.time_s
+    click = 0.5 * np.exp(-((t - 0.05) ** 2) / 0.004**2) * np.sin(900 * (t - 0.05))
+    study = replace(study, series=tuple(replace(s, value=s.value + click) for s in study.series))
+    found = score(Screening(study, effects=["sensor-gain", "inflow-shift", "tangent-wall", "taper"]).run())
+    assert found.leader == UNLISTED
+
+
+def test_signatures_that_coincide_make_one_group() -> None:
+    """From the root alone a delay of the inflow is a delay of the sensor: a fast, well-damped resonance."""
+    study = made([("inflow-shift", (0.001,), Place())], series=(0,))
+    found = score(Screening(study, effects=["inflow-shift", "catheter-resonance", "tangent-wall"]).run())
+    members = found.members(found.leader)
+    assert {"inflow-shift", "catheter-resonance"} <= set(members)
+    a, b = (found.best[n].computed for n in ("inflow-shift", "catheter-resonance"))
+    assert 0.5 * float(np.sum((a - b) ** 2)) / 0.05**2 < VISIBLE * 1.5
+
+
+def test_search_stays_inside_the_bounds() -> None:
+    study = made([])
+    H = Harmonics(study)
+    forward = Forward(study, get_base("linear-constant"), Hypothesis((("beat-jitter", Place()),)), H)
+    search = Search(forward, H(study.values), H.variances({QUANTITY: Errors(0.05)}))
+    start = [math.log(THETA[p]) for p in ("f3", "psi1", "psi2", "c")]
+    point = search.descend(search.at(np.array([*start, 0.01])), 15)
+    assert np.all(point.u >= forward.low)
+    assert point.u[4] < 0.002
+
+
+def test_a_search_without_a_solve_says_why() -> None:
+    study = made([])
+    H = Harmonics(study)
+    forward = Forward(study, get_base("linear-constant"), Hypothesis(), H, replace(SEARCH, max_beats=1))
+    search = Search(forward, H(study.values), np.ones(H.size))
+    with pytest.raises(SearchError, match="periodic"):
+        search.at(np.array([math.log(THETA[p]) for p in ("f3", "psi1", "psi2", "c")]))
+    assert forward.failures == 1
+
+
+def test_parameters_have_proper_priors() -> None:
+    """The densities integrate to 1 over their bounds."""
+    for p in (
+        Parameter("f3", "", 2e4, 1e5, True),
+        Parameter("f2", "", -3, 5),
+        Parameter("a", "", 0.0, 2.0, scale=0.7),
+        Parameter("z", "", 0.1, 1.5, centre=0.3, scale=0.2),
+    ):
+        u = np.linspace(p.outside(p.low), p.outside(p.high), 20001)
+        density = np.exp([p.log_prior(float(x)) for x in u])
+        assert np.trapezoid(density, u) == pytest.approx(1.0, rel=1e-4)
