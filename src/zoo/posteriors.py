@@ -82,12 +82,18 @@ def load_for(path: str | Path, model: Any) -> az.InferenceData:
     return idata
 
 
+def matching(path: Path, model: Any) -> az.InferenceData | None:
+    """A stored posterior if it is there and of this model, study and conventions, else None."""
+    try:
+        idata: az.InferenceData | None = load(path) if path.is_file() else None
+    except ResultsError:
+        return None
+    return idata if idata is not None and mismatch(idata, model) is None else None
+
+
 def belongs(path: Path, model: Any) -> bool:
     """Whether a file is there and is a posterior of this model, study and conventions."""
-    try:
-        return path.is_file() and mismatch(load(path), model) is None
-    except ResultsError:
-        return False
+    return matching(path, model) is not None
 
 
 def find(given: Iterable[Path], names: Sequence[str], study: Study) -> dict[str, Path]:

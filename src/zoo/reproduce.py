@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from zoo.models import MODELS, get_model
-from zoo.posteriors import belongs, load_for, sample_to
+from zoo.posteriors import matching, sample_to
 from zoo.results import RunRecord, judged
 
 if TYPE_CHECKING:
@@ -122,8 +122,9 @@ def nine_posteriors(
     for name in names:
         models[name] = get_model(name)(study)
         path = folder / f"{name}.nc"
-        if belongs(path, models[name]):
-            posteriors[name] = load_for(path, models[name])
+        stored = matching(path, models[name])
+        if stored is not None:
+            posteriors[name] = stored
             say(f"model {name}: posterior of {path}")
         else:
             posteriors[name] = sample_to(path, models[name], **settings)
@@ -281,7 +282,7 @@ def cost_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
 # tables as text
 
 
-def format_cell(model: str, parameter: str, interval: Interval) -> str:
+def format_cell(parameter: str, interval: Interval) -> str:
     """Median (low, high) as Table 4 prints it: f1 in 1e5, f3 and w in 1e4."""
     scale = {"f1": 1e5, "f3": 1e4, "w": 1e4}.get(parameter, 1.0)
     return "{} ({}, {})".format(*(_three(value / scale) for value in interval))
@@ -327,9 +328,9 @@ def table4_rows(parameters: pd.DataFrame, scores: pd.DataFrame) -> tuple[list[st
                 continue
             cell = cells.loc[name]
             mark = "=" if cell["agrees"] else "x"
-            above.append(format_cell(model, name, theirs.parameters[name]))
+            above.append(format_cell(name, theirs.parameters[name]))
             ours = Interval(*cell[["median", "low", "high"]].to_numpy(dtype=float))
-            below.append(f"{format_cell(model, name, ours)} {mark}")
+            below.append(f"{format_cell(name, ours)} {mark}")
         above.append(f"{theirs.waic:.0f}")
         below.append(f"{score['waic_one_observation']:.0f}")
         if "difference" in scores.columns:
