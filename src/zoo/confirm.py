@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections import Counter, OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, cast
@@ -211,6 +212,8 @@ class Confirmation:
                 "elpd_waic_difference": float(self.waic.loc[name, "elpd_diff"]),
                 "elpd_waic_difference_se": float(self.waic.loc[name, "dse"]),
                 "elpd_loo": float(self.loo.loc[name, "elpd_loo"]),
+                "waic_warning": bool(self.waic.loc[name, "warning"]),
+                "loo_warning": bool(self.loo.loc[name, "warning"]),
                 "parameters": {
                     str(v): {"mean": float(posterior[v].mean()), "sd": float(posterior[v].std())}
                     for v in posterior.data_vars
@@ -277,6 +280,7 @@ def confirm(
     draws: int = 1000,
     max_draws: int = 6000,
     progress: bool = False,
+    tick: Callable[[str, float], None] | None = None,
 ) -> Confirmation:
     """Sample the base and the leading listed explanations, and compare WAIC, LOO and marginal likelihood.
 
@@ -291,6 +295,9 @@ def confirm(
     draws, max_draws : int
         Stored draws of each of the four chains: first check, and limit.
     progress : bool
+        Of each run.
+    tick : callable, optional
+        Called with a text and the share done.
 
     Returns
     -------
@@ -305,7 +312,9 @@ def confirm(
     chosen = {NO_GAP: screened.base} | {n: scored.best[n] for n in listed[:LEADING]}
     found: dict[str, Confirmed] = {}
     scores: dict[str, Any] = {}
-    for name, fit in chosen.items():
+    for done, (name, fit) in enumerate(chosen.items()):
+        if tick is not None:
+            tick(f"posterior of {name}", (done + 0.01) / len(chosen))
         model = effect_model(screened, fit)
         target = None if folder is None else Path(folder) / f"{name}.nc"
         idata = sample(
@@ -325,6 +334,8 @@ def confirm(
         log_z, se = log_marginal_likelihood(model, idata, seed=seed)
         found[name] = Confirmed(name, fit, idata, log_z, se, v.text, v.passes)
         scores[name] = pointwise(model, idata)
-    waic = az.compare(scores, ic="waic", method="pseudo-BMA")
-    loo = az.compare(scores, ic="loo", method="pseudo-BMA")
+    with warnings.catch_warnings():  # they come back as a column of the comparison
+        warnings.simplefilter("ignore")
+        waic = az.compare(scores, ic="waic", method="pseudo-BMA")
+        loo = az.compare(scores, ic="loo", method="pseudo-BMA")
     return Confirmation(found, waic, loo)

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -508,6 +509,42 @@ class Diagnosis:
         """All explanations, most probable first."""
         return self.file.hypotheses
 
+    def plot(self) -> Any:
+        """Gap, hypotheses and place on one page: `zoo.plots.plot_diagnosis`."""
+        # by name: figures stand after the diagnosis in the order of the modules
+        return import_module("zoo.plots").plot_diagnosis(self)
+
+    def confirmed(
+        self,
+        *,
+        cores: int = 2,
+        seed: int = 1,
+        folder: str | Path | None = None,
+        tick: Callable[[str, float], None] | None = None,
+    ) -> Diagnosis:
+        """Sample the posteriors of the base and the leading explanations in PyMC, and compare them.
+
+        Parameters
+        ----------
+        cores, seed : int
+        folder : path, optional
+            Where posteriors and checkpoints are stored; a killed run goes on there.
+        tick : callable, optional
+            Called with a text and the share done.
+
+        Returns
+        -------
+        Diagnosis
+            With `confirmation`, and its summary in `file`.
+        """
+        from zoo.confirm import confirm
+
+        began = time.monotonic()
+        found = confirm(self.rounds[0], cores=cores, seed=seed, folder=folder, tick=tick)
+        record = self.file.record | {"confirmation_seconds": time.monotonic() - began}
+        content = self.file.model_copy(update={"confirmation": found.summary(), "record": record})
+        return replace(self, file=content, confirmation=found)
+
     def save(self, folder: str | Path) -> Path:
         """Write diagnosis.json into a folder; returns its path."""
         folder = Path(folder)
@@ -520,14 +557,13 @@ class Diagnosis:
 
 
 def _place_posterior(scored: Scored) -> list[PlaceShare]:
-    """Over all listed effects: everywhere alike, or a vessel."""
+    """Everywhere alike, or a vessel; what is missing to 1 is the probability of no listed effect."""
     shares: dict[Place, float] = {}
     for name, places in scored.places.items():
         for place, weight in places:
             shares[place] = shares.get(place, 0.0) + weight * scored.probability[name]
-    total = sum(shares.values()) or 1.0
     found = [
-        PlaceShare(vessel=p.vessel, subtree=p.subtree, probability=w / total)
+        PlaceShare(vessel=p.vessel, subtree=p.subtree, probability=w)
         for p, w in sorted(shares.items(), key=lambda x: -x[1])
     ]
     return [p for p in found if p.probability >= 0.001]
@@ -618,13 +654,14 @@ def _results(scored: Scored, seed: int) -> list[HypothesisResult]:
 
 
 def _verdict(scored: Scored, gap: Gap) -> str:
+    _, unit = _rows(scored.screened.screening.study)
     leader, p = scored.leader, scored.probability[scored.leader]
     if leader == NO_GAP:
-        return f"no gap: noise of {gap.noise_floor_mmHg:.3g} mmHg explains what the base leaves ({p:.0%})"
-    if (leader in (UNLISTED, CORRELATED) and p >= 0.5) or leader == UNLISTED:
+        return f"no gap: noise of {gap.noise_floor_mmHg:.3g} {unit} explains what the base leaves ({p:.0%})"
+    if leader in (UNLISTED, CORRELATED):
         text = "none of the listed effects" if leader == UNLISTED else "correlated noise"
         twin = [n for n in scored.members(leader) if n != leader]
-        return f"{text} ({p:.0%}): a smooth discrepancy of {gap.before_mmHg:.2g} mmHg" + (
+        return f"{text} ({p:.0%}): a smooth discrepancy of {gap.before_mmHg:.2g} {unit}" + (
             f"; this study cannot tell it from {' or '.join(twin)}" if twin else ""
         )
     members = scored.members(leader)
@@ -635,7 +672,7 @@ def _verdict(scored: Scored, gap: Gap) -> str:
     total = sum(scored.probability[m] for m in members)
     return (
         f"{leader}{where} ({total:.0%}{' with its group' if twins else ''}){twins}: "
-        f"the gap of {gap.before_mmHg:.2g} mmHg shrinks to {gap.after_mmHg:.2g} mmHg"
+        f"the gap of {gap.before_mmHg:.2g} {unit} shrinks to {gap.after_mmHg:.2g} {unit}"
     )
 
 
@@ -716,7 +753,7 @@ def diagnose(
         )
         screenings.append(screening)
         try:
-            scored = score(screening.run())
+            scored = score(screening.run(stop_at_noise=bool(rounds)))
         except SearchError as error:
             if rounds:
                 break
@@ -738,18 +775,7 @@ def diagnose(
         first.screened.screening.harmonics.back(f.computed) for f in (first.screened.base, cause_fit)
     )
     found = Diagnosis(study, file, tuple(rounds), before, after, (computed[0], computed[1]))
-    if confirm:
-        from zoo.confirm import confirm as sample_leading
-
-        confirmation = sample_leading(first, cores=cores, seed=seed, folder=folder)
-        content = file.model_copy(
-            update={
-                "confirmation": confirmation.summary(),
-                "record": file.record | {"total_seconds": time.monotonic() - began},
-            }
-        )
-        found = replace(found, file=content, confirmation=confirmation)
-    return found
+    return found.confirmed(cores=cores, seed=seed, folder=folder, tick=tick) if confirm else found
 
 
 def _file(

@@ -174,6 +174,10 @@ class Harmonics:
         return draws.reshape(len(draws), len(self._rotation), self.n)[:, self.rows[quantity]]
 
 
+LARGEST_DELTA = 2.0
+"""Largest discrepancy beside a hypothesis, in units of the sd of its half-normal prior: 95 % of it."""
+
+
 def log_density(coefficients: Array, S: Array) -> float:
     """Log-density of independent normal coefficients of variances S."""
     return float(-0.5 * np.sum(coefficients**2 / S + np.log(2.0 * math.pi * S)))
@@ -234,7 +238,7 @@ def fit_noise(
     bounds += [(math.log(0.003 * T), math.log(MEMORY_BEATS[2] * T))]
     x0 = [math.log(floor), 0.5, math.log(MEMORY_BEATS[0] * T)]
     if free_delta:
-        bounds.append((0.0, 30.0))
+        bounds.append((0.0, LARGEST_DELTA))
         x0.append(1.0)
     found = minimize(cost, np.array(x0), method="L-BFGS-B", bounds=bounds)
     return errors_at(found.x)

@@ -19,6 +19,7 @@ from scipy.stats import truncnorm
 
 from zoo.conventions import Conventions
 from zoo.discrepancy import (
+    LARGEST_DELTA,
     LENGTH_BEATS,
     LENGTH_GRID,
     SHARED_GRID,
@@ -45,7 +46,7 @@ SIZE_PART = 0.05
 """Prior sd of a free discrepancy, as a part of a series' range."""
 PRIOR_NO_GAP, PRIOR_UNLISTED = 0.5, 0.1
 """Prior probabilities; the rest is shared equally by the effects that the study can show."""
-DELTA_GRID = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0])
+DELTA_GRID = LARGEST_DELTA * np.array([0.0, 0.125, 0.25, 0.5, 0.75, 1.0])
 SIZE_GRID = np.geomspace(2e-3, 20.0, 20)
 VISIBLE = 3.0
 """Expected log-likelihood ratio, e^3 = 20 to 1, below which two hypotheses are the same to this study."""
@@ -382,6 +383,10 @@ class Fit:
         return float(mean), float(math.sqrt(variance))
 
 
+def _silent(text: str, share: float) -> None:
+    """Says nothing."""
+
+
 class Screening:
     """All hypotheses about one study, one base and the effects that were added to it already.
 
@@ -420,7 +425,7 @@ class Screening:
         self.cores = cores
         self.conventions = conventions
         self.network = Network.from_study(study)
-        self.tick = tick or (lambda text, share: None)
+        self.tick = tick or _silent
         self.forwards: list[Forward] = []
         names = [n for n in (effects or CATALOGUE) if CATALOGUE[n].apply is not None and self._offered(n)]
         self.hypotheses = {
@@ -654,8 +659,18 @@ class Screening:
         point = search.descend(point, 12)
         return point if best is None or point.cost < best.cost else best
 
-    def run(self) -> Screened:
-        """Fit everything."""
+    def run(self, *, stop_at_noise: bool = False) -> Screened:
+        """Fit everything.
+
+        Parameters
+        ----------
+        stop_at_noise : bool
+            Try no effects where noise alone is more probable than a free discrepancy.
+
+        Returns
+        -------
+        Screened
+        """
         base = self.fit_base()
         unlisted = self.fit_free(base, UNLISTED)
         correlated = self.fit_free(base, CORRELATED)
@@ -665,6 +680,9 @@ class Screening:
         allowances = {q: math.hypot(ALLOWANCE * gap[q], own) for q, own in self.numerics().items()}
         at = {q: replace(e, delta=allowances[q], length=self._length(), shared=0.0) for q, e in noise.items()}
         S = self.harmonics.variances(at)
+        odds = base.log_z - max(unlisted.log_z, correlated.log_z) + math.log(PRIOR_NO_GAP / PRIOR_UNLISTED)
+        if stop_at_noise and odds > 0.0:
+            self.hypotheses = {}
         jobs = [h for places in self.hypotheses.values() for h in places]
         fits: dict[Hypothesis, Fit] = {}
 
