@@ -34,6 +34,8 @@ _HOME = {
     "BloodFlowOp": "op",
     "sample": "sampling",
     "compare": "comparison",
+    "diagnose": "diagnosis",
+    "read_diagnosis": "diagnosis",
 }
 
 __all__ = ["__version__", *_HOME, *(f"model_{letter}" for letter in MODELS)]

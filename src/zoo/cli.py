@@ -1,4 +1,4 @@
-"""The command `zoo`: fetch data, simulate, sample, compare, report; each command imports what it needs."""
+"""The command `zoo`: data, simulation, sampling, comparison, diagnosis; each imports only what it needs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
+    from zoo.blind import Score
     from zoo.conventions import Conventions
+    from zoo.diagnosis import DiagnosisFile
+    from zoo.effects import Effect
     from zoo.solver import Solution
     from zoo.study import Study
 
@@ -1025,6 +1028,552 @@ def _reproduce_synthetic(
     if figures:
         synthetic_figures(scores, base, folder)
     _say(f"wrote {folder}")
+
+
+# -------------------------------------------------------------------------------------------------
+# diagnose
+
+BARS = 24
+"""Characters of a share of 1."""
+LEADING = 8
+"""Explanations that the screen shows."""
+PLACE_WORDS = {
+    "everywhere": "everywhere",
+    "each_vessel": "each vessel",
+    "vessels_and_subtrees": "each vessel, each subtree",
+    "sides_and_terminals": "each side, each terminal",
+}
+"""Function that lists the places of an effect -> what these are."""
+
+
+@app.command()
+@_reporting
+def diagnose(
+    study: StudyArgument,
+    base: Annotated[
+        str,
+        typer.Option(
+            "--base",
+            help="linear-constant, linear-radius, tangent-constant, tangent-radius, or a model with that "
+            "structure: A to E, H, I.",
+        ),
+    ] = "linear-constant",
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for what is found.")] = Path("gap"),
+    confirm: Annotated[
+        bool,
+        typer.Option("--confirm/--no-confirm", help="Sample the posteriors of the leading explanations."),
+    ] = True,
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            "--effects",
+            help="Only these, with commas; all of `zoo effects` that fit the base if absent.",
+            metavar="NAMES",
+            show_default=False,
+        ),
+    ] = None,
+    max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
+    cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time.")] = 2,
+    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
+    quiet: QuietOption = False,
+    conventions: ConventionsOption = None,
+    wall_factor: WallFactor = None,
+    stiffness_radius_unit: RadiusUnit = None,
+    friction: Friction = None,
+    friction_radius: FrictionRadius = None,
+    truncate_lengths: Truncate = None,
+    mmhg: Mmhg = None,
+    sample_lag: SampleLag = None,
+) -> None:
+    """Find what a base model misses in a study: where the gap lies, what causes it, how far it shrinks."""
+    import shlex
+
+    from zoo.effects import get_base
+
+    for option, count in (("--max-effects", max_effects), ("--cores", cores)):
+        if count < 1:
+            raise UsageError(f"{option} {count}: give at least 1")
+    if seed < 0:
+        raise UsageError(f"--seed {seed}: give at least 0")
+    chosen = get_base(base)
+    names = _effect_names(effects, chosen.name)
+    switches = _switches(
+        wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg, sample_lag
+    )
+    loaded = _load(study, conventions, switches)
+    _output_folder(output)
+
+    from zoo.diagnosis import diagnose as run
+    from zoo.discrepancy import Harmonics
+    from zoo.report import write_diagnosis
+
+    Harmonics(loaded)  # a study without observations is refused before the work
+    output.mkdir(exist_ok=True)
+    # a base has a wall factor of its own unless one is asked for
+    own = loaded.conventions if wall_factor is not None else None
+    folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
+    if confirm:
+        folder.mkdir(parents=True, exist_ok=True)
+    with _Telling(not quiet, confirm) as tell:
+        found = run(
+            loaded,
+            chosen.name,
+            max_effects=max_effects,
+            effects=names,
+            conventions=own,
+            cores=cores,
+            seed=seed,
+            tick=tell,
+        )
+        found.save(output)  # what comes next takes longer and may be stopped
+        if confirm:
+            found = found.confirmed(cores=cores, seed=seed, folder=folder, tick=tell)
+        tell.say("figures and page")
+        words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]
+        words += ["--confirm" if confirm else "--no-confirm", "--max-effects", str(max_effects)]
+        words += ["--effects", ",".join(names)] if names else []
+        words += ["--conventions", conventions] if conventions else []
+        words += [*_switch_words(switches), "--cores", str(cores), "--seed", str(seed)]
+        written = write_diagnosis(found, output, command=shlex.join(words))
+    _say(*_diagnosis_summary(found.file), f"wrote {output}: {', '.join(path.name for path in written)}")
+
+
+class _Telling:
+    """A progress bar that says what is being tried."""
+
+    def __init__(self, wanted: bool, confirm: bool) -> None:
+        from zoo.progress import bar
+
+        self.bar, self.confirm = bar(wanted), confirm
+        self.added = -1
+
+    def __enter__(self) -> _Telling:
+        self.bar.__enter__()
+        self.task = self.bar.add_task("base", total=100)
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.bar.__exit__(*error)
+
+    def __call__(self, text: str, share: float) -> None:
+        """What is being tried, and the share of this round that is done; each round starts with 0."""
+        self.added += share == 0.0
+        if share >= 1.0:
+            text = "posteriors" if self.confirm else "weighing"
+        elif self.added > 0:
+            text = f"{text} (beside {self.added} added)"
+        self.bar.update(self.task, description=text, completed=100 * share)
+
+    def say(self, text: str) -> None:
+        """A word on what follows the screening."""
+        self.bar.update(self.task, description=text, completed=100)
+
+
+def _effect_names(text: str | None, base: str) -> list[str] | None:
+    """Effects of an option, each of which the base can take; None for all."""
+    from zoo.effects import get_effect
+
+    if text is None:
+        return None
+    names = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    if not names:
+        raise UsageError("--effects: no names; give some of `zoo effects` with commas, or leave it out")
+    for name in names:
+        effect = get_effect(name)
+        if not effect.offered(base):
+            raise UsageError(
+                f"--effects {name}: cannot be added to {base}, only to {', '.join(effect.bases)}"
+            )
+    return names
+
+
+def _output_folder(path: Path) -> None:
+    if path.exists() and not path.is_dir():
+        raise UsageError(f"--output {path}: is a file; give a folder")
+    if not path.exists():
+        _parent_exists(path.resolve())
+    elif not os.access(path, os.W_OK):
+        raise UsageError(f"--output {path}: cannot be written to; choose another folder")
+
+
+def _run_name(study: Study, base: str, conventions: Conventions | None, seed: int) -> str:
+    """Folder of a run's posteriors: another study, base, conventions or seed has another one."""
+    import hashlib
+
+    what = repr((study.checksum, study.conventions, conventions, seed)).encode()
+    return f"{base}-{hashlib.sha256(what).hexdigest()[:8]}"
+
+
+def _switch_words(switches: Mapping[str, Any]) -> list[str]:
+    """The switches of the conventions that were given, as they are typed."""
+    words = []
+    for name, value in switches.items():
+        option = name.removesuffix("_cm").removesuffix("_beats").replace("_", "-")
+        if name == "truncate_lengths" and value is not None:
+            words.append("--truncate-lengths" if value else "--true-lengths")
+        elif value is not None:
+            words += [f"--{option}", str(value)]
+    return words
+
+
+def _bar(share: float) -> str:
+    return "█" * max(round(BARS * share), int(share >= 0.005))
+
+
+def _diagnosis_summary(file: DiagnosisFile) -> list[Any]:
+    """What the screen shows of a diagnosis."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from zoo.report import diagnosis_summary
+
+    unit = str(file.record.get("gap_unit", "mmHg"))
+    verdict, *rest = diagnosis_summary(file)
+    where = Table(
+        title=f"where the gap of {file.base} in {file.study} lies",
+        title_justify="left",
+        box=None,
+        pad_edge=False,
+    )
+    for heading, justify in (("by", "left"), ("", "left"), ("share", "right"), ("", "left")):
+        where.add_column(heading, justify=justify, no_wrap=True)  # type: ignore[arg-type]
+    harmonics = dict(sorted(file.where.harmonic.items(), key=lambda item: -item[1])[:4])
+    places = {_place(p.vessel, p.subtree): p.probability for p in file.where.place[:4]}
+    parts = {"phase": file.where.phase, "series": file.where.series, "harmonic": harmonics}
+    parts["place"] = places
+    for what, shares in parts.items():
+        for k, (name, share) in enumerate(shares.items()):
+            where.add_row(what if k == 0 else "", name, _share(share), Text(_bar(share), style="cyan"))
+    rows = [h for k, h in enumerate(file.hypotheses) if k < LEADING or h.name in ("no-gap", "unlisted")]
+    table = Table(title="explanations, most probable first", title_justify="left", box=None, pad_edge=False)
+    for heading in ("explanation", "place", "prob.", "group", "amplitude", f"gap after ({unit})"):
+        named = heading in ("explanation", "place")
+        table.add_column(heading, justify="left" if named else "right", no_wrap=heading == "explanation")
+    for h in rows:
+        free = h.name in ("unlisted", "correlated-noise")
+        size = ""
+        if h.amplitude is not None:
+            spread = "" if free else f" ± {h.amplitude.sd:.2g}"
+            size = f"{h.amplitude.mean:.3g}{spread} {h.amplitude.unit}".removesuffix(" 1")
+        table.add_row(
+            h.name,
+            "" if h.place is None else _place(h.place, h.subtree),
+            "invisible" if h.name in file.invisible else _share(h.probability),
+            str(h.group),
+            size,
+            "" if free else f"{h.gap_after_mmHg:.2g}",
+            style="bold" if h.name in file.cause else None,
+        )
+    lines: list[Any] = [Text(verdict, style="bold"), *(Text(line) for line in rest), "", where, "", table]
+    if len(file.hypotheses) > len(rows):
+        lines.append(
+            f"and {len(file.hypotheses) - len(rows)} more; explanations of one group look alike here"
+        )
+    if file.invisible:
+        lines.append(f"this study cannot show: {', '.join(file.invisible)}")
+    if file.next_measurement is not None:
+        m = file.next_measurement
+        lines.append(
+            f"next measurement: {m.quantity} in vessel {m.vessel} at {m.position:g}, which tells "
+            f"{m.separates[0]} from {m.separates[1]} (expected log odds up to {m.expected_log_odds:.1f})"
+        )
+    for name, row in (file.confirmation or {}).items():
+        converged = "converged" if row["converged"] else "not converged, see report.html"
+        lines.append(
+            f"posterior of {name}: log marginal likelihood {_number(row['log_marginal_likelihood'])} "
+            f"± {_number(row['log_marginal_likelihood_se'])}, elpd (WAIC) {_number(row['elpd_waic'])}; "
+            f"{converged}"
+        )
+    record = file.record
+    seconds = record.get("total_seconds", record.get("screening_seconds", math.nan))
+    lines.append(f"{record.get('solves', 0)} solves of the screening, {seconds:.0f} s in all")
+    return [Text(line) if isinstance(line, str) else line for line in lines]
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.1f}"
+
+
+def _share(share: float) -> str:
+    return "<1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"
+
+
+def _place(vessel: int | None, subtree: bool) -> str:
+    from zoo.effects import Place
+
+    return str(Place(vessel, subtree))
+
+
+@app.command()
+@_reporting
+def effects(
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="[NAME]", help="One effect, such as viscoelastic-wall.", show_default=False),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """List the effects that a base model may lack; with a name, all that is known about one."""
+    import json
+
+    from zoo.effects import CATALOGUE, get_effect
+
+    chosen = list(CATALOGUE.values()) if name is None else [get_effect(name)]
+    if as_json:
+        found = [_effect_fields(effect) for effect in chosen]
+        typer.echo(json.dumps(found if name is None else found[0], indent=1, ensure_ascii=False))
+    elif name is None:
+        _say(_effects_table(chosen))
+    else:
+        _say(*_effect_lines(chosen[0]))
+
+
+def _places(effect: Effect) -> str:
+    """Where an effect can act, in words."""
+    function = getattr(effect.places, "__name__", "")
+    return PLACE_WORDS.get(function, function.replace("_", " ") or "some places")
+
+
+def _effect_fields(effect: Effect) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    fields = {
+        n: getattr(effect, n) for n in ("name", "family", "statement", "equation", "signature", "source")
+    }
+    amplitudes = [asdict(amplitude) for amplitude in effect.amplitudes]
+    return fields | {"places": _places(effect), "bases": list(effect.bases), "amplitudes": amplitudes}
+
+
+def _effects_table(chosen: Sequence[Effect]) -> Any:
+    """Five columns on a wide screen; on others all but the name in one."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from zoo.effects import FAMILIES, prior_text
+
+    headings = ("effect", "amplitude", "prior", "places", "what it does to a beat")
+    wide = Console().width >= 130
+    table = Table(box=None, pad_edge=False)
+    for heading in headings if wide else ("effect", ", ".join(headings[1:])):
+        table.add_column(heading, no_wrap=heading in headings[:2] or (heading == "prior" and wide))
+    for family in FAMILIES:
+        members = [effect for effect in chosen if effect.family == family]
+        if members:
+            table.add_row(Text(family, style="bold"))
+        for effect in members:
+            names = [f"{amplitude.name} ({amplitude.unit})" for amplitude in effect.amplitudes]
+            priors = [prior_text(a).removesuffix(f" {a.unit}") for a in effect.amplitudes]
+            if wide:
+                cells = ["\n".join(names), "\n".join(priors), _places(effect), effect.signature]
+            else:
+                lines = [f"{name} ~ {prior}" for name, prior in zip(names, priors, strict=True)]
+                cells = ["\n".join((*lines, _places(effect), effect.signature))]
+            table.add_row(*(Text(cell) for cell in (f"  {effect.name}", *cells)))
+    return table
+
+
+def _effect_lines(effect: Effect) -> list[Any]:
+    from rich.table import Table
+    from rich.text import Text
+
+    from zoo.effects import prior_text
+
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(no_wrap=True)
+    table.add_column()
+    rows = [(n, str(getattr(effect, n))) for n in ("family", "statement", "equation", "signature")]
+    for amplitude in effect.amplitudes:
+        words = [f"{amplitude.name} ({amplitude.unit}) ~ {prior_text(amplitude)}", amplitude.why]
+        words.append("0 is the base" if amplitude.zero_is_base else "a shape, which no base has")
+        rows.append(("amplitude", "; ".join(word for word in words if word)))
+    rows += [("places", _places(effect)), ("bases", ", ".join(effect.bases) or "all")]
+    rows.append(("source", effect.source))
+    for what, text in rows:
+        table.add_row(Text(what, style="bold"), Text(text))
+    return [Text(effect.name, style="bold"), table]
+
+
+# -------------------------------------------------------------------------------------------------
+# the blind check
+
+blind_app = typer.Typer(
+    name="blind",
+    help="Check the diagnosis on cases whose effect is withheld: make them, run it, score the answers.",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.add_typer(blind_app)
+
+
+class _Counting:
+    """A progress bar over cases."""
+
+    def __init__(self, wanted: bool, total: int) -> None:
+        from zoo.progress import bar
+
+        self.bar, self.total = bar(wanted), total
+
+    def __enter__(self) -> _Counting:
+        self.bar.__enter__()
+        self.task = self.bar.add_task("cases", total=self.total)
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.bar.__exit__(*error)
+
+    def __call__(self, case: str) -> None:
+        """One more is done."""
+        self.bar.update(self.task, description=case, advance=1)
+
+
+def _name_list(option: str, text: str | None) -> list[str] | None:
+    if text is None:
+        return None
+    names = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    if not names:
+        raise UsageError(f"{option}: no names; give some with commas, or leave it out")
+    return names
+
+
+@blind_app.command("make")
+@_reporting
+def blind_make(
+    folder: Annotated[Path, typer.Argument(metavar="CASES", help="Folder for the cases.")],
+    n: Annotated[int, typer.Option("--n", help="Cases.")] = 40,
+    seed: Annotated[int, typer.Option("--seed", help="Of the draw.")] = 1,
+    key: Annotated[Path, typer.Option("--key", help="File for what is withheld, outside the folder.")] = Path(
+        "key.json"
+    ),
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            "--effects",
+            help="Draw from these, with commas; from all of `zoo effects` if absent.",
+            metavar="NAMES",
+            show_default=False,
+        ),
+    ] = None,
+    layouts: Annotated[
+        str, typer.Option("--layouts", help="Where sensors are, with commas.", metavar="NAMES")
+    ] = "MPA,MPA+daughters,MPA+distal,MPA+flow",
+    networks: Annotated[
+        str, typer.Option("--networks", help="mouse, tree (generated), or both.", metavar="NAMES")
+    ] = "mouse,tree",
+    cores: Annotated[int, typer.Option("--cores", help="Processes at a time.")] = 2,
+    quiet: QuietOption = False,
+) -> None:
+    """Write studies with a withheld effect each, and the key apart; goes on where it was interrupted."""
+    from zoo.blind import make
+
+    with _Counting(not quiet, n) as counting:
+        path = make(
+            folder,
+            n,
+            seed,
+            key,
+            effects=_name_list("--effects", effects),
+            layouts=_name_list("--layouts", layouts) or [],
+            networks=_name_list("--networks", networks) or [],
+            cores=cores,
+            done=counting,
+        )
+    _say(f"wrote {n} cases in {folder}, and what they withhold in {path}")
+
+
+@blind_app.command("run")
+@_reporting
+def blind_run(
+    cases: Annotated[Path, typer.Argument(metavar="CASES", help="Folder of studies, without their key.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the answers.")] = Path("answers"),
+    base: Annotated[str, typer.Option("--base", help="As in `zoo diagnose`.")] = "linear-constant",
+    confirm: Annotated[
+        bool, typer.Option("--confirm/--no-confirm", help="Sample the leading explanations too.")
+    ] = False,
+    max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
+    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
+    cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each.")] = 2,
+    quiet: QuietOption = False,
+) -> None:
+    """Diagnose every case of a folder; sees no key, and goes on where it was interrupted."""
+    import time
+
+    from zoo.blind import run
+
+    began = time.monotonic()
+    total = sum((p / "study.toml").is_file() for p in cases.iterdir()) if cases.is_dir() else 0
+    with _Counting(not quiet, total) as counting:
+        found = run(
+            cases,
+            output,
+            base=base,
+            confirm=confirm,
+            max_effects=max_effects,
+            seed=seed,
+            cores=cores,
+            done=counting,
+        )
+    words = f", {len(found.kept)} of them before" if found.kept else ""
+    _say(
+        f"{len(found.diagnosed)} cases diagnosed{words}, {len(found.failed)} failed, "
+        f"{time.monotonic() - began:.0f} s; answers in {output}"
+    )
+    if found.failed:
+        _say(f"failed: {', '.join(found.failed)}; see failed.txt in their folders")
+
+
+@blind_app.command("score")
+@_reporting
+def blind_score(
+    answers: Annotated[Path, typer.Argument(metavar="ANSWERS", help="Folder of `zoo blind run`.")],
+    key: Annotated[
+        Path,
+        typer.Option("--key", help="Of `zoo blind make`; or a folder of keys made elsewhere, one a case."),
+    ] = Path("key.json"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score.")] = Path("score"),
+) -> None:
+    """Score answers against their key: score.json, score.md, cases.csv and figures."""
+    from zoo.blind import score
+
+    _output_folder(output)
+    found = score(answers, key, output)
+
+    from zoo.plots import save_figure, score_figures
+
+    figures = [
+        save_figure(figure, output / f"{name}.png").name for name, figure in score_figures(found).items()
+    ]
+    _say(*_score_summary(found))
+    _say(f"wrote {output}: score.json, score.md, cases.csv, {', '.join(figures)}")
+
+
+def _score_summary(found: Score) -> list[Any]:
+    from rich.table import Table
+
+    from zoo.blind import FULL_BIN, HEADLINES, rate_text
+
+    s = found.summary
+    title = f"{s['n']} cases, {s['failed']} without an answer"
+    if found.without_key:
+        title += f"; {found.without_key} more answers have no key"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, show_header=False)
+    for name, words in HEADLINES:
+        table.add_row(words, rate_text(s[name]))
+    for what, label in (("log_score", "log score"), ("brier", "Brier score")):
+        group = f"group_{what}"
+        table.add_row(
+            f"{label} by explanation, by group (uniform guess)",
+            f"{s[what]:.3f} ({s[f'uniform_{what}']:.3f}), {s[group]:.3f} ({s[f'uniform_{group}']:.3f})",
+        )
+    full = [b for b in found.reliability if b.n >= FULL_BIN]
+    table.add_row(
+        f"bins of stated probability with {FULL_BIN} cases or more that lie within their band",
+        f"{sum(b.inside for b in full)} of {len(full)}",
+    )
+    checked = (
+        "the key has the SHA-256 that the cases came with" if found.key_checked else "keys without SHA-256"
+    )
+    return [table, checked]
 
 
 # -------------------------------------------------------------------------------------------------

@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 import math
+import textwrap
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
 from numpy.typing import ArrayLike, NDArray
 
+from zoo.diagnosis import PHASES, HypothesisResult, PlaceShare, SeriesGap, phases
+from zoo.effects import Place
 from zoo.predictive import one_place
+from zoo.screening import CORRELATED, NO_GAP, UNLISTED
 
 if TYPE_CHECKING:
     import arviz as az
     import pandas as pd
     import xarray as xr
 
+    from zoo.blind import Score
     from zoo.calibration import RankTest
-    from zoo.study import Study
+    from zoo.diagnosis import Diagnosis
+    from zoo.study import Study, Vessel
 
 Array = NDArray[np.float64]
 
@@ -1161,4 +1169,597 @@ def truth_figure(
             figure.legend(
                 *grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=len(fits)
             )
+    return figure
+
+
+# -------------------------------------------------------------------------------------------------
+# the diagnosis
+
+GAP_COLOUR, CAUSE_COLOUR, ALL_COLOUR = COLOURS[1], COLOURS[0], COLOURS[2]
+ALONE = "#9AA5B1"
+"""Of explanations that are no group: nothing else looks like them."""
+PLACE_COLOURS = ("#DDE2E8", "#E69F00", "#B23A00")
+"""From improbable to certain; the first still shows on white."""
+LABELLED_VESSELS = 45
+
+
+def _parts(figure: Figure | SubFigure, rows: int, columns: int, **ratios: Any) -> list[SubFigure]:
+    found: Any = figure.subfigures(rows, columns, squeeze=False, **ratios)
+    return list(found.flat)
+
+
+def _cause_name(d: Diagnosis) -> str:
+    """The leading effect with its place; empty where no listed effect leads."""
+    leader = d.file.hypotheses[0]
+    if leader.name in (NO_GAP, UNLISTED, CORRELATED):
+        return ""
+    return leader.name if leader.place is None else f"{leader.name}, {_place_name(leader)}"
+
+
+def _place_name(place: HypothesisResult | PlaceShare) -> str:
+    """Such as "vessel 2 and below"."""
+    vessel = place.place if isinstance(place, HypothesisResult) else place.vessel
+    return str(Place(vessel, place.subtree))
+
+
+def _spans(index: NDArray[np.int_]) -> list[tuple[int, int, int]]:
+    """Runs of equal values: first, one past the last, value."""
+    edges = [0, *(np.flatnonzero(np.diff(index)) + 1), len(index)]
+    return [(int(a), int(b), int(index[a])) for a, b in pairwise(edges)]
+
+
+def _shade_phases(axes: Axes, phase: NDArray[np.int_], period_ms: float, *, named: bool) -> None:
+    """Every other phase shaded; the two short ones are named a line higher."""
+    step = period_ms / len(phase)
+    spans = _spans(phase)
+    widest = {k: max((b - a, a) for a, b, value in spans if value == k)[1] for _, _, k in spans}
+    for first, last, k in spans:
+        if k % 2:
+            axes.axvspan(first * step, last * step, color="#EEF1F4", lw=0, zorder=0)
+        if named and widest[k] == first:
+            axes.annotate(
+                PHASES[k],
+                (0.5 * (first + last) * step, 1.0),
+                xycoords=("data", "axes fraction"),
+                xytext=(0, 11 if k % 2 else 2),
+                textcoords="offset points",
+                ha="center",
+                fontsize=7,
+                color="#666666",
+            )
+    axes.set_xlim(0, period_ms)
+
+
+def _draw_gap(figure: Figure | SubFigure, d: Diagnosis) -> None:
+    study = d.study
+    n = len(study.series)
+    columns = min(n, 3)
+    blocks = math.ceil(n / columns)
+    cause = _cause_name(d)
+    time_ms = 1e3 * np.asarray(study.time_s)
+    period_ms = 1e3 * study.period_s
+    labels = [s.label for s in study.series]
+    timing = next(i for i, label in enumerate(labels) if label in d.file.where.series)
+    phase = phases(study.values[timing], study.period_s)
+    grid = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=(3, 1.6) * blocks)
+    for axes in grid.flat[:]:
+        axes.set_axis_off()
+    for i, (series, row) in enumerate(zip(study.series, d.file.gap.per_series, strict=True)):
+        top, bottom = (grid[2 * (i // columns) + k, i % columns] for k in (0, 1))
+        for axes in (top, bottom):
+            axes.set_axis_on()
+            _shade_phases(axes, phase, period_ms, named=axes is top)
+        top.plot(time_ms, series.value, color=INK, lw=2.2, alpha=0.35, label="measured")
+        computed = series.value - d.before.residual[i]
+        top.plot(time_ms, computed, color=GAP_COLOUR, lw=1.2, ls=DASHED, label="base")
+        drawn = [("base", d.before, GAP_COLOUR)]
+        if cause:
+            computed = series.value - d.after.residual[i]
+            top.plot(time_ms, computed, color=CAUSE_COLOUR, lw=1.2, label=f"base + {cause}")
+            drawn.append(("base + cause", d.after, CAUSE_COLOUR))
+        if len(d.file.steps) > 1:
+            label = f"base + {' + '.join(step.name for step in d.file.steps)}"
+            top.plot(time_ms, d.computed[1][i], color=ALL_COLOUR, lw=1.1, ls=DOTTED, label=label)
+        noise = row.noise_floor
+        bottom.axhspan(-noise, noise, color="#B8C0C8", alpha=0.45, lw=0, zorder=1, label="noise (sd)")
+        bottom.axhline(0, color="#888888", lw=0.7)
+        for label, found, colour in drawn:
+            mean, sd = found.mean[i], 1.96 * found.sd[i]
+            label = f"discrepancy of {label}, 95 %"
+            bottom.fill_between(time_ms, mean - sd, mean + sd, color=colour, alpha=0.3, lw=0, zorder=2)
+            bottom.plot(time_ms, mean, color=colour, lw=1.2, zorder=3, label=label)
+        top.set_title(f"{series.label.rsplit(' ', 1)[0]}: {_shrinks(row, bool(cause))}", pad=24)
+        top.set_ylabel(QUANTITY_LABELS[series.quantity])
+        top.tick_params(labelbottom=False)
+        bottom.set_ylabel(f"gap ({row.unit})")
+        bottom.set_xlabel("time in the beat (ms)")
+    handles = [handle for axes in grid[:2, 0] for handle in axes.get_legend_handles_labels()[0]]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
+
+
+def _shrinks(row: SeriesGap, cause: bool) -> str:
+    """Such as "gap 0.25 to 0.01 mmHg"."""
+    after = f" to {row.after.mean:.2g}" if cause else ""
+    return f"gap {row.before.mean:.2g}{after} {row.unit}"
+
+
+def plot_gap(d: Diagnosis) -> Figure:
+    """Each observed series with the base and the base with its cause; below, what these leave.
+
+    Parameters
+    ----------
+    d : Diagnosis
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two panels for each observed series; phases of the beat are shaded and named, bands hold 95 %, the
+        grey strip is one standard deviation of the noise.
+    """
+    n = len(d.study.series)
+    columns = min(n, 3)
+    size = (max(6.4, 4.3 * columns), 0.5 + 4.9 * math.ceil(n / columns))
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        _draw_gap(figure, d)
+    return figure
+
+
+def _group_colours(d: Diagnosis) -> dict[int, str]:
+    """Colours of the leader's group and of those with more than one member."""
+    sizes = Counter(h.group for h in d.file.hypotheses)
+    first = d.file.hypotheses[0].group
+    shared = [g for g in dict.fromkeys(h.group for h in d.file.hypotheses) if sizes[g] > 1 or g == first]
+    return {g: COLOURS[k % len(COLOURS)] for k, g in enumerate(shared)}
+
+
+def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
+    axes = figure.subplots()
+    found = d.file.hypotheses
+    unit = d.file.record.get("gap_unit", "mmHg")
+    colours = _group_colours(d)
+    zero = next(h.log_evidence for h in found if h.name == NO_GAP)
+    special = {NO_GAP: "noise alone", UNLISTED: "none of those listed", CORRELATED: "correlated noise"}
+    for row, h in enumerate(found):
+        hidden = h.name in d.file.invisible
+        bar = axes.barh(
+            row,
+            h.log_evidence - zero,
+            height=0.72,
+            color="white" if hidden else colours.get(h.group, ALONE),
+            edgecolor=ALONE if hidden else "#333333" if h.name in special else "none",
+            hatch="////" if h.name in special else None,
+            lw=0.8,
+        )
+        bar.set_label(h.name)
+        words = f"{h.log_evidence - zero:+.0f}: "
+        words += f"{100 * h.probability:.0f} %" if h.probability >= 0.005 else "<1 %"
+        if hidden:
+            words = "invisible here"
+        elif h.name not in (UNLISTED, CORRELATED):
+            words += f", gap {h.gap_after_mmHg:.2g} {unit}"
+        axes.annotate(
+            words,
+            (1.0, row),
+            xycoords=("axes fraction", "data"),
+            xytext=(5, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize="small",
+            color="#666666",
+        )
+    axes.axvline(0, color="#888888", lw=0.9)
+    axes.set_xscale("symlog", linthresh=10)
+    axes.xaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
+    axes.margins(x=0.08)
+    names = [
+        f"{h.name} ({special[h.name]})"
+        if h.name in special and h.name != CORRELATED
+        else h.name
+        if h.place is None
+        else f"{h.name}, {_place_name(h)}"
+        for h in found
+    ]
+    axes.set_yticks(np.arange(len(found)), names)
+    axes.set_ylim(len(found) - 0.4, -0.6)
+    axes.grid(axis="x", color="#DDDDDD", lw=0.7)
+    axes.set_axisbelow(True)
+    axes.set_xlabel("log evidence over noise alone (linear within ±10)")
+    axes.set_title("explanations, most probable first")
+    sizes = Counter(h.group for h in found)
+    patch = mpl.patches.Patch
+    handles = [
+        patch(color=colour, label="leader" if sizes[g] == 1 else f"group {g}: not told apart")
+        for g, colour in colours.items()
+    ]
+    if any(h.group not in colours and h.name not in d.file.invisible for h in found):
+        handles.append(patch(color=ALONE, label="told apart"))
+    handles.append(patch(facecolor="white", edgecolor="#333333", hatch="////", label="no listed effect"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
+
+
+def _hypotheses_height(d: Diagnosis) -> float:
+    return 1.7 + 0.24 * len(d.file.hypotheses)
+
+
+def plot_hypotheses(d: Diagnosis) -> Figure:
+    """Log evidence of each explanation over that of noise alone, with the gap that it leaves.
+
+    Parameters
+    ----------
+    d : Diagnosis
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A bar for each explanation, most probable first, coloured by group; hatched are those that name no
+        listed effect, hollow those that this study cannot show.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.4, _hypotheses_height(d)), layout="constrained")
+        _draw_hypotheses(figure, d)
+    return figure
+
+
+def _tree(vessels: Sequence[Vessel]) -> dict[int, tuple[float, float, float, float]]:
+    """Layered layout of a tree: vessel -> x and y of its inlet, x and y of its outlet; leaves one apart."""
+    children: dict[int | None, list[int]] = {}
+    for vessel in vessels:
+        children.setdefault(vessel.parent, []).append(vessel.id)
+    order: list[tuple[int, int]] = []  # vessel and depth, parents first
+    stack = [(root, 0) for root in reversed(children.get(None, []))]
+    while stack:
+        vessel_id, depth = stack.pop()
+        order.append((vessel_id, depth))
+        stack += [(child, depth + 1) for child in reversed(children.get(vessel_id, []))]
+    height: dict[int, float] = {}
+    leaf = 0
+    for vessel_id, _ in order:
+        if vessel_id not in children:
+            height[vessel_id] = -float(leaf)
+            leaf += 1
+    for vessel_id, _ in reversed(order):
+        if vessel_id in children:
+            height[vessel_id] = float(np.mean([height[child] for child in children[vessel_id]]))
+    parent = {vessel.id: vessel.parent for vessel in vessels}
+    return {
+        v: (float(depth), height[v if parent[v] is None else parent[v]], depth + 1.0, height[v])  # type: ignore[index]
+        for v, depth in order
+    }
+
+
+def _below(vessels: Sequence[Vessel], vessel: int) -> set[int]:
+    """A vessel and all below it."""
+    inside, more = {vessel}, True
+    while more:
+        new = {v.id for v in vessels if v.parent in inside} - inside
+        inside |= new
+        more = bool(new)
+    return inside
+
+
+def _draw_tree(axes: Axes, d: Diagnosis) -> None:
+    vessels = d.study.vessels
+    probability = {v.id: 0.0 for v in vessels}
+    everywhere = 0.0
+    for share in d.file.where.place:
+        if share.vessel is None:
+            everywhere += share.probability
+        else:
+            for v in _below(vessels, share.vessel) if share.subtree else {share.vessel}:
+                probability[v] += share.probability
+    colours = mpl.colors.LinearSegmentedColormap.from_list("places", PLACE_COLOURS)
+    layout = _tree(vessels)
+    places = dict.fromkeys((s.vessel, s.position) for s in d.study.series)
+    marked = {vessel for vessel, position in places if abs(position - 0.5) < 0.25}
+    thickest = max(v.radius_cm for v in vessels)
+    for vessel in vessels:
+        x0, y0, x1, y1 = layout[vessel.id]
+        width = 1.5 + 6.0 * vessel.radius_cm / thickest
+        colour = colours(probability[vessel.id])
+        [line] = axes.plot((x0, x1), (y0, y1), color=colour, lw=width, solid_capstyle="round")
+        line.set_gid(f"vessel-{vessel.id}")
+        if len(vessels) <= LABELLED_VESSELS:
+            along = 0.25 if vessel.id in marked else 0.5
+            axes.annotate(
+                str(vessel.id),
+                (x0 + along * (x1 - x0), y0 + along * (y1 - y0)),
+                ha="center",
+                va="center",
+                fontsize=7,
+                bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8},
+            )
+    wanted = d.file.next_measurement
+    marks: list[tuple[tuple[int, float], str, str, str]] = [(p, "o", "white", "measured") for p in places]
+    if wanted is not None:
+        marks.append(((wanted.vessel, wanted.position), "*", COLOURS[0], "measure next"))
+    for (place, position), marker, fill, label in marks:
+        x0, y0, x1, y1 = layout[place]
+        x, y = x0 + position * (x1 - x0), y0 + position * (y1 - y0)
+        size = 13 if marker == "*" else 7
+        first = None if label in axes.get_legend_handles_labels()[1] else label
+        axes.plot(x, y, marker=marker, ms=size, mfc=fill, mec=INK, ls="", label=first, zorder=4)
+    axes.annotate(
+        f"everywhere alike: {100 * everywhere:.0f} %",
+        (0.02, 0.98),
+        xycoords="axes fraction",
+        va="top",
+        color="white" if everywhere > 0.6 else INK,
+        bbox={"boxstyle": "round,pad=0.5", "fc": colours(everywhere), "ec": "#888888"},
+    )
+    listed = [p for p in d.file.where.place if p.vessel is not None and p.probability >= 0.01][:3]
+    axes.annotate(
+        "\n".join(f"{_place_name(p)}: {100 * p.probability:.0f} %" for p in listed),
+        (0.01, 0.91),
+        xycoords="axes fraction",
+        va="top",
+        fontsize="small",
+    )
+    axes.set_axis_off()
+    axes.margins(0.06)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.16 * (high - low))
+    axes.set_title("place, if a listed effect it is")
+    axes.legend(loc="lower left", fontsize="small")
+    scale = mpl.cm.ScalarMappable(mpl.colors.Normalize(0, 1), colours)
+    bar = axes.figure.colorbar(scale, ax=axes, shrink=0.6, aspect=30)
+    bar.set_label("probability that the cause acts in the vessel", fontsize="small")
+    bar.outline.set_visible(False)
+
+
+def _draw_where(figure: Figure | SubFigure, d: Diagnosis) -> None:
+    left, right = _parts(figure, 1, 2, width_ratios=(1, 1.9))
+    where = d.file.where
+    panels = (("phase of the beat", where.phase), ("harmonic", where.harmonic), ("series", where.series))
+    ratios = [max(2.5, float(len(shares))) for _, shares in panels]
+    for axes, (title, shares) in zip(left.subplots(3, 1, height_ratios=ratios), panels, strict=True):
+        axes.barh(np.arange(len(shares)), [100 * v for v in shares.values()], color=GAP_COLOUR, height=0.7)
+        axes.set_yticks(np.arange(len(shares)), [name.rsplit("_", 1)[0] for name in shares], fontsize="small")
+        axes.set_ylim(len(shares) - 0.4, -0.6)
+        axes.set_xlim(0, 100)
+        axes.set_title(title)
+    axes.set_xlabel("share of the gap's energy (%)")
+    _draw_tree(right.subplots(), d)
+
+
+def plot_where(d: Diagnosis) -> Figure:
+    """Where the gap lies: shares by phase, harmonic and series, and the probability of each place.
+
+    Parameters
+    ----------
+    d : Diagnosis
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Vessels are coloured by the probability that the cause acts in them, alone or with others below or
+        above them; the box is for "everywhere alike". All given that a listed effect is the cause.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10.0, _where_height(d)), layout="constrained")
+        _draw_where(figure, d)
+    return figure
+
+
+def _where_height(d: Diagnosis) -> float:
+    terminals = len(d.study.vessels) - len({v.parent for v in d.study.vessels} - {None})
+    bars = 5 + len(d.file.where.harmonic) + len(d.file.where.series)
+    return min(24.0, max(1.8 + 0.24 * bars, 1.5 + 0.3 * terminals))
+
+
+def plot_diagnosis(d: Diagnosis) -> Figure:
+    """The whole diagnosis on one page: `plot_gap`, `plot_hypotheses` and `plot_where`, the verdict above.
+
+    Parameters
+    ----------
+    d : Diagnosis
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    n = len(d.study.series)
+    heights = (0.5 + 4.9 * math.ceil(n / min(n, 3)), max(_hypotheses_height(d), _where_height(d)))
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(17.0, 0.6 + sum(heights)), layout="constrained")
+        top, bottom = _parts(figure, 2, 1, height_ratios=heights)
+        _draw_gap(top, d)
+        left, right = _parts(bottom, 1, 2, width_ratios=(1, 1.1))
+        _draw_hypotheses(left, d)
+        _draw_where(right, d)
+        title = f"{d.file.study}, base {d.file.base}. {d.file.verdict}"
+        figure.suptitle(textwrap.fill(title, 150), x=0.01, ha="left")
+    return figure
+
+
+# -------------------------------------------------------------------------------------------------
+# the blind check
+
+RIGHT, WRONG = COLOURS[0], COLOURS[1]
+
+
+def score_figures(score: Score) -> dict[str, Figure]:
+    """All figures of a blind check's score by name: reliability, accuracy, confusion, sizes."""
+    return {
+        "reliability": plot_reliability(score),
+        "accuracy": plot_accuracy(score),
+        "confusion": plot_confusion(score),
+        "sizes": plot_sizes(score),
+    }
+
+
+def plot_reliability(score: Score) -> Figure:
+    """How often stated probabilities came true, with 95 % binomial bands around what they state.
+
+    Parameters
+    ----------
+    score : zoo.blind.Score
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Left the leading group of each case, right every group with at least 1 %. Hollow bins have fewer
+        than eight cases.
+    """
+    from zoo.blind import FULL_BIN
+
+    panels = (
+        ("leading explanation with its group", score.reliability),
+        ("all groups", score.reliability_all),
+    )
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.6, 4.2), layout="constrained")
+        for axes, (title, bins) in zip(figure.subplots(1, 2, sharey=True), panels, strict=True):
+            axes.plot((0, 1), (0, 1), color="#888888", lw=0.9, ls=(0, (4, 2)))
+            for b in bins:
+                low, high = (x / b.n for x in b.band)
+                axes.plot((b.stated, b.stated), (low, high), color="#C8CED6", lw=7, solid_capstyle="butt")
+                colour = RIGHT if b.inside else WRONG
+                face = colour if b.n >= FULL_BIN else "white"
+                axes.plot(b.stated, b.right / b.n, "o", color=colour, mfc=face, ms=6, zorder=3)
+                axes.annotate(
+                    str(b.n),
+                    (b.stated, b.right / b.n),
+                    (6, -9),
+                    textcoords="offset points",
+                    fontsize="x-small",
+                )
+            axes.set(xlim=(-0.03, 1.05), ylim=(-0.03, 1.05), aspect="equal", xlabel="stated probability")
+            axes.set_title(title)
+        figure.axes[0].set_ylabel("share that is true (number: cases)")
+    return figure
+
+
+def plot_accuracy(score: Score) -> Figure:
+    """From which gap on an answer can be trusted: share right against gap over noise, and the rates.
+
+    Parameters
+    ----------
+    score : zoo.blind.Score
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Left the share of listed effects that (or whose group) were ranked first with Wilson's 95 % interval,
+        a tick for each case, those above right. Right the rates of the summary with theirs.
+    """
+    from zoo.blind import HEADLINES
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
+        listed = [c for c in score.cases if c.kind == "listed"]
+        for hit, y, marker in ((True, 1.06, "|"), (False, -0.06, "|")):
+            x = [c.gap_over_noise for c in listed if c.group_first == hit]
+            left.plot(x, np.full(len(x), y), marker, color=RIGHT if hit else WRONG, ms=8)
+        curve = [row for row in score.curve if row["n"]]
+        x = [row["median"] for row in curve]
+        share, low, high = (np.array([row[name] for row in curve]) for name in ("share", "low", "high"))
+        if curve:
+            error = np.clip(np.stack([share - low, high - share]), 0, None)
+            left.errorbar(x, share, error, fmt="o-", color=COLOURS[0], ms=5, lw=1.3, capsize=3)
+            left.set_xscale("log")
+            left.xaxis.set_major_locator(mpl.ticker.LogLocator(subs=(1, 2, 3, 5)))
+            left.xaxis.set_major_formatter(mpl.ticker.StrMethodFormatter("{x:g}"))
+            left.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
+        left.set_ylim(-0.12, 1.12)
+        left.set_xlabel("gap / sd of the noise")
+        left.set_ylabel("true effect or its group first")
+        left.set_title("accuracy by size of the gap")
+        rates = [(words, score.summary[name]) for name, words in HEADLINES if score.summary[name]["n"]]
+        for row, (_, rate) in enumerate(rates):
+            right.plot((100 * rate["low"], 100 * rate["high"]), (row, row), color=COLOURS[0], lw=1.3)
+            right.plot(100 * rate["share"], row, "o", color=COLOURS[0], ms=6)
+        right.set_yticks(
+            range(len(rates)), [textwrap.fill(words, 34) for words, _ in rates], fontsize="small"
+        )
+        right.set_ylim(len(rates) - 0.4, -0.6)
+        right.set_xlim(-3, 103)
+        right.set_xlabel("% of cases (line: 95 % interval)")
+        right.grid(axis="x", color="#DDDDDD", lw=0.7)
+        right.set_axisbelow(True)
+    return figure
+
+
+def plot_confusion(score: Score) -> Figure:
+    """What was ranked first, by what is true.
+
+    Parameters
+    ----------
+    score : zoo.blind.Score
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Rows are true, columns ranked first; framed cells are the right ones.
+    """
+    true = sorted(score.confusion)
+    said = sorted({name for row in score.confusion.values() for name in row})
+    count = np.array([[score.confusion[t].get(s, 0) for s in said] for t in true])
+    count = count.reshape(len(true), len(said))
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(3.4 + 0.3 * len(said), 2.6 + 0.26 * len(true)), layout="constrained")
+        axes = figure.subplots()
+        axes.imshow(count, cmap="Blues", vmin=0, vmax=max(1, int(count.max(initial=1))) * 1.4, aspect="auto")
+        for i, t in enumerate(true):
+            outside = any(c.truth == t and c.kind == "outside" for c in score.cases)
+            for j, s in enumerate(said):
+                if count[i, j]:
+                    axes.text(j, i, str(count[i, j]), ha="center", va="center", fontsize="small")
+                if s == t or (outside and s == UNLISTED):
+                    box = mpl.patches.Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, ec=INK, lw=1.2)
+                    axes.add_patch(box)
+        axes.set_xticks(range(len(said)), said, rotation=90, fontsize="small")
+        axes.set_yticks(range(len(true)), true, fontsize="small")
+        axes.set_xlabel("ranked first")
+        axes.set_ylabel("true")
+    return figure
+
+
+def plot_sizes(score: Score) -> Figure:
+    """Stated against true: what part of the gap the cause removes, and the effects' amplitudes.
+
+    Parameters
+    ----------
+    score : zoo.blind.Score
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Bars are 95 % intervals; amplitudes are divided by the true ones.
+    """
+    rows = [c for c in score.cases if c.amplitude is not None and c.amplitude_true]
+    names = sorted({c.truth for c in rows})
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(10.5, max(4.4, 1.2 + 0.3 * len(names))), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        for c in score.cases:
+            if c.shrinkage is None or c.shrinkage_low is None or c.shrinkage_high is None:
+                continue
+            assert c.shrinkage_true is not None
+            colour = RIGHT if c.shrinkage_within else WRONG
+            x = 100 * c.shrinkage_true
+            left.plot((x, x), (100 * c.shrinkage_low, 100 * c.shrinkage_high), color=colour, lw=1)
+            left.plot(x, 100 * c.shrinkage, "o", color=colour, ms=4)
+        low, high = left.get_xlim()
+        line = np.array([low, high])
+        left.fill_between(line, line - 10, line + 10, color="#DDE2E8", lw=0, zorder=0)
+        left.set_xlim(low, high)
+        left.set_xlabel("true shrinkage of the gap (%)")
+        left.set_ylabel("stated shrinkage (%)")
+        left.set_title("what the cause removes (strip: ± 10 points)")
+        for c in rows:
+            assert c.amplitude is not None
+            assert c.amplitude_true is not None
+            ratio, sd = c.amplitude / c.amplitude_true, (c.amplitude_sd or 0.0) / abs(c.amplitude_true)
+            colour = RIGHT if c.amplitude_covered else WRONG
+            alike = [other.case for other in rows if other.truth == c.truth]
+            k = names.index(c.truth) + 0.7 * ((alike.index(c.case) + 0.5) / len(alike) - 0.5)
+            right.errorbar(ratio, k, xerr=1.96 * sd, fmt="o", color=colour, ms=4, lw=1, capsize=2)
+        right.axvline(1, color="#888888", lw=0.9)
+        right.set_xlim(-0.6, 2.6)
+        right.set_yticks(range(len(names)), names, fontsize="small")
+        right.set_ylim(len(names) - 0.4, -0.6)
+        right.set_xlabel("stated amplitude / true one")
+        right.set_title("amplitude of the true effect, at the true place")
     return figure
