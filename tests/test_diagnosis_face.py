@@ -460,7 +460,12 @@ def test_options_reach_the_diagnosis(
         given.update(settings, study=study, base=base)
         return one
 
+    def sampled(self: Diagnosis, **settings: object) -> Diagnosis:
+        given.update(confirm=True, folder=settings["folder"])
+        return self
+
     monkeypatch.setattr(diagnosis, "diagnose", caught)
+    monkeypatch.setattr(diagnosis.Diagnosis, "confirmed", sampled)
     monkeypatch.setattr(report, "write_diagnosis", lambda *_, **__: [])
     out = tmp_path / "gap"
     run("diagnose", folder, "-o", out, "-q")
@@ -470,6 +475,8 @@ def test_options_reach_the_diagnosis(
     first = Path(str(given["folder"]))
     assert first.is_dir()
     assert first.parent == out / "posteriors"
+    assert (out / "diagnosis.json").is_file()  # before the posteriors, which take longer
+    given |= {"confirm": False, "folder": None}
     options = ("--base", "I", "--wall-factor", 2, "--effects", "taper", "--seed", 5, "--no-confirm", "-q")
     run("diagnose", folder, "-o", out, *options)
     assert (given["base"], given["confirm"], given["effects"]) == ("tangent-radius", False, ["taper"])

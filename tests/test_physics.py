@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from zoo.network import Network
 from zoo.op import BloodFlowOp
 from zoo.solver import Physics, Solver, SolverArgumentError, SolverOptions
-from zoo.study import Blood, Vessel, Windkessel
+from zoo.study import Blood, Vessel, Windkessel, load_study
 from zoo.units import MMHG
 
 RHO, MU = 1.055, 0.049
@@ -67,12 +67,14 @@ ADDED = {
         "viscosity_factor": np.array([1.0, 1.4, 0.7]),
     },
     "offset": {"offset_in": np.array([0.0, 2e3, -2e3]), "offset_out": np.array([2e3, 3e3, -4e3])},
+    "stiffness_wave": {"stiffness_wave": 1.0 + 0.2 * np.sin(2 * np.pi * np.arange(4096) / 4096 + 0.7)},
     "viscoelastic": {"viscoelastic_time": np.array([6e-4, 3e-4, 9e-4])},
     "leak": {"leak": np.array([1e-6, 0.0, 2e-6])},
     "total_pressure": {"total_pressure": 1.0},
     "junction_loss": {"junction_loss": 3.0},
     "both at the junction": {"total_pressure": 1.0, "junction_loss": 15.0},
     "inertance": {"inertance": np.array([0.0, 60.0, 2.0])},
+    "long inertance": {"inertance": np.array([0.0, 820.0, 1300.0])},  # of 3 cm
     "sections": {
         "section_resistance": np.array([[0, 0, 0], [0.6, 0.3, 0.1], [0.0, 0.8, 0.4]]),
         "section_compliance": np.array([[0, 0, 0], [1.0, 0.2, 0.05], [0.0, 0.7, 0.1]]),
@@ -80,7 +82,10 @@ ADDED = {
     "throat": {"throat_severity": np.array([0.3, 0.0, 0.2]), "throat_length": np.array([0.3, 0.15, 0.2])},
 }
 ADDED["everything"] = {
-    k: v for name, one in ADDED.items() if name != "both at the junction" for k, v in one.items()
+    k: v
+    for name, one in ADDED.items()
+    if name not in ("both at the junction", "long inertance")
+    for k, v in one.items()
 }
 
 
@@ -110,6 +115,7 @@ def test_amplitude_zero_is_the_base_bit_by_bit(wall):
         {"viscosity_factor": one},
         {"offset_in": zero, "offset_out": zero},
         {"viscoelastic_time": zero, "relaxation_time": 1e-4},
+        {"stiffness_wave": [1.0, 1.0]},
         {"leak": zero},
         {"inertance": zero},
         {"section_resistance": one[:, None], "section_compliance": one[:, None]},
@@ -284,14 +290,18 @@ def test_throat_has_the_pressure_drop_of_the_steady_equation(loss):
 # --- outlets
 
 
+def wall_slope_at_rest(wall, chi, gamma):
+    return 2 / 3 * chi if wall == "linear" else np.pi / gamma * chi
+
+
 def harmonics(values, n=12):
     return np.fft.rfft(values, axis=-1)[..., : n + 1] / values.shape[-1]
 
 
 @pytest.mark.parametrize("wall", WALLS)
-@pytest.mark.parametrize("L", [0.0, 0.05, 5.0, 60.0])
+@pytest.mark.parametrize("L", [0.0, 0.05, 5.0, 60.0, 1000.0])
 def test_outlet_has_the_impedance_of_its_circuit(wall, L):
-    """P(w)/Q(w) = R1 + i w L + sum_k R_k/(1 + i w R_k C_k) at the terminals' ends."""
+    """P(w)/Q(w) = R1 + 1/(1/(i w L) + 1/R_p) + sum_k R_k/(1 + i w R_k C_k) at the terminals' ends."""
     physics = {**ADDED["sections"], "inertance": np.full(3, L)}
     psi1, psi2, c = 0.7, 1.3, 1.2
     s = solver(wall, n_times=2048, **physics)
@@ -299,7 +309,9 @@ def test_outlet_has_the_impedance_of_its_circuit(wall, L):
     net, omega = s.network, 2 * np.pi * np.arange(13) / PERIOD
     for vessel, row in ((1, 3), (2, 5)):
         p, q = harmonics(solution.pressure_mmHg[row] * MMHG), harmonics(solution.flow_ml_s[row])
-        impedance = psi1 * net.R1[vessel] + 1j * omega * L
+        slope = wall_slope_at_rest(wall, STIFFNESS[vessel], GAMMA[vessel])
+        beside = 6.0 * np.sqrt(RHO * slope) / (np.pi * net.radius_out_cm[vessel] ** 2)  # slope = rho c^2
+        impedance = psi1 * net.R1[vessel] + 1j * omega * L * beside / (1j * omega * L + beside)
         for rho, kappa in zip(
             physics["section_resistance"][vessel], physics["section_compliance"][vessel], strict=True
         ):
@@ -308,6 +320,21 @@ def test_outlet_has_the_impedance_of_its_circuit(wall, L):
         miss = np.abs(p - impedance * q)
         assert miss[0] < 1e-6 * abs(p[0])
         assert miss.max() < 2e-4 * np.abs(p[1:]).max(), miss / np.abs(p)
+
+
+@pytest.mark.parametrize(("length", "refine"), [(0.3, 1), (0.3, 4), (1.0, 2), (3.0, 1), (3.0, 2)])
+def test_inertances_of_long_columns_solve_at_every_resolution(length, refine):
+    """With static pressure shared at junctions, waves that outlets return whole grow: some must leave."""
+    study = load_study("demo")
+    network = Network.from_study(study)
+    inertance = np.zeros(len(network.ids))
+    ends = network.terminals
+    inertance[ends] = network.density * length / (np.pi * network.radius_out_cm[ends] ** 2)
+    options = SolverOptions(refine=refine, max_beats=15)
+    solution = Solver.for_study(study, options=options, physics=Physics(inertance=inertance)).solve(
+        4.31e4, psi1=0.28, psi2=0.87, c=1.35
+    )
+    assert solution.ok
 
 
 @pytest.mark.parametrize("wall", WALLS)
@@ -413,6 +440,77 @@ def test_wall_under_an_offset_carries_the_rest(wall):
         assert solution.pressure_mmHg[row].mean() * MMHG == pytest.approx(mean, rel=1e-6)
 
 
+FOUR = np.ones((4, 1))
+CONSTANT_WITH = {"alone": {}, "viscoelastic": ADDED["viscoelastic"], "losses": ADDED["both at the junction"]}
+
+
+@pytest.mark.parametrize("wall", WALLS)
+@pytest.mark.parametrize("factor", [1.0, 1.3])
+@pytest.mark.parametrize("beside", CONSTANT_WITH)
+def test_a_constant_stiffness_wave_is_another_stiffness(wall, factor, beside):
+    options = SolverOptions(steps_per_beat=4096, accelerate=False)
+    beside = CONSTANT_WITH[beside]
+    # 1e-200: the loops with additions even for a wave of 1
+    forced = {"leak": np.full(3, 1e-200), "stiffness_wave": [factor] * 3}
+    wave = solver(wall, options=options, **forced, **beside)
+    plain = solver(wall, options=options, **beside)
+    for one, other in (
+        (plain.solve(factor * STIFFNESS, GAMMA), wave.solve(STIFFNESS, GAMMA)),
+        (plain.solve_batch(factor * STIFFNESS[None] * FOUR), wave.solve_batch(STIFFNESS[None] * FOUR)),
+    ):
+        for name in ("pressure_mmHg", "flow_ml_s", "area_cm2"):
+            x, y = getattr(one, name), getattr(other, name)
+            np.testing.assert_allclose(y, x, atol=1e-10 * np.abs(x).max(), rtol=0)
+        assert np.all(one.beats == other.beats)
+    stiffest = solver(wall, stiffness_wave=[factor, 1.0]).solve(STIFFNESS, GAMMA)
+    assert stiffest.max_cfl >= solver(wall, stiffness_wave=[1.0]).solve(STIFFNESS, GAMMA).max_cfl
+
+
+@pytest.mark.parametrize("wall", WALLS)
+def test_pressure_over_the_wall_s_is_the_stiffness_wave(wall):
+    """At every end of a vessel and every time, and no blood is lost."""
+    samples = np.array([0.8, 1.1, 1.3, 1.2, 0.9])
+    s = solver(wall, stiffness_wave=samples)
+    solution = s.solve(STIFFNESS, GAMMA)
+    expected = np.interp(s.times_s, np.arange(6) * PERIOD / 5, [*samples, samples[0]])
+    radius = np.stack([s.network.radius_in_cm, s.network.radius_out_cm], axis=1).ravel()
+    for row, k in enumerate((0, 0, 1, 1, 2, 2)):
+        own = wall_pressure(wall, solution.area_cm2[row] / (np.pi * radius[row] ** 2), STIFFNESS[k], GAMMA[k])
+        np.testing.assert_allclose(solution.pressure_mmHg[row] * MMHG / own, expected, rtol=1e-10)
+    assert solution.outflow_ml == pytest.approx(solution.inflow_ml, rel=1e-8)
+    assert solution.junction_defect_ml_s < 1e-12
+
+
+@pytest.mark.parametrize("wall", WALLS)
+def test_stiffness_wave_in_a_short_vessel_is_that_of_a_chamber(wall):
+    """A short wide vessel has one pressure: d(A L)/dt = q_in - q_out, p = s(t) wall(A)."""
+    length, radius, chi, gamma = 0.1, 0.25, 5e4, 4.0
+    load = Windkessel(R1=6e3, R2=9e4, C=1e-6)
+    network = Network.from_vessels([Vessel(1, "v", length, radius, radius, None, load)], BLOOD, PERIOD)
+    time = np.arange(256) * PERIOD / 256
+    samples = 1.0 + 0.25 * np.sin(2 * np.pi * np.arange(64) / 64)
+    s = solver(wall, network=network, series=[(1, 0.5)], stiffness_wave=samples)
+    solution = s.solve(chi, gamma)
+    A0 = np.pi * radius**2
+
+    def right(t, y):
+        stiff = np.interp(t, np.arange(64) * PERIOD / 64, samples, period=PERIOD)
+        p = stiff * wall_pressure(wall, y[0] / A0, chi, gamma)
+        out = (p - y[1]) / load.R1
+        q_in = np.interp(t, s.inflow_time_s, s.inflow_ml_s, period=PERIOD)
+        return [(q_in - out) / length, (out - y[1] / load.R2) / load.C]
+
+    beats = 15
+    y0 = [solution.area_cm2[0, 0], 0.9 * solution.pressure_mmHg[0, 0] * MMHG]
+    last = time + (beats - 1) * PERIOD
+    exact = solve_ivp(right, (0, last[-1]), y0, "LSODA", last, rtol=1e-6, atol=1e-8, max_step=2e-3)
+    stiff = np.interp(time, np.arange(64) * PERIOD / 64, samples, period=PERIOD)
+    p = stiff * wall_pressure(wall, exact.y[0] / A0, chi, gamma) / MMHG
+    np.testing.assert_allclose(solution.pressure_mmHg[0], p, atol=5e-3 * np.ptp(p))
+    without = solver(wall, network=network, series=[(1, 0.5)]).solve(chi, gamma).pressure_mmHg[0]
+    assert np.abs(p - without).max() > 0.1 * np.ptp(p)
+
+
 def test_vessels_may_stand_below_their_rest_state():
     offset = np.full(3, 15 * MMHG)
     solution = solver(offset_in=offset, offset_out=offset).solve(STIFFNESS)
@@ -434,6 +532,8 @@ def test_vessels_may_stand_below_their_rest_state():
         ({"viscosity_factor": [1.0, 0.0, 1.0]}, r"viscosity_factor\[1\] = 0.0: must be positive"),
         ({"offset_in": [np.inf, 0.0, 0.0]}, r"offset_in\[0\] = inf: must be finite"),
         ({"leak": [0.0, 0.0]}, r"leak has shape \(2,\): must have one row per vessel, 3"),
+        ({"stiffness_wave": [1.0, 0.0]}, r"stiffness_wave\[1\] = 0.0: must be positive"),
+        ({"stiffness_wave": []}, r"stiffness_wave has shape \(0,\): must be \(n_times,\)"),
         ({"leak": [[0.0]]}, r"leak has shape \(1, 1\): must be \(n_vessels,\)"),
         ({"throat_severity": [0.0, 1.0, 0.0]}, r"throat_severity\[1\] = 1.0: must be at least 0 and below 1"),
         ({"throat_position": [0.0, 1.5, 0.0]}, r"throat_position\[1\]"),

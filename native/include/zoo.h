@@ -66,7 +66,7 @@ typedef struct {
     const double *leak;              /* [n_vessels] cm^4 s/g, A_t + q_x = -leak p */
     double total_pressure;           /* tau: branches share p + tau rho u^2/2 */
     double junction_loss;            /* K: daughters' inlets lack K rho/2 u|u| of the parent's end */
-    const double *inertance;         /* [n_vessels] g/cm^4, read at terminals: p = v + R1 q + L dq/dt */
+    const double *inertance;         /* [n_vessels] g/cm^4, read at terminals: p = v + R1 q + L dq_L/dt, outlet_extra.h */
     int32_t n_sections;              /* parallel RC pairs at each terminal; 0: the Windkessel */
     const double *section_resistance; /* [n_vessels][n_sections] shares of R2; 0: the section is absent */
     const double *section_compliance; /* [n_vessels][n_sections] shares of C */
@@ -74,6 +74,8 @@ typedef struct {
     const double *throat_position;   /* [n_vessels] in [0, 1] of the length */
     const double *throat_length;     /* [n_vessels] cm */
     double throat_loss;              /* K_t in K_t rho/2 (A0/A0_throat - 1)^2 (q/A0)^2 */
+    int32_t n_wave;                  /* samples of stiffness_wave; 0: none */
+    const double *stiffness_wave;    /* [n_wave] factor s of the stiffness at m period/n_wave, linear between, periodic */
     int32_t force;                   /* 1: take the loops with the additions even if they add nothing */
 } zoo_extras;
 

@@ -20,6 +20,7 @@
 
 enum {
     ZOO_LANES = 16,
+    ZOO_PARALLEL = 6,  /* R_p beside a terminal's inertance, in rho c/A0 at rest: outlet_extra.h */
     ZOO_HISTORY = 4,   /* beats kept for the extrapolation */
     ZOO_CHECKS = 32,   /* times in a beat at which the state is checked */
     ZOO_STEP_UNIT = 32 /* steps per beat are a multiple of this when chosen from cfl */
@@ -56,9 +57,10 @@ typedef struct {
     double *volume;                      /* [count*lanes] ml that left so far in this beat */
     double *a, *p;                       /* [count*lanes] scratch of the root search */
     /* only with additions, outlet_extra.h */
-    double *inertia;                     /* [count*lanes] 4 L/dt */
-    double *keep, *now, *before;         /* [count*lanes] q' = keep q + now y' + before y */
-    double *carry;                       /* [count*lanes] ml/s, the flow that the inertance carries */
+    double *inertia, *gain;              /* [count*lanes] 2 I; c' = c + gain (Q - c) */
+    double *keep, *now, *before;         /* [count*lanes] q_L' = keep q_L + now y' + before y */
+    double *share, *direct;              /* [count*lanes] q = share q_L + direct y */
+    double *carry;                       /* [count*lanes] ml/s, the flow through the inertance */
     double *base, *q_mid, *y, *back;     /* [count*lanes] scratch of a step */
 } zoo_outlets;
 
@@ -91,6 +93,8 @@ typedef struct {
     /* only with additions (extra): p = p_e + p_v + offset, p_v = kappa p_e + z,
      * tau_r dz/dt = -(z + kappa p_e), kappa = tau/tau_r */
     double relax, relax_half;            /* exp(-dt/tau_r), exp(-dt/(2 tau_r)) */
+    double *wave_node, *wave_half;       /* [max_steps+1] at the steps, [max_steps] between: factor of K */
+    double stiff, stiff_half, stiffest;  /* the factor now, half a step ago, at most; 1 without a wave */
     double *offset, *kappa;              /* [n_nodes] */
     double *leak, *leak_mid;             /* [n_nodes] 0 at the midpoint between two vessels */
     double *loss, *loss_mid;             /* [n_nodes] of throats: friction += loss A q|q| */
@@ -167,6 +171,12 @@ ZOO_INLINE double zoo_section_compliance(const zoo_sim *s, int m, int t, int l)
     const zoo_extras *ex = &s->problem->extras;
     const double C = s->outlets.C[t * s->lanes + l];
     return ex->n_sections ? C * ex->section_compliance[s->outlets.vessel[t] * ex->n_sections + m] : C;
+}
+
+/* K of the wall at this time, element i = j*lanes + l. */
+ZOO_INLINE double zoo_K(const zoo_sim *s, ptrdiff_t i)
+{
+    return s->stiff * s->K[i];
 }
 
 /* layout.c: carve the arrays out of the workspace; with base NULL only count the bytes. */

@@ -35,20 +35,20 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
     double *restrict a = ju->area, *restrict p = ju->c, *restrict slope = ju->beta;
     double *restrict have = ju->sum_c, *restrict soft = ju->sum_beta;
     const double *restrict kappa = s->kappa, *restrict off = s->off;
-    const double later = 0.5 * (1.0 + s->relax);
+    const double later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
     /* the pressure of the old time is known already */
     ZOO_LOOP(W, i, x, l, 0, n * nb, {
         const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
         a[i] = A[o] / A0[x];
         p[i] = P[o];
-        if (extra) /* but not that of the wall with a memory: see scheme.h */
-            p[i] = wall_p(wall, (1.0 + later * kappa[node[x]]) * K[o], th[o], a[i], sqrt(a[i])) + off[o];
+        if (extra) /* but not that of the wall with a memory, or of another stiffness: see scheme.h */
+            p[i] = wall_p(wall, (1.0 + later * kappa[node[x]]) * stiff * K[o], th[o], a[i], sqrt(a[i])) + off[o];
     });
     for (int iteration = 0; iteration < 30; iteration++) {
         int unfinished = 0;
         ZOO_LOOP(W, i, x, l, 0, n * nb, {
             const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
-            slope[i] = extra ? wall_slope(wall, (1.0 + later * kappa[node[x]]) * K[o], th[o], p[i] - off[o], sqrt(a[i]))
+            slope[i] = extra ? wall_slope(wall, (1.0 + later * kappa[node[x]]) * stiff * K[o], th[o], p[i] - off[o], sqrt(a[i]))
                              : wall_slope(wall, K[o], th[o], p[i], sqrt(a[i]));
         });
         ZOO_LOOP(W, i, j, l, 0, n, {
@@ -74,7 +74,7 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
                 const double fall = 0.5 * (wall_floor(wall, th[o]) - a[y]);
                 move = move > room ? room : move < fall ? fall : move;
                 a[y] += move;
-                p[y] = extra ? wall_p(wall, (1.0 + later * kappa[node[from + j]]) * K[o], th[o], a[y], sqrt(a[y])) + off[o]
+                p[y] = extra ? wall_p(wall, (1.0 + later * kappa[node[from + j]]) * stiff * K[o], th[o], a[y], sqrt(a[y])) + off[o]
                              : wall_p(wall, K[o], th[o], a[y], sqrt(a[y]));
                 unfinished |= fabs(move) > 1e-8; /* quadratic: the next move would be below rounding */
             });
@@ -109,7 +109,7 @@ ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_
     const double *restrict kappa = s->kappa, *restrict off = s->off, *restrict leak = s->leak,
                  *restrict loss = s->loss, *restrict K = s->K;
     double *restrict k0 = ju->m0, *restrict e1 = ju->mP, *restrict e2 = ju->mH, *restrict per_K = ju->a0;
-    const double later = 0.5 * (1.0 + s->relax);
+    const double later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
 
     ZOO_LOOP(W, i, j, l, 0, n, {
         volume[i] = w[j] * A[(ptrdiff_t)node[j] * W + l] + dt * qh[(ptrdiff_t)mid[j] * W + l];
@@ -133,7 +133,7 @@ ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_
             const ptrdiff_t from = (ptrdiff_t)b * n;
             ZOO_LOOP(W, i, j, l, 0, n, {
                 const ptrdiff_t x = from + j, o = (ptrdiff_t)node[x] * W + l;
-                const double one = wall_reciprocal((1.0 + later * kappa[node[x]]) * K[o]);
+                const double one = wall_reciprocal((1.0 + later * kappa[node[x]]) * stiff * K[o]);
                 const double at_0 = 1.0 - off[o] * one, size = w[x] * A0[x];
                 per_K[from * W + i] = one;
                 k0[i] += size * at_0 * at_0;

@@ -28,7 +28,7 @@ ZOO_INLINE void junction_extra(const int wall, const int W, zoo_sim *s, zoo_junc
     const int n = ju->count, nb = ju->branches;
     const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum, rho = 1.0 / inv_rho, per_dt = 1.0 / dt;
     const double dynamic = rho * s->problem->extras.total_pressure, lossy = rho * s->problem->extras.junction_loss;
-    const double later = 0.5 * (1.0 + s->relax);
+    const double later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
     const int *restrict node = ju->node, *restrict mid = ju->mid, *restrict junction = ju->junction;
     const double *restrict w = ju->w, *restrict per_w = ju->per_w, *restrict A0 = ju->A0,
                            *restrict f_s = ju->f_s, *restrict f_c = ju->f_c, *restrict sign = ju->sign;
@@ -76,7 +76,7 @@ ZOO_INLINE void junction_extra(const int wall, const int W, zoo_sim *s, zoo_junc
             const ptrdiff_t y = (ptrdiff_t)junction[x] * W + l;
             const int v = node[x];
             const double is = sign[x], below = 0.5 * (1.0 - is) * D[y];
-            const double K1 = (1.0 + later * kappa[v]) * K[o], a = area[i] * inv_A0[v];
+            const double K1 = (1.0 + later * kappa[v]) * stiff * K[o], a = area[i] * inv_A0[v];
             const double root = a * wall_rsqrt(a), per_area = wall_reciprocal(area[i]);
             const double elastic = wall_p(wall, K1, th[o], a, root), tangent = elastic * wall_reciprocal(K1);
             const double slope = wall == ZOO_WALL_LINEAR ? 0.5 * K1 * root * per_area

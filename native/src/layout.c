@@ -48,6 +48,9 @@ static int bad_extras(const zoo_problem *pr)
     if (outside(&ex->total_pressure, 1, 0.0, INFINITY) || outside(&ex->junction_loss, 1, 0.0, INFINITY) ||
         outside(&ex->throat_loss, 1, 0.0, INFINITY) || (ex->viscoelastic_time && bad(ex->relaxation_time)))
         return 1;
+    if (ex->n_wave < 0 || (ex->n_wave > 0 && !ex->stiffness_wave) ||
+        outside(ex->stiffness_wave, ex->n_wave, 1e-300, INFINITY))
+        return 1;
     if (!ex->offset_in != !ex->offset_out)
         return 1;
     if (ex->throat_severity && (!ex->throat_position || !ex->throat_length))
@@ -88,6 +91,9 @@ int zoo_has_extras(const zoo_problem *pr)
         any_nonzero(ex->viscoelastic_time, nv) || any_nonzero(ex->leak, nv) ||
         (ex->throat_loss != 0.0 && any_nonzero(ex->throat_severity, nv)))
         return 1;
+    for (int i = 0; i < ex->n_wave; i++)
+        if (ex->stiffness_wave[i] != 1.0)
+            return 1;
     for (int k = 0; k < nv; k++) {
         if (count_children(net, k) > 0)
             continue;
@@ -182,9 +188,11 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     s->momentum = pr->physics.momentum_correction;
     s->inv_density = 1.0 / pr->physics.density;
     s->extra = zoo_has_extras(pr);
+    s->stiff = s->stiff_half = s->stiffest = 1.0;
     s->coupled = pr->extras.total_pressure != 0.0 || pr->extras.junction_loss != 0.0;
     int64_t sections = s->extra && pr->extras.n_sections > 0 ? pr->extras.n_sections : 1;
     int64_t x = s->extra ? 1 : 0; /* no memory for what is not added */
+    int64_t wave = s->extra && pr->extras.n_wave > 0 ? pr->numerics.max_steps : 0;
 
 #define INTS(name, count) name = carve(&at, &used, count, sizeof(int))
 #define REALS(name, count) name = carve(&at, &used, count, sizeof(double))
@@ -259,8 +267,8 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(ou->volume, nt * W);
     REALS(ou->a, nt * W);
     REALS(ou->p, nt * W);
-    double **outlet_extra[] = {&ou->inertia, &ou->keep,  &ou->now, &ou->before, &ou->carry,
-                               &ou->base,    &ou->q_mid, &ou->y,   &ou->back};
+    double **outlet_extra[] = {&ou->inertia, &ou->gain, &ou->keep, &ou->now,   &ou->before, &ou->share,
+                               &ou->direct,  &ou->carry, &ou->base, &ou->q_mid, &ou->y,      &ou->back};
     for (size_t i = 0; i < sizeof outlet_extra / sizeof *outlet_extra; i++)
         REALS(*outlet_extra[i], x * nt * W);
 
@@ -289,6 +297,8 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(s->P, n * W);
     REALS(s->M, n * W);
     REALS(s->G, n * W);
+    REALS(s->wave_node, wave + 1);
+    REALS(s->wave_half, wave);
     REALS(s->offset, x * n);
     REALS(s->kappa, x * n);
     REALS(s->leak, x * n);
@@ -445,6 +455,9 @@ void zoo_set_grid(zoo_sim *s)
         if (count_children(net, k) == 0)
             s->outlets.vessel[nt++] = k;
     }
+    const zoo_extras *ex = &s->problem->extras;
+    for (int i = 0; i < ex->n_wave; i++)
+        s->stiffest = i == 0 || ex->stiffness_wave[i] > s->stiffest ? ex->stiffness_wave[i] : s->stiffest;
     for (int t = 0; t < s->outlets.count; t++) {
         s->outlets.node[t] = s->last[s->outlets.vessel[t]];
         s->outlets.A0[t] = s->A0[s->outlets.node[t]];
@@ -568,7 +581,25 @@ static double flow_integral(const zoo_sim *s, double t)
     return s->flow_sum[i] + h * f * (a + 0.5 * f * (b - a));
 }
 
-/* Time step of sections, inertances and walls with a memory. */
+/* Factor of the stiffness at time t, 0 <= t <= period. */
+static double stiffness_at(const zoo_sim *s, double t)
+{
+    const zoo_extras *ex = &s->problem->extras;
+    double x = t / s->problem->inflow.period * ex->n_wave;
+    int m = (int)x;
+    double f = x - m;
+    return (1.0 - f) * ex->stiffness_wave[m % ex->n_wave] + f * ex->stiffness_wave[(m + 1) % ex->n_wave];
+}
+
+/* The resistance parallel to an inertance, outlet_extra.h. */
+static double parallel_resistance(const zoo_sim *s, int t, int l)
+{
+    int j = s->outlets.node[t], i = j * s->lanes + l;
+    double slope = wall_slope(s->wall, s->K[i], s->theta[i], 0.0, 1.0); /* rho c^2 at rest */
+    return ZOO_PARALLEL * sqrt(slope / s->inv_density) / s->A0[j];
+}
+
+/* Time step of sections, inertances, walls with a memory and stiffnesses that change. */
 static void set_extra_step(zoo_sim *s)
 {
     zoo_outlets *ou = &s->outlets;
@@ -576,6 +607,11 @@ static void set_extra_step(zoo_sim *s)
     int W = s->lanes;
     s->relax = ex->viscoelastic_time ? exp(-s->dt / ex->relaxation_time) : 0.0;
     s->relax_half = ex->viscoelastic_time ? exp(-0.5 * s->dt / ex->relaxation_time) : 0.0;
+    for (int i = 0; i <= s->n_steps && ex->n_wave > 0; i++) {
+        s->wave_node[i] = stiffness_at(s, i == s->n_steps ? 0.0 : i * s->dt);
+        if (i < s->n_steps)
+            s->wave_half[i] = stiffness_at(s, (i + 0.5) * s->dt);
+    }
     for (int t = 0; t < ou->count; t++)
         for (int l = 0; l < W; l++) {
             int i = t * W + l, k = ou->vessel[t];
@@ -587,10 +623,15 @@ static void set_extra_step(zoo_sim *s)
                 ou->fill[o] = R > 0.0 ? -R * expm1(-s->dt / RC) : 0.0;
                 fill += ou->fill[o];
             }
-            ou->inertia[i] = 4.0 * L / s->dt;
+            /* the inertance's pressure in the mean over the step is inertia/2 (Q - c), see outlet_extra.h */
+            double Rp = parallel_resistance(s, t, l), ease = s->dt + 2.0 * L / Rp;
+            ou->inertia[i] = 4.0 * L / ease;
+            ou->gain[i] = L > 0.0 ? 2.0 * s->dt / ease : 1.0;
             ou->E[i] = 2.0 * R1 + fill + ou->inertia[i];
-            /* L dq/dt + R1 q = y is integrated exactly for y linear over the step; x = R1 dt/L */
-            double x = L > 0.0 ? R1 * s->dt / L : INFINITY;
+            ou->direct[i] = L > 0.0 ? 1.0 / (R1 + Rp) : 0.0;
+            ou->share[i] = L > 0.0 ? Rp / (R1 + Rp) : 1.0;
+            /* L (1 + R1/R_p) dq_L/dt + R1 q_L = y is integrated exactly for y linear over the step */
+            double x = L > 0.0 ? R1 * s->dt / L * ou->share[i] : INFINITY;
             double mean = x < 1e-3 ? 1.0 - x / 2.0 + x * x / 6.0 : isinf(x) ? 0.0 : -expm1(-x) / x;
             ou->keep[i] = exp(-x);
             ou->now[i] = (x < 1e-3 ? x / 2.0 - x * x / 6.0 : 1.0 - mean) / R1;

@@ -1,16 +1,24 @@
-/* At the end of a terminal vessel, with what zoo_extras adds: an inertance and
- * several parallel RC pairs behind R1,
+/* At the end of a terminal vessel, with what zoo_extras adds: behind R1 an inertance
+ * beside a resistance R_p, and several parallel RC pairs,
  *
- *   p = L dq/dt + R1 q + sum_k v_k,     C_k dv_k/dt = q - v_k/R_k.
+ *   p = R1 q + p_L + sum_k v_k,     C_k dv_k/dt = q - v_k/R_k,
+ *   p_L = L dq_L/dt = R_p (q - q_L),     R_p = 6 rho c/A0 of the vessel's end at rest.
  *
- * Each pair is integrated as in outlet.h.  In the mean over the step, with mean
- * flow Q and the flow c that the inertance carries (c' = 2 Q - c, so that
- * dc/dt = 2 (Q - c)/dt: the trapezoidal rule, stable for any L),
+ * R_p lets the fastest waves out, which an inertance alone would send back whole.  They
+ * must leave: a vessel that shares the static pressure of its junction returns waves
+ * amplified by up to (c + u)/(c - u), so with an outlet that returns all of them every
+ * harmonic grows, those of the shortest vessels first, and the equations have no solution
+ * for a scheme to converge to.
  *
- *   p(A') = -p + sum_k (1 + e_k) v_k - 4 L/dt c + E Q(A'),   E = 2 R1 + sum_k R_k (1 - e_k) + 4 L/dt.
+ * Each pair is integrated as in outlet.h.  In the mean over the step, with mean flow Q,
+ * and c the inertance's flow by the trapezoidal rule (stable for any L),
  *
- * The node's own flow follows from L dq/dt + R1 q = y, y = p - sum_k v_k linear over the
- * step, exactly: q' = keep q + now y' + before y.  Unlike c it has no memory of a
+ *   p_L = I (Q - c),   c' = c + dt/L p_L,   I = 2 L/(dt + 2 L/R_p),
+ *   p(A') = -p + sum_k (1 + e_k) v_k - 2 I c + E Q(A'),   E = 2 R1 + sum_k R_k (1 - e_k) + 2 I.
+ *
+ * The node's own flow follows from y = p - sum_k v_k, linear over the step, exactly:
+ * L (1 + R1/R_p) dq_L/dt + R1 q_L = y gives q_L' = keep q_L + now y' + before y, and
+ * q = (R_p q_L + y)/(R1 + R_p) = share q_L + direct y.  Unlike c this has no memory of a
  * sawtooth when L is small, and without L it is y'/R1 as in outlet.h.
  */
 #ifndef ZOO_OUTLET_EXTRA_H
@@ -23,12 +31,13 @@ ZOO_INLINE void outlet_extra(const int wall, const int W, zoo_sim *s)
     enum { ROUNDS = 30 };
     zoo_outlets *ou = &s->outlets;
     const int n = ou->count;
-    const double dt = s->dt, later = 0.5 * (1.0 + s->relax);
+    const double dt = s->dt, later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
     const int *restrict node = ou->node;
     const double *restrict per_w = ou->per_w, *restrict A0 = ou->A0, *restrict E = ou->E,
                            *restrict decay = ou->decay, *restrict fill = ou->fill,
                            *restrict inertia = ou->inertia, *restrict keep = ou->keep,
-                           *restrict after = ou->now, *restrict before = ou->before;
+                           *restrict after = ou->now, *restrict before = ou->before, *restrict gain = ou->gain,
+                           *restrict share = ou->share, *restrict direct = ou->direct;
     const double *restrict P = s->P, *restrict K = s->K, *restrict th = s->theta, *restrict qh = s->qh,
                            *restrict Ph = s->Ph, *restrict off = s->off, *restrict kappa = s->kappa,
                            *restrict leak = s->leak;
@@ -54,7 +63,7 @@ ZOO_INLINE void outlet_extra(const int wall, const int W, zoo_sim *s)
         /* k2 r^2 + K1 r = k0 for r = sqrt(A'/A0) */
         ZOO_LOOP(W, i, t, l, 0, n, {
             const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-            const double K1 = (1.0 + later * kappa[node[t]]) * K[o], k2 = E[i] * A0[t] / per_w[t];
+            const double K1 = (1.0 + later * kappa[node[t]]) * stiff * K[o], k2 = E[i] * A0[t] / per_w[t];
             const double k0 = K1 - off[o] + base[i] + E[i] * (q_mid[i] + A[o] / per_w[t]);
             const double r = 2.0 * k0 / (K1 + sqrt(K1 * K1 + 4.0 * k2 * k0));
             a[i] = r * r;
@@ -64,7 +73,7 @@ ZOO_INLINE void outlet_extra(const int wall, const int W, zoo_sim *s)
             int unfinished = 0;
             ZOO_LOOP(W, i, t, l, 0, n, {
                 const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-                const double K1 = (1.0 + later * kappa[node[t]]) * K[o], root = sqrt(a[i]);
+                const double K1 = (1.0 + later * kappa[node[t]]) * stiff * K[o], root = sqrt(a[i]);
                 const double elastic = wall_p(wall, K1, th[o], a[i], root);
                 const double Q = q_mid[i] - (a[i] * A0[t] - A[o]) / per_w[t];
                 const double slope = wall_slope(wall, K1, th[o], elastic, root) + E[i] * A0[t] / per_w[t];
@@ -89,10 +98,10 @@ ZOO_INLINE void outlet_extra(const int wall, const int W, zoo_sim *s)
         const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
         const double then = A0[t] * a[i], Q = q_mid[i] - (then - A[o]) / per_w[t];
         A[o] = then;
-        q[o] = keep[i] * q[o] + before[i] * y[i];
+        q[o] = keep[i] * (q[o] - direct[i] * y[i]) + share[i] * before[i] * y[i];
         y[i] = base[i] + E[i] * Q; /* the new pressure, less the sections' below */
         back[i] = Q;
-        carry[i] = 2.0 * Q - carry[i];
+        carry[i] += gain[i] * (Q - carry[i]);
         volume[i] += dt * Q;
     });
     for (int m = 0; m < ou->n_sections; m++) {
@@ -102,7 +111,7 @@ ZOO_INLINE void outlet_extra(const int wall, const int W, zoo_sim *s)
             y[i] -= v[from + i];
         });
     }
-    ZOO_LOOP(W, i, t, l, 0, n, { q[(ptrdiff_t)node[t] * W + l] += after[i] * y[i]; });
+    ZOO_LOOP(W, i, t, l, 0, n, { q[(ptrdiff_t)node[t] * W + l] += (share[i] * after[i] + direct[i]) * y[i]; });
 }
 
 #endif

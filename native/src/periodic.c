@@ -54,7 +54,7 @@ static void set_weights(zoo_sim *s)
     int W = s->lanes, n = s->n_nodes * W;
     for (int i = 0; i < n; i++) {
         double a = s->A[i] * s->inv_A0[i / W];
-        double slope = wall_slope(s->wall, s->K[i], s->theta[i], s->extra ? s->pe[i] : s->P[i], sqrt(a));
+        double slope = wall_slope(s->wall, zoo_K(s, i), s->theta[i], s->extra ? s->pe[i] : s->P[i], sqrt(a));
         s->weight[i] = slope * s->inv_A0[i / W];
         s->weight[n + i] = sqrt(a * slope / s->inv_density) / s->A[i];
     }
@@ -171,7 +171,7 @@ static void disarm(zoo_sim *s, int lane)
         double *lanes[] = {ou->R1, ou->R2, ou->C, ou->E, ou->inv_R1};
         for (size_t a = 0; a < sizeof lanes / sizeof *lanes; a++)
             lanes[a][t * W + lane] = lanes[a][t * W + from];
-        double *added[] = {ou->inertia, ou->keep, ou->now, ou->before, ou->carry};
+        double *added[] = {ou->inertia, ou->gain, ou->keep, ou->now, ou->before, ou->share, ou->direct, ou->carry};
         for (size_t a = 0; a < sizeof added / sizeof *added && s->extra; a++)
             added[a][t * W + lane] = added[a][t * W + from];
     }

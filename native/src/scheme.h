@@ -8,8 +8,8 @@
  * flux form, holds fluid at rest in a tapered vessel exactly, and needs no
  * integral of the wall law.
  *
- * With `extra`, A_t + q_x = -leak p, and p = p_e + p_v + offset, where p_e(A) is
- * the wall's and p_v follows from it with a memory,
+ * With `extra`, A_t + q_x = -leak p, and p = p_e + p_v + offset, where p_e is the
+ * wall's at its stiffness of the time (K is multiplied by `stiff`) and p_v follows from it with a memory,
  *
  *   tau_r dp_v/dt + p_v = tau dp_e/dt,   or   p_v = kappa p_e + z,  tau_r dz/dt = -(z + kappa p_e).
  *
@@ -33,7 +33,7 @@ ZOO_INLINE void scheme_half(const int wall, const int W, const int extra, zoo_si
     const double alpha = s->momentum, inv_rho = s->inv_density, quarter_dt = 0.25 * s->dt;
     const double *restrict kappa = s->kappa, *restrict off = s->off_half, *restrict leak = s->leak_mid,
                  *restrict loss = s->loss_mid;
-    const double later = 0.5 * (1.0 + s->relax_half);
+    const double later = 0.5 * (1.0 + s->relax_half), stiff = s->stiff_half;
     const int n = s->n_nodes - 1;
     ZOO_LOOP(W, i, j, l, 0, n, {
         const ptrdiff_t k = i + W;
@@ -47,7 +47,7 @@ ZOO_INLINE void scheme_half(const int wall, const int W, const int extra, zoo_si
         double a = Am * inv_A0[j], y = wall_rsqrt(a), r = a * y, u = qm * inv_A0[j] * y * y;
         Ah[i] = Am;
         qh[i] = qm;
-        Ph[i] = wall_p(wall, K[i], th[i], a, r);
+        Ph[i] = wall_p(wall, extra ? stiff * K[i] : K[i], th[i], a, r);
         Mh[i] = alpha * qm * u;
         Gh[i] = (f_s[j] * r + f_c[j]) * u;
         if (extra) {
@@ -74,7 +74,7 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const i
     const double *restrict kappa = s->kappa, *restrict offset = s->offset, *restrict leak = s->leak,
                  *restrict loss = s->loss;
     double *restrict z = s->z, *restrict pe = s->pe, *restrict off = s->off, *restrict off_half = s->off_half;
-    const double e = s->relax, e_half = s->relax_half;
+    const double e = s->relax, e_half = s->relax_half, stiff = s->stiff;
     const int n = s->n_nodes;
     int wrong = 0;
     /* midpoint -1 exists and holds finite numbers: see zoo_set_grid */
@@ -91,7 +91,7 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const i
             q[i] = qn;
         }
         double a = An * inv_A0[j], y = wall_rsqrt(a), r = a * y, u = qn * inv_A0[j] * y * y;
-        P[i] = wall_p(wall, K[i], th[i], a, r);
+        P[i] = wall_p(wall, extra ? stiff * K[i] : K[i], th[i], a, r);
         M[i] = alpha * qn * u;
         G[i] = (f_s[j] * r + f_c[j]) * u;
         if (extra) {

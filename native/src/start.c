@@ -22,7 +22,7 @@ static double wall_pressure(const zoo_sim *s, int j, int i)
 {
     if (!s->extra)
         return s->P[i];
-    double p = s->P[i] - s->offset[j], least = -0.3 * s->K[i];
+    double p = s->P[i] - s->offset[j], least = -0.3 * zoo_K(s, i);
     return p > least ? p : least;
 }
 
@@ -57,7 +57,7 @@ static double vessel_resistance(const zoo_sim *s, int k, int l)
     double sum = 0.0;
     for (int j = s->first[k]; j <= s->last[k]; j++) {
         int i = j * s->lanes + l;
-        double a = wall_area_ratio(s->wall, s->K[i], s->theta[i], wall_pressure(s, j, i));
+        double a = wall_area_ratio(s->wall, zoo_K(s, i), s->theta[i], wall_pressure(s, j, i));
         double A = a * s->A0[j], end = j == s->first[k] || j == s->last[k] ? 0.5 : 1.0;
         sum += end * (s->f_s[j] * sqrt(a) + s->f_c[j]) / (A * A * s->inv_density);
     }
@@ -70,9 +70,9 @@ static double vessel_compliance(const zoo_sim *s, int k, int l)
     double sum = 0.0;
     for (int j = s->first[k]; j <= s->last[k]; j++) {
         int i = j * s->lanes + l;
-        double p = wall_pressure(s, j, i), a = wall_area_ratio(s->wall, s->K[i], s->theta[i], p);
+        double p = wall_pressure(s, j, i), a = wall_area_ratio(s->wall, zoo_K(s, i), s->theta[i], p);
         double end = j == s->first[k] || j == s->last[k] ? 0.5 : 1.0;
-        sum += end * s->A0[j] / wall_slope(s->wall, s->K[i], s->theta[i], p, sqrt(a));
+        sum += end * s->A0[j] / wall_slope(s->wall, zoo_K(s, i), s->theta[i], p, sqrt(a));
     }
     return sum * s->dx[k];
 }
@@ -123,6 +123,8 @@ void zoo_start(zoo_sim *s)
     const zoo_inflow *in = &s->problem->inflow;
     const int32_t *parent = s->problem->network.parent;
     int W = s->lanes, nv = s->n_vessels;
+    if (s->extra && s->problem->extras.n_wave > 0)
+        s->stiff = s->wave_node[0];
     double mean_flow = s->flow_sum[in->n_samples] / in->period, h = in->period / in->n_samples;
     /* vessel by vessel scratch, borrowed from the history that is not in use yet */
     double *own = s->states, *below = own + nv, *capacity = below + nv;
@@ -162,7 +164,7 @@ void zoo_start(zoo_sim *s)
         for (int j = 0; j < s->n_nodes; j++) {
             int i = j * W + l;
             double p = wall_pressure(s, j, i);
-            s->A[i] = s->A0[j] * wall_area_ratio(s->wall, s->K[i], s->theta[i], p);
+            s->A[i] = s->A0[j] * wall_area_ratio(s->wall, zoo_K(s, i), s->theta[i], p);
             if (s->extra)
                 s->z[i] = -s->kappa[j] * p;
         }
@@ -191,10 +193,10 @@ double zoo_start_speed(const zoo_sim *s)
     for (int j = 0; j < s->n_nodes; j++)
         for (int l = 0; l < s->lanes; l++) {
             int i = j * s->lanes + l;
-            double p = 2.0 * wall_pressure(s, j, i), a = wall_area_ratio(s->wall, s->K[i], s->theta[i], p);
-            double c = sqrt(a * wall_slope(s->wall, s->K[i], s->theta[i], p, sqrt(a)) * s->inv_density);
+            double p = 2.0 * wall_pressure(s, j, i), a = wall_area_ratio(s->wall, zoo_K(s, i), s->theta[i], p);
+            double c = sqrt(a * wall_slope(s->wall, zoo_K(s, i), s->theta[i], p, sqrt(a)) * s->inv_density);
             if (s->extra)
-                c *= sqrt(1.0 + s->kappa[j]);
+                c *= sqrt((1.0 + s->kappa[j]) * s->stiffest / s->stiff);
             double u = s->vessel_of[j] == 0 ? peak * s->inv_A0[j] / a : 0.0;
             double speed = (u + c) / s->dx[s->vessel_of[j]];
             worst = speed > worst ? speed : worst;

@@ -31,6 +31,10 @@ ZOO_INLINE void inlet_body(const int W, const int extra, zoo_sim *s, int step)
 
 ZOO_INLINE int step_body(const int wall, const int W, const int extra, zoo_sim *s, int step)
 {
+    if (extra && s->problem->extras.n_wave > 0) {
+        s->stiff_half = s->wave_half[step];
+        s->stiff = s->wave_node[step + 1];
+    }
     scheme_half(wall, W, extra, s);
     for (int g = 0; g < s->n_groups; g++)
         if (extra && s->coupled)
@@ -67,9 +71,12 @@ int zoo_step(zoo_sim *s, int step)
     return s->lanes == 1 ? step_tangent_1(s, step) : step_tangent_n(s, step);
 }
 
-/* Pressure, momentum flux and friction at the nodes, from areas and flows that were just set. */
+/* Pressure, momentum flux and friction at the nodes, from areas and flows that were just set for the
+ * start of a beat. */
 void zoo_refresh_nodes(zoo_sim *s)
 {
+    if (s->extra && s->problem->extras.n_wave > 0)
+        s->stiff = s->wave_node[0];
     if (s->extra)
         (void)scheme_full(s->wall, s->lanes, 1, 0, s);
     else if (s->wall == ZOO_WALL_LINEAR)
@@ -78,14 +85,16 @@ void zoo_refresh_nodes(zoo_sim *s)
         (void)scheme_full(ZOO_WALL_TANGENT, s->lanes, 0, 0, s);
 }
 
-/* Largest (|u| + c)/dx of one lane, 1/s; NaN when the state is not a number. */
+/* Largest (|u| + c)/dx of one lane, 1/s, c at the wall's largest stiffness of the beat; NaN when the
+ * state is not a number. */
 double zoo_speed(const zoo_sim *s, int lane)
 {
     double worst = 0.0;
     for (int j = 0; j < s->n_nodes; j++) {
         int i = j * s->lanes + lane;
         double a = s->A[i] * s->inv_A0[j];
-        double slope = s->extra ? (1.0 + s->kappa[j]) * wall_slope(s->wall, s->K[i], s->theta[i], s->pe[i], sqrt(a))
+        double slope = s->extra ? (1.0 + s->kappa[j]) * s->stiffest / s->stiff *
+                                      wall_slope(s->wall, zoo_K(s, i), s->theta[i], s->pe[i], sqrt(a))
                                 : wall_slope(s->wall, s->K[i], s->theta[i], s->P[i], sqrt(a));
         double speed = (fabs(s->q[i] / s->A[i]) + sqrt(a * slope * s->inv_density)) /
                        s->dx[s->vessel_of[j]];

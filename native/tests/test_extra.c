@@ -3,7 +3,7 @@
 
 static tree one, many;
 static double on[NV], off_in[NV], off_out[NV], tau[NV], leak[NV], inertance[NV], severity[NV], middle[NV], l[NV];
-static double rho[3 * NV], kappa[3 * NV];
+static double rho[3 * NV], kappa[3 * NV], wave[5];
 
 /* Everything at once, different in every vessel. */
 static void add(tree *t)
@@ -23,8 +23,10 @@ static void add(tree *t)
             kappa[3 * k + m] = 0.2 + 0.4 * m;
         }
     }
+    for (int i = 0; i < 5; i++)
+        wave[i] = 0.9 + 0.1 * i;
     t->problem.extras = (zoo_extras){on, off_in, off_out, tau, 3e-4, leak, 1.0, 2.0, inertance, 3, rho, kappa,
-                                     severity, middle, l, 1.52, 0};
+                                     severity, middle, l, 1.52, 5, wave, 0};
 }
 
 /* With all of it zero the loops with additions compute what the plain ones do. */
@@ -67,6 +69,7 @@ static void rest(int wall, int falls, int coupled)
     if (!falls)
         memcpy(off_out, off_in, sizeof off_in);
     one.problem.extras.leak = NULL;
+    one.problem.extras.n_wave = 0;
     if (!coupled)
         one.problem.extras.total_pressure = one.problem.extras.junction_loss = 0.0;
     tree_open(&one, 1, 4096);
@@ -192,6 +195,7 @@ static void packing(void)
     for (int i = 0; i < 100; i++)
         zoo_step(s, i);
     zoo_pack(s, x);
+    zoo_refresh_nodes(s); /* a state is that of a beat's start: with the stiffness of that time */
     for (int i = 0; i < 50; i++)
         zoo_step(s, i);
     double P = s->P[20], q = s->q[40];
@@ -230,6 +234,10 @@ static void checks_of_values(void)
     REJECTS(l[0] = 0.0);
     REJECTS(rho[3 * 7] = -0.1);
     REJECTS(kappa[3 * 7] = 0.0);
+    REJECTS(wave[4] = 0.0);
+    REJECTS(wave[0] = NAN);
+    REJECTS(one.problem.extras.n_wave = -1);
+    REJECTS(one.problem.extras.stiffness_wave = NULL);
     REJECTS(memset(rho, 0, sizeof rho));
     REJECTS(one.problem.extras.relaxation_time = 0.0);
     REJECTS(one.problem.extras.total_pressure = -1.0);
@@ -245,7 +253,7 @@ static void checks_of_values(void)
     tree_make(&one, ZOO_WALL_LINEAR);
     one.problem.physics.viscous_friction = 8.0;
     one.problem.extras = (zoo_extras){on, zero, zero, zero, 3e-4, zero, 0.0, 0.0, zero, 1, single, single,
-                                      zero, middle, l, 1.52, 0};
+                                      zero, middle, l, 1.52, 2, single, 0};
     on[0] = on[3] = middle[0] = l[0] = 1.0;
     CHECK(zoo_check_problem(&one.problem) == 0 && zoo_has_extras(&one.problem) == 0);
     severity[0] = 0.3;

@@ -86,8 +86,6 @@ class BlindError(ValueError):
 
 def active_tone(case: Case, values: tuple[float, ...], place: Place) -> Case:
     """The walls stiffen within the beat, by a smooth bump in systole."""
-    if not hasattr(case.physics, "stiffness_wave"):
-        raise EffectError("effect active-tone: this solver's stiffness cannot change within the beat")
     phase = np.arange(256) / 256
     bump = np.where(np.abs(phase - 0.3) < 0.25, np.cos(2 * np.pi * (phase - 0.3)) ** 2, 0.0)
     return with_physics(case, stiffness_wave=1 + values[0] * bump)

@@ -1073,6 +1073,12 @@ def diagnose(
         ),
     ] = None,
     max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
+    exhaust: Annotated[
+        bool,
+        typer.Option(
+            "--exhaust", help="Add the best listed effects even where a free discrepancy explains more."
+        ),
+    ] = False,
     cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time.")] = 2,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     quiet: QuietOption = False,
@@ -1119,6 +1125,7 @@ def diagnose(
             loaded,
             chosen.name,
             max_effects=max_effects,
+            exhaust=exhaust,
             effects=names,
             conventions=own,
             cores=cores,
@@ -1131,6 +1138,7 @@ def diagnose(
         tell.say("figures and page")
         words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]
         words += ["--confirm" if confirm else "--no-confirm", "--max-effects", str(max_effects)]
+        words += ["--exhaust"] if exhaust else []
         words += ["--effects", ",".join(names)] if names else []
         words += ["--conventions", conventions] if conventions else []
         words += [*_switch_words(switches), "--cores", str(cores), "--seed", str(seed)]

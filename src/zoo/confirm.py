@@ -154,7 +154,9 @@ def effect_model(screened: Screened, fit: Fit) -> pm.Model:
             short = q.split("_")[0]
             e = fit.errors[q]
             sigma = pm.LogNormal(f"sigma_{short}", math.log(screened.noise[q].sigma), 1.0)
-            ratio = pm.HalfNormal(f"ratio_{short}", CORRELATED_RATIO)
+            ratio = pm.TruncatedNormal(
+                f"ratio_{short}", 0.0, CORRELATED_RATIO, lower=0.0, upper=CORRELATED_RATIO
+            )
             median, spread, top = MEMORY_BEATS
             tau = pm.Truncated(
                 f"tau_{short}", pm.LogNormal.dist(math.log(median * T), spread), lower=1e-3 * T, upper=top * T
@@ -162,7 +164,7 @@ def effect_model(screened: Screened, fit: Fit) -> pm.Model:
             delta = pm.HalfNormal(f"delta_{short}", fit.allowances[q])
             start |= {
                 f"sigma_{short}": e.sigma,
-                f"ratio_{short}": max(e.ratio, 0.05),
+                f"ratio_{short}": min(max(e.ratio, 0.05), 0.95 * CORRELATED_RATIO),
                 f"tau_{short}": min(e.tau, 0.95 * top * T),
                 f"delta_{short}": max(e.delta, 0.1 * fit.allowances[q]),
             }

@@ -676,10 +676,12 @@ def _verdict(scored: Scored, gap: Gap) -> str:
     )
 
 
-def _stronger(scored: Scored) -> tuple[str, Place] | None:
+def _stronger(scored: Scored, exhaust: bool) -> tuple[str, Place] | None:
     """The effect to add before looking further, or None."""
     leader = scored.leader
-    if leader in (NO_GAP, UNLISTED, CORRELATED) or leader not in scored.places:
+    if exhaust and leader in (UNLISTED, CORRELATED):
+        leader = next((n for n in scored.names if n in scored.places and n not in scored.invisible), leader)
+    if leader not in scored.places:
         return None
     return leader, scored.best[leader].hypothesis.place
 
@@ -690,6 +692,7 @@ def diagnose(
     *,
     confirm: bool = False,
     max_effects: int = 3,
+    exhaust: bool = False,
     effects: Sequence[str] | None = None,
     conventions: Conventions | None = None,
     cores: int = 2,
@@ -714,6 +717,9 @@ def diagnose(
         Sample the posteriors of the leading explanations in PyMC.
     max_effects : int
         Most effects to add.
+    exhaust : bool
+        Go on adding the best listed effect where a free discrepancy explains more: what the catalogue can do
+        at most. The verdict is that of the first round all the same.
     effects : sequence of str, optional
         Only these of the catalogue.
     conventions : Conventions, optional
@@ -762,7 +768,7 @@ def diagnose(
                 "check inflow, Windkessels and conventions"
             ) from None
         rounds.append(scored)
-        best = _stronger(scored)
+        best = _stronger(scored, exhaust)
         if best is None or len(added) == max_effects:
             break
         added.append(best)

@@ -21,8 +21,9 @@ from zoo.study import Study
 Array = NDArray[np.float64]
 
 CORRELATED_RATIO = 1.0
-"""Scale of the half-normal prior of (sd of the correlated noise)/(sd of the white noise): what sensors and
-averaging leave correlated is seldom larger than what they leave white."""
+"""Upper limit, and scale of the half-normal prior, of (sd of the correlated noise)/(sd of the white noise):
+what sensors and averaging leave correlated is no larger than what they leave white. Without a limit noise
+takes the place of a discrepancy."""
 MEMORY_BEATS = (0.03, 0.5, 0.1)
 """Prior of the noise's correlation time in beats: median, sd of the logarithm, and upper limit. Noise forgets
 within a few per cent of a beat; what lasts longer than a tenth of it is a discrepancy."""
@@ -234,7 +235,7 @@ def fit_noise(
         value = 0.5 * float(np.sum(power / S + np.log(S))) - noise_log_prior(e, T)
         return value + (0.5 * float(x[3]) ** 2 if free_delta else 0.0)
 
-    bounds = [(math.log(floor) - 2.0, math.log(floor) + 3.0), (0.0, 2.0 * CORRELATED_RATIO)]
+    bounds = [(math.log(floor) - 2.0, math.log(floor) + 3.0), (0.0, CORRELATED_RATIO)]
     bounds += [(math.log(0.003 * T), math.log(MEMORY_BEATS[2] * T))]
     x0 = [math.log(floor), 0.5, math.log(MEMORY_BEATS[0] * T)]
     if free_delta:

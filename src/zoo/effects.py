@@ -1149,10 +1149,10 @@ def uneven_resistance(case: Case, values: tuple[float, ...], place: Place) -> Ca
 @effect(
     "terminal-inertance",
     "outflow",
-    equation="p = v + R1 q + L dq/dt, L = rho l/A0 of the terminal",
+    equation="p = v + R1 q + L dq/dt, L = rho l/A0 of the terminal, with 6 rho c/A0 parallel to L",
     source="Westerhof et al. 2009, doi 10.1007/s11517-008-0359-2",
     signature="high harmonics are reflected at the outlets; ripples after the upstroke",
-    amplitudes=[Amplitude("length", "cm", 0.5, 0.0, 5.0, (0.1, 0.3))],
+    amplitudes=[Amplitude("length", "cm", 0.5, 0.0, 2.0, (0.1, 0.3))],
     why="as long a column as the vessel before it has, a few tenths of a cm in a mouse",
 )
 def terminal_inertance(case: Case, values: tuple[float, ...], place: Place) -> Case:

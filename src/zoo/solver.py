@@ -154,6 +154,7 @@ _PER_VESSEL = {
     "throat_position": (0.0, True, "between 0 (inlet) and 1 (outlet)"),
     "throat_length": (0.0, False, "positive, cm"),
 }
+_PER_TIME = {"stiffness_wave": (0.0, False, "positive")}
 _LIMITS = {"throat_severity": 1.0 - 1e-9, "throat_position": 1.0}
 _SECTIONS = ("section_resistance", "section_compliance")
 
@@ -162,7 +163,8 @@ _SECTIONS = ("section_resistance", "section_compliance")
 class Physics(ReadOnlyArrays):
     """What is added to eq. (3.1) to (3.7); the default is nothing. Read-only.
 
-    Arrays have one value per vessel, in the order of ``Network.ids``; None stands for no change.
+    Arrays have one value per vessel, in the order of ``Network.ids``, except `stiffness_wave`; None stands
+    for no change.
 
     Parameters
     ----------
@@ -181,6 +183,9 @@ class Physics(ReadOnlyArrays):
         tau, s, in p = p_e + tau dp_e/dt with the wall's p_e (Kelvin-Voigt), slowed by `relaxation_time`.
     relaxation_time : float
         tau_r, s: p = p_e + p_v, tau_r dp_v/dt + p_v = tau dp_e/dt (Zener; Kelvin-Voigt as tau_r goes to 0).
+    stiffness_wave : array (m,)
+        s, factor of the stiffness in all vessels at m uniform times of the beat from 0, linear between,
+        periodic: p_e = s(t) wall(A), for walls that stiffen and soften by themselves.
     leak : array (n_vessels,)
         cm4 s/g (ml/s per dyn/cm2 and cm): A_t + q_x = -leak p. What leaves takes its axial momentum along.
     total_pressure : float
@@ -188,7 +193,9 @@ class Physics(ReadOnlyArrays):
     junction_loss : float
         K: each daughter's inlet has K rho/2 u abs(u) less pressure than the parent's end, u the parent's.
     inertance : array (n_vessels,)
-        L, g/cm4, read at terminals: p = v + R1 q + L dq/dt.
+        L, g/cm4, read at terminals: p = v + R1 q + p_L, p_L = L dq_L/dt = R_p (q - q_L), where R_p is
+        6 rho c/A0 of the terminal's end at rest and lets out waves faster than R_p/L (6 c/l at rho l/A0),
+        without which they would grow.
     section_resistance, section_compliance : array (n_vessels, n_sections)
         Shares rho_k and kappa_k, read at terminals: R1 in series with parallel pairs R_k, C_k (Foster's
         form), R_k = rho_k psi2 R2, C_k = kappa_k c C, C_k dv_k/dt = q - v_k/R_k, p = R1 q + sum_k v_k.
@@ -222,6 +229,7 @@ class Physics(ReadOnlyArrays):
     offset_out: Array | None = None
     viscoelastic_time: Array | None = None
     relaxation_time: float = 3e-4
+    stiffness_wave: Array | None = None
     leak: Array | None = None
     total_pressure: float = 0.0
     junction_loss: float = 0.0
@@ -239,7 +247,7 @@ class Physics(ReadOnlyArrays):
             if not np.isfinite(value) or value < low or (value == low and not closed):
                 raise SolverArgumentError(f"physics: {name} = {value}: must be {words}")
             object.__setattr__(self, name, float(value))
-        for name, (low, closed, words) in _PER_VESSEL.items():
+        for name, (low, closed, words) in (_PER_VESSEL | _PER_TIME).items():
             if getattr(self, name) is None:
                 continue
             values = read_only(getattr(self, name))
@@ -247,6 +255,7 @@ class Physics(ReadOnlyArrays):
             wanted = 2 if name in _SECTIONS else 1
             if values.ndim != wanted or not values.size:
                 shape = "(n_vessels, n_sections)" if wanted == 2 else "(n_vessels,)"
+                shape = "(n_times,)" if name in _PER_TIME else shape
                 raise SolverArgumentError(f"physics: {name} has shape {values.shape}: must be {shape}")
             high = _LIMITS.get(name, np.inf)
             good = np.isfinite(values) & (values >= low) & (values <= high) & (closed | (values != low))
@@ -280,6 +289,7 @@ class Physics(ReadOnlyArrays):
             self.stokes_friction != 1,
             self.viscous_friction != 0,
             self.viscosity_factor is not None and np.any(self.viscosity_factor != 1),
+            self.stiffness_wave is not None and np.any(self.stiffness_wave != 1),
             self.total_pressure != 0,
             self.junction_loss != 0,
         ]
@@ -582,6 +592,8 @@ class Solver:
         if added.offset_in is not None or added.offset_out is not None:
             extras.offset_in = reals(zero if added.offset_in is None else added.offset_in)
             extras.offset_out = reals(zero if added.offset_out is None else added.offset_out)
+        if added.stiffness_wave is not None:
+            extras.n_wave, extras.stiffness_wave = len(added.stiffness_wave), reals(added.stiffness_wave)
         if added.section_resistance is not None:
             extras.n_sections = added.section_resistance.shape[1]
         if added.throat_severity is not None:
