@@ -45,8 +45,9 @@ class Errors:
     """Noise and discrepancy of the series of one quantity, in its unit.
 
     S_k = sigma^2 (1 + ratio^2 g_k(tau)) + delta^2 lambda h_k(length): g the spectrum of an Ornstein-Uhlenbeck
-    process, h that of a squared-exponential one, both with mean 1 over the coefficients; lambda =
-    1 + (n - 1) shared for the mean of n series, 1 - shared for their differences.
+    process, h that of a squared-exponential one (or of another Ornstein-Uhlenbeck one, if `rough`), all with
+    mean 1 over the coefficients; lambda = 1 + (n - 1) shared for the mean of n series, 1 - shared for their
+    differences.
 
     Parameters
     ----------
@@ -62,6 +63,8 @@ class Errors:
         Its length scale, s.
     shared : float
         Its correlation between series.
+    rough : bool
+        Whether it is an Ornstein-Uhlenbeck process.
     """
 
     sigma: float
@@ -70,6 +73,7 @@ class Errors:
     delta: float = 0.0
     length: float = 0.005
     shared: float = 0.0
+    rough: bool = False
 
     @property
     def noise(self) -> float:
@@ -156,7 +160,8 @@ class Harmonics:
         if errors.delta > 0.0:
             share = np.full(n_series, 1.0 - errors.shared)
             share[0] += n_series * errors.shared
-            S += errors.delta**2 * np.outer(share, self._smooth(errors.length))
+            shape = self._correlated if errors.rough else self._smooth
+            S += errors.delta**2 * np.outer(share, shape(errors.length))
         return S
 
     def variances(self, errors: Mapping[str, Errors], *, noise: bool = True) -> Array:

@@ -1577,7 +1577,7 @@ CATALOGUE["correlated-noise"] = Effect(
     "correlated-noise",
     "noise",
     statement="The errors of neighbouring samples are alike.",
-    equation="cov(e(t), e(t')) = sd^2 exp(-|t - t'|/length), around the beat",
+    equation="cov(e(t), e(t + d)) = sd^2 exp(-|d|/length) or sd^2 exp(-(d/length)^2/2), around the beat",
     source="Kennedy & O'Hagan 2001, doi 10.1111/1467-9868.00294",
     signature="smooth wiggles without a cause; part of the errors, not of a solve",
     amplitudes=(

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -550,19 +551,24 @@ class Screening:
     def refit_base(self, base: Fit, noise: Mapping[str, Errors]) -> Fit:
         """The base's best fit beside the noise that a free discrepancy leaves: its residual is the gap."""
         own = self.numerics()
-        at = {q: replace(e, delta=own[q], length=self._length(), shared=0.0) for q, e in noise.items()}
+        at = {
+            q: replace(e, delta=own[q], length=self._length(), shared=0.0, rough=False)
+            for q, e in noise.items()
+        }
         search = Search(base.forward, self.data, self.harmonics.variances(at))
         point = Point(base.u, base.computed, base.jacobian, search.cost(base.u, base.computed))
         return self.evidence(base.forward, search.polish(search.descend(point, 8), 2), own)
 
     def fit_free(self, base: Fit, name: str) -> Fit:
-        """The base with a free smooth discrepancy: shared by the series, or independent in each."""
+        """The base with a free discrepancy: smooth and shared by the series, or noise of its own in each."""
         T = self.study.period_s
         flat = np.array([1.0 if p.log and not p.scale else 0.0 for p in base.forward.parameters])
         alone = all(len(rows) == 1 for rows in self.harmonics.rows.values())
         shared = np.zeros(1) if alone or name == CORRELATED else SHARED_GRID
+        # a discrepancy with a physical cause is smooth; noise may be either
+        kinds = (False, True) if name == CORRELATED else (False,)
         scales = {q: SIZE_PART * size for q, size in self.range.items()}
-        noise = {q: replace(e, delta=0.0) for q, e in base.errors.items()}
+        noise = {q: replace(e, delta=0.0, rough=False) for q, e in base.errors.items()}
         point = Point(base.u, base.computed, base.jacobian)
         found: Fit | None = None
         for round_ in range(3):
@@ -570,22 +576,20 @@ class Screening:
             log_prior, precision, pull = base.forward.prior(point.u)
             pull = pull - flat
             best, terms, best_at = -math.inf, [], noise
-            for length in LENGTH_GRID * T:
-                x = (math.log(length / (LENGTH_BEATS[0] * T))) / LENGTH_BEATS[1]
-                for size in SIZE_GRID:
-                    for rho in shared:
-                        at = {
-                            q: replace(e, delta=size * scales[q], length=length, shared=float(rho))
-                            for q, e in noise.items()
-                        }
-                        log_z, step, C = marginal(
-                            residual, point.jacobian, self.harmonics.variances(at), precision, pull
-                        )
-                        # weights of the grid: log-spaced sizes of a half-normal, a log-normal length
-                        log_w = math.log(size) - 0.5 * size**2 - 0.5 * x * x
-                        terms.append((log_w, log_z))
-                        if log_w + log_z > best:
-                            best, best_at, best_step, best_C = log_w + log_z, at, step, C
+            for length, size, rho, rough in product(LENGTH_GRID * T, SIZE_GRID, shared, kinds):
+                at = {
+                    q: replace(e, delta=size * scales[q], length=length, shared=float(rho), rough=rough)
+                    for q, e in noise.items()
+                }
+                log_z, step, C = marginal(
+                    residual, point.jacobian, self.harmonics.variances(at), precision, pull
+                )
+                # weights of the grid: log-spaced sizes of a half-normal, a log-normal length
+                x = math.log(length / (LENGTH_BEATS[0] * T)) / LENGTH_BEATS[1]
+                log_w = math.log(size) - 0.5 * size**2 - 0.5 * x * x
+                terms.append((log_w, log_z))
+                if log_w + log_z > best:
+                    best, best_at, best_step, best_C = log_w + log_z, at, step, C
             weights = np.array([w for w, _ in terms])
             weights -= logsumexp(weights)
             log_z = float(logsumexp(weights + np.array([z for _, z in terms])))
@@ -678,7 +682,10 @@ class Screening:
         base = self.refit_base(base, noise)
         gap = {q: self.gap_size(base, noise, q) for q in self.harmonics.quantities}
         allowances = {q: math.hypot(ALLOWANCE * gap[q], own) for q, own in self.numerics().items()}
-        at = {q: replace(e, delta=allowances[q], length=self._length(), shared=0.0) for q, e in noise.items()}
+        at = {
+            q: replace(e, delta=allowances[q], length=self._length(), shared=0.0, rough=False)
+            for q, e in noise.items()
+        }
         S = self.harmonics.variances(at)
         odds = base.log_z - max(unlisted.log_z, correlated.log_z) + math.log(PRIOR_NO_GAP / PRIOR_UNLISTED)
         if stop_at_noise and odds > 0.0:
@@ -812,7 +819,7 @@ def score(screened: Screened) -> Scored:
     screening = screened.screening
     S = screening.harmonics.variances(
         {
-            q: replace(e, delta=screening.numerics()[q], length=screening._length(), shared=0.0)
+            q: replace(e, delta=screening.numerics()[q], length=screening._length(), shared=0.0, rough=False)
             for q, e in screened.noise.items()
         }
     )
