@@ -30,7 +30,7 @@ from zoo.discrepancy import (
     marginal,
     noise_log_prior,
 )
-from zoo.effects import CATALOGUE, Base, Effect, Place, apply_all, get_base, simulate
+from zoo.effects import CATALOGUE, Amplitude, Base, Effect, Place, apply_all, get_base, simulate
 from zoo.network import Network
 from zoo.solver import SolverArgumentError, SolverOptions
 from zoo.study import Study
@@ -49,6 +49,8 @@ PRIOR_NO_GAP, PRIOR_UNLISTED = 0.5, 0.1
 """Prior probabilities; the rest is shared equally by the effects that the study can show."""
 DELTA_GRID = LARGEST_DELTA * np.array([0.0, 0.125, 0.25, 0.5, 0.75, 1.0])
 SIZE_GRID = np.geomspace(2e-3, 20.0, 20)
+SEARCHED_PLACES = 8
+"""Places of an effect that are searched: those where the linearised evidence is largest."""
 VISIBLE = 3.0
 """Expected log-likelihood ratio, e^3 = 20 to 1, below which two hypotheses are the same to this study."""
 SEARCH = SolverOptions(tolerance_mmHg=2e-4)
@@ -627,20 +629,31 @@ class Screening:
         search = Search(forward, self.data, S)
         amplitudes = CATALOGUE[hypothesis.name].amplitudes
         best: Point | None = None
-        for k in range(len(amplitudes[0].starts)):
-            start = [a.starts[k] if a.zero_is_base else a.centre for a in amplitudes]
+        starts = list(amplitudes[0].starts)
+        if min(starts) < 0.0 < max(starts):  # the linearisation says which side to look at
             try:
-                best = self._from(search, base, np.array(start), best)
+                aim = self._aim(search, self._secant(search, base, self._start(amplitudes, starts[0])))[1]
+                starts = [x for x in starts if (x > 0.0) == (aim > 0.0)]
+            except SearchError:
+                pass
+        for first in starts:
+            try:
+                point = search.descend(self._secant(search, base, self._start(amplitudes, first)), 12)
             except SearchError:
                 continue
+            best = point if best is None or point.cost < best.cost else best
         if best is None:
             return None
         if polish:
             best = search.polish(best)
         return self.evidence(forward, best, allowances, polish)
 
-    def _from(self, search: Search, base: Fit, start: Array, best: Point | None) -> Point | None:
-        """The better of `best` and what a search from this start finds; the base's Jacobian is reused."""
+    @staticmethod
+    def _start(amplitudes: Sequence[Amplitude], first: float) -> Array:
+        return np.array([first, *(a.centre for a in amplitudes[1:])])
+
+    def _secant(self, search: Search, base: Fit, start: Array) -> Point:
+        """A start with the base's own Jacobian, and secants from the base for the effect's."""
         u = np.concatenate([base.u, start])
         computed = search.forward(u)
         if computed is None:
@@ -660,8 +673,35 @@ class Screening:
             other = search.forward(moved)
             if other is not None:
                 jacobian[:, i] = (other - computed) / (moved[i] - u[i])
-        point = search.descend(point, 12)
-        return point if best is None or point.cost < best.cost else best
+        return point
+
+    def _aim(self, search: Search, point: Point) -> tuple[float, float]:
+        """Evidence of the linearised model, and where its mode has the first amplitude."""
+        _, precision, pull = search.forward.prior(point.u)
+        log_z, step, _ = marginal(self.data - point.computed, point.jacobian, search.S, precision, pull)
+        n = search.forward.n_base + sum(
+            len(CATALOGUE[name].amplitudes) for name, _ in search.forward.hypothesis.effects[:-1]
+        )
+        return log_z, float(point.u[n] + step[n])
+
+    def _promising(
+        self, hypotheses: Sequence[Hypothesis], base: Fit, S: Array, pool: Any
+    ) -> list[Hypothesis]:
+        """The places of an effect that are worth a search: the best by the linearised evidence."""
+        if len(hypotheses) <= SEARCHED_PLACES:
+            return list(hypotheses)
+        amplitudes = CATALOGUE[hypotheses[0].name].amplitudes
+
+        def linear(h: Hypothesis) -> float:
+            search = Search(self.forward(h), self.data, S)
+            try:
+                start = self._start(amplitudes, amplitudes[0].starts[0])
+                return self._aim(search, self._secant(search, base, start))[0]
+            except SearchError:
+                return -math.inf
+
+        ranked = sorted(zip(pool.map(linear, hypotheses), range(len(hypotheses)), strict=True), reverse=True)
+        return [hypotheses[i] for _, i in ranked[:SEARCHED_PLACES]]
 
     def run(self, *, stop_at_noise: bool = False) -> Screened:
         """Fit everything.
@@ -690,7 +730,6 @@ class Screening:
         odds = base.log_z - max(unlisted.log_z, correlated.log_z) + math.log(PRIOR_NO_GAP / PRIOR_UNLISTED)
         if stop_at_noise and odds > 0.0:
             self.hypotheses = {}
-        jobs = [h for places in self.hypotheses.values() for h in places]
         fits: dict[Hypothesis, Fit] = {}
 
         def one(h: Hypothesis) -> tuple[Hypothesis, Fit | None]:
@@ -703,8 +742,12 @@ class Screening:
             return h, self.evidence(fit.forward, search.polish(point), allowances)
 
         with ThreadPoolExecutor(max(1, self.cores)) as pool:
+            jobs = []
+            for done, places in enumerate(self.hypotheses.values(), 1):
+                self.tick(places[0].name, 0.2 * done / len(self.hypotheses))
+                jobs += self._promising(places, base, S, pool)
             for done, (h, fit) in enumerate(pool.map(one, jobs), 1):
-                self.tick(h.name, 0.7 * done / len(jobs))
+                self.tick(h.name, 0.2 + 0.5 * done / len(jobs))
                 if fit is not None:
                     fits[h] = fit
             leading = []
