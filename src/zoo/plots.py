@@ -1499,7 +1499,7 @@ def _draw_tree(axes: Axes, d: Diagnosis) -> None:
     axes.margins(0.06)
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.16 * (high - low))
-    axes.set_title("place, if a listed effect it is")
+    axes.set_title("place")
     axes.legend(loc="lower left", fontsize="small")
     scale = mpl.cm.ScalarMappable(mpl.colors.Normalize(0, 1), colours)
     bar = axes.figure.colorbar(scale, ax=axes, shrink=0.6, aspect=30)
