@@ -51,6 +51,8 @@ DELTA_GRID = LARGEST_DELTA * np.array([0.0, 0.125, 0.25, 0.5, 0.75, 1.0])
 SIZE_GRID = np.geomspace(2e-3, 20.0, 20)
 SEARCHED_PLACES = 8
 """Places of an effect that are searched: those where the linearised evidence is largest."""
+SETTLED = 4
+"""How many of the best explanations are searched again beside the noise alone, with all that have a shape."""
 VISIBLE = 3.0
 """Expected log-likelihood ratio, e^3 = 20 to 1, below which two hypotheses are the same to this study."""
 SEARCH = SolverOptions(tolerance_mmHg=2e-4)
@@ -648,6 +650,35 @@ class Screening:
             best = search.polish(best)
         return self.evidence(forward, best, allowances, polish)
 
+    def settle(
+        self, fit: Fit, base: Fit, noise: Mapping[str, Errors], allowances: Mapping[str, float]
+    ) -> Fit:
+        """A fit searched again beside the noise alone, from all starts and several shapes.
+
+        With the full allowance, what is smooth costs so little that a lesser mode may look as good.
+        """
+        own = self.numerics()
+        at = {
+            q: replace(e, delta=own[q], length=self._length(), shared=0.0, rough=False)
+            for q, e in noise.items()
+        }
+        search = Search(fit.forward, self.data, self.harmonics.variances(at))
+        best = Point(fit.u, fit.computed, fit.jacobian, search.cost(fit.u, fit.computed))
+        amplitudes = CATALOGUE[fit.hypothesis.name].amplitudes
+        shapes = [
+            [float(np.clip(a.centre + move * a.scale, a.low, a.high)) for a in amplitudes[1:]]
+            for move in ((0.0, -0.7, 1.5) if len(amplitudes) > 1 else (0.0,))
+        ]
+        for first, shape in product(amplitudes[0].starts, shapes):
+            try:
+                point = search.descend(self._secant(search, base, np.array([first, *shape])), 15)
+            except SearchError:
+                continue
+            if point.cost < best.cost:
+                best = point
+        found = self.evidence(fit.forward, search.polish(best, 6), allowances)
+        return found if found.log_z > fit.log_z else fit
+
     @staticmethod
     def _start(amplitudes: Sequence[Amplitude], first: float) -> Array:
         return np.array([first, *(a.centre for a in amplitudes[1:])])
@@ -741,6 +772,9 @@ class Screening:
             point = Point(fit.u, fit.computed, fit.jacobian, search.cost(fit.u, fit.computed))
             return h, self.evidence(fit.forward, search.polish(point), allowances)
 
+        def settled(h: Hypothesis) -> tuple[Hypothesis, Fit]:
+            return h, self.settle(fits[h], base, noise, allowances)
+
         with ThreadPoolExecutor(max(1, self.cores)) as pool:
             jobs = []
             for done, places in enumerate(self.hypotheses.values(), 1):
@@ -755,7 +789,12 @@ class Screening:
                 ranked = sorted((h for h in places if h in fits), key=lambda h: -fits[h].log_z)
                 leading += ranked[:2]
             for done, (h, fit) in enumerate(pool.map(again, leading), 1):
-                self.tick(h.name, 0.7 + 0.3 * done / len(leading))
+                self.tick(h.name, 0.7 + 0.25 * done / len(leading))
+                fits[h] = fit
+            ranked = sorted(fits, key=lambda h: -fits[h].log_z)
+            shaped = {h.name: h for h in reversed(ranked) if len(CATALOGUE[h.name].amplitudes) > 1}
+            again_from_all = list(dict.fromkeys([*ranked[:SETTLED], *shaped.values()]))
+            for h, fit in pool.map(settled, again_from_all):
                 fits[h] = fit
         # the best explanation of all leaves the noise: a free discrepancy takes some of it along
         best = max((unlisted, correlated, *fits.values()), key=lambda f: f.log_z)
