@@ -598,6 +598,8 @@ class Screening:
             weights -= logsumexp(weights)
             log_z = float(logsumexp(weights + np.array([z for _, z in terms])))
             # the noise beside this discrepancy
+            # where the data say little, the linearised mode may lie far outside the bounds
+            best_step = np.clip(point.u + best_step, base.forward.low, base.forward.high) - point.u
             part = residual - point.jacobian @ best_step
             refit = {q: fit_noise(self.harmonics, part, q, best_at[q]) for q in self.harmonics.quantities}
             noise = {q: replace(e, delta=0.0) for q, e in refit.items()}
