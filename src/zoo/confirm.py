@@ -30,6 +30,8 @@ from zoo.study import Study
 
 Array = NDArray[np.float64]
 
+DOUBT = 0.01
+"""Probability above which a rival outside the leader's group is sampled too."""
 LEADING = 2
 """Explanations that are sampled besides the base."""
 WEIGHED = 600
@@ -311,7 +313,11 @@ def confirm(
 
     screened = scored.screened
     listed = [n for n in scored.names if n in scored.places and n not in scored.invisible]
-    chosen = {NO_GAP: screened.base} | {n: scored.best[n] for n in listed[:LEADING]}
+    # a rival that the screening has ruled out needs no posterior
+    rivals = [
+        n for n in listed[1:] if scored.probability[n] > DOUBT or scored.group[n] == scored.group[listed[0]]
+    ]
+    chosen = {NO_GAP: screened.base} | {n: scored.best[n] for n in [*listed[:1], *rivals][:LEADING]}
     found: dict[str, Confirmed] = {}
     scores: dict[str, Any] = {}
     for done, (name, fit) in enumerate(chosen.items()):
