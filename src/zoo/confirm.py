@@ -170,11 +170,7 @@ def effect_model(screened: Screened, fit: Fit) -> pm.Model:
                 f"tau_{short}": min(e.tau, 0.95 * top * T),
                 f"delta_{short}": max(e.delta, 0.1 * fit.allowances[q]),
             }
-            omega = 2.0 * math.pi * H.k / T
-            correlated = 1.0 / (1.0 + (omega * tau) ** 2)
-            smooth = np.exp(-0.5 * (omega * LENGTH_BEATS[0] * T) ** 2)
-            row = sigma**2 * (1.0 + ratio**2 * correlated / correlated.mean())
-            row = row + delta**2 * (smooth / smooth.mean())
+            row = sigma**2 * (1.0 + ratio**2 * H.rough(tau)) + delta**2 * H.smooth(LENGTH_BEATS[0] * T)
             S = pt.set_subtensor(S[rows], row[None, :])
         IidErrors("z", computed, ok, S.reshape((H.size,)), observed=screening.data)
     model.zoo_start = start

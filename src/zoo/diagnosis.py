@@ -286,10 +286,8 @@ class Discrepancy:
 
 
 def discrepancy(screened: Screened, fit: Fit, seed: int = 0) -> Discrepancy:
-    """Posterior of the smooth part of what a fit leaves, beside the noise: truth minus the fitted waveforms.
-
-    It has two parts: what is smooth in the residual, and the error of the fitted parameters, which does not
-    show there.
+    """Posterior of the truth minus the fitted waveforms: what is smooth in the residual beside the noise, and
+    the error of the fitted parameters, which does not show there.
 
     Parameters
     ----------
@@ -305,10 +303,7 @@ def discrepancy(screened: Screened, fit: Fit, seed: int = 0) -> Discrepancy:
     screening = screened.screening
     H = screening.harmonics
     rng = np.random.default_rng(seed)
-    mean, draws = screening.smooth(fit.residual, screened.noise, rng, DRAWS)
-    # what the parameters took of the noise is missing in the residual
-    taken = fit.jacobian @ np.linalg.cholesky(fit.covariance)
-    draws = draws + rng.standard_normal((DRAWS, taken.shape[1])) @ taken.T
+    mean, draws = screening.unexplained(fit, screened.possible_noise, rng, DRAWS)
     waves = H.back(draws)
     rms = np.sqrt(np.mean(waves**2, axis=2))
     return Discrepancy(H.back(mean), waves.std(axis=0), rms, H.back(fit.residual))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +32,9 @@ LENGTH_BEATS = (0.05, 0.5)
 """Prior of the discrepancy's length scale in beats: median, and sd of the logarithm. An upstroke lasts some
 tenth of a beat, and a discrepancy follows the features of the waveform."""
 LENGTH_GRID = np.exp(np.linspace(-1.5, 1.5, 7) * LENGTH_BEATS[1]) * LENGTH_BEATS[0]
-SHARED_GRID = np.array([0.4, 0.7, 0.9])
+SHARED_GRID = np.array([0.0, 0.4, 0.7, 0.9])
 """Correlation between series of a discrepancy that has a physical cause: what is wrong in one vessel is
-wrong in its neighbours too. Noise has none."""
+wrong in its neighbours too, but the base's parameters may have taken the common part away. Noise has none."""
 
 
 class HarmonicError(ValueError):
@@ -144,11 +145,13 @@ class Harmonics:
         c[..., self._imaginary] += 1j * packed[..., m:]
         return np.fft.irfft(c / self._weight, n=self.n, norm="ortho")
 
-    def _correlated(self, tau: float) -> Array:
-        f: Array = 1.0 / (1.0 + (self._omega * tau) ** 2)
-        return np.asarray(f / f.mean())
+    def rough(self, tau: Any) -> Any:
+        """Spectrum (n_times,), of mean 1, of an Ornstein-Uhlenbeck process; of a number or a tensor."""
+        f = 1.0 / (1.0 + (self._omega * tau) ** 2)
+        return f / f.mean()
 
-    def _smooth(self, length: float) -> Array:
+    def smooth(self, length: float) -> Array:
+        """The same of a squared-exponential process."""
         f: Array = np.exp(-0.5 * (self._omega * length) ** 2)
         return np.asarray(f / f.mean())
 
@@ -156,11 +159,11 @@ class Harmonics:
         """Variances (n_series, n_times) of the coefficients of one quantity's series."""
         S = np.zeros((n_series, self.n))
         if noise:
-            S += errors.sigma**2 * (1.0 + errors.ratio**2 * self._correlated(errors.tau))
+            S += errors.sigma**2 * (1.0 + errors.ratio**2 * self.rough(errors.tau))
         if errors.delta > 0.0:
             share = np.full(n_series, 1.0 - errors.shared)
             share[0] += n_series * errors.shared
-            shape = self._correlated if errors.rough else self._smooth
+            shape = self.rough if errors.rough else self.smooth
             S += errors.delta**2 * np.outer(share, shape(errors.length))
         return S
 
@@ -172,21 +175,18 @@ class Harmonics:
         return S.reshape(self.size)
 
     def part(self, coefficients: Array, quantity: str) -> Array:
-        """One quantity's coefficients, (n_series of it, n_times)."""
-        return coefficients.reshape(len(self._rotation), self.n)[self.rows[quantity]]
-
-    def part_of(self, draws: Array, quantity: str) -> Array:
-        """`part` of many vectors, (n_draws, n_series of it, n_times)."""
-        return draws.reshape(len(draws), len(self._rotation), self.n)[:, self.rows[quantity]]
+        """One quantity's coefficients, (..., n_series of it, n_times)."""
+        apart = coefficients.reshape(*coefficients.shape[:-1], len(self._rotation), self.n)
+        return np.asarray(apart[..., self.rows[quantity], :])
 
 
 LARGEST_DELTA = 2.0
 """Largest discrepancy beside a hypothesis, in units of the sd of its half-normal prior: 95 % of it."""
 
 
-def log_density(coefficients: Array, S: Array) -> float:
-    """Log-density of independent normal coefficients of variances S."""
-    return float(-0.5 * np.sum(coefficients**2 / S + np.log(2.0 * math.pi * S)))
+def log_density(coefficients: Array, S: Array) -> Any:
+    """Log-density (...,) of independent normal coefficients of variances S (..., n)."""
+    return -0.5 * np.sum(coefficients**2 / S + np.log(2.0 * math.pi * S), axis=-1)
 
 
 def noise_log_prior(errors: Errors, period_s: float) -> float:
@@ -256,7 +256,7 @@ def marginal(
     S: Array,
     precision: Array,
     pull: Array,
-) -> tuple[float, Array, Array]:
+) -> tuple[Any, Array, Array]:
     """Log marginal likelihood of a linear model with normal errors, and its parameters' posterior.
 
     r = J d + e, e ~ N(0, diag S), prior density exp(-d'P d/2 - pull'd) without its constant:
@@ -267,30 +267,32 @@ def marginal(
     residual : array (n,)
         At the point of linearisation.
     jacobian : array (n, d)
-    S : array (n,)
+    S : array (..., n)
+        Any number of variances at once.
     precision : array (d,)
         P, 0 for a flat prior.
     pull : array (d,)
 
     Returns
     -------
-    log_z : float
-    step : array (d,)
+    log_z : array (...,)
+    step : array (..., d)
         H^-1 b, the mode seen from the point of linearisation.
-    covariance : array (d, d)
+    covariance : array (..., d, d)
         H^-1.
     """
-    scaled = jacobian / S[:, None]
-    H = jacobian.T @ scaled + np.diag(precision)
-    b = scaled.T @ residual - pull
-    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    C = np.linalg.inv(H / np.outer(size, size)) / np.outer(size, size)
-    step = C @ b
-    _, logdet = np.linalg.slogdet(H / np.outer(size, size))
-    logdet += 2.0 * float(np.log(size).sum())
-    log_z = log_density(residual, S) + 0.5 * float(b @ step)
-    log_z += 0.5 * (len(step) * math.log(2.0 * math.pi) - logdet)
-    return log_z, step, C
+    d = jacobian.shape[1]
+    products = (jacobian[:, :, None] * jacobian[:, None, :]).reshape(len(jacobian), d * d)
+    H = ((1.0 / S) @ products).reshape(*S.shape[:-1], d, d) + np.diag(precision)
+    b = (1.0 / S) @ (jacobian * residual[:, None]) - pull
+    size = np.sqrt(np.maximum(np.einsum("...dd->...d", H), 1e-300))
+    scale = size[..., :, None] * size[..., None, :]
+    C = np.linalg.inv(H / scale) / scale
+    step = np.einsum("...de,...e->...d", C, b)
+    _, logdet = np.linalg.slogdet(H / scale)
+    logdet += 2.0 * np.log(size).sum(axis=-1)
+    log_z = log_density(residual, S) + 0.5 * np.sum(b * step, axis=-1)
+    return log_z + 0.5 * (d * math.log(2.0 * math.pi) - logdet), step, C
 
 
 def smooth_part(harmonics: Harmonics, residual: Array, errors: Mapping[str, Errors]) -> tuple[Array, Array]:

@@ -15,14 +15,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 from scipy.special import log_ndtr, logsumexp
 from scipy.stats import truncnorm
 
 from zoo.conventions import Conventions
 from zoo.discrepancy import (
+    CORRELATED_RATIO,
     LARGEST_DELTA,
     LENGTH_BEATS,
     LENGTH_GRID,
+    MEMORY_BEATS,
     SHARED_GRID,
     Errors,
     Harmonics,
@@ -49,10 +52,15 @@ PRIOR_NO_GAP, PRIOR_UNLISTED = 0.5, 0.1
 """Prior probabilities; the rest is shared equally by the effects that the study can show."""
 DELTA_GRID = LARGEST_DELTA * np.array([0.0, 0.125, 0.25, 0.5, 0.75, 1.0])
 SIZE_GRID = np.geomspace(2e-3, 20.0, 20)
+RATIO_GRID = CORRELATED_RATIO * np.linspace(0.0, 1.0, 7)
+MEMORY_GRID = np.linspace(-2.0, 2.0, 5)
+"""Of the noise's correlation time: in sds of the logarithm from the median."""
 SEARCHED_PLACES = 8
 """Places of an effect that are searched: those where the linearised evidence is largest."""
 SETTLED = 4
 """How many of the best explanations are searched again beside the noise alone, with all that have a shape."""
+TRIES = 20
+"""Draws of the parameters among which one inside the bounds is taken."""
 VISIBLE = 3.0
 """Expected log-likelihood ratio, e^3 = 20 to 1, below which two hypotheses are the same to this study."""
 SEARCH = SolverOptions(tolerance_mmHg=2e-4)
@@ -150,6 +158,10 @@ class Forward:
                 label = a.name if i == len(hypothesis.effects) - 1 else f"{name} {a.name}"
                 parameters.append(Parameter(label, a.unit, a.low, a.high, False, a.centre, a.scale))
         self.parameters = tuple(parameters)
+        self.asked = len(parameters) - (
+            len(CATALOGUE[hypothesis.name].amplitudes) if hypothesis.effects else 0
+        )
+        """Index of the first amplitude of the effect asked about."""
         self.low = np.array([p.outside(p.low) for p in parameters])
         self.high = np.array([p.outside(p.high) for p in parameters])
         self.units = np.array([p.unit_step for p in parameters])
@@ -199,7 +211,10 @@ class Forward:
         log_prior = sum(p.log_prior(x) for p, x in zip(self.parameters, u, strict=True))
         precision = np.array([1.0 / p.scale**2 if p.scale else 0.0 for p in self.parameters])
         pull = np.array(
-            [(x - p.centre) / p.scale**2 if p.scale else 0.0 for p, x in zip(self.parameters, u, strict=True)]
+            [
+                (x - p.centre) / p.scale**2 if p.scale else -1.0 if p.log else 0.0
+                for p, x in zip(self.parameters, u, strict=True)
+            ]
         )
         return float(log_prior), precision, pull
 
@@ -247,6 +262,10 @@ class Search:
         point.jacobian = self.differences(point, None) if jacobian is None else jacobian
         return point
 
+    def resume(self, fit: Fit) -> Point:
+        """Where a fit stands."""
+        return Point(fit.u, fit.computed, fit.jacobian, self.cost(fit.u, fit.computed))
+
     def differences(self, point: Point, guess: Array | None) -> Array:
         """Jacobian by one-sided differences, of steps that change the series by about twice their noise."""
         forward, wanted = self.forward, 2.0 * math.sqrt(float(len(self.S)))
@@ -280,7 +299,6 @@ class Search:
         scaled = point.jacobian / self.S[:, None]
         H = point.jacobian.T @ scaled + np.diag(precision)
         b = scaled.T @ (self.data - point.computed) - pull
-        b += np.array([1.0 if p.log and not p.scale else 0.0 for p in forward.parameters])
         H += np.diag(damping * np.diag(H) + 1e-9 / forward.units**2)
         fixed = np.zeros(len(b), bool)
         step = np.zeros(len(b))
@@ -304,7 +322,6 @@ class Search:
     def descend(self, point: Point, iterations: int, gain: float = 0.02) -> Point:
         """Damped steps with Broyden's updates until one gains less than `gain`."""
         damping = 1e-3
-        small = 0
         for _ in range(iterations):
             step = self._step(point, damping)
             if float(np.max(np.abs(step) / self.forward.units)) < 1e-5:
@@ -315,30 +332,34 @@ class Search:
                 damping = max(10.0 * damping, 0.1)
                 continue
             cost = self.cost(u, computed)
+            linear = point.computed + point.jacobian @ step
+            hoped = point.cost - self.cost(u, linear)
+            if cost - point.cost > hoped:  # so far from linear that a secant would mislead
+                damping = max(8.0 * damping, 1e-2)
+                continue
             t = step / self.forward.units
-            miss = computed - point.computed - point.jacobian @ step
-            jacobian = point.jacobian + np.outer(miss, t / self.forward.units) / float(t @ t)
+            jacobian = point.jacobian + np.outer(computed - linear, t / self.forward.units) / float(t @ t)
             if cost < point.cost:
-                small = small + 1 if point.cost - cost < gain else 0
+                small = point.cost - cost < gain
                 point = Point(u, computed, jacobian, cost)
                 damping *= 0.2
                 if small:
                     break
             else:
                 point = replace(point, jacobian=jacobian)
-                if point.cost - cost > -gain:
+                if hoped < gain:
                     break
                 damping = max(8.0 * damping, 1e-2)
                 if damping > 1e4:
                     break
         return point
 
-    def polish(self, point: Point, rounds: int = 3) -> Point:
+    def polish(self, point: Point, rounds: int = 3, iterations: int = 6) -> Point:
         """Fresh Jacobians and descents until one gains nothing."""
         for _ in range(rounds):
             before = point.cost
             point = replace(point, jacobian=self.differences(point, point.jacobian))
-            point = self.descend(point, 6)
+            point = self.descend(point, iterations)
             if before - point.cost < 0.1:
                 break
         return point
@@ -363,8 +384,6 @@ class Fit:
     log_z: float
     mean: Array
     covariance: Array = field(repr=False)
-    at_bound: bool
-    polished: bool
 
     @property
     def values(self) -> Array:
@@ -378,8 +397,7 @@ class Fit:
 
     def amplitude(self, index: int = 0) -> tuple[float, float]:
         """Mean and sd of an amplitude of the effect asked about, within its bounds."""
-        n = len(CATALOGUE[self.hypothesis.name].amplitudes)
-        i = len(self.u) - n + index
+        i = self.forward.asked + index
         p, m, s = self.forward.parameters[i], self.mean[i], self.sd[i]
         low, high = (p.low - m) / s, (p.high - m) / s
         if low > 6 or high < -6:  # beyond a bound: all mass stands there
@@ -432,6 +450,7 @@ class Screening:
         self.network = Network.from_study(study)
         self.tick = tick or _silent
         self.forwards: list[Forward] = []
+        self._secants: dict[tuple[Hypothesis, bytes], Point] = {}
         names = [n for n in (effects or CATALOGUE) if CATALOGUE[n].apply is not None and self._offered(n)]
         self.hypotheses = {
             name: [Hypothesis((*self.added, (name, place))) for place in CATALOGUE[name].places(self.network)]
@@ -467,18 +486,16 @@ class Screening:
     def _length(self) -> float:
         return LENGTH_BEATS[0] * self.study.period_s
 
-    def _noise(
-        self, residual: Array, allowances: Mapping[str, float], free: bool = True
-    ) -> dict[str, Errors]:
-        """Noise (and allowance, if free) that fit a residual."""
+    def _noise(self, residual: Array, allowances: Mapping[str, float]) -> dict[str, Errors]:
+        """Noise and allowance that fit a residual."""
         start = Errors(1.0, delta=0.0, length=self._length())
         return {
             q: fit_noise(
                 self.harmonics,
                 residual,
                 q,
-                replace(start, delta=0.0 if free else scale),
-                free_delta=free and scale > 0,
+                start,
+                free_delta=scale > 0,
                 scale=scale,
             )
             for q, scale in allowances.items()
@@ -488,15 +505,20 @@ class Screening:
         """Allowance for the solver's own error, by quantity."""
         return {q: NUMERICS_PART * size for q, size in self.range.items()}
 
-    def evidence(
-        self, forward: Forward, point: Point, allowances: Mapping[str, float], polished: bool = True
-    ) -> Fit:
+    def beside(self, noise: Mapping[str, Errors], allowances: Mapping[str, float]) -> Array:
+        """Variances (n,) of that noise with an allowance, whatever discrepancy it was found beside."""
+        at = {
+            q: replace(e, delta=allowances[q], length=self._length(), shared=0.0, rough=False)
+            for q, e in noise.items()
+        }
+        return self.harmonics.variances(at)
+
+    def evidence(self, forward: Forward, point: Point, allowances: Mapping[str, float]) -> Fit:
         """Marginal likelihood around a point, in closed form; over the allowance on a grid."""
         residual = self.data - point.computed
         errors = self._noise(residual, allowances)
         log_prior, precision, pull = forward.prior(point.u)
         log_prior += sum(noise_log_prior(e, self.study.period_s) for e in errors.values())
-        pull = pull - np.array([1.0 if p.log and not p.scale else 0.0 for p in forward.parameters])
         weights = np.exp(-0.5 * DELTA_GRID**2)
         weights /= weights.sum()
         terms, bests = [], []
@@ -509,10 +531,6 @@ class Screening:
             terms.append(math.log(weight) + log_z)
             bests.append((mean, C, at))
         best = int(np.argmax(terms))
-        span = forward.high - forward.low
-        at_bound = bool(
-            np.any((point.u - forward.low < 1e-6 * span) | (forward.high - point.u < 1e-6 * span))
-        )
         return Fit(
             forward.hypothesis,
             forward,
@@ -525,8 +543,6 @@ class Screening:
             float(logsumexp(terms)) + log_prior,
             bests[best][0],
             bests[best][1],
-            at_bound,
-            polished,
         )
 
     # -- the base --------------------------------------------------------------------------------
@@ -554,19 +570,14 @@ class Screening:
 
     def refit_base(self, base: Fit, noise: Mapping[str, Errors]) -> Fit:
         """The base's best fit beside the noise that a free discrepancy leaves: its residual is the gap."""
-        own = self.numerics()
-        at = {
-            q: replace(e, delta=own[q], length=self._length(), shared=0.0, rough=False)
-            for q, e in noise.items()
-        }
-        search = Search(base.forward, self.data, self.harmonics.variances(at))
-        point = Point(base.u, base.computed, base.jacobian, search.cost(base.u, base.computed))
-        return self.evidence(base.forward, search.polish(search.descend(point, 8), 2), own)
+        search = Search(base.forward, self.data, self.beside(noise, self.numerics()))
+        return self.evidence(
+            base.forward, search.polish(search.descend(search.resume(base), 8), 2), self.numerics()
+        )
 
     def fit_free(self, base: Fit, name: str) -> Fit:
         """The base with a free discrepancy: smooth and shared by the series, or noise of its own in each."""
         T = self.study.period_s
-        flat = np.array([1.0 if p.log and not p.scale else 0.0 for p in base.forward.parameters])
         alone = all(len(rows) == 1 for rows in self.harmonics.rows.values())
         shared = np.zeros(1) if alone or name == CORRELATED else SHARED_GRID
         # a discrepancy with a physical cause is smooth; noise may be either
@@ -578,7 +589,6 @@ class Screening:
         for round_ in range(3):
             residual = self.data - point.computed
             log_prior, precision, pull = base.forward.prior(point.u)
-            pull = pull - flat
             best, terms, best_at = -math.inf, [], noise
             for length, size, rho, rough in product(LENGTH_GRID * T, SIZE_GRID, shared, kinds):
                 at = {
@@ -597,9 +607,9 @@ class Screening:
             weights = np.array([w for w, _ in terms])
             weights -= logsumexp(weights)
             log_z = float(logsumexp(weights + np.array([z for _, z in terms])))
-            # the noise beside this discrepancy
             # where the data say little, the linearised mode may lie far outside the bounds
             best_step = np.clip(point.u + best_step, base.forward.low, base.forward.high) - point.u
+            # the noise beside this discrepancy
             part = residual - point.jacobian @ best_step
             refit = {q: fit_noise(self.harmonics, part, q, best_at[q]) for q in self.harmonics.quantities}
             noise = {q: replace(e, delta=0.0) for q, e in refit.items()}
@@ -608,7 +618,7 @@ class Screening:
                 Hypothesis(self.added), base.forward, point.u, point.computed, point.jacobian, residual,
                 {q: replace(best_at[q], sigma=e.sigma, ratio=e.ratio, tau=e.tau) for q, e in refit.items()},
                 {q: best_at[q].delta for q in best_at}, log_z + log_prior + log_noise,
-                point.u + best_step, best_C, False, True,
+                point.u + best_step, best_C,
             )  # fmt: skip
             if round_ == 2:
                 break
@@ -626,7 +636,6 @@ class Screening:
         base: Fit,
         S: Array,
         allowances: Mapping[str, float],
-        polish: bool = False,
     ) -> Fit | None:
         """A hypothesis at the best mode that its starts lead to; None where the solver fails at all."""
         forward = self.forward(hypothesis)
@@ -648,24 +657,18 @@ class Screening:
             best = point if best is None or point.cost < best.cost else best
         if best is None:
             return None
-        if polish:
-            best = search.polish(best)
-        return self.evidence(forward, best, allowances, polish)
+        return self.evidence(forward, best, allowances)
 
     def settle(
         self, fit: Fit, base: Fit, noise: Mapping[str, Errors], allowances: Mapping[str, float]
     ) -> Fit:
         """A fit searched again beside the noise alone, from all starts and several shapes.
 
-        With the full allowance, what is smooth costs so little that a lesser mode may look as good.
+        With the full allowance, what is smooth costs so little that a lesser mode may look as good, and that
+        the mode stands where something is left to explain.
         """
-        own = self.numerics()
-        at = {
-            q: replace(e, delta=own[q], length=self._length(), shared=0.0, rough=False)
-            for q, e in noise.items()
-        }
-        search = Search(fit.forward, self.data, self.harmonics.variances(at))
-        best = Point(fit.u, fit.computed, fit.jacobian, search.cost(fit.u, fit.computed))
+        search = Search(fit.forward, self.data, self.beside(noise, self.numerics()))
+        best = search.resume(fit)
         amplitudes = CATALOGUE[fit.hypothesis.name].amplitudes
         shapes = [
             [float(np.clip(a.centre + move * a.scale, a.low, a.high)) for a in amplitudes[1:]]
@@ -678,15 +681,30 @@ class Screening:
                 continue
             if point.cost < best.cost:
                 best = point
-        found = self.evidence(fit.forward, search.polish(best, 6), allowances)
-        return found if found.log_z > fit.log_z else fit
+        found = self.evidence(fit.forward, search.polish(best, 6, 15), allowances)
+        for _ in range(3):  # a free discrepancy leaves other noise than a cause
+            search = Search(fit.forward, self.data, self.beside(found.errors, self.numerics()))
+            best = search.resume(found)
+            before = best.cost
+            best = search.polish(best, 6, 15)
+            found = self.evidence(fit.forward, best, allowances)
+            if before - best.cost < 0.1:
+                break
+        # both linearise one posterior: a small difference between them is the linearisation's
+        if found.log_z < fit.log_z - VISIBLE:
+            return fit
+        return replace(found, log_z=max(found.log_z, fit.log_z))
 
     @staticmethod
     def _start(amplitudes: Sequence[Amplitude], first: float) -> Array:
         return np.array([first, *(a.centre for a in amplitudes[1:])])
 
     def _secant(self, search: Search, base: Fit, start: Array) -> Point:
-        """A start with the base's own Jacobian, and secants from the base for the effect's."""
+        """A start with the base's own Jacobian, and secants from the base for the effect's; solved once."""
+        key = (search.forward.hypothesis, start.tobytes())
+        if key in self._secants:
+            known = self._secants[key]
+            return replace(known, cost=search.cost(known.u, known.computed))
         u = np.concatenate([base.u, start])
         computed = search.forward(u)
         if computed is None:
@@ -706,15 +724,14 @@ class Screening:
             other = search.forward(moved)
             if other is not None:
                 jacobian[:, i] = (other - computed) / (moved[i] - u[i])
+        self._secants[key] = point
         return point
 
     def _aim(self, search: Search, point: Point) -> tuple[float, float]:
         """Evidence of the linearised model, and where its mode has the first amplitude."""
         _, precision, pull = search.forward.prior(point.u)
         log_z, step, _ = marginal(self.data - point.computed, point.jacobian, search.S, precision, pull)
-        n = search.forward.n_base + sum(
-            len(CATALOGUE[name].amplitudes) for name, _ in search.forward.hypothesis.effects[:-1]
-        )
+        n = search.forward.asked
         return log_z, float(point.u[n] + step[n])
 
     def _promising(
@@ -755,11 +772,7 @@ class Screening:
         base = self.refit_base(base, noise)
         gap = {q: self.gap_size(base, noise, q) for q in self.harmonics.quantities}
         allowances = {q: math.hypot(ALLOWANCE * gap[q], own) for q, own in self.numerics().items()}
-        at = {
-            q: replace(e, delta=allowances[q], length=self._length(), shared=0.0, rough=False)
-            for q, e in noise.items()
-        }
-        S = self.harmonics.variances(at)
+        S = self.beside(noise, allowances)
         odds = base.log_z - max(unlisted.log_z, correlated.log_z) + math.log(PRIOR_NO_GAP / PRIOR_UNLISTED)
         if stop_at_noise and odds > 0.0:
             self.hypotheses = {}
@@ -771,8 +784,7 @@ class Screening:
         def again(h: Hypothesis) -> tuple[Hypothesis, Fit]:
             fit = fits[h]
             search = Search(fit.forward, self.data, S)
-            point = Point(fit.u, fit.computed, fit.jacobian, search.cost(fit.u, fit.computed))
-            return h, self.evidence(fit.forward, search.polish(point), allowances)
+            return h, self.evidence(fit.forward, search.polish(search.resume(fit)), allowances)
 
         def settled(h: Hypothesis) -> tuple[Hypothesis, Fit]:
             return h, self.settle(fits[h], base, noise, allowances)
@@ -800,23 +812,72 @@ class Screening:
                 fits[h] = fit
         # the best explanation of all leaves the noise: a free discrepancy takes some of it along
         best = max((unlisted, correlated, *fits.values()), key=lambda f: f.log_z)
-        return Screened(self, base, unlisted, correlated, fits, best.errors, gap, allowances)
+        possible = self.possible_noise(best)
+        return Screened(self, base, unlisted, correlated, fits, best.errors, possible, gap, allowances)
+
+    # -- what a fit leaves -------------------------------------------------------------------------
 
     def gap_size(self, fit: Fit, noise: Mapping[str, Errors], quantity: str) -> float:
-        """Rms of the smooth part of a fit's residual, in the quantity's unit."""
-        _, draws = self.smooth(fit.residual, noise, np.random.default_rng(0), 50)
-        return math.sqrt(float(np.mean(self.harmonics.part_of(draws, quantity) ** 2)))
+        """Rms of truth minus fit, in the quantity's unit."""
+        known = {q: [(0.0, e)] for q, e in noise.items()}
+        _, draws = self.unexplained(fit, known, np.random.default_rng(0), 50)
+        return math.sqrt(float(np.mean(self.harmonics.part(draws, quantity) ** 2)))
 
-    def smooth(
-        self, residual: Array, noise: Mapping[str, Errors], rng: np.random.Generator, n_draws: int
-    ) -> tuple[Array, Array]:
-        """Posterior of the smooth discrepancy in a residual, its size and length integrated over grids.
+    def possible_noise(self, fit: Fit) -> dict[str, list[tuple[float, Errors]]]:
+        """Log-priors and values of the noise on a grid of the correlated noise's size and time.
+
+        The white noise's sd, which the high harmonics determine, is fitted at each point.
 
         Parameters
         ----------
-        residual : array (n,)
-            Harmonics.
-        noise : mapping of quantity to Errors
+        fit : Fit
+            Whose residual, beside its own discrepancy, is noise.
+
+        Returns
+        -------
+        dict of quantity to list of (log-prior, Errors)
+            Without discrepancy.
+        """
+        T = self.study.period_s
+        median, spread, top = MEMORY_BEATS
+        left = fit.residual - fit.jacobian @ (fit.mean - fit.u)
+        found: dict[str, list[tuple[float, Errors]]] = {}
+        for q, errors in fit.errors.items():
+            power = self.harmonics.part(left, q) ** 2
+            own = self.harmonics.spectrum(errors, len(power), noise=False)
+            found[q] = []
+            for ratio, move in product(RATIO_GRID, MEMORY_GRID):
+                tau = min(median * math.exp(move * spread), top) * T
+                e = replace(errors, sigma=1.0, ratio=float(ratio), tau=tau, delta=0.0)
+                unit = self.harmonics.spectrum(e, len(power))
+
+                def cost(x: float, power: Array = power, unit: Array = unit, own: Array = own) -> float:
+                    S = math.exp(2.0 * x) * unit + own
+                    return 0.5 * float(np.sum(power / S + np.log(S)))
+
+                centre = math.log(errors.sigma)
+                x = minimize_scalar(cost, bounds=(centre - 1.0, centre + 0.5), method="bounded").x
+                log_prior = -0.5 * (ratio / CORRELATED_RATIO) ** 2 - 0.5 * move**2
+                found[q].append((float(log_prior), replace(e, sigma=math.exp(x))))
+        return found
+
+    def unexplained(
+        self,
+        fit: Fit,
+        noise: Mapping[str, Sequence[tuple[float, Errors]]],
+        rng: np.random.Generator,
+        n_draws: int,
+    ) -> tuple[Array, Array]:
+        """Posterior of truth minus fit: r = J d + s + e, of which J d + s is asked.
+
+        d is the error of the fitted parameters, s a smooth discrepancy (none, by an even chance), e noise.
+        Given the noise, and the size and length of s, all are normal, within the bounds of d.
+
+        Parameters
+        ----------
+        fit : Fit
+        noise : mapping of quantity to sequence of (log-prior, Errors)
+            As of `possible_noise`.
         rng : Generator
         n_draws : int
 
@@ -826,29 +887,62 @@ class Screening:
         draws : array (n_draws, n)
         """
         H, T = self.harmonics, self.study.period_s
-        mean, drawn = np.zeros(H.size), np.zeros((n_draws, H.size))
+        _, precision, pull = fit.forward.prior(fit.u)
         shape = (len(self.study.series), H.n)
+        # no size is preferred: the grid is even in its logarithm
+        kinds = [(math.log(0.5), 0.0, LENGTH_BEATS[0] * T)]
+        lengths = np.array(
+            [-0.5 * (math.log(x / LENGTH_BEATS[0]) / LENGTH_BEATS[1]) ** 2 for x in LENGTH_GRID]
+        )
+        lengths += math.log(0.5 / len(SIZE_GRID)) - logsumexp(lengths)
+        for length, log_w in zip(LENGTH_GRID * T, lengths, strict=True):
+            kinds += [(float(log_w), float(size), float(length)) for size in SIZE_GRID]
+        own = np.zeros((len(kinds), *shape))
         for q, rows in H.rows.items():
-            part = H.part(residual, q)
-            total = H.spectrum(replace(noise[q], delta=0.0), len(rows))
-            logs, gains, owns = [], [], []
-            for length in LENGTH_GRID * T:
-                x = math.log(length / (LENGTH_BEATS[0] * T)) / LENGTH_BEATS[1]
-                unit = H.spectrum(Errors(0.0, delta=1.0, length=float(length)), len(rows))
-                for size in SIZE_GRID:
-                    own = (size * SIZE_PART * self.range[q]) ** 2 * unit
-                    S = total + own
-                    # sizes equally likely on the logarithmic grid: no size is preferred here
-                    logs.append(-0.5 * float(np.sum(part**2 / S + np.log(S))) - 0.5 * x * x)
-                    gains.append(own / S)
-                    owns.append(own)
-            weight = np.exp(np.array(logs) - logsumexp(logs))
-            average = sum(w * g for w, g in zip(weight, gains, strict=True) if w > 1e-9) * part
-            mean.reshape(shape)[rows] = average
-            for k, i in enumerate(rng.choice(len(weight), n_draws, p=weight)):
-                spread = np.sqrt(owns[i] * (1.0 - gains[i]))
-                drawn[k].reshape(shape)[rows] = gains[i] * part + spread * rng.standard_normal(part.shape)
-        return mean, drawn
+            for i, (_, size, length) in enumerate(kinds):
+                e = Errors(0.0, delta=size * SIZE_PART * self.range[q], length=length)
+                own[i, rows] = H.spectrum(e, len(rows), noise=False)
+        options = {
+            q: np.array([H.spectrum(e, len(H.rows[q])) for _, e in choices]) for q, choices in noise.items()
+        }
+        likely = np.empty(shape)
+        for q, rows in H.rows.items():
+            likely[rows] = H.spectrum(replace(fit.errors[q], delta=0.0), len(rows))
+        # the noise of one quantity and the kind of discrepancy together, the others' noise as fitted
+        tables = {}
+        for q, rows in H.rows.items():
+            S = np.repeat((likely + own)[:, None], len(options[q]), axis=1)
+            S[:, :, rows] = own[:, None, rows] + options[q]
+            log_z, _, _ = marginal(
+                fit.residual, fit.jacobian, S.reshape(*S.shape[:2], H.size), precision, pull
+            )
+            log_w = np.array([w for w, _, _ in kinds])[:, None] + np.array([w for w, _ in noise[q]])
+            tables[q] = np.exp(log_w + log_z - logsumexp(log_w + log_z))
+        first, *rest = tables
+        joint = rng.choice(tables[first].size, n_draws, p=tables[first].ravel())
+        chosen, picked = np.divmod(joint, tables[first].shape[1])
+        together: dict[tuple[int, ...], list[int]] = {}  # draws of one linear model are made at once
+        for i, (kind, option) in enumerate(zip(chosen, picked, strict=True)):
+            others = [rng.choice(tables[q].shape[1], p=tables[q][kind] / tables[q][kind].sum()) for q in rest]
+            together.setdefault((int(kind), int(option), *others), []).append(i)
+        mean, draws = np.zeros(H.size), np.empty((n_draws, H.size))
+        low, high = fit.forward.low - fit.u, fit.forward.high - fit.u
+        for (kind, *which), members in together.items():
+            smooth = own[kind].reshape(H.size)
+            total = own[kind].copy()
+            for q, option in zip(tables, which, strict=True):
+                total[H.rows[q]] += options[q][option]
+            total = total.reshape(H.size)
+            _, step, C = marginal(fit.residual, fit.jacobian, total, precision, pull)
+            d = step + rng.standard_normal((len(members), TRIES, len(step))) @ np.linalg.cholesky(C).T
+            inside = np.all((d >= low) & (d <= high), axis=2)
+            # none inside: the linearisation says nothing about bounds, and the first is as good as any
+            moved = d[np.arange(len(members)), np.argmax(inside, axis=1)] @ fit.jacobian.T
+            gain = smooth / total
+            left = np.sqrt(smooth * (1.0 - gain)) * rng.standard_normal(moved.shape)
+            draws[members] = moved + gain * (fit.residual - moved) + left
+            mean += np.sum(moved + gain * (fit.residual - moved), axis=0) / n_draws
+        return mean, draws
 
 
 @dataclass(frozen=True, eq=False)
@@ -861,6 +955,7 @@ class Screened:
     correlated: Fit
     fits: Mapping[Hypothesis, Fit]
     noise: Mapping[str, Errors]
+    possible_noise: Mapping[str, Sequence[tuple[float, Errors]]]
     gap: Mapping[str, float]
     allowances: Mapping[str, float]
 
@@ -891,8 +986,7 @@ class Scored:
 
 def _projected(fit: Fit, signature: Array, S: Array) -> float:
     """Half the squared size, in units of the noise, of what other parameters cannot absorb of a signature."""
-    n = fit.forward.n_base + sum(len(CATALOGUE[name].amplitudes) for name, _ in fit.hypothesis.effects[:-1])
-    J = fit.jacobian[:, :n] / np.sqrt(S)[:, None]
+    J = fit.jacobian[:, : fit.forward.asked] / np.sqrt(S)[:, None]
     z = signature / np.sqrt(S)
     coefficients, *_ = np.linalg.lstsq(J, z, rcond=None)
     return 0.5 * float(np.sum((z - J @ coefficients) ** 2))
@@ -901,12 +995,7 @@ def _projected(fit: Fit, signature: Array, S: Array) -> float:
 def score(screened: Screened) -> Scored:
     """Probabilities, groups and what the study cannot show."""
     screening = screened.screening
-    S = screening.harmonics.variances(
-        {
-            q: replace(e, delta=screening.numerics()[q], length=screening._length(), shared=0.0, rough=False)
-            for q, e in screened.noise.items()
-        }
-    )
+    S = screening.beside(screened.noise, screening.numerics())
     log_z = {
         NO_GAP: screened.base.log_z,
         UNLISTED: screened.unlisted.log_z,
@@ -931,9 +1020,8 @@ def score(screened: Screened) -> Scored:
         amplitude = CATALOGUE[name].amplitudes[0]
         shown = 0.0
         for fit in fits.values():
-            i = len(fit.u) - len(CATALOGUE[name].amplitudes)
             reach = min(2.0 * amplitude.scale, max(abs(amplitude.high), abs(amplitude.low)))
-            shown = max(shown, _projected(fit, fit.jacobian[:, i] * reach, S))
+            shown = max(shown, _projected(fit, fit.jacobian[:, fit.forward.asked] * reach, S))
             if fit.hypothesis.name in CATALOGUE and fit.log_z - screened.base.log_z > VISIBLE:
                 shown = math.inf
         if shown < VISIBLE:
