@@ -92,6 +92,15 @@ def test_marginal_likelihood_is_that_of_the_joint_normal() -> None:
     np.testing.assert_allclose(step, np.linalg.solve(H, J.T @ (r / S) + precision * mean), rtol=1e-8)
 
 
+def test_many_variances_at_once_give_the_same() -> None:
+    rng = np.random.default_rng(6)
+    J, r, S = rng.standard_normal((20, 3)), rng.standard_normal(20), rng.uniform(0.5, 2, (4, 2, 20))
+    together = marginal(r, J, S, np.ones(3), np.zeros(3))
+    for i, j in np.ndindex(4, 2):
+        for whole, one in zip(together, marginal(r, J, S[i, j], np.ones(3), np.zeros(3)), strict=True):
+            np.testing.assert_allclose(whole[i, j], one, rtol=1e-9)
+
+
 def test_noise_is_recovered() -> None:
     rng = np.random.default_rng(5)
     H = Harmonics(study_of(np.zeros((3, 512))))

@@ -13,8 +13,8 @@ import zoo.models
 
 ORDER = (
     "units conventions fetch study network _native solver effects op likelihood models results steps mode "
-    "progress chains sampling posteriors comparison synthetic calibration coverage predictive discrepancy "
-    "screening confirm diagnosis blind plots reproduce report cli"
+    "progress workers chains sampling posteriors comparison synthetic calibration coverage predictive "
+    "discrepancy screening confirm diagnosis blind plots reproduce report cli"
 ).split()
 ONLY = {"matplotlib": {"plots"}, "zoo._native": {"solver"}, "zoo.cli": set()}
 SOURCES = {p.stem: p for p in Path(zoo.__file__).parent.glob("*.py") if p.stem != "__init__"}

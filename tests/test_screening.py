@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.special import logsumexp
+from scipy.stats import binom
 
 from zoo import load_study
 from zoo.discrepancy import Errors, Harmonics, log_density
@@ -15,6 +16,7 @@ from zoo.screening import (
     SEARCH,
     UNLISTED,
     VISIBLE,
+    Fit,
     Forward,
     Hypothesis,
     Parameter,
@@ -192,6 +194,68 @@ def test_signatures_that_coincide_make_one_group() -> None:
     assert {"inflow-shift", "catheter-resonance"} <= set(members)
     a, b = (found.best[n].computed for n in ("inflow-shift", "catheter-resonance"))
     assert 0.5 * float(np.sum((a - b) ** 2)) / 0.05**2 < VISIBLE * 1.5
+
+
+@pytest.fixture(scope="module")
+def linear():  # type: ignore[no-untyped-def]
+    """A screening whose base is replaced by a linear model of three smooth waves, with flat priors."""
+    screening = Screening(made([], n=64), effects=["sensor-gain"])
+    H = screening.harmonics
+    t = np.arange(64) / 64
+    waves = np.stack([np.sin(2 * np.pi * (t[None] * k + phase)) for k, phase in ((1, 0), (2, 0.1), (3, 0.3))])
+    J = np.stack([H(np.repeat(w, 3, axis=0)) for w in waves], axis=1)
+
+    class Linear:
+        low, high = np.full(3, -1e3), np.full(3, 1e3)
+
+        def prior(self, u):  # type: ignore[no-untyped-def]
+            return 0.0, np.zeros(3), np.zeros(3)
+
+    def fitted(truth, noise):  # type: ignore[no-untyped-def]
+        """Least squares of data that are truth and noise; its own error is truth - J u."""
+        data = truth + noise
+        u = np.linalg.lstsq(J, data, rcond=None)[0]
+        errors = {QUANTITY: Errors(0.05)}
+        S = H.variances(errors)
+        C = np.linalg.inv(J.T @ (J / S[:, None]))
+        return Fit(Hypothesis(), Linear(), u, J @ u, J, data - J @ u, errors, {QUANTITY: 0.1}, 0.0, u, C)
+
+    return screening, J, fitted
+
+
+def test_what_a_fit_leaves_has_calibrated_intervals(linear) -> None:  # type: ignore[no-untyped-def]
+    """True rms of truth minus fit in 60 data sets whose noise is correlated, half with a discrepancy."""
+    screening, J, fitted = linear
+    H, rng = screening.harmonics, np.random.default_rng(1)
+    T = screening.study.period_s
+    inside, total = 0, 60
+    for i in range(total):
+        noise = {
+            QUANTITY: Errors(0.05, rng.uniform(0.0, 1.0), 0.03 * T * math.exp(0.5 * rng.standard_normal()))
+        }
+        smooth = {QUANTITY: Errors(0.0, delta=0.1 * (i % 2), length=0.05 * T)}
+        truth = J @ rng.standard_normal(3)
+        truth += np.sqrt(H.variances(smooth)) * rng.standard_normal(H.size)
+        fit = fitted(truth, np.sqrt(H.variances(noise)) * rng.standard_normal(H.size))
+        _, draws = screening.unexplained(fit, screening.possible_noise(fit), rng, 200)
+        sizes = np.sqrt(np.mean(draws**2, axis=1))
+        wanted = math.sqrt(float(np.mean((truth - fit.computed) ** 2)))
+        low, high = np.quantile(sizes, [0.025, 0.975])
+        inside += bool(low <= wanted <= high)
+    assert binom.cdf(inside, total, 0.95) > 0.005, f"{inside} of {total}"
+
+
+def test_without_a_discrepancy_the_parameters_error_is_left(linear) -> None:  # type: ignore[no-untyped-def]
+    """White noise of 0.05 and three parameters: rms sqrt(3/192) 0.05."""
+    screening, J, fitted = linear
+    rng = np.random.default_rng(2)
+    means = []
+    for _ in range(20):
+        fit = fitted(J @ np.ones(3), 0.05 * rng.standard_normal(screening.harmonics.size))
+        _, draws = screening.unexplained(fit, screening.possible_noise(fit), rng, 100)
+        means.append(float(np.sqrt(np.mean(draws**2))))
+    expected = 0.05 * math.sqrt(3 / screening.harmonics.size)
+    assert expected < np.mean(means) < 1.6 * expected  # a discrepancy as small as this cannot be excluded
 
 
 def test_search_stays_inside_the_bounds() -> None:

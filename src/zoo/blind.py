@@ -13,10 +13,8 @@ import math
 import os
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +45,7 @@ from zoo.solver import SolverArgumentError, SolverOptions
 from zoo.study import Blood, Series, Study, StudyError, Vessel, Windkessel, load_study
 from zoo.synthetic import PERIOD_S, ejection
 from zoo.units import MMHG, mmhg_to_cgs
+from zoo.workers import each
 
 Array = NDArray[np.float64]
 Added = tuple[tuple[Effect, tuple[float, ...], Place], ...]
@@ -898,30 +897,12 @@ def make(
 
 
 def _each(work: Callable[[Any], Any], jobs: Sequence[Any], cores: int) -> Iterable[tuple[Any, Any]]:
-    """Jobs and what they gave as they finish, in processes of one thread each; in this one if cores is 1."""
-    if cores == 1:
-        yield from ((job, work(job)) for job in jobs)
-        return
-    if not jobs:
-        return
-    pool = ProcessPoolExecutor(min(cores, len(jobs)), mp_context=get_context("spawn"))
     try:
-        futures = {pool.submit(_single_threaded, work, job): job for job in jobs}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
+        yield from each(work, jobs, cores)
     except BrokenProcessPool:
         raise BlindError(
             "a process ended before its case was done; the same command goes on with the rest"
         ) from None
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _single_threaded(work: Callable[[Any], Any], job: Any) -> Any:
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
-    with threadpool_limits(1):
-        return work(job)
 
 
 def _replace(path: Path, text: str) -> None:

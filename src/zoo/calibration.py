@@ -9,10 +9,8 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -27,6 +25,7 @@ from zoo.solver import SolverOptions
 from zoo.steps import Archive, DEMetropolisZ
 from zoo.study import Blood, Series, Study, Vessel, Windkessel
 from zoo.synthetic import PERIOD_S, ejection
+from zoo.workers import each
 
 if TYPE_CHECKING:
     import pymc as pm
@@ -362,16 +361,16 @@ class Replicator:
             chains.append(_Chain(step, self.logp, beginning.starts[chain], settings.tune))
         names, steps = self.names, settings.steps
         while True:
-            for each in chains:
-                each.run(steps)
-            draws = np.array([each.draws for each in chains])
-            log_posterior = np.array([each.log_posterior for each in chains])
+            for chain in chains:
+                chain.run(steps)
+            draws = np.array([chain.draws for chain in chains])
+            log_posterior = np.array([chain.log_posterior for chain in chains])
             ess, rhat = _diagnose(draws, log_posterior, names)
             if min(ess.values()) >= settings.min_ess or steps >= settings.max_steps:
                 break
             factor = 1.1 * settings.min_ess / max(1.0, min(ess.values()))
             steps = min(int(steps * np.clip(factor, 1.25, 2.0)), settings.max_steps)
-        accepted = float(np.mean([each.accepted / (settings.tune + steps) for each in chains]))
+        accepted = float(np.mean([chain.accepted / (settings.tune + steps) for chain in chains]))
         return Fit(draws, log_posterior, mode, ess, rhat, accepted)
 
     def replicate(self, seed: int, number: int, settings: Settings | None = None) -> Replicate:
@@ -550,51 +549,22 @@ def simulate_and_rank(
     waiting = [k for k in range(n_replicates) if k not in store.found]
     with bar(progress) as show:
         task = show.add_task("replicates", total=n_replicates, completed=n_replicates - len(waiting))
-        for replicate in _work(arguments, waiting, seed, settings, cores):
+        jobs = [(seed, number, settings) for number in waiting]
+        for _, replicate in each(_replicate, jobs, cores, prepare=_begin, arguments=arguments):
             store.add(replicate)
             show.advance(task)
     return RankTest.of([store.found[k] for k in range(n_replicates)], settings.ranked)
 
 
-def _work(
-    arguments: tuple[Any, ...], waiting: Sequence[int], seed: int, settings: Settings, cores: int
-) -> Iterator[Replicate]:
-    if not waiting:
-        return
-    if cores == 1:
-        from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
-        with threadpool_limits(1):
-            replicator = _replicator(*arguments)
-            for number in waiting:
-                yield replicator.replicate(seed, number, settings)
-        return
-    context = get_context("spawn")
-    pool = ProcessPoolExecutor(cores, mp_context=context, initializer=_begin, initargs=arguments)
-    try:
-        jobs = [pool.submit(_replicate, seed, number, settings) for number in waiting]
-        for job in as_completed(jobs):
-            yield job.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _replicator(builder: Builder, study: Study, limits: Any, truth: Builder | None) -> Replicator:
-    return Replicator(builder, study, limits=limits, truth=truth)
-
-
 _worker: dict[str, Replicator] = {}
 
 
-def _begin(*arguments: Any) -> None:
-    from threadpoolctl import threadpool_limits
-
-    threadpool_limits(1)
-    _worker["replicator"] = _replicator(*arguments)
+def _begin(builder: Builder, study: Study, limits: Any, truth: Builder | None) -> None:
+    _worker["replicator"] = Replicator(builder, study, limits=limits, truth=truth)
 
 
-def _replicate(seed: int, number: int, settings: Settings) -> Replicate:
-    return _worker["replicator"].replicate(seed, number, settings)
+def _replicate(job: tuple[int, int, Settings]) -> Replicate:
+    return _worker["replicator"].replicate(*job)
 
 
 def _builder_name(builder: Any) -> str:

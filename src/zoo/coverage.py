@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +34,7 @@ from zoo.results import ESS_TARGET, save, verdict, versions
 from zoo.solver import Solver, SolverOptions
 from zoo.study import Study
 from zoo.synthetic import Truth, synthetic_study
+from zoo.workers import each
 
 if TYPE_CHECKING:
     import arviz as az
@@ -124,13 +123,9 @@ class Job:
     settings: dict[str, Any]
 
 
-def _fit(job: Job) -> Path:
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
-    with threadpool_limits(1):
-        sample_to(job.path, get_model(job.model)(job.study), cores=0, progress=False, **job.settings)
+def _fit(job: Job) -> None:
+    sample_to(job.path, get_model(job.model)(job.study), cores=0, progress=False, **job.settings)
     shutil.rmtree(checkpoint_of(job.path), ignore_errors=True)
-    return job.path
 
 
 def fit_all(
@@ -161,13 +156,8 @@ def fit_all(
         else:
             job.path.parent.mkdir(parents=True, exist_ok=True)
             waiting.append(job)
-    if waiting:
-        pool = ProcessPoolExecutor(cores, mp_context=get_context("spawn"))
-        try:
-            for future in as_completed([pool.submit(_fit, job) for job in waiting]):
-                done(future.result())
-        finally:
-            pool.shutdown(cancel_futures=True)
+    for job, _ in each(_fit, waiting, cores):
+        done(job.path)
     return [job.path for job in jobs]
 
 
