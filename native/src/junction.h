@@ -42,13 +42,13 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
         a[i] = A[o] / A0[x];
         p[i] = P[o];
         if (extra) /* but not that of the wall with a memory, or of another stiffness: see scheme.h */
-            p[i] = wall_p(wall, (1.0 + later * kappa[node[x]]) * stiff * K[o], th[o], a[i], sqrt(a[i])) + off[o];
+            p[i] = wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), th[o], a[i], sqrt(a[i])) + off[o];
     });
     for (int iteration = 0; iteration < 30; iteration++) {
         int unfinished = 0;
         ZOO_LOOP(W, i, x, l, 0, n * nb, {
             const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
-            slope[i] = extra ? wall_slope(wall, (1.0 + later * kappa[node[x]]) * stiff * K[o], th[o], p[i] - off[o], sqrt(a[i]))
+            slope[i] = extra ? wall_slope(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), th[o], p[i] - off[o], sqrt(a[i]))
                              : wall_slope(wall, K[o], th[o], p[i], sqrt(a[i]));
         });
         ZOO_LOOP(W, i, j, l, 0, n, {
@@ -74,7 +74,7 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
                 const double fall = 0.5 * (wall_floor(wall, th[o]) - a[y]);
                 move = move > room ? room : move < fall ? fall : move;
                 a[y] += move;
-                p[y] = extra ? wall_p(wall, (1.0 + later * kappa[node[from + j]]) * stiff * K[o], th[o], a[y], sqrt(a[y])) + off[o]
+                p[y] = extra ? wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[from + j]]), th[o], a[y], sqrt(a[y])) + off[o]
                              : wall_p(wall, K[o], th[o], a[y], sqrt(a[y]));
                 unfinished |= fabs(move) > 1e-8; /* quadratic: the next move would be below rounding */
             });
@@ -133,7 +133,7 @@ ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_
             const ptrdiff_t from = (ptrdiff_t)b * n;
             ZOO_LOOP(W, i, j, l, 0, n, {
                 const ptrdiff_t x = from + j, o = (ptrdiff_t)node[x] * W + l;
-                const double one = wall_reciprocal((1.0 + later * kappa[node[x]]) * stiff * K[o]);
+                const double one = wall_reciprocal(wall_stiffened(K[o], stiff, later, kappa[node[x]]));
                 const double at_0 = 1.0 - off[o] * one, size = w[x] * A0[x];
                 per_K[from * W + i] = one;
                 k0[i] += size * at_0 * at_0;

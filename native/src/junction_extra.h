@@ -76,7 +76,7 @@ ZOO_INLINE void junction_extra(const int wall, const int W, zoo_sim *s, zoo_junc
             const ptrdiff_t y = (ptrdiff_t)junction[x] * W + l;
             const int v = node[x];
             const double is = sign[x], below = 0.5 * (1.0 - is) * D[y];
-            const double K1 = (1.0 + later * kappa[v]) * stiff * K[o], a = area[i] * inv_A0[v];
+            const double K1 = wall_stiffened(K[o], stiff, later, kappa[v]), a = area[i] * inv_A0[v];
             const double root = a * wall_rsqrt(a), per_area = wall_reciprocal(area[i]);
             const double elastic = wall_p(wall, K1, th[o], a, root), tangent = elastic * wall_reciprocal(K1);
             const double slope = wall == ZOO_WALL_LINEAR ? 0.5 * K1 * root * per_area

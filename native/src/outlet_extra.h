@@ -63,7 +63,7 @@ ZOO_INLINE void outlet_extra(const int wall, const int W, zoo_sim *s)
         /* k2 r^2 + K1 r = k0 for r = sqrt(A'/A0) */
         ZOO_LOOP(W, i, t, l, 0, n, {
             const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-            const double K1 = (1.0 + later * kappa[node[t]]) * stiff * K[o], k2 = E[i] * A0[t] / per_w[t];
+            const double K1 = wall_stiffened(K[o], stiff, later, kappa[node[t]]), k2 = E[i] * A0[t] / per_w[t];
             const double k0 = K1 - off[o] + base[i] + E[i] * (q_mid[i] + A[o] / per_w[t]);
             const double r = 2.0 * k0 / (K1 + sqrt(K1 * K1 + 4.0 * k2 * k0));
             a[i] = r * r;
@@ -73,7 +73,7 @@ ZOO_INLINE void outlet_extra(const int wall, const int W, zoo_sim *s)
             int unfinished = 0;
             ZOO_LOOP(W, i, t, l, 0, n, {
                 const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-                const double K1 = (1.0 + later * kappa[node[t]]) * stiff * K[o], root = sqrt(a[i]);
+                const double K1 = wall_stiffened(K[o], stiff, later, kappa[node[t]]), root = sqrt(a[i]);
                 const double elastic = wall_p(wall, K1, th[o], a[i], root);
                 const double Q = q_mid[i] - (a[i] * A0[t] - A[o]) / per_w[t];
                 const double slope = wall_slope(wall, K1, th[o], elastic, root) + E[i] * A0[t] / per_w[t];

@@ -50,6 +50,13 @@ ZOO_INLINE double wall_scale(int wall, double wall_factor, double stiffness)
     return wall == ZOO_WALL_LINEAR ? 4.0 / 3.0 * stiffness : wall_factor * stiffness;
 }
 
+/* K of a wall whose stiffness is `stiff` times its own, and which resists fast stretching:
+ * kappa is the relaxing part's own stiffness over the lasting one's, `later` how much of it is left. */
+ZOO_INLINE double wall_stiffened(double K, double stiff, double later, double kappa)
+{
+    return (1.0 + later * kappa) * stiff * K;
+}
+
 /* theta from gamma; the linear wall has none. */
 ZOO_INLINE double wall_theta(int wall, double gamma)
 {

@@ -361,16 +361,16 @@ class Replicator:
             chains.append(_Chain(step, self.logp, beginning.starts[chain], settings.tune))
         names, steps = self.names, settings.steps
         while True:
-            for chain in chains:
-                chain.run(steps)
-            draws = np.array([chain.draws for chain in chains])
-            log_posterior = np.array([chain.log_posterior for chain in chains])
+            for one in chains:
+                one.run(steps)
+            draws = np.array([c.draws for c in chains])
+            log_posterior = np.array([c.log_posterior for c in chains])
             ess, rhat = _diagnose(draws, log_posterior, names)
             if min(ess.values()) >= settings.min_ess or steps >= settings.max_steps:
                 break
             factor = 1.1 * settings.min_ess / max(1.0, min(ess.values()))
             steps = min(int(steps * np.clip(factor, 1.25, 2.0)), settings.max_steps)
-        accepted = float(np.mean([chain.accepted / (settings.tune + steps) for chain in chains]))
+        accepted = float(np.mean([c.accepted / (settings.tune + steps) for c in chains]))
         return Fit(draws, log_posterior, mode, ess, rhat, accepted)
 
     def replicate(self, seed: int, number: int, settings: Settings | None = None) -> Replicate:

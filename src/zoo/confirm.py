@@ -18,20 +18,20 @@ from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
 from scipy.special import logsumexp
 
+from zoo.comparison import thin
 from zoo.discrepancy import CORRELATED_RATIO, LENGTH_BEATS, MEMORY_BEATS, Harmonics
 from zoo.effects import get_base
 from zoo.likelihood import IidErrors
 from zoo.mode import LogPosterior
 from zoo.op import MissingGradientError
+from zoo.posteriors import sample_to
 from zoo.results import verdict
 from zoo.sampling import sample
-from zoo.screening import NO_GAP, Fit, Forward, Hypothesis, Scored, Screened
+from zoo.screening import DOUBT, NO_GAP, Fit, Forward, Hypothesis, Scored, Screened
 from zoo.study import Study
 
 Array = NDArray[np.float64]
 
-DOUBT = 0.01
-"""Probability above which a rival outside the leader's group is sampled too."""
 LEADING = 2
 """Explanations that are sampled besides the base."""
 WEIGHED = 600
@@ -264,11 +264,9 @@ def pointwise(model: pm.Model, idata: Any) -> Any:
     """A thinned posterior with the log-likelihood of each harmonic, independent given the parameters."""
     import arviz as az
 
-    total = idata.posterior.sizes["chain"] * idata.posterior.sizes["draw"]
-    thin = max(1, total // SCORED_DRAWS)
-    posterior = idata.posterior.isel(draw=slice(None, None, thin))
+    kept = az.InferenceData(posterior=thin(idata, SCORED_DRAWS))
     with model:
-        return pm.compute_log_likelihood(az.InferenceData(posterior=posterior), progressbar=False)
+        return pm.compute_log_likelihood(kept, progressbar=False)
 
 
 def confirm(
@@ -305,8 +303,6 @@ def confirm(
     """
     import arviz as az
 
-    from zoo.results import save
-
     screened = scored.screened
     listed = [n for n in scored.names if n in scored.places and n not in scored.invisible]
     # a rival that the screening has ruled out needs no posterior
@@ -320,20 +316,14 @@ def confirm(
         if tick is not None:
             tick(f"posterior of {name}", (done + 0.01) / len(chosen))
         model = effect_model(screened, fit)
-        target = None if folder is None else Path(folder) / f"{name}.nc"
-        idata = sample(
-            model,
-            draws=draws,
-            max_draws=max_draws,
-            until_ess=400,
-            cores=cores,
-            seed=seed,
-            start=model.zoo_start,
-            progress=progress,
-            checkpoint=None if target is None else target.with_suffix(".checkpoint"),
-        )
-        if target is not None:
-            save(idata, target)
+        settings = {
+            "draws": draws, "max_draws": max_draws, "until_ess": 400, "cores": cores, "seed": seed,
+            "start": model.zoo_start, "progress": progress,
+        }  # fmt: skip
+        if folder is None:
+            idata = sample(model, **settings)
+        else:
+            idata = sample_to(Path(folder) / f"{name}.nc", model, **settings)
         v = verdict(idata)
         log_z, se = log_marginal_likelihood(model, idata, seed=seed)
         found[name] = Confirmed(name, fit, idata, log_z, se, v.text, v.passes)

@@ -23,6 +23,7 @@ from zoo.effects import CATALOGUE, Place, get_base
 from zoo.results import versions
 from zoo.screening import (
     CORRELATED,
+    DOUBT,
     NO_GAP,
     UNLISTED,
     Fit,
@@ -48,8 +49,6 @@ HELD_OUT_BLOCKS = 5
 DRAWS = 400
 PEAK_BEATS = 0.03
 """Half the width of the peak and of the incisura, in beats."""
-DOUBT = 0.01
-"""Probability above which an explanation that is not in the leader's group still deserves a measurement."""
 FLOW_NOISE = 0.02
 """Noise of a flow measurement that is only planned, as a part of its peak."""
 
@@ -601,9 +600,9 @@ def _amplitudes(fit: Fit) -> list[AmplitudeEstimate]:
 def _free_amplitudes(fit: Fit) -> list[AmplitudeEstimate]:
     found = []
     for q, e in fit.errors.items():
-        found.append(AmplitudeEstimate(name=f"sd of {q}", mean=e.delta, sd=math.nan, unit=UNITS[q]))
-        found.append(AmplitudeEstimate(name=f"length scale of {q}", mean=e.length, sd=math.nan, unit="s"))
-    return [a.model_copy(update={"sd": 0.0}) for a in found]
+        found.append(AmplitudeEstimate(name=f"sd of {q}", mean=e.delta, sd=0.0, unit=UNITS[q]))
+        found.append(AmplitudeEstimate(name=f"length scale of {q}", mean=e.length, sd=0.0, unit="s"))
+    return found
 
 
 def _results(scored: Scored, seed: int) -> list[HypothesisResult]:

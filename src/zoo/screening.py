@@ -63,6 +63,8 @@ TRIES = 20
 """Draws of the parameters among which one inside the bounds is taken."""
 VISIBLE = 3.0
 """Expected log-likelihood ratio, e^3 = 20 to 1, below which two hypotheses are the same to this study."""
+DOUBT = 0.01
+"""Probability above which an explanation outside the leader's group deserves a posterior or a measurement."""
 SEARCH = SolverOptions(tolerance_mmHg=2e-4)
 
 
@@ -992,6 +994,38 @@ def _projected(fit: Fit, signature: Array, S: Array) -> float:
     return 0.5 * float(np.sum((z - J @ coefficients) ** 2))
 
 
+def _groups(
+    screened: Screened,
+    names: Sequence[str],
+    best: Mapping[str, Fit],
+    log_z: Mapping[str, float],
+    invisible: Sequence[str],
+    S: Array,
+) -> dict[str, int]:
+    """Explanations that this study cannot tell apart have one number; the most probable gives it."""
+    group: dict[str, int] = {}
+    leaders: list[str] = []
+    free = (UNLISTED, CORRELATED)
+    for name in names:
+        own = best[name].computed
+        moved = name in free or 0.5 * float(np.sum((own - screened.base.computed) ** 2 / S)) > VISIBLE
+        for other in leaders if moved and name not in invisible else []:
+            if (name in free) != (other in free) or other in invisible or other == NO_GAP:
+                continue
+            if name in free:
+                same = abs(log_z[name] - log_z[other]) < VISIBLE
+            else:
+                theirs = best[other].computed
+                same = 0.5 * float(np.sum((own - theirs) ** 2 / S)) < VISIBLE
+            if same:
+                group[name] = group[other]
+                break
+        else:
+            group[name] = len(leaders)
+            leaders.append(name)
+    return group
+
+
 def score(screened: Screened) -> Scored:
     """Probabilities, groups and what the study cannot show."""
     screening = screened.screening
@@ -1035,26 +1069,7 @@ def score(screened: Screened) -> Scored:
     probability = {n: math.exp(log_p[n] - norm) if n in log_p else 0.0 for n in log_z}
     names = sorted(log_z, key=lambda n: (-probability[n], -log_z[n]))
 
-    group: dict[str, int] = {}
-    leaders: list[str] = []
-    free = (UNLISTED, CORRELATED)
-    for name in names:
-        own = best[name].computed
-        moved = name in free or 0.5 * float(np.sum((own - screened.base.computed) ** 2 / S)) > VISIBLE
-        for other in leaders if moved and name not in invisible else []:
-            if (name in free) != (other in free) or other in invisible or other == NO_GAP:
-                continue
-            if name in free:
-                same = abs(log_z[name] - log_z[other]) < VISIBLE
-            else:
-                theirs = best[other].computed
-                same = 0.5 * float(np.sum((own - theirs) ** 2 / S)) < VISIBLE
-            if same:
-                group[name] = group[other]
-                break
-        else:
-            group[name] = len(leaders)
-            leaders.append(name)
+    group = _groups(screened, names, best, log_z, invisible, S)
     return Scored(
         screened,
         tuple(names),
