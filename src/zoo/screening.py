@@ -321,9 +321,8 @@ class Search:
         reach = float(np.max(np.abs(step) / forward.units))
         return step * min(1.0, 8.0 / reach) if reach > 0 else step
 
-    def descend(self, point: Point, iterations: int, gain: float = 0.02) -> Point:
+    def descend(self, point: Point, iterations: int, gain: float = 0.02, damping: float = 1e-3) -> Point:
         """Damped steps with Broyden's updates until one gains less than `gain`."""
-        damping = 1e-3
         for _ in range(iterations):
             step = self._step(point, damping)
             if float(np.max(np.abs(step) / self.forward.units)) < 1e-5:
@@ -331,13 +330,13 @@ class Search:
             u = point.u + step
             computed = self.forward(u)
             if computed is None:
-                damping = max(10.0 * damping, 0.1)
+                damping = max(10.0 * damping, 0.01)
                 continue
             cost = self.cost(u, computed)
             linear = point.computed + point.jacobian @ step
             hoped = point.cost - self.cost(u, linear)
             if cost - point.cost > hoped:  # so far from linear that a secant would mislead
-                damping = max(8.0 * damping, 1e-2)
+                damping = max(8.0 * damping, 1e-3)
                 continue
             t = step / self.forward.units
             jacobian = point.jacobian + np.outer(computed - linear, t / self.forward.units) / float(t @ t)
@@ -351,7 +350,7 @@ class Search:
                 point = replace(point, jacobian=jacobian)
                 if hoped < gain:
                     break
-                damping = max(8.0 * damping, 1e-2)
+                damping = max(8.0 * damping, 1e-3)
                 if damping > 1e4:
                     break
         return point
@@ -361,7 +360,7 @@ class Search:
         for _ in range(rounds):
             before = point.cost
             point = replace(point, jacobian=self.differences(point, point.jacobian))
-            point = self.descend(point, iterations)
+            point = self.descend(point, iterations, damping=1e-9)  # damping would stop it on a ridge
             if before - point.cost < 0.1:
                 break
         return point
@@ -814,6 +813,9 @@ class Screening:
                 fits[h] = fit
         # the best explanation of all leaves the noise: a free discrepancy takes some of it along
         best = max((unlisted, correlated, *fits.values()), key=lambda f: f.log_z)
+        # beside its noise the base has its best fit too: the gap is what that leaves
+        refitted = self.refit_base(base, best.errors)
+        base = replace(refitted, log_z=max(base.log_z, refitted.log_z))
         possible = self.possible_noise(best)
         return Screened(self, base, unlisted, correlated, fits, best.errors, possible, gap, allowances)
 
@@ -838,7 +840,7 @@ class Screening:
         Returns
         -------
         dict of quantity to list of (log-prior, Errors)
-            Without discrepancy.
+            Without discrepancy; the most probable first.
         """
         T = self.study.period_s
         median, spread, top = MEMORY_BEATS
@@ -847,7 +849,7 @@ class Screening:
         for q, errors in fit.errors.items():
             power = self.harmonics.part(left, q) ** 2
             own = self.harmonics.spectrum(errors, len(power), noise=False)
-            found[q] = []
+            ranked: list[tuple[float, float, Errors]] = []
             for ratio, move in product(RATIO_GRID, MEMORY_GRID):
                 tau = min(median * math.exp(move * spread), top) * T
                 e = replace(errors, sigma=1.0, ratio=float(ratio), tau=tau, delta=0.0)
@@ -858,9 +860,11 @@ class Screening:
                     return 0.5 * float(np.sum(power / S + np.log(S)))
 
                 centre = math.log(errors.sigma)
-                x = minimize_scalar(cost, bounds=(centre - 1.0, centre + 0.5), method="bounded").x
-                log_prior = -0.5 * (ratio / CORRELATED_RATIO) ** 2 - 0.5 * move**2
-                found[q].append((float(log_prior), replace(e, sigma=math.exp(x))))
+                best = minimize_scalar(cost, bounds=(centre - 1.0, centre + 0.5), method="bounded")
+                log_prior = float(-0.5 * (ratio / CORRELATED_RATIO) ** 2 - 0.5 * move**2)
+                ranked.append((log_prior - best.fun, log_prior, replace(e, sigma=math.exp(best.x))))
+            ranked.sort(key=lambda x: -x[0])
+            found[q] = [(log_prior, e) for _, log_prior, e in ranked]
         return found
 
     def unexplained(
@@ -879,7 +883,7 @@ class Screening:
         ----------
         fit : Fit
         noise : mapping of quantity to sequence of (log-prior, Errors)
-            As of `possible_noise`.
+            As of `possible_noise`; of the errors only the noise counts.
         rng : Generator
         n_draws : int
 
@@ -905,12 +909,13 @@ class Screening:
                 e = Errors(0.0, delta=size * SIZE_PART * self.range[q], length=length)
                 own[i, rows] = H.spectrum(e, len(rows), noise=False)
         options = {
-            q: np.array([H.spectrum(e, len(H.rows[q])) for _, e in choices]) for q, choices in noise.items()
+            q: np.array([H.spectrum(replace(e, delta=0.0), len(H.rows[q])) for _, e in choices])
+            for q, choices in noise.items()
         }
         likely = np.empty(shape)
         for q, rows in H.rows.items():
-            likely[rows] = H.spectrum(replace(fit.errors[q], delta=0.0), len(rows))
-        # the noise of one quantity and the kind of discrepancy together, the others' noise as fitted
+            likely[rows] = options[q][0]
+        # the noise of one quantity and the kind of discrepancy together, the others' noise the likeliest
         tables = {}
         for q, rows in H.rows.items():
             S = np.repeat((likely + own)[:, None], len(options[q]), axis=1)
