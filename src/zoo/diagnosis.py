@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib import import_module
@@ -282,6 +282,10 @@ class Discrepancy:
     sd: Array
     rms: Array  # (n_draws, n_series)
     residual: Array  # (n_series, n_times)
+
+    def pooled(self, rows: list[int]) -> Array:
+        """Rms over some series together, (n_draws,)."""
+        return np.asarray(np.sqrt(np.mean(self.rms[:, rows] ** 2, axis=1)))
 
 
 def discrepancy(screened: Screened, fit: Fit, seed: int = 0, *, known_noise: bool = False) -> Discrepancy:
@@ -608,7 +612,7 @@ def _free_amplitudes(fit: Fit) -> list[AmplitudeEstimate]:
     return found
 
 
-def _results(scored: Scored, seed: int) -> list[HypothesisResult]:
+def _results(scored: Scored, seed: int, known: Mapping[str, Discrepancy]) -> list[HypothesisResult]:
     screened = scored.screened
     study = screened.screening.study
     rows, _ = _rows(study)
@@ -621,9 +625,9 @@ def _results(scored: Scored, seed: int) -> list[HypothesisResult]:
             after = np.array([0.0, 0.0, 0.0])
             rms = _rms(noise_left[rows])
         else:
-            improbable = scored.probability[name] < DOUBT and name != NO_GAP
-            d = discrepancy(screened, fit, seed, known_noise=improbable)
-            pooled = np.sqrt(np.mean(d.rms[:, rows] ** 2, axis=1))
+            improbable = scored.probability[name] < DOUBT
+            d = known.get(name) or discrepancy(screened, fit, seed, known_noise=improbable)
+            pooled = d.pooled(rows)
             after = np.array([pooled.mean(), *np.quantile(pooled, [0.025, 0.975])])
             rms = _rms(d.residual[rows])
         listed = name in scored.places
@@ -807,7 +811,7 @@ def _file(
     after = discrepancy(screened, single, seed) if listed else before
     held = hold_out(first, single) if listed else None
     noise = {s.label: screened.noise[s.quantity].noise for s in study.series}
-    b, a = (np.sqrt(np.mean(d.rms[:, rows] ** 2, axis=1)) for d in (before, after))
+    b, a = before.pooled(rows), after.pooled(rows)
     removed = 1.0 - a / np.maximum(b, 1e-12)
     quantity = study.series[rows[0]].quantity
     gap = Gap(
@@ -840,7 +844,8 @@ def _file(
     steps = []
     for now, then in pairwise(rounds):
         name, place = then.screened.screening.added[-1]
-        sizes = [_pooled(now.screened, f, rows, seed) for f in (now.screened.base, then.screened.base)]
+        fits = (now.screened.base, then.screened.base)
+        sizes = [float(discrepancy(now.screened, f, seed).pooled(rows).mean()) for f in fits]
         steps.append(
             Step(
                 name=name, place=place.vessel, subtree=place.subtree, probability=now.probability[name],
@@ -864,7 +869,7 @@ def _file(
         where=_where(first, before),
         cause=members,
         verdict=_verdict(first, gap),
-        hypotheses=_results(first, seed),
+        hypotheses=_results(first, seed, {NO_GAP: before} | ({first.leader: after} if listed else {})),
         steps=steps,
         invisible=list(first.invisible),
         failed=list(first.failed),
@@ -884,8 +889,3 @@ def _file(
         },
     )
     return file, before, after
-
-
-def _pooled(screened: Screened, fit: Fit, rows: list[int], seed: int) -> float:
-    d = discrepancy(screened, fit, seed)
-    return float(np.mean(np.sqrt(np.mean(d.rms[:, rows] ** 2, axis=1))))
