@@ -162,3 +162,60 @@ def test_the_study_may_have_fewer_samples(jitter: Diagnosis) -> None:
         series=tuple(replace(s, value=s.value[::4]) for s in jitter.study.series),
     )
     assert diagnose(coarse, effects=FEW[:4]).cause == ["beat-jitter"]
+
+
+def test_a_diagnosis_is_its_verdict_in_print(jitter: Diagnosis) -> None:
+    assert repr(jitter) == f"<Diagnosis of 'demo', base linear-constant: {jitter.file.verdict}>"
+
+
+def test_a_good_explanation_has_no_warning(jitter: Diagnosis) -> None:
+    assert jitter.file.warnings == []
+
+
+def test_units_that_cannot_be_are_warned_of() -> None:
+    """Pressures in kPa instead of mmHg: whatever is named removes little, and the input is suspected."""
+    study = made([])
+    study = replace(study, series=tuple(replace(s, value=s.value * 0.133322) for s in study.series))
+    file = diagnose(study, effects=["sensor-offset", "tangent-wall"], max_effects=1).file
+    assert any("check the units in observations.csv" in text for text in file.warnings)
+    if file.cause[0] not in (NO_GAP, UNLISTED) and file.gap.removed < 0.5:
+        assert any("most has another cause" in text for text in file.warnings)
+
+
+def test_an_amplitude_at_its_bound_is_told() -> None:
+    """A gain beyond what the catalogue allows."""
+    file = diagnose(made([("sensor-gain", (0.5,), Place())]), effects=["sensor-gain"], max_effects=1).file
+    assert file.cause == ["sensor-gain"]
+    scaled = made([("sensor-gain", (0.5,), Place())])
+    scaled = replace(scaled, series=tuple(replace(s, value=1.2 * s.value) for s in scaled.series))
+    file = diagnose(scaled, effects=["sensor-gain"], max_effects=1).file
+    assert any("stands at the upper bound of its prior, 0.5" in text for text in file.warnings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"effects": "stenosis"}, "give a list of names"),
+        ({"effects": ["stenoss"]}, "did you mean 'stenosis'"),
+        ({"cores": 0}, "cores = 0: must be at least 1"),
+        ({"base": "H", "effects": ["tangent-wall"]}, "cannot be added to tangent-constant"),
+    ],
+)
+def test_wrong_arguments_are_named(settings: dict[str, object], text: str) -> None:
+    with pytest.raises((DiagnosisError, EffectError), match=text):
+        diagnose(load_study("demo"), **settings)  # type: ignore[arg-type]
+
+
+def test_a_study_is_wanted() -> None:
+    with pytest.raises(DiagnosisError, match=r"study = 'demo': give a Study, such as zoo\.load_study"):
+        diagnose("demo")  # type: ignore[arg-type]
+
+
+def test_a_series_that_does_not_vary_is_refused() -> None:
+    study = load_study("demo")
+    first, *rest = study.series
+    flat = replace(first, value=np.full_like(first.value, 10.0))
+    with pytest.raises(
+        DiagnosisError, match=r"is 10 throughout; give a beat that varies in observations\.csv"
+    ):
+        diagnose(replace(study, series=(flat, *rest)))

@@ -848,14 +848,11 @@ def make(
     for name in names:
         if not get_effect(name).offered(BASE):
             raise BlindError(f"effect {name}: cannot be added to {BASE}; leave it out")
-    if (
-        len(names) < 2
-        or not 3 <= vessels[0] <= vessels[1]
-        or (vessels[0] == vessels[1] and vessels[0] % 2 == 0)
-    ):
+    if len(names) < 2:
+        raise BlindError(f"effects = {', '.join(names)}: give two or more, or what is withheld is known")
+    if not 3 <= vessels[0] <= vessels[1] or (vessels[0] == vessels[1] and vessels[0] % 2 == 0):
         raise BlindError(
-            f"{len(names)} effects, trees of {vessels[0]} to {vessels[1]} vessels: give two effects or more, "
-            "and an odd number of vessels from 3 between the two"
+            f"vessels = {vessels[0]}, {vessels[1]}: give limits of at least 3 with an odd number between them"
         )
     if folder.resolve() in key.resolve().parents:
         raise BlindError(f"{key}: lies inside {folder}, where the cases are; put the key elsewhere")
@@ -875,6 +872,10 @@ def make(
         rest = sorted(p.name for p in folder.iterdir() if p.name not in known | {KEY_DIGEST})
         if rest:
             raise BlindError(f"{folder}: holds {rest[0]}, which is none of these cases; give an empty folder")
+    if (folder / KEY_DIGEST).is_file() and not entries:
+        raise BlindError(
+            f"{folder}: holds cases whose key is not {key}; give an empty folder, or the key that is theirs"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     waiting = []
     for job in jobs:
@@ -953,7 +954,7 @@ class Ran:
 
     diagnosed: tuple[str, ...]
     kept: tuple[str, ...]
-    failed: tuple[str, ...]
+    failed: Mapping[str, str]  # name -> reason
 
 
 @dataclass(frozen=True)
@@ -971,7 +972,7 @@ def _no_key(folder: Path) -> None:
     """Refuse a folder that holds a key, beside the cases or inside one; nowhere else is looked."""
     for place in (folder, *sorted(p for p in folder.iterdir() if p.is_dir())):
         for path in sorted(place.iterdir()):
-            if path.name.lower().startswith("key") and path.suffix.lower() == ".json":
+            if "key" in path.name.lower() and path.suffix.lower() == ".json":
                 raise BlindError(
                     f"{path}: a key lies with the cases; move it elsewhere, a diagnosis must not see it"
                 )
@@ -1021,8 +1022,9 @@ def _diagnose(task: _Task) -> str:
         found.save(task.answer)
     except Exception as error:
         (task.answer / "diagnosis.json").unlink(missing_ok=True)
-        failed.write_text(traceback.format_exc(), encoding="utf-8")
-        return f"{type(error).__name__}: {' '.join(str(error).split())}"
+        reason = " ".join(str(error).split()) or type(error).__name__
+        failed.write_text(f"{reason}\n\n{traceback.format_exc()}", encoding="utf-8")
+        return reason
     return ""
 
 
@@ -1071,10 +1073,9 @@ def run(
     cases, answers = Path(cases), Path(answers)
     if not cases.is_dir():
         raise BlindError(f"{cases}: no such folder; give one of `zoo blind make`")
-    if cores < 1 or max_effects < 1 or seed < 0:
-        raise BlindError(
-            f"cores = {cores}, max_effects = {max_effects}, seed = {seed}: must be at least 1, 1 and 0"
-        )
+    for what, count, least in (("cores", cores, 1), ("max_effects", max_effects, 1), ("seed", seed, 0)):
+        if count < least:
+            raise BlindError(f"{what} = {count}: must be at least {least}")
     base, chosen = get_base(base).name, None if effects is None else tuple(effects)
     _no_key(cases)
     if cases.resolve() in (answers.resolve(), *answers.resolve().parents):
@@ -1099,13 +1100,13 @@ def run(
             done(case.name)
         else:
             waiting.append(task)
-    failed = []
+    failed = {}
     for task, reason in _each(_diagnose, waiting, cores):
         if reason:
-            failed.append(task.case.name)
+            failed[task.case.name] = reason
         done(task.case.name)
     diagnosed = tuple(case.name for case in found if case.name not in failed)
-    return Ran(diagnosed, tuple(kept), tuple(sorted(failed)))
+    return Ran(diagnosed, tuple(kept), dict(sorted(failed.items())))
 
 
 def _case_facts(answer: Path) -> dict[str, Any]:
@@ -1281,7 +1282,10 @@ def read_key(key: str | Path, answers: str | Path) -> tuple[list[Truth], bool]:
         raise BlindError(f"{digest}: is missing, the key cannot be checked; make it with `zoo blind run`")
     wanted = digest.read_text(encoding="utf-8").split()[:1]
     if [hashlib.sha256(content).hexdigest()] != wanted:
-        raise BlindError(f"{key}: is not the key of these cases: its SHA-256 is not that in {digest}")
+        raise BlindError(
+            f"{key}: is not the key of these cases, or was changed: its SHA-256 is not that in {digest}; "
+            "give the file that `zoo blind make` wrote with them"
+        )
     return [_entry(_own_truth, json.dumps(e).encode(), key) for e in json.loads(content)], True
 
 

@@ -1262,7 +1262,7 @@ def _diagnosis_summary(file: DiagnosisFile) -> list[Any]:
         size = ""
         if h.amplitude is not None:
             spread = "" if free else f" ± {h.amplitude.sd:.2g}"
-            size = f"{h.amplitude.mean:.3g}{spread} {h.amplitude.unit}".removesuffix(" 1")
+            size = f"{h.amplitude.name} {h.amplitude.mean:.3g}{spread} {h.amplitude.unit}".removesuffix(" 1")
         table.add_row(
             h.name,
             "" if h.place is None else _place(h.place, h.subtree),
@@ -1526,8 +1526,11 @@ def blind_run(
         f"{len(found.diagnosed)} cases diagnosed{words}, {len(found.failed)} failed, "
         f"{time.monotonic() - began:.0f} s; answers in {output}"
     )
+    for name, reason in found.failed.items():
+        _say(f"{name}: {reason}")
     if found.failed:
-        _say(f"failed: {', '.join(found.failed)}; see failed.txt in their folders")
+        _say("mend these and give the command again; what was on the way is in failed.txt in their folders")
+        raise typer.Exit(1)
 
 
 @blind_app.command("score")

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from zoo.conventions import Conventions
 from zoo.discrepancy import smooth_part
-from zoo.effects import CATALOGUE, Place, get_base
+from zoo.effects import CATALOGUE, Place, get_base, get_effect
 from zoo.results import versions
 from zoo.screening import (
     CORRELATED,
@@ -49,6 +49,10 @@ HELD_OUT_BLOCKS = 5
 DRAWS = 400
 PEAK_BEATS = 0.03
 """Half the width of the peak and of the incisura, in beats."""
+POOR_FIT = 0.2
+"""Gap over the data's range above which input is suspected: four prior sds of a free discrepancy."""
+LITTLE = 0.5
+"""Part of the gap that an explanation should remove at least, lest a warning is given."""
 FLOW_NOISE = 0.02
 """Noise of a flow measurement that is only planned, as a part of its peak."""
 
@@ -165,6 +169,7 @@ class Step(_Part):
     place: int | None
     subtree: bool
     probability: float
+    amplitudes: list[AmplitudeEstimate] = []
     gap_before_mmHg: float
     gap_after_mmHg: float
 
@@ -180,6 +185,7 @@ class DiagnosisFile(_Part):
     where: Where
     cause: list[str]
     verdict: str
+    warnings: list[str] = []
     hypotheses: list[HypothesisResult]
     steps: list[Step]
     invisible: list[str]
@@ -497,6 +503,9 @@ class Diagnosis:
     computed: tuple[Array, Array] = field(repr=False)
     confirmation: Confirmation | None = field(default=None, repr=False)
 
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {self.study.name!r}, base {self.file.base}: {self.file.verdict}>"
+
     @property
     def where(self) -> Where:
         """Shares of the gap by series, phase, harmonic and place."""
@@ -685,6 +694,38 @@ def _verdict(scored: Scored, gap: Gap) -> str:
     )
 
 
+def _warnings(study: Study, gap: Gap, scored: Scored) -> list[str]:
+    """What should be looked at before the answer is believed."""
+    rows, unit = _rows(study)
+    found = []
+    spread = float(max(np.ptp(study.values[i]) for i in rows))
+    if gap.before_mmHg > POOR_FIT * spread:
+        found.append(
+            f"the base misses the data by {gap.before_mmHg:.2g} {unit}, {gap.before_mmHg / spread:.0%} of "
+            "their range, more than any effect of the catalogue should: check the units in observations.csv, "
+            "the inflow and the conventions"
+        )
+    leader = scored.leader
+    if leader not in scored.places:
+        return found
+    if gap.removed < LITTLE:
+        found.append(
+            f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
+            "gap goes with it: most has another cause"
+        )
+    fit = scored.best[leader]
+    for i in range(fit.forward.asked, len(fit.u)):
+        p = fit.forward.parameters[i]
+        for name, bound in (("lower", p.low), ("upper", p.high)):
+            zero = bound == 0.0  # the base itself
+            if not zero and abs(fit.values[i] - bound) < 1e-3 * (p.high - p.low):
+                found.append(
+                    f"{p.name} of {leader} stands at the {name} bound of its prior, {bound:g} {p.unit}: "
+                    "the data ask for more than the catalogue allows"
+                )
+    return found
+
+
 def _stronger(scored: Scored, exhaust: bool) -> tuple[str, Place] | None:
     """The effect to add before looking further, or None."""
     leader = scored.leader
@@ -749,14 +790,30 @@ def diagnose(
     Raises
     ------
     DiagnosisError
-        If an argument is out of range or the base cannot be fitted.
+        If an argument is out of range, a series does not vary, or the base cannot be fitted.
+    zoo.effects.EffectError
+        If there is no such effect or base.
 
     References
     ----------
     Kennedy and O'Hagan 2001, doi 10.1111/1467-9868.00294; Paun et al. 2020, doi 10.1098/rsif.2020.0886.
     """
-    if max_effects < 1 or cores < 1:
-        raise DiagnosisError(f"max_effects = {max_effects}, cores = {cores}: must be at least 1")
+    if not isinstance(study, Study):
+        raise DiagnosisError(f"study = {study!r}: give a Study, such as zoo.load_study('demo')")
+    for what, count in (("max_effects", max_effects), ("cores", cores)):
+        if count < 1:
+            raise DiagnosisError(f"{what} = {count}: must be at least 1")
+    if isinstance(effects, str):
+        raise DiagnosisError(f"effects = {effects!r}: give a list of names, such as [{effects!r}]")
+    for name in effects or ():
+        if not get_effect(name).offered(get_base(base).name):
+            raise DiagnosisError(f"effect {name}: cannot be added to {get_base(base).name}; leave it out")
+    for series in study.series:
+        if np.ptp(series.value) == 0.0:
+            raise DiagnosisError(
+                f"{study.source}: series {series.label} is {series.value[0]:g} throughout; give a beat that "
+                "varies in observations.csv, or leave the series out"
+            )
     began = time.monotonic()
     started = datetime.now(UTC).isoformat(timespec="seconds")
     rounds: list[Scored] = []
@@ -849,7 +906,7 @@ def _file(
         steps.append(
             Step(
                 name=name, place=place.vessel, subtree=place.subtree, probability=now.probability[name],
-                gap_before_mmHg=sizes[0], gap_after_mmHg=sizes[1],
+                amplitudes=_amplitudes(now.best[name]), gap_before_mmHg=sizes[0], gap_after_mmHg=sizes[1],
             )
         )  # fmt: skip
     parameters = {}
@@ -869,6 +926,7 @@ def _file(
         where=_where(first, before),
         cause=members,
         verdict=_verdict(first, gap),
+        warnings=_warnings(study, gap, first),
         hypotheses=_results(first, seed, {NO_GAP: before} | ({first.leader: after} if listed else {})),
         steps=steps,
         invisible=list(first.invisible),

@@ -1663,6 +1663,7 @@ def plot_accuracy(score: Score) -> Figure:
             left.xaxis.set_major_formatter(mpl.ticker.StrMethodFormatter("{x:g}"))
             left.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
         left.set_ylim(-0.12, 1.12)
+        left.set_yticks(np.linspace(0.0, 1.0, 6))
         left.set_xlabel("gap / sd of the noise")
         left.set_ylabel("true effect or its group first")
         left.set_title("accuracy by size of the gap")
@@ -1705,7 +1706,11 @@ def plot_confusion(score: Score) -> Figure:
             outside = any(c.truth == t and c.kind == "outside" for c in score.cases)
             for j, s in enumerate(said):
                 if count[i, j]:
-                    axes.text(j, i, str(count[i, j]), ha="center", va="center", fontsize="small")
+                    dark = count[i, j] > 0.7 * count.max()
+                    axes.text(
+                        j, i, str(count[i, j]), ha="center", va="center", fontsize="small",
+                        color="white" if dark else INK,
+                    )  # fmt: skip
                 if s == t or (outside and s == UNLISTED):
                     box = mpl.patches.Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, ec=INK, lw=1.2)
                     axes.add_patch(box)
@@ -1745,6 +1750,7 @@ def plot_sizes(score: Score) -> Figure:
         line = np.array([low, high])
         left.fill_between(line, line - 10, line + 10, color="#DDE2E8", lw=0, zorder=0)
         left.set_xlim(low, high)
+        left.set_ylim(top=101.5)  # all of it, and room for the marks
         left.set_xlabel("true shrinkage of the gap (%)")
         left.set_ylabel("stated shrinkage (%)")
         left.set_title("what the cause removes (strip: ± 10 points)")

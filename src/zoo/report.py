@@ -784,6 +784,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
             file=file,
             unit=unit,
             summary=diagnosis_summary(file),
+            estimate=_estimate,
             facts=_diagnosis_facts(diagnosis),
             gap=[_gap_row(row) for row in file.gap.per_series],
             where=_where_sentences(file),
@@ -811,7 +812,7 @@ def diagnosis_summary(file: DiagnosisFile) -> list[str]:
     list of str
     """
     gap, unit = file.gap, str(file.record.get("gap_unit", "mmHg"))
-    lines = [f"Verdict: {file.verdict}."]
+    lines = [f"Verdict: {file.verdict}.", *(f"Warning: {text}." for text in file.warnings)]
     before = f"{_span(gap.before_mmHg, gap.before_interval_mmHg)} {unit}"
     floor = f"the noise {gap.noise_floor_mmHg:.2g} {unit}"
     if file.hypotheses[0].name in (NO_GAP, UNLISTED, CORRELATED):
@@ -838,7 +839,11 @@ def diagnosis_summary(file: DiagnosisFile) -> list[str]:
 
 def _step(step: Any, unit: str) -> str:
     where = "" if step.place is None else f" ({Place(step.place, step.subtree)})"
-    return f"{step.name}{where}, {step.gap_before_mmHg:.2g} to {step.gap_after_mmHg:.2g} {unit}"
+    sizes = ", ".join(f"{a.name} {_estimate(a.mean, a.sd, a.unit)}" for a in step.amplitudes)
+    return (
+        f"{step.name}{where}, {_percent(step.probability)} probable, {sizes}: "
+        f"{step.gap_before_mmHg:.2g} to {step.gap_after_mmHg:.2g} {unit}"
+    )
 
 
 def _span(value: float, interval: Sequence[float]) -> str:
