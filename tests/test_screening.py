@@ -12,6 +12,7 @@ from zoo import load_study
 from zoo.discrepancy import Errors, Harmonics, log_density
 from zoo.effects import CATALOGUE, Place, apply_all, get_base, simulate
 from zoo.screening import (
+    CORRELATED,
     NO_GAP,
     SEARCH,
     UNLISTED,
@@ -256,6 +257,24 @@ def test_without_a_discrepancy_the_parameters_error_is_left(linear) -> None:  # 
         means.append(float(np.sqrt(np.mean(draws**2))))
     expected = 0.05 * math.sqrt(3 / screening.harmonics.size)
     assert expected < np.mean(means) < 1.6 * expected  # a discrepancy as small as this cannot be excluded
+
+
+@pytest.mark.parametrize("name", [UNLISTED, CORRELATED])
+def test_evidence_is_at_most_the_largest_likelihood(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Priors are proper, also where the data have no say on a parameter."""
+    screening = Screening(made([]), effects=["sensor-gain"])
+    base = screening.fit_base()
+    base = replace(base, jacobian=1e-5 * base.jacobian)
+
+    def excess() -> float:
+        fit = screening.fit_free(base, name)
+        whole = 1.0 / np.sqrt(screening.harmonics.variances(fit.errors))
+        d = np.linalg.lstsq(fit.jacobian * whole[:, None], fit.residual * whole, rcond=None)[0]
+        return fit.log_z - float(log_density(fit.residual - fit.jacobian @ d, whole**-2.0))
+
+    assert excess() < 0.0
+    monkeypatch.setattr(Forward, "log_mass", lambda *arguments: 0.0)
+    assert excess() > 0.0  # what it would be without bounds
 
 
 def test_search_stays_inside_the_bounds() -> None:

@@ -220,6 +220,12 @@ class Forward:
         )
         return float(log_prior), precision, pull
 
+    def log_mass(self, mean: Array, covariance: Array) -> float:
+        """Log of the part of a normal posterior inside the bounds, as if the parameters were independent."""
+        sd = np.sqrt(np.diag(covariance))
+        low, high = (self.low - mean) / sd, (self.high - mean) / sd
+        return sum(_log_mass(float(a), float(b)) for a, b in zip(low, high, strict=True))
+
 
 @dataclass
 class Point:
@@ -526,10 +532,8 @@ class Screening:
         for factor, weight in zip(DELTA_GRID, weights, strict=True):
             at = {q: replace(e, delta=factor * allowances[q]) for q, e in errors.items()}
             log_z, step, C = marginal(residual, point.jacobian, self.harmonics.variances(at), precision, pull)
-            mean, sd = point.u + step, np.sqrt(np.diag(C))
-            for i in range(len(mean)):
-                log_z += _log_mass((forward.low[i] - mean[i]) / sd[i], (forward.high[i] - mean[i]) / sd[i])
-            terms.append(math.log(weight) + log_z)
+            mean = point.u + step
+            terms.append(math.log(weight) + log_z + forward.log_mass(mean, C))
             bests.append((mean, C, at))
         best = int(np.argmax(terms))
         return Fit(
@@ -600,6 +604,7 @@ class Screening:
                     residual, point.jacobian, self.harmonics.variances(at), precision, pull
                 )
                 # weights of the grid: log-spaced sizes of a half-normal, a log-normal length
+                log_z += base.forward.log_mass(point.u + step, C)
                 x = math.log(length / (LENGTH_BEATS[0] * T)) / LENGTH_BEATS[1]
                 log_w = math.log(size) - 0.5 * size**2 - 0.5 * x * x
                 terms.append((log_w, log_z))
