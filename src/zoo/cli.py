@@ -1272,7 +1272,8 @@ def _diagnosis_summary(file: DiagnosisFile) -> list[Any]:
             "" if free else f"{h.gap_after_mmHg:.2g}",
             style="bold" if h.name in file.cause else None,
         )
-    lines: list[Any] = [Text(verdict, style="bold"), *(Text(line) for line in rest), "", where, "", table]
+    lines: list[Any] = [Text(verdict, style="bold"), *(Text(line) for line in rest), ""]
+    lines += [table] if file.hypotheses[0].name == "no-gap" else [where, "", table]  # nothing to place
     if len(file.hypotheses) > len(rows):
         lines.append(
             f"and {len(file.hypotheses) - len(rows)} more; explanations of one group look alike here"

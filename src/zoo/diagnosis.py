@@ -223,8 +223,10 @@ def read_diagnosis(path: str | Path) -> DiagnosisFile:
         ) from None
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(x) for x in first["loc"])
-        raise DiagnosisError(f"{path}: {where}: {first['msg']}; make it again with `zoo diagnose`") from None
+        where = ".".join(str(x) for x in first["loc"]) or "the file"
+        raise DiagnosisError(
+            f"{path}: {where}: {first['msg']}; make it again with `zoo diagnose` or `zoo blind run`"
+        ) from None
 
 
 # ---------------------------------------------------------------------------------------------------
