@@ -814,7 +814,8 @@ class Screening:
             ranked = sorted(fits, key=lambda h: -fits[h].log_z)
             shaped = {h.name: h for h in reversed(ranked) if len(CATALOGUE[h.name].amplitudes) > 1}
             again_from_all = list(dict.fromkeys([*ranked[:SETTLED], *shaped.values()]))
-            for h, fit in pool.map(settled, again_from_all):
+            for done, (h, fit) in enumerate(pool.map(settled, again_from_all), 1):
+                self.tick(h.name, 0.95 + 0.05 * done / len(again_from_all))
                 fits[h] = fit
         # the best explanation of all leaves the noise: a free discrepancy takes some of it along
         best = max((unlisted, correlated, *fits.values()), key=lambda f: f.log_z)
@@ -866,7 +867,7 @@ class Screening:
 
                 centre = math.log(errors.sigma)
                 best = minimize_scalar(cost, bounds=(centre - 1.0, centre + 0.5), method="bounded")
-                log_prior = float(-0.5 * (ratio / CORRELATED_RATIO) ** 2 - 0.5 * move**2)
+                log_prior = noise_log_prior(e, T)
                 ranked.append((log_prior - best.fun, log_prior, replace(e, sigma=math.exp(best.x))))
             ranked.sort(key=lambda x: -x[0])
             found[q] = [(log_prior, e) for _, log_prior, e in ranked]
