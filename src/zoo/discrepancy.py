@@ -196,6 +196,13 @@ def noise_log_prior(errors: Errors, period_s: float) -> float:
     return -0.5 * (errors.ratio / CORRELATED_RATIO) ** 2 - 0.5 * x * x
 
 
+def length_log_prior(length_s: float, period_s: float) -> float:
+    """Log-prior of a discrepancy's length scale: log-normal, without its constant."""
+    median, sd = LENGTH_BEATS
+    x = math.log(length_s / (median * period_s)) / sd
+    return -0.5 * x * x
+
+
 def fit_noise(
     harmonics: Harmonics,
     residual: Array,

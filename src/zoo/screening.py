@@ -30,6 +30,7 @@ from zoo.discrepancy import (
     Errors,
     Harmonics,
     fit_noise,
+    length_log_prior,
     marginal,
     noise_log_prior,
 )
@@ -605,8 +606,7 @@ class Screening:
                 )
                 # weights of the grid: log-spaced sizes of a half-normal, a log-normal length
                 log_z += base.forward.log_mass(point.u + step, C)
-                x = math.log(length / (LENGTH_BEATS[0] * T)) / LENGTH_BEATS[1]
-                log_w = math.log(size) - 0.5 * size**2 - 0.5 * x * x
+                log_w = math.log(size) - 0.5 * size**2 + length_log_prior(length, T)
                 terms.append((log_w, log_z))
                 if log_w + log_z > best:
                     best, best_at, best_step, best_C = log_w + log_z, at, step, C
@@ -903,9 +903,7 @@ class Screening:
         shape = (len(self.study.series), H.n)
         # no size is preferred: the grid is even in its logarithm
         kinds = [(math.log(0.5), 0.0, LENGTH_BEATS[0] * T)]
-        lengths = np.array(
-            [-0.5 * (math.log(x / LENGTH_BEATS[0]) / LENGTH_BEATS[1]) ** 2 for x in LENGTH_GRID]
-        )
+        lengths = np.array([length_log_prior(length, T) for length in LENGTH_GRID * T])
         lengths += math.log(0.5 / len(SIZE_GRID)) - logsumexp(lengths)
         for length, log_w in zip(LENGTH_GRID * T, lengths, strict=True):
             kinds += [(float(log_w), float(size), float(length)) for size in SIZE_GRID]
