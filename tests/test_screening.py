@@ -206,11 +206,12 @@ def linear():  # type: ignore[no-untyped-def]
     waves = np.stack([np.sin(2 * np.pi * (t[None] * k + phase)) for k, phase in ((1, 0), (2, 0.1), (3, 0.3))])
     J = np.stack([H(np.repeat(w, 3, axis=0)) for w in waves], axis=1)
 
-    class Linear:
-        low, high = np.full(3, -1e3), np.full(3, 1e3)
+    class Linear(Forward):
+        def __init__(self, d):  # type: ignore[no-untyped-def]
+            self.low, self.high = np.full(d, -1e3), np.full(d, 1e3)
 
         def prior(self, u):  # type: ignore[no-untyped-def]
-            return 0.0, np.zeros(3), np.zeros(3)
+            return 0.0, np.zeros(len(u)), np.zeros(len(u))
 
     def fitted(truth, noise):  # type: ignore[no-untyped-def]
         """Least squares of data that are truth and noise; its own error is truth - J u."""
@@ -219,7 +220,7 @@ def linear():  # type: ignore[no-untyped-def]
         errors = {QUANTITY: Errors(0.05)}
         S = H.variances(errors)
         C = np.linalg.inv(J.T @ (J / S[:, None]))
-        return Fit(Hypothesis(), Linear(), u, J @ u, J, data - J @ u, errors, {QUANTITY: 0.1}, 0.0, u, C)
+        return Fit(Hypothesis(), Linear(3), u, J @ u, J, data - J @ u, errors, {QUANTITY: 0.1}, 0.0, u, C)
 
     return screening, J, fitted
 
@@ -238,7 +239,7 @@ def test_what_a_fit_leaves_has_calibrated_intervals(linear) -> None:  # type: ig
         truth = J @ rng.standard_normal(3)
         truth += np.sqrt(H.variances(smooth)) * rng.standard_normal(H.size)
         fit = fitted(truth, np.sqrt(H.variances(noise)) * rng.standard_normal(H.size))
-        _, draws = screening.unexplained(fit, screening.possible_noise(fit), rng, 200)
+        draws = screening.unexplained(fit, screening.possible_noise(fit), rng, 200).draws
         sizes = np.sqrt(np.mean(draws**2, axis=1))
         wanted = math.sqrt(float(np.mean((truth - fit.computed) ** 2)))
         low, high = np.quantile(sizes, [0.025, 0.975])
@@ -253,10 +254,28 @@ def test_without_a_discrepancy_the_parameters_error_is_left(linear) -> None:  # 
     means = []
     for _ in range(20):
         fit = fitted(J @ np.ones(3), 0.05 * rng.standard_normal(screening.harmonics.size))
-        _, draws = screening.unexplained(fit, screening.possible_noise(fit), rng, 100)
+        draws = screening.unexplained(fit, screening.possible_noise(fit), rng, 100).draws
         means.append(float(np.sqrt(np.mean(draws**2))))
     expected = 0.05 * math.sqrt(3 / screening.harmonics.size)
     assert expected < np.mean(means) < 1.6 * expected  # a discrepancy as small as this cannot be excluded
+
+
+def test_what_is_left_does_not_depend_on_a_parameter_without_a_say(linear) -> None:  # type: ignore[no-untyped-def]
+    """One that hardly moves the waves leaves room for no larger a discrepancy."""
+    screening, J, fitted = linear
+    H, rng = screening.harmonics, np.random.default_rng(3)
+    smooth = np.sqrt(H.variances({QUANTITY: Errors(0.0, delta=0.03, length=0.05 * screening.study.period_s)}))
+    idle = 1e-9 * smooth * rng.standard_normal(H.size)
+    fit = fitted(J @ np.ones(3) + smooth * rng.standard_normal(H.size), 0.05 * rng.standard_normal(H.size))
+    noise = screening.possible_noise(fit)
+    more = replace(
+        fit, forward=type(fit.forward)(4), u=np.append(fit.u, 0.0), jacobian=np.column_stack((J, idle))
+    )
+    sizes = [
+        np.sqrt(np.mean(screening.unexplained(f, noise, np.random.default_rng(4), 400).draws ** 2, axis=1))
+        for f in (fit, more)
+    ]
+    np.testing.assert_allclose(*(np.quantile(x, [0.1, 0.5, 0.9]) for x in sizes), rtol=0.15)
 
 
 @pytest.mark.parametrize("name", [UNLISTED, CORRELATED])

@@ -289,11 +289,28 @@ class Discrepancy:
     mean: Array  # (n_series, n_times)
     sd: Array
     rms: Array  # (n_draws, n_series)
+    lasting: Array  # (n_draws, n_series), rms of what a fit to data without noise would leave
     residual: Array  # (n_series, n_times)
 
     def pooled(self, rows: list[int]) -> Array:
         """Rms over some series together, (n_draws,)."""
-        return np.asarray(np.sqrt(np.mean(self.rms[:, rows] ** 2, axis=1)))
+        return _over(self.rms, rows)
+
+    def interval(self, rows: list[int]) -> Interval:
+        """Of that rms; from what a fit to data without noise would leave to what this fit leaves."""
+        return _interval(self.pooled(rows), _over(self.lasting, rows))
+
+    def removed(self, rows: list[int], before: Discrepancy) -> Interval:
+        """Part of the gap that this fit takes away; its interval holds both meanings of what is left."""
+        gap = np.maximum(before.pooled(rows), 1e-12)
+        low, high = (1.0 - _over(x, rows) / gap for x in (self.rms, self.lasting))
+        return Interval(
+            mean=float(low.mean()), low=float(np.quantile(low, 0.025)), high=float(np.quantile(high, 0.975))
+        )
+
+
+def _over(rms: Array, rows: list[int]) -> Array:
+    return np.asarray(np.sqrt(np.mean(rms[:, rows] ** 2, axis=1)))
 
 
 def discrepancy(screened: Screened, fit: Fit, seed: int = 0, *, known_noise: bool = False) -> Discrepancy:
@@ -317,10 +334,10 @@ def discrepancy(screened: Screened, fit: Fit, seed: int = 0, *, known_noise: boo
     H = screening.harmonics
     rng = np.random.default_rng(seed)
     noise = {q: [(0.0, e)] for q, e in screened.noise.items()} if known_noise else screened.possible_noise
-    mean, draws = screening.unexplained(fit, noise, rng, DRAWS)
-    waves = H.back(draws)
-    rms = np.sqrt(np.mean(waves**2, axis=2))
-    return Discrepancy(H.back(mean), waves.std(axis=0), rms, H.back(fit.residual))
+    found = screening.unexplained(fit, noise, rng, DRAWS)
+    waves = H.back(found.draws)
+    rms, lasting = (np.sqrt(np.mean(x**2, axis=2)) for x in (waves, H.back(found.lasting)))
+    return Discrepancy(H.back(found.mean), waves.std(axis=0), rms, lasting, H.back(fit.residual))
 
 
 def _rows(study: Study) -> tuple[list[int], str]:
@@ -337,8 +354,8 @@ def _rms(values: Array) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
-def _interval(draws: Array) -> Interval:
-    low, high = np.quantile(draws, [0.025, 0.975])
+def _interval(draws: Array, least: Array) -> Interval:
+    low, high = np.quantile(least, 0.025), np.quantile(draws, 0.975)
     return Interval(mean=float(np.mean(draws)), low=float(low), high=float(high))
 
 
@@ -638,8 +655,8 @@ def _results(scored: Scored, seed: int, known: Mapping[str, Discrepancy]) -> lis
         else:
             improbable = scored.probability[name] < DOUBT
             d = known.get(name) or discrepancy(screened, fit, seed, known_noise=improbable)
-            pooled = d.pooled(rows)
-            after = np.array([pooled.mean(), *np.quantile(pooled, [0.025, 0.975])])
+            size = d.interval(rows)
+            after = np.array([size.mean, size.low, size.high])
             rms = _rms(d.residual[rows])
         listed = name in scored.places
         amplitudes = [] if name == NO_GAP else _amplitudes(fit) if listed else _free_amplitudes(fit)
@@ -870,19 +887,18 @@ def _file(
     after = discrepancy(screened, single, seed) if listed else before
     held = hold_out(first, single) if listed else None
     noise = {s.label: screened.noise[s.quantity].noise for s in study.series}
-    b, a = before.pooled(rows), after.pooled(rows)
-    removed = 1.0 - a / np.maximum(b, 1e-12)
+    b, a, removed = before.interval(rows), after.interval(rows), after.removed(rows, before)
     quantity = study.series[rows[0]].quantity
     gap = Gap(
-        before_mmHg=float(b.mean()),
-        before_interval_mmHg=tuple(np.quantile(b, [0.025, 0.975])),
+        before_mmHg=b.mean,
+        before_interval_mmHg=(b.low, b.high),
         noise_floor_mmHg=screened.noise[quantity].noise,
-        after_mmHg=float(a.mean()),
-        after_interval_mmHg=tuple(np.quantile(a, [0.025, 0.975])),
+        after_mmHg=a.mean,
+        after_interval_mmHg=(a.low, a.high),
         residual_rms_before_mmHg=_rms(before.residual[rows]),
         residual_rms_after_mmHg=_rms(after.residual[rows]),
-        removed=float(removed.mean()) if listed else 0.0,
-        removed_interval=tuple(np.quantile(removed, [0.025, 0.975])) if listed else (0.0, 0.0),
+        removed=removed.mean if listed else 0.0,
+        removed_interval=(removed.low, removed.high) if listed else (0.0, 0.0),
         held_out_before_mmHg=held.before if held else None,
         held_out_after_mmHg=held.after if held else None,
         held_out_removed=held.removed if held else None,
@@ -891,8 +907,8 @@ def _file(
             SeriesGap(
                 series=s.label,
                 unit=UNITS[s.quantity],
-                before=_interval(before.rms[:, i]),
-                after=_interval(after.rms[:, i]),
+                before=before.interval([i]),
+                after=after.interval([i]),
                 noise_floor=noise[s.label],
                 residual_rms_before=_rms(before.residual[i]),
                 residual_rms_after=_rms(after.residual[i]),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pymc as pm
 from numpy.typing import ArrayLike
 from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import floatX, join_nonshared_inputs
@@ -18,6 +19,10 @@ LARGE = 100.0
 """Size of an unconstrained coordinate from which it is scaled for the search."""
 MANY = 12
 """Dimensions above which the search for the mode uses the structure of zoo's models."""
+STARTS = 16
+"""Prior draws that the search starts from with many parameters; lesser modes are common there."""
+FOLLOWED = 4
+"""Of the searches from prior draws, how many are followed to their end."""
 
 
 class SamplingError(RuntimeError):
@@ -143,9 +148,10 @@ def find_mode(
     """Find the mode of a model's posterior without gradients, and the Gaussian around it.
 
     A derivative-free trust-region search (COBYQA) from the best of the model's initial point and its
-    suggested values, or Gauss-Newton steps if a model of zoo's has more than 12 parameters; then Newton
-    steps on a quadratic fitted over steps wide enough to lower the log-posterior by about one, so that
-    rounding and the tolerance of a solver do not matter.
+    suggested values; if a model of zoo's has more than 12 parameters, Gauss-Newton steps from there and from
+    16 draws of the prior, since such posteriors have lesser modes, the best 4 followed to their end. Then
+    Newton steps on a quadratic fitted over steps wide enough to lower the log-posterior by about one, so
+    that rounding and the tolerance of a solver do not matter.
 
     Parameters
     ----------
@@ -202,7 +208,8 @@ def search_mode(
     limit = 300 + 60 * d if max_evaluations is None else max_evaluations
     frame = None
     if d > MANY and isinstance(getattr(logp.model, "zoo", None), ModelRecord):
-        q, best, frame = gauss_newton(logp, q, best, limit=limit)
+        begin = [(q, best)] if start is not None else _prior_points(logp, q, seed)
+        q, best, frame = _highest(logp, begin, limit)
     elif limit > 2 * d + 1:
         # variables without bounds are in their own units
         scale = np.where(np.abs(q) > LARGE, np.abs(q), 1.0)
@@ -235,6 +242,40 @@ def _first_point(logp: LogPosterior, start: Mapping[str, ArrayLike] | None, seed
         values.append(logp(candidates[-1]))
     index = int(np.argmax(values))
     return candidates[index], values[index]
+
+
+def _prior_points(logp: LogPosterior, q: Array, seed: int) -> list[tuple[Array, float]]:
+    """q (n_dim,) and `STARTS` prior draws with its error parameters, each with its log-posterior."""
+    model = logp.model
+    values = logp.to_values(q)
+    drawn = [rv for rv in model.free_RVs if rv.name not in model.zoo.error_parameters]
+    n = 8 * STARTS
+    draws = {name: np.broadcast_to(value, (n, *np.shape(value))) for name, value in values.items()}
+    for rv, column in zip(drawn, pm.draw(drawn, draws=n, random_seed=seed), strict=True):
+        draws[rv.name] = np.reshape(column, draws[rv.name].shape)
+    found = [(q, logp(q))]
+    with np.errstate(invalid="ignore"):
+        points = logp.from_draws(draws)
+    for point in points[np.isfinite(points).all(1)]:
+        if len(found) > STARTS:
+            break
+        value = logp(point)
+        if np.isfinite(value):
+            found.append((point, value))
+    return found
+
+
+def _highest(
+    logp: LogPosterior, begin: Sequence[tuple[Array, float]], limit: int
+) -> tuple[Array, float, Array]:
+    """The highest end of Gauss-Newton searches: all begun, the best `FOLLOWED` finished."""
+    if len(begin) == 1:
+        [(q, value)] = begin
+        return gauss_newton(logp, q, value, limit=limit)
+    short = [gauss_newton(logp, q, value, limit=limit // 3)[:2] for q, value in begin]
+    short.sort(key=lambda end: -end[1])
+    ends = [gauss_newton(logp, q, value, limit=limit) for q, value in short[:FOLLOWED]]
+    return max(ends, key=lambda end: end[1])
 
 
 def _suggested(model: Any) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr, logsumexp, ndtri_exp
 from scipy.stats import truncnorm
 
 from zoo.conventions import Conventions
@@ -62,6 +62,8 @@ SETTLED = 4
 """How many of the best explanations are searched again beside the noise alone, with all that have a shape."""
 TRIES = 20
 """Draws of the parameters among which one inside the bounds is taken."""
+SWEEPS = 20
+"""Of Gibbs' sampler, where none is."""
 VISIBLE = 3.0
 """Expected log-likelihood ratio, e^3 = 20 to 1, below which two hypotheses are the same to this study."""
 DOUBT = 0.01
@@ -99,16 +101,16 @@ class Parameter:
         if self.scale:
             low, high = ((x - self.centre) / self.scale for x in (self.low, self.high))
             z = (u - self.centre) / self.scale
-            return -0.5 * z * z - math.log(self.scale * math.sqrt(2.0 * math.pi)) - _log_mass(low, high)
+            size = math.log(self.scale * math.sqrt(2.0 * math.pi)) + float(_log_mass(low, high))
+            return -0.5 * z * z - size
         return -math.log(self.high - self.low) + (u if self.log else 0.0)
 
 
-def _log_mass(low: float, high: float) -> float:
+def _log_mass(low: Any, high: Any) -> Any:
     """log(Phi(high) - Phi(low)), also far out in a tail."""
-    if low > 0:
-        low, high = -high, -low
-    a, b = float(log_ndtr(low)), float(log_ndtr(high))
-    return b + math.log1p(-math.exp(min(a - b, -1e-12)))
+    low, high = np.where(low > 0, -high, low), np.where(low > 0, -low, high)
+    a, b = log_ndtr(low), log_ndtr(high)
+    return b + np.log1p(-np.exp(np.minimum(a - b, -1e-12)))
 
 
 @dataclass(frozen=True)
@@ -221,11 +223,20 @@ class Forward:
         )
         return float(log_prior), precision, pull
 
-    def log_mass(self, mean: Array, covariance: Array) -> float:
-        """Log of the part of a normal posterior inside the bounds, as if the parameters were independent."""
-        sd = np.sqrt(np.diag(covariance))
-        low, high = (self.low - mean) / sd, (self.high - mean) / sd
-        return sum(_log_mass(float(a), float(b)) for a, b in zip(low, high, strict=True))
+    def log_mass(self, mean: Array, covariance: Array) -> Any:
+        """Log of the part of normal posteriors inside the bounds, as if the parameters were independent.
+
+        Parameters
+        ----------
+        mean : array (..., n_dim)
+        covariance : array (..., n_dim, n_dim)
+
+        Returns
+        -------
+        array (...,)
+        """
+        sd = np.sqrt(np.einsum("...dd->...d", covariance))
+        return np.sum(_log_mass((self.low - mean) / sd, (self.high - mean) / sd), axis=-1)
 
 
 @dataclass
@@ -696,9 +707,7 @@ class Screening:
             found = self.evidence(fit.forward, best, allowances)
             if before - best.cost < 0.1:
                 break
-        # both linearise one posterior: a small difference between them is the linearisation's
-        if found.log_z < fit.log_z - VISIBLE:
-            return fit
+        # both linearise one posterior, and what lies off the mode may promise more than is there
         return replace(found, log_z=max(found.log_z, fit.log_z))
 
     @staticmethod
@@ -830,8 +839,8 @@ class Screening:
     def gap_size(self, fit: Fit, noise: Mapping[str, Errors], quantity: str) -> float:
         """Rms of truth minus fit, in the quantity's unit."""
         known = {q: [(0.0, e)] for q, e in noise.items()}
-        _, draws = self.unexplained(fit, known, np.random.default_rng(0), 50)
-        return math.sqrt(float(np.mean(self.harmonics.part(draws, quantity) ** 2)))
+        left = self.unexplained(fit, known, np.random.default_rng(0), 50)
+        return math.sqrt(float(np.mean(self.harmonics.part(left.draws, quantity) ** 2)))
 
     def possible_noise(self, fit: Fit) -> dict[str, list[tuple[float, Errors]]]:
         """Log-priors and values of the noise on a grid of the correlated noise's size and time.
@@ -879,7 +888,7 @@ class Screening:
         noise: Mapping[str, Sequence[tuple[float, Errors]]],
         rng: np.random.Generator,
         n_draws: int,
-    ) -> tuple[Array, Array]:
+    ) -> Unexplained:
         """Posterior of truth minus fit: r = J d + s + e, of which J d + s is asked.
 
         d is the error of the fitted parameters, s a smooth discrepancy (none, by an even chance), e noise.
@@ -895,8 +904,7 @@ class Screening:
 
         Returns
         -------
-        mean : array (n,)
-        draws : array (n_draws, n)
+        Unexplained
         """
         H, T = self.harmonics, self.study.period_s
         _, precision, pull = fit.forward.prior(fit.u)
@@ -924,9 +932,11 @@ class Screening:
         for q, rows in H.rows.items():
             S = np.repeat((likely + own)[:, None], len(options[q]), axis=1)
             S[:, :, rows] = own[:, None, rows] + options[q]
-            log_z, _, _ = marginal(
+            log_z, step, C = marginal(
                 fit.residual, fit.jacobian, S.reshape(*S.shape[:2], H.size), precision, pull
             )
+            # where a large discrepancy leaves the data no say, most parameters lie outside their bounds
+            log_z += fit.forward.log_mass(fit.u + step, C)
             log_w = np.array([w for w, _, _ in kinds])[:, None] + np.array([w for w, _ in noise[q]])
             tables[q] = np.exp(log_w + log_z - logsumexp(log_w + log_z))
         first, *rest = tables
@@ -936,7 +946,9 @@ class Screening:
         for i, (kind, option) in enumerate(zip(chosen, picked, strict=True)):
             others = [rng.choice(tables[q].shape[1], p=tables[q][kind] / tables[q][kind].sum()) for q in rest]
             together.setdefault((int(kind), int(option), *others), []).append(i)
-        mean, draws = np.zeros(H.size), np.empty((n_draws, H.size))
+        mean, draws, lasting = np.zeros(H.size), np.empty((n_draws, H.size)), np.empty((n_draws, H.size))
+        scaled = fit.jacobian / likely.reshape(H.size, 1)
+        absorbed = np.linalg.solve(fit.jacobian.T @ scaled + np.diag(precision), scaled.T)
         low, high = fit.forward.low - fit.u, fit.forward.high - fit.u
         for (kind, *which), members in together.items():
             smooth = own[kind].reshape(H.size)
@@ -947,13 +959,48 @@ class Screening:
             _, step, C = marginal(fit.residual, fit.jacobian, total, precision, pull)
             d = step + rng.standard_normal((len(members), TRIES, len(step))) @ np.linalg.cholesky(C).T
             inside = np.all((d >= low) & (d <= high), axis=2)
-            # none inside: the linearisation says nothing about bounds, and the first is as good as any
-            moved = d[np.arange(len(members)), np.argmax(inside, axis=1)] @ fit.jacobian.T
+            d = d[np.arange(len(members)), np.argmax(inside, axis=1)]
+            if not (kept := inside.any(axis=1)).all():
+                d[~kept] = _truncated(d[~kept], step, C, low, high, rng)
+            moved = d @ fit.jacobian.T
             gain = smooth / total
             left = np.sqrt(smooth * (1.0 - gain)) * rng.standard_normal(moved.shape)
-            draws[members] = moved + gain * (fit.residual - moved) + left
+            smooth_draws = gain * (fit.residual - moved) + left
+            draws[members] = moved + smooth_draws
+            lasting[members] = smooth_draws - smooth_draws @ absorbed.T @ fit.jacobian.T
             mean += np.sum(moved + gain * (fit.residual - moved), axis=0) / n_draws
-        return mean, draws
+        return Unexplained(mean, draws, lasting)
+
+
+def _truncated(
+    x: Array, mean: Array, covariance: Array, low: Array, high: Array, rng: np.random.Generator
+) -> Array:
+    """Draws (n, d) of a normal distribution within bounds, by Gibbs' sampler from the points x (n, d)."""
+    precision = np.linalg.inv(covariance)
+    x = np.clip(x, low, high)
+    for i in SWEEPS * list(range(len(mean))):
+        sd = 1.0 / math.sqrt(precision[i, i])
+        centre = x[:, i] - sd**2 * ((x - mean) @ precision[i])
+        a, b = (low[i] - centre) / sd, (high[i] - centre) / sd
+        side = np.where(a > 0, -1.0, 1.0)  # the left tail has the digits
+        log_a, log_b = log_ndtr(np.where(a > 0, -b, a)), log_ndtr(np.where(a > 0, -a, b))
+        u = rng.uniform(size=len(x))
+        z = side * ndtri_exp(log_b + np.log(u + (1.0 - u) * np.exp(log_a - log_b)))
+        x[:, i] = np.clip(centre + sd * z, low[i], high[i])
+    return x
+
+
+@dataclass(frozen=True, eq=False)
+class Unexplained:
+    """Posterior of truth minus fit, as harmonics: its mean (n,), and draws (n_draws, n).
+
+    `lasting` is what is left of the draws where the parameters are fitted to data without noise: a
+    fit's own error is no part of it, and it is zero where there is no discrepancy.
+    """
+
+    mean: Array
+    draws: Array
+    lasting: Array
 
 
 @dataclass(frozen=True, eq=False)
