@@ -361,6 +361,40 @@ def test_gauss_newton_reaches_the_mode_of_a_hierarchical_model():
     np.testing.assert_allclose(values["sigma2"], 0.01, rtol=0.4)
 
 
+def test_search_of_many_parameters_starts_from_the_prior_and_keeps_the_highest_end(monkeypatch):
+    """On a surface with a lesser mode at 0 and a higher one at 3, climbed by short steps."""
+    study = three_vessels(np.array([4.0e4, 5.0e4, 6.0e4]), psi1=0.4, psi2=0.7, c=1.2)
+    logp = mode_module.LogPosterior(model_F(study, options=cheap_options()))
+    q = logp.from_values({"sigma2": 0.3})
+    points = mode_module._prior_points(logp, q, seed=1)
+    assert len(points) == mode_module.STARTS + 1
+    np.testing.assert_array_equal(points[0][0], q)
+    for point, value in points:
+        assert value == logp(point)
+        assert np.isfinite(value)
+        assert float(logp.to_values(point)["sigma2"]) == pytest.approx(0.3)  # errors are fitted to each
+    stiffness = np.array([logp.to_values(point)["chi"] for point, _ in points[1:]])
+    assert 1e4 < stiffness.std() < 5e4  # of the prior: 2.4e4
+
+    def surface(x):
+        return float(np.logaddexp(-0.5 * x[0] ** 2, 2.0 - 0.5 * (x[0] - 3.0) ** 2 / 0.3**2))
+
+    limits = []
+
+    def climb(_, x, value, *, limit):
+        limits.append(limit)
+        for _ in range(limit):
+            x = max((x - 0.05, x, x + 0.05), key=surface)
+        return x, surface(x), np.eye(1)
+
+    monkeypatch.setattr(mode_module, "gauss_newton", climb)
+    begin = [(np.array([x]), surface([x])) for x in (0.1, -2.0, -1.0, 0.5, -0.4, 2.0)]
+    found, value, _ = mode_module._highest(logp, begin, limit=30)
+    assert found[0] == pytest.approx(3.0, abs=0.05)
+    assert value == surface(found)
+    assert limits == [10] * 6 + [30] * mode_module.FOLLOWED
+
+
 def three_vessels(stiffness, **parameters):
     """The cheap tree with pressures of known stiffness and white errors of 0.1 mmHg."""
     base = cheap_study(48)
