@@ -23,6 +23,7 @@ from zoo.effects import (
     Wave,
     apply_all,
     catalogue_table,
+    effects_for,
     filtered,
     foster_fit,
     get_base,
@@ -905,3 +906,15 @@ def test_the_documents_own_effect_works(case: Case, plain: Array) -> None:
     finally:
         for name in set(CATALOGUE) - set(before):
             del CATALOGUE[name]
+
+
+def test_effects_that_a_base_can_take() -> None:
+    every = effects_for("linear-constant")
+    assert set(effects_for("tangent-constant")) == set(every) - {"tangent-wall"}
+    assert effects_for("H", ["taper", "stenosis", "taper"]) == ("taper", "stenosis")
+    with pytest.raises(
+        EffectError, match="effect tangent-wall: cannot be added to tangent-constant, only to "
+    ):
+        effects_for("H", ["tangent-wall"])
+    with pytest.raises(EffectError, match="did you mean 'stenosis'"):
+        effects_for("B", ["stenoss"])

@@ -32,6 +32,7 @@ from zoo.effects import (
     EffectError,
     Place,
     apply_all,
+    effects_for,
     everywhere,
     get_base,
     get_effect,
@@ -842,12 +843,7 @@ def make(
     for what, given, some in (("networks", networks, NETWORKS), ("layouts", layouts, LAYOUTS)):
         if not given or set(given) - set(some):
             raise BlindError(f"{what} = {', '.join(given)}: give some of {', '.join(some)}")
-    names = (
-        tuple(effects) if effects is not None else tuple(e for e in CATALOGUE if CATALOGUE[e].offered(BASE))
-    )
-    for name in names:
-        if not get_effect(name).offered(BASE):
-            raise BlindError(f"effect {name}: cannot be added to {BASE}; leave it out")
+    names = effects_for(BASE, effects)
     if len(names) < 2:
         raise BlindError(f"effects = {', '.join(names)}: give two or more, or what is withheld is known")
     if not 3 <= vessels[0] <= vessels[1] or (vessels[0] == vessels[1] and vessels[0] % 2 == 0):

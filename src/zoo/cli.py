@@ -1179,20 +1179,14 @@ class _Telling:
 
 def _effect_names(text: str | None, base: str) -> list[str] | None:
     """Effects of an option, each of which the base can take; None for all."""
-    from zoo.effects import get_effect
+    from zoo.effects import effects_for
 
     if text is None:
         return None
     names = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
     if not names:
         raise UsageError("--effects: no names; give some of `zoo effects` with commas, or leave it out")
-    for name in names:
-        effect = get_effect(name)
-        if not effect.offered(base):
-            raise UsageError(
-                f"--effects {name}: cannot be added to {base}, only to {', '.join(effect.bases)}"
-            )
-    return names
+    return list(effects_for(base, names))
 
 
 def _output_folder(path: Path) -> None:

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from zoo.conventions import Conventions
 from zoo.discrepancy import smooth_part
-from zoo.effects import CATALOGUE, Place, get_base, get_effect
+from zoo.effects import CATALOGUE, Place, effects_for, get_base
 from zoo.results import versions
 from zoo.screening import (
     CORRELATED,
@@ -824,9 +824,8 @@ def diagnose(
             raise DiagnosisError(f"{what} = {count}: must be at least 1")
     if isinstance(effects, str):
         raise DiagnosisError(f"effects = {effects!r}: give a list of names, such as [{effects!r}]")
-    for name in effects or ():
-        if not get_effect(name).offered(get_base(base).name):
-            raise DiagnosisError(f"effect {name}: cannot be added to {get_base(base).name}; leave it out")
+    if effects:
+        effects = effects_for(base, effects)
     for series in study.series:
         if np.ptp(series.value) == 0.0:
             raise DiagnosisError(

@@ -670,6 +670,30 @@ def get_base(name: str) -> Base:
     raise EffectError(f"base {name!r}: {_near(name, [*BASES, *letters])}")
 
 
+def effects_for(base: str, names: Sequence[str] | None = None) -> tuple[str, ...]:
+    """Names of effects, each of which a base can take, once each; all of the catalogue if none are given.
+
+    Parameters
+    ----------
+    base : str
+        Its name.
+    names : sequence of str, optional
+
+    Raises
+    ------
+    EffectError
+        For a name that is not in the catalogue, or an effect that the base cannot take.
+    """
+    if names is None:
+        return tuple(name for name, effect in CATALOGUE.items() if effect.offered(base))
+    for name in names:
+        effect = get_effect(name)
+        if not effect.offered(base):
+            only = ", ".join(effect.bases)
+            raise EffectError(f"effect {name}: cannot be added to {get_base(base).name}, only to {only}")
+    return tuple(dict.fromkeys(names))
+
+
 # ---------------------------------------------------------------------------------------------------
 # Steps that effects share
 
