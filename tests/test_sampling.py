@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import arviz as az
 import cloudpickle
@@ -27,10 +28,11 @@ from zoo import mode as mode_module
 from zoo import model_F, sampling
 from zoo.calibration import cheap_options, cheap_study
 from zoo.progress import ChainState, Display
+from zoo.regions import Gaussian
 from zoo.results import RunRecord
 from zoo.sampling import CheckpointError, DEMetropolisZ, Metropolis, SamplingError, find_mode, sample
 from zoo.solver import Solver
-from zoo.steps import Archive, Gaussian
+from zoo.steps import Archive
 from zoo.study import Series
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
@@ -361,8 +363,8 @@ def test_gauss_newton_reaches_the_mode_of_a_hierarchical_model():
     np.testing.assert_allclose(values["sigma2"], 0.01, rtol=0.4)
 
 
-def test_search_of_many_parameters_starts_from_the_prior_and_keeps_the_highest_end(monkeypatch):
-    """On a surface with a lesser mode at 0 and a higher one at 3, climbed by short steps."""
+def test_search_of_many_parameters_starts_from_the_prior():
+    """And from the point given, with its error parameters; each start can be solved."""
     study = three_vessels(np.array([4.0e4, 5.0e4, 6.0e4]), psi1=0.4, psi2=0.7, c=1.2)
     logp = mode_module.LogPosterior(model_F(study, options=cheap_options()))
     q = logp.from_values({"sigma2": 0.3})
@@ -376,23 +378,37 @@ def test_search_of_many_parameters_starts_from_the_prior_and_keeps_the_highest_e
     stiffness = np.array([logp.to_values(point)["chi"] for point, _ in points[1:]])
     assert 1e4 < stiffness.std() < 5e4  # of the prior: 2.4e4
 
-    def surface(x):
-        return float(np.logaddexp(-0.5 * x[0] ** 2, 2.0 - 0.5 * (x[0] - 3.0) ** 2 / 0.3**2))
+
+def test_search_of_many_parameters_keeps_the_highest_end(monkeypatch):
+    """A scalar and a vector of two; the highest mode is only seen from where the vector is low."""
+    initial = {"scalar": np.zeros(()), "vector": np.zeros(2)}
+    peaks = {(0.0, 0.0, 0.0): 0.0, (3.0, 0.0, 0.0): 2.0, (1.0, 0.0, -2.0): 1.0, (5.0, -2.0, -2.0): 7.0}
+
+    class Surface:
+        def __init__(self):
+            self.variables, self.initial = [SimpleNamespace(name=name) for name in initial], initial
+
+        def __call__(self, q):
+            return max(height - float(np.sum((q - peak) ** 2)) for peak, height in peaks.items())
 
     limits = []
 
-    def climb(_, x, value, *, limit):
+    def climb(logp, q, value, *, limit):
+        """To the peak whose hill the point is on."""
         limits.append(limit)
-        for _ in range(limit):
-            x = max((x - 0.05, x, x + 0.05), key=surface)
-        return x, surface(x), np.eye(1)
+        peak = max(peaks, key=lambda peak: peaks[peak] - float(np.sum((q - peak) ** 2)))
+        return np.array(peak), peaks[peak], np.eye(3)
 
     monkeypatch.setattr(mode_module, "gauss_newton", climb)
-    begin = [(np.array([x]), surface([x])) for x in (0.1, -2.0, -1.0, 0.5, -0.4, 2.0)]
-    found, value, _ = mode_module._highest(logp, begin, limit=30)
-    assert found[0] == pytest.approx(3.0, abs=0.05)
-    assert value == surface(found)
-    assert limits == [10] * 6 + [30] * mode_module.FOLLOWED
+    logp = Surface()
+    begin = [(np.array([x, 0.0, 0.0]), logp(np.array([x, 0.0, 0.0]))) for x in (0.2, -1.0, 2.9, 0.1, 2.0)]
+    found, value, _ = mode_module._highest(logp, begin, limit=80)
+    assert value == 7.0  # the starts lead to 0 and 2
+    np.testing.assert_array_equal(found, (5.0, -2.0, -2.0))
+    assert limits[:5] == [80 // 3] * 5
+    assert limits.count(80) >= 3
+    only, _, _ = mode_module._highest(logp, begin[:1], limit=80)
+    np.testing.assert_array_equal(only, (0.0, 0.0, 0.0))
 
 
 def three_vessels(stiffness, **parameters):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,8 @@ from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import floatX, join_nonshared_inputs
 
 from zoo.likelihood import ModelRecord, whiten
-from zoo.steps import T_DOF, Array, Gaussian, Point, compile_logp, counting_ops
+from zoo.regions import Array, Gaussian
+from zoo.steps import T_DOF, Point, compile_logp, counting_ops
 
 LARGE = 100.0
 """Size of an unconstrained coordinate from which it is scaled for the search."""
@@ -22,7 +23,9 @@ MANY = 12
 STARTS = 16
 """Prior draws that the search starts from with many parameters; lesser modes are common there."""
 FOLLOWED = 4
-"""Of the searches from prior draws, how many are followed to their end."""
+"""Different modes that are followed to their end."""
+KICK = -2.3
+"""What is added to one element of a vector in the unconstrained space to leave a lesser mode: a tenth."""
 
 
 class SamplingError(RuntimeError):
@@ -268,14 +271,52 @@ def _prior_points(logp: LogPosterior, q: Array, seed: int) -> list[tuple[Array, 
 def _highest(
     logp: LogPosterior, begin: Sequence[tuple[Array, float]], limit: int
 ) -> tuple[Array, float, Array]:
-    """The highest end of Gauss-Newton searches: all begun, the best `FOLLOWED` finished."""
+    """The highest end of Gauss-Newton searches from several points, and from changes of their ends.
+
+    All searches are begun; the best that lead to different modes are finished. Then each element of the
+    vectors, such as a vessel's stiffness, is lowered to a tenth, and the search goes on from there; that is
+    repeated at the highest end while it leads higher.
+    """
     if len(begin) == 1:
         [(q, value)] = begin
         return gauss_newton(logp, q, value, limit=limit)
     short = [gauss_newton(logp, q, value, limit=limit // 3)[:2] for q, value in begin]
-    short.sort(key=lambda end: -end[1])
-    ends = [gauss_newton(logp, q, value, limit=limit) for q, value in short[:FOLLOWED]]
-    return max(ends, key=lambda end: end[1])
+    ends = _different(logp, short, limit, FOLLOWED)
+    elements = np.flatnonzero(
+        np.concatenate(
+            [
+                np.full(np.size(logp.initial[v.name]), np.ndim(logp.initial[v.name]) > 0)
+                for v in logp.variables
+            ]
+        )
+    )
+    best, changed = ends[0], ends
+    while changed:
+        lower = []
+        for q, *_ in changed:
+            for k in elements:
+                moved = q.copy()
+                moved[k] += KICK
+                if np.isfinite(value := logp(moved)):
+                    lower.append(gauss_newton(logp, moved, value, limit=limit // 8)[:2])
+        found = _different(logp, lower, limit, 2) if lower else []
+        changed = [end for end in found if end[1] > best[1] + 1.0][:1]
+        best = max(best, *found, key=lambda end: end[1])
+    return best
+
+
+def _different(
+    logp: LogPosterior, short: Sequence[tuple[Array, float]], limit: int, most: int
+) -> list[tuple[Array, float, Array]]:
+    """Ends of the best searches that lead to different modes, highest first."""
+    ends: list[tuple[Array, float, Array]] = []
+    for q, value in sorted(short, key=lambda end: -end[1])[: 2 * most]:
+        end = gauss_newton(logp, q, value, limit=limit)
+        if all(abs(end[1] - other[1]) > 1.0 for other in ends):
+            ends.append(end)
+        if len(ends) == most:
+            break
+    return sorted(ends, key=lambda end: -end[1])
 
 
 def _suggested(model: Any) -> dict[str, Any]:
@@ -325,7 +366,12 @@ class _Residuals:
 
 
 def gauss_newton(
-    logp: LogPosterior, q: Array, value: float, *, limit: int, step: float = 0.02
+    logp: LogPosterior,
+    q: Array,
+    value: float,
+    *,
+    limit: int,
+    step: float = 0.02,
 ) -> tuple[Array, float, Array]:
     """Damped Gauss-Newton steps on the whitened residuals, for models with many parameters.
 
@@ -491,12 +537,28 @@ def _quadratic(
 
 @dataclass(frozen=True)
 class Start:
-    """Where chains begin: starts (n_chains, n_dim), the Gaussian, the first archive (n, n_dim), the mode."""
+    """Where chains begin: starts (n_chains, n_dim), the Gaussian, the first archive (n, n_dim), the mode.
+
+    `regions` are what the draws of earlier rounds were found to fall into, `before` how many draws each chain
+    had in those rounds, which do not count.
+    """
 
     starts: Array
     reference: Gaussian
     archive: Array
     mode: Mode
+    regions: tuple[Gaussian, ...] = ()
+    before: tuple[int, ...] = ()
+    spent: Spent | None = None
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What rounds of draws that do not count cost."""
+
+    solves: int = 0
+    steps: int = 0
+    failures: Mapping[str, int] = field(default_factory=dict)
 
 
 def disperse(logp: LogPosterior, mode: Mode, chains: int, seed: int) -> Start:

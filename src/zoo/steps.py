@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import pymc as pm
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pymc.blocking import RaveledVars
 from pymc.pytensorf import compile as compile_function
 from pymc.pytensorf import floatX, join_nonshared_inputs
@@ -20,12 +19,15 @@ from pymc.step_methods.state import dataclass_state
 from pymc.util import get_value_vars_from_user_vars
 from pytensor.compile.mode import Mode as CompileMode
 
-Array = NDArray[np.float64]
+from zoo.regions import Array, Gaussian, region_of
+
 Point = dict[str, np.ndarray]
 StepResult = tuple[RaveledVars, list[dict[str, Any]]]
 
 T_DOF = 5.0
 """Degrees of freedom of the t distributions that proposals and starts are drawn from."""
+JUMPS = 0.2
+"""Share of the steps that jump to another region, where more than one is known."""
 _CN_ACCEPTANCE = 0.25
 _FIRST_REFIT = 200
 
@@ -101,50 +103,6 @@ class Archive:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Archive, (self.points.copy(),)
-
-
-@dataclass(frozen=True)
-class Gaussian:
-    """Centre and scatter of a posterior in the unconstrained space.
-
-    Parameters
-    ----------
-    mean : array (n_dim,)
-    covariance : array (n_dim, n_dim)
-    """
-
-    mean: Array
-    covariance: Array
-    cholesky: Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "cholesky", np.linalg.cholesky(self.covariance))
-
-    def whiten(self, q: Array) -> Array:
-        """Coordinates (n_dim,) in which the Gaussian is standard normal."""
-        from scipy.linalg import solve_triangular
-
-        return np.asarray(solve_triangular(self.cholesky, q - self.mean, lower=True, check_finite=False))
-
-    def colour(self, u: Array) -> Array:
-        """The inverse of `whiten`; u may be (n, n_dim)."""
-        return np.asarray(self.mean + u @ self.cholesky.T)
-
-    def refit(self, points: Array) -> Gaussian:
-        """Blend with the moments of correlated draws of a chain.
-
-        A chain of n draws in d dimensions is counted as n / (4 d) independent ones, the present covariance
-        as d of them and the present mean as two.
-
-        Parameters
-        ----------
-        points : array (n, n_dim)
-        """
-        n, d = points.shape
-        weight = n / (4.0 * d)
-        mean = (points.mean(0) * weight + self.mean * 2.0) / (weight + 2.0)
-        covariance = (np.cov(points.T).reshape(d, d) * weight + self.covariance * d) / (weight + d)
-        return Gaussian(mean, covariance)
 
 
 class _OneEvaluation:
@@ -269,6 +227,14 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
     of freedom around it invariant; acceptance corrects for the posterior over that t. The Gaussian is
     refitted to the history and beta adapted to an acceptance of 0.25 while tuning; both are fixed after it.
 
+    With `regions`, Gaussians of parts between which a chain finds its way too seldom, these moves are around
+    the Gaussian of the region that the point is in, and a fifth of the steps carries it to another region,
+
+        q' = m_j + L_j L_i^-1 (q - m_i),   log alpha = log p(q') - log p(q) + log|L_j| - log|L_i|,
+
+    with m and L L' the Gaussians' means and covariances. Both are refused if they end in another region than
+    meant, so that they can be undone.
+
     Parameters
     ----------
     vars : list of variables, optional
@@ -279,6 +245,8 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         First reference; needed for Crank-Nicolson moves before the first 200 steps are done.
     crank_nicolson : float
         Share in [0, 1) of the Crank-Nicolson moves.
+    regions : sequence of Gaussian
+        Two or more, of `zoo.regions.split`; they take the reference's place and stay as they are.
     **kwargs
         As `pm.DEMetropolisZ`: S, proposal_dist, lamb, scaling, tune, tune_interval, tune_drop_fraction,
         model, initial_point, compile_kwargs, rng, blocked.
@@ -291,7 +259,8 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
     References
     ----------
     ter Braak, Vrugt (2008), doi 10.1007/s11222-008-9104-9; Kamatani (2018), doi 10.1016/j.spa.2017.06.001;
-    Cotter, Roberts, Stuart, White (2013), doi 10.1214/13-STS421.
+    Cotter, Roberts, Stuart, White (2013), doi 10.1214/13-STS421; of jumps between regions, Green (1995), doi
+    10.1093/biomet/82.4.711.
     """
 
     name = "DEMetropolisZ"
@@ -309,6 +278,7 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         archive: ArrayLike | None = None,
         reference: Gaussian | None = None,
         crank_nicolson: float = 0.0,
+        regions: Sequence[Gaussian] = (),
         model: Any = None,
         initial_point: Point | None = None,
         compile_kwargs: Mapping[str, Any] | None = None,
@@ -329,6 +299,7 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         self.crank_nicolson = crank_nicolson
         self._first_archive = Archive(archive)
         self._first_reference = reference
+        self.regions = tuple(regions)
         self._set_untuned()
 
     def _set_untuned(self) -> None:
@@ -349,12 +320,15 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         return self._counted(q0, self._one_step)
 
     def _one_step(self, q0: RaveledVars) -> StepResult:
+        if self.regions and self.rng.uniform() < JUMPS:
+            return self._jump(q0)
         if self.crank_nicolson:
             if self.tune and len(self._history) - self._seen >= self._next_refit:
                 self._refit()
                 self._next_refit = int(1.5 * self._next_refit)
             if self._reference is not None and self.rng.uniform() < self.crank_nicolson:
-                return self._crank_nicolson(q0, self._reference)
+                own = self.regions[region_of(self.regions, q0.data)] if self.regions else self._reference
+                return self._crank_nicolson(q0, own)
         q, stats = super().astep(q0)
         stats[0]["beta"] = self.beta
         return q, stats
@@ -366,24 +340,41 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         new = np.sqrt(1.0 - self.beta**2) * u + self.beta * scale * self.rng.standard_normal(d)
         q = floatX(reference.colour(new))
         log_t = -0.5 * (T_DOF + d) * (np.log1p(u @ u / T_DOF) - np.log1p(new @ new / T_DOF))
-        log_accept = self.delta_logp(q, q0.data) + log_t
-        q_new, accepted = metrop_select(log_accept, q, q0.data, rng=self.rng)
-        self._history.append(q_new)
-        accept = 0.0 if np.isnan(log_accept) else float(np.exp(min(log_accept, 700.0)))
-        stats = {
-            "scaling": float(np.mean(self.scaling)),
-            "lambda": self.lamb,
-            "beta": self.beta,
-            "accept": accept,
-            "accepted": accepted,
-        }
+        stays = not self.regions or self.regions[region_of(self.regions, q)] is reference
+        result = self._select(q0, q, self.delta_logp(q, q0.data) + log_t if stays else -np.inf)
+        accept = result[1][0]["accept"]
         if self.tune:
             self._cn_tuned += 1
             gain = 2.0 / np.sqrt(self._cn_tuned)
             self.beta = float(min(1.0, self.beta * np.exp(gain * (min(1.0, accept) - _CN_ACCEPTANCE))))
+        return result
+
+    def _jump(self, q0: RaveledVars) -> StepResult:
+        """Carry the point to another region, as far in its standard deviations as it is in its own."""
+        i = region_of(self.regions, q0.data)
+        others = [k for k in range(len(self.regions)) if k != i]
+        j = others[int(self.rng.integers(len(others)))]
+        here, there = self.regions[i], self.regions[j]
+        q = floatX(there.colour(here.whiten(q0.data)))
+        if region_of(self.regions, q) != j:
+            return self._select(q0, q, -np.inf)
+        return self._select(q0, q, self.delta_logp(q, q0.data) + there.log_volume - here.log_volume)
+
+    def _select(self, q0: RaveledVars, q: Array, log_accept: float) -> StepResult:
+        q_new, accepted = metrop_select(log_accept, q, q0.data, rng=self.rng)
+        self._history.append(q_new)
+        stats = {
+            "scaling": float(np.mean(self.scaling)),
+            "lambda": self.lamb,
+            "beta": self.beta,
+            "accept": 0.0 if np.isnan(log_accept) else float(np.exp(min(log_accept, 700.0))),
+            "accepted": accepted,
+        }
         return RaveledVars(q_new, q0.point_map_info), [stats]
 
     def _refit(self) -> None:
+        if self.regions:
+            return
         own = self._history.points[self._seen :]
         own = own[len(own) // 3 :]
         n, d = own.shape
