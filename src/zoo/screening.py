@@ -593,23 +593,44 @@ class Screening:
         )
 
     def fit_free(self, base: Fit, name: str) -> Fit:
-        """The base with a free discrepancy: smooth and shared by the series, or noise of its own in each."""
+        """The base with a free discrepancy: smooth and shared by the series, or noise of its own in each.
+
+        The noise and the discrepancy are fitted in turn, from the noise that the base alone leaves and, since
+        that may have taken the discrepancy's place, from as little as the highest harmonics show.
+        """
+        usual = {q: replace(e, delta=0.0, rough=False) for q, e in base.errors.items()}
+        least = {
+            q: replace(e, sigma=min(e.sigma, self.harmonics.floor(base.residual, q)), ratio=0.0)
+            for q, e in usual.items()
+        }
+        return max((self._fit_free(base, name, noise) for noise in (usual, least)), key=lambda f: f.log_z)
+
+    def _fit_free(self, base: Fit, name: str, noise: dict[str, Errors]) -> Fit:
         T = self.study.period_s
         alone = all(len(rows) == 1 for rows in self.harmonics.rows.values())
         shared = np.zeros(1) if alone or name == CORRELATED else SHARED_GRID
         # a discrepancy with a physical cause is smooth; noise may be either
         kinds = (False, True) if name == CORRELATED else (False,)
         scales = {q: SIZE_PART * size for q, size in self.range.items()}
-        noise = {q: replace(e, delta=0.0, rough=False) for q, e in base.errors.items()}
+        # a cause shows in pressure and flow; the sensors of one quantity may be noisy alone
+        quantities = tuple(self.harmonics.quantities)
+        sensors = [(q,) for q in quantities] if name == CORRELATED and len(quantities) > 1 else []
+        wheres = [quantities, *sensors]
         point = Point(base.u, base.computed, base.jacobian)
         found: Fit | None = None
         for round_ in range(3):
             residual = self.data - point.computed
             log_prior, precision, pull = base.forward.prior(point.u)
             best, terms, best_at = -math.inf, [], noise
-            for length, size, rho, rough in product(LENGTH_GRID * T, SIZE_GRID, shared, kinds):
+            for length, size, rho, rough, where in product(LENGTH_GRID * T, SIZE_GRID, shared, kinds, wheres):
                 at = {
-                    q: replace(e, delta=size * scales[q], length=length, shared=float(rho), rough=rough)
+                    q: replace(
+                        e,
+                        delta=size * scales[q] if q in where else 0.0,
+                        length=length,
+                        shared=float(rho),
+                        rough=rough,
+                    )
                     for q, e in noise.items()
                 }
                 log_z, step, C = marginal(
@@ -1042,9 +1063,12 @@ class Scored:
         return [n for n in self.names if self.group[n] == self.group[name]]
 
 
-def _projected(fit: Fit, signature: Array, S: Array) -> float:
-    """Half the squared size, in units of the noise, of what other parameters cannot absorb of a signature."""
-    J = fit.jacobian[:, : fit.forward.asked] / np.sqrt(S)[:, None]
+def _projected(fit: Fit, signature: Array, S: Array, n_columns: int | None = None) -> float:
+    """Half the squared size, in units of the noise, of what parameters cannot absorb of a signature.
+
+    These are all but the amplitudes of the effect asked about, or the first `n_columns`.
+    """
+    J = fit.jacobian[:, : fit.forward.asked if n_columns is None else n_columns] / np.sqrt(S)[:, None]
     z = signature / np.sqrt(S)
     coefficients, *_ = np.linalg.lstsq(J, z, rcond=None)
     return 0.5 * float(np.sum((z - J @ coefficients) ** 2))
@@ -1071,8 +1095,9 @@ def _groups(
             if name in free:
                 same = abs(log_z[name] - log_z[other]) < VISIBLE
             else:
-                theirs = best[other].computed
-                same = 0.5 * float(np.sum((own - theirs) ** 2 / S)) < VISIBLE
+                # were the other one true, this one would be fitted to its waves
+                fit = best[name]
+                same = _projected(fit, best[other].computed - own, S, fit.jacobian.shape[1]) < VISIBLE
             if same:
                 group[name] = group[other]
                 break
