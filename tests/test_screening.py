@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from zoo.screening import (
     Screening,
     Search,
     SearchError,
+    _groups,
     score,
 )
 from zoo.study import Series, Study
@@ -328,3 +330,50 @@ def test_parameters_have_proper_priors() -> None:
         u = np.linspace(p.outside(p.low), p.outside(p.high), 20001)
         density = np.exp([p.log_prior(float(x)) for x in u])
         assert np.trapezoid(density, u) == pytest.approx(1.0, rel=1e-4)
+
+
+def test_noise_of_one_quantity_alone_is_explained_by_correlated_noise() -> None:
+    """A noisy pressure beside a clean flow: no discrepancy that both have, and no effect."""
+    study = made([], series=(0,))
+    base = get_base("linear-constant").case(load_study("demo"), THETA, SEARCH)
+    waves, _ = simulate(base, [(1, 0.0, "flow_ml_s")], study.time_s)
+    rng = np.random.default_rng(5)
+    H = Harmonics(study)
+    alone = {QUANTITY: Errors(0.0, delta=0.8, length=0.03 * study.period_s, rough=True)}
+    [rough] = H.back(np.sqrt(H.variances(alone)) * rng.standard_normal(H.size))
+    flow = waves[0] + 0.01 * np.ptp(waves[0]) * rng.standard_normal(len(waves[0]))
+    study = replace(
+        study,
+        series=(
+            Series(1, 0.0, QUANTITY, study.series[0].value + rough),
+            Series(1, 0.0, "flow_ml_s", flow),
+        ),
+    )
+    screening = Screening(study, effects=["sensor-gain", "sensor-offset"])
+    found = score(screening.run())
+    assert found.leader == CORRELATED
+    assert found.probability[CORRELATED] > 0.99
+    errors = found.best[CORRELATED].errors
+    assert errors["flow_ml_s"].delta == 0.0
+    assert errors[QUANTITY].delta == pytest.approx(0.8, rel=0.4)
+
+
+def test_what_can_imitate_the_leader_after_a_refit_is_in_its_group() -> None:
+    """Waves that differ by what another amplitude would change, by noise, or by something else."""
+    rng = np.random.default_rng(6)
+    base, leader, change, other = rng.standard_normal((4, 60))
+    S = np.full(60, 0.01)
+
+    def fit(computed: np.ndarray) -> SimpleNamespace:
+        forward = SimpleNamespace(asked=0)
+        return SimpleNamespace(computed=computed, jacobian=change[:, None], forward=forward)
+
+    best = {
+        "leader": fit(leader),
+        "imitates": fit(leader + 0.8 * change),
+        "nearly the same": fit(leader + 0.02 * other),
+        "another": fit(leader + 0.5 * other),
+    }
+    screened = SimpleNamespace(base=fit(base))
+    group = _groups(screened, list(best), best, dict.fromkeys(best, 0.0), (), S)  # type: ignore[arg-type]
+    assert group == {"leader": 0, "imitates": 0, "nearly the same": 0, "another": 1}
