@@ -316,6 +316,8 @@ def test_summary_tells_a_lead_from_a_tie() -> None:
     bad = results.Diagnostics(results.diagnose({"c": rng.normal(size=(4, 50))}), 1.0, {}, ())
     lines = report.summary(table, checks | {"B": bad}, {})
     assert lines[0].startswith("Not converged: B.")
+    assert lines[1].startswith("Model H predicts")  # which did converge
+    lines = report.summary(table, checks | {"H": bad}, {})
     assert lines[1].startswith("For what such draws are worth, model H predicts")
 
 

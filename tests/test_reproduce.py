@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from zoo import load_study
+from zoo.posteriors import PosteriorError, refuse_other_settings
 from zoo.reproduce import (
     FIRST_SCENARIO,
     Interval,
@@ -94,6 +95,7 @@ def comparison(waic: dict[str, float]) -> pd.DataFrame:
             "waic_one_observation": value,
             "loo": value - 400,
             "sse": 60.0,
+            "converged": True,
         }
         for name, value in waic.items()
     }
@@ -183,3 +185,26 @@ def test_the_whole_on_the_embedded_study(tmp_path: Path):
     again = reproduce(study, tmp_path, ("A", "B"), figures=False, say=said.append, **settings)
     assert sum("posterior of" in line for line in said) == 2
     pd.testing.assert_frame_equal(found.parameters, again.parameters)
+
+
+def test_a_posterior_of_other_settings_is_refused(tmp_path):
+    idata = posterior("A")
+    record = RunRecord.of(idata)
+    path = tmp_path / "A.nc"
+    refuse_other_settings(path, idata, {"seed": record.seed, "cores": 7})
+    with pytest.raises(PosteriorError, match=rf"A\.nc: drawn with seed {record.seed}, here it is 99"):
+        refuse_other_settings(path, idata, {"seed": 99})
+
+
+def test_reasons_are_given_for_what_converged_only():
+    parameters = parameter_table({"A": posterior("A"), "B": posterior("B", 1.0)})
+    assert set(parameters[parameters["model"] == "B"]["reason"]) - {""} <= {"not explained", "not converged"}
+    shown = comparison(WAIC)
+    table = score_table(shown)
+    own, other = (abs(WAIC[name] - published_table4()[name].waic) for name in ("A", "B"))
+    assert table.loc["A", "reason"].startswith(f"A itself is {own:.0f} from its published WAIC")
+    assert f"is {other:.0f} from it" in table.loc["A", "reason"]
+    shown.loc["A", "converged"] = False
+    assert score_table(shown).loc["A", "reason"] == "not converged"
+    shown = comparison(WAIC | {"B": WAIC["B"] + 500.0})
+    assert score_table(shown).loc["A", "reason"] == "not explained"

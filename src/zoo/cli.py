@@ -489,7 +489,7 @@ def _until(text: str | None, draws: int | None) -> float | None:
 DrawsOption = Annotated[
     int | None,
     typer.Option(
-        "--draws", help="Stored draws of each chain; without it, until converged.", show_default=False
+        "--draws", min=1, help="Stored draws of each chain; without it, until converged.", show_default=False
     ),
 ]
 TuneOption = Annotated[
@@ -497,7 +497,8 @@ TuneOption = Annotated[
 ]
 ChainsOption = Annotated[int, typer.Option("--chains", help="Chains; at least 4 for a verdict.")]
 CoresOption = Annotated[
-    int | None, typer.Option("--cores", help="Processes at a time; all cores by default.", show_default=False)
+    int | None,
+    typer.Option("--cores", min=1, help="Processes at a time; all cores by default.", show_default=False),
 ]
 StepOption = Annotated[str, typer.Option("--step", help="demetropolisz or metropolis.")]
 ThinOption = Annotated[
@@ -802,12 +803,20 @@ def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
             f"{row['sse']:.3g}",
             "yes" if row["converged"] else "no",
         )
-    legend = "as one: WAIC with the whole series as one observation, which has no standard error"
+    legend = (
+        "as one: WAIC with the whole series as one observation, which has no standard error; WAIC is of terms"
+        " given the past, PSIS-LOO of terms given all other samples: each ranks models, do not mix the two"
+    )
     standing = [f"model {model}: {row['standing']}" for model, row in table.iterrows() if row["rank"] > 0]
     unsure = [
         f"model {model}: {row['pareto_k_bad']} points with Pareto k > 0.7: do not trust PSIS-LOO there"
         for model, row in table.iterrows()
         if row["pareto_k_bad"] > 0
+    ]
+    unsure += [
+        f"model {model}: WAIC has terms whose log-likelihood varies by more than 0.4, it may be too low"
+        for model, row in table.iterrows()
+        if row["waic_warning"]
     ]
     notes = [
         Text(f"model {name}: {row['convergence']}", style="yellow")
@@ -871,14 +880,16 @@ def reproduce(
             show_default=False,
         ),
     ] = None,
-    models: Annotated[str, typer.Option("--models", help="With commas, or all nine.")] = "A,B,C,D,E,F,G,H,I",
+    models: Annotated[
+        str | None, typer.Option("--models", help="With commas; all nine by default.", show_default=False)
+    ] = None,
     study: Annotated[str, typer.Option("--study", help="What to fit.")] = "mouse-c6",
     synthetic: Annotated[
         bool, typer.Option("--synthetic", help="The studies on synthetic data instead: Tables 3 and 5.")
     ] = False,
     data_sets: Annotated[int, typer.Option("--data-sets", help="Synthetic data sets.")] = 20,
     vessels: Annotated[
-        str, typer.Option("--vessels", help="Vessels with synthetic data, with commas.")
+        str, typer.Option("--vessels", help="How many vessels have synthetic data: counts, with commas.")
     ] = "1,3,21",
     samples: Annotated[int, typer.Option("--samples", help="Samples in a synthetic beat.")] = 256,
     points: Annotated[
@@ -888,7 +899,9 @@ def reproduce(
     draws: DrawsOption = None,
     tune: TuneOption = None,
     cores: CoresOption = None,
-    seed: SeedOption = 1,
+    seed: Annotated[
+        int | None, typer.Option("--seed", help="Seed; 1 by default.", show_default=False)
+    ] = None,
     until: UntilOption = None,
     max_draws: MaxDrawsOption = None,
     quiet: QuietOption = False,
@@ -896,6 +909,10 @@ def reproduce(
     """Do a paper again: its models on its data, its tables beside ours; goes on where it was interrupted."""
     if paper not in PAPERS:
         raise UsageError(f"{paper}: no such paper; {' or '.join(PAPERS)}")
+    if synthetic and (models is not None or seed is not None):
+        given = "--models" if models is not None else "--seed"
+        raise UsageError(f"{given}: leave it out; the synthetic studies have models and seeds of their own")
+    models = "A,B,C,D,E,F,G,H,I" if models is None else models
     names = [_model_name(part) for part in models.split(",") if part.strip()]
     if not synthetic and (len(names) < 2 or len(set(names)) < len(names)):
         raise UsageError(f"--models {models}: give at least two different models, such as --models A,B")
@@ -919,7 +936,7 @@ def reproduce(
     from zoo.reproduce import table4_lines
     from zoo.sampling import CheckpointError
 
-    settings |= {"seed": seed, "progress": not quiet}
+    settings |= {"seed": 1 if seed is None else seed, "progress": not quiet}
     try:
         found = run(loaded, folder, names, figures=figures, say=_say, **settings)
     except CheckpointError as error:

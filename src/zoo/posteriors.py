@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +64,25 @@ def mismatch(idata: az.InferenceData, model: Any) -> str | None:
         if found != wanted:
             return f"{what} is {found}, here it is {wanted}"
     return None
+
+
+def refuse_other_settings(path: str | Path, idata: az.InferenceData, settings: Mapping[str, Any]) -> None:
+    """Check that a stored posterior was drawn with the settings of `zoo.sample` that are given.
+
+    Raises
+    ------
+    PosteriorError
+        Naming the setting that is another.
+    """
+    record = RunRecord.of(idata)
+    stored = {**record.settings, "seed": record.seed, "draws": record.settings.get("first check")}
+    for name in ("seed", "draws", "until_ess", "tune", "thin", "step"):
+        wanted, found = settings.get(name), stored.get(name)
+        if wanted is not None and found is not None and wanted != found:
+            raise PosteriorError(
+                f"{path}: drawn with {name} {found}, here it is {wanted}; give {found}, another folder, or "
+                "remove the file and its checkpoint"
+            )
 
 
 def load_for(path: str | Path, model: Any) -> az.InferenceData:

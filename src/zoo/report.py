@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from zoo.diagnosis import Diagnosis
     from zoo.study import Study
 
-BANNER = "short chains: not converged, do not cite"
+BANNER = "not converged: do not cite"
 MEANINGS = {
     "f1": ("stiffness: f1 in f1 exp(f2 r0) + f3", "g cm⁻¹ s⁻²"),
     "f2": ("stiffness: f2 in f1 exp(f2 r0) + f3", "1/radius unit"),
@@ -383,7 +383,7 @@ def summary(
     failing = [name for name, found in checks.items() if not found.verdict.passes]
     lines = [_convergence(checks, failing)]
     if table is not None:
-        lines += _standing(table, provisional=bool(failing))
+        lines += _standing(table, provisional=str(table.index[0]) in failing)
     solves = sum(record.solves for record in records.values())
     failures = sum(sum(record.failures.values()) for record in records.values())
     lines.append(
