@@ -593,29 +593,17 @@ class Screening:
         )
 
     def fit_free(self, base: Fit, name: str) -> Fit:
-        """The base with a free discrepancy: smooth and shared by the series, or noise of its own in each.
-
-        The noise and the discrepancy are fitted in turn, from the noise that the base alone leaves and, since
-        that may have taken the discrepancy's place, from as little as the highest harmonics show.
-        """
-        usual = {q: replace(e, delta=0.0, rough=False) for q, e in base.errors.items()}
-        least = {
-            q: replace(e, sigma=min(e.sigma, self.harmonics.floor(base.residual, q)), ratio=0.0)
-            for q, e in usual.items()
-        }
-        return max((self._fit_free(base, name, noise) for noise in (usual, least)), key=lambda f: f.log_z)
-
-    def _fit_free(self, base: Fit, name: str, noise: dict[str, Errors]) -> Fit:
+        """The base with a free discrepancy: smooth and shared by the series, or noise of its own in each."""
         T = self.study.period_s
         alone = all(len(rows) == 1 for rows in self.harmonics.rows.values())
         shared = np.zeros(1) if alone or name == CORRELATED else SHARED_GRID
         # a discrepancy with a physical cause is smooth; noise may be either
         kinds = (False, True) if name == CORRELATED else (False,)
         scales = {q: SIZE_PART * size for q, size in self.range.items()}
-        # a cause shows in pressure and flow; the sensors of one quantity may be noisy alone
+        # what is wrong with the sensors of one quantity does not show in the other
         quantities = tuple(self.harmonics.quantities)
-        sensors = [(q,) for q in quantities] if name == CORRELATED and len(quantities) > 1 else []
-        wheres = [quantities, *sensors]
+        wheres = [quantities, *([(q,) for q in quantities] if len(quantities) > 1 else [])]
+        noise = {q: replace(e, delta=0.0, rough=False) for q, e in base.errors.items()}
         point = Point(base.u, base.computed, base.jacobian)
         found: Fit | None = None
         for round_ in range(3):
