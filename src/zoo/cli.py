@@ -1200,7 +1200,7 @@ def _effect_names(text: str | None, base: str) -> list[str] | None:
 
     if text is None:
         return None
-    names = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    names = [part.strip() for part in text.split(",") if part.strip()]
     if not names:
         raise UsageError("--effects: no names; give some of `zoo effects` with commas, or leave it out")
     return list(effects_for(base, names))

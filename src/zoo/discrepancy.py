@@ -174,12 +174,6 @@ class Harmonics:
             S[rows] = self.spectrum(errors[quantity], len(rows), noise=noise)
         return S.reshape(self.size)
 
-    def floor(self, residual: Array, quantity: str) -> float:
-        """Rms of the highest harmonics of a quantity's coefficients, which are little but noise; not zero."""
-        power = self.part(residual, quantity) ** 2
-        high = power[:, self.k > 0.6 * self.k.max()]
-        return max(math.sqrt(float(high.mean())), 1e-9 * (1.0 + math.sqrt(float(power.mean()))))
-
     def part(self, coefficients: Array, quantity: str) -> Array:
         """One quantity's coefficients, (..., n_series of it, n_times)."""
         apart = coefficients.reshape(*coefficients.shape[:-1], len(self._rotation), self.n)
@@ -240,7 +234,8 @@ def fit_noise(
     part = harmonics.part(residual, quantity)
     power = part**2
     T = harmonics.period_s
-    floor = harmonics.floor(residual, quantity)
+    high = power[:, harmonics.k > 0.6 * harmonics.k.max()]
+    floor = max(math.sqrt(float(high.mean())), 1e-9 * (1.0 + math.sqrt(float(power.mean()))))
 
     def errors_at(x: Array) -> Errors:
         found = replace(start, sigma=math.exp(x[0]), ratio=float(x[1]), tau=math.exp(x[2]))

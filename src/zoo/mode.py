@@ -152,9 +152,10 @@ def find_mode(
 
     A derivative-free trust-region search (COBYQA) from the best of the model's initial point and its
     suggested values; if a model of zoo's has more than 12 parameters, Gauss-Newton steps from there and from
-    16 draws of the prior, since such posteriors have lesser modes, the best 4 followed to their end. Then
-    Newton steps on a quadratic fitted over steps wide enough to lower the log-posterior by about one, so
-    that rounding and the tolerance of a solver do not matter.
+    16 draws of the prior, since such posteriors have lesser modes, the best 4 followed to their end, and from
+    these ends with each element of a vector lowered in turn. Then Newton steps on a quadratic fitted over
+    steps wide enough to lower the log-posterior by about one, so that rounding and the tolerance of a solver
+    do not matter.
 
     Parameters
     ----------
@@ -366,12 +367,7 @@ class _Residuals:
 
 
 def gauss_newton(
-    logp: LogPosterior,
-    q: Array,
-    value: float,
-    *,
-    limit: int,
-    step: float = 0.02,
+    logp: LogPosterior, q: Array, value: float, *, limit: int, step: float = 0.02
 ) -> tuple[Array, float, Array]:
     """Damped Gauss-Newton steps on the whitened residuals, for models with many parameters.
 
@@ -536,6 +532,15 @@ def _quadratic(
 
 
 @dataclass(frozen=True)
+class Spent:
+    """What rounds of draws that do not count cost."""
+
+    solves: int = 0
+    steps: int = 0
+    failures: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Start:
     """Where chains begin: starts (n_chains, n_dim), the Gaussian, the first archive (n, n_dim), the mode.
 
@@ -549,16 +554,7 @@ class Start:
     mode: Mode
     regions: tuple[Gaussian, ...] = ()
     before: tuple[int, ...] = ()
-    spent: Spent | None = None
-
-
-@dataclass(frozen=True)
-class Spent:
-    """What rounds of draws that do not count cost."""
-
-    solves: int = 0
-    steps: int = 0
-    failures: Mapping[str, int] = field(default_factory=dict)
+    spent: Spent = Spent()
 
 
 def disperse(logp: LogPosterior, mode: Mode, chains: int, seed: int) -> Start:

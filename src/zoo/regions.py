@@ -14,8 +14,6 @@ APART = 1.2
 """Least distance of two regions' centres, in the sum of their standard deviations: at 1 there is no gap."""
 SLOW = 0.22
 """Effective sample size, in parts of the median coordinate's, below which passing between parts is slow."""
-ROWS = 8000
-"""Most draws that regions are found from."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,6 @@ def split(chains: Array, known: Sequence[Gaussian] = ()) -> list[Gaussian] | Non
     """
     import arviz as az
 
-    chains = chains[:, :: max(1, -(-chains.shape[0] * chains.shape[1] // ROWS))]
     n_chains, n, d = chains.shape
     if n < 4:
         return None
@@ -161,7 +158,7 @@ def _within(one: Array, other: Array) -> Array:
 
 
 def _describe(group: Array, within: Array) -> Gaussian:
-    """Mean of a group, and its covariance blended with that within all groups as `Gaussian.refit` does."""
+    """Mean of a group, and its covariance blended with that within all groups: n / (4 d) parts to one."""
     n, d = group.shape
     weight = n / (4.0 * d)
     return Gaussian(group.mean(0), (np.cov(group.T).reshape(d, d) * weight + within) / (weight + 1.0))

@@ -33,7 +33,7 @@ from zoo.mode import (
     search_mode,
 )
 from zoo.progress import Display
-from zoo.regions import ROWS, Array, Gaussian, split
+from zoo.regions import Array, Gaussian, split
 from zoo.results import ESS_TARGET, RunRecord, diagnose
 from zoo.steps import DEMetropolisZ, Metropolis
 
@@ -56,6 +56,8 @@ PILOTS = 4
 """Most rounds of short chains that look for a higher mode of a model with many parameters."""
 ROUNDS = 3
 """Most times that chains begin again with the regions that they were found to pass between too seldom."""
+ROWS = 8000
+"""Most draws that regions are looked for in."""
 CRANK_NICOLSON = 0.5
 """Share of the steps of `sample(step="demetropolisz")` that are Crank-Nicolson moves."""
 
@@ -538,9 +540,9 @@ def _run(
 
 def _points(logp: LogPosterior, fleet: Fleet, kept: int) -> Array:
     """Unconstrained draws (n_chains, n, n_dim), evenly thinned, the last of each chain among them."""
-    draws = {rv.name: fleet.draws(kept)[rv.name] for rv in logp.model.free_RVs}
+    draws = fleet.draws(kept)
     every = max(1, -(-kept * len(fleet.states) // ROWS))
-    thinned = {name: values[:, ::-every][:, ::-1] for name, values in draws.items()}
+    thinned = {rv.name: draws[rv.name][:, ::-every][:, ::-1] for rv in logp.model.free_RVs}
     n_chains, n = next(iter(thinned.values())).shape[:2]
     flat = {name: values.reshape(n_chains * n, *values.shape[2:]) for name, values in thinned.items()}
     return logp.from_draws(flat).reshape(n_chains, n, -1)
@@ -553,21 +555,26 @@ def _begin_again(
     points = _points(logp, fleet, kept)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(beginning.before), 3)))
     pooled = points.reshape(-1, points.shape[-1])
-    failures = Counter(beginning.spent.failures if beginning.spent else {})
-    for state in fleet.states:
-        failures.update(state.failures)
-    before = beginning.spent or Spent()
     return replace(
         beginning,
         starts=points[:, -1],
         archive=pooled[rng.choice(len(pooled), min(len(pooled), 10 * points.shape[-1]), replace=False)],
         regions=tuple(regions),
         before=(*beginning.before, kept),
-        spent=Spent(
-            before.solves + sum(state.solves for state in fleet.states),
-            before.steps + sum(state.steps for state in fleet.states),
-            dict(failures),
-        ),
+        spent=_spent(beginning, fleet),
+    )
+
+
+def _spent(beginning: Start, fleet: Fleet) -> Spent:
+    """What the chains cost so far, with their earlier rounds."""
+    before = beginning.spent
+    failures = Counter(before.failures)
+    for state in fleet.states:
+        failures.update(state.failures)
+    return Spent(
+        before.solves + sum(state.solves for state in fleet.states),
+        before.steps + sum(state.steps for state in fleet.states),
+        dict(sorted(failures.items())),
     )
 
 
@@ -601,12 +608,7 @@ def _record(
     cores: int,
 ) -> RunRecord:
     identity = stored["identity"]
-    spent = beginning.spent or Spent()
-    solves = spent.solves + sum(state.solves for state in fleet.states)
-    steps = spent.steps + sum(state.steps for state in fleet.states)
-    failures: Counter[str] = Counter(spent.failures)
-    for state in fleet.states:
-        failures.update(state.failures)
+    spent = _spent(beginning, fleet)
     shown = {name: value for name, value in settings.items() if name != "seed"}
     shown |= {"draws": kept, "first check": draws, "until_ess": until_ess, "cores": cores}
     if beginning.before:
@@ -619,12 +621,12 @@ def _record(
         solver=identity["solver options"],
         settings=shown,
         seed=int(settings["seed"]),
-        solves=solves,
-        steps=steps,
+        solves=spent.solves,
+        steps=spent.steps,
         mode_evaluations=beginning.mode.evaluations,
-        failures=dict(sorted(failures.items())),
-        solves_per_draw=solves / (kept * len(fleet.states)),
-        solves_per_step=solves / max(1, steps),
+        failures=dict(spent.failures),
+        solves_per_draw=spent.solves / (kept * len(fleet.states)),
+        solves_per_step=spent.solves / max(1, spent.steps),
         wall_seconds=float(stored["wall_seconds"]),
         sittings=int(stored["sittings"]),
         started=str(stored["started"]),

@@ -108,9 +108,13 @@ class Parameter:
 
 def _log_mass(low: Any, high: Any) -> Any:
     """log(Phi(high) - Phi(low)), also far out in a tail."""
-    low, high = np.where(low > 0, -high, low), np.where(low > 0, -low, high)
-    a, b = log_ndtr(low), log_ndtr(high)
+    a, b = _log_tails(low, high)
     return b + np.log1p(-np.exp(np.minimum(a - b, -1e-12)))
+
+
+def _log_tails(low: Any, high: Any) -> tuple[Any, Any]:
+    """log Phi of both ends, right of 0 of their mirror images instead: the left tail has the digits."""
+    return log_ndtr(np.where(low > 0, -high, low)), log_ndtr(np.where(low > 0, -low, high))
 
 
 @dataclass(frozen=True)
@@ -991,10 +995,9 @@ def _truncated(
         sd = 1.0 / math.sqrt(precision[i, i])
         centre = x[:, i] - sd**2 * ((x - mean) @ precision[i])
         a, b = (low[i] - centre) / sd, (high[i] - centre) / sd
-        side = np.where(a > 0, -1.0, 1.0)  # the left tail has the digits
-        log_a, log_b = log_ndtr(np.where(a > 0, -b, a)), log_ndtr(np.where(a > 0, -a, b))
+        log_a, log_b = _log_tails(a, b)
         u = rng.uniform(size=len(x))
-        z = side * ndtri_exp(log_b + np.log(u + (1.0 - u) * np.exp(log_a - log_b)))
+        z = np.where(a > 0, -1.0, 1.0) * ndtri_exp(log_b + np.log(u + (1.0 - u) * np.exp(log_a - log_b)))
         x[:, i] = np.clip(centre + sd * z, low[i], high[i])
     return x
 
