@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 import zoo
 from zoo.cli import app
 from zoo.network import Network, stiffness_profile
+from zoo.posteriors import find
 from zoo.results import RunRecord, load
 from zoo.solver import Solver
 from zoo.study import Blood, Series, Study, Vessel, Windkessel, load_study, save_study
@@ -470,6 +471,15 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
     assert "checksum of the study is" in fails(
         "compare", other, "--posteriors", path, "-o", tmp_path / "q", "--models", "A,B"
     )
+    # in a folder such a posterior is passed over, which is said; so is a file that is none
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    shutil.copy(path, folder / "A.nc")
+    (folder / "B.nc").write_text("no NetCDF", encoding="utf-8")
+    said: list[str] = []
+    assert find([folder], ["A", "B"], load_study(other), say=said.append) == {}
+    assert said[0] == f"passed over: {folder / 'A.nc'}: of model A on other data named tiny; sample again"
+    assert said[1].startswith(f"passed over: {folder / 'B.nc'}: ")
 
 
 @pytest.mark.parametrize(

@@ -171,10 +171,20 @@ def test_added_terms_serve_arviz(models, idatas) -> None:
 
 
 def test_sse_at_the_median(study: Study, models, idatas) -> None:
-    median = {name: float(np.median(idatas["A"].posterior[name])) for name in idatas["A"].posterior}
-    solution = Solver.for_study(study).solve(median["f3"], 2.0, median["psi1"], median["psi2"], median["c"])
-    expected = np.sum((study.values - solution.pressure_mmHg) ** 2)
-    assert sse_at_median(idatas["A"], models["A"]) == pytest.approx(expected, rel=1e-6)
+    def expected(draws) -> float:
+        median = {name: float(np.median(draws[name])) for name in draws}
+        solution = Solver.for_study(study).solve(
+            median["f3"], 2.0, median["psi1"], median["psi2"], median["c"]
+        )
+        return float(np.sum((study.values - solution.pressure_mmHg) ** 2))
+
+    posterior = idatas["A"].posterior
+    found = sse_at_median(idatas["A"], models["A"])
+    assert found.value == pytest.approx(expected(posterior), rel=1e-6)
+    one, two = (expected(posterior.sel(chain=chain)) for chain in posterior["chain"])
+    assert found.mcse == pytest.approx(abs(one - two) / 2, rel=1e-6)
+    alone = sse_at_median(idatas["A"].sel(chain=[0]), models["A"])
+    assert np.isnan(alone.mcse)
 
 
 # the table
@@ -196,7 +206,7 @@ def test_table(study: Study, models, idatas) -> None:
     assert best["waic_one_observation"] == pytest.approx(waic_one_observation(values.sum(axis=1)).waic)
     assert best["waic_leave_one_out"] == pytest.approx(best["waic"])
     assert best["loo"] == pytest.approx(best["waic"], abs=1.0)
-    assert best["sse"] == pytest.approx(sse_at_median(idatas["A"], models["A"]))
+    assert (best["sse"], best["sse_mcse"]) == pytest.approx(sse_at_median(idatas["A"], models["A"]))
     k = az.loo(add_log_likelihood(idatas["A"], models["A"], n_draws=None), pointwise=True).pareto_k
     assert best["pareto_k_max"] == pytest.approx(float(k.max()))
     assert best["pareto_k_bad"] == int((k > 1 - 1 / math.log10(80)).sum())
@@ -278,4 +288,4 @@ def test_draws_that_do_not_solve_are_refused(study: Study, idatas) -> None:
     hasty = get_model("A")(study, options=SolverOptions(max_beats=1, tolerance_mmHg=1e-12))
     with pytest.raises(ComparisonError, match="10 of 10 posterior draws do not solve"):
         log_likelihoods(idatas["A"], hasty, n_draws=10)
-    assert math.isnan(sse_at_median(idatas["A"], hasty))
+    assert math.isnan(sse_at_median(idatas["A"], hasty).value)

@@ -95,6 +95,7 @@ def comparison(waic: dict[str, float]) -> pd.DataFrame:
             "waic_one_observation": value,
             "loo": value - 400,
             "sse": 60.0,
+            "sse_mcse": 2.0,
             "converged": True,
         }
         for name, value in waic.items()

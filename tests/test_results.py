@@ -220,6 +220,13 @@ def test_geweke_is_uniform_for_stationary_chains_and_small_for_a_drift():
         geweke(np.zeros((4, 39)))
 
 
+@pytest.mark.parametrize(("phi", "expected"), [(0.908, 0.09), (0.724, 0.06)])
+def test_geweke_with_few_effective_draws_is_below_a_twentieth_more_often(phi: float, expected: float):
+    """Effective sizes of 120 and 400 a chain: the numbers in docs/statistics.md."""
+    p = geweke(autoregressive(np.random.default_rng(12), 2000, 2500, phi))
+    assert np.mean(p < 0.05) == pytest.approx(expected, abs=0.015)
+
+
 def test_mpsrf_of_one_scalar_is_the_classical_factor_and_bounds_those_of_many():
     rng = np.random.default_rng(12)
     x = rng.normal(size=(4, 200)) + np.array([0.0, 0.1, 0.2, 0.5])[:, None]

@@ -744,7 +744,7 @@ def _posteriors_of(
     from zoo.posteriors import belongs, find, load_for
 
     files = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
-    files |= find(given, names, study)
+    files |= find(given, names, study, say=_say)
     built: dict[str, Any] = {}
     found: dict[str, Any] = {}
     for name in names:
@@ -1639,7 +1639,7 @@ def report(
     _parent_exists(output.resolve())
     names = studies or list(list_studies())
     folders = posteriors or [Path()]
-    chapters = gather(names, folders, letters=letters, data=bool(os.environ.get("CI")))
+    chapters = gather(names, folders, letters=letters, data=bool(os.environ.get("CI")), say=_say)
     words = ["zoo", "report", *names]
     words += [word for folder in folders for word in ("--posteriors", str(folder))]
     words += ["--models", ",".join(letters), "--ic", criterion, "--n-draws", str(n_draws), "-o", str(output)]

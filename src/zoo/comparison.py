@@ -282,10 +282,18 @@ def _scored(posterior: xr.Dataset, terms: xr.DataArray) -> az.InferenceData:
     return az.InferenceData(posterior=posterior, log_likelihood=terms.to_dataset(name="y"))
 
 
-def sse_at_median(idata: az.InferenceData, model: pm.Model) -> float:
+class SumOfSquares(NamedTuple):
+    """Sum of squared errors at the posterior medians, and its Monte Carlo standard error."""
+
+    value: float
+    mcse: float
+
+
+def sse_at_median(idata: az.InferenceData, model: pm.Model) -> SumOfSquares:
     """Sum of squared errors with every parameter at its posterior median.
 
-    The paper's "Euclidean distance": the sum over series and times of (y - mean(median))^2.
+    The paper's "Euclidean distance": the sum over series and times of (y - mean(median))^2. Its error is the
+    standard deviation of the sums at the medians of each chain alone, over the root of their number.
 
     Parameters
     ----------
@@ -296,12 +304,16 @@ def sse_at_median(idata: az.InferenceData, model: pm.Model) -> float:
 
     Returns
     -------
-    float
-        In the squared unit of the series; NaN when the solve fails.
+    SumOfSquares
+        In the squared unit of the series; NaN when a solve fails, and the error with one chain.
     """
-    median = idata["posterior"].median(("chain", "draw")).expand_dims(("chain", "draw"))
-    [mean] = posterior_means(model, median)
-    return float(np.sum((record_of(model).study.values - mean) ** 2))
+    draws = idata["posterior"]
+    whole = draws.median(("chain", "draw")).expand_dims(("chain", "draw")).assign_coords(chain=[-1], draw=[0])
+    alone = draws.median("draw").expand_dims("draw", axis=1).assign_coords(draw=[0])
+    means = posterior_means(model, xr.concat([whole, alone], "chain"))
+    whole_sum, *sums = ((record_of(model).study.values - means) ** 2).sum(axis=(1, 2))
+    error = np.std(sums, ddof=1) / math.sqrt(len(sums)) if len(sums) > 1 else math.nan
+    return SumOfSquares(float(whole_sum), float(error))
 
 
 def compare(
@@ -342,7 +354,8 @@ def compare(
     DataFrame
         One row a model, the best first. `difference` and `difference_se` are to the best; `standing` says
         what they mean. `waic_warning`: a term's variance exceeds 0.4. `pareto_k_bad`: points where
-        PSIS-LOO is not to be trusted, k > min(1 - 1/log10(draws), 0.7). `sse` is at the posterior median.
+        PSIS-LOO is not to be trusted, k > min(1 - 1/log10(draws), 0.7). `sse` is at the
+        posterior medians, `sse_mcse` its Monte Carlo standard error.
 
     Raises
     ------
@@ -370,6 +383,7 @@ def compare(
             loo = az.loo(left_out, pointwise=True, scale="deviance")
         one = waic_one_observation(terms["joint"].to_numpy())
         pareto_k = loo.pareto_k.to_numpy()
+        squares = sse_at_median(idata, model)
         found = (verdicts or {}).get(name) or judged(idata, var_names=list(record_of(model).parameters))
         scores[name] = waic if ic == "waic" else loo
         rows[name] = {
@@ -385,7 +399,8 @@ def compare(
             "p_loo": loo.p_loo,
             "pareto_k_max": float(np.max(pareto_k)),
             "pareto_k_bad": int(np.sum(pareto_k > loo.good_k)),
-            "sse": sse_at_median(idata, model),
+            "sse": squares.value,
+            "sse_mcse": squares.mcse,
             "draws": terms.sizes["chain"] * terms.sizes["draw"],
             "converged": found.passes,
             "rhat_max": found.max_rhat,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -115,7 +115,13 @@ def belongs(path: Path, model: Any) -> bool:
     return matching(path, model) is not None
 
 
-def find(given: Iterable[Path], names: Sequence[str], study: Study) -> dict[str, Path]:
+def find(
+    given: Iterable[Path],
+    names: Sequence[str],
+    study: Study,
+    *,
+    say: Callable[[str], None] = lambda text: None,
+) -> dict[str, Path]:
     """Posteriors of models on a study among files and folders, by their run records.
 
     Parameters
@@ -126,6 +132,8 @@ def find(given: Iterable[Path], names: Sequence[str], study: Study) -> dict[str,
         Models.
     study : Study
         Whose posteriors count.
+    say : callable
+        Told of files in folders that cannot be read or are of other data under the study's name.
 
     Returns
     -------
@@ -146,11 +154,15 @@ def find(given: Iterable[Path], names: Sequence[str], study: Study) -> dict[str,
         for file in sorted(path.glob("*.nc")) if path.is_dir() else [path]:
             try:
                 record = RunRecord.of(load(file))
-            except ResultsError:
+            except ResultsError as error:
                 if path.is_dir():
+                    say(f"passed over: {error}")
                     continue
                 raise
             if path.is_dir() and record.study_checksum != study.checksum:
+                if record.study == study.name:
+                    what = f"of model {record.model} on other data named {study.name}"
+                    say(f"passed over: {file}: {what}; sample again")
                 continue
             if record.model in names:
                 found[record.model] = file

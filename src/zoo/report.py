@@ -282,7 +282,12 @@ def stored(
 
 
 def gather(
-    studies: Iterable[str], folders: Sequence[Path], *, letters: Sequence[str] = MODELS, data: bool = False
+    studies: Iterable[str],
+    folders: Sequence[Path],
+    *,
+    letters: Sequence[str] = MODELS,
+    data: bool = False,
+    say: Callable[[str], None] = lambda text: None,
 ) -> list[Chapter]:
     """Chapters on studies with the posteriors that folders hold.
 
@@ -298,6 +303,8 @@ def gather(
         Models to take.
     data : bool
         Refuse measured data that cannot be had.
+    say : callable
+        Told of files that are passed over, one line each.
 
     Returns
     -------
@@ -323,7 +330,7 @@ def gather(
             posteriors = stored(folders, name, letters)
             chapters.append(Chapter(name, posteriors, note=note, commands=[f"zoo fetch {name}"]))
             continue
-        files_found = find(folders, letters, study)
+        files_found = find(folders, letters, study, say=say)
         models = {letter: get_model(letter)(study) for letter in letters if letter in files_found}
         posteriors = {letter: load_for(files_found[letter], model) for letter, model in models.items()}
         commands = [] if posteriors else [f"zoo sample {x} {study.name} --seed 1 -o {x}.nc" for x in letters]

@@ -224,7 +224,7 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
     DataFrame
         Index model, in the order of Table 4; columns published_waic, waic_one_observation, waic, waic_se,
         loo, level_agrees, published_difference, difference, difference_sequential, agrees, reason,
-        published_sse, sse.
+        published_sse, sse, sse_mcse (its Monte Carlo standard error).
     """
     known = reasons()
     rows = {}
@@ -249,7 +249,7 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
             limit = WAIC_LIMITS.get(model, WAIC_LIMIT)
             entry["agrees"] = bool(abs(entry["difference"] - entry["published_difference"]) <= limit)
             entry["reason"] = "" if entry["agrees"] else _waic_reason(known, model, mine, base)
-        rows[model] = {**entry, "published_sse": row.sse, "sse": mine["sse"]}
+        rows[model] = {**entry, "published_sse": row.sse, "sse": mine["sse"], "sse_mcse": mine["sse_mcse"]}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("model")
 
 
@@ -365,7 +365,7 @@ def table4_rows(parameters: pd.DataFrame, scores: pd.DataFrame) -> tuple[list[st
             above.append("")
             below.append("")
         above.append(f"{theirs.sse:.0f}")
-        below.append(f"{score['sse']:.0f}")
+        below.append(f"{score['sse']:.0f} ± {score['sse_mcse']:.0f}")
         rows += [above, below]
     return headings, rows
 
