@@ -12,7 +12,7 @@ import zoo
 import zoo.models
 
 ORDER = (
-    "units conventions fetch study network _native solver effects op likelihood models results regions steps "
+    "units conventions fetch study network _native solver effects op likelihood models results steps "
     "mode progress workers chains sampling posteriors comparison synthetic calibration coverage predictive "
     "discrepancy screening confirm diagnosis blind plots reproduce report cli"
 ).split()

@@ -28,11 +28,10 @@ from zoo import mode as mode_module
 from zoo import model_F, sampling
 from zoo.calibration import cheap_options, cheap_study
 from zoo.progress import ChainState, Display
-from zoo.regions import Gaussian
 from zoo.results import RunRecord
 from zoo.sampling import CheckpointError, DEMetropolisZ, Metropolis, SamplingError, find_mode, sample
 from zoo.solver import Solver
-from zoo.steps import Archive
+from zoo.steps import Archive, Gaussian, OwnUnits
 from zoo.study import Series
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
@@ -258,9 +257,88 @@ def test_crank_nicolson_leaves_a_skewed_heavy_tailed_target_invariant():
     assert {r["beta"] for r in records[2000:]} == {records[-1]["beta"]}  # fixed after tuning
 
 
-def test_crank_nicolson_share_is_checked():
-    with pytest.raises(ValueError, match=r"crank_nicolson = 1\.0: must be in \[0, 1\)"):
-        DEMetropolisZ(model=gaussian_model(), crank_nicolson=1.0)
+@pytest.mark.parametrize("name", ["crank_nicolson", "own_units"])
+def test_shares_are_checked(name):
+    with pytest.raises(ValueError, match=name + r" = 1\.0: must be in \[0, 1\)"):
+        DEMetropolisZ(model=gaussian_model(), **{name: 1.0})
+
+
+def leaning_model() -> pm.Model:
+    """A ridge that ends at a bound: f on (0, 2) with density 2 exp(2 f)/(e^4 - 1), g[0] | f ~ N(2 f, 0.1)."""
+    with pm.Model() as model:
+        f = pm.Uniform("f", 0.0, 2.0)
+        g = pm.Uniform("g", [-1.0, -1.0], [5.0, 7.0])
+        doubled, _ = Doubling()(pt.stack([f]))
+        pm.Potential("lean", doubled[0])
+        pm.Potential("ridge", pm.logp(pm.Normal.dist(2.0 * f, 0.1), g[0]))
+    return model
+
+
+def test_own_units_are_those_of_pymc():
+    """Of variables between two constants only; the volume is that of PyMC's transformation."""
+    with leaning_model() as model:
+        pm.HalfNormal("positive")
+        pm.Uniform("moving", 0.0, model["f"])
+        pm.Normal("free")
+    values = model.value_vars
+    units = OwnUnits.of(model, values, model.initial_point())
+    np.testing.assert_array_equal(units.index, [0, 1, 2])
+    q = np.array([0.3, -1.0, 2.5, 0.1, 0.2, 0.3])
+    point = {"f_interval__": q[0], "g_interval__": q[1:3], "positive_log__": q[3], "moving_interval__": q[4]}
+    point["free"] = q[5]
+    variables = [model["f"], model["g"]]
+    graphs = [
+        model.rvs_to_transforms[rv].backward(model.rvs_to_values[rv], *rv.owner.inputs) for rv in variables
+    ]
+    f, g = model.compile_fn(graphs, inputs=values, on_unused_input="ignore")(point)
+    np.testing.assert_allclose(units.values(q), [f, *g, *q[3:]], rtol=1e-12)
+    np.testing.assert_allclose(units.vector(units.values(q)), q, rtol=1e-12)
+    logps = [model.logp(variables, jacobian=jacobian) for jacobian in (True, False)]
+    with_and_without = model.compile_fn(logps, inputs=values, on_unused_input="ignore")(point)
+    assert units.log_volume(q) == pytest.approx(float(np.subtract(*with_and_without)), rel=1e-7)
+    h = 1e-5
+    differences = (units.values(q + h) - units.values(q - h))[:3] / (2 * h)
+    np.testing.assert_allclose(units.slopes(q), differences, rtol=1e-8)
+    assert not np.isfinite(units.vector(np.array([2.1, 0.0, 0.0, 0.0, 0.0, 0.0]))[0])
+
+
+@pytest.mark.parametrize(("crank_nicolson", "own_units"), [(0.0, 0.7), (0.5, 0.0), (0.5, 0.7), (0.9, 0.99)])
+def test_moves_in_own_units_leave_the_posterior_as_it_is(crank_nicolson, own_units):
+    """Quantiles of a law that leans against its bound, of the ridge on it, and of what only has bounds."""
+    model = leaning_model()
+    reference = Gaussian(np.array([1.5, 0.7, 0.3]), np.diag([2.0, 0.5, 1.0]))
+    step = DEMetropolisZ(
+        model=model, crank_nicolson=crank_nicolson, own_units=own_units, reference=reference,
+        archive=reference.colour(np.random.default_rng(0).standard_normal((60, 3))),
+    )  # fmt: skip
+    q, records = steps_of(step, model.initial_point(), 40_000, seed=9, tune=4000)
+    draws = OwnUnits.of(model, model.value_vars, model.initial_point()).values(q[4000:])
+    lean = SimpleNamespace(ppf=lambda p: 0.5 * np.log1p(p * np.expm1(4.0)))
+    shown = {
+        "f": (draws[:, 0], lean),
+        "ridge": (draws[:, 1] - 2.0 * draws[:, 0], stats.norm(0.0, 0.1)),
+        "bounds": (draws[:, 2], stats.uniform(-1.0, 8.0)),
+    }
+    for name, (values, law) in shown.items():
+        for p in (0.02, 0.25, 0.5, 0.75, 0.98):
+            below = (values <= law.ppf(p)).astype(float)
+            error = np.sqrt(p * (1 - p) / float(az.ess(below[None])))
+            assert abs(below.mean() - p) < 4 * error, (name, p)
+            assert error < 0.05
+    beyond = sum(r["accept"] == 0 for r in records)
+    assert (beyond > 1000) == (own_units > 0)
+    assert sum(r["solves"] for r in records) <= len(records) + 1 - 0.9 * beyond * (own_units > 0)
+
+
+def test_a_ridge_at_a_bound_mixes_better_in_own_units():
+    """Effective sizes for the same number of steps, of the ends of the ridge."""
+    model, sizes = leaning_model(), {}
+    units = OwnUnits.of(model, model.value_vars, model.initial_point())
+    for share in (0.0, 0.5):
+        step = DEMetropolisZ(model=model, crank_nicolson=0.5, own_units=share)
+        q, _ = steps_of(step, model.initial_point(), 20_000, seed=3, tune=4000)
+        sizes[share] = float(az.ess(units.values(q[4000:])[None, :, 0], method="tail"))
+    assert sizes[0.5] > 1.5 * sizes[0.0]
 
 
 def test_archive_behaves_as_a_list_of_rows():

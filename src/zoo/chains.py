@@ -27,8 +27,7 @@ from pymc.pytensorf import floatX
 
 from zoo.mode import SamplingError, outputs
 from zoo.progress import ChainState, Display
-from zoo.regions import Array, Gaussian
-from zoo.steps import DEMetropolisZ, Metropolis, Point, count, counting_ops
+from zoo.steps import Array, DEMetropolisZ, Gaussian, Metropolis, Point, count, counting_ops
 
 
 class CheckpointError(SamplingError):
@@ -49,8 +48,6 @@ class Task:
     options: dict[str, Any]
     tune: int
     thin: int
-    regions: tuple[Gaussian, ...]
-    round: int
     checkpoint: Path | None
     checkpoint_seconds: float
 
@@ -90,8 +87,7 @@ class Chain:
         self.failures: Counter[str] = Counter()
         self.seconds = 0.0
         self._saved_at = time.monotonic()
-        later = (task.round,) if task.round else ()
-        step_seed = np.random.SeedSequence(task.seed, spawn_key=(task.chain, 1, *later))
+        step_seed = np.random.SeedSequence(task.seed, spawn_key=(task.chain, 1))
         self.step.set_rng(np.random.default_rng(step_seed))
         self.step.tune = task.tune > 0
         if task.tune == 0:
@@ -226,7 +222,7 @@ class Chain:
 def _make_step(task: Task, point: Point) -> Any:
     kwargs: dict[str, Any] = {"model": task.model, "initial_point": point, "reference": task.reference}
     if task.step == "demetropolisz":
-        return DEMetropolisZ(archive=task.archive, regions=task.regions, **kwargs, **task.options)
+        return DEMetropolisZ(archive=task.archive, **kwargs, **task.options)
     return Metropolis(vars=list(task.model.continuous_value_vars), **kwargs, **task.options)
 
 

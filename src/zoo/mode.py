@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,7 @@ from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import floatX, join_nonshared_inputs
 
 from zoo.likelihood import ModelRecord, whiten
-from zoo.regions import Array, Gaussian
-from zoo.steps import T_DOF, Point, compile_logp, counting_ops
+from zoo.steps import T_DOF, Array, Gaussian, Point, compile_logp, counting_ops
 
 LARGE = 100.0
 """Size of an unconstrained coordinate from which it is scaled for the search."""
@@ -532,29 +531,13 @@ def _quadratic(
 
 
 @dataclass(frozen=True)
-class Spent:
-    """What rounds of draws that do not count cost."""
-
-    solves: int = 0
-    steps: int = 0
-    failures: Mapping[str, int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class Start:
-    """Where chains begin: starts (n_chains, n_dim), the Gaussian, the first archive (n, n_dim), the mode.
-
-    `regions` are what the draws of earlier rounds were found to fall into, `before` how many draws each chain
-    had in those rounds, which do not count.
-    """
+    """Where chains begin: starts (n_chains, n_dim), the Gaussian, the first archive (n, n_dim), the mode."""
 
     starts: Array
     reference: Gaussian
     archive: Array
     mode: Mode
-    regions: tuple[Gaussian, ...] = ()
-    before: tuple[int, ...] = ()
-    spent: Spent = Spent()
 
 
 def disperse(logp: LogPosterior, mode: Mode, chains: int, seed: int) -> Start:

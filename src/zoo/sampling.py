@@ -9,7 +9,7 @@ import json
 import pickle
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,7 +25,6 @@ from zoo.mode import (
     LogPosterior,
     Mode,
     SamplingError,
-    Spent,
     Start,
     disperse,
     find_mode,
@@ -33,9 +32,8 @@ from zoo.mode import (
     search_mode,
 )
 from zoo.progress import Display
-from zoo.regions import Array, Gaussian, split
 from zoo.results import ESS_TARGET, RunRecord, diagnose
-from zoo.steps import DEMetropolisZ, Metropolis
+from zoo.steps import Array, DEMetropolisZ, Metropolis
 
 if TYPE_CHECKING:
     import arviz as az
@@ -54,12 +52,10 @@ CHECKPOINT_FORMAT = 1
 STEPS = ("demetropolisz", "metropolis")
 PILOTS = 4
 """Most rounds of short chains that look for a higher mode of a model with many parameters."""
-ROUNDS = 3
-"""Most times that chains begin again with the regions that they were found to pass between too seldom."""
-ROWS = 8000
-"""Most draws that regions are looked for in."""
 CRANK_NICOLSON = 0.5
 """Share of the steps of `sample(step="demetropolisz")` that are Crank-Nicolson moves."""
+OWN_UNITS = 0.5
+"""Share of them that are made in the own units of variables between two bounds."""
 
 
 class CheckpointInUseError(CheckpointError):
@@ -67,10 +63,7 @@ class CheckpointInUseError(CheckpointError):
 
 
 class Folder:
-    """A checkpoint folder: run.json (what is being run), start.pkl, chain-K.pkl; locked while in use.
-
-    Chains that began again have their round in the name as well: chain-K-ROUND.pkl.
-    """
+    """A checkpoint folder: run.json (what is being run), start.pkl, chain-K.pkl; locked while in use."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -97,9 +90,9 @@ class Folder:
         """Give the folder free."""
         self._lock.close()
 
-    def chain(self, chain: int, round_: int = 0) -> Path:
+    def chain(self, chain: int) -> Path:
         """File of one chain."""
-        return self.path / (f"chain-{chain}-{round_}.pkl" if round_ else f"chain-{chain}.pkl")
+        return self.path / f"chain-{chain}.pkl"
 
     def run(self) -> dict[str, Any] | None:
         """What is stored in run.json, or None."""
@@ -129,11 +122,8 @@ class Folder:
         return found
 
     def write_start(self, start: Start) -> None:
-        """Store mode and starts; chains of earlier rounds go."""
+        """Store mode and starts."""
         write(self.path / "start.pkl", pickle.dumps(start, protocol=5))
-        for round_ in range(len(start.before)):
-            for chain in range(len(start.starts)):
-                self.chain(chain, round_).unlink(missing_ok=True)
 
 
 def _identity(logp: LogPosterior, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -240,9 +230,7 @@ def sample(
         Show progress on standard error.
     until_ess : float, optional
         Keep going until every parameter has R-hat <= 1.01 and bulk and tail effective sample sizes of this
-        much, or `max_draws` are reached; the first check is after `draws`. Where chains of `demetropolisz`
-        are seen to pass between two regions far less often than they move otherwise, they begin again with
-        jumps between these, and earlier draws do not count.
+        much, or `max_draws` are reached; the first check is after `draws`.
     max_draws : int, optional
         Limit of the stored draws of each chain; 40 `draws` if absent.
     start : mapping or Mode, optional
@@ -318,37 +306,23 @@ def sample(
                 if folder is not None:
                     folder.write_start(beginning)
                 show.say(f"mode: log-posterior {mode.logp:.2f} after {mode.evaluations} evaluations")
-            splits = step == "demetropolisz" and options["crank_nicolson"] > 0
+            fleet = _fleet(
+                model,
+                beginning,
+                int(seed),
+                step,
+                options,
+                tune,
+                thin,
+                cores,
+                show,
+                checkpoint=None if folder is None else folder.chain,
+                checkpoint_seconds=checkpoint_seconds,
+            )
             try:
-                while True:
-                    fleet = _fleet(
-                        model,
-                        beginning,
-                        int(seed),
-                        step,
-                        options,
-                        tune,
-                        thin,
-                        cores,
-                        show,
-                        checkpoint=None if folder is None else folder.chain,
-                        checkpoint_seconds=checkpoint_seconds,
-                    )
-                    known = beginning.regions if splits and len(beginning.before) < ROUNDS else None
-                    try:
-                        kept, regions = _run(fleet, logp, draws, until_ess, max_draws or 40 * draws, known)
-                    finally:
-                        fleet.close()
-                    if regions is None:
-                        break
-                    show.say(
-                        f"chains pass too seldom between {len(regions)} regions of this posterior: they "
-                        f"begin again with jumps between them; the {kept} draws of each so far do not count"
-                    )
-                    beginning = _begin_again(logp, beginning, fleet, kept, regions, int(seed))
-                    if folder is not None:
-                        folder.write_start(beginning)
+                kept = _run(fleet, draws, until_ess, max_draws or 40 * draws)
             finally:
+                fleet.close()
                 stored["wall_seconds"] = earlier + time.monotonic() - began
                 if folder is not None:
                     folder.write_run(stored)
@@ -373,11 +347,10 @@ def _fleet(
     cores: int,
     show: Display,
     *,
-    checkpoint: Callable[[int, int], Path] | None = None,
+    checkpoint: Callable[[int], Path] | None = None,
     checkpoint_seconds: float = np.inf,
 ) -> Fleet:
     """Chains from the starts of a beginning: in processes, or in this one if `cores` is 0."""
-    round_ = len(beginning.before)
     tasks = [
         Task(
             model=model,
@@ -390,9 +363,7 @@ def _fleet(
             options=dict(options),
             tune=tune,
             thin=thin,
-            regions=beginning.regions,
-            round=round_,
-            checkpoint=None if checkpoint is None else checkpoint(chain, round_).resolve(),
+            checkpoint=None if checkpoint is None else checkpoint(chain).resolve(),
             checkpoint_seconds=checkpoint_seconds,
         )
         for chain, start in enumerate(beginning.starts)
@@ -473,7 +444,11 @@ def _check_settings(
 
 def _step_options(step: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
     if step == "demetropolisz":
-        options: dict[str, Any] = {"crank_nicolson": CRANK_NICOLSON, "tune_drop_fraction": 0.5}
+        options: dict[str, Any] = {
+            "crank_nicolson": CRANK_NICOLSON,
+            "own_units": OWN_UNITS,
+            "tune_drop_fraction": 0.5,
+        }
     else:
         options = {"joint": True, "adapt": True}
     return {**options, **dict(given or {})}
@@ -497,85 +472,21 @@ def _opening(model: Any, d: int, settings: Mapping[str, Any], stored: Mapping[st
     )
 
 
-def _run(
-    fleet: Fleet,
-    logp: LogPosterior,
-    draws: int,
-    until_ess: float | None,
-    limit: int,
-    known: Sequence[Gaussian] | None,
-) -> tuple[int, list[Gaussian] | None]:
-    """Advance the chains to the end, or to where they are seen to pass too seldom between regions.
-
-    Parameters
-    ----------
-    known : sequence of Gaussian or None
-        Regions already told apart; None to look for none.
-
-    Returns
-    -------
-    kept : int
-        Number of draws of each chain.
-    regions : list of Gaussian or None
-        With which the chains have to begin again; None at the end.
-    """
+def _run(fleet: Fleet, draws: int, until_ess: float | None, limit: int) -> int:
+    """Advance the chains to the end; returns the number of draws of each chain that count."""
     kept = draws
     fleet.advance(kept)
     if until_ess is None:
-        return kept, None
+        return kept
     while kept < limit:
         # only numbers of draws and the draws decide where to look, so a resumed run stops where it would have
         verdict = diagnose(fleet.draws(kept), ess=until_ess)
         if not verdict.parameters or all(p.passes for p in verdict.parameters):
             break
-        usual = float(np.median([min(p.ess_bulk, p.ess_tail) for p in verdict.parameters]))
-        # as long as everything mixes slowly, nothing can be said to be slower than the rest
-        if known is not None and usual >= until_ess and (found := split(_points(logp, fleet, kept), known)):
-            return kept, found
         factor = 1.1 * until_ess / max(verdict.min_ess, 1.0)
         kept = min(limit, int(np.ceil(kept * float(np.clip(factor, 1.25, 2.0)))))
         fleet.advance(kept)
-    return kept, None
-
-
-def _points(logp: LogPosterior, fleet: Fleet, kept: int) -> Array:
-    """Unconstrained draws (n_chains, n, n_dim), evenly thinned, the last of each chain among them."""
-    draws = fleet.draws(kept)
-    every = max(1, -(-kept * len(fleet.states) // ROWS))
-    thinned = {rv.name: draws[rv.name][:, ::-every][:, ::-1] for rv in logp.model.free_RVs}
-    n_chains, n = next(iter(thinned.values())).shape[:2]
-    flat = {name: values.reshape(n_chains * n, *values.shape[2:]) for name, values in thinned.items()}
-    return logp.from_draws(flat).reshape(n_chains, n, -1)
-
-
-def _begin_again(
-    logp: LogPosterior, beginning: Start, fleet: Fleet, kept: int, regions: Sequence[Gaussian], seed: int
-) -> Start:
-    """The chains go on from where they are, with a history of draws of all of them."""
-    points = _points(logp, fleet, kept)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(beginning.before), 3)))
-    pooled = points.reshape(-1, points.shape[-1])
-    return replace(
-        beginning,
-        starts=points[:, -1],
-        archive=pooled[rng.choice(len(pooled), min(len(pooled), 10 * points.shape[-1]), replace=False)],
-        regions=tuple(regions),
-        before=(*beginning.before, kept),
-        spent=_spent(beginning, fleet),
-    )
-
-
-def _spent(beginning: Start, fleet: Fleet) -> Spent:
-    """What the chains cost so far, with their earlier rounds."""
-    before = beginning.spent
-    failures = Counter(before.failures)
-    for state in fleet.states:
-        failures.update(state.failures)
-    return Spent(
-        before.solves + sum(state.solves for state in fleet.states),
-        before.steps + sum(state.steps for state in fleet.states),
-        dict(sorted(failures.items())),
-    )
+    return kept
 
 
 def _inference_data(model: Any, draws: Mapping[str, Array], stats: Mapping[str, Array]) -> az.InferenceData:
@@ -608,11 +519,13 @@ def _record(
     cores: int,
 ) -> RunRecord:
     identity = stored["identity"]
-    spent = _spent(beginning, fleet)
+    solves = sum(state.solves for state in fleet.states)
+    steps = sum(state.steps for state in fleet.states)
+    failures: Counter[str] = Counter()
+    for state in fleet.states:
+        failures.update(state.failures)
     shown = {name: value for name, value in settings.items() if name != "seed"}
     shown |= {"draws": kept, "first check": draws, "until_ess": until_ess, "cores": cores}
-    if beginning.before:
-        shown |= {"regions": len(beginning.regions), "draws of earlier rounds": list(beginning.before)}
     return RunRecord(
         model=model_name(model),
         study=identity["study"],
@@ -621,12 +534,12 @@ def _record(
         solver=identity["solver options"],
         settings=shown,
         seed=int(settings["seed"]),
-        solves=spent.solves,
-        steps=spent.steps,
+        solves=solves,
+        steps=steps,
         mode_evaluations=beginning.mode.evaluations,
-        failures=dict(spent.failures),
-        solves_per_draw=spent.solves / (kept * len(fleet.states)),
-        solves_per_step=spent.solves / max(1, spent.steps),
+        failures=dict(sorted(failures.items())),
+        solves_per_draw=solves / (kept * len(fleet.states)),
+        solves_per_step=solves / max(1, steps),
         wall_seconds=float(stored["wall_seconds"]),
         sittings=int(stored["sittings"]),
         started=str(stored["started"]),

@@ -4,30 +4,31 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import pymc as pm
-from numpy.typing import ArrayLike
+import pytensor.tensor as pt
+from numpy.typing import ArrayLike, NDArray
 from pymc.blocking import RaveledVars
+from pymc.distributions.transforms import IntervalTransform
 from pymc.pytensorf import compile as compile_function
-from pymc.pytensorf import floatX, join_nonshared_inputs
+from pymc.pytensorf import constant_fold, floatX, join_nonshared_inputs
 from pymc.step_methods.arraystep import metrop_select
 from pymc.step_methods.metropolis import DEMetropolisZState, MetropolisState, MultivariateNormalProposal
 from pymc.step_methods.state import dataclass_state
 from pymc.util import get_value_vars_from_user_vars
 from pytensor.compile.mode import Mode as CompileMode
+from scipy.special import expit, log_expit, logit
 
-from zoo.regions import Array, Gaussian, region_of
-
+Array = NDArray[np.float64]
 Point = dict[str, np.ndarray]
 StepResult = tuple[RaveledVars, list[dict[str, Any]]]
 
 T_DOF = 5.0
 """Degrees of freedom of the t distributions that proposals and starts are drawn from."""
-JUMPS = 0.2
-"""Share of the steps that jump to another region, where more than one is known."""
 _CN_ACCEPTANCE = 0.25
 _FIRST_REFIT = 200
 
@@ -103,6 +104,123 @@ class Archive:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Archive, (self.points.copy(),)
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Centre and scatter of a posterior in the unconstrained space.
+
+    Parameters
+    ----------
+    mean : array (n_dim,)
+    covariance : array (n_dim, n_dim)
+    """
+
+    mean: Array
+    covariance: Array
+    cholesky: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cholesky", np.linalg.cholesky(self.covariance))
+
+    def whiten(self, q: Array) -> Array:
+        """Coordinates (n_dim,) in which the Gaussian is standard normal."""
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(self.cholesky, q - self.mean, lower=True, check_finite=False))
+
+    def colour(self, u: Array) -> Array:
+        """The inverse of `whiten`; u may be (n, n_dim)."""
+        return np.asarray(self.mean + u @ self.cholesky.T)
+
+    def refit(self, points: Array) -> Gaussian:
+        """Blend with the moments of correlated draws of a chain.
+
+        A chain of n draws in d dimensions is counted as n / (4 d) independent ones, the present covariance
+        as d of them and the present mean as two.
+
+        Parameters
+        ----------
+        points : array (n, n_dim)
+        """
+        n, d = points.shape
+        weight = n / (4.0 * d)
+        mean = (points.mean(0) * weight + self.mean * 2.0) / (weight + 2.0)
+        covariance = (np.cov(points.T).reshape(d, d) * weight + self.covariance * d) / (weight + d)
+        return Gaussian(mean, covariance)
+
+
+@dataclass(frozen=True)
+class OwnUnits:
+    """Coordinates in which variables between two fixed bounds are in their own units, the others as they are.
+
+    x = a + (b - a) / (1 + exp(-q)). Where a posterior leans against a bound, a ridge that is straight in x is
+    bent in q, and a walk that is tuned to one end of it is lost at the other.
+
+    Parameters
+    ----------
+    index : array (n,)
+        Where those variables are in the unconstrained vector.
+    lower, width : array (n,)
+        a and b - a.
+    """
+
+    index: Any
+    lower: Array
+    width: Array
+
+    @classmethod
+    def of(cls, model: Any, variables: Sequence[Any], point: Point) -> OwnUnits:
+        """Of all variables of a step method (value variables) whose interval is fixed."""
+        index: list[int] = []
+        lower: list[float] = []
+        upper: list[float] = []
+        n = 0
+        for variable in variables:
+            size = np.size(point[variable.name])
+            bounds = _fixed_interval(model, model.values_to_rvs[variable])
+            if bounds is not None:
+                index += range(n, n + size)
+                for ends, bound in zip((lower, upper), bounds, strict=True):
+                    ends += np.broadcast_to(bound, np.shape(point[variable.name])).ravel().tolist()
+            n += size
+        return cls(np.array(index, dtype=int), np.array(lower), np.array(upper) - np.array(lower))
+
+    def values(self, q: Array) -> Array:
+        """From unconstrained vectors, (..., n_dim)."""
+        x = np.array(q, dtype=float)
+        x[..., self.index] = self.lower + self.width * expit(q[..., self.index])
+        return x
+
+    def vector(self, x: Array) -> Array:
+        """The inverse of `values`; not finite outside the bounds."""
+        q = np.array(x, dtype=float)
+        q[..., self.index] = logit((x[..., self.index] - self.lower) / self.width)
+        return q
+
+    def slopes(self, q: Array) -> Array:
+        """dx/dq of the variables in their own units, (n,)."""
+        share = expit(q[self.index])
+        return np.asarray(self.width * share * (1.0 - share))
+
+    def log_volume(self, q: Array) -> float:
+        """Logarithm of the determinant of dx/dq at q (n_dim,)."""
+        at = q[self.index]
+        return float((np.log(self.width) + log_expit(at) + log_expit(-at)).sum())
+
+
+def _fixed_interval(model: Any, variable: Any) -> tuple[Array, Array] | None:
+    """Bounds of a free variable that is sampled as the logit of its place between two constants, or None."""
+    transform = model.rvs_to_transforms[variable]
+    if not isinstance(transform, IntervalTransform):
+        return None
+    bounds = transform.args_fn(*variable.owner.inputs)
+    if any(bound is None for bound in bounds):
+        return None
+    a, b = constant_fold([pt.as_tensor(bound) for bound in bounds], raise_not_constant=False)
+    if not (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and np.all(np.isfinite(b - a))):
+        return None
+    return a, b
 
 
 class _OneEvaluation:
@@ -205,18 +323,26 @@ def _uncompiled() -> dict[str, Any]:
     return {"mode": CompileMode(linker="py", optimizer=None)}  # type: ignore[arg-type]
 
 
+@dataclass
+class _Walk:
+    """A Crank-Nicolson walk: coordinates, the Gaussian it is around, its step, how often that was tuned."""
+
+    units: OwnUnits
+    reference: Gaussian
+    beta: float = 0.5
+    tuned: int = 0
+
+
 @dataclass_state
 class _DEState(DEMetropolisZState):
     _memory: dict[bytes, float]
-    _reference: Gaussian | None
+    _walks: list[_Walk]
     _seen: int
     _next_refit: int
-    _cn_tuned: int
-    beta: float
 
 
 class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
-    """PyMC's DEMetropolisZ with one evaluation of the log-posterior a step, and two additions, both optional.
+    """PyMC's DEMetropolisZ with one evaluation of the log-posterior a step, and three optional additions.
 
     With its defaults the draws equal those of `pm.DEMetropolisZ` for the same seed. `archive` starts the
     history that jumps are drawn from. A share `crank_nicolson` of the steps proposes
@@ -226,14 +352,11 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
     with u the point whitened by a Gaussian (`reference`), which leaves a t distribution with nu = 5 degrees
     of freedom around it invariant; acceptance corrects for the posterior over that t. The Gaussian is
     refitted to the history and beta adapted to an acceptance of 0.25 while tuning; both are fixed after it.
+    A share `own_units` of either kind of steps is made in the own units x(q) of variables between two bounds,
 
-    With `regions`, Gaussians of parts between which a chain finds its way too seldom, these moves are around
-    the Gaussian of the region that the point is in, and a fifth of the steps carries it to another region,
+        log alpha = log p(q') - log p(q) - log|dx/dq|(q') + log|dx/dq|(q) (+ log t(x) - log t(x')),
 
-        q' = m_j + L_j L_i^-1 (q - m_i),   log alpha = log p(q') - log p(q) + log|L_j| - log|L_i|,
-
-    with m and L L' the Gaussians' means and covariances. Both are refused if they end in another region than
-    meant, so that they can be undone.
+    where proposals beyond a bound are refused without a solve.
 
     Parameters
     ----------
@@ -245,8 +368,8 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         First reference; needed for Crank-Nicolson moves before the first 200 steps are done.
     crank_nicolson : float
         Share in [0, 1) of the Crank-Nicolson moves.
-    regions : sequence of Gaussian
-        Two or more, of `zoo.regions.split`; they take the reference's place and stay as they are.
+    own_units : float
+        Share in [0, 1) of moves in own units; the rest is in the unconstrained space.
     **kwargs
         As `pm.DEMetropolisZ`: S, proposal_dist, lamb, scaling, tune, tune_interval, tune_drop_fraction,
         model, initial_point, compile_kwargs, rng, blocked.
@@ -254,13 +377,12 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
     Raises
     ------
     ValueError
-        If `crank_nicolson` is not in [0, 1).
+        If `crank_nicolson` or `own_units` is not in [0, 1).
 
     References
     ----------
     ter Braak, Vrugt (2008), doi 10.1007/s11222-008-9104-9; Kamatani (2018), doi 10.1016/j.spa.2017.06.001;
-    Cotter, Roberts, Stuart, White (2013), doi 10.1214/13-STS421; of jumps between regions, Green (1995), doi
-    10.1093/biomet/82.4.711.
+    Cotter, Roberts, Stuart, White (2013), doi 10.1214/13-STS421.
     """
 
     name = "DEMetropolisZ"
@@ -278,14 +400,15 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         archive: ArrayLike | None = None,
         reference: Gaussian | None = None,
         crank_nicolson: float = 0.0,
-        regions: Sequence[Gaussian] = (),
+        own_units: float = 0.0,
         model: Any = None,
         initial_point: Point | None = None,
         compile_kwargs: Mapping[str, Any] | None = None,
         **kwargs: Any,
     ) -> None:
-        if not 0 <= crank_nicolson < 1:
-            raise ValueError(f"crank_nicolson = {crank_nicolson}: must be in [0, 1)")
+        for name, share in (("crank_nicolson", crank_nicolson), ("own_units", own_units)):
+            if not 0 <= share < 1:
+                raise ValueError(f"{name} = {share}: must be in [0, 1)")
         model = pm.modelcontext(model)
         point = model.initial_point() if initial_point is None else initial_point
         if (
@@ -297,18 +420,21 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         super().__init__(vars, model=model, initial_point=point, compile_kwargs=_uncompiled(), **kwargs)
         self._prepare(model, self.vars, point, compile_kwargs)
         self.crank_nicolson = crank_nicolson
+        own = OwnUnits.of(model, self.vars, point)
+        self._units = [OwnUnits(own.index[:0], own.lower[:0], own.width[:0])]
+        if own_units and len(own.index):
+            self._units.append(own)
+        self.own_units = own_units
         self._first_archive = Archive(archive)
         self._first_reference = reference
-        self.regions = tuple(regions)
         self._set_untuned()
 
     def _set_untuned(self) -> None:
         self._history = Archive(self._first_archive.points)
-        self._reference = self._first_reference
+        first = self._first_reference
+        self._walks = [] if first is None else [_Walk(units, _seen_in(units, first)) for units in self._units]
         self._seen = len(self._history)  # of the history, what is not this chain's own
         self._next_refit = _FIRST_REFIT
-        self._cn_tuned = 0
-        self.beta = 0.5
 
     def reset_tuning(self) -> None:
         """Forget the history and all that was tuned."""
@@ -320,80 +446,95 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         return self._counted(q0, self._one_step)
 
     def _one_step(self, q0: RaveledVars) -> StepResult:
-        if self.regions and self.rng.uniform() < JUMPS:
-            return self._jump(q0)
         if self.crank_nicolson:
             if self.tune and len(self._history) - self._seen >= self._next_refit:
                 self._refit()
                 self._next_refit = int(1.5 * self._next_refit)
-            if self._reference is not None and self.rng.uniform() < self.crank_nicolson:
-                own = self.regions[region_of(self.regions, q0.data)] if self.regions else self._reference
-                return self._crank_nicolson(q0, own)
+            if self._walks and self.rng.uniform() < self.crank_nicolson:
+                return self._crank_nicolson(q0, self._walks[self._coordinates()])
+        if len(self._history) > 1 and self._coordinates():
+            return self._difference(q0, self._units[1])
         q, stats = super().astep(q0)
-        stats[0]["beta"] = self.beta
+        stats[0]["beta"] = self._beta
         return q, stats
 
-    def _crank_nicolson(self, q0: RaveledVars, reference: Gaussian) -> StepResult:
+    @property
+    def _beta(self) -> float:
+        return self._walks[0].beta if self._walks else float("nan")
+
+    def _coordinates(self) -> int:
+        """Which coordinates the next move is made in: 0 unconstrained, 1 own units."""
+        return int(len(self._units) > 1 and self.rng.uniform() < self.own_units)
+
+    def _difference(self, q0: RaveledVars, units: OwnUnits) -> StepResult:
+        """PyMC's jump along the difference of two past points, but in own units."""
+        pair = self.rng.choice(len(self._history), 2, replace=False)
+        one, other = units.values(self._history[pair])
+        q = floatX(units.vector(units.values(q0.data) + self.lamb * (one - other)))
+        return self._select(q0, q, units, 0.0)
+
+    def _crank_nicolson(self, q0: RaveledVars, walk: _Walk) -> StepResult:
         d = len(q0.data)
-        u = reference.whiten(q0.data)
+        u = walk.reference.whiten(walk.units.values(q0.data))
         scale = np.sqrt((T_DOF + u @ u) / self.rng.chisquare(T_DOF + d))
-        new = np.sqrt(1.0 - self.beta**2) * u + self.beta * scale * self.rng.standard_normal(d)
-        q = floatX(reference.colour(new))
+        new = np.sqrt(1.0 - walk.beta**2) * u + walk.beta * scale * self.rng.standard_normal(d)
+        q = floatX(walk.units.vector(walk.reference.colour(new)))
         log_t = -0.5 * (T_DOF + d) * (np.log1p(u @ u / T_DOF) - np.log1p(new @ new / T_DOF))
-        stays = not self.regions or self.regions[region_of(self.regions, q)] is reference
-        result = self._select(q0, q, self.delta_logp(q, q0.data) + log_t if stays else -np.inf)
+        result = self._select(q0, q, walk.units, log_t)
         accept = result[1][0]["accept"]
         if self.tune:
-            self._cn_tuned += 1
-            gain = 2.0 / np.sqrt(self._cn_tuned)
-            self.beta = float(min(1.0, self.beta * np.exp(gain * (min(1.0, accept) - _CN_ACCEPTANCE))))
+            walk.tuned += 1
+            gain = 2.0 / np.sqrt(walk.tuned)
+            walk.beta = float(min(1.0, walk.beta * np.exp(gain * (min(1.0, accept) - _CN_ACCEPTANCE))))
         return result
 
-    def _jump(self, q0: RaveledVars) -> StepResult:
-        """Carry the point to another region, as far in its standard deviations as it is in its own."""
-        i = region_of(self.regions, q0.data)
-        others = [k for k in range(len(self.regions)) if k != i]
-        j = others[int(self.rng.integers(len(others)))]
-        here, there = self.regions[i], self.regions[j]
-        q = floatX(there.colour(here.whiten(q0.data)))
-        if region_of(self.regions, q) != j:
-            return self._select(q0, q, -np.inf)
-        return self._select(q0, q, self.delta_logp(q, q0.data) + there.log_volume - here.log_volume)
-
-    def _select(self, q0: RaveledVars, q: Array, log_accept: float) -> StepResult:
+    def _select(self, q0: RaveledVars, q: Array, units: OwnUnits, log_proposals: float) -> StepResult:
+        """Accept or refuse; `log_proposals` is the ratio of the proposals' densities in `units`."""
+        log_accept = -np.inf
+        if np.all(np.isfinite(q)):
+            volumes = units.log_volume(q) - units.log_volume(q0.data)
+            log_accept = self.delta_logp(q, q0.data) - volumes + log_proposals
         q_new, accepted = metrop_select(log_accept, q, q0.data, rng=self.rng)
         self._history.append(q_new)
         stats = {
             "scaling": float(np.mean(self.scaling)),
             "lambda": self.lamb,
-            "beta": self.beta,
+            "beta": self._beta,
             "accept": 0.0 if np.isnan(log_accept) else float(np.exp(min(log_accept, 700.0))),
             "accepted": accepted,
         }
         return RaveledVars(q_new, q0.point_map_info), [stats]
 
     def _refit(self) -> None:
-        if self.regions:
-            return
         own = self._history.points[self._seen :]
         own = own[len(own) // 3 :]
         n, d = own.shape
         if n < 10 * d:
             return
-        if self._reference is None:
+        if not self._walks:
             scatter = np.cov(own.T).reshape(d, d)
-            floor = np.diag(1e-8 + 1e-3 * np.diag(scatter))
-            self._reference = Gaussian(own.mean(0), scatter + floor)
-        else:
-            start = self._first_reference or self._reference
-            self._reference = start.refit(own)
-        self._cn_tuned //= 2
+            first = Gaussian(own.mean(0), scatter + np.diag(1e-8 + 1e-3 * np.diag(scatter)))
+            self._walks = [_Walk(units, _seen_in(units, first)) for units in self._units]
+            return
+        for walk in self._walks:
+            start = walk.reference
+            if self._first_reference is not None:
+                start = _seen_in(walk.units, self._first_reference)
+            walk.reference = start.refit(walk.units.values(own))
+            walk.tuned //= 2
 
     def stop_tuning(self) -> None:
-        """Fix the reference and beta, and drop the first part of the history."""
+        """Fix the references and betas, and drop the first part of the history."""
         if self.crank_nicolson:
             self._refit()
         super().stop_tuning()
+
+
+def _seen_in(units: OwnUnits, gaussian: Gaussian) -> Gaussian:
+    """A Gaussian of the unconstrained space in other coordinates, to first order."""
+    slopes = np.ones(len(gaussian.mean))
+    slopes[units.index] = units.slopes(gaussian.mean)
+    return Gaussian(units.values(gaussian.mean), gaussian.covariance * np.outer(slopes, slopes))
 
 
 @dataclass_state
