@@ -471,6 +471,9 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
     assert "checksum of the study is" in fails(
         "compare", other, "--posteriors", path, "-o", tmp_path / "q", "--models", "A,B"
     )
+    file = tmp_path / "file"
+    file.write_text("", encoding="utf-8")
+    assert f"{file}: is a file where a folder is needed" in fails("compare", tiny, "-o", file)
     # in a folder such a posterior is passed over, which is said; so is a file that is none
     folder = tmp_path / "folder"
     folder.mkdir()

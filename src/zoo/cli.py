@@ -73,6 +73,8 @@ def _reporting(command: Command) -> Command:
                 raise
             ours = any(kind.__module__.split(".")[0] in ("zoo", __name__) for kind in type(error).__mro__)
             text = " ".join(str(error).split()) or type(error).__name__
+            if isinstance(error, FileExistsError | NotADirectoryError):
+                text = f"{error.filename}: is a file where a folder is needed; choose another path"
             if ours or isinstance(error, OSError):
                 _complain(text)
                 raise typer.Exit(2) from None
