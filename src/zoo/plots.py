@@ -302,6 +302,7 @@ def comparison_figure(table: pd.DataFrame) -> Figure:
         right.margins(x=0.12)
         if float(np.max(np.abs(table["difference"]))) > 300:
             right.set_xscale("symlog", linthresh=10)
+            right.set_xlabel("difference to the best, logarithmic above 10 (bar: its standard error)")
             right.set_xlim(-5, 3 * float(np.max(table["difference"] + table["difference_se"])))
         for row, weight in zip(rows, table["weight"], strict=True):
             right.annotate(
@@ -1140,7 +1141,7 @@ def truth_figure(
     -------
     matplotlib.figure.Figure
     """
-    from scipy.stats import gaussian_kde
+    import arviz as az
 
     names = list(truth)
     rows = 1 if overlay else len(fits)
@@ -1152,9 +1153,7 @@ def truth_figure(
             for axes, name in zip(row, names, strict=True):
                 for number, draws in enumerate(posteriors):
                     values = np.asarray(_in_scale(name, draws[name]), dtype=float)
-                    low, high = np.quantile(values, (0.0005, 0.9995))
-                    x = np.linspace(low - 0.1 * (high - low), high + 0.1 * (high - low), 300)
-                    density = gaussian_kde(values)(x)
+                    x, density = az.kde(values)  # ends where the draws do
                     colour = COLOURS[place if overlay else number]
                     axes.plot(x, density, color=colour, lw=1.5, label=label if axes is row[0] else None)
                 axes.set_yticks([])
