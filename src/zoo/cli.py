@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
+from zoo.models import MODELS
+
 if TYPE_CHECKING:
     import arviz as az
     import numpy as np
@@ -203,6 +205,18 @@ def _numbers(option: str, text: str, study: Study) -> list[float]:
             f"of {study.name}, with commas between them"
         )
     return values
+
+
+def _model_names(text: str) -> list[str]:
+    """Letters of models, given with commas."""
+    return [_model_name(part) for part in text.split(",") if part.strip()]
+
+
+def _different_models(text: str) -> list[str]:
+    names = _model_names(text)
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise UsageError(f"--models {text}: give at least two different models, such as --models A,B")
+    return names
 
 
 def _parent_exists(path: Path) -> Path:
@@ -451,16 +465,9 @@ def _simulation_summary(
 # sample
 
 
-def _model_names() -> tuple[str, ...]:
-    import zoo
-
-    return tuple(sorted(n.removeprefix("model_") for n in zoo.__all__ if n.startswith("model_")))
-
-
 def _model_name(name: str) -> str:
-    names = _model_names()
-    if name.strip().upper() not in names:
-        raise UsageError(f"model {name!r}: unknown; there is {', '.join(names)}")
+    if name.strip().upper() not in MODELS:
+        raise UsageError(f"model {name!r}: unknown; there is {', '.join(MODELS)}")
     return name.strip().upper()
 
 
@@ -706,9 +713,7 @@ def compare(
     sample_lag: SampleLag = None,
 ) -> None:
     """Rank models by how well they predict a study; posteriors that are missing are sampled first."""
-    names = [_model_name(part) for part in models.split(",") if part.strip()]
-    if len(names) < 2 or len(set(names)) < len(names):
-        raise UsageError(f"--models {models}: give at least two different models, such as --models A,B")
+    names = _different_models(models)
     goal = _until(until, draws)
     if n_draws < 10:
         raise UsageError(f"--n-draws {n_draws}: give at least 10")
@@ -914,10 +919,7 @@ def reproduce(
     if synthetic and (models is not None or seed is not None):
         given = "--models" if models is not None else "--seed"
         raise UsageError(f"{given}: leave it out; the synthetic studies have models and seeds of their own")
-    models = "A,B,C,D,E,F,G,H,I" if models is None else models
-    names = [_model_name(part) for part in models.split(",") if part.strip()]
-    if not synthetic and (len(names) < 2 or len(set(names)) < len(names)):
-        raise UsageError(f"--models {models}: give at least two different models, such as --models A,B")
+    names = list(MODELS) if models is None else _different_models(models)
     folder = Path(paper) if output is None else output
     _parent_exists(folder.resolve())
     settings: dict[str, Any] = {"cores": cores or _cores(4), "tune": tune, "max_draws": max_draws}
@@ -1635,7 +1637,7 @@ def report(
     from zoo.report import gather, write_chapters
     from zoo.study import list_studies
 
-    letters = [_model_name(part) for part in models.split(",") if part.strip()]
+    letters = _model_names(models)
     if n_draws < 10:
         raise UsageError(f"--n-draws {n_draws}: give at least 10")
     _parent_exists(output.resolve())
