@@ -13,7 +13,7 @@ from zoo.op import blood_flow
 from zoo.solver import SolverOptions
 from zoo.study import Study
 
-# published posterior medians; those of the stiffnesses are only in the paper's supplement: here all are equal
+# published posterior medians, but for the stiffnesses and their population: all vessels are equal
 SUGGESTED = {
     "m_chi": 5e4,
     "v_chi": 2.0,
@@ -32,7 +32,8 @@ def model_G(
     """Linear wall, a stiffness for each vessel from one normal population, a Gaussian process for the errors.
 
     With these hyperpriors 90 % of the prior of each stiffness lies in (2e4, 1e5), as Table 2 asks; how the
-    paper divides that between the population's mean and its variance is only in its supplement.
+    paper divides that between the population's mean and its variance is only in its supplement, as are the
+    parameters of its beta priors of psi1, psi2 and c, here uniform.
     """
     with study_model("G", study, SUGGESTED) as model:
         m_chi = pm.Normal("m_chi", 6e4, 1.5e4)  # population mean of the stiffness, g cm-1 s-2

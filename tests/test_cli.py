@@ -471,6 +471,7 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
     assert "checksum of the study is" in fails(
         "compare", other, "--posteriors", path, "-o", tmp_path / "q", "--models", "A,B"
     )
+    assert "--fresh: samples every model anew" in fails("compare", tiny, "--posteriors", path, "--fresh")
     file = tmp_path / "file"
     file.write_text("", encoding="utf-8")
     assert f"{file}: is a file where a folder is needed" in fails("compare", tiny, "-o", file)

@@ -204,6 +204,8 @@ def test_table(study: Study, models, idatas) -> None:
     lppd = np.log(np.mean(np.exp(values), axis=0))
     assert best["waic"] == pytest.approx(-2 * np.sum(lppd - values.var(axis=0)))
     assert best["waic_one_observation"] == pytest.approx(waic_one_observation(values.sum(axis=1)).waic)
+    one, two = (waic_one_observation(chain).waic for chain in terms["joint"].to_numpy())
+    assert best["one_observation_mcse"] == pytest.approx(abs(one - two) / 2)
     assert best["waic_leave_one_out"] == pytest.approx(best["waic"])
     assert best["loo"] == pytest.approx(best["waic"], abs=1.0)
     assert (best["sse"], best["sse_mcse"]) == pytest.approx(sse_at_median(idatas["A"], models["A"]))

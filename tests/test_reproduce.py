@@ -93,6 +93,7 @@ def comparison(waic: dict[str, float]) -> pd.DataFrame:
             "waic": value + 3,
             "waic_se": 30.0,
             "waic_one_observation": value,
+            "one_observation_mcse": 0.6,
             "loo": value - 400,
             "sse": 60.0,
             "sse_mcse": 2.0,
@@ -108,6 +109,8 @@ def test_differences_of_waic_agree_within_their_limits():
     assert list(scores.index) == ["A", "B", "C", "H", "I"]
     assert scores["agrees"].to_dict() == {"A": False, "B": True, "C": True, "H": True, "I": False}
     assert scores.loc["H", "difference"] == -6.0
+    assert scores.loc["H", "difference_mcse"] == pytest.approx(0.6 * np.sqrt(2))
+    assert scores.loc["B", "difference_mcse"] == 0.0
     assert scores.loc["H", "published_difference"] == -7.0
     assert scores.loc["A", "difference"] - scores.loc["A", "published_difference"] == pytest.approx(-36.0)
     assert scores["level_agrees"].to_dict() == {"A": True, "B": True, "C": True, "H": True, "I": False}
@@ -129,7 +132,7 @@ def test_text_of_the_table():
     assert published[headings.index("f3 (1e4)")] == "5.17 (5.09, 5.25)"
     ours = rows[rows.index(published) + 1]
     assert ours[headings.index("f3 (1e4)")].endswith(" =")
-    assert ours[headings.index("WAIC - B")] == "+4887.0 x"
+    assert ours[headings.index("WAIC - B")] == "+4887.0 ± 0.8 x"
     text = disagreements(parameters, scores)
     assert sum(line.startswith("B ") for line in text) == 6
     assert any(line.startswith("A WAIC - B: +4887.0, published +4923") for line in text)

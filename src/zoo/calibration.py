@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zoo.mode import LogPosterior, Mode, Start, disperse, model_name, newton
 from zoo.progress import bar
-from zoo.sampling import CRANK_NICOLSON
+from zoo.sampling import DEMETROPOLISZ
 from zoo.solver import SolverOptions
 from zoo.steps import Archive, DEMetropolisZ
 from zoo.study import Blood, Series, Study, Vessel, Windkessel
@@ -338,7 +338,7 @@ class Replicator:
         """Sample the posterior of the present data as `zoo.sample` does, its mode searched from `start`.
 
         Newton steps find the mode, chains start from a t distribution twice as wide as the Gaussian there,
-        and `zoo.steps.DEMetropolisZ` with Crank-Nicolson moves makes the steps.
+        and `zoo.steps.DEMetropolisZ` makes the steps, with the options that `zoo.sample` gives it.
         """
         settings = settings or Settings()
         before = self.logp.evaluations
@@ -352,9 +352,7 @@ class Replicator:
         chains = []
         for chain in range(settings.chains):
             if chain == len(self._steps):
-                self._steps.append(
-                    _Step(model=self.model, crank_nicolson=CRANK_NICOLSON, tune_drop_fraction=0.5)
-                )
+                self._steps.append(_Step(model=self.model, **DEMETROPOLISZ))
             step = self._steps[chain]
             step.begin_again(beginning)
             step.set_rng(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(chain, 1))))

@@ -502,7 +502,10 @@ DrawsOption = Annotated[
     ),
 ]
 TuneOption = Annotated[
-    int | None, typer.Option("--tune", help="Steps to adapt, thrown away.", show_default=False)
+    int | None,
+    typer.Option(
+        "--tune", help="Steps to adapt, thrown away; 100 a dimension, at least 600.", show_default=False
+    ),
 ]
 ChainsOption = Annotated[int, typer.Option("--chains", help="Chains; at least 4 for a verdict.")]
 CoresOption = Annotated[
@@ -524,7 +527,9 @@ SeedOption = Annotated[
 UntilOption = Annotated[
     str | None,
     typer.Option(
-        "--until", help="ess=400: go on until every parameter has it and R-hat <= 1.01.", show_default=False
+        "--until",
+        help="ess=400 (default without --draws): until every parameter has it and R-hat <= 1.01; or none.",
+        show_default=False,
     ),
 ]
 MaxDrawsOption = Annotated[
@@ -541,7 +546,7 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")
 @app.command()
 @_reporting
 def sample(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="Such as A or B.")],
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="A to I.")],
     study: StudyArgument,
     output: Annotated[
         Path | None,
@@ -631,7 +636,7 @@ def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]
 
     from zoo.results import ESS_TARGET, RunRecord, geweke, mpsrf, scalars, verdict
 
-    found = verdict(idata, ess=goal or ESS_TARGET)
+    found = verdict(idata, ess=max(goal or 0.0, ESS_TARGET))
     table = Table(box=None, pad_edge=False)
     table.add_column("parameter")
     for column in ("median", "2.5 %", "97.5 %", "R-hat", "ESS bulk", "ESS tail"):
@@ -712,7 +717,12 @@ def compare(
     mmhg: Mmhg = None,
     sample_lag: SampleLag = None,
 ) -> None:
-    """Rank models by how well they predict a study; posteriors that are missing are sampled first."""
+    """Rank models by how well they predict a study; posteriors that are missing are sampled first.
+
+    The options of sampling are for those; posteriors that are there are taken as they are.
+    """
+    if posteriors and not resume:
+        raise UsageError("--fresh: samples every model anew; leave out --posteriors, or --fresh")
     names = _different_models(models)
     goal = _until(until, draws)
     if n_draws < 10:
@@ -821,7 +831,7 @@ def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
         if row["pareto_k_bad"] > 0
     ]
     unsure += [
-        f"model {model}: WAIC has terms whose log-likelihood varies by more than 0.4, it may be too low"
+        f"model {model}: WAIC has terms whose log-likelihood has a variance above 0.4, it may be too low"
         for model, row in table.iterrows()
         if row["waic_warning"]
     ]
@@ -951,7 +961,8 @@ def reproduce(
             table4_lines(found.parameters, found.scores),
             f"Table 4 of {paper}, published and on {loaded.name}",
         ),
-        "cells: median (2.5 %, 97.5 %); = agrees, x does not; WAIC with the whole series as one observation",
+        "cells: median (2.5 %, 97.5 %); = agrees, x does not (differences of WAIC: within 5; A, D, F: 25); "
+        "WAIC with the whole series as one observation; ±: Monte Carlo standard error",
         _cost_summary(found.costs),
         *found.lines(),
         f"wrote {folder}",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal, NamedTuple
 
@@ -312,8 +312,13 @@ def sse_at_median(idata: az.InferenceData, model: pm.Model) -> SumOfSquares:
     alone = draws.median("draw").expand_dims("draw", axis=1).assign_coords(draw=[0])
     means = posterior_means(model, xr.concat([whole, alone], "chain"))
     whole_sum, *sums = ((record_of(model).study.values - means) ** 2).sum(axis=(1, 2))
-    error = np.std(sums, ddof=1) / math.sqrt(len(sums)) if len(sums) > 1 else math.nan
-    return SumOfSquares(float(whole_sum), float(error))
+    return SumOfSquares(float(whole_sum), _error_of_mean(sums))
+
+
+def _error_of_mean(values: Sequence[float]) -> float:
+    """Standard error of the mean of what each chain gives; NaN with one chain."""
+    n = len(values)
+    return float(np.std(values, ddof=1)) / math.sqrt(n) if n > 1 else math.nan
 
 
 def compare(
@@ -381,7 +386,9 @@ def compare(
             left_out = _scored(posterior, terms["leave-one-out"])
             waic_left_out = az.waic(left_out, pointwise=True, scale="deviance")
             loo = az.loo(left_out, pointwise=True, scale="deviance")
-        one = waic_one_observation(terms["joint"].to_numpy())
+        joint = terms["joint"].to_numpy()
+        one = waic_one_observation(joint)
+        one_of_each = [waic_one_observation(chain).waic for chain in joint]
         pareto_k = loo.pareto_k.to_numpy()
         squares = sse_at_median(idata, model)
         found = (verdicts or {}).get(name) or judged(idata, var_names=list(record_of(model).parameters))
@@ -393,6 +400,7 @@ def compare(
             "waic_warning": bool(waic.warning),
             "waic_leave_one_out": waic_left_out.elpd_waic,
             "waic_one_observation": one.waic,
+            "one_observation_mcse": _error_of_mean(one_of_each),
             "p_one_observation": one.p_waic,
             "loo": loo.elpd_loo,
             "loo_se": loo.se,

@@ -223,7 +223,8 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
     -------
     DataFrame
         Index model, in the order of Table 4; columns published_waic, waic_one_observation, waic, waic_se,
-        loo, level_agrees, published_difference, difference, difference_sequential, agrees, reason,
+        loo, level_agrees, published_difference, difference, difference_mcse (its Monte Carlo standard error),
+        difference_sequential, agrees, reason,
         published_sse, sse, sse_mcse (its Monte Carlo standard error).
     """
     known = reasons()
@@ -245,6 +246,8 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
             base = comparison.loc[REFERENCE]
             entry["published_difference"] = row.waic - theirs[REFERENCE].waic
             entry["difference"] = mine["waic_one_observation"] - base["waic_one_observation"]
+            errors = mine["one_observation_mcse"], base["one_observation_mcse"]
+            entry["difference_mcse"] = 0.0 if model == REFERENCE else float(np.hypot(*errors))
             entry["difference_sequential"] = mine["waic"] - base["waic"]
             limit = WAIC_LIMITS.get(model, WAIC_LIMIT)
             entry["agrees"] = bool(abs(entry["difference"] - entry["published_difference"]) <= limit)
@@ -360,7 +363,8 @@ def table4_rows(parameters: pd.DataFrame, scores: pd.DataFrame) -> tuple[list[st
         below.append(f"{score['waic_one_observation']:.0f}")
         if "difference" in scores.columns:
             above.append(f"{score['published_difference']:+.0f}")
-            below.append(f"{score['difference']:+.1f} {'=' if score['agrees'] else 'x'}")
+            error = f" ± {score['difference_mcse']:.1f}" if model != REFERENCE else ""
+            below.append(f"{score['difference']:+.1f}{error} {'=' if score['agrees'] else 'x'}")
         else:
             above.append("")
             below.append("")

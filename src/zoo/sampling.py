@@ -52,10 +52,8 @@ CHECKPOINT_FORMAT = 1
 STEPS = ("demetropolisz", "metropolis")
 PILOTS = 4
 """Most rounds of short chains that look for a higher mode of a model with many parameters."""
-CRANK_NICOLSON = 0.5
-"""Share of the steps of `sample(step="demetropolisz")` that are Crank-Nicolson moves."""
-OWN_UNITS = 0.5
-"""Share of them that are made in the own units of variables between two bounds."""
+DEMETROPOLISZ: Mapping[str, Any] = {"crank_nicolson": 0.5, "own_units": 0.5, "tune_drop_fraction": 0.5}
+"""Options of `zoo.steps.DEMetropolisZ`."""
 
 
 class CheckpointInUseError(CheckpointError):
@@ -329,7 +327,7 @@ def sample(
             idata = _inference_data(model, fleet.draws(kept), fleet.stats(kept))
             record = _record(model, fleet, beginning, stored, settings, kept, draws, until_ess, cores)
             record.attach(idata)
-            show.say(diagnose(fleet.draws(kept), ess=until_ess or ESS_TARGET).text)
+            show.say(diagnose(fleet.draws(kept), ess=max(until_ess or 0.0, ESS_TARGET)).text)
         return idata
     finally:
         if folder is not None:
@@ -443,14 +441,7 @@ def _check_settings(
 
 
 def _step_options(step: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
-    if step == "demetropolisz":
-        options: dict[str, Any] = {
-            "crank_nicolson": CRANK_NICOLSON,
-            "own_units": OWN_UNITS,
-            "tune_drop_fraction": 0.5,
-        }
-    else:
-        options = {"joint": True, "adapt": True}
+    options = dict(DEMETROPOLISZ) if step == "demetropolisz" else {"joint": True, "adapt": True}
     return {**options, **dict(given or {})}
 
 
