@@ -208,7 +208,9 @@ def test_a_likelihood_of_half_the_variance_is_flagged() -> None:
     assert test.ecdf_p()[test.names.index("sigma2")] < 1e-3
 
 
-def test_finished_replicates_are_kept(tmp_path: Path, replicators: dict[str, Replicator]) -> None:
+def test_finished_replicates_are_kept(
+    tmp_path: Path, replicators: dict[str, Replicator], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A file cut in its last line goes on from there, and gives what one sitting gives."""
     path = tmp_path / "A.jsonl"
     run = partial(
@@ -226,6 +228,10 @@ def test_finished_replicates_are_kept(tmp_path: Path, replicators: dict[str, Rep
     assert path.stat().st_mtime_ns == before
     with pytest.raises(CalibrationError, match="another calibration: seed is 5 there and 6 here"):
         run(3, seed=6)
+    with monkeypatch.context() as other:
+        other.setattr(calibration, "DEMETROPOLISZ", {**calibration.DEMETROPOLISZ, "own_units": 0.0})
+        with pytest.raises(CalibrationError, match="another calibration: steps is"):
+            run(3)
     path.write_text(json.dumps({"a": 1})[:-1] + "\n")
     with pytest.raises(CalibrationError, match="no file of replicates"):
         run(3)

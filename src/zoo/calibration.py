@@ -540,6 +540,7 @@ def simulate_and_rank(
         "truth": _builder_name(truth or model_builder),
         "study": study.checksum,
         "seed": seed,
+        "steps": dict(DEMETROPOLISZ),
         "limits": {name: list(map(float, pair)) for name, pair in (limits or {}).items()},
         "settings": asdict(settings),
     }
