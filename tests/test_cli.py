@@ -493,6 +493,7 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
         (["--models", "A"], "--models A: give at least two different models"),
         (["--synthetic", "--vessels", "1,99", "--study", "demo"], "--vessels 1,99: demo has 21 vessels"),
         (["--synthetic", "--data-sets", "0", "--study", "demo"], "--data-sets 0: give at least 1"),
+        (["--points", "5"], "--points 5: is of the synthetic studies; add --synthetic"),
         (["--synthetic", "--points", "5", "--study", "demo"], "--points 5: give at least 1000"),
     ],
 )

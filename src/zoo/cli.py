@@ -904,14 +904,30 @@ def reproduce(
     synthetic: Annotated[
         bool, typer.Option("--synthetic", help="The studies on synthetic data instead: Tables 3 and 5.")
     ] = False,
-    data_sets: Annotated[int, typer.Option("--data-sets", help="Synthetic data sets.")] = 20,
+    data_sets: Annotated[
+        int | None,
+        typer.Option("--data-sets", help="Synthetic data sets; 20 by default.", show_default=False),
+    ] = None,
     vessels: Annotated[
-        str, typer.Option("--vessels", help="How many vessels have synthetic data: counts, with commas.")
-    ] = "1,3,21",
-    samples: Annotated[int, typer.Option("--samples", help="Samples in a synthetic beat.")] = 256,
+        str | None,
+        typer.Option(
+            "--vessels",
+            help="How many vessels have synthetic data: counts, with commas; 1,3,21 by default.",
+            show_default=False,
+        ),
+    ] = None,
+    samples: Annotated[
+        int | None,
+        typer.Option("--samples", help="Samples in a synthetic beat; 256 by default.", show_default=False),
+    ] = None,
     points: Annotated[
-        int, typer.Option("--points", help="Solves of a pool that all synthetic data sets share.")
-    ] = 16_000,
+        int | None,
+        typer.Option(
+            "--points",
+            help="Solves of a pool that all synthetic data sets share; 16000 by default.",
+            show_default=False,
+        ),
+    ] = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
     draws: DrawsOption = None,
     tune: TuneOption = None,
@@ -929,6 +945,12 @@ def reproduce(
     if synthetic and (models is not None or seed is not None):
         given = "--models" if models is not None else "--seed"
         raise UsageError(f"{given}: leave it out; the synthetic studies have models and seeds of their own")
+    own = {"data-sets": data_sets, "vessels": vessels, "samples": samples, "points": points}
+    for option, value in own.items():
+        if value is not None and not synthetic:
+            raise UsageError(
+                f"--{option} {value}: is of the synthetic studies; add --synthetic, or leave it out"
+            )
     names = list(MODELS) if models is None else _different_models(models)
     folder = Path(paper) if output is None else output
     _parent_exists(folder.resolve())
@@ -936,11 +958,17 @@ def reproduce(
     settings |= {"draws": draws or FIRST_CHECK, "until_ess": _until(until, draws)}
     loaded = _load(study, None, {})
     if synthetic:
-        counts = _vessel_counts(vessels, loaded)
+        counts = _vessel_counts(vessels or "1,3,21", loaded)
         _reproduce_synthetic(
             loaded,
             folder / "synthetic",
-            settings | {"data_sets": data_sets, "n_times": samples, "points": points, "progress": not quiet},
+            settings
+            | {
+                "data_sets": 20 if data_sets is None else data_sets,
+                "n_times": 256 if samples is None else samples,
+                "points": 16_000 if points is None else points,
+                "progress": not quiet,
+            },
             counts,
             figures=figures,
         )
