@@ -102,9 +102,6 @@ def test_nine_models_without_posteriors_says_so(tmp_path: Path, monkeypatch: pyt
         exec("\n".join(line for line in first.splitlines() if not line.startswith("%")), {})
 
 
-NOT_CONVERGED = {"F"}  # R-hat 1.017: docs/reproduction.md says so too
-
-
 @pytest.mark.parametrize("path", STORED, ids=lambda p: p.name)
 def test_stored_posteriors_hold_parameters_only(path: Path) -> None:
     assert path.stat().st_size < 500_000
@@ -115,4 +112,4 @@ def test_stored_posteriors_hold_parameters_only(path: Path) -> None:
     assert {str(v.dtype) for v in idata.posterior.data_vars.values()} == {"float32"}
     assert set(idata.posterior.dims) <= {"chain", "draw", "vessel"}
     assert set(suggested(record.model)) <= set(idata.posterior.data_vars) <= {*suggested(record.model), "chi"}
-    assert results.diagnostics(idata).verdict.passes == (path.stem not in NOT_CONVERGED)
+    assert results.diagnostics(idata).verdict.passes
