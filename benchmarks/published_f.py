@@ -1,4 +1,4 @@
-"""Chains of model F around the mode of the published medians: do they give the published row of Table 4?
+"""Chains of model F around a mode near the published medians: do they give the published row of Table 4?
 
 Prints the log-posterior there, medians with 95 % intervals beside the published ones, WAIC and the sum of
 squared errors. The posterior has higher modes; the chains are kept at this one by their start alone.

@@ -634,9 +634,9 @@ def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]
     from rich.table import Table
     from rich.text import Text
 
-    from zoo.results import ESS_TARGET, RunRecord, geweke, mpsrf, scalars, verdict
+    from zoo.results import RunRecord, ess_to_count, geweke, mpsrf, scalars, verdict
 
-    found = verdict(idata, ess=max(goal or 0.0, ESS_TARGET))
+    found = verdict(idata, ess=ess_to_count(goal))
     table = Table(box=None, pad_edge=False)
     table.add_column("parameter")
     for column in ("median", "2.5 %", "97.5 %", "R-hat", "ESS bulk", "ESS tail"):
@@ -974,8 +974,8 @@ def reproduce(
         )
         return
 
+    from zoo.reproduce import WAIC_LIMIT, WAIC_LIMITS, table4_lines
     from zoo.reproduce import reproduce as run
-    from zoo.reproduce import table4_lines
     from zoo.sampling import CheckpointError
 
     settings |= {"seed": 1 if seed is None else seed, "progress": not quiet}
@@ -983,13 +983,14 @@ def reproduce(
         found = run(loaded, folder, names, figures=figures, say=_say, **settings)
     except CheckpointError as error:
         raise UsageError(f"{error}; the folder is {folder}") from None
+    limits = "; ".join([f"{WAIC_LIMIT:g}", *(f"{name}: {limit:g}" for name, limit in WAIC_LIMITS.items())])
     _say(
         _text_table(
             ["model", "quantity", "published", "zoo", ""],
             table4_lines(found.parameters, found.scores),
             f"Table 4 of {paper}, published and on {loaded.name}",
         ),
-        "cells: median (2.5 %, 97.5 %); = agrees, x does not (differences of WAIC: within 5; A, D, F: 25); "
+        f"cells: median (2.5 %, 97.5 %); = agrees, x does not (differences of WAIC: within {limits}); "
         "WAIC with the whole series as one observation; ±: Monte Carlo standard error",
         _cost_summary(found.costs),
         *found.lines(),

@@ -360,7 +360,8 @@ def compare(
         One row a model, the best first. `difference` and `difference_se` are to the best; `standing` says
         what they mean. `waic_warning`: a term's variance exceeds 0.4. `pareto_k_bad`: points where
         PSIS-LOO is not to be trusted, k > min(1 - 1/log10(draws), 0.7). `sse` is at the
-        posterior medians, `sse_mcse` its Monte Carlo standard error.
+        posterior medians, `sse_mcse` its Monte Carlo standard error; `one_observation_mcse` is
+        that of `waic_one_observation`. Both are taken from the values of each chain alone.
 
     Raises
     ------

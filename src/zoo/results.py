@@ -328,6 +328,11 @@ def scalars(draws: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]
             yield f"{name}[{', '.join(str(i) for i in index)}]", values[(slice(None), slice(None), *index)]
 
 
+def ess_to_count(goal: float | None) -> float:
+    """Effective sample size that a verdict asks for: a run's own goal, but never less than `ESS_TARGET`."""
+    return max(goal or 0.0, ESS_TARGET)
+
+
 def diagnose(draws: Mapping[str, np.ndarray], *, ess: float = ESS_TARGET) -> Verdict:
     """Judge convergence of plain arrays of draws.
 

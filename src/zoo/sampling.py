@@ -32,7 +32,7 @@ from zoo.mode import (
     search_mode,
 )
 from zoo.progress import Display
-from zoo.results import ESS_TARGET, RunRecord, diagnose
+from zoo.results import ESS_TARGET, RunRecord, diagnose, ess_to_count
 from zoo.steps import Array, DEMetropolisZ, Metropolis
 
 if TYPE_CHECKING:
@@ -327,7 +327,7 @@ def sample(
             idata = _inference_data(model, fleet.draws(kept), fleet.stats(kept))
             record = _record(model, fleet, beginning, stored, settings, kept, draws, until_ess, cores)
             record.attach(idata)
-            show.say(diagnose(fleet.draws(kept), ess=max(until_ess or 0.0, ESS_TARGET)).text)
+            show.say(diagnose(fleet.draws(kept), ess=ess_to_count(until_ess)).text)
         return idata
     finally:
         if folder is not None:
