@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from zoo.solver import Solver, SolverOptions
-from zoo.study import load_study
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.study import load_study
 
 HERE = Path(__file__).parent
 CASES: dict[str, dict[str, Any]] = {

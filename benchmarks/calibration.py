@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from zoo.calibration import RankTest, Settings, cheap_options, cheap_study, simulate_and_rank
-from zoo.likelihood import ERROR_PARAMETERS
+from zoo.core.errors.likelihood import ERROR_PARAMETERS
 from zoo.models import get_model
+from zoo.paper.calibration import RankTest, Settings, cheap_options, cheap_study, simulate_and_rank
 from zoo.plots import calibration_figure, save_figure
 
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"

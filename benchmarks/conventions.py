@@ -12,11 +12,11 @@ from benchmarks.convergence import MEDIANS, everywhere, published_waveforms
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from zoo.conventions import PRINTED, PUBLISHED_CODE, Conventions
-from zoo.likelihood import gp_sequential
-from zoo.network import Network, stiffness_profile
-from zoo.solver import STATUS_NAMES, Solver
-from zoo.study import Study, load_study
+from zoo.blood.conventions import PRINTED, PUBLISHED_CODE, Conventions
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import STATUS_NAMES, Solver
+from zoo.blood.study import Study, load_study
+from zoo.core.errors.likelihood import gp_sequential
 
 Array = NDArray[np.float64]
 

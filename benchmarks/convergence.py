@@ -19,14 +19,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from zoo.conventions import PUBLISHED_CODE
-from zoo.fetch import FetchError
-from zoo.likelihood import gp_sequential
-from zoo.network import Network, stiffness_profile
+from zoo.blood.conventions import PUBLISHED_CODE
+from zoo.blood.fetch import FetchError
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import Solution, Solver, SolverError, SolverOptions
+from zoo.blood.study import Study, load_study
+from zoo.core.errors.likelihood import gp_sequential
+from zoo.paper.synthetic import Truth
 from zoo.plots import COLOURS, INK, STYLE
-from zoo.solver import Solution, Solver, SolverError, SolverOptions
-from zoo.study import Study, load_study
-from zoo.synthetic import Truth
 
 Array = NDArray[np.float64]
 

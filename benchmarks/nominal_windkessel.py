@@ -13,8 +13,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from zoo import Solver, Study, Vessel, load_study
-from zoo.network import diastolic_tau, nominal_windkessel, poiseuille_split
-from zoo.study import Windkessel
+from zoo.blood.network import diastolic_tau, nominal_windkessel, poiseuille_split
+from zoo.blood.study import Windkessel
 
 GEOMETRY_ROUNDING_CM = 0.0005  # lengths and radii are published with three decimals
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from zoo import load_study
-from zoo.coverage import PAPER_TRUTH
-from zoo.likelihood import whiten
-from zoo.network import Network, stiffness_profile
-from zoo.solver import Solver, SolverOptions
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.core.errors.likelihood import whiten
+from zoo.paper.coverage import PAPER_TRUTH
 
 STEPS = {"f3": 500.0, "psi1": 0.01, "psi2": 0.005, "c": 0.02}
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import pymc as pm
 
-from zoo.conventions import Conventions
-from zoo.likelihood import iid_errors, study_model
-from zoo.op import blood_flow
-from zoo.solver import SolverOptions
-from zoo.study import Study
+from zoo.blood.conventions import Conventions
+from zoo.blood.op import blood_flow
+from zoo.blood.solver import SolverOptions
+from zoo.blood.study import Study
+from zoo.core.errors.likelihood import iid_errors, study_model
 
 # published posterior medians; sigma2 is the published sum of squared errors over 512 samples
 SUGGESTED = {"f3": 5.17e4, "psi1": 0.21, "psi2": 0.88, "c": 1.44, "sigma2": 0.13}

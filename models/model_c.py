@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import pymc as pm
 
-from zoo.conventions import Conventions
-from zoo.likelihood import gp_errors, study_model
-from zoo.op import blood_flow
-from zoo.solver import SolverOptions
-from zoo.study import Study
+from zoo.blood.conventions import Conventions
+from zoo.blood.op import blood_flow
+from zoo.blood.solver import SolverOptions
+from zoo.blood.study import Study
+from zoo.core.errors.likelihood import gp_errors, study_model
 
 # published posterior medians
 SUGGESTED = {"f3": 4.31e4, "psi1": 0.29, "psi2": 0.87, "c": 1.34, "w": 5.41e4, "b": 138.0}

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import pymc as pm
 
-from zoo.conventions import Conventions
-from zoo.likelihood import gp_errors, study_model
-from zoo.op import blood_flow, radius_dependent_stiffness
-from zoo.solver import SolverOptions
-from zoo.study import Study
+from zoo.blood.conventions import Conventions
+from zoo.blood.op import blood_flow, radius_dependent_stiffness
+from zoo.blood.solver import SolverOptions
+from zoo.blood.study import Study
+from zoo.core.errors.likelihood import gp_errors, study_model
 
 # published posterior medians
 SUGGESTED = {

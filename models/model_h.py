@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 import pymc as pm
 
-from zoo.conventions import Conventions
-from zoo.likelihood import gp_errors, study_model
-from zoo.op import blood_flow
-from zoo.solver import SolverOptions
-from zoo.study import Study
+from zoo.blood.conventions import Conventions
+from zoo.blood.op import blood_flow
+from zoo.blood.solver import SolverOptions
+from zoo.blood.study import Study
+from zoo.core.errors.likelihood import gp_errors, study_model
 
 # published posterior medians
 SUGGESTED = {"f3": 9.17e4, "gamma": 5.18, "psi1": 0.37, "psi2": 0.94, "c": 1.60, "w": 4.91e4, "b": 178.0}

@@ -15,8 +15,8 @@ import pytest
 from scipy.stats import binom
 from typer.testing import CliRunner
 
-import zoo.blind as blind
-from zoo.blind import (
+import zoo.blood.blind as blind
+from zoo.blood.blind import (
     GAP_MMHG,
     GENERATOR,
     KEY_DIGEST,
@@ -36,13 +36,20 @@ from zoo.blind import (
     tree_distance,
     visible,
 )
+from zoo.blood.effects import CATALOGUE, Amplitude, Place, get_base, simulate
+from zoo.blood.solver import Physics
+from zoo.blood.study import load_study
 from zoo.cli import app
-from zoo.diagnosis import AmplitudeEstimate, DiagnosisFile, Gap, HypothesisResult, Where, diagnose
-from zoo.effects import CATALOGUE, Amplitude, Place, get_base, simulate
-from zoo.results import versions
-from zoo.screening import SEARCH
-from zoo.solver import Physics
-from zoo.study import load_study
+from zoo.core.diagnosis.diagnosis import (
+    AmplitudeEstimate,
+    DiagnosisFile,
+    Gap,
+    HypothesisResult,
+    Where,
+    diagnose,
+)
+from zoo.core.diagnosis.screening import SEARCH
+from zoo.core.inference.results import versions
 
 CHEAP = ("sensor-offset", "inflow-shift", "inflow-bandwidth", "beat-jitter")
 TINY: dict[str, Any] = {"networks": ("tree",), "layouts": ("MPA",), "vessels": (3, 3), "cores": 1}

@@ -13,8 +13,13 @@ import pymc as pm
 import pytest
 from scipy import stats
 
-from zoo import calibration
-from zoo.calibration import (
+from zoo.blood.op import blood_flow
+from zoo.blood.study import Series, Study
+from zoo.core.errors.likelihood import INVERSE_GAMMA, IidErrors, study_model
+from zoo.core.inference.mode import LogPosterior
+from zoo.models import get_model
+from zoo.paper import calibration
+from zoo.paper.calibration import (
     LOG_POSTERIOR,
     CalibrationError,
     RankTest,
@@ -24,11 +29,6 @@ from zoo.calibration import (
     cheap_study,
     simulate_and_rank,
 )
-from zoo.likelihood import INVERSE_GAMMA, IidErrors, study_model
-from zoo.mode import LogPosterior
-from zoo.models import get_model
-from zoo.op import blood_flow
-from zoo.study import Series, Study
 
 QUICK = Settings(ranked=15, chains=1, tune=100, steps=120, max_steps=480, min_ess=15)
 LIMITS = {"A": {"sigma2": (1e-3, 1.0)}, "B": {}}
@@ -142,7 +142,7 @@ def test_truths_have_the_prior_and_data_the_errors(replicators: dict[str, Replic
     gamma = stats.gamma(0.001, scale=1 / 0.001)  # of 1/sigma2
     low, high = gamma.sf(1 / 1e-3), gamma.sf(1 / 1.0)
     assert stats.kstest(sigma2, lambda x: (gamma.sf(1 / x) - low) / (high - low)).pvalue > 1e-3
-    solver = replicator.model.zoo.op.solver  # type: ignore[attr-defined]
+    solver = replicator.model.zoo.blood.op.solver  # type: ignore[attr-defined]
     z = []
     for d in drawn[:20]:
         outlets = {name: d.values[name] for name in ("psi1", "psi2", "c")}

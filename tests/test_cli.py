@@ -17,13 +17,13 @@ import xarray as xr
 from typer.testing import CliRunner
 
 import zoo
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import Solver
+from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel, load_study, save_study
 from zoo.cli import app
-from zoo.network import Network, stiffness_profile
-from zoo.posteriors import find
-from zoo.results import RunRecord, load
-from zoo.solver import Solver
-from zoo.study import Blood, Series, Study, Vessel, Windkessel, load_study, save_study
-from zoo.synthetic import ejection
+from zoo.core.inference.results import RunRecord, load
+from zoo.core.posterior.files import find
+from zoo.paper.synthetic import ejection
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 
@@ -290,7 +290,7 @@ def test_a_fault_of_ours_is_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken() -> None:
         raise ZeroDivisionError("nobody thought\nof this")
 
-    monkeypatch.setattr("zoo.study.list_studies", broken)
+    monkeypatch.setattr("zoo.blood.study.list_studies", broken)
     output = run("studies", code=1)
     assert (
         output.strip()
@@ -302,7 +302,7 @@ def test_interrupt_has_its_own_exit_code(monkeypatch: pytest.MonkeyPatch) -> Non
     def interrupted() -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("zoo.study.list_studies", interrupted)
+    monkeypatch.setattr("zoo.blood.study.list_studies", interrupted)
     assert "interrupted; the same command goes on" in run("studies", code=130)
 
 
@@ -386,7 +386,7 @@ def test_fresh_removes_only_a_checkpoint(tiny: Path, tmp_path: Path) -> None:
 
 
 def test_fresh_does_not_take_a_checkpoint_from_a_running_job(tiny: Path, tmp_path: Path) -> None:
-    from zoo.sampling import Folder
+    from zoo.core.inference.sampling import Folder
 
     held = Folder(tmp_path / "A.checkpoint")
     message = fails("sample", "A", tiny, "-o", tmp_path / "A.nc", "--fresh", *QUICK)

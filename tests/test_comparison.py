@@ -11,7 +11,12 @@ import pytest
 from scipy import stats
 
 from test_op import small_study
-from zoo.comparison import (
+from zoo.blood.op import blood_flow, radius_dependent_stiffness
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.study import Study
+from zoo.core.errors.likelihood import iid_errors, study_model
+from zoo.core.inference.results import diagnose
+from zoo.core.posterior.comparison import (
     ComparisonError,
     add_log_likelihood,
     compare,
@@ -24,12 +29,7 @@ from zoo.comparison import (
     thin,
     waic_one_observation,
 )
-from zoo.likelihood import iid_errors, study_model
 from zoo.models import get_model
-from zoo.op import blood_flow, radius_dependent_stiffness
-from zoo.results import diagnose
-from zoo.solver import Solver, SolverOptions
-from zoo.study import Study
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:For one or more samples the posterior variance",

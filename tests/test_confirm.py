@@ -7,11 +7,11 @@ import pymc as pm
 import pytest
 
 from test_screening import made
-from zoo.confirm import HarmonicsOp, confirm, effect_model
-from zoo.discrepancy import log_density
-from zoo.effects import Place
-from zoo.mode import LogPosterior
-from zoo.screening import NO_GAP, Scored, Screening, score
+from zoo.blood.effects import Place
+from zoo.core.diagnosis.confirm import HarmonicsOp, confirm, effect_model
+from zoo.core.diagnosis.discrepancy import log_density
+from zoo.core.diagnosis.screening import NO_GAP, Scored, Screening, score
+from zoo.core.inference.mode import LogPosterior
 
 
 @pytest.fixture(scope="module")

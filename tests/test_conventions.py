@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from zoo.conventions import (
+from zoo.blood.conventions import (
     NAMES,
     PRINTED,
     PUBLISHED_CODE,
@@ -15,7 +15,7 @@ from zoo.conventions import (
     ConventionsError,
     get_conventions,
 )
-from zoo.units import MMHG, cgs_to_mmhg, mmhg_to_cgs
+from zoo.blood.units import MMHG, cgs_to_mmhg, mmhg_to_cgs
 
 
 def test_units() -> None:

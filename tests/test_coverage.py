@@ -12,8 +12,9 @@ import pytest
 from scipy import stats
 
 from zoo import load_study, model_E, sample
-from zoo.calibration import cheap_study
-from zoo.coverage import (
+from zoo.core.inference.mode import LogPosterior
+from zoo.paper.calibration import cheap_study
+from zoo.paper.coverage import (
     IDENTIFIABLE,
     K_LIMIT,
     LEVELS,
@@ -31,9 +32,8 @@ from zoo.coverage import (
     score_pool,
     summarise,
 )
-from zoo.mode import LogPosterior
-from zoo.reproduce import published_table4
-from zoo.synthetic import Truth
+from zoo.paper.reproduce import published_table4
+from zoo.paper.synthetic import Truth
 
 
 def test_truth_is_the_published_row_of_model_e():

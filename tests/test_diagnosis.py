@@ -10,7 +10,8 @@ import pytest
 
 from test_screening import made
 from zoo import load_study
-from zoo.diagnosis import (
+from zoo.blood.effects import EffectError, Place
+from zoo.core.diagnosis.diagnosis import (
     PHASES,
     Diagnosis,
     DiagnosisError,
@@ -19,8 +20,7 @@ from zoo.diagnosis import (
     phases,
     read_diagnosis,
 )
-from zoo.effects import EffectError, Place
-from zoo.screening import NO_GAP, UNLISTED
+from zoo.core.diagnosis.screening import NO_GAP, UNLISTED
 
 FEW = ["sensor-gain", "inflow-shift", "tangent-wall", "beat-jitter", "local-stiffness"]
 

@@ -17,12 +17,20 @@ from typer.testing import CliRunner
 
 import zoo
 from test_report import Element, read, table_of
-from zoo import cli, diagnosis, discrepancy, plots, report, screening
+from zoo import cli, plots, report
+from zoo.blood.effects import CATALOGUE, FAMILIES, Place, get_base, get_effect, simulate
+from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel, load_study, save_study
 from zoo.cli import app
-from zoo.diagnosis import Diagnosis, DiagnosisError, DiagnosisFile, PlaceShare, diagnose, read_diagnosis
-from zoo.effects import CATALOGUE, FAMILIES, Place, get_base, get_effect, simulate
-from zoo.study import Blood, Series, Study, Vessel, Windkessel, load_study, save_study
-from zoo.synthetic import ejection
+from zoo.core.diagnosis import diagnosis, discrepancy, screening
+from zoo.core.diagnosis.diagnosis import (
+    Diagnosis,
+    DiagnosisError,
+    DiagnosisFile,
+    PlaceShare,
+    diagnose,
+    read_diagnosis,
+)
+from zoo.paper.synthetic import ejection
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 

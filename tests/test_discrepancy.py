@@ -9,8 +9,16 @@ from scipy.linalg import circulant
 from scipy.stats import multivariate_normal
 
 from zoo import load_study
-from zoo.discrepancy import Errors, HarmonicError, Harmonics, fit_noise, log_density, marginal, smooth_part
-from zoo.study import Series, Study
+from zoo.blood.study import Series, Study
+from zoo.core.diagnosis.discrepancy import (
+    Errors,
+    HarmonicError,
+    Harmonics,
+    fit_noise,
+    log_density,
+    marginal,
+    smooth_part,
+)
 
 QUANTITY = "pressure_mmHg"
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from zoo.conventions import SWITCHES
-from zoo.solver import STATUS_NAMES, Solver
-from zoo.study import StudyError, load_study
+from zoo.blood.conventions import SWITCHES
+from zoo.blood.solver import STATUS_NAMES, Solver
+from zoo.blood.study import StudyError, load_study
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])

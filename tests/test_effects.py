@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from zoo.effects import (
+from zoo.blood.effects import (
     BASES,
     CATALOGUE,
     FAMILIES,
@@ -38,11 +38,11 @@ from zoo.effects import (
     tree_impedance,
     typical_values,
 )
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import Solver, SolverOptions, wall_pressure_mmHg
+from zoo.blood.study import Blood, Study, StudyError, Vessel, Windkessel, load_study
+from zoo.blood.units import MMHG
 from zoo.models import get_model, suggested
-from zoo.network import Network, stiffness_profile
-from zoo.solver import Solver, SolverOptions, wall_pressure_mmHg
-from zoo.study import Blood, Study, StudyError, Vessel, Windkessel, load_study
-from zoo.units import MMHG
 
 Array = NDArray[np.float64]
 

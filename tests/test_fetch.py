@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from zoo.fetch import DATASETS, Dataset, FetchError, fetch_dataset, fetch_file
+from zoo.blood.fetch import DATASETS, Dataset, FetchError, fetch_dataset, fetch_file
 
 CONTENT = b"1.0\n2.0\n" * 50_000
 DIGEST = hashlib.sha256(CONTENT).hexdigest()

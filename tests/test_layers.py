@@ -36,8 +36,8 @@ def imports(path: Path) -> set[str]:
 
 def test_the_import_reader_sees_every_form(tmp_path: Path) -> None:
     path = tmp_path / "x.py"
-    path.write_text("import zoo.cli\nfrom zoo import op\ndef f():\n    from zoo.study import Study\n")
-    assert imports(path) == {"zoo.cli", "zoo.op", "zoo.study"}
+    path.write_text("import zoo.cli\nfrom zoo import op\ndef f():\n    from zoo.blood.study import Study\n")
+    assert imports(path) == {"zoo.cli", "zoo.blood.op", "zoo.blood.study"}
 
 
 @pytest.mark.parametrize("name", sorted(SOURCES))
@@ -62,7 +62,7 @@ def test_import_is_cheap() -> None:
         "print(sorted(heavy & set(sys.modules)), model_A.__name__, load_study.__module__)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[] model_A zoo.study"
+    assert done.stdout.strip() == "[] model_A zoo.blood.study"
 
 
 def test_every_export_exists() -> None:

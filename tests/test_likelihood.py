@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 from pytensor.tensor.linalg import cholesky, solve_triangular
 from scipy import stats
 
-from zoo import likelihood
-from zoo.likelihood import (
+from zoo.blood.op import MissingGradientError
+from zoo.core.errors import likelihood
+from zoo.core.errors.likelihood import (
     JITTER,
     NOISE_VARIANCE,
     GPErrors,
@@ -32,7 +33,6 @@ from zoo.likelihood import (
     neural_network_kernel,
     pointwise_log_likelihood,
 )
-from zoo.op import MissingGradientError
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:For one or more samples the posterior variance",

@@ -14,13 +14,20 @@ import pytest
 from scipy import stats
 
 from test_op import small_study
-from zoo.conventions import PUBLISHED_CODE
-from zoo.likelihood import ERROR_PARAMETERS, LogUniform, ModelRecord, gp_errors, iid_errors, study_model
+from zoo.blood.conventions import PUBLISHED_CODE
+from zoo.blood.network import Network
+from zoo.blood.op import blood_flow
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.study import Study
+from zoo.core.errors.likelihood import (
+    ERROR_PARAMETERS,
+    LogUniform,
+    ModelRecord,
+    gp_errors,
+    iid_errors,
+    study_model,
+)
 from zoo.models import MODELS, get_model, suggested
-from zoo.network import Network
-from zoo.op import blood_flow
-from zoo.solver import Solver, SolverOptions
-from zoo.study import Study
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:For one or more samples the posterior variance",
@@ -183,12 +190,12 @@ def test_a_pickled_model_keeps_its_density_and_record(name: str, study: Study) -
     model = get_model(name)(study)
     copy = pickle.loads(cloudpickle.dumps(model))
     point = model.initial_point()
-    model.zoo.op.clear_cache()
-    model.zoo.op.reset_counts()
+    model.zoo.blood.op.clear_cache()
+    model.zoo.blood.op.reset_counts()
     assert float(copy.compile_logp()(point)) == float(model.compile_logp()(point))
     assert (copy.zoo.name, copy.zoo.parameters) == (model.zoo.name, model.zoo.parameters)
-    assert copy.zoo.op == model.zoo.op
-    assert copy.zoo.op.counts["solves"] == 1  # in one process copies share their solved points
+    assert copy.zoo.blood.op == model.zoo.blood.op
+    assert copy.zoo.blood.op.counts["solves"] == 1  # in one process copies share their solved points
 
 
 def test_likelihood_of_a(study: Study) -> None:

@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from zoo.conventions import PRINTED, PUBLISHED_CODE
-from zoo.network import (
+from zoo.blood.conventions import PRINTED, PUBLISHED_CODE
+from zoo.blood.network import (
     Network,
     diastolic_tau,
     nominal_windkessel,
@@ -25,7 +25,7 @@ from zoo.network import (
     stiffness_profile,
     with_nominal_loads,
 )
-from zoo.study import Blood, Series, Study, StudyError, Vessel, Windkessel, load_study
+from zoo.blood.study import Blood, Series, Study, StudyError, Vessel, Windkessel, load_study
 
 BLOOD = Blood(1.055, 0.049)
 LOAD = Windkessel(5e4, 2e5, 1.6e-7)

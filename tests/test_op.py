@@ -14,17 +14,17 @@ import pytensor.tensor as pt
 import pytest
 from pytensor.graph.traversal import ancestors
 
-from zoo.conventions import PRINTED, PUBLISHED_CODE
-from zoo.network import Network, stiffness_profile
-from zoo.op import (
+from zoo.blood.conventions import PRINTED, PUBLISHED_CODE
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.op import (
     CACHE_SIZE,
     BloodFlowOp,
     MissingGradientError,
     blood_flow,
     radius_dependent_stiffness,
 )
-from zoo.solver import Solver, SolverOptions
-from zoo.study import Blood, Series, Study, Vessel, Windkessel
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
 
 POINT = (5e4, 2.0, 0.3, 0.9, 1.2)  # stiffness, gamma, psi1, psi2, c
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from zoo.network import Network
-from zoo.op import BloodFlowOp
-from zoo.solver import Physics, Solver, SolverArgumentError, SolverOptions
-from zoo.study import Blood, Vessel, Windkessel, load_study
-from zoo.units import MMHG
+from zoo.blood.network import Network
+from zoo.blood.op import BloodFlowOp
+from zoo.blood.solver import Physics, Solver, SolverArgumentError, SolverOptions
+from zoo.blood.study import Blood, Vessel, Windkessel, load_study
+from zoo.blood.units import MMHG
 
 RHO, MU = 1.055, 0.049
 BLOOD = Blood(density_g_cm3=RHO, viscosity_g_cm_s=MU)

@@ -12,8 +12,8 @@ import pytest
 import xarray as xr
 
 from zoo import plots
-from zoo.predictive import bands, median_waves
-from zoo.study import Blood, Series, Study, Vessel, Windkessel
+from zoo.blood.predictive import bands, median_waves
+from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 

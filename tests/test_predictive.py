@@ -13,13 +13,10 @@ import xarray as xr
 from scipy import stats
 
 from test_op import small_study
-from zoo import predictive
-from zoo.comparison import posterior_means
-from zoo.likelihood import LogUniform, iid_errors, neural_network_kernel, study_model
-from zoo.models import get_model
-from zoo.network import Network, stiffness_profile
-from zoo.op import blood_flow
-from zoo.predictive import (
+from zoo.blood import predictive
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.op import blood_flow
+from zoo.blood.predictive import (
     PredictiveError,
     bands,
     interval_widths,
@@ -32,8 +29,11 @@ from zoo.predictive import (
     waves_at_medians,
     with_stiffness,
 )
-from zoo.solver import Solver, wall_pressure_mmHg
-from zoo.study import Study
+from zoo.blood.solver import Solver, wall_pressure_mmHg
+from zoo.blood.study import Study
+from zoo.core.errors.likelihood import LogUniform, iid_errors, neural_network_kernel, study_model
+from zoo.core.posterior.comparison import posterior_means
+from zoo.models import get_model
 
 CENTRE = {
     **{"f1": 3e4, "f2": -80.0, "f3": 4.5e4, "m_chi": 5e4, "v_chi": 1.0, "chi": 5.5e4},
@@ -79,7 +79,7 @@ def test_waves_are_those_of_single_solves(study: Study, name: str) -> None:
         chi = stiffness_profile([0.047, 0.026, 0.037], draw["f1"], draw["f2"], draw["f3"])
     wall = {"B": "linear", "I": "tangent"}[name]
     times = waves["time"].to_numpy() + 0.05 * 0.11
-    conventions = model.zoo.op.solver.conventions
+    conventions = model.zoo.blood.op.solver.conventions
     alone = Solver.for_study(study, wall, series=[(3, 0.5)], times_s=times, conventions=conventions)
     scales = {p: draw[p] for p in ("psi1", "psi2", "c")}
     solution = alone.solve(chi, draw.get("gamma", 2.0), **scales)
@@ -344,7 +344,7 @@ def test_what_is_wrong_is_said(study: Study) -> None:
 @pytest.mark.needs_data
 def test_the_papers_figure_7() -> None:
     """The mouse: pulse pressure goes from a few mmHg to more than 25 over two decades of stiffness."""
-    from zoo.study import load_study
+    from zoo.blood.study import load_study
 
     table = pressure_against_stiffness(load_study("mouse-c6"), [1e4, 4.31e4, 1e6])
     assert list(table["status"]) == ["ok"] * 3

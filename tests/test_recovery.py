@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zoo.calibration import cheap_options, cheap_study
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.study import Series, Study
+from zoo.core.inference.sampling import sample
 from zoo.models import MODELS, get_model
-from zoo.network import Network, stiffness_profile
-from zoo.sampling import sample
-from zoo.solver import Solver, SolverOptions
-from zoo.study import Series, Study
-from zoo.synthetic import correlated_errors
+from zoo.paper.calibration import cheap_options, cheap_study
+from zoo.paper.synthetic import correlated_errors
 
 OUTLETS = {"psi1": 0.45, "psi2": 0.75, "c": 1.20}
 IID = {"sigma2": 0.02}

@@ -18,12 +18,13 @@ import pytest
 from typer.testing import CliRunner
 
 from test_op import small_study
-from zoo import plots, report, results
+from zoo import plots, report
+from zoo.blood.fetch import FetchError
+from zoo.blood.study import Study, load_study, save_study
 from zoo.cli import app
-from zoo.comparison import compare
-from zoo.fetch import FetchError
+from zoo.core.inference import results
+from zoo.core.posterior.comparison import compare
 from zoo.models import get_model
-from zoo.study import Study, load_study, save_study
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 

@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 
 from zoo import load_study
-from zoo.posteriors import PosteriorError, refuse_other_settings
-from zoo.reproduce import (
+from zoo.core.inference.results import RunRecord
+from zoo.core.posterior.files import PosteriorError, refuse_other_settings
+from zoo.paper.reproduce import (
     FIRST_SCENARIO,
     Interval,
     cost_table,
@@ -27,7 +28,6 @@ from zoo.reproduce import (
     synthetic_tables,
     table4_rows,
 )
-from zoo.results import RunRecord
 
 WAIC = {"A": 400.0, "B": -4487.0, "C": -4486.0, "H": -4493.0, "I": -4480.0}
 

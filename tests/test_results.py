@@ -8,8 +8,8 @@ import arviz as az
 import numpy as np
 import pytest
 
-from zoo import results
-from zoo.results import ResultsError, RunRecord, diagnose, geweke, load, mpsrf, save, verdict
+from zoo.core.inference import results
+from zoo.core.inference.results import ResultsError, RunRecord, diagnose, geweke, load, mpsrf, save, verdict
 
 
 def autoregressive(rng: np.random.Generator, chains: int, draws: int, phi: float) -> np.ndarray:

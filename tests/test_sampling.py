@@ -24,15 +24,23 @@ from pytensor.graph.basic import Apply
 from pytensor.graph.op import Op
 from scipy import stats
 
-from zoo import mode as mode_module
-from zoo import model_F, sampling
-from zoo.calibration import cheap_options, cheap_study
-from zoo.progress import ChainState, Display
-from zoo.results import RunRecord
-from zoo.sampling import CheckpointError, DEMetropolisZ, Metropolis, SamplingError, find_mode, sample
-from zoo.solver import Solver
-from zoo.steps import Archive, Gaussian, OwnUnits
-from zoo.study import Series
+from zoo import model_F
+from zoo.blood.solver import Solver
+from zoo.blood.study import Series
+from zoo.core.inference import mode as mode_module
+from zoo.core.inference import sampling
+from zoo.core.inference.progress import ChainState, Display
+from zoo.core.inference.results import RunRecord
+from zoo.core.inference.sampling import (
+    CheckpointError,
+    DEMetropolisZ,
+    Metropolis,
+    SamplingError,
+    find_mode,
+    sample,
+)
+from zoo.core.inference.steps import Archive, Gaussian, OwnUnits
+from zoo.paper.calibration import cheap_options, cheap_study
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 
@@ -550,7 +558,7 @@ SCRIPT = """
     import sys
     sys.path.insert(0, {tests!r})
     from test_sampling import SETTINGS, gaussian_model
-    from zoo.sampling import sample
+    from zoo.core.inference.sampling import sample
     sample(gaussian_model(seconds=0.004), cores=1, checkpoint={folder!r}, checkpoint_seconds=0.05, **SETTINGS)
 """
 

@@ -10,9 +10,10 @@ from scipy.special import logsumexp
 from scipy.stats import binom
 
 from zoo import load_study
-from zoo.discrepancy import Errors, Harmonics, log_density
-from zoo.effects import CATALOGUE, Place, apply_all, get_base, simulate
-from zoo.screening import (
+from zoo.blood.effects import CATALOGUE, Place, apply_all, get_base, simulate
+from zoo.blood.study import Series, Study
+from zoo.core.diagnosis.discrepancy import Errors, Harmonics, log_density
+from zoo.core.diagnosis.screening import (
     CORRELATED,
     NO_GAP,
     SEARCH,
@@ -28,7 +29,6 @@ from zoo.screening import (
     _groups,
     score,
 )
-from zoo.study import Series, Study
 
 QUANTITY = "pressure_mmHg"
 THETA = {"f3": 4.6e4, "psi1": 0.35, "psi2": 0.9, "c": 1.2}
@@ -128,7 +128,7 @@ def test_evidence_is_the_integral_over_the_parameters() -> None:
         total.append(log_density(screening.data - computed, S) + fit.forward.prior(u)[0] - log_q)
     wanted = float(logsumexp(total)) - math.log(len(total))
     point = replace_point(fit)
-    from zoo.discrepancy import noise_log_prior
+    from zoo.core.diagnosis.discrepancy import noise_log_prior
 
     again = screening.evidence(fit.forward, point, dict.fromkeys(fit.allowances, 0.0))
     noise = {q: replace(e, delta=0.0) for q, e in again.errors.items()}
@@ -142,7 +142,7 @@ def test_evidence_is_the_integral_over_the_parameters() -> None:
 
 
 def replace_point(fit):  # type: ignore[no-untyped-def]
-    from zoo.screening import Point
+    from zoo.core.diagnosis.screening import Point
 
     return Point(fit.u, fit.computed, fit.jacobian)
 

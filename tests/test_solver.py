@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from zoo.conventions import PRINTED, PUBLISHED_CODE
-from zoo.network import Network
-from zoo.solver import (
+from zoo.blood.conventions import PRINTED, PUBLISHED_CODE
+from zoo.blood.network import Network
+from zoo.blood.solver import (
     CFLError,
     CollapseError,
     NotPeriodicError,
@@ -25,8 +25,8 @@ from zoo.solver import (
     WallLimitError,
     wall_pressure_mmHg,
 )
-from zoo.study import Blood, Vessel, Windkessel, load_study
-from zoo.units import MMHG
+from zoo.blood.study import Blood, Vessel, Windkessel, load_study
+from zoo.blood.units import MMHG
 
 BLOOD = Blood(density_g_cm3=1.055, viscosity_g_cm_s=0.049)
 THIN = Blood(density_g_cm3=1.055, viscosity_g_cm_s=1e-9)

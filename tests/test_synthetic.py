@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from zoo.conventions import get_conventions
-from zoo.likelihood import neural_network_kernel, whiten
-from zoo.network import Network, stiffness_profile
-from zoo.solver import Solver, SolverOptions
-from zoo.study import load_study, save_study
-from zoo.synthetic import (
+from zoo.blood.conventions import get_conventions
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.study import load_study, save_study
+from zoo.core.errors.likelihood import neural_network_kernel, whiten
+from zoo.paper.synthetic import (
     Truth,
     correlated_errors,
     demo_study,

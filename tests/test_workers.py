@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from zoo.workers import each
+from zoo.core.inference.workers import each
 
 
 def square(x: int) -> int:

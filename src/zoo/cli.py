@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
-    from zoo.blind import Score
-    from zoo.conventions import Conventions
-    from zoo.diagnosis import DiagnosisFile
-    from zoo.effects import Effect
-    from zoo.solver import Solution
-    from zoo.study import Study
+    from zoo.blood.blind import Score
+    from zoo.blood.conventions import Conventions
+    from zoo.blood.effects import Effect
+    from zoo.blood.solver import Solution
+    from zoo.blood.study import Study
+    from zoo.core.diagnosis.diagnosis import DiagnosisFile
 
 POSITIONS = (0.0, 0.5, 1.0)
 QUANTITIES = ("pressure_mmHg", "flow_ml_s", "area_cm2")
@@ -148,8 +148,8 @@ Tolerance = Annotated[
 
 def _load(name: str, conventions: str | None, switches: Mapping[str, Any]) -> Study:
     """Study with the conventions of the options: a name, single switches, or both."""
-    from zoo.conventions import get_conventions
-    from zoo.study import load_study
+    from zoo.blood.conventions import get_conventions
+    from zoo.blood.study import load_study
 
     given = {switch: value for switch, value in switches.items() if value is not None}
     wanted: Conventions | None = None
@@ -180,7 +180,7 @@ def _switches(
 
 
 def _options(dx: float | None, steps: int | None, tolerance: float | None) -> Any:
-    from zoo.solver import SolverOptions
+    from zoo.blood.solver import SolverOptions
 
     given: dict[str, Any] = {"dx_cm": dx, "steps_per_beat": steps, "tolerance_mmHg": tolerance}
     return SolverOptions(**{name: value for name, value in given.items() if value is not None})
@@ -233,7 +233,7 @@ def _parent_exists(path: Path) -> Path:
 @_reporting
 def fetch(name: Annotated[str, typer.Argument(metavar="NAME", help="Data set, such as mouse-c6.")]) -> None:
     """Get measured data: from ZOO_DATA_DIR, this user's cache or the public source, checked by SHA-256."""
-    from zoo.fetch import fetch_dataset
+    from zoo.blood.fetch import fetch_dataset
 
     for path in fetch_dataset(name):
         _say(f"{path}  [green]sha256 as expected[/green]")
@@ -245,8 +245,8 @@ def studies() -> None:
     """List the built-in studies."""
     from rich.table import Table
 
-    from zoo.fetch import FetchError
-    from zoo.study import list_studies, load_study
+    from zoo.blood.fetch import FetchError
+    from zoo.blood.study import list_studies, load_study
 
     table = Table("study", "vessels", "period (s)", "observed", "conventions", box=None, pad_edge=False)
     for name in list_studies():
@@ -264,7 +264,7 @@ def studies() -> None:
 @_reporting
 def version() -> None:
     """Versions of this package and of the libraries that shape the draws."""
-    from zoo.results import versions
+    from zoo.core.inference.results import versions
 
     for name, value in versions().items():
         _say(f"{name} {value}")
@@ -314,8 +314,8 @@ def simulate(
     """Solve at one set of parameters: every vessel at positions 0, 0.5 and 1; pressure, flow and area."""
     import numpy as np
 
-    from zoo.network import Network
-    from zoo.solver import Solver
+    from zoo.blood.network import Network
+    from zoo.blood.solver import Solver
 
     switches = _switches(
         wall_factor, stiffness_radius_unit, friction, friction_radius, truncate_lengths, mmhg, sample_lag
@@ -386,7 +386,7 @@ def _stiffness(
     radius_cm: np.ndarray,
     each: Callable[[str, str], np.ndarray],
 ) -> np.ndarray:
-    from zoo.network import stiffness_profile
+    from zoo.blood.network import stiffness_profile
 
     profile = [f1, f2, f3]
     if stiffness is not None:
@@ -600,8 +600,8 @@ def _sample(
     name: str, study: Study, path: Path, settings: Mapping[str, Any], *, resume: bool, progress: bool
 ) -> az.InferenceData:
     """Run a model with the checkpoint beside its output, and write the output."""
-    from zoo.posteriors import checkpoint_of, sample_to
-    from zoo.sampling import CheckpointError, CheckpointInUseError
+    from zoo.core.inference.sampling import CheckpointError, CheckpointInUseError
+    from zoo.core.posterior.files import checkpoint_of, sample_to
 
     try:
         if not resume:
@@ -615,7 +615,7 @@ def _sample(
 
 def _remove_checkpoint(folder: Path) -> None:
     """Delete the files of a checkpoint that no run is using, and nothing else."""
-    from zoo.sampling import Folder
+    from zoo.core.inference.sampling import Folder
 
     if not folder.is_dir():
         return
@@ -634,7 +634,7 @@ def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]
     from rich.table import Table
     from rich.text import Text
 
-    from zoo.results import RunRecord, ess_to_count, geweke, mpsrf, scalars, verdict
+    from zoo.core.inference.results import RunRecord, ess_to_count, geweke, mpsrf, scalars, verdict
 
     found = verdict(idata, ess=ess_to_count(goal))
     table = Table(box=None, pad_edge=False)
@@ -758,7 +758,7 @@ def _posteriors_of(
     progress: bool,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Models on a study and their posteriors: given, of an earlier call, in the working directory, or new."""
-    from zoo.posteriors import belongs, find, load_for
+    from zoo.core.posterior.files import belongs, find, load_for
 
     files = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
     files |= find(given, names, study, say=_say)
@@ -788,7 +788,7 @@ def _compare_on(
     n_draws: int,
     figures: bool,
 ) -> None:
-    from zoo.comparison import compare as rank
+    from zoo.core.posterior.comparison import compare as rank
 
     table = rank(found, models, ic=criterion, n_draws=n_draws)
     table.to_csv(output / "comparison.csv")
@@ -846,7 +846,8 @@ def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
 def _figures(
     table: Any, models: Mapping[str, Any], found: Mapping[str, Any], study: Study, output: Path
 ) -> None:
-    from zoo import plots, predictive
+    from zoo import plots
+    from zoo.blood import predictive
 
     def save(figure: Any, name: str) -> None:
         plots.save_figure(figure, output / f"{name}.png")
@@ -974,9 +975,9 @@ def reproduce(
         )
         return
 
-    from zoo.reproduce import WAIC_LIMIT, WAIC_LIMITS, table4_lines
-    from zoo.reproduce import reproduce as run
-    from zoo.sampling import CheckpointError
+    from zoo.core.inference.sampling import CheckpointError
+    from zoo.paper.reproduce import WAIC_LIMIT, WAIC_LIMITS, table4_lines
+    from zoo.paper.reproduce import reproduce as run
 
     settings |= {"seed": 1 if seed is None else seed, "progress": not quiet}
     try:
@@ -1048,8 +1049,8 @@ def _vessel_counts(text: str, study: Study) -> list[int]:
 def _reproduce_synthetic(
     base: Study, folder: Path, settings: dict[str, Any], vessels: Sequence[int], *, figures: bool
 ) -> None:
-    from zoo import coverage
-    from zoo.reproduce import synthetic_figures, synthetic_tables
+    from zoo.paper import coverage
+    from zoo.paper.reproduce import synthetic_figures, synthetic_tables
 
     for name, least in (("data_sets", 1), ("n_times", 16), ("points", 1000)):
         if settings[name] < least:
@@ -1155,7 +1156,7 @@ def diagnose(
     """Find what a base model misses in a study: where the gap lies, what causes it, how far it shrinks."""
     import shlex
 
-    from zoo.effects import get_base
+    from zoo.blood.effects import get_base
 
     for option, count in (("--max-effects", max_effects), ("--cores", cores)):
         if count < 1:
@@ -1170,8 +1171,8 @@ def diagnose(
     loaded = _load(study, conventions, switches)
     _output_folder(output)
 
-    from zoo.diagnosis import diagnose as run
-    from zoo.discrepancy import Harmonics
+    from zoo.core.diagnosis.diagnosis import diagnose as run
+    from zoo.core.diagnosis.discrepancy import Harmonics
     from zoo.report import write_diagnosis
 
     Harmonics(loaded)  # a study without observations is refused before the work
@@ -1211,7 +1212,7 @@ class _Telling:
     """A progress bar that says what is being tried."""
 
     def __init__(self, wanted: bool, confirm: bool) -> None:
-        from zoo.progress import bar
+        from zoo.core.inference.progress import bar
 
         self.bar, self.confirm = bar(wanted), confirm
         self.added = -1
@@ -1240,7 +1241,7 @@ class _Telling:
 
 def _effect_names(text: str | None, base: str) -> list[str] | None:
     """Effects of an option, each of which the base can take; None for all."""
-    from zoo.effects import effects_for
+    from zoo.blood.effects import effects_for
 
     if text is None:
         return None
@@ -1363,7 +1364,7 @@ def _share(share: float) -> str:
 
 
 def _place(vessel: int | None, subtree: bool) -> str:
-    from zoo.effects import Place
+    from zoo.blood.effects import Place
 
     return str(Place(vessel, subtree))
 
@@ -1380,7 +1381,7 @@ def effects(
     """List the effects that a base model may lack; with a name, all that is known about one."""
     import json
 
-    from zoo.effects import CATALOGUE, get_effect
+    from zoo.blood.effects import CATALOGUE, get_effect
 
     chosen = list(CATALOGUE.values()) if name is None else [get_effect(name)]
     if as_json:
@@ -1414,7 +1415,7 @@ def _effects_table(chosen: Sequence[Effect]) -> Any:
     from rich.table import Table
     from rich.text import Text
 
-    from zoo.effects import FAMILIES, prior_text
+    from zoo.blood.effects import FAMILIES, prior_text
 
     headings = ("effect", "amplitude", "prior", "places", "what it does to a beat")
     wide = Console().width >= 130
@@ -1441,7 +1442,7 @@ def _effect_lines(effect: Effect) -> list[Any]:
     from rich.table import Table
     from rich.text import Text
 
-    from zoo.effects import prior_text
+    from zoo.blood.effects import prior_text
 
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column(no_wrap=True)
@@ -1474,7 +1475,7 @@ class _Counting:
     """A progress bar over cases."""
 
     def __init__(self, wanted: bool, total: int) -> None:
-        from zoo.progress import bar
+        from zoo.core.inference.progress import bar
 
         self.bar, self.total = bar(wanted), total
 
@@ -1528,7 +1529,7 @@ def blind_make(
     quiet: QuietOption = False,
 ) -> None:
     """Write studies with a withheld effect each, and the key apart; goes on where it was interrupted."""
-    from zoo.blind import make
+    from zoo.blood.blind import make
 
     with _Counting(not quiet, n) as counting:
         path = make(
@@ -1562,7 +1563,7 @@ def blind_run(
     """Diagnose every case of a folder; sees no key, and goes on where it was interrupted."""
     import time
 
-    from zoo.blind import run
+    from zoo.blood.blind import run
 
     began = time.monotonic()
     total = sum((p / "study.toml").is_file() for p in cases.iterdir()) if cases.is_dir() else 0
@@ -1600,7 +1601,7 @@ def blind_score(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score.")] = Path("score"),
 ) -> None:
     """Score answers against their key: score.json, score.md, cases.csv and figures."""
-    from zoo.blind import score
+    from zoo.blood.blind import score
 
     _output_folder(output)
     found = score(answers, key, output)
@@ -1617,7 +1618,7 @@ def blind_score(
 def _score_summary(found: Score) -> list[Any]:
     from rich.table import Table
 
-    from zoo.blind import FULL_BIN, HEADLINES, rate_text
+    from zoo.blood.blind import FULL_BIN, HEADLINES, rate_text
 
     s = found.summary
     title = f"{s['n']} cases, {s['failed']} without an answer"
@@ -1674,8 +1675,8 @@ def report(
     """Write one HTML page on stored posteriors: comparison, fits, convergence, how they were made."""
     import shlex
 
+    from zoo.blood.study import list_studies
     from zoo.report import gather, write_chapters
-    from zoo.study import list_studies
 
     letters = _model_names(models)
     if n_draws < 10:

@@ -18,20 +18,20 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.diagnosis import PHASES, HypothesisResult, PlaceShare, SeriesGap, phases
-from zoo.effects import Place
-from zoo.predictive import one_place
-from zoo.screening import CORRELATED, NO_GAP, UNLISTED
+from zoo.blood.effects import Place
+from zoo.blood.predictive import one_place
+from zoo.core.diagnosis.diagnosis import PHASES, HypothesisResult, PlaceShare, SeriesGap, phases
+from zoo.core.diagnosis.screening import CORRELATED, NO_GAP, UNLISTED
 
 if TYPE_CHECKING:
     import arviz as az
     import pandas as pd
     import xarray as xr
 
-    from zoo.blind import Score
-    from zoo.calibration import RankTest
-    from zoo.diagnosis import Diagnosis
-    from zoo.study import Study, Vessel
+    from zoo.blood.blind import Score
+    from zoo.blood.study import Study, Vessel
+    from zoo.core.diagnosis.diagnosis import Diagnosis
+    from zoo.paper.calibration import RankTest
 
 Array = NDArray[np.float64]
 
@@ -271,7 +271,7 @@ def comparison_figure(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table : DataFrame
-        From `zoo.comparison.compare`: one row a model, deviance scale.
+        From `zoo.core.posterior.comparison.compare`: one row a model, deviance scale.
 
     Returns
     -------
@@ -470,7 +470,7 @@ def uncertainty_figure(
     Parameters
     ----------
     bands : mapping of name to Dataset
-        From `zoo.predictive.bands`, one for each model, of one quantity; prediction bands are drawn if there.
+        From `zoo.blood.predictive.bands`, one for each model, of one quantity; prediction bands are drawn if there.
     study : Study, optional
         Its measured series are drawn where they were measured.
     vessels : sequence of int, optional
@@ -524,7 +524,7 @@ def all_vessels_figure(
     Parameters
     ----------
     bands : Dataset
-        From `zoo.predictive.bands`; prediction bands are drawn if there.
+        From `zoo.blood.predictive.bands`; prediction bands are drawn if there.
     study : Study, optional
         Its measured series are drawn where they were measured.
     prob : float
@@ -620,7 +620,7 @@ def models_figure(
     Parameters
     ----------
     medians : mapping of name to Dataset
-        From `zoo.predictive.median_waves`, one for each model.
+        From `zoo.blood.predictive.median_waves`, one for each model.
     study : Study, optional
         Its measured series are drawn where they were measured, and give a last panel with the residuals,
         measured minus median, of the first of them.
@@ -710,7 +710,7 @@ def loops_figure(
     Parameters
     ----------
     waves : mapping of name to Dataset
-        From `zoo.predictive.waves_at_medians`, one for each model: in one solve pressure and area belong
+        From `zoo.blood.predictive.waves_at_medians`, one for each model: in one solve pressure and area belong
         together, as they do not in pointwise medians.
     vessels : sequence of int, optional
         Panels; seven if absent. All vessels: ``list(waves[name].vessel.values)``.
@@ -778,7 +778,7 @@ def posteriors_figure(
     Parameters
     ----------
     posteriors : mapping of name to InferenceData or Dataset
-        Such as those of models A and B; from `zoo.predictive.with_stiffness` they have the stiffness of a
+        Such as those of models A and B; from `zoo.blood.predictive.with_stiffness` they have the stiffness of a
         vessel in place of f1, f2 and f3.
     var_names : iterable of str, optional
         Scalars; those that all have if absent, in the order of the first.
@@ -859,7 +859,7 @@ def stiffness_figure(stiffness: Mapping[str, xr.DataArray]) -> Figure:
     Parameters
     ----------
     stiffness : mapping of name to DataArray
-        From `zoo.predictive.stiffness_draws`, one for each model.
+        From `zoo.blood.predictive.stiffness_draws`, one for each model.
 
     Returns
     -------
@@ -924,7 +924,7 @@ def pressure_stiffness_figure(table: pd.DataFrame, estimate: float | None = None
     Parameters
     ----------
     table : DataFrame
-        From `zoo.predictive.pressure_against_stiffness`; stiffnesses whose solve failed are left out.
+        From `zoo.blood.predictive.pressure_against_stiffness`; stiffnesses whose solve failed are left out.
     estimate : float, optional
         Stiffness to mark with crosses, g cm-1 s-2.
 
@@ -1073,7 +1073,7 @@ def calibration_figure(test: RankTest, *, title: str = "") -> Figure:
 
     Parameters
     ----------
-    test : zoo.calibration.RankTest
+    test : zoo.paper.calibration.RankTest
     title : str
         Above the panels.
 
@@ -1592,7 +1592,7 @@ def plot_reliability(score: Score) -> Figure:
 
     Parameters
     ----------
-    score : zoo.blind.Score
+    score : zoo.blood.blind.Score
 
     Returns
     -------
@@ -1600,7 +1600,7 @@ def plot_reliability(score: Score) -> Figure:
         Left the leading group of each case, right every group with at least 1 %. Hollow bins have fewer
         than eight cases.
     """
-    from zoo.blind import FULL_BIN
+    from zoo.blood.blind import FULL_BIN
 
     panels = (
         ("leading explanation with its group", score.reliability),
@@ -1634,7 +1634,7 @@ def plot_accuracy(score: Score) -> Figure:
 
     Parameters
     ----------
-    score : zoo.blind.Score
+    score : zoo.blood.blind.Score
 
     Returns
     -------
@@ -1642,7 +1642,7 @@ def plot_accuracy(score: Score) -> Figure:
         Left the share of listed effects that (or whose group) were ranked first with Wilson's 95 % interval,
         a tick for each case, those above right. Right the rates of the summary with theirs.
     """
-    from zoo.blind import HEADLINES
+    from zoo.blood.blind import HEADLINES
 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 4.2), layout="constrained")
@@ -1686,7 +1686,7 @@ def plot_confusion(score: Score) -> Figure:
 
     Parameters
     ----------
-    score : zoo.blind.Score
+    score : zoo.blood.blind.Score
 
     Returns
     -------
@@ -1725,7 +1725,7 @@ def plot_sizes(score: Score) -> Figure:
 
     Parameters
     ----------
-    score : zoo.blind.Score
+    score : zoo.blood.blind.Score
 
     Returns
     -------

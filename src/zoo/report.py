@@ -17,10 +17,25 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 from PIL import Image
 
-from zoo.comparison import compare, record_of
-from zoo.diagnosis import DiagnosisFile, HypothesisResult
-from zoo.effects import CATALOGUE, Place
-from zoo.fetch import FetchError
+from zoo.blood.effects import CATALOGUE, Place
+from zoo.blood.fetch import FetchError
+from zoo.blood.predictive import median_waves, one_place, predictive_draws, vessel_waves
+from zoo.blood.study import load_study
+from zoo.core.diagnosis.diagnosis import DiagnosisFile, HypothesisResult
+from zoo.core.diagnosis.screening import CORRELATED, NO_GAP, UNLISTED
+from zoo.core.inference.results import (
+    ESS_TARGET,
+    RHAT_LIMIT,
+    Diagnostics,
+    ResultsError,
+    RunRecord,
+    diagnostics,
+    load,
+    scalars,
+    versions,
+)
+from zoo.core.posterior.comparison import compare, record_of
+from zoo.core.posterior.files import find, load_for
 from zoo.models import MODELS, get_model
 from zoo.plots import (
     comparison_figure,
@@ -35,29 +50,14 @@ from zoo.plots import (
     rank_figure,
     save_figure,
 )
-from zoo.posteriors import find, load_for
-from zoo.predictive import median_waves, one_place, predictive_draws, vessel_waves
-from zoo.results import (
-    ESS_TARGET,
-    RHAT_LIMIT,
-    Diagnostics,
-    ResultsError,
-    RunRecord,
-    diagnostics,
-    load,
-    scalars,
-    versions,
-)
-from zoo.screening import CORRELATED, NO_GAP, UNLISTED
-from zoo.study import load_study
 
 if TYPE_CHECKING:
     import arviz as az
     import pandas as pd
     import pymc as pm
 
-    from zoo.diagnosis import Diagnosis
-    from zoo.study import Study
+    from zoo.blood.study import Study
+    from zoo.core.diagnosis.diagnosis import Diagnosis
 
 BANNER = "not converged: do not cite"
 MEANINGS = {
@@ -95,7 +95,7 @@ class Chapter:
     name : str
         Of the study.
     posteriors : mapping of model to InferenceData
-        Drawn by `zoo.sample`, or slimmed by `zoo.results.slim`.
+        Drawn by `zoo.sample`, or slimmed by `zoo.core.inference.results.slim`.
     study : Study, optional
         Without it there are no fits and no ranking, and the chapter says so.
     models : mapping of model to pm.Model
@@ -225,7 +225,7 @@ def write_chapters(
     ------
     ReportError
         If there is nothing to report, a posterior has no model, or the folder does not exist.
-    zoo.comparison.ComparisonError
+    zoo.core.posterior.comparison.ComparisonError
         If posteriors and models do not fit each other.
     """
     path = Path(path)
@@ -312,9 +312,9 @@ def gather(
 
     Raises
     ------
-    zoo.fetch.FetchError
+    zoo.blood.fetch.FetchError
         If `data` and measured data cannot be had.
-    zoo.posteriors.PosteriorError
+    zoo.core.posterior.files.PosteriorError
         If a folder does not exist, or a posterior was drawn with other conventions.
     ReportError
         If there is no posterior of any of the studies.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import helmert
 from scipy.optimize import minimize
 
-from zoo.study import Study
+from zoo.blood.study import Study
 
 Array = NDArray[np.float64]
 

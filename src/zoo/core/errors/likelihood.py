@@ -27,12 +27,12 @@ from pytensor.tensor.variable import TensorVariable
 from scipy.linalg import lapack
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
-from zoo.network import Network
-from zoo.op import BloodFlowOp, MissingGradientError
-from zoo.solver import SolverOptions
+from zoo.blood.network import Network
+from zoo.blood.op import BloodFlowOp, MissingGradientError
+from zoo.blood.solver import SolverOptions
 
 if TYPE_CHECKING:
-    from zoo.study import Study
+    from zoo.blood.study import Study
 
 Array = NDArray[np.float64]
 

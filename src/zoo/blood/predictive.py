@@ -15,17 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import elementwise
 from scipy.special import ndtr, ndtri
 
-from zoo.comparison import Progress, posterior_means, record_of, solver_inputs, thin
-from zoo.likelihood import JITTER, NOISE_VARIANCE, neural_network_kernel
-from zoo.network import Network
-from zoo.results import versions
-from zoo.solver import STATUS_NAMES, WALLS, Solution, Solver
+from zoo.blood.network import Network
+from zoo.blood.solver import STATUS_NAMES, WALLS, Solution, Solver
+from zoo.core.errors.likelihood import JITTER, NOISE_VARIANCE, neural_network_kernel
+from zoo.core.inference.results import versions
+from zoo.core.posterior.comparison import Progress, posterior_means, record_of, solver_inputs, thin
 
 if TYPE_CHECKING:
     import arviz as az
     import pymc as pm
 
-    from zoo.study import Study
+    from zoo.blood.study import Study
 
 Array = NDArray[np.float64]
 
@@ -435,7 +435,7 @@ def stiffness_draws(model: pm.Model, idata: az.InferenceData, *, n_draws: int | 
     idata : InferenceData
         Its posterior.
     n_draws : int or None
-        See `zoo.comparison.thin`; None takes all.
+        See `zoo.core.posterior.comparison.thin`; None takes all.
 
     Returns
     -------

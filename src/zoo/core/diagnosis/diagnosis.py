@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from zoo.conventions import Conventions
-from zoo.discrepancy import smooth_part
-from zoo.effects import CATALOGUE, Place, effects_for, get_base
-from zoo.results import versions
-from zoo.screening import (
+from zoo.blood.conventions import Conventions
+from zoo.blood.effects import CATALOGUE, Place, effects_for, get_base
+from zoo.blood.study import Study
+from zoo.core.diagnosis.discrepancy import smooth_part
+from zoo.core.diagnosis.screening import (
     CORRELATED,
     DOUBT,
     NO_GAP,
@@ -34,10 +34,10 @@ from zoo.screening import (
     SearchError,
     score,
 )
-from zoo.study import Study
+from zoo.core.inference.results import versions
 
 if TYPE_CHECKING:
-    from zoo.confirm import Confirmation
+    from zoo.core.diagnosis.confirm import Confirmation
 
 Array = NDArray[np.float64]
 
@@ -573,7 +573,7 @@ class Diagnosis:
         Diagnosis
             With `confirmation`, and its summary in `file`.
         """
-        from zoo.confirm import confirm
+        from zoo.core.diagnosis.confirm import confirm
 
         began = time.monotonic()
         found = confirm(self.rounds[0], cores=cores, seed=seed, folder=folder, tick=tick)
@@ -810,7 +810,7 @@ def diagnose(
     ------
     DiagnosisError
         If an argument is out of range, a series does not vary, or the base cannot be fitted.
-    zoo.effects.EffectError
+    zoo.blood.effects.EffectError
         If there is no such effect or base.
 
     References

@@ -19,8 +19,12 @@ from scipy.optimize import minimize_scalar
 from scipy.special import log_ndtr, logsumexp, ndtri_exp
 from scipy.stats import truncnorm
 
-from zoo.conventions import Conventions
-from zoo.discrepancy import (
+from zoo.blood.conventions import Conventions
+from zoo.blood.effects import CATALOGUE, Amplitude, Base, Effect, Place, apply_all, get_base, simulate
+from zoo.blood.network import Network
+from zoo.blood.solver import SolverArgumentError, SolverOptions
+from zoo.blood.study import Study
+from zoo.core.diagnosis.discrepancy import (
     CORRELATED_RATIO,
     LARGEST_DELTA,
     LENGTH_BEATS,
@@ -34,10 +38,6 @@ from zoo.discrepancy import (
     marginal,
     noise_log_prior,
 )
-from zoo.effects import CATALOGUE, Amplitude, Base, Effect, Place, apply_all, get_base, simulate
-from zoo.network import Network
-from zoo.solver import SolverArgumentError, SolverOptions
-from zoo.study import Study
 
 Array = NDArray[np.float64]
 

@@ -10,9 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.study import Blood, ReadOnlyArrays, Study, StudyError, Vessel, Windkessel, read_only, root_pressure
-from zoo.study import sort_vessels as _sort_vessels
-from zoo.units import MMHG, mmhg_to_cgs
+from zoo.blood.study import (
+    Blood,
+    ReadOnlyArrays,
+    Study,
+    StudyError,
+    Vessel,
+    Windkessel,
+    read_only,
+    root_pressure,
+)
+from zoo.blood.study import sort_vessels as _sort_vessels
+from zoo.blood.units import MMHG, mmhg_to_cgs
 
 Array = NDArray[np.float64]
 

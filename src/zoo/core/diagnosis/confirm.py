@@ -18,17 +18,17 @@ from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
 from scipy.special import logsumexp
 
-from zoo.comparison import thin
-from zoo.discrepancy import CORRELATED_RATIO, LENGTH_BEATS, MEMORY_BEATS, Harmonics
-from zoo.effects import get_base
-from zoo.likelihood import IidErrors
-from zoo.mode import LogPosterior
-from zoo.op import MissingGradientError
-from zoo.posteriors import sample_to
-from zoo.results import verdict
-from zoo.sampling import sample
-from zoo.screening import DOUBT, NO_GAP, Fit, Forward, Hypothesis, Scored, Screened
-from zoo.study import Study
+from zoo.blood.effects import get_base
+from zoo.blood.op import MissingGradientError
+from zoo.blood.study import Study
+from zoo.core.diagnosis.discrepancy import CORRELATED_RATIO, LENGTH_BEATS, MEMORY_BEATS, Harmonics
+from zoo.core.diagnosis.screening import DOUBT, NO_GAP, Fit, Forward, Hypothesis, Scored, Screened
+from zoo.core.errors.likelihood import IidErrors
+from zoo.core.inference.mode import LogPosterior
+from zoo.core.inference.results import verdict
+from zoo.core.inference.sampling import sample
+from zoo.core.posterior.comparison import thin
+from zoo.core.posterior.files import sample_to
 
 Array = NDArray[np.float64]
 
@@ -120,7 +120,7 @@ class HarmonicsOp(Op):
 def effect_model(screened: Screened, fit: Fit) -> pm.Model:
     """A base with its effects as a PyMC model, its errors in the harmonics.
 
-    z_k ~ N(z_k(theta, amplitudes), S_k), S as in `zoo.discrepancy.Errors`; base parameters uniform,
+    z_k ~ N(z_k(theta, amplitudes), S_k), S as in `zoo.core.diagnosis.discrepancy.Errors`; base parameters uniform,
     amplitudes with their truncated normal priors, noise and allowance as in the screening.
 
     Parameters

@@ -16,7 +16,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.likelihood import (
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.study import Study
+from zoo.core.errors.likelihood import (
     B_RANGE,
     JITTER,
     NOISE_VARIANCE,
@@ -25,16 +28,13 @@ from zoo.likelihood import (
     neural_network_kernel,
     whiten,
 )
-from zoo.mode import LogPosterior
+from zoo.core.inference.mode import LogPosterior
+from zoo.core.inference.progress import bar
+from zoo.core.inference.results import ESS_TARGET, save, verdict, versions
+from zoo.core.inference.workers import each
+from zoo.core.posterior.files import belongs, checkpoint_of, load_for, sample_to
 from zoo.models import get_model
-from zoo.network import Network, stiffness_profile
-from zoo.posteriors import belongs, checkpoint_of, load_for, sample_to
-from zoo.progress import bar
-from zoo.results import ESS_TARGET, save, verdict, versions
-from zoo.solver import Solver, SolverOptions
-from zoo.study import Study
-from zoo.synthetic import Truth, synthetic_study
-from zoo.workers import each
+from zoo.paper.synthetic import Truth, synthetic_study
 
 if TYPE_CHECKING:
     import arviz as az

@@ -1,6 +1,6 @@
 """Synthetic studies: model E's family with correlated errors (section 2.2 of Paun et al. 2020).
 
-`python -m zoo.synthetic FOLDER` makes the embedded study `demo` again.
+`python -m zoo.paper.synthetic FOLDER` makes the embedded study `demo` again.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from scipy.special import gammaln
 
-from zoo.likelihood import JITTER, NOISE_VARIANCE, neural_network_kernel
-from zoo.network import Network, stiffness_profile
-from zoo.solver import Solver, SolverOptions
-from zoo.study import Series, Study, read_network, save_study
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.study import Series, Study, read_network, save_study
+from zoo.core.errors.likelihood import JITTER, NOISE_VARIANCE, neural_network_kernel
 
 Array = NDArray[np.float64]
 
@@ -258,7 +258,7 @@ def demo_study() -> Study:
 
 if __name__ == "__main__":
     if len(sys.argv) != 2:
-        sys.exit("usage: python -m zoo.synthetic FOLDER")
+        sys.exit("usage: python -m zoo.paper.synthetic FOLDER")
     made = demo_study()
     save_study(made, sys.argv[1])
     print(f"{sys.argv[1]}: {len(made.series)} series, signal to noise {signal_to_noise(made):.0f}")

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zoo._native import ffi, lib
-from zoo.conventions import PRINTED, Conventions
-from zoo.network import Network
-from zoo.study import ReadOnlyArrays, read_only
-from zoo.units import cgs_to_mmhg
+from zoo.blood.conventions import PRINTED, Conventions
+from zoo.blood.network import Network
+from zoo.blood.study import ReadOnlyArrays, read_only
+from zoo.blood.units import cgs_to_mmhg
 
 if TYPE_CHECKING:
-    from zoo.study import Study
+    from zoo.blood.study import Study
 
 Array = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
-from zoo.likelihood import DECOMPOSITIONS, ModelRecord, pointwise_log_likelihoods
-from zoo.results import Verdict, judged
+from zoo.core.errors.likelihood import DECOMPOSITIONS, ModelRecord, pointwise_log_likelihoods
+from zoo.core.inference.results import Verdict, judged
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

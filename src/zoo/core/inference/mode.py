@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import floatX, join_nonshared_inputs
 
-from zoo.likelihood import ModelRecord, whiten
-from zoo.steps import T_DOF, Array, Gaussian, Point, compile_logp, counting_ops
+from zoo.core.errors.likelihood import ModelRecord, whiten
+from zoo.core.inference.steps import T_DOF, Array, Gaussian, Point, compile_logp, counting_ops
 
 LARGE = 100.0
 """Size of an unconstrained coordinate from which it is scaled for the search."""
@@ -395,7 +395,7 @@ def gauss_newton(
     from scipy.optimize import minimize
 
     model = _Residuals(logp)
-    data, before = logp.model.zoo.study.values, logp.evaluations
+    data, before = logp.model.zoo.blood.study.values, logp.evaluations
     theta, eta = np.flatnonzero(~model.of_errors), np.flatnonzero(model.of_errors)
     curvature = np.diag(model.prior(logp.vector(logp.initial))[1])
     scale = 1.0 / np.sqrt(np.where(curvature > 0, curvature, 1.0))  # prior standard deviations

@@ -1,7 +1,7 @@
 """What a base model may lack: a catalogue of effects, each switched on by an amplitude that is 0 in the base.
 
 An effect takes a `Case`, a solve about to be made, and returns a changed copy: another network, another
-inflow, other parameters, terms inside the solver (`zoo.solver.Physics`), or a function that acts on the
+inflow, other parameters, terms inside the solver (`zoo.blood.solver.Physics`), or a function that acts on the
 solved waves, as a sensor does. To add one, copy any function of the last part of this file with its
 `@effect(...)`; docs/effects.md shows one of ten lines.
 """
@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.conventions import Conventions
-from zoo.network import Network, stiffness_profile
-from zoo.solver import PUBLISHED_CELLS_PER_CM, Physics, Solver, SolverArgumentError, SolverOptions
-from zoo.study import QUANTITIES, Study
+from zoo.blood.conventions import Conventions
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import PUBLISHED_CELLS_PER_CM, Physics, Solver, SolverArgumentError, SolverOptions
+from zoo.blood.study import QUANTITIES, Study
 
 Array = NDArray[np.float64]
 
@@ -140,7 +140,7 @@ def simulate(
 
     Raises
     ------
-    zoo.study.StudyError
+    zoo.blood.study.StudyError
         If a vessel is not in the network.
     EffectError
         If a position or a quantity does not exist.
@@ -404,7 +404,7 @@ def members(network: Network, place: Place) -> NDArray[np.bool_]:
 
     Raises
     ------
-    zoo.study.StudyError
+    zoo.blood.study.StudyError
         If its vessel is not in the network.
     """
     if place.vessel is None:

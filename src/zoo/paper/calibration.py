@@ -18,14 +18,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.mode import LogPosterior, Mode, Start, disperse, model_name, newton
-from zoo.progress import bar
-from zoo.sampling import DEMETROPOLISZ
-from zoo.solver import SolverOptions
-from zoo.steps import Archive, DEMetropolisZ
-from zoo.study import Blood, Series, Study, Vessel, Windkessel
-from zoo.synthetic import PERIOD_S, ejection
-from zoo.workers import each
+from zoo.blood.solver import SolverOptions
+from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
+from zoo.core.inference.mode import LogPosterior, Mode, Start, disperse, model_name, newton
+from zoo.core.inference.progress import bar
+from zoo.core.inference.sampling import DEMETROPOLISZ
+from zoo.core.inference.steps import Archive, DEMetropolisZ
+from zoo.core.inference.workers import each
+from zoo.paper.synthetic import PERIOD_S, ejection
 
 if TYPE_CHECKING:
     import pymc as pm
@@ -338,7 +338,7 @@ class Replicator:
         """Sample the posterior of the present data as `zoo.sample` does, its mode searched from `start`.
 
         Newton steps find the mode, chains start from a t distribution twice as wide as the Gaussian there,
-        and `zoo.steps.DEMetropolisZ` makes the steps, with the options that `zoo.sample` gives it.
+        and `zoo.core.inference.steps.DEMetropolisZ` makes the steps, with the options that `zoo.sample` gives it.
         """
         settings = settings or Settings()
         before = self.logp.evaluations

@@ -19,8 +19,8 @@ import numpy as np
 import pymc as pm
 from numpy.typing import ArrayLike
 
-from zoo.chains import Chains, CheckpointError, Fleet, InlineChains, Task, unpickle, write
-from zoo.mode import (
+from zoo.core.inference.chains import Chains, CheckpointError, Fleet, InlineChains, Task, unpickle, write
+from zoo.core.inference.mode import (
     MANY,
     LogPosterior,
     Mode,
@@ -31,9 +31,9 @@ from zoo.mode import (
     model_name,
     search_mode,
 )
-from zoo.progress import Display
-from zoo.results import ESS_TARGET, RunRecord, diagnose, ess_to_count
-from zoo.steps import Array, DEMetropolisZ, Metropolis
+from zoo.core.inference.progress import Display
+from zoo.core.inference.results import ESS_TARGET, RunRecord, diagnose, ess_to_count
+from zoo.core.inference.steps import Array, DEMetropolisZ, Metropolis
 
 if TYPE_CHECKING:
     import arviz as az
@@ -53,7 +53,7 @@ STEPS = ("demetropolisz", "metropolis")
 PILOTS = 4
 """Most rounds of short chains that look for a higher mode of a model with many parameters."""
 DEMETROPOLISZ: Mapping[str, Any] = {"crank_nicolson": 0.5, "own_units": 0.5, "tune_drop_fraction": 0.5}
-"""Options of `zoo.steps.DEMetropolisZ`."""
+"""Options of `zoo.core.inference.steps.DEMetropolisZ`."""
 
 
 class CheckpointInUseError(CheckpointError):
@@ -240,7 +240,7 @@ def sample(
     -------
     arviz.InferenceData
         posterior; sample_stats (for each stored draw: lp, accept, accepted, solves, solver_failures);
-        observed_data; attributes with the run record (`zoo.results.RunRecord.of`).
+        observed_data; attributes with the run record (`zoo.core.inference.results.RunRecord.of`).
 
     Raises
     ------

@@ -144,13 +144,15 @@ class RunRecord:
         Raises
         ------
         ResultsError
-            If there is none (the draws were not made by `zoo.sampling.sample`).
+            If there is none (the draws were not made by `zoo.core.inference.sampling.sample`).
         """
         text = idata.attrs.get(_RECORD_ATTR)
         if text is None and "posterior" in idata.groups():
             text = idata.posterior.attrs.get(_RECORD_ATTR)
         if text is None:
-            raise ResultsError("no run record in this InferenceData; only zoo.sampling.sample writes one")
+            raise ResultsError(
+                "no run record in this InferenceData; only zoo.core.inference.sampling.sample writes one"
+            )
         return cls.from_json(str(text))
 
     def attach(self, idata: Any) -> None:
@@ -593,7 +595,7 @@ def slim(idata: Any, n_draws: int = 1000) -> Any:
     Parameters
     ----------
     idata : arviz.InferenceData
-        From `zoo.sampling.sample`; left as it is.
+        From `zoo.core.inference.sampling.sample`; left as it is.
     n_draws : int
         Draws of all chains together, rounded up to the same number in each.
 

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zoo.results import ResultsError, RunRecord, load, save
-from zoo.sampling import sample
+from zoo.core.inference.results import ResultsError, RunRecord, load, save
+from zoo.core.inference.sampling import sample
 
 if TYPE_CHECKING:
     import arviz as az
 
-    from zoo.study import Study
+    from zoo.blood.study import Study
 
 
 class PosteriorError(ValueError):
@@ -38,7 +38,7 @@ def sample_to(path: str | Path, model: Any, **settings: Any) -> az.InferenceData
 
     Raises
     ------
-    zoo.sampling.CheckpointError
+    zoo.core.inference.sampling.CheckpointError
         If the checkpoint is in use, or of another run.
     """
     path = Path(path)
@@ -92,7 +92,7 @@ def load_for(path: str | Path, model: Any) -> az.InferenceData:
     ------
     PosteriorError
         If it was drawn from others.
-    zoo.results.ResultsError
+    zoo.core.inference.results.ResultsError
         If the file is no posterior.
     """
     idata: az.InferenceData = load(path)
@@ -144,7 +144,7 @@ def find(
     ------
     PosteriorError
         If there is no such file, or it is of another model.
-    zoo.results.ResultsError
+    zoo.core.inference.results.ResultsError
         If a file that was named is no posterior.
     """
     found: dict[str, Path] = {}

@@ -17,12 +17,12 @@ from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
 from pytensor.tensor.variable import TensorVariable
 
-from zoo.network import Network
-from zoo.solver import STATUS_NAMES, BatchSolution, Solution, Solver, SolverOptions
+from zoo.blood.network import Network
+from zoo.blood.solver import STATUS_NAMES, BatchSolution, Solution, Solver, SolverOptions
 
 if TYPE_CHECKING:
-    from zoo.conventions import Conventions
-    from zoo.study import Study
+    from zoo.blood.conventions import Conventions
+    from zoo.blood.study import Study
 
 Array = NDArray[np.float64]
 

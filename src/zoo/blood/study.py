@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from zoo.conventions import PRINTED, Conventions, ConventionsError, get_conventions
-from zoo.fetch import fetch_file
+from zoo.blood.conventions import PRINTED, Conventions, ConventionsError, get_conventions
+from zoo.blood.fetch import fetch_file
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ _STEP_TOLERANCE = 0.02  # of a step: how far two neighbouring samples may be fro
 _GRID_TOLERANCE = 0.1  # of a step: how far a sample may be from its place on the uniform grid
 _PERIOD_TOLERANCE = 0.05  # of a step: how far the samples' length may be from the period
 _TIME_ROUNDING_S = 2e-8  # two times printed with 8 decimals
-_BUILT_IN = Path(__file__).parent / "data"
+_BUILT_IN = Path(__file__).parents[1] / "data"
 
 
 class StudyError(ValueError):
@@ -754,7 +754,7 @@ def load_study(
     name_or_folder : str or Path
         A built-in name (see `list_studies`), or a folder with a ``study.toml``.
     conventions : str, mapping or Conventions
-        Instead of the study's own; as in `zoo.conventions.get_conventions`.
+        Instead of the study's own; as in `zoo.blood.conventions.get_conventions`.
 
     Returns
     -------
@@ -764,9 +764,9 @@ def load_study(
     ------
     StudyError
         If anything in it is wrong: one line with the file, row, field, value and remedy.
-    zoo.fetch.FetchError
+    zoo.blood.fetch.FetchError
         If it is made of measured data that cannot be had.
-    zoo.conventions.ConventionsError
+    zoo.blood.conventions.ConventionsError
         If `conventions` do not exist.
     """
     folder, source = _find(name_or_folder)

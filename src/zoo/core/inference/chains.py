@@ -25,9 +25,9 @@ import numpy as np
 from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import floatX
 
-from zoo.mode import SamplingError, outputs
-from zoo.progress import ChainState, Display
-from zoo.steps import Array, DEMetropolisZ, Gaussian, Metropolis, Point, count, counting_ops
+from zoo.core.inference.mode import SamplingError, outputs
+from zoo.core.inference.progress import ChainState, Display
+from zoo.core.inference.steps import Array, DEMetropolisZ, Gaussian, Metropolis, Point, count, counting_ops
 
 
 class CheckpointError(SamplingError):
@@ -259,7 +259,7 @@ _ONE_THREAD = dict.fromkeys(
 # without `if __name__ == "__main__"` does not survive.
 _BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from zoo.chains import worker_main; worker_main()"
+    "from zoo.core.inference.chains import worker_main; worker_main()"
 )
 
 

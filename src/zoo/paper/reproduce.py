@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from zoo.core.inference.results import RunRecord, judged
+from zoo.core.posterior.files import matching, refuse_other_settings, sample_to
 from zoo.models import MODELS, get_model
-from zoo.posteriors import matching, refuse_other_settings, sample_to
-from zoo.results import RunRecord, judged
 
 if TYPE_CHECKING:
     import arviz as az
     import pymc as pm
 
-    from zoo.study import Study
+    from zoo.blood.study import Study
 
 PARAMETERS = ("f1", "f2", "f3", "gamma", "psi1", "psi2", "c", "w", "b")
 REFERENCE = "B"
@@ -120,7 +120,7 @@ def nine_posteriors(
 
     Raises
     ------
-    zoo.posteriors.PosteriorError
+    zoo.core.posterior.files.PosteriorError
         If a posterior there was drawn with another seed or other settings.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -217,7 +217,7 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     comparison : DataFrame
-        From `zoo.comparison.compare`.
+        From `zoo.core.posterior.comparison.compare`.
 
     Returns
     -------
@@ -485,7 +485,7 @@ def reproduce(
     -------
     Reproduction
     """
-    from zoo.comparison import compare
+    from zoo.core.posterior.comparison import compare
 
     posteriors, models = nine_posteriors(study, folder, names, say=say, **settings)
     comparison = compare(posteriors, models)
@@ -512,7 +512,8 @@ def paper_figures(
     say: Callable[[str], None] = lambda text: None,
 ) -> None:
     """Figures 4 to 9 of the paper, from the models that are there, and the widths of its table S1."""
-    from zoo import plots, predictive
+    from zoo import plots
+    from zoo.blood import predictive
 
     place = folder / "figures"
     place.mkdir(exist_ok=True)
@@ -577,15 +578,15 @@ def synthetic_tables(scores: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     scores : DataFrame
-        From `zoo.coverage.run`.
+        From `zoo.paper.coverage.run`.
 
     Returns
     -------
     DataFrame
-        Index scenario; columns of `zoo.coverage.summarise`, published_relative_sse, published_density_NAME,
+        Index scenario; columns of `zoo.paper.coverage.summarise`, published_relative_sse, published_density_NAME,
         joint_ratio and published_joint_ratio (to "mismatch, 1 vessel").
     """
-    from zoo.coverage import THETA, summarise
+    from zoo.paper.coverage import THETA, summarise
 
     table = summarise(scores)
     numbers = _numbers()
@@ -616,7 +617,7 @@ def synthetic_figures(scores: pd.DataFrame, base: Study, folder: Path) -> None:
     Parameters
     ----------
     scores : DataFrame
-        From `zoo.coverage.run`: which fits there are.
+        From `zoo.paper.coverage.run`: which fits there are.
     base : Study
         What the data sets were made from.
     folder : Path
@@ -625,8 +626,8 @@ def synthetic_figures(scores: pd.DataFrame, base: Study, folder: Path) -> None:
     from dataclasses import asdict
 
     from zoo import plots
-    from zoo.coverage import PAPER_TRUTH, THETA
-    from zoo.results import load
+    from zoo.core.inference.results import load
+    from zoo.paper.coverage import PAPER_TRUTH, THETA
 
     def draws(file: str) -> dict[str, Any]:
         posterior = load(folder / file)["posterior"]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from zoo.results import ESS_TARGET, Verdict, diagnose
+from zoo.core.inference.results import ESS_TARGET, Verdict, diagnose
 
 
 @dataclass

@@ -22,9 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom, truncnorm
 
-from zoo.diagnosis import UNITS, DiagnosisError, DiagnosisFile, HypothesisResult, diagnose, read_diagnosis
-from zoo.discrepancy import Errors, Harmonics
-from zoo.effects import (
+from zoo.blood.effects import (
     CATALOGUE,
     Amplitude,
     Case,
@@ -39,14 +37,31 @@ from zoo.effects import (
     simulate,
     with_physics,
 )
-from zoo.network import R1_SHARE, with_nominal_loads
-from zoo.results import versions
-from zoo.screening import CORRELATED, NO_GAP, UNLISTED, Forward, Hypothesis, Search, SearchError
-from zoo.solver import SolverArgumentError, SolverOptions
-from zoo.study import Blood, Series, Study, StudyError, Vessel, Windkessel, load_study
-from zoo.synthetic import PERIOD_S, ejection
-from zoo.units import MMHG, mmhg_to_cgs
-from zoo.workers import each
+from zoo.blood.network import R1_SHARE, with_nominal_loads
+from zoo.blood.solver import SolverArgumentError, SolverOptions
+from zoo.blood.study import Blood, Series, Study, StudyError, Vessel, Windkessel, load_study
+from zoo.blood.units import MMHG, mmhg_to_cgs
+from zoo.core.diagnosis.diagnosis import (
+    UNITS,
+    DiagnosisError,
+    DiagnosisFile,
+    HypothesisResult,
+    diagnose,
+    read_diagnosis,
+)
+from zoo.core.diagnosis.discrepancy import Errors, Harmonics
+from zoo.core.diagnosis.screening import (
+    CORRELATED,
+    NO_GAP,
+    UNLISTED,
+    Forward,
+    Hypothesis,
+    Search,
+    SearchError,
+)
+from zoo.core.inference.results import versions
+from zoo.core.inference.workers import each
+from zoo.paper.synthetic import PERIOD_S, ejection
 
 Array = NDArray[np.float64]
 Added = tuple[tuple[Effect, tuple[float, ...], Place], ...]
@@ -119,7 +134,7 @@ def _outside(
     name: str, family: str, change: Callable[..., Case], equation: str, amplitude: Amplitude
 ) -> Effect:
     text = (change.__doc__ or "").strip()
-    return Effect(name, family, text, equation, "zoo.blind", "", (amplitude,), everywhere, change)
+    return Effect(name, family, text, equation, "zoo.blood.blind", "", (amplitude,), everywhere, change)
 
 
 OUTSIDE: dict[str, Effect] = {
@@ -148,7 +163,7 @@ OUTSIDE: dict[str, Effect] = {
         ),
     )
 }
-"""Not in `zoo.effects.CATALOGUE`, so that no diagnosis can name them; `second-effect` is two listed ones."""
+"""Not in `zoo.blood.effects.CATALOGUE`, so that no diagnosis can name them; `second-effect` is two listed ones."""
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -1051,7 +1066,7 @@ def run(
     confirm : bool
         Sample the leading explanations' posteriors too.
     max_effects, effects, seed
-        As in `zoo.diagnosis.diagnose`.
+        As in `zoo.core.diagnosis.diagnosis.diagnose`.
     cores : int
         Processes.
     done : callable
@@ -1229,7 +1244,7 @@ def _other_truth(entry: Mapping[str, Any]) -> Truth:
     if kind == "listed" and name not in CATALOGUE:
         raise BlindError(
             f"key of {entry['case']}: effect {entry['effect']!r}: is not in the catalogue; "
-            "add its name to zoo.blind.OTHER_NAMES"
+            "add its name to zoo.blood.blind.OTHER_NAMES"
         )
     effects: tuple[TrueEffect, ...] = ()
     if kind != "none":

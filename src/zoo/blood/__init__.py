@@ -1,0 +1,1 @@
+"""One-dimensional blood flow: studies, the solver, its forward model, its effects."""

@@ -1,0 +1,1 @@
+"""What knows no blood: data, forward models, effects, errors, inference, posteriors, diagnosis."""

@@ -1,0 +1,1 @@
+"""Where a baseline model misses the data, and which effect explains it."""

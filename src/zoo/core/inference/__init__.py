@@ -1,0 +1,1 @@
+"""Modes, step methods, chains in processes, and when they have converged."""

@@ -1,0 +1,1 @@
+"""Stored posteriors, what they predict, and how models compare."""
