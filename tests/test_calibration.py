@@ -142,7 +142,7 @@ def test_truths_have_the_prior_and_data_the_errors(replicators: dict[str, Replic
     gamma = stats.gamma(0.001, scale=1 / 0.001)  # of 1/sigma2
     low, high = gamma.sf(1 / 1e-3), gamma.sf(1 / 1.0)
     assert stats.kstest(sigma2, lambda x: (gamma.sf(1 / x) - low) / (high - low)).pvalue > 1e-3
-    solver = replicator.model.zoo.blood.op.solver  # type: ignore[attr-defined]
+    solver = replicator.model.zoo.op.solver  # type: ignore[attr-defined]
     z = []
     for d in drawn[:20]:
         outlets = {name: d.values[name] for name in ("psi1", "psi2", "c")}

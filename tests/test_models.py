@@ -190,12 +190,12 @@ def test_a_pickled_model_keeps_its_density_and_record(name: str, study: Study) -
     model = get_model(name)(study)
     copy = pickle.loads(cloudpickle.dumps(model))
     point = model.initial_point()
-    model.zoo.blood.op.clear_cache()
-    model.zoo.blood.op.reset_counts()
+    model.zoo.op.clear_cache()
+    model.zoo.op.reset_counts()
     assert float(copy.compile_logp()(point)) == float(model.compile_logp()(point))
     assert (copy.zoo.name, copy.zoo.parameters) == (model.zoo.name, model.zoo.parameters)
-    assert copy.zoo.blood.op == model.zoo.blood.op
-    assert copy.zoo.blood.op.counts["solves"] == 1  # in one process copies share their solved points
+    assert copy.zoo.op == model.zoo.op
+    assert copy.zoo.op.counts["solves"] == 1  # in one process copies share their solved points
 
 
 def test_likelihood_of_a(study: Study) -> None:

@@ -79,7 +79,7 @@ def test_waves_are_those_of_single_solves(study: Study, name: str) -> None:
         chi = stiffness_profile([0.047, 0.026, 0.037], draw["f1"], draw["f2"], draw["f3"])
     wall = {"B": "linear", "I": "tangent"}[name]
     times = waves["time"].to_numpy() + 0.05 * 0.11
-    conventions = model.zoo.blood.op.solver.conventions
+    conventions = model.zoo.op.solver.conventions
     alone = Solver.for_study(study, wall, series=[(3, 0.5)], times_s=times, conventions=conventions)
     scales = {p: draw[p] for p in ("psi1", "psi2", "c")}
     solution = alone.solve(chi, draw.get("gamma", 2.0), **scales)

@@ -395,7 +395,7 @@ def gauss_newton(
     from scipy.optimize import minimize
 
     model = _Residuals(logp)
-    data, before = logp.model.zoo.blood.study.values, logp.evaluations
+    data, before = logp.model.zoo.study.values, logp.evaluations
     theta, eta = np.flatnonzero(~model.of_errors), np.flatnonzero(model.of_errors)
     curvature = np.diag(model.prior(logp.vector(logp.initial))[1])
     scale = 1.0 / np.sqrt(np.where(curvature > 0, curvature, 1.0))  # prior standard deviations
