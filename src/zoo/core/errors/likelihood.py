@@ -17,8 +17,6 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 from numpy.typing import ArrayLike, NDArray
-from pymc.distributions import transforms
-from pymc.distributions.continuous import BoundedContinuous
 from pymc.distributions.distribution import Continuous
 from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
@@ -30,6 +28,7 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 from zoo.blood.network import Network
 from zoo.blood.op import BloodFlowOp, MissingGradientError
 from zoo.blood.solver import SolverOptions
+from zoo.core.distributions import LogUniform as LogUniform
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
@@ -442,47 +441,6 @@ class GPErrors(Continuous):
 
     def logp(value, mean, ok, time_s, w, b):  # type: ignore[no-untyped-def]
         return pt.switch(ok, gp_terms(value - mean, time_s, w, b), -np.inf)
-
-
-class LogUniformRV(RandomVariable):
-    """Draws of `LogUniform`."""
-
-    name = "log_uniform"
-    signature = "(),()->()"
-    dtype = "floatX"
-    _print_name = ("LogUniform", "\\operatorname{LogUniform}")
-
-    @classmethod
-    def rng_fn(cls, rng: np.random.Generator, lower: Array, upper: Array, size: Any = None) -> Array:
-        """The exponential of a uniform draw."""
-        return np.asarray(np.exp(rng.uniform(np.log(lower), np.log(upper), size=size)))
-
-
-class LogUniform(BoundedContinuous):
-    """Distribution whose logarithm is uniform: p(x) = 1/(x log(upper/lower)), lower < x < upper."""
-
-    rv_op = LogUniformRV()
-
-    @classmethod
-    def dist(cls, lower: Any, upper: Any, **kwargs: Any) -> Any:
-        """Positive bounds."""
-        return super().dist([lower, upper], **kwargs)
-
-    def support_point(rv, size, lower, upper):  # type: ignore[no-untyped-def]
-        return pt.zeros_like(rv) + pt.sqrt(lower * upper)
-
-    def logp(value, lower, upper):  # type: ignore[no-untyped-def]
-        inside = pt.and_(pt.ge(value, lower), pt.le(value, upper))
-        return pt.switch(inside, -pt.log(value) - pt.log(pt.log(upper / lower)), -np.inf)
-
-
-def _log_bounds(*inputs: Any) -> tuple[Any, Any]:
-    return pt.log(inputs[-2]), pt.log(inputs[-1])
-
-
-@transforms._default_transform.register(LogUniformRV)
-def _log_uniform_transform(op: Op, rv: Any) -> Any:
-    return transforms.Chain([transforms.log, transforms.Interval(bounds_fn=_log_bounds)])
 
 
 # ---------------------------------------------------------------------------------------------------

@@ -1,0 +1,157 @@
+"""Measured series, whatever they measure: times, values, labels, units, and which share their noise."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class DataError(ValueError):
+    """Data that do not fit together; the text names the field and says what to change."""
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Series that were measured at the same times; frozen, with read-only arrays.
+
+    Parameters
+    ----------
+    times : array (n_times,)
+        Uniform and ascending, in `time_unit`.
+    values : array (n_series, n_times)
+        Each series in its own unit.
+    labels : sequence of str
+        A name for each series; "y0", "y1" and so on if absent.
+    units : sequence of str
+        Of each series; "1" if absent.
+    groups : sequence of str, optional
+        Series of one group are of one quantity: they have one unit, one noise and may share a discrepancy.
+        Each series is a group of its own, named by its label, if absent.
+    period : float, optional
+        Of a record that repeats itself, in `time_unit`; the n_times then cover it once. None: not periodic.
+    outputs : sequence of hashable, optional
+        What a forward model is asked for, one for each series; the labels if absent.
+    time_unit : str
+    name : str
+    source : str
+        Where they come from; errors name it.
+
+    Raises
+    ------
+    DataError
+        If shapes do not fit, a value is not finite, times are not uniform, or a group has two units.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.linspace(0, 1, 8, endpoint=False)
+    >>> Data(t, np.sin(t)[None], labels=["y"], units=["V"]).values.shape
+    (1, 8)
+    """
+
+    times: Array
+    values: Array
+    labels: Sequence[str] = ()
+    units: Sequence[str] = ()
+    groups: Sequence[str] = ()
+    period: float | None = None
+    outputs: Sequence[Hashable] = ()
+    time_unit: str = "s"
+    name: str = "data"
+    source: str = ""
+    checksum: str = field(default="", repr=False)
+
+    def __post_init__(self) -> None:
+        times, values = (np.array(x, dtype=np.float64) for x in (self.times, self.values))
+        if values.ndim == 1:
+            values = values[None]
+        if times.ndim != 1 or values.ndim != 2 or values.shape[1] != len(times):
+            raise DataError(
+                f"{self._where}values have shape {values.shape} and times {times.shape}: give one row for "
+                "each series and one column for each time"
+            )
+        for name, array in (("times", times), ("values", values)):
+            if not np.all(np.isfinite(array)):
+                at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+                raise DataError(
+                    f"{self._where}{name}{list(at)} = {array[at]}: must be finite; correct or leave out"
+                )
+            array.flags.writeable = False
+        if len(times) > 1:
+            steps = np.diff(times)
+            if steps.min() <= 0 or np.ptp(steps) > 1e-6 * abs(steps.mean()):
+                raise DataError(f"{self._where}times must ascend in equal steps; sample the series so")
+        n = len(values)
+        put: dict[str, Any] = {"times": times, "values": values}
+        put["labels"] = tuple(str(x) for x in self.labels) or tuple(f"y{i}" for i in range(n))
+        put["units"] = tuple(str(x) for x in self.units) or ("1",) * n
+        put["groups"] = tuple(str(x) for x in self.groups) or put["labels"]
+        put["outputs"] = tuple(self.outputs) or put["labels"]
+        for name in ("labels", "units", "groups", "outputs"):
+            if len(put[name]) != n:
+                raise DataError(f"{self._where}{len(put[name])} {name} for {n} series: give one for each")
+        if len(set(put["labels"])) < n:
+            raise DataError(f"{self._where}labels {', '.join(put['labels'])}: must differ")
+        for group in set(put["groups"]):
+            units = {u for u, g in zip(put["units"], put["groups"], strict=True) if g == group}
+            if len(units) > 1:
+                raise DataError(
+                    f"{self._where}group {group!r} has series in {' and '.join(sorted(units))}: series of "
+                    "one group share their noise, so give them one unit, or groups of their own"
+                )
+        if self.period is not None and len(times) > 1:
+            covered = len(times) * (times[1] - times[0])
+            if not abs(covered - self.period) < 1e-6 * self.period:
+                raise DataError(
+                    f"{self._where}period = {self.period}: the {len(times)} times cover {covered:g} "
+                    f"{self.time_unit}; sample one period at m period/n, or give period=None"
+                )
+        for name, value in put.items():
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "checksum", self._checksum())
+
+    @property
+    def _where(self) -> str:
+        return f"{self.source or self.name}: "
+
+    def _checksum(self) -> str:
+        words = [list(self.labels), list(self.units), list(self.groups), self.period, self.time_unit]
+        digest = hashlib.sha256(json.dumps(words).encode())
+        for array in (self.times, self.values):
+            digest.update(array.astype("<f8").tobytes())
+        return digest.hexdigest()
+
+    @property
+    def n_series(self) -> int:
+        """Number of series."""
+        return len(self.values)
+
+    @property
+    def n_times(self) -> int:
+        """Number of samples of each series."""
+        return len(self.times)
+
+    @property
+    def duration(self) -> float:
+        """Period of periodic data, else n_times steps, in `time_unit`."""
+        if self.period is not None:
+            return float(self.period)
+        return float(len(self.times) * (self.times[1] - self.times[0])) if len(self.times) > 1 else 1.0
+
+    @property
+    def rows(self) -> dict[str, list[int]]:
+        """Indices of the series of each group, in the order of their first series."""
+        names = dict.fromkeys(self.groups)
+        return {g: [i for i, other in enumerate(self.groups) if other == g] for g in names}
+
+    def unit(self, group: str) -> str:
+        """Unit of a group's series."""
+        return self.units[list(self.groups).index(group)]

@@ -1,0 +1,217 @@
+"""What a forward model is: parameters, a configuration made of them, and series solved from it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zoo.core.parameters import Parameter, Uniform
+
+Array = NDArray[np.float64]
+
+
+class SolveError(RuntimeError):
+    """A forward model has no solution at a point.
+
+    Outside sampling it is raised; inside, the point has zero likelihood and is counted under `kind`.
+
+    Parameters
+    ----------
+    reason : str
+        In words, with what to change.
+    kind : str
+        A short key under which failures are counted, such as "collapse".
+    """
+
+    def __init__(self, reason: str, kind: str = "failed") -> None:
+        super().__init__(reason)
+        self.kind = kind
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """What is asked of a solve: series and the times at which they are sampled.
+
+    Parameters
+    ----------
+    series : tuple of hashable
+        What each series is, in the forward model's own terms; in blood (vessel, position, quantity).
+    times : array (n_times,)
+    """
+
+    series: tuple[Hashable, ...]
+    times: Array
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(n_series, n_times)."""
+        return len(self.series), len(self.times)
+
+
+@runtime_checkable
+class ForwardModel(Protocol):
+    """A simulator, as everything else in zoo sees it.
+
+    Attributes
+    ----------
+    name : str
+    parameters : tuple of Parameter
+    outputs : Outputs
+        What is observed; the default of `solve`.
+    key : str
+        Digest of everything that a solution depends on besides theta: two forward models with one key give
+        the same numbers.
+    families : tuple of str
+        Kinds of effects in the order in which they are applied; empty if it does not matter.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    outputs: Outputs
+    families: tuple[str, ...]
+
+    @property
+    def key(self) -> str: ...
+
+    def configure(self, theta: Array) -> Any:
+        """A solve about to be made, from parameters (n_values,); what effects may change."""
+        ...
+
+    def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
+        """Series (n_series, n_times), each in its own unit.
+
+        Raises
+        ------
+        SolveError
+            If there is no solution.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionModel:
+    """A forward model made of one function of the configuration and the times.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(configuration, times) -> array (n_series, n_times)`` or (n_times,). The configuration is a
+        dict of parameters by name; effects may change it and add to it.
+    parameters : tuple of Parameter
+    outputs : Outputs
+    name : str
+    families : tuple of str
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.linspace(0.0, 1.0, 5)
+    >>> line = FunctionModel(lambda c, t: c["slope"] * t, (Parameter("slope", Uniform(0, 2)),), Outputs(("y",), t))
+    >>> line.solve(line.configure([0.5]))
+    array([[0.   , 0.125, 0.25 , 0.375, 0.5  ]])
+    """
+
+    function: Callable[[Any, Array], Any]
+    parameters: tuple[Parameter, ...]
+    outputs: Outputs
+    name: str = "function"
+    families: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """Digest of the function's code, the parameters and the outputs."""
+        code = getattr(self.function, "__code__", None)
+        text = (code.co_code + repr(code.co_consts).encode()) if code else repr(self.function).encode()
+        return content_key(text, self.name, repr(self.parameters), self.outputs)
+
+    def configure(self, theta: ArrayLike) -> dict[str, Any]:
+        """Parameters by name."""
+        from zoo.core.parameters import unpack
+
+        return dict(unpack(self.parameters, theta))
+
+    def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
+        """The function's series, checked for shape and finiteness.
+
+        Raises
+        ------
+        SolveError
+            If the function raises one, or returns another shape or what is not finite.
+        """
+        wanted = outputs or self.outputs
+        values = np.atleast_2d(np.asarray(self.function(configuration, wanted.times), dtype=np.float64))
+        if values.shape != wanted.shape:
+            raise SolveError(f"{self.name}: series of shape {values.shape}, wanted {wanted.shape}", "shape")
+        if not np.all(np.isfinite(values)):
+            raise SolveError(f"{self.name}: the solution is not finite", "not-finite")
+        return values
+
+
+def content_key(*parts: Any) -> str:
+    """SHA-256 of texts, bytes, arrays and outputs."""
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, Outputs):
+            part = repr(part.series).encode() + np.ascontiguousarray(part.times).tobytes()
+        elif isinstance(part, np.ndarray):
+            data = np.ascontiguousarray(part)
+            part = f"{data.dtype}{data.shape}".encode() + data.tobytes()
+        elif not isinstance(part, bytes):
+            part = str(part).encode()
+        digest.update(len(part).to_bytes(8, "little") + part)
+    return digest.hexdigest()
+
+
+def from_pints(
+    model: Any,
+    times: ArrayLike,
+    priors: Sequence[Parameter],
+    *,
+    labels: Sequence[str] = (),
+    name: str = "",
+) -> FunctionModel:
+    """A model of PINTS as a forward model.
+
+    Parameters
+    ----------
+    model : pints.ForwardModel
+        With `n_parameters()`, `n_outputs()` and `simulate(parameters, times)`.
+    times : array (n_times,)
+    priors : sequence of Parameter
+        One number for each of the model's parameters, in their order.
+    labels : sequence of str
+        Of its outputs.
+    name : str
+
+    Returns
+    -------
+    FunctionModel
+
+    Raises
+    ------
+    ValueError
+        If the number of parameters differs.
+
+    References
+    ----------
+    Clerx et al. 2019, doi 10.5334/jors.252.
+    """
+    if len(priors) != model.n_parameters():
+        raise ValueError(f"{len(priors)} parameters for {model.n_parameters()}: give one for each")
+    names = [p.name for p in priors]
+
+    def simulate(configuration: Any, at: Array) -> Array:
+        values = np.asarray(model.simulate([float(configuration[n]) for n in names], at))
+        return values.reshape(len(at), -1).T
+
+    series = tuple(labels) or tuple(f"y{i}" for i in range(getattr(model, "n_outputs", lambda: 1)()))
+    outputs = Outputs(series, np.asarray(times, dtype=np.float64))
+    return FunctionModel(simulate, tuple(priors), outputs, name or type(model).__name__)
+
+
+__all__ = ["ForwardModel", "FunctionModel", "Outputs", "SolveError", "Uniform", "content_key", "from_pints"]

@@ -1,0 +1,140 @@
+"""A forward model, its priors and an error model as a PyMC model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pymc as pm
+from pytensor.tensor.variable import TensorVariable
+
+from zoo.core.data import Data
+from zoo.core.errors.base import ErrorModel
+from zoo.core.forward import ForwardModel
+from zoo.core.op import ForwardOp, observed_series
+from zoo.core.parameters import random_variables, start_of, variable_name
+
+
+@dataclass(frozen=True, eq=False)
+class ModelRecord:
+    """What a PyMC model is made of, as ``model.zoo``.
+
+    Attributes
+    ----------
+    name : str
+        "A" to "I", with "+effect" for each effect, or a user's.
+    forward : ForwardModel
+    data : Data
+    errors : ErrorModel
+        Bound to the data.
+    mean, ok : TensorVariable
+        The forward model's symbolic outputs.
+    study : object
+        Where the data come from, such as a `zoo.Study`; None for plain data.
+    settings : mapping
+        What else the model was made with, for the record of a run.
+    """
+
+    name: str
+    forward: ForwardModel
+    data: Data
+    errors: ErrorModel
+    mean: TensorVariable
+    ok: TensorVariable
+    study: Any = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def op(self) -> ForwardOp:
+        """The operation that solves."""
+        op = self.mean.owner.op
+        assert isinstance(op, ForwardOp)
+        return op
+
+    @property
+    def forward_parameters(self) -> tuple[str, ...]:
+        """Names of the variables that the forward model takes, those of effects last."""
+        return tuple(variable_name(p.name) for p in self.forward.parameters)
+
+    @property
+    def error_parameters(self) -> tuple[str, ...]:
+        """Names of the variables of the errors."""
+        return tuple(variable_name(name) for name in self.errors.parameter_names)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all free variables, those of the errors last."""
+        return self.forward_parameters + self.error_parameters
+
+    @property
+    def suggested(self) -> dict[str, Any]:
+        """Values of the variables that a search for the mode may start from."""
+        both = start_of(self.forward.parameters) | start_of(self.errors.parameters)
+        return {variable_name(name): value for name, value in both.items()}
+
+
+def bayesian_model(
+    name: str,
+    forward: ForwardModel,
+    data: Data,
+    errors: ErrorModel,
+    *,
+    coords: Mapping[str, Any] | None = None,
+    study: Any = None,
+    settings: Mapping[str, Any] | None = None,
+) -> pm.Model:
+    """A PyMC model of data: priors of all parameters, the forward model, and the errors.
+
+    Parameters
+    ----------
+    name : str
+    forward : ForwardModel
+        Its outputs are the data's series and times.
+    data : Data
+    errors : ErrorModel
+    coords : mapping
+        Coordinates of the dimensions of vector parameters, such as {"vessel": ids}.
+    study : object
+        For the record.
+    settings : mapping
+        For the record.
+
+    Returns
+    -------
+    pm.Model
+        With variables for all parameters and the observed "y" (series, time); ``model.zoo`` is its record.
+
+    Raises
+    ------
+    ValueError
+        If the forward model's outputs do not fit the data.
+    """
+    if forward.outputs.shape != data.values.shape:
+        raise ValueError(
+            f"{data.source or data.name}: {forward.name} gives series {forward.outputs.shape}, the data are "
+            f"{data.values.shape}: ask the forward model for the data's series and times"
+        )
+    bound = errors.bind(data)
+    dims = {"series": list(data.labels), "time": np.asarray(data.times), **dict(coords or {})}
+    with pm.Model(coords=dims) as model:
+        variables = random_variables(forward.parameters)
+        mean, ok = observed_series(forward, variables)
+        bound.observe("y", mean, ok, random_variables(bound.parameters))
+    model.zoo = ModelRecord(name, forward, data, bound, mean, ok, study, dict(settings or {}))
+    return model
+
+
+def record_of(model: pm.Model) -> ModelRecord:
+    """The record of a model made by `bayesian_model`.
+
+    Raises
+    ------
+    ValueError
+        If the model has none.
+    """
+    record = getattr(model, "zoo", None)
+    if not isinstance(record, ModelRecord):
+        raise ValueError("this PyMC model has no record: make it with zoo.core.model.bayesian_model")
+    return record

@@ -1,0 +1,259 @@
+"""Any forward model as a PyTensor operation: its parameters in, the observed series out."""
+
+from __future__ import annotations
+
+import os
+import threading
+import weakref
+from collections import Counter, OrderedDict
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, NoReturn, cast
+
+import numpy as np
+import pytensor.tensor as pt
+from numpy.typing import NDArray
+from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.op import Op
+from pytensor.tensor.variable import TensorVariable
+
+from zoo.core.forward import ForwardModel, SolveError, content_key
+from zoo.core.parameters import n_values
+
+Array = NDArray[np.float64]
+CACHE_SIZE = 8
+
+
+# Not a NotImplementedError: PyMC takes that as "use Slice", which solves 18 times a step without a word.
+# As an AttributeError it stops pm.sample, while pm.find_MAP goes on without gradients.
+class MissingGradientError(AttributeError):
+    """A gradient was asked of an operation that has none."""
+
+    def __init__(self, op: str) -> None:
+        super().__init__(
+            f"{op} has no gradient, so PyMC cannot choose NUTS: "
+            "pass a step method without gradients, pm.sample(step=pm.DEMetropolisZ())"
+        )
+
+
+class _State:
+    """What the copies of one operation share in a process: solved points and counts."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.cache: OrderedDict[bytes, tuple[Array, bool]] = OrderedDict()
+        self.counts: Counter[str] = Counter()
+        self.failures: Counter[str] = Counter()
+
+    def clear(self) -> None:
+        self.lock = threading.Lock()
+        self.cache.clear()
+        self.counts.clear()
+        self.failures.clear()
+
+
+_states: weakref.WeakValueDictionary[str, _State] = weakref.WeakValueDictionary()
+
+
+def _clear_states() -> None:
+    for state in list(_states.values()):
+        state.clear()
+
+
+# a forked process counts its own solves, and must not inherit a lock that another thread held
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_clear_states)
+
+
+class ForwardOp(Op):
+    """A forward model's observed series as a PyTensor operation without a gradient.
+
+    Takes one float64 input for each parameter, a scalar or a vector of its size, in the model's order.
+    Returns `mean`, float64 (n_series, n_times), each series in its own unit, and `ok`, an int8 scalar: 1, or
+    0 when the solve failed and `mean` is zero.
+
+    The last few points are kept, so PyMC's repeated evaluations of a point cost one solve. Copies of
+    an operation (in compiled functions, after unpickling) share these points and the counts.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        With at least one parameter and one observed series.
+
+    Raises
+    ------
+    ValueError
+        If there is no parameter or no series.
+    """
+
+    __props__ = ("key",)
+
+    def __init__(self, model: ForwardModel) -> None:
+        if not model.parameters or not model.outputs.series:
+            raise ValueError(
+                f"{model.name}: {len(model.parameters)} parameters and {len(model.outputs.series)} series: a "
+                "forward model needs at least one of each"
+            )
+        self.model = model
+        self.key = content_key(model.key, model.outputs)
+        self._attach()
+
+    def _attach(self) -> None:
+        self._state = _states.setdefault(self.key, _State())
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        del state["_state"]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._attach()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(n_series, n_times)."""
+        return self.model.outputs.shape
+
+    @property
+    def counts(self) -> dict[str, Any]:
+        """Evaluations, solves, and failed solves by kind, in this process or since `reset_counts`."""
+        state = self._state
+        return {
+            "evaluations": state.counts["evaluations"],
+            "solves": state.counts["solves"],
+            "failures": dict(state.failures),
+        }
+
+    def reset_counts(self) -> None:
+        """Set the counts of this process to zero; the kept points stay."""
+        self._state.counts.clear()
+        self._state.failures.clear()
+
+    def clear_cache(self) -> None:
+        """Forget the solved points, so that the next evaluation solves."""
+        with self._state.lock:
+            self._state.cache.clear()
+
+    def evaluate(self, theta: Array) -> tuple[Array, bool]:
+        """Mean and ok at one point, from the kept points or by a solve.
+
+        Parameters
+        ----------
+        theta : array (n_values,)
+            Parameters in the model's order.
+
+        Returns
+        -------
+        mean : array (n_series, n_times)
+            Read-only; zeros when the solve failed.
+        ok : bool
+
+        Raises
+        ------
+        ValueError
+            If theta has another length.
+        """
+        theta = np.ascontiguousarray(theta, dtype=np.float64)
+        if theta.shape != (n_values(self.model.parameters),):
+            names = ", ".join(p.name for p in self.model.parameters)
+            raise ValueError(f"{theta.size} values for {n_values(self.model.parameters)}: give {names}")
+        point = theta.tobytes()
+        state = self._state
+        with state.lock:
+            state.counts["evaluations"] += 1
+            if point in state.cache:
+                state.cache.move_to_end(point)
+                return state.cache[point]
+        failure = None
+        mean = np.zeros(self.shape)
+        try:
+            mean = np.array(self.model.solve(self.model.configure(theta)), dtype=np.float64)
+            if mean.shape != self.shape:
+                raise ValueError(f"{self.model.name}: series of shape {mean.shape}, wanted {self.shape}")
+            if not np.all(np.isfinite(mean)):
+                failure = "not-finite"
+        except SolveError as error:
+            failure = error.kind
+        if failure:
+            mean = np.zeros(self.shape)
+        mean.flags.writeable = False
+        with state.lock:
+            state.counts["solves"] += 1
+            if failure:
+                state.failures[failure] += 1
+            state.cache[point] = mean, failure is None
+            while len(state.cache) > CACHE_SIZE:
+                state.cache.popitem(last=False)
+        return mean, failure is None
+
+    def make_node(self, *inputs: Any) -> Apply:
+        """One input for each parameter; mean and ok out."""
+        parameters = self.model.parameters
+        if len(inputs) != len(parameters):
+            raise ValueError(f"{len(inputs)} inputs: must be {', '.join(p.name for p in parameters)}")
+        tensors = []
+        for p, value in zip(parameters, inputs, strict=True):
+            tensor = pt.as_tensor_variable(value, dtype="float64")
+            wanted = 1 if p.dims else 0
+            if tensor.ndim != wanted or (wanted and tensor.type.shape[0] not in (None, p.size)):
+                shape = f"a vector of length {p.size}" if wanted else "a scalar"
+                raise ValueError(f"{p.name} has shape {tensor.type.shape}: must be {shape}")
+            tensors.append(tensor)
+        outputs = [pt.tensor("mean", dtype="float64", shape=self.shape), pt.scalar("ok", dtype="int8")]
+        return Apply(self, tensors, outputs)
+
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[Any]]) -> None:
+        """Evaluate; the copy is there because PyTensor may work in place on an output."""
+        mean, ok = self.evaluate(np.concatenate([np.ravel(x) for x in inputs]))
+        output_storage[0][0] = mean.copy()
+        output_storage[1][0] = np.asarray(ok, dtype=np.int8)
+
+    def infer_shape(
+        self, fgraph: Any, node: Apply, input_shapes: list[tuple[Variable, ...]]
+    ) -> list[tuple[Any, ...]]:
+        """Known before any solve."""
+        return [self.shape, ()]
+
+    def L_op(
+        self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
+    ) -> NoReturn:
+        """Raise MissingGradientError."""
+        raise MissingGradientError(f"the forward model {self.model.name}")
+
+    pullback = L_op  # its name in PyTensor 3
+
+
+class Series(NamedTuple):
+    """Symbolic outputs of a forward model."""
+
+    mean: TensorVariable  # (n_series, n_times), in the series' own units
+    ok: TensorVariable  # int8 scalar, 0 when the solve failed
+
+
+def observed_series(model: ForwardModel, values: Mapping[str, Any]) -> Series:
+    """Symbolic series of a forward model at symbolic parameters.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    values : mapping of name to variable
+        For each of its parameters a scalar, or a vector of its size; a scalar stands for all elements.
+
+    Returns
+    -------
+    Series
+        mean (n_series, n_times), zero when the solve failed, and ok.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is missing.
+    """
+    inputs = []
+    for p in model.parameters:
+        if p.name not in values:
+            raise ValueError(f"{model.name}: parameter {p.name} is missing; give {', '.join(values)} and it")
+        value = pt.as_tensor_variable(values[p.name], dtype="float64")
+        inputs.append(pt.alloc(value, p.size) if p.dims and value.ndim == 0 else value)
+    mean, ok = cast("list[TensorVariable]", ForwardOp(model)(*inputs, return_list=True))
+    return Series(mean, ok)
