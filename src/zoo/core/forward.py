@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.core.parameters import Parameter, Uniform
+from zoo.core.parameters import Parameter, unpack
 
 Array = NDArray[np.float64]
 
@@ -110,8 +110,10 @@ class FunctionModel:
     Examples
     --------
     >>> import numpy as np
+    >>> from zoo.core.parameters import Uniform
     >>> t = np.linspace(0.0, 1.0, 5)
-    >>> line = FunctionModel(lambda c, t: c["slope"] * t, (Parameter("slope", Uniform(0, 2)),), Outputs(("y",), t))
+    >>> slope = Parameter("slope", Uniform(0, 2))
+    >>> line = FunctionModel(lambda c, t: c["slope"] * t, (slope,), Outputs(("y",), t))
     >>> line.solve(line.configure([0.5]))
     array([[0.   , 0.125, 0.25 , 0.375, 0.5  ]])
     """
@@ -131,8 +133,6 @@ class FunctionModel:
 
     def configure(self, theta: ArrayLike) -> dict[str, Any]:
         """Parameters by name."""
-        from zoo.core.parameters import unpack
-
         return dict(unpack(self.parameters, theta))
 
     def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
@@ -212,6 +212,3 @@ def from_pints(
     series = tuple(labels) or tuple(f"y{i}" for i in range(getattr(model, "n_outputs", lambda: 1)()))
     outputs = Outputs(series, np.asarray(times, dtype=np.float64))
     return FunctionModel(simulate, tuple(priors), outputs, name or type(model).__name__)
-
-
-__all__ = ["ForwardModel", "FunctionModel", "Outputs", "SolveError", "Uniform", "content_key", "from_pints"]

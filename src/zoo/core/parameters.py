@@ -184,8 +184,8 @@ class Normal(Prior):
     def __post_init__(self) -> None:
         if not (0 < self.sd < math.inf and math.isfinite(self.mean) and self.low < self.high):
             raise ParameterError(
-                f"normal prior: mean {self.mean}, sd {self.sd}, bounds [{self.low}, {self.high}]: the sd must "
-                "be positive and the bounds ascend"
+                f"normal prior: mean {self.mean}, sd {self.sd}, bounds [{self.low}, {self.high}]: the sd "
+                "must be positive and the bounds ascend"
             )
 
     @property

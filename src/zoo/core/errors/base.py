@@ -76,7 +76,7 @@ class ErrorModel(ABC):
         return tuple(p.name for p in self.parameters)
 
     def transform(self, series: Array) -> Array:
-        """Series to the coefficients in which the errors are described; the series themselves unless changed."""
+        """Series to the coefficients in which the errors are described; here the series themselves."""
         return series
 
     def inverse(self, coefficients: Array) -> Array:
@@ -89,7 +89,7 @@ class ErrorModel(ABC):
 
     @abstractmethod
     def whiten(self, residuals: Array, values: Mapping[str, ArrayLike]) -> Array | None:
-        """Residuals as independent standard normal numbers z of the same shape; None where there is no law."""
+        """Residuals as independent standard normal numbers of the same shape; None if there is no law."""
 
     @abstractmethod
     def unwhiten(self, z: Array, values: Mapping[str, ArrayLike]) -> Array | None:
