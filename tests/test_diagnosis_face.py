@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import get_args
 
 import matplotlib as mpl
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
 from pydantic import BaseModel
+from rich.console import Console
 from typer.testing import CliRunner
 
 import zoo
@@ -31,6 +33,8 @@ from zoo.core.diagnosis.diagnosis import (
     read_diagnosis,
 )
 from zoo.paper.synthetic import ejection
+from zoo.plots import diagnosis as figures
+from zoo.plots import tree
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 
@@ -127,6 +131,15 @@ def with_confirmation(d: Diagnosis) -> Diagnosis:
     return replace(d, file=d.file.model_copy(update={"confirmation": CONFIRMATION}))
 
 
+def screen_of(file: DiagnosisFile) -> str:
+    """What `zoo diagnose` says of a diagnosis."""
+    console = Console(width=200)
+    with console.capture() as captured:
+        for line in cli._diagnosis_summary(file):
+            console.print(line)
+    return captured.get()
+
+
 # the file
 
 
@@ -169,11 +182,42 @@ def fields(model: type[BaseModel]) -> set[str]:
     return found
 
 
-def test_the_document_has_every_field_and_constant(one: Diagnosis) -> None:
+@pytest.fixture
+def sampled(one: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> Diagnosis:
+    """What `confirmed` makes of a diagnosis when the posteriors cost no time."""
+
+    def confirm(*_: object, **__: object) -> SimpleNamespace:
+        return SimpleNamespace(summary=lambda: CONFIRMATION)
+
+    monkeypatch.setattr("zoo.core.diagnosis.confirm.confirm", confirm)
+    return one.confirmed()
+
+
+def test_readers_read_the_times_that_are_written(one: Diagnosis, sampled: Diagnosis, tmp_path: Path) -> None:
+    before, after = one.file.record, sampled.file.record
+    [written] = set(after) - set(before)
+    screening = before["screening_seconds"]
+    assert report.total_seconds(before) == screening
+    assert report.total_seconds(after) == screening + after[written] > screening
+    slow = after | {written: 1000.0}
+    older = before | {"confirmation_seconds": 1000.0}
+    for record in (slow, older):
+        d = replace(sampled, file=sampled.file.model_copy(update={"record": record}))
+        assert report.total_seconds(record) == screening + 1000
+        assert screen_of(d.file).strip().endswith(f", {screening + 1000:.0f} s in all")
+        report.write_diagnosis(d, tmp_path / "x")
+        [facts] = read(tmp_path / "x" / "report.html").of_class("facts")
+        shown = dict(zip(*([e.text for e in facts.all(tag)] for tag in ("dt", "dd")), strict=True))
+        assert shown["screening seconds"] == f"{screening:.1f}"
+        assert shown["posterior seconds"] == "1000.0"
+        assert shown["total seconds"] == f"{screening + 1000:.1f}"
+
+
+def test_the_document_has_every_field_and_constant(one: Diagnosis, sampled: Diagnosis) -> None:
     text = DOC.read_text("utf-8")
     words = set(re.findall(r"`([\w.]+)`", text))
     assert fields(DiagnosisFile) - {"low", "high", "mean"} <= words
-    assert set(one.file.record) | set(CONFIRMATION["no-gap"]) | {"total_seconds"} <= words
+    assert set(sampled.file.record) | set(CONFIRMATION["no-gap"]) <= words
     rows = dict(re.findall(r"^\| `([A-Z_]+)` \| ([\d., ]+) \|", text, flags=re.M))
     assert len(rows) > 10
     for name, value in rows.items():
@@ -235,7 +279,7 @@ def test_the_gap_figure_carries_the_numbers(three: Diagnosis) -> None:
 
 def test_phases_are_shaded_where_they_are(one: Diagnosis) -> None:
     phase = diagnosis.phases(one.study.values[0], one.study.period_s)
-    spans = plots._spans(phase)
+    spans = figures._spans(phase)
     assert sum(last - first for first, last, _ in spans) == len(phase)
     for first, last, k in spans:
         assert set(phase[first:last]) == {k}
@@ -282,7 +326,7 @@ def test_the_tree_is_coloured_by_the_probability_of_the_place(three: Diagnosis) 
         for line in figure.findobj(mpl.lines.Line2D)
         if line.get_gid()
     }
-    colours = mpl.colors.LinearSegmentedColormap.from_list("places", plots.PLACE_COLOURS)
+    colours = mpl.colors.LinearSegmentedColormap.from_list("places", tree.LOCATION_COLOURS)
     for vessel, p in {1: 0.0, 2: 0.5, 3: 0.0, 4: 0.7, 5: 0.5}.items():
         assert lines[vessel].get_color() == pytest.approx(colours(p))
     assert lines[1].get_linewidth() > lines[5].get_linewidth()
@@ -296,8 +340,8 @@ def test_the_tree_is_coloured_by_the_probability_of_the_place(three: Diagnosis) 
 
 
 def test_a_tree_listed_daughters_first_is_laid_out_too(three: Diagnosis) -> None:
-    assert plots._tree(three.study.vessels[::-1]).keys() == plots._tree(three.study.vessels).keys()
-    ends = [place[3] for v, place in plots._tree(three.study.vessels).items() if v in (3, 4, 5)]
+    assert tree.tree_layout(three.study.vessels[::-1]).keys() == tree.tree_layout(three.study.vessels).keys()
+    ends = [place[3] for v, place in tree.tree_layout(three.study.vessels).items() if v in (3, 4, 5)]
     assert sorted(ends) == [-2.0, -1.0, 0.0]
 
 
@@ -398,8 +442,6 @@ def test_diagnose_writes_everything_and_says_what_it_found(commanded: tuple[Path
 
 
 def test_the_screen_tells_of_groups_rivals_and_posteriors(three: Diagnosis) -> None:
-    from rich.console import Console
-
     measure = diagnosis.NextMeasurement(
         vessel=5,
         position=0.5,
@@ -409,11 +451,7 @@ def test_the_screen_tells_of_groups_rivals_and_posteriors(three: Diagnosis) -> N
     )
     change = {"next_measurement": measure, "invisible": ["inflow-gain"], "failed": ["stenosis"]}
     file = with_confirmation(three).file.model_copy(update=change)
-    console = Console(width=200)
-    with console.capture() as captured:
-        for line in cli._diagnosis_summary(file):
-            console.print(line)
-    screen = captured.get()
+    screen = screen_of(file)
     assert "flow_ml_s in vessel 5 at 0.5, which tells taper from minor-losses" in screen
     assert "7.2" in screen
     assert "this study cannot show: inflow-gain" in screen

@@ -25,6 +25,7 @@ from zoo.cli import app
 from zoo.core.inference import results
 from zoo.core.posterior.comparison import compare
 from zoo.models import get_model
+from zoo.report import chapters
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 
@@ -276,8 +277,8 @@ def test_a_name_with_markup_stays_text(
     tmp_path: Path, posteriors: dict[str, az.InferenceData], page: Element
 ) -> None:
     name = "<script>alert('x')</script>&\""
-    chapters = [report.Chapter(name, {"A": posteriors["A"]}, note=name), report.Chapter(name, {})]
-    path = report.write_chapters(tmp_path / "x.html", chapters, title=name, command=name)
+    both = [report.Chapter(name, {"A": posteriors["A"]}, note=name), report.Chapter(name, {})]
+    path = report.write_chapters(tmp_path / "x.html", both, title=name, command=name)
     text = path.read_text(encoding="utf-8")
     assert "<script" not in text
     again = read(path)
@@ -344,7 +345,7 @@ def without_data(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Study]:
             raise FetchError("mouse-c6/pC6_1024.dat: cannot be had; set ZOO_DATA_DIR")
         return load_study(name)
 
-    monkeypatch.setattr(report, "load_study", load)
+    monkeypatch.setattr(chapters, "load_study", load)
     return load
 
 

@@ -1289,7 +1289,7 @@ def _diagnosis_summary(file: DiagnosisFile) -> list[Any]:
     from rich.table import Table
     from rich.text import Text
 
-    from zoo.report import diagnosis_summary
+    from zoo.report import diagnosis_summary, total_seconds
 
     unit = str(file.record.get("gap_unit", "mmHg"))
     verdict, *rest = diagnosis_summary(file)
@@ -1350,7 +1350,7 @@ def _diagnosis_summary(file: DiagnosisFile) -> list[Any]:
             f"{converged}"
         )
     record = file.record
-    seconds = record.get("total_seconds", record.get("screening_seconds", math.nan))
+    seconds = total_seconds(record)
     lines.append(f"{record.get('solves', 0)} solves of the screening, {seconds:.0f} s in all")
     return [Text(line) if isinstance(line, str) else line for line in lines]
 

@@ -577,7 +577,7 @@ class Diagnosis:
 
         began = time.monotonic()
         found = confirm(self.rounds[0], cores=cores, seed=seed, folder=folder, tick=tick)
-        record = self.file.record | {"confirmation_seconds": time.monotonic() - began}
+        record = self.file.record | {"posterior_seconds": time.monotonic() - began}
         content = self.file.model_copy(update={"confirmation": found.summary(), "record": record})
         return replace(self, file=content, confirmation=found)
 

@@ -1,0 +1,58 @@
+"""Figures; only the modules of this package import matplotlib.
+
+A function takes results and returns a `matplotlib.figure.Figure`, which `save_figure` writes.
+"""
+
+from zoo.plots.bands import all_vessels_figure, uncertainty_figure
+from zoo.plots.blindcheck import plot_accuracy, plot_confusion, plot_reliability, plot_sizes, score_figures
+from zoo.plots.calibration import calibration_figure, truth_figure
+from zoo.plots.chains import pair_figure, rank_figure, trace_figure
+from zoo.plots.comparison import comparison_figure
+from zoo.plots.diagnosis import plot_diagnosis, plot_gap, plot_hypotheses, plot_where
+from zoo.plots.fit import fit_figure
+from zoo.plots.posteriors import forest_figure, intervals_figure, posteriors_figure
+from zoo.plots.stiffness import pressure_stiffness_figure, stiffness_figure
+from zoo.plots.style import (
+    COLOURS,
+    PARAMETER_LABELS,
+    QUANTITY_LABELS,
+    FigureError,
+    model_style,
+    save_figure,
+)
+from zoo.plots.waves import loops_figure, models_figure, waves_figure
+
+__all__ = [
+    "COLOURS",
+    "PARAMETER_LABELS",
+    "QUANTITY_LABELS",
+    "FigureError",
+    "all_vessels_figure",
+    "calibration_figure",
+    "comparison_figure",
+    "fit_figure",
+    "forest_figure",
+    "intervals_figure",
+    "loops_figure",
+    "model_style",
+    "models_figure",
+    "pair_figure",
+    "plot_accuracy",
+    "plot_confusion",
+    "plot_diagnosis",
+    "plot_gap",
+    "plot_hypotheses",
+    "plot_reliability",
+    "plot_sizes",
+    "plot_where",
+    "posteriors_figure",
+    "pressure_stiffness_figure",
+    "rank_figure",
+    "save_figure",
+    "score_figures",
+    "stiffness_figure",
+    "trace_figure",
+    "truth_figure",
+    "uncertainty_figure",
+    "waves_figure",
+]

@@ -1,0 +1,220 @@
+"""Several posteriors beside each other: densities, pairs, intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from zoo.plots.style import (
+    COLOURS,
+    INK,
+    PARAMETER_LABELS,
+    Array,
+    FigureError,
+    broken,
+    first_of,
+    in_scale,
+    new_figure,
+    parameter_label,
+)
+
+if TYPE_CHECKING:
+    import arviz as az
+    import pandas as pd
+    import xarray as xr
+
+
+def posteriors_figure(
+    posteriors: Mapping[str, az.InferenceData | xr.Dataset], var_names: Iterable[str] | None = None
+) -> Figure:
+    """Marginal densities and pairs of parameters of several posteriors (figure 4 of the paper).
+
+    Densities are scaled to the same height, since a posterior with independent errors is many times narrower.
+
+    Parameters
+    ----------
+    posteriors : mapping of name to InferenceData or Dataset
+        Such as those of models A and B; from `zoo.blood.predictive.with_stiffness` they have the stiffness
+        of a vessel in place of f1, f2 and f3.
+    var_names : iterable of str, optional
+        Scalars; those that all have if absent, in the order of the first.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Densities on the diagonal, scatter plots of at most 1000 draws each below.
+
+    Raises
+    ------
+    FigureError
+        If the posteriors have no parameter in common, or not those asked for.
+    """
+    import arviz as az
+
+    first_of(posteriors, "posteriors")
+    draws: dict[str, dict[str, Array]] = {}
+    for name, posterior in posteriors.items():
+        data = posterior["posterior"] if isinstance(posterior, az.InferenceData) else posterior
+        scalars = [str(v) for v in data.data_vars if set(data[v].dims) == {"chain", "draw"}]
+        draws[name] = {v: in_scale(v, data[v].transpose("chain", "draw")).ravel() for v in scalars}
+    every = list(draws.values())
+    names = [v for v in every[0] if all(v in each for each in every)]
+    if var_names is not None:
+        wanted = list(var_names)
+        for v in wanted:
+            if v not in names:
+                raise FigureError(f"parameter {v!r}: the posteriors share {', '.join(names) or 'none'}")
+        names = wanted
+    if not names:
+        raise FigureError("the posteriors have no scalar parameter in common; choose others")
+    n = len(names)
+    with new_figure((1.0 + 1.65 * n, 0.6 + 1.5 * n)) as figure:
+        grid = figure.subplots(n, n, squeeze=False, sharex="col")
+        for k, values in reversed(list(enumerate(draws.values()))):
+            colour = COLOURS[k % len(COLOURS)]
+            step = max(1, math.ceil(len(values[names[0]]) / 1000))
+            for i, below in enumerate(names):
+                x, density = az.kde(values[below])
+                grid[i, i].plot(x, density / density.max(), color=colour, lw=1.5)
+                grid[i, i].fill_between(x, density / density.max(), color=colour, alpha=0.2, lw=0)
+                for j, across in enumerate(names[:i]):
+                    points = values[across][::step], values[below][::step]
+                    grid[i, j].scatter(*points, s=4, color=colour, alpha=0.3, lw=0, rasterized=True)
+        for i, below in enumerate(names):
+            for j in range(n):
+                axes = grid[i, j]
+                axes.xaxis.set_major_locator(MaxNLocator(3))
+                axes.yaxis.set_major_locator(MaxNLocator(3))
+                if j > i:
+                    axes.set_axis_off()
+                axes.tick_params(labelleft=j == 0 and i > 0, labelsize="small")
+            grid[i, i].set_yticks([])
+            grid[i, i].spines["left"].set_visible(False)
+            grid[i, i].set_ylim(bottom=0)
+            if i > 0:
+                grid[i, 0].set_ylabel(broken(parameter_label(below)), fontsize="small")
+            grid[-1, i].set_xlabel(broken(parameter_label(below)), fontsize="small")
+        figure.align_ylabels(grid[1:, 0])
+        handles = [
+            Line2D([], [], color=COLOURS[k % len(COLOURS)], lw=2, label=f"model {model}")
+            for k, model in enumerate(draws)
+        ]
+        figure.legend(handles=handles, loc="upper right")
+    return figure
+
+
+def forest_figure(posteriors: Mapping[str, az.InferenceData]) -> Figure:
+    """Medians, 50 % and 95 % intervals of the parameters that are single numbers, by model.
+
+    Parameters
+    ----------
+    posteriors : mapping of model to InferenceData
+        Drawn from the upper row of each panel down.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel for each parameter, with the models that have it.
+    """
+    found: dict[str, dict[str, Array]] = {}
+    for model, idata in posteriors.items():
+        posterior = idata["posterior"]
+        for name in map(str, posterior.data_vars):
+            if set(posterior[name].dims) == {"chain", "draw"}:
+                found.setdefault(name, {})[model] = posterior[name].to_numpy().ravel()
+    known = list(PARAMETER_LABELS)
+    names = sorted(found, key=lambda name: known.index(name) if name in known else len(known))
+    columns = min(4, max(1, len(names)))
+    rows = max(1, math.ceil(len(names) / columns))
+    models = list(posteriors)
+    with new_figure((2.5 * columns, rows * (0.75 + 0.2 * len(models)))) as figure:
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes, name in zip(panels, names, strict=False):
+            for row, model in enumerate(models):
+                if model not in found[name]:
+                    continue
+                low, q1, median, q3, high = np.quantile(found[name][model], (0.025, 0.25, 0.5, 0.75, 0.975))
+                axes.plot((low, high), (row, row), color=COLOURS[0], lw=1.2)
+                axes.plot((q1, q3), (row, row), color=COLOURS[0], lw=3.2, solid_capstyle="butt")
+                axes.plot(median, row, "o", color="white", mec=COLOURS[0], mew=1.4, ms=5)
+            axes.set_yticks(range(len(models)), models)
+            axes.set_ylim(len(models) - 0.5, -0.5)
+            axes.set_xlabel(PARAMETER_LABELS.get(name, name))
+            axes.xaxis.set_major_locator(mpl.ticker.MaxNLocator(3))
+            axes.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4), useMathText=True)
+            axes.grid(axis="x", color="#DDDDDD", lw=0.7)
+            axes.set_axisbelow(True)
+        for axes in panels[len(names) :]:
+            axes.set_visible(False)
+    return figure
+
+
+def intervals_figure(table: pd.DataFrame) -> Figure:
+    """Published medians and 95 % intervals beside ours, a panel for each parameter.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns model, parameter, published_median, published_low, published_high, median, low, high, in the
+        units of the parameters; NaN where the paper has no number.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    FigureError
+        If a column is missing, or there is no row.
+    """
+    ends = ("median", "low", "high")
+    columns = ["model", "parameter", *(f"published_{end}" for end in ends), *ends]
+    missing = [column for column in columns if column not in table.columns]
+    if missing or table.empty:
+        what = f"no column {missing[0]!r}" if missing else "no row"
+        raise FigureError(f"table of intervals: {what}; give {', '.join(columns)}")
+    models = list(dict.fromkeys(table["model"]))
+    names = list(dict.fromkeys(table["parameter"]))
+    across = min(3, len(names))
+    rows = math.ceil(len(names) / across)
+    with new_figure((1.0 + 2.9 * across, 0.8 + rows * (0.75 + 0.24 * len(models)))) as figure:
+        grid = list(figure.subplots(rows, across, squeeze=False, sharey=True).flat)
+        for axes, name in zip(grid, names, strict=False):
+            part = table[table["parameter"] == name]
+            for prefix, shift, colour, marker in (
+                ("published_", -0.16, INK, "o"),
+                ("", 0.16, COLOURS[0], "s"),
+            ):
+                median, low, high = (in_scale(name, part[f"{prefix}{end}"]) for end in ends)
+                y = np.array([models.index(model) for model in part["model"]]) + shift
+                error = np.stack([median - low, high - median])
+                face = "white" if prefix else colour
+                axes.errorbar(
+                    median, y, xerr=error, fmt=marker, color=colour, mfc=face, ms=4, lw=1.2, capsize=2
+                )
+            values = in_scale(name, part[[f"{p}{e}" for p in ("published_", "") for e in ends]])
+            if np.nanmin(values) > 0 and np.nanmax(values) > 50 * np.nanmin(values):
+                axes.set_xscale("log")
+            else:
+                axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+            axes.set_xlabel(parameter_label(name))
+            axes.grid(axis="y", color="#EEEEEE", lw=0.7)
+            axes.set_axisbelow(True)
+            axes.tick_params(axis="y", length=0)
+        for axes in grid[len(names) :]:
+            axes.set_axis_off()
+        grid[0].set_yticks(range(len(models)), models)
+        grid[0].set_ylim(len(models) - 0.5, -0.5)
+        for axes in grid[: len(names) : across]:
+            axes.set_ylabel("model")
+        published = Line2D([], [], color=INK, marker="o", mfc="white", ms=4, lw=1.2, label="published")
+        ours = Line2D([], [], color=COLOURS[0], marker="s", ms=4, lw=1.2, label="zoo")
+        figure.legend(handles=[published, ours], loc="outside upper right", ncols=2, fontsize="small")
+    return figure

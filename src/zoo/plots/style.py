@@ -1,0 +1,133 @@
+"""Colours, lines, words and units that all figures share, and how a figure is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure, SubFigure
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A7A00")
+"""Okabe and Ito's palette without black, its yellow darkened; told apart with any colour vision."""
+INK = "#222222"
+STYLE: Any = {
+    "axes.edgecolor": "#666666",
+    "axes.labelcolor": INK,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": "medium",
+    "axes.titleweight": "bold",
+    "figure.dpi": 110,
+    "font.size": 9.5,
+    "legend.frameon": False,
+    "savefig.bbox": "tight",
+    "savefig.dpi": 160,
+    "text.color": INK,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+}
+QUANTITY_LABELS = {
+    "pressure_mmHg": "pressure (mmHg)",
+    "flow_ml_s": "flow (ml/s)",
+    "area_cm2": "area (cm$^2$)",
+}
+PARAMETER_LABELS = {
+    "f1": "$f_1$ (g cm$^{-1}$ s$^{-2}$)",
+    "f2": "$f_2$ (1/radius unit)",
+    "f3": "$f_3$ (g cm$^{-1}$ s$^{-2}$)",
+    "chi": r"$\chi$ (g cm$^{-1}$ s$^{-2}$)",
+    "m_chi": r"$m_\chi$ (g cm$^{-1}$ s$^{-2}$)",
+    "v_chi": r"$v_\chi$ (10$^8$ g$^2$ cm$^{-2}$ s$^{-4}$)",
+    "gamma": r"$\gamma$",
+    "psi1": r"$\psi_1$",
+    "psi2": r"$\psi_2$",
+    "c": "$c$",
+    "sigma2": r"$\sigma^2$ (mmHg$^2$)",
+    "w": "$w$ (s$^{-2}$)",
+    "b": "$b$",
+}
+SCALES = {"f1": 5, "f3": 4, "chi": 4, "m_chi": 4, "w": 4}
+"""Powers of ten that axes of these parameters are in."""
+SOLID, DASHED, DOTTED = "-", (0, (4, 1.6)), (0, (1, 1.2))
+MODEL_STYLES: dict[str, tuple[str, Any]] = {
+    "A": (COLOURS[0], DASHED),
+    "B": (COLOURS[0], SOLID),
+    "C": (COLOURS[5], DOTTED),
+    "D": (COLOURS[4], DASHED),
+    "E": (COLOURS[4], SOLID),
+    "F": (COLOURS[2], DASHED),
+    "G": (COLOURS[2], SOLID),
+    "H": (COLOURS[1], SOLID),
+    "I": (COLOURS[3], SOLID),
+}
+"""Colour and line of each model: colours tell wall and stiffness, dashes independent errors."""
+
+
+class FigureError(ValueError):
+    """A figure that cannot be written; its text says what to change."""
+
+
+@contextmanager
+def new_figure(size: tuple[float, float]) -> Iterator[Figure]:
+    """An empty figure of a size in inches, and the style as long as it is drawn."""
+    with mpl.rc_context(STYLE):
+        yield Figure(figsize=size, layout="constrained")
+
+
+def save_figure(figure: Figure, path: str | Path) -> Path:
+    """Write a figure; the ending (.png, .pdf, .svg) chooses the format.
+
+    Raises
+    ------
+    FigureError
+        If the format is unknown or the folder does not exist.
+    """
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise FigureError(f"{path}: folder {path.parent} does not exist; create it or choose another path")
+    formats = figure.canvas.get_supported_filetypes()
+    if path.suffix.lstrip(".").lower() not in formats:
+        raise FigureError(f"{path}: unknown figure format {path.suffix!r}; use .png, .pdf or .svg")
+    with mpl.rc_context(STYLE):
+        figure.savefig(path)
+    return path
+
+
+def model_style(name: str, order: int = 0) -> tuple[str, Any]:
+    """Colour and line of a model, by its letter, or by its order for a model outside the nine."""
+    return MODEL_STYLES.get(name, (COLOURS[order % len(COLOURS)], (SOLID, DASHED, DOTTED)[order // 7 % 3]))
+
+
+def parameter_label(name: str) -> str:
+    """Label with unit, in the power of ten of `SCALES`."""
+    label = PARAMETER_LABELS.get(name, name)
+    if name not in SCALES:
+        return label
+    return label.replace(" (", f" (10$^{SCALES[name]}$ ", 1)
+
+
+def in_scale(name: str, values: ArrayLike) -> Array:
+    return np.asarray(values, dtype=float) / 10.0 ** SCALES.get(name, 0)
+
+
+def broken(label: str) -> str:
+    """Unit on a second line."""
+    return label.replace(" (", "\n(", 1)
+
+
+def first_of(mapping: Mapping[str, Any], what: str) -> Any:
+    if not mapping:
+        raise FigureError(f"no {what}: give at least one")
+    return next(iter(mapping.values()))
+
+
+def parts(figure: Figure | SubFigure, rows: int, columns: int, **ratios: Any) -> list[SubFigure]:
+    found: Any = figure.subfigures(rows, columns, squeeze=False, **ratios)
+    return list(found.flat)

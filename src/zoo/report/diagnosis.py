@@ -1,0 +1,312 @@
+"""The page of a diagnosis, and what it found in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from zoo.blood.effects import CATALOGUE
+from zoo.core.diagnosis.diagnosis import DiagnosisFile, HypothesisResult
+from zoo.core.diagnosis.screening import CORRELATED, NO_GAP, UNLISTED
+from zoo.plots import plot_diagnosis, plot_gap, plot_hypotheses, plot_where, save_figure
+from zoo.report.page import ReportError, picture_of, write_page
+from zoo.report.parameters import MEANINGS
+from zoo.report.words import estimate, listed, location_text, maybe, percent, settings_text, span, value_text
+
+if TYPE_CHECKING:
+    from zoo.core.diagnosis.diagnosis import Diagnosis
+
+DIAGNOSIS_FIGURES = {
+    "gap": (
+        plot_gap,
+        "What was measured, the base, and the base with its cause; below, the discrepancy of each with 95 % "
+        "bands, and one standard deviation of the noise in grey.",
+    ),
+    "hypotheses": (
+        plot_hypotheses,
+        "Log evidence of each explanation over that of noise alone, its probability, and the gap it leaves.",
+    ),
+    "where": (
+        plot_where,
+        "Shares of the gap's energy, and the tree with the probability that a listed cause acts in a vessel.",
+    ),
+}
+"""Figure -> what draws it, and its caption."""
+MADE_UP = {NO_GAP: "Noise explains what the base leaves.", UNLISTED: "Something smooth that is not listed."}
+"""Explanations outside the catalogue."""
+
+
+def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = "") -> list[Path]:
+    """Write a diagnosis into a folder: diagnosis.json, a self-contained report.html, and its figures.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    folder : path
+        Made if it is missing.
+    command : str
+        The command that made it, for the page.
+
+    Returns
+    -------
+    list of Path
+        The written files.
+
+    Raises
+    ------
+    ReportError
+        If the folder is a file, or what it lies in does not exist.
+    """
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise ReportError(f"{folder}: is a file; choose a folder")
+    if not folder.resolve().parent.is_dir():
+        raise ReportError(
+            f"{folder}: folder {folder.parent} does not exist; create it or choose another path"
+        )
+    written = [diagnosis.save(folder), folder / "report.html"]
+    pictures = {}
+    for name, (draw, caption) in DIAGNOSIS_FIGURES.items():
+        figure = draw(diagnosis)
+        written.append(save_figure(figure, folder / f"{name}.png"))
+        pictures[name] = picture_of(figure, f"{caption} The tables have the numbers.", caption)
+    written.append(save_figure(plot_diagnosis(diagnosis), folder / "diagnosis.png"))
+    file = diagnosis.file
+    unit = str(file.record.get("gap_unit", "mmHg"))
+    write_page(
+        written[1],
+        "diagnosis.html",
+        title=f"What {file.base} misses in {file.study}",
+        file=file,
+        unit=unit,
+        summary=diagnosis_summary(file),
+        estimate=estimate,
+        facts=_diagnosis_facts(diagnosis),
+        gap=[_gap_row(row) for row in file.gap.per_series],
+        where=_where_sentences(file),
+        hypotheses=[_hypothesis_row(h, file) for h in file.hypotheses],
+        groups=_groups(file),
+        moved=_moved(file),
+        confirmation=_confirmed(file),
+        pictures=pictures,
+        command=command,
+    )
+    return written
+
+
+def total_seconds(record: Mapping[str, Any]) -> float:
+    """Time of a diagnosis: of its screening, and of sampling the posteriors if that was done.
+
+    Parameters
+    ----------
+    record : mapping
+        Of a `DiagnosisFile`.
+
+    Returns
+    -------
+    float
+        s; NaN if the record has no time of the screening.
+    """
+    return float(record.get("screening_seconds", math.nan)) + (_posterior_seconds(record) or 0.0)
+
+
+def _posterior_seconds(record: Mapping[str, Any]) -> float | None:
+    """Time of sampling the posteriors, s; older files call it confirmation_seconds."""
+    return record.get("posterior_seconds", record.get("confirmation_seconds"))
+
+
+def diagnosis_summary(file: DiagnosisFile) -> list[str]:
+    """What a diagnosis found, as a few sentences: verdict, gap, data that were not fitted, what is left.
+
+    Parameters
+    ----------
+    file : DiagnosisFile
+
+    Returns
+    -------
+    list of str
+    """
+    gap, unit = file.gap, str(file.record.get("gap_unit", "mmHg"))
+    lines = [f"Verdict: {file.verdict}.", *(f"Warning: {text}." for text in file.warnings)]
+    before = f"{span(gap.before_mmHg, gap.before_interval_mmHg)} {unit}"
+    floor = f"the noise {gap.noise_floor_mmHg:.2g} {unit}"
+    if file.hypotheses[0].name in (NO_GAP, UNLISTED, CORRELATED):
+        lines.append(f"Beside the noise the base leaves a gap of {before}; {floor}.")
+    else:
+        lines.append(
+            f"The gap of the base is {before}, with its cause "
+            f"{span(gap.after_mmHg, gap.after_interval_mmHg)} {unit}: {percent(gap.removed)} is removed "
+            f"({percent(gap.removed_interval[0])} to {percent(gap.removed_interval[1])}); {floor}."
+        )
+    if gap.held_out_before_mmHg is not None and gap.held_out_after_mmHg is not None:
+        lines.append(
+            f"In data that were not fitted ({gap.held_out}) the gap goes from "
+            f"{gap.held_out_before_mmHg:.2g} to {gap.held_out_after_mmHg:.2g} {unit}."
+        )
+    if len(file.steps) > 1:
+        lines.append(
+            f"One after the other were added: {'; '.join(_step(step, unit) for step in file.steps)}."
+        )
+    if file.failed:
+        lines.append(f"The solver failed wherever these were tried: {listed(file.failed)}.")
+    return lines
+
+
+def _step(step: Any, unit: str) -> str:
+    where = "" if step.place is None else f" ({location_text(step.place, step.subtree)})"
+    sizes = ", ".join(f"{a.name} {estimate(a.mean, a.sd, a.unit)}" for a in step.amplitudes)
+    return (
+        f"{step.name}{where}, {percent(step.probability)} probable, {sizes}: "
+        f"{step.gap_before_mmHg:.2g} to {step.gap_after_mmHg:.2g} {unit}"
+    )
+
+
+def _diagnosis_facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    study, file = diagnosis.study, diagnosis.file
+    series = ", ".join(f"{s.label} ({len(s.value)} samples)" for s in study.series)
+    record = file.record
+    noise = [
+        f"{quantity}: " + ", ".join(f"{name} {value_text(value)}" for name, value in errors.items())
+        for quantity, errors in record.get("noise", {}).items()
+    ]
+    facts = [
+        ("study", f"{study.name}, {len(study.vessels)} vessels, period {1e3 * study.period_s:g} ms"),
+        ("observed", series),
+        ("checksum", file.study_checksum),
+        ("base", file.base),
+        ("conventions", study.conventions.name),
+        ("errors", "; ".join(noise)),
+    ]
+    seconds = {
+        "screening_seconds": record.get("screening_seconds"),
+        "posterior_seconds": _posterior_seconds(record),
+    }
+    if seconds["posterior_seconds"] is not None:
+        seconds["total_seconds"] = total_seconds(record)
+    wanted = ("started", "seed", "cores", "solves", "failed_solves")
+    for name, value in ({name: record.get(name) for name in wanted} | seconds).items():
+        if value is not None:
+            facts.append((name.replace("_", " "), f"{value:.1f}" if isinstance(value, float) else str(value)))
+    facts.append(("versions", settings_text(record.get("versions", {}))))
+    return facts
+
+
+def _gap_row(row: Any) -> list[str]:
+    removed = 1.0 - row.after.mean / row.before.mean if row.before.mean > 0 else 0.0
+    return [
+        row.series,
+        row.unit,
+        span(row.before.mean, (row.before.low, row.before.high)),
+        span(row.after.mean, (row.after.low, row.after.high)),
+        percent(max(0.0, removed)),
+        f"{row.noise_floor:.2g}",
+        f"{row.residual_rms_before:.3g}",
+        f"{row.residual_rms_after:.3g}",
+    ]
+
+
+def _where_sentences(file: DiagnosisFile) -> list[str]:
+    where = file.where
+    lines = []
+    for what, shares in (("phase", where.phase), ("harmonic", where.harmonic), ("series", where.series)):
+        named = [f"{name} ({percent(share)})" for name, share in shares.items() if share >= 0.005]
+        lines.append(f"By {what}: {', '.join(named) or 'nothing'}.")
+    places = [f"{location_text(p.vessel, p.subtree)} ({percent(p.probability)})" for p in where.place[:5]]
+    lines.append(f"Place: {', '.join(places) or 'unknown'}.")
+    return lines
+
+
+def _hypothesis_row(h: HypothesisResult, file: DiagnosisFile) -> dict[str, Any]:
+    zero = next(x.log_evidence for x in file.hypotheses if x.name == NO_GAP)
+    amplitudes = [a for a in (h.amplitude, *h.other_amplitudes) if a is not None]
+    free = h.name in (UNLISTED, CORRELATED)
+    size = ", ".join(
+        f"{a.name} " + (f"{a.mean:.3g} {a.unit}" if free else estimate(a.mean, a.sd, a.unit))
+        for a in amplitudes
+    )
+    return {
+        "name": h.name,
+        "statement": CATALOGUE[h.name].statement if h.name in CATALOGUE else MADE_UP.get(h.name, ""),
+        "hidden": h.name in file.invisible,
+        "cells": [
+            "" if h.place is None else location_text(h.place, h.subtree),
+            "invisible" if h.name in file.invisible else percent(h.probability),
+            str(h.group),
+            f"{h.log_evidence - zero:+.1f}",
+            size,
+            "" if free else span(h.gap_after_mmHg, h.gap_after_interval_mmHg),
+            f"{h.residual_rms_mmHg:.3g}",
+        ],
+    }
+
+
+def _groups(file: DiagnosisFile) -> list[str]:
+    members: dict[int, list[str]] = {}
+    for h in file.hypotheses:
+        members.setdefault(h.group, []).append(h.name)
+    return [
+        f"Group {group}: {listed(names)} explain these data alike; the study cannot tell them apart, so the "
+        "answer is the group."
+        for group, names in members.items()
+        if len(names) > 1
+    ]
+
+
+def _moved(file: DiagnosisFile) -> list[list[str]]:
+    """Parameters of the base, without and with the cause, and the shift in standard deviations."""
+    before, after = (file.base_parameters.get(key, {}) for key in ("base", "with cause"))
+    rows = []
+    for name, value in before.items():
+        if name.endswith(" sd") or name not in after:
+            continue
+        sds = [values.get(f"{name} sd", float("nan")) for values in (before, after)]
+        shift = after[name] - value
+        spread = sds[0] if sds[0] > 0 else float("nan")
+        rows.append(
+            [
+                name,
+                MEANINGS.get(name, ("", ""))[0],
+                MEANINGS.get(name, ("", "–"))[1],
+                estimate(value, sds[0], "1"),
+                estimate(after[name], sds[1], "1"),
+                f"{shift:+.3g}",
+                f"{shift / spread:+.1f}",
+            ]
+        )
+    return rows
+
+
+def _confirmed(file: DiagnosisFile) -> list[dict[str, Any]]:
+    """Rows of the confirmation, best marginal likelihood first."""
+    rows = []
+    found = file.confirmation or {}
+
+    def worth(name: str) -> float:
+        value = found[name]["log_marginal_likelihood"]
+        return -np.inf if value is None else float(value)
+
+    for name in sorted(found, key=worth, reverse=True):
+        row = found[name]
+        difference = (row["elpd_waic_difference"], row["elpd_waic_difference_se"])
+        parameters = ", ".join(
+            f"{key} {estimate(value['mean'], value['sd'], '1')}" for key, value in row["parameters"].items()
+        )
+        rows.append(
+            {
+                "name": name,
+                "converged": bool(row["converged"]),
+                "verdict": row["verdict"],
+                "parameters": parameters,
+                "cells": [
+                    maybe(row["log_marginal_likelihood"], row["log_marginal_likelihood_se"]),
+                    maybe(row["elpd_waic"]),
+                    maybe(*difference),
+                    maybe(row["elpd_loo"]),
+                ],
+            }
+        )
+    return rows

@@ -1,0 +1,61 @@
+"""How a page is made: one template, one style, figures inside it."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from PIL import Image
+
+from zoo.plots import save_figure
+
+COLOURS = 64
+"""Of a figure in the page: a quarter of the size, and no difference to the eye."""
+
+
+class ReportError(ValueError):
+    """A report that cannot be written; its text says what to change."""
+
+
+@cache
+def _templates() -> Environment:
+    return Environment(
+        loader=PackageLoader("zoo.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def write_page(path: Path, template: str, **values: Any) -> Path:
+    """Fill a template in and write the page; returns its path."""
+    path.write_text(_templates().get_template(template).render(**values), encoding="utf-8")
+    return path
+
+
+class Picture(NamedTuple):
+    """A figure inside the page."""
+
+    source: str
+    width: int
+    height: int
+    alt: str
+    caption: str
+
+
+def picture_of(figure: Any, alt: str, caption: str) -> Picture:
+    """A figure as a PNG in a data URI, with its size in CSS pixels."""
+    with tempfile.TemporaryDirectory() as folder:
+        image = Image.open(save_figure(figure, Path(folder) / "figure.png")).convert("RGB")
+    small = BytesIO()
+    image.quantize(COLOURS).save(small, "PNG", optimize=True)
+    source = "data:image/png;base64," + base64.b64encode(small.getvalue()).decode("ascii")
+    return Picture(
+        source, round(0.6 * image.width), round(0.6 * image.height), alt, caption
+    )  # 160 dots an inch

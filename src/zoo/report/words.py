@@ -1,0 +1,65 @@
+"""Numbers, intervals and lists as the pages write them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from zoo.blood.effects import Place
+
+
+def location_text(vessel: int | None, subtree: bool) -> str:
+    """Such as "vessel 2 and below"; None stands for everywhere alike."""
+    return str(Place(vessel, subtree))
+
+
+def listed(names: Iterable[Any]) -> str:
+    """Such as "A, B and C"."""
+    words = [str(name) for name in names]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def with_error(value: float, error: float) -> str:
+    """A number with its standard error."""
+    return f"{value:.1f} ± {error:.1f}"
+
+
+def maybe(value: float | None, error: float | None = None) -> str:
+    """A number that may be missing, as JSON has no NaN."""
+    if value is None:
+        return "–"
+    return f"{value:.1f}" if error is None else with_error(value, error)
+
+
+def span(value: float, interval: Sequence[float]) -> str:
+    """An estimate with its interval."""
+    return f"{value:.2g} ({interval[0]:.2g} to {interval[1]:.2g})"
+
+
+def percent(share: float) -> str:
+    """A share in percent; "<1 %" for what is little but not nothing."""
+    text = f"{100 * share:.0f}"
+    return f"{'<1' if text == '0' and share > 0 else text} %"
+
+
+def estimate(mean: float, sd: float, unit: str) -> str:
+    """A mean with its standard deviation and unit; the unit 1 is left out."""
+    return f"{mean:.3g} ± {sd:.2g} {unit}".removesuffix(" 1")
+
+
+def number(value: float) -> str:
+    """Four significant digits, in full up to 1e6."""
+    return f"{float(f'{value:.4g}'):.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:#.4g}"
+
+
+def settings_text(values: Mapping[str, Any]) -> str:
+    """Settings and their values, after the name of the set if it has one."""
+    named = [f"{name} {value_text(value)}" for name, value in values.items() if name != "name"]
+    return ", ".join([str(values["name"]), *named] if "name" in values else named)
+
+
+def value_text(value: Any) -> str:
+    """A setting's value."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
