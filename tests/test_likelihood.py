@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import pickle
-from types import SimpleNamespace
 
 import arviz as az
 import cloudpickle
@@ -18,21 +17,23 @@ from hypothesis import strategies as st
 from pytensor.tensor.linalg import cholesky, solve_triangular
 from scipy import stats
 
-from zoo.blood.op import MissingGradientError
-from zoo.core.errors import likelihood
-from zoo.core.errors.likelihood import (
+from zoo.core.data import Data
+from zoo.core.distributions import LogUniform
+from zoo.core.errors import gaussian_process
+from zoo.core.errors.base import ErrorModelError
+from zoo.core.errors.gaussian_process import (
     JITTER,
     NOISE_VARIANCE,
-    GPErrors,
-    IidErrors,
-    LogUniform,
+    GaussianProcess,
     gp_leave_one_out,
     gp_sequential,
-    gp_terms,
-    iid_terms,
     neural_network_kernel,
-    pointwise_log_likelihood,
 )
+from zoo.core.errors.independent import Independent, iid_terms
+from zoo.core.errors.variables import Errors, ErrorTermsOp, IidErrors
+from zoo.core.op import MissingGradientError
+from zoo.core.parameters import InverseGamma, random_variables
+from zoo.core.parameters import LogUniform as LogUniformPrior
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:For one or more samples the posterior variance",
@@ -42,6 +43,7 @@ pytestmark = pytest.mark.filterwarnings(
 PERIOD_S = 0.11
 TIME_S = (np.arange(40) + 0.5) * PERIOD_S / 40
 W, B = 5.4e4, 137.0
+W_RANGE, B_RANGE = (1e4, 9e4), (1.0, 500.0)
 
 
 def covariance(time_s: np.ndarray, w: float, b: float) -> np.ndarray:
@@ -65,14 +67,15 @@ def draw_residual(n_series: int = 2, seed: int = 0, time_s: np.ndarray = TIME_S)
     return np.random.default_rng(seed).standard_normal((n_series, len(time_s))) @ root.T
 
 
-def observed_study(values: np.ndarray, quantity: str = "pressure_mmHg") -> SimpleNamespace:
-    """Just what the error models read of a study."""
-    series = tuple(
-        SimpleNamespace(quantity=quantity, label=f"v{i + 1}@0 {quantity}", value=row)
-        for i, row in enumerate(values)
-    )
-    return SimpleNamespace(
-        name="s", source="s", series=series, values=values, time_s=TIME_S[: values.shape[1]]
+def observed(values: np.ndarray, times: np.ndarray = TIME_S, quantity: str = "pressure") -> Data:
+    n = len(values)
+    labels = [f"v{i + 1}@0 {quantity}" for i in range(n)]
+    return Data(times[: values.shape[1]], values, labels, ["mmHg"] * n, [quantity] * n, source="s.toml")
+
+
+def process(values: np.ndarray, times: np.ndarray = TIME_S) -> GaussianProcess:
+    return GaussianProcess(LogUniformPrior(*W_RANGE), LogUniformPrior(*B_RANGE), unit="mmHg").bind(
+        observed(values, times)
     )
 
 
@@ -172,19 +175,19 @@ def test_no_nan_where_there_is_no_covariance(w: float, b: float) -> None:
 
 def test_terms_are_finite_over_the_whole_prior_box() -> None:
     time_s = (np.arange(512) + 0.25) * PERIOD_S / 512
-    for w in likelihood.W_RANGE:
-        for b in likelihood.B_RANGE:
+    for w in W_RANGE:
+        for b in B_RANGE:
             assert np.all(np.isfinite(gp_sequential(np.full((1, 512), 100.0), time_s, w, b)))
 
 
 def test_one_factorisation_for_repeated_w_and_b() -> None:
-    likelihood._factor.cache_clear()
+    gaussian_process._factor.cache_clear()
     for residual in (draw_residual(1), draw_residual(3), draw_residual(2, 9)):
         gp_sequential(residual, TIME_S, W, B)
         gp_leave_one_out(residual, TIME_S, W, B)
-    assert likelihood._factor.cache_info().misses == 1
+    assert gaussian_process._factor.cache_info().misses == 1
     gp_sequential(draw_residual(), TIME_S, W + 1, B)
-    assert likelihood._factor.cache_info().misses == 2
+    assert gaussian_process._factor.cache_info().misses == 2
 
 
 def test_iid_terms() -> None:
@@ -192,31 +195,42 @@ def test_iid_terms() -> None:
     np.testing.assert_allclose(iid_terms(residual, 0.13), stats.norm.logpdf(residual, 0, math.sqrt(0.13)))
 
 
-def test_pointwise_log_likelihood_of_draws() -> None:
+def test_terms_of_draws() -> None:
     residual = draw_residual()
-    study = observed_study(residual)
     means = np.stack([np.zeros_like(residual), np.full_like(residual, 0.01), np.full_like(residual, np.nan)])
     draws = {"w": [W, 2 * W, W], "b": [B, B, B], "sigma2": [0.1, 0.2, 0.3]}
-    joint = pointwise_log_likelihood("gp", study, means, draws, "joint")
+    found = process(residual).pointwise(means, draws)
+    joint = found["joint"]
     for i, w in enumerate((W, 2 * W)):
         normal = stats.multivariate_normal(np.zeros(len(TIME_S)), covariance(TIME_S, w, B))
         assert joint[i] == pytest.approx(normal.logpdf(residual - means[i]).sum(), rel=1e-6)
+        np.testing.assert_array_equal(
+            found["leave-one-out"][i], gp_leave_one_out(residual - means[i], TIME_S, w, B)
+        )
     assert joint[2] == -np.inf
-    sequential = pointwise_log_likelihood("gp", study, means, draws, "sequential")
-    np.testing.assert_allclose(sequential.sum(axis=(1, 2)), joint)
-    iid = [pointwise_log_likelihood("iid", study, means, draws, d) for d in ("sequential", "leave-one-out")]
-    np.testing.assert_array_equal(*iid)
-    np.testing.assert_allclose(iid[0][1], stats.norm.logpdf(residual - 0.01, 0, math.sqrt(0.2)))
+    np.testing.assert_allclose(found["sequential"].sum(axis=(1, 2)), joint)
+    iid = Independent().bind(observed(residual)).pointwise(means, draws, ("sequential", "leave-one-out"))
+    np.testing.assert_array_equal(*iid.values())
+    expected = stats.norm.logpdf(residual - 0.01, 0, math.sqrt(0.2))
+    np.testing.assert_allclose(iid["sequential"][1], expected)
 
 
-def test_unknown_names_are_refused() -> None:
-    study, means = observed_study(draw_residual()), np.zeros((1, 2, 40))
-    with pytest.raises(ValueError, match=r"error = 'ar1': must be one of iid, gp"):
-        pointwise_log_likelihood("ar1", study, means, {})
+def test_an_unknown_decomposition_is_refused() -> None:
+    errors, means = process(draw_residual()), np.zeros((1, 2, 40))
     with pytest.raises(
         ValueError, match=r"decomposition = 'loo': must be one of sequential, leave-one-out, joint"
     ):
-        pointwise_log_likelihood("gp", study, means, {"w": [W], "b": [B]}, "loo")
+        errors.pointwise(means, {"w": [W], "b": [B]}, ("loo",))
+
+
+def test_one_variance_does_not_hold_for_two_quantities() -> None:
+    data = Data(
+        TIME_S, np.zeros((2, 40)), ["p", "q"], ["mmHg", "ml/s"], ["pressure", "flow"], source="s.toml"
+    )
+    with pytest.raises(ErrorModelError, match="'data' observes flow and pressure: one sigma2 cannot hold"):
+        Independent().bind(data)
+    with pytest.raises(ErrorModelError, match="observes q: the Gaussian process' amplitude and noise are in"):
+        GaussianProcess(LogUniformPrior(*W_RANGE), LogUniformPrior(*B_RANGE), unit="mmHg").bind(data)
 
 
 # PyTensor and PyMC faces
@@ -237,42 +251,45 @@ def reference_terms(
 
 def test_op_agrees_with_plain_pytensor() -> None:
     residual, w, b = pt.dmatrix(), pt.dscalar(), pt.dscalar()
-    outputs = [gp_terms(residual, TIME_S, w, b), reference_terms(residual, TIME_S, w, b)]
+    outputs = [
+        ErrorTermsOp(process(draw_residual(3)))(residual, w, b),
+        reference_terms(residual, TIME_S, w, b),
+    ]
     ours, reference = pytensor.function([residual, w, b], outputs)(draw_residual(3), W, B)
     assert ours.shape == (3, len(TIME_S))
     np.testing.assert_allclose(ours, reference, rtol=1e-6, atol=1e-6)
 
 
 def test_op_checks_dimensions_and_knows_its_shape() -> None:
-    with pytest.raises(ValueError, match="must be 2, 1, 0, 0"):
-        gp_terms(pt.dvector(), TIME_S, W, B)
+    gp_terms = ErrorTermsOp(process(draw_residual(3)))
+    with pytest.raises(ValueError, match="of residual, w, b: must be 2, 0, 0"):
+        gp_terms(pt.dvector(), W, B)
     residual = pt.dmatrix()
-    shape = pytensor.function([residual], gp_terms(residual, TIME_S, W, B).shape)
-    assert not any(isinstance(node.op, likelihood.GPTermsOp) for node in shape.maker.fgraph.apply_nodes)
+    shape = pytensor.function([residual], gp_terms(residual, W, B).shape)
+    assert not any(isinstance(node.op, ErrorTermsOp) for node in shape.maker.fgraph.apply_nodes)
     assert tuple(shape(np.zeros((3, 40)))) == (3, 40)
 
 
 def test_op_says_that_it_has_no_gradient() -> None:
     w = pt.dscalar()
     with pytest.raises(MissingGradientError, match=r"pm.sample\(step=pm.DEMetropolisZ\(\)\)"):
-        pytensor.grad(gp_terms(np.zeros((1, 40)), TIME_S, w, B).sum(), w)
+        pytensor.grad(ErrorTermsOp(process(np.zeros((1, 40))))(np.zeros((1, 40)), w, B).sum(), w)
+
+
+def model_of(errors: GaussianProcess | Independent, ok: int) -> pm.Model:
+    values = errors.on.values
+    with pm.Model(coords={"series": list(errors.on.labels), "time": errors.on.times}) as model:
+        shift = pm.Uniform("shift", -1, 1)
+        errors.observe("y", shift + pt.zeros(values.shape), np.int8(ok), random_variables(errors.parameters))
+    return model
 
 
 def gp_model(values: np.ndarray, ok: int = 1) -> pm.Model:
-    with pm.Model() as model:
-        shift = pm.Uniform("shift", -1, 1)
-        w = LogUniform("w", *likelihood.W_RANGE)
-        b = LogUniform("b", *likelihood.B_RANGE)
-        GPErrors("y", shift + pt.zeros(values.shape), np.int8(ok), TIME_S, w, b, observed=values)
-    return model
+    return model_of(process(values), ok)
 
 
 def iid_model(values: np.ndarray, ok: int = 1) -> pm.Model:
-    with pm.Model() as model:
-        shift = pm.Uniform("shift", -1, 1)
-        sigma2 = pm.InverseGamma("sigma2", 3.0, 1.0)
-        IidErrors("y", shift + pt.zeros(values.shape), np.int8(ok), sigma2, observed=values)
-    return model
+    return model_of(Independent(InverseGamma(3.0, 1.0)).bind(observed(values)), ok)
 
 
 def test_log_density_of_the_gp_model() -> None:
@@ -309,7 +326,8 @@ def test_failed_solves_have_no_density_and_no_nan(make) -> None:
 
 def test_draws_of_the_gp_have_its_covariance() -> None:
     n = 8
-    y = GPErrors.dist(np.full((2, n), 3.0), np.int8(1), TIME_S[::5], 2e4, 5.0)
+    errors = process(np.zeros((2, n)), TIME_S[::5])
+    y = Errors.dist(np.full((2, n), 3.0), np.int8(1), 2e4, 5.0, errors=errors)
     draws = pm.draw(y, draws=4000, random_seed=2).reshape(-1, n)
     k = covariance(TIME_S[::5], 2e4, 5.0)
     np.testing.assert_allclose(draws.mean(axis=0), 3.0, atol=5 / math.sqrt(len(draws)))
@@ -318,7 +336,8 @@ def test_draws_of_the_gp_have_its_covariance() -> None:
 
 
 def test_draws_of_a_given_size() -> None:
-    gp = GPErrors.dist(np.zeros((2, 8)), np.int8(1), TIME_S[:8], W, B, size=(3,))
+    errors = process(np.zeros((2, 8)))
+    gp = Errors.dist(np.zeros((2, 8)), np.int8(1), W, B, errors=errors, size=(3,))
     assert pm.draw(gp, random_seed=1).shape == (3, 2, 8)
     iid = IidErrors.dist(np.zeros((2, 8)), np.int8(1), 0.5, size=(3, 2, 8))
     draws = pm.draw(iid, draws=200, random_seed=1)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -27,20 +27,57 @@ class ErrorModel(ABC):
     """The law of measured minus computed series.
 
     An error model is a value: made without data it is a statement for any, and `bind` gives it the data that
-    its other methods need. Residuals are arrays (..., n_series, n_times) in the series' own units.
+    its other methods need. Residuals are arrays (..., n_series, n_times) in the series' own units, and the
+    series are independent of each other given the parameters.
+
+    A subclass is a frozen dataclass whose fields can be hashed (tuples, not arrays), at the top level of a
+    module, so that other processes find it. It gives `name`, `parameters`, `variance`, `whiten`, `unwhiten`
+    and `terms`; the PyMC variable and the draws follow from these.
 
     Attributes
     ----------
     data : Data or None
-        What it is bound to.
+        What it is bound to; given by keyword.
     """
 
-    data: Data | None = None
+    data: Data | None = field(default=None, kw_only=True, repr=False)
 
     @property
     @abstractmethod
     def name(self) -> str:
         """As run records store it, such as "iid" or "gp"."""
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its free parameters."""
+
+    @abstractmethod
+    def variance(self, values: Mapping[str, ArrayLike]) -> Array:
+        """Marginal variance (n_series, n_times) of the errors at each time."""
+
+    @abstractmethod
+    def whiten(self, residuals: Array, values: Mapping[str, ArrayLike]) -> Array | None:
+        """Residuals as independent standard normal numbers of the same shape; None if there is no law."""
+
+    @abstractmethod
+    def unwhiten(self, z: Array, values: Mapping[str, ArrayLike]) -> Array | None:
+        """Errors from independent standard normal numbers: the inverse of `whiten`."""
+
+    @abstractmethod
+    def terms(
+        self, residual: Array, values: Mapping[str, ArrayLike], decomposition: str = "sequential"
+    ) -> Array:
+        """Log-likelihood terms (n_series, n_times) of one residual; -inf where there is no law.
+
+        Parameters
+        ----------
+        residual : array (n_series, n_times)
+        values : mapping of name to number
+            Of the parameters, each a scalar or a vector of its size.
+        decomposition : {"sequential", "leave-one-out"}
+            log p(y_i | y_<i), which add up to the joint log-density, or log p(y_i | y_-i).
+        """
 
     def bind(self, data: Data) -> Self:
         """The same for given data.
@@ -66,11 +103,6 @@ class ErrorModel(ABC):
         return self.data
 
     @property
-    @abstractmethod
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Its free parameters."""
-
-    @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of its free parameters."""
         return tuple(p.name for p in self.parameters)
@@ -83,50 +115,106 @@ class ErrorModel(ABC):
         """Coefficients to series: the inverse of `transform`."""
         return coefficients
 
-    @abstractmethod
-    def variance(self, values: Mapping[str, ArrayLike]) -> Array:
-        """Marginal variance (n_series, n_times) of the errors at each time."""
+    def covariance(self, values: Mapping[str, ArrayLike]) -> Array:
+        """Covariance matrix of each series' errors, S_s = U_s U_s' with U the linear map `unwhiten`.
 
-    @abstractmethod
-    def whiten(self, residuals: Array, values: Mapping[str, ArrayLike]) -> Array | None:
-        """Residuals as independent standard normal numbers of the same shape; None if there is no law."""
+        A law whose `unwhiten` is not linear, as of errors that are not normal, gives its own.
 
-    @abstractmethod
-    def unwhiten(self, z: Array, values: Mapping[str, ArrayLike]) -> Array | None:
-        """Errors from independent standard normal numbers: the inverse of `whiten`."""
+        Returns
+        -------
+        array (n_series, n_times, n_times)
 
-    @abstractmethod
-    def terms(
-        self, residual: Array, values: Mapping[str, ArrayLike], decomposition: str = "sequential"
-    ) -> Array:
-        """Log-likelihood terms (n_series, n_times) of one residual; -inf where there is no law.
+        Raises
+        ------
+        ErrorModelError
+            If there is no law at these values.
+        """
+        n = self.on.n_times
+        units = np.broadcast_to(np.eye(n)[:, None, :], (n, self.on.n_series, n))
+        columns = self.unwhiten(units, values)
+        if columns is None:
+            raise ErrorModelError(f"error model {self.name}: no covariance at {dict(values)}")
+        return np.asarray(np.einsum("jst,jsu->stu", columns, columns))
+
+    def log_density(self, residual: Array, values: Mapping[str, ArrayLike]) -> float:
+        """Joint log-density of one residual (n_series, n_times): the sum of the sequential terms."""
+        return float(np.sum(self.terms(residual, values)))
+
+    def draw(self, rng: np.random.Generator, values: Mapping[str, ArrayLike]) -> Array | None:
+        """Errors (n_series, n_times) from the law; None if there is none."""
+        return self.unwhiten(rng.standard_normal((self.on.n_series, self.on.n_times)), values)
+
+    def pointwise(
+        self,
+        series: Array,
+        draws: Mapping[str, ArrayLike],
+        decompositions: Sequence[str] = DECOMPOSITIONS,
+    ) -> dict[str, Array]:
+        """Log-likelihood terms of the data at many posterior draws, in several decompositions.
 
         Parameters
         ----------
-        residual : array (n_series, n_times)
-        values : mapping of name to number
-        decomposition : {"sequential", "leave-one-out"}
-            log p(y_i | y_<i), which add up to the joint log-density, or log p(y_i | y_-i).
-        """
+        series : array (n_draws, n_series, n_times)
+            Computed at each draw, in the series' own units; NaN where a solve failed.
+        draws : mapping of name to array (n_draws, ...)
+            Of the parameters.
+        decompositions : sequence of str
+            Of "sequential", log p(y_i | y_<i); "leave-one-out", log p(y_i | y_-i); "joint", log p(y), the
+            log-density of all observations together.
 
-    @abstractmethod
+        Returns
+        -------
+        dict
+            Decomposition -> array (n_draws, n_series, n_times), (n_draws,) for "joint"; -inf where a solve
+            failed.
+
+        Raises
+        ------
+        ValueError
+            If a decomposition is unknown.
+
+        References
+        ----------
+        Buerkner, Gabry and Vehtari 2021, doi 10.1007/s00180-020-01045-4.
+        """
+        for name in decompositions:
+            if name not in DECOMPOSITIONS:
+                raise ValueError(f"decomposition = {name!r}: must be one of {', '.join(DECOMPOSITIONS)}")
+        columns = {name: np.asarray(draws[name], dtype=np.float64) for name in self.parameter_names}
+        residuals = self.on.values - series
+        found = {
+            name: np.full(series.shape[:1] if name == "joint" else series.shape, -np.inf)
+            for name in decompositions
+        }
+        for i in np.flatnonzero(np.isfinite(residuals).all(axis=(1, 2))):
+            values = {name: column[i] for name, column in columns.items()}
+            for name, terms in found.items():  # what one draw has cost may be kept from one to the next
+                if name == "joint":
+                    terms[i] = self.log_density(residuals[i], values)
+                else:
+                    terms[i] = self.terms(residuals[i], values, name)
+        return found
+
     def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
         """Add the observed variable to the PyMC model in whose context it is called.
+
+        Its log-density is made of the sequential `terms`, (n_series, n_times), and its draws of `unwhiten`.
 
         Parameters
         ----------
         name : str
-            Of the variable, such as "y"; its log-density is made of the terms, density 0 where ok is 0.
+            Of the variable, such as "y"; density 0 where ok is 0.
         mean : TensorVariable (n_series, n_times)
         ok : TensorVariable, int8 scalar
         variables : mapping
             PyMC variables of `parameters`.
+
+        Returns
+        -------
+        TensorVariable (n_series, n_times)
         """
+        from zoo.core.errors.variables import Errors
 
-    def log_density(self, residual: Array, values: Mapping[str, ArrayLike]) -> float:
-        """Joint log-density of one residual (n_series, n_times)."""
-        return float(np.sum(self.terms(residual, values)))
-
-    def draw(self, rng: np.random.Generator, values: Mapping[str, ArrayLike]) -> Array | None:
-        """Errors (n_series, n_times) from the law."""
-        return self.unwhiten(rng.standard_normal((self.on.n_series, self.on.n_times)), values)
+        parameters = [variables[p] for p in self.parameter_names]
+        data = self.on
+        return Errors(name, mean, ok, *parameters, errors=self, observed=data.values, dims=("series", "time"))

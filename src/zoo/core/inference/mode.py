@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import floatX, join_nonshared_inputs
 
-from zoo.core.errors.likelihood import ModelRecord, whiten
 from zoo.core.inference.steps import T_DOF, Array, Gaussian, Point, compile_logp, counting_ops
 
 LARGE = 100.0
@@ -210,7 +209,7 @@ def search_mode(
 
     limit = 300 + 60 * d if max_evaluations is None else max_evaluations
     frame = None
-    if d > MANY and isinstance(getattr(logp.model, "zoo", None), ModelRecord):
+    if d > MANY and hasattr(getattr(logp.model, "zoo", None), "errors"):
         begin = [(q, best)] if start is not None else _prior_points(logp, q, seed)
         q, best, frame = _highest(logp, begin, limit)
     elif limit > 2 * d + 1:
@@ -351,10 +350,11 @@ class _Residuals:
         """The solver's series, None where it fails, and the error parameters."""
         self.logp.evaluations += 1
         mean, ok, *errors = self._mean(q)
-        return (mean if ok else None), dict(zip(self.record.error_parameters, errors, strict=True))
+        return (mean if ok else None), dict(zip(self.record.errors.parameter_names, errors, strict=True))
 
     def whiten(self, residuals: Array, errors: Mapping[str, Any]) -> Array | None:
-        return whiten(self.record.error, residuals, self.record.study.time_s, errors)
+        found: Array | None = self.record.errors.whiten(residuals, errors)
+        return found
 
     def prior(self, q: Array) -> tuple[Array, Array]:
         """Gradient of the log-prior (n_dim,), and its negative second derivatives without negative ones."""
@@ -395,7 +395,7 @@ def gauss_newton(
     from scipy.optimize import minimize
 
     model = _Residuals(logp)
-    data, before = logp.model.zoo.study.values, logp.evaluations
+    data, before = logp.model.zoo.data.values, logp.evaluations
     theta, eta = np.flatnonzero(~model.of_errors), np.flatnonzero(model.of_errors)
     curvature = np.diag(model.prior(logp.vector(logp.initial))[1])
     scale = 1.0 / np.sqrt(np.where(curvature > 0, curvature, 1.0))  # prior standard deviations

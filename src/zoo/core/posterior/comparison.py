@@ -18,7 +18,8 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
-from zoo.core.errors.likelihood import DECOMPOSITIONS, ModelRecord, pointwise_log_likelihoods
+from zoo.core.errors.base import DECOMPOSITIONS
+from zoo.core.errors.likelihood import ModelRecord
 from zoo.core.inference.results import Verdict, judged
 
 Array = NDArray[np.float64]
@@ -234,7 +235,7 @@ def log_likelihoods(
     }
     n_chains, n_kept = posterior.sizes["chain"], posterior.sizes["draw"]
     terms = {}
-    found = pointwise_log_likelihoods(record.error, record.study, means, errors, decompositions)
+    found = record.errors.pointwise(means, errors, decompositions)
     for decomposition, values in found.items():
         dims = ("chain", "draw", "series", "time")[: values.ndim + 1]
         terms[decomposition] = (dims, values.reshape(n_chains, n_kept, *values.shape[1:]))

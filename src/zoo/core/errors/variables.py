@@ -1,0 +1,170 @@
+"""Error models as PyMC variables.
+
+The random variables are classes of this module (a ``pm.CustomDist`` makes its class on the fly), so that a
+model unpickled in another process still finds its log-density.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+import numpy as np
+import pytensor.tensor as pt
+from numpy.typing import NDArray
+from pymc.distributions.distribution import Continuous
+from pymc.logprob.abstract import _logprob
+from pytensor.graph.basic import Apply, Variable
+from pytensor.graph.op import Op
+from pytensor.tensor.random.op import RandomVariable
+
+from zoo.core.errors.base import ErrorModel
+from zoo.core.op import MissingGradientError
+
+Array = NDArray[np.float64]
+
+_LOG_2PI = math.log(2.0 * math.pi)
+
+
+class IidErrorsRV(RandomVariable):
+    """Draws of `IidErrors`."""
+
+    name = "iid_errors"
+    signature = "(),(),()->()"
+    dtype = "float64"
+    _print_name = ("IidErrors", "\\operatorname{IidErrors}")
+
+    @classmethod
+    def rng_fn(cls, rng: np.random.Generator, mean: Array, ok: Any, sigma2: Array, size: Any = None) -> Array:
+        """NaN where the solve failed."""
+        draw = rng.normal(mean, np.sqrt(sigma2), size=size)
+        return np.where(ok, draw, np.nan)
+
+
+class IidErrors(Continuous):
+    """Independent normal errors of variance sigma2 around computed series; density 0 where ok is 0."""
+
+    rv_op = IidErrorsRV()
+
+    @classmethod
+    def dist(cls, mean: Any, ok: Any, sigma2: Any, **kwargs: Any) -> Any:
+        """Mean (n_series, n_times), scalars ok and sigma2."""
+        return super().dist([mean, ok, sigma2], **kwargs)
+
+    def support_point(rv, size, mean, ok, sigma2):  # type: ignore[no-untyped-def]
+        return mean
+
+    def logp(value, mean, ok, sigma2):  # type: ignore[no-untyped-def]
+        terms = -0.5 * (_LOG_2PI + pt.log(sigma2) + (value - mean) ** 2 / sigma2)
+        return pt.switch(ok, terms, -np.inf)
+
+
+def _values(errors: ErrorModel, parameters: Sequence[Any]) -> dict[str, Any]:
+    return dict(zip(errors.parameter_names, parameters, strict=True))
+
+
+class ErrorTermsOp(Op):
+    """Sequential terms of an error model without a gradient: residual (n_series, n_times), parameters.
+
+    Parameters
+    ----------
+    errors : ErrorModel
+        Bound to data.
+    """
+
+    __props__ = ("errors",)
+
+    def __init__(self, errors: ErrorModel) -> None:
+        self.errors = errors
+
+    def make_node(self, *inputs: Any) -> Apply:
+        """A matrix, and a scalar or vector for each parameter in; a matrix out."""
+        tensors = [pt.as_tensor_variable(x, dtype="float64") for x in inputs]
+        ndims = [x.ndim for x in tensors]
+        wanted = [2, *(1 if p.dims else 0 for p in self.errors.parameters)]
+        if ndims != wanted:
+            names = ", ".join(("residual", *self.errors.parameter_names))
+            raise ValueError(f"dimensions {ndims} of {names}: must be {', '.join(map(str, wanted))}")
+        return Apply(self, tensors, [tensors[0].type()])
+
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[Any]]) -> None:
+        """Evaluate."""
+        residual, *parameters = inputs
+        terms = self.errors.terms(residual, _values(self.errors, parameters))
+        output_storage[0][0] = np.asarray(terms, dtype=np.float64)
+
+    def infer_shape(self, fgraph: Any, node: Apply, input_shapes: list[tuple[Variable, ...]]) -> list[Any]:
+        """That of the residual."""
+        return [input_shapes[0]]
+
+    def L_op(
+        self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
+    ) -> NoReturn:
+        """Raise MissingGradientError."""
+        raise MissingGradientError(f"the log-likelihood of the error model {self.errors.name}")
+
+    pullback = L_op  # its name in PyTensor 3
+
+
+class ErrorsRV(RandomVariable):
+    """Draws of `Errors`.
+
+    Parameters
+    ----------
+    errors : ErrorModel
+        Bound to data.
+    """
+
+    name = "errors"
+    dtype = "float64"
+    _print_name = ("Errors", "\\operatorname{Errors}")
+    __props__ = ("errors", "inplace")  # type: ignore[assignment]
+
+    def __init__(self, errors: ErrorModel, inplace: bool = False) -> None:
+        self.errors = errors
+        parameters = [f"(p{i})" if p.dims else "()" for i, p in enumerate(errors.parameters)]
+        signature = ",".join(["(s,t)", "()", *parameters]) + "->(s,t)"
+        super().__init__(signature=signature, inplace=inplace)
+
+    def rng_fn(self, rng: np.random.Generator, *arguments: Any, **settings: Any) -> Array:
+        """NaN where the solve failed or there is no law."""
+        *inputs, size = (*arguments, settings["size"]) if "size" in settings else arguments
+        mean = np.asarray(inputs[0])
+        if size is not None:
+            mean = np.broadcast_to(mean, (*size, *mean.shape[-2:]))
+
+        def draw(mean: Array, ok: Any, *parameters: Any) -> Array:
+            z = rng.standard_normal(mean.shape)
+            drawn = self.errors.unwhiten(z, _values(self.errors, parameters)) if ok else None
+            return np.full(mean.shape, np.nan) if drawn is None else mean + drawn
+
+        return np.asarray(np.vectorize(draw, signature=self.signature)(mean, *inputs[1:]))
+
+
+class Errors(Continuous):
+    """Any error model around computed series, its density 0 where ok is 0.
+
+    The log-density is left as its sequential terms, (n_series, n_times).
+    """
+
+    rv_type = ErrorsRV
+
+    @classmethod
+    def rv_op(cls, *inputs: Any, errors: ErrorModel, size: Any = None, **kwargs: Any) -> Any:
+        """Variable of mean, ok and the errors' parameters."""
+        return ErrorsRV(errors)(*inputs, size=size, **kwargs)
+
+    @classmethod
+    def dist(cls, mean: Any, ok: Any, *parameters: Any, errors: ErrorModel, **kwargs: Any) -> Any:
+        """Mean (n_series, n_times), scalar ok, and the errors' parameters in their order."""
+        return super().dist([mean, ok, *parameters], errors=errors, **kwargs)
+
+    def support_point(rv, size, mean, ok, *parameters):  # type: ignore[no-untyped-def]
+        return mean
+
+
+@_logprob.register(ErrorsRV)
+def _log_terms(op: ErrorsRV, values: Sequence[Any], *inputs: Any, **settings: Any) -> Any:
+    _, _, mean, ok, *parameters = inputs
+    return pt.switch(ok, ErrorTermsOp(op.errors)(values[0] - mean, *parameters), -np.inf)
