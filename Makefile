@@ -23,7 +23,7 @@ test: setup
 
 check: setup
 	$(BIN)/ruff check .
-	$(BIN)/mypy src/zoo models
+	$(BIN)/mypy src/zoo models examples
 
 # The embedded study from waves to WAIC; results in demo-output/.
 demo: setup

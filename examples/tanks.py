@@ -59,8 +59,8 @@ def levels(c: dict[str, Any], inflow: Array) -> Array:
     k1, k3, h = float(c["k1"]), float(c["k3"]), STEP_S / SUBSTEPS
     p1, p2 = 0.5 + c.get("upper exponent", 0.0), 0.5 + c.get("lower exponent", 0.0)
     k1, k3 = k1 * MIDDLE_V ** (0.5 - p1), k3 * MIDDLE_V ** (0.5 - p2)
-    crack1, height1 = c.get("upper crack", (0.0, 0.0))
-    crack2, height2 = c.get("lower crack", (0.0, 0.0))
+    crack1, height1 = (float(value) for value in c.get("upper crack", (0.0, 0.0)))
+    crack2, height2 = (float(value) for value in c.get("lower crack", (0.0, 0.0)))
     rim1, share, rim2 = c.get("upper rim", math.inf), c.get("share", 0.0), c.get("lower rim", math.inf)
     back, sqrt = c.get("back pressure", 0.0), math.sqrt
     simple1 = p1 == 0.5 and not crack1 and not back
@@ -68,12 +68,12 @@ def levels(c: dict[str, Any], inflow: Array) -> Array:
 
     def upper(x: float) -> tuple[float, float]:  # outflow to the lower tank; all that depends on the level
         x = max(x, 0.0)
-        out = k1 * x**p1
+        out = float(k1 * x**p1)
         return out, out + crack1 * sqrt(max(x - height1, 0.0)) + q * min(back * x, 1.0)
 
     def lower(x: float) -> float:
         x = max(x, 0.0)
-        return k3 * x**p2 + crack2 * sqrt(max(x - height2, 0.0))
+        return float(k3 * x**p2) + crack2 * sqrt(max(x - height2, 0.0))
 
     x1, x2 = float(c["x1(0)"]), float(c["x2(0)"])
     factors = 1.0 + c.get("outlet drift", 0.0) * (np.arange(len(inflow)) / len(inflow) - 0.5)
@@ -130,7 +130,7 @@ def tanks(u: Array, name: str = "tanks") -> FunctionModel:
       section may be another.
     """
 
-    def simulate(c: dict[str, Any], times: Array) -> Array:
+    def simulate(c: dict[str, Any], at: Array) -> Array:
         drive = u
         for change in c.get("pump", ()):
             drive = change(drive)
@@ -146,12 +146,17 @@ def tanks(u: Array, name: str = "tanks") -> FunctionModel:
         Parameter("x1(0)", Uniform(0.0, 15.0), "V", start=5.0),
         Parameter("x2(0)", Uniform(0.0, 10.0), "V", start=5.0),
     )
-    return FunctionModel(simulate, parameters, Outputs(("level",), STEP_S * np.arange(len(u))), name)
+    return FunctionModel(simulate, parameters, Outputs(("level",), times(len(u))), name)
+
+
+def times(n: int) -> Array:
+    """Times (n,) of the samples, s."""
+    return STEP_S * np.arange(n, dtype=np.float64)
 
 
 def data(y: Array, name: str = "cascaded tanks") -> Data:
     """A record of the lower tank's level y (n,), V."""
-    return Data(STEP_S * np.arange(len(y)), y, labels=("level",), units=("V",), name=name)
+    return Data(times(len(y)), y, labels=("level",), units=("V",), name=name)
 
 
 # ---------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.forward import ForwardModel, Outputs, content_key
+from zoo.core.forward import ForwardModel, Outputs, content_key, function_text
 from zoo.core.parameters import Normal, Parameter, n_values
 
 Array = NDArray[np.float64]
@@ -353,9 +353,8 @@ class WithEffects:
 
 def _effect_text(one: AddedEffect) -> bytes:
     change = getattr(one.effect.apply, "change", one.effect.apply)
-    code = getattr(change, "__code__", None)
     text = f"{one.name} {one.location.part!r} {one.location.subtree} {one.effect.parameters!r}".encode()
-    return text + (code.co_code + repr(code.co_names).encode() if code else b"")
+    return text + function_text(change)
 
 
 def with_effects(model: ForwardModel, added: Iterable[AddedEffect]) -> ForwardModel:

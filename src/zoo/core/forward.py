@@ -70,11 +70,14 @@ class ForwardModel(Protocol):
         Kinds of effects in the order in which they are applied; empty if it does not matter.
     """
 
-    name: str
-    parameters: tuple[Parameter, ...]
-    outputs: Outputs
-    families: tuple[str, ...]
-
+    @property
+    def name(self) -> str: ...
+    @property
+    def parameters(self) -> tuple[Parameter, ...]: ...
+    @property
+    def outputs(self) -> Outputs: ...
+    @property
+    def families(self) -> tuple[str, ...]: ...
     @property
     def key(self) -> str: ...
 
@@ -126,10 +129,8 @@ class FunctionModel:
 
     @property
     def key(self) -> str:
-        """Digest of the function's code, the parameters and the outputs."""
-        code = getattr(self.function, "__code__", None)
-        text = (code.co_code + repr(code.co_consts).encode()) if code else repr(self.function).encode()
-        return content_key(text, self.name, repr(self.parameters), self.outputs)
+        """Digest of the function with all that it refers to, the parameters and the outputs."""
+        return content_key(function_text(self.function), self.name, repr(self.parameters), self.outputs)
 
     def configure(self, theta: ArrayLike) -> dict[str, Any]:
         """Parameters by name."""
@@ -165,6 +166,19 @@ def content_key(*parts: Any) -> str:
             part = str(part).encode()
         digest.update(len(part).to_bytes(8, "little") + part)
     return digest.hexdigest()
+
+
+def function_text(function: Any) -> bytes:
+    """What tells a function from others: its pickle, which holds its code and what it is closed over.
+
+    What cannot be pickled is told apart by its address, so that it is equal to itself only.
+    """
+    import cloudpickle  # type: ignore[import-untyped]
+
+    try:
+        return bytes(cloudpickle.dumps(function))
+    except Exception:
+        return f"{function!r} at {id(function)}".encode()
 
 
 def from_pints(
