@@ -18,7 +18,8 @@ def _missing() -> str | None:
     folder = os.environ.get("ZOO_DATA_DIR")
     if not folder:
         return "ZOO_DATA_DIR is not set"
-    for needed in ("mouse-c6/qC6_8192.dat", "mouse-c6/pC6_1024.dat", "network", "reference"):
+    files = "mouse-c6/qC6_8192.dat", "mouse-c6/pC6_1024.dat", "cascaded-tanks/dataBenchmark.csv"
+    for needed in (*files, "network", "reference"):
         if not (Path(folder) / needed).exists():
             return f"ZOO_DATA_DIR = {folder} does not hold {needed}"
     return None

@@ -152,7 +152,8 @@ def test_a_cache_that_cannot_be_written(server: Server, tmp_path: Path) -> None:
 
 def test_unknown_names() -> None:
     fails(
-        "mouse_c6/pC6_1024.dat", r"data set 'mouse_c6': unknown; did you mean 'mouse-c6'\? there is mouse-c6"
+        "mouse_c6/pC6_1024.dat",
+        r"data set 'mouse_c6': unknown; did you mean 'mouse-c6'\? there is mouse-c6, cascaded-tanks",
     )
     fails(
         "mouse-c6/p.dat",
@@ -163,8 +164,10 @@ def test_unknown_names() -> None:
 
 
 @pytest.mark.needs_data
-def test_the_measured_data(data_dir: Path) -> None:
-    paths = fetch_dataset("mouse-c6")
-    assert paths == (data_dir / "mouse-c6" / "qC6_8192.dat", data_dir / "mouse-c6" / "pC6_1024.dat")
+@pytest.mark.parametrize("dataset", ["mouse-c6", "cascaded-tanks"])
+def test_the_measured_data(dataset: str, data_dir: Path) -> None:
+    known = DATASETS[dataset].sha256
+    paths = fetch_dataset(dataset)
+    assert paths == tuple(data_dir / dataset / file for file in known)
     for path in paths:
-        assert hashlib.sha256(path.read_bytes()).hexdigest() == DATASETS["mouse-c6"].sha256[path.name]
+        assert hashlib.sha256(path.read_bytes()).hexdigest() == known[path.name]

@@ -51,6 +51,15 @@ DATASETS = {
             "pC6_1024.dat": "a6e7878d32390ff4fd62356507754b91ea18fd28922b6489903caf9b42056d94",
         },
     ),
+    # Cascaded tanks: pump voltage and water level (V, every 4 s), an estimation and a test record of 1024
+    # samples. Schoukens, Mattsson, Wigren and Noël 2016, doi 10.4121/12960104.
+    "cascaded-tanks": Dataset(
+        url=(
+            "https://raw.githubusercontent.com/forgi86/sysid-neural-continuous/"
+            "956aa7ecd73061b0321c6f6098d74c9e4a7ce67a/examples/CTS/data/"
+        ),
+        sha256={"dataBenchmark.csv": "ef2388ed822f3aef4aa80d6b0f2b466dd80b361786b3eafc7a2957c31ea323a7"},
+    ),
 }
 
 
