@@ -58,6 +58,20 @@ class Prior:
         """First derivative of each element's log-density, and its negative second derivative."""
         raise NotImplementedError
 
+    def dependence(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+        """Derivatives with respect to the k parameters that a hierarchical prior depends on.
+
+        Returns
+        -------
+        array (k,)
+            First derivatives of the log-density.
+        array (k, k)
+            Negative second derivatives.
+        array (size, k)
+            Negative second derivatives with respect to each element of x and each of them.
+        """
+        raise NotImplementedError
+
     def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
         """The PyMC random variable, made inside a model's context."""
         raise NotImplementedError
@@ -325,6 +339,18 @@ class Population(Prior):
         mean, sd = self._standard(given)
         x = np.asarray(x, dtype=np.float64)
         return -(x - mean) / sd**2, np.full(x.shape, 1.0 / sd**2)
+
+    def dependence(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+        """With respect to m and v, where -log p = sum (x - m)^2/(2 unit^2 v) + n log(v)/2."""
+        mean, sd = self._standard(given)
+        v = float(given[self.variance])
+        x = np.asarray(x, dtype=np.float64)
+        z, n = (x - mean) / sd, len(x)
+        first = np.array([np.sum(z) / sd, (np.sum(z * z) - n) / (2.0 * v)])
+        mixed = np.sum(z) / (sd * v)
+        second = np.array([[n / sd**2, mixed], [mixed, (np.sum(z * z) - 0.5 * n) / v**2]])
+        cross = np.stack([np.full(n, -1.0 / sd**2), -z / (sd * v)], axis=1)
+        return first, second, cross
 
     def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
         """``pm.Normal``, sampled as its logarithm."""

@@ -1,0 +1,389 @@
+"""The answer of a diagnosis: where the model discrepancy lies, what causes it, how far it shrinks, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.diag2.discrepancy import model_discrepancy, smooth_part
+from zoo.core.diag2.evidence import Fit
+from zoo.core.diag2.file import (
+    AddedStep,
+    DiagnosisFile,
+    Estimate,
+    Gap,
+    HypothesisResult,
+    Interval,
+    LocationShare,
+    SeriesGap,
+    Where,
+)
+from zoo.core.diag2.heldout import hold_out
+from zoo.core.diag2.hooks import Hooks, next_measurement
+from zoo.core.diag2.hypothesis import CORRELATED, NONPARAMETRIC, NULL
+from zoo.core.diag2.scoring import DOUBT, Scored
+from zoo.core.diag2.screening import Screened
+from zoo.core.effects import Location
+from zoo.core.inference.results import versions
+
+Array = NDArray[np.float64]
+
+MAX_HARMONIC = 10
+DRAWS = 400
+POOR_FIT = 0.2
+"""Discrepancy over the data's range above which input is suspected: four prior sds of a free discrepancy."""
+LITTLE = 0.5
+"""Part of the discrepancy that an explanation should remove at least, lest a warning is given."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitDiscrepancy:
+    """The model discrepancy beside a fit, with bands; series in their own units."""
+
+    mean: Array  # (n_series, n_times)
+    sd: Array
+    rms: Array  # (n_draws, n_series)
+    unabsorbed: Array  # (n_draws, n_series), rms of what a fit to data without noise would leave
+    residual: Array  # (n_series, n_times)
+
+    def pooled(self, rows: list[int]) -> Array:
+        """Rms over some series together, (n_draws,)."""
+        return _over(self.rms, rows)
+
+    def interval(self, rows: list[int]) -> Interval:
+        """Of that rms; from what a fit to data without noise would leave to what this fit leaves."""
+        return _interval(self.pooled(rows), _over(self.unabsorbed, rows))
+
+    def removed(self, rows: list[int], before: FitDiscrepancy) -> Interval:
+        """Part of the discrepancy that this fit takes away; its interval holds both meanings of what is left."""
+        size = np.maximum(before.pooled(rows), 1e-12)
+        low, high = (1.0 - _over(x, rows) / size for x in (self.rms, self.unabsorbed))
+        return Interval(
+            mean=float(low.mean()), low=float(np.quantile(low, 0.025)), high=float(np.quantile(high, 0.975))
+        )
+
+
+def _over(rms: Array, rows: list[int]) -> Array:
+    return np.asarray(np.sqrt(np.mean(rms[:, rows] ** 2, axis=1)))
+
+
+def discrepancy_of(
+    screened: Screened, fit: Fit, seed: int = 0, *, known_noise: bool = False
+) -> FitDiscrepancy:
+    """Posterior of the truth minus the fitted series: what is smooth in the residual beside the noise, and
+    the error of the fitted parameters, which does not show there.
+
+    Parameters
+    ----------
+    screened : Screened
+    fit : Fit
+    seed : int
+        Of the draws that give its size an interval.
+    known_noise : bool
+        Take the noise as fitted, which is faster.
+
+    Returns
+    -------
+    FitDiscrepancy
+    """
+    errors = screened.screening.errors
+    rng = np.random.default_rng(seed)
+    noise = {q: [(0.0, e)] for q, e in screened.noise.items()} if known_noise else screened.possible_noise
+    found = model_discrepancy(fit, noise, rng, DRAWS)
+    series = errors.unflat(found.draws)
+    rms, unabsorbed = (np.sqrt(np.mean(x**2, axis=2)) for x in (series, errors.unflat(found.unabsorbed)))
+    mean, residual = errors.unflat(found.mean), errors.unflat(fit.residual)
+    return FitDiscrepancy(mean, series.std(axis=0), rms, unabsorbed, residual)
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2)))
+
+
+def _interval(draws: Array, least: Array) -> Interval:
+    low, high = np.quantile(least, 0.025), np.quantile(draws, 0.975)
+    return Interval(mean=float(np.mean(draws)), low=float(low), high=float(high))
+
+
+def _noun(scored: Scored) -> str:
+    """What a part of the simulator is called."""
+    nouns = [at.noun for found in scored.locations.values() for at, _ in found if at.noun]
+    return nouns[0] if nouns else "part"
+
+
+def _location_posterior(scored: Scored) -> list[LocationShare]:
+    """Everywhere alike, or a part; what is missing to 1 is the probability of no listed effect."""
+    shares: dict[Location, float] = {}
+    for name, locations in scored.locations.items():
+        for location, weight in locations:
+            shares[location] = shares.get(location, 0.0) + weight * scored.probability[name]
+    found = [
+        LocationShare(part=at.part, subtree=at.subtree, probability=w, noun=_noun(scored))
+        for at, w in sorted(shares.items(), key=lambda x: -x[1])
+    ]
+    return [p for p in found if p.probability >= 0.001]
+
+
+def _where(scored: Scored, d: FitDiscrepancy, hooks: Hooks) -> Where:
+    data = scored.screened.screening.data
+    rows = hooks.rows(data)
+    energy = d.mean**2
+    total = float(energy[rows].sum()) or 1.0
+    names, phase = hooks.phases_of(data, rows)
+    by_phase = {p: float(energy[rows][:, phase == i].sum()) / total for i, p in enumerate(names)}
+    errors = scored.screened.screening.errors
+    coefficients = errors.transform(d.mean)[rows]
+    power = np.zeros(int(errors.k.max()) + 1)
+    np.add.at(power, errors.k, np.sum(coefficients**2, axis=0))
+    power /= float(power.sum()) or 1.0
+    by_harmonic = {str(k): float(power[k]) for k in range(min(MAX_HARMONIC + 1, len(power)))}
+    by_harmonic[f"above {MAX_HARMONIC}"] = float(power[MAX_HARMONIC + 1 :].sum())
+    by_series = {data.labels[i]: float(energy[i].sum()) / total for i in rows}
+    return Where(series=by_series, phase=by_phase, harmonic=by_harmonic, place=_location_posterior(scored))
+
+
+def _estimates(fit: Fit) -> list[Estimate]:
+    found = []
+    for i, p in enumerate(fit.hypothesis.effect.parameters):
+        mean, sd = fit.estimate(i)
+        found.append(Estimate(name=p.name, mean=mean, sd=sd, unit=p.unit))
+    return found
+
+
+def _free_estimates(fit: Fit) -> list[Estimate]:
+    data, found = fit.forward.errors.on, []
+    for q, e in fit.errors.items():
+        found.append(Estimate(name=f"sd of {q}", mean=e.delta, sd=0.0, unit=data.unit(q)))
+        found.append(Estimate(name=f"length scale of {q}", mean=e.length, sd=0.0, unit=data.time_unit))
+    return found
+
+
+def _results(
+    scored: Scored, seed: int, known: Mapping[str, FitDiscrepancy], hooks: Hooks
+) -> list[HypothesisResult]:
+    screened = scored.screened
+    data = screened.screening.data
+    rows = hooks.rows(data)
+    found = []
+    for name in scored.names:
+        fit = scored.best[name]
+        if name in (NONPARAMETRIC, CORRELATED):
+            mean, _ = smooth_part(fit)
+            noise_left = screened.screening.errors.unflat(fit.residual - mean)
+            after = np.array([0.0, 0.0, 0.0])
+            rms = _rms(noise_left[rows])
+        else:
+            improbable = scored.probability[name] < DOUBT
+            d = known.get(name) or discrepancy_of(screened, fit, seed, known_noise=improbable)
+            size = d.interval(rows)
+            after = np.array([size.mean, size.low, size.high])
+            rms = _rms(d.residual[rows])
+        listed = name in scored.locations
+        estimates = [] if name == NULL else _estimates(fit) if listed else _free_estimates(fit)
+        shift = {}
+        if listed:
+            base = screened.base
+            for i, p in enumerate(fit.forward.parameters[: fit.forward.n_base]):
+                shift[p.name] = float(fit.values[i] - base.values[i])
+        locations = scored.locations.get(name, [])
+        found.append(
+            HypothesisResult(
+                name=name,
+                place=fit.hypothesis.location.part if listed else None,
+                subtree=fit.hypothesis.location.subtree if listed else False,
+                probability=scored.probability[name],
+                group=scored.group[name],
+                log_evidence=scored.log_z[name],
+                amplitude=estimates[0] if estimates else None,
+                other_amplitudes=estimates[1:],
+                gap_after=float(after[0]),
+                gap_after_interval=(float(after[1]), float(after[2])),
+                residual_rms=rms,
+                unit=data.units[rows[0]],
+                shift_of_base=shift,
+                places=[
+                    LocationShare(part=at.part, subtree=at.subtree, probability=w, noun=at.noun or "part")
+                    for at, w in locations
+                    if w >= 0.001 and len(locations) > 1
+                ],
+            )
+        )
+    return found
+
+
+def _verdict(scored: Scored, gap: Gap) -> str:
+    unit = "" if gap.unit == "1" else f" {gap.unit}"
+    leader, p = scored.leader, scored.probability[scored.leader]
+    if leader == NULL:
+        return f"no gap: noise of {gap.noise_floor:.3g}{unit} explains what the base leaves ({p:.0%})"
+    if leader in (NONPARAMETRIC, CORRELATED):
+        text = "none of the listed effects" if leader == NONPARAMETRIC else "correlated noise"
+        twin = [n for n in scored.members(leader) if n != leader]
+        return f"{text} ({p:.0%}): a smooth discrepancy of {gap.before:.2g}{unit}" + (
+            f"; this study cannot tell it from {' or '.join(twin)}" if twin else ""
+        )
+    members = scored.members(leader)
+    twins = f", which this study cannot tell from {', '.join(members[1:])}" if len(members) > 1 else ""
+    fit = scored.best[leader]
+    at = fit.hypothesis.location
+    where = f" in {at}" if at.part is not None else ""
+    total = sum(scored.probability[m] for m in members)
+    return (
+        f"{leader}{where} ({total:.0%}{' with its group' if twins else ''}){twins}: "
+        f"the gap of {gap.before:.2g}{unit} shrinks to {gap.after:.2g}{unit}"
+    )
+
+
+def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
+    """What should be looked at before the answer is believed."""
+    data = scored.screened.screening.data
+    rows, found = hooks.rows(data), []
+    unit = "" if gap.unit == "1" else f" {gap.unit}"
+    spread = float(max(np.ptp(data.values[i]) for i in rows))
+    if gap.before > POOR_FIT * spread:
+        found.append(
+            f"the base misses the data by {gap.before:.2g}{unit}, {gap.before / spread:.0%} of "
+            f"their range, more than any effect of the catalogue should: {hooks.advice}"
+        )
+    leader = scored.leader
+    if leader not in scored.locations:
+        return found
+    if gap.removed < LITTLE:
+        found.append(
+            f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
+            "gap goes with it: most has another cause"
+        )
+    fit = scored.best[leader]
+    for i in range(fit.forward.asked, len(fit.u)):
+        p = fit.forward.parameters[i]
+        for name, bound in (("lower", p.low), ("upper", p.high)):
+            zero = bound == 0.0  # the base itself
+            if not zero and abs(fit.values[i] - bound) < 1e-3 * (p.high - p.low):
+                found.append(
+                    f"{p.name} of {leader} stands at the {name} bound of its prior, {bound:g} {p.unit}: "
+                    "the data ask for more than the catalogue allows"
+                )
+    return found
+
+
+def answer(
+    rounds: Sequence[Scored],
+    hooks: Hooks,
+    seed: int,
+    started: str,
+    seconds: float,
+) -> tuple[DiagnosisFile, FitDiscrepancy, FitDiscrepancy]:
+    """The content of diagnosis.json, and the discrepancy before and after.
+
+    Parameters
+    ----------
+    rounds : sequence of Scored
+        One for each effect that was added, the first of which has the verdict.
+    hooks : Hooks
+    seed : int
+        Of the draws.
+    started : str
+        When.
+    seconds : float
+        What the screening took.
+
+    Returns
+    -------
+    DiagnosisFile
+    before, after : FitDiscrepancy
+        Of the baseline, and of the leading explanation where that is an effect.
+    """
+    first = rounds[0]
+    single = first.best[first.leader]
+    screenings = [scored.screened.screening for scored in rounds]
+    data = screenings[0].data
+    rows = hooks.rows(data)
+    unit = data.units[rows[0]]
+    screened = first.screened
+    before = discrepancy_of(screened, screened.base, seed)
+    listed = first.leader in first.locations
+    after = discrepancy_of(screened, single, seed) if listed else before
+    held = hold_out(first, single, rows) if listed else None
+    b, a, removed = before.interval(rows), after.interval(rows), after.removed(rows, before)
+    gap = Gap(
+        unit=unit,
+        before=b.mean,
+        before_interval=(b.low, b.high),
+        noise_floor=screened.noise[data.groups[rows[0]]].noise,
+        after=a.mean,
+        after_interval=(a.low, a.high),
+        residual_rms_before=_rms(before.residual[rows]),
+        residual_rms_after=_rms(after.residual[rows]),
+        removed=removed.mean if listed else 0.0,
+        removed_interval=(removed.low, removed.high) if listed else (0.0, 0.0),
+        held_out_before=held.before if held else None,
+        held_out_after=held.after if held else None,
+        held_out_removed=held.removed if held else None,
+        held_out=held.what if held else "",
+        per_series=[
+            SeriesGap(
+                series=label,
+                unit=data.units[i],
+                before=before.interval([i]),
+                after=after.interval([i]),
+                noise_floor=screened.noise[data.groups[i]].noise,
+                residual_rms_before=_rms(before.residual[i]),
+                residual_rms_after=_rms(after.residual[i]),
+            )
+            for i, label in enumerate(data.labels)
+        ],
+    )
+    steps = []
+    for now, then in pairwise(rounds):
+        one = then.screened.screening.added[-1]
+        fits = (now.screened.base, then.screened.base)
+        sizes = [float(discrepancy_of(now.screened, f, seed).pooled(rows).mean()) for f in fits]
+        steps.append(
+            AddedStep(
+                name=one.name, place=one.location.part, subtree=one.location.subtree, unit=unit,
+                probability=now.probability[one.name], amplitudes=_estimates(now.best[one.name]),
+                gap_before=sizes[0], gap_after=sizes[1],
+            )
+        )  # fmt: skip
+    parameters = {}
+    for label, fit in (("base", screened.base), ("with cause", single)):
+        values = fit.values
+        sds = fit.sd
+        parameters[label] = {p.name: float(values[i]) for i, p in enumerate(fit.forward.parameters)} | {
+            f"{p.name} sd": float(sds[i] * (values[i] if p.log else 1.0))
+            for i, p in enumerate(fit.forward.parameters)
+        }
+    members = first.members(first.leader)
+    file = DiagnosisFile(
+        study=data.name,
+        study_checksum=data.checksum,
+        base=screenings[0].baseline.name,
+        gap=gap,
+        where=_where(first, before, hooks),
+        cause=members,
+        verdict=_verdict(first, gap),
+        warnings=_warnings(gap, first, hooks),
+        hypotheses=_results(first, seed, {NULL: before} | ({first.leader: after} if listed else {}), hooks),
+        steps=steps,
+        invisible=list(first.invisible),
+        failed=list(first.failed),
+        next_measurement=next_measurement(first, hooks),
+        base_parameters=parameters,
+        record={
+            "versions": versions(),
+            "seed": seed,
+            "started": started,
+            "screening_seconds": seconds,
+            "solves": sum(s.solves for s in screenings),
+            "failed_solves": sum(s.failures for s in screenings),
+            "cores": screenings[0].cores,
+            "noise": {q: vars(e) for q, e in screened.noise.items()},
+            "gap_unit": unit,
+        },
+    )
+    return file, before, after

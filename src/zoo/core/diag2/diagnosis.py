@@ -1,0 +1,269 @@
+"""What a baseline model misses: where the discrepancy lies, which effect causes it, how far it shrinks."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.data import Data
+from zoo.core.diag2.answer import FitDiscrepancy, answer
+from zoo.core.diag2.file import DiagnosisError, DiagnosisFile, HypothesisResult, Where
+from zoo.core.diag2.hooks import Hooks
+from zoo.core.diag2.hypothesis import CORRELATED, NONPARAMETRIC
+from zoo.core.diag2.scoring import Scored, score
+from zoo.core.diag2.screening import Screening
+from zoo.core.diag2.search import SearchError
+from zoo.core.effects import AddedEffect, Effect, EffectError
+from zoo.core.errors.base import ErrorModel
+from zoo.core.errors.spectral import Spectral, spectral_errors
+from zoo.core.forward import ForwardModel
+
+if TYPE_CHECKING:
+    from zoo.core.diag2.posteriors import SampledExplanations
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What `diagnose` found; `file` is the content of diagnosis.json.
+
+    Attributes
+    ----------
+    data : Data
+    file : DiagnosisFile
+    rounds : tuple of Scored
+        One for each effect that was added, the last one finding no more.
+    before, after : FitDiscrepancy
+        What the baseline leaves, and what the baseline with its cause leaves.
+    computed : tuple of array (n_series, n_times)
+        Series of the baseline and of the baseline with all causes.
+    sampled : SampledExplanations or None
+        Posteriors of the leading explanations.
+    """
+
+    data: Data
+    file: DiagnosisFile
+    rounds: tuple[Scored, ...] = field(repr=False)
+    before: FitDiscrepancy = field(repr=False)
+    after: FitDiscrepancy = field(repr=False)
+    computed: tuple[Array, Array] = field(repr=False)
+    sampled: SampledExplanations | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {self.data.name!r}, baseline {self.file.base}: {self.file.verdict}>"
+
+    @property
+    def where(self) -> Where:
+        """Shares of the discrepancy by series, phase, harmonic and location."""
+        return self.file.where
+
+    @property
+    def cause(self) -> list[str]:
+        """The leading explanation, with all that the data cannot tell from it."""
+        return self.file.cause
+
+    @property
+    def shrinkage(self) -> float:
+        """Part of the discrepancy that the cause removes."""
+        return self.file.gap.removed
+
+    @property
+    def hypotheses(self) -> list[HypothesisResult]:
+        """All explanations, most probable first."""
+        return self.file.hypotheses
+
+    def with_posteriors(
+        self,
+        *,
+        cores: int = 2,
+        seed: int = 1,
+        folder: str | Path | None = None,
+        tick: Callable[[str, float], None] | None = None,
+    ) -> Self:
+        """Sample the posteriors of the baseline and the leading explanations in PyMC, and compare them.
+
+        Parameters
+        ----------
+        cores, seed : int
+        folder : path, optional
+            Where posteriors and checkpoints are stored; a killed run goes on there.
+        tick : callable, optional
+            Called with a text and the share done.
+
+        Returns
+        -------
+        Diagnosis
+            With `sampled`, and its summary in `file`.
+        """
+        from zoo.core.diag2.posteriors import sample_explanations
+
+        began = time.monotonic()
+        found = sample_explanations(self.rounds[0], cores=cores, seed=seed, folder=folder, tick=tick)
+        record = self.file.record | {"posterior_seconds": time.monotonic() - began}
+        content = self.file.model_copy(update={"posteriors": found.summary(), "record": record})
+        return replace(self, file=content, sampled=found)
+
+    confirmed = with_posteriors
+    """The former name of `with_posteriors`."""
+
+    def save(self, folder: str | Path) -> Path:
+        """Write diagnosis.json into a folder; returns its path."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / "diagnosis.json"
+        path.write_text(
+            json.dumps(json.loads(self.file.model_dump_json()), indent=1) + "\n", encoding="utf-8"
+        )
+        return path
+
+
+def _stronger(scored: Scored, exhaust: bool) -> AddedEffect | None:
+    """The effect to add before looking further, or None."""
+    leader = scored.leader
+    if exhaust and leader in (NONPARAMETRIC, CORRELATED):
+        leader = next(
+            (n for n in scored.names if n in scored.locations and n not in scored.invisible), leader
+        )
+    if leader not in scored.locations:
+        return None
+    return scored.best[leader].hypothesis.added[-1]
+
+
+def _checked(
+    data: Data, model: ForwardModel, effects: Sequence[Effect], errors: ErrorModel | None
+) -> Spectral:
+    if not isinstance(data, Data):
+        raise DiagnosisError(f"data = {data!r}: give a zoo.core.data.Data (times, values, labels, units)")
+    if not isinstance(model, ForwardModel):
+        raise DiagnosisError(
+            f"model = {model!r}: has not all of name, parameters, outputs, families, key, configure and solve; "
+            "give a zoo.core.forward.ForwardModel, such as a FunctionModel"
+        )
+    if model.outputs.shape != data.values.shape:
+        raise DiagnosisError(
+            f"{data.source or data.name}: {model.name} gives series {model.outputs.shape}, the data are "
+            f"{data.values.shape}: ask the forward model for the data's series and times"
+        )
+    if isinstance(effects, str | Effect) or not all(isinstance(one, Effect) for one in effects):
+        raise DiagnosisError(f"effects = {effects!r}: give a list of effects")
+    for one in effects:
+        if not one.offered(model.name):
+            only = ", ".join(one.baselines)
+            raise EffectError(f"effect {one.name}: cannot be added to {model.name}, only to {only}")
+    chosen = spectral_errors(data) if errors is None else errors
+    if not isinstance(chosen, Spectral):
+        raise DiagnosisError(
+            f"errors = {chosen.name}: a diagnosis weighs errors in independent coefficients; give Harmonics() for "
+            "periodic series or Cosines() for others"
+        )
+    for label, series in zip(data.labels, data.values, strict=True):
+        if np.ptp(series) == 0.0:
+            raise DiagnosisError(
+                f"{data.source or data.name}: series {label} is {series[0]:g} throughout; give one that varies, or "
+                "leave it out"
+            )
+    return chosen
+
+
+def diagnose(
+    data: Data,
+    model: ForwardModel,
+    effects: Sequence[Effect],
+    *,
+    errors: ErrorModel | None = None,
+    hooks: Hooks | None = None,
+    max_effects: int = 3,
+    exhaust: bool = False,
+    posteriors: bool = False,
+    cores: int = 2,
+    seed: int = 1,
+    tick: Callable[[str, float], None] | None = None,
+    folder: str | Path | None = None,
+) -> Diagnosis:
+    """Find where a baseline model misses data, which unmodelled effect explains it, and how well.
+
+    Every effect is fitted with the baseline and weighed by its marginal likelihood, beside the null hypothesis
+    "no-gap" (noise alone), "correlated-noise", and "unlisted" (a nonparametric smooth discrepancy). The best is
+    added and the rest weighed again, until noise or nothing listed explains what is left.
+
+    Parameters
+    ----------
+    data : Data
+        What was measured.
+    model : ForwardModel
+        The baseline, with priors of its parameters; its outputs are the data's series and times.
+    effects : sequence of Effect
+        What the baseline may lack.
+    errors : Spectral, optional
+        `Harmonics` for periodic series, `Cosines` for others; which is chosen from the data if absent.
+    hooks : Hooks, optional
+        Phases of the record, candidate measurements, words.
+    max_effects : int
+        Most effects to add.
+    exhaust : bool
+        Go on adding the best listed effect where a nonparametric discrepancy explains more: what the effects can
+        do at most. The verdict is that of the first round all the same.
+    posteriors : bool
+        Sample the posteriors of the leading explanations in PyMC.
+    cores : int
+        Threads, and processes of the posterior sampling.
+    seed : int
+        Of the draws.
+    tick : callable, optional
+        Called with a text and the share of the screening that is done.
+    folder : path, optional
+        Where the posterior sampling stores its posteriors and checkpoints.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    DiagnosisError
+        If an argument is out of range, a series does not vary, or the baseline cannot be fitted.
+    EffectError
+        If an effect cannot be added to this baseline.
+
+    References
+    ----------
+    Kennedy and O'Hagan 2001, doi 10.1111/1467-9868.00294.
+    """
+    for what, count in (("max_effects", max_effects), ("cores", cores)):
+        if count < 1:
+            raise DiagnosisError(f"{what} = {count}: must be at least 1")
+    chosen, hooks = _checked(data, model, effects, errors), hooks or Hooks()
+    began = time.monotonic()
+    started = datetime.now(UTC).isoformat(timespec="seconds")
+    rounds: list[Scored] = []
+    added: list[AddedEffect] = []
+    while True:
+        screening = Screening(data, model, effects, errors=chosen, added=added, cores=cores, tick=tick)
+        try:
+            scored = score(screening.run(stop_at_noise=bool(rounds)))
+        except SearchError as error:
+            if rounds:
+                break
+            raise DiagnosisError(
+                f"{data.source or data.name}: the baseline {model.name!r} cannot be solved ({error}); {hooks.advice}"
+            ) from None
+        rounds.append(scored)
+        best = _stronger(scored, exhaust)
+        if best is None or len(added) == max_effects:
+            break
+        added.append(best)
+    first = rounds[0]
+    file, before, after = answer(rounds, hooks, seed, started, time.monotonic() - began)
+    last = rounds[-1].screened.base if len(rounds) > 1 else first.best[first.leader]
+    base, cause = (first.screened.screening.errors.unflat(f.computed) for f in (first.screened.base, last))
+    found = Diagnosis(data, file, tuple(rounds), before, after, (base, cause))
+    return found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tick) if posteriors else found

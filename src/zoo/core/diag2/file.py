@@ -1,0 +1,276 @@
+"""diagnosis.json: what a diagnosis writes and reads back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
+
+FORMAT = 2
+
+
+class DiagnosisError(ValueError):
+    """A diagnosis that cannot be made or read; its text says why and what to change."""
+
+
+def unit_suffix(unit: str) -> str:
+    """A unit as the end of a field's name: "_mmHg", "_ml_s"; nothing for a pure number."""
+    return "" if unit == "1" else "_" + unit.replace("/", "_").replace(" ", "_")
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", populate_by_name=True)
+
+
+class _Amounts(_Part):
+    """Some of the fields are amounts in one unit, which ends their names in the file, as `before_mmHg`."""
+
+    amounts: ClassVar[tuple[str, ...]] = ()
+    unit: str = Field(default="1", exclude=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_unit(cls, given: Any) -> Any:
+        if not isinstance(given, dict):
+            return given
+        found: dict[str, Any] = {}
+        for key, value in given.items():
+            names = [a for a in cls.amounts if key.startswith(a + "_")]
+            if key in cls.amounts or not names:
+                found[key] = value
+                continue
+            name = max(names, key=len)
+            found[name] = value
+            found.setdefault("unit", key[len(name) + 1 :].replace("_", "/"))
+        return found
+
+    @model_serializer(mode="wrap")
+    def _with_unit(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        suffix = unit_suffix(self.unit)
+        return {k + suffix if k in self.amounts else k: v for k, v in handler(self).items()}
+
+
+class Interval(_Part):
+    """An estimate with its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+class SeriesGap(_Part):
+    """The model discrepancy in one observed series."""
+
+    series: str
+    unit: str
+    before: Interval
+    after: Interval
+    noise_floor: float
+    residual_rms_before: float
+    residual_rms_after: float
+
+
+class Gap(_Amounts):
+    """Size of the model discrepancy over the series that the diagnosis is about, in their unit."""
+
+    amounts = (
+        "before",
+        "before_interval",
+        "noise_floor",
+        "after",
+        "after_interval",
+        "residual_rms_before",
+        "residual_rms_after",
+        "held_out_before",
+        "held_out_after",
+    )
+    before: float
+    before_interval: tuple[float, float]
+    noise_floor: float
+    after: float
+    after_interval: tuple[float, float]
+    residual_rms_before: float
+    residual_rms_after: float
+    removed: float
+    removed_interval: tuple[float, float]
+    held_out_before: float | None
+    held_out_after: float | None
+    held_out_removed: float | None
+    held_out: str
+    per_series: list[SeriesGap]
+
+
+class LocationShare(_Part):
+    """Probability of a location; a part of null stands for everywhere alike.
+
+    In the file the part is called what the simulator calls it, such as `vessel`.
+    """
+
+    part: int | str | None
+    subtree: bool
+    probability: float
+    noun: str = Field(default="", exclude=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _any_noun(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or "part" in given:
+            return given
+        nouns = [key for key in given if key not in ("subtree", "probability", "noun")]
+        if len(nouns) != 1:
+            return given
+        rest = {key: value for key, value in given.items() if key != nouns[0]}
+        return {**rest, "part": given[nouns[0]], "noun": nouns[0]}
+
+    @model_serializer(mode="wrap")
+    def _with_noun(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {(self.noun or k) if k == "part" else k: v for k, v in handler(self).items()}
+
+
+class Where(_Part):
+    """Shares of the model discrepancy's energy, and the location."""
+
+    series: dict[str, float]
+    phase: dict[str, float]
+    harmonic: dict[str, float]
+    place: list[LocationShare]
+
+
+class Estimate(_Part):
+    """A parameter of an effect."""
+
+    name: str
+    mean: float
+    sd: float
+    unit: str
+
+
+class HypothesisResult(_Amounts):
+    """One explanation of the data."""
+
+    amounts = ("gap_after", "gap_after_interval", "residual_rms")
+    name: str
+    place: int | str | None
+    subtree: bool = False
+    probability: float
+    group: int
+    log_evidence: float
+    amplitude: Estimate | None
+    other_amplitudes: list[Estimate] = []
+    gap_after: float
+    gap_after_interval: tuple[float, float]
+    residual_rms: float
+    shift_of_base: dict[str, float] = {}
+    places: list[LocationShare] = []
+
+
+class NextMeasurement(BaseModel):
+    """The measurement that would best tell the leading explanations apart; further fields say what it is."""
+
+    model_config = ConfigDict(extra="allow")
+
+    separates: tuple[str, str]
+    expected_log_odds: float
+
+
+class AddedStep(_Amounts):
+    """An effect that was added, and what it left."""
+
+    amounts = ("gap_before", "gap_after")
+    name: str
+    place: int | str | None
+    subtree: bool
+    probability: float
+    amplitudes: list[Estimate] = []
+    gap_before: float
+    gap_after: float
+
+
+class DiagnosisFile(_Part):
+    """Content of diagnosis.json; documented in docs/diagnosis.md."""
+
+    format: Literal[1, 2] = 2
+    study: str
+    study_checksum: str
+    base: str
+    gap: Gap
+    where: Where
+    cause: list[str]
+    verdict: str
+    warnings: list[str] = []
+    hypotheses: list[HypothesisResult]
+    steps: list[AddedStep]
+    invisible: list[str]
+    failed: list[str]
+    next_measurement: NextMeasurement | None
+    base_parameters: dict[str, dict[str, float]]
+    posteriors: dict[str, Any] | None = Field(
+        default=None, validation_alias=AliasChoices("posteriors", "confirmation")
+    )
+    record: dict[str, Any]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _older(cls, given: Any) -> Any:
+        """In the first format the names said mmHg whatever the unit was; the record has it."""
+        if isinstance(given, dict) and given.get("format", 1) == 1 and isinstance(given.get("record"), dict):
+            unit = given["record"].get("gap_unit")
+            parts = [given.get("gap"), *(given.get("hypotheses") or []), *(given.get("steps") or [])]
+            if unit:
+                renewed = [p | {"unit": unit} if isinstance(p, dict) else p for p in parts]
+                n = len(given.get("hypotheses") or [])
+                given = given | {
+                    "gap": renewed[0],
+                    "hypotheses": renewed[1 : n + 1],
+                    "steps": renewed[n + 1 :],
+                }
+        return given
+
+    @property
+    def seconds(self) -> float:
+        """Time that screening and posterior sampling took, s."""
+        names = ("screening_seconds", "posterior_seconds", "confirmation_seconds")
+        return float(sum(self.record.get(name, 0.0) for name in names))
+
+
+def read_diagnosis(path: str | Path) -> DiagnosisFile:
+    """Read a diagnosis.json back.
+
+    Parameters
+    ----------
+    path : path
+        The file, or the folder that holds it.
+
+    Returns
+    -------
+    DiagnosisFile
+
+    Raises
+    ------
+    DiagnosisError
+        If it is missing, not JSON, or a field is wrong.
+    """
+    path = Path(path)
+    path = path / "diagnosis.json" if path.is_dir() else path
+    try:
+        return DiagnosisFile.model_validate_json(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DiagnosisError(
+            f"{path}: cannot be read ({error.strerror}); give a file of `zoo diagnose`"
+        ) from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(x) for x in first["loc"]) or "the file"
+        raise DiagnosisError(
+            f"{path}: {where}: {first['msg']}; make it again with `zoo diagnose` or `zoo blind run`"
+        ) from None

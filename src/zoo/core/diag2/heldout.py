@@ -1,0 +1,108 @@
+"""What a baseline and an explanation leave in data that their refits did not see."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.diag2.evidence import Fit
+from zoo.core.diag2.scoring import Scored
+from zoo.core.diag2.screening import Screening
+from zoo.core.diag2.search import Search, SearchError
+
+Array = NDArray[np.float64]
+
+BLOCKS = 5
+"""Of one series, held out in turn."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Rms, in the series' unit, of residuals in data that were not fitted, and what was held out."""
+
+    before: float
+    after: float
+    what: str
+
+    @property
+    def removed(self) -> float:
+        """Part of the discrepancy that is gone there."""
+        return 1.0 - self.after / self.before if self.before > 0 else 0.0
+
+
+def hold_out(scored: Scored, fit: Fit, rows: list[int]) -> HeldOut | None:
+    """Discrepancy before and after in data that a refit does not see: each series in turn, or blocks of one.
+
+    Parameters
+    ----------
+    scored : Scored
+    fit : Fit
+        The hypothesis with its effect.
+    rows : list of int
+        Series that are held out.
+
+    Returns
+    -------
+    HeldOut or None
+        Rms of smooth residuals, sqrt(max(0, rms^2 - noise^2)); None where a refit fails.
+    """
+    screening, base = scored.screened.screening, scored.screened.base
+    data = screening.data
+    n = data.n_times
+    if len(rows) > 1:
+        folds = [np.repeat(np.arange(data.n_series)[:, None] == i, n, axis=1) for i in rows]
+        what = "each series in turn"
+    else:
+        block = np.arange(n) * BLOCKS // n
+        one = (np.arange(data.n_series) == rows[0])[:, None]
+        folds = [np.tile(block == b, (data.n_series, 1)) & one for b in range(BLOCKS)]
+        what = f"{BLOCKS} blocks of the {'beat' if data.period is not None else 'record'} in turn"
+    noise = np.array([scored.screened.noise[g].noise for g in data.groups])[:, None]
+    sums = {0: [0.0, 0], 1: [0.0, 0]}
+    for out in folds:
+        for which, start in enumerate((base, fit)):
+            found = _refit(screening, start, ~out, noise)
+            if found is None:
+                return None
+            left = (data.values - found)[out]
+            sums[which][0] += float(np.sum(left**2 - (noise * np.ones_like(data.values))[out] ** 2))
+            sums[which][1] += left.size
+    before, after = (math.sqrt(max(0.0, total / count)) for total, count in sums.values())
+    return HeldOut(before, after, what)
+
+
+class _Kept:
+    """Stands in for a hypothesis' coefficients: the samples that are fitted."""
+
+    def __init__(self, forward: Any, kept: NDArray[np.bool_]) -> None:
+        self.forward, self.kept = forward, kept
+        self.low, self.high, self.units = forward.low, forward.high, forward.units
+        self.prior = forward.prior
+        self.last_failure = ""
+        self.all: dict[bytes, Array] = {}
+
+    def __call__(self, u: Array) -> Array | None:
+        series = self.forward.series(u)
+        if series is None:
+            self.last_failure = self.forward.last_failure
+            return None
+        self.all[u.tobytes()] = series
+        return np.asarray(series[self.kept])
+
+
+def _refit(screening: Screening, start: Fit, kept: NDArray[np.bool_], noise: Array) -> Array | None:
+    """All series as computed by a hypothesis that was fitted to the kept samples only."""
+    forward = _Kept(start.forward, kept)
+    S = (noise * np.ones(kept.shape))[kept] ** 2
+    search = Search(forward, screening.data.values[kept], S)
+    jacobian = screening.errors.unflat(start.jacobian.T)[:, kept].T
+    try:
+        point = search.at(start.u, jacobian)
+    except SearchError:
+        return None
+    point = search.descend(point, 8)
+    return forward.all[point.u.tobytes()]

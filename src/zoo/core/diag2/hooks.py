@@ -1,0 +1,117 @@
+"""What a diagnosis may be told about a field: phases of a record, candidate measurements, words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.data import Data
+from zoo.core.diag2.file import NextMeasurement
+from zoo.core.diag2.scoring import DOUBT, Scored
+from zoo.core.forward import ForwardModel, Outputs
+
+Array = NDArray[np.float64]
+QUARTERS = ("first quarter", "second quarter", "third quarter", "fourth quarter")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A measurement that could be made.
+
+    Parameters
+    ----------
+    output : hashable
+        What the forward model is asked for.
+    words : mapping
+        What it is, for diagnosis.json, such as {"vessel": 3, "position": 0.5}.
+    group : str
+        Group of observed series whose noise it would have; where none is observed, the next one counts.
+    noise_part : float
+        Noise as a part of its peak.
+    """
+
+    output: Hashable
+    words: Mapping[str, Any]
+    group: str = ""
+    noise_part: float = 0.01
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """Optional knowledge of a field.
+
+    Parameters
+    ----------
+    about : str
+        Group of series whose discrepancy the verdict states; the first group if empty or not observed.
+    phases : callable
+        ``phases(data, rows) -> names, index``: names of the phases of a record and the phase (n_times,) of each
+        sample. Quarters of the record if absent.
+    candidates : callable
+        ``candidates(data, baseline) -> sequence of Candidate``; none if absent.
+    advice : str
+        What to check where the baseline misses the data by far.
+    """
+
+    about: str = ""
+    phases: Callable[[Data, list[int]], tuple[Sequence[str], NDArray[np.int_]]] | None = None
+    candidates: Callable[[Data, ForwardModel], Sequence[Candidate]] | None = None
+    advice: str = "check units, inputs and parameters"
+
+    def rows(self, data: Data) -> list[int]:
+        """Series that the verdict is about."""
+        return data.rows[self.about if self.about in data.rows else data.groups[0]]
+
+    def phases_of(self, data: Data, rows: list[int]) -> tuple[tuple[str, ...], NDArray[np.int_]]:
+        """Names of the phases, and that of each sample."""
+        if self.phases is None:
+            return QUARTERS, np.arange(data.n_times) * len(QUARTERS) // data.n_times
+        names, index = self.phases(data, rows)
+        return tuple(names), np.asarray(index)
+
+
+def next_measurement(scored: Scored, hooks: Hooks) -> NextMeasurement | None:
+    """The candidate in which the leading explanation and its nearest rival, as fitted, differ most.
+
+    Rivals are the other members of the leader's group, or what else is not improbable; without any, None.
+
+    Expected log odds: half the squared difference of their series over the variance of the noise. That the
+    baseline's parameters would move again is not counted, so it is an upper estimate.
+    """
+    screened = scored.screened
+    first = scored.leader
+    if first not in scored.locations or hooks.candidates is None:
+        return None
+    rivals = [n for n in scored.members(first)[1:] if n in scored.locations]
+    rivals += [
+        n for n in scored.names if n in scored.locations and scored.probability[n] > DOUBT and n != first
+    ]
+    data = screened.screening.data
+    seen = set(data.outputs)
+    candidates = [c for c in hooks.candidates(data, screened.screening.baseline) if c.output not in seen]
+    if not rivals or not candidates:
+        return None
+    second = rivals[0]
+    baseline = screened.screening.baseline
+    wanted = Outputs(tuple(c.output for c in candidates), baseline.outputs.times)
+    both = [scored.best[n].forward.series(scored.best[n].u, wanted) for n in (first, second)]
+    if both[0] is None or both[1] is None:
+        return None
+    noises = np.array(
+        [
+            screened.noise[c.group].noise
+            if c.group in screened.noise
+            else c.noise_part * float(np.abs(series).max())
+            for c, series in zip(candidates, both[0], strict=True)
+        ]
+    )
+    gain = 0.5 * np.sum((both[0] - both[1]) ** 2, axis=1) / noises**2
+    i = int(np.argmax(np.where(np.isfinite(gain), gain, -math.inf)))
+    return NextMeasurement(
+        separates=(first, second), expected_log_odds=float(gain[i]), **dict(candidates[i].words)
+    )

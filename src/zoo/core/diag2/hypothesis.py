@@ -1,0 +1,218 @@
+"""Hypotheses: a baseline model with effects, in the coordinates of a search."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.data import Data
+from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, Location, with_effects
+from zoo.core.errors.spectral import Spectral
+from zoo.core.forward import ForwardModel, Outputs, SolveError
+from zoo.core.parameters import Normal, Parameter, log_normal_mass, start_of, unpack
+
+Array = NDArray[np.float64]
+
+NULL, NONPARAMETRIC, CORRELATED = "no-gap", "unlisted", "correlated-noise"
+"""Labels of the null hypothesis (noise is enough), a nonparametric discrepancy, and correlated noise."""
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One number of a hypothesis' parameters as a search steps in it: itself, or its logarithm.
+
+    Parameters
+    ----------
+    name, unit : str
+        Of the parameter; elements of a vector have their number in brackets.
+    parameter : Parameter
+    low, high : float
+        Bounds of the prior, in the parameter's unit.
+    log : bool
+        Whether the search steps in the logarithm.
+    """
+
+    name: str
+    unit: str
+    parameter: Parameter
+    low: float
+    high: float
+    log: bool
+
+    @property
+    def unit_step(self) -> float:
+        """What one unit of the search stands for."""
+        if self.log:
+            return 0.1
+        prior = self.parameter.prior
+        return prior.sd if isinstance(prior, Normal) else 0.1 * (self.high - self.low)
+
+    def value(self, u: Array | float) -> Any:
+        """Search coordinate to value."""
+        return np.exp(u) if self.log else u
+
+    def coordinate(self, value: float) -> float:
+        """Value to search coordinate."""
+        if not self.log:
+            return value
+        return math.log(value) if value > 0.0 else -math.inf
+
+
+def coordinates(parameters: Sequence[Parameter]) -> tuple[Coordinate, ...]:
+    """A coordinate for each number in parameters; positive ones without an upper bound are logarithms."""
+    found = []
+    for p in parameters:
+        low, high = p.prior.support
+        log = p.log or (low >= 0.0 and math.isinf(high))
+        for i in range(p.size):
+            name = f"{p.name}[{i}]" if p.dims else p.name
+            found.append(Coordinate(name, p.unit, p, low, high, log))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A baseline model with effects, the last of which is asked about; without effects it is the baseline."""
+
+    added: tuple[AddedEffect, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Of the effect asked about."""
+        return self.added[-1].name if self.added else NULL
+
+    @property
+    def effect(self) -> Effect:
+        """The effect asked about."""
+        return self.added[-1].effect
+
+    @property
+    def location(self) -> Location:
+        """Where it acts."""
+        return self.added[-1].location if self.added else EVERYWHERE
+
+
+class HypothesisModel:
+    """The series under a hypothesis as coefficients, a function of the search's coordinates.
+
+    Parameters
+    ----------
+    baseline : ForwardModel
+    hypothesis : Hypothesis
+    errors : Spectral
+        Bound to the data.
+    """
+
+    def __init__(self, baseline: ForwardModel, hypothesis: Hypothesis, errors: Spectral) -> None:
+        self.baseline, self.hypothesis, self.errors = baseline, hypothesis, errors
+        self.model = with_effects(baseline, hypothesis.added)
+        self.parameters = coordinates(self.model.parameters)
+        self.n_base = len(coordinates(baseline.parameters))
+        self.asked = len(self.parameters) - (len(hypothesis.effect.parameters) if hypothesis.added else 0)
+        """Index of the first parameter of the effect asked about."""
+        self.low = np.array([p.coordinate(p.low) for p in self.parameters])
+        self.high = np.array([p.coordinate(p.high) for p in self.parameters])
+        self.units = np.array([p.unit_step for p in self.parameters])
+        self.hierarchical = any(p.prior.depends_on for p in self.model.parameters)
+        self._log = np.array([p.log for p in self.parameters])
+        self.solves = self.failures = 0
+        self.last_failure = ""
+
+    @property
+    def start(self) -> Array:
+        """Where a search of the baseline and its effects begins."""
+        values = start_of(self.model.parameters)
+        theta = np.concatenate([np.atleast_1d(values[p.name]) for p in self.model.parameters])
+        return np.array([p.coordinate(float(x)) for p, x in zip(self.parameters, theta, strict=True)])
+
+    def theta(self, u: Array) -> Array:
+        """Search coordinates to values (n_values,) of the forward model's parameters."""
+        return np.array([p.value(x) for p, x in zip(self.parameters, u, strict=True)])
+
+    def series(self, u: Array, outputs: Outputs | None = None) -> Array | None:
+        """Series (n_series, n_times) in their own units, or None where the solve failed."""
+        self.solves += 1
+        try:
+            found = self.model.solve(self.model.configure(self.theta(u)), outputs)
+            reason = None if np.all(np.isfinite(found)) else "the solution is not finite"
+        except SolveError as error:
+            found, reason = np.empty(0), str(error) or error.kind
+        if reason is not None:
+            self.failures += 1
+            self.last_failure = reason
+            return None
+        return found
+
+    def __call__(self, u: Array) -> Array | None:
+        """Flat coefficients, or None where the solve failed."""
+        found = self.series(u)
+        return None if found is None else self.errors.flat(found)
+
+    def prior(self, u: Array) -> tuple[float, Array, Array]:
+        """Log-prior of the coordinates; its precision and pull around them.
+
+        The density there is exp(-d'P d/2 - pull'd) of its value at u, for a step d.
+
+        Returns
+        -------
+        log_prior : float
+        precision : array (n_dim,), or (n_dim, n_dim) of a hierarchical prior
+        pull : array (n_dim,)
+        """
+        x = self.theta(u)
+        values = unpack(self.model.parameters, x)
+        total = float(np.sum(u[self._log]))
+        slope, curvature = np.empty(len(u)), np.empty(len(u))
+        at, where = 0, {}
+        for p in self.model.parameters:
+            part = slice(at, at + p.size)
+            where[p.name] = part
+            total += p.prior.log_density(values[p.name], values)
+            slope[part], curvature[part] = p.prior.curvature(x[part], values)
+            at += p.size
+        if not self.hierarchical:
+            pull = -np.where(self._log, x * slope + 1.0, slope)
+            return total, np.where(self._log, x * (x * curvature - slope), curvature), pull
+        P = np.diag(curvature)
+        for p in self.model.parameters:
+            if not p.prior.depends_on:
+                continue
+            on = np.concatenate([np.arange(len(u))[where[name]] for name in p.prior.depends_on])
+            own = np.arange(len(u))[where[p.name]]
+            more, bend, cross = p.prior.dependence(values[p.name], values)
+            slope[on] += more
+            P[np.ix_(on, on)] += bend
+            P[np.ix_(own, on)] += cross
+            P[np.ix_(on, own)] += cross.T
+        scale = np.where(self._log, x, 1.0)
+        P = P * np.outer(scale, scale) - np.diag(np.where(self._log, x * slope, 0.0))
+        pull = -np.where(self._log, x * slope + 1.0, slope)
+        size = self.units  # a population's log-density is not concave everywhere
+        eigenvalues, vectors = np.linalg.eigh(P * np.outer(size, size))
+        P = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T / np.outer(size, size)
+        return total, P, pull
+
+    def log_mass(self, mean: Array, covariance: Array) -> Any:
+        """Log of the part of normal posteriors inside the bounds, as if the parameters were independent.
+
+        Parameters
+        ----------
+        mean : array (..., n_dim)
+        covariance : array (..., n_dim, n_dim)
+
+        Returns
+        -------
+        array (...,)
+        """
+        sd = np.sqrt(np.einsum("...dd->...d", covariance))
+        return np.sum(log_normal_mass((self.low - mean) / sd, (self.high - mean) / sd), axis=-1)
+
+
+def ranges(data: Data) -> dict[str, float]:
+    """Largest peak-to-peak range of a group's series, in its unit."""
+    return {g: float(max(np.ptp(data.values[i]) for i in rows)) for g, rows in data.rows.items()}

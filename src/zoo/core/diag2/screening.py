@@ -1,0 +1,464 @@
+"""Screening: the evidence for each effect, from a search and a linearisation.
+
+Each hypothesis (the baseline with an effect somewhere) is taken to its mode by Gauss-Newton steps with
+Broyden's updates; the marginal likelihood around the mode is that of the linearised model, which is exact for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from zoo.core.data import Data
+from zoo.core.diag2.discrepancy import SIZE_GRID, SIZE_PART, model_discrepancy, possible_noise
+from zoo.core.diag2.evidence import Fit, marginal
+from zoo.core.diag2.hypothesis import CORRELATED, NONPARAMETRIC, Hypothesis, HypothesisModel, ranges
+from zoo.core.diag2.search import Point, Search, SearchError
+from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, EffectParameter
+from zoo.core.errors.spectral import LARGEST_DELTA, GroupErrors, Spectral
+from zoo.core.forward import ForwardModel
+
+Array = NDArray[np.float64]
+
+ALLOWANCE = 0.1
+"""What a listed effect may leave of the gap, as a part of it (sd): an effect is a caricature of its cause."""
+NUMERICS_PART = 1e-3
+"""Error of the simulator's numerics, for which no effect is blamed, in parts of a series' range."""
+PRIOR_NULL, PRIOR_NONPARAMETRIC = 0.5, 0.1
+"""Prior probabilities; the rest is shared equally by the effects that the data can show."""
+DELTA_GRID = LARGEST_DELTA * np.array([0.0, 0.125, 0.25, 0.5, 0.75, 1.0])
+SEARCHED_LOCATIONS = 8
+"""Locations of an effect that are searched: those where the linearised evidence is largest."""
+MULTISTARTED = 4
+"""How many of the best explanations are searched again beside the noise alone, with all that have a shape."""
+
+
+def _silent(text: str, share: float) -> None:
+    """Says nothing."""
+
+
+class Screening:
+    """All hypotheses about one record, one baseline and the effects that were added to it already.
+
+    Parameters
+    ----------
+    data : Data
+    baseline : ForwardModel
+        Solved with the tolerance that a search needs; its outputs are the data's.
+    effects : sequence of Effect
+        Those that can be added to the baseline and act on a solve are tried.
+    errors : Spectral
+        Harmonics for periodic data, cosines for others.
+    added : sequence of AddedEffect
+        Effects that every hypothesis has.
+    cores : int
+        Threads that solve.
+    tick : callable, optional
+        Called with a text and the share done.
+    """
+
+    def __init__(
+        self,
+        data: Data,
+        baseline: ForwardModel,
+        effects: Sequence[Effect],
+        *,
+        errors: Spectral,
+        added: Sequence[AddedEffect] = (),
+        cores: int = 2,
+        tick: Callable[[str, float], None] | None = None,
+    ) -> None:
+        self.data, self.baseline = data, baseline
+        self.errors = errors.bind(data)
+        self.coefficients = self.errors.flat(data.values)
+        self.added = tuple(added)
+        self.cores = cores
+        self.tick = tick or _silent
+        self.forwards: list[HypothesisModel] = []
+        self._secants: dict[tuple[Hypothesis, bytes], Point] = {}
+        everywhere = {one.name for one in self.added if one.location == EVERYWHERE}
+        self.effects = {e.name: e for e in effects if e.apply is not None and e.offered(baseline.name)}
+        self.hypotheses = {
+            name: [Hypothesis((*self.added, e.at(location))) for location in e.locations(baseline)]
+            for name, e in self.effects.items()
+            if name not in everywhere
+        }
+        self.range = ranges(data)
+
+    def forward(self, hypothesis: Hypothesis) -> HypothesisModel:
+        """Its series as functions of the search's coordinates."""
+        forward = HypothesisModel(self.baseline, hypothesis, self.errors)
+        self.forwards.append(forward)
+        return forward
+
+    @property
+    def solves(self) -> int:
+        """So far."""
+        return sum(f.solves for f in self.forwards)
+
+    @property
+    def failures(self) -> int:
+        """Solves that failed so far."""
+        return sum(f.failures for f in self.forwards)
+
+    # -- errors ----------------------------------------------------------------------------------
+
+    def _noise(self, residual: Array, allowances: Mapping[str, float]) -> dict[str, GroupErrors]:
+        """Noise and allowance that fit a residual."""
+        start = GroupErrors(1.0, delta=0.0, length=self.errors.typical_length)
+        return {
+            q: self.errors.fit_noise(residual, q, start, free_delta=scale > 0, scale=scale)
+            for q, scale in allowances.items()
+        }
+
+    def numerics(self) -> dict[str, float]:
+        """Allowance for the solver's own error, by quantity."""
+        return {q: NUMERICS_PART * size for q, size in self.range.items()}
+
+    def beside(self, noise: Mapping[str, GroupErrors], allowances: Mapping[str, float]) -> Array:
+        """Variances (n,) of that noise with an allowance, whatever discrepancy it was found beside."""
+        at = {
+            q: replace(e, delta=allowances[q], length=self.errors.typical_length, shared=0.0, rough=False)
+            for q, e in noise.items()
+        }
+        return self.errors.variances(at)
+
+    def evidence(self, forward: HypothesisModel, point: Point, allowances: Mapping[str, float]) -> Fit:
+        """Marginal likelihood around a point, in closed form; over the allowance on a grid."""
+        residual = self.coefficients - point.computed
+        errors = self._noise(residual, allowances)
+        log_prior, precision, pull = forward.prior(point.u)
+        log_prior += sum(self.errors.noise_log_prior(e) for e in errors.values())
+        weights = np.exp(-0.5 * DELTA_GRID**2)
+        weights /= weights.sum()
+        terms, bests = [], []
+        for factor, weight in zip(DELTA_GRID, weights, strict=True):
+            at = {q: replace(e, delta=factor * allowances[q]) for q, e in errors.items()}
+            log_z, step, C = marginal(residual, point.jacobian, self.errors.variances(at), precision, pull)
+            mean = point.u + step
+            terms.append(math.log(weight) + log_z + forward.log_mass(mean, C))
+            bests.append((mean, C, at))
+        best = int(np.argmax(terms))
+        return Fit(
+            forward.hypothesis,
+            forward,
+            point.u,
+            point.computed,
+            point.jacobian,
+            residual,
+            bests[best][2],
+            dict(allowances),
+            float(logsumexp(terms)) + log_prior,
+            bests[best][0],
+            bests[best][1],
+        )
+
+    # -- the base --------------------------------------------------------------------------------
+
+    def fit_base(self) -> Fit:
+        """The baseline (with what was added) at its mode, under noise alone."""
+        self.tick("base", 0.0)
+        forward = self.forward(Hypothesis(self.added))
+        # loose errors first: far from the mode a tenth of the range is what the linearisation is good for
+        S = self.errors.variances({q: GroupErrors(0.1 * size) for q, size in self.range.items()})
+        search = Search(forward, self.coefficients, S)
+        point = search.refine(search.descend(search.at(forward.start), 10, 1e-3), 4)
+        for _ in range(3):
+            errors = self._noise(self.coefficients - point.computed, self.numerics())
+            search = Search(forward, self.coefficients, self.errors.variances(errors))
+            point = replace(point, cost=search.cost(point.u, point.computed))
+            before = point.cost
+            point = search.refine(point, 2)
+            if before - point.cost < 0.1:
+                break
+        return self.evidence(forward, point, self.numerics())
+
+    def refit_base(self, base: Fit, noise: Mapping[str, GroupErrors]) -> Fit:
+        """The baseline's best fit beside the noise that a nonparametric discrepancy leaves."""
+        search = Search(base.forward, self.coefficients, self.beside(noise, self.numerics()))
+        return self.evidence(
+            base.forward, search.refine(search.descend(search.resume(base), 8), 2), self.numerics()
+        )
+
+    def fit_free(self, base: Fit, name: str) -> Fit:
+        """The baseline with a discrepancy: smooth and shared by the series, or noise of its own in each."""
+        alone = all(len(rows) == 1 for rows in self.errors.rows.values())
+        shared = np.zeros(1) if alone or name == CORRELATED else np.array(self.errors.shared)
+        # a discrepancy with a physical cause is smooth; noise may be either
+        kinds = (False, True) if name == CORRELATED else (False,)
+        scales = {q: SIZE_PART * size for q, size in self.range.items()}
+        # what is wrong with the sensors of one quantity does not show in the other
+        quantities = tuple(self.errors.groups)
+        wheres = [quantities, *([(q,) for q in quantities] if len(quantities) > 1 else [])]
+        noise = {q: replace(e, delta=0.0, rough=False) for q, e in base.errors.items()}
+        point = Point(base.u, base.computed, base.jacobian)
+        found: Fit | None = None
+        for round_ in range(3):
+            residual = self.coefficients - point.computed
+            log_prior, precision, pull = base.forward.prior(point.u)
+            best, terms, best_at = -math.inf, [], noise
+            for length, size, rho, rough, where in product(
+                self.errors.length_grid, SIZE_GRID, shared, kinds, wheres
+            ):
+                at = {
+                    q: replace(
+                        e,
+                        delta=size * scales[q] if q in where else 0.0,
+                        length=length,
+                        shared=float(rho),
+                        rough=rough,
+                    )
+                    for q, e in noise.items()
+                }
+                log_z, step, C = marginal(
+                    residual, point.jacobian, self.errors.variances(at), precision, pull
+                )
+                # weights of the grid: log-spaced sizes of a half-normal, a log-normal length
+                log_z += base.forward.log_mass(point.u + step, C)
+                log_w = math.log(size) - 0.5 * size**2 + self.errors.length_log_prior(length)
+                terms.append((log_w, log_z))
+                if log_w + log_z > best:
+                    best, best_at, best_step, best_C = log_w + log_z, at, step, C
+            weights = np.array([w for w, _ in terms])
+            weights -= logsumexp(weights)
+            log_z = float(logsumexp(weights + np.array([z for _, z in terms])))
+            # where the data say little, the linearised mode may lie far outside the bounds
+            best_step = np.clip(point.u + best_step, base.forward.low, base.forward.high) - point.u
+            # the noise beside this discrepancy
+            part = residual - point.jacobian @ best_step
+            refit = {q: self.errors.fit_noise(part, q, best_at[q]) for q in self.errors.groups}
+            noise = {q: replace(e, delta=0.0) for q, e in refit.items()}
+            log_noise = sum(self.errors.noise_log_prior(e) for e in noise.values())
+            found = Fit(
+                Hypothesis(self.added), base.forward, point.u, point.computed, point.jacobian, residual,
+                {q: replace(best_at[q], sigma=e.sigma, ratio=e.ratio, tau=e.tau) for q, e in refit.items()},
+                {q: best_at[q].delta for q in best_at}, log_z + log_prior + log_noise,
+                point.u + best_step, best_C,
+            )  # fmt: skip
+            if round_ == 2:
+                break
+            search = Search(base.forward, self.coefficients, self.errors.variances(found.errors))
+            point.cost = search.cost(point.u, point.computed)
+            point = search.descend(point, 4)
+        assert found is not None
+        return found
+
+    # -- the effects -----------------------------------------------------------------------------
+
+    def fit_effect(
+        self,
+        hypothesis: Hypothesis,
+        base: Fit,
+        S: Array,
+        allowances: Mapping[str, float],
+    ) -> Fit | None:
+        """A hypothesis at the best mode that its starts lead to; None where the solver fails at all."""
+        forward = self.forward(hypothesis)
+        search = Search(forward, self.coefficients, S)
+        parameters = hypothesis.effect.parameters
+        best: Point | None = None
+        starts = list(parameters[0].starts)
+        if min(starts) < 0.0 < max(starts):  # the linearisation says which side to look at
+            try:
+                aim = self._aim(search, self._secant(search, base, self._start(parameters, starts[0])))[1]
+                starts = [x for x in starts if (x > 0.0) == (aim > 0.0)]
+            except SearchError:
+                pass
+        for first in starts:
+            try:
+                point = search.descend(self._secant(search, base, self._start(parameters, first)), 12)
+            except SearchError:
+                continue
+            best = point if best is None or point.cost < best.cost else best
+        if best is None:
+            return None
+        return self.evidence(forward, best, allowances)
+
+    def multistart(
+        self, fit: Fit, base: Fit, noise: Mapping[str, GroupErrors], allowances: Mapping[str, float]
+    ) -> Fit:
+        """A fit searched again beside the noise alone, from all starts and several shapes.
+
+        With the full allowance, what is smooth costs so little that a lesser mode may look as good, and that
+        the mode stands where something is left to explain.
+        """
+        search = Search(fit.forward, self.coefficients, self.beside(noise, self.numerics()))
+        best = search.resume(fit)
+        parameters = fit.hypothesis.effect.parameters
+        shapes = [
+            [float(np.clip(a.centre + move * a.scale, a.low, a.high)) for a in parameters[1:]]
+            for move in ((0.0, -0.7, 1.5) if len(parameters) > 1 else (0.0,))
+        ]
+        for first, shape in product(parameters[0].starts, shapes):
+            try:
+                point = search.descend(self._secant(search, base, np.array([first, *shape])), 15)
+            except SearchError:
+                continue
+            if point.cost < best.cost:
+                best = point
+        found = self.evidence(fit.forward, search.refine(best, 6, 15), allowances)
+        for _ in range(3):  # a free discrepancy leaves other noise than a cause
+            search = Search(fit.forward, self.coefficients, self.beside(found.errors, self.numerics()))
+            best = search.resume(found)
+            before = best.cost
+            best = search.refine(best, 6, 15)
+            found = self.evidence(fit.forward, best, allowances)
+            if before - best.cost < 0.1:
+                break
+        # both linearise one posterior, and what lies off the mode may promise more than is there
+        return replace(found, log_z=max(found.log_z, fit.log_z))
+
+    @staticmethod
+    def _start(parameters: Sequence[EffectParameter], first: float) -> Array:
+        return np.array([first, *(a.centre for a in parameters[1:])])
+
+    def _secant(self, search: Search, base: Fit, start: Array) -> Point:
+        """A start with the baseline's own Jacobian, and secants from the base for the effect's; solved once."""
+        key = (search.forward.hypothesis, start.tobytes())
+        if key in self._secants:
+            known = self._secants[key]
+            return replace(known, cost=search.cost(known.u, known.computed))
+        u = np.concatenate([base.u, start])
+        computed = search.forward(u)
+        if computed is None:
+            u = np.concatenate([base.u, 0.3 * start])
+            computed = search.forward(u)
+        if computed is None:
+            raise SearchError(search.forward.last_failure)
+        n = len(base.u)
+        jacobian = np.zeros((len(computed), len(u)))
+        jacobian[:, :n] = base.jacobian
+        jacobian[:, n] = (computed - base.computed) / u[n]
+        point = Point(u, computed, jacobian, search.cost(u, computed))
+        for i in range(n + 1, len(u)):  # a shape parameter has no signature at its first parameter's 0
+            moved = u.copy()
+            step = 0.3 * search.forward.units[i]
+            moved[i] += step if u[i] + step <= search.forward.high[i] else -step
+            other = search.forward(moved)
+            if other is not None:
+                jacobian[:, i] = (other - computed) / (moved[i] - u[i])
+        self._secants[key] = point
+        return point
+
+    def _aim(self, search: Search, point: Point) -> tuple[float, float]:
+        """Evidence of the linearised model, and where its mode has the first parameter."""
+        _, precision, pull = search.forward.prior(point.u)
+        log_z, step, _ = marginal(
+            self.coefficients - point.computed, point.jacobian, search.S, precision, pull
+        )
+        n = search.forward.asked
+        return log_z, float(point.u[n] + step[n])
+
+    def _promising(
+        self, hypotheses: Sequence[Hypothesis], base: Fit, S: Array, pool: Any
+    ) -> list[Hypothesis]:
+        """The locations of an effect that are worth a search: the best by the linearised evidence."""
+        if len(hypotheses) <= SEARCHED_LOCATIONS:
+            return list(hypotheses)
+        parameters = hypotheses[0].effect.parameters
+
+        def linear(h: Hypothesis) -> float:
+            search = Search(self.forward(h), self.coefficients, S)
+            try:
+                start = self._start(parameters, parameters[0].starts[0])
+                return self._aim(search, self._secant(search, base, start))[0]
+            except SearchError:
+                return -math.inf
+
+        ranked = sorted(zip(pool.map(linear, hypotheses), range(len(hypotheses)), strict=True), reverse=True)
+        return [hypotheses[i] for _, i in ranked[:SEARCHED_LOCATIONS]]
+
+    def run(self, *, stop_at_noise: bool = False) -> Screened:
+        """Fit everything.
+
+        Parameters
+        ----------
+        stop_at_noise : bool
+            Try no effects where noise alone is more probable than a free discrepancy.
+
+        Returns
+        -------
+        Screened
+        """
+        base = self.fit_base()
+        unlisted = self.fit_free(base, NONPARAMETRIC)
+        correlated = self.fit_free(base, CORRELATED)
+        noise = max((unlisted, correlated), key=lambda f: f.log_z).errors
+        base = self.refit_base(base, noise)
+        gap = {q: self.discrepancy_size(base, noise, q) for q in self.errors.groups}
+        allowances = {q: math.hypot(ALLOWANCE * gap[q], own) for q, own in self.numerics().items()}
+        S = self.beside(noise, allowances)
+        odds = base.log_z - max(unlisted.log_z, correlated.log_z) + math.log(PRIOR_NULL / PRIOR_NONPARAMETRIC)
+        if stop_at_noise and odds > 0.0:
+            self.hypotheses = {}
+        fits: dict[Hypothesis, Fit] = {}
+
+        def one(h: Hypothesis) -> tuple[Hypothesis, Fit | None]:
+            return h, self.fit_effect(h, base, S, allowances)
+
+        def again(h: Hypothesis) -> tuple[Hypothesis, Fit]:
+            fit = fits[h]
+            search = Search(fit.forward, self.coefficients, S)
+            return h, self.evidence(fit.forward, search.refine(search.resume(fit)), allowances)
+
+        def from_all_starts(h: Hypothesis) -> tuple[Hypothesis, Fit]:
+            return h, self.multistart(fits[h], base, noise, allowances)
+
+        with ThreadPoolExecutor(max(1, self.cores)) as pool:
+            jobs = []
+            for done, locations in enumerate(self.hypotheses.values(), 1):
+                self.tick(locations[0].name, 0.2 * done / len(self.hypotheses))
+                jobs += self._promising(locations, base, S, pool)
+            for done, (h, fit) in enumerate(pool.map(one, jobs), 1):
+                self.tick(h.name, 0.2 + 0.5 * done / len(jobs))
+                if fit is not None:
+                    fits[h] = fit
+            leading = []
+            for locations in self.hypotheses.values():
+                ranked = sorted((h for h in locations if h in fits), key=lambda h: -fits[h].log_z)
+                leading += ranked[:2]
+            for done, (h, fit) in enumerate(pool.map(again, leading), 1):
+                self.tick(h.name, 0.7 + 0.25 * done / len(leading))
+                fits[h] = fit
+            ranked = sorted(fits, key=lambda h: -fits[h].log_z)
+            shaped = {h.name: h for h in reversed(ranked) if len(h.effect.parameters) > 1}
+            again_from_all = list(dict.fromkeys([*ranked[:MULTISTARTED], *shaped.values()]))
+            for done, (h, fit) in enumerate(pool.map(from_all_starts, again_from_all), 1):
+                self.tick(h.name, 0.95 + 0.05 * done / len(again_from_all))
+                fits[h] = fit
+        # the best explanation of all leaves the noise: a free discrepancy takes some of it along
+        best = max((unlisted, correlated, *fits.values()), key=lambda f: f.log_z)
+        # beside its noise the base has its best fit too: the gap is what that leaves
+        refitted = self.refit_base(base, best.errors)
+        base = replace(refitted, log_z=max(base.log_z, refitted.log_z))
+        possible = possible_noise(best)
+        return Screened(self, base, unlisted, correlated, fits, best.errors, possible, gap, allowances)
+
+    def discrepancy_size(self, fit: Fit, noise: Mapping[str, GroupErrors], group: str) -> float:
+        """Rms of truth minus fit, in the group's unit."""
+        known = {g: [(0.0, e)] for g, e in noise.items()}
+        left = model_discrepancy(fit, known, np.random.default_rng(0), 50)
+        return math.sqrt(float(np.mean(self.errors.part(left.draws, group) ** 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """What a screening found."""
+
+    screening: Screening
+    base: Fit
+    nonparametric: Fit
+    correlated: Fit
+    fits: Mapping[Hypothesis, Fit]
+    noise: Mapping[str, GroupErrors]
+    possible_noise: Mapping[str, Sequence[tuple[float, GroupErrors]]]
+    gap: Mapping[str, float]
+    allowances: Mapping[str, float]
