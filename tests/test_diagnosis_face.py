@@ -135,7 +135,7 @@ def screen_of(file: DiagnosisFile) -> str:
     """What `zoo diagnose` says of a diagnosis."""
     console = Console(width=200)
     with console.capture() as captured:
-        for line in cli._diagnosis_summary(file):
+        for line in cli.diagnose.diagnosis_screen(file):
             console.print(line)
     return captured.get()
 
@@ -536,7 +536,7 @@ def test_options_reach_the_diagnosis(
 
 def test_progress_says_what_is_tried() -> None:
     for confirm, last in ((True, "posteriors"), (False, "weighing")):
-        with cli._Telling(False, confirm) as tell:
+        with cli.diagnose.Telling(False, confirm) as tell:
             found = []
             for text, share in (("base", 0.0), ("taper", 0.4), ("base", 0.0), ("stenosis", 0.5), ("x", 1.0)):
                 tell(text, share)
@@ -586,7 +586,7 @@ def test_effects_as_json() -> None:
     assert alone == next(e for e in every if e["name"] == "stenosis")
     assert alone["places"] == "each vessel"
     assert alone["amplitudes"][0]["low"] == 0.0
-    assert {e["places"] for e in every} <= set(cli.PLACE_WORDS.values())
+    assert {e["places"] for e in every} <= set(cli.effects.LOCATION_WORDS.values())
 
 
 # the whole, once

@@ -116,7 +116,8 @@ def total_seconds(record: Mapping[str, Any]) -> float:
 
 def _posterior_seconds(record: Mapping[str, Any]) -> float | None:
     """Time of sampling the posteriors, s; older files call it confirmation_seconds."""
-    return record.get("posterior_seconds", record.get("confirmation_seconds"))
+    seconds = record.get("posterior_seconds", record.get("confirmation_seconds"))
+    return None if seconds is None else float(seconds)
 
 
 def diagnosis_summary(file: DiagnosisFile) -> list[str]:

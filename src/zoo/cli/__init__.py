@@ -1,0 +1,54 @@
+"""The command `zoo`: data, simulation, sampling, comparison, diagnosis; each imports only what it needs."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated
+
+import typer
+
+from zoo.cli import blind, compare, data, diagnose, effects, report, reproduce, sample, simulate
+from zoo.cli.command import show_tracebacks
+
+HELP = {"help_option_names": ["-h", "--help"]}
+
+app = typer.Typer(
+    name="zoo",
+    help="Bayesian models of pulmonary blood flow: from one beat of measurements to a comparison of models.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    context_settings=HELP,
+)
+blind_app = typer.Typer(
+    name="blind",
+    help="Check the diagnosis on cases whose effect is withheld: make them, run it, score the answers.",
+    no_args_is_help=True,
+    context_settings=HELP,
+)
+
+
+@app.callback()
+def main(
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
+) -> None:
+    """Options of all commands."""
+    show_tracebacks(debug or bool(os.environ.get("ZOO_DEBUG")))
+
+
+for function in (
+    data.fetch,
+    data.studies,
+    data.version,
+    simulate.simulate,
+    sample.sample,
+    compare.compare,
+    reproduce.reproduce,
+    diagnose.diagnose,
+    effects.effects,
+    report.report,
+):
+    app.command()(function)
+for function in (blind.make, blind.run, blind.score):
+    blind_app.command()(function)
+app.add_typer(blind_app)

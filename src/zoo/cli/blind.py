@@ -1,0 +1,184 @@
+"""`zoo blind`: the diagnosis on cases whose effect is withheld."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from zoo.cli.checks import output_folder
+from zoo.cli.command import UsageError, command
+from zoo.cli.options import QuietOption
+from zoo.cli.screen import plain_table, say
+
+if TYPE_CHECKING:
+    from zoo.blood.blind import Score
+
+
+class _Counting:
+    """A progress bar over cases."""
+
+    def __init__(self, wanted: bool, total: int) -> None:
+        from zoo.core.inference.progress import bar
+
+        self.bar, self.total = bar(wanted), total
+
+    def __enter__(self) -> _Counting:
+        self.bar.__enter__()
+        self.task = self.bar.add_task("cases", total=self.total)
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.bar.__exit__(*error)
+
+    def __call__(self, case: str) -> None:
+        """One more is done."""
+        self.bar.update(self.task, description=case, advance=1)
+
+
+def _name_list(option: str, text: str | None) -> list[str] | None:
+    if text is None:
+        return None
+    names = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    if not names:
+        raise UsageError(f"{option}: no names; give some with commas, or leave it out")
+    return names
+
+
+@command
+def make(
+    folder: Annotated[Path, typer.Argument(metavar="CASES", help="Folder for the cases.")],
+    n: Annotated[int, typer.Option("--n", help="Cases.")] = 40,
+    seed: Annotated[int, typer.Option("--seed", help="Of the draw.")] = 1,
+    key: Annotated[Path, typer.Option("--key", help="File for what is withheld, outside the folder.")] = Path(
+        "key.json"
+    ),
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            "--effects",
+            help="Draw from these, with commas; from all of `zoo effects` if absent.",
+            metavar="NAMES",
+            show_default=False,
+        ),
+    ] = None,
+    layouts: Annotated[
+        str, typer.Option("--layouts", help="Where sensors are, with commas.", metavar="NAMES")
+    ] = "MPA,MPA+daughters,MPA+distal,MPA+flow",
+    networks: Annotated[
+        str, typer.Option("--networks", help="mouse, tree (generated), or both.", metavar="NAMES")
+    ] = "mouse,tree",
+    cores: Annotated[int, typer.Option("--cores", help="Processes at a time.")] = 2,
+    quiet: QuietOption = False,
+) -> None:
+    """Write studies with a withheld effect each, and the key apart; goes on where it was interrupted."""
+    from zoo.blood.blind import make as make_cases
+
+    with _Counting(not quiet, n) as counting:
+        path = make_cases(
+            folder,
+            n,
+            seed,
+            key,
+            effects=_name_list("--effects", effects),
+            layouts=_name_list("--layouts", layouts) or [],
+            networks=_name_list("--networks", networks) or [],
+            cores=cores,
+            done=counting,
+        )
+    say(f"wrote {n} cases in {folder}, and what they withhold in {path}")
+
+
+@command
+def run(
+    cases: Annotated[Path, typer.Argument(metavar="CASES", help="Folder of studies, without their key.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the answers.")] = Path("answers"),
+    base: Annotated[str, typer.Option("--base", help="As in `zoo diagnose`.")] = "linear-constant",
+    confirm: Annotated[
+        bool, typer.Option("--confirm/--no-confirm", help="Sample the leading explanations too.")
+    ] = False,
+    max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
+    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
+    cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each.")] = 2,
+    quiet: QuietOption = False,
+) -> None:
+    """Diagnose every case of a folder; sees no key, and goes on where it was interrupted."""
+    import time
+
+    from zoo.blood.blind import run as run_cases
+
+    began = time.monotonic()
+    total = sum((p / "study.toml").is_file() for p in cases.iterdir()) if cases.is_dir() else 0
+    with _Counting(not quiet, total) as counting:
+        found = run_cases(
+            cases,
+            output,
+            base=base,
+            confirm=confirm,
+            max_effects=max_effects,
+            seed=seed,
+            cores=cores,
+            done=counting,
+        )
+    words = f", {len(found.kept)} of them before" if found.kept else ""
+    say(
+        f"{len(found.diagnosed)} cases diagnosed{words}, {len(found.failed)} failed, "
+        f"{time.monotonic() - began:.0f} s; answers in {output}"
+    )
+    for name, reason in found.failed.items():
+        say(f"{name}: {reason}")
+    if found.failed:
+        say("mend these and give the command again; what was on the way is in failed.txt in their folders")
+        raise typer.Exit(1)
+
+
+@command
+def score(
+    answers: Annotated[Path, typer.Argument(metavar="ANSWERS", help="Folder of `zoo blind run`.")],
+    key: Annotated[
+        Path,
+        typer.Option("--key", help="Of `zoo blind make`; or a folder of keys made elsewhere, one a case."),
+    ] = Path("key.json"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score.")] = Path("score"),
+) -> None:
+    """Score answers against their key: score.json, score.md, cases.csv and figures."""
+    from zoo.blood.blind import score
+
+    output_folder(output)
+    found = score(answers, key, output)
+
+    from zoo.plots import save_figure, score_figures
+
+    figures = [
+        save_figure(figure, output / f"{name}.png").name for name, figure in score_figures(found).items()
+    ]
+    say(*_score_summary(found))
+    say(f"wrote {output}: score.json, score.md, cases.csv, {', '.join(figures)}")
+
+
+def _score_summary(found: Score) -> list[Any]:
+    from zoo.blood.blind import FULL_BIN, HEADLINES, rate_text
+
+    s = found.summary
+    title = f"{s['n']} cases, {s['failed']} without an answer"
+    if found.without_key:
+        title += f"; {found.without_key} more answers have no key"
+    table = plain_table(title=title, heads=False)
+    for name, words in HEADLINES:
+        table.add_row(words, rate_text(s[name]))
+    for what, label in (("log_score", "log score"), ("brier", "Brier score")):
+        group = f"group_{what}"
+        table.add_row(
+            f"{label} by explanation, by group (uniform guess)",
+            f"{s[what]:.3f} ({s[f'uniform_{what}']:.3f}), {s[group]:.3f} ({s[f'uniform_{group}']:.3f})",
+        )
+    full = [b for b in found.reliability if b.n >= FULL_BIN]
+    table.add_row(
+        f"bins of stated probability with {FULL_BIN} cases or more that lie within their band",
+        f"{sum(b.inside for b in full)} of {len(full)}",
+    )
+    checked = (
+        "the key has the SHA-256 that the cases came with" if found.key_checked else "keys without SHA-256"
+    )
+    return [table, checked]

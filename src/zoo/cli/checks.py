@@ -1,0 +1,78 @@
+"""Words and paths that are typed, read and checked."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zoo.cli.command import UsageError
+from zoo.models import MODELS
+
+if TYPE_CHECKING:
+    from zoo.blood.study import Study
+
+
+def numbers(option: str, text: str, study: Study) -> list[float]:
+    """One value, or one for each vessel in the order of the study's network file."""
+    values = []
+    for part in text.split(","):
+        try:
+            values.append(float(part))
+        except ValueError:
+            raise UsageError(
+                f"{option} {text}: {part.strip()!r} is not a number; write 5.17e4 or 4e4,5e4"
+            ) from None
+        if not math.isfinite(values[-1]):
+            raise UsageError(f"{option} {text}: {part.strip()!r} is not finite; give a finite number")
+    n = len(study.vessels)
+    if len(values) not in (1, n):
+        raise UsageError(
+            f"{option}: {len(values)} values; give one for all vessels, or one for each of the {n} vessels "
+            f"of {study.name}, with commas between them"
+        )
+    return values
+
+
+def model_name(name: str) -> str:
+    """Letter of a model."""
+    if name.strip().upper() not in MODELS:
+        raise UsageError(f"model {name!r}: unknown; there is {', '.join(MODELS)}")
+    return name.strip().upper()
+
+
+def model_names(text: str) -> list[str]:
+    """Letters of models, given with commas."""
+    return [model_name(part) for part in text.split(",") if part.strip()]
+
+
+def different_models(text: str) -> list[str]:
+    """Letters of two models or more."""
+    names = model_names(text)
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise UsageError(f"--models {text}: give at least two different models, such as --models A,B")
+    return names
+
+
+def at_least(option: str, value: int, least: int) -> None:
+    """Refuse a number that is too small."""
+    if value < least:
+        raise UsageError(f"{option} {value}: give at least {least}")
+
+
+def parent_exists(path: Path) -> Path:
+    """The path, whose folder must be there."""
+    if not path.parent.is_dir():
+        raise UsageError(f"{path}: folder {path.parent} does not exist; create it or choose another path")
+    return path
+
+
+def output_folder(path: Path) -> None:
+    """Refuse a folder for the output that cannot be made or written to."""
+    if path.exists() and not path.is_dir():
+        raise UsageError(f"--output {path}: is a file; give a folder")
+    if not path.exists():
+        parent_exists(path.resolve())
+    elif not os.access(path, os.W_OK):
+        raise UsageError(f"--output {path}: cannot be written to; choose another folder")

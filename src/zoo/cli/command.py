@@ -1,0 +1,117 @@
+"""What makes a function a command: groups of options, and errors as one line with an exit code."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any, get_args, get_type_hints
+
+import typer
+
+from zoo.cli.screen import complain
+
+_debug = False
+
+
+class UsageError(ValueError):
+    """An option that cannot be used; its text says what to change."""
+
+
+def show_tracebacks(wanted: bool) -> None:
+    """Whether the next commands end in a traceback instead of one line."""
+    global _debug
+    _debug = wanted
+
+
+class Without:
+    """In ``Annotated[SamplingOptions, Without("thin")]``: options that the command leaves out."""
+
+    def __init__(self, *names: str) -> None:
+        self.names = names
+
+
+def command(function: Callable[..., None]) -> Callable[..., None]:
+    """A function as a command: its groups of options are spread out, its errors become one line.
+
+    A parameter whose type is a dataclass stands for that dataclass's fields, each of which is an option with
+    the field's annotation and default; the function gets the dataclass filled in.
+
+    Errors end in one red line and an exit code: 2 for what the user can change, 1 for faults of ours, 130 for
+    an interruption.
+
+    Parameters
+    ----------
+    function : callable
+        With typer's annotations.
+
+    Returns
+    -------
+    callable
+        For ``app.command()``.
+    """
+    parameters, groups = _spread(function)
+
+    @functools.wraps(function)
+    def run(**given: Any) -> None:
+        for name, (group, options) in groups.items():
+            given[name] = group(**{option: given.pop(option) for option in options})
+        try:
+            function(**given)
+        except typer.Exit:
+            raise
+        except KeyboardInterrupt:
+            complain("interrupted; the same command goes on from its checkpoint if it has one")
+            raise typer.Exit(130) from None
+        except Exception as error:
+            if _debug:
+                raise
+            ours = any(kind.__module__.split(".")[0] == "zoo" for kind in type(error).__mro__)
+            text = " ".join(str(error).split()) or type(error).__name__
+            if isinstance(error, FileExistsError | NotADirectoryError):
+                text = f"{error.filename}: is a file where a folder is needed; choose another path"
+            if ours or isinstance(error, OSError):
+                complain(text)
+                raise typer.Exit(2) from None
+            complain(f"unexpected {type(error).__name__}: {text}; `zoo --debug ...` shows where")
+            raise typer.Exit(1) from None
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return run
+
+
+def _spread(
+    function: Callable[..., None],
+) -> tuple[list[inspect.Parameter], dict[str, tuple[type, list[str]]]]:
+    """Parameters of a command with those of its groups, and the groups with the names of their options."""
+    hints = get_type_hints(function, include_extras=True)
+    parameters: dict[str, inspect.Parameter] = {}
+    groups: dict[str, tuple[type, list[str]]] = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        group, *extras = get_args(hints[name]) or (hints[name],)
+        if not (isinstance(group, type) and is_dataclass(group)):
+            found = [parameter.replace(annotation=hints[name])]
+        else:
+            left_out = {option for extra in extras if isinstance(extra, Without) for option in extra.names}
+            found = _options(group, left_out)
+            groups[name] = group, [option.name for option in found]
+        for option in found:
+            assert option.name not in parameters, f"{function.__name__}: two options named {option.name}"
+            parameters[option.name] = option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+    return list(parameters.values()), groups
+
+
+def _options(group: type, left_out: set[str]) -> list[inspect.Parameter]:
+    hints = get_type_hints(group, include_extras=True)
+    return [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if field.default is MISSING else field.default,
+            annotation=hints[field.name],
+        )
+        for field in fields(group)
+        if field.name not in left_out
+    ]

@@ -1,0 +1,203 @@
+"""`zoo compare`: models by how well they predict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from zoo.cli.checks import at_least, different_models, parent_exists
+from zoo.cli.command import UsageError, Without, command
+from zoo.cli.options import ConventionOptions, SamplingOptions
+from zoo.cli.sample import build_model, sample_with_checkpoint
+from zoo.cli.screen import plain_table, say
+
+if TYPE_CHECKING:
+    from zoo.blood.study import Study
+
+
+@command
+def compare(
+    studies: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="STUDY...", help="Built-in studies (see `zoo studies`) or folders; a table each."
+        ),
+    ],
+    models: Annotated[str, typer.Option("--models", help="With commas, such as A,B.")] = "A,B",
+    posteriors: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--posteriors",
+            help="A file, or a folder of files, from `zoo sample`; may be repeated. A.nc and so on in the "
+            "working directory are found without.",
+        ),
+    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for table and figures.")] = Path(
+        "comparison"
+    ),
+    criterion: Annotated[
+        Literal["waic", "loo"], typer.Option("--ic", help="What ranks: waic or loo.")
+    ] = "waic",
+    n_draws: Annotated[
+        int, typer.Option("--n-draws", help="Draws of each posterior that are scored.")
+    ] = 1000,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
+    *,
+    sampling: Annotated[SamplingOptions, Without("step", "thin")],
+    conventions: ConventionOptions,
+) -> None:
+    """Rank models by how well they predict a study; posteriors that are missing are sampled first.
+
+    The options of sampling are for those; posteriors that are there are taken as they are.
+    """
+    if posteriors and not sampling.resume:
+        raise UsageError("--fresh: samples every model anew; leave out --posteriors, or --fresh")
+    names = different_models(models)
+    settings = sampling.settings()
+    at_least("--n-draws", n_draws, 10)
+    loaded = [conventions.load(study) for study in studies]
+    if len({study.name for study in loaded}) < len(loaded):
+        raise UsageError(f"{', '.join(studies)}: two studies of one name; give each once")
+    parent_exists(output.resolve()).mkdir(exist_ok=True)
+    for study in loaded:
+        folder = output if len(loaded) == 1 else output / study.name
+        folder.mkdir(exist_ok=True)
+        built, found = _posteriors_of(
+            study, names, posteriors or [], folder, settings, sampling.resume, not sampling.quiet
+        )
+        _compare_on(study, built, found, folder, criterion, n_draws, figures)
+
+
+def _posteriors_of(
+    study: Study,
+    names: Sequence[str],
+    given: Sequence[Path],
+    output: Path,
+    settings: Mapping[str, Any],
+    resume: bool,
+    progress: bool,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Models on a study and their posteriors: given, of an earlier call, in the working directory, or new."""
+    from zoo.core.posterior.files import belongs, find, load_for
+
+    files = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
+    files |= find(given, names, study, say=say)
+    built: dict[str, Any] = {}
+    found: dict[str, Any] = {}
+    for name in names:
+        built[name] = build_model(name, study)
+        here = Path(f"{name}.nc")
+        if name not in files and belongs(here, built[name]):
+            files[name] = here
+        if name in files and resume:
+            found[name] = load_for(files[name], built[name])
+            say(f"model {name}: posterior of {files[name]}")
+        else:
+            path = output / f"{name}.nc"
+            found[name] = sample_with_checkpoint(
+                name, study, path, settings, resume=resume, progress=progress
+            )
+            say(f"model {name}: sampled, wrote {path}")
+    return built, found
+
+
+def _compare_on(
+    study: Study,
+    models: Mapping[str, Any],
+    found: Mapping[str, Any],
+    output: Path,
+    criterion: Literal["waic", "loo"],
+    n_draws: int,
+    figures: bool,
+) -> None:
+    from zoo.core.posterior.comparison import compare as rank
+
+    table = rank(found, models, ic=criterion, n_draws=n_draws)
+    table.to_csv(output / "comparison.csv")
+    say(*_comparison_summary(table, criterion, study), f"wrote {output / 'comparison.csv'}")
+    if figures:
+        _figures(table, models, found, study, output)
+
+
+def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
+    from rich.text import Text
+
+    name = {"waic": "WAIC", "loo": "PSIS-LOO"}[criterion]
+    title = f"{study.name}: models by {name}, lower is better"
+    shown = plain_table(title=title)
+    shown.add_column("model", no_wrap=True)
+    for column in ("WAIC", "SE", "as one", "PSIS-LOO", "diff.", "its SE", "weight", "SSE", "converged"):
+        shown.add_column(column, justify="right", no_wrap=True)
+    for model, row in table.iterrows():
+        shown.add_row(
+            str(model),
+            f"{row['waic']:.1f}",
+            f"{row['waic_se']:.1f}",
+            f"{row['waic_one_observation']:.1f}",
+            f"{row['loo']:.1f}",
+            f"{row['difference']:.1f}",
+            f"{row['difference_se']:.1f}",
+            f"{row['weight']:.2f}",
+            f"{row['sse']:.3g}",
+            "yes" if row["converged"] else "no",
+        )
+    legend = (
+        "as one: WAIC with the whole series as one observation, which has no standard error; WAIC is of terms"
+        " given the past, PSIS-LOO of terms given all other samples: each ranks models, do not mix the two"
+    )
+    standing = [f"model {model}: {row['standing']}" for model, row in table.iterrows() if row["rank"] > 0]
+    unsure = [
+        f"model {model}: {row['pareto_k_bad']} points with Pareto k > 0.7: do not trust PSIS-LOO there"
+        for model, row in table.iterrows()
+        if row["pareto_k_bad"] > 0
+    ]
+    unsure += [
+        f"model {model}: WAIC has terms whose log-likelihood has a variance above 0.4, it may be too low"
+        for model, row in table.iterrows()
+        if row["waic_warning"]
+    ]
+    notes = [
+        Text(f"model {name}: {row['convergence']}", style="yellow")
+        for name, row in table.iterrows()
+        if not row["converged"]
+    ]
+    return [shown, legend, *standing, *unsure, *notes]
+
+
+def _figures(
+    table: Any, models: Mapping[str, Any], found: Mapping[str, Any], study: Study, output: Path
+) -> None:
+    from zoo import plots
+    from zoo.blood import predictive
+
+    def save(figure: Any, name: str) -> None:
+        plots.save_figure(figure, output / f"{name}.png")
+
+    save(plots.comparison_figure(table), "comparison")
+    medians, loops = {}, {}
+    for name, idata in found.items():
+        names = list(models[name].zoo.parameters)
+        means, predictions = predictive.predictive_draws(models[name], idata)
+        save(
+            plots.fit_figure(study, means, predictions, title=f"model {name} on {study.name}"), f"fit-{name}"
+        )
+        save(plots.trace_figure(idata, names), f"trace-{name}")
+        save(plots.rank_figure(idata, names), f"rank-{name}")
+        single = [n for n in names if idata["posterior"][n].ndim == 2]
+        save(plots.pair_figure(idata, single), f"pair-{name}")
+        waves = predictive.vessel_waves(models[name], idata, n_draws=100)
+        for quantity in ("pressure_mmHg", "flow_ml_s"):
+            kind = quantity.split("_")[0]
+            errors = any(series.quantity == quantity for series in study.series)
+            shown = predictive.bands(predictive.one_place(waves), quantity, (0.95,), errors=errors)
+            save(plots.all_vessels_figure(shown, study, title=f"model {name}, {kind}"), f"{kind}-{name}")
+        medians[name] = predictive.median_waves(waves)
+        loops[name] = predictive.waves_at_medians(models[name], idata)
+    vessels = [int(v) for v in next(iter(loops.values()))["vessel"].to_numpy()]
+    save(plots.models_figure(medians, study), "pressure")
+    save(plots.models_figure(medians, study, quantity="flow_ml_s"), "flow")
+    save(plots.loops_figure(loops, vessels=vessels), "loops")
+    say(f"wrote figures to {output}")

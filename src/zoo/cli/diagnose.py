@@ -1,0 +1,238 @@
+"""`zoo diagnose`: what a model misses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from zoo.cli.checks import at_least, output_folder
+from zoo.cli.command import UsageError, command
+from zoo.cli.options import ConventionOptions, QuietOption, StudyArgument
+from zoo.cli.screen import plain_table, say
+
+if TYPE_CHECKING:
+    from zoo.blood.conventions import Conventions
+    from zoo.blood.study import Study
+    from zoo.core.diagnosis.diagnosis import DiagnosisFile
+
+BARS = 24
+"""Characters of a share of 1."""
+LEADING = 8
+"""Explanations that the screen shows."""
+
+
+@command
+def diagnose(
+    study: StudyArgument,
+    base: Annotated[
+        str,
+        typer.Option(
+            "--base",
+            help="linear-constant, linear-radius, tangent-constant, tangent-radius, or a model with that "
+            "structure: A to E, H, I.",
+        ),
+    ] = "linear-constant",
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for what is found.")] = Path("gap"),
+    confirm: Annotated[
+        bool,
+        typer.Option("--confirm/--no-confirm", help="Sample the posteriors of the leading explanations."),
+    ] = True,
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            "--effects",
+            help="Only these, with commas; all of `zoo effects` that fit the base if absent.",
+            metavar="NAMES",
+            show_default=False,
+        ),
+    ] = None,
+    max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
+    exhaust: Annotated[
+        bool,
+        typer.Option(
+            "--exhaust", help="Add the best listed effects even where a free discrepancy explains more."
+        ),
+    ] = False,
+    cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time.")] = 2,
+    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
+    quiet: QuietOption = False,
+    *,
+    conventions: ConventionOptions,
+) -> None:
+    """Find what a base model misses in a study: where the gap lies, what causes it, how far it shrinks."""
+    import shlex
+
+    from zoo.blood.effects import get_base
+
+    for option, count, least in (
+        ("--max-effects", max_effects, 1),
+        ("--cores", cores, 1),
+        ("--seed", seed, 0),
+    ):
+        at_least(option, count, least)
+    chosen = get_base(base)
+    names = _effect_names(effects, chosen.name)
+    loaded = conventions.load(study)
+    output_folder(output)
+
+    from zoo.core.diagnosis.diagnosis import diagnose as run
+    from zoo.core.diagnosis.discrepancy import Harmonics
+    from zoo.report import write_diagnosis
+
+    Harmonics(loaded)  # a study without observations is refused before the work
+    output.mkdir(exist_ok=True)
+    # a base has a wall factor of its own unless one is asked for
+    own = loaded.conventions if conventions.wall_factor is not None else None
+    folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
+    if confirm:
+        folder.mkdir(parents=True, exist_ok=True)
+    with Telling(not quiet, confirm) as tell:
+        found = run(
+            loaded,
+            chosen.name,
+            max_effects=max_effects,
+            exhaust=exhaust,
+            effects=names,
+            conventions=own,
+            cores=cores,
+            seed=seed,
+            tick=tell,
+        )
+        found.save(output)  # what comes next takes longer and may be stopped
+        if confirm:
+            found = found.confirmed(cores=cores, seed=seed, folder=folder, tick=tell)
+        tell.say("figures and page")
+        words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]
+        words += ["--confirm" if confirm else "--no-confirm", "--max-effects", str(max_effects)]
+        words += ["--exhaust"] if exhaust else []
+        words += ["--effects", ",".join(names)] if names else []
+        words += [*conventions.words(), "--cores", str(cores), "--seed", str(seed)]
+        written = write_diagnosis(found, output, command=shlex.join(words))
+    say(*diagnosis_screen(found.file), f"wrote {output}: {', '.join(path.name for path in written)}")
+
+
+class Telling:
+    """A progress bar that says what is being tried."""
+
+    def __init__(self, wanted: bool, confirm: bool) -> None:
+        from zoo.core.inference.progress import bar
+
+        self.bar, self.confirm = bar(wanted), confirm
+        self.added = -1
+
+    def __enter__(self) -> Telling:
+        self.bar.__enter__()
+        self.task = self.bar.add_task("base", total=100)
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.bar.__exit__(*error)
+
+    def __call__(self, text: str, share: float) -> None:
+        """What is being tried, and the share of this round that is done; each round starts with 0."""
+        self.added += share == 0.0
+        if share >= 1.0:
+            text = "posteriors" if self.confirm else "weighing"
+        elif self.added > 0:
+            text = f"{text} (beside {self.added} added)"
+        self.bar.update(self.task, description=text, completed=100 * share)
+
+    def say(self, text: str) -> None:
+        """A word on what follows the screening."""
+        self.bar.update(self.task, description=text, completed=100)
+
+
+def _effect_names(text: str | None, base: str) -> list[str] | None:
+    """Effects of an option, each of which the base can take; None for all."""
+    from zoo.blood.effects import effects_for
+
+    if text is None:
+        return None
+    names = [part.strip() for part in text.split(",") if part.strip()]
+    if not names:
+        raise UsageError("--effects: no names; give some of `zoo effects` with commas, or leave it out")
+    return list(effects_for(base, names))
+
+
+def _run_name(study: Study, base: str, conventions: Conventions | None, seed: int) -> str:
+    """Folder of a run's posteriors: another study, base, conventions or seed has another one."""
+    import hashlib
+
+    what = repr((study.checksum, study.conventions, conventions, seed)).encode()
+    return f"{base}-{hashlib.sha256(what).hexdigest()[:8]}"
+
+
+def _bar(share: float) -> str:
+    return "█" * max(round(BARS * share), int(share >= 0.005))
+
+
+def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
+    """What the screen shows of a diagnosis."""
+    from rich.text import Text
+
+    from zoo.report import diagnosis_summary, total_seconds
+    from zoo.report.words import location_text, maybe
+
+    unit = str(file.record.get("gap_unit", "mmHg"))
+    verdict, *rest = diagnosis_summary(file)
+    where = plain_table(title=f"where the gap of {file.base} in {file.study} lies")
+    for heading, justify in (("by", "left"), ("", "left"), ("share", "right"), ("", "left")):
+        where.add_column(heading, justify=justify, no_wrap=True)  # type: ignore[arg-type]
+    harmonics = dict(sorted(file.where.harmonic.items(), key=lambda item: -item[1])[:4])
+    places = {location_text(p.vessel, p.subtree): p.probability for p in file.where.place[:4]}
+    parts = {"phase": file.where.phase, "series": file.where.series, "harmonic": harmonics}
+    parts["place"] = places
+    for what, shares in parts.items():
+        for k, (name, share) in enumerate(shares.items()):
+            where.add_row(what if k == 0 else "", name, _share(share), Text(_bar(share), style="cyan"))
+    rows = [h for k, h in enumerate(file.hypotheses) if k < LEADING or h.name in ("no-gap", "unlisted")]
+    table = plain_table(title="explanations, most probable first")
+    for heading in ("explanation", "place", "prob.", "group", "amplitude", f"gap after ({unit})"):
+        named = heading in ("explanation", "place")
+        table.add_column(heading, justify="left" if named else "right", no_wrap=heading == "explanation")
+    for h in rows:
+        free = h.name in ("unlisted", "correlated-noise")
+        size = ""
+        if h.amplitude is not None:
+            spread = "" if free else f" ± {h.amplitude.sd:.2g}"
+            size = f"{h.amplitude.name} {h.amplitude.mean:.3g}{spread} {h.amplitude.unit}".removesuffix(" 1")
+        table.add_row(
+            h.name,
+            "" if h.place is None else location_text(h.place, h.subtree),
+            "invisible" if h.name in file.invisible else _share(h.probability),
+            str(h.group),
+            size,
+            "" if free else f"{h.gap_after_mmHg:.2g}",
+            style="bold" if h.name in file.cause else None,
+        )
+    lines: list[Any] = [Text(verdict, style="bold"), *(Text(line) for line in rest), ""]
+    lines += [table] if file.hypotheses[0].name == "no-gap" else [where, "", table]  # nothing to place
+    if len(file.hypotheses) > len(rows):
+        lines.append(
+            f"and {len(file.hypotheses) - len(rows)} more; explanations of one group look alike here"
+        )
+    if file.invisible:
+        lines.append(f"this study cannot show: {', '.join(file.invisible)}")
+    if file.next_measurement is not None:
+        m = file.next_measurement
+        lines.append(
+            f"next measurement: {m.quantity} in vessel {m.vessel} at {m.position:g}, which tells "
+            f"{m.separates[0]} from {m.separates[1]} (expected log odds up to {m.expected_log_odds:.1f})"
+        )
+    for name, row in (file.confirmation or {}).items():
+        converged = "converged" if row["converged"] else "not converged, see report.html"
+        lines.append(
+            f"posterior of {name}: log marginal likelihood {maybe(row['log_marginal_likelihood'])} "
+            f"± {maybe(row['log_marginal_likelihood_se'])}, elpd (WAIC) {maybe(row['elpd_waic'])}; "
+            f"{converged}"
+        )
+    record = file.record
+    seconds = total_seconds(record)
+    lines.append(f"{record.get('solves', 0)} solves of the screening, {seconds:.0f} s in all")
+    return [Text(line) if isinstance(line, str) else line for line in lines]
+
+
+def _share(share: float) -> str:
+    return "<1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"

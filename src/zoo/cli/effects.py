@@ -1,0 +1,109 @@
+"""`zoo effects`: what a model may lack."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from zoo.cli.command import command
+from zoo.cli.screen import plain_table, say
+
+if TYPE_CHECKING:
+    from zoo.blood.effects import Effect
+
+LOCATION_WORDS = {
+    "everywhere": "everywhere",
+    "each_vessel": "each vessel",
+    "vessels_and_subtrees": "each vessel, each subtree",
+    "sides_and_terminals": "each side, each terminal",
+}
+"""Function that lists the places of an effect -> what these are."""
+
+
+@command
+def effects(
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="[NAME]", help="One effect, such as viscoelastic-wall.", show_default=False),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """List the effects that a base model may lack; with a name, all that is known about one."""
+    import json
+
+    from zoo.blood.effects import CATALOGUE, get_effect
+
+    chosen = list(CATALOGUE.values()) if name is None else [get_effect(name)]
+    if as_json:
+        found = [_effect_fields(effect) for effect in chosen]
+        typer.echo(json.dumps(found if name is None else found[0], indent=1, ensure_ascii=False))
+    elif name is None:
+        say(_effects_table(chosen))
+    else:
+        say(*_effect_lines(chosen[0]))
+
+
+def _locations(effect: Effect) -> str:
+    """Where an effect can act, in words."""
+    function = getattr(effect.places, "__name__", "")
+    return LOCATION_WORDS.get(function, function.replace("_", " ") or "some places")
+
+
+def _effect_fields(effect: Effect) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    fields = {
+        n: getattr(effect, n) for n in ("name", "family", "statement", "equation", "signature", "source")
+    }
+    amplitudes = [asdict(amplitude) for amplitude in effect.amplitudes]
+    return fields | {"places": _locations(effect), "bases": list(effect.bases), "amplitudes": amplitudes}
+
+
+def _effects_table(chosen: Sequence[Effect]) -> Any:
+    """Five columns on a wide screen; on others all but the name in one."""
+    from rich.console import Console
+    from rich.text import Text
+
+    from zoo.blood.effects import FAMILIES, prior_text
+
+    headings = ("effect", "amplitude", "prior", "places", "what it does to a beat")
+    wide = Console().width >= 130
+    table = plain_table()
+    for heading in headings if wide else ("effect", ", ".join(headings[1:])):
+        table.add_column(heading, no_wrap=heading in headings[:2] or (heading == "prior" and wide))
+    for family in FAMILIES:
+        members = [effect for effect in chosen if effect.family == family]
+        if members:
+            table.add_row(Text(family, style="bold"))
+        for effect in members:
+            names = [f"{amplitude.name} ({amplitude.unit})" for amplitude in effect.amplitudes]
+            priors = [prior_text(a).removesuffix(f" {a.unit}") for a in effect.amplitudes]
+            if wide:
+                cells = ["\n".join(names), "\n".join(priors), _locations(effect), effect.signature]
+            else:
+                lines = [f"{name} ~ {prior}" for name, prior in zip(names, priors, strict=True)]
+                cells = ["\n".join((*lines, _locations(effect), effect.signature))]
+            table.add_row(*(Text(cell) for cell in (f"  {effect.name}", *cells)))
+    return table
+
+
+def _effect_lines(effect: Effect) -> list[Any]:
+    from rich.text import Text
+
+    from zoo.blood.effects import prior_text
+
+    table = plain_table(heads=False)
+    table.add_column(no_wrap=True)
+    table.add_column()
+    rows = [(n, str(getattr(effect, n))) for n in ("family", "statement", "equation", "signature")]
+    for amplitude in effect.amplitudes:
+        words = [f"{amplitude.name} ({amplitude.unit}) ~ {prior_text(amplitude)}", amplitude.why]
+        words.append("0 is the base" if amplitude.zero_is_base else "a shape, which no base has")
+        rows.append(("amplitude", "; ".join(word for word in words if word)))
+    rows += [("places", _locations(effect)), ("bases", ", ".join(effect.bases) or "all")]
+    rows.append(("source", effect.source))
+    for what, text in rows:
+        table.add_row(Text(what, style="bold"), Text(text))
+    return [Text(effect.name, style="bold"), table]

@@ -1,0 +1,215 @@
+"""Options that several commands share, in groups: of a study's conventions, of the solver, of sampling.
+
+A group is a dataclass; a command that has a parameter of its type has all its options (`zoo.cli.command`).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from zoo.cli.command import UsageError
+
+if TYPE_CHECKING:
+    from zoo.blood.solver import SolverOptions
+    from zoo.blood.study import Study
+
+DEFAULT_ESS = 400.0
+FIRST_CHECK = 500
+
+StudyArgument = Annotated[
+    str, typer.Argument(metavar="STUDY", help="A built-in study (see `zoo studies`) or a folder.")
+]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
+
+
+@dataclass(frozen=True)
+class ConventionOptions:
+    """Conventions by name, and single switches of theirs by the names that `Conventions` gives them."""
+
+    conventions: Annotated[
+        str | None,
+        typer.Option(
+            "--conventions", help="printed or published-code, instead of the study's own.", metavar="NAME"
+        ),
+    ] = None
+    wall_factor: Annotated[
+        float | None,
+        typer.Option("--wall-factor", help="Factor k of the tangent wall: p = k chi tan(...)."),
+    ] = None
+    stiffness_radius_unit_cm: Annotated[
+        float | None,
+        typer.Option("--stiffness-radius-unit", help="Unit of r0 in eq. 3.5, cm.", metavar="CM"),
+    ] = None
+    friction: Annotated[
+        str | None,
+        typer.Option("--friction", help="Radius of the friction term: current, rest or fixed."),
+    ] = None
+    friction_radius_cm: Annotated[
+        float | None,
+        typer.Option("--friction-radius", help="That of `--friction fixed`, cm.", metavar="CM"),
+    ] = None
+    truncate_lengths: Annotated[
+        bool | None,
+        typer.Option(
+            "--truncate-lengths/--true-lengths", help="Vessels of whole cells of 0.025 cm, or true."
+        ),
+    ] = None
+    mmhg: Annotated[float | None, typer.Option("--mmhg", help="dyn/cm2 in 1 mmHg.")] = None
+    sample_lag_beats: Annotated[
+        float | None,
+        typer.Option(
+            "--sample-lag", help="Compare this part of a beat after each sample's time.", metavar="BEATS"
+        ),
+    ] = None
+
+    def switches(self) -> dict[str, Any]:
+        """The single switches that were given."""
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in given.items() if name != "conventions" and value is not None}
+
+    def load(self, name: str) -> Study:
+        """A study with these conventions: a name, single switches, both, or its own."""
+        from zoo.blood.conventions import get_conventions
+        from zoo.blood.study import load_study
+
+        switches = self.switches()
+        if self.conventions is None and not switches:
+            return load_study(name)
+        named = (
+            load_study(name).conventions if self.conventions is None else get_conventions(self.conventions)
+        )
+        return load_study(name, named.replace(**switches))
+
+    def words(self) -> list[str]:
+        """The options that were given, as they are typed."""
+        words = [] if self.conventions is None else ["--conventions", self.conventions]
+        for name, value in self.switches().items():
+            option = name.removesuffix("_cm").removesuffix("_beats").replace("_", "-")
+            if name == "truncate_lengths":
+                words.append("--truncate-lengths" if value else "--true-lengths")
+            else:
+                words += [f"--{option}", str(value)]
+        return words
+
+
+@dataclass(frozen=True)
+class NumericalOptions:
+    """Options of the solver, by the names that `SolverOptions` gives them."""
+
+    dx_cm: Annotated[
+        float | None, typer.Option("--dx", help="Target cell length, cm (default 0.025).", metavar="CM")
+    ] = None
+    steps_per_beat: Annotated[
+        int | None, typer.Option("--steps", help="Time steps in a beat; 0 chooses them.")
+    ] = None
+    tolerance_mmHg: Annotated[
+        float | None,
+        typer.Option("--tolerance", help="Accepted distance from the periodic state, mmHg.", metavar="MMHG"),
+    ] = None
+
+    def solver(self) -> SolverOptions:
+        """Options of the solver, with its defaults for those that were not given."""
+        from zoo.blood.solver import SolverOptions
+
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        return SolverOptions(**{name: value for name, value in given.items() if value is not None})
+
+
+@dataclass(frozen=True)
+class SamplingOptions:
+    """How a posterior is sampled."""
+
+    draws: Annotated[
+        int | None,
+        typer.Option(
+            "--draws",
+            min=1,
+            help="Stored draws of each chain; without it, until converged.",
+            show_default=False,
+        ),
+    ] = None
+    tune: Annotated[
+        int | None,
+        typer.Option(
+            "--tune", help="Steps to adapt, thrown away; 100 a dimension, at least 600.", show_default=False
+        ),
+    ] = None
+    chains: Annotated[int, typer.Option("--chains", help="Chains; at least 4 for a verdict.")] = 4
+    cores: Annotated[
+        int | None,
+        typer.Option("--cores", min=1, help="Processes at a time; all cores by default.", show_default=False),
+    ] = None
+    step: Annotated[str, typer.Option("--step", help="demetropolisz or metropolis.")] = "demetropolisz"
+    thin: Annotated[
+        int | None,
+        typer.Option(
+            "--thin",
+            help="Steps for each stored draw; a quarter of the dimension by default.",
+            show_default=False,
+        ),
+    ] = None
+    seed: Annotated[
+        int | None, typer.Option("--seed", help="Seed; recorded if not given.", show_default=False)
+    ] = None
+    until: Annotated[
+        str | None,
+        typer.Option(
+            "--until",
+            help="ess=400 (default without --draws): until every parameter has it and R-hat <= 1.01; "
+            "or none.",
+            show_default=False,
+        ),
+    ] = None
+    max_draws: Annotated[
+        int | None,
+        typer.Option("--max-draws", help="Limit of --until; 40 times the first check.", show_default=False),
+    ] = None
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume/--fresh", help="Go on from the checkpoint beside the output, or throw it away."
+        ),
+    ] = True
+    quiet: QuietOption = False
+
+    def settings(self) -> dict[str, Any]:
+        """Arguments of `zoo.sample`.
+
+        Raises
+        ------
+        UsageError
+            If `--until` cannot be read.
+        """
+        return {
+            "draws": self.draws or FIRST_CHECK,
+            "tune": self.tune,
+            "chains": self.chains,
+            "cores": self.cores or max(1, min(self.chains, os.cpu_count() or 1)),
+            "step": self.step,
+            "thin": self.thin,
+            "seed": self.seed,
+            "until_ess": self.ess_target(),
+            "max_draws": self.max_draws,
+        }
+
+    def ess_target(self) -> float | None:
+        """Effective sample size to reach; None for a fixed number of draws."""
+        if self.until is None:
+            return DEFAULT_ESS if self.draws is None else None
+        if self.until.lower() == "none":
+            return None
+        name, _, number = self.until.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if name.strip().lower() != "ess" or not (math.isfinite(value) and value > 0):
+            raise UsageError(
+                f"--until {self.until}: write --until ess=400, or --until none for a fixed number of draws"
+            )
+        return value

@@ -1,0 +1,64 @@
+"""`zoo report`: a page on stored posteriors."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from zoo.cli.checks import at_least, model_names, parent_exists
+from zoo.cli.command import command
+from zoo.cli.options import QuietOption
+from zoo.cli.screen import say
+
+
+@command
+def report(
+    studies: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="STUDY...", help="Studies, a chapter each; all built-in ones if absent."),
+    ] = None,
+    posteriors: Annotated[
+        list[Path] | None,
+        typer.Option("--posteriors", help="Folder of posteriors; may be repeated. Here if absent."),
+    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="HTML file.")] = Path("report.html"),
+    models: Annotated[
+        str, typer.Option("--models", help="Those to take, with commas.")
+    ] = "A,B,C,D,E,F,G,H,I",
+    criterion: Annotated[
+        Literal["waic", "loo"], typer.Option("--ic", help="What ranks: waic or loo.")
+    ] = "waic",
+    n_draws: Annotated[
+        int, typer.Option("--n-draws", help="Draws of each posterior that are scored.")
+    ] = 1000,
+    title: Annotated[str, typer.Option("--title", help="Of the page.")] = "Models of blood flow",
+    quiet: QuietOption = False,
+) -> None:
+    """Write one HTML page on stored posteriors: comparison, fits, convergence, how they were made."""
+    import shlex
+
+    from zoo.blood.study import list_studies
+    from zoo.report import gather, write_chapters
+
+    letters = model_names(models)
+    at_least("--n-draws", n_draws, 10)
+    parent_exists(output.resolve())
+    names = studies or list(list_studies())
+    folders = posteriors or [Path()]
+    chapters = gather(names, folders, letters=letters, data=bool(os.environ.get("CI")), say=say)
+    words = ["zoo", "report", *names]
+    words += [word for folder in folders for word in ("--posteriors", str(folder))]
+    words += ["--models", ",".join(letters), "--ic", criterion, "--n-draws", str(n_draws), "-o", str(output)]
+    write_chapters(
+        output,
+        chapters,
+        title=title,
+        ic=criterion,
+        n_draws=n_draws,
+        command=shlex.join(words),
+        say=(lambda text: None) if quiet else say,
+    )
+    say(f"wrote {output}")

@@ -1,0 +1,119 @@
+"""`zoo sample`: the posterior of a model on a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from zoo.cli.checks import model_name, parent_exists
+from zoo.cli.command import UsageError, command
+from zoo.cli.options import ConventionOptions, SamplingOptions, StudyArgument
+from zoo.cli.screen import plain_table, say
+
+if TYPE_CHECKING:
+    import arviz as az
+
+    from zoo.blood.study import Study
+
+
+@command
+def sample(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="A to I.")],
+    study: StudyArgument,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="NetCDF file; MODEL-STUDY.nc by default.", show_default=False),
+    ] = None,
+    *,
+    sampling: SamplingOptions,
+    conventions: ConventionOptions,
+) -> None:
+    """Sample a model's posterior on a study, until converged; an interrupted run goes on where it was."""
+    name = model_name(model)
+    settings = sampling.settings()
+    loaded = conventions.load(study)
+    path = parent_exists(Path(f"{name}-{loaded.name}.nc") if output is None else output)
+    idata = sample_with_checkpoint(
+        name, loaded, path, settings, resume=sampling.resume, progress=not sampling.quiet
+    )
+    say(*_posterior_summary(idata, settings["until_ess"]), f"wrote {path}")
+
+
+def build_model(name: str, study: Study) -> Any:
+    """A model of the package on a study."""
+    import zoo
+
+    return getattr(zoo, f"model_{name}")(study)
+
+
+def sample_with_checkpoint(
+    name: str, study: Study, path: Path, settings: Mapping[str, Any], *, resume: bool, progress: bool
+) -> az.InferenceData:
+    """Run a model with the checkpoint beside its output, and write the output."""
+    from zoo.core.inference.sampling import CheckpointError, CheckpointInUseError
+    from zoo.core.posterior.files import checkpoint_of, sample_to
+
+    try:
+        if not resume:
+            _remove_checkpoint(checkpoint_of(path))
+        return sample_to(path, build_model(name, study), progress=progress, **settings)
+    except CheckpointInUseError as error:
+        raise UsageError(str(error)) from None
+    except CheckpointError as error:
+        raise UsageError(f"{error} (--fresh removes it)") from None
+
+
+def _remove_checkpoint(folder: Path) -> None:
+    """Delete the files of a checkpoint that no run is using, and nothing else."""
+    from zoo.core.inference.sampling import Folder
+
+    if not folder.is_dir():
+        return
+    Folder(folder).close()  # refused while another run holds it
+    for pattern in ("run.json", "start.pkl", "chain-*.pkl", "*.part", "lock"):
+        for file in folder.glob(pattern):
+            file.unlink()
+    try:
+        folder.rmdir()
+    except OSError:
+        raise UsageError(f"{folder}: holds files that are not a checkpoint's; move them away") from None
+
+
+def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]:
+    import numpy as np
+    from rich.text import Text
+
+    from zoo.core.inference.results import RunRecord, ess_to_count, geweke, mpsrf, scalars, verdict
+
+    found = verdict(idata, ess=ess_to_count(goal))
+    table = plain_table()
+    table.add_column("parameter")
+    for column in ("median", "2.5 %", "97.5 %", "R-hat", "ESS bulk", "ESS tail"):
+        table.add_column(column, justify="right")
+    posterior = idata["posterior"]
+    arrays = {str(n): posterior[n].transpose("chain", "draw", ...).to_numpy() for n in posterior.data_vars}
+    judged = {p.name: p for p in found.parameters}
+    p_values: list[float] = []
+    for label, values in scalars(arrays):
+        if label in judged:
+            p_values += list(geweke(values)) if values.shape[1] >= 40 else []
+            p = judged[label]
+            cells = [f"{q:.4g}" for q in np.quantile(values, (0.5, 0.025, 0.975))]
+            cells += [f"{p.rhat:.3f}", f"{p.ess_bulk:.0f}", f"{p.ess_tail:.0f}"]
+            table.add_row(label, *cells, style=None if p.passes else "yellow")
+    record = RunRecord.of(idata)
+    failed = ", ".join(f"{n} {status}" for status, n in record.failures.items()) or "none"
+    paper = f"as the paper tests: multivariate scale reduction factor {mpsrf(arrays):.3f} (limit 1.1)"
+    if p_values:
+        below = sum(p < 0.05 for p in p_values)
+        paper += f"; Geweke p below 0.05 in {below} of {len(p_values)} (expected {0.05 * len(p_values):.1f})"
+    return [
+        table,
+        Text(found.text, style="green" if found.passes else "yellow"),
+        paper,
+        f"{found.chains} chains of {found.draws} draws, seed {record.seed}; {record.solves} solves "
+        f"({record.solves_per_step:.2f} a step), failed: {failed}; {record.wall_seconds:.0f} s",
+    ]

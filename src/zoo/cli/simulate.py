@@ -1,0 +1,199 @@
+"""`zoo simulate`: one solve, every vessel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from zoo.cli.checks import numbers, parent_exists
+from zoo.cli.command import UsageError, command
+from zoo.cli.options import ConventionOptions, NumericalOptions, StudyArgument
+from zoo.cli.screen import say
+
+if TYPE_CHECKING:
+    import numpy as np
+    import xarray as xr
+
+    from zoo.blood.solver import Solution
+    from zoo.blood.study import Study
+
+POSITIONS = (0.0, 0.5, 1.0)
+QUANTITIES = ("pressure_mmHg", "flow_ml_s", "area_cm2")
+
+
+@command
+def simulate(
+    study: StudyArgument,
+    wall: Annotated[str, typer.Option("--wall", help="linear (eq. 3.3) or tangent (eq. 3.4).")] = "linear",
+    stiffness: Annotated[
+        str | None,
+        typer.Option("--stiffness", help="chi, g/(cm s2): one value, or one per vessel with commas."),
+    ] = None,
+    f1: Annotated[float | None, typer.Option("--f1", help="chi = f1 exp(f2 r0) + f3 (eq. 3.5).")] = None,
+    f2: Annotated[float | None, typer.Option("--f2", help="See --f1.")] = None,
+    f3: Annotated[float | None, typer.Option("--f3", help="See --f1; alone it is the stiffness.")] = None,
+    gamma: Annotated[
+        str | None, typer.Option("--gamma", help="Of the tangent wall: one value, or one per vessel.")
+    ] = None,
+    psi1: Annotated[str, typer.Option("--psi1", help="Factor on R1: one value, or one per vessel.")] = "1",
+    psi2: Annotated[str, typer.Option("--psi2", help="Factor on R2.")] = "1",
+    c: Annotated[str, typer.Option("--c", help="Factor on C.")] = "1",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="waves.nc, or waves.csv in the long format.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="Figure of the waves: .png, .pdf or .svg.")
+    ] = None,
+    times: Annotated[int, typer.Option("--times", help="Times in the beat, from its start.")] = 512,
+    *,
+    conventions: ConventionOptions,
+    numerical: NumericalOptions,
+) -> None:
+    """Solve at one set of parameters: every vessel at positions 0, 0.5 and 1; pressure, flow and area."""
+    import numpy as np
+
+    from zoo.blood.network import Network
+    from zoo.blood.solver import Solver
+
+    loaded = conventions.load(study)
+    network = Network.from_study(loaded)
+    if output is not None and parent_exists(output).suffix not in (".nc", ".csv"):
+        raise UsageError(f"--output {output}: unknown ending {output.suffix!r}; use .nc or .csv")
+    if plot is not None:
+        parent_exists(plot)
+    if times < 2:
+        raise UsageError(f"--times {times}: give at least 2 times in the beat")
+    if wall == "tangent" and gamma is None:
+        raise UsageError("--wall tangent needs --gamma, such as --gamma 5.2")
+    if wall == "linear" and gamma is not None:
+        raise UsageError("--gamma belongs to the tangent wall: add --wall tangent, or leave it out")
+    order = [[v.id for v in loaded.vessels].index(int(i)) for i in network.ids]
+
+    def each(option: str, text: str) -> np.ndarray:
+        values = np.array(numbers(option, text, loaded))
+        return values[order] if len(values) > 1 else np.full(len(order), values[0])
+
+    parameters: dict[str, Any] = {
+        "stiffness": _stiffness(stiffness, f1, f2, f3, loaded, network.radius_in_cm, each),
+        "gamma": each("--gamma", gamma if gamma is not None else "2"),
+        "psi1": each("--psi1", psi1),
+        "psi2": each("--psi2", psi2),
+        "c": each("--c", c),
+    }
+    options = numerical.solver()
+    time_s = np.arange(times) * loaded.period_s / times
+    places = [(int(i), p) for i in network.ids for p in POSITIONS]
+    solver = Solver.for_study(loaded, wall, series=places, times_s=time_s, options=options)
+    solution = solver.solve(**parameters)
+    waves = _waves(solution, [int(i) for i in network.ids], time_s)
+    waves.attrs |= {
+        "study": loaded.name,
+        "study_checksum": loaded.checksum,
+        "conventions": loaded.conventions.name,
+        "wall": wall,
+        "beats": solution.beats,
+        "steps_per_beat": solution.steps_per_beat,
+        "distance_from_periodic_state_mmHg": solution.distance_mmHg,
+    }
+    for name, values in parameters.items():
+        waves[name] = ("vessel", values)
+    if output is not None:
+        _write_waves(waves, output)
+    if plot is not None:
+        from zoo.plots import save_figure, waves_figure
+
+        save_figure(waves_figure(waves, loaded), plot)
+    error = None
+    if loaded.series:
+        at_data = Solver.for_study(loaded, wall, options=options).solve(**parameters)
+        rows = [getattr(at_data, s.quantity)[i] - s.value for i, s in enumerate(loaded.series)]
+        error = float(np.sum(np.square(rows)))
+    say(*_simulation_summary(loaded, wall, waves, solution, error))
+    say(*(f"wrote {path}" for path in (output, plot) if path is not None))
+
+
+def _stiffness(
+    stiffness: str | None,
+    f1: float | None,
+    f2: float | None,
+    f3: float | None,
+    study: Study,
+    radius_cm: np.ndarray,
+    each: Callable[[str, str], np.ndarray],
+) -> np.ndarray:
+    from zoo.blood.network import stiffness_profile
+
+    profile = [f1, f2, f3]
+    if stiffness is not None:
+        if any(value is not None for value in profile):
+            raise UsageError("--stiffness and --f1 --f2 --f3 are two ways to say the same: give one of them")
+        return each("--stiffness", stiffness)
+    if f3 is None:
+        raise UsageError("no stiffness: give --stiffness 5.17e4, or --f3 (with --f1 and --f2 for eq. 3.5)")
+    if (f1 is None) != (f2 is None):
+        raise UsageError(
+            "--f1 and --f2 belong together in chi = f1 exp(f2 r0) + f3: give both, or --f3 alone"
+        )
+    unit = study.conventions.stiffness_radius_unit_cm
+    return stiffness_profile(radius_cm, f1 or 0.0, f2 or 0.0, f3, unit)
+
+
+def _waves(solution: Solution, vessels: Sequence[int], time_s: np.ndarray) -> xr.Dataset:
+    """Dataset with dimensions vessel, position, time."""
+    import xarray as xr
+
+    shape = (len(vessels), len(POSITIONS), len(time_s))
+    units = {"pressure_mmHg": "mmHg", "flow_ml_s": "ml/s", "area_cm2": "cm2"}
+    waves = xr.Dataset(
+        {
+            quantity: (
+                ("vessel", "position", "time"),
+                getattr(solution, quantity).reshape(shape),
+                {"units": unit},
+            )
+            for quantity, unit in units.items()
+        },
+        coords={
+            "vessel": list(vessels),
+            "position": list(POSITIONS),
+            "time": ("time", time_s, {"units": "s"}),
+        },
+    )
+    return waves
+
+
+def _write_waves(waves: xr.Dataset, path: Path) -> None:
+    if path.suffix == ".nc":
+        waves.to_netcdf(path, engine="h5netcdf")
+        return
+    time_s = [f"{t:.9g}" for t in waves["time"].to_numpy()]
+    with open(path, "w", newline="") as file:
+        file.write("vessel,position,quantity,time_s,value\n")
+        for vessel in waves["vessel"].to_numpy():
+            for position in POSITIONS:
+                for quantity in QUANTITIES:
+                    values = waves[quantity].sel(vessel=vessel, position=position).to_numpy()
+                    head = f"{vessel},{position:g},{quantity}"
+                    file.writelines(f"{head},{t},{v:.9g}\n" for t, v in zip(time_s, values, strict=True))
+
+
+def _simulation_summary(
+    study: Study, wall: str, waves: xr.Dataset, solution: Solution, sse: float | None
+) -> list[str]:
+    root = next(v for v in study.vessels if v.parent is None)
+    pressure = waves["pressure_mmHg"].sel(vessel=root.id, position=0.0).to_numpy()
+    flow = waves["flow_ml_s"].sel(vessel=root.id, position=0.0).to_numpy()
+    lines = [
+        f"[bold]{study.name}[/bold]: {wall} wall, conventions {study.conventions.name}",
+        f"pressure at the inlet of {root.name or f'vessel {root.id}'}: systolic {pressure.max():.2f}, "
+        f"diastolic {pressure.min():.2f}, mean {pressure.mean():.2f} mmHg; mean flow {flow.mean():.4f} ml/s",
+        f"periodic after {solution.beats} beats of {solution.steps_per_beat} steps, "
+        f"{solution.distance_mmHg:.1g} mmHg from the periodic state; status: {solution.reason or 'ok'}",
+    ]
+    if sse is not None:
+        n = sum(len(s.value) for s in study.series)
+        lines.append(f"sum of squared errors against the {n} observed values: {sse:.4g}")
+    return lines
