@@ -27,12 +27,11 @@ class ErrorModel(ABC):
     """The law of measured minus computed series.
 
     An error model is a value: made without data it is a statement for any, and `bind` gives it the data that
-    its other methods need. Residuals are arrays (..., n_series, n_times) in the series' own units, and the
-    series are independent of each other given the parameters.
+    its other methods need. Residuals are arrays (..., n_series, n_times) in the series' own units.
 
-    A subclass is a frozen dataclass whose fields can be hashed (tuples, not arrays), at the top level of a
-    module, so that other processes find it. It gives `name`, `parameters`, `variance`, `whiten`, `unwhiten`
-    and `terms`; the PyMC variable and the draws follow from these.
+    A subclass is a frozen dataclass whose fields can be hashed (tuples, not arrays). It gives `name`,
+    `parameters`, `variance`, `whiten`, `unwhiten` and `terms`; the PyMC variable, the draws and the terms of
+    posterior draws follow from these.
 
     Attributes
     ----------
@@ -68,7 +67,7 @@ class ErrorModel(ABC):
     def terms(
         self, residual: Array, values: Mapping[str, ArrayLike], decomposition: str = "sequential"
     ) -> Array:
-        """Log-likelihood terms (n_series, n_times) of one residual; -inf where there is no law.
+        """Log-likelihood terms (n_series, n_times) of one residual's coefficients; -inf where there is no law.
 
         Parameters
         ----------
@@ -76,7 +75,8 @@ class ErrorModel(ABC):
         values : mapping of name to number
             Of the parameters, each a scalar or a vector of its size.
         decomposition : {"sequential", "leave-one-out"}
-            log p(y_i | y_<i), which add up to the joint log-density, or log p(y_i | y_-i).
+            log p(y_i | y_<i), which add up to the joint log-density, or log p(y_i | y_-i), y the data's
+            coefficients, which are the data themselves unless there is a `transform`.
         """
 
     def bind(self, data: Data) -> Self:
@@ -116,25 +116,27 @@ class ErrorModel(ABC):
         return coefficients
 
     def covariance(self, values: Mapping[str, ArrayLike]) -> Array:
-        """Covariance matrix of each series' errors, S_s = U_s U_s' with U the linear map `unwhiten`.
+        """Covariance matrix of all errors, U U' with U the linear map `unwhiten`.
 
         A law whose `unwhiten` is not linear, as of errors that are not normal, gives its own.
 
         Returns
         -------
-        array (n_series, n_times, n_times)
+        array (n_series * n_times, n_series * n_times)
+            Series after series.
 
         Raises
         ------
         ErrorModelError
             If there is no law at these values.
         """
-        n = self.on.n_times
-        units = np.broadcast_to(np.eye(n)[:, None, :], (n, self.on.n_series, n))
-        columns = self.unwhiten(units, values)
+        n_series, n_times = self.on.n_series, self.on.n_times
+        n = n_series * n_times
+        columns = self.unwhiten(np.eye(n).reshape(n, n_series, n_times), values)
         if columns is None:
             raise ErrorModelError(f"error model {self.name}: no covariance at {dict(values)}")
-        return np.asarray(np.einsum("jst,jsu->stu", columns, columns))
+        flat = columns.reshape(n, n)
+        return np.asarray(flat.T @ flat)
 
     def log_density(self, residual: Array, values: Mapping[str, ArrayLike]) -> float:
         """Joint log-density of one residual (n_series, n_times): the sum of the sequential terms."""

@@ -405,7 +405,7 @@ class Spectral(ErrorModel):
         """Observe the data's coefficients: independent normal around those of the mean."""
         import pytensor.tensor as pt
 
-        from zoo.core.errors.independent import IidErrors
+        from zoo.core.errors.variables import IidErrors
 
         S = pt.zeros((self.on.n_series, self.n))
         for group, rows in self.rows.items():
