@@ -14,7 +14,7 @@ import arviz as az
 import numpy as np
 
 from zoo import load_study, model_F, sample
-from zoo.core.inference.results import verdict
+from zoo.core.inference.convergence import verdict
 from zoo.core.inference.sampling import find_mode
 from zoo.core.posterior.comparison import add_log_likelihood, sse_at_median
 from zoo.paper.reproduce import Interval, format_cell, parameter_table, published_table4

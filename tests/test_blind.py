@@ -49,7 +49,7 @@ from zoo.core.diagnosis.diagnosis import (
     diagnose,
 )
 from zoo.core.diagnosis.screening import SEARCH
-from zoo.core.inference.results import versions
+from zoo.core.inference.record import versions
 
 CHEAP = ("sensor-offset", "inflow-shift", "inflow-bandwidth", "beat-jitter")
 TINY: dict[str, Any] = {"networks": ("tree",), "layouts": ("MPA",), "vessels": (3, 3), "cores": 1}

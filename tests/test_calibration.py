@@ -16,7 +16,7 @@ from scipy import stats
 from zoo.blood.op import blood_flow
 from zoo.blood.study import Series, Study
 from zoo.core.errors.likelihood import INVERSE_GAMMA, IidErrors, study_model
-from zoo.core.inference.mode import LogPosterior
+from zoo.core.inference.logposterior import LogPosterior
 from zoo.models import get_model
 from zoo.paper import calibration
 from zoo.paper.calibration import (
@@ -229,9 +229,11 @@ def test_finished_replicates_are_kept(
     with pytest.raises(CalibrationError, match="another calibration: seed is 5 there and 6 here"):
         run(3, seed=6)
     with monkeypatch.context() as other:
-        other.setattr(calibration, "DEMETROPOLISZ", {**calibration.DEMETROPOLISZ, "own_units": 0.0})
+        other.setattr(calibration, "DEMETROPOLISZ", {**calibration.DEMETROPOLISZ, "constrained": 0.0})
         with pytest.raises(CalibrationError, match="another calibration: steps is"):
             run(3)
+    path.write_text(path.read_text().replace('"constrained"', '"own_units"'))  # as former versions wrote it
+    assert np.array_equal(run(3).ranks, test.ranks)
     path.write_text(json.dumps({"a": 1})[:-1] + "\n")
     with pytest.raises(CalibrationError, match="no file of replicates"):
         run(3)

@@ -21,8 +21,9 @@ from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel, load_study, save_study
 from zoo.cli import app
-from zoo.core.inference.results import RunRecord, load
+from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import find
+from zoo.core.posterior.storage import load
 from zoo.paper.synthetic import ejection
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
@@ -386,7 +387,7 @@ def test_fresh_removes_only_a_checkpoint(tiny: Path, tmp_path: Path) -> None:
 
 
 def test_fresh_does_not_take_a_checkpoint_from_a_running_job(tiny: Path, tmp_path: Path) -> None:
-    from zoo.core.inference.sampling import Folder
+    from zoo.core.inference.checkpoint import Folder
 
     held = Folder(tmp_path / "A.checkpoint")
     message = fails("sample", "A", tiny, "-o", tmp_path / "A.nc", "--fresh", *QUICK)

@@ -15,7 +15,7 @@ from zoo.blood.op import blood_flow, radius_dependent_stiffness
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Study
 from zoo.core.errors.likelihood import iid_errors, study_model
-from zoo.core.inference.results import diagnose
+from zoo.core.inference.convergence import check_convergence
 from zoo.core.posterior.comparison import (
     ComparisonError,
     add_log_likelihood,
@@ -220,7 +220,7 @@ def test_table(study: Study, models, idatas) -> None:
 
 def test_table_ranked_by_loo_with_given_verdicts(models, idatas) -> None:
     rng = np.random.default_rng(0)
-    good = diagnose({"x": rng.standard_normal((4, 1000))})
+    good = check_convergence({"x": rng.standard_normal((4, 1000))})
     assert good.passes
     table = compare(idatas, models, ic="loo", n_draws=20, verdicts={"A": good})
     assert table.loc["A", "converged"]

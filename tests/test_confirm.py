@@ -11,7 +11,7 @@ from zoo.blood.effects import Place
 from zoo.core.diagnosis.confirm import HarmonicsOp, confirm, effect_model
 from zoo.core.diagnosis.discrepancy import log_density
 from zoo.core.diagnosis.screening import NO_GAP, Scored, Screening, score
-from zoo.core.inference.mode import LogPosterior
+from zoo.core.inference.logposterior import LogPosterior
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from zoo import load_study, model_E, sample
-from zoo.core.inference.mode import LogPosterior
+from zoo.core.inference.logposterior import LogPosterior
 from zoo.paper.calibration import cheap_study
 from zoo.paper.coverage import (
     IDENTIFIABLE,

@@ -12,8 +12,11 @@ import pytest
 from nbclient import NotebookClient
 
 from zoo import load_study
-from zoo.core.inference import results
+from zoo.core.inference.convergence import diagnostics
+from zoo.core.inference.record import RunRecord
+from zoo.core.posterior.storage import load, save, slim
 from zoo.models import MODELS, get_model, suggested
+from zoo.paper.convergence import paper_tests
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 STORED = sorted((FOLDER / "posteriors").glob("*.nc"))
@@ -45,11 +48,11 @@ def store(folder: Path, letter: str) -> None:
     draws = {name: values[name] * np.exp(0.002 * rng.normal(size=(4, 60))) for name in model.zoo.parameters}
     idata = az.from_dict(posterior=draws)
     study, conventions = model.zoo.study, model.zoo.op.solver.conventions.name
-    results.RunRecord(
+    RunRecord(
         letter, study.name, study.checksum, {"name": conventions}, {}, {}, 1, 10, 10, 1, {}, 1.0, 1.0, 9.0,
         1, "",
     ).attach(idata)  # fmt: skip
-    results.save(results.slim(idata), folder / f"{letter}.nc")
+    save(slim(idata, further=paper_tests), folder / f"{letter}.nc")
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda p: p.name)
@@ -90,7 +93,7 @@ def test_nine_models_with_two_of_nine(tmp_path: Path) -> None:
     [cell] = [c for c in notebook.cells if c.cell_type == "code" and "table4_rows(" in c.source]
     page = cell.outputs[0].data["text/html"]
     assert "5.17 (5.09, 5.25)" in page  # f3 of model A in Table 4
-    medians = np.median(results.load(tmp_path / "posteriors" / "A.nc").posterior.f3) / 1e4
+    medians = np.median(load(tmp_path / "posteriors" / "A.nc").posterior.f3) / 1e4
     assert f"{medians:.2f} (" in page
 
 
@@ -106,11 +109,11 @@ def test_nine_models_without_posteriors_says_so(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize("path", STORED, ids=lambda p: p.name)
 def test_stored_posteriors_hold_parameters_only(path: Path) -> None:
     assert path.stat().st_size < 500_000
-    idata = results.load(path)
+    idata = load(path)
     assert idata.groups() == ["posterior"]
-    record = results.RunRecord.of(idata)
+    record = RunRecord.of(idata)
     assert (record.model, record.study) == (path.stem, "mouse-c6")
     assert {str(v.dtype) for v in idata.posterior.data_vars.values()} == {"float32"}
     assert set(idata.posterior.dims) <= {"chain", "draw", "vessel"}
     assert set(suggested(record.model)) <= set(idata.posterior.data_vars) <= {*suggested(record.model), "chi"}
-    assert results.diagnostics(idata).verdict.passes
+    assert diagnostics(idata).verdict.passes

@@ -22,9 +22,12 @@ from zoo import plots, report
 from zoo.blood.fetch import FetchError
 from zoo.blood.study import Study, load_study, save_study
 from zoo.cli import app
-from zoo.core.inference import results
+from zoo.core.inference.convergence import Diagnostics, check_convergence
+from zoo.core.inference.record import RunRecord, versions
 from zoo.core.posterior.comparison import compare
+from zoo.core.posterior.storage import save, slim
 from zoo.models import get_model
+from zoo.paper.convergence import mpsrf, paper_tests
 from zoo.report import chapters
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
@@ -103,7 +106,7 @@ def drawn(model: pm.Model, *, apart: float = 0.0, n: int = 500) -> az.InferenceD
     accepted = np.linspace(0.2, 0.4, 4)[:, None].repeat(n, 1)
     idata = az.from_dict(posterior=draws, sample_stats={"accepted": accepted})
     record = model.zoo
-    results.RunRecord(
+    RunRecord(
         model=record.name,
         study=record.study.name,
         study_checksum=record.study.checksum,
@@ -192,7 +195,7 @@ def test_posteriors_and_convergence_are_those_of_the_draws(
             assert row[7] == f"{stats.loc[parameter, 'ess_tail']:.0f}"
     [first, _] = table_of(page, "Convergence")
     assert first[:3] == ["A", "yes", "4 × 500"]
-    assert first[6] == f"{results.mpsrf({k: v.to_numpy() for k, v in posteriors['A'].posterior.items()}):.3f}"
+    assert first[6] == f"{mpsrf({k: v.to_numpy() for k, v in posteriors['A'].posterior.items()}):.3f}"
     assert first[8:] == ["20 to 40", "8200", "5 not-periodic", "1.5"]
 
 
@@ -238,8 +241,8 @@ def test_the_head_says_what_was_done(page: Element, study: Study) -> None:
     for words in (
         study.checksum,
         "4 March 2026, 05:06 UTC",
-        f"zoo {results.versions()['zoo']}",
-        f"pymc {results.versions()['pymc']}",
+        f"zoo {versions()['zoo']}",
+        f"pymc {versions()['pymc']}",
         "dx_cm 0.025",
         "A note & more.",
         "zoo report x",
@@ -298,7 +301,7 @@ def rows_of(**columns: list[float]) -> pd.DataFrame:
 
 def test_summary_tells_a_lead_from_a_tie() -> None:
     rng = np.random.default_rng(0)
-    good = results.Diagnostics(results.diagnose({"c": rng.normal(size=(4, 1000))}), 1.0, {}, ())
+    good = Diagnostics(check_convergence({"c": rng.normal(size=(4, 1000))}), ())
     checks = dict.fromkeys("HBA", good)
     table = rows_of(
         waic=[-10.0, -9.0, 90.0], difference=[0.0, 1.0, 100.0], difference_se=[0.0, 2.0, 5.0],
@@ -315,7 +318,7 @@ def test_summary_tells_a_lead_from_a_tie() -> None:
         "The posterior of model H converged.",
         "Model H has WAIC 3.0, with nothing to compare it to.",
     ]
-    bad = results.Diagnostics(results.diagnose({"c": rng.normal(size=(4, 50))}), 1.0, {}, ())
+    bad = Diagnostics(check_convergence({"c": rng.normal(size=(4, 50))}), ())
     lines = report.summary(table, checks | {"B": bad}, {})
     assert lines[0].startswith("Not converged: B.")
     assert lines[1].startswith("Model H predicts")  # which did converge
@@ -359,10 +362,10 @@ def test_without_data_the_posteriors_are_shown(
 ) -> None:
     save_study(study, tmp_path / "own")
     for name, idata in posteriors.items():
-        results.save(results.slim(idata, 100), tmp_path / f"{name}.nc")
-    away = results.slim(posteriors["A"], 100)
-    replace(results.RunRecord.of(away), study="mouse-c6", study_checksum="abc").attach(away)
-    results.save(away, tmp_path / "mouse.nc")
+        save(slim(idata, 100, further=paper_tests), tmp_path / f"{name}.nc")
+    away = slim(posteriors["A"], 100, further=paper_tests)
+    replace(RunRecord.of(away), study="mouse-c6", study_checksum="abc").attach(away)
+    save(away, tmp_path / "mouse.nc")
     (tmp_path / "other.nc").write_text("not a posterior")
     target = tmp_path / "r.html"
     words = ["report", str(tmp_path / "own"), "mouse-c6", "--posteriors", str(tmp_path), "-o", str(target)]
@@ -391,7 +394,7 @@ def test_without_data_the_posteriors_are_shown(
 
 
 def test_commands_keep_the_target() -> None:
-    record = results.RunRecord(
+    record = RunRecord(
         "H", "demo", "", {}, {},
         {"until_ess": 400.0, "draws": 2000, "first check": 500, "tune": 9, "chains": 4},
         3, 1, 1, 1, {}, 1.0, 1.0, 1.0, 1, "",

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from zoo import load_study
-from zoo.core.inference.results import RunRecord
+from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import PosteriorError, refuse_other_settings
 from zoo.paper.reproduce import (
     FIRST_SCENARIO,

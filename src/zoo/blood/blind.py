@@ -59,7 +59,7 @@ from zoo.core.diagnosis.screening import (
     Search,
     SearchError,
 )
-from zoo.core.inference.results import versions
+from zoo.core.inference.record import versions
 from zoo.core.inference.workers import each
 from zoo.paper.synthetic import PERIOD_S, ejection
 

@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri
 from zoo.blood.network import Network
 from zoo.blood.solver import STATUS_NAMES, WALLS, Solution, Solver
 from zoo.core.errors.likelihood import JITTER, NOISE_VARIANCE, neural_network_kernel
-from zoo.core.inference.results import versions
+from zoo.core.inference.record import versions
 from zoo.core.posterior.comparison import Progress, posterior_means, record_of, solver_inputs, thin
 
 if TYPE_CHECKING:

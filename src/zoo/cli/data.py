@@ -40,7 +40,7 @@ def studies() -> None:
 @command
 def version() -> None:
     """Versions of this package and of the libraries that shape the draws."""
-    from zoo.core.inference.results import versions
+    from zoo.core.inference.record import versions
 
     for name, value in versions().items():
         say(f"{name} {value}")

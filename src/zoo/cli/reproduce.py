@@ -114,7 +114,7 @@ def reproduce(
         )
         return
 
-    from zoo.core.inference.sampling import CheckpointError
+    from zoo.core.inference.checkpoint import CheckpointError
     from zoo.paper.reproduce import WAIC_LIMIT, WAIC_LIMITS, table4_lines
     from zoo.paper.reproduce import reproduce as run
 

@@ -53,7 +53,7 @@ def sample_with_checkpoint(
     name: str, study: Study, path: Path, settings: Mapping[str, Any], *, resume: bool, progress: bool
 ) -> az.InferenceData:
     """Run a model with the checkpoint beside its output, and write the output."""
-    from zoo.core.inference.sampling import CheckpointError, CheckpointInUseError
+    from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError
     from zoo.core.posterior.files import checkpoint_of, sample_to
 
     try:
@@ -68,7 +68,7 @@ def sample_with_checkpoint(
 
 def _remove_checkpoint(folder: Path) -> None:
     """Delete the files of a checkpoint that no run is using, and nothing else."""
-    from zoo.core.inference.sampling import Folder
+    from zoo.core.inference.checkpoint import Folder
 
     if not folder.is_dir():
         return
@@ -86,27 +86,27 @@ def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]
     import numpy as np
     from rich.text import Text
 
-    from zoo.core.inference.results import RunRecord, ess_to_count, geweke, mpsrf, scalars, verdict
+    from zoo.core.inference.convergence import arrays, ess_to_count, scalars, verdict
+    from zoo.core.inference.record import RunRecord
+    from zoo.paper.convergence import paper_tests
 
     found = verdict(idata, ess=ess_to_count(goal))
     table = plain_table()
     table.add_column("parameter")
     for column in ("median", "2.5 %", "97.5 %", "R-hat", "ESS bulk", "ESS tail"):
         table.add_column(column, justify="right")
-    posterior = idata["posterior"]
-    arrays = {str(n): posterior[n].transpose("chain", "draw", ...).to_numpy() for n in posterior.data_vars}
-    judged = {p.name: p for p in found.parameters}
-    p_values: list[float] = []
-    for label, values in scalars(arrays):
+    draws, judged = arrays(idata), {p.name: p for p in found.parameters}
+    for label, values in scalars(draws):
         if label in judged:
-            p_values += list(geweke(values)) if values.shape[1] >= 40 else []
             p = judged[label]
             cells = [f"{q:.4g}" for q in np.quantile(values, (0.5, 0.025, 0.975))]
             cells += [f"{p.rhat:.3f}", f"{p.ess_bulk:.0f}", f"{p.ess_tail:.0f}"]
             table.add_row(label, *cells, style=None if p.passes else "yellow")
     record = RunRecord.of(idata)
     failed = ", ".join(f"{n} {status}" for status, n in record.failures.items()) or "none"
-    paper = f"as the paper tests: multivariate scale reduction factor {mpsrf(arrays):.3f} (limit 1.1)"
+    tests = paper_tests(draws)
+    p_values = [p for each in tests["geweke"].values() for p in each]
+    paper = f"as the paper tests: multivariate scale reduction factor {tests['mpsrf']:.3f} (limit 1.1)"
     if p_values:
         below = sum(p < 0.05 for p in p_values)
         paper += f"; Geweke p below 0.05 in {below} of {len(p_values)} (expected {0.05 * len(p_values):.1f})"

@@ -20,10 +20,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
-from zoo.core.inference.mode import LogPosterior, Mode, Start, disperse, model_name, newton
+from zoo.core.inference.logposterior import LogPosterior, model_name
+from zoo.core.inference.mode import Mode
+from zoo.core.inference.newton import newton
 from zoo.core.inference.progress import bar
 from zoo.core.inference.sampling import DEMETROPOLISZ
-from zoo.core.inference.steps import Archive, DEMetropolisZ
+from zoo.core.inference.spaces import Archive
+from zoo.core.inference.starts import Start, disperse
+from zoo.core.inference.steps import DEMetropolisZ
 from zoo.core.inference.workers import each
 from zoo.paper.synthetic import PERIOD_S, ejection
 
@@ -37,6 +41,8 @@ LEVELS = (0.5, 0.8, 0.95)
 LOG_POSTERIOR = "log_posterior"
 """Name of the ranked quantity beside the parameters: the log-posterior density, which sees all of them."""
 CHEAP_STEPS = {"linear": 256, "tangent": 1024}
+FORMER_OPTIONS = {"own_units": "constrained"}
+"""Options of the steps that files of replicates have by a former name; the draws are the same."""
 MAX_TRIES = 1000
 BLOCK = 8192
 
@@ -338,7 +344,8 @@ class Replicator:
         """Sample the posterior of the present data as `zoo.sample` does, its mode searched from `start`.
 
         Newton steps find the mode, chains start from a t distribution twice as wide as the Gaussian there,
-        and `zoo.core.inference.steps.DEMetropolisZ` makes the steps, with the options that `zoo.sample` gives it.
+        and `zoo.core.inference.steps.DEMetropolisZ` makes the steps, with the options that `zoo.sample` gives
+        it.
         """
         settings = settings or Settings()
         before = self.logp.evaluations
@@ -599,6 +606,8 @@ class _Store:
             rows = [Replicate(**json.loads(line)) for line in lines[1:]]
         except (json.JSONDecodeError, TypeError) as error:
             raise CalibrationError(f"{path}: no file of replicates ({error}); choose another") from None
+        if isinstance(stored, dict) and isinstance(stored.get("steps"), dict):
+            stored["steps"] = {FORMER_OPTIONS.get(key, key): value for key, value in stored["steps"].items()}
         mine = json.loads(json.dumps(dict(header)))
         for name, value in mine.items():
             theirs = stored.get(name) if isinstance(stored, dict) else None

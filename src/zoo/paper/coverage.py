@@ -28,11 +28,13 @@ from zoo.core.errors.likelihood import (
     neural_network_kernel,
     whiten,
 )
-from zoo.core.inference.mode import LogPosterior
+from zoo.core.inference.convergence import ESS_TARGET, verdict
+from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.progress import bar
-from zoo.core.inference.results import ESS_TARGET, save, verdict, versions
+from zoo.core.inference.record import versions
 from zoo.core.inference.workers import each
 from zoo.core.posterior.files import belongs, checkpoint_of, load_for, sample_to
+from zoo.core.posterior.storage import save
 from zoo.models import get_model
 from zoo.paper.synthetic import Truth, synthetic_study
 

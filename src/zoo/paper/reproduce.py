@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from zoo.core.inference.results import RunRecord, judged
+from zoo.core.inference.convergence import judged
+from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import matching, refuse_other_settings, sample_to
 from zoo.models import MODELS, get_model
 
@@ -583,8 +584,8 @@ def synthetic_tables(scores: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Index scenario; columns of `zoo.paper.coverage.summarise`, published_relative_sse, published_density_NAME,
-        joint_ratio and published_joint_ratio (to "mismatch, 1 vessel").
+        Index scenario; columns of `zoo.paper.coverage.summarise`, published_relative_sse,
+        published_density_NAME, joint_ratio and published_joint_ratio (to "mismatch, 1 vessel").
     """
     from zoo.paper.coverage import THETA, summarise
 
@@ -626,7 +627,7 @@ def synthetic_figures(scores: pd.DataFrame, base: Study, folder: Path) -> None:
     from dataclasses import asdict
 
     from zoo import plots
-    from zoo.core.inference.results import load
+    from zoo.core.posterior.storage import load
     from zoo.paper.coverage import PAPER_TRUTH, THETA
 
     def draws(file: str) -> dict[str, Any]:

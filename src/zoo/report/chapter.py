@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from zoo.blood.predictive import median_waves, one_place, predictive_draws, vessel_waves
-from zoo.core.inference.results import Diagnostics, RunRecord, diagnostics
+from zoo.core.inference.convergence import Diagnostics, diagnostics
+from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.comparison import compare
 from zoo.models import MODELS, get_model
+from zoo.paper.convergence import paper_tests
 from zoo.plots import comparison_figure, fit_figure, forest_figure, models_figure, pair_figure, rank_figure
 from zoo.report.page import ReportError, picture_of
 from zoo.report.parameters import parameter_rows
@@ -37,7 +39,7 @@ class Chapter:
     name : str
         Of the study.
     posteriors : mapping of model to InferenceData
-        Drawn by `zoo.sample`, or slimmed by `zoo.core.inference.results.slim`.
+        Drawn by `zoo.sample`, or slimmed by `zoo.core.posterior.storage.slim`.
     study : Study, optional
         Without it there are no fits and no ranking, and the chapter says so.
     models : mapping of model to pm.Model
@@ -91,7 +93,7 @@ def part_of(
 ) -> dict[str, Any]:
     """What the template shows of a chapter."""
     posteriors = chapter.posteriors
-    checks = {name: diagnostics(idata) for name, idata in posteriors.items()}
+    checks = {name: diagnostics(idata, paper_tests) for name, idata in posteriors.items()}
     records = {name: RunRecord.of(idata) for name, idata in posteriors.items()}
     table = chapter.table
     if chapter.study is not None and posteriors:
@@ -240,7 +242,7 @@ def _about(name: str) -> str:
 
 def _check_row(name: str, check: Diagnostics, record: RunRecord) -> dict[str, Any]:
     found = check.verdict
-    p_values = [p for values in check.geweke.values() for p in values if np.isfinite(p)]
+    p_values = [p for values in check.further.get("geweke", {}).values() for p in values if np.isfinite(p)]
     below = sum(p < 0.05 for p in p_values)
     rates = (
         [f"{100 * rate:.0f}" for rate in (min(check.acceptance), max(check.acceptance))]
@@ -254,7 +256,7 @@ def _check_row(name: str, check: Diagnostics, record: RunRecord) -> dict[str, An
         f"{found.max_rhat:.3f}",
         f"{min((p.ess_bulk for p in parameters), default=np.nan):.0f}",
         f"{min((p.ess_tail for p in parameters), default=np.nan):.0f}",
-        f"{check.mpsrf:.3f}",
+        f"{check.further.get('mpsrf', np.nan):.3f}",
         f"{below} of {len(p_values)}" if p_values else "too few draws",
         "–" if not rates else rates[0] if rates[0] == rates[1] else f"{rates[0]} to {rates[1]}",
         f"{record.solves + record.mode_evaluations}",

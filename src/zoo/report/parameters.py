@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from zoo.core.inference.results import Diagnostics, scalars
+from zoo.core.inference.convergence import Diagnostics, scalars
 from zoo.core.posterior.comparison import record_of
 from zoo.report.words import number
 
@@ -66,7 +66,7 @@ def parameter_rows(
         rhat, bulk, tail = "–", "–", "–"
         if p is not None:
             rhat, bulk, tail = f"{p.rhat:.3f}", f"{p.ess_bulk:.0f}", f"{p.ess_tail:.0f}"
-        p_values = check.geweke.get(label, ())
+        p_values = check.further.get("geweke", {}).get(label, ())
         smallest = f"{min(p_values):.2f}" if p_values else "–"
         chosen = unit if base == "sigma2" else own
         rows.append(

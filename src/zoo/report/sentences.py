@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from zoo.core.inference.results import ESS_TARGET, RHAT_LIMIT, Diagnostics, RunRecord
+from zoo.core.inference.convergence import ESS_TARGET, RHAT_LIMIT, Diagnostics
+from zoo.core.inference.record import RunRecord
 from zoo.report.words import listed, with_error
 
 if TYPE_CHECKING:

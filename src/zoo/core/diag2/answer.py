@@ -29,7 +29,7 @@ from zoo.core.diag2.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.core.diag2.scoring import DOUBT, Scored
 from zoo.core.diag2.screening import Screened
 from zoo.core.effects import Location
-from zoo.core.inference.results import versions
+from zoo.core.inference.record import versions
 
 Array = NDArray[np.float64]
 

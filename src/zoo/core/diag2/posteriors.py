@@ -19,8 +19,8 @@ from zoo.core.diag2.hypothesis import NULL
 from zoo.core.diag2.scoring import DOUBT, Scored
 from zoo.core.diag2.screening import Screened
 from zoo.core.errors.spectral import GroupPriors, LogNormal
-from zoo.core.inference.mode import LogPosterior
-from zoo.core.inference.results import verdict
+from zoo.core.inference.convergence import verdict
+from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.sampling import sample
 from zoo.core.model import bayesian_model
 from zoo.core.parameters import Normal, unpack, variable_name

@@ -24,8 +24,8 @@ from zoo.blood.study import Study
 from zoo.core.diagnosis.discrepancy import CORRELATED_RATIO, LENGTH_BEATS, MEMORY_BEATS, Harmonics
 from zoo.core.diagnosis.screening import DOUBT, NO_GAP, Fit, Forward, Hypothesis, Scored, Screened
 from zoo.core.errors.likelihood import IidErrors
-from zoo.core.inference.mode import LogPosterior
-from zoo.core.inference.results import verdict
+from zoo.core.inference.convergence import verdict
+from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.sampling import sample
 from zoo.core.posterior.comparison import thin
 from zoo.core.posterior.files import sample_to
@@ -120,8 +120,8 @@ class HarmonicsOp(Op):
 def effect_model(screened: Screened, fit: Fit) -> pm.Model:
     """A base with its effects as a PyMC model, its errors in the harmonics.
 
-    z_k ~ N(z_k(theta, amplitudes), S_k), S as in `zoo.core.diagnosis.discrepancy.Errors`; base parameters uniform,
-    amplitudes with their truncated normal priors, noise and allowance as in the screening.
+    z_k ~ N(z_k(theta, amplitudes), S_k), S as in `zoo.core.diagnosis.discrepancy.Errors`; base parameters
+    uniform, amplitudes with their truncated normal priors, noise and allowance as in the screening.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ from zoo.core.diagnosis.screening import (
     SearchError,
     score,
 )
-from zoo.core.inference.results import versions
+from zoo.core.inference.record import versions
 
 if TYPE_CHECKING:
     from zoo.core.diagnosis.confirm import Confirmation

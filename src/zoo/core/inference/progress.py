@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from zoo.core.inference.results import ESS_TARGET, Verdict, diagnose
+from zoo.core.inference.convergence import ESS_TARGET, Verdict, check_convergence
 
 
 @dataclass
@@ -101,7 +101,7 @@ class Display:
         if kept < 20 or now - self._judged_at < max(5.0, 50 * self._judging):
             return
         each = [state.values(kept) for state in states]
-        self._verdict = diagnose(
+        self._verdict = check_convergence(
             {name: np.stack([v[name] for v in each]) for name in each[0]}, ess=self.ess or ESS_TARGET
         )
         self._judging = time.monotonic() - now

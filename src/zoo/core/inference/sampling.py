@@ -5,41 +5,40 @@ The mode is found first, chains run in processes of their own, and a killed run 
 
 from __future__ import annotations
 
-import json
-import pickle
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, is_dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pymc as pm
 from numpy.typing import ArrayLike
 
-from zoo.core.inference.chains import Chains, CheckpointError, Fleet, InlineChains, Task, unpickle, write
-from zoo.core.inference.mode import (
-    MANY,
-    LogPosterior,
-    Mode,
-    SamplingError,
-    Start,
-    disperse,
-    find_mode,
-    model_name,
-    search_mode,
+from zoo.core.inference.chain import Task
+from zoo.core.inference.checkpoint import (
+    CheckpointError,
+    CheckpointInUseError,
+    Folder,
+    check_identity,
+    identity_of,
 )
+from zoo.core.inference.convergence import ESS_TARGET, check_convergence, ess_to_count
+from zoo.core.inference.logposterior import Array, LogPosterior, SamplingError, model_name
+from zoo.core.inference.mode import MANY, Mode, find_mode, search_mode
+from zoo.core.inference.pool import ChainPool, InlineChainPool, ProcessChainPool
 from zoo.core.inference.progress import Display
-from zoo.core.inference.results import ESS_TARGET, RunRecord, diagnose, ess_to_count
-from zoo.core.inference.steps import Array, DEMetropolisZ, Metropolis
+from zoo.core.inference.record import RunRecord
+from zoo.core.inference.starts import Start, disperse
+from zoo.core.inference.steps import DEMetropolisZ, Metropolis
 
 if TYPE_CHECKING:
     import arviz as az
 
 __all__ = [
     "CheckpointError",
+    "CheckpointInUseError",
     "DEMetropolisZ",
     "Metropolis",
     "Mode",
@@ -48,131 +47,11 @@ __all__ = [
     "sample",
 ]
 
-CHECKPOINT_FORMAT = 1
 STEPS = ("demetropolisz", "metropolis")
 PILOTS = 4
 """Most rounds of short chains that look for a higher mode of a model with many parameters."""
-DEMETROPOLISZ: Mapping[str, Any] = {"crank_nicolson": 0.5, "own_units": 0.5, "tune_drop_fraction": 0.5}
+DEMETROPOLISZ: Mapping[str, Any] = {"crank_nicolson": 0.5, "constrained": 0.5, "tune_drop_fraction": 0.5}
 """Options of `zoo.core.inference.steps.DEMetropolisZ`."""
-
-
-class CheckpointInUseError(CheckpointError):
-    """Another run holds the checkpoint folder."""
-
-
-class Folder:
-    """A checkpoint folder: run.json (what is being run), start.pkl, chain-K.pkl; locked while in use."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            self._lock: IO[str] = open(path / "lock", "w")  # noqa: SIM115 (closed by close)
-        except OSError as error:
-            raise CheckpointError(
-                f"{path}: cannot be used as checkpoint folder ({error.strerror}); choose another"
-            ) from None
-        try:
-            import fcntl
-
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except ImportError:  # no such locks on this system
-            pass
-        except OSError:
-            self._lock.close()
-            raise CheckpointInUseError(
-                f"{path}: another run is using this checkpoint folder; wait for it or choose another"
-            ) from None
-
-    def close(self) -> None:
-        """Give the folder free."""
-        self._lock.close()
-
-    def chain(self, chain: int) -> Path:
-        """File of one chain."""
-        return self.path / f"chain-{chain}.pkl"
-
-    def run(self) -> dict[str, Any] | None:
-        """What is stored in run.json, or None."""
-        file = self.path / "run.json"
-        if not file.exists():
-            return None
-        try:
-            content = json.loads(file.read_text())
-            assert isinstance(content["identity"], dict)
-        except (json.JSONDecodeError, KeyError, TypeError, AssertionError):
-            raise CheckpointError(f"{file}: cannot be read; remove the folder to start afresh") from None
-        return dict(content)
-
-    def write_run(self, content: Mapping[str, Any]) -> None:
-        """Store run.json."""
-        text = json.dumps(content, indent=1, sort_keys=True, default=str)
-        write(self.path / "run.json", text.encode())
-
-    def start(self) -> Start | None:
-        """Stored mode and starts, or None."""
-        file = self.path / "start.pkl"
-        if not file.exists():
-            return None
-        found = unpickle(file)
-        if not isinstance(found, Start):
-            raise CheckpointError(f"{file}: not a start; remove the folder to start afresh")
-        return found
-
-    def write_start(self, start: Start) -> None:
-        """Store mode and starts."""
-        write(self.path / "start.pkl", pickle.dumps(start, protocol=5))
-
-
-def _identity(logp: LogPosterior, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """What must not change when a run is resumed; the log-posterior at three points stands for all data."""
-    record = getattr(logp.model, "zoo", None)
-    study = getattr(record, "study", None)
-    solver = getattr(getattr(record, "op", None), "solver", None)
-    conventions = getattr(solver, "conventions", None) or getattr(study, "conventions", None)
-    q = logp.vector(logp.initial)
-    rng = np.random.default_rng(20200886)
-    probes = [q, q + 0.05 * rng.standard_normal(len(q)), q + 0.1 * rng.standard_normal(len(q))]
-    identity = {
-        "format": CHECKPOINT_FORMAT,
-        "pymc": pm.__version__,
-        "model": model_name(logp.model),
-        "variables": {v.name: list(np.shape(logp.initial[v.name])) for v in logp.variables},
-        "study": str(getattr(study, "name", "")),
-        "study checksum": str(getattr(study, "checksum", "")),
-        "conventions": _as_dict(conventions),
-        "solver options": _as_dict(getattr(record, "options", None)),
-        "log-posterior at three points": [logp(probe) for probe in probes],
-        **settings,
-    }
-    return dict(json.loads(json.dumps(identity, default=str)))
-
-
-def _as_dict(value: Any) -> dict[str, Any]:
-    if value is None:
-        return {}
-    if is_dataclass(value) and not isinstance(value, type):
-        return asdict(value)
-    return dict(value) if isinstance(value, Mapping) else {"value": str(value)}
-
-
-def _check_identity(path: Path, stored: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
-    for name, mine in identity.items():
-        theirs = stored.get(name)
-        if name == "log-posterior at three points" and isinstance(theirs, list) and len(theirs) == len(mine):
-            same = bool(np.allclose(theirs, mine, rtol=1e-9, atol=1e-7))
-        else:
-            same = theirs == mine
-        if not same:
-            raise CheckpointError(
-                f"{path}: checkpoint of another run: {name} is {_short(theirs)} there and {_short(mine)} "
-                "here; use the same settings, another folder, or remove this one"
-            )
-
-
-def _short(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= 120 else text[:117] + "..."
 
 
 def sample(
@@ -240,7 +119,7 @@ def sample(
     -------
     arviz.InferenceData
         posterior; sample_stats (for each stored draw: lp, accept, accepted, solves, solver_failures);
-        observed_data; attributes with the run record (`zoo.core.inference.results.RunRecord.of`).
+        observed_data; attributes with the run record (`zoo.core.inference.record.RunRecord.of`).
 
     Raises
     ------
@@ -278,7 +157,7 @@ def sample(
             "seed": int(seed),
             "start": _start_settings(start),
         }
-        identity = _identity(logp, settings)
+        identity = identity_of(logp, settings)
         if stored is None:
             stored = {
                 "identity": identity,
@@ -287,7 +166,7 @@ def sample(
             }
             stored["wall_seconds"] = 0.0
         elif folder is not None:
-            _check_identity(folder.path, stored["identity"], identity)
+            check_identity(folder.path, stored["identity"], identity)
         stored["sittings"] += 1
         earlier = float(stored["wall_seconds"])
         with Display(progress, tune=tune, thin=thin, cores=cores, ess=until_ess) as show:
@@ -304,7 +183,7 @@ def sample(
                 if folder is not None:
                     folder.write_start(beginning)
                 show.say(f"mode: log-posterior {mode.logp:.2f} after {mode.evaluations} evaluations")
-            fleet = _fleet(
+            pool = _pool(
                 model,
                 beginning,
                 int(seed),
@@ -318,23 +197,23 @@ def sample(
                 checkpoint_seconds=checkpoint_seconds,
             )
             try:
-                kept = _run(fleet, draws, until_ess, max_draws or 40 * draws)
+                kept = _run(pool, draws, until_ess, max_draws or 40 * draws)
             finally:
-                fleet.close()
+                pool.close()
                 stored["wall_seconds"] = earlier + time.monotonic() - began
                 if folder is not None:
                     folder.write_run(stored)
-            idata = _inference_data(model, fleet.draws(kept), fleet.stats(kept))
-            record = _record(model, fleet, beginning, stored, settings, kept, draws, until_ess, cores)
+            idata = _inference_data(model, pool.draws(kept), pool.stats(kept))
+            record = _record(model, pool, beginning, stored, settings, kept, draws, until_ess, cores)
             record.attach(idata)
-            show.say(diagnose(fleet.draws(kept), ess=ess_to_count(until_ess)).text)
+            show.say(check_convergence(pool.draws(kept), ess=ess_to_count(until_ess)).text)
         return idata
     finally:
         if folder is not None:
             folder.close()
 
 
-def _fleet(
+def _pool(
     model: Any,
     beginning: Start,
     seed: int,
@@ -347,7 +226,7 @@ def _fleet(
     *,
     checkpoint: Callable[[int], Path] | None = None,
     checkpoint_seconds: float = np.inf,
-) -> Fleet:
+) -> ChainPool:
     """Chains from the starts of a beginning: in processes, or in this one if `cores` is 0."""
     tasks = [
         Task(
@@ -366,7 +245,7 @@ def _fleet(
         )
         for chain, start in enumerate(beginning.starts)
     ]
-    return Chains(tasks, cores, show) if cores else InlineChains(tasks, show)
+    return ProcessChainPool(tasks, cores, show) if cores else InlineChainPool(tasks, show)
 
 
 def _improve(
@@ -387,13 +266,13 @@ def _improve(
     d = len(logp.template.data)
     for attempt in range(1, PILOTS + 1):
         trial = int(np.random.SeedSequence(seed, spawn_key=(attempt, 2)).generate_state(1)[0])
-        fleet = _fleet(logp.model, beginning, trial, step, options, 100 * d, 1, cores, show)
+        pool = _pool(logp.model, beginning, trial, step, options, 100 * d, 1, cores, show)
         kept = 20 * d
         try:
-            fleet.advance(kept)
-            draws, lp = fleet.draws(kept), fleet.stats(kept)["lp"]
+            pool.advance(kept)
+            draws, lp = pool.draws(kept), pool.stats(kept)["lp"]
         finally:
-            fleet.close()
+            pool.close()
         chain, draw = np.unravel_index(int(np.argmax(lp)), lp.shape)
         best = {rv.name: draws[rv.name][chain, draw] for rv in logp.model.free_RVs}
         mode = beginning.mode
@@ -404,7 +283,7 @@ def _improve(
             f"trial chains {attempt}: from log-posterior {mode.logp:.2f} to {lp[chain, draw]:.2f}, "
             f"mode there {found.logp:.2f}"
         )
-        evaluations = mode.evaluations + found.evaluations + sum(state.solves for state in fleet.states)
+        evaluations = mode.evaluations + found.evaluations + sum(state.solves for state in pool.states)
         beginning = disperse(logp, replace(found, evaluations=evaluations), chains, seed)
     return beginning
 
@@ -463,20 +342,20 @@ def _opening(model: Any, d: int, settings: Mapping[str, Any], stored: Mapping[st
     )
 
 
-def _run(fleet: Fleet, draws: int, until_ess: float | None, limit: int) -> int:
+def _run(pool: ChainPool, draws: int, until_ess: float | None, limit: int) -> int:
     """Advance the chains to the end; returns the number of draws of each chain that count."""
     kept = draws
-    fleet.advance(kept)
+    pool.advance(kept)
     if until_ess is None:
         return kept
     while kept < limit:
         # only numbers of draws and the draws decide where to look, so a resumed run stops where it would have
-        verdict = diagnose(fleet.draws(kept), ess=until_ess)
+        verdict = check_convergence(pool.draws(kept), ess=until_ess)
         if not verdict.parameters or all(p.passes for p in verdict.parameters):
             break
         factor = 1.1 * until_ess / max(verdict.min_ess, 1.0)
         kept = min(limit, int(np.ceil(kept * float(np.clip(factor, 1.25, 2.0)))))
-        fleet.advance(kept)
+        pool.advance(kept)
     return kept
 
 
@@ -500,7 +379,7 @@ def _inference_data(model: Any, draws: Mapping[str, Array], stats: Mapping[str, 
 
 def _record(
     model: Any,
-    fleet: Fleet,
+    pool: ChainPool,
     beginning: Start,
     stored: Mapping[str, Any],
     settings: Mapping[str, Any],
@@ -510,10 +389,10 @@ def _record(
     cores: int,
 ) -> RunRecord:
     identity = stored["identity"]
-    solves = sum(state.solves for state in fleet.states)
-    steps = sum(state.steps for state in fleet.states)
+    solves = sum(state.solves for state in pool.states)
+    steps = sum(state.steps for state in pool.states)
     failures: Counter[str] = Counter()
-    for state in fleet.states:
+    for state in pool.states:
         failures.update(state.failures)
     shown = {name: value for name, value in settings.items() if name != "seed"}
     shown |= {"draws": kept, "first check": draws, "until_ess": until_ess, "cores": cores}
@@ -529,7 +408,7 @@ def _record(
         steps=steps,
         mode_evaluations=beginning.mode.evaluations,
         failures=dict(sorted(failures.items())),
-        solves_per_draw=solves / (kept * len(fleet.states)),
+        solves_per_draw=solves / (kept * len(pool.states)),
         solves_per_step=solves / max(1, steps),
         wall_seconds=float(stored["wall_seconds"]),
         sittings=int(stored["sittings"]),

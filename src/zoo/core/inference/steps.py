@@ -2,225 +2,28 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pymc as pm
-import pytensor.tensor as pt
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pymc.blocking import RaveledVars
-from pymc.distributions.transforms import IntervalTransform
-from pymc.pytensorf import compile as compile_function
-from pymc.pytensorf import constant_fold, floatX, join_nonshared_inputs
+from pymc.pytensorf import floatX
 from pymc.step_methods.arraystep import metrop_select
 from pymc.step_methods.metropolis import DEMetropolisZState, MetropolisState, MultivariateNormalProposal
 from pymc.step_methods.state import dataclass_state
 from pymc.util import get_value_vars_from_user_vars
 from pytensor.compile.mode import Mode as CompileMode
-from scipy.special import expit, log_expit, logit
 
-Array = NDArray[np.float64]
-Point = dict[str, np.ndarray]
+from zoo.core.inference.logposterior import Array, Point, compile_logp, count, counting_ops
+from zoo.core.inference.spaces import T_DOF, Archive, ConstrainedSpace, Gaussian
+
 StepResult = tuple[RaveledVars, list[dict[str, Any]]]
 
-T_DOF = 5.0
-"""Degrees of freedom of the t distributions that proposals and starts are drawn from."""
 _CN_ACCEPTANCE = 0.25
 _FIRST_REFIT = 200
-
-
-def counting_ops(function: Any) -> list[Any]:
-    """Operations with `counts` in a compiled function, each once (copies of one share its counts)."""
-    found: dict[Any, Any] = {}
-
-    def visit(graph: Any) -> None:
-        for node in graph.apply_nodes:
-            if isinstance(getattr(node.op, "counts", None), Mapping):
-                found.setdefault(getattr(node.op, "key", id(node.op)), node.op)
-            inner = getattr(node.op, "fgraph", None)
-            if inner is not None and inner is not graph:
-                visit(inner)
-
-    visit(function.maker.fgraph)
-    return list(found.values())
-
-
-def count(ops: Sequence[Any]) -> tuple[int, Counter[str]]:
-    """Solves so far in this process, and failed ones by status."""
-    solves = 0
-    failures: Counter[str] = Counter()
-    for op in ops:
-        counts = op.counts
-        solves += int(counts["solves"])
-        failures.update(counts.get("failures", {}))
-    return solves, failures
-
-
-class Archive:
-    """Past points of a chain, which DEMetropolisZ draws its jumps from; a list of rows in one growing array.
-
-    Parameters
-    ----------
-    points : array (n, n_dim), optional
-        First points.
-    """
-
-    def __init__(self, points: ArrayLike | None = None) -> None:
-        self._rows = np.empty((0, 0)) if points is None else np.array(points, dtype=float, ndmin=2)
-        self._n = len(self._rows)
-
-    @property
-    def points(self) -> Array:
-        """All points, (n, n_dim); a view, not to be written to."""
-        return self._rows[: self._n]
-
-    def append(self, point: Array) -> None:
-        """Add one point (n_dim,) at the end."""
-        if self._n == len(self._rows):
-            grown = np.empty((max(256, 2 * self._n), len(point)))
-            if self._n:
-                grown[: self._n] = self.points
-            self._rows = grown
-        self._rows[self._n] = point
-        self._n += 1
-
-    def __len__(self) -> int:
-        return self._n
-
-    def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return Archive(self.points[index])
-        return self.points[index]
-
-    def __iter__(self) -> Iterator[Array]:
-        return iter(self.points)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Archive:
-        return Archive(self.points)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Archive, (self.points.copy(),)
-
-
-@dataclass(frozen=True)
-class Gaussian:
-    """Centre and scatter of a posterior in the unconstrained space.
-
-    Parameters
-    ----------
-    mean : array (n_dim,)
-    covariance : array (n_dim, n_dim)
-    """
-
-    mean: Array
-    covariance: Array
-    cholesky: Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "cholesky", np.linalg.cholesky(self.covariance))
-
-    def whiten(self, q: Array) -> Array:
-        """Coordinates (n_dim,) in which the Gaussian is standard normal."""
-        from scipy.linalg import solve_triangular
-
-        return np.asarray(solve_triangular(self.cholesky, q - self.mean, lower=True, check_finite=False))
-
-    def colour(self, u: Array) -> Array:
-        """The inverse of `whiten`; u may be (n, n_dim)."""
-        return np.asarray(self.mean + u @ self.cholesky.T)
-
-    def refit(self, points: Array) -> Gaussian:
-        """Blend with the moments of correlated draws of a chain.
-
-        A chain of n draws in d dimensions is counted as n / (4 d) independent ones, the present covariance
-        as d of them and the present mean as two.
-
-        Parameters
-        ----------
-        points : array (n, n_dim)
-        """
-        n, d = points.shape
-        weight = n / (4.0 * d)
-        mean = (points.mean(0) * weight + self.mean * 2.0) / (weight + 2.0)
-        covariance = (np.cov(points.T).reshape(d, d) * weight + self.covariance * d) / (weight + d)
-        return Gaussian(mean, covariance)
-
-
-@dataclass(frozen=True)
-class OwnUnits:
-    """Coordinates in which variables between two fixed bounds are in their own units, the others as they are.
-
-    x = a + (b - a) / (1 + exp(-q)). Where a posterior leans against a bound, a ridge that is straight in x is
-    bent in q, and a walk that is tuned to one end of it is lost at the other.
-
-    Parameters
-    ----------
-    index : array (n,)
-        Where those variables are in the unconstrained vector.
-    lower, width : array (n,)
-        a and b - a.
-    """
-
-    index: Any
-    lower: Array
-    width: Array
-
-    @classmethod
-    def of(cls, model: Any, variables: Sequence[Any], point: Point) -> OwnUnits:
-        """Of all variables of a step method (value variables) whose interval is fixed."""
-        index: list[int] = []
-        lower: list[float] = []
-        upper: list[float] = []
-        n = 0
-        for variable in variables:
-            size = np.size(point[variable.name])
-            bounds = _fixed_interval(model, model.values_to_rvs[variable])
-            if bounds is not None:
-                index += range(n, n + size)
-                for ends, bound in zip((lower, upper), bounds, strict=True):
-                    ends += np.broadcast_to(bound, np.shape(point[variable.name])).ravel().tolist()
-            n += size
-        return cls(np.array(index, dtype=int), np.array(lower), np.array(upper) - np.array(lower))
-
-    def values(self, q: Array) -> Array:
-        """From unconstrained vectors, (..., n_dim)."""
-        x = np.array(q, dtype=float)
-        x[..., self.index] = self.lower + self.width * expit(q[..., self.index])
-        return x
-
-    def vector(self, x: Array) -> Array:
-        """The inverse of `values`; not finite outside the bounds."""
-        q = np.array(x, dtype=float)
-        q[..., self.index] = logit((x[..., self.index] - self.lower) / self.width)
-        return q
-
-    def slopes(self, q: Array) -> Array:
-        """dx/dq of the variables in their own units, (n,)."""
-        share = expit(q[self.index])
-        return np.asarray(self.width * share * (1.0 - share))
-
-    def log_volume(self, q: Array) -> float:
-        """Logarithm of the determinant of dx/dq at q (n_dim,)."""
-        at = q[self.index]
-        return float((np.log(self.width) + log_expit(at) + log_expit(-at)).sum())
-
-
-def _fixed_interval(model: Any, variable: Any) -> tuple[Array, Array] | None:
-    """Bounds of a free variable that is sampled as the logit of its place between two constants, or None."""
-    transform = model.rvs_to_transforms[variable]
-    if not isinstance(transform, IntervalTransform):
-        return None
-    bounds = transform.args_fn(*variable.owner.inputs)
-    if any(bound is None for bound in bounds):
-        return None
-    a, b = constant_fold([pt.as_tensor(bound) for bound in bounds], raise_not_constant=False)
-    if not (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and np.all(np.isfinite(b - a))):
-        return None
-    return a, b
 
 
 class _OneEvaluation:
@@ -292,32 +95,6 @@ _COUNT_STATS: dict[str, Any] = {
 }
 
 
-def compile_logp(
-    model: Any,
-    variables: Sequence[Any],
-    point: Point,
-    shared: Mapping[Any, Any],
-    compile_kwargs: Mapping[str, Any] | None = None,
-) -> Any:
-    """Log-posterior as a function of one vector; kept with the model if nothing else enters."""
-    alone = not shared and not compile_kwargs
-    kept = _compiled.setdefault(model, {})
-    key = tuple(v.name for v in model.value_vars), tuple(v.name for v in variables)
-    if alone and key in kept:
-        return kept[key]
-    [logp], joined = join_nonshared_inputs(
-        point=point, outputs=[model.logp()], inputs=list(variables), shared_inputs=dict(shared)
-    )
-    function = compile_function([joined], logp, **dict(compile_kwargs or {}))
-    function.trust_input = True
-    if alone:
-        kept[key] = function
-    return function
-
-
-_compiled: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
-
-
 def _uncompiled() -> dict[str, Any]:
     """PyMC's constructors compile a function that we replace; this makes that a matter of milliseconds."""
     return {"mode": CompileMode(linker="py", optimizer=None)}  # type: ignore[arg-type]
@@ -327,7 +104,7 @@ def _uncompiled() -> dict[str, Any]:
 class _Walk:
     """A Crank-Nicolson walk: coordinates, the Gaussian it is around, its step, how often that was tuned."""
 
-    units: OwnUnits
+    space: ConstrainedSpace
     reference: Gaussian
     beta: float = 0.5
     tuned: int = 0
@@ -352,7 +129,8 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
     with u the point whitened by a Gaussian (`reference`), which leaves a t distribution with nu = 5 degrees
     of freedom around it invariant; acceptance corrects for the posterior over that t. The Gaussian is
     refitted to the history and beta adapted to an acceptance of 0.25 while tuning; both are fixed after it.
-    A share `own_units` of either kind of steps is made in the own units x(q) of variables between two bounds,
+    A share `constrained` of either kind of steps is made in the constrained space: in the values x(q) of
+    variables between two bounds,
 
         log alpha = log p(q') - log p(q) - log|dx/dq|(q') + log|dx/dq|(q) (+ log t(x) - log t(x')),
 
@@ -368,8 +146,8 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         First reference; needed for Crank-Nicolson moves before the first 200 steps are done.
     crank_nicolson : float
         Share in [0, 1) of the Crank-Nicolson moves.
-    own_units : float
-        Share in [0, 1) of moves in own units; the rest is in the unconstrained space.
+    constrained : float
+        Share in [0, 1) of moves in the constrained space; the rest is in the unconstrained space.
     **kwargs
         As `pm.DEMetropolisZ`: S, proposal_dist, lamb, scaling, tune, tune_interval, tune_drop_fraction,
         model, initial_point, compile_kwargs, rng, blocked.
@@ -377,7 +155,7 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
     Raises
     ------
     ValueError
-        If `crank_nicolson` or `own_units` is not in [0, 1).
+        If `crank_nicolson` or `constrained` is not in [0, 1).
 
     References
     ----------
@@ -400,13 +178,13 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         archive: ArrayLike | None = None,
         reference: Gaussian | None = None,
         crank_nicolson: float = 0.0,
-        own_units: float = 0.0,
+        constrained: float = 0.0,
         model: Any = None,
         initial_point: Point | None = None,
         compile_kwargs: Mapping[str, Any] | None = None,
         **kwargs: Any,
     ) -> None:
-        for name, share in (("crank_nicolson", crank_nicolson), ("own_units", own_units)):
+        for name, share in (("crank_nicolson", crank_nicolson), ("constrained", constrained)):
             if not 0 <= share < 1:
                 raise ValueError(f"{name} = {share}: must be in [0, 1)")
         model = pm.modelcontext(model)
@@ -420,11 +198,11 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         super().__init__(vars, model=model, initial_point=point, compile_kwargs=_uncompiled(), **kwargs)
         self._prepare(model, self.vars, point, compile_kwargs)
         self.crank_nicolson = crank_nicolson
-        own = OwnUnits.of(model, self.vars, point)
-        self._units = [OwnUnits(own.index[:0], own.lower[:0], own.width[:0])]
-        if own_units and len(own.index):
-            self._units.append(own)
-        self.own_units = own_units
+        space = ConstrainedSpace.of(model, self.vars, point)
+        self._spaces = [ConstrainedSpace(space.index[:0], space.lower[:0], space.width[:0])]
+        if constrained and len(space.index):
+            self._spaces.append(space)
+        self.constrained = constrained
         self._first_archive = Archive(archive)
         self._first_reference = reference
         self._set_untuned()
@@ -432,9 +210,12 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
     def _set_untuned(self) -> None:
         self._history = Archive(self._first_archive.points)
         first = self._first_reference
-        self._walks = [] if first is None else [_Walk(units, _seen_in(units, first)) for units in self._units]
+        self._walks = [] if first is None else self._walks_around(first)
         self._seen = len(self._history)  # of the history, what is not this chain's own
         self._next_refit = _FIRST_REFIT
+
+    def _walks_around(self, first: Gaussian) -> list[_Walk]:
+        return [_Walk(space, _seen_in(space, first)) for space in self._spaces]
 
     def reset_tuning(self) -> None:
         """Forget the history and all that was tuned."""
@@ -453,7 +234,7 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
             if self._walks and self.rng.uniform() < self.crank_nicolson:
                 return self._crank_nicolson(q0, self._walks[self._coordinates()])
         if len(self._history) > 1 and self._coordinates():
-            return self._difference(q0, self._units[1])
+            return self._difference(q0, self._spaces[1])
         q, stats = super().astep(q0)
         stats[0]["beta"] = self._beta
         return q, stats
@@ -463,24 +244,24 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         return self._walks[0].beta if self._walks else float("nan")
 
     def _coordinates(self) -> int:
-        """Which coordinates the next move is made in: 0 unconstrained, 1 own units."""
-        return int(len(self._units) > 1 and self.rng.uniform() < self.own_units)
+        """Which coordinates the next move is made in: 0 unconstrained, 1 constrained."""
+        return int(len(self._spaces) > 1 and self.rng.uniform() < self.constrained)
 
-    def _difference(self, q0: RaveledVars, units: OwnUnits) -> StepResult:
-        """PyMC's jump along the difference of two past points, but in own units."""
+    def _difference(self, q0: RaveledVars, space: ConstrainedSpace) -> StepResult:
+        """PyMC's jump along the difference of two past points, but in the constrained space."""
         pair = self.rng.choice(len(self._history), 2, replace=False)
-        one, other = units.values(self._history[pair])
-        q = floatX(units.vector(units.values(q0.data) + self.lamb * (one - other)))
-        return self._select(q0, q, units, 0.0)
+        one, other = space.values(self._history[pair])
+        q = floatX(space.vector(space.values(q0.data) + self.lamb * (one - other)))
+        return self._select(q0, q, space, 0.0)
 
     def _crank_nicolson(self, q0: RaveledVars, walk: _Walk) -> StepResult:
         d = len(q0.data)
-        u = walk.reference.whiten(walk.units.values(q0.data))
+        u = walk.reference.whiten(walk.space.values(q0.data))
         scale = np.sqrt((T_DOF + u @ u) / self.rng.chisquare(T_DOF + d))
         new = np.sqrt(1.0 - walk.beta**2) * u + walk.beta * scale * self.rng.standard_normal(d)
-        q = floatX(walk.units.vector(walk.reference.colour(new)))
+        q = floatX(walk.space.vector(walk.reference.colour(new)))
         log_t = -0.5 * (T_DOF + d) * (np.log1p(u @ u / T_DOF) - np.log1p(new @ new / T_DOF))
-        result = self._select(q0, q, walk.units, log_t)
+        result = self._select(q0, q, walk.space, log_t)
         accept = result[1][0]["accept"]
         if self.tune:
             walk.tuned += 1
@@ -488,11 +269,11 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
             walk.beta = float(min(1.0, walk.beta * np.exp(gain * (min(1.0, accept) - _CN_ACCEPTANCE))))
         return result
 
-    def _select(self, q0: RaveledVars, q: Array, units: OwnUnits, log_proposals: float) -> StepResult:
-        """Accept or refuse; `log_proposals` is the ratio of the proposals' densities in `units`."""
+    def _select(self, q0: RaveledVars, q: Array, space: ConstrainedSpace, log_proposals: float) -> StepResult:
+        """Accept or refuse; `log_proposals` is the ratio of the proposals' densities in `space`."""
         log_accept = -np.inf
         if np.all(np.isfinite(q)):
-            volumes = units.log_volume(q) - units.log_volume(q0.data)
+            volumes = space.log_volume(q) - space.log_volume(q0.data)
             log_accept = self.delta_logp(q, q0.data) - volumes + log_proposals
         q_new, accepted = metrop_select(log_accept, q, q0.data, rng=self.rng)
         self._history.append(q_new)
@@ -514,13 +295,13 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         if not self._walks:
             scatter = np.cov(own.T).reshape(d, d)
             first = Gaussian(own.mean(0), scatter + np.diag(1e-8 + 1e-3 * np.diag(scatter)))
-            self._walks = [_Walk(units, _seen_in(units, first)) for units in self._units]
+            self._walks = self._walks_around(first)
             return
         for walk in self._walks:
             start = walk.reference
             if self._first_reference is not None:
-                start = _seen_in(walk.units, self._first_reference)
-            walk.reference = start.refit(walk.units.values(own))
+                start = _seen_in(walk.space, self._first_reference)
+            walk.reference = start.refit(walk.space.values(own))
             walk.tuned //= 2
 
     def stop_tuning(self) -> None:
@@ -530,11 +311,11 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         super().stop_tuning()
 
 
-def _seen_in(units: OwnUnits, gaussian: Gaussian) -> Gaussian:
+def _seen_in(space: ConstrainedSpace, gaussian: Gaussian) -> Gaussian:
     """A Gaussian of the unconstrained space in other coordinates, to first order."""
     slopes = np.ones(len(gaussian.mean))
-    slopes[units.index] = units.slopes(gaussian.mean)
-    return Gaussian(units.values(gaussian.mean), gaussian.covariance * np.outer(slopes, slopes))
+    slopes[space.index] = space.slopes(gaussian.mean)
+    return Gaussian(space.values(gaussian.mean), gaussian.covariance * np.outer(slopes, slopes))
 
 
 @dataclass_state

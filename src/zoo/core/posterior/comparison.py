@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 
 from zoo.core.errors.base import DECOMPOSITIONS
 from zoo.core.errors.likelihood import ModelRecord
-from zoo.core.inference.results import Verdict, judged
+from zoo.core.inference.convergence import Verdict, judged
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

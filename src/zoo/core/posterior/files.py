@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
-from zoo.core.inference.results import ResultsError, RunRecord, load, save
+from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.inference.sampling import sample
+from zoo.core.posterior.storage import load, save
 
 if TYPE_CHECKING:
     import arviz as az
 
-    from zoo.blood.study import Study
+
+class Observed(Protocol):
+    """What posteriors are looked up by: the name of the data and the checksum of their content."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def checksum(self) -> str: ...
 
 
 class PosteriorError(ValueError):
@@ -38,7 +47,7 @@ def sample_to(path: str | Path, model: Any, **settings: Any) -> az.InferenceData
 
     Raises
     ------
-    zoo.core.inference.sampling.CheckpointError
+    zoo.core.inference.checkpoint.CheckpointError
         If the checkpoint is in use, or of another run.
     """
     path = Path(path)
@@ -92,7 +101,7 @@ def load_for(path: str | Path, model: Any) -> az.InferenceData:
     ------
     PosteriorError
         If it was drawn from others.
-    zoo.core.inference.results.ResultsError
+    zoo.core.inference.record.ResultsError
         If the file is no posterior.
     """
     idata: az.InferenceData = load(path)
@@ -118,7 +127,7 @@ def belongs(path: Path, model: Any) -> bool:
 def find(
     given: Iterable[Path],
     names: Sequence[str],
-    study: Study,
+    study: Observed,
     *,
     say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Path]:
@@ -130,7 +139,7 @@ def find(
         Files, which must be of one of the models, or folders, in which other files are passed over.
     names : sequence of str
         Models.
-    study : Study
+    study : Study, or anything with its name and checksum
         Whose posteriors count.
     say : callable
         Told of files in folders that cannot be read or are of other data under the study's name.
@@ -144,7 +153,7 @@ def find(
     ------
     PosteriorError
         If there is no such file, or it is of another model.
-    zoo.core.inference.results.ResultsError
+    zoo.core.inference.record.ResultsError
         If a file that was named is no posterior.
     """
     found: dict[str, Path] = {}

@@ -1,0 +1,337 @@
+"""Have the chains converged: R-hat, effective sample sizes, and the verdict on them in words."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from zoo.core.inference.record import ResultsError, plain
+
+RHAT_LIMIT = 1.01
+"""Largest rank-normalised R-hat of a converged parameter (Vehtari et al. 2021)."""
+ESS_TARGET = 400.0
+"""Smallest bulk and tail effective sample size of a converged parameter (Vehtari et al. 2021)."""
+MIN_CHAINS = 4
+"""Fewest chains from which R-hat is trusted."""
+
+DIAGNOSTICS_ATTR = "diagnostics_of_the_whole_run"
+"""Attribute of a posterior with fewer draws than were made: the checks of all of them."""
+FurtherTests = Callable[[Mapping[str, np.ndarray]], Mapping[str, Any]]
+"""Further tests of the draws, variable -> (n_chains, n_draws, ...): what they find, by name, fit for JSON."""
+
+
+@dataclass(frozen=True)
+class ParameterVerdict:
+    """Convergence of one scalar parameter.
+
+    Parameters
+    ----------
+    name : str
+        Such as `c` or `chi[3]`.
+    rhat, ess_bulk, ess_tail : float
+        Rank-normalised split R-hat and effective sample sizes.
+    passes : bool
+        All three within their limits.
+    """
+
+    name: str
+    rhat: float
+    ess_bulk: float
+    ess_tail: float
+    passes: bool
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Convergence of a posterior.
+
+    Parameters
+    ----------
+    parameters : tuple of ParameterVerdict
+        One for every scalar that varies.
+    chains, draws : int
+        Chains, and stored draws of each.
+    passes : bool
+        Every parameter passes and there are at least `MIN_CHAINS` chains.
+    text : str
+        One to three sentences: what failed and what to do.
+    """
+
+    parameters: tuple[ParameterVerdict, ...]
+    chains: int
+    draws: int
+    passes: bool
+    text: str
+
+    def __getitem__(self, name: str) -> ParameterVerdict:
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise KeyError(name)
+
+    @property
+    def max_rhat(self) -> float:
+        """Largest R-hat (NaN counts as infinite)."""
+        return max((_or(p.rhat, np.inf) for p in self.parameters), default=float("nan"))
+
+    @property
+    def min_ess(self) -> float:
+        """Smallest effective sample size, bulk or tail (NaN counts as 0)."""
+        return min(
+            (min(_or(p.ess_bulk, 0), _or(p.ess_tail, 0)) for p in self.parameters), default=float("nan")
+        )
+
+
+def _or(value: float, otherwise: float) -> float:
+    return float(otherwise) if np.isnan(value) else float(value)
+
+
+def scalars(draws: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
+    """Name and draws of every scalar element of the variables.
+
+    Parameters
+    ----------
+    draws : mapping
+        Variable -> array (n_chains, n_draws, ...).
+
+    Yields
+    ------
+    tuple
+        `name` or `name[i, j]`, and an array (n_chains, n_draws).
+    """
+    for name, values in draws.items():
+        values = np.asarray(values)
+        if values.ndim == 2:
+            yield name, values
+            continue
+        for index in np.ndindex(values.shape[2:]):
+            yield f"{name}[{', '.join(str(i) for i in index)}]", values[(slice(None), slice(None), *index)]
+
+
+def arrays(idata: Any, var_names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+    """Draws of a posterior's variables, or of those that are named, as arrays (n_chains, n_draws, ...)."""
+    posterior = idata.posterior
+    names = posterior.data_vars if var_names is None else var_names
+    return {str(name): posterior[name].transpose("chain", "draw", ...).to_numpy() for name in names}
+
+
+def ess_to_count(goal: float | None) -> float:
+    """Effective sample size that a verdict asks for: a run's own goal, but never less than `ESS_TARGET`."""
+    return max(goal or 0.0, ESS_TARGET)
+
+
+def check_convergence(draws: Mapping[str, np.ndarray], *, ess: float = ESS_TARGET) -> Verdict:
+    """Judge convergence of plain arrays of draws.
+
+    A parameter passes if R-hat <= 1.01 and both the bulk and the tail effective sample size reach `ess`.
+
+    Parameters
+    ----------
+    draws : mapping
+        Variable -> array (n_chains, n_draws, ...). Elements that never vary are left out.
+    ess : float
+        Effective sample size asked for.
+
+    Returns
+    -------
+    Verdict
+
+    References
+    ----------
+    Vehtari, Gelman, Simpson, Carpenter, Bürkner (2021), doi 10.1214/20-BA1221.
+    """
+    import arviz as az
+
+    found: list[ParameterVerdict] = []
+    shape = (0, 0)
+    for name, values in scalars(draws):
+        shape = (values.shape[0], values.shape[1])
+        if values.size and np.all(values == values.flat[0]):
+            continue
+        if shape[1] < 4:
+            rhat = bulk = tail = float("nan")
+        else:
+            rhat = float(az.rhat(values)) if shape[0] > 1 else float("nan")
+            bulk = float(az.ess(values, method="bulk"))
+            tail = float(az.ess(values, method="tail"))
+        good = bool(rhat <= RHAT_LIMIT and bulk >= ess and tail >= ess)
+        found.append(ParameterVerdict(name, rhat, bulk, tail, good))
+    passes = bool(found) and all(p.passes for p in found) and shape[0] >= MIN_CHAINS
+    return Verdict(tuple(found), shape[0], shape[1], passes, _verdict_text(found, *shape, ess))
+
+
+def verdict(idata: Any, *, ess: float = ESS_TARGET, var_names: list[str] | None = None) -> Verdict:
+    """Judge convergence of an InferenceData.
+
+    Parameters
+    ----------
+    idata : arviz.InferenceData
+        With a posterior group.
+    ess : float
+        Effective sample size asked for.
+    var_names : list of str, optional
+        Variables to judge; all of the posterior's if absent.
+
+    Returns
+    -------
+    Verdict
+
+    Raises
+    ------
+    ResultsError
+        If there is no posterior or a variable is not in it.
+    """
+    if "posterior" not in idata.groups():
+        raise ResultsError("no group 'posterior' in this InferenceData; sample first")
+    posterior = idata.posterior
+    names = list(posterior.data_vars) if var_names is None else var_names
+    for name in names:
+        if name not in posterior:
+            raise ResultsError(
+                f"no parameter {name!r} in the posterior; it has {', '.join(posterior.data_vars)}"
+            )
+    return check_convergence(arrays(idata, names), ess=ess)
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """What the checks of a whole run say.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        R-hat and effective sample sizes of every scalar.
+    acceptance : tuple of float
+        Share of accepted steps of each chain, tuning left out; empty when it was not recorded.
+    further : dict
+        What the caller's further tests found, by name.
+    """
+
+    verdict: Verdict
+    acceptance: tuple[float, ...]
+    further: dict[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> str:
+        """All of it as one JSON object."""
+        found = asdict(self)
+        return json.dumps(found.pop("further") | found, default=plain)
+
+    @classmethod
+    def from_json(cls, text: str) -> Diagnostics:
+        """Read back from `to_json`.
+
+        Raises
+        ------
+        ResultsError
+            If the text is not what `to_json` writes.
+        """
+        try:
+            raw = json.loads(text)
+            judged = raw["verdict"]
+            parameters = tuple(ParameterVerdict(**p) for p in judged.pop("parameters"))
+            further = {name: found for name, found in raw.items() if name not in ("verdict", "acceptance")}
+            return cls(Verdict(parameters, **judged), tuple(raw["acceptance"]), further)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ResultsError(
+                f"diagnostics of a run: not readable ({error}); slim the posterior again"
+            ) from None
+
+
+def diagnostics(idata: Any, further: FurtherTests | None = None) -> Diagnostics:
+    """Checks of a run: those that `slim` stored of the whole run, or else of the draws that are here.
+
+    Parameters
+    ----------
+    idata : arviz.InferenceData
+        With a posterior group.
+    further : callable, optional
+        Further tests of the draws; where checks of the whole run are stored, what they hold is taken.
+
+    Returns
+    -------
+    Diagnostics
+
+    Raises
+    ------
+    ResultsError
+        If there is no posterior, or stored diagnostics are not readable.
+    """
+    stored = idata.attrs.get(DIAGNOSTICS_ATTR)
+    if stored is not None:
+        return Diagnostics.from_json(str(stored))
+    judged = verdict(idata)
+    acceptance: tuple[float, ...] = ()
+    if "sample_stats" in idata.groups() and "accepted" in idata.sample_stats:
+        accepted = idata.sample_stats["accepted"]
+        acceptance = tuple(
+            accepted.mean([d for d in accepted.dims if d != "chain"]).to_numpy().astype(float).tolist()
+        )
+    return Diagnostics(judged, acceptance, {} if further is None else dict(further(arrays(idata))))
+
+
+def judged(idata: Any, *, var_names: list[str] | None = None) -> Verdict:
+    """Verdict of the whole run if `slim` stored it, or else on the draws that are here.
+
+    Parameters
+    ----------
+    idata : arviz.InferenceData
+        With a posterior group.
+    var_names : list of str, optional
+        Variables to judge where nothing is stored; all if absent.
+
+    Returns
+    -------
+    Verdict
+    """
+    stored = idata.attrs.get(DIAGNOSTICS_ATTR)
+    if stored is not None:
+        return Diagnostics.from_json(str(stored)).verdict
+    return verdict(idata, var_names=var_names)
+
+
+def _verdict_text(found: list[ParameterVerdict], chains: int, draws: int, ess: float) -> str:
+    if not found:
+        return "not converged: no parameter varies; check that the chains moved at all."
+    rhat = max(found, key=lambda p: _or(p.rhat, np.inf))
+    bulk = min(found, key=lambda p: _or(p.ess_bulk, 0))
+    tail = min(found, key=lambda p: _or(p.ess_tail, 0))
+    worst = (
+        f"R-hat at most {rhat.rhat:.3f} ({rhat.name}), bulk ESS at least {bulk.ess_bulk:.0f} ({bulk.name}), "
+        f"tail ESS at least {tail.ess_tail:.0f} ({tail.name})"
+    )
+    failing = [p for p in found if not p.passes]
+    few = f" {chains} chains: at least {MIN_CHAINS} are needed to trust R-hat." if chains < MIN_CHAINS else ""
+    if not failing:
+        return f"{'not ' if few else ''}converged: {worst}.{few}"
+    reasons = []
+    for p in failing[:4]:
+        faults = []
+        if not p.rhat <= RHAT_LIMIT:
+            faults.append(f"R-hat {p.rhat:.3f} > {RHAT_LIMIT}")
+        if not p.ess_bulk >= ess:
+            faults.append(f"bulk ESS {p.ess_bulk:.0f} < {ess:.0f}")
+        if not p.ess_tail >= ess:
+            faults.append(f"tail ESS {p.ess_tail:.0f} < {ess:.0f}")
+        reasons.append(f"{p.name}: {', '.join(faults)}")
+    if len(failing) > 4:
+        reasons.append(f"and {len(failing) - 4} more")
+    return f"not converged: {'; '.join(reasons)}.{few} {_advice(failing, draws, ess)}"
+
+
+def _advice(failing: list[ParameterVerdict], draws: int, ess: float) -> str:
+    least = min(min(_or(p.ess_bulk, 0), _or(p.ess_tail, 0)) for p in failing)
+    factor = ess / least if least > 0 else np.inf
+    if max(_or(p.rhat, np.inf) for p in failing) > 1.2:
+        return "The chains have not met: tune for longer, and look at the trace for several modes."
+    if not np.isfinite(factor) or factor > 20:
+        return "Too few draws to say more: draw many more."
+    factor = max(
+        factor, 1.5
+    )  # R-hat alone can fail with enough draws; half as many again settles most of those
+    return (
+        f"Draw about {factor:.1f} times as many (some {int(np.ceil(draws * factor / 100) * 100)} per chain)."
+    )

@@ -1,0 +1,215 @@
+"""Ways uphill by differences: Gauss-Newton on whitened residuals, Newton on a fitted quadratic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from pymc.pytensorf import join_nonshared_inputs
+
+from zoo.core.inference.logposterior import Array, LogPosterior
+
+
+class _Residuals:
+    """Whitened residuals, log-prior and error parameters of one of zoo's models."""
+
+    def __init__(self, logp: LogPosterior) -> None:
+        import pytensor
+
+        model, record = logp.model, logp.model.zoo
+        self.logp, self.record = logp, record
+        outputs = model.replace_rvs_by_values(
+            [record.mean, record.ok, *(model[name] for name in record.error_parameters)]
+        )
+        values, joined = join_nonshared_inputs(logp.initial, list(outputs), logp.variables, {})
+        self._mean = pytensor.function([joined], values)
+        prior = model.logp(vars=model.free_RVs)
+        [prior], joined = join_nonshared_inputs(logp.initial, [prior], logp.variables, {})
+        self._slope = pytensor.function([joined], pytensor.grad(prior, joined))
+        errors = {model.rvs_to_values[model[name]].name for name in record.error_parameters}
+        own = [np.full(np.size(logp.initial[v.name]), v.name in errors) for v in logp.variables]
+        self.of_errors = np.concatenate(own)
+
+    def mean(self, q: Array) -> tuple[Array | None, dict[str, Any]]:
+        """The solver's series, None where it fails, and the error parameters."""
+        self.logp.evaluations += 1
+        mean, ok, *errors = self._mean(q)
+        return (mean if ok else None), dict(zip(self.record.errors.parameter_names, errors, strict=True))
+
+    def whiten(self, residuals: Array, errors: Mapping[str, Any]) -> Array | None:
+        found: Array | None = self.record.errors.whiten(residuals, errors)
+        return found
+
+    def prior(self, q: Array) -> tuple[Array, Array]:
+        """Gradient of the log-prior (n_dim,), and its negative second derivatives without negative ones."""
+        slope, h = np.asarray(self._slope(q)), 1e-4
+        columns = [(self._slope(q + h * e) - self._slope(q - h * e)) / (2 * h) for e in np.eye(len(q))]
+        curvature = -np.array(columns)
+        eigenvalues, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+        return slope, vectors @ (np.maximum(eigenvalues, 0.0)[:, None] * vectors.T)
+
+
+def gauss_newton(
+    logp: LogPosterior, q: Array, value: float, *, limit: int, step: float = 0.02
+) -> tuple[Array, float, Array]:
+    """Damped Gauss-Newton steps on the whitened residuals, for models with many parameters.
+
+    With z the whitened residuals and J their derivatives by differences, the step solves
+    (J'J + P + lambda D) s = -J'z + grad log p, P the curvature of the prior and D the diagonal. The
+    parameters of the errors are moved in between, which needs no solve.
+
+    Parameters
+    ----------
+    logp : LogPosterior
+        Of a model with a record.
+    q : array (n_dim,)
+        Start, with log-posterior `value`.
+    limit : int
+        Solves after which no new step is begun.
+    step : float
+        Of the differences, in standard deviations of the prior: far above the solver's tolerance.
+
+    Returns
+    -------
+    q : array (n_dim,)
+    value : float
+    frame : array (n_dim, n_dim)
+        Columns: directions about a standard deviation long.
+    """
+    from scipy.optimize import minimize
+
+    model = _Residuals(logp)
+    data, before = logp.model.zoo.data.values, logp.evaluations
+    theta, eta = np.flatnonzero(~model.of_errors), np.flatnonzero(model.of_errors)
+    curvature = np.diag(model.prior(logp.vector(logp.initial))[1])
+    scale = 1.0 / np.sqrt(np.where(curvature > 0, curvature, 1.0))  # prior standard deviations
+    damping, frame = 1e-3, 0.1 * np.diag(scale)
+    idle = 0
+    while logp.evaluations - before < limit and idle < 3:
+        first = value
+
+        def cost(x: Array, q: Array = q) -> float:
+            moved = q.copy()
+            moved[eta] = x
+            found = logp(moved)
+            return -found if np.isfinite(found) else 1e300
+
+        spent = logp.evaluations
+        found = minimize(cost, q[eta], method="Nelder-Mead", options={"maxfev": 80, "xatol": 1e-2})
+        logp.evaluations = spent  # the solver remembers the point
+        if -found.fun > value:
+            value, q = -float(found.fun), q.copy()
+            q[eta] = found.x
+        mean, errors = model.mean(q)
+        if mean is None or (z := model.whiten(data - mean, errors)) is None:
+            break
+        columns = []
+        for k in theta:
+            for h in (step * scale[k], -step * scale[k]):
+                moved = q.copy()
+                moved[k] += h
+                there, _ = model.mean(moved)
+                if there is not None:
+                    columns.append((mean - there) / h)
+                    break
+            else:
+                columns.append(np.zeros_like(mean))
+        whitened = model.whiten(np.array(columns), errors)
+        if whitened is None:
+            break
+        J = whitened.reshape(len(theta), -1).T
+        slope, curvature = model.prior(q)
+        gradient = slope[theta] - J.T @ z.ravel()
+        H = J.T @ J + curvature[np.ix_(theta, theta)]
+        eigenvalues, vectors = np.linalg.eigh(H * np.outer(scale[theta], scale[theta]))
+        axes = scale[theta, None] * vectors / np.sqrt(np.maximum(eigenvalues, 1e-2))
+        frame[np.ix_(theta, theta)] = axes
+        D = np.diag(np.maximum(np.diag(H), 1e-6 / scale[theta] ** 2))
+        for _ in range(10):
+            s = np.linalg.solve(H + damping * D, gradient)
+            moved = q.copy()
+            moved[theta] += s * min(1.0, 1.0 / float(np.max(np.abs(s / scale[theta]))))
+            there_value = logp(moved)
+            if there_value > value:
+                q, value, damping = moved, there_value, max(damping / 5, 1e-9)
+                break
+            damping *= 4
+        idle = idle + 1 if value - first < 0.02 else 0
+    return q, value, frame
+
+
+def newton(
+    logp: Callable[[Array], float], q: Array, value: float, *, passes: int, frame: Array | None = None
+) -> tuple[Array, float, Array]:
+    """Newton steps on wide differences: mode (n_dim,), its log-posterior, covariance (n_dim, n_dim).
+
+    Columns of `frame` are directions, each about a standard deviation long after the first pass.
+    """
+    d = len(q)
+    frame = 0.1 * np.eye(d) if frame is None else frame
+    for turn in range(passes):
+        seen: list[tuple[float, Array]] = []
+
+        def probe(x: Array, seen: list[tuple[float, Array]] = seen) -> float:
+            result = logp(x)
+            seen.append((result, x))
+            return result
+
+        gradient, precision, steps = _quadratic(probe, q, value, frame)
+        scaled = precision * np.outer(steps, steps)
+        eigenvalues, vectors = np.linalg.eigh(scaled)
+        eigenvalues = np.abs(eigenvalues)
+        eigenvalues = np.maximum(eigenvalues, max(0.02, 2e-5 * float(eigenvalues.max())))
+        axes = frame @ (steps[:, None] * vectors) / np.sqrt(eigenvalues)
+        slope = (vectors.T @ (gradient * steps)) / np.sqrt(eigenvalues)  # of the log-posterior along the axes
+        gain = 0.5 * float(slope @ slope)
+        length = float(np.linalg.norm(slope))
+        move = axes @ (slope * min(1.0, 3.0 / length)) if length > 0 else np.zeros(d)
+        new, new_value = q, value
+        if gain > 0.02:
+            for share in (1.0, 0.5, 0.25, 0.1):
+                probe(q + share * move)
+                if seen[-1][0] > value:
+                    break
+        top = max(seen, key=lambda item: item[0])
+        if top[0] > value:
+            new_value, new = top
+        moved = new_value - value
+        q, value, frame = new, new_value, axes
+        if turn >= 1 and gain < 0.05 and moved < 0.05:
+            break
+    return q, value, frame @ frame.T
+
+
+def _quadratic(
+    logp: Callable[[Array], float], q: Array, value: float, frame: Array
+) -> tuple[Array, Array, Array]:
+    """Gradient (n_dim,), negative second derivatives (n_dim, n_dim) in the frame, and steps (n_dim,)."""
+    d = len(q)
+    steps = np.ones(d)
+    up, down = np.empty(d), np.empty(d)
+    for i in range(d):
+        for _ in range(14):
+            up[i] = logp(q + steps[i] * frame[:, i])
+            down[i] = logp(q - steps[i] * frame[:, i])
+            if not (np.isfinite(up[i]) and np.isfinite(down[i])):
+                steps[i] *= 0.3
+                continue
+            size = max(
+                abs(value - 0.5 * (up[i] + down[i])), 0.25 * abs(up[i] - value), 0.25 * abs(down[i] - value)
+            )
+            if 0.15 <= size <= 2.5 or (size < 0.15 and steps[i] > 100):
+                break
+            steps[i] *= float(np.clip(np.sqrt(0.6 / max(size, 1e-12)), 0.2, 5.0))
+        else:
+            up[i] = down[i] = value - 0.5  # nothing learnt in this direction: keep the last scale
+    gradient = (up - down) / (2 * steps)
+    precision = np.diag((2 * value - up - down) / steps**2)
+    for i in range(d):
+        for j in range(i):
+            a, b = steps[i] * frame[:, i], steps[j] * frame[:, j]
+            both = logp(q + a + b) + logp(q - a - b)
+            cross = -(both - up[i] - down[i] - up[j] - down[j] + 2 * value) / (2 * steps[i] * steps[j])
+            precision[i, j] = precision[j, i] = cross if np.isfinite(cross) else 0.0
+    return gradient, precision, steps

@@ -1,0 +1,157 @@
+"""The record of how a run was made, which every posterior carries."""
+
+from __future__ import annotations
+
+import json
+import platform
+from dataclasses import asdict, dataclass, field, fields
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_RECORD_ATTR = "run_record"
+_VERSIONED = ("zoo", "pymc", "pytensor", "arviz", "numpy")
+
+
+class ResultsError(ValueError):
+    """A result file or an InferenceData cannot be used: one line with the file, the fault and the remedy."""
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package, of Python and of the libraries that shape the draws.
+
+    Returns
+    -------
+    dict
+        Name -> version; a package that is not installed as a distribution is "unknown".
+    """
+    found = {"python": platform.python_version()}
+    for name in _VERSIONED:
+        found[name] = _version(name)
+    return found
+
+
+def _version(name: str) -> str:
+    if name == "zoo":
+        import zoo
+
+        if hasattr(zoo, "__version__"):
+            return str(zoo.__version__)
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """How a posterior was made: enough to make it again and to know what it cost.
+
+    Parameters
+    ----------
+    model, study : str
+        Names; `study` is empty for a model without a study.
+    study_checksum : str
+        Checksum of the study's data.
+    conventions : dict
+        The switches of the equations in force.
+    solver : dict
+        Options of the solver (dx in cm, tolerance in mmHg, ...).
+    settings : dict
+        Step method and its options, draws, tune, thin, chains, cores, target.
+    seed : int
+        Seed of the run; chain k draws from the k-th child of its seed sequence.
+    solves, steps : int
+        Solves of the flow model and steps of all chains, tuning included, mode search excluded.
+    mode_evaluations : int
+        Evaluations of the log-posterior spent on the search for the mode.
+    failures : dict
+        Failed solves by the name of their status.
+    solves_per_draw, solves_per_step : float
+        Solves over the stored draws of all chains, and over their steps.
+    wall_seconds : float
+        Duration in s, all sittings of a resumed run together.
+    sittings : int
+        How many times the run was started (1: never resumed).
+    started : str
+        Start of the first sitting, ISO 8601, UTC.
+    versions : dict
+        Versions of zoo, python, pymc, pytensor, arviz, numpy.
+    """
+
+    model: str
+    study: str
+    study_checksum: str
+    conventions: dict[str, Any]
+    solver: dict[str, Any]
+    settings: dict[str, Any]
+    seed: int
+    solves: int
+    steps: int
+    mode_evaluations: int
+    failures: dict[str, int]
+    solves_per_draw: float
+    solves_per_step: float
+    wall_seconds: float
+    sittings: int
+    started: str
+    versions: dict[str, str] = field(default_factory=versions)
+
+    def to_json(self) -> str:
+        """The record as one JSON object with sorted keys."""
+        return json.dumps(asdict(self), sort_keys=True, default=plain)
+
+    @classmethod
+    def from_json(cls, text: str) -> RunRecord:
+        """Read a record back from `to_json`; unknown fields of a later version are dropped.
+
+        Raises
+        ------
+        ResultsError
+            If the text is not JSON or a field is missing.
+        """
+        try:
+            raw = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ResultsError(f"run record: not JSON ({error}); sample again to get a record") from None
+        if not isinstance(raw, dict):
+            raise ResultsError("run record: not a JSON object; sample again to get a record")
+        names = [f.name for f in fields(cls)]
+        missing = [name for name in names if name not in raw]
+        if missing:
+            raise ResultsError(f"run record: field {missing[0]!r} is missing; sample again to get a record")
+        return cls(**{name: raw[name] for name in names})
+
+    @classmethod
+    def of(cls, idata: Any) -> RunRecord:
+        """The record stored in an InferenceData.
+
+        Raises
+        ------
+        ResultsError
+            If there is none (the draws were not made by `zoo.sample`).
+        """
+        text = idata.attrs.get(_RECORD_ATTR)
+        if text is None and "posterior" in idata.groups():
+            text = idata.posterior.attrs.get(_RECORD_ATTR)
+        if text is None:
+            raise ResultsError("no run record in this InferenceData; only zoo.sample writes one")
+        return cls.from_json(str(text))
+
+    def attach(self, idata: Any) -> None:
+        """Store the record in an InferenceData, at the root and in the posterior group."""
+        idata.attrs[_RECORD_ATTR] = self.to_json()
+        if "posterior" in idata.groups():
+            idata.posterior.attrs[_RECORD_ATTR] = self.to_json()
+
+
+def plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Path):
+        return value.name
+    return str(value)

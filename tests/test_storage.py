@@ -1,0 +1,121 @@
+"""Posteriors as files, whole and slim."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import arviz as az
+import numpy as np
+import pytest
+
+from gaussian import a_record, autoregressive, independent_draws
+from zoo.core.inference.convergence import diagnostics, verdict
+from zoo.core.inference.record import ResultsError, RunRecord
+from zoo.core.posterior.storage import load, save, slim
+from zoo.paper.convergence import geweke, mpsrf, paper_tests
+
+
+@pytest.fixture
+def record() -> RunRecord:
+    return a_record()
+
+
+@pytest.fixture
+def idata() -> az.InferenceData:
+    return independent_draws()
+
+
+def test_record_survives_the_file(tmp_path, idata, record):
+    record.attach(idata)
+    path = save(idata, tmp_path / "B.nc")
+    again = load(path)
+    assert RunRecord.of(again) == record
+    np.testing.assert_array_equal(again.posterior.chi, idata.posterior.chi)
+    np.testing.assert_array_equal(again.sample_stats.lp, idata.sample_stats.lp)
+    assert list(tmp_path.iterdir()) == [path]  # no temporary file left
+    path.unlink()  # and the file is not held open
+
+
+def test_save_and_load_say_what_is_wrong(tmp_path, idata):
+    with pytest.raises(ResultsError, match=r"folder .*nowhere does not exist; create it"):
+        save(idata, tmp_path / "nowhere" / "A.nc")
+    with pytest.raises(ResultsError, match=r"A\.nc: no such file; `zoo sample MODEL STUDY -o A\.nc`"):
+        load(tmp_path / "A.nc")
+    (tmp_path / "text.nc").write_text("not a posterior")
+    with pytest.raises(ResultsError, match=r"text\.nc: not a readable NetCDF file"):
+        load(tmp_path / "text.nc")
+    az.from_dict(prior={"a": np.zeros((1, 3))}).to_netcdf(str(tmp_path / "prior.nc"))
+    with pytest.raises(ResultsError, match="no group 'posterior'"):
+        load(tmp_path / "prior.nc")
+
+
+def test_slim_keeps_parameters_record_and_the_verdict_on_all_draws(tmp_path, record):
+    rng = np.random.default_rng(5)
+    whole = az.from_dict(
+        posterior={
+            "c": autoregressive(rng, 4, 1000, 0.5),
+            "chi": 5e4 + rng.normal(size=(4, 1000, 3)),
+            "waves": rng.normal(size=(4, 1000, 7)),
+        },
+        sample_stats={"accepted": np.linspace(0.1, 0.4, 4)[:, None].repeat(1000, 1)},
+        observed_data={"y": np.arange(7.0)},
+        dims={"waves": ["time"], "y": ["time"]},
+        coords={"time": np.arange(7.0)},
+    )
+    record.attach(whole)
+    small = load(save(slim(whole, 200, further=paper_tests), tmp_path / "B.nc"))
+    assert small.groups() == ["posterior"]
+    assert set(small.posterior.data_vars) == {"c", "chi"}
+    assert "time" not in small.posterior.coords
+    assert small.posterior.sizes == {"chain": 4, "draw": 50, "chi_dim_0": 3}
+    kept = small.posterior.draw.to_numpy()
+    assert (kept[0], kept[-1]) == (0, 999)
+    assert set(np.diff(kept)) <= {20, 21}
+    np.testing.assert_allclose(small.posterior.c, whole.posterior.c.isel(draw=kept), rtol=1e-6)
+    assert RunRecord.of(small) == record
+    found = diagnostics(small)
+    assert found == diagnostics(whole, paper_tests)
+    judged = verdict(whole)
+    assert found.verdict == judged
+    assert found.further["mpsrf"] == mpsrf(
+        {name: whole.posterior[name].to_numpy() for name in whole.posterior}
+    )
+    assert found.further["geweke"]["c"] == geweke(whole.posterior.c).tolist()
+    np.testing.assert_allclose(found.acceptance, np.linspace(0.1, 0.4, 4))
+    assert diagnostics(slim(small, 40)).verdict.draws == 1000  # still of the whole run
+    assert verdict(small).draws == 50
+    assert whole.posterior.sizes["draw"] == 1000
+
+
+def test_slim_refuses(idata, record):
+    with pytest.raises(ResultsError, match="no run record"):
+        slim(idata)
+    record.attach(idata)
+    with pytest.raises(ResultsError, match="n_draws = 0: keep at least one"):
+        slim(idata, 0)
+    idata.attrs["diagnostics_of_the_whole_run"] = "{}"
+    with pytest.raises(ResultsError, match="slim the posterior again"):
+        diagnostics(idata)
+
+
+def test_diagnostics_of_a_slim_posterior_keep_the_tests_that_they_were_stored_with(idata):
+    """As posteriors hold them that were slimmed when the paper's tests were always among the diagnostics."""
+    judged = verdict(idata)
+    parameters = [asdict(p) for p in judged.parameters]
+    stored = {
+        "verdict": {**asdict(judged), "parameters": parameters},
+        "mpsrf": 1.02,
+        "acceptance": [0.2, 0.3],
+    }
+    stored["geweke"] = {"c": [0.5, 0.04]}
+    idata.attrs["diagnostics_of_the_whole_run"] = json.dumps(stored)
+    found = diagnostics(idata)
+    assert found.verdict == judged
+    assert found.acceptance == (0.2, 0.3)
+    assert found.further == {"mpsrf": 1.02, "geweke": {"c": [0.5, 0.04]}}
+
+
+def test_slim_without_further_tests_stores_none(idata, record):
+    record.attach(idata)
+    assert diagnostics(slim(idata, 100)).further == {}
