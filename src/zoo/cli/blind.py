@@ -13,7 +13,7 @@ from zoo.cli.options import QuietOption
 from zoo.cli.screen import plain_table, say
 
 if TYPE_CHECKING:
-    from zoo.blood.blind import Score
+    from zoo.core.blindcheck import CheckScore
 
 
 class _Counting:
@@ -73,7 +73,7 @@ def make(
     quiet: QuietOption = False,
 ) -> None:
     """Write studies with a withheld effect each, and the key apart; goes on where it was interrupted."""
-    from zoo.blood.blind import make as make_cases
+    from zoo.blood.blind import make_cases
 
     with _Counting(not quiet, n) as counting:
         path = make_cases(
@@ -106,12 +106,12 @@ def run(
     """Diagnose every case of a folder; sees no key, and goes on where it was interrupted."""
     import time
 
-    from zoo.blood.blind import run as run_cases
+    from zoo.blood.blind import diagnose_cases
 
     began = time.monotonic()
     total = sum((p / "study.toml").is_file() for p in cases.iterdir()) if cases.is_dir() else 0
     with _Counting(not quiet, total) as counting:
-        found = run_cases(
+        found = diagnose_cases(
             cases,
             output,
             base=base,
@@ -143,10 +143,10 @@ def score(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score.")] = Path("score"),
 ) -> None:
     """Score answers against their key: score.json, score.md, cases.csv and figures."""
-    from zoo.blood.blind import score
+    from zoo.blood.blind import score_cases
 
     output_folder(output)
-    found = score(answers, key, output)
+    found = score_cases(answers, key, output)
 
     from zoo.plots import save_figure, score_figures
 
@@ -157,8 +157,9 @@ def score(
     say(f"wrote {output}: score.json, score.md, cases.csv, {', '.join(figures)}")
 
 
-def _score_summary(found: Score) -> list[Any]:
-    from zoo.blood.blind import FULL_BIN, HEADLINES, rate_text
+def _score_summary(found: CheckScore) -> list[Any]:
+    from zoo.core.blindcheck.rates import FULL_BIN
+    from zoo.core.blindcheck.tables import HEADLINES, rate_text
 
     s = found.summary
     title = f"{s['n']} cases, {s['failed']} without an answer"

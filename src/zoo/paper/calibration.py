@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from zoo.blood.ejection import PERIOD_S, ejection
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
 from zoo.core.inference.logposterior import LogPosterior, model_name
@@ -29,7 +30,6 @@ from zoo.core.inference.spaces import Archive
 from zoo.core.inference.starts import Start, disperse
 from zoo.core.inference.steps import DEMetropolisZ
 from zoo.core.inference.workers import each
-from zoo.paper.synthetic import PERIOD_S, ejection
 
 if TYPE_CHECKING:
     import pymc as pm

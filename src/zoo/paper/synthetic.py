@@ -13,9 +13,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
-from scipy.special import gammaln
 
+from zoo.blood.ejection import PERIOD_S, ejection
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Series, Study, read_network, save_study
@@ -23,10 +22,8 @@ from zoo.core.errors.likelihood import JITTER, NOISE_VARIANCE, neural_network_ke
 
 Array = NDArray[np.float64]
 
-PERIOD_S = 0.11
 WHOLE_DRAWS = 100
 """Draws of whole error series before only their means are drawn until they keep the order (the same law)."""
-PEAK_ML_S, PEAK_TIME_S, EJECTION_S, MEAN_ML_S = 0.55, 0.0215, 0.058, 0.169
 
 
 @dataclass(frozen=True)
@@ -41,30 +38,6 @@ class Truth:
     c: float = 1.70
     w: float = 5.4e4
     b: float = 137.0
-
-
-def ejection(n: int = 1024) -> tuple[Array, Array]:
-    """Inflow of one beat with the facts of the measured one, and a shape of its own.
-
-    q = peak (1 - cos(pi x/2)^(2 m)), x = t/0.0215 s while it rises and (0.058 s - t)/(0.058 s - 0.0215 s)
-    while it falls, zero after; m such that the mean is 0.169 ml/s: 1 - Gamma(m + 1/2)/(sqrt(pi) Gamma(m + 1))
-    = 0.169 T/(0.55 0.058). It starts and ends without a corner, which a
-    scheme of second order would answer with wiggles.
-
-    Parameters
-    ----------
-    n : int
-        Samples in the period of 0.11 s.
-
-    Returns
-    -------
-    time_s, flow_ml_s : array (n,)
-    """
-    share = MEAN_ML_S * PERIOD_S / (PEAK_ML_S * EJECTION_S)
-    m = brentq(lambda m: 1 - np.exp(gammaln(m + 0.5) - gammaln(m + 1)) / np.sqrt(np.pi) - share, 0.2, 20.0)
-    time = np.arange(n) * PERIOD_S / n
-    x = np.minimum(time / PEAK_TIME_S, (EJECTION_S - time) / (EJECTION_S - PEAK_TIME_S))
-    return time, PEAK_ML_S * (1 - np.cos(np.pi / 2 * np.clip(x, 0, 1)) ** (2 * m))
 
 
 def correlated_errors(

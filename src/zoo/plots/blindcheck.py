@@ -13,12 +13,12 @@ from zoo.core.diagnosis.screening import UNLISTED
 from zoo.plots.style import COLOURS, INK, new_figure
 
 if TYPE_CHECKING:
-    from zoo.blood.blind import Score
+    from zoo.core.blindcheck import CheckScore
 
 RIGHT, WRONG = COLOURS[0], COLOURS[1]
 
 
-def score_figures(score: Score) -> dict[str, Figure]:
+def score_figures(score: CheckScore) -> dict[str, Figure]:
     """All figures of a blind check's score by name: reliability, accuracy, confusion, sizes."""
     return {
         "reliability": plot_reliability(score),
@@ -28,12 +28,12 @@ def score_figures(score: Score) -> dict[str, Figure]:
     }
 
 
-def plot_reliability(score: Score) -> Figure:
+def plot_reliability(score: CheckScore) -> Figure:
     """How often stated probabilities came true, with 95 % binomial bands around what they state.
 
     Parameters
     ----------
-    score : zoo.blood.blind.Score
+    score : zoo.core.blindcheck.CheckScore
 
     Returns
     -------
@@ -41,7 +41,7 @@ def plot_reliability(score: Score) -> Figure:
         Left the leading group of each case, right every group with at least 1 %. Hollow bins have fewer
         than eight cases.
     """
-    from zoo.blood.blind import FULL_BIN
+    from zoo.core.blindcheck.rates import FULL_BIN
 
     panels = (
         ("leading explanation with its group", score.reliability),
@@ -69,12 +69,12 @@ def plot_reliability(score: Score) -> Figure:
     return figure
 
 
-def plot_accuracy(score: Score) -> Figure:
+def plot_accuracy(score: CheckScore) -> Figure:
     """From which gap on an answer can be trusted: share right against gap over noise, and the rates.
 
     Parameters
     ----------
-    score : zoo.blood.blind.Score
+    score : zoo.core.blindcheck.CheckScore
 
     Returns
     -------
@@ -82,7 +82,7 @@ def plot_accuracy(score: Score) -> Figure:
         Left the share of listed effects that (or whose group) were ranked first with Wilson's 95 % interval,
         a tick for each case, those above right. Right the rates of the summary with theirs.
     """
-    from zoo.blood.blind import HEADLINES
+    from zoo.core.blindcheck.tables import HEADLINES
 
     with new_figure((11.0, 4.2)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
@@ -120,12 +120,12 @@ def plot_accuracy(score: Score) -> Figure:
     return figure
 
 
-def plot_confusion(score: Score) -> Figure:
+def plot_confusion(score: CheckScore) -> Figure:
     """What was ranked first, by what is true.
 
     Parameters
     ----------
-    score : zoo.blood.blind.Score
+    score : zoo.core.blindcheck.CheckScore
 
     Returns
     -------
@@ -158,12 +158,12 @@ def plot_confusion(score: Score) -> Figure:
     return figure
 
 
-def plot_sizes(score: Score) -> Figure:
+def plot_sizes(score: CheckScore) -> Figure:
     """Stated against true: what part of the gap the cause removes, and the effects' amplitudes.
 
     Parameters
     ----------
-    score : zoo.blood.blind.Score
+    score : zoo.core.blindcheck.CheckScore
 
     Returns
     -------

@@ -1,0 +1,120 @@
+"""Keys of cases of blood flow, made here or by another simulator, as the core's `CaseKey`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zoo.blood.effects import CATALOGUE
+from zoo.core.blindcheck.keys import CaseKey, TrueEffect
+from zoo.core.blindcheck.sealing import KEY_DIGEST, BlindError, read_sealed
+from zoo.core.diagnosis.screening import CORRELATED, NO_GAP
+from zoo.core.effects import Location
+
+OTHER_NAMES = {
+    "junction-loss": "minor-losses",
+    "catheter-gain": "sensor-gain",
+    "catheter-offset": "sensor-offset",
+    "nonlinear-wall": "tangent-wall",
+}
+"""Effects of keys that were not made here -> those of the catalogue."""
+_AMPLITUDES: dict[str, Callable[[float], float]] = {
+    "distributed-outflow": lambda sections: sections - 1,
+    "velocity-profile": lambda zeta: 2 / zeta,
+}
+"""Amplitudes of such keys -> those of the catalogue; others are the same."""
+
+
+_NO_AMPLITUDE = (CORRELATED, "coarse-grid")
+"""The size of correlated errors has no interval; that of a grid's error depends on whose grid it is."""
+
+
+def _true_effect(name: str, vessel: int | None, subtree: bool, amplitude: float) -> TrueEffect:
+    size = None if name in _NO_AMPLITUDE else amplitude
+    return TrueEffect(name, Location(vessel, subtree, "vessel"), size)
+
+
+def own_key(entry: Mapping[str, Any]) -> CaseKey:
+    """From an entry of a key of `make_cases`."""
+    effects = tuple(
+        _true_effect(e["effect"], e["vessel"], e["subtree"], next(iter(e["amplitudes"].values())))
+        for e in entry["effects"]
+    )
+    noise = entry["noise"]
+    return CaseKey(
+        entry["case"],
+        entry["kind"],
+        entry["effect"],
+        effects,
+        math.hypot(noise["white"].get("mmHg", 0.0), noise["correlated_mmHg"]),
+        entry["gap_mmHg"]["before"],
+        None if entry["effect"] == CORRELATED else entry["gap_mmHg"]["after"],
+        entry["digest"],
+        {"layout": entry["layout"], "network": entry["network"]["kind"]},
+    )
+
+
+def other_key(entry: Mapping[str, Any]) -> CaseKey:
+    """From a key that was made elsewhere: a file for each case, names with underscores."""
+    name = (entry["effect"] or NO_GAP).replace("_", "-")
+    kind = "none" if name == NO_GAP else "listed" if entry["in_library"] else "outside"
+    name = OTHER_NAMES.get(name, name) if kind == "listed" else name
+    if kind == "listed" and name not in CATALOGUE:
+        raise BlindError(
+            f"key of {entry['case']}: effect {entry['effect']!r}: is not in the catalogue; "
+            "add its name to zoo.blood.blind.keys.OTHER_NAMES"
+        )
+    effects: tuple[TrueEffect, ...] = ()
+    if kind != "none":
+        extra = entry.get("extra") or {}
+        amplitude = _AMPLITUDES.get(name, float)(float(entry["amplitude"]))
+        effects = (_true_effect(name, extra.get("vessel"), bool(extra.get("subtree")), amplitude),)
+    noise = math.hypot(entry["noise"]["white_sd_mmHg"], entry["noise"]["ar1_sd_mmHg"])
+
+    def mean_square(values: Sequence[float]) -> float:
+        return float(np.mean(np.square(values)))
+
+    before = math.sqrt(mean_square(entry["base_fit"]["rms_noisefree_mmHg"]))
+    refitted = mean_square(entry["refit_with_true_effect"]["rms_noisy_mmHg"])
+    after = None if name == CORRELATED else math.sqrt(max(0.0, refitted - noise**2))
+    tags = {"layout": entry["layout"], "network": "mouse"}
+    return CaseKey(entry["case"], kind, name, effects, noise, before, after, tags=tags)
+
+
+def read_key(key: str | Path, answers: str | Path) -> tuple[list[CaseKey], bool]:
+    """Read a key of `make_cases`, checked against the digest beside the answers, or a folder of others.
+
+    Returns
+    -------
+    list of CaseKey
+    bool
+        Whether it was checked: a folder of keys that were not made here has no digest.
+
+    Raises
+    ------
+    BlindError
+        If it cannot be read, or is not the one that the cases came with.
+    """
+    key, answers = Path(key), Path(answers)
+    if not key.is_dir():
+        return [_entry(own_key, json.dumps(e).encode(), key) for e in read_sealed(key, answers)], True
+    if (answers / KEY_DIGEST).is_file():
+        raise BlindError(f"{key}: is a folder, but the cases came with a key of one file; give that one")
+    files = sorted(key.glob("*.json"))
+    if not files:
+        raise BlindError(f"{key}: holds no .json; give a key, or a folder with one for each case")
+    return [_entry(other_key, path.read_bytes(), path) for path in files], False
+
+
+def _entry(read: Callable[[Mapping[str, Any]], CaseKey], content: bytes, path: Path) -> CaseKey:
+    try:
+        return read(json.loads(content))
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        if isinstance(error, BlindError):
+            raise
+        raise BlindError(f"{path}: is no key of cases ({type(error).__name__}: {error})") from None

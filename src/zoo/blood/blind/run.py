@@ -1,0 +1,149 @@
+"""Diagnosing the cases of a folder without their key."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from zoo.blood.blind.bench import BASELINE
+from zoo.blood.effects import get_base
+from zoo.blood.study import Study, StudyError, load_study
+from zoo.core.blindcheck.running import Ran, run_folders
+from zoo.core.blindcheck.sealing import BlindError
+from zoo.core.diagnosis.diagnosis import DiagnosisError, diagnose, read_diagnosis
+from zoo.core.inference.record import versions
+
+
+@dataclass(frozen=True)
+class StudyDiagnosis:
+    """The diagnosis of a case that is a study's folder.
+
+    Parameters
+    ----------
+    base : str
+        Name of the baseline model.
+    confirm, max_effects, seed, effects
+        As in `zoo.core.diagnosis.diagnosis.diagnose`.
+    """
+
+    base: str
+    confirm: bool
+    max_effects: int
+    seed: int
+    effects: tuple[str, ...] | None = None
+    marker: str = "study.toml"
+    result: str = "diagnosis.json"
+
+    def answered(self, case: Path, answer: Path) -> bool:
+        """Whether a diagnosis of this study by this version is there."""
+        try:
+            study = load_study(case)
+            found = read_diagnosis(answer)
+            read_case_facts(answer)
+        except (StudyError, DiagnosisError, BlindError):
+            return False
+        return bool(
+            found.study_checksum == study.checksum
+            and found.base == self.base
+            and found.record.get("versions", {}).get("zoo") == versions()["zoo"]
+            and found.record.get("seed") == self.seed
+            and (found.confirmation is not None or not self.confirm)
+        )
+
+    def diagnose(self, case: Path, answer: Path) -> None:
+        """Diagnose the study, and write its tree and the diagnosis."""
+        study = load_study(case)
+        _write_case_facts(answer, study)
+        found = diagnose(
+            study,
+            self.base,
+            confirm=self.confirm,
+            max_effects=self.max_effects,
+            effects=self.effects,
+            cores=1,
+            seed=self.seed,
+            folder=answer / "posteriors" if self.confirm else None,
+        )
+        found.save(answer)
+
+
+def _write_case_facts(answer: Path, study: Study) -> None:
+    facts = {
+        "checksum": study.checksum,
+        "parents": {str(v.id): v.parent for v in study.vessels},
+        "series": [s.label for s in study.series],
+    }
+    (answer / "case.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+
+
+def read_case_facts(answer: Path) -> dict[str, Any]:
+    """Checksum, tree ("parents": id of a vessel -> that of the one that feeds it) and series of a case.
+
+    Raises
+    ------
+    BlindError
+        If case.json is missing or broken.
+    """
+    path = answer / "case.json"
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        found["parents"] = {int(i): parent for i, parent in found["parents"].items()}
+    except (OSError, ValueError, KeyError, AttributeError):
+        raise BlindError(f"{path}: is missing or broken; make it again with `zoo blind run`") from None
+    return dict(found)
+
+
+def diagnose_cases(
+    cases: str | Path,
+    answers: str | Path,
+    *,
+    base: str = BASELINE,
+    confirm: bool = False,
+    max_effects: int = 3,
+    effects: Sequence[str] | None = None,
+    seed: int = 1,
+    cores: int = 2,
+    done: Callable[[str], None] = lambda case: None,
+) -> Ran:
+    """Diagnose every case of a folder, each in a process of its own; no key is read or looked for.
+
+    A case whose diagnosis.json is of the same data, base, seed and version is left as it is, so that an
+    interrupted run goes on. One that fails has failed.txt instead.
+
+    Parameters
+    ----------
+    cases : path
+        Folder of studies.
+    answers : path
+        A folder for each case: diagnosis.json (`Diagnosis.save`), case.json.
+    base : str
+    confirm : bool
+        Sample the leading explanations' posteriors too.
+    max_effects, effects, seed
+        As in `zoo.core.diagnosis.diagnosis.diagnose`.
+    cores : int
+        Processes.
+    done : callable
+        Told the name of each case that is finished.
+
+    Returns
+    -------
+    Ran
+
+    Raises
+    ------
+    BlindError
+        If the folder holds a key or no study, or answers and cases are one folder.
+    """
+    cases, answers = Path(cases), Path(answers)
+    if not cases.is_dir():
+        raise BlindError(f"{cases}: no such folder; give one of `zoo blind make`")
+    for what, count, least in (("max_effects", max_effects, 1), ("seed", seed, 0)):
+        if count < least:
+            raise BlindError(f"{what} = {count}: must be at least {least}")
+    chosen = None if effects is None else tuple(effects)
+    diagnosis = StudyDiagnosis(get_base(base).name, confirm, max_effects, seed, chosen)
+    return run_folders(cases, answers, diagnosis, cores=cores, done=done)

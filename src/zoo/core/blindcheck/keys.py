@@ -1,0 +1,87 @@
+"""What a key says about a case: the cause that its data withhold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from zoo.core.diag2.hypothesis import NONPARAMETRIC, NULL
+from zoo.core.effects import EVERYWHERE, Location
+
+KINDS = ("none", "outside", "listed")
+SECOND = "second-effect"
+"""Label of a case of kind "outside" that has two listed effects at once."""
+
+
+@dataclass(frozen=True)
+class TrueEffect:
+    """An effect that a case was made with.
+
+    Parameters
+    ----------
+    name : str
+    location : Location
+    amplitude : float, optional
+        In the unit of the effect's parameter; None where there is no stated size to compare it with.
+    """
+
+    name: str
+    location: Location = EVERYWHERE
+    amplitude: float | None = None
+
+
+@dataclass(frozen=True)
+class CaseKey:
+    """What the key says about a case.
+
+    Parameters
+    ----------
+    case : str
+    kind : {"none", "outside", "listed"}
+        Whether the case has no effect, one that no diagnosis lists, or a listed one.
+    label : str
+        "no-gap", the effect's name, or "second-effect".
+    effects : tuple of TrueEffect
+    noise : float
+        Standard deviation of the noise, in the unit of the data; NaN if unknown.
+    before, after : float
+        Model discrepancy of the refitted baseline without and with the true effect: rms of the noise-free
+        data minus the fit, in the unit of the data. `before` is NaN if unknown, `after` None if unknown or
+        if the effect is no part of a solve.
+    digest : str
+        Checksum of the case's data; empty where the key has none.
+    tags : mapping of str to str
+        What else tells cases apart, such as the layout of the sensors; scores can be grouped by it.
+    """
+
+    case: str
+    kind: str
+    label: str
+    effects: tuple[TrueEffect, ...] = ()
+    noise: float = math.nan
+    before: float = math.nan
+    after: float | None = None
+    digest: str = ""
+    tags: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Explanations that are right: those of the effects, "no-gap", or "unlisted"."""
+        if self.kind == "none":
+            return frozenset((NULL,))
+        if self.kind == "outside" and self.label != SECOND:
+            return frozenset((NONPARAMETRIC,))
+        return frozenset(e.name for e in self.effects)
+
+    @property
+    def accepted(self) -> frozenset[str]:
+        """What a probability may stand for: of two effects, also that neither explains the data alone."""
+        return self.names | {NONPARAMETRIC} if self.label == SECOND else self.names
+
+    @property
+    def shrinkage(self) -> float | None:
+        """Part of the discrepancy that the true effect removes, of listed effects whose `after` is known."""
+        if self.kind != "listed" or self.after is None or not self.before > 0:
+            return None
+        return 1 - self.after / self.before

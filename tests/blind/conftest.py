@@ -1,0 +1,36 @@
+"""A small set of cases, and answers to them, that the tests of the blind check share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from zoo.blood.blind import diagnose_cases, make_cases
+
+CHEAP = ("sensor-offset", "inflow-shift", "inflow-bandwidth", "beat-jitter")
+TINY: dict[str, Any] = {"networks": ("tree",), "layouts": ("MPA",), "vessels": (3, 3), "cores": 1}
+SEED = 5
+
+
+@pytest.fixture(scope="session")
+def tiny() -> dict[str, Any]:
+    """Settings of `make_cases` whose cases are solved in a second."""
+    return {"effects": CHEAP, **TINY}
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Three cases, and their key."""
+    folder = tmp_path_factory.mktemp("blind")
+    return folder / "cases", make_cases(folder / "cases", 3, SEED, folder / "key.json", effects=CHEAP, **TINY)
+
+
+@pytest.fixture(scope="session")
+def answered(made: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Answers to them."""
+    answers = tmp_path_factory.mktemp("run") / "answers"
+    found = diagnose_cases(made[0], answers, effects=CHEAP, max_effects=1, cores=1)
+    assert found.failed == {}
+    return answers
