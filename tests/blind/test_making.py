@@ -139,8 +139,8 @@ def test_nothing_but_the_values_depends_on_the_effect(
     own, other = (json.loads(k.read_text()) for k in (key, tmp_path / "key.json"))
     assert [e["effect"] for e in own] != [e["effect"] for e in other]
 
-    def seen(folder: Path) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+    def seen(folder: Path) -> dict[Any, Any]:
+        found: dict[Any, Any] = {}
         for path in sorted(folder.rglob("*")):
             name, stat = str(path.relative_to(folder)), path.stat()
             found[name, "time"], found[name, "mode"] = (stat.st_mtime, stat.st_atime >= 0), stat.st_mode

@@ -249,10 +249,9 @@ def _called_unlisted(key: CaseKey, answer: Answer) -> bool:
     """Whether the answer says, or leaves open, that no listed effect alone is the cause."""
     leader = answer.explanations[0]
     listed = [e.probability for e in answer.explanations if e.name not in (NULL, NONPARAMETRIC)]
-    called = (
-        leader.name == NONPARAMETRIC or NONPARAMETRIC in answer.cause or max(listed, default=0.0) <= MAJORITY
-    )
-    return called or (key.label == SECOND and leader.name in key.names)
+    if NONPARAMETRIC in (leader.name, *answer.cause) or max(listed, default=0.0) <= MAJORITY:
+        return True
+    return key.label == SECOND and leader.name in key.names
 
 
 def _true_explanation(key: CaseKey, explanations: tuple[Explanation, ...]) -> Explanation | None:
