@@ -16,6 +16,7 @@ from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Study
 from zoo.core.errors.likelihood import iid_errors, study_model
 from zoo.core.inference.convergence import check_convergence
+from zoo.core.model import ModelError
 from zoo.core.posterior.comparison import (
     ComparisonError,
     add_log_likelihood,
@@ -279,7 +280,7 @@ def test_what_cannot_be_compared_is_refused(study: Study, models, idatas) -> Non
         ComparisonError, match=r"no 'w' in the posterior, which has f3, psi1, psi2, c, sigma2"
     ):
         compare({"B": idatas["A"]}, models)
-    with pytest.raises(ComparisonError, match="has no record"):
+    with pytest.raises(ModelError, match="has no record"):
         compare({"A": idatas["A"]}, {"A": pm.Model()})
     other = get_model("A")(small_study(n_times=16))
     with pytest.raises(ComparisonError, match="with other values: compare models of the same observations"):

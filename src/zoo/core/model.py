@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pymc as pm
@@ -15,6 +15,10 @@ from zoo.core.errors.base import ErrorModel
 from zoo.core.forward import ForwardModel
 from zoo.core.op import ForwardOp, observed_series
 from zoo.core.parameters import random_variables, start_of, variable_name
+
+
+class ModelError(ValueError):
+    """A PyMC model that cannot be made or used; its text says what to change."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +99,7 @@ def bayesian_model(
     data : Data
     errors : ErrorModel
     coords : mapping
-        Coordinates of the dimensions of vector parameters, such as {"vessel": ids}.
+        Coordinates of the dimensions of vector parameters, such as {"vessel": ids}; 0, 1, ... if absent.
     study : object
         For the record.
     settings : mapping
@@ -108,17 +112,18 @@ def bayesian_model(
 
     Raises
     ------
-    ValueError
+    ModelError
         If the forward model's outputs do not fit the data.
     """
     if forward.outputs.shape != data.values.shape:
-        raise ValueError(
+        raise ModelError(
             f"{data.source or data.name}: {forward.name} gives series {forward.outputs.shape}, the data are "
             f"{data.values.shape}: ask the forward model for the data's series and times"
         )
     bound = errors.bind(data)
-    dims = {"series": list(data.labels), "time": np.asarray(data.times), **dict(coords or {})}
-    with pm.Model(coords=dims) as model:
+    counted = {p.dims: np.arange(p.size) for p in (*forward.parameters, *bound.parameters) if p.dims}
+    own = {"series": list(data.labels), "time": np.asarray(data.times)}
+    with pm.Model(coords={**counted, **own, **dict(coords or {})}) as model:
         variables = random_variables(forward.parameters)
         mean, ok = observed_series(forward, variables)
         bound.observe("y", mean, ok, random_variables(bound.parameters))
@@ -131,10 +136,10 @@ def record_of(model: pm.Model) -> ModelRecord:
 
     Raises
     ------
-    ValueError
+    ModelError
         If the model has none.
     """
     record = getattr(model, "zoo", None)
-    if not isinstance(record, ModelRecord):
-        raise ValueError("this PyMC model has no record: make it with zoo.core.model.bayesian_model")
-    return record
+    if not hasattr(record, "errors"):
+        raise ModelError("this PyMC model has no record: make it with zoo.core.model.bayesian_model")
+    return cast(ModelRecord, record)

@@ -67,7 +67,7 @@ class ErrorModel(ABC):
     def terms(
         self, residual: Array, values: Mapping[str, ArrayLike], decomposition: str = "sequential"
     ) -> Array:
-        """Log-likelihood terms (n_series, n_times) of one residual's coefficients; -inf where there is no law.
+        """Log-likelihood terms (n_series, n_times) of one residual; -inf where there is no law.
 
         Parameters
         ----------

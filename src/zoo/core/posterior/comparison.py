@@ -19,8 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from zoo.core.errors.base import DECOMPOSITIONS
-from zoo.core.errors.likelihood import ModelRecord
+from zoo.core.forward import SolveError
 from zoo.core.inference.convergence import Verdict, judged
+from zoo.core.model import ModelRecord, record_of
+from zoo.core.parameters import pack, variable_name
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -67,20 +69,6 @@ def waic_one_observation(joint: ArrayLike) -> OneObservation:
     lppd = float(logsumexp(values)) - math.log(len(values))
     p = float(np.var(values, ddof=1))
     return OneObservation(_DEVIANCE * (lppd - p), p)
-
-
-def record_of(model: pm.Model) -> ModelRecord:
-    """The record of a model made by ``iid_errors`` or ``gp_errors``.
-
-    Raises
-    ------
-    ComparisonError
-        If the model has none.
-    """
-    record = getattr(model, "zoo", None)
-    if not isinstance(record, ModelRecord):
-        raise ComparisonError("this PyMC model has no record: make its errors with iid_errors or gp_errors")
-    return record
 
 
 def thin(idata: az.InferenceData, n_draws: int | None = N_DRAWS) -> xr.Dataset:
@@ -145,7 +133,7 @@ def _flat(posterior: xr.Dataset, name: str, record: ModelRecord) -> Array:
 
 
 def posterior_means(model: pm.Model, posterior: xr.Dataset, *, progress: Progress | None = None) -> Array:
-    """Series of the solver at each posterior draw, each distinct draw solved once.
+    """Series of the forward model at each posterior draw, each distinct draw solved once.
 
     Parameters
     ----------
@@ -161,7 +149,49 @@ def posterior_means(model: pm.Model, posterior: xr.Dataset, *, progress: Progres
     array (n_chains n_draws, n_series, n_times)
         In the series' own units; NaN where a solve failed.
     """
-    op = record_of(model).op
+    record = record_of(model)
+    if not hasattr(record, "forward"):
+        return _solver_means(model, posterior, progress)
+    forward = record.forward
+    draws = {p.name: _flat(posterior, variable_name(p.name), record) for p in forward.parameters}
+    n_draws = posterior.sizes["chain"] * posterior.sizes["draw"]
+    theta = np.array(
+        [
+            pack(forward.parameters, {name: column[i] for name, column in draws.items()})
+            for i in range(n_draws)
+        ]
+    )
+    points, which = np.unique(theta, axis=0, return_inverse=True)
+
+    def solve(point: Array) -> Array:
+        try:
+            return forward.solve(forward.configure(point))
+        except SolveError:
+            return np.full(record.data.values.shape, np.nan)
+
+    means = _each(solve, points, record.data.values.shape, getattr(forward, "threads", False), progress)
+    return np.asarray(means[which.ravel()])
+
+
+def _each(
+    solve: Callable[[Array], Array],
+    points: Array,
+    shape: tuple[int, ...],
+    threads: bool,
+    progress: Progress | None,
+) -> Array:
+    """Series (n_points, *shape) at each point, by several threads at once if these may solve together."""
+    means = np.empty((len(points), *shape))
+    with ThreadPoolExecutor(os.cpu_count() if threads else 1) as pool:
+        for i, mean in enumerate(pool.map(solve, points)):
+            means[i] = mean
+            if progress is not None:
+                progress(i + 1, len(points))
+    return means
+
+
+def _solver_means(model: pm.Model, posterior: xr.Dataset, progress: Progress | None) -> Array:
+    op: Any = record_of(model).op
     inputs = solver_inputs(model, posterior)
     points, which = np.unique(np.concatenate(inputs, axis=1), axis=0, return_inverse=True)
 
@@ -169,14 +199,7 @@ def posterior_means(model: pm.Model, posterior: xr.Dataset, *, progress: Progres
         solution = op.solver.solve(*np.split(point, len(inputs)), check=False)
         return op.observed(solution) if solution.ok else np.full(op.shape, np.nan)
 
-    # One by one, as when sampling: a batch solves all its sets with the time step of the stiffest, which
-    # moves the Gaussian process' log-likelihood by a few tenths.
-    means = np.empty((len(points), *op.shape))
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for i, mean in enumerate(pool.map(solve, points)):
-            means[i] = mean
-            if progress is not None:
-                progress(i + 1, len(points))
+    means = _each(solve, points, op.shape, True, progress)
     return np.asarray(means[which.ravel()])
 
 
@@ -224,14 +247,14 @@ def log_likelihoods(
         failed = int(np.sum(~np.isfinite(means).all(axis=(1, 2))))
         raise ComparisonError(
             f"model {record.name}: {failed} of {len(means)} posterior draws do not solve: compare with the "
-            "study, conventions and solver options that the draws were made with"
+            "data and settings that the draws were made with"
         )
-    errors = {name: _flat(posterior, name, record) for name in record.error_parameters}
+    errors = {name: _flat(posterior, variable_name(name), record) for name in record.errors.parameter_names}
     coords: dict[str, Any] = {
         "chain": posterior["chain"].to_numpy(),
         "draw": posterior["draw"].to_numpy(),
-        "series": [series.label for series in record.study.series],
-        "time": np.asarray(record.study.time_s),
+        "series": list(record.data.labels),
+        "time": np.asarray(record.data.times),
     }
     n_chains, n_kept = posterior.sizes["chain"], posterior.sizes["draw"]
     terms = {}
@@ -312,7 +335,7 @@ def sse_at_median(idata: az.InferenceData, model: pm.Model) -> SumOfSquares:
     whole = draws.median(("chain", "draw")).expand_dims(("chain", "draw")).assign_coords(chain=[-1], draw=[0])
     alone = draws.median("draw").expand_dims("draw", axis=1).assign_coords(draw=[0])
     means = posterior_means(model, xr.concat([whole, alone], "chain"))
-    whole_sum, *sums = ((record_of(model).study.values - means) ** 2).sum(axis=(1, 2))
+    whole_sum, *sums = ((record_of(model).data.values - means) ** 2).sum(axis=(1, 2))
     return SumOfSquares(float(whole_sum), _error_of_mean(sums))
 
 
@@ -477,9 +500,8 @@ def _check_comparable(idatas: Mapping[str, az.InferenceData], models: Mapping[st
             raise ComparisonError(f"posterior {name!r}: no model of that name among {', '.join(models)}")
         record = record_of(models[name])
         first = first or record
-        same = record.study.values.shape == first.study.values.shape
-        if not same or not np.array_equal(record.study.values, first.study.values):
+        if not np.array_equal(record.data.values, first.data.values):
             raise ComparisonError(
-                f"model {name}: was fitted to study {record.study.name!r}, the first to "
-                f"{first.study.name!r} with other values: compare models of the same observations"
+                f"model {name}: was fitted to {record.data.name!r}, the first to "
+                f"{first.data.name!r} with other values: compare models of the same observations"
             )
