@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import doctest
 import json
 import math
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -335,3 +337,8 @@ def test_a_score_is_written(tmp_path: Path) -> None:
     assert len(record["cases"]) == 40
     assert (tmp_path / "score" / "cases.csv").read_text().count("\n") == 41
     assert (tmp_path / "score" / "score.md").read_text().startswith("40 cases, 0 without an answer.")
+
+
+def test_the_example_gives_what_it_shows() -> None:
+    found = doctest.testmod(sys.modules[check.__module__])
+    assert (found.attempted > 0, found.failed) == (True, 0)
