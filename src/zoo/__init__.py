@@ -34,7 +34,7 @@ _HOME = {
     "BloodFlowOp": "blood.op",
     "sample": "core.inference.sampling",
     "compare": "core.posterior.comparison",
-    "diagnose": "core.diagnosis.diagnosis",
+    "diagnose": "front",
     "read_diagnosis": "core.diagnosis.diagnosis",
 }
 

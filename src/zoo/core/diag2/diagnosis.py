@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,9 @@ class Diagnosis:
         Posteriors of the leading explanations.
     """
 
+    plotter: ClassVar[Callable[[Diagnosis], Any] | None] = None
+    """Draws a diagnosis; figures are not of this package."""
+
     data: Data
     file: DiagnosisFile
     rounds: tuple[Scored, ...] = field(repr=False)
@@ -80,6 +83,12 @@ class Diagnosis:
     def hypotheses(self) -> list[HypothesisResult]:
         """All explanations, most probable first."""
         return self.file.hypotheses
+
+    def plot(self) -> Any:
+        """Discrepancy, hypotheses and locations on one page, by the `plotter` that `zoo.front` sets."""
+        if Diagnosis.plotter is None:
+            raise DiagnosisError("no figures here: call zoo.plots.plot_diagnosis(d)")
+        return Diagnosis.plotter(self)
 
     def with_posteriors(
         self,

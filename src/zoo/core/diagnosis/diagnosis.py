@@ -8,10 +8,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -514,6 +513,9 @@ class Diagnosis:
     confirmation : Confirmation or None
     """
 
+    plotter: ClassVar[Callable[[Diagnosis], Any] | None] = None
+    """Draws a diagnosis; figures are not of this package."""
+
     study: Study
     file: DiagnosisFile
     rounds: tuple[Scored, ...] = field(repr=False)
@@ -546,9 +548,10 @@ class Diagnosis:
         return self.file.hypotheses
 
     def plot(self) -> Any:
-        """Gap, hypotheses and place on one page: `zoo.plots.plot_diagnosis`."""
-        # by name: figures stand after the diagnosis in the order of the modules
-        return import_module("zoo.plots").plot_diagnosis(self)
+        """Discrepancy, hypotheses and locations on one page, by the `plotter` that `zoo.front` sets."""
+        if Diagnosis.plotter is None:
+            raise DiagnosisError("no figures here: call zoo.plots.plot_diagnosis(d)")
+        return Diagnosis.plotter(self)
 
     def confirmed(
         self,

@@ -5,9 +5,8 @@ from __future__ import annotations
 import base64
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import UTC, datetime
-from html.parser import HTMLParser
 from pathlib import Path
 
 import arviz as az
@@ -15,10 +14,11 @@ import numpy as np
 import pandas as pd
 import pymc as pm
 import pytest
+from pages import Element, read, table_of
 from typer.testing import CliRunner
 
 from test_op import small_study
-from zoo import plots, report
+from zoo import report
 from zoo.blood.fetch import FetchError
 from zoo.blood.study import Study, load_study, save_study
 from zoo.cli import app
@@ -32,67 +32,9 @@ from zoo.report import chapters
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 
+"""The page is read back with Python's own parser and compared with what went in."""
+
 CENTRE = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.0025, "w": 5e4, "b": 100.0}
-VOID = {"meta", "link", "img", "br"}
-
-
-@dataclass
-class Element:
-    tag: str
-    attributes: dict[str, str]
-    children: list[Element | str] = field(default_factory=list)
-
-    @property
-    def text(self) -> str:
-        return " ".join("".join(c if isinstance(c, str) else f"{c.text} " for c in self.children).split())
-
-    def all(self, tag: str) -> list[Element]:
-        found = []
-        for child in self.children:
-            if isinstance(child, Element):
-                found += [child] * (child.tag == tag) + child.all(tag)
-        return found
-
-    def of_class(self, name: str) -> list[Element]:
-        inner = [c for c in self.children if isinstance(c, Element)]
-        hits = [c for c in inner if name in c.attributes.get("class", "").split()]
-        return hits + [hit for c in inner for hit in c.of_class(name)]
-
-
-class Reader(HTMLParser):
-    """A tree of the page; fails on tags that do not nest."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.root = Element("root", {})
-        self.open = [self.root]
-        self.feed(text)
-        self.close()
-        assert self.open == [self.root], f"not closed: {self.open[-1].tag}"
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        element = Element(tag, {name: value or "" for name, value in attrs})
-        self.open[-1].children.append(element)
-        if tag not in VOID:
-            self.open.append(element)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open[-1].tag == tag, f"</{tag}> closes <{self.open[-1].tag}>"
-        self.open.pop()
-
-    def handle_data(self, data: str) -> None:
-        self.open[-1].children.append(data)
-
-
-def read(path: Path) -> Element:
-    return Reader(path.read_text(encoding="utf-8")).root
-
-
-def table_of(page: Element, name: str) -> list[list[str]]:
-    """Cells of the table whose caption starts so, without the head."""
-    [table] = [t for t in page.all("table") if t.all("caption")[0].text.startswith(name)]
-    rows = table.all("tbody")[0].all("tr")
-    return [[c.text for c in row.children if isinstance(c, Element)] for row in rows]
 
 
 def drawn(model: pm.Model, *, apart: float = 0.0, n: int = 500) -> az.InferenceData:
@@ -401,15 +343,3 @@ def test_commands_keep_the_target() -> None:
     )  # fmt: skip
     expected = "zoo sample H demo --chains 4 --draws 500 --tune 9 --until ess=400 --seed 3 -o H.nc"
     assert report.sampling_command(record) == expected
-
-
-def test_forest_has_the_quantiles_of_each_model(posteriors: dict[str, az.InferenceData]) -> None:
-    figure = plots.forest_figure(posteriors)
-    panels = {axes.get_xlabel(): axes for axes in figure.axes if axes.get_visible()}
-    assert len(panels) == len({*posteriors["A"].posterior, *posteriors["B"].posterior})
-    outer, _, median = panels[plots.PARAMETER_LABELS["w"]].get_lines()  # B alone has w
-    values = posteriors["B"].posterior["w"].to_numpy()
-    np.testing.assert_allclose(outer.get_xdata(), np.quantile(values, (0.025, 0.975)))
-    np.testing.assert_allclose(median.get_xdata(), [np.median(values)])
-    assert list(outer.get_ydata()) == [1, 1]
-    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["A", "B"]

@@ -1,0 +1,61 @@
+"""The front door of the diagnosis: a study or any other data go in, and what comes out can draw itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from zoo.core import diag2
+from zoo.core.data import Data
+from zoo.core.diagnosis import diagnosis
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from zoo.blood.study import Study
+
+
+def _plot(found: Any) -> Figure:
+    from zoo.plots import plot_diagnosis
+
+    return plot_diagnosis(found)
+
+
+for kind in (diag2.Diagnosis, diagnosis.Diagnosis):
+    kind.plotter = staticmethod(_plot)  # the core draws nothing itself
+
+
+def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
+    """Find where a baseline model misses data, which unmodelled effect explains it, and how well.
+
+    Parameters
+    ----------
+    data : Study or Data
+        What was measured: a study of blood flow (`zoo.load_study`), or series of anything else.
+    *arguments, **settings
+        For a study those of `zoo.core.diagnosis.diagnosis.diagnose`: the baseline's name or the letter of a
+        model with that structure, `effects`, `max_effects` and so on. For other data those of
+        `zoo.core.diag2.diagnose`: the forward model, the effects, `errors`, `hooks` and so on.
+
+    Returns
+    -------
+    Diagnosis
+        `print` shows the verdict; `where`, `cause`, `shrinkage` and `hypotheses` say more, `plot()` draws it
+        on one page, `confirmed()` samples the posteriors of the leading explanations.
+
+    Raises
+    ------
+    DiagnosisError
+        If an argument is out of range, a series does not vary, or the baseline cannot be fitted.
+
+    Examples
+    --------
+    >>> import zoo
+    >>> found = zoo.diagnose(zoo.load_study("demo"), base="B")  # doctest: +SKIP
+    >>> found.plot().savefig("gap.png")  # doctest: +SKIP
+
+    References
+    ----------
+    Kennedy and O'Hagan 2001, doi 10.1111/1467-9868.00294.
+    """
+    run: Any = diag2.diagnose if isinstance(data, Data) else diagnosis.diagnose
+    return run(data, *arguments, **settings)

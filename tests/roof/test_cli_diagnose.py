@@ -1,0 +1,166 @@
+"""`zoo diagnose`, run as a user runs it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from commands import fails, run
+from pages import read
+from withheld import FILES, TAU_S, made, screen_of, with_confirmation
+
+from zoo import cli, report
+from zoo.blood.study import Study, load_study, save_study
+from zoo.core.diagnosis import diagnosis
+from zoo.core.diagnosis.diagnosis import (
+    Diagnosis,
+    read_diagnosis,
+)
+
+pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
+
+
+@pytest.fixture(scope="module")
+def commanded(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder and screen of `zoo diagnose`."""
+    out = tmp_path_factory.mktemp("out") / "gap"
+    options = ("--effects", "viscoelastic-wall,inflow-shift", "--max-effects", 1, "--base", "a", "-q")
+    return out, run("diagnose", folder, *options, "--no-confirm", "--friction", "current", "-o", out)
+
+
+def test_diagnose_writes_everything_and_says_what_it_found(commanded: tuple[Path, str]) -> None:
+    out, screen = commanded
+    assert sorted(p.name for p in out.iterdir()) == sorted(FILES)
+    file = read_diagnosis(out)
+    assert file.base == "linear-constant"
+    assert file.verdict.startswith("viscoelastic-wall")
+    amplitude = file.hypotheses[0].amplitude
+    assert amplitude is not None
+    assert abs(amplitude.mean - TAU_S) < 4 * amplitude.sd
+    assert file.verdict in screen
+    for words in ("upstroke", "harmonic", "v1@0 pressure_mmHg", "everywhere", "█", "no-gap", "unlisted"):
+        assert words in screen
+    assert f"{amplitude.mean:.3g} ± {amplitude.sd:.2g} s" in screen
+    assert f"{file.gap.removed:.0%}".replace("%", " %") in screen
+    assert f"{file.record['solves']} solves" in screen
+    assert f"wrote {out}: {', '.join(FILES)}" in screen
+    assert "error" not in screen
+    command = read(out / "report.html").all("pre")[0].text
+    assert "--base linear-constant" in command
+    assert "--no-confirm --max-effects 1 --effects viscoelastic-wall,inflow-shift" in command
+    assert "--friction current" in command
+
+
+def test_the_screen_tells_of_groups_rivals_and_posteriors(three: Diagnosis) -> None:
+    measure = diagnosis.NextMeasurement(
+        vessel=5,
+        position=0.5,
+        quantity="flow_ml_s",
+        separates=("taper", "minor-losses"),
+        expected_log_odds=7.25,
+    )
+    change = {"next_measurement": measure, "invisible": ["inflow-gain"], "failed": ["stenosis"]}
+    file = with_confirmation(three).file.model_copy(update=change)
+    screen = screen_of(file)
+    assert "flow_ml_s in vessel 5 at 0.5, which tells taper from minor-losses" in screen
+    assert "7.2" in screen
+    assert "this study cannot show: inflow-gain" in screen
+    assert "The solver failed wherever these were tried: stenosis." in screen
+    assert "posterior of viscoelastic-wall: log marginal likelihood 60.0 ± 0.1" in screen
+    assert "not converged, see report.html" in screen
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--base", "linear-constnt"), "base 'linear-constnt': unknown; did you mean 'linear-constant'?"),
+        (("--base", "G"), "use linear-constant"),
+        (("--effects", "taper,viscoelastic-wal"), "did you mean 'viscoelastic-wall'?"),
+        (("--effects", " , "), "--effects: no names"),
+        (("--base", "H", "--effects", "tangent-wall"), "cannot be added to tangent-constant, only to linear"),
+        (("--max-effects", 0), "--max-effects 0: give at least 1"),
+        (("--cores", 0), "--cores 0: give at least 1"),
+        (("--seed", -1), "--seed -1: give at least 0"),
+        (("--conventions", "printd"), "did you mean 'printed'?"),
+        (("-o", "nowhere/gap"), "does not exist; create it"),
+        (("-o", "file"), "--output file: is a file; give a folder"),
+    ],
+)
+def test_diagnose_says_what_to_change_before_it_works(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[object, ...], message: str
+) -> None:
+    def worked(*_: object, **__: object) -> None:
+        raise AssertionError("it worked")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(diagnosis, "diagnose", worked)
+    Path("file").write_text("")
+    assert message in fails("diagnose", folder, *options)
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_study_without_observations_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    save_study(made(), "bare")
+    assert "add observations.csv" in fails("diagnose", "bare")
+    assert [p.name for p in tmp_path.iterdir()] == ["bare"]
+    assert "did you mean 'demo'?" in fails("diagnose", "demmo")
+
+
+def test_options_reach_the_diagnosis(
+    one: Diagnosis, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: dict[str, object] = {}
+
+    def caught(study: Study, base: str, **settings: object) -> Diagnosis:
+        given.update(settings, study=study, base=base)
+        return one
+
+    def sampled(self: Diagnosis, **settings: object) -> Diagnosis:
+        given.update(confirm=True, folder=settings["folder"])
+        return self
+
+    monkeypatch.setattr(diagnosis, "diagnose", caught)
+    monkeypatch.setattr(diagnosis.Diagnosis, "confirmed", sampled)
+    monkeypatch.setattr(report, "write_diagnosis", lambda *_, **__: [])
+    out = tmp_path / "gap"
+    run("diagnose", folder, "-o", out, "-q")
+    assert (given["base"], given["confirm"], given["effects"]) == ("linear-constant", True, None)
+    assert (given["max_effects"], given["cores"], given["seed"]) == (3, 2, 1)
+    assert given["conventions"] is None
+    first = Path(str(given["folder"]))
+    assert first.is_dir()
+    assert first.parent == out / "posteriors"
+    assert (out / "diagnosis.json").is_file()  # before the posteriors, which take longer
+    given |= {"confirm": False, "folder": None}
+    options = ("--base", "I", "--wall-factor", 2, "--effects", "taper", "--seed", 5, "--no-confirm", "-q")
+    run("diagnose", folder, "-o", out, *options)
+    assert (given["base"], given["confirm"], given["effects"]) == ("tangent-radius", False, ["taper"])
+    assert given["folder"] is None
+    conventions = given["conventions"]
+    assert conventions is not None
+    assert conventions.wall_factor == 2  # type: ignore[attr-defined]
+    run("diagnose", folder, "-o", out, "--seed", 2, "-q")
+    assert Path(str(given["folder"])) != first
+
+
+def test_progress_says_what_is_tried() -> None:
+    for confirm, last in ((True, "posteriors"), (False, "weighing")):
+        with cli.diagnose.Telling(False, confirm) as tell:
+            found = []
+            for text, share in (("base", 0.0), ("taper", 0.4), ("base", 0.0), ("stenosis", 0.5), ("x", 1.0)):
+                tell(text, share)
+                task = tell.bar.tasks[0]
+                found.append((task.description, task.completed))
+        assert found[1] == ("taper", 40)
+        assert found[3] == ("stenosis (beside 1 added)", 50)
+        assert found[4] == (last, 100)
+
+
+@pytest.mark.slow
+def test_demo_by_its_name(tmp_path: Path) -> None:
+    screen = run(
+        "diagnose", "demo", "--effects", "sensor-offset", "--no-confirm", "-o", tmp_path / "gap", "-q"
+    )
+    assert read_diagnosis(tmp_path / "gap").study_checksum == load_study("demo").checksum
+    assert "wrote" in screen

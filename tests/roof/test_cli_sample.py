@@ -1,0 +1,207 @@
+"""`zoo sample`, `zoo compare` and `zoo reproduce`, on a tree of three vessels."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from commands import TRUE, fails, run
+
+from zoo.blood.study import load_study, save_study
+from zoo.core.inference.record import RunRecord
+from zoo.core.posterior.files import find
+from zoo.core.posterior.storage import load
+
+pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
+
+"""The commands, run as a user runs them, on a tree of three vessels."""
+
+QUICK = ("--draws", 60, "--tune", 150, "--chains", 2, "--cores", 2, "--seed", 3)
+
+
+@pytest.fixture(scope="module")
+def sampled(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    path = tmp_path_factory.mktemp("posteriors") / "A.nc"
+    return path, run("sample", "a", tiny, "-o", path, "--thin", 2, *QUICK)
+
+
+def test_sample_writes_the_posterior_and_a_verdict(sampled: tuple[Path, str], tiny: Path) -> None:
+    path, output = sampled
+    idata = load(path)
+    assert dict(idata.posterior.sizes)["draw"] == 60
+    assert set(idata.posterior.data_vars) == {"f3", "psi1", "psi2", "c", "sigma2"}
+    record = RunRecord.of(idata)
+    assert (record.model, record.study, record.seed) == ("A", "tiny", 3)
+    assert record.study_checksum == load_study(tiny).checksum
+    assert record.conventions["name"] == "printed"
+    assert record.settings["thin"] == 2
+    assert record.solves_per_step == pytest.approx(1.0, abs=0.02)
+    assert "model A on tiny: 5 dimensions, 2 chains of demetropolisz" in output
+    for name in idata.posterior.data_vars:
+        assert f"\n{name} " in output
+    assert "2 chains: at least 4 are needed" in output
+    low, high = np.quantile(idata.posterior.psi2, (0.001, 0.999))
+    assert low < TRUE["psi2"] < high
+
+
+def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Path) -> None:
+    path, _ = sampled
+    assert path.with_suffix(".checkpoint").is_dir()
+    refused = fails("sample", "A", tiny, "-o", path, "--thin", 3, *QUICK)
+    assert "thin is 2 there and 3 here" in refused
+    assert "--fresh removes it" in refused
+    more = path.with_name("A.nc")
+    before = load(path).posterior.c.to_numpy()
+    output = run("sample", "A", tiny, "-o", more, "--thin", 2, *QUICK[2:], "--draws", 80, "-q")
+    after = load(more)
+    assert after.posterior.sizes["draw"] == 80
+    np.testing.assert_array_equal(after.posterior.c[:, :60], before)
+    assert RunRecord.of(after).sittings == 2
+    assert "model A on tiny" not in output  # -q
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("Z",), "model 'Z': unknown; there is A, B"),
+        (("A", "--until", "400"), "--until 400: write --until ess=400"),
+        (("A", "--until", "ess=-1"), "write --until ess=400"),
+        (("A", "--step", "nuts"), "step = 'nuts': must be one of demetropolisz, metropolis"),
+        (("A", "--chains", "0"), "chains = 0: must be a whole number of at least 1"),
+        (("A", "-o", "nowhere/A.nc"), "folder nowhere does not exist"),
+    ],
+)
+def test_sample_says_what_to_change(tiny: Path, tmp_path: Path, monkeypatch, arguments, message) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert message in fails("sample", arguments[0], tiny, *arguments[1:])
+
+
+def test_fresh_removes_only_a_checkpoint(tiny: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "A.checkpoint"
+    folder.mkdir()
+    (folder / "diary.txt").write_text("mine")
+    (folder / "run.json").write_text("{}")
+    message = fails("sample", "A", tiny, "-o", tmp_path / "A.nc", "--fresh", *QUICK)
+    assert "holds files that are not a checkpoint's" in message
+    assert [f.name for f in folder.iterdir()] == ["diary.txt"]
+
+
+def test_fresh_does_not_take_a_checkpoint_from_a_running_job(tiny: Path, tmp_path: Path) -> None:
+    from zoo.core.inference.checkpoint import Folder
+
+    held = Folder(tmp_path / "A.checkpoint")
+    message = fails("sample", "A", tiny, "-o", tmp_path / "A.nc", "--fresh", *QUICK)
+    assert "another run is using this checkpoint folder" in message
+    assert "--fresh" not in message
+    assert held.path.is_dir()
+    held.close()
+
+
+@pytest.mark.slow
+def test_compare_samples_what_is_missing_and_writes_table_and_figures(
+    sampled: tuple[Path, str], tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    output = run(
+        "compare",
+        tiny,
+        "--models",
+        "A,b",
+        "--posteriors",
+        sampled[0].parent,
+        "-o",
+        out,
+        "--n-draws",
+        40,
+        *QUICK,
+    )
+    assert f"model A: posterior of {sampled[0]}" in output
+    assert "model B: sampled, wrote" in output
+    table = pd.read_csv(out / "comparison.csv", index_col="model")
+    assert set(table.index) == {"A", "B"}
+    assert table["rank"].tolist() == [0, 1]
+    # white noise of 0.1 mmHg was put in: the independent errors of A must win by far
+    assert table.index[0] == "A"
+    assert table.loc["B", "difference"] > 0
+    kinds = ("fit", "trace", "rank", "pair", "pressure", "flow")
+    names = {"comparison", "pressure", "flow", "loops", *(f"{kind}-{m}" for kind in kinds for m in "AB")}
+    assert {f.stem for f in out.glob("*.png")} == names
+    again = run(
+        "compare",
+        tiny,
+        "--models",
+        "A,B",
+        "--posteriors",
+        sampled[0],
+        "-o",
+        out,
+        "--n-draws",
+        40,
+        "--no-figures",
+    )
+    assert "model B: posterior of" in again
+    assert "sampled" not in again
+    # posteriors in the working directory are found by their names, if they belong
+    here = tmp_path / "here"
+    here.mkdir()
+    shutil.copy(sampled[0], here / "A.nc")
+    shutil.copy(out / "B.nc", here / "B.nc")
+    monkeypatch.chdir(here)
+    found = run("compare", tiny.resolve(), "--models", "A,B", "--n-draws", 40, "--no-figures")
+    assert "model A: posterior of A.nc" in found
+    assert "model B: posterior of B.nc" in found
+
+
+def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_path: Path) -> None:
+    path = sampled[0]
+    assert "at least two different models" in fails("compare", tiny, "--models", "A")
+    assert "at least two different models" in fails("compare", tiny, "--models", "A,A")
+    assert "model 'Q': unknown" in fails("compare", tiny, "--models", "A,Q")
+    assert "no such file or folder" in fails(
+        "compare", tiny, "--posteriors", tmp_path / "no.nc", "-o", tmp_path / "o"
+    )
+    assert "--n-draws 3" in fails("compare", tiny, "--n-draws", 3)
+    changed = fails(
+        "compare", tiny, "--posteriors", path, "-o", tmp_path / "p", "--friction", "rest", "--models", "A,B"
+    )
+    assert "conventions is printed, here it is custom (printed with friction=rest)" in changed
+    other = tmp_path / "other"
+    study = load_study(tiny)
+    series = replace(study.series[0], value=study.series[0].value + 0.5)
+    save_study(replace(study, series=(series,)), other)
+    assert "checksum of the study is" in fails(
+        "compare", other, "--posteriors", path, "-o", tmp_path / "q", "--models", "A,B"
+    )
+    assert "--fresh: samples every model anew" in fails("compare", tiny, "--posteriors", path, "--fresh")
+    file = tmp_path / "file"
+    file.write_text("", encoding="utf-8")
+    assert f"{file}: is a file where a folder is needed" in fails("compare", tiny, "-o", file)
+    # in a folder such a posterior is passed over, which is said; so is a file that is none
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    shutil.copy(path, folder / "A.nc")
+    (folder / "B.nc").write_text("no NetCDF", encoding="utf-8")
+    said: list[str] = []
+    assert find([folder], ["A", "B"], load_study(other), say=said.append) == {}
+    assert said[0] == f"passed over: {folder / 'A.nc'}: of model A on other data named tiny; sample again"
+    assert said[1].startswith(f"passed over: {folder / 'B.nc'}: ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nature2021"], "nature2021: no such paper; paun2020"),
+        (["--models", "A"], "--models A: give at least two different models"),
+        (["--synthetic", "--vessels", "1,99", "--study", "demo"], "--vessels 1,99: demo has 21 vessels"),
+        (["--synthetic", "--data-sets", "0", "--study", "demo"], "--data-sets 0: give at least 1"),
+        (["--points", "5"], "--points 5: is of the synthetic studies; add --synthetic"),
+        (["--synthetic", "--points", "5", "--study", "demo"], "--points 5: give at least 1000"),
+    ],
+)
+def test_reproduce_says_what_to_change(arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert message in fails("reproduce", *arguments)

@@ -1,0 +1,187 @@
+"""`zoo simulate`, on a tree of three vessels."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from commands import TRUE, fails, run
+
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import Solver
+from zoo.blood.study import load_study, save_study
+
+pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
+
+SIMULATE = ("--stiffness", "5e4", "--psi1", "0.9", "--psi2", "1.1", "--c", "0.8")
+
+
+def test_simulate_writes_every_vessel_as_netcdf(tiny: Path, tmp_path: Path) -> None:
+    path = tmp_path / "waves.nc"
+    output = run("simulate", tiny, *SIMULATE, "-o", path, "--times", 100)
+    study = load_study(tiny)
+    network = Network.from_study(study)
+    with xr.open_dataset(path) as waves:
+        assert dict(waves.sizes) == {"vessel": 3, "position": 3, "time": 100}
+        time_s = waves.time.to_numpy()
+        np.testing.assert_allclose(time_s, np.arange(100) * 0.11 / 100)
+        for vessel, position in ((1, 0.0), (2, 0.5), (3, 1.0)):
+            solver = Solver(
+                network, study.inflow_time_s, study.inflow_ml_s, series=[(vessel, position)], times_s=time_s
+            )
+            solution = solver.solve(**TRUE)
+            at = waves.sel(vessel=vessel, position=position)
+            np.testing.assert_allclose(at.pressure_mmHg, solution.pressure_mmHg[0], rtol=1e-12)
+            np.testing.assert_allclose(at.flow_ml_s, solution.flow_ml_s[0], rtol=1e-12)
+            np.testing.assert_allclose(at.area_cm2, solution.area_cm2[0], rtol=1e-12)
+        pressure = waves.pressure_mmHg.sel(vessel=1, position=0).to_numpy()
+        assert waves.attrs["conventions"] == "printed"
+        assert waves.pressure_mmHg.attrs["units"] == "mmHg"
+    assert (
+        f"systolic {pressure.max():.2f}, diastolic {pressure.min():.2f}, mean {pressure.mean():.2f} mmHg"
+        in output
+    )
+    clean = Solver.for_study(study).solve(**TRUE).pressure_mmHg
+    assert f"64 observed values: {np.sum((clean - study.values) ** 2):.4g}" in output
+    assert np.sum((clean - study.values) ** 2) == pytest.approx(64 * 0.01, rel=0.4)
+
+
+def test_simulate_csv_has_the_format_of_observations(tiny: Path, tmp_path: Path) -> None:
+    path, other = tmp_path / "waves.csv", tmp_path / "waves.nc"
+    run("simulate", tiny, *SIMULATE, "-o", path, "--times", 64)
+    run("simulate", tiny, *SIMULATE, "-o", other, "--times", 64)
+    table = pd.read_csv(path)
+    assert list(table.columns) == ["vessel", "position", "quantity", "time_s", "value"]
+    assert len(table) == 3 * 3 * 3 * 64
+    with xr.open_dataset(other) as waves:
+        part = table[(table.vessel == 3) & (table.position == 0.5) & (table.quantity == "flow_ml_s")]
+        np.testing.assert_allclose(part.value, waves.flow_ml_s.sel(vessel=3, position=0.5), rtol=1e-8)
+    # and a study can be made of it
+    folder = tmp_path / "study"
+    folder.mkdir()
+    for name in ("study.toml", "network.toml", "inflow.csv"):
+        (folder / name).write_text((tiny / name).read_text())
+    with open(tiny / "observations.csv") as old:
+        header = next(csv.reader(old))
+    assert header == list(table.columns)
+    table.to_csv(folder / "observations.csv", index=False)
+    assert len(load_study(folder).series) == 27
+
+
+@pytest.mark.parametrize(
+    ("options", "solve"),
+    [
+        (("--f3", "5e4"), {"stiffness": 5e4}),
+        (
+            ("--stiffness", "4e4,5e4,6e4", "--psi1", "1,0.9,1.2"),
+            {"stiffness": [4e4, 5e4, 6e4], "psi1": [1, 0.9, 1.2]},
+        ),
+        (("--f1", "1e5", "--f2", "-40", "--f3", "4e4"), {"profile": (1e5, -40.0, 4e4)}),
+        (("--wall", "tangent", "--stiffness", "5e4", "--gamma", "5.2"), {"stiffness": 5e4, "gamma": 5.2}),
+    ],
+)
+def test_simulate_takes_the_parameters_of_any_model(tiny: Path, tmp_path: Path, options, solve) -> None:
+    study = load_study(tiny)
+    if "profile" in solve:
+        solve = {"stiffness": stiffness_profile(Network.from_study(study).radius_in_cm, *solve["profile"])}
+    wall = "tangent" if "gamma" in solve else "linear"
+    run("simulate", tiny, *options, "-o", tmp_path / "w.nc")
+    time_s = np.arange(512) * 0.11 / 512
+    expected = (
+        Solver.for_study(study, wall, series=[(2, 1.0)], times_s=time_s).solve(**solve).pressure_mmHg[0]
+    )
+    with xr.open_dataset(tmp_path / "w.nc") as waves:
+        np.testing.assert_allclose(waves.pressure_mmHg.sel(vessel=2, position=1.0), expected, rtol=1e-12)
+
+
+def test_simulate_per_vessel_values_follow_the_file_and_not_the_tree(tiny: Path, tmp_path: Path) -> None:
+    """Vessels listed daughters first: the values belong to the vessels as listed."""
+    folder = tmp_path / "reordered"
+    folder.mkdir()
+    study = load_study(tiny)
+    save_study(study, folder)
+    head, *vessels = (folder / "network.toml").read_text().split("[[vessel]]")
+    (folder / "network.toml").write_text("[[vessel]]".join([head, vessels[2], vessels[0], vessels[1]]))
+    assert [v.id for v in load_study(folder).vessels] == [3, 1, 2]
+    run("simulate", folder, "--stiffness", "6e4,4e4,5e4", "-o", tmp_path / "a.nc")
+    run("simulate", tiny, "--stiffness", "4e4,5e4,6e4", "-o", tmp_path / "b.nc")
+    with xr.open_dataset(tmp_path / "a.nc") as a, xr.open_dataset(tmp_path / "b.nc") as b:
+        for vessel in (1, 2, 3):
+            np.testing.assert_allclose(
+                a.area_cm2.sel(vessel=vessel), b.area_cm2.sel(vessel=vessel), rtol=1e-10
+            )
+
+
+def test_simulate_conventions_and_single_switches(tiny: Path, tmp_path: Path) -> None:
+    published = run("simulate", tiny, *SIMULATE, "--conventions", "published-code")
+    assert "conventions published-code" in published
+    one = run("simulate", tiny, *SIMULATE, "--friction", "rest")
+    assert "conventions custom (printed with friction=rest)" in one
+    both = run(
+        "simulate",
+        tiny,
+        *SIMULATE,
+        "--conventions",
+        "published-code",
+        "--true-lengths",
+        "--mmhg",
+        "1333.22",
+        "--sample-lag",
+        "0.25",
+    )
+    assert "published-code with truncate_lengths=False, mmhg=1333.22, sample_lag_beats=0.25" in both
+    plain = run("simulate", tiny, *SIMULATE)
+    assert (
+        len({text.splitlines()[1] for text in (published, one, both, plain)}) == 4
+    )  # four different pressures
+
+
+def test_simulate_numerical_options(tiny: Path) -> None:
+    assert "beats of 4096 steps" in run("simulate", tiny, *SIMULATE, "--steps", 4096)
+    fine = run("simulate", tiny, *SIMULATE, "--dx", 0.01, "--tolerance", "1e-6")
+    assert fine != run("simulate", tiny, *SIMULATE)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--stiffness", "5x"), "--stiffness 5x: '5x' is not a number; write 5.17e4 or 4e4,5e4"),
+        (("--stiffness", "nan"), "'nan' is not finite"),
+        (
+            ("--stiffness", "4e4,5e4"),
+            "--stiffness: 2 values; give one for all vessels, or one for each of the 3 vessels",
+        ),
+        ((), "no stiffness: give --stiffness 5.17e4, or --f3"),
+        (("--stiffness", "5e4", "--f3", "5e4"), "two ways to say the same"),
+        (("--f1", "5e4", "--f3", "5e4"), "--f1 and --f2 belong together"),
+        (("--stiffness", "5e4", "--gamma", "2"), "--gamma belongs to the tangent wall: add --wall tangent"),
+        (("--stiffness", "5e4", "--wall", "tangent"), "--wall tangent needs --gamma"),
+        (("--stiffness", "5e4", "--wall", "rigid"), "wall = 'rigid': must be one of linear, tangent"),
+        (("--stiffness", "-1"), "positive"),
+        (("--stiffness", "5e4", "--psi1", "0"), "positive"),
+        (("--stiffness", "5e4", "--dx", "-1"), "dx_cm = -1.0: must be positive"),
+        (("--stiffness", "5e4", "--steps", "33"), "CFL"),
+        (("--stiffness", "5e4", "--times", "1"), "--times 1: give at least 2"),
+        (("--stiffness", "5e4", "--conventions", "printd"), "did you mean 'printed'?"),
+        (
+            ("--stiffness", "5e4", "--friction", "none"),
+            "friction = 'none': unknown; use one of current, rest, fixed",
+        ),
+        (("--stiffness", "5e4", "-o", "waves.txt"), "unknown ending '.txt'; use .nc or .csv"),
+        (("--stiffness", "5e4", "-o", "nowhere/waves.nc"), "folder nowhere does not exist"),
+        (("--stiffness", "5e4", "--plot", "waves.xyz"), "unknown figure format '.xyz'"),
+    ],
+)
+def test_simulate_says_what_to_change(tiny: Path, options, message) -> None:
+    assert message in fails("simulate", tiny, *options)
+
+
+@pytest.mark.needs_data
+def test_simulate_the_mouse_at_the_published_medians() -> None:
+    output = run("simulate", "mouse-c6", "--stiffness", "5.17e4", "--psi1", 0.21, "--psi2", 0.88, "--c", 1.44)
+    sse = float(output.split("512 observed values: ")[1].split()[0])
+    assert sse == pytest.approx(64.6, abs=2.5)

@@ -1,0 +1,89 @@
+"""Starting the command line, its errors, and the commands on data."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from commands import fails, run
+from typer.testing import CliRunner
+
+import zoo
+from zoo.cli import app
+
+pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
+
+
+def test_help_is_quick_and_lists_the_commands() -> None:
+    command = [sys.executable, "-c", "from zoo.cli import app; app()", "--help"]
+    best = np.inf
+    for _ in range(3):
+        began = time.monotonic()
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        best = min(best, time.monotonic() - began)
+    for name in ("fetch", "studies", "simulate", "sample", "compare", "version"):
+        assert name in done.stdout
+    assert best < 2.0  # about 0.4 s on a free core; importing PyMC alone takes longer than this
+
+
+def test_commands_import_nothing_heavy_before_they_run() -> None:
+    heavy = "{'pymc', 'arviz', 'matplotlib', 'scipy', 'numpy'}"
+    code = f"import sys, zoo.cli; print(sorted({heavy} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_version() -> None:
+    output = run("version")
+    assert f"zoo {zoo.__version__}" in output
+    assert f"numpy {np.__version__}" in output
+
+
+def test_studies() -> None:
+    output = run("studies")
+    assert "demo" in output
+    assert "mouse-c6" in output
+
+
+def test_fetch_unknown() -> None:
+    assert "data set 'mouse-c7': unknown; did you mean 'mouse-c6'?" in fails("fetch", "mouse-c7")
+
+
+@pytest.mark.needs_data
+def test_fetch() -> None:
+    output = run("fetch", "mouse-c6")
+    assert output.count("sha256 as expected") == 2
+
+
+def test_unknown_study() -> None:
+    assert "did you mean 'demo'?" in fails("simulate", "demmo", "--stiffness", "5e4")
+
+
+def test_debug_shows_the_traceback() -> None:
+    result = CliRunner().invoke(app, ["--debug", "simulate", "demmo", "--stiffness", "5e4"])
+    assert type(result.exception).__name__ == "StudyError"
+    run("studies")  # and the next command starts without it
+    assert "Traceback" not in fails("simulate", "demmo", "--stiffness", "5e4")
+
+
+def test_a_fault_of_ours_is_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> None:
+        raise ZeroDivisionError("nobody thought\nof this")
+
+    monkeypatch.setattr("zoo.blood.study.list_studies", broken)
+    output = run("studies", code=1)
+    assert (
+        output.strip()
+        == "error: unexpected ZeroDivisionError: nobody thought of this; `zoo --debug ...` shows where"
+    )
+
+
+def test_interrupt_has_its_own_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("zoo.blood.study.list_studies", interrupted)
+    assert "interrupted; the same command goes on" in run("studies", code=130)

@@ -1,0 +1,65 @@
+"""What `zoo.diagnose` gives can draw itself, and nothing below the figures knows them."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+
+import zoo
+from zoo import front
+from zoo.core.data import Data
+from zoo.core.diagnosis.diagnosis import Diagnosis
+
+SOURCE = Path(zoo.__file__).parent
+
+
+def test_a_diagnosis_draws_itself(one: Diagnosis, sampled: Diagnosis) -> None:
+    assert zoo.diagnose is front.diagnose
+    for d in (one, sampled):
+        figure = d.plot()
+        assert isinstance(figure, Figure)
+        figure.canvas.draw()
+        assert any(
+            d.file.verdict[:30] in t.get_text() for t in figure.findobj(lambda a: hasattr(a, "get_text"))
+        )
+
+
+def test_the_front_takes_studies_and_other_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(front.diagnosis, "diagnose", lambda *given, **settings: ("study", given, settings))
+    monkeypatch.setattr(front.diag2, "diagnose", lambda *given, **settings: ("data", given, settings))
+    study = zoo.load_study("demo")
+    assert front.diagnose(study, base="B") == ("study", (study,), {"base": "B"})
+    data = Data(study.time_s, study.values)
+    assert front.diagnose(data, "model", [], seed=3) == ("data", (data, "model", []), {"seed": 3})
+
+
+def test_figures_are_loaded_when_something_is_drawn() -> None:
+    code = (
+        "import sys, zoo; zoo.diagnose; print([m for m in ('matplotlib', 'zoo.plots') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_core_alone_says_what_draws() -> None:
+    code = (
+        "from zoo.core.diagnosis.diagnosis import Diagnosis\n"
+        "try:\n    Diagnosis(*[None] * 6).plot()\nexcept ValueError as error:\n    print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "zoo.plots.plot_diagnosis(d)" in done.stdout
+
+
+@pytest.mark.parametrize("room", ["core", "blood"])
+def test_nothing_below_loads_the_roof_by_its_name(room: str) -> None:
+    """An import by name would go round the order of the modules, which is read from import statements."""
+    for path in (SOURCE / room).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+                named = [a.value for a in node.args if isinstance(a, ast.Constant)]
+                assert not [name for name in named if str(name).startswith("zoo.")], f"{path}:{node.lineno}"

@@ -1,0 +1,131 @@
+"""Figures of a diagnosis carry its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.patches import Rectangle
+
+from zoo import plots
+from zoo.core.diagnosis import diagnosis
+from zoo.core.diagnosis.diagnosis import (
+    Diagnosis,
+    PlaceShare,
+)
+from zoo.plots import diagnosis as figures
+from zoo.plots import tree
+
+pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
+
+
+def words_of(figure: mpl.figure.Figure) -> str:
+    figure.canvas.draw()
+    return " ".join(t.get_text() for t in figure.findobj(mpl.text.Text))
+
+
+@pytest.mark.parametrize("name", ["plot_gap", "plot_hypotheses", "plot_where", "plot_diagnosis"])
+@pytest.mark.parametrize("case", ["one", "three"])
+def test_every_figure_draws(name: str, case: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    figure = getattr(plots, name)(request.getfixturevalue(case))
+    path = plots.save_figure(figure, tmp_path / "x.png")
+    assert path.stat().st_size > 10_000
+    import matplotlib.pyplot as plt
+
+    assert plt.get_fignums() == []
+
+
+def test_the_gap_figure_carries_the_numbers(three: Diagnosis) -> None:
+    figure = plots.plot_gap(three)
+    found = words_of(figure)
+    for series, row in zip(three.study.series, three.file.gap.per_series, strict=True):
+        label = series.label.rsplit(" ", 1)[0]
+        assert f"{label}: gap {row.before.mean:.2g} to {row.after.mean:.2g} {row.unit}" in found
+    assert {"pressure (mmHg)", "flow (ml/s)", "gap (ml/s)", *diagnosis.PHASES} <= {
+        t.get_text() for t in figure.findobj(mpl.text.Text)
+    }
+    top, bottom = figure.axes[0], figure.axes[3]
+    lines = {line.get_label(): line.get_ydata() for line in top.get_lines()}
+    np.testing.assert_array_equal(lines["measured"], three.study.values[0])
+    np.testing.assert_allclose(lines["base"], three.computed[0][0], atol=1e-9)
+    np.testing.assert_allclose(
+        lines["base + viscoelastic-wall"], three.study.values[0] - three.after.residual[0]
+    )
+    left = {line.get_label(): line.get_ydata() for line in bottom.get_lines()}
+    np.testing.assert_array_equal(left["discrepancy of base, 95 %"], three.before.mean[0])
+    [band] = [c for c in bottom.collections if np.isclose(c.get_paths()[0].vertices[:, 1].max(),
+              np.max(three.before.mean[0] + 1.96 * three.before.sd[0]))]  # fmt: skip
+    assert band is not None
+    [strip] = [p for p in bottom.patches if isinstance(p, Rectangle) and p.get_label() == "noise (sd)"]
+    assert strip.get_height() == pytest.approx(2 * three.file.gap.per_series[0].noise_floor)
+
+
+def test_phases_are_shaded_where_they_are(one: Diagnosis) -> None:
+    phase = diagnosis.phases(one.study.values[0], one.study.period_s)
+    spans = figures._spans(phase)
+    assert sum(last - first for first, last, _ in spans) == len(phase)
+    for first, last, k in spans:
+        assert set(phase[first:last]) == {k}
+    shaded = [p for p in plots.plot_gap(one).axes[0].patches if isinstance(p, Rectangle)]
+    step = 110 / 64
+    expected = [(first * step, (last - first) * step) for first, last, k in spans if k % 2]
+    np.testing.assert_allclose([(p.get_x(), p.get_width()) for p in shaded], expected)
+
+
+def test_hypotheses_are_ordered_coloured_and_marked(three: Diagnosis) -> None:
+    hypotheses = list(three.file.hypotheses)
+    # as if the second could not be told from the first, and the last could not be seen
+    hypotheses[1] = hypotheses[1].model_copy(update={"group": hypotheses[0].group})
+    hidden = hypotheses[-1].name
+    d = replace(three, file=three.file.model_copy(update={"hypotheses": hypotheses, "invisible": [hidden]}))
+    figure = plots.plot_hypotheses(d)
+    [axes] = figure.axes
+    bars = {c.get_label(): c[0] for c in axes.containers}
+    zero = next(h.log_evidence for h in hypotheses if h.name == "no-gap")
+    for row, h in enumerate(hypotheses):
+        bar = bars[h.name]
+        assert bar.get_width() == pytest.approx(h.log_evidence - zero)
+        assert bar.get_y() + bar.get_height() / 2 == pytest.approx(row)
+        assert bool(bar.get_hatch()) == (h.name in ("no-gap", "unlisted", "correlated-noise"))
+    first, second, last = (bars[hypotheses[i].name].get_facecolor() for i in (0, 1, -1))
+    assert first == second != last
+    assert last == mpl.colors.to_rgba("white")
+    found = words_of(figure)
+    assert "invisible here" in found
+    assert "not told apart" in found
+    assert f"gap {hypotheses[0].gap_after_mmHg:.2g} mmHg" in found
+
+
+def test_the_tree_is_coloured_by_the_probability_of_the_place(three: Diagnosis) -> None:
+    shares = [
+        PlaceShare(vessel=2, subtree=True, probability=0.5),
+        PlaceShare(vessel=None, subtree=False, probability=0.3),
+        PlaceShare(vessel=4, subtree=False, probability=0.2),
+    ]
+    where = three.file.where.model_copy(update={"place": shares})
+    figure = plots.plot_where(replace(three, file=three.file.model_copy(update={"where": where})))
+    lines = {
+        int(line.get_gid().removeprefix("vessel-")): line
+        for line in figure.findobj(mpl.lines.Line2D)
+        if line.get_gid()
+    }
+    colours = mpl.colors.LinearSegmentedColormap.from_list("places", tree.LOCATION_COLOURS)
+    for vessel, p in {1: 0.0, 2: 0.5, 3: 0.0, 4: 0.7, 5: 0.5}.items():
+        assert lines[vessel].get_color() == pytest.approx(colours(p))
+    assert lines[1].get_linewidth() > lines[5].get_linewidth()
+    for vessel in three.study.vessels:
+        if vessel.parent is not None:
+            start, end = lines[vessel.id].get_xydata()[0], lines[vessel.parent].get_xydata()[1]
+            np.testing.assert_array_equal(start, end)
+    found = words_of(figure)
+    assert "everywhere alike: 30 %" in found
+    assert "vessel 2 and below: 50 %" in found
+
+
+def test_a_tree_listed_daughters_first_is_laid_out_too(three: Diagnosis) -> None:
+    assert tree.tree_layout(three.study.vessels[::-1]).keys() == tree.tree_layout(three.study.vessels).keys()
+    ends = [place[3] for v, place in tree.tree_layout(three.study.vessels).items() if v in (3, 4, 5)]
+    assert sorted(ends) == [-2.0, -1.0, 0.0]

@@ -1,0 +1,95 @@
+"""Figures of one posterior and of a comparison carry the data, the bands and the units that they claim to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from drawn import band_of, texts
+
+from zoo import plots
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+
+def test_fit_shows_data_median_bands_and_residual(tube):
+    rng = np.random.default_rng(1)
+    spread = rng.normal(size=(400, 2, 1))
+    means = tube.values + 0.3 + 0.05 * spread
+    predictions = means + 0.2 * rng.normal(size=means.shape)
+    figure = plots.fit_figure(tube, means, predictions, title="model A on tube")
+    top, _, bottom, _ = figure.axes
+    lines = {line.get_label(): line.get_ydata() for line in top.get_lines()}
+    np.testing.assert_array_equal(lines["observed"], tube.values[0])
+    np.testing.assert_allclose(lines["posterior median"], np.median(means[:, 0], axis=0))
+    residual = bottom.get_lines()[-1].get_ydata()
+    np.testing.assert_allclose(residual, tube.values[0] - np.median(means[:, 0], axis=0))
+    low, high = band_of(top, "95 % credible")
+    expected = np.quantile(spread[:, 0, 0], (0.025, 0.975)) * 0.05
+    np.testing.assert_allclose(low, tube.values[0] + 0.3 + expected[0])
+    np.testing.assert_allclose(high, tube.values[0] + 0.3 + expected[1])
+    outer_low, outer_high = band_of(top, "95 % prediction")
+    assert np.all(outer_low < low)
+    assert np.all(outer_high > high)
+    found = texts(figure)
+    assert {"pressure (mmHg)", "flow (ml/s)", "time in the beat (ms)", "residual", "v1@0", "v1@1"} <= found
+    assert "model A on tube" in found
+
+
+def test_fit_without_predictions(tube):
+    figure = plots.fit_figure(tube, tube.values[None].repeat(5, axis=0))
+    assert "95 % prediction" not in texts(figure)
+
+
+def test_chain_figures_have_units_and_leave_waveforms_out(idata, tmp_path):
+    for draw in (plots.trace_figure, plots.rank_figure, plots.pair_figure):
+        figure = draw(idata)
+        words = " ".join(texts(figure))
+        assert "$f_3$ (g cm$^{-1}$ s$^{-2}$)" in words or "$f_3$ (10$^4$ g cm$^{-1}$ s$^{-2}$)" in words
+        assert "mean" not in words
+        path = plots.save_figure(figure, tmp_path / f"{draw.__name__}.png")
+        assert path.stat().st_size > 5000
+    assert len(plots.trace_figure(idata, ["c"]).axes) == 2
+    import matplotlib.pyplot as plt
+
+    assert plt.get_fignums() == []  # nothing is left open
+
+
+def test_pairs_are_in_the_power_of_ten_that_their_label_says(idata):
+    figure = plots.pair_figure(idata, ["f3", "c"])
+    [scatter] = [c for axes in figure.axes for c in axes.collections if len(c.get_offsets()) == 800]
+    np.testing.assert_allclose(scatter.get_offsets()[:, 0], idata.posterior.f3.to_numpy().ravel() / 1e4)
+    assert "$f_3$ (10$^4$ g cm$^{-1}$ s$^{-2}$)" in texts(figure)
+
+
+def test_comparison_shows_values_errors_weights_and_convergence():
+    table = pd.DataFrame(
+        {
+            "waic": [-4489.0, -4486.0, 400.0],
+            "waic_se": [30.0, 31.0, 35.0],
+            "difference": [0.0, 3.0, 4889.0],
+            "difference_se": [0.0, 2.0, 60.0],
+            "weight": [0.7, 0.3, 0.0],
+            "converged": [True, False, True],
+        },
+        index=list("HBA"),
+    )
+    table.attrs["ic"] = "waic"
+    figure = plots.comparison_figure(table)
+    left, right = figure.axes
+    points = [line.get_xdata()[0] for line in left.get_lines() if len(line.get_xdata()) == 1]
+    assert points[:3] == [-4489.0, -4486.0, 400.0] or set(points) >= {-4489.0, -4486.0, 400.0}
+    assert right.get_xscale() == "symlog"
+    found = texts(figure)
+    assert {"H", "B", "A", "weight 0.70", "not converged", "WAIC of 3 models"} <= found
+    near = plots.comparison_figure(table.iloc[:1])
+    assert "not converged" not in texts(near)
+    assert near.axes[1].get_xscale() == "linear"
+
+
+def test_save_says_what_is_wrong(tube, tmp_path):
+    figure = plots.fit_figure(tube, tube.values[None])
+    with pytest.raises(plots.FigureError, match=r"unknown figure format '\.xyz'; use \.png"):
+        plots.save_figure(figure, tmp_path / "a.xyz")
+    with pytest.raises(plots.FigureError, match="does not exist; create it"):
+        plots.save_figure(figure, tmp_path / "no" / "a.png")

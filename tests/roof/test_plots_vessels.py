@@ -1,0 +1,121 @@
+"""Figures of waves and bands show the vessels, positions and models that they were given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+from drawn import TIMES, fake_waves, fill_of, lines_of, texts
+
+from zoo import plots
+from zoo.blood.predictive import bands, median_waves
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+
+@pytest.mark.parametrize(("n", "lines"), [(2, 6), (12, 12)])
+def test_waves_draw_every_vessel(tube, n, lines):
+    shape = ("vessel", "position", "time")
+    rng = np.random.default_rng(3)
+    waves = xr.Dataset(
+        {name: (shape, rng.normal(size=(n, 3, 40))) for name in plots.QUANTITY_LABELS},
+        coords={"vessel": range(1, n + 1), "position": [0.0, 0.5, 1.0], "time": TIMES},
+    )
+    figure = plots.waves_figure(waves)
+    assert [len(axes.get_lines()) for axes in figure.axes] == [lines] * 3
+    np.testing.assert_array_equal(figure.axes[1].get_lines()[0].get_ydata(), waves.flow_ml_s[0, 0])
+    assert {"pressure (mmHg)", "flow (ml/s)", "area (cm$^2$)", "vessel 2", "position 0"} <= texts(figure)
+    observed = plots.waves_figure(waves, tube, vessels=[1])
+    assert [len(axes.get_lines()) for axes in observed.axes] == [4, 4, 3]
+    assert "observed v1@0" in texts(observed)
+    nothing = plots.waves_figure(waves, replace(tube, series=(), time_s=np.empty(0)), vessels=[1])
+    assert [len(axes.get_lines()) for axes in nothing.axes] == [3, 3, 3]
+
+
+def test_uncertainty_has_a_column_a_model_and_a_row_a_vessel(tube):
+    both = {
+        name: bands(fake_waves(level=15 + i), "pressure_mmHg", (0.95,), errors=True)
+        for i, name in enumerate("AB")
+    }
+    figure = plots.uncertainty_figure(both, tube, vessels=(1, 4, 7))
+    assert len(figure.axes) == 6
+    found = texts(figure)
+    assert {"model A", "model B", "95 % credible", "95 % prediction", "measured"} <= found
+    assert "trunk\npressure (mmHg)" in found
+    assert "vessel 7\npressure (mmHg)" in found
+    expected = both["B"].sel(vessel=4, position=0.5, prob=0.95)  # midway, other than the root
+    axes = figure.axes[3]
+    prediction, credible = axes.collections
+    np.testing.assert_allclose(fill_of(prediction), (expected.prediction_low[0], expected.prediction_high[0]))
+    np.testing.assert_allclose(fill_of(credible), (expected.low[0], expected.high[0]))
+    np.testing.assert_allclose(lines_of(axes)[0], expected["median"])
+    assert [len(axes.get_lines()) for axes in figure.axes] == [2, 2, 1, 1, 1, 1]
+    np.testing.assert_array_equal(lines_of(figure.axes[1])[1], tube.series[0].value)
+    assert "measured" not in texts(plots.uncertainty_figure({"A": bands(fake_waves(), "flow_ml_s")}))
+    with pytest.raises(plots.FigureError, match=r"prob = 0\.9: the bands have 0\.95; choose"):
+        plots.uncertainty_figure(both, prob=0.9)
+    with pytest.raises(plots.FigureError, match="vessel 30: the waves have 1, 2, 3"):
+        plots.uncertainty_figure(both, vessels=[30])
+    with pytest.raises(plots.FigureError, match="no bands: give at least one"):
+        plots.uncertainty_figure({})
+
+
+def test_all_vessels_have_a_panel_and_areas_readable_numbers(tube):
+    figure = plots.all_vessels_figure(
+        bands(fake_waves(), "pressure_mmHg", errors=True), tube, title="model A"
+    )
+    shown = [axes for axes in figure.axes if axes.axison]
+    assert [axes.get_title(loc="left") for axes in shown] == ["trunk", *(f"vessel {v}" for v in range(2, 10))]
+    assert [len(axes.collections) for axes in shown] == [2] * 9
+    assert {"measured", "model A", "pressure (mmHg)", "95 % prediction"} <= texts(figure)
+    area = bands(fake_waves(), "area_cm2")
+    drawn = plots.all_vessels_figure(area)
+    assert "area (10$^{-3}$ cm$^2$)" in texts(drawn)
+    expected = 1e3 * area["median"].sel(vessel=1, position=0.0)
+    np.testing.assert_allclose(lines_of(drawn.axes[0])[0], expected)
+    assert "95 % prediction" not in texts(drawn)
+
+
+def test_models_share_panels_and_leave_residuals(tube):
+    medians = {name: median_waves(fake_waves(level=15 + i)) for i, name in enumerate("ABH")}
+    figure = plots.models_figure(medians, tube, vessels=(1, 2, 5))
+    assert [len(axes.get_lines()) for axes in figure.axes] == [4, 3, 3, 4]
+    for line, name in zip(lines_of(figure.axes[2]), medians, strict=True):
+        np.testing.assert_allclose(line, medians[name].pressure_mmHg.sel(vessel=5))
+    residual = lines_of(figure.axes[3])[2]
+    np.testing.assert_allclose(residual, tube.series[0].value - medians["B"].pressure_mmHg.sel(vessel=1))
+    assert {"model A", "model H", "residual, trunk", "measured"} <= texts(figure)
+    styles = {line.get_linestyle() for line in figure.axes[0].get_lines()[:3]}
+    assert styles == {"--", "-"}  # independent errors are dashed
+    flow = plots.models_figure(medians, tube, quantity="flow_ml_s")
+    assert sum(axes.axison for axes in flow.axes) == 7
+    assert "residual, trunk" not in texts(flow)
+    with pytest.raises(plots.FigureError, match="quantity = 'speed': must be one of pressure_mmHg"):
+        plots.models_figure(medians, quantity="speed")
+
+
+@pytest.mark.parametrize("standardised", [False, True])
+def test_loops_are_pressure_against_area(standardised):
+    waves = {name: median_waves(fake_waves(level=15 + 2 * i)) for i, name in enumerate("GI")}
+    figure = plots.loops_figure(waves, standardised=standardised)
+    assert sum(axes.axison for axes in figure.axes) == 7
+    first, second = figure.axes[0].get_lines()
+    area, pressure = np.asarray(first.get_xdata()), np.asarray(first.get_ydata())
+    assert np.all(np.diff(area) >= 0)
+    if standardised:
+        assert area.min() == 0
+        assert second.get_xdata().max() == 1
+    else:
+        np.testing.assert_allclose(area, 1e3 * pressure / 5000)
+    everything = plots.loops_figure(waves, vessels=list(waves["G"].vessel.values), standardised=standardised)
+    assert sum(axes.axison for axes in everything.axes) == 9
+    assert {"model G", "model I", "pressure (mmHg)", "vessel 9"} <= texts(everything)
+
+
+def test_nine_models_have_nine_styles():
+    styles = [plots.model_style(name) for name in "ABCDEFGHI"]
+    assert len(set(styles)) == 9
+    others = [plots.model_style("mine", place) for place in range(21)]
+    assert len(set(others)) == 21

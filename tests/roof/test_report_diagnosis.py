@@ -1,0 +1,175 @@
+"""The file of a diagnosis, its documentation, its page."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+from pages import Element, read, table_of
+from pydantic import BaseModel
+from withheld import CONFIRMATION, FILES, screen_of, with_confirmation
+
+import zoo
+from zoo import report
+from zoo.core.diagnosis import diagnosis, discrepancy, screening
+from zoo.core.diagnosis.diagnosis import (
+    Diagnosis,
+    DiagnosisError,
+    DiagnosisFile,
+    read_diagnosis,
+)
+
+pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
+
+DOC = Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md"
+
+
+def test_the_file_comes_back_as_it_was(three: Diagnosis, one: Diagnosis, tmp_path: Path) -> None:
+    for d in (three, one, with_confirmation(one)):
+        path = d.save(tmp_path / "x")
+        assert path == tmp_path / "x" / "diagnosis.json"
+        for again in (read_diagnosis(path), zoo.read_diagnosis(path.parent)):
+            assert json.loads(again.model_dump_json()) == json.loads(path.read_text("utf-8"))
+            assert again.hypotheses == d.file.hypotheses
+            assert again.gap == d.file.gap
+
+
+def test_a_file_that_does_not_fit_is_refused(one: Diagnosis, tmp_path: Path) -> None:
+    path = one.save(tmp_path)
+    content = json.loads(path.read_text("utf-8"))
+    with pytest.raises(DiagnosisError, match="cannot be read"):
+        read_diagnosis(tmp_path / "no.json")
+    for change, field in (({"format": 2}, "format"), ({"gapp": 1}, "gapp"), ({"verdict": None}, "verdict")):
+        path.write_text(json.dumps(content | change), "utf-8")
+        with pytest.raises(DiagnosisError, match=f"{field}: .*make it again") as error:
+            read_diagnosis(path)
+        assert "\n" not in str(error.value)
+    path.write_text("{", "utf-8")
+    with pytest.raises(DiagnosisError, match="make it again"):
+        read_diagnosis(path)
+
+
+def fields(model: type[BaseModel]) -> set[str]:
+    """Names of a model's fields and of those inside it."""
+    found = set()
+    for name, field in model.model_fields.items():
+        found.add(name)
+        kinds = [field.annotation]
+        while kinds:
+            kind = kinds.pop()
+            kinds += get_args(kind)
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                found |= fields(kind)
+    return found
+
+
+def test_readers_read_the_times_that_are_written(one: Diagnosis, sampled: Diagnosis, tmp_path: Path) -> None:
+    before, after = one.file.record, sampled.file.record
+    [written] = set(after) - set(before)
+    screening = before["screening_seconds"]
+    assert report.total_seconds(before) == screening
+    assert report.total_seconds(after) == screening + after[written] > screening
+    slow = after | {written: 1000.0}
+    older = before | {"confirmation_seconds": 1000.0}
+    for record in (slow, older):
+        d = replace(sampled, file=sampled.file.model_copy(update={"record": record}))
+        assert report.total_seconds(record) == screening + 1000
+        assert screen_of(d.file).strip().endswith(f", {screening + 1000:.0f} s in all")
+        report.write_diagnosis(d, tmp_path / "x")
+        [facts] = read(tmp_path / "x" / "report.html").of_class("facts")
+        shown = dict(zip(*([e.text for e in facts.all(tag)] for tag in ("dt", "dd")), strict=True))
+        assert shown["screening seconds"] == f"{screening:.1f}"
+        assert shown["posterior seconds"] == "1000.0"
+        assert shown["total seconds"] == f"{screening + 1000:.1f}"
+
+
+def test_the_document_has_every_field_and_constant(one: Diagnosis, sampled: Diagnosis) -> None:
+    text = DOC.read_text("utf-8")
+    words = set(re.findall(r"`([\w.]+)`", text))
+    assert fields(DiagnosisFile) - {"low", "high", "mean"} <= words
+    assert set(sampled.file.record) | set(CONFIRMATION["no-gap"]) <= words
+    rows = dict(re.findall(r"^\| `([A-Z_]+)` \| ([\d., ]+) \|", text, flags=re.M))
+    assert len(rows) > 10
+    for name, value in rows.items():
+        [home] = [m for m in (screening, discrepancy, diagnosis) if name in ast_names(m)]
+        expected = np.atleast_1d(getattr(home, name))
+        assert [float(x) for x in value.split(",")] == pytest.approx(list(expected)), name
+
+
+def ast_names(module: object) -> set[str]:
+    """Constants that a module defines itself."""
+    text = Path(str(getattr(module, "__file__", ""))).read_text("utf-8")
+    heads = re.findall(r"^([A-Z_]+(?:, [A-Z_]+)*) = ", text, flags=re.M)
+    return {name for head in heads for name in head.split(", ")}
+
+
+@pytest.fixture(scope="module")
+def page(three: Diagnosis, tmp_path_factory: pytest.TempPathFactory) -> Element:
+    out = tmp_path_factory.mktemp("page") / "gap"
+    written = report.write_diagnosis(with_confirmation(three), out, command="zoo diagnose <x>")
+    assert [p.name for p in written] == FILES
+    assert all(p.is_file() for p in written)
+    return read(out / "report.html")
+
+
+def test_the_page_is_whole_and_loads_nothing(page: Element) -> None:
+    assert [i.attributes["src"].startswith("data:image/png;base64,") for i in page.all("img")] == [True] * 3
+    assert page.all("script") == []
+    assert "url(" not in page.all("style")[0].text
+    assert ".summary" in page.all("style")[0].text
+    for table in page.all("table"):
+        assert table.all("caption")[0].text
+        width = len(table.all("thead")[0].all("th"))
+        assert {len(row.all("td") + row.all("th")) for row in table.all("tbody")[0].all("tr")} == {width}
+    inner = {a.attributes["href"][1:] for a in page.all("a")}
+    assert inner == {h.attributes["id"] for h in page.all("h2")}
+
+
+def test_the_page_has_the_numbers(page: Element, three: Diagnosis) -> None:
+    file = three.file
+    text = page.text
+    assert file.verdict in text
+    for words in ("zoo diagnose <x>", file.study_checksum, *(f"{x} " for x in file.record["versions"])):
+        assert words in text
+    rows = table_of(page, "Gap in each observed series")
+    assert [row[:2] for row in rows] == [[s.series, s.unit] for s in file.gap.per_series]
+    assert rows[0][2].startswith(f"{file.gap.per_series[0].before.mean:.2g} (")
+    rows = table_of(page, "Explanations")
+    assert [row[0] for row in rows] == [h.name for h in file.hypotheses]
+    assert "Kelvin-Voigt" in rows[0][-1]
+    tau = file.hypotheses[0].amplitude
+    assert tau is not None
+    assert f"tau {tau.mean:.3g} ± {tau.sd:.2g} s" in rows[0]
+    rows = table_of(page, "Parameters of the base")
+    assert [row[0] for row in rows] == ["f3", "psi1", "psi2", "c"]
+    shift = file.base_parameters["with cause"]["c"] - file.base_parameters["base"]["c"]
+    assert float(rows[3][5]) == pytest.approx(shift, rel=0.01)
+    assert [row[0] for row in table_of(page, "After each")] == [step.name for step in file.steps]
+    [failed] = page.of_class("failed")
+    assert failed.text == "viscoelastic-wall: not converged: R-hat of tau is 1.2"
+    rows = table_of(page, "The base and the leading explanations sampled")
+    assert [row[0] for row in rows] == ["viscoelastic-wall", "no-gap"]
+    assert rows[0][1:] == ["no", "60.0 ± 0.1", "65.0", "0.0", "–", "f3 4.3e+04 ± 3e+02"]
+
+
+def test_groups_are_explained(three: Diagnosis, tmp_path: Path) -> None:
+    hypotheses = [h.model_copy(update={"group": 0}) for h in three.file.hypotheses[:2]]
+    hypotheses += three.file.hypotheses[2:]
+    file = three.file.model_copy(update={"hypotheses": hypotheses, "invisible": ["inflow-shift"]})
+    report.write_diagnosis(replace(three, file=file), tmp_path / "x")
+    text = read(tmp_path / "x" / "report.html").text
+    assert f"Group 0: {hypotheses[0].name} and {hypotheses[1].name} explain these data alike" in text
+    assert "inflow-shift: the base's parameters absorb what these do" in text
+
+
+def test_a_page_needs_a_folder(one: Diagnosis, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(report.ReportError, match="is a file; choose a folder"):
+        report.write_diagnosis(one, tmp_path / "file")
+    with pytest.raises(report.ReportError, match="does not exist; create it"):
+        report.write_diagnosis(one, tmp_path / "no" / "gap")

@@ -1,0 +1,77 @@
+"""A study whose effect is known, and diagnoses as if they had gone on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from rich.console import Console
+
+from zoo import cli
+from zoo.blood.effects import Place, get_base, get_effect, simulate
+from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
+from zoo.core.diagnosis.diagnosis import (
+    Diagnosis,
+    DiagnosisFile,
+)
+from zoo.paper.synthetic import ejection
+
+TAU_S = 0.004
+
+NOISE = {"pressure_mmHg": 0.05, "flow_ml_s": 0.003}
+
+TRIED = ("viscoelastic-wall", "inflow-shift", "vessel-radius")
+
+
+def made(*series: tuple[int, float, str]) -> Study:
+    """A tree of five vessels whose wall is viscoelastic, with white noise."""
+    flow_time, flow = ejection(256)
+    ends = [Windkessel(6e4, 1.8e5, 8e-7), Windkessel(7e4, 2e5, 7e-7), Windkessel(4e4, 1.1e5, 1.2e-6)]
+    vessels = (
+        Vessel(1, "trunk", 0.4, 0.047, 0.047, None, None),
+        Vessel(2, "left", 0.35, 0.035, 0.035, 1, None),
+        Vessel(3, "right", 0.3, 0.035, 0.03, 1, ends[2]),
+        Vessel(4, "upper", 0.2, 0.025, 0.025, 2, ends[0]),
+        Vessel(5, "lower", 0.25, 0.022, 0.022, 2, ends[1]),
+    )
+    times = np.arange(64) * 0.11 / 64
+    study = Study("soft", 0.11, Blood(1.055, 0.049), vessels, flow_time, flow, times, ())
+    base = get_base("linear-constant")
+    case = get_effect("viscoelastic-wall").apply(base.case(study, base.start), (TAU_S,), Place())
+    waves, reason = simulate(case, series, times)
+    assert reason is None
+    rng = np.random.default_rng(3)
+    noisy = [w + NOISE[s[2]] * rng.standard_normal(64) for s, w in zip(series, waves, strict=True)]
+    return replace(study, series=tuple(Series(*s, w) for s, w in zip(series, noisy, strict=True)))
+
+
+FILES = ["diagnosis.json", "report.html", "gap.png", "hypotheses.png", "where.png", "diagnosis.png"]
+
+CONFIRMATION = {
+    name: {
+        "converged": name == "no-gap",
+        "verdict": "not converged: R-hat of tau is 1.2",
+        "log_marginal_likelihood": value,
+        "log_marginal_likelihood_se": 0.1,
+        "elpd_waic": value + 5,
+        "elpd_waic_difference": 0.0 if value > 0 else 160.0,
+        "elpd_waic_difference_se": None,
+        "elpd_loo": None,
+        "parameters": {"f3": {"mean": 4.3e4, "sd": 300.0}},
+    }
+    for name, value in (("no-gap", -100.0), ("viscoelastic-wall", 60.0))
+}
+
+
+def with_confirmation(d: Diagnosis) -> Diagnosis:
+    """As if the leading explanations had been sampled."""
+    return replace(d, file=d.file.model_copy(update={"confirmation": CONFIRMATION}))
+
+
+def screen_of(file: DiagnosisFile) -> str:
+    """What `zoo diagnose` says of a diagnosis."""
+    console = Console(width=200)
+    with console.capture() as captured:
+        for line in cli.diagnose.diagnosis_screen(file):
+            console.print(line)
+    return captured.get()
