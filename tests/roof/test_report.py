@@ -32,8 +32,6 @@ from zoo.report import chapters
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 
-"""The page is read back with Python's own parser and compared with what went in."""
-
 CENTRE = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.0025, "w": 5e4, "b": 100.0}
 
 
