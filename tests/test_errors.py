@@ -21,6 +21,9 @@ from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.independent import Independent
 from zoo.core.errors.spectral import Cosines, GroupPriors, Harmonics, LogNormal
 from zoo.core.forward import FunctionModel, Outputs, SolveError
+from zoo.core.inference.logposterior import LogPosterior
+from zoo.core.inference.mode import find_mode
+from zoo.core.inference.newton import gauss_newton
 from zoo.core.inference.sampling import sample
 from zoo.core.model import ModelError, bayesian_model, record_of
 from zoo.core.parameters import InverseGamma, LogUniform, Normal, Parameter, Prior, Uniform
@@ -356,6 +359,16 @@ def test_an_error_model_of_one_s_own_is_predicted_with(sampled) -> None:
     standard = (predicted - mean) / draws["scale"]
     assert dict(standard.sizes) == {"chain": 2, "draw": 150, "series": 2, "time": 24}
     assert stats.kstest(standard.to_numpy().ravel(), stats.t(3.0).cdf).pvalue > 1e-3
+
+
+def test_gauss_newton_whitens_with_any_error_model(sampled) -> None:
+    model, _ = sampled["student-t"]
+    logp = LogPosterior(model)
+    mode = find_mode(model)
+    q = logp.from_values({"rate": 0.7, "scales": [1.0, 5.0], "scale": 0.5})
+    _, value, _ = gauss_newton(logp, q, logp(q), limit=300)
+    assert value == pytest.approx(mode.logp, abs=0.3)  # the sum of squares is not the density: near it
+    assert logp(q) < value - 20
 
 
 def test_the_record_of_a_model(sampled) -> None:

@@ -110,15 +110,13 @@ def gauss_newton(
                 moved = q.copy()
                 moved[k] += h
                 there, _ = model.mean(moved)
-                if there is not None:
-                    columns.append((mean - there) / h)
+                moved_z = None if there is None else model.whiten(data - there, errors)
+                if moved_z is not None:  # differences of what is whitened: it need not be linear
+                    columns.append((moved_z - z) / h)
                     break
             else:
-                columns.append(np.zeros_like(mean))
-        whitened = model.whiten(np.array(columns), errors)
-        if whitened is None:
-            break
-        J = whitened.reshape(len(theta), -1).T
+                columns.append(np.zeros_like(z))
+        J = np.reshape(columns, (len(theta), -1)).T
         slope, curvature = model.prior(q)
         gradient = slope[theta] - J.T @ z.ravel()
         H = J.T @ J + curvature[np.ix_(theta, theta)]

@@ -22,7 +22,7 @@ from zoo.core.errors.base import DECOMPOSITIONS
 from zoo.core.forward import SolveError
 from zoo.core.inference.convergence import Verdict, judged
 from zoo.core.model import ModelRecord, record_of
-from zoo.core.parameters import pack, variable_name
+from zoo.core.parameters import variable_name
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -132,6 +132,31 @@ def _flat(posterior: xr.Dataset, name: str, record: ModelRecord) -> Array:
     return np.asarray(values.reshape(-1, *values.shape[2:]), dtype=np.float64)
 
 
+def forward_points(model: pm.Model, posterior: xr.Dataset) -> Array:
+    """Parameters of the forward model at each posterior draw.
+
+    Parameters
+    ----------
+    model : pm.Model
+        With a record.
+    posterior : Dataset
+        Draws of every parameter of the forward model, dimensions chain, draw, ...
+
+    Returns
+    -------
+    array (n_chains n_draws, n_values)
+        For `ForwardModel.configure`; the draws of the first chain stand first.
+
+    Raises
+    ------
+    ComparisonError
+        If a parameter is missing.
+    """
+    record = record_of(model)
+    draws = [_flat(posterior, name, record) for name in record.forward_parameters]
+    return np.concatenate([values.reshape(len(values), -1) for values in draws], axis=1)
+
+
 def posterior_means(model: pm.Model, posterior: xr.Dataset, *, progress: Progress | None = None) -> Array:
     """Series of the forward model at each posterior draw, each distinct draw solved once.
 
@@ -153,15 +178,7 @@ def posterior_means(model: pm.Model, posterior: xr.Dataset, *, progress: Progres
     if not hasattr(record, "forward"):
         return _solver_means(model, posterior, progress)
     forward = record.forward
-    draws = {p.name: _flat(posterior, variable_name(p.name), record) for p in forward.parameters}
-    n_draws = posterior.sizes["chain"] * posterior.sizes["draw"]
-    theta = np.array(
-        [
-            pack(forward.parameters, {name: column[i] for name, column in draws.items()})
-            for i in range(n_draws)
-        ]
-    )
-    points, which = np.unique(theta, axis=0, return_inverse=True)
+    points, which = np.unique(forward_points(model, posterior), axis=0, return_inverse=True)
 
     def solve(point: Array) -> Array:
         try:
@@ -180,7 +197,11 @@ def _each(
     threads: bool,
     progress: Progress | None,
 ) -> Array:
-    """Series (n_points, *shape) at each point, by several threads at once if these may solve together."""
+    """Series (n_points, *shape) at each point, by several threads at once if these may solve together.
+
+    One by one, as when sampling: a batch of the blood-flow solver takes the time step of its stiffest set,
+    which moves the Gaussian process' log-likelihood by a few tenths.
+    """
     means = np.empty((len(points), *shape))
     with ThreadPoolExecutor(os.cpu_count() if threads else 1) as pool:
         for i, mean in enumerate(pool.map(solve, points)):
