@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import pickle
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import arviz as az
 import cloudpickle
@@ -359,6 +363,28 @@ def test_an_error_model_of_one_s_own_is_predicted_with(sampled) -> None:
     standard = (predicted - mean) / draws["scale"]
     assert dict(standard.sizes) == {"chain": 2, "draw": 150, "series": 2, "time": 24}
     assert stats.kstest(standard.to_numpy().ravel(), stats.t(3.0).cdf).pvalue > 1e-3
+
+
+def test_the_error_model_of_the_contributing_guide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Written to a file of a user's, as it stands there."""
+    text = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    [code] = [block for block in re.findall(r"```python\n(.*?)```", text, re.S) if "ErrorModel)" in block]
+    (tmp_path / "heavy_tails.py").write_text(code, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    module: Any = importlib.import_module("heavy_tails")
+    theirs, ours = (cls(SCALE, dof=10.0).bind(some_data(ONE)) for cls in (module.StudentT, StudentT))
+    values = {"scale": 0.3}
+    residual = some_errors(theirs, values)
+    for method in ("terms", "whiten", "unwhiten"):
+        np.testing.assert_array_equal(
+            getattr(theirs, method)(residual, values), getattr(ours, method)(residual, values)
+        )
+    np.testing.assert_array_equal(theirs.variance(values), ours.variance(values))
+    model = made(theirs)
+    copy = pickle.loads(cloudpickle.dumps(model))
+    assert float(copy.compile_logp()(model.initial_point())) == float(
+        model.compile_logp()(model.initial_point())
+    )
 
 
 def test_gauss_newton_whitens_with_any_error_model(sampled) -> None:
