@@ -1,4 +1,4 @@
-"""Error models: terms against brute force, PyMC faces against SciPy, failed solves, pickling."""
+"""The Gaussian process and independent errors: terms against brute force, PyMC variables, failed solves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from pytensor.tensor.linalg import cholesky, solve_triangular
 from scipy import stats
 
 from zoo.core.data import Data
-from zoo.core.distributions import LogUniform
 from zoo.core.errors import gaussian_process
 from zoo.core.errors.base import ErrorModelError
 from zoo.core.errors.gaussian_process import (
@@ -32,8 +31,7 @@ from zoo.core.errors.gaussian_process import (
 from zoo.core.errors.independent import Independent, iid_terms
 from zoo.core.errors.variables import Errors, ErrorTermsOp, IidErrors
 from zoo.core.op import MissingGradientError
-from zoo.core.parameters import InverseGamma, random_variables
-from zoo.core.parameters import LogUniform as LogUniformPrior
+from zoo.core.parameters import InverseGamma, LogUniform, random_variables
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:For one or more samples the posterior variance",
@@ -74,7 +72,7 @@ def observed(values: np.ndarray, times: np.ndarray = TIME_S, quantity: str = "pr
 
 
 def process(values: np.ndarray, times: np.ndarray = TIME_S) -> GaussianProcess:
-    return GaussianProcess(LogUniformPrior(*W_RANGE), LogUniformPrior(*B_RANGE), unit="mmHg").bind(
+    return GaussianProcess(LogUniform(*W_RANGE), LogUniform(*B_RANGE), unit="mmHg").bind(
         observed(values, times)
     )
 
@@ -230,7 +228,7 @@ def test_one_variance_does_not_hold_for_two_quantities() -> None:
     with pytest.raises(ErrorModelError, match="'data' observes flow and pressure: one sigma2 cannot hold"):
         Independent().bind(data)
     with pytest.raises(ErrorModelError, match="observes q: the Gaussian process' amplitude and noise are in"):
-        GaussianProcess(LogUniformPrior(*W_RANGE), LogUniformPrior(*B_RANGE), unit="mmHg").bind(data)
+        GaussianProcess(LogUniform(*W_RANGE), LogUniform(*B_RANGE), unit="mmHg").bind(data)
 
 
 # PyTensor and PyMC faces
@@ -343,22 +341,6 @@ def test_draws_of_a_given_size() -> None:
     draws = pm.draw(iid, draws=200, random_seed=1)
     assert draws.shape == (200, 3, 2, 8)
     assert draws.var() == pytest.approx(0.5, rel=0.05)
-
-
-def test_log_uniform_against_scipy() -> None:
-    x = np.array([0.5, 1.0, 7.0, 499.9, 501.0])
-    distribution = LogUniform.dist(1.0, 500.0)
-    np.testing.assert_allclose(pm.logp(distribution, x).eval(), stats.loguniform(1, 500).logpdf(x))
-    draws = pm.draw(distribution, draws=2000, random_seed=4)
-    assert stats.kstest(draws, stats.loguniform(1, 500).cdf).pvalue > 1e-3
-
-
-def test_log_uniform_is_logistic_in_the_unconstrained_space() -> None:
-    with pm.Model() as model:
-        LogUniform("b", 1.0, 500.0)
-    logp = model.compile_logp()
-    for value in (-3.0, 0.0, 2.5):
-        assert float(logp({"b_chain__": value})) == pytest.approx(stats.logistic.logpdf(value))
 
 
 @pytest.mark.parametrize("make", [iid_model, gp_model])
