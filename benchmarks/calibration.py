@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from zoo.core.errors.likelihood import ERROR_PARAMETERS
 from zoo.models import get_model
 from zoo.paper.calibration import RankTest, Settings, cheap_options, cheap_study, simulate_and_rank
 from zoo.plots import calibration_figure, save_figure
@@ -44,7 +43,7 @@ def main() -> None:
             args.replicates,
             seed=args.seed,
             settings=Settings(),
-            limits={ERROR_PARAMETERS["iid"][0]: SIGMA2} if independent else None,
+            limits={"sigma2": SIGMA2} if independent else None,
             path=args.folder / f"{name}.jsonl",
             cores=args.cores,
             progress=True,
