@@ -1,4 +1,4 @@
-"""The answer of a diagnosis: where the model discrepancy lies, what causes it, how far it shrinks, in words."""
+"""The answer of a diagnosis: where the discrepancy lies, what causes it, how far it shrinks, in words."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class FitDiscrepancy:
         return _interval(self.pooled(rows), _over(self.unabsorbed, rows))
 
     def removed(self, rows: list[int], before: FitDiscrepancy) -> Interval:
-        """Part of the discrepancy that this fit takes away; its interval holds both meanings of what is left."""
+        """Part of the discrepancy that this fit removes; its interval holds both meanings of what is left."""
         size = np.maximum(before.pooled(rows), 1e-12)
         low, high = (1.0 - _over(x, rows) / size for x in (self.rms, self.unabsorbed))
         return Interval(

@@ -68,7 +68,8 @@ class Fit:
     """A hypothesis at its mode.
 
     `values` are in the parameters' own units; `computed` and `residual` are flat coefficients; `mean` and
-    `sd` are those of the parameters' posterior, in search coordinates; `log_z` is the log marginal likelihood.
+    `sd` are those of the parameters' posterior, in search coordinates; `log_z` is the log marginal
+    likelihood.
     """
 
     hypothesis: Hypothesis

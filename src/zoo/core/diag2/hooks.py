@@ -50,8 +50,8 @@ class Hooks:
     about : str
         Group of series whose discrepancy the verdict states; the first group if empty or not observed.
     phases : callable
-        ``phases(data, rows) -> names, index``: names of the phases of a record and the phase (n_times,) of each
-        sample. Quarters of the record if absent.
+        ``phases(data, rows) -> names, index``: names of the phases of a record and the phase (n_times,) of
+        each sample. Quarters of the record if absent.
     candidates : callable
         ``candidates(data, baseline) -> sequence of Candidate``; none if absent.
     advice : str

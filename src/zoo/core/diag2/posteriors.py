@@ -39,8 +39,8 @@ SCORED_DRAWS = 500
 def explanation_model(screened: Screened, fit: Fit) -> tuple[pm.Model, dict[str, Any]]:
     """A baseline with its effects as a PyMC model, its errors in the screening's coefficients.
 
-    z_k ~ N(z_k(theta, effect parameters), S_k), S as in `zoo.core.errors.spectral.GroupErrors`, with noise and
-    allowance as in the screening.
+    z_k ~ N(z_k(theta, effect parameters), S_k), S as in `zoo.core.errors.spectral.GroupErrors`, with noise
+    and allowance as in the screening.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def sample_explanations(
         if tick is not None:
             tick(f"posterior of {name}", (done + 0.01) / len(chosen))
         model, start = explanation_model(screened, fit)
-        settings = {
+        settings: dict[str, Any] = {
             "draws": draws, "max_draws": max_draws, "until_ess": 400, "cores": cores, "seed": seed,
             "start": start, "progress": progress,
         }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Probabilities of a screening's hypotheses, groups that the data cannot tell apart, and what they cannot show."""
+"""Probabilities of hypotheses, groups that the data cannot tell apart, and what they cannot show."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Screening: the evidence for each effect, from a search and a linearisation.
 
 Each hypothesis (the baseline with an effect somewhere) is taken to its mode by Gauss-Newton steps with
-Broyden's updates; the marginal likelihood around the mode is that of the linearised model, which is exact for it.
+Broyden's updates; the marginal likelihood around the mode is that of the linearised model, which is exact
+for it.
 """
 
 from __future__ import annotations
@@ -320,8 +321,8 @@ class Screening:
     def _start(parameters: Sequence[EffectParameter], first: float) -> Array:
         return np.array([first, *(a.centre for a in parameters[1:])])
 
-    def _secant(self, search: Search, base: Fit, start: Array) -> Point:
-        """A start with the baseline's own Jacobian, and secants from the base for the effect's; solved once."""
+    def _secant(self, search: Search[HypothesisModel], base: Fit, start: Array) -> Point:
+        """A start with the baseline's own Jacobian, and secants for the effect's; solved once."""
         key = (search.forward.hypothesis, start.tobytes())
         if key in self._secants:
             known = self._secants[key]
@@ -348,7 +349,7 @@ class Screening:
         self._secants[key] = point
         return point
 
-    def _aim(self, search: Search, point: Point) -> tuple[float, float]:
+    def _aim(self, search: Search[HypothesisModel], point: Point) -> tuple[float, float]:
         """Evidence of the linearised model, and where its mode has the first parameter."""
         _, precision, pull = search.forward.prior(point.u)
         log_z, step, _ = marginal(

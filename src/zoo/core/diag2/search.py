@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,22 @@ class Searched(Protocol):
     def prior(self, u: Array) -> tuple[float, Array, Array]: ...
 
 
+F = TypeVar("F", bound=Searched)
+
+
+class Solved(Protocol):
+    """A point that was solved with its Jacobian, such as a fit."""
+
+    @property
+    def u(self) -> Array: ...
+
+    @property
+    def computed(self) -> Array: ...
+
+    @property
+    def jacobian(self) -> Array: ...
+
+
 @dataclass
 class Point:
     """Where a search stands."""
@@ -39,7 +55,7 @@ class SearchError(RuntimeError):
     """A search that found no point where the solver succeeds."""
 
 
-class Search:
+class Search(Generic[F]):
     """Gauss-Newton search of one hypothesis' mode, for given errors, with Broyden's updates of the Jacobian.
 
     Parameters
@@ -51,7 +67,7 @@ class Search:
         Variances.
     """
 
-    def __init__(self, forward: Searched, data: Array, S: Array) -> None:
+    def __init__(self, forward: F, data: Array, S: Array) -> None:
         self.forward, self.data, self.S = forward, data, S
 
     def cost(self, u: Array, computed: Array) -> float:
@@ -68,7 +84,7 @@ class Search:
         point.jacobian = self.differences(point, None) if jacobian is None else jacobian
         return point
 
-    def resume(self, point: Point) -> Point:
+    def resume(self, point: Solved) -> Point:
         """A point (or a fit) of another search, with its cost in this one."""
         return Point(point.u, point.computed, point.jacobian, self.cost(point.u, point.computed))
 

@@ -132,14 +132,14 @@ class Spectral(ErrorModel):
         noise): what sensors and averaging leave correlated is no larger than what they leave white. Without a
         limit noise takes the place of a discrepancy.
     correlation_time : (median, spread, limit)
-        Prior of the noise's correlation time: median in parts of T, sd of the logarithm, and upper limit. Noise
-        forgets within a few per cent of T; what lasts longer than a tenth of it is a discrepancy.
+        Prior of the noise's correlation time: median in parts of T, sd of the logarithm, and upper limit.
+        Noise forgets within a few per cent of T; what lasts longer than a tenth of it is a discrepancy.
     length : (median, spread)
         Prior of the discrepancy's length scale: median in parts of T, sd of the logarithm. A discrepancy
         follows the features of the series, which last some twentieth of a period.
     shared : tuple of float
-        Correlations between series of a discrepancy that are tried: what is wrong in one part of a simulator is
-        wrong in its neighbours too, but the baseline's parameters may have taken the common part away.
+        Correlations between series of a discrepancy that are tried: what is wrong in one part of a simulator
+        is wrong in its neighbours too, but the baseline's parameters may have taken the common part away.
     priors : mapping of group to GroupPriors
         For sampling; without them the noise is log-normal around a hundredth of the series' range.
     """
@@ -160,8 +160,8 @@ class Spectral(ErrorModel):
         """
         if not data.n_series or data.n_times < SMALLEST_SERIES:
             raise ErrorModelError(
-                f"{data.source or data.name}: {data.name!r} has {data.n_series} series of {data.n_times} samples: "
-                f"give at least one series of {SMALLEST_SERIES} samples"
+                f"{data.source or data.name}: {data.name!r} has {data.n_series} series of {data.n_times} "
+                f"samples: give at least one series of {SMALLEST_SERIES} samples"
             )
         return replace(self, data=data)
 
@@ -451,7 +451,7 @@ class Harmonics(Spectral):
         """
         if data.period is None:
             raise ErrorModelError(
-                f"{data.source or data.name}: not periodic (period is None): use Cosines(), or give the period"
+                f"{data.source or data.name}: not periodic (period is None); use Cosines() or give it"
             )
         return super().bind(data)
 

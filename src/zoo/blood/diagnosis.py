@@ -1,0 +1,220 @@
+"""The diagnosis of a study: baselines, effects, phases of the cardiac cycle, candidate measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.blood.baseline import get_baseline
+from zoo.blood.conventions import Conventions
+from zoo.blood.effects import CATALOGUE
+from zoo.blood.forward import study_data
+from zoo.blood.solver import SolverOptions
+from zoo.blood.study import Study
+from zoo.core.data import Data
+from zoo.core.diagnosis import Candidate, Diagnosis, DiagnosisError, Hooks
+from zoo.core.diagnosis import diagnose as diagnose_data
+from zoo.core.effects import Effect
+from zoo.core.forward import ForwardModel
+
+Array = NDArray[np.float64]
+
+PHASES = ("upstroke", "peak", "late-systole", "incisura", "diastole")
+PEAK_BEATS = 0.03
+"""Half the width of the peak and of the incisura, in cardiac cycles."""
+FLOW_NOISE_PART = 0.02
+"""Noise of a flow measurement that is only planned, as a part of its peak."""
+SEARCH = SolverOptions(tolerance_mmHg=2e-4)
+"""Tolerance of the solves of a search, whose differences must not be noise."""
+
+
+def phases(wave: Array, period_s: float) -> NDArray[np.int_]:
+    """Phase of the cardiac cycle of each sample, an index of `PHASES`, found from the waveform.
+
+    The foot is the least value before the steepest rise, the peak the largest value, the incisura the
+    sharpest upward bend (largest second difference of the smoothed wave) after it within 0.45 cycles.
+
+    Parameters
+    ----------
+    wave : array (n,)
+        One periodic series.
+    period_s : float
+        s; only the order of the samples counts.
+
+    Returns
+    -------
+    int array (n,)
+    """
+    n = len(wave)
+    c = np.fft.rfft(wave)
+    k = np.arange(len(c))
+    smooth = np.fft.irfft(c * np.exp(-0.5 * (k / 12.0) ** 2), n=n)
+    slope = np.roll(smooth, -1) - np.roll(smooth, 1)
+    steepest = int(np.argmax(slope))
+    back = [(steepest - i) % n for i in range(n // 2)]
+    foot = back[int(np.argmin(smooth[back]))]
+    ahead = [(foot + i) % n for i in range(n)]
+    peak_after = int(np.argmax(smooth[ahead[: int(0.6 * n)]]))
+    bend = np.roll(smooth, -1) - 2.0 * smooth + np.roll(smooth, 1)
+    half = max(1, round(PEAK_BEATS * n))
+    first, last = peak_after + 2 * half, min(n - half, peak_after + int(0.45 * n))
+    incisura_after = first + int(np.argmax(bend[[ahead[i] for i in range(first, last)]]))
+    found = np.empty(n, int)
+    for i, at in enumerate(ahead):
+        if abs(i - peak_after) <= half:
+            phase = 1
+        elif i < peak_after:
+            phase = 0
+        elif abs(i - incisura_after) <= half:
+            phase = 3
+        else:
+            phase = 2 if i < incisura_after else 4
+        found[at] = phase
+    return found
+
+
+def _phases(data: Data, rows: list[int]) -> tuple[tuple[str, ...], NDArray[np.int_]]:
+    return PHASES, phases(data.values[rows[0]], data.duration)
+
+
+def _candidates(data: Data, baseline: ForwardModel) -> list[Candidate]:
+    """Pressure and flow midway in every vessel."""
+    return [
+        Candidate(
+            (int(vessel), 0.5, quantity),
+            {"vessel": int(vessel), "position": 0.5, "quantity": quantity},
+            group,
+            noise_part,
+        )
+        for vessel in baseline.network.ids  # type: ignore[attr-defined]
+        for quantity, group, noise_part in (
+            ("pressure_mmHg", "pressure_mmHg", 0.01),
+            ("flow_ml_s", "", FLOW_NOISE_PART),
+        )
+    ]
+
+
+HOOKS = Hooks(
+    about="pressure_mmHg",
+    phases=_phases,
+    candidates=_candidates,
+    advice="check the units in observations.csv, the inflow and the conventions",
+)
+"""What a diagnosis is told about blood flow."""
+
+
+@dataclass(frozen=True, eq=False)
+class StudyDiagnosis(Diagnosis):
+    """The diagnosis of a study, which figures of the tree need."""
+
+    study: Study | None = None
+
+
+def effects_for(baseline: str, given: Iterable[str | Effect] | None = None) -> tuple[Effect, ...]:
+    """Effects that a baseline can take, once each; all of the catalogue if none are given.
+
+    Parameters
+    ----------
+    baseline : str
+        Its name.
+    given : iterable of str or Effect, optional
+        Names in the catalogue, or effects.
+
+    Raises
+    ------
+    zoo.core.effects.EffectError
+        For a name that is not in the catalogue, or an effect that the baseline cannot take.
+    """
+    if given is None:
+        return tuple(one for one in CATALOGUE.values() if one.offered(baseline))
+    return CATALOGUE.resolve(given)
+
+
+def diagnose(
+    study: Study,
+    base: str = "linear-constant",
+    *,
+    effects: Iterable[str | Effect] | None = None,
+    posteriors: bool = False,
+    confirm: bool = False,
+    max_effects: int = 3,
+    exhaust: bool = False,
+    conventions: Conventions | None = None,
+    options: SolverOptions | None = None,
+    cores: int = 2,
+    seed: int = 1,
+    tick: Callable[[str, float], None] | None = None,
+    folder: str | Path | None = None,
+) -> StudyDiagnosis:
+    """Find where a baseline model misses a study's data, which unmodelled effect explains it, and how well.
+
+    Parameters
+    ----------
+    study : Study
+        With observations.
+    base : str
+        "linear-constant", "linear-radius", "linear-vessels", "tangent-constant", "tangent-radius", or the
+        letter         of a model with that structure.
+    effects : iterable of str or Effect, optional
+        Only these: names in the catalogue, or effects of your own.
+    posteriors : bool
+        Sample the posteriors of the leading explanations in PyMC; `confirm` is its former name.
+    conventions : Conventions, optional
+        Instead of the study's own.
+    options : SolverOptions, optional
+        Numerical settings; a tighter tolerance than that of sampling if absent.
+    max_effects, exhaust, cores, seed, tick, folder
+        As in `zoo.core.diagnosis.diagnose`.
+
+    Returns
+    -------
+    StudyDiagnosis
+
+    Raises
+    ------
+    DiagnosisError
+        If an argument is out of range, a series does not vary, or the baseline cannot be fitted.
+    zoo.core.effects.EffectError
+        If there is no such effect or baseline.
+
+    References
+    ----------
+    Kennedy and O'Hagan 2001, doi 10.1111/1467-9868.00294; Paun et al. 2020, doi 10.1098/rsif.2020.0886.
+    """
+    if not isinstance(study, Study):
+        raise DiagnosisError(f"study = {study!r}: give a Study, such as zoo.load_study('demo')")
+    if isinstance(effects, str | Effect):
+        raise DiagnosisError(f"effects = {effects!r}: give a list, such as [{effects!r}]")
+    if not study.series:
+        raise DiagnosisError(
+            f"{study.source}: study {study.name!r} has no observations: a diagnosis needs at least one "
+            "series of eight samples; add observations.csv"
+        )
+    chosen = get_baseline(base)
+    forward = chosen.forward(study, conventions=conventions, options=options or SEARCH)
+    found = diagnose_data(
+        study_data(study),
+        forward,
+        effects_for(forward.name, effects),
+        hooks=HOOKS,
+        max_effects=max_effects,
+        exhaust=exhaust,
+        posteriors=posteriors or confirm,
+        cores=cores,
+        seed=seed,
+        tick=tick,
+        folder=folder,
+    )
+    return of_study(found, study)
+
+
+def of_study(found: Diagnosis, study: Study) -> StudyDiagnosis:
+    """A diagnosis of a study's data with the study and its checksum."""
+    file = found.file.model_copy(update={"study": study.name, "study_checksum": study.checksum})
+    values: dict[str, Any] = {f.name: getattr(found, f.name) for f in fields(Diagnosis)}
+    return StudyDiagnosis(**(values | {"file": file}), study=study)
