@@ -8,82 +8,99 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from test_screening import made
+from made import made
 from zoo import load_study
-from zoo.blood.effects import EffectError, Place
-from zoo.core.diagnosis.diagnosis import (
-    PHASES,
-    Diagnosis,
-    DiagnosisError,
-    DiagnosisFile,
-    diagnose,
-    phases,
-    read_diagnosis,
-)
-from zoo.core.diagnosis.screening import NO_GAP, UNLISTED
+from zoo.blood.diagnosis import PHASES, StudyDiagnosis, diagnose, phases
+from zoo.core.diag2 import DiagnosisError, DiagnosisFile, read_diagnosis
+from zoo.core.diag2.hypothesis import NONPARAMETRIC, NULL
+from zoo.core.effects import EVERYWHERE, EffectError
 
 FEW = ["sensor-gain", "inflow-shift", "tangent-wall", "beat-jitter", "local-stiffness"]
 
 
 @pytest.fixture(scope="module")
-def jitter() -> Diagnosis:
-    return diagnose(made([("beat-jitter", (0.003,), Place())]), effects=FEW)
+def jitter() -> StudyDiagnosis:
+    return diagnose(made([("beat-jitter", (0.003,), EVERYWHERE)]), effects=FEW)
 
 
-def test_the_cause_and_its_shrinkage(jitter: Diagnosis) -> None:
+def test_the_cause_and_its_shrinkage(jitter: StudyDiagnosis) -> None:
     file = jitter.file
     assert jitter.cause == ["beat-jitter"]
-    assert file.gap.before_mmHg > 5 * file.gap.after_mmHg
-    assert file.gap.after_mmHg < 0.03
+    assert file.gap.before > 5 * file.gap.after
+    assert file.gap.after < 0.03
     assert jitter.shrinkage > 0.8
     low, high = file.gap.removed_interval
     assert low <= jitter.shrinkage <= high
-    assert file.gap.noise_floor_mmHg == pytest.approx(0.05, rel=0.15)
-    assert file.gap.residual_rms_after_mmHg == pytest.approx(0.05, rel=0.15)
+    assert file.gap.noise_floor == pytest.approx(0.05, rel=0.15)
+    assert file.gap.residual_rms_after == pytest.approx(0.05, rel=0.15)
 
 
-def test_the_gap_is_the_rms_that_was_put_in(jitter: Diagnosis) -> None:
+def test_the_gap_is_the_rms_that_was_put_in(jitter: StudyDiagnosis) -> None:
     """Residual^2 = gap^2 + noise^2, the noise being known."""
     gap = jitter.file.gap
-    assert gap.before_mmHg**2 + 0.05**2 == pytest.approx(gap.residual_rms_before_mmHg**2, rel=0.05)
+    assert gap.before**2 + 0.05**2 == pytest.approx(gap.residual_rms_before**2, rel=0.05)
     for s in gap.per_series:
         assert s.before.low < s.before.mean < s.before.high
 
 
-def test_held_out_series_are_predicted_better(jitter: Diagnosis) -> None:
+def test_held_out_series_are_predicted_better(jitter: StudyDiagnosis) -> None:
     gap = jitter.file.gap
     assert gap.held_out == "each series in turn"
-    assert gap.held_out_before_mmHg is not None
-    assert gap.held_out_after_mmHg is not None
-    assert gap.held_out_after_mmHg < 0.3 * gap.held_out_before_mmHg
+    assert gap.held_out_before is not None
+    assert gap.held_out_after is not None
+    assert gap.held_out_after < 0.3 * gap.held_out_before
 
 
-def test_shares_add_up(jitter: Diagnosis) -> None:
+def test_shares_add_up(jitter: StudyDiagnosis) -> None:
     where = jitter.where
     assert sum(where.series.values()) == pytest.approx(1.0)
     assert sum(where.phase.values()) == pytest.approx(1.0)
     assert sum(where.harmonic.values()) == pytest.approx(1.0)
-    assert where.place[0].vessel is None
+    assert where.place[0].part is None
     # a jitter smooths what bends most
     assert where.phase["upstroke"] + where.phase["peak"] > where.phase["diastole"]
 
 
-def test_bias_of_the_base_is_removed(jitter: Diagnosis) -> None:
+def test_bias_of_the_baseline_is_removed(jitter: StudyDiagnosis) -> None:
     before, after = jitter.file.base_parameters["base"], jitter.file.base_parameters["with cause"]
     assert abs(after["f3"] - 4.6e4) < max(abs(before["f3"] - 4.6e4), 4 * after["f3 sd"])
     assert abs(after["f3"] - 4.6e4) < 4 * after["f3 sd"]
 
 
-def test_the_file_comes_back(jitter: Diagnosis, tmp_path: Path) -> None:
+def test_the_file_comes_back(jitter: StudyDiagnosis, tmp_path: Path) -> None:
     path = jitter.save(tmp_path / "gap")
     again = read_diagnosis(tmp_path / "gap")
     assert isinstance(again, DiagnosisFile)
     assert again == jitter.file
     names = {h["name"] for h in json.loads(path.read_text())["hypotheses"]}
-    assert {NO_GAP, UNLISTED, "correlated-noise", *FEW} == names
+    assert {NULL, NONPARAMETRIC, "correlated-noise", *FEW} == names
 
 
-def test_a_spoilt_file_is_named(jitter: Diagnosis, tmp_path: Path) -> None:
+def test_amounts_carry_their_unit_in_the_file(jitter: StudyDiagnosis, tmp_path: Path) -> None:
+    """Under the names of the first format where they are mmHg, which readers of it know."""
+    content = json.loads(jitter.save(tmp_path).read_text())
+    assert content["gap"]["before_mmHg"] == jitter.file.gap.before
+    assert content["gap"]["removed"] == jitter.file.gap.removed
+    assert {"gap_after_mmHg", "residual_rms_mmHg", "place"} <= set(content["hypotheses"][0])
+    assert set(content["where"]["place"][0]) == {"vessel", "subtree", "probability"}
+
+
+def test_files_of_the_first_format_are_read(jitter: StudyDiagnosis, tmp_path: Path) -> None:
+    """Where amounts were called mmHg although the gap was of a flow, the record's unit counts."""
+    content = json.loads(jitter.save(tmp_path).read_text())
+    content |= {"format": 1, "confirmation": {"no-gap": {"converged": True}}}
+    del content["posteriors"]
+    content["record"] |= {"gap_unit": "ml/s", "confirmation_seconds": 3.0}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(content))
+    old = read_diagnosis(tmp_path)
+    assert old.gap.unit == "ml/s"
+    assert old.gap.before == jitter.file.gap.before
+    assert old.posteriors == {"no-gap": {"converged": True}}
+    assert old.seconds == pytest.approx(3.0 + old.record["screening_seconds"])
+    assert json.loads(old.model_dump_json())["gap"]["before_ml_s"] == old.gap.before
+
+
+def test_a_spoilt_file_is_named(jitter: StudyDiagnosis, tmp_path: Path) -> None:
     path = jitter.save(tmp_path)
     content = json.loads(path.read_text())
     content["gap"]["before_mmHg"] = "large"
@@ -95,28 +112,28 @@ def test_a_spoilt_file_is_named(jitter: Diagnosis, tmp_path: Path) -> None:
 
 
 def test_two_effects_are_found_one_after_the_other() -> None:
-    study = made([("beat-jitter", (0.004,), Place()), ("sensor-gain", (0.2,), Place())])
+    study = made([("beat-jitter", (0.004,), EVERYWHERE), ("sensor-gain", (0.2,), EVERYWHERE)])
     found = diagnose(study, effects=FEW)
     assert {s.name for s in found.file.steps} == {"beat-jitter", "sensor-gain"}
-    sizes = [found.file.steps[0].gap_before_mmHg, *(s.gap_after_mmHg for s in found.file.steps)]
+    sizes = [found.file.steps[0].gap_before, *(s.gap_after for s in found.file.steps)]
     assert sizes[0] > sizes[1] > sizes[2]
-    assert found.rounds[-1].leader == NO_GAP
+    assert found.rounds[-1].leader == NULL
 
 
 def test_no_gap_has_no_cause() -> None:
     found = diagnose(made([], seed=7), effects=FEW)
-    assert found.cause == [NO_GAP]
+    assert found.cause == [NULL]
     assert found.file.steps == []
     assert found.file.gap.removed == 0.0
-    assert found.file.gap.before_mmHg < 0.03
+    assert found.file.gap.before < 0.03
     assert "no gap" in found.file.verdict
 
 
 def test_one_series_holds_out_blocks() -> None:
-    found = diagnose(made([("beat-jitter", (0.003,), Place())], series=(0,)), effects=FEW[:4])
+    found = diagnose(made([("beat-jitter", (0.003,), EVERYWHERE)], series=(0,)), effects=FEW[:4])
     assert found.cause[0] == "beat-jitter"
     assert "blocks" in found.file.gap.held_out
-    assert found.file.gap.held_out_after_mmHg < found.file.gap.held_out_before_mmHg  # type: ignore[operator]
+    assert found.file.gap.held_out_after < found.file.gap.held_out_before  # type: ignore[operator]
 
 
 def test_bad_arguments() -> None:
@@ -141,7 +158,7 @@ def test_phases_of_a_drawn_beat() -> None:
         assert PHASES[found[int(0.8 * n)]] == "diastole"
 
 
-def test_numbers_in_the_file_are_finite(jitter: Diagnosis) -> None:
+def test_numbers_in_the_file_are_finite(jitter: StudyDiagnosis) -> None:
     def walk(value: object) -> None:
         if isinstance(value, dict):
             for v in value.values():
@@ -155,7 +172,7 @@ def test_numbers_in_the_file_are_finite(jitter: Diagnosis) -> None:
     walk(json.loads(jitter.file.model_dump_json()))
 
 
-def test_the_study_may_have_fewer_samples(jitter: Diagnosis) -> None:
+def test_the_study_may_have_fewer_samples(jitter: StudyDiagnosis) -> None:
     coarse = replace(
         jitter.study,
         time_s=jitter.study.time_s[::4],
@@ -164,11 +181,11 @@ def test_the_study_may_have_fewer_samples(jitter: Diagnosis) -> None:
     assert diagnose(coarse, effects=FEW[:4]).cause == ["beat-jitter"]
 
 
-def test_a_diagnosis_is_its_verdict_in_print(jitter: Diagnosis) -> None:
-    assert repr(jitter) == f"<Diagnosis of 'demo', base linear-constant: {jitter.file.verdict}>"
+def test_a_diagnosis_is_its_verdict_in_print(jitter: StudyDiagnosis) -> None:
+    assert repr(jitter) == f"<Diagnosis of 'demo', baseline linear-constant: {jitter.file.verdict}>"
 
 
-def test_a_good_explanation_has_no_warning(jitter: Diagnosis) -> None:
+def test_a_good_explanation_has_no_warning(jitter: StudyDiagnosis) -> None:
     assert jitter.file.warnings == []
 
 
@@ -178,15 +195,15 @@ def test_units_that_cannot_be_are_warned_of() -> None:
     study = replace(study, series=tuple(replace(s, value=s.value * 0.133322) for s in study.series))
     file = diagnose(study, effects=["sensor-offset", "tangent-wall"], max_effects=1).file
     assert any("check the units in observations.csv" in text for text in file.warnings)
-    if file.cause[0] not in (NO_GAP, UNLISTED) and file.gap.removed < 0.5:
+    if file.cause[0] not in (NULL, NONPARAMETRIC) and file.gap.removed < 0.5:
         assert any("most has another cause" in text for text in file.warnings)
 
 
-def test_an_amplitude_at_its_bound_is_told() -> None:
+def test_an_effect_parameter_at_its_bound_is_told() -> None:
     """A gain beyond what the catalogue allows."""
-    file = diagnose(made([("sensor-gain", (0.5,), Place())]), effects=["sensor-gain"], max_effects=1).file
+    file = diagnose(made([("sensor-gain", (0.5,), EVERYWHERE)]), effects=["sensor-gain"], max_effects=1).file
     assert file.cause == ["sensor-gain"]
-    scaled = made([("sensor-gain", (0.5,), Place())])
+    scaled = made([("sensor-gain", (0.5,), EVERYWHERE)])
     scaled = replace(scaled, series=tuple(replace(s, value=1.2 * s.value) for s in scaled.series))
     file = diagnose(scaled, effects=["sensor-gain"], max_effects=1).file
     assert any("stands at the upper bound of its prior, 0.5" in text for text in file.warnings)
@@ -195,7 +212,7 @@ def test_an_amplitude_at_its_bound_is_told() -> None:
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"effects": "stenosis"}, "give a list of names"),
+        ({"effects": "stenosis"}, "give a list, such as"),
         ({"effects": ["stenoss"]}, "did you mean 'stenosis'"),
         ({"cores": 0}, "cores = 0: must be at least 1"),
         ({"base": "H", "effects": ["tangent-wall"]}, "cannot be added to tangent-constant"),
@@ -215,7 +232,5 @@ def test_a_series_that_does_not_vary_is_refused() -> None:
     study = load_study("demo")
     first, *rest = study.series
     flat = replace(first, value=np.full_like(first.value, 10.0))
-    with pytest.raises(
-        DiagnosisError, match=r"is 10 throughout; give a beat that varies in observations\.csv"
-    ):
+    with pytest.raises(DiagnosisError, match=r"is 10 throughout; give one that varies"):
         diagnose(replace(study, series=(flat, *rest)))

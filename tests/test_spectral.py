@@ -1,39 +1,32 @@
-"""The error model in harmonics, against dense covariance matrices."""
+"""Spectral error models, against dense covariance matrices."""
 
 import math
-from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.linalg import circulant
 from scipy.stats import multivariate_normal
 
-from zoo import load_study
-from zoo.blood.study import Series, Study
-from zoo.core.diagnosis.discrepancy import (
-    Errors,
-    HarmonicError,
-    Harmonics,
-    fit_noise,
-    log_density,
-    marginal,
-    smooth_part,
-)
+from zoo.core.data import Data
+from zoo.core.diag2.discrepancy import smooth_part
+from zoo.core.diag2.evidence import marginal
+from zoo.core.errors.base import ErrorModelError
+from zoo.core.errors.spectral import Cosines, GroupErrors, Harmonics, Spectral, log_density, spectral_errors
 
-QUANTITY = "pressure_mmHg"
+GROUP, PERIOD = "pressure", 0.11
 
 
-def study_of(values: np.ndarray, quantity: str = QUANTITY) -> Study:
-    demo = load_study("demo")
+def bound(values: np.ndarray, kind: type[Spectral] = Harmonics) -> Spectral:
     n = values.shape[1]
-    vessels = [v.id for v in demo.vessels]
-    series = tuple(Series(vessels[i], 0.5, quantity, row) for i, row in enumerate(values))
-    return replace(demo, time_s=np.arange(n) * demo.period_s / n, series=series)
+    period = PERIOD if kind is Harmonics else None
+    data = Data(np.arange(n) * PERIOD / n, values, groups=[GROUP] * len(values), period=period)
+    return kind().bind(data)
 
 
-def dense(H: Harmonics, errors: Errors, n_series: int, *, noise: bool = True) -> np.ndarray:
+def dense(H: Spectral, errors: GroupErrors, n_series: int, *, noise: bool = True) -> np.ndarray:
     """Covariance of all series in time, from autocovariances that are summed over harmonics here."""
-    n, T = H.n, H.period_s
+    n, T = H.n, H.on.duration
     k = np.minimum(np.arange(n), n - np.arange(n))
     omega = 2 * np.pi * k / T
     lags = np.cos(2 * np.pi * np.outer(np.arange(n), np.arange(n)) / n)
@@ -51,36 +44,38 @@ def dense(H: Harmonics, errors: Errors, n_series: int, *, noise: bool = True) ->
     return np.asarray(np.kron(np.eye(n_series), own) + np.kron(between, smooth))
 
 
+@pytest.mark.parametrize("kind", [Harmonics, Cosines])
 @pytest.mark.parametrize("n", [16, 17])
-def test_harmonics_are_orthonormal_and_invertible(n: int) -> None:
+def test_transforms_are_orthonormal_and_invertible(n: int, kind: type[Spectral]) -> None:
     rng = np.random.default_rng(1)
     y = rng.standard_normal((3, n))
-    H = Harmonics(study_of(y))
-    z = H(y)
+    H = bound(y, kind)
+    z = H.flat(y)
     assert z.shape == (3 * n,)
     assert np.sum(z**2) == pytest.approx(np.sum(y**2))
-    np.testing.assert_allclose(H.back(z), y, atol=1e-12)
-    np.testing.assert_allclose(H(np.stack([y, 2 * y])), np.stack([z, 2 * z]), atol=1e-12)
+    np.testing.assert_allclose(H.unflat(z), y, atol=1e-12)
+    np.testing.assert_allclose(H.flat(np.stack([y, 2 * y])), np.stack([z, 2 * z]), atol=1e-12)
 
 
 @pytest.mark.parametrize("n", [16, 17])
 def test_density_is_that_of_the_dense_covariance(n: int) -> None:
     rng = np.random.default_rng(2)
     y = rng.standard_normal((3, n))
-    H = Harmonics(study_of(y))
-    errors = Errors(0.5, 0.8, 0.004, 0.7, 0.01, 0.6)
+    H = bound(y)
+    errors = GroupErrors(0.5, 0.8, 0.004, 0.7, 0.01, 0.6)
     wanted = multivariate_normal(np.zeros(3 * n), dense(H, errors, 3)).logpdf(y.ravel())
-    assert log_density(H(y), H.variances({QUANTITY: errors})) == pytest.approx(wanted, rel=1e-10)
+    assert log_density(H.flat(y), H.variances({GROUP: errors})) == pytest.approx(wanted, rel=1e-10)
 
 
 def test_smooth_part_is_the_conditional_mean() -> None:
     rng = np.random.default_rng(3)
     y = rng.standard_normal((2, 16))
-    H = Harmonics(study_of(y))
-    errors = Errors(0.5, 0.3, 0.004, 0.9, 0.02, 0.4)
+    H = bound(y)
+    errors = GroupErrors(0.5, 0.3, 0.004, 0.9, 0.02, 0.4)
     own, total = dense(H, errors, 2, noise=False), dense(H, errors, 2)
-    mean, variance = smooth_part(H, H(y), {QUANTITY: errors})
-    np.testing.assert_allclose(H.back(mean).ravel(), own @ np.linalg.solve(total, y.ravel()), atol=1e-10)
+    fit = SimpleNamespace(forward=SimpleNamespace(errors=H), residual=H.flat(y), errors={GROUP: errors})
+    mean, variance = smooth_part(fit)  # type: ignore[arg-type]
+    np.testing.assert_allclose(H.unflat(mean).ravel(), own @ np.linalg.solve(total, y.ravel()), atol=1e-10)
     wanted = np.trace(own - own @ np.linalg.solve(total, own))
     assert variance.sum() == pytest.approx(wanted, rel=1e-9)
 
@@ -109,19 +104,41 @@ def test_many_variances_at_once_give_the_same() -> None:
             np.testing.assert_allclose(whole[i, j], one, rtol=1e-9)
 
 
-def test_noise_is_recovered() -> None:
+@pytest.mark.parametrize("kind", [Harmonics, Cosines])
+def test_noise_is_recovered(kind: type[Spectral]) -> None:
     rng = np.random.default_rng(5)
-    H = Harmonics(study_of(np.zeros((3, 512))))
-    T = H.period_s
-    true = Errors(0.05, 0.8, 0.04 * T)
-    z = np.sqrt(H.variances({QUANTITY: true})) * rng.standard_normal(H.size)
-    found = fit_noise(H, z, QUANTITY, Errors(1.0))
+    H = bound(np.zeros((3, 512)), kind)
+    T = H.on.duration
+    true = GroupErrors(0.05, 0.8, 0.04 * T)
+    z = np.sqrt(H.variances({GROUP: true})) * rng.standard_normal(H.size)
+    found = H.fit_noise(z, GROUP, GroupErrors(1.0))
     assert found.sigma == pytest.approx(true.sigma, rel=0.1)
     assert found.noise == pytest.approx(true.noise, rel=0.1)
-    beside = fit_noise(H, z, QUANTITY, Errors(1.0, length=0.05 * T), free_delta=True, scale=0.02)
+    beside = H.fit_noise(z, GROUP, GroupErrors(1.0, length=0.05 * T), free_delta=True, scale=0.02)
     assert beside.delta < 0.03
 
 
-def test_a_study_without_series_is_refused() -> None:
-    with pytest.raises(HarmonicError, match=r"has 0 series .* add observations\.csv"):
-        Harmonics(replace(load_study("demo"), series=()))
+def test_cosines_hold_a_line_that_harmonics_take_for_a_jump() -> None:
+    """A record that drifts: its highest coefficients are far smaller in cosines than in harmonics."""
+    t = np.arange(256) * PERIOD / 256
+    drift = (t / PERIOD)[None]
+    tails = []
+    for kind in (Harmonics, Cosines):
+        H = bound(drift, kind)
+        high = H.k > 0.5 * H.k.max()
+        tails.append(float(np.sum(H.flat(drift)[high] ** 2)))
+    assert tails[1] < 1e-3 * tails[0]
+
+
+def test_the_transform_is_chosen_by_the_data() -> None:
+    t = np.arange(16) * PERIOD / 16
+    assert isinstance(spectral_errors(Data(t, np.sin(t)[None], period=PERIOD)), Harmonics)
+    assert isinstance(spectral_errors(Data(t, np.sin(t)[None])), Cosines)
+    with pytest.raises(ErrorModelError, match="not periodic"):
+        Harmonics().bind(Data(t, np.sin(t)[None]))
+
+
+def test_too_short_a_record_is_refused() -> None:
+    t = np.arange(5) * PERIOD / 5
+    with pytest.raises(ErrorModelError, match="1 series of 5 samples: give at least one series of 8"):
+        Harmonics().bind(Data(t, np.sin(t)[None], period=PERIOD))

@@ -1,0 +1,75 @@
+"""The demo study with data of the solver itself, effects and noise added; for the tests of the diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from zoo import load_study
+from zoo.blood.baseline import get_baseline
+from zoo.blood.diagnosis import SEARCH, effects_for
+from zoo.blood.effects import CATALOGUE
+from zoo.blood.forward import study_data
+from zoo.blood.study import Series, Study
+from zoo.core.diag2.hypothesis import Hypothesis, HypothesisModel
+from zoo.core.diag2.screening import Screening
+from zoo.core.effects import Location, with_effects
+from zoo.core.errors.spectral import Harmonics
+from zoo.core.forward import ForwardModel, Outputs
+from zoo.core.parameters import pack
+
+QUANTITY = "pressure_mmHg"
+THETA = {"f3": 4.6e4, "psi1": 0.35, "psi2": 0.9, "c": 1.2}
+Added = tuple[str, tuple[float, ...], Location]
+
+
+def baseline_of(study: Study, name: str = "linear-constant", **settings: object) -> ForwardModel:
+    """The forward model of a baseline, with a search's tolerance."""
+    return get_baseline(name).forward(study, **{"options": SEARCH, **settings})  # type: ignore[arg-type]
+
+
+def solved(study: Study, added: list[Added], outputs: Outputs) -> np.ndarray:
+    """Series of linear-constant at `THETA` with effects, (n_series, n_times)."""
+    model = with_effects(baseline_of(study), [CATALOGUE[name].at(at) for name, _, at in added])
+    theta = pack(model.parameters[:4], THETA)
+    values = [value for _, values, _ in added for value in values]
+    return np.asarray(model.solve(model.configure(np.concatenate([theta, values])), outputs))
+
+
+def made(
+    added: list[Added],
+    *,
+    series: tuple[int, ...] = (0, 1, 2),
+    noise: float = 0.05,
+    seed: int = 1,
+    n: int = 256,
+) -> Study:
+    """The demo study with data of the solver: linear-constant, with effects, and white noise in mmHg."""
+    demo = load_study("demo")
+    chosen = [demo.series[i] for i in series]
+    times = np.arange(n) * demo.period_s / n
+    outputs = Outputs(tuple((s.vessel, s.position, s.quantity) for s in chosen), times)
+    waves = solved(demo, added, outputs)
+    waves = waves + noise * np.random.default_rng(seed).standard_normal(waves.shape)
+    return replace(
+        demo,
+        time_s=times,
+        series=tuple(Series(s.vessel, s.position, s.quantity, w) for s, w in zip(chosen, waves, strict=True)),
+    )
+
+
+def screening_of(study: Study, effects: list[str], baseline: str = "linear-constant") -> Screening:
+    """All hypotheses about a study with some effects of the catalogue."""
+    return Screening(
+        study_data(study), baseline_of(study, baseline), effects_for(baseline, effects), errors=Harmonics()
+    )
+
+
+def hypothesis_model(
+    study: Study, added: tuple[tuple[str, Location], ...] = (), **settings: object
+) -> HypothesisModel:
+    """Coefficients of a study under a hypothesis."""
+    hypothesis = Hypothesis(tuple(CATALOGUE[name].at(location) for name, location in added))
+    errors = Harmonics().bind(study_data(study))
+    return HypothesisModel(baseline_of(study, **settings), hypothesis, errors)  # type: ignore[arg-type]
