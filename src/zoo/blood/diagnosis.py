@@ -108,7 +108,7 @@ HOOKS = Hooks(
 """What a diagnosis is told about blood flow."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StudyDiagnosis(Diagnosis):
     """The diagnosis of a study, which figures of the tree need."""
 
