@@ -102,7 +102,7 @@ def diagnose(
         )
         found.save(output)  # what comes next takes longer and may be stopped
         if confirm:
-            found = found.confirmed(cores=cores, seed=seed, folder=folder, tick=tell)
+            found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
         tell.say("figures and page")
         words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]
         words += ["--confirm" if confirm else "--no-confirm", "--max-effects", str(max_effects)]
@@ -181,7 +181,7 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     for heading, justify in (("by", "left"), ("", "left"), ("share", "right"), ("", "left")):
         where.add_column(heading, justify=justify, no_wrap=True)  # type: ignore[arg-type]
     harmonics = dict(sorted(file.where.harmonic.items(), key=lambda item: -item[1])[:4])
-    places = {location_text(p.vessel, p.subtree): p.probability for p in file.where.place[:4]}
+    places = {location_text(p.part, p.subtree): p.probability for p in file.where.place[:4]}
     parts = {"phase": file.where.phase, "series": file.where.series, "harmonic": harmonics}
     parts["place"] = places
     for what, shares in parts.items():
@@ -204,7 +204,7 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
             "invisible" if h.name in file.invisible else _share(h.probability),
             str(h.group),
             size,
-            "" if free else f"{h.gap_after_mmHg:.2g}",
+            "" if free else f"{h.gap_after:.2g}",
             style="bold" if h.name in file.cause else None,
         )
     lines: list[Any] = [Text(verdict, style="bold"), *(Text(line) for line in rest), ""]
@@ -221,7 +221,7 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
             f"next measurement: {m.quantity} in vessel {m.vessel} at {m.position:g}, which tells "
             f"{m.separates[0]} from {m.separates[1]} (expected log odds up to {m.expected_log_odds:.1f})"
         )
-    for name, row in (file.confirmation or {}).items():
+    for name, row in (file.posteriors or {}).items():
         converged = "converged" if row["converged"] else "not converged, see report.html"
         lines.append(
             f"posterior of {name}: log marginal likelihood {maybe(row['log_marginal_likelihood'])} "

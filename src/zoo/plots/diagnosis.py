@@ -170,7 +170,7 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
         if hidden:
             words = "invisible here"
         elif h.name not in (UNLISTED, CORRELATED):
-            words += f", gap {h.gap_after_mmHg:.2g} {unit}"
+            words += f", gap {h.gap_after:.2g} {unit}"
         axes.annotate(
             words,
             (1.0, row),

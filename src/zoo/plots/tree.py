@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from zoo.blood.effects import Place
-from zoo.core.diagnosis.diagnosis import HypothesisResult, PlaceShare
+from zoo.core.diagnosis.diagnosis import HypothesisResult, LocationShare
 from zoo.plots.style import COLOURS, INK
 
 if TYPE_CHECKING:
@@ -22,9 +22,9 @@ LOCATION_COLOURS = ("#DDE2E8", "#E69F00", "#B23A00")
 LABELLED_VESSELS = 45
 
 
-def location_name(found: HypothesisResult | PlaceShare) -> str:
+def location_name(found: HypothesisResult | LocationShare) -> str:
     """Such as "vessel 2 and below"."""
-    vessel = found.place if isinstance(found, HypothesisResult) else found.vessel
+    vessel = found.place if isinstance(found, HypothesisResult) else found.part
     return str(Place(vessel, found.subtree))
 
 
@@ -70,10 +70,10 @@ def draw_tree(axes: Axes, d: Diagnosis) -> None:
     probability = {v.id: 0.0 for v in vessels}
     everywhere = 0.0
     for share in d.file.where.place:
-        if share.vessel is None:
+        if share.part is None:
             everywhere += share.probability
         else:
-            for v in _below(vessels, share.vessel) if share.subtree else {share.vessel}:
+            for v in _below(vessels, share.part) if share.subtree else {share.part}:
                 probability[v] += share.probability
     colours = mpl.colors.LinearSegmentedColormap.from_list("locations", LOCATION_COLOURS)
     layout = tree_layout(vessels)
@@ -114,7 +114,7 @@ def draw_tree(axes: Axes, d: Diagnosis) -> None:
         color="white" if everywhere > 0.6 else INK,
         bbox={"boxstyle": "round,pad=0.5", "fc": colours(everywhere), "ec": "#888888"},
     )
-    listed = [p for p in d.file.where.place if p.vessel is not None and p.probability >= 0.01][:3]
+    listed = [p for p in d.file.where.place if p.part is not None and p.probability >= 0.01][:3]
     axes.annotate(
         "\n".join(f"{location_name(p)}: {100 * p.probability:.0f} %" for p in listed),
         (0.01, 0.91),

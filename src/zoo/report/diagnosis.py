@@ -133,20 +133,20 @@ def diagnosis_summary(file: DiagnosisFile) -> list[str]:
     """
     gap, unit = file.gap, str(file.record.get("gap_unit", "mmHg"))
     lines = [f"Verdict: {file.verdict}.", *(f"Warning: {text}." for text in file.warnings)]
-    before = f"{span(gap.before_mmHg, gap.before_interval_mmHg)} {unit}"
-    floor = f"the noise {gap.noise_floor_mmHg:.2g} {unit}"
+    before = f"{span(gap.before, gap.before_interval)} {unit}"
+    floor = f"the noise {gap.noise_floor:.2g} {unit}"
     if file.hypotheses[0].name in (NO_GAP, UNLISTED, CORRELATED):
         lines.append(f"Beside the noise the base leaves a gap of {before}; {floor}.")
     else:
         lines.append(
             f"The gap of the base is {before}, with its cause "
-            f"{span(gap.after_mmHg, gap.after_interval_mmHg)} {unit}: {percent(gap.removed)} is removed "
+            f"{span(gap.after, gap.after_interval)} {unit}: {percent(gap.removed)} is removed "
             f"({percent(gap.removed_interval[0])} to {percent(gap.removed_interval[1])}); {floor}."
         )
-    if gap.held_out_before_mmHg is not None and gap.held_out_after_mmHg is not None:
+    if gap.held_out_before is not None and gap.held_out_after is not None:
         lines.append(
             f"In data that were not fitted ({gap.held_out}) the gap goes from "
-            f"{gap.held_out_before_mmHg:.2g} to {gap.held_out_after_mmHg:.2g} {unit}."
+            f"{gap.held_out_before:.2g} to {gap.held_out_after:.2g} {unit}."
         )
     if len(file.steps) > 1:
         lines.append(
@@ -162,7 +162,7 @@ def _step(step: Any, unit: str) -> str:
     sizes = ", ".join(f"{a.name} {estimate(a.mean, a.sd, a.unit)}" for a in step.amplitudes)
     return (
         f"{step.name}{where}, {percent(step.probability)} probable, {sizes}: "
-        f"{step.gap_before_mmHg:.2g} to {step.gap_after_mmHg:.2g} {unit}"
+        f"{step.gap_before:.2g} to {step.gap_after:.2g} {unit}"
     )
 
 
@@ -216,7 +216,7 @@ def _where_sentences(file: DiagnosisFile) -> list[str]:
     for what, shares in (("phase", where.phase), ("harmonic", where.harmonic), ("series", where.series)):
         named = [f"{name} ({percent(share)})" for name, share in shares.items() if share >= 0.005]
         lines.append(f"By {what}: {', '.join(named) or 'nothing'}.")
-    places = [f"{location_text(p.vessel, p.subtree)} ({percent(p.probability)})" for p in where.place[:5]]
+    places = [f"{location_text(p.part, p.subtree)} ({percent(p.probability)})" for p in where.place[:5]]
     lines.append(f"Place: {', '.join(places) or 'unknown'}.")
     return lines
 
@@ -239,8 +239,8 @@ def _hypothesis_row(h: HypothesisResult, file: DiagnosisFile) -> dict[str, Any]:
             str(h.group),
             f"{h.log_evidence - zero:+.1f}",
             size,
-            "" if free else span(h.gap_after_mmHg, h.gap_after_interval_mmHg),
-            f"{h.residual_rms_mmHg:.3g}",
+            "" if free else span(h.gap_after, h.gap_after_interval),
+            f"{h.residual_rms:.3g}",
         ],
     }
 
@@ -284,7 +284,7 @@ def _moved(file: DiagnosisFile) -> list[list[str]]:
 def _confirmed(file: DiagnosisFile) -> list[dict[str, Any]]:
     """Rows of the confirmation, best marginal likelihood first."""
     rows = []
-    found = file.confirmation or {}
+    found = file.posteriors or {}
 
     def worth(name: str) -> float:
         value = found[name]["log_marginal_likelihood"]
