@@ -12,8 +12,8 @@ from zoo.blood.diagnosis import SEARCH, effects_for
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.forward import study_data
 from zoo.blood.study import Series, Study
-from zoo.core.diag2.hypothesis import Hypothesis, HypothesisModel
-from zoo.core.diag2.screening import Screening
+from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
+from zoo.core.diagnosis.screening import Screening
 from zoo.core.effects import Location, with_effects
 from zoo.core.errors.spectral import Harmonics
 from zoo.core.forward import ForwardModel, Outputs

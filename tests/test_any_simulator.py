@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from zoo.core.data import Data
-from zoo.core.diag2 import Candidate, DiagnosisError, Hooks, diagnose
+from zoo.core.diagnosis import Candidate, DiagnosisError, Hooks, diagnose
 from zoo.core.effects import EffectParameter, Location, effect
 from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs, SolveError
@@ -111,7 +111,7 @@ def test_wrong_arguments_are_named(settings: dict[str, object], text: str) -> No
 
 def test_importing_the_diagnosis_loads_neither_the_study_nor_the_compiled_library() -> None:
     code = (
-        "import sys, zoo.core.diag2; "
+        "import sys, zoo.core.diagnosis; "
         "print([m for m in sys.modules if m.startswith(('zoo.blood', 'zoo.models.model_', 'zoo._native'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -8,9 +8,9 @@ import pymc as pm
 import pytest
 
 from made import QUANTITY, made, screening_of
-from zoo.core.diag2.hypothesis import NULL
-from zoo.core.diag2.posteriors import explanation_model, sample_explanations
-from zoo.core.diag2.scoring import Scored, score
+from zoo.core.diagnosis.hypothesis import NULL
+from zoo.core.diagnosis.posteriors import explanation_model, sample_explanations
+from zoo.core.diagnosis.scoring import Scored, score
 from zoo.core.effects import EVERYWHERE
 from zoo.core.errors.spectral import log_density
 from zoo.core.inference.logposterior import LogPosterior

@@ -14,9 +14,9 @@ from zoo import load_study
 from zoo.blood.diagnosis import SEARCH
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.study import Series
-from zoo.core.diag2.discrepancy import model_discrepancy, possible_noise
-from zoo.core.diag2.evidence import Fit
-from zoo.core.diag2.hypothesis import (
+from zoo.core.diagnosis.discrepancy import model_discrepancy, possible_noise
+from zoo.core.diagnosis.evidence import Fit
+from zoo.core.diagnosis.hypothesis import (
     CORRELATED,
     NONPARAMETRIC,
     NULL,
@@ -24,8 +24,8 @@ from zoo.core.diag2.hypothesis import (
     HypothesisModel,
     coordinates,
 )
-from zoo.core.diag2.scoring import VISIBLE, _groups, score
-from zoo.core.diag2.search import Point, Search, SearchError
+from zoo.core.diagnosis.scoring import VISIBLE, _groups, score
+from zoo.core.diagnosis.search import Point, Search, SearchError
 from zoo.core.effects import EVERYWHERE, EffectParameter
 from zoo.core.errors.spectral import GroupErrors, log_density
 from zoo.core.forward import Outputs

@@ -9,8 +9,8 @@ from scipy.linalg import circulant
 from scipy.stats import multivariate_normal
 
 from zoo.core.data import Data
-from zoo.core.diag2.discrepancy import smooth_part
-from zoo.core.diag2.evidence import marginal
+from zoo.core.diagnosis.discrepancy import smooth_part
+from zoo.core.diagnosis.evidence import marginal
 from zoo.core.errors.base import ErrorModelError
 from zoo.core.errors.spectral import Cosines, GroupErrors, Harmonics, Spectral, log_density, spectral_errors
 

@@ -34,7 +34,7 @@ _HOME = {
     "sample": "core.inference.sampling",
     "compare": "core.posterior.comparison",
     "diagnose": "front",
-    "read_diagnosis": "core.diagnosis.diagnosis",
+    "read_diagnosis": "core.diagnosis",
 }
 
 __all__ = ["__version__", *_HOME, *(f"model_{letter}" for letter in MODELS)]

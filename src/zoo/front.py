@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from zoo.core import diag2
+from zoo.core import diagnosis
 from zoo.core.data import Data
-from zoo.core.diagnosis import diagnosis
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,8 +19,7 @@ def _plot(found: Any) -> Figure:
     return plot_diagnosis(found)
 
 
-for kind in (diag2.Diagnosis, diagnosis.Diagnosis):
-    kind.plotter = staticmethod(_plot)  # the core draws nothing itself
+diagnosis.Diagnosis.plotter = staticmethod(_plot)  # the core draws nothing itself
 
 
 def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
@@ -32,15 +30,15 @@ def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
     data : Study or Data
         What was measured: a study of blood flow (`zoo.load_study`), or series of anything else.
     *arguments, **settings
-        For a study those of `zoo.core.diagnosis.diagnosis.diagnose`: the baseline's name or the letter of a
+        For a study those of `zoo.blood.diagnosis.diagnose`: the baseline's name or the letter of a
         model with that structure, `effects`, `max_effects` and so on. For other data those of
-        `zoo.core.diag2.diagnose`: the forward model, the effects, `errors`, `hooks` and so on.
+        `zoo.core.diagnosis.diagnose`: the forward model, the effects, `errors`, `hooks` and so on.
 
     Returns
     -------
     Diagnosis
         `print` shows the verdict; `where`, `cause`, `shrinkage` and `hypotheses` say more, `plot()` draws it
-        on one page, `confirmed()` samples the posteriors of the leading explanations.
+        on one page, `with_posteriors()` samples the posteriors of the leading explanations.
 
     Raises
     ------
@@ -57,5 +55,8 @@ def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
     ----------
     Kennedy and O'Hagan 2001, doi 10.1111/1467-9868.00294.
     """
-    run: Any = diag2.diagnose if isinstance(data, Data) else diagnosis.diagnose
-    return run(data, *arguments, **settings)
+    if isinstance(data, Data):
+        return diagnosis.diagnose(data, *arguments, **settings)
+    from zoo.blood.diagnosis import diagnose as diagnose_study
+
+    return diagnose_study(data, *arguments, **settings)

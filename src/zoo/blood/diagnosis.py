@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from zoo.blood.study import Study
 from zoo.core.data import Data
 from zoo.core.diagnosis import Candidate, Diagnosis, DiagnosisError, Hooks
 from zoo.core.diagnosis import diagnose as diagnose_data
-from zoo.core.effects import Effect
+from zoo.core.effects import Effect, EffectError
 from zoo.core.forward import ForwardModel
 
 Array = NDArray[np.float64]
@@ -112,7 +112,7 @@ HOOKS = Hooks(
 class StudyDiagnosis(Diagnosis):
     """The diagnosis of a study, which figures of the tree need."""
 
-    study: Study | None = None
+    study: Study = field(kw_only=True)
 
 
 def effects_for(baseline: str, given: Iterable[str | Effect] | None = None) -> tuple[Effect, ...]:
@@ -132,7 +132,12 @@ def effects_for(baseline: str, given: Iterable[str | Effect] | None = None) -> t
     """
     if given is None:
         return tuple(one for one in CATALOGUE.values() if one.offered(baseline))
-    return CATALOGUE.resolve(given)
+    found = CATALOGUE.resolve(given)
+    for one in found:
+        if not one.offered(baseline):
+            only = ", ".join(one.baselines)
+            raise EffectError(f"effect {one.name}: cannot be added to {baseline}, only to {only}")
+    return found
 
 
 def diagnose(

@@ -115,7 +115,7 @@ def run(
             cases,
             output,
             base=base,
-            confirm=confirm,
+            posteriors=confirm,
             max_effects=max_effects,
             seed=seed,
             cores=cores,

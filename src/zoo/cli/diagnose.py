@@ -15,7 +15,7 @@ from zoo.cli.screen import plain_table, say
 if TYPE_CHECKING:
     from zoo.blood.conventions import Conventions
     from zoo.blood.study import Study
-    from zoo.core.diagnosis.diagnosis import DiagnosisFile
+    from zoo.core.diagnosis.file import DiagnosisFile
 
 BARS = 24
 """Characters of a share of 1."""
@@ -64,7 +64,7 @@ def diagnose(
     """Find what a base model misses in a study: where the gap lies, what causes it, how far it shrinks."""
     import shlex
 
-    from zoo.blood.effects import get_base
+    from zoo.blood.baseline import get_baseline
 
     for option, count, least in (
         ("--max-effects", max_effects, 1),
@@ -72,16 +72,17 @@ def diagnose(
         ("--seed", seed, 0),
     ):
         at_least(option, count, least)
-    chosen = get_base(base)
+    chosen = get_baseline(base)
     names = _effect_names(effects, chosen.name)
     loaded = conventions.load(study)
     output_folder(output)
 
-    from zoo.core.diagnosis.diagnosis import diagnose as run
-    from zoo.core.diagnosis.discrepancy import Harmonics
+    from zoo.blood.diagnosis import diagnose as run
+    from zoo.blood.forward import study_data
+    from zoo.core.errors.spectral import Harmonics
     from zoo.report import write_diagnosis
 
-    Harmonics(loaded)  # a study without observations is refused before the work
+    Harmonics().bind(study_data(loaded))  # a study without observations is refused before the work
     output.mkdir(exist_ok=True)
     # a base has a wall factor of its own unless one is asked for
     own = loaded.conventions if conventions.wall_factor is not None else None
@@ -146,14 +147,14 @@ class Telling:
 
 def _effect_names(text: str | None, base: str) -> list[str] | None:
     """Effects of an option, each of which the base can take; None for all."""
-    from zoo.blood.effects import effects_for
+    from zoo.blood.diagnosis import effects_for
 
     if text is None:
         return None
     names = [part.strip() for part in text.split(",") if part.strip()]
     if not names:
         raise UsageError("--effects: no names; give some of `zoo effects` with commas, or leave it out")
-    return list(effects_for(base, names))
+    return [one.name for one in effects_for(base, names)]
 
 
 def _run_name(study: Study, base: str, conventions: Conventions | None, seed: int) -> str:

@@ -33,9 +33,9 @@ def effects(
     """List the effects that a base model may lack; with a name, all that is known about one."""
     import json
 
-    from zoo.blood.effects import CATALOGUE, get_effect
+    from zoo.blood.effects import CATALOGUE
 
-    chosen = list(CATALOGUE.values()) if name is None else [get_effect(name)]
+    chosen = list(CATALOGUE.values()) if name is None else [CATALOGUE[name]]
     if as_json:
         found = [_effect_fields(effect) for effect in chosen]
         typer.echo(json.dumps(found if name is None else found[0], indent=1, ensure_ascii=False))
@@ -47,7 +47,7 @@ def effects(
 
 def _locations(effect: Effect) -> str:
     """Where an effect can act, in words."""
-    function = getattr(effect.places, "__name__", "")
+    function = getattr(effect.locations, "__name__", "")
     return LOCATION_WORDS.get(function, function.replace("_", " ") or "some places")
 
 
@@ -57,8 +57,8 @@ def _effect_fields(effect: Effect) -> dict[str, Any]:
     fields = {
         n: getattr(effect, n) for n in ("name", "family", "statement", "equation", "signature", "source")
     }
-    amplitudes = [asdict(amplitude) for amplitude in effect.amplitudes]
-    return fields | {"places": _locations(effect), "bases": list(effect.bases), "amplitudes": amplitudes}
+    amplitudes = [asdict(amplitude) for amplitude in effect.parameters]
+    return fields | {"places": _locations(effect), "bases": list(effect.baselines), "amplitudes": amplitudes}
 
 
 def _effects_table(chosen: Sequence[Effect]) -> Any:
@@ -78,8 +78,8 @@ def _effects_table(chosen: Sequence[Effect]) -> Any:
         if members:
             table.add_row(Text(family, style="bold"))
         for effect in members:
-            names = [f"{amplitude.name} ({amplitude.unit})" for amplitude in effect.amplitudes]
-            priors = [prior_text(a).removesuffix(f" {a.unit}") for a in effect.amplitudes]
+            names = [f"{amplitude.name} ({amplitude.unit})" for amplitude in effect.parameters]
+            priors = [prior_text(a).removesuffix(f" {a.unit}") for a in effect.parameters]
             if wide:
                 cells = ["\n".join(names), "\n".join(priors), _locations(effect), effect.signature]
             else:
@@ -98,11 +98,11 @@ def _effect_lines(effect: Effect) -> list[Any]:
     table.add_column(no_wrap=True)
     table.add_column()
     rows = [(n, str(getattr(effect, n))) for n in ("family", "statement", "equation", "signature")]
-    for amplitude in effect.amplitudes:
+    for amplitude in effect.parameters:
         words = [f"{amplitude.name} ({amplitude.unit}) ~ {prior_text(amplitude)}", amplitude.why]
         words.append("0 is the base" if amplitude.zero_is_base else "a shape, which no base has")
         rows.append(("amplitude", "; ".join(word for word in words if word)))
-    rows += [("places", _locations(effect)), ("bases", ", ".join(effect.bases) or "all")]
+    rows += [("places", _locations(effect)), ("bases", ", ".join(effect.baselines) or "all")]
     rows.append(("source", effect.source))
     for what, text in rows:
         table.add_row(Text(what, style="bold"), Text(text))

@@ -237,7 +237,7 @@ class Normal(Prior):
         log_a, log_b = log_normal_tails(low, high)
         u = rng.uniform(size=size)
         z = ndtri_exp(log_b + np.log(u + (1.0 - u) * np.exp(log_a - log_b)))
-        return np.clip(self.mean + self.sd * (-z if low > 0 else z), self.low, self.high)
+        return np.asarray(np.clip(self.mean + self.sd * (-z if low > 0 else z), self.low, self.high))
 
     @property
     def median(self) -> float:

@@ -9,7 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from zoo.core.diagnosis.screening import UNLISTED
+from zoo.core.diagnosis.hypothesis import NONPARAMETRIC
 from zoo.plots.style import COLOURS, INK, new_figure
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def plot_confusion(score: CheckScore) -> Figure:
                         j, i, str(count[i, j]), ha="center", va="center", fontsize="small",
                         color="white" if dark else INK,
                     )  # fmt: skip
-                if s == t or (outside and s == UNLISTED):
+                if s == t or (outside and s == NONPARAMETRIC):
                     box = mpl.patches.Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, ec=INK, lw=1.2)
                     axes.add_patch(box)
         axes.set_xticks(range(len(said)), said, rotation=90, fontsize="small")

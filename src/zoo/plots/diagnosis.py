@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections import Counter
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -15,13 +16,14 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import SymmetricalLogLocator
 from numpy.typing import NDArray
 
-from zoo.core.diagnosis.diagnosis import PHASES, SeriesGap, phases
-from zoo.core.diagnosis.screening import CORRELATED, NO_GAP, UNLISTED
+from zoo.blood.diagnosis import StudyDiagnosis
+from zoo.core.diagnosis.file import SeriesGap
+from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.plots.style import COLOURS, DASHED, DOTTED, INK, QUANTITY_LABELS, new_figure, parts
 from zoo.plots.tree import draw_tree, location_name
 
 if TYPE_CHECKING:
-    from zoo.core.diagnosis.diagnosis import Diagnosis
+    from zoo.core.diagnosis import Diagnosis
 
 GAP_COLOUR, CAUSE_COLOUR, ALL_COLOUR = COLOURS[1], COLOURS[0], COLOURS[2]
 ALONE = "#9AA5B1"
@@ -31,7 +33,7 @@ ALONE = "#9AA5B1"
 def _cause_name(d: Diagnosis) -> str:
     """The leading effect with its location; empty where no listed effect leads."""
     leader = d.file.hypotheses[0]
-    if leader.name in (NO_GAP, UNLISTED, CORRELATED):
+    if leader.name in (NULL, NONPARAMETRIC, CORRELATED):
         return ""
     return leader.name if leader.place is None else f"{leader.name}, {location_name(leader)}"
 
@@ -42,18 +44,21 @@ def _spans(index: NDArray[np.int_]) -> list[tuple[int, int, int]]:
     return [(int(a), int(b), int(index[a])) for a, b in pairwise(edges)]
 
 
-def _shade_phases(axes: Axes, phase: NDArray[np.int_], period_ms: float, *, named: bool) -> None:
+def _shade_phases(
+    axes: Axes, names: Sequence[str], phase: NDArray[np.int_], limits: tuple[float, float], *, named: bool
+) -> None:
     """Every other phase shaded; the two short ones are named a line higher."""
-    step = period_ms / len(phase)
+    start, end = limits
+    step = (end - start) / len(phase)
     spans = _spans(phase)
     widest = {k: max((b - a, a) for a, b, value in spans if value == k)[1] for _, _, k in spans}
     for first, last, k in spans:
         if k % 2:
-            axes.axvspan(first * step, last * step, color="#EEF1F4", lw=0, zorder=0)
+            axes.axvspan(start + first * step, start + last * step, color="#EEF1F4", lw=0, zorder=0)
         if named and widest[k] == first:
             axes.annotate(
-                PHASES[k],
-                (0.5 * (first + last) * step, 1.0),
+                names[k],
+                (start + 0.5 * (first + last) * step, 1.0),
                 xycoords=("data", "axes fraction"),
                 xytext=(0, 11 if k % 2 else 2),
                 textcoords="offset points",
@@ -61,34 +66,34 @@ def _shade_phases(axes: Axes, phase: NDArray[np.int_], period_ms: float, *, name
                 fontsize=7,
                 color="#666666",
             )
-    axes.set_xlim(0, period_ms)
+    axes.set_xlim(start, end)
 
 
 def _draw_gap(figure: Figure | SubFigure, d: Diagnosis) -> None:
-    study = d.study
-    n = len(study.series)
+    data = d.data
+    n = data.n_series
     columns = min(n, 3)
     blocks = math.ceil(n / columns)
     cause = _cause_name(d)
-    time_ms = 1e3 * np.asarray(study.time_s)
-    period_ms = 1e3 * study.period_s
-    labels = [s.label for s in study.series]
-    timing = next(i for i, label in enumerate(labels) if label in d.file.where.series)
-    phase = phases(study.values[timing], study.period_s)
+    in_ms = data.period is not None and data.time_unit == "s"
+    scale, unit = (1e3, "ms") if in_ms else (1.0, data.time_unit)
+    time_ms, period_ms = scale * data.times, scale * (data.times[0] + data.duration)
+    names, phase = d.hooks.phases_of(data, d.hooks.rows(data))
+    clock = f"time in the beat ({unit})" if data.period is not None else f"time ({unit})"
     grid = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=(3, 1.6) * blocks)
     for axes in grid.flat[:]:
         axes.set_axis_off()
-    for i, (series, row) in enumerate(zip(study.series, d.file.gap.per_series, strict=True)):
+    for i, (series, row) in enumerate(zip(data.values, d.file.gap.per_series, strict=True)):
         top, bottom = (grid[2 * (i // columns) + k, i % columns] for k in (0, 1))
         for axes in (top, bottom):
             axes.set_axis_on()
-            _shade_phases(axes, phase, period_ms, named=axes is top)
-        top.plot(time_ms, series.value, color=INK, lw=2.2, alpha=0.35, label="measured")
-        computed = series.value - d.before.residual[i]
+            _shade_phases(axes, names, phase, (time_ms[0], period_ms), named=axes is top)
+        top.plot(time_ms, series, color=INK, lw=2.2, alpha=0.35, label="measured")
+        computed = series - d.before.residual[i]
         top.plot(time_ms, computed, color=GAP_COLOUR, lw=1.2, ls=DASHED, label="base")
         drawn = [("base", d.before, GAP_COLOUR)]
         if cause:
-            computed = series.value - d.after.residual[i]
+            computed = series - d.after.residual[i]
             top.plot(time_ms, computed, color=CAUSE_COLOUR, lw=1.2, label=f"base + {cause}")
             drawn.append(("base + cause", d.after, CAUSE_COLOUR))
         if len(d.file.steps) > 1:
@@ -102,11 +107,11 @@ def _draw_gap(figure: Figure | SubFigure, d: Diagnosis) -> None:
             label = f"discrepancy of {label}, 95 %"
             bottom.fill_between(time_ms, mean - sd, mean + sd, color=colour, alpha=0.3, lw=0, zorder=2)
             bottom.plot(time_ms, mean, color=colour, lw=1.2, zorder=3, label=label)
-        top.set_title(f"{series.label.rsplit(' ', 1)[0]}: {_shrinks(row, bool(cause))}", pad=24)
-        top.set_ylabel(QUANTITY_LABELS[series.quantity])
+        top.set_title(f"{data.labels[i].rsplit(' ', 1)[0]}: {_shrinks(row, bool(cause))}", pad=24)
+        top.set_ylabel(QUANTITY_LABELS.get(data.groups[i], f"{data.groups[i]} ({data.units[i]})"))
         top.tick_params(labelbottom=False)
         bottom.set_ylabel(f"gap ({row.unit})")
-        bottom.set_xlabel("time in the beat (ms)")
+        bottom.set_xlabel(clock)
     handles = [handle for axes in grid[:2, 0] for handle in axes.get_legend_handles_labels()[0]]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
 
@@ -130,7 +135,7 @@ def plot_gap(d: Diagnosis) -> Figure:
         Two panels for each observed series; phases of the beat are shaded and named, bands hold 95 %, the
         grey strip is one standard deviation of the noise.
     """
-    n = len(d.study.series)
+    n = d.data.n_series
     columns = min(n, 3)
     size = (max(6.4, 4.3 * columns), 0.5 + 4.9 * math.ceil(n / columns))
     with new_figure(size) as figure:
@@ -151,8 +156,8 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
     found = d.file.hypotheses
     unit = d.file.record.get("gap_unit", "mmHg")
     colours = _group_colours(d)
-    zero = next(h.log_evidence for h in found if h.name == NO_GAP)
-    special = {NO_GAP: "noise alone", UNLISTED: "none of those listed", CORRELATED: "correlated noise"}
+    zero = next(h.log_evidence for h in found if h.name == NULL)
+    special = {NULL: "noise alone", NONPARAMETRIC: "none of those listed", CORRELATED: "correlated noise"}
     for row, h in enumerate(found):
         hidden = h.name in d.file.invisible
         bar = axes.barh(
@@ -169,7 +174,7 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
         words += f"{100 * h.probability:.0f} %" if h.probability >= 0.005 else "<1 %"
         if hidden:
             words = "invisible here"
-        elif h.name not in (UNLISTED, CORRELATED):
+        elif h.name not in (NONPARAMETRIC, CORRELATED):
             words += f", gap {h.gap_after:.2g} {unit}"
         axes.annotate(
             words,
@@ -236,7 +241,7 @@ def plot_hypotheses(d: Diagnosis) -> Figure:
 def _draw_where(figure: Figure | SubFigure, d: Diagnosis) -> None:
     left, right = parts(figure, 1, 2, width_ratios=(1, 1.9))
     where = d.file.where
-    panels = (("phase of the beat", where.phase), ("harmonic", where.harmonic), ("series", where.series))
+    panels = (("phase", where.phase), ("harmonic", where.harmonic), ("series", where.series))
     ratios = [max(2.5, float(len(shares))) for _, shares in panels]
     for axes, (title, shares) in zip(left.subplots(3, 1, height_ratios=ratios), panels, strict=True):
         axes.barh(np.arange(len(shares)), [100 * v for v in shares.values()], color=GAP_COLOUR, height=0.7)
@@ -245,11 +250,26 @@ def _draw_where(figure: Figure | SubFigure, d: Diagnosis) -> None:
         axes.set_xlim(0, 100)
         axes.set_title(title)
     axes.set_xlabel("share of the gap's energy (%)")
-    draw_tree(right.subplots(), d)
+    if isinstance(d, StudyDiagnosis):
+        draw_tree(right.subplots(), d)
+    else:
+        _draw_locations(right.subplots(), d)
+
+
+def _draw_locations(axes: Axes, d: Diagnosis) -> None:
+    """Probabilities of the locations of a simulator that has no tree."""
+    shares = {location_name(share): 100 * share.probability for share in d.file.where.place[:12]}
+    axes.barh(np.arange(len(shares)), list(shares.values()), color=CAUSE_COLOUR, height=0.7)
+    axes.set_yticks(np.arange(len(shares)), list(shares), fontsize="small")
+    axes.set_ylim(len(shares) - 0.4, -0.6)
+    axes.set_xlim(0, 100)
+    axes.set_title("location")
+    axes.set_xlabel("probability (%)")
 
 
 def _where_height(d: Diagnosis) -> float:
-    terminals = len(d.study.vessels) - len({v.parent for v in d.study.vessels} - {None})
+    vessels = d.study.vessels if isinstance(d, StudyDiagnosis) else ()
+    terminals = len(vessels) - len({v.parent for v in vessels} - {None})
     bars = 5 + len(d.file.where.harmonic) + len(d.file.where.series)
     return min(24.0, max(1.8 + 0.24 * bars, 1.5 + 0.3 * terminals))
 
@@ -283,7 +303,7 @@ def plot_diagnosis(d: Diagnosis) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    n = len(d.study.series)
+    n = d.data.n_series
     heights = (0.5 + 4.9 * math.ceil(n / min(n, 3)), max(_hypotheses_height(d), _where_height(d)))
     with new_figure((17.0, 0.6 + sum(heights))) as figure:
         top, bottom = parts(figure, 2, 1, height_ratios=heights)

@@ -9,13 +9,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from zoo.blood.effects import Place
-from zoo.core.diagnosis.diagnosis import HypothesisResult, LocationShare
+from zoo.core.diagnosis.file import HypothesisResult, LocationShare
+from zoo.core.effects import Location
 from zoo.plots.style import COLOURS, INK
 
 if TYPE_CHECKING:
+    from zoo.blood.diagnosis import StudyDiagnosis
     from zoo.blood.study import Vessel
-    from zoo.core.diagnosis.diagnosis import Diagnosis
 
 LOCATION_COLOURS = ("#DDE2E8", "#E69F00", "#B23A00")
 """From improbable to certain; the first still shows on white."""
@@ -24,8 +24,8 @@ LABELLED_VESSELS = 45
 
 def location_name(found: HypothesisResult | LocationShare) -> str:
     """Such as "vessel 2 and below"."""
-    vessel = found.place if isinstance(found, HypothesisResult) else found.part
-    return str(Place(vessel, found.subtree))
+    part = found.place if isinstance(found, HypothesisResult) else found.part
+    return str(Location(part, found.subtree, "vessel" if isinstance(part, int) else ""))
 
 
 def tree_layout(vessels: Sequence[Vessel]) -> dict[int, tuple[float, float, float, float]]:
@@ -65,7 +65,7 @@ def _below(vessels: Sequence[Vessel], vessel: int) -> set[int]:
     return inside
 
 
-def draw_tree(axes: Axes, d: Diagnosis) -> None:
+def draw_tree(axes: Axes, d: StudyDiagnosis) -> None:
     vessels = d.study.vessels
     probability = {v.id: 0.0 for v in vessels}
     everywhere = 0.0
@@ -73,7 +73,7 @@ def draw_tree(axes: Axes, d: Diagnosis) -> None:
         if share.part is None:
             everywhere += share.probability
         else:
-            for v in _below(vessels, share.part) if share.subtree else {share.part}:
+            for v in _below(vessels, int(share.part)) if share.subtree else {share.part}:
                 probability[v] += share.probability
     colours = mpl.colors.LinearSegmentedColormap.from_list("locations", LOCATION_COLOURS)
     layout = tree_layout(vessels)

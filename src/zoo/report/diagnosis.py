@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from zoo.blood.effects import CATALOGUE
-from zoo.core.diagnosis.diagnosis import DiagnosisFile, HypothesisResult
-from zoo.core.diagnosis.screening import CORRELATED, NO_GAP, UNLISTED
+from zoo.core.diagnosis.file import DiagnosisFile, HypothesisResult
+from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.plots import plot_diagnosis, plot_gap, plot_hypotheses, plot_where, save_figure
 from zoo.report.page import ReportError, picture_of, write_page
 from zoo.report.parameters import MEANINGS
 from zoo.report.words import estimate, listed, location_text, maybe, percent, settings_text, span, value_text
 
 if TYPE_CHECKING:
-    from zoo.core.diagnosis.diagnosis import Diagnosis
+    from zoo.blood.diagnosis import StudyDiagnosis
 
 DIAGNOSIS_FIGURES = {
     "gap": (
@@ -36,16 +36,19 @@ DIAGNOSIS_FIGURES = {
     ),
 }
 """Figure -> what draws it, and its caption."""
-MADE_UP = {NO_GAP: "Noise explains what the base leaves.", UNLISTED: "Something smooth that is not listed."}
+MADE_UP = {
+    NULL: "Noise explains what the base leaves.",
+    NONPARAMETRIC: "Something smooth that is not listed.",
+}
 """Explanations outside the catalogue."""
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = "") -> list[Path]:
+def write_diagnosis(diagnosis: StudyDiagnosis, folder: str | Path, *, command: str = "") -> list[Path]:
     """Write a diagnosis into a folder: diagnosis.json, a self-contained report.html, and its figures.
 
     Parameters
     ----------
-    diagnosis : Diagnosis
+    diagnosis : StudyDiagnosis
     folder : path
         Made if it is missing.
     command : str
@@ -135,7 +138,7 @@ def diagnosis_summary(file: DiagnosisFile) -> list[str]:
     lines = [f"Verdict: {file.verdict}.", *(f"Warning: {text}." for text in file.warnings)]
     before = f"{span(gap.before, gap.before_interval)} {unit}"
     floor = f"the noise {gap.noise_floor:.2g} {unit}"
-    if file.hypotheses[0].name in (NO_GAP, UNLISTED, CORRELATED):
+    if file.hypotheses[0].name in (NULL, NONPARAMETRIC, CORRELATED):
         lines.append(f"Beside the noise the base leaves a gap of {before}; {floor}.")
     else:
         lines.append(
@@ -166,7 +169,7 @@ def _step(step: Any, unit: str) -> str:
     )
 
 
-def _diagnosis_facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+def _diagnosis_facts(diagnosis: StudyDiagnosis) -> list[tuple[str, str]]:
     study, file = diagnosis.study, diagnosis.file
     series = ", ".join(f"{s.label} ({len(s.value)} samples)" for s in study.series)
     record = file.record
@@ -222,9 +225,9 @@ def _where_sentences(file: DiagnosisFile) -> list[str]:
 
 
 def _hypothesis_row(h: HypothesisResult, file: DiagnosisFile) -> dict[str, Any]:
-    zero = next(x.log_evidence for x in file.hypotheses if x.name == NO_GAP)
+    zero = next(x.log_evidence for x in file.hypotheses if x.name == NULL)
     amplitudes = [a for a in (h.amplitude, *h.other_amplitudes) if a is not None]
-    free = h.name in (UNLISTED, CORRELATED)
+    free = h.name in (NONPARAMETRIC, CORRELATED)
     size = ", ".join(
         f"{a.name} " + (f"{a.mean:.3g} {a.unit}" if free else estimate(a.mean, a.sd, a.unit))
         for a in amplitudes

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from zoo.blood.effects import Place
+from zoo.core.effects import Location
 
 
-def location_text(vessel: int | None, subtree: bool) -> str:
+def location_text(vessel: int | str | None, subtree: bool) -> str:
     """Such as "vessel 2 and below"; None stands for everywhere alike."""
-    return str(Place(vessel, subtree))
+    return str(Location(vessel, subtree, "vessel" if isinstance(vessel, int) else ""))
 
 
 def listed(names: Iterable[Any]) -> str:

@@ -9,15 +9,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.blood.baseline import get_baseline
 from zoo.blood.blind.networks import Sensor
-from zoo.blood.effects import Case, Effect, EffectError, Place, apply_all, get_base, simulate
+from zoo.blood.case import Case
+from zoo.blood.forward import BloodFlow, study_data
 from zoo.blood.solver import SolverArgumentError, SolverOptions
 from zoo.blood.study import Series, Study
-from zoo.core.diagnosis.discrepancy import Errors, Harmonics
-from zoo.core.diagnosis.screening import Forward, Hypothesis, Search, SearchError
+from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
+from zoo.core.diagnosis.search import Search, SearchError
+from zoo.core.effects import Effect, EffectError, Location, in_order
+from zoo.core.errors.spectral import GroupErrors, Harmonics
+from zoo.core.forward import Outputs, SolveError
+from zoo.core.parameters import pack
 
 Array = NDArray[np.float64]
-Added = tuple[tuple[Effect, tuple[float, ...], Place], ...]
+Added = tuple[tuple[Effect, tuple[float, ...], Location], ...]
 
 BASELINE = "linear-constant"
 GENERATOR = SolverOptions(dx_cm=0.019, refine=2, cfl=0.8, tolerance_mmHg=2e-4)
@@ -26,17 +32,38 @@ SAMPLES = 512
 WHITE_MMHG = 0.05
 FLOW_NOISE = 0.01
 """Noise of a flow, as a part of its peak."""
-BASELINE_ALONE = Hypothesis()
 
 
-class _FixedEffects(Forward):
-    """The baseline's waveforms with effects whose amplitudes stay as they are."""
+class FixedEffects:
+    """A forward model with effects whose parameters stay as they are; itself a forward model.
 
-    added: Added = ()
+    Parameters
+    ----------
+    model : BloodFlow
+    added : sequence of (Effect, values, Location)
+    """
 
-    def case(self, u: Array) -> Case:
-        """The solve at these coordinates."""
-        return apply_all(super().case(u), self.added)
+    def __init__(self, model: BloodFlow, added: Added) -> None:
+        self.model = model
+        self.name, self.parameters = model.name, model.parameters
+        self.outputs, self.families, self.key = model.outputs, model.families, model.key
+        order = in_order(model, [effect.at(location) for effect, _, location in added])
+        self.added = tuple(added[i] for i in order)
+
+    def configure(self, theta: Array) -> Case:
+        """The model's case with the effects."""
+        case = self.model.configure(theta)
+        for effect, values, location in self.added:
+            if effect.apply is None:
+                raise EffectError(
+                    f"effect {effect.name}: is part of the errors; it cannot be added to a solve"
+                )
+            case = effect.apply(case, values, location)
+        return case
+
+    def solve(self, configuration: Case, outputs: Outputs | None = None) -> Array:
+        """As the model does."""
+        return self.model.solve(configuration, outputs)
 
 
 def over_pressures(rms: Mapping[str, float]) -> float:
@@ -62,20 +89,24 @@ class Bench:
     """
 
     def __init__(self, study: Study, theta: Mapping[str, float], sensors: Sequence[Sensor]) -> None:
-        self.baseline, self.theta, self.sensors = get_base(BASELINE), dict(theta), list(sensors)
-        self.times = np.arange(SAMPLES) * (study.period_s / SAMPLES)
-        waves, reason = simulate(self.baseline.case(study, self.theta, GENERATOR), self.sensors, self.times)
-        if reason is not None:
-            raise EffectError(reason)
+        self.theta, self.sensors = dict(theta), list(sensors)
+        self.times: Array = np.asarray(np.arange(SAMPLES) * (study.period_s / SAMPLES), dtype=np.float64)
+        baseline = get_baseline(BASELINE)
+        bare = baseline.forward(study, options=GENERATOR)
+        self.values = pack(bare.parameters, self.theta)
+        try:
+            waves = bare.solve(bare.configure(self.values), Outputs(tuple(self.sensors), self.times))
+        except SolveError as error:
+            raise EffectError(str(error)) from None
         self.clean = waves
         self.study = self.with_series(study, waves)
+        self.flow = baseline.forward(self.study, options=GENERATOR)
         self.labels = [s.label for s in self.study.series]
-        self.harmonics = Harmonics(self.study)
+        self.errors = Harmonics().bind(study_data(self.study))
         self.sigma = {
             q: WHITE_MMHG if q == "pressure_mmHg" else FLOW_NOISE * float(np.abs(waves[rows]).max())
-            for q, rows in self.harmonics.rows.items()
+            for q, rows in self.errors.rows.items()
         }
-        self.start = np.array([p.outside(self.theta[p.name]) for p in self._forward(()).parameters])
         self._jacobian: Array | None = None
 
     def with_series(self, study: Study, waves: Array) -> Study:
@@ -83,21 +114,15 @@ class Bench:
         series = [Series(v, x, q, row) for (v, x, q), row in zip(self.sensors, waves, strict=True)]
         return replace(study, time_s=np.asarray(self.times), series=tuple(series))
 
-    def _forward(self, added: Added, hypothesis: Hypothesis = BASELINE_ALONE) -> _FixedEffects:
-        forward = _FixedEffects(self.study, self.baseline, hypothesis, self.harmonics, GENERATOR)
-        forward.added = added
-        return forward
-
     def solve(self, added: Added) -> Array | None:
         """Waveforms with these effects, or None where the solve fails."""
         if not added:
             return self.clean
+        model = FixedEffects(self.flow, added)
         try:
-            case = apply_all(self.baseline.case(self.study, self.theta, GENERATOR), added)
-            waves, reason = simulate(case, self.sensors, self.times)
-        except (EffectError, SolverArgumentError):
+            return model.solve(model.configure(self.values))
+        except (EffectError, SolveError, SolverArgumentError):
             return None
-        return None if reason is not None else waves
 
     def refit(
         self,
@@ -106,7 +131,7 @@ class Bench:
         *,
         added: Added = (),
         free: bool = False,
-        noise: Mapping[str, Errors] | None = None,
+        noise: Mapping[str, GroupErrors] | None = None,
     ) -> tuple[dict[str, float], dict[str, float]] | None:
         """Fit the baseline to data.
 
@@ -114,11 +139,11 @@ class Bench:
         ----------
         data, against : array (n_series, n_times)
             What is fitted, and what the fit is compared with.
-        added : sequence of (Effect, values, Place)
+        added : sequence of (Effect, values, Location)
             Effects that the baseline has besides; they stay as they are.
         free : bool
-            Fit their amplitudes too; listed effects only.
-        noise : mapping of quantity to Errors
+            Fit their parameters too; listed effects only.
+        noise : mapping of quantity to GroupErrors
             Of the data; white if absent.
 
         Returns
@@ -128,13 +153,18 @@ class Bench:
         values : dict
             Parameters.
         """
-        forward, start, jacobian = self._forward(() if free else added), self.start, self._jacobian
+        jacobian = self._jacobian
         if free:
-            forward = self._forward((), Hypothesis(tuple((effect.name, place) for effect, _, place in added)))
-            start = np.concatenate([start, *(np.array(values) for _, values, _ in added)])
+            hypothesis = Hypothesis(tuple(effect.at(location) for effect, _, location in added))
+            forward = HypothesisModel(self.flow, hypothesis, self.errors)
             jacobian = None
-        S = self.harmonics.variances(noise or {q: Errors(sigma) for q, sigma in self.sigma.items()})
-        search = Search(forward, self.harmonics(data), S)
+        else:
+            forward = HypothesisModel(FixedEffects(self.flow, added), Hypothesis(), self.errors)
+        values = [x for _, given, _ in added for x in given] if free else []
+        given = [*self.values, *values]
+        start = np.array([p.coordinate(float(x)) for p, x in zip(forward.parameters, given, strict=True)])
+        S = self.errors.variances(noise or {q: GroupErrors(sigma) for q, sigma in self.sigma.items()})
+        search = Search(forward, self.errors.flat(data), S)
         try:
             point = search.at(start, jacobian)
         except SearchError:
@@ -143,12 +173,11 @@ class Bench:
             self._jacobian = point.jacobian
         point = search.descend(point, 12)
         if not added:
-            point = search.polish(point, 4)
-        left = against - self.harmonics.back(point.computed)
+            point = search.refine(point, 4)
+        left = against - self.errors.unflat(point.computed)
         rms = {k: float(np.sqrt(np.mean(row**2))) for k, row in zip(self.labels, left, strict=True)}
-        return rms, {
-            p.name: float(x) for p, x in zip(forward.parameters, forward.values(point.u), strict=True)
-        }
+        found = zip(forward.parameters, forward.theta(point.u), strict=True)
+        return rms, {p.name: float(x) for p, x in found}
 
     def discrepancy(self, waves: Array | None) -> float:
         """Rms over the pressures of noise-free waveforms minus the refitted baseline, mmHg."""

@@ -15,14 +15,14 @@ from zoo.blood.blind.effect_draw import TRIES, EffectDraw, location_fields
 from zoo.blood.blind.files import DIGITS, write_case
 from zoo.blood.blind.networks import Sensor, inflow, loaded, rounded, sensors, tree
 from zoo.blood.blind.noise import autoregressive
-from zoo.blood.effects import EffectError
+from zoo.blood.case import UNITS
 from zoo.blood.network import with_nominal_loads
 from zoo.blood.study import Blood, Study, load_study
 from zoo.blood.units import MMHG, mmhg_to_cgs
 from zoo.core.blindcheck.sealing import BlindError
-from zoo.core.diagnosis.diagnosis import UNITS
-from zoo.core.diagnosis.discrepancy import Errors
-from zoo.core.diagnosis.screening import NO_GAP
+from zoo.core.diagnosis.hypothesis import NULL
+from zoo.core.effects import EffectError
+from zoo.core.errors.spectral import GroupErrors
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ def draw_case(job: CaseDraw) -> dict[str, Any]:
     for _ in range(4):
         bench, entry = _bench(rng, job)
         drawn = EffectDraw(rng, bench)
-        found: tuple[str, Added, Array] | None = (NO_GAP, (), bench.clean)
+        found: tuple[str, Added, Array] | None = (NULL, (), bench.clean)
         if job.kind != "none":
             found = drawn.draw(job.first, job.kind, job.draw.effects)
         if found is not None:
@@ -122,9 +122,9 @@ def draw_case(job: CaseDraw) -> dict[str, Any]:
     study = bench.with_series(bench.study, data)
     write_case(study, job.folder / job.name)
     # both fits see the data; what they miss is counted without the noise
-    errors = {q: Errors(sigma) for q, sigma in bench.sigma.items()}
+    errors = {q: GroupErrors(sigma) for q, sigma in bench.sigma.items()}
     if tau:
-        errors["pressure_mmHg"] = Errors(WHITE_MMHG, CORRELATED_MMHG / WHITE_MMHG, tau)
+        errors["pressure_mmHg"] = GroupErrors(WHITE_MMHG, CORRELATED_MMHG / WHITE_MMHG, tau)
     before = bench.refit(data, waves, noise=errors)
     solved = tuple(a for a in added if a[0].apply is not None)
     if len(solved) < len(added):  # noise that is the effect is taken off
@@ -141,13 +141,13 @@ def draw_case(job: CaseDraw) -> dict[str, Any]:
         "kind": job.kind,
         "effect": name,
         "amplitude": first[1][0] if first else None,
-        "place": first[2].vessel if first else None,
+        "place": first[2].part if first else None,
         "effects": [
             {
                 "effect": effect.name,
                 **location_fields(place),
-                "amplitudes": {a.name: x for a, x in zip(effect.amplitudes, values, strict=True)},
-                "units": {a.name: a.unit for a in effect.amplitudes},
+                "amplitudes": {a.name: x for a, x in zip(effect.parameters, values, strict=True)},
+                "units": {a.name: a.unit for a in effect.parameters},
             }
             for effect, values, place in added
         ],

@@ -11,7 +11,7 @@ import numpy as np
 
 from zoo.blood.blind.outside import OUTSIDE
 from zoo.core.blindcheck.keys import SECOND
-from zoo.core.diagnosis.screening import NO_GAP
+from zoo.core.diagnosis.hypothesis import NULL
 
 FORMAT = 1
 NONE_SHARE, OUTSIDE_SHARE = 1 / 8, 1 / 5
@@ -62,6 +62,6 @@ class Draw:
             rounds = -(-wanted // len(known)) if wanted else 0
             return [str(x) for _ in range(rounds) for x in rng.permutation(known)][:wanted]
 
-        found = [NO_GAP] * none + names((*OUTSIDE, SECOND), outside)
+        found = [NULL] * none + names((*OUTSIDE, SECOND), outside)
         found += names(self.effects, self.n - none - outside)
         return [(kinds[i], found[i]) for i in rng.permutation(self.n)]

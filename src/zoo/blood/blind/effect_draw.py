@@ -13,8 +13,9 @@ from zoo.blood.blind.bench import Added, Bench
 from zoo.blood.blind.noise import periodic_noise
 from zoo.blood.blind.outside import OUTSIDE
 from zoo.blood.blind.visibility import prior_draw, visible_amplitude
-from zoo.blood.effects import CATALOGUE, Effect, Place, get_effect
+from zoo.blood.effects import CATALOGUE
 from zoo.core.blindcheck.keys import SECOND
+from zoo.core.effects import Effect, Location
 
 Array = NDArray[np.float64]
 
@@ -24,9 +25,9 @@ TRIES = 60
 """Effects, networks or parameters to draw before giving up."""
 
 
-def location_fields(location: Place) -> dict[str, Any]:
+def location_fields(location: Location) -> dict[str, Any]:
     """A location as the key tells it."""
-    return {"vessel": location.vessel, "subtree": location.subtree}
+    return {"vessel": location.part, "subtree": location.subtree}
 
 
 class EffectDraw:
@@ -65,7 +66,7 @@ class EffectDraw:
             if name == SECOND:
                 found = self._two(effects)
             else:
-                found = self._one(OUTSIDE[name] if kind == "outside" else get_effect(name))
+                found = self._one(OUTSIDE[name] if kind == "outside" else CATALOGUE[name])
             if found is not None:
                 return name, *found
         return None
@@ -73,9 +74,9 @@ class EffectDraw:
     def _one(self, effect: Effect, limits: tuple[float, float] = GAP_MMHG) -> tuple[Added, Array] | None:
         """The effect at a location and amplitudes from its prior, scaled where needed; its waveforms."""
         bench, rng = self.bench, self.rng
-        locations = effect.places(bench.baseline.case(bench.study, bench.theta).network)
+        locations = effect.locations(bench.flow)
         location = locations[int(rng.integers(len(locations)))]
-        values = [prior_draw(rng, a) for a in effect.amplitudes]
+        values = [prior_draw(rng, p) for p in effect.parameters]
         target = math.exp(rng.uniform(math.log(1.1 * limits[0]), math.log(0.9 * limits[1])))
         rest = tuple(float(f"{x:.6g}") for x in values[1:])
         noise = np.zeros_like(bench.clean)
@@ -89,7 +90,7 @@ class EffectDraw:
             return bench.solve(((effect, (float(f"{x:.6g}"), *rest), location),))
 
         found, smallest, largest = visible_amplitude(
-            lambda x: bench.discrepancy(waves(x)), effect.amplitudes[0], values[0], limits, target
+            lambda x: bench.discrepancy(waves(x)), effect.parameters[0], values[0], limits, target
         )
         if found is None:
             why = (

@@ -13,7 +13,7 @@ import numpy as np
 from zoo.blood.effects import CATALOGUE
 from zoo.core.blindcheck.keys import CaseKey, TrueEffect
 from zoo.core.blindcheck.sealing import KEY_DIGEST, BlindError, read_sealed
-from zoo.core.diagnosis.screening import CORRELATED, NO_GAP
+from zoo.core.diagnosis.hypothesis import CORRELATED, NULL
 from zoo.core.effects import Location
 
 OTHER_NAMES = {
@@ -61,8 +61,8 @@ def own_key(entry: Mapping[str, Any]) -> CaseKey:
 
 def other_key(entry: Mapping[str, Any]) -> CaseKey:
     """From a key that was made elsewhere: a file for each case, names with underscores."""
-    name = (entry["effect"] or NO_GAP).replace("_", "-")
-    kind = "none" if name == NO_GAP else "listed" if entry["in_library"] else "outside"
+    name = (entry["effect"] or NULL).replace("_", "-")
+    kind = "none" if name == NULL else "listed" if entry["in_library"] else "outside"
     name = OTHER_NAMES.get(name, name) if kind == "listed" else name
     if kind == "listed" and name not in CATALOGUE:
         raise BlindError(

@@ -9,7 +9,7 @@ from typing import Any
 from zoo.blood.blind.bench import BASELINE
 from zoo.blood.blind.case import CaseDraw, draw_case
 from zoo.blood.blind.draw import LAYOUTS, NETWORKS, Draw
-from zoo.blood.effects import effects_for
+from zoo.blood.diagnosis import effects_for
 from zoo.blood.study import StudyError, load_study
 from zoo.core.blindcheck.making import write_cases
 from zoo.core.blindcheck.sealing import BlindError
@@ -72,7 +72,7 @@ def make_cases(
     for what, given, some in (("networks", networks, NETWORKS), ("layouts", layouts, LAYOUTS)):
         if not given or set(given) - set(some):
             raise BlindError(f"{what} = {', '.join(given)}: give some of {', '.join(some)}")
-    names = effects_for(BASELINE, effects)
+    names = tuple(one.name for one in effects_for(BASELINE, effects))
     if len(names) < 2:
         raise BlindError(f"effects = {', '.join(names)}: give two or more, or what is withheld is known")
     if not 3 <= vessels[0] <= vessels[1] or (vessels[0] == vessels[1] and vessels[0] % 2 == 0):

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.blood.effects import Amplitude, Case, Effect, Place, with_physics
+from zoo.blood.case import Case, with_physics
+from zoo.core.effects import Effect, EffectParameter, Location
 
 Array = NDArray[np.float64]
 
 
-def active_tone(case: Case, values: tuple[float, ...], place: Place) -> Case:
+def active_tone(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """The walls stiffen within the beat, by a smooth bump in systole."""
     phase = np.arange(256) / 256
     bump = np.where(np.abs(phase - 0.3) < 0.25, np.cos(2 * np.pi * (phase - 0.3)) ** 2, 0.0)
@@ -27,7 +28,7 @@ def _closure(flow: Array) -> int:
     return min(peak + int(below[0]) if len(below) else peak, len(flow) - 8)
 
 
-def leaking_valve(case: Case, values: tuple[float, ...], place: Place) -> Case:
+def leaking_valve(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """A share of the stroke flows back through the inlet's valve in diastole."""
     flow = case.inflow_ml_s
     start = _closure(flow)
@@ -36,7 +37,7 @@ def leaking_valve(case: Case, values: tuple[float, ...], place: Place) -> Case:
     return replace(case, inflow_ml_s=flow - values[0] * flow.mean() * back / back.mean())
 
 
-def valve_click(case: Case, values: tuple[float, ...], place: Place) -> Case:
+def valve_click(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """The inflow rings just after the valve closes."""
     flow = case.inflow_ml_s
     since = (np.arange(len(flow)) - _closure(flow)) / len(flow)
@@ -45,7 +46,7 @@ def valve_click(case: Case, values: tuple[float, ...], place: Place) -> Case:
 
 
 def _outside(
-    name: str, family: str, change: Callable[..., Case], equation: str, amplitude: Amplitude
+    name: str, family: str, change: Callable[..., Case], equation: str, amplitude: EffectParameter
 ) -> Effect:
     text = (change.__doc__ or "").strip()
     return Effect(
@@ -61,21 +62,21 @@ OUTSIDE: dict[str, Effect] = {
             "wall",
             active_tone,
             "chi -> chi (1 + a b(t)), b a bump from 0.05 to 0.55 beats",
-            Amplitude("rise", "1", 0.2, 0.0, 1.0, (0.2,)),
+            EffectParameter("rise", "1", 0.2, 0.0, 1.0, (0.2,)),
         ),
         _outside(
             "leaking-valve",
             "inflow",
             leaking_valve,
             "q -> q - f mean(q) w(t), w in diastole, of mean 1",
-            Amplitude("share", "1", 0.1, 0.0, 0.6, (0.1,)),
+            EffectParameter("share", "1", 0.1, 0.0, 0.6, (0.1,)),
         ),
         _outside(
             "valve-click",
             "inflow",
             valve_click,
             "q -> q + a max(q) sin(2 pi 9 s) exp(-s/0.05), s the beats since closure",
-            Amplitude("size", "peak flow", 0.1, 0.0, 0.8, (0.1,)),
+            EffectParameter("size", "peak flow", 0.1, 0.0, 0.8, (0.1,)),
         ),
     )
 }

@@ -8,29 +8,30 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from zoo.blood.baseline import get_baseline
 from zoo.blood.blind.bench import BASELINE
-from zoo.blood.effects import get_base
+from zoo.blood.diagnosis import diagnose
 from zoo.blood.study import Study, StudyError, load_study
 from zoo.core.blindcheck.running import Ran, run_folders
 from zoo.core.blindcheck.sealing import BlindError
-from zoo.core.diagnosis.diagnosis import DiagnosisError, diagnose, read_diagnosis
+from zoo.core.diagnosis import DiagnosisError, read_diagnosis
 from zoo.core.inference.record import versions
 
 
 @dataclass(frozen=True)
-class StudyDiagnosis:
+class CaseDiagnosis:
     """The diagnosis of a case that is a study's folder.
 
     Parameters
     ----------
     base : str
         Name of the baseline model.
-    confirm, max_effects, seed, effects
-        As in `zoo.core.diagnosis.diagnosis.diagnose`.
+    posteriors, max_effects, seed, effects
+        As in `zoo.blood.diagnosis.diagnose`.
     """
 
     base: str
-    confirm: bool
+    posteriors: bool
     max_effects: int
     seed: int
     effects: tuple[str, ...] | None = None
@@ -50,7 +51,7 @@ class StudyDiagnosis:
             and found.base == self.base
             and found.record.get("versions", {}).get("zoo") == versions()["zoo"]
             and found.record.get("seed") == self.seed
-            and (found.confirmation is not None or not self.confirm)
+            and (found.posteriors is not None or not self.posteriors)
         )
 
     def diagnose(self, case: Path, answer: Path) -> None:
@@ -60,12 +61,12 @@ class StudyDiagnosis:
         found = diagnose(
             study,
             self.base,
-            confirm=self.confirm,
+            posteriors=self.posteriors,
             max_effects=self.max_effects,
             effects=self.effects,
             cores=1,
             seed=self.seed,
-            folder=answer / "posteriors" if self.confirm else None,
+            folder=answer / "posteriors" if self.posteriors else None,
         )
         found.save(answer)
 
@@ -101,7 +102,7 @@ def diagnose_cases(
     answers: str | Path,
     *,
     base: str = BASELINE,
-    confirm: bool = False,
+    posteriors: bool = False,
     max_effects: int = 3,
     effects: Sequence[str] | None = None,
     seed: int = 1,
@@ -120,10 +121,10 @@ def diagnose_cases(
     answers : path
         A folder for each case: diagnosis.json (`Diagnosis.save`), case.json.
     base : str
-    confirm : bool
+    posteriors : bool
         Sample the leading explanations' posteriors too.
     max_effects, effects, seed
-        As in `zoo.core.diagnosis.diagnosis.diagnose`.
+        As in `zoo.blood.diagnosis.diagnose`.
     cores : int
         Processes.
     done : callable
@@ -145,5 +146,5 @@ def diagnose_cases(
         if count < least:
             raise BlindError(f"{what} = {count}: must be at least {least}")
     chosen = None if effects is None else tuple(effects)
-    diagnosis = StudyDiagnosis(get_base(base).name, confirm, max_effects, seed, chosen)
+    diagnosis = CaseDiagnosis(get_baseline(base).name, posteriors, max_effects, seed, chosen)
     return run_folders(cases, answers, diagnosis, cores=cores, done=done)

@@ -12,7 +12,7 @@ from zoo.core.blindcheck.check_score import CheckScore, score_answers
 from zoo.core.blindcheck.running import read_answers
 from zoo.core.blindcheck.sealing import BlindError
 from zoo.core.blindcheck.tables import write_score
-from zoo.core.diagnosis.diagnosis import read_diagnosis
+from zoo.core.diagnosis import read_diagnosis
 
 BY = ("kind", "layout", "effect", "gap", "network")
 GAP_EDGES = (0.0, 0.15, 0.25, 0.4, 0.65, 1.0, math.inf)

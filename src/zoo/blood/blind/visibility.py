@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.stats import truncnorm
 
-from zoo.blood.effects import Amplitude
+from zoo.core.effects import EffectParameter
 
 
-def prior_draw(rng: np.random.Generator, amplitude: Amplitude) -> float:
+def prior_draw(rng: np.random.Generator, amplitude: EffectParameter) -> float:
     """A value from the prior."""
     low, high = ((x - amplitude.centre) / amplitude.scale for x in (amplitude.low, amplitude.high))
     return float(truncnorm.rvs(low, high, amplitude.centre, amplitude.scale, random_state=rng))
@@ -19,7 +19,7 @@ def prior_draw(rng: np.random.Generator, amplitude: Amplitude) -> float:
 
 def visible_amplitude(
     discrepancy: Callable[[float], float],
-    amplitude: Amplitude,
+    amplitude: EffectParameter,
     value: float,
     limits: tuple[float, float],
     target: float,
@@ -30,7 +30,7 @@ def visible_amplitude(
     ----------
     discrepancy : function
         From an amplitude to what the refitted baseline leaves, mmHg; infinite where the solve fails.
-    amplitude : Amplitude
+    amplitude : EffectParameter
     value : float
         Drawn; the side of 0 on which to look first.
     limits : (float, float)

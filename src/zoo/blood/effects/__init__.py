@@ -16,6 +16,7 @@ from zoo.core.effects import Effect, EffectError, EffectParameter, Location, eve
 # in the order in which those of a family are applied
 from zoo.blood.effects import geometry, wall, fluid, junctions, outflow, structured_tree  # isort: skip
 from zoo.blood.effects import surroundings, inflow, sensor, noise, numerics  # isort: skip
+from zoo.blood.effects.tables import prior_text  # isort: skip
 
 __all__ = [
     "CATALOGUE",
@@ -38,53 +39,11 @@ __all__ = [
     "noise",
     "numerics",
     "outflow",
+    "prior_text",
     "sensor",
     "sides_and_terminals",
-    "simulate",
     "structured_tree",
     "surroundings",
     "vessels_and_subtrees",
     "wall",
 ]
-
-# names of before, until their last users are gone
-from zoo.blood.case import (
-    filtered as filtered,
-)
-from zoo.blood.case import (
-    members as members,
-)
-from zoo.blood.case import (
-    total_resistance as total_resistance,
-)
-from zoo.blood.case import (
-    with_physics as with_physics,
-)
-from zoo.blood.effects.before import (
-    BASES as BASES,
-)
-from zoo.blood.effects.before import (
-    Amplitude as Amplitude,
-)
-from zoo.blood.effects.before import (
-    Base as Base,
-)
-from zoo.blood.effects.before import (
-    Place as Place,
-)
-from zoo.blood.effects.before import (
-    apply_all as apply_all,
-)
-from zoo.blood.effects.before import (
-    effects_for as effects_for,
-)
-from zoo.blood.effects.before import (
-    get_base as get_base,
-)
-from zoo.blood.effects.before import (
-    get_effect as get_effect,
-)
-from zoo.blood.effects.before import (
-    simulate as simulate,
-)
-from zoo.blood.effects.tables import prior_text as prior_text

@@ -70,7 +70,8 @@ def signatures(model: BloodFlow, *, n_times: int = 256) -> list[Signature]:
     """
     period = model.network.period_s
     root = int(model.network.ids[int(np.argmin(model.network.parent))])
-    outputs = Outputs(((root, 0.0, "pressure_mmHg"),), np.arange(n_times) * (period / n_times))
+    times = np.asarray(np.arange(n_times) * (period / n_times), dtype=np.float64)
+    outputs = Outputs(((root, 0.0, "pressure_mmHg"),), times)
     start = pack(model.parameters, start_of(model.parameters))
     case = model.configure(start)
     plain = model.solve(case, outputs)[0]

@@ -9,7 +9,7 @@ from typing import Any
 
 from zoo.core.blindcheck.answers import Answer, Explanation
 from zoo.core.blindcheck.keys import SECOND, CaseKey
-from zoo.core.diag2.hypothesis import NONPARAMETRIC, NULL
+from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
 
 FLOOR = 1e-6
 """Least probability that the log score counts: one that was called impossible costs 13.8."""

@@ -14,7 +14,7 @@ from zoo.core.blindcheck.check_score import CheckScore, score_answers
 from zoo.core.blindcheck.keys import CaseKey, TrueEffect
 from zoo.core.blindcheck.making import in_processes
 from zoo.core.blindcheck.sealing import BlindError
-from zoo.core.diag2.hypothesis import NONPARAMETRIC, NULL
+from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
 from zoo.core.effects import EVERYWHERE, Location
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from zoo.core.diag2.hypothesis import NONPARAMETRIC, NULL
+from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
 from zoo.core.effects import EVERYWHERE, Location
 
 KINDS = ("none", "outside", "listed")

@@ -1,310 +1,204 @@
-"""The error model of the diagnosis: noise, and a smooth discrepancy, in the harmonics of the beat.
-
-The series are sampled evenly over one beat, and what is added to them is taken as periodic and stationary.
-Its covariance is then diagonal in the harmonics, so that likelihoods, whitening and the marginal likelihood
-of a linearised model cost a sum over coefficients.
-"""
+"""The model discrepancy: the posterior of truth minus fit, beside noise that is not known exactly."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import helmert
-from scipy.optimize import minimize
+from scipy.optimize import minimize_scalar
+from scipy.special import logsumexp, ndtri_exp
 
-from zoo.blood.study import Study
+from zoo.core.diagnosis.evidence import Fit, marginal
+from zoo.core.diagnosis.hypothesis import ranges
+from zoo.core.diagnosis.search import as_matrix
+from zoo.core.errors.spectral import GroupErrors
+from zoo.core.parameters import log_normal_tails
 
 Array = NDArray[np.float64]
 
-CORRELATED_RATIO = 1.0
-"""Upper limit, and scale of the half-normal prior, of (sd of the correlated noise)/(sd of the white noise):
-what sensors and averaging leave correlated is no larger than what they leave white. Without a limit noise
-takes the place of a discrepancy."""
-MEMORY_BEATS = (0.03, 0.5, 0.1)
-"""Prior of the noise's correlation time in beats: median, sd of the logarithm, and upper limit. Noise forgets
-within a few per cent of a beat; what lasts longer than a tenth of it is a discrepancy."""
-LENGTH_BEATS = (0.05, 0.5)
-"""Prior of the discrepancy's length scale in beats: median, and sd of the logarithm. An upstroke lasts some
-tenth of a beat, and a discrepancy follows the features of the waveform."""
-LENGTH_GRID = np.exp(np.linspace(-1.5, 1.5, 7) * LENGTH_BEATS[1]) * LENGTH_BEATS[0]
-SHARED_GRID = np.array([0.0, 0.4, 0.7, 0.9])
-"""Correlation between series of a discrepancy that has a physical cause: what is wrong in one vessel is
-wrong in its neighbours too, but the base's parameters may have taken the common part away. Noise has none."""
+SIZE_PART = 0.05
+"""Prior sd of a free discrepancy, as a part of a series' range."""
+SIZE_GRID = np.geomspace(2e-3, 20.0, 20)
+"""Sizes of a discrepancy that are integrated over, in units of that."""
+RATIO_GRID = np.linspace(0.0, 1.0, 7)
+"""Sizes of the correlated noise, in parts of the largest."""
+CORRELATION_TIME_GRID = np.linspace(-2.0, 2.0, 5)
+"""Of the noise's correlation time: in sds of the logarithm from the median."""
+TRIES = 20
+"""Draws of the parameters among which one inside the bounds is taken."""
+SWEEPS = 20
+"""Of Gibbs' sampler, where none is."""
 
 
-class HarmonicError(ValueError):
-    """A study whose series cannot be taken apart into harmonics."""
+@dataclass(frozen=True, eq=False)
+class ModelDiscrepancy:
+    """Posterior of truth minus fit, as flat coefficients: its mean (n,), and draws (n_draws, n).
 
-
-@dataclass(frozen=True)
-class Errors:
-    """Noise and discrepancy of the series of one quantity, in its unit.
-
-    S_k = sigma^2 (1 + ratio^2 g_k(tau)) + delta^2 lambda h_k(length): g the spectrum of an Ornstein-Uhlenbeck
-    process, h that of a squared-exponential one (or of another Ornstein-Uhlenbeck one, if `rough`), all with
-    mean 1 over the coefficients; lambda = 1 + (n - 1) shared for the mean of n series, 1 - shared for their
-    differences.
-
-    Parameters
-    ----------
-    sigma : float
-        Sd of the white noise.
-    ratio : float
-        Sd of the correlated noise, over sigma.
-    tau : float
-        Its correlation time, s.
-    delta : float
-        Sd of the discrepancy.
-    length : float
-        Its length scale, s.
-    shared : float
-        Its correlation between series.
-    rough : bool
-        Whether it is an Ornstein-Uhlenbeck process.
+    `unabsorbed` is what is left of the draws where the parameters are fitted to data without noise: a
+    fit's own error is no part of it, and it is zero where there is no discrepancy.
     """
 
-    sigma: float
-    ratio: float = 0.0
-    tau: float = 0.003
-    delta: float = 0.0
-    length: float = 0.005
-    shared: float = 0.0
-    rough: bool = False
-
-    @property
-    def noise(self) -> float:
-        """Sd of white and correlated noise together."""
-        return self.sigma * math.hypot(1.0, self.ratio)
+    mean: Array
+    draws: Array
+    unabsorbed: Array
 
 
-class Harmonics:
-    """The orthonormal harmonics of a study's series, as one vector of n_series * n_times numbers.
+def possible_noise(fit: Fit) -> dict[str, list[tuple[float, GroupErrors]]]:
+    """Log-priors and values of the noise on a grid of the correlated noise's size and time.
 
-    Series of one quantity are rotated so that the first stands for their mean.
+    The white noise's sd, which the high harmonics determine, is fitted at each point.
 
     Parameters
     ----------
-    study : Study
-        At least eight samples in the beat.
-
-    Raises
-    ------
-    HarmonicError
-        If there are no series, or too few samples.
-    """
-
-    def __init__(self, study: Study) -> None:
-        n = len(study.time_s)
-        if not study.series or n < 8:
-            raise HarmonicError(
-                f"{study.source}: study {study.name!r} has {len(study.series)} series of {n} samples: the "
-                "diagnosis needs at least one series of eight samples; add observations.csv"
-            )
-        self.n, self.period_s = n, study.period_s
-        self.quantities = tuple(dict.fromkeys(s.quantity for s in study.series))
-        rows = [[i for i, s in enumerate(study.series) if s.quantity == q] for q in self.quantities]
-        self.rows = dict(zip(self.quantities, rows, strict=True))
-        m = n // 2 + 1
-        weight = np.full(m, math.sqrt(2.0))
-        weight[0] = 1.0
-        if n % 2 == 0:
-            weight[-1] = 1.0
-        self._weight = weight
-        imaginary = np.ones(m, bool)
-        imaginary[0] = False
-        if n % 2 == 0:
-            imaginary[-1] = False
-        self._imaginary = imaginary
-        self.k = np.concatenate([np.arange(m), np.arange(m)[imaginary]])
-        """Harmonic of each coefficient of a series, (n_times,)."""
-        self._rotation = np.eye(len(study.series))
-        for group in rows:
-            self._rotation[np.ix_(group, group)] = helmert(len(group), full=True)
-        self.size = len(study.series) * n
-        self._omega = 2.0 * math.pi * self.k / self.period_s
-
-    def __call__(self, waves: Array) -> Array:
-        """Coefficients (..., n_series * n_times) of series (..., n_series, n_times)."""
-        c = np.fft.rfft(waves, norm="ortho") * self._weight
-        packed = np.concatenate([c.real, c.imag[..., self._imaginary]], axis=-1)
-        rotated = np.einsum("ij,...jk->...ik", self._rotation, packed)
-        return np.asarray(rotated.reshape(*rotated.shape[:-2], self.size))
-
-    def back(self, coefficients: Array) -> Array:
-        """Series (..., n_series, n_times) of coefficients (..., n_series * n_times)."""
-        n_series = len(self._rotation)
-        packed = np.asarray(coefficients).reshape(*np.shape(coefficients)[:-1], n_series, self.n)
-        packed = np.einsum("ji,...jk->...ik", self._rotation, packed)
-        m = self.n // 2 + 1
-        c = packed[..., :m].astype(complex)
-        c[..., self._imaginary] += 1j * packed[..., m:]
-        return np.fft.irfft(c / self._weight, n=self.n, norm="ortho")
-
-    def rough(self, tau: Any) -> Any:
-        """Spectrum (n_times,), of mean 1, of an Ornstein-Uhlenbeck process; of a number or a tensor."""
-        f = 1.0 / (1.0 + (self._omega * tau) ** 2)
-        return f / f.mean()
-
-    def smooth(self, length: float) -> Array:
-        """The same of a squared-exponential process."""
-        f: Array = np.exp(-0.5 * (self._omega * length) ** 2)
-        return np.asarray(f / f.mean())
-
-    def spectrum(self, errors: Errors, n_series: int, *, noise: bool = True) -> Array:
-        """Variances (n_series, n_times) of the coefficients of one quantity's series."""
-        S = np.zeros((n_series, self.n))
-        if noise:
-            S += errors.sigma**2 * (1.0 + errors.ratio**2 * self.rough(errors.tau))
-        if errors.delta > 0.0:
-            share = np.full(n_series, 1.0 - errors.shared)
-            share[0] += n_series * errors.shared
-            shape = self.rough if errors.rough else self.smooth
-            S += errors.delta**2 * np.outer(share, shape(errors.length))
-        return S
-
-    def variances(self, errors: Mapping[str, Errors], *, noise: bool = True) -> Array:
-        """Variances of all coefficients, (n_series * n_times,)."""
-        S = np.empty((len(self._rotation), self.n))
-        for quantity, rows in self.rows.items():
-            S[rows] = self.spectrum(errors[quantity], len(rows), noise=noise)
-        return S.reshape(self.size)
-
-    def part(self, coefficients: Array, quantity: str) -> Array:
-        """One quantity's coefficients, (..., n_series of it, n_times)."""
-        apart = coefficients.reshape(*coefficients.shape[:-1], len(self._rotation), self.n)
-        return np.asarray(apart[..., self.rows[quantity], :])
-
-
-LARGEST_DELTA = 2.0
-"""Largest discrepancy beside a hypothesis, in units of the sd of its half-normal prior: 95 % of it."""
-
-
-def log_density(coefficients: Array, S: Array) -> Any:
-    """Log-density (...,) of independent normal coefficients of variances S (..., n)."""
-    return -0.5 * np.sum(coefficients**2 / S + np.log(2.0 * math.pi * S), axis=-1)
-
-
-def noise_log_prior(errors: Errors, period_s: float) -> float:
-    """Log-prior of the noise: flat in log sigma, half-normal in the ratio, log-normal in tau."""
-    median, sd, _ = MEMORY_BEATS
-    x = math.log(errors.tau / (median * period_s)) / sd
-    return -0.5 * (errors.ratio / CORRELATED_RATIO) ** 2 - 0.5 * x * x
-
-
-def length_log_prior(length_s: float, period_s: float) -> float:
-    """Log-prior of a discrepancy's length scale: log-normal, without its constant."""
-    median, sd = LENGTH_BEATS
-    x = math.log(length_s / (median * period_s)) / sd
-    return -0.5 * x * x
-
-
-def fit_noise(
-    harmonics: Harmonics,
-    residual: Array,
-    quantity: str,
-    start: Errors,
-    *,
-    free_delta: bool = False,
-    scale: float = 0.0,
-) -> Errors:
-    """Noise that makes one quantity's residual most probable, beside a discrepancy that is given or free.
-
-    Parameters
-    ----------
-    harmonics : Harmonics
-    residual : array (n_series * n_times,)
-        Coefficients of measured minus computed.
-    quantity : str
-    start : Errors
-        Where the search starts; its discrepancy is kept unless `free_delta`.
-    free_delta : bool
-        Fit its size as well, with a half-normal prior of sd `scale`.
-    scale : float
-        In the quantity's unit.
+    fit : Fit
+        Whose residual, beside its own discrepancy, is noise.
 
     Returns
     -------
-    Errors
+    dict of group to list of (log-prior, GroupErrors)
+        Without discrepancy; the most probable first.
     """
-    part = harmonics.part(residual, quantity)
-    power = part**2
-    T = harmonics.period_s
-    high = power[:, harmonics.k > 0.6 * harmonics.k.max()]
-    floor = max(math.sqrt(float(high.mean())), 1e-9 * (1.0 + math.sqrt(float(power.mean()))))
+    H = fit.forward.errors
+    T = H.on.duration
+    median, spread, top = H.correlation_time
+    left = fit.residual - fit.jacobian @ (fit.mean - fit.u)
+    found: dict[str, list[tuple[float, GroupErrors]]] = {}
+    for q, errors in fit.errors.items():
+        power = H.part(left, q) ** 2
+        own = H.spectrum(errors, len(power), noise=False)
+        ranked: list[tuple[float, float, GroupErrors]] = []
+        for ratio, move in product(H.largest_ratio * RATIO_GRID, CORRELATION_TIME_GRID):
+            tau = min(median * math.exp(move * spread), top) * T
+            e = replace(errors, sigma=1.0, ratio=float(ratio), tau=tau, delta=0.0)
+            unit = H.spectrum(e, len(power))
 
-    def errors_at(x: Array) -> Errors:
-        found = replace(start, sigma=math.exp(x[0]), ratio=float(x[1]), tau=math.exp(x[2]))
-        return replace(found, delta=float(x[3]) * scale) if free_delta else found
+            def cost(x: float, power: Array = power, unit: Array = unit, own: Array = own) -> float:
+                S = math.exp(2.0 * x) * unit + own
+                return 0.5 * float(np.sum(power / S + np.log(S)))
 
-    def cost(x: Array) -> float:
-        e = errors_at(x)
-        S = harmonics.spectrum(e, len(part))
-        value = 0.5 * float(np.sum(power / S + np.log(S))) - noise_log_prior(e, T)
-        return value + (0.5 * float(x[3]) ** 2 if free_delta else 0.0)
-
-    bounds = [(math.log(floor) - 2.0, math.log(floor) + 3.0), (0.0, CORRELATED_RATIO)]
-    bounds += [(math.log(0.003 * T), math.log(MEMORY_BEATS[2] * T))]
-    x0 = [math.log(floor), 0.5, math.log(MEMORY_BEATS[0] * T)]
-    if free_delta:
-        bounds.append((0.0, LARGEST_DELTA))
-        x0.append(1.0)
-    found = minimize(cost, np.array(x0), method="L-BFGS-B", bounds=bounds)
-    return errors_at(found.x)
+            centre = math.log(errors.sigma)
+            best = minimize_scalar(cost, bounds=(centre - 1.0, centre + 0.5), method="bounded")
+            log_prior = H.noise_log_prior(e)
+            ranked.append((log_prior - best.fun, log_prior, replace(e, sigma=math.exp(best.x))))
+        ranked.sort(key=lambda x: -x[0])
+        found[q] = [(log_prior, e) for _, log_prior, e in ranked]
+    return found
 
 
-def marginal(
-    residual: Array,
-    jacobian: Array,
-    S: Array,
-    precision: Array,
-    pull: Array,
-) -> tuple[Any, Array, Array]:
-    """Log marginal likelihood of a linear model with normal errors, and its parameters' posterior.
+def model_discrepancy(
+    fit: Fit,
+    noise: Mapping[str, Sequence[tuple[float, GroupErrors]]],
+    rng: np.random.Generator,
+    n_draws: int,
+) -> ModelDiscrepancy:
+    """Posterior of truth minus fit: r = J d + s + e, of which J d + s is asked.
 
-    r = J d + e, e ~ N(0, diag S), prior density exp(-d'P d/2 - pull'd) without its constant:
-    log Z = log N(r; 0, S) + b'H^-1 b/2 - log|H/2 pi|/2, H = J'J/S + P, b = J'r/S - pull.
+    d is the error of the fitted parameters, s a smooth discrepancy (none, by an even chance), e noise.
+    Given the noise, and the size and length of s, all are normal, within the bounds of d.
 
     Parameters
     ----------
-    residual : array (n,)
-        At the point of linearisation.
-    jacobian : array (n, d)
-    S : array (..., n)
-        Any number of variances at once.
-    precision : array (d,)
-        P, 0 for a flat prior.
-    pull : array (d,)
+    fit : Fit
+    noise : mapping of group to sequence of (log-prior, GroupErrors)
+        As of `possible_noise`; of the errors only the noise counts.
+    rng : Generator
+    n_draws : int
 
     Returns
     -------
-    log_z : array (...,)
-    step : array (..., d)
-        H^-1 b, the mode seen from the point of linearisation.
-    covariance : array (..., d, d)
-        H^-1.
+    ModelDiscrepancy
     """
-    d = jacobian.shape[1]
-    products = (jacobian[:, :, None] * jacobian[:, None, :]).reshape(len(jacobian), d * d)
-    H = ((1.0 / S) @ products).reshape(*S.shape[:-1], d, d) + np.diag(precision)
-    b = (1.0 / S) @ (jacobian * residual[:, None]) - pull
-    size = np.sqrt(np.maximum(np.einsum("...dd->...d", H), 1e-300))
-    scale = size[..., :, None] * size[..., None, :]
-    C = np.linalg.inv(H / scale) / scale
-    step = np.einsum("...de,...e->...d", C, b)
-    _, logdet = np.linalg.slogdet(H / scale)
-    logdet += 2.0 * np.log(size).sum(axis=-1)
-    log_z = log_density(residual, S) + 0.5 * np.sum(b * step, axis=-1)
-    return log_z + 0.5 * (d * math.log(2.0 * math.pi) - logdet), step, C
+    H = fit.forward.errors
+    range_of = ranges(H.on)
+    _, precision, pull = fit.forward.prior(fit.u)
+    shape = (H.on.n_series, H.n)
+    # no size is preferred: the grid is even in its logarithm
+    kinds = [(math.log(0.5), 0.0, H.typical_length)]
+    lengths = np.array([H.length_log_prior(length) for length in H.length_grid])
+    lengths += math.log(0.5 / len(SIZE_GRID)) - logsumexp(lengths)
+    for length, log_w in zip(H.length_grid, lengths, strict=True):
+        kinds += [(float(log_w), float(size), float(length)) for size in SIZE_GRID]
+    own = np.zeros((len(kinds), *shape))
+    for q, rows in H.rows.items():
+        for i, (_, size, length) in enumerate(kinds):
+            e = GroupErrors(0.0, delta=size * SIZE_PART * range_of[q], length=length)
+            own[i, rows] = H.spectrum(e, len(rows), noise=False)
+    options = {
+        q: np.array([H.spectrum(replace(e, delta=0.0), len(H.rows[q])) for _, e in choices])
+        for q, choices in noise.items()
+    }
+    likely = np.empty(shape)
+    for q, rows in H.rows.items():
+        likely[rows] = options[q][0]
+    # the noise of one quantity and the kind of discrepancy together, the others' noise the likeliest
+    tables = {}
+    for q, rows in H.rows.items():
+        S = np.repeat((likely + own)[:, None], len(options[q]), axis=1)
+        S[:, :, rows] = own[:, None, rows] + options[q]
+        log_z, step, C = marginal(
+            fit.residual, fit.jacobian, S.reshape(*S.shape[:2], H.size), precision, pull
+        )
+        # where a large discrepancy leaves the data no say, most parameters lie outside their bounds
+        log_z += fit.forward.log_mass(fit.u + step, C)
+        log_w = np.array([w for w, _, _ in kinds])[:, None] + np.array([w for w, _ in noise[q]])
+        tables[q] = np.exp(log_w + log_z - logsumexp(log_w + log_z))
+    first, *rest = tables
+    joint = rng.choice(tables[first].size, n_draws, p=tables[first].ravel())
+    chosen, picked = np.divmod(joint, tables[first].shape[1])
+    together: dict[tuple[int, ...], list[int]] = {}  # draws of one linear model are made at once
+    for i, (kind, option) in enumerate(zip(chosen, picked, strict=True)):
+        others = [rng.choice(tables[q].shape[1], p=tables[q][kind] / tables[q][kind].sum()) for q in rest]
+        together.setdefault((int(kind), int(option), *others), []).append(i)
+    mean, draws, unabsorbed = np.zeros(H.size), np.empty((n_draws, H.size)), np.empty((n_draws, H.size))
+    scaled = fit.jacobian / likely.reshape(H.size, 1)
+    absorbed = np.linalg.solve(fit.jacobian.T @ scaled + as_matrix(precision), scaled.T)
+    low, high = fit.forward.low - fit.u, fit.forward.high - fit.u
+    for (kind, *which), members in together.items():
+        smooth = own[kind].reshape(H.size)
+        total = own[kind].copy()
+        for q, option in zip(tables, which, strict=True):
+            total[H.rows[q]] += options[q][option]
+        total = total.reshape(H.size)
+        _, step, C = marginal(fit.residual, fit.jacobian, total, precision, pull)
+        d = step + rng.standard_normal((len(members), TRIES, len(step))) @ np.linalg.cholesky(C).T
+        inside = np.all((d >= low) & (d <= high), axis=2)
+        d = d[np.arange(len(members)), np.argmax(inside, axis=1)]
+        if not (kept := inside.any(axis=1)).all():
+            d[~kept] = _truncated(d[~kept], step, C, low, high, rng)
+        moved = d @ fit.jacobian.T
+        gain = smooth / total
+        left = np.sqrt(smooth * (1.0 - gain)) * rng.standard_normal(moved.shape)
+        smooth_draws = gain * (fit.residual - moved) + left
+        draws[members] = moved + smooth_draws
+        unabsorbed[members] = smooth_draws - smooth_draws @ absorbed.T @ fit.jacobian.T
+        mean += np.sum(moved + gain * (fit.residual - moved), axis=0) / n_draws
+    return ModelDiscrepancy(mean, draws, unabsorbed)
 
 
-def smooth_part(harmonics: Harmonics, residual: Array, errors: Mapping[str, Errors]) -> tuple[Array, Array]:
+def _truncated(
+    x: Array, mean: Array, covariance: Array, low: Array, high: Array, rng: np.random.Generator
+) -> Array:
+    """Draws (n, d) of a normal distribution within bounds, by Gibbs' sampler from the points x (n, d)."""
+    precision = np.linalg.inv(covariance)
+    x = np.clip(x, low, high)
+    for i in SWEEPS * list(range(len(mean))):
+        sd = 1.0 / math.sqrt(precision[i, i])
+        centre = x[:, i] - sd**2 * ((x - mean) @ precision[i])
+        a, b = (low[i] - centre) / sd, (high[i] - centre) / sd
+        log_a, log_b = log_normal_tails(a, b)
+        u = rng.uniform(size=len(x))
+        z = np.where(a > 0, -1.0, 1.0) * ndtri_exp(log_b + np.log(u + (1.0 - u) * np.exp(log_a - log_b)))
+        x[:, i] = np.clip(centre + sd * z, low[i], high[i])
+    return x
+
+
+def smooth_part(fit: Fit) -> tuple[Array, Array]:
     """Posterior mean and variance of the discrepancy's coefficients, given the residual: Wiener's filter."""
-    total = harmonics.variances(errors)
-    own = harmonics.variances(errors, noise=False)
+    H = fit.forward.errors
+    total, own = H.variances(fit.errors), H.variances(fit.errors, noise=False)
     gain = own / total
-    return gain * residual, own * (1.0 - gain)
+    return gain * fit.residual, own * (1.0 - gain)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.data import Data
-from zoo.core.diag2.file import NextMeasurement
-from zoo.core.diag2.scoring import DOUBT, Scored
+from zoo.core.diagnosis.file import NextMeasurement
+from zoo.core.diagnosis.scoring import DOUBT, Scored
 from zoo.core.forward import ForwardModel, Outputs
 
 Array = NDArray[np.float64]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.diag2.evidence import Fit
-from zoo.core.diag2.scoring import Scored
-from zoo.core.diag2.screening import Screening
-from zoo.core.diag2.search import Search, SearchError
+from zoo.core.diagnosis.evidence import Fit
+from zoo.core.diagnosis.scoring import Scored
+from zoo.core.diagnosis.screening import Screening
+from zoo.core.diagnosis.search import Search, SearchError
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import truncnorm
 
-from zoo.core.diag2.hypothesis import Hypothesis, HypothesisModel
-from zoo.core.diag2.search import as_matrix
+from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
+from zoo.core.diagnosis.search import as_matrix
 from zoo.core.errors.spectral import GroupErrors, log_density
 
 Array = NDArray[np.float64]

@@ -14,10 +14,10 @@ import pymc as pm
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from zoo.core.diag2.evidence import Fit
-from zoo.core.diag2.hypothesis import NULL
-from zoo.core.diag2.scoring import DOUBT, Scored
-from zoo.core.diag2.screening import Screened
+from zoo.core.diagnosis.evidence import Fit
+from zoo.core.diagnosis.hypothesis import NULL
+from zoo.core.diagnosis.scoring import DOUBT, Scored
+from zoo.core.diagnosis.screening import Screened
 from zoo.core.errors.spectral import GroupPriors, LogNormal
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.logposterior import LogPosterior

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from zoo.core.diag2.evidence import Fit
-from zoo.core.diag2.hypothesis import CORRELATED, NONPARAMETRIC, NULL
-from zoo.core.diag2.screening import PRIOR_NONPARAMETRIC, PRIOR_NULL, Screened
+from zoo.core.diagnosis.evidence import Fit
+from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
+from zoo.core.diagnosis.screening import PRIOR_NONPARAMETRIC, PRIOR_NULL, Screened
 from zoo.core.effects import Location
 
 Array = NDArray[np.float64]

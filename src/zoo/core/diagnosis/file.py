@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import (
     AliasChoices,
@@ -181,6 +181,10 @@ class NextMeasurement(BaseModel):
 
     separates: tuple[str, str]
     expected_log_odds: float
+
+    if TYPE_CHECKING:  # the further fields
+
+        def __getattr__(self, name: str) -> Any: ...
 
 
 class AddedStep(_Amounts):

@@ -10,9 +10,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.diag2.discrepancy import model_discrepancy, smooth_part
-from zoo.core.diag2.evidence import Fit
-from zoo.core.diag2.file import (
+from zoo.core.diagnosis.discrepancy import model_discrepancy, smooth_part
+from zoo.core.diagnosis.evidence import Fit
+from zoo.core.diagnosis.file import (
     AddedStep,
     DiagnosisFile,
     Estimate,
@@ -23,11 +23,11 @@ from zoo.core.diag2.file import (
     SeriesGap,
     Where,
 )
-from zoo.core.diag2.heldout import hold_out
-from zoo.core.diag2.hooks import Hooks, next_measurement
-from zoo.core.diag2.hypothesis import CORRELATED, NONPARAMETRIC, NULL
-from zoo.core.diag2.scoring import DOUBT, Scored
-from zoo.core.diag2.screening import Screened
+from zoo.core.diagnosis.heldout import hold_out
+from zoo.core.diagnosis.hooks import Hooks, next_measurement
+from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
+from zoo.core.diagnosis.scoring import DOUBT, Scored
+from zoo.core.diagnosis.screening import Screened
 from zoo.core.effects import Location
 from zoo.core.inference.record import versions
 
