@@ -16,8 +16,6 @@ import zoo.models
 ROOT = Path(__file__).parents[1]
 LAZY = {"zoo/__init__.py", "zoo/models/__init__.py"}
 """The doors, which load a module when it is asked for."""
-NAMED = {"zoo/core/diagnosis/diagnosis.py": {"zoo.plots"}}
-"""To be deleted when the old diagnosis has left the core."""
 
 
 @pytest.fixture(scope="module")
@@ -123,9 +121,7 @@ def test_no_module_is_named_in_a_string(package: Path) -> None:
     for own, (file, path) in modules.items():
         named = {name.partition(":")[0] for name in named_modules(path)} & set(modules)
         named = {name for name in named if not (own + ".").startswith(name + ".")}
-        assert file in LAZY or named == NAMED.get(file, set()), (
-            f"{file} names {named} in strings: import them"
-        )
+        assert file in LAZY or not named, f"{file} names {named} in strings: import them"
 
 
 def test_only_the_solver_imports_the_compiled_core(package: Path) -> None:
