@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections import Counter
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -15,13 +16,14 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import SymmetricalLogLocator
 from numpy.typing import NDArray
 
-from zoo.core.diagnosis.diagnosis import PHASES, SeriesGap, phases
-from zoo.core.diagnosis.screening import CORRELATED, NO_GAP, UNLISTED
-from zoo.plots.style import COLOURS, DASHED, DOTTED, INK, QUANTITY_LABELS, new_figure, parts
-from zoo.plots.tree import draw_tree, location_name
+from zoo.core.diag2.file import HypothesisResult, SeriesGap, unit_suffix
+from zoo.core.diag2.hypothesis import CORRELATED, NONPARAMETRIC, NULL
+from zoo.plots.style import COLOURS, DASHED, DOTTED, INK, QUANTITY_LABELS, Array, new_figure, parts
+from zoo.plots.subject import current, location_of, phases_of, study_of, unit_words
+from zoo.plots.tree import draw_locations, draw_tree
 
 if TYPE_CHECKING:
-    from zoo.core.diagnosis.diagnosis import Diagnosis
+    from zoo.core.diag2 import Diagnosis
 
 GAP_COLOUR, CAUSE_COLOUR, ALL_COLOUR = COLOURS[1], COLOURS[0], COLOURS[2]
 ALONE = "#9AA5B1"
@@ -31,9 +33,14 @@ ALONE = "#9AA5B1"
 def _cause_name(d: Diagnosis) -> str:
     """The leading effect with its location; empty where no listed effect leads."""
     leader = d.file.hypotheses[0]
-    if leader.name in (NO_GAP, UNLISTED, CORRELATED):
+    if leader.name in (NULL, NONPARAMETRIC, CORRELATED):
         return ""
-    return leader.name if leader.place is None else f"{leader.name}, {location_name(leader)}"
+    return _named(leader, d)
+
+
+def _named(h: HypothesisResult, d: Diagnosis) -> str:
+    """An effect with its location, if that is not everywhere."""
+    return h.name if h.place is None else f"{h.name}, {location_of(d.file, h.place, h.subtree)}"
 
 
 def _spans(index: NDArray[np.int_]) -> list[tuple[int, int, int]]:
@@ -42,18 +49,20 @@ def _spans(index: NDArray[np.int_]) -> list[tuple[int, int, int]]:
     return [(int(a), int(b), int(index[a])) for a, b in pairwise(edges)]
 
 
-def _shade_phases(axes: Axes, phase: NDArray[np.int_], period_ms: float, *, named: bool) -> None:
+def _shade_phases(
+    axes: Axes, names: Sequence[str], phase: NDArray[np.int_], times: Array, *, named: bool
+) -> None:
     """Every other phase shaded; the two short ones are named a line higher."""
-    step = period_ms / len(phase)
+    step = times[1] - times[0]
     spans = _spans(phase)
     widest = {k: max((b - a, a) for a, b, value in spans if value == k)[1] for _, _, k in spans}
     for first, last, k in spans:
         if k % 2:
-            axes.axvspan(first * step, last * step, color="#EEF1F4", lw=0, zorder=0)
+            axes.axvspan(times[0] + first * step, times[0] + last * step, color="#EEF1F4", lw=0, zorder=0)
         if named and widest[k] == first:
             axes.annotate(
-                PHASES[k],
-                (0.5 * (first + last) * step, 1.0),
+                names[k],
+                (times[0] + 0.5 * (first + last) * step, 1.0),
                 xycoords=("data", "axes fraction"),
                 xytext=(0, 11 if k % 2 else 2),
                 textcoords="offset points",
@@ -61,52 +70,53 @@ def _shade_phases(axes: Axes, phase: NDArray[np.int_], period_ms: float, *, name
                 fontsize=7,
                 color="#666666",
             )
-    axes.set_xlim(0, period_ms)
 
 
 def _draw_gap(figure: Figure | SubFigure, d: Diagnosis) -> None:
-    study = d.study
-    n = len(study.series)
-    columns = min(n, 3)
-    blocks = math.ceil(n / columns)
+    data = d.data
+    columns = min(data.n_series, 3)
+    blocks = math.ceil(data.n_series / columns)
     cause = _cause_name(d)
-    time_ms = 1e3 * np.asarray(study.time_s)
-    period_ms = 1e3 * study.period_s
-    labels = [s.label for s in study.series]
-    timing = next(i for i, label in enumerate(labels) if label in d.file.where.series)
-    phase = phases(study.values[timing], study.period_s)
+    beat = study_of(d) is not None
+    times = (1e3 if beat else 1.0) * data.times
+    duration = (1e3 if beat else 1.0) * data.duration
+    phase_names, phase = phases_of(d)
     grid = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=(3, 1.6) * blocks)
     for axes in grid.flat[:]:
         axes.set_axis_off()
-    for i, (series, row) in enumerate(zip(study.series, d.file.gap.per_series, strict=True)):
+    for i, (values, row) in enumerate(zip(data.values, d.file.gap.per_series, strict=True)):
         top, bottom = (grid[2 * (i // columns) + k, i % columns] for k in (0, 1))
         for axes in (top, bottom):
             axes.set_axis_on()
-            _shade_phases(axes, phase, period_ms, named=axes is top)
-        top.plot(time_ms, series.value, color=INK, lw=2.2, alpha=0.35, label="measured")
-        computed = series.value - d.before.residual[i]
-        top.plot(time_ms, computed, color=GAP_COLOUR, lw=1.2, ls=DASHED, label="base")
+            if phase is not None:
+                _shade_phases(axes, phase_names, phase, times, named=axes is top)
+            axes.set_xlim(times[0], times[0] + duration)
+        top.plot(times, values, color=INK, lw=2.2, alpha=0.35, label="measured")
+        computed = values - d.before.residual[i]
+        top.plot(times, computed, color=GAP_COLOUR, lw=1.2, ls=DASHED, label="base")
         drawn = [("base", d.before, GAP_COLOUR)]
         if cause:
-            computed = series.value - d.after.residual[i]
-            top.plot(time_ms, computed, color=CAUSE_COLOUR, lw=1.2, label=f"base + {cause}")
+            computed = values - d.after.residual[i]
+            top.plot(times, computed, color=CAUSE_COLOUR, lw=1.2, label=f"base + {cause}")
             drawn.append(("base + cause", d.after, CAUSE_COLOUR))
         if len(d.file.steps) > 1:
             label = f"base + {' + '.join(step.name for step in d.file.steps)}"
-            top.plot(time_ms, d.computed[1][i], color=ALL_COLOUR, lw=1.1, ls=DOTTED, label=label)
+            top.plot(times, d.computed[1][i], color=ALL_COLOUR, lw=1.1, ls=DOTTED, label=label)
         noise = row.noise_floor
         bottom.axhspan(-noise, noise, color="#B8C0C8", alpha=0.45, lw=0, zorder=1, label="noise (sd)")
         bottom.axhline(0, color="#888888", lw=0.7)
         for label, found, colour in drawn:
             mean, sd = found.mean[i], 1.96 * found.sd[i]
             label = f"discrepancy of {label}, 95 %"
-            bottom.fill_between(time_ms, mean - sd, mean + sd, color=colour, alpha=0.3, lw=0, zorder=2)
-            bottom.plot(time_ms, mean, color=colour, lw=1.2, zorder=3, label=label)
-        top.set_title(f"{series.label.rsplit(' ', 1)[0]}: {_shrinks(row, bool(cause))}", pad=24)
-        top.set_ylabel(QUANTITY_LABELS[series.quantity])
+            bottom.fill_between(times, mean - sd, mean + sd, color=colour, alpha=0.3, lw=0, zorder=2)
+            bottom.plot(times, mean, color=colour, lw=1.2, zorder=3, label=label)
+        group = data.groups[i]
+        label = data.labels[i].removesuffix(f" {group}")
+        top.set_title(f"{label}: {_shrinks(row, bool(cause))}", pad=24)
+        top.set_ylabel(QUANTITY_LABELS.get(group, f"{group} ({data.units[i]})"))
         top.tick_params(labelbottom=False)
         bottom.set_ylabel(f"gap ({row.unit})")
-        bottom.set_xlabel("time in the beat (ms)")
+        bottom.set_xlabel("time in the beat (ms)" if beat else f"time ({data.time_unit})")
     handles = [handle for axes in grid[:2, 0] for handle in axes.get_legend_handles_labels()[0]]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
 
@@ -114,7 +124,7 @@ def _draw_gap(figure: Figure | SubFigure, d: Diagnosis) -> None:
 def _shrinks(row: SeriesGap, cause: bool) -> str:
     """Such as "gap 0.25 to 0.01 mmHg"."""
     after = f" to {row.after.mean:.2g}" if cause else ""
-    return f"gap {row.before.mean:.2g}{after} {row.unit}"
+    return f"gap {row.before.mean:.2g}{after}{unit_words(row.unit)}"
 
 
 def plot_gap(d: Diagnosis) -> Figure:
@@ -130,7 +140,8 @@ def plot_gap(d: Diagnosis) -> Figure:
         Two panels for each observed series; phases of the beat are shaded and named, bands hold 95 %, the
         grey strip is one standard deviation of the noise.
     """
-    n = len(d.study.series)
+    d = current(d)
+    n = d.data.n_series
     columns = min(n, 3)
     size = (max(6.4, 4.3 * columns), 0.5 + 4.9 * math.ceil(n / columns))
     with new_figure(size) as figure:
@@ -149,10 +160,10 @@ def _group_colours(d: Diagnosis) -> dict[int, str]:
 def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
     axes = figure.subplots()
     found = d.file.hypotheses
-    unit = d.file.record.get("gap_unit", "mmHg")
+    unit = unit_words(d.file.gap.unit)
     colours = _group_colours(d)
-    zero = next(h.log_evidence for h in found if h.name == NO_GAP)
-    special = {NO_GAP: "noise alone", UNLISTED: "none of those listed", CORRELATED: "correlated noise"}
+    zero = next(h.log_evidence for h in found if h.name == NULL)
+    special = {NULL: "noise alone", NONPARAMETRIC: "none of those listed", CORRELATED: "correlated noise"}
     for row, h in enumerate(found):
         hidden = h.name in d.file.invisible
         bar = axes.barh(
@@ -169,8 +180,8 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
         words += f"{100 * h.probability:.0f} %" if h.probability >= 0.005 else "<1 %"
         if hidden:
             words = "invisible here"
-        elif h.name not in (UNLISTED, CORRELATED):
-            words += f", gap {h.gap_after_mmHg:.2g} {unit}"
+        elif h.name not in (NONPARAMETRIC, CORRELATED):
+            words += f", gap {h.gap_after:.2g}{unit}"
         axes.annotate(
             words,
             (1.0, row),
@@ -186,11 +197,7 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
     axes.xaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
     axes.margins(x=0.08)
     names = [
-        f"{h.name} ({special[h.name]})"
-        if h.name in special and h.name != CORRELATED
-        else h.name
-        if h.place is None
-        else f"{h.name}, {location_name(h)}"
+        f"{h.name} ({special[h.name]})" if h.name in special and h.name != CORRELATED else _named(h, d)
         for h in found
     ]
     axes.set_yticks(np.arange(len(found)), names)
@@ -228,6 +235,7 @@ def plot_hypotheses(d: Diagnosis) -> Figure:
         A bar for each explanation, most probable first, coloured by group; hatched are those that name no
         listed effect, hollow those that this study cannot show.
     """
+    d = current(d)
     with new_figure((8.4, _hypotheses_height(d))) as figure:
         _draw_hypotheses(figure, d)
     return figure
@@ -236,20 +244,32 @@ def plot_hypotheses(d: Diagnosis) -> Figure:
 def _draw_where(figure: Figure | SubFigure, d: Diagnosis) -> None:
     left, right = parts(figure, 1, 2, width_ratios=(1, 1.9))
     where = d.file.where
-    panels = (("phase of the beat", where.phase), ("harmonic", where.harmonic), ("series", where.series))
+    study = study_of(d)
+    series = {
+        label.removesuffix(unit_suffix(d.data.units[d.data.labels.index(label)])): share
+        for label, share in where.series.items()
+    }
+    title = "phase" if study is None else "phase of the beat"
+    panels = ((title, where.phase), ("harmonic", where.harmonic), ("series", series))
     ratios = [max(2.5, float(len(shares))) for _, shares in panels]
     for axes, (title, shares) in zip(left.subplots(3, 1, height_ratios=ratios), panels, strict=True):
         axes.barh(np.arange(len(shares)), [100 * v for v in shares.values()], color=GAP_COLOUR, height=0.7)
-        axes.set_yticks(np.arange(len(shares)), [name.rsplit("_", 1)[0] for name in shares], fontsize="small")
+        axes.set_yticks(np.arange(len(shares)), list(shares), fontsize="small")
         axes.set_ylim(len(shares) - 0.4, -0.6)
         axes.set_xlim(0, 100)
         axes.set_title(title)
     axes.set_xlabel("share of the gap's energy (%)")
-    draw_tree(right.subplots(), d)
+    if study is None:
+        draw_locations(right.subplots(), d)
+    else:
+        draw_tree(right.subplots(), d, study)
 
 
 def _where_height(d: Diagnosis) -> float:
-    terminals = len(d.study.vessels) - len({v.parent for v in d.study.vessels} - {None})
+    study = study_of(d)
+    terminals = len(d.file.where.place)
+    if study is not None:
+        terminals = len(study.vessels) - len({v.parent for v in study.vessels} - {None})
     bars = 5 + len(d.file.where.harmonic) + len(d.file.where.series)
     return min(24.0, max(1.8 + 0.24 * bars, 1.5 + 0.3 * terminals))
 
@@ -267,6 +287,7 @@ def plot_where(d: Diagnosis) -> Figure:
         Vessels are coloured by the probability that the cause acts in them, alone or with others below or
         above them; the box is for "everywhere alike". All given that a listed effect is the cause.
     """
+    d = current(d)
     with new_figure((10.0, _where_height(d))) as figure:
         _draw_where(figure, d)
     return figure
@@ -283,7 +304,8 @@ def plot_diagnosis(d: Diagnosis) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    n = len(d.study.series)
+    d = current(d)
+    n = d.data.n_series
     heights = (0.5 + 4.9 * math.ceil(n / min(n, 3)), max(_hypotheses_height(d), _where_height(d)))
     with new_figure((17.0, 0.6 + sum(heights))) as figure:
         top, bottom = parts(figure, 2, 1, height_ratios=heights)
