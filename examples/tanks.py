@@ -1,5 +1,9 @@
 """The cascaded tanks: what do the simple equations of a measured experiment lack?
 
+    python examples/tanks.py [--figure FILE]
+
+diagnoses the estimation record, and predicts the test record with and without what was found.
+
 A pump fills the upper tank, which runs out into the lower one, which runs out into the reservoir:
 
     dx1/dt = -k1 sqrt(x1) + k4 u,    dx2/dt = k1 sqrt(x1) - k3 sqrt(x2),    y = x2,
@@ -22,8 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from zoo.blood.fetch import fetch_file
 from zoo.core.data import Data
-from zoo.core.effects import Effect, EffectParameter, Location, effect
+from zoo.core.diag2 import Diagnosis, diagnose
+from zoo.core.effects import Effect, EffectParameter, Location, effect, with_effects
+from zoo.core.errors.spectral import Cosines
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.parameters import LogUniform, Parameter, Uniform
 
@@ -395,3 +402,71 @@ EFFECTS: tuple[Effect, ...] = (
     pump_curve, pump_dead_zone, pump_lag, sensor_lag, upper_leak, lower_leak, sensor_gain, sensor_offset,
     sensor_curve, back_pressure, pump_drift, outlet_drift,
 )  # fmt: skip
+
+
+# ---------------------------------------------------------------------------------------------------
+# The diagnosis of the estimation record, and the prediction of the test record
+
+
+def diagnosed(record: dict[str, Array]) -> Diagnosis:
+    """The diagnosis of the estimation record; effects are added up to three, whatever else explains more."""
+    return diagnose(data(record["yEst"]), tanks(record["uEst"]), EFFECTS, errors=Cosines(), exhaust=True)
+
+
+def predictions(found: Diagnosis, u: Array) -> dict[str, Array]:
+    """The level (n,) for another voltage by the baseline, and by it with one, two, ... effects as fitted.
+
+    All parameters, the initial levels too, are those of the estimation record.
+    """
+    series = {}
+    for scored in found.rounds:
+        fit = scored.screened.base
+        added = fit.hypothesis.added
+        model = with_effects(tanks(u), added)
+        series[" + ".join(one.name for one in added) or "baseline"] = model.solve(
+            model.configure(fit.values)
+        )[0]
+    return series
+
+
+def rms(values: Array) -> float:
+    """Root mean square."""
+    return math.sqrt(float(np.mean(values**2)))
+
+
+def report(found: Diagnosis, record: dict[str, Array]) -> str:
+    """What was found, in words and a table of root mean square errors."""
+    gap = found.file.gap
+    lines = [
+        found.file.verdict,
+        *(f"warning: {text}" for text in found.file.warnings),
+        f"cause: {', '.join(found.cause)}",
+        f"discrepancy {gap.before:.3f} V, after {gap.after:.3f} V; noise {gap.noise_floor:.3f} V",
+        "where: " + ", ".join(f"{name} {share:.0%}" for name, share in found.where.phase.items()),
+        f"cannot be seen: {', '.join(found.file.invisible) or 'none'}",
+        "",
+        "explanation          probability  log evidence  group  rms left (V)  parameters",
+    ]
+    for h in found.hypotheses:
+        sizes = [a for a in (h.amplitude, *h.other_amplitudes) if a]
+        values = ", ".join(f"{a.name} = {a.mean:.3g} ± {a.sd:.2g} {a.unit}" for a in sizes)
+        lines.append(
+            f"{h.name:20} {h.probability:11.3f}  {h.log_evidence:12.1f}  {h.group:5d}  {h.residual_rms:12.3f}  {values}"
+        )
+    lines += ["", "rms error (V)                                        estimation   test"]
+    for (name, test), fitted in zip(
+        predictions(found, record["uVal"]).items(), predictions(found, record["uEst"]).values(), strict=True
+    ):
+        lines.append(f"{name:52} {rms(record['yEst'] - fitted):10.3f} {rms(record['yVal'] - test):6.3f}")
+    seconds = found.file.record.get("screening_seconds", math.nan)
+    return "\n".join([*lines, "", f"{seconds:.0f} s"])
+
+
+def main() -> None:
+    """The command."""
+    record = read(fetch_file("cascaded-tanks/dataBenchmark.csv"))
+    print(report(diagnosed(record), record))
+
+
+if __name__ == "__main__":
+    main()
