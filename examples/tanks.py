@@ -451,7 +451,8 @@ def report(found: Diagnosis, record: dict[str, Array]) -> str:
         sizes = [a for a in (h.amplitude, *h.other_amplitudes) if a]
         values = ", ".join(f"{a.name} = {a.mean:.3g} ± {a.sd:.2g} {a.unit}" for a in sizes)
         lines.append(
-            f"{h.name:20} {h.probability:11.3f}  {h.log_evidence:12.1f}  {h.group:5d}  {h.residual_rms:12.3f}  {values}"
+            f"{h.name:20} {h.probability:11.3f}  {h.log_evidence:12.1f}  {h.group:5d}  {h.residual_rms:12.3f}"
+            f"  {values}"
         )
     lines += ["", "rms error (V)                                        estimation   test"]
     for (name, test), fitted in zip(
