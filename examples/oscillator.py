@@ -2,7 +2,7 @@
 
     python examples/oscillator.py
 
-draws 40 records of known causes, diagnoses each without being told its cause, and prints how often it was found.
+draws 40 records of known causes, diagnoses each without being told, and prints how often the cause was found.
 """
 
 from __future__ import annotations
