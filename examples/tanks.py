@@ -6,11 +6,11 @@ diagnoses the estimation record, and predicts the test record with and without w
 
 A pump fills the upper tank, which runs out into the lower one, which runs out into the reservoir:
 
-    dx1/dt = -k1 sqrt(x1) + k4 u,    dx2/dt = k1 sqrt(x1) - k3 sqrt(x2),    y = x2,
+    dx1/dt = -k1 sqrt(x1) + k4 u,    dx2/dt = k3 (sqrt(x1) - sqrt(x2)),    y = x2,
 
 u the pump's voltage, y the measured level. The benchmark writes k2 sqrt(x1) for the lower tank's inflow; the
-upper level is not measured, so its unit is free, and k2 = k1 fixes it without loss. Were the two tanks alike,
-x1 would be in volts of the same sensor.
+upper level is not measured, so its unit is free, and k2 = k3 fixes it without loss: x1 is stated as the level
+that the lower tank has in a steady state.
 
 References
 ----------
@@ -65,7 +65,7 @@ def levels(c: dict[str, Any], inflow: Array) -> Array:
     """
     k1, k3, h = float(c["k1"]), float(c["k3"]), STEP_S / SUBSTEPS
     p1, p2 = 0.5 + c.get("upper exponent", 0.0), 0.5 + c.get("lower exponent", 0.0)
-    k1, k3 = k1 * MIDDLE_V ** (0.5 - p1), k3 * MIDDLE_V ** (0.5 - p2)
+    c1, c2 = MIDDLE_V ** (0.5 - p1), MIDDLE_V ** (0.5 - p2)
     crack1, height1 = (float(value) for value in c.get("upper crack", (0.0, 0.0)))
     crack2, height2 = (float(value) for value in c.get("lower crack", (0.0, 0.0)))
     rim1, share, rim2 = c.get("upper rim", math.inf), c.get("share", 0.0), c.get("lower rim", math.inf)
@@ -73,47 +73,47 @@ def levels(c: dict[str, Any], inflow: Array) -> Array:
     simple1 = p1 == 0.5 and not crack1 and not back
     simple2 = p2 == 0.5 and not crack2
 
-    def upper(x: float) -> tuple[float, float]:  # outflow to the lower tank; all that depends on the level
+    def upper(x: float) -> tuple[float, float]:  # law of the outlet; all that depends on the level
         x = max(x, 0.0)
-        out = float(k1 * x**p1)
-        return out, out + crack1 * sqrt(max(x - height1, 0.0)) + q * min(back * x, 1.0)
+        law = float(c1 * x**p1)
+        return law, k1 * law + crack1 * sqrt(max(x - height1, 0.0)) + q * min(back * x, 1.0)
 
     def lower(x: float) -> float:
         x = max(x, 0.0)
-        return float(k3 * x**p2) + crack2 * sqrt(max(x - height2, 0.0))
+        return k * float(c2 * x**p2) + crack2 * sqrt(max(x - height2, 0.0))
 
     x1, x2 = float(c["x1(0)"]), float(c["x2(0)"])
     factors = 1.0 + c.get("outlet drift", 0.0) * (np.arange(len(inflow)) / len(inflow) - 0.5)
-    k3_0, found = k3, []
+    found = []
     for q, factor in zip(inflow.tolist(), factors.tolist(), strict=True):
         found.append(x2)
-        k3 = k3_0 * factor
+        k = k3 * factor
         for _ in range(SUBSTEPS):
             if simple1:
-                fa = ga = k1 * sqrt(x1)
-                fb = gb = k1 * sqrt(max(x1 + 0.5 * h * (q - ga), 0.0))
-                fc = gc = k1 * sqrt(max(x1 + 0.5 * h * (q - gb), 0.0))
-                fd = gd = k1 * sqrt(max(x1 + h * (q - gc), 0.0))
+                ga = k1 * (fa := sqrt(x1))
+                gb = k1 * (fb := sqrt(max(x1 + 0.5 * h * (q - ga), 0.0)))
+                gc = k1 * (fc := sqrt(max(x1 + 0.5 * h * (q - gb), 0.0)))
+                gd = k1 * (fd := sqrt(max(x1 + h * (q - gc), 0.0)))
             else:
                 fa, ga = upper(x1)
                 fb, gb = upper(x1 + 0.5 * h * (q - ga))
                 fc, gc = upper(x1 + 0.5 * h * (q - gb))
                 fd, gd = upper(x1 + h * (q - gc))
             x1 = max(x1 + h * (q - (ga + 2.0 * gb + 2.0 * gc + gd) / 6.0), 0.0)
-            if x1 > rim1:
-                falling = share * (x1 - rim1) / h
+            if x1 > rim1:  # in the lower tank's volts, water of the upper one counts k3/k1
+                falling = share * (x1 - rim1) / (h * k1)
                 fa, fb, fc, fd = fa + falling, fb + falling, fc + falling, fd + falling
                 x1 = rim1
             if simple2:
-                da = fa - k3 * sqrt(x2)
-                db = fb - k3 * sqrt(max(x2 + 0.5 * h * da, 0.0))
-                dc = fc - k3 * sqrt(max(x2 + 0.5 * h * db, 0.0))
-                dd = fd - k3 * sqrt(max(x2 + h * dc, 0.0))
+                da = k3 * fa - k * sqrt(x2)
+                db = k3 * fb - k * sqrt(max(x2 + 0.5 * h * da, 0.0))
+                dc = k3 * fc - k * sqrt(max(x2 + 0.5 * h * db, 0.0))
+                dd = k3 * fd - k * sqrt(max(x2 + h * dc, 0.0))
             else:
-                da = fa - lower(x2)
-                db = fb - lower(x2 + 0.5 * h * da)
-                dc = fc - lower(x2 + 0.5 * h * db)
-                dd = fd - lower(x2 + h * dc)
+                da = k3 * fa - lower(x2)
+                db = k3 * fb - lower(x2 + 0.5 * h * da)
+                dc = k3 * fc - lower(x2 + 0.5 * h * db)
+                dd = k3 * fd - lower(x2 + h * dc)
             x2 = min(max(x2 + h * (da + 2.0 * db + 2.0 * dc + dd) / 6.0, 0.0), rim2)
     return np.asarray(found)
 
