@@ -256,7 +256,10 @@ def diagnose(
     rounds: list[Scored] = []
     added: list[AddedEffect] = []
     while True:
-        screening = Screening(data, model, effects, errors=chosen, added=added, cores=cores, tick=tick)
+        start = rounds[-1].best[added[-1].name].u if added else None
+        screening = Screening(
+            data, model, effects, errors=chosen, added=added, start=start, cores=cores, tick=tick
+        )
         try:
             scored = score(screening.run(stop_at_noise=bool(rounds)))
         except SearchError as error:
