@@ -10,10 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
 
 import oscillator
 import tanks
+from zoo.core.data import Data
+from zoo.core.diag2.hypothesis import Hypothesis, HypothesisModel
+from zoo.core.diag2.search import Search
 from zoo.core.effects import EffectParameter, Location, effect, with_effects
+from zoo.core.errors.spectral import Cosines
 from zoo.core.forward import FunctionModel, Outputs, from_pints
 from zoo.core.op import ForwardOp
 from zoo.core.parameters import Parameter, Uniform
@@ -227,3 +232,83 @@ def test_a_pints_model_is_a_forward_model() -> None:
     assert model.key != from_pints(Decay(3.0), t, [rate], labels=("left", "gone")).key
     with pytest.raises(ValueError, match="2 parameters for 1: give one for each"):
         from_pints(Decay(2.0), t, [rate, rate])
+
+
+# ---------------------------------------------------------------------------------------------------
+# what is found
+
+
+def test_a_search_with_fine_steps_ends_where_another_one_does() -> None:
+    # an overflow of the upper tank from several starts, against scipy's trust-region reflective algorithm
+    rng = np.random.default_rng(5)
+    u = np.concatenate([U, 1.1 * U[::-1]])
+    added = [tanks.upper_overflow.at()]
+    truth = with_effects(tanks.tanks(u), added)
+    theta = np.array([0.045, 0.05, 0.04, 5.0, 5.0, 1 / 9, 0.6])
+    y = truth.solve(truth.configure(theta)) + 0.05 * rng.standard_normal((1, len(u)))
+    forward = HypothesisModel(tanks.tanks(u), Hypothesis(tuple(added)), Cosines().bind(tanks.data(y[0])))
+    S = np.full(len(u), 0.05**2)
+    search = Search(forward, forward.errors.flat(y), S)
+
+    def start(values: Any) -> Any:
+        return np.array([p.coordinate(v) for p, v in zip(forward.parameters, values, strict=True)])
+
+    def residual(x: Any) -> Any:
+        computed = forward(x)
+        assert computed is not None
+        return (forward.errors.flat(y) - computed) / np.sqrt(S)
+
+    costs = []
+    for scale in (0.97, 1.04):
+        point = search.refine(search.at(start(scale * theta)), 6, 15, fine=True)
+        bounds = (forward.low, forward.high)
+        other = least_squares(
+            residual, start(scale * theta), bounds=bounds, x_scale=forward.units, diff_step=1e-4
+        )
+        costs += [0.5 * float(np.sum(residual(point.u) ** 2)), float(other.cost)]
+    assert np.ptp(costs) < 1.0, "the log-likelihood, of which 1 is little"
+
+
+def test_the_next_round_begins_with_what_was_found() -> None:
+    rng = np.random.default_rng(2)
+    both = with_effects(oscillator.MODEL, [one.at() for one in oscillator.EFFECTS])
+    y = both.solve(both.configure(np.array([2.1, 0.05, 1.0, 0.15, 0.2]))) + 0.02 * rng.standard_normal(
+        (1, 241)
+    )
+    found = oscillator.diagnosed(Data(oscillator.TIMES, y, labels=("displacement",), units=("m",)))
+    assert {step.name for step in found.file.steps} == {"cubic-stiffness", "quadratic-drag"}
+    assert found.rounds[-1].leader == "no-gap"
+    left = [np.sqrt(np.mean(r.screened.base.residual**2)) for r in found.rounds]
+    one = found.rounds[0].best[found.rounds[0].leader]
+    assert left[1] < 1.05 * np.sqrt(np.mean(one.residual**2))
+    assert left[2] == pytest.approx(oscillator.NOISE_M, rel=0.1)
+
+
+def test_some_drawn_cases_are_told_apart() -> None:
+    score = oscillator.main({"cubic-stiffness": 1, "quadratic-drag": 1, "no-gap": 1, "delayed-drive": 1})
+    assert score.by["kind"]["listed"]["effect_first"]["share"] == 1
+    assert score.by["kind"]["none"]["right"]["share"] == 1
+
+
+@pytest.mark.slow
+def test_forty_drawn_cases() -> None:
+    score = oscillator.main(oscillator.COUNTS)
+    assert score.summary["effect_first"]["count"] >= 27
+    assert score.summary["false_alarms"]["count"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.needs_data
+def test_the_tanks_overflow(data_dir: Path, tmp_path: Path) -> None:
+    record = tanks.read(data_dir / "cascaded-tanks" / "dataBenchmark.csv")
+    found = tanks.diagnosed(record)
+    assert "upper-overflow" in found.cause
+    assert [step.name for step in found.file.steps] == ["upper-overflow", "lower-overflow"]
+    errors = {
+        name: tanks.rms(record["yVal"] - level)
+        for name, level in tanks.predictions(found, record["uVal"]).items()
+    }
+    assert errors["upper-overflow + lower-overflow"] <= 0.85 * errors["baseline"]
+    assert errors["baseline"] == pytest.approx(0.67, abs=0.02)
+    tanks.figure(found, record, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").stat().st_size > 10_000

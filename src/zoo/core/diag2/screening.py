@@ -60,8 +60,8 @@ class Screening:
     added : sequence of AddedEffect
         Effects that every hypothesis has.
     start : array, optional
-        Search coordinates of the baseline and those effects where a search begins beside their own start, such
-        as what an earlier screening found.
+        Search coordinates of the baseline and those effects where a search begins, such as what an earlier
+        screening found; their own start if absent.
     cores : int
         Threads that solve.
     tick : callable, optional
@@ -175,9 +175,8 @@ class Screening:
         # loose errors first: far from the mode a tenth of the range is what the linearisation is good for
         S = self.errors.variances({q: GroupErrors(0.1 * size) for q, size in self.range.items()})
         search = Search(forward, self.coefficients, S)
-        starts = [forward.start] if self.start is None else [self.start, forward.start]
-        points = [search.refine(search.descend(search.at(u), 10, 1e-3), 4) for u in starts]
-        point = min(points, key=lambda p: p.cost)
+        start = forward.start if self.start is None else self.start
+        point = search.refine(search.descend(search.at(start), 10, 1e-3), 4)
         for _ in range(3):
             errors = self._noise(self.coefficients - point.computed, self.numerics())
             search = Search(forward, self.coefficients, self.errors.variances(errors))
