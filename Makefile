@@ -24,6 +24,9 @@ test: setup
 check: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy src/zoo models examples
+	rm -rf build/imports
+	$(BIN)/python setup.py -q build_py --build-lib build/imports
+	cd build/imports && $(abspath $(BIN))/lint-imports --no-cache --no-logo --config $(CURDIR)/pyproject.toml
 
 # The embedded study from waves to WAIC; results in demo-output/.
 demo: setup

@@ -15,8 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+from zoo.core.posterior.ranks import RankTest
 from zoo.models import get_model
-from zoo.paper.calibration import RankTest, Settings, cheap_options, cheap_study, simulate_and_rank
+from zoo.paper.calibration import simulate_and_rank
+from zoo.paper.cheap import cheap_options, cheap_study
+from zoo.paper.replicator import Settings
 from zoo.plots import calibration_figure, save_figure
 
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"

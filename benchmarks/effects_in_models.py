@@ -76,7 +76,9 @@ def run(n: int, seed: int, folder: Path, cores: int) -> None:
         print(i, "converged" if found.passes else found.text, inside, flush=True)
     for name in rows[0]["truth"]:
         print(f"{name:32} {sum(r['inside'][name] for r in rows):3d} of {len(rows)}")
-    print(f"R-hat at most {max(r['rhat'] for r in rows):.4f}, ESS at least {min(r['ess'] for r in rows):.0f}, ")
+    print(
+        f"R-hat at most {max(r['rhat'] for r in rows):.4f}, ESS at least {min(r['ess'] for r in rows):.0f}, "
+    )
     print(f"converged: {sum(r['converged'] for r in rows)} of {len(rows)}")
 
 

@@ -17,7 +17,7 @@ from zoo import load_study, model_F, sample
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.sampling import find_mode
 from zoo.core.posterior.comparison import add_log_likelihood, sse_at_median
-from zoo.paper.reproduce import Interval, format_cell, parameter_table, published_table4
+from zoo.paper.table4 import Interval, format_cell, parameter_table, published_table4
 
 NEAR = {
     "m_chi": 59500.0,

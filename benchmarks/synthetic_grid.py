@@ -11,8 +11,8 @@ import numpy as np
 from zoo import load_study
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
-from zoo.paper.coverage import PAPER_TRUTH
 from zoo.paper.synthetic import whitened
+from zoo.paper.truth import PAPER_TRUTH
 
 STEPS = {"f3": 500.0, "psi1": 0.01, "psi2": 0.005, "c": 0.02}
 

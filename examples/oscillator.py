@@ -1,20 +1,24 @@
 """A driven, damped oscillator: which effect does its equation lack? A blind check on drawn cases.
 
-    python examples/oscillator.py [--cases 40]
+    python examples/oscillator.py
 
-draws records of known causes, diagnoses each without being told, and prints how often the cause was found.
+draws 40 records of known causes, diagnoses each without being told, and prints how often the cause was found.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
+from zoo.core.blindcheck import CheckScore, DrawnCase, check
 from zoo.core.data import Data
+from zoo.core.diagnosis import diagnose
+from zoo.core.diagnosis.hypothesis import NULL as NO_GAP
 from zoo.core.effects import EffectParameter, Location, effect, with_effects
+from zoo.core.errors.spectral import Cosines
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.parameters import LogUniform, Normal, Parameter, draw_prior
 
@@ -105,46 +109,43 @@ def delayed_drive(c: dict[str, Any], values: tuple[float, ...], at: Location) ->
 SEED = 20160401
 NOISE_M = 0.02
 VISIBLE = 0.5
-"""Amplitudes are drawn from their priors again until the rms of what refitted parameters leave of the change
-is at least this many sds of the noise."""
-CAUSES = ("cubic-stiffness",) * 15 + ("quadratic-drag",) * 15 + ("none",) * 5 + ("delayed-drive",) * 5
+"""Parameters are drawn again until the rms of what the refitted equation leaves of the noise-free record is
+at least this many sds of the noise."""
+COUNTS = {"cubic-stiffness": 15, "quadratic-drag": 15, NO_GAP: 5, "delayed-drive": 5}
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
-    """A record, and what made it."""
-
-    data: Data
-    cause: str
-    amplitude: float
-    gap_m: float
-
-
-def draw_case(cause: str, seed: int) -> Case:
-    """A record with a cause ("none", or one of the three effects), its parameters from their priors."""
-    rng = np.random.default_rng([SEED, seed])
+def draw_case(cause: str, rng: np.random.Generator) -> DrawnCase:
+    """A record with a cause, or none ("no-gap"); its parameters and the amplitude come from their priors."""
     known = {e.name: e for e in (*EFFECTS, delayed_drive)}
-    while True:
-        theta = draw_prior(MODEL.parameters, rng)
-        added = [known[cause].at()] if cause != "none" else []
-        truth = with_effects(MODEL, added)
-        full = draw_prior(truth.parameters, rng) if added else theta
-        full[: len(theta)] = theta
-        series = truth.solve(truth.configure(full))
-        gap = visible_gap(theta, series[0]) if added else 0.0
-        if not added or gap >= VISIBLE * NOISE_M:
-            break
+    truth = with_effects(MODEL, [known[cause].at()] if cause in known else [])
+    gap = -1.0
+    while gap < (VISIBLE * NOISE_M if cause in known else 0.0):
+        theta = draw_prior(truth.parameters, rng)
+        series = truth.solve(truth.configure(theta))
+        gap = visible_gap(theta[: len(MODEL.parameters)], series[0])
     noisy = series + NOISE_M * rng.standard_normal(series.shape)
-    data = Data(TIMES, noisy, labels=("displacement",), units=("m",), name=f"case-{seed}")
-    return Case(data, cause, float(full[-1]) if added else 0.0, gap)
+    data = Data(TIMES, noisy, labels=("displacement",), units=("m",), name="oscillator")
+    return DrawnCase(data, float(theta[-1]) if cause in known else None, noise=NOISE_M, before=gap)
 
 
 def visible_gap(theta: Array, series: Array) -> float:
     """Rms of a series without noise minus the best fit of the model, which starts at theta."""
-    from scipy.optimize import least_squares
-
     low, high = np.array([p.prior.support for p in MODEL.parameters]).T
     fit = least_squares(
         lambda x: MODEL.solve(MODEL.configure(x))[0] - series, theta, bounds=(low, high), x_scale=(1, 0.1, 1)
     )
     return float(np.sqrt(np.mean(fit.fun**2)))
+
+
+def diagnosed(data: Data) -> Any:
+    """The diagnosis of one record, which is told nothing of its cause."""
+    return diagnose(data, MODEL, EFFECTS, errors=Cosines())
+
+
+def main(counts: dict[str, int], seed: int = SEED) -> CheckScore:
+    """The blind check."""
+    return check(draw_case, diagnosed, counts, listed=[e.name for e in EFFECTS], seed=seed)
+
+
+if __name__ == "__main__":
+    print(main(COUNTS))

@@ -20,18 +20,12 @@ from zoo.blood.study import Series, Study
 from zoo.core.errors.independent import Independent
 from zoo.core.errors.variables import IidErrors
 from zoo.core.inference.logposterior import LogPosterior
+from zoo.core.posterior.ranks import LOG_POSTERIOR, CalibrationError, RankTest
 from zoo.models import get_model
-from zoo.paper import calibration
-from zoo.paper.calibration import (
-    LOG_POSTERIOR,
-    CalibrationError,
-    RankTest,
-    Replicator,
-    Settings,
-    cheap_options,
-    cheap_study,
-    simulate_and_rank,
-)
+from zoo.paper import calibration, replicator
+from zoo.paper.calibration import simulate_and_rank
+from zoo.paper.cheap import cheap_options, cheap_study
+from zoo.paper.replicator import Replicator, Settings
 
 QUICK = Settings(ranked=15, chains=1, tune=100, steps=120, max_steps=480, min_ess=15)
 LIMITS = {"A": {"sigma2": (1e-3, 1.0)}, "B": {}}
@@ -180,12 +174,12 @@ def test_a_sampler_of_a_tempered_posterior_is_flagged(
     replicators: dict[str, Replicator], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A tenth of the log-posterior: draws three times as wide."""
-    right = calibration._Step.delta_logp
+    right = replicator._Step.delta_logp
 
     def tempered(self: Any, q: np.ndarray, q0: np.ndarray) -> float:
         return 0.1 * float(right(self, q, q0))
 
-    monkeypatch.setattr(calibration._Step, "delta_logp", tempered)
+    monkeypatch.setattr(replicator._Step, "delta_logp", tempered)
     test = ranks_of(replicators["A"], 10)
     assert not test.passes(), test.table().to_string()
     assert test.ecdf_p()[test.names.index(LOG_POSTERIOR)] < 1e-3

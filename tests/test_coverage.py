@@ -13,27 +13,12 @@ from scipy import stats
 
 from zoo import load_study, model_E, sample
 from zoo.core.inference.logposterior import LogPosterior
-from zoo.paper.calibration import cheap_study
-from zoo.paper.coverage import (
-    IDENTIFIABLE,
-    K_LIMIT,
-    LEVELS,
-    PAPER_TRUTH,
-    SCALES,
-    THETA,
-    Scenario,
-    coverage,
-    data_set,
-    fill_pool,
-    kernel_density,
-    marginal_density,
-    relative_sse,
-    run,
-    score_pool,
-    summarise,
-)
-from zoo.paper.reproduce import published_table4
+from zoo.paper.cheap import cheap_study
+from zoo.paper.coverage import IDENTIFIABLE, LEVELS, Scenario, coverage, data_set, run, summarise
+from zoo.paper.pool import K_LIMIT, fill_pool, score_pool
 from zoo.paper.synthetic import Truth
+from zoo.paper.table4 import published_table4
+from zoo.paper.truth import PAPER_TRUTH, SCALES, THETA, kernel_density, marginal_density, relative_sse
 
 
 def test_truth_is_the_published_row_of_model_e():

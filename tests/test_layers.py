@@ -1,7 +1,9 @@
-"""The order of the modules: each imports only from those before it."""
+"""The rooms and what each may know: the contracts of pyproject.toml, and what they cannot see."""
 
 import ast
 import os
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,47 +13,120 @@ import pytest
 import zoo
 import zoo.models
 
-ORDER = (
-    "units conventions fetch study network _native solver effects op likelihood models results steps "
-    "mode progress workers chains sampling posteriors comparison synthetic calibration coverage predictive "
-    "discrepancy screening confirm diagnosis blind plots reproduce report cli"
-).split()
-ONLY = {"matplotlib": {"plots"}, "zoo._native": {"solver"}, "zoo.cli": set()}
-SOURCES = {p.stem: p for p in Path(zoo.__file__).parent.glob("*.py") if p.stem != "__init__"}
-SOURCES |= {f"models/{p.stem}": p for p in Path(zoo.models.__file__).parent.glob("*.py")}
+ROOT = Path(__file__).parents[1]
+LAZY = {"zoo/__init__.py", "zoo/models/__init__.py"}
+"""The doors, which load a module when it is asked for."""
 
 
-def imports(path: Path) -> set[str]:
-    """Dotted names of what a file imports anywhere, also inside functions and for type checking."""
-    found = set()
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the package as it is installed, the models in their place."""
+    folder = tmp_path_factory.mktemp("package")
+    command = [sys.executable, "setup.py", "-q", "build_py", "--build-lib", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    return folder
+
+
+def lint(folder: Path, *contracts: str) -> subprocess.CompletedProcess[str]:
+    """The contracts on the package in a folder."""
+    command = [sys.executable, "-c", "from importlinter.cli import lint_imports_command as c; c()"]
+    command += ["--config", str(ROOT / "pyproject.toml"), "--no-cache", "--no-logo"]
+    command += [word for name in contracts for word in ("--contract", name)]
+    environment = os.environ | {"PYTHONPATH": str(folder), "COLUMNS": "200"}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+
+
+def test_every_contract_is_kept(package: Path) -> None:
+    done = lint(package)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("file", "line", "contract"),
+    [
+        ("core/data.py", "import zoo.blood.units", "core-alone"),
+        ("core/inference/mode.py", "from zoo.paper import convergence", "core-alone"),
+        ("core/inference/record.py", "from zoo.core.posterior import storage", "core-rooms"),
+        ("core/weather.py", "", "core-rooms"),  # a module without a place
+        ("blood/units.py", "def f():\n    from zoo.blood.solver import Solver", "blood-rooms"),
+        ("blood/study.py", "from zoo.models import model_a", "models"),
+        ("models/model_a.py", "from zoo.report import page", "house"),
+        ("plots/style.py", "from zoo.paper import coverage", "house"),
+        ("models/model_a.py", "from zoo.cli import app", "cli"),
+        ("paper/table4.py", "import matplotlib.pyplot", "matplotlib"),
+        ("report/words.py", "from zoo.report import chapter", "cycles"),
+    ],
+)
+def test_contract_fails_on_a_copy_that_breaks_it(
+    package: Path, tmp_path: Path, file: str, line: str, contract: str
+) -> None:
+    shutil.copytree(package / "zoo", tmp_path / "zoo")
+    path = tmp_path / "zoo" / file
+    with path.open("a", encoding="utf-8") as text:
+        text.write(f"\n{line}\n")
+    done = lint(tmp_path, contract)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "BROKEN" in done.stdout
+    assert ("zoo." + file.removesuffix(".py").replace("/", ".")).rpartition(".")[2] in done.stdout
+
+
+def named_modules(path: Path) -> set[str]:
+    """Modules of the package that a file names in a string that is not a docstring."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    prose = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    strings = (n for n in ast.walk(tree) if isinstance(n, ast.Constant) and id(n) not in prose)
+    return {n.value for n in strings if isinstance(n.value, str) and re.match(r"zoo(\.\w+)+[:\w]*$", n.value)}
+
+
+def native_imports(path: Path) -> list[int]:
+    """Lines that import the compiled solver."""
+    found = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}:{node.lineno}: import by the full name"
-            inner = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= inner if node.module in ("zoo", "zoo.models") else {str(node.module)}
+            names = [f"{node.module}.{alias.name}" for alias in node.names] + [str(node.module)]
+        else:
+            continue
+        found += [node.lineno for name in names if (name + ".").startswith("zoo._native.")]
     return found
 
 
-def test_the_import_reader_sees_every_form(tmp_path: Path) -> None:
+def test_readers_see_every_form(tmp_path: Path) -> None:
     path = tmp_path / "x.py"
-    path.write_text("import zoo.cli\nfrom zoo import op\ndef f():\n    from zoo.blood.study import Study\n")
-    assert imports(path) == {"zoo.cli", "zoo.blood.op", "zoo.blood.study"}
+    lines = [
+        "from zoo import _native",
+        "import zoo._native as c",
+        "from zoo._native import lib",
+        "import zoo",
+    ]
+    lines += [
+        '"""zoo.plots"""',
+        'import_module("zoo.plots")',
+        'HOME = "zoo.blood.effects:ALL"',
+        's = "zoo fetch"',
+    ]
+    path.write_text("\n".join(lines))
+    assert sorted(set(native_imports(path))) == [1, 2, 3]
+    assert named_modules(path) == {"zoo.plots", "zoo.blood.effects:ALL"}
 
 
-@pytest.mark.parametrize("name", sorted(SOURCES))
-def test_imports_only_from_modules_before_it(name: str) -> None:
-    own = name.split("/")[0]
-    assert own in ORDER, f"{own} has no place in the order yet"
-    for module in imports(SOURCES[name]):
-        top, _, rest = module.partition(".")
-        if top == "zoo" and rest:
-            used = rest.split(".")[0]
-            inside = own == used == "models"
-            assert inside or ORDER.index(used) < ORDER.index(own), f"{name} imports {module}"
-        for guarded, allowed in ONLY.items():
-            assert own in allowed or not (module + ".").startswith(guarded + "."), f"{name} imports {module}"
+def test_no_module_is_named_in_a_string(package: Path) -> None:
+    """The contracts do not see an import by such a name. A module may name itself and its package."""
+    modules = {}
+    for path in sorted(package.rglob("*.py")):
+        file = path.relative_to(package).as_posix()
+        modules[file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")] = file, path
+    for own, (file, path) in modules.items():
+        named = {name.partition(":")[0] for name in named_modules(path)} & set(modules)
+        named = {name for name in named if not (own + ".").startswith(name + ".")}
+        assert file in LAZY or not named, f"{file} names {named} in strings: import them"
+
+
+def test_only_the_solver_imports_the_compiled_core(package: Path) -> None:
+    users = {p.relative_to(package).as_posix() for p in package.rglob("*.py") if native_imports(p)}
+    assert users == {"zoo/blood/solver.py"}
 
 
 def test_import_is_cheap() -> None:

@@ -25,7 +25,7 @@ from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.newton import gauss_newton, newton
 from zoo.core.inference.sampling import SamplingError, find_mode
 from zoo.core.inference.starts import disperse
-from zoo.paper.calibration import cheap_options, cheap_study
+from zoo.paper.cheap import cheap_options, cheap_study
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 

@@ -14,7 +14,7 @@ from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Series, Study
 from zoo.core.inference.sampling import sample
 from zoo.models import MODELS, get_model
-from zoo.paper.calibration import cheap_options, cheap_study
+from zoo.paper.cheap import cheap_options, cheap_study
 from zoo.paper.synthetic import correlated_errors
 
 OUTLETS = {"psi1": 0.45, "psi2": 0.75, "c": 1.20}

@@ -13,8 +13,9 @@ import pytest
 from zoo import load_study
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import PosteriorError, refuse_other_settings
-from zoo.paper.reproduce import (
-    FIRST_SCENARIO,
+from zoo.paper.reproduce import reproduce
+from zoo.paper.synthetic_tables import FIRST_SCENARIO, synthetic_tables
+from zoo.paper.table4 import (
     Interval,
     cost_table,
     disagreements,
@@ -23,9 +24,7 @@ from zoo.paper.reproduce import (
     parameter_table,
     published_table4,
     reasons,
-    reproduce,
     score_table,
-    synthetic_tables,
     table4_rows,
 )
 

@@ -11,18 +11,18 @@
 #include <stdint.h>
 
 /* cffi:begin */
+enum { ZOO_ABI = 2 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
+
 enum zoo_status {
     ZOO_OK = 0,
     ZOO_BAD_ARGUMENT = 1, /* an input is out of range; report.vessel names the vessel, or -1 */
     ZOO_CFL = 2,          /* the wave speed outran the time step and no finer one was allowed */
-    ZOO_COLLAPSE = 3,     /* a cross-section fell to zero, or to the tangent wall's smallest area */
-    ZOO_WALL_LIMIT = 4,   /* a cross-section passed the tangent wall's largest area */
+    ZOO_COLLAPSE = 3,     /* a cross-section fell to zero, or to the smallest area of its wall law */
+    ZOO_WALL_LIMIT = 4,   /* a cross-section passed the largest area of its wall law */
     ZOO_NO_ROOT = 5,      /* a junction or an outlet had no solution */
     ZOO_NOT_PERIODIC = 6, /* max_beats passed before the beat repeated itself */
     ZOO_WORKSPACE = 7     /* the workspace handed in is too small */
 };
-
-enum zoo_wall { ZOO_WALL_LINEAR = 0, ZOO_WALL_TANGENT = 1 };
 
 enum zoo_friction {
     ZOO_FRICTION_CURRENT = 0, /* r = sqrt(A / pi), as eq. (3.1) is printed */
@@ -33,58 +33,73 @@ enum zoo_friction {
 /* The vessels; a parent stands before its children, vessel 0 is the root. */
 typedef struct {
     int32_t n_vessels;
-    const int32_t *parent;     /* [n_vessels] index of the parent, -1 for the root */
-    const int32_t *n_cells;    /* [n_vessels] grid cells, at least 2 */
-    const double *length;      /* [n_vessels] cm */
-    const double *radius_in;   /* [n_vessels] cm, at rest, at the inlet */
-    const double *radius_out;  /* [n_vessels] cm, at rest, at the outlet; linear between */
-    const double *R1;          /* [n_vessels] dyn s/cm^5, read at terminal vessels only */
-    const double *R2;          /* [n_vessels] dyn s/cm^5 */
-    const double *C;           /* [n_vessels] cm^5/dyn */
+    const int32_t *parent;    /* [n_vessels] index of the parent, -1 for the root */
+    const int32_t *n_cells;   /* [n_vessels] grid cells, at least 2 */
+    const double *length;     /* [n_vessels] cm */
+    const double *radius_in;  /* [n_vessels] cm, at rest, at the inlet */
+    const double *radius_out; /* [n_vessels] cm, at rest, at the outlet; linear between */
 } zoo_network;
 
-/* The fluid and the wall. */
+/* Zero, or NULL where an array may be absent, stands for no addition to eq. (3.1) to (3.7). */
+
+/* The blood in the vessels: inertia, friction, and what leaks through the walls. */
 typedef struct {
     double density;             /* g/cm^3 */
     double viscosity;           /* g/(cm s) */
     double momentum_correction; /* factor of q^2/A; 1 as eq. (3.1) is printed */
-    int32_t wall;               /* enum zoo_wall */
-    double wall_factor;         /* k in p = k chi tan(...): 1 as printed, 1/pi as in the published code */
     int32_t friction;           /* enum zoo_friction */
     double friction_radius;     /* cm, read for ZOO_FRICTION_FIXED */
     double stokes_friction;     /* factor of the Stokes layer's friction; 1 as eq. (3.1) is printed */
     double viscous_friction;    /* k in a further -k pi nu q/A; 0 as eq. (3.1) is printed, 8 Poiseuille's */
-} zoo_physics;
+    const double *viscosity_factor; /* [n_vessels] factor of the viscosity, or NULL for 1 */
+    const double *leak;         /* [n_vessels] cm^4 s/g, A_t + q_x = -leak p, or NULL */
+} zoo_fluid;
 
-/* What is added to the equations; all zero is nothing.  Any pointer may be NULL. */
+/* The wall: its law, and what makes its pressure differ from the law's. */
 typedef struct {
-    const double *viscosity_factor;  /* [n_vessels] factor of the viscosity; NULL is 1 */
-    const double *offset_in;         /* [n_vessels] dyn/cm^2, added to the wall's pressure at the inlet */
+    int32_t law;                     /* number of the law, see zoo_wall_name */
+    double factor;                   /* k in p = k chi tan(...): 1 as printed, 1/pi as in the published code */
+    const double *offset_in;         /* [n_vessels] dyn/cm^2, added to the pressure at the inlet, or NULL */
     const double *offset_out;        /* [n_vessels] and at the outlet; linear between */
-    const double *viscoelastic_time; /* [n_vessels] s, tau in tau_r dp_v/dt + p_v = tau dp_e/dt */
+    const double *viscoelastic_time; /* [n_vessels] s, tau in tau_r dp_v/dt + p_v = tau dp_e/dt, or NULL */
     double relaxation_time;          /* s, tau_r; must be positive where viscoelastic_time is given */
-    const double *leak;              /* [n_vessels] cm^4 s/g, A_t + q_x = -leak p */
-    double total_pressure;           /* tau: branches share p + tau rho u^2/2 */
-    double junction_loss;            /* K: daughters' inlets lack K rho/2 u|u| of the parent's end */
-    const double *inertance;         /* [n_vessels] g/cm^4, read at terminals: p = v + R1 q + L dq_L/dt, outlet_extra.h */
-    int32_t n_sections;              /* parallel RC pairs at each terminal; 0: the Windkessel */
-    const double *section_resistance; /* [n_vessels][n_sections] shares of R2; 0: the section is absent */
-    const double *section_compliance; /* [n_vessels][n_sections] shares of C */
-    const double *throat_severity;   /* [n_vessels] in [0, 1): relative loss of radius at the narrowest place */
-    const double *throat_position;   /* [n_vessels] in [0, 1] of the length */
-    const double *throat_length;     /* [n_vessels] cm */
-    double throat_loss;              /* K_t in K_t rho/2 (A0/A0_throat - 1)^2 (q/A0)^2 */
     int32_t n_wave;                  /* samples of stiffness_wave; 0: none */
     const double *stiffness_wave;    /* [n_wave] factor s of the stiffness at m period/n_wave, linear between, periodic */
-    int32_t force;                   /* 1: take the loops with the additions even if they add nothing */
-} zoo_extras;
+} zoo_wall;
 
-/* The flow into the root: samples at m period/n_samples, linear between, periodic. */
+/* A narrow stretch of a vessel (a stenosis). */
 typedef struct {
+    const double *severity; /* [n_vessels] in [0, 1): relative loss of radius at the narrowest place, or NULL */
+    const double *position; /* [n_vessels] in [0, 1] of the vessel's length */
+    const double *length;   /* [n_vessels] cm */
+    double loss;            /* K_t in K_t rho/2 (A0/A0_throat - 1)^2 (q/A0)^2 */
+} zoo_throat;
+
+/* Where vessels meet. */
+typedef struct {
+    double total_pressure; /* tau: branches share p + tau rho u^2/2 */
+    double loss;           /* K: daughters' inlets lack K rho/2 u|u| of the parent's end */
+} zoo_junction;
+
+/* At the root: samples at m period/n_samples, linear between, periodic. */
+typedef struct {
+    int32_t kind;       /* number of the kind, see zoo_inlet_name; 0: the flow is given */
     double period;      /* s */
     int32_t n_samples;
-    const double *flow; /* [n_samples] ml/s */
-} zoo_inflow;
+    const double *curve; /* [n_samples] ml/s where the flow is given */
+} zoo_inlet;
+
+/* At the terminals, the vessels without children; elsewhere the values are not read. */
+typedef struct {
+    int32_t kind;                     /* number of the kind, see zoo_outlet_name; 0: the Windkessel */
+    const double *R1;                 /* [n_vessels] dyn s/cm^5 */
+    const double *R2;                 /* [n_vessels] dyn s/cm^5 */
+    const double *C;                  /* [n_vessels] cm^5/dyn */
+    const double *inertance;          /* [n_vessels] g/cm^4, or NULL */
+    int32_t n_sections;               /* parallel RC pairs at each terminal; 0: one of R2 and C */
+    const double *section_resistance; /* [n_vessels][n_sections] shares of R2; 0: the section is absent */
+    const double *section_compliance; /* [n_vessels][n_sections] shares of C */
+} zoo_outlet;
 
 /* Where and when the solution is wanted. */
 typedef struct {
@@ -102,13 +117,17 @@ typedef struct {
     int32_t max_beats;
     double tolerance;       /* dyn/cm^2, on the estimated distance from the periodic state */
     int32_t accelerate;     /* 1: extrapolate from beat to beat (Anderson), 0: plain beats */
+    int32_t additions;      /* 1: take the loops with additions even if nothing is added, for tests */
 } zoo_numerics;
 
 typedef struct {
     zoo_network network;
-    zoo_physics physics;
-    zoo_extras extras;
-    zoo_inflow inflow;
+    zoo_fluid fluid;
+    zoo_wall wall;
+    zoo_throat throat;
+    zoo_junction junction;
+    zoo_inlet inlet;
+    zoo_outlet outlet;
     zoo_outputs outputs;
     zoo_numerics numerics;
 } zoo_problem;
@@ -116,7 +135,7 @@ typedef struct {
 /* One set of parameters is a row of each array. */
 typedef struct {
     const double *stiffness; /* [n_sets][n_vessels] chi, dyn/cm^2 */
-    const double *gamma;     /* [n_sets][n_vessels], read by the tangent wall */
+    const double *shape;     /* [n_sets][zoo_wall_shapes][n_vessels] further parameters of the wall law, or NULL if none */
     const double *psi1;      /* [n_sets][n_vessels] factor of R1 */
     const double *psi2;      /* [n_sets][n_vessels] factor of R2 */
     const double *c;         /* [n_sets][n_vessels] factor of C */
@@ -148,12 +167,22 @@ int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_paramete
                   void *workspace, int64_t workspace_bytes, double *pressure, double *flow,
                   double *area, zoo_report *reports);
 
-/* Pressure of the wall (dyn/cm^2) at area A (cm^2); for plots and tests. */
-double zoo_wall_pressure(int32_t wall, double wall_factor, double stiffness, double gamma,
-                         double area, double rest_area);
+/* Name of a wall law, an inlet or an outlet, by its number from 0 on; NULL past the last. */
+const char *zoo_wall_name(int32_t law);
+const char *zoo_inlet_name(int32_t kind);
+const char *zoo_outlet_name(int32_t kind);
+
+/* How many parameters a wall law has beside the stiffness, and the name of one; -1 and NULL where there is none. */
+int32_t zoo_wall_shapes(int32_t law);
+const char *zoo_wall_shape_name(int32_t law, int32_t shape);
+
+/* Pressure of a wall law (dyn/cm^2) at area A (cm^2), for plots and tests; shape: [zoo_wall_shapes].
+ * NaN where the law has no pressure, or an argument is out of range. */
+double zoo_wall_pressure(int32_t law, double factor, double stiffness, const double *shape, double area,
+                         double rest_area);
 
 /* Wave speed (cm/s) at area A (cm^2). */
-double zoo_wave_speed(int32_t wall, double wall_factor, double stiffness, double gamma, double area,
+double zoo_wave_speed(int32_t law, double factor, double stiffness, const double *shape, double area,
                       double rest_area, double density);
 
 /* One line of English for a status. */

@@ -20,7 +20,6 @@
 
 enum {
     ZOO_LANES = 16,
-    ZOO_PARALLEL = 6,  /* R_p beside a terminal's inertance, in rho c/A0 at rest: outlet_extra.h */
     ZOO_HISTORY = 4,   /* beats kept for the extrapolation */
     ZOO_CHECKS = 32,   /* times in a beat at which the state is checked */
     ZOO_STEP_UNIT = 32 /* steps per beat are a multiple of this when chosen from cfl */
@@ -38,39 +37,42 @@ typedef struct {
     double *soft1, *soft2;               /* [count*lanes] sums of w A0/K and w A0/K^2 */
     double *area, *c, *beta;             /* [branches*count*lanes] scratch of a step */
     double *volume, *sum_c, *sum_beta;   /* [count*lanes] scratch of a step */
-    /* only with additions: scratch of Newton's method, junction_extra.h */
+    /* only with additions: scratch of Newton's method, junction_total_pressure.h */
     double *flow, *old, *a0, *aP, *aH, *q0, *qP, *qH; /* [branches*count*lanes] */
     double *P, *H, *D, *g0, *gP, *gH;    /* [count*lanes] */
     double *m0, *mP, *mH, *f0, *fP, *fH; /* [count*lanes] */
-} zoo_junctions;
+} zoo_junction_group;
 
-/* The Windkessels at the ends of the terminal vessels. */
+/* The ends of the terminal vessels.  What one kind of outlet needs stands in rows of [count*lanes], as
+ * many as the kind asks for: outlet.h. */
+typedef struct {
+    int coefficients; /* made from the parameters for a time step */
+    int pressures;    /* of the state, dyn/cm^2, */
+    int flows;        /* ml/s */
+    int scratch;      /* of a step */
+} zoo_rows;
+
 typedef struct {
     int count;
-    int n_sections;                      /* parallel RC pairs; one is the Windkessel */
+    int kind;                            /* of the loops that are run, outlet.h */
+    zoo_rows rows;
     int *vessel, *node;                  /* [count] */
     double *per_w, *A0;                  /* [count] 2 dt/dx, rest area at the node */
     double *R1, *R2, *C;                 /* [count*lanes] */
-    double *decay, *fill;                /* [n_sections*count*lanes] e, R2 (1 - e) */
-    double *E, *inv_R1;                  /* [count*lanes] 2 R1 + R2 (1 - e), 1/R1 */
-    double *v;                           /* [n_sections*count*lanes] pressure on the compliance, dyn/cm^2 */
     double *volume;                      /* [count*lanes] ml that left so far in this beat */
-    double *a, *p;                       /* [count*lanes] scratch of the root search */
-    /* only with additions, outlet_extra.h */
-    double *inertia, *gain;              /* [count*lanes] 2 I; c' = c + gain (Q - c) */
-    double *keep, *now, *before;         /* [count*lanes] q_L' = keep q_L + now y' + before y */
-    double *share, *direct;              /* [count*lanes] q = share q_L + direct y */
-    double *carry;                       /* [count*lanes] ml/s, the flow through the inertance */
-    double *base, *q_mid, *y, *back;     /* [count*lanes] scratch of a step */
-} zoo_outlets;
+    double *coefficient;                 /* [rows.coefficients][count*lanes] */
+    double *v;                           /* [rows.pressures][count*lanes] state */
+    double *carry;                       /* [rows.flows][count*lanes] state */
+    double *scratch;                     /* [rows.scratch][count*lanes] */
+} zoo_terminals;
 
 typedef struct {
     const zoo_problem *problem;
     int lanes, wall, n_vessels, n_nodes, n_groups;
     double dt, momentum, inv_density;
-    int extra;   /* 1: something is added that the plain loops do not have, see zoo_has_extras */
+    int extra;   /* 1: something is added that the plain loops do not have, see zoo_has_additions */
     int coupled; /* 1: pressures at junctions depend on flows there (total pressure, losses) */
-    int uniform; /* 1: all vessels of each lane share one stiffness and one gamma */
+    int uniform; /* 1: all vessels of each lane share one stiffness and one shape */
 
     /* grid, per vessel and per node */
     int *first, *last;                   /* [n_vessels] */
@@ -83,7 +85,8 @@ typedef struct {
     double *lam, *half_dt;               /* [n_nodes] dt/dx and dt/2, 0 at boundary nodes */
 
     /* wall, lane arrays at nodes; midpoint j lies in the vessel of node j */
-    double *K, *theta;                   /* [n_nodes*lanes] */
+    double *K;                           /* [n_nodes*lanes] */
+    double *coefficient;                 /* [wall_shapes][n_nodes*lanes] of the law, zoo_shape */
 
     /* state at nodes: area, flow, pressure, momentum flux, friction force */
     double *A, *q, *P, *M, *G;           /* [n_nodes*lanes] */
@@ -101,17 +104,18 @@ typedef struct {
     double *z, *pe;                      /* [n_nodes*lanes] state, pressure of the wall */
     double *off, *off_half;              /* [n_nodes*lanes] part of p that is known a step, half a step ahead */
 
-    zoo_junctions *groups;               /* [n_groups] */
+    zoo_junction_group *groups;          /* [n_groups] */
 
-    zoo_outlets outlets;
+    zoo_terminals outlets;
     int no_root;                         /* a root search did not end in this step, */
     int *stuck;                          /* [lanes] in these lanes, */
     int *outran;                         /* [lanes] and these outran the time step */
 
-    /* inflow on the steps of a beat */
-    double *flow_node;                   /* [max_steps+1] at the steps */
-    double *flow_mean;                   /* [max_steps] mean over each step */
-    double *flow_sum;                    /* [n_samples+1] running integral of the samples */
+    /* the inlet's curve on the steps of a beat */
+    double *curve_node;                  /* [max_steps+1] at the steps */
+    double *curve_mean;                  /* [max_steps] mean over each step */
+    double *curve_sum;                   /* [n_samples+1] running integral of the samples */
+    double *entered;                     /* [lanes] ml so far in this beat, where the flow is not given */
     int n_steps;
 
     /* outputs: cubic in space from four nodes, cubic in time from four steps */
@@ -122,7 +126,7 @@ typedef struct {
     int next_time;
 
     /* beat to beat */
-    int n_state;                         /* doubles of one lane's state: A, q, v; z and carry when extra */
+    int n_state;                         /* doubles of one lane's state: A, q, v, z when extra, carry */
     double *start;                       /* [n_state*lanes] state at the start of the beat */
     double *states, *ends;               /* [ZOO_HISTORY][n_state*lanes] starts and ends of past beats */
     double *weight;                      /* [n_state*lanes] turns a difference of state into a pressure */
@@ -158,35 +162,55 @@ typedef struct {
         }                                                    \
     } while (0)
 
-/* R and C of section m of terminal t in lane l; R = 0: the section is absent. */
-ZOO_INLINE double zoo_section_resistance(const zoo_sim *s, int m, int t, int l)
-{
-    const zoo_extras *ex = &s->problem->extras;
-    const double R2 = s->outlets.R2[t * s->lanes + l];
-    return ex->n_sections ? R2 * ex->section_resistance[s->outlets.vessel[t] * ex->n_sections + m] : R2;
-}
-
-ZOO_INLINE double zoo_section_compliance(const zoo_sim *s, int m, int t, int l)
-{
-    const zoo_extras *ex = &s->problem->extras;
-    const double C = s->outlets.C[t * s->lanes + l];
-    return ex->n_sections ? C * ex->section_compliance[s->outlets.vessel[t] * ex->n_sections + m] : C;
-}
-
 /* K of the wall at this time, element i = j*lanes + l. */
 ZOO_INLINE double zoo_K(const zoo_sim *s, ptrdiff_t i)
 {
     return s->stiff * s->K[i];
 }
 
-/* layout.c: carve the arrays out of the workspace; with base NULL only count the bytes. */
-int64_t zoo_layout(const zoo_problem *problem, int lanes, zoo_sim *sim, void *base);
+/* Coefficients of the wall law there. */
+ZOO_INLINE wall_shape zoo_shape(const zoo_sim *s, ptrdiff_t i)
+{
+    return (wall_shape){s->coefficient + i, (ptrdiff_t)s->n_nodes * s->lanes};
+}
+
+/* Children of a vessel; a terminal has none. */
+static inline int zoo_children(const zoo_network *net, int vessel)
+{
+    int n = 0;
+    for (int k = vessel + 1; k < net->n_vessels; k++)
+        n += net->parent[k] == vessel;
+    return n;
+}
+
+/* check.c: 0 when the problem can be solved at all, else 1. */
 int zoo_check_problem(const zoo_problem *problem);
-int zoo_has_extras(const zoo_problem *problem);
+
+/* memory.c: carve the arrays out of the workspace; with base NULL only count the bytes. */
+int64_t zoo_layout(const zoo_problem *problem, int lanes, zoo_sim *sim, void *base);
+
+/* grid.c: nodes, ends of vessels, and where outputs are taken. */
 void zoo_set_grid(zoo_sim *sim);
+
+/* friction.c and throat.c: at one rest radius, at one place of a vessel. */
+void zoo_friction(const zoo_sim *sim, int vessel, double r0, double *f_s, double *f_c);
+double zoo_narrowed(const zoo_sim *sim, int vessel, double x, double r);
+double zoo_throat_loss(const zoo_sim *sim, int vessel, double x, double r);
+
+/* additions.c: what only the loops with additions have. */
+int zoo_has_additions(const zoo_problem *problem);
+void zoo_set_additions(zoo_sim *sim, int vessel);
+
+/* parameters.c: spread the parameters of each lane's set over the nodes; returns the number of good lanes. */
 int zoo_set_parameters(zoo_sim *sim, const zoo_parameters *parameters);
-void zoo_set_softness(zoo_sim *sim, zoo_junctions *junctions, int lane);
+void zoo_set_softness(zoo_sim *sim, zoo_junction_group *junctions, int lane);
+
+/* time_step.c: set the time step to period/n_steps and everything that depends on it. */
 void zoo_set_step(zoo_sim *sim, int n_steps);
+
+/* curve.c: the inlet's samples as a curve. */
+void zoo_curve_sum(zoo_sim *sim);
+void zoo_curve_step(zoo_sim *sim);
 
 /* start.c: the state from which the first beat starts. */
 void zoo_start(zoo_sim *sim);
@@ -199,6 +223,7 @@ double zoo_speed(const zoo_sim *sim, int lane);
 double zoo_junction_defect(const zoo_sim *sim, int lane);
 
 /* output.c: sample the wanted series while the beat runs. */
+void zoo_output_weights(zoo_sim *sim, int series);
 void zoo_output_begin(zoo_sim *sim);
 void zoo_output_step(zoo_sim *sim, int step);
 void zoo_output_store(const zoo_sim *sim, int lane, double *pressure, double *flow, double *area);

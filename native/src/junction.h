@@ -17,21 +17,23 @@
  * x = b*count + j, so that each loop runs over all junctions of the group.
  *
  * With `extra` (see scheme.h) A_b(P') is that of the stiffer wall at P' - off, and
- * the half cells leak w leak p_mid.  Total pressure and losses: junction_extra.h.
+ * the half cells leak w leak p_mid.  Total pressure and losses: junction_total_pressure.h.
  */
 #ifndef ZOO_JUNCTION_H
 #define ZOO_JUNCTION_H
 
 #include "internal.h"
 
-/* Newton for the area ratios of tangent walls that differ: the branches'
+/* Newton for the area ratios of walls that differ and have no closed form: the branches'
  * pressures are set equal, and the volume to the given one, both linearised. */
-ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zoo_sim *s, zoo_junctions *ju)
+ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zoo_sim *s, zoo_junction_group *ju)
 {
     const int n = ju->count, nb = ju->branches;
     const int *restrict node = ju->node;
     const double *restrict w = ju->w, *restrict A0 = ju->A0, *restrict volume = ju->volume;
-    const double *restrict A = s->A, *restrict P = s->P, *restrict K = s->K, *restrict th = s->theta;
+    const double *restrict A = s->A, *restrict P = s->P, *restrict K = s->K;
+    const double *restrict th = s->coefficient;
+    const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
     double *restrict a = ju->area, *restrict p = ju->c, *restrict slope = ju->beta;
     double *restrict have = ju->sum_c, *restrict soft = ju->sum_beta;
     const double *restrict kappa = s->kappa, *restrict off = s->off;
@@ -42,14 +44,15 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
         a[i] = A[o] / A0[x];
         p[i] = P[o];
         if (extra) /* but not that of the wall with a memory, or of another stiffness: see scheme.h */
-            p[i] = wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), th[o], a[i], sqrt(a[i])) + off[o];
+            p[i] = wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), (wall_shape){th + o, stride}, a[i], sqrt(a[i])) + off[o];
     });
     for (int iteration = 0; iteration < 30; iteration++) {
         int unfinished = 0;
         ZOO_LOOP(W, i, x, l, 0, n * nb, {
             const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
-            slope[i] = extra ? wall_slope(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), th[o], p[i] - off[o], sqrt(a[i]))
-                             : wall_slope(wall, K[o], th[o], p[i], sqrt(a[i]));
+            slope[i] = extra ? wall_slope(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), (wall_shape){th + o, stride},
+                                          p[i] - off[o], a[i], sqrt(a[i]))
+                             : wall_slope(wall, K[o], (wall_shape){th + o, stride}, p[i], a[i], sqrt(a[i]));
         });
         ZOO_LOOP(W, i, j, l, 0, n, {
             have[i] = volume[i];
@@ -69,13 +72,13 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
             ZOO_LOOP(W, i, j, l, 0, n, {
                 const ptrdiff_t y = from * W + i, o = (ptrdiff_t)node[from + j] * W + l;
                 /* never more than halfway to the wall's limits */
-                const double room = 0.5 * (wall_limit(wall, th[o]) - a[y]);
+                const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride}) - a[y]);
                 double move = (have[i] / soft[i] - p[y]) / slope[y];
-                const double fall = 0.5 * (wall_floor(wall, th[o]) - a[y]);
+                const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride}) - a[y]);
                 move = move > room ? room : move < fall ? fall : move;
                 a[y] += move;
-                p[y] = extra ? wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[from + j]]), th[o], a[y], sqrt(a[y])) + off[o]
-                             : wall_p(wall, K[o], th[o], a[y], sqrt(a[y]));
+                p[y] = extra ? wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[from + j]]), (wall_shape){th + o, stride}, a[y], sqrt(a[y])) + off[o]
+                             : wall_p(wall, K[o], (wall_shape){th + o, stride}, a[y], sqrt(a[y]));
                 unfinished |= fabs(move) > 1e-8; /* quadratic: the next move would be below rounding */
             });
         }
@@ -91,10 +94,10 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
         }
 }
 
-ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_sim *s, zoo_junctions *ju)
+ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_sim *s, zoo_junction_group *ju)
 {
     const int n = ju->count, nb = ju->branches;
-    const int newton = wall == ZOO_WALL_TANGENT && (extra || !s->uniform);
+    const int newton = !wall_in_root(wall) && (extra || !s->uniform);
     const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum;
     const int *restrict node = ju->node, *restrict mid = ju->mid, *restrict junction = ju->junction;
     const double *restrict w = ju->w, *restrict per_w = ju->per_w, *restrict A0 = ju->A0,
@@ -133,7 +136,7 @@ ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_
             const ptrdiff_t from = (ptrdiff_t)b * n;
             ZOO_LOOP(W, i, j, l, 0, n, {
                 const ptrdiff_t x = from + j, o = (ptrdiff_t)node[x] * W + l;
-                const double one = wall_reciprocal(wall_stiffened(K[o], stiff, later, kappa[node[x]]));
+                const double one = fast_reciprocal(wall_stiffened(K[o], stiff, later, kappa[node[x]]));
                 const double at_0 = 1.0 - off[o] * one, size = w[x] * A0[x];
                 per_K[from * W + i] = one;
                 k0[i] += size * at_0 * at_0;
@@ -146,7 +149,7 @@ ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_
             volume[i] = excess / (e1[i] + sqrt(e1[i] * e1[i] + e2[i] * excess));
         });
     }
-    else if (wall == ZOO_WALL_LINEAR) /* sum w A0 (1 + P/K)^2 = volume; P takes volume's place */
+    else if (wall_in_root(wall)) /* sum w A0 (1 + P/K)^2 = volume; P takes volume's place */
         ZOO_LOOP(W, i, j, l, 0, n, {
             const double excess = volume[i] - rest[j];
             volume[i] = excess / (k1[i] + sqrt(k1[i] * k1[i] + k2[i] * excess));
@@ -158,7 +161,7 @@ ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_
     ZOO_LOOP(W, i, x, l, 0, n * nb, {
         const ptrdiff_t o = (ptrdiff_t)node[x] * W + l, m = (ptrdiff_t)mid[x] * W + l;
         const double found = volume[(ptrdiff_t)junction[x] * W + l], root = 1.0 + (extra ? (found - off[o]) * per_K[i] : found * soft[i]);
-        const double a = newton ? area[i] : wall == ZOO_WALL_LINEAR ? root * root : found;
+        const double a = newton ? area[i] : wall_in_root(wall) ? root * root : found;
         const double now = A[o], then = a * A0[x], half = 0.5 * (now + then);
         const double lost = extra ? w[x] * leak[node[x]] * Ph[m] : 0.0;
         const double flux = qh[m] - sign[x] * (extra ? (then - now) / per_w[x] + lost : (then - now) / per_w[x]);

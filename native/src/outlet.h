@@ -1,92 +1,125 @@
-/* At the end of a terminal vessel: a three-element Windkessel,
+/* The kinds of outlets, at the ends of the terminal vessels.
  *
- *   p = v + R1 q,   C dv/dt = q - v/R2      (eq. 3.7 with v the pressure on C).
+ * A kind is a header outlet_NAME.h, included below, and an entry in ZOO_OUTLETS; its number is its place
+ * there.  The header holds, for a kind called `windkessel`,
  *
- * Over a step with mean outflow Q: v' = e v + R2 (1 - e) Q, e = exp(-dt/(R2 C)),
- * exact for constant Q.  Mass balance of the last half cell, w (A' - A) =
- * dt (q_mid - Q), and the mean of the Windkessel's first equation over the
- * step, (p + p')/2 - (v + v')/2 = R1 Q, leave one equation for A':
+ *   windkessel_loops                 in which loops of step.c it can run: OUTLET_PLAIN, OUTLET_ADDED, or both
+ *   windkessel_bad(pr)               1 if an argument is out of range (R1, R2 and C are positive already)
+ *   windkessel_adds(pr)              1 if it needs the loops with additions
+ *   windkessel_rows(pr)              how many rows of [count*lanes] it has of coefficients, of pressures and flows
+ *                                    in its state, and of scratch
+ *   windkessel_set_step(s)           the coefficients, for a time step
+ *   windkessel_resistance(s, t, l)   dyn s/cm^5, of terminal t in steady flow, in lane l
+ *   windkessel_capacity(s, t, l)     cm^5/dyn; both for the start of the first beat
+ *   windkessel_start(s, t, l)        the state, from pressure and flow of the vessel's end
+ *   windkessel_advance(wall, W, extra, s)   area and flow of the vessels' ends and the state over a step, and what
+ *                                    left in it: one condition, and the mass balance of the half cell
  *
- *   p(A') = -p + (1 + e) v + E Q(A'),   E = 2 R1 + R2 (1 - e).
- *
- * For the linear wall it is a quadratic in sqrt(A'/A0).
+ * Rows are numbered by enums of the kind; outlet_row is the start of one.
  */
 #ifndef ZOO_OUTLET_H
 #define ZOO_OUTLET_H
 
 #include "internal.h"
+#include "values.h"
 
-/* Newton for the area ratio of a tangent wall. */
-ZOO_INLINE void outlet_newton(const int wall, const int W, zoo_sim *s)
+enum { OUTLET_PLAIN = 1, OUTLET_ADDED = 2 };
+
+/* Row m of a block, [count*lanes]. */
+ZOO_INLINE double *outlet_row(const zoo_sim *s, double *block, int m)
 {
-    zoo_outlets *ou = &s->outlets;
-    const int n = ou->count;
-    const int *restrict node = ou->node;
-    const double *restrict per_w = ou->per_w, *restrict A0 = ou->A0, *restrict E = ou->E,
-                           *restrict decay = ou->decay, *restrict v = ou->v;
-    const double *restrict A = s->A, *restrict P = s->P, *restrict K = s->K, *restrict th = s->theta,
-                 *restrict qh = s->qh;
-    double *restrict a = ou->a, *restrict p = ou->p;
-    ZOO_LOOP(W, i, t, l, 0, n, {
-        const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-        a[i] = A[o] / A0[t];
-        p[i] = P[o];
-    });
-    for (int iteration = 0; iteration < 30; iteration++) {
-        int unfinished = 0;
-        ZOO_LOOP(W, i, t, l, 0, n, {
-            const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-            const double Q = qh[o - W] - (a[i] * A0[t] - A[o]) / per_w[t];
-            const double miss = p[i] + P[o] - (1.0 + decay[i]) * v[i] - E[i] * Q;
-            const double slope = wall_slope(wall, K[o], th[o], p[i], sqrt(a[i])) + E[i] * A0[t] / per_w[t];
-            const double room = 0.5 * (wall_limit(wall, th[o]) - a[i]);
-            double move = -miss / slope;
-            const double fall = 0.5 * (wall_floor(wall, th[o]) - a[i]);
-            move = move > room ? room : move < fall ? fall : move;
-            a[i] += move;
-            p[i] = wall_p(wall, K[o], th[o], a[i], sqrt(a[i]));
-            unfinished |= fabs(move) > 1e-8;
-        });
-        if (!unfinished)
-            return;
-    }
-    s->no_root = 1;
-    for (int l = 0; l < W; l++)
-        for (ptrdiff_t t = 0; t < n; t++) {
-            const ptrdiff_t i = t * W + l, o = (ptrdiff_t)node[t] * W + l;
-            const double Q = qh[o - W] - (a[i] * A0[t] - A[o]) / per_w[t];
-            const double target = (1.0 + decay[i]) * v[i] + E[i] * Q - P[o];
-            s->stuck[l] |= !(fabs(target - p[i]) <= 1e-6 * (fabs(target) + fabs(P[o])));
-        }
+    return block + (ptrdiff_t)m * s->outlets.count * s->lanes;
 }
 
-ZOO_INLINE void outlet_body(const int wall, const int W, zoo_sim *s)
+#define ZOO_OUTLETS(KIND, ...)                \
+    KIND(WINDKESSEL, windkessel, __VA_ARGS__) \
+    KIND(CIRCUIT, circuit, __VA_ARGS__)
+
+#define OUTLET_NUMBER(NAME, name, ...) ZOO_OUTLET_##NAME,
+enum { ZOO_OUTLETS(OUTLET_NUMBER, ) ZOO_N_OUTLETS };
+
+#include "outlet_windkessel.h"
+#include "outlet_circuit.h"
+
+/* What the kind's own function returns; `otherwise` for a number that is not in the list. */
+#define OUTLET_CASE(NAME, name, function, ...) \
+    case ZOO_OUTLET_##NAME:                    \
+        return name##_##function(__VA_ARGS__);
+#define OUTLET_RETURN(kind, otherwise, ...)   \
+    switch (kind) {                           \
+        ZOO_OUTLETS(OUTLET_CASE, __VA_ARGS__) \
+    default:                                  \
+        return otherwise;                     \
+    }
+/* The same for functions that return nothing. */
+#define OUTLET_CASE_DO(NAME, name, function, ...) \
+    case ZOO_OUTLET_##NAME:                       \
+        name##_##function(__VA_ARGS__);           \
+        break;
+#define OUTLET_DO(kind, ...)                     \
+    switch (kind) {                              \
+        ZOO_OUTLETS(OUTLET_CASE_DO, __VA_ARGS__) \
+    }
+
+static inline int outlet_bad(const zoo_problem *pr)
 {
-    zoo_outlets *ou = &s->outlets;
-    const int n = ou->count;
-    const int *restrict node = ou->node;
-    const double *restrict per_w = ou->per_w, *restrict A0 = ou->A0, *restrict E = ou->E,
-                           *restrict decay = ou->decay, *restrict fill = ou->fill,
-                           *restrict inv_R1 = ou->inv_R1, *restrict found = ou->a;
-    const double *restrict P = s->P, *restrict K = s->K, *restrict qh = s->qh;
-    double *restrict A = s->A, *restrict q = s->q, *restrict v = ou->v, *restrict volume = ou->volume;
-    const double dt = s->dt;
-    if (wall == ZOO_WALL_TANGENT)
-        outlet_newton(wall, W, s);
-    ZOO_LOOP(W, i, t, l, 0, n, {
-        const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-        const double now = A[o], q_mid = qh[o - W], base = (1.0 + decay[i]) * v[i] - P[o];
-        /* linear wall: k2 r^2 + K r = k0 for r = sqrt(A'/A0) */
-        const double k2 = E[i] * A0[t] / per_w[t];
-        const double k0 = K[o] + base + E[i] * (q_mid + now / per_w[t]);
-        const double r = 2.0 * k0 / (K[o] + sqrt(K[o] * K[o] + 4.0 * k2 * k0));
-        const double then = A0[t] * (wall == ZOO_WALL_LINEAR ? r * r : found[i]);
-        const double Q = q_mid - (then - now) / per_w[t];
-        v[i] = decay[i] * v[i] + fill[i] * Q;
-        A[o] = then;
-        q[o] = (base + E[i] * Q - v[i]) * inv_R1[i];
-        volume[i] += dt * Q;
-    });
+    for (int k = 0; k < pr->network.n_vessels; k++)
+        if (zoo_children(&pr->network, k) == 0 &&
+            (value_bad(pr->outlet.R1[k]) || value_bad(pr->outlet.R2[k]) || value_bad(pr->outlet.C[k])))
+            return 1;
+    OUTLET_RETURN(pr->outlet.kind, 1, bad, pr)
+}
+
+static inline int outlet_adds(const zoo_problem *pr)
+{
+    OUTLET_RETURN(pr->outlet.kind, 0, adds, pr)
+}
+
+/* The kind whose loops are run.  A circuit without inertance and with one section is the Windkessel, whose
+ * own loops are for vessels without additions. */
+static inline int outlet_kind(const zoo_problem *pr, int extra)
+{
+    if (pr->outlet.kind == ZOO_OUTLET_WINDKESSEL || pr->outlet.kind == ZOO_OUTLET_CIRCUIT)
+        return extra ? ZOO_OUTLET_CIRCUIT : ZOO_OUTLET_WINDKESSEL;
+    return pr->outlet.kind;
+}
+
+static inline zoo_rows outlet_rows(int kind, const zoo_problem *pr)
+{
+    OUTLET_RETURN(kind, (zoo_rows){0}, rows, pr)
+}
+
+static inline void outlet_set_step(zoo_sim *s)
+{
+    OUTLET_DO(s->outlets.kind, set_step, s)
+}
+
+static inline double outlet_resistance(const zoo_sim *s, int t, int l)
+{
+    OUTLET_RETURN(s->outlets.kind, NAN, resistance, s, t, l)
+}
+
+static inline double outlet_capacity(const zoo_sim *s, int t, int l)
+{
+    OUTLET_RETURN(s->outlets.kind, NAN, capacity, s, t, l)
+}
+
+static inline void outlet_start(zoo_sim *s, int t, int l)
+{
+    OUTLET_DO(s->outlets.kind, start, s, t, l)
+}
+
+#define OUTLET_ADVANCE(NAME, name, ...)                              \
+    case ZOO_OUTLET_##NAME:                                          \
+        if (name##_loops & (extra ? OUTLET_ADDED : OUTLET_PLAIN)) \
+            name##_advance(__VA_ARGS__);                             \
+        break;
+
+ZOO_INLINE void outlet_advance(const int wall, const int W, const int extra, zoo_sim *s)
+{
+    switch (s->outlets.kind) {
+        ZOO_OUTLETS(OUTLET_ADVANCE, wall, W, extra, s)
+    }
 }
 
 #endif

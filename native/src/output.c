@@ -11,6 +11,25 @@
 
 #include "internal.h"
 
+/* Weights of the cubic through four neighbouring nodes (three, where a vessel has no four). */
+void zoo_output_weights(zoo_sim *s, int series)
+{
+    const zoo_outputs *out = &s->problem->outputs;
+    int k = out->vessel[series], n = s->last[k] - s->first[k]; /* n cells */
+    double x = out->position[series] * n;
+    int points = n >= 3 ? 4 : 3;
+    int j0 = (int)floor(x) - 1;
+    j0 = j0 < 0 ? 0 : j0 > n + 1 - points ? n + 1 - points : j0;
+    for (int i = 0; i < 4; i++) {
+        double w = i < points ? 1.0 : 0.0;
+        for (int m = 0; m < points && i < points; m++)
+            if (m != i)
+                w *= (x - (j0 + m)) / (double)(i - m);
+        s->out_node[series * 4 + i] = s->first[k] + (i < points ? j0 + i : j0);
+        s->out_weight[series * 4 + i] = w;
+    }
+}
+
 static double *ring_at(const zoo_sim *s, int step)
 {
     return s->ring + (size_t)(step & 3) * s->problem->outputs.n_series * 3 * s->lanes;

@@ -1,9 +1,9 @@
 /* Beats until the solution repeats itself.
  *
- * One beat maps the state x (areas, flows, Windkessel pressures) at its start
+ * One beat maps the state x (areas, flows, the outlets' pressures) at its start
  * to g(x) at its end; the periodic state is the fixed point.  It is measured by
  *
- *   change = max |g(x) - x| over all nodes and Windkessels, as pressures
+ *   change = max |g(x) - x| over all nodes and outlets, as pressures
  *            (areas through dp/dA, flows through rho c/A),
  *
  * and since a plain beat only removes the part 1 - exp(-T/tau) of the
@@ -15,26 +15,26 @@
 #include <math.h>
 #include <string.h>
 
-#include "internal.h"
+#include "inlet.h"
+#include "outlet.h"
 
-/* The parts of the state in their order; returns how many there are. */
+/* The parts of the state in their order; one that the run does not have is empty. */
 enum { PARTS = 5 };
-static int parts_of(const zoo_sim *s, double *part[PARTS], size_t size[PARTS])
+static void parts_of(const zoo_sim *s, double *part[PARTS], size_t size[PARTS])
 {
     size_t n = (size_t)s->n_nodes * s->lanes, nt = (size_t)s->outlets.count * s->lanes;
     double *parts[PARTS] = {s->A, s->q, s->outlets.v, s->z, s->outlets.carry};
-    size_t sizes[PARTS] = {n, n, nt * s->outlets.n_sections, n, nt};
+    size_t sizes[PARTS] = {n, n, nt * s->outlets.rows.pressures, s->extra ? n : 0, nt * s->outlets.rows.flows};
     memcpy(part, parts, sizeof parts);
     memcpy(size, sizes, sizeof sizes);
-    return s->extra ? 5 : 3;
 }
 
 void zoo_pack(const zoo_sim *s, double *x)
 {
     double *part[PARTS];
     size_t size[PARTS];
-    int n = parts_of(s, part, size);
-    for (int i = 0; i < n; x += size[i++])
+    parts_of(s, part, size);
+    for (int i = 0; i < PARTS; x += size[i++])
         memcpy(x, part[i], size[i] * sizeof *x);
 }
 
@@ -42,8 +42,8 @@ void zoo_unpack(zoo_sim *s, const double *x)
 {
     double *part[PARTS];
     size_t size[PARTS];
-    int n = parts_of(s, part, size);
-    for (int i = 0; i < n; x += size[i++])
+    parts_of(s, part, size);
+    for (int i = 0; i < PARTS; x += size[i++])
         memcpy(part[i], x, size[i] * sizeof *x);
     zoo_refresh_nodes(s);
 }
@@ -54,21 +54,19 @@ static void set_weights(zoo_sim *s)
     int W = s->lanes, n = s->n_nodes * W;
     for (int i = 0; i < n; i++) {
         double a = s->A[i] * s->inv_A0[i / W];
-        double slope = wall_slope(s->wall, zoo_K(s, i), s->theta[i], s->extra ? s->pe[i] : s->P[i], sqrt(a));
+        double slope = wall_slope(s->wall, zoo_K(s, i), zoo_shape(s, i), s->extra ? s->pe[i] : s->P[i], a, sqrt(a));
         s->weight[i] = slope * s->inv_A0[i / W];
         s->weight[n + i] = sqrt(a * slope / s->inv_density) / s->A[i];
     }
-    int nv = s->outlets.n_sections * s->outlets.count * W;
-    for (int i = 0; i < nv; i++)
-        s->weight[2 * n + i] = 1.0;
-    if (!s->extra)
-        return;
+    double *weight = s->weight + 2 * n;
+    int nt = s->outlets.count * W;
+    for (int i = 0; i < s->outlets.rows.pressures * nt; i++)
+        *weight++ = 1.0;
     /* at rest z = -kappa p_e, and the wall's own pressure is what counts */
-    for (int i = 0; i < n; i++)
-        s->weight[2 * n + nv + i] = 1.0 / (1.0 + s->kappa[i / W]);
-    for (int t = 0; t < s->outlets.count; t++)
-        for (int l = 0; l < W; l++)
-            s->weight[3 * n + nv + t * W + l] = s->weight[n + s->outlets.node[t] * W + l];
+    for (int i = 0; i < n && s->extra; i++)
+        *weight++ = 1.0 / (1.0 + s->kappa[i / W]);
+    for (int i = 0; i < s->outlets.rows.flows * nt; i++)
+        *weight++ = s->weight[n + s->outlets.node[i % nt / W] * W + i % W];
 }
 
 /* Largest change over the beat, as a pressure; NaN if the state is not a number. */
@@ -134,7 +132,7 @@ int zoo_extrapolate(zoo_sim *s, int lane, int n_past)
                 y -= x[r] * (s->ends[i] - s->ends[(r + 1) * size + i]);
             if (trial == 0 && i < n) {
                 double ratio = y * s->inv_A0[i / W];
-                if (!(ratio > 0.05) || !wall_holds(s->wall, s->theta[i], ratio))
+                if (!(ratio > 0.05) || !wall_holds(s->wall, zoo_shape(s, i), ratio))
                     return 0;
             }
             if (trial == 1) {
@@ -148,6 +146,13 @@ int zoo_extrapolate(zoo_sim *s, int lane, int n_past)
     return 1;
 }
 
+/* In every one of n elements, one lane from another. */
+static void copy_lane(double *x, ptrdiff_t n, int W, int to, int from)
+{
+    for (ptrdiff_t j = 0; j < n; j++)
+        x[j * W + to] = x[j * W + from];
+}
+
 /* Gives a lane that is of no more interest the parameters and the state of a
  * live one, so that it goes on computing something harmless. */
 static void disarm(zoo_sim *s, int lane)
@@ -158,32 +163,20 @@ static void disarm(zoo_sim *s, int lane)
             from = l;
     if (from < 0)
         return;
-    for (int j = 0; j < s->n_nodes; j++) {
-        double *lanes[] = {s->K, s->theta, s->A, s->q, s->P, s->M, s->G, s->Ah, s->qh, s->Ph, s->Mh, s->Gh};
-        for (size_t a = 0; a < sizeof lanes / sizeof *lanes; a++)
-            lanes[a][j * W + lane] = lanes[a][j * W + from];
-        double *added[] = {s->z, s->pe, s->off, s->off_half};
-        for (size_t a = 0; a < sizeof added / sizeof *added && s->extra; a++)
-            added[a][j * W + lane] = added[a][j * W + from];
-    }
-    zoo_outlets *ou = &s->outlets;
-    for (int t = 0; t < ou->count; t++) {
-        double *lanes[] = {ou->R1, ou->R2, ou->C, ou->E, ou->inv_R1};
-        for (size_t a = 0; a < sizeof lanes / sizeof *lanes; a++)
-            lanes[a][t * W + lane] = lanes[a][t * W + from];
-        double *added[] = {ou->inertia, ou->gain, ou->keep, ou->now, ou->before, ou->share, ou->direct, ou->carry};
-        for (size_t a = 0; a < sizeof added / sizeof *added && s->extra; a++)
-            added[a][t * W + lane] = added[a][t * W + from];
-    }
-    for (int t = 0; t < ou->count * ou->n_sections; t++) {
-        double *lanes[] = {ou->v, ou->decay, ou->fill};
-        for (size_t a = 0; a < sizeof lanes / sizeof *lanes; a++)
-            lanes[a][t * W + lane] = lanes[a][t * W + from];
-    }
+    double *nodes[] = {s->K, s->A, s->q, s->P, s->M, s->G, s->Ah, s->qh, s->Ph, s->Mh, s->Gh, s->z, s->pe, s->off, s->off_half};
+    for (int a = 0; a < (s->extra ? 15 : 11); a++)
+        copy_lane(nodes[a], s->n_nodes, W, lane, from);
+    const zoo_terminals *ou = &s->outlets;
+    copy_lane(s->coefficient, (ptrdiff_t)wall_shapes(s->wall) * s->n_nodes, W, lane, from);
+    copy_lane(ou->R1, ou->count, W, lane, from);
+    copy_lane(ou->R2, ou->count, W, lane, from);
+    copy_lane(ou->C, ou->count, W, lane, from);
+    copy_lane(ou->coefficient, (ptrdiff_t)ou->rows.coefficients * ou->count, W, lane, from);
+    copy_lane(ou->v, (ptrdiff_t)ou->rows.pressures * ou->count, W, lane, from);
+    copy_lane(ou->carry, (ptrdiff_t)ou->rows.flows * ou->count, W, lane, from);
     for (int g = 0; g < s->n_groups; g++)
         zoo_set_softness(s, &s->groups[g], lane);
-    for (int i = 0; i < s->n_state; i++)
-        s->start[i * W + lane] = s->start[i * W + from];
+    copy_lane(s->start, s->n_state, W, lane, from);
 }
 
 /* Marks a lane as failed. */
@@ -213,10 +206,10 @@ static void find_failures(zoo_sim *s, int step)
             int i = j * s->lanes + l, k = s->vessel_of[j];
             double a = s->A[i] * s->inv_A0[j];
             int boundary = j == s->first[k] || j == s->last[k];
-            if (wall_holds(s->wall, s->theta[i], a))
+            if (wall_holds(s->wall, zoo_shape(s, i), a))
                 continue;
             vessel = k;
-            status = a >= wall_limit(s->wall, s->theta[i]) ? ZOO_WALL_LIMIT
+            status = a >= wall_limit(s->wall, zoo_shape(s, i)) ? ZOO_WALL_LIMIT
                      : isnan(a) && boundary                ? ZOO_NO_ROOT
                                                            : ZOO_COLLAPSE;
         }
@@ -238,6 +231,7 @@ static double beat(zoo_sim *s, double limit)
     double fastest = 0.0;
     int every = s->n_steps / ZOO_CHECKS;
     memset(s->outlets.volume, 0, (size_t)s->outlets.count * s->lanes * sizeof(double));
+    memset(s->entered, 0, (size_t)s->lanes * sizeof(double));
     for (int l = 0; l < s->lanes; l++) {
         if (!s->live[l])
             continue;
@@ -288,7 +282,7 @@ static double beat(zoo_sim *s, double limit)
 static int steps_for(const zoo_sim *s, double speed)
 {
     const zoo_numerics *num = &s->problem->numerics;
-    double n = ceil(s->problem->inflow.period * speed / num->cfl / ZOO_STEP_UNIT) * ZOO_STEP_UNIT;
+    double n = ceil(s->problem->inlet.period * speed / num->cfl / ZOO_STEP_UNIT) * ZOO_STEP_UNIT;
     if (n < ZOO_STEP_UNIT)
         n = ZOO_STEP_UNIT;
     return n > num->max_steps ? num->max_steps : (int)n;
@@ -352,7 +346,7 @@ void zoo_periodic(zoo_sim *s, double *pressure, double *flow, double *area)
             r->total_steps = steps;
             r->change = largest_change(s, l, s->ends);
             r->distance = r->change / (1.0 - s->slow[l]);
-            r->inflow = s->flow_sum[s->problem->inflow.n_samples];
+            r->inflow = inlet_volume(s, l);
             r->outflow = 0.0;
             for (int t = 0; t < s->outlets.count; t++)
                 r->outflow += s->outlets.volume[t * s->lanes + l];

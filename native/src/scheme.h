@@ -24,7 +24,9 @@
 /* Areas, flows, pressures, fluxes and friction at the midpoints, half a step on. */
 ZOO_INLINE void scheme_half(const int wall, const int W, const int extra, zoo_sim *s)
 {
-    const double *restrict A = s->A, *restrict q = s->q, *restrict K = s->K, *restrict th = s->theta;
+    const double *restrict A = s->A, *restrict q = s->q, *restrict K = s->K;
+    const double *restrict th = s->coefficient;
+    const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
     const double *restrict P = s->P, *restrict M = s->M, *restrict G = s->G;
     const double *restrict lam = s->lam_mid, *restrict inv_A0 = s->inv_A0_mid;
     const double *restrict f_s = s->f_s_mid, *restrict f_c = s->f_c_mid;
@@ -44,10 +46,10 @@ ZOO_INLINE void scheme_half(const int wall, const int W, const int extra, zoo_si
                     quarter_dt * (G[i] + G[k]);
         if (extra)
             Am -= quarter_dt * leak[j] * (P[i] + P[k]);
-        double a = Am * inv_A0[j], y = wall_rsqrt(a), r = a * y, u = qm * inv_A0[j] * y * y;
+        double a = Am * inv_A0[j], y = fast_rsqrt(a), r = a * y, u = qm * inv_A0[j] * y * y;
         Ah[i] = Am;
         qh[i] = qm;
-        Ph[i] = wall_p(wall, extra ? stiff * K[i] : K[i], th[i], a, r);
+        Ph[i] = wall_p(wall, extra ? stiff * K[i] : K[i], (wall_shape){th + i, stride}, a, r);
         Mh[i] = alpha * qm * u;
         Gh[i] = (f_s[j] * r + f_c[j]) * u;
         if (extra) {
@@ -67,7 +69,9 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const i
                            *restrict Mh = s->Mh, *restrict Gh = s->Gh;
     const double *restrict lam = s->lam, *restrict half_dt = s->half_dt, *restrict inv_A0 = s->inv_A0,
                  *restrict f_s = s->f_s, *restrict f_c = s->f_c;
-    const double *restrict K = s->K, *restrict th = s->theta;
+    const double *restrict K = s->K;
+    const double *restrict th = s->coefficient;
+    const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
     double *restrict A = s->A, *restrict q = s->q, *restrict P = s->P, *restrict M = s->M,
                      *restrict G = s->G;
     const double half_inv_rho = 0.5 * s->inv_density, alpha = s->momentum;
@@ -90,8 +94,8 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const i
             A[i] = An;
             q[i] = qn;
         }
-        double a = An * inv_A0[j], y = wall_rsqrt(a), r = a * y, u = qn * inv_A0[j] * y * y;
-        P[i] = wall_p(wall, extra ? stiff * K[i] : K[i], th[i], a, r);
+        double a = An * inv_A0[j], y = fast_rsqrt(a), r = a * y, u = qn * inv_A0[j] * y * y;
+        P[i] = wall_p(wall, extra ? stiff * K[i] : K[i], (wall_shape){th + i, stride}, a, r);
         M[i] = alpha * qn * u;
         G[i] = (f_s[j] * r + f_c[j]) * u;
         if (extra) {
@@ -107,8 +111,7 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const i
             off_half[i] = offset[j] + e_half * memory - 0.5 * kappa[j] * (1.0 - e_half) * elastic;
         }
         double good = An > 0.0 ? 1.0 : 0.0;
-        if (wall == ZOO_WALL_TANGENT)
-            good = fabs(th[i] * (a - 1.0)) < 0.5 * ZOO_PI ? good : 0.0;
+        good = wall_inside(wall, (wall_shape){th + i, stride}, a) ? good : 0.0;
         wrong |= good != 1.0;
     });
     return wrong;

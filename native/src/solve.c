@@ -1,7 +1,8 @@
 /* Entry points: split the sets of parameters into groups of lanes and run them. */
 #include <math.h>
 
-#include "internal.h"
+#include "inlet.h"
+#include "outlet.h"
 
 enum { FEWEST_FOR_LANES = 3 }; /* below this the lanes would mostly be empty */
 
@@ -13,7 +14,7 @@ static int lanes_for(int64_t n_sets)
 int32_t zoo_workspace_size(const zoo_problem *problem, int64_t n_sets, int64_t *bytes)
 {
     zoo_sim sim;
-    if (zoo_check_problem(problem) || n_sets < 1)
+    if (!problem || !bytes || n_sets < 1 || zoo_check_problem(problem))
         return ZOO_BAD_ARGUMENT;
     *bytes = zoo_layout(problem, lanes_for(n_sets), &sim, NULL) + 64;
     return ZOO_OK;
@@ -25,6 +26,8 @@ int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_paramete
 {
     int64_t bytes;
     if (zoo_workspace_size(problem, n_sets, &bytes) != ZOO_OK)
+        return ZOO_BAD_ARGUMENT;
+    if (!parameters || !reports || (wall_shapes(problem->wall.law) > 0 && !parameters->shape))
         return ZOO_BAD_ARGUMENT;
     if (workspace == NULL || workspace_bytes < bytes)
         return ZOO_WORKSPACE;
@@ -71,7 +74,7 @@ const char *zoo_status_text(int32_t status)
     case ZOO_COLLAPSE:
         return "a vessel collapsed: its cross-section fell to zero";
     case ZOO_WALL_LIMIT:
-        return "a vessel grew beyond the largest area of the tangent wall";
+        return "a vessel grew beyond the largest area of its wall law";
     case ZOO_NO_ROOT:
         return "no pressure satisfies a junction or an outlet";
     case ZOO_NOT_PERIODIC:
@@ -80,5 +83,27 @@ const char *zoo_status_text(int32_t status)
         return "the workspace is too small";
     default:
         return "unknown status";
+    }
+}
+
+#define KIND_NAME(NAME, name, family) \
+    case family##_##NAME:             \
+        return #name;
+
+const char *zoo_inlet_name(int32_t kind)
+{
+    switch (kind) {
+        ZOO_INLETS(KIND_NAME, ZOO_INLET)
+    default:
+        return NULL;
+    }
+}
+
+const char *zoo_outlet_name(int32_t kind)
+{
+    switch (kind) {
+        ZOO_OUTLETS(KIND_NAME, ZOO_OUTLET)
+    default:
+        return NULL;
     }
 }

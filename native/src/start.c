@@ -13,7 +13,8 @@
  */
 #include <math.h>
 
-#include "internal.h"
+#include "inlet.h"
+#include "outlet.h"
 
 enum { START_SWEEPS = 6 };
 
@@ -24,25 +25,6 @@ static double wall_pressure(const zoo_sim *s, int j, int i)
         return s->P[i];
     double p = s->P[i] - s->offset[j], least = -0.3 * zoo_K(s, i);
     return p > least ? p : least;
-}
-
-/* Steady resistance R of the sections behind R1, and the capacity of one pair of this R with their mean time. */
-static double sections_resistance(const zoo_sim *s, int t, int l)
-{
-    double sum = 0.0;
-    for (int m = 0; m < s->outlets.n_sections; m++)
-        sum += zoo_section_resistance(s, m, t, l);
-    return sum;
-}
-
-static double sections_capacity(const zoo_sim *s, int t, int l)
-{
-    double sum = 0.0, all = sections_resistance(s, t, l);
-    for (int m = 0; m < s->outlets.n_sections; m++) {
-        double part = zoo_section_resistance(s, m, t, l) / all;
-        sum += part > 0.0 ? part * part * zoo_section_compliance(s, m, t, l) : 0.0;
-    }
-    return sum;
 }
 
 /* What leaks out of vessel k, ml/s per dyn/cm^2. */
@@ -57,7 +39,7 @@ static double vessel_resistance(const zoo_sim *s, int k, int l)
     double sum = 0.0;
     for (int j = s->first[k]; j <= s->last[k]; j++) {
         int i = j * s->lanes + l;
-        double a = wall_area_ratio(s->wall, zoo_K(s, i), s->theta[i], wall_pressure(s, j, i));
+        double a = wall_area_ratio(s->wall, zoo_K(s, i), zoo_shape(s, i), wall_pressure(s, j, i));
         double A = a * s->A0[j], end = j == s->first[k] || j == s->last[k] ? 0.5 : 1.0;
         sum += end * (s->f_s[j] * sqrt(a) + s->f_c[j]) / (A * A * s->inv_density);
     }
@@ -70,9 +52,9 @@ static double vessel_compliance(const zoo_sim *s, int k, int l)
     double sum = 0.0;
     for (int j = s->first[k]; j <= s->last[k]; j++) {
         int i = j * s->lanes + l;
-        double p = wall_pressure(s, j, i), a = wall_area_ratio(s->wall, zoo_K(s, i), s->theta[i], p);
+        double p = wall_pressure(s, j, i), a = wall_area_ratio(s->wall, zoo_K(s, i), zoo_shape(s, i), p);
         double end = j == s->first[k] || j == s->last[k] ? 0.5 : 1.0;
-        sum += end * s->A0[j] / wall_slope(s->wall, zoo_K(s, i), s->theta[i], p, sqrt(a));
+        sum += end * s->A0[j] / wall_slope(s->wall, zoo_K(s, i), zoo_shape(s, i), p, a, sqrt(a));
     }
     return sum * s->dx[k];
 }
@@ -84,10 +66,8 @@ static double resistance_from(const zoo_sim *s, int l, double *own, double *belo
     const int32_t *parent = s->problem->network.parent;
     for (int k = 0; k < s->n_vessels; k++)
         below[k] = 0.5 * leaks(s, k); /* conductance of what hangs on k */
-    for (int t = 0; t < s->outlets.count && !s->extra; t++)
-        below[s->outlets.vessel[t]] = 1.0 / (s->outlets.R1[t * s->lanes + l] + s->outlets.R2[t * s->lanes + l]);
-    for (int t = 0; t < s->outlets.count && s->extra; t++)
-        below[s->outlets.vessel[t]] += 1.0 / (s->outlets.R1[t * s->lanes + l] + sections_resistance(s, t, l));
+    for (int t = 0; t < s->outlets.count; t++)
+        below[s->outlets.vessel[t]] += 1.0 / outlet_resistance(s, t, l);
     for (int k = s->n_vessels - 1; k >= 0; k--) {
         own[k] = vessel_resistance(s, k, l);
         if (k > 0)
@@ -120,12 +100,12 @@ static void steady(zoo_sim *s, int l, double mean_flow, double *own, double *bel
 
 void zoo_start(zoo_sim *s)
 {
-    const zoo_inflow *in = &s->problem->inflow;
+    const zoo_inlet *in = &s->problem->inlet;
     const int32_t *parent = s->problem->network.parent;
     int W = s->lanes, nv = s->n_vessels;
-    if (s->extra && s->problem->extras.n_wave > 0)
+    if (s->extra && s->problem->wall.n_wave > 0)
         s->stiff = s->wave_node[0];
-    double mean_flow = s->flow_sum[in->n_samples] / in->period, h = in->period / in->n_samples;
+    double mean_flow = inlet_mean(s), h = in->period / in->n_samples;
     /* vessel by vessel scratch, borrowed from the history that is not in use yet */
     double *own = s->states, *below = own + nv, *capacity = below + nv;
     for (int l = 0; l < W; l++) {
@@ -134,12 +114,12 @@ void zoo_start(zoo_sim *s)
         for (int k = 0; k < nv; k++)
             vessels += capacity[k] = vessel_compliance(s, k, l);
         for (int t = 0; t < s->outlets.count; t++)
-            total += s->extra ? sections_capacity(s, t, l) : s->outlets.C[t * W + l];
+            total += outlet_capacity(s, t, l);
         total += vessels;
         double resistance = s->P[l] / mean_flow, tau = resistance * total;
         double filled = 0.0;
         for (int i = 0; i < in->n_samples; i++)
-            filled += h * in->flow[i] * exp(-(in->period - i * h) / tau);
+            filled += h * inlet_sample(s, i) * exp(-(in->period - i * h) / tau);
         s->slow[l] = exp(-in->period / tau);
         double ratio = filled / (total * (1.0 - s->slow[l])) / s->P[l];
 
@@ -148,7 +128,7 @@ void zoo_start(zoo_sim *s)
             s->P[j * W + l] *= ratio;
             s->q[j * W + l] *= ratio;
         }
-        double surplus = (ratio * mean_flow - in->flow[0]) / vessels;
+        double surplus = (ratio * mean_flow - inlet_sample(s, 0)) / vessels;
         for (int k = nv - 1; k > 0; k--)
             capacity[parent[k]] += capacity[k];
         for (int k = 0; k < nv; k++) {
@@ -164,20 +144,12 @@ void zoo_start(zoo_sim *s)
         for (int j = 0; j < s->n_nodes; j++) {
             int i = j * W + l;
             double p = wall_pressure(s, j, i);
-            s->A[i] = s->A0[j] * wall_area_ratio(s->wall, zoo_K(s, i), s->theta[i], p);
+            s->A[i] = s->A0[j] * wall_area_ratio(s->wall, zoo_K(s, i), zoo_shape(s, i), p);
             if (s->extra)
                 s->z[i] = -s->kappa[j] * p;
         }
-        for (int t = 0; t < s->outlets.count; t++) {
-            int i = s->last[s->outlets.vessel[t]] * W + l;
-            s->outlets.v[t * W + l] = s->P[i] - s->outlets.R1[t * W + l] * s->q[i];
-            if (!s->extra)
-                continue;
-            double v = s->outlets.v[t * W + l], R = sections_resistance(s, t, l);
-            for (int m = 0; m < s->outlets.n_sections; m++)
-                s->outlets.v[(m * s->outlets.count + t) * W + l] = v * zoo_section_resistance(s, m, t, l) / R;
-            s->outlets.carry[t * W + l] = s->q[i];
-        }
+        for (int t = 0; t < s->outlets.count; t++)
+            outlet_start(s, t, l);
     }
     zoo_refresh_nodes(s);
 }
@@ -186,15 +158,15 @@ void zoo_start(zoo_sim *s)
  * lanes: at twice the starting pressure, with the largest inflow. */
 double zoo_start_speed(const zoo_sim *s)
 {
-    const zoo_inflow *in = &s->problem->inflow;
+    const zoo_inlet *in = &s->problem->inlet;
     double peak = 0.0, worst = 0.0;
     for (int i = 0; i < in->n_samples; i++)
-        peak = in->flow[i] > peak ? in->flow[i] : peak;
+        peak = inlet_sample(s, i) > peak ? inlet_sample(s, i) : peak;
     for (int j = 0; j < s->n_nodes; j++)
         for (int l = 0; l < s->lanes; l++) {
             int i = j * s->lanes + l;
-            double p = 2.0 * wall_pressure(s, j, i), a = wall_area_ratio(s->wall, zoo_K(s, i), s->theta[i], p);
-            double c = sqrt(a * wall_slope(s->wall, zoo_K(s, i), s->theta[i], p, sqrt(a)) * s->inv_density);
+            double p = 2.0 * wall_pressure(s, j, i), a = wall_area_ratio(s->wall, zoo_K(s, i), zoo_shape(s, i), p);
+            double c = sqrt(a * wall_slope(s->wall, zoo_K(s, i), zoo_shape(s, i), p, a, sqrt(a)) * s->inv_density);
             if (s->extra)
                 c *= sqrt((1.0 + s->kappa[j]) * s->stiffest / s->stiff);
             double u = s->vessel_of[j] == 0 ? peak * s->inv_A0[j] / a : 0.0;

@@ -1,53 +1,133 @@
-/* The wall: pressure as a function of a = A/A0, and what follows from it.
+/* The wall laws: pressure as a function of a = A/A0, and what follows from it.
  *
- *   linear   p = K (sqrt(a) - 1),        K = 4/3 chi            (eq. 3.3)
- *   tangent  p = K tan(theta (a - 1)),   K = k chi, theta = pi/gamma   (eq. 3.4)
+ * A law is a header wall_NAME.h, included below, and an entry in ZOO_WALLS; its number is its place
+ * there.  It has a scale K (dyn/cm^2), which is made of the stiffness chi, and any number of shape
+ * parameters, of which its coefficients are made once, as many as there are parameters.  The header holds,
+ * for a law called `power`,
  *
- * Every function is inlined into the loops of the scheme with `wall` a
- * constant, so that the compiler makes a vector loop for each law.
+ *   power_shapes[]                     the shape parameters, each with its name and a typical value for the
+ *                                      tests, and {NULL, 0} as the last
+ *   power_in_root                      1 if p = K (sqrt(a) - 1), for which junctions and outlets have closed
+ *                                      forms; 0 for any other law: they use Newton's method
+ *   power_usable(given)                whether the shape parameters are in range
+ *   power_scale(factor, stiffness, given)   K, with the convention's factor
+ *   power_coefficient(given, m)        coefficient m from the shape parameters
+ *   power_p(K, g, a, root)             pressure; root = sqrt(a)
+ *   power_slope(K, g, p, a, root)      dp/da where the pressure p is known already
+ *   power_slope_area(K, g, p, root, per_area, inv_A0)   dp/dA from 1/A and 1/A0: without a division
+ *   power_area_ratio(K, g, p)          a at pressure p, the inverse of power_p; used to set a run up
+ *   power_limit(g), power_floor(g)     largest and smallest a that the law allows
+ *   power_inside(g, a)                 whether a lies between them, in the loops: cheap, without a branch
+ *
+ * in which shape(given, m) is shape parameter m and shape(g, m) coefficient m of the node.  Every function
+ * is inlined into the loops of the scheme with the law a constant, so that the compiler makes a vector loop
+ * for each law.
  */
 #ifndef ZOO_WALL_H
 #define ZOO_WALL_H
 
-#include <math.h>
+#include <stddef.h>
 
 #include "../include/zoo.h"
+#include "arithmetic.h"
 
-#define ZOO_INLINE static inline __attribute__((always_inline))
-#define ZOO_PI 3.14159265358979323846
+/* Shape parameters of a law, or coefficients at one node and lane: number m is at[m*stride]. */
+typedef struct {
+    const double *at;
+    ptrdiff_t stride;
+} wall_shape;
 
-/* 1/sqrt(x) and 1/x: a single-precision seed, which is several times cheaper
- * than the double-precision instruction, and one Newton step in double
- * (relative error about 2e-14).  The loops of the scheme are bound by square
- * roots and divisions, so this is where their time goes. */
-ZOO_INLINE double wall_rsqrt(double x)
+ZOO_INLINE double shape(wall_shape g, int m)
 {
-    double y = 1.0f / sqrtf((float)x);
-    return y * (1.5 - 0.5 * x * y * y);
+    return g.at[m * g.stride];
 }
 
-ZOO_INLINE double wall_reciprocal(double x)
+typedef struct {
+    const char *name;
+    double typical;
+} wall_parameter;
+
+#include "wall_linear.h"
+#include "wall_tangent.h"
+#define ZOO_WALLS(LAW, ...)          \
+    LAW(LINEAR, linear, __VA_ARGS__) \
+    LAW(TANGENT, tangent, __VA_ARGS__)
+
+#define WALL_NUMBER(NAME, name, ...) ZOO_WALL_##NAME,
+#define WALL_CASE(NAME, name, function, ...) \
+    case ZOO_WALL_##NAME:                    \
+        return name##_##function(__VA_ARGS__);
+/* What the law's own function returns; `otherwise` for a number that is not in the list. */
+#define WALL_RETURN(law, otherwise, ...)    \
+    switch (law) {                          \
+        ZOO_WALLS(WALL_CASE, __VA_ARGS__)   \
+    default:                                \
+        return otherwise;                   \
+    }
+
+#define WALL_ROOM(NAME, name, ...) char name[sizeof name##_shapes];
+
+enum {
+    ZOO_WALLS(WALL_NUMBER, )
+    ZOO_N_WALLS,
+    ZOO_MOST_SHAPES = sizeof(union { ZOO_WALLS(WALL_ROOM, ) }) / sizeof(wall_parameter) /* room for those of any law */
+};
+
+#define WALL_SHAPES(NAME, name, ...)                             \
+    case ZOO_WALL_##NAME:                                        \
+        return (int)(sizeof name##_shapes / sizeof *name##_shapes) - 1;
+
+/* How many shape parameters the law has. */
+ZOO_INLINE int wall_shapes(int law)
 {
-    double y = 1.0f / (float)x;
-    return y * (2.0 - x * y);
+    switch (law) {
+        ZOO_WALLS(WALL_SHAPES, )
+    default:
+        return -1;
+    }
 }
 
-/* tan(x) for |x| < pi/2 by Lambert's continued fraction for tan(x/2), cut at
- * its eighth term (relative error 5e-16), then the double-angle formula with the
- * reciprocal above (2e-14; more within 1e-3 of the asymptotes, where rounding
- * of x counts).  No branch, so that loops over it vectorise. */
-ZOO_INLINE double wall_tan(double x)
+#define WALL_SHAPE(NAME, name, m) \
+    case ZOO_WALL_##NAME:         \
+        return name##_shapes[m];
+
+/* One of them, 0 <= m < wall_shapes(law). */
+static inline wall_parameter wall_shape_parameter(int law, int m)
 {
-    double y = 0.5 * x, z = y * y;
-    double n = y * (2027025.0 + z * (-270270.0 + z * (6930.0 - 36.0 * z)));
-    double d = 2027025.0 + z * (-945945.0 + z * (51975.0 + z * (-630.0 + z)));
-    return 2.0 * n * d * wall_reciprocal((d - n) * (d + n));
+    switch (law) {
+        ZOO_WALLS(WALL_SHAPE, m)
+    default:
+        return (wall_parameter){NULL, 0.0};
+    }
 }
 
-/* K from the stiffness chi (dyn/cm^2). */
-ZOO_INLINE double wall_scale(int wall, double wall_factor, double stiffness)
+#define WALL_IN_ROOT(NAME, name, ...) \
+    case ZOO_WALL_##NAME:             \
+        return name##_in_root;
+
+ZOO_INLINE int wall_in_root(int law)
 {
-    return wall == ZOO_WALL_LINEAR ? 4.0 / 3.0 * stiffness : wall_factor * stiffness;
+    switch (law) {
+        ZOO_WALLS(WALL_IN_ROOT, )
+    default:
+        return 0;
+    }
+}
+
+ZOO_INLINE int wall_usable(int law, wall_shape given)
+{
+    WALL_RETURN(law, 0, usable, given)
+}
+
+/* K (dyn/cm^2) from the stiffness chi (dyn/cm^2). */
+ZOO_INLINE double wall_scale(int law, double factor, double stiffness, wall_shape given)
+{
+    WALL_RETURN(law, NAN, scale, factor, stiffness, given)
+}
+
+ZOO_INLINE double wall_coefficient(int law, wall_shape given, int m)
+{
+    WALL_RETURN(law, NAN, coefficient, given, m)
 }
 
 /* K of a wall whose stiffness is `stiff` times its own, and which resists fast stretching:
@@ -57,49 +137,53 @@ ZOO_INLINE double wall_stiffened(double K, double stiff, double later, double ka
     return (1.0 + later * kappa) * stiff * K;
 }
 
-/* theta from gamma; the linear wall has none. */
-ZOO_INLINE double wall_theta(int wall, double gamma)
+/* p (dyn/cm^2) at a = A/A0; root = sqrt(a). */
+ZOO_INLINE double wall_p(int law, double K, wall_shape g, double a, double root)
 {
-    return wall == ZOO_WALL_LINEAR ? 0.0 : ZOO_PI / gamma;
+    WALL_RETURN(law, NAN, p, K, g, a, root)
 }
 
-/* p (dyn/cm^2) at a = A/A0; s = sqrt(a). */
-ZOO_INLINE double wall_p(int wall, double K, double theta, double a, double s)
+/* dp/da where the pressure p is already known; root = sqrt(a). */
+ZOO_INLINE double wall_slope(int law, double K, wall_shape g, double p, double a, double root)
 {
-    return wall == ZOO_WALL_LINEAR ? K * (s - 1.0) : K * wall_tan(theta * (a - 1.0));
+    WALL_RETURN(law, NAN, slope, K, g, p, a, root)
 }
 
-/* dp/da where the pressure p is already known; s = sqrt(a). */
-ZOO_INLINE double wall_slope(int wall, double K, double theta, double p, double s)
+/* dp/dA where the pressure p is already known, from 1/A and 1/A0. */
+ZOO_INLINE double wall_slope_area(int law, double K, wall_shape g, double p, double root, double per_area,
+                                  double inv_A0)
 {
-    double t = p / K;
-    return wall == ZOO_WALL_LINEAR ? 0.5 * K / s : K * theta * (1.0 + t * t);
-}
-
-/* Largest a the law allows. */
-ZOO_INLINE double wall_limit(int wall, double theta)
-{
-    return wall == ZOO_WALL_LINEAR ? INFINITY : 1.0 + 0.5 * ZOO_PI / theta;
-}
-
-/* Smallest a the law allows: the tangent's other asymptote, if it lies above 0. */
-ZOO_INLINE double wall_floor(int wall, double theta)
-{
-    double a = wall == ZOO_WALL_LINEAR ? 0.0 : 1.0 - 0.5 * ZOO_PI / theta;
-    return a > 0.0 ? a : 0.0;
-}
-
-/* Whether the law has a pressure at a; false for NaN. */
-ZOO_INLINE int wall_holds(int wall, double theta, double a)
-{
-    return a > wall_floor(wall, theta) && a < wall_limit(wall, theta);
+    WALL_RETURN(law, NAN, slope_area, K, g, p, root, per_area, inv_A0)
 }
 
 /* a at pressure p; used to set a run up, not inside it. */
-ZOO_INLINE double wall_area_ratio(int wall, double K, double theta, double p)
+ZOO_INLINE double wall_area_ratio(int law, double K, wall_shape g, double p)
 {
-    double s = 1.0 + p / K;
-    return wall == ZOO_WALL_LINEAR ? s * s : 1.0 + atan(p / K) / theta;
+    WALL_RETURN(law, NAN, area_ratio, K, g, p)
+}
+
+/* Largest a the law allows. */
+ZOO_INLINE double wall_limit(int law, wall_shape g)
+{
+    WALL_RETURN(law, NAN, limit, g)
+}
+
+/* Smallest a the law allows. */
+ZOO_INLINE double wall_floor(int law, wall_shape g)
+{
+    WALL_RETURN(law, NAN, floor, g)
+}
+
+/* Whether an a above 0 lies between the law's limits; in the loops. */
+ZOO_INLINE int wall_inside(int law, wall_shape g, double a)
+{
+    WALL_RETURN(law, 0, inside, g, a)
+}
+
+/* Whether the law has a pressure at a; false for NaN. */
+ZOO_INLINE int wall_holds(int law, wall_shape g, double a)
+{
+    return a > wall_floor(law, g) && a < wall_limit(law, g);
 }
 
 #endif

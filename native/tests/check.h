@@ -7,7 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "../src/internal.h"
+#include "../src/inlet.h"
+#include "../src/outlet.h"
 
 static int checks, failures; /* only the first 20 failures are printed */
 
@@ -54,7 +55,7 @@ static const double tree_position[NSERIES] = {0.0, 0.5, 1.0};
 typedef struct {
     zoo_problem problem;
     double flow[NSAMPLES], times[NTIMES];
-    double stiffness[64 * NV], gamma[64 * NV], psi1[64 * NV], psi2[64 * NV], c[64 * NV];
+    double stiffness[64 * NV], shape[64 * NV * ZOO_MOST_SHAPES], psi1[64 * NV], psi2[64 * NV], c[64 * NV];
     zoo_parameters parameters;
     char *memory;
     zoo_sim sim;
@@ -69,20 +70,77 @@ static inline void tree_make(tree *t, int wall)
     }
     for (int i = 0; i < NTIMES; i++)
         t->times[i] = 0.11 * i / (NTIMES - 1);
-    t->problem.network = (zoo_network){NV, tree_parent, tree_cells, tree_length, tree_in, tree_out,
-                                       tree_R1, tree_R2, tree_C};
-    t->problem.physics = (zoo_physics){1.055, 0.049, 1.0, wall, 1.0, ZOO_FRICTION_CURRENT, 0.07, 1.0, 0.0};
-    t->problem.inflow = (zoo_inflow){0.11, NSAMPLES, t->flow};
+    t->problem.network = (zoo_network){NV, tree_parent, tree_cells, tree_length, tree_in, tree_out};
+    t->problem.fluid = (zoo_fluid){.density = 1.055,
+                                   .viscosity = 0.049,
+                                   .momentum_correction = 1.0,
+                                   .friction = ZOO_FRICTION_CURRENT,
+                                   .friction_radius = 0.07,
+                                   .stokes_friction = 1.0};
+    t->problem.wall = (zoo_wall){.law = wall, .factor = 1.0};
+    t->problem.inlet = (zoo_inlet){ZOO_INLET_FLOW, 0.11, NSAMPLES, t->flow};
+    t->problem.outlet = (zoo_outlet){.kind = ZOO_OUTLET_WINDKESSEL, .R1 = tree_R1, .R2 = tree_R2, .C = tree_C};
     t->problem.outputs = (zoo_outputs){NSERIES, tree_vessel, tree_position, NTIMES, t->times};
-    t->problem.numerics = (zoo_numerics){0.9, 0, 32768, 60, 1.0, 1};
+    t->problem.numerics = (zoo_numerics){0.9, 0, 32768, 60, 1.0, 1, 0};
     for (int i = 0; i < 64 * NV; i++) {
         t->stiffness[i] = 5e4 * (1.0 + 0.02 * (i % NV)) * (1.0 + 0.01 * (i / NV));
-        t->gamma[i] = 4.0 + 0.1 * (i % NV);
+        for (int m = 0; m < wall_shapes(wall); m++) /* [set][parameter][vessel] */
+            t->shape[(i / NV * wall_shapes(wall) + m) * NV + i % NV] =
+                wall_shape_parameter(wall, m).typical * (1.0 + 0.025 * (i % NV));
         t->psi1[i] = 0.8;
         t->psi2[i] = 1.0 + 0.003 * (i / NV);
         t->c[i] = 1.1;
     }
-    t->parameters = (zoo_parameters){t->stiffness, t->gamma, t->psi1, t->psi2, t->c};
+    t->parameters = (zoo_parameters){t->stiffness, t->shape, t->psi1, t->psi2, t->c};
+}
+
+/* The parameters from set i on. */
+static inline zoo_parameters tree_from(const tree *t, int i)
+{
+    return (zoo_parameters){t->stiffness + i * NV, t->shape + i * NV * wall_shapes(t->problem.wall.law), t->psi1 + i * NV,
+                            t->psi2 + i * NV, t->c + i * NV};
+}
+
+/* Everything that can be added, different in every vessel. */
+typedef struct {
+    double viscosity[NV], offset_in[NV], offset_out[NV], memory[NV], leak[NV], inertance[NV];
+    double severity[NV], position[NV], length[NV], rho[3 * NV], kappa[3 * NV], wave[5];
+} additions;
+
+static inline void tree_add(tree *t, additions *x)
+{
+    for (int k = 0; k < NV; k++) {
+        x->viscosity[k] = 1.0 + 0.1 * k;
+        x->offset_in[k] = 500.0 * k;
+        x->offset_out[k] = 500.0 * k - 300.0;
+        x->memory[k] = 3e-4 * (k % 3);
+        x->leak[k] = 1e-7 * (k % 2);
+        x->inertance[k] = 20.0 * (k % 2);
+        x->severity[k] = k % 3 ? 0.0 : 0.2;
+        x->position[k] = 0.5;
+        x->length[k] = 0.8 * tree_length[k];
+        for (int m = 0; m < 3; m++) {
+            x->rho[3 * k + m] = m == k % 3 ? 0.0 : 0.3 + 0.2 * m;
+            x->kappa[3 * k + m] = 0.2 + 0.4 * m;
+        }
+    }
+    for (int i = 0; i < 5; i++)
+        x->wave[i] = 0.9 + 0.1 * i;
+    t->problem.fluid.viscosity_factor = x->viscosity;
+    t->problem.fluid.leak = x->leak;
+    t->problem.wall.offset_in = x->offset_in;
+    t->problem.wall.offset_out = x->offset_out;
+    t->problem.wall.viscoelastic_time = x->memory;
+    t->problem.wall.relaxation_time = 3e-4;
+    t->problem.wall.n_wave = 5;
+    t->problem.wall.stiffness_wave = x->wave;
+    t->problem.throat = (zoo_throat){x->severity, x->position, x->length, 1.52};
+    t->problem.junction = (zoo_junction){1.0, 2.0};
+    t->problem.outlet.kind = ZOO_OUTLET_CIRCUIT;
+    t->problem.outlet.inertance = x->inertance;
+    t->problem.outlet.n_sections = 3;
+    t->problem.outlet.section_resistance = x->rho;
+    t->problem.outlet.section_compliance = x->kappa;
 }
 
 /* A run set up as zoo_solve does it, for looking inside. */

@@ -21,12 +21,6 @@ static int32_t run(int64_t n, zoo_parameters pa, double *P, double *Q, double *S
     return code;
 }
 
-static zoo_parameters row(int i)
-{
-    return (zoo_parameters){t.stiffness + i * NV, t.gamma + i * NV, t.psi1 + i * NV, t.psi2 + i * NV,
-                            t.c + i * NV};
-}
-
 static void batch(int wall)
 {
     tree_make(&t, wall);
@@ -42,7 +36,7 @@ static void batch(int wall)
         CHECK(isnan(p[i * NSERIES * NTIMES]) == bad);
         if (bad || i % 6)
             continue;
-        CHECK(run(1, row(i), p1, q1, A1, reports) == ZOO_OK);
+        CHECK(run(1, tree_from(&t, i), p1, q1, A1, reports) == ZOO_OK);
         for (int m = 0; m < NSERIES * NTIMES; m++) {
             NEAR(p[i * NSERIES * NTIMES + m], p1[m], 2e-3);
             NEAR(q[i * NSERIES * NTIMES + m], q1[m], 1e-7);
@@ -55,16 +49,16 @@ static void statuses(void)
 {
     tree_make(&t, ZOO_WALL_LINEAR);
     t.problem.numerics.max_beats = 1;
-    CHECK(run(1, row(0), p, q, A, reports) == ZOO_OK && reports[0].status == ZOO_NOT_PERIODIC);
+    CHECK(run(1, tree_from(&t, 0), p, q, A, reports) == ZOO_OK && reports[0].status == ZOO_NOT_PERIODIC);
 
     tree_make(&t, ZOO_WALL_LINEAR);
     t.problem.numerics.steps_per_beat = 300;
-    CHECK(run(1, row(0), p, q, A, reports) == ZOO_OK && reports[0].status == ZOO_CFL);
+    CHECK(run(1, tree_from(&t, 0), p, q, A, reports) == ZOO_OK && reports[0].status == ZOO_CFL);
     CHECK(reports[0].steps_per_beat == 300 && reports[0].max_cfl > 0.5 && isnan(p[0]));
 
     tree_make(&t, ZOO_WALL_LINEAR);
     t.problem.numerics.max_steps = 512;
-    CHECK(run(1, row(0), p, q, A, reports) == ZOO_OK && reports[0].status == ZOO_CFL);
+    CHECK(run(1, tree_from(&t, 0), p, q, A, reports) == ZOO_OK && reports[0].status == ZOO_CFL);
 
     /* a backflow larger than the vessels hold empties them */
     tree_make(&t, ZOO_WALL_LINEAR);
@@ -79,11 +73,21 @@ static void statuses(void)
     CHECK(reports[2].status == ZOO_OK && !isnan(p[2 * NSERIES * NTIMES]));
 
     tree_make(&t, ZOO_WALL_LINEAR);
-    t.problem.physics.density = -1.0;
+    t.problem.fluid.density = -1.0;
     int64_t bytes;
     CHECK(zoo_workspace_size(&t.problem, 1, &bytes) == ZOO_BAD_ARGUMENT);
     tree_make(&t, ZOO_WALL_LINEAR);
     CHECK(zoo_workspace_size(&t.problem, 0, &bytes) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_workspace_size(NULL, 1, &bytes) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_workspace_size(&t.problem, 1, NULL) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_solve(&t.problem, 1, NULL, NULL, 0, p, q, A, reports) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_solve(&t.problem, 1, &t.parameters, NULL, 0, p, q, A, NULL) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_solve(&t.problem, 1, &t.parameters, NULL, 0, p, q, A, reports) == ZOO_WORKSPACE);
+    tree_make(&t, ZOO_WALL_TANGENT);
+    t.parameters.shape = NULL;
+    CHECK(zoo_solve(&t.problem, 1, &t.parameters, NULL, 0, p, q, A, reports) == ZOO_BAD_ARGUMENT);
+    CHECK(strcmp(zoo_inlet_name(ZOO_INLET_FLOW), "flow") == 0 && zoo_inlet_name(ZOO_N_INLETS) == NULL);
+    CHECK(strcmp(zoo_outlet_name(ZOO_OUTLET_CIRCUIT), "circuit") == 0 && zoo_outlet_name(-1) == NULL);
     for (int i = 0; i <= ZOO_WORKSPACE; i++)
         CHECK(strcmp(zoo_status_text(i), "unknown status") != 0);
     CHECK(strcmp(zoo_status_text(99), "unknown status") == 0);
@@ -91,8 +95,8 @@ static void statuses(void)
 
 int main(void)
 {
-    batch(ZOO_WALL_LINEAR);
-    batch(ZOO_WALL_TANGENT);
+    for (int wall = 0; wall < ZOO_N_WALLS; wall++)
+        batch(wall);
     statuses();
     return finish("solve");
 }

@@ -5,7 +5,7 @@ static tree t;
 
 int main(void)
 {
-    for (int wall = ZOO_WALL_LINEAR; wall <= ZOO_WALL_TANGENT; wall++) {
+    for (int wall = 0; wall < ZOO_N_WALLS; wall++) {
         tree_make(&t, wall);
         tree_open(&t, 1, 1024);
         zoo_sim *s = &t.sim;

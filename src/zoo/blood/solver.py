@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import partial
+from itertools import count, takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +23,26 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-WALLS = {"linear": lib.ZOO_WALL_LINEAR, "tangent": lib.ZOO_WALL_TANGENT}
+ABI = 2
+if getattr(lib, "ZOO_ABI", 1) != ABI:
+    raise ImportError(
+        f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
+        "run `make setup` to build it again"
+    )
+
+
+def _names(name_of: Callable[[int], Any]) -> tuple[str, ...]:
+    """Names that the library has for the numbers 0, 1, ..., up to the first that it does not know."""
+    names = takewhile(lambda name: name != ffi.NULL, map(name_of, count()))
+    return tuple(ffi.string(name).decode() for name in names)
+
+
+WALLS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.zoo_wall_name))}
+SHAPES: dict[str, tuple[str, ...]] = {
+    wall: _names(partial(lib.zoo_wall_shape_name, number)) for wall, number in WALLS.items()
+}
+INLETS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.zoo_inlet_name))}
+OUTLETS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.zoo_outlet_name))}
 FRICTIONS = {
     "current": lib.ZOO_FRICTION_CURRENT,
     "rest": lib.ZOO_FRICTION_REST,
@@ -73,7 +94,7 @@ class CollapseError(SolverError):
 
 
 class WallLimitError(SolverError):
-    """A vessel's cross-section passed the largest one of the tangent wall."""
+    """A vessel's cross-section passed the largest one of its wall law."""
 
     status = STATUS_NAMES[lib.ZOO_WALL_LIMIT]
 
@@ -554,27 +575,23 @@ class Solver:
         n.n_vessels = len(net.ids)
         n.parent, n.n_cells, n.length = ints(net.parent), ints(cells), reals(length)
         n.radius_in, n.radius_out = reals(net.radius_in_cm), reals(net.radius_out_cm)
-        n.R1, n.R2, n.C = reals(net.R1), reals(net.R2), reals(net.C)
 
-        p = problem.physics
-        added = self.physics
-        p.density, p.viscosity = net.density, net.viscosity
-        p.momentum_correction = added.momentum_correction
-        p.stokes_friction, p.viscous_friction = added.stokes_friction, added.viscous_friction
-        p.wall, p.wall_factor = WALLS[self.wall], conventions.wall_factor
+        problem.fluid.density, problem.fluid.viscosity = net.density, net.viscosity
+        problem.wall.law, problem.wall.factor = WALLS[self.wall], conventions.wall_factor
+        problem.outlet.R1, problem.outlet.R2, problem.outlet.C = reals(net.R1), reals(net.R2), reals(net.C)
         if conventions.friction not in FRICTIONS:
             raise SolverArgumentError(
                 f"friction = {conventions.friction!r}: must be one of {', '.join(FRICTIONS)}"
             )
-        p.friction, p.friction_radius = FRICTIONS[conventions.friction], conventions.friction_radius_cm
-
-        self._set_extras(problem.extras, reals)
+        problem.fluid.friction = FRICTIONS[conventions.friction]
+        problem.fluid.friction_radius = conventions.friction_radius_cm
+        self._set_physics(problem, reals)
 
         flow = self.inflow_ml_s
         if flow.ndim != 1 or len(flow) < 4 or not np.all(np.isfinite(flow)) or not flow.mean() > 0:
             raise SolverArgumentError("inflow: needs at least 4 finite samples with a positive mean")
-        problem.inflow.period = net.period_s
-        problem.inflow.n_samples, problem.inflow.flow = len(flow), reals(flow)
+        problem.inlet.kind, problem.inlet.period = INLETS["flow"], net.period_s
+        problem.inlet.n_samples, problem.inlet.curve = len(flow), reals(flow)
 
         known = {int(v) for v in net.ids}
         for vessel, position in self.series:
@@ -601,38 +618,57 @@ class Solver:
         num.accelerate = options.accelerate
         self._problem = problem
 
-    def _set_extras(self, extras: Any, reals: Callable[[ArrayLike], Any]) -> None:
-        """Hand the arrays of the physics to the native struct; what is None stays a null pointer."""
-        added, n_vessels = self.physics, len(self.network.ids)
+    def _set_physics(self, problem: Any, reals: Callable[[ArrayLike], Any]) -> None:
+        """Hand the physics to the native structs; an array that is None stays a null pointer."""
+        added = self.physics
         added.fit(self.network)
-        for name in ("viscosity_factor", "viscoelastic_time", "leak", "inertance", *_SECTIONS):
-            values = getattr(added, name)
+        fluid, wall, throat, outlet = problem.fluid, problem.wall, problem.throat, problem.outlet
+        zero = np.zeros(len(self.network.ids))
+
+        def give(struct: Any, field: str, values: Array | None) -> None:
             if values is not None:
-                setattr(extras, name, reals(values))
-        zero = np.zeros(n_vessels)
+                setattr(struct, field, reals(values))
+
+        def filled(values: Array | None, value: float = 0.0) -> Array:
+            return zero + value if values is None else values
+
+        fluid.momentum_correction = added.momentum_correction
+        fluid.stokes_friction, fluid.viscous_friction = added.stokes_friction, added.viscous_friction
+        give(fluid, "viscosity_factor", added.viscosity_factor)
+        give(fluid, "leak", added.leak)
+
         if added.offset_in is not None or added.offset_out is not None:
-            extras.offset_in = reals(zero if added.offset_in is None else added.offset_in)
-            extras.offset_out = reals(zero if added.offset_out is None else added.offset_out)
+            wall.offset_in, wall.offset_out = reals(filled(added.offset_in)), reals(filled(added.offset_out))
+        give(wall, "viscoelastic_time", added.viscoelastic_time)
+        wall.relaxation_time = added.relaxation_time
         if added.stiffness_wave is not None:
-            extras.n_wave, extras.stiffness_wave = len(added.stiffness_wave), reals(added.stiffness_wave)
-        if added.section_resistance is not None:
-            extras.n_sections = added.section_resistance.shape[1]
+            wall.n_wave, wall.stiffness_wave = len(added.stiffness_wave), reals(added.stiffness_wave)
+
         if added.throat_severity is not None:
-            extras.throat_severity = reals(added.throat_severity)
-            position, length = added.throat_position, added.throat_length
-            extras.throat_position = reals(zero + 0.5 if position is None else position)
-            extras.throat_length = reals(zero + THROAT_LENGTH_CM if length is None else length)
-        extras.relaxation_time, extras.throat_loss = added.relaxation_time, added.throat_loss
-        extras.total_pressure, extras.junction_loss = added.total_pressure, added.junction_loss
+            throat.severity = reals(added.throat_severity)
+            throat.position = reals(filled(added.throat_position, 0.5))
+            throat.length = reals(filled(added.throat_length, THROAT_LENGTH_CM))
+        throat.loss = added.throat_loss
+
+        problem.junction.total_pressure, problem.junction.loss = added.total_pressure, added.junction_loss
+
+        circuit = added.inertance is not None or added.section_resistance is not None
+        outlet.kind = OUTLETS["circuit" if circuit else "windkessel"]
+        give(outlet, "inertance", added.inertance)
+        if added.section_resistance is not None:
+            outlet.n_sections = added.section_resistance.shape[1]
+            give(outlet, "section_resistance", added.section_resistance)
+            give(outlet, "section_compliance", added.section_compliance)
 
     def _broadcast(self, values: dict[str, ArrayLike], n_sets: int) -> dict[str, Array]:
-        """Every parameter as (n_sets, n_vessels)."""
-        n_vessels = len(self.network.ids)
+        """Every parameter as (n_sets, n_vessels), several shape parameters as (n_sets, n_shapes, n_vessels)."""
+        n_vessels, n_shapes = len(self.network.ids), len(SHAPES[self.wall])
         rows = {}
         for name, value in values.items():
             data = np.asarray(value, dtype=np.float64)
+            several = (n_shapes,) if name == "gamma" and n_shapes > 1 else ()
             try:
-                rows[name] = np.ascontiguousarray(np.broadcast_to(data, (n_sets, n_vessels)))
+                rows[name] = np.ascontiguousarray(np.broadcast_to(data, (n_sets, *several, n_vessels)))
             except ValueError:
                 raise SolverArgumentError(
                     f"{name}: shape {data.shape} fits neither one value nor one per vessel ({n_vessels})"
@@ -650,7 +686,8 @@ class Solver:
             workspace = np.empty(size[0], dtype=np.uint8)
         parameters = ffi.new("zoo_parameters *")
         for name in PARAMETERS:
-            setattr(parameters, name, ffi.from_buffer("double[]", rows[name]))
+            field = "shape" if name == "gamma" else name
+            setattr(parameters, field, ffi.from_buffer("double[]", rows[name]))
         shape = (n_sets, len(self.series), len(self.times_s))
         waves = [np.empty(shape) for _ in range(3)]
         reports = ffi.new("zoo_report[]", n_sets)
@@ -709,7 +746,8 @@ class Solver:
         stiffness : float or array (n_vessels,)
             chi, g/(cm s^2).
         gamma : float or array (n_vessels,)
-            Scaling parameter of the tangent wall; the linear wall does not read it.
+            Scaling parameter of the tangent wall; the linear wall does not read it. A wall with several shape
+            parameters, ``SHAPES[wall]``, takes an array (n_shapes, n_vessels) or (n_shapes, 1).
         psi1, psi2, c : float or array (n_vessels,)
             Factors of the nominal R1, R2 and C; values at vessels that are not terminals are not read.
         check : bool
@@ -762,7 +800,8 @@ class Solver:
         Parameters
         ----------
         stiffness, gamma, psi1, psi2, c : array (n_sets, n_vessels), (n_sets, 1), or a single value
-            As in `solve`; the number of sets is the largest leading axis.
+            As in `solve`; the number of sets is the largest leading axis. Several shape parameters of a wall
+            stand in a second axis, (n_sets, n_shapes, n_vessels).
 
         Returns
         -------
@@ -814,15 +853,20 @@ def wall_pressure_mmHg(
     wall: str,
     area_ratio: ArrayLike,
     stiffness: float,
-    gamma: float = 2.0,
+    gamma: ArrayLike = 2.0,
     *,
     conventions: Conventions = PRINTED,
 ) -> Array:
-    """Pressure of the wall law, eq. (3.3) or (3.4), at A/A0 (dimensionless); NaN outside its range."""
+    """Pressure of the wall law, eq. (3.3) or (3.4), at A/A0 (dimensionless); NaN outside its range.
+
+    `gamma` is the law's shape parameter, or the array of those in ``SHAPES[wall]``.
+    """
     ratio = np.asarray(area_ratio, dtype=np.float64)
+    given = np.broadcast_to(np.asarray(gamma, dtype=np.float64), (max(1, len(SHAPES[wall])),))
+    shape = ffi.from_buffer("double[]", np.ascontiguousarray(given))
     pressure = np.array(
         [
-            lib.zoo_wall_pressure(WALLS[wall], conventions.wall_factor, stiffness, gamma, float(a), 1.0)
+            lib.zoo_wall_pressure(WALLS[wall], conventions.wall_factor, stiffness, shape, float(a), 1.0)
             for a in ratio.ravel()
         ]
     )

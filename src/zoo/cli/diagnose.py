@@ -15,7 +15,7 @@ from zoo.cli.screen import plain_table, say
 if TYPE_CHECKING:
     from zoo.blood.conventions import Conventions
     from zoo.blood.study import Study
-    from zoo.core.diagnosis.file import DiagnosisFile
+    from zoo.core.diagnosis import DiagnosisFile
 
 BARS = 24
 """Characters of a share of 1."""
@@ -173,16 +173,16 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     """What the screen shows of a diagnosis."""
     from rich.text import Text
 
-    from zoo.report import diagnosis_summary, total_seconds
-    from zoo.report.words import location_text, maybe
+    from zoo.plots.subject import location_of
+    from zoo.report import diagnosis_summary, next_measurement_words, total_seconds
+    from zoo.report.words import maybe
 
-    unit = str(file.record.get("gap_unit", "mmHg"))
     verdict, *rest = diagnosis_summary(file)
     where = plain_table(title=f"where the gap of {file.base} in {file.study} lies")
     for heading, justify in (("by", "left"), ("", "left"), ("share", "right"), ("", "left")):
         where.add_column(heading, justify=justify, no_wrap=True)  # type: ignore[arg-type]
     harmonics = dict(sorted(file.where.harmonic.items(), key=lambda item: -item[1])[:4])
-    places = {location_text(p.part, p.subtree): p.probability for p in file.where.place[:4]}
+    places = {location_of(file, p.part, p.subtree): p.probability for p in file.where.place[:4]}
     parts = {"phase": file.where.phase, "series": file.where.series, "harmonic": harmonics}
     parts["place"] = places
     for what, shares in parts.items():
@@ -190,7 +190,7 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
             where.add_row(what if k == 0 else "", name, _share(share), Text(_bar(share), style="cyan"))
     rows = [h for k, h in enumerate(file.hypotheses) if k < LEADING or h.name in ("no-gap", "unlisted")]
     table = plain_table(title="explanations, most probable first")
-    for heading in ("explanation", "place", "prob.", "group", "amplitude", f"gap after ({unit})"):
+    for heading in ("explanation", "place", "prob.", "group", "amplitude", f"gap after ({file.gap.unit})"):
         named = heading in ("explanation", "place")
         table.add_column(heading, justify="left" if named else "right", no_wrap=heading == "explanation")
     for h in rows:
@@ -201,7 +201,7 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
             size = f"{h.amplitude.name} {h.amplitude.mean:.3g}{spread} {h.amplitude.unit}".removesuffix(" 1")
         table.add_row(
             h.name,
-            "" if h.place is None else location_text(h.place, h.subtree),
+            "" if h.place is None else location_of(file, h.place, h.subtree),
             "invisible" if h.name in file.invisible else _share(h.probability),
             str(h.group),
             size,
@@ -219,7 +219,7 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     if file.next_measurement is not None:
         m = file.next_measurement
         lines.append(
-            f"next measurement: {m.quantity} in vessel {m.vessel} at {m.position:g}, which tells "
+            f"next measurement: {next_measurement_words(file)}, which tells "
             f"{m.separates[0]} from {m.separates[1]} (expected log odds up to {m.expected_log_odds:.1f})"
         )
     for name, row in (file.posteriors or {}).items():

@@ -115,8 +115,8 @@ def reproduce(
         return
 
     from zoo.core.inference.checkpoint import CheckpointError
-    from zoo.paper.reproduce import WAIC_LIMIT, WAIC_LIMITS, table4_lines
     from zoo.paper.reproduce import reproduce as run
+    from zoo.paper.table4 import WAIC_LIMIT, WAIC_LIMITS, table4_lines
 
     settings |= {"seed": 1 if sampling.seed is None else sampling.seed, "progress": not sampling.quiet}
     try:
@@ -178,7 +178,7 @@ def _reproduce_synthetic(
     base: Study, folder: Path, settings: dict[str, Any], vessels: Sequence[int], *, figures: bool
 ) -> None:
     from zoo.paper import coverage
-    from zoo.paper.reproduce import synthetic_figures, synthetic_tables
+    from zoo.paper.synthetic_tables import synthetic_figures, synthetic_tables
 
     for name, least in (("data_sets", 1), ("n_times", 16), ("points", 1000)):
         at_least({"n_times": "--samples"}.get(name, f"--{name.replace('_', '-')}"), settings[name], least)

@@ -68,6 +68,8 @@ class ForwardModel(Protocol):
         the same numbers.
     families : tuple of str
         Kinds of effects in the order in which they are applied; empty if it does not matter.
+
+    A model that may be solved in several threads at once says so with an attribute ``threads = True``.
     """
 
     @property

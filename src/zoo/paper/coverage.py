@@ -10,41 +10,30 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from zoo.blood.network import Network, stiffness_profile
-from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study
-from zoo.core.errors.gaussian_process import NOISE, gp_sequential, neural_network_kernel
-from zoo.core.inference.convergence import ESS_TARGET, verdict
-from zoo.core.inference.logposterior import LogPosterior
+from zoo.core.inference.convergence import verdict
 from zoo.core.inference.progress import bar
 from zoo.core.inference.record import versions
 from zoo.core.inference.workers import each
 from zoo.core.posterior.files import belongs, checkpoint_of, load_for, sample_to
 from zoo.core.posterior.storage import save
-from zoo.models import get_model, model_e
-from zoo.paper.synthetic import Truth, synthetic_study, whitened
-
-if TYPE_CHECKING:
-    import arviz as az
+from zoo.models import get_model
+from zoo.paper.pool import POOL_DOF, POOL_WIDTH, Pool, fill_pool, score_pool
+from zoo.paper.synthetic import Truth, synthetic_study
+from zoo.paper.truth import PAPER_TRUTH, SCALES, THETA, kernel_density, marginal_density, relative_sse
 
 Array = NDArray[np.float64]
 
-THETA = ("f1", "f2", "f3", "psi1", "psi2", "c")
-"""The parameters that the paper compares with the truth, in its order."""
+
 IDENTIFIABLE = ("f3", "psi1", "psi2", "c")
-SCALES = {"f1": 1e6, "f2": 100.0, "f3": 1e4, "psi1": 1.0, "psi2": 1.0, "c": 1.0}
-"""Units of the joint density, which make all parameters of order one (those of the paper are not told)."""
 LEVELS = (0.5, 0.8, 0.95)
-NARROWER = 0.7
-"""Factor on the covariance of the Gaussian in `marginal_density`."""
-PAPER_TRUTH = Truth(f1=51.1e5, f2=-171.0, f3=4.32e4, psi1=0.29, psi2=0.87, c=1.34, w=5.39e4, b=138.0)
-"""Published medians of model E: "parameter values consistent with the physiological data"."""
 
 
 @dataclass(frozen=True)
@@ -153,325 +142,6 @@ def fit_all(
     for job, _ in each(_fit, waiting, cores):
         done(job.path)
     return [job.path for job in jobs]
-
-
-# -------------------------------------------------------------------------------------------------
-# many data sets from one pool of solves
-
-BOUNDS = {p.name: p.prior.support for p in (*model_e.BASELINE.parameters, *model_e.ERRORS.parameters)}
-"""The box of model E's priors (Table 2); w and b are uniform in their logarithms."""
-POOL_DOF = 8.0
-POOL_WIDTH = 3.0
-"""Covariance of the pool over that of a posterior: truth to centre, and centre to draw, and room."""
-K_LIMIT = 0.7
-"""Largest Pareto k of importance weights that can be trusted (Vehtari et al. 2024)."""
-
-
-@dataclass(frozen=True)
-class Pool:
-    """Points drawn around the truth, and what every data set says about each of them.
-
-    Parameters
-    ----------
-    theta : array (n, 6)
-        f1, f2, f3, psi1, psi2, c.
-    eta : array (n, 2)
-        log w, log b.
-    log_theta, log_eta : array (n,)
-        Log-prior minus log-proposal of theta and of eta; -inf outside the priors.
-    log_likelihood : array (n, n_data_sets)
-        Of each data set at (theta, eta); -inf where the solve failed.
-    log_likelihood_at_truth : array (n, n_data_sets)
-        The same at (true theta, eta).
-    """
-
-    theta: Array
-    eta: Array
-    log_theta: Array
-    log_eta: Array
-    log_likelihood: Array
-    log_likelihood_at_truth: Array
-
-
-def fill_pool(
-    studies: Sequence[Study],
-    truth: Truth,
-    n: int,
-    *,
-    seed: int = 0,
-    cores: int = 2,
-    solved: Callable[[], None] = lambda: None,
-) -> Pool:
-    """Solve at points around the truth, once for all data sets.
-
-    The logarithms of f3, psi1, psi2, c and those of w, b are drawn from t distributions around the truth with
-    three times the covariance that their Fisher information gives, f1 and f2, which the data hardly move,
-    from their priors.
-
-    Parameters
-    ----------
-    studies : sequence of Study
-        Data sets of one truth: the same sites, times, vessels and inflow.
-    truth : Truth
-    n : int
-        Points.
-    seed : int
-    cores : int
-        Threads.
-    solved : callable
-        Called after each point.
-
-    Returns
-    -------
-    Pool
-    """
-    from concurrent.futures import ThreadPoolExecutor
-
-    study = studies[0]
-    network, unit = Network.from_study(study), study.conventions.stiffness_radius_unit_cm
-    solver = Solver.for_study(study)
-    times = study.time_s
-    data = np.stack([s.values for s in studies])
-
-    def waves(theta: Array) -> Array | None:
-        f1, f2, f3, psi1, psi2, c = (float(x) for x in theta)
-        chi = stiffness_profile(network.radius_in_cm, f1, f2, f3, unit)
-        solution = solver.solve(chi, psi1=psi1, psi2=psi2, c=c, check=False)
-        return solution.pressure_mmHg if solution.ok else None
-
-    def terms(means: Array, w: float, b: float) -> Array:
-        """Log-likelihood of every data set, (n_data_sets,)."""
-        found = gp_sequential((data - means).reshape(-1, len(times)), times, w, b)
-        return np.asarray(found.reshape(len(studies), -1).sum(axis=1))
-
-    true = np.array([getattr(truth, name) for name in THETA])
-    at_truth = waves(true)
-    if at_truth is None:
-        raise RuntimeError("the truth does not solve: choose another one")
-    rng = np.random.default_rng(seed)
-    wave_law = _around(np.log(true[2:]), POOL_WIDTH * _wave_covariance(waves, true, times, truth))
-    error_law = _around(
-        np.log([truth.w, truth.b]), POOL_WIDTH * _error_parameter_covariance(times, truth, len(study.series))
-    )
-    low, high = np.array([BOUNDS[name] for name in THETA]).T
-    flat = rng.uniform(low[:2], high[:2], (n, 2))
-    logs = wave_law.rvs(n, random_state=rng)
-    theta = np.hstack([flat, np.exp(logs)])
-    eta = error_law.rvs(n, random_state=rng)
-    log_box = -np.log(high[2:] - low[2:]).sum()  # f1 and f2 are drawn from their priors
-    inside = np.all((theta > low) & (theta < high), axis=1)
-    log_theta = np.where(inside, log_box + logs.sum(axis=1) - wave_law.logpdf(logs), -np.inf)
-    eta_low, eta_high = np.log(np.array([BOUNDS["w"], BOUNDS["b"]])).T
-    eta_inside = np.all((eta > eta_low) & (eta < eta_high), axis=1)
-    log_eta = np.where(eta_inside, -np.log(eta_high - eta_low).sum() - error_law.logpdf(eta), -np.inf)
-
-    def one(i: int) -> tuple[Array, Array]:
-        nothing = np.full(len(studies), -np.inf)
-        if not eta_inside[i]:
-            return nothing, nothing
-        w, b = np.exp(eta[i])
-        means = waves(theta[i]) if inside[i] else None
-        return (nothing if means is None else terms(means, w, b)), terms(at_truth, w, b)
-
-    here, there = np.empty((n, len(studies))), np.empty((n, len(studies)))
-    with ThreadPoolExecutor(cores) as threads:
-        for i, (at_point, at_true) in enumerate(threads.map(one, range(n))):
-            here[i], there[i] = at_point, at_true
-            solved()
-    return Pool(theta, eta, log_theta, log_eta, here, there)
-
-
-def _around(centre: Array, covariance: Array) -> Any:
-    from scipy.stats import multivariate_t
-
-    return multivariate_t(centre, covariance, df=POOL_DOF)
-
-
-def _wave_covariance(
-    waves: Callable[[Array], Array | None], true: Array, times: Array, truth: Truth
-) -> Array:
-    """Inverse Fisher information of the logarithms of f3, psi1, psi2, c at the truth: (J' K^-1 J)^-1."""
-    columns = []
-    for k in range(2, len(true)):
-        h, axis = 0.01, np.eye(len(true))[k]
-        up, down = (waves(true * np.exp(sign * h * axis)) for sign in (1, -1))
-        if up is None or down is None:
-            raise RuntimeError(f"{THETA[k]} cannot be moved from the truth: choose another one")
-        columns.append(whitened((up - down) / (2 * h), times, truth).ravel())
-    jacobian = np.array(columns).T
-    return np.asarray(np.linalg.inv(jacobian.T @ jacobian))
-
-
-def _error_parameter_covariance(times: Array, truth: Truth, n_series: int) -> Array:
-    """Inverse Fisher information of log w, log b: I_ij = n/2 tr(K^-1 dK_i K^-1 dK_j)."""
-    noise = NOISE * np.eye(len(times))
-    inverse = np.linalg.inv(neural_network_kernel(times, truth.w, truth.b) + noise)
-    h, moved = 1e-3, []
-    for factor in ((np.exp(h), 1.0), (1.0, np.exp(h))):
-        up = neural_network_kernel(times, truth.w * factor[0], truth.b * factor[1])
-        down = neural_network_kernel(times, truth.w / factor[0], truth.b / factor[1])
-        moved.append(inverse @ (up - down) / (2 * h))
-    information = [[0.5 * n_series * np.sum(a * b.T) for b in moved] for a in moved]
-    return np.asarray(np.linalg.inv(np.array(information)))
-
-
-def score_pool(
-    pool: Pool, truth: Mapping[str, float], data_set: int, *, n_draws: int = 2000, seed: int = 0
-) -> tuple[dict[str, Any], dict[str, Array]]:
-    """What one data set says about the truth, by Pareto-smoothed importance sampling.
-
-    Parameters
-    ----------
-    pool : Pool
-    truth : mapping
-    data_set : int
-    n_draws : int
-        Draws that are picked from the pool with their weights.
-    seed : int
-
-    Returns
-    -------
-    row : dict
-        As `score_fit`, with pareto_k; joint_direct is p(theta*|y) as the ratio of the two integrals of the
-        likelihood, over eta at the truth and over all.
-    draws : dict of array (n_draws,)
-        Of each parameter.
-
-    References
-    ----------
-    Vehtari, Simpson, Gelman, Yao and Gabry 2024, Pareto smoothed importance sampling, JMLR 25(72).
-    """
-    import arviz as az
-    from scipy.special import logsumexp
-
-    log_weights = pool.log_likelihood[:, data_set] + pool.log_theta + pool.log_eta
-    possible = np.isfinite(log_weights)
-    smooth, k = az.psislw(log_weights[possible].copy())
-    weights = np.exp(np.asarray(smooth))
-    weights /= weights.sum()
-    theta = pool.theta[possible]
-    scales = np.array([SCALES[name] for name in THETA])
-    at = np.array([truth[name] for name in THETA])
-    log_box = -sum(np.log(BOUNDS[name][1] - BOUNDS[name][0]) for name in THETA)
-    over_eta = pool.log_likelihood_at_truth[:, data_set] + pool.log_eta
-    log_joint = log_box + float(logsumexp(over_eta) - logsumexp(log_weights))
-    ess = 1.0 / float(np.sum(weights**2))
-    row: dict[str, Any] = {
-        "joint_kde": kernel_density((theta / scales).T, at / scales, weights),
-        "joint_direct": float(np.exp(log_joint) * scales.prod()),
-        "converged": bool(k <= K_LIMIT and ess >= ESS_TARGET),
-        "ess_min": ess,
-        "pareto_k": float(k),
-    }
-    medians = {}
-    for i, name in enumerate(THETA):
-        order = np.argsort(theta[:, i])
-        medians[name] = float(np.interp(0.5, np.cumsum(weights[order]), theta[order, i]))
-        row[f"median_{name}"] = medians[name]
-        row[f"density_{name}"] = kernel_density(theta[:, i], truth[name], weights)
-        row[f"rank_{name}"] = float(weights[theta[:, i] < truth[name]].sum())
-    row["relative_sse"] = relative_sse(medians, {name: truth[name] for name in THETA})
-    picked = np.random.default_rng(seed).choice(len(weights), size=n_draws, p=weights)
-    draws = {name: theta[picked, i] for i, name in enumerate(THETA)}
-    draws |= {name: np.exp(pool.eta[possible][picked, i]) for i, name in enumerate(("w", "b"))}
-    return row, draws
-
-
-# -------------------------------------------------------------------------------------------------
-# what a fit says about the truth
-
-
-def relative_sse(estimate: Mapping[str, float], truth: Mapping[str, float]) -> float:
-    """Relative sum of squared errors: sum of ((theta_i - estimate_i)/theta_i)^2, eq. (6.1) of the paper."""
-    return float(sum(((value - estimate[name]) / value) ** 2 for name, value in truth.items()))
-
-
-def kernel_density(draws: ArrayLike, point: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Gaussian kernel density at a point, bandwidth by Silverman's rule.
-
-    Parameters
-    ----------
-    draws : array (n_dim, n_draws)
-    point : array (n_dim,)
-    weights : array (n_draws,), optional
-        Equal if absent.
-
-    References
-    ----------
-    Silverman 1986, Density Estimation for Statistics and Data Analysis.
-    """
-    from scipy.stats import gaussian_kde
-
-    rows = np.atleast_2d(draws)
-    if np.any(np.ptp(rows, axis=1) == 0):
-        return 0.0
-    return float(gaussian_kde(rows, bw_method="silverman", weights=weights)(np.atleast_1d(point))[0])
-
-
-def marginal_density(
-    idata: az.InferenceData, model: Any, truth: Mapping[str, float], *, n_draws: int = 400
-) -> float:
-    """Joint posterior density of some parameters at a point, all others integrated out.
-
-    The importance-weighted estimator: p(theta*|y) is the mean over draws of
-    g(theta_i|eta_i) p(theta*, eta_i|y)/p(theta_i, eta_i|y), g the conditional of a Gaussian fitted to the
-    draws in the unconstrained space. It needs one solve, since theta* is the same in all terms.
-
-    Parameters
-    ----------
-    idata : InferenceData
-        Posterior with the log-posterior of each draw (``sample_stats.lp``).
-    model : pymc.Model
-        What it was drawn from.
-    truth : mapping
-        theta*: parameter -> value in its unit; all of them scalar.
-    n_draws : int
-        Evenly spaced draws that are used.
-
-    Returns
-    -------
-    float
-        Per product of the parameters' units.
-
-    References
-    ----------
-    Chen 1994, doi 10.1080/01621459.1994.10476815.
-    """
-    from scipy.special import logsumexp
-    from scipy.stats import multivariate_normal
-
-    logp = LogPosterior(model)
-    names = [rv.name for rv in model.free_RVs]
-    posterior = idata["posterior"]
-    columns = {name: posterior[name].to_numpy().ravel() for name in names}
-    total = len(next(iter(columns.values())))
-    kept = np.unique(np.linspace(0, total - 1, min(n_draws, total)).round().astype(int))
-    every = logp.from_draws({name: column[kept] for name, column in columns.items()})
-    log_density = idata["sample_stats"]["lp"].to_numpy().ravel()[kept]
-
-    inside = np.array([name in truth for name in names])
-    theta, eta = np.flatnonzero(inside), np.flatnonzero(~inside)
-    shifts = np.array([0.0, 1e-6, -1e-6])
-    star = {name: np.full(3, columns[name][0]) for name in names}
-    star |= {name: value * (1 + shifts) for name, value in truth.items()}
-    at, up, down = logp.from_draws(star)[:, theta]
-
-    mean, covariance = every.mean(axis=0), np.cov(every.T)
-    gain = covariance[np.ix_(theta, eta)] @ np.linalg.inv(covariance[np.ix_(eta, eta)])
-    rest = covariance[np.ix_(theta, theta)] - gain @ covariance[np.ix_(eta, theta)]
-    rest = NARROWER * rest  # where g had the wider tails, the variance would have no bound
-    terms = np.empty(len(every))
-    for i, point in enumerate(every):
-        centre = mean[theta] + gain @ (point[eta] - mean[eta])
-        moved = point.copy()
-        moved[theta] = at
-        guess = multivariate_normal.logpdf(point[theta], centre, rest)
-        terms[i] = guess + logp(moved) - log_density[i]
-    log_unconstrained = float(logsumexp(terms)) - np.log(len(terms))
-    # of the unconstrained coordinates in the parameters' own units, at theta*: each depends on its own alone
-    widths = np.array([2e-6 * truth[name] for name in names if name in truth])
-    log_jacobian = float(np.log(np.abs((up - down) / widths)).sum())
-    return float(np.exp(log_unconstrained + log_jacobian))
 
 
 def score_fit(

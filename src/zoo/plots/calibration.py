@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from zoo.plots.style import COLOURS, INK, PARAMETER_LABELS, broken, in_scale, new_figure, parameter_label
 
 if TYPE_CHECKING:
-    from zoo.paper.calibration import RankTest
+    from zoo.core.posterior.ranks import RankTest
 
 
 def calibration_figure(test: RankTest, *, title: str = "") -> Figure:
@@ -20,7 +20,7 @@ def calibration_figure(test: RankTest, *, title: str = "") -> Figure:
 
     Parameters
     ----------
-    test : zoo.paper.calibration.RankTest
+    test : zoo.core.posterior.ranks.RankTest
     title : str
         Above the panels.
 

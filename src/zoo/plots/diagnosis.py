@@ -16,11 +16,11 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import SymmetricalLogLocator
 from numpy.typing import NDArray
 
-from zoo.blood.diagnosis import StudyDiagnosis
-from zoo.core.diagnosis.file import SeriesGap
+from zoo.core.diagnosis.file import HypothesisResult, SeriesGap, unit_suffix
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
-from zoo.plots.style import COLOURS, DASHED, DOTTED, INK, QUANTITY_LABELS, new_figure, parts
-from zoo.plots.tree import draw_tree, location_name
+from zoo.plots.style import COLOURS, DASHED, DOTTED, INK, QUANTITY_LABELS, Array, new_figure, parts
+from zoo.plots.subject import location_of, phases_of, study_of, unit_words
+from zoo.plots.tree import draw_locations, draw_tree
 
 if TYPE_CHECKING:
     from zoo.core.diagnosis import Diagnosis
@@ -35,7 +35,12 @@ def _cause_name(d: Diagnosis) -> str:
     leader = d.file.hypotheses[0]
     if leader.name in (NULL, NONPARAMETRIC, CORRELATED):
         return ""
-    return leader.name if leader.place is None else f"{leader.name}, {location_name(leader)}"
+    return _named(leader, d)
+
+
+def _named(h: HypothesisResult, d: Diagnosis) -> str:
+    """An effect with its location, if that is not everywhere."""
+    return h.name if h.place is None else f"{h.name}, {location_of(d.file, h.place, h.subtree)}"
 
 
 def _spans(index: NDArray[np.int_]) -> list[tuple[int, int, int]]:
@@ -45,20 +50,19 @@ def _spans(index: NDArray[np.int_]) -> list[tuple[int, int, int]]:
 
 
 def _shade_phases(
-    axes: Axes, names: Sequence[str], phase: NDArray[np.int_], limits: tuple[float, float], *, named: bool
+    axes: Axes, names: Sequence[str], phase: NDArray[np.int_], times: Array, *, named: bool
 ) -> None:
     """Every other phase shaded; the two short ones are named a line higher."""
-    start, end = limits
-    step = (end - start) / len(phase)
+    step = times[1] - times[0]
     spans = _spans(phase)
     widest = {k: max((b - a, a) for a, b, value in spans if value == k)[1] for _, _, k in spans}
     for first, last, k in spans:
         if k % 2:
-            axes.axvspan(start + first * step, start + last * step, color="#EEF1F4", lw=0, zorder=0)
+            axes.axvspan(times[0] + first * step, times[0] + last * step, color="#EEF1F4", lw=0, zorder=0)
         if named and widest[k] == first:
             axes.annotate(
                 names[k],
-                (start + 0.5 * (first + last) * step, 1.0),
+                (times[0] + 0.5 * (first + last) * step, 1.0),
                 xycoords=("data", "axes fraction"),
                 xytext=(0, 11 if k % 2 else 2),
                 textcoords="offset points",
@@ -66,52 +70,52 @@ def _shade_phases(
                 fontsize=7,
                 color="#666666",
             )
-    axes.set_xlim(start, end)
 
 
 def _draw_gap(figure: Figure | SubFigure, d: Diagnosis) -> None:
     data = d.data
-    n = data.n_series
-    columns = min(n, 3)
-    blocks = math.ceil(n / columns)
+    columns = min(data.n_series, 3)
+    blocks = math.ceil(data.n_series / columns)
     cause = _cause_name(d)
-    in_ms = data.period is not None and data.time_unit == "s"
-    scale, unit = (1e3, "ms") if in_ms else (1.0, data.time_unit)
-    time_ms, period_ms = scale * data.times, scale * (data.times[0] + data.duration)
-    names, phase = d.hooks.phases_of(data, d.hooks.rows(data))
-    clock = f"time in the beat ({unit})" if data.period is not None else f"time ({unit})"
+    beat = study_of(d) is not None
+    times = (1e3 if beat else 1.0) * data.times
+    duration = (1e3 if beat else 1.0) * data.duration
+    phase_names, phase = phases_of(d)
     grid = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=(3, 1.6) * blocks)
     for axes in grid.flat[:]:
         axes.set_axis_off()
-    for i, (series, row) in enumerate(zip(data.values, d.file.gap.per_series, strict=True)):
+    for i, (values, row) in enumerate(zip(data.values, d.file.gap.per_series, strict=True)):
         top, bottom = (grid[2 * (i // columns) + k, i % columns] for k in (0, 1))
         for axes in (top, bottom):
             axes.set_axis_on()
-            _shade_phases(axes, names, phase, (time_ms[0], period_ms), named=axes is top)
-        top.plot(time_ms, series, color=INK, lw=2.2, alpha=0.35, label="measured")
-        computed = series - d.before.residual[i]
-        top.plot(time_ms, computed, color=GAP_COLOUR, lw=1.2, ls=DASHED, label="base")
+            _shade_phases(axes, phase_names, phase, times, named=axes is top)
+            axes.set_xlim(times[0], times[0] + duration)
+        top.plot(times, values, color=INK, lw=2.2, alpha=0.35, label="measured")
+        computed = values - d.before.residual[i]
+        top.plot(times, computed, color=GAP_COLOUR, lw=1.2, ls=DASHED, label="base")
         drawn = [("base", d.before, GAP_COLOUR)]
         if cause:
-            computed = series - d.after.residual[i]
-            top.plot(time_ms, computed, color=CAUSE_COLOUR, lw=1.2, label=f"base + {cause}")
+            computed = values - d.after.residual[i]
+            top.plot(times, computed, color=CAUSE_COLOUR, lw=1.2, label=f"base + {cause}")
             drawn.append(("base + cause", d.after, CAUSE_COLOUR))
         if len(d.file.steps) > 1:
             label = f"base + {' + '.join(step.name for step in d.file.steps)}"
-            top.plot(time_ms, d.computed[1][i], color=ALL_COLOUR, lw=1.1, ls=DOTTED, label=label)
+            top.plot(times, d.computed[1][i], color=ALL_COLOUR, lw=1.1, ls=DOTTED, label=label)
         noise = row.noise_floor
         bottom.axhspan(-noise, noise, color="#B8C0C8", alpha=0.45, lw=0, zorder=1, label="noise (sd)")
         bottom.axhline(0, color="#888888", lw=0.7)
         for label, found, colour in drawn:
             mean, sd = found.mean[i], 1.96 * found.sd[i]
             label = f"discrepancy of {label}, 95 %"
-            bottom.fill_between(time_ms, mean - sd, mean + sd, color=colour, alpha=0.3, lw=0, zorder=2)
-            bottom.plot(time_ms, mean, color=colour, lw=1.2, zorder=3, label=label)
-        top.set_title(f"{data.labels[i].rsplit(' ', 1)[0]}: {_shrinks(row, bool(cause))}", pad=24)
-        top.set_ylabel(QUANTITY_LABELS.get(data.groups[i], f"{data.groups[i]} ({data.units[i]})"))
+            bottom.fill_between(times, mean - sd, mean + sd, color=colour, alpha=0.3, lw=0, zorder=2)
+            bottom.plot(times, mean, color=colour, lw=1.2, zorder=3, label=label)
+        group = data.groups[i]
+        label = data.labels[i].removesuffix(f" {group}")
+        top.set_title(f"{label}: {_shrinks(row, bool(cause))}", pad=24)
+        top.set_ylabel(QUANTITY_LABELS.get(group, f"{group} ({data.units[i]})"))
         top.tick_params(labelbottom=False)
         bottom.set_ylabel(f"gap ({row.unit})")
-        bottom.set_xlabel(clock)
+        bottom.set_xlabel("time in the beat (ms)" if beat else f"time ({data.time_unit})")
     handles = [handle for axes in grid[:2, 0] for handle in axes.get_legend_handles_labels()[0]]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
 
@@ -119,7 +123,7 @@ def _draw_gap(figure: Figure | SubFigure, d: Diagnosis) -> None:
 def _shrinks(row: SeriesGap, cause: bool) -> str:
     """Such as "gap 0.25 to 0.01 mmHg"."""
     after = f" to {row.after.mean:.2g}" if cause else ""
-    return f"gap {row.before.mean:.2g}{after} {row.unit}"
+    return f"gap {row.before.mean:.2g}{after}{unit_words(row.unit)}"
 
 
 def plot_gap(d: Diagnosis) -> Figure:
@@ -154,7 +158,7 @@ def _group_colours(d: Diagnosis) -> dict[int, str]:
 def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
     axes = figure.subplots()
     found = d.file.hypotheses
-    unit = d.file.record.get("gap_unit", "mmHg")
+    unit = unit_words(d.file.gap.unit)
     colours = _group_colours(d)
     zero = next(h.log_evidence for h in found if h.name == NULL)
     special = {NULL: "noise alone", NONPARAMETRIC: "none of those listed", CORRELATED: "correlated noise"}
@@ -175,7 +179,7 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
         if hidden:
             words = "invisible here"
         elif h.name not in (NONPARAMETRIC, CORRELATED):
-            words += f", gap {h.gap_after:.2g} {unit}"
+            words += f", gap {h.gap_after:.2g}{unit}"
         axes.annotate(
             words,
             (1.0, row),
@@ -191,11 +195,7 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
     axes.xaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
     axes.margins(x=0.08)
     names = [
-        f"{h.name} ({special[h.name]})"
-        if h.name in special and h.name != CORRELATED
-        else h.name
-        if h.place is None
-        else f"{h.name}, {location_name(h)}"
+        f"{h.name} ({special[h.name]})" if h.name in special and h.name != CORRELATED else _named(h, d)
         for h in found
     ]
     axes.set_yticks(np.arange(len(found)), names)
@@ -241,35 +241,32 @@ def plot_hypotheses(d: Diagnosis) -> Figure:
 def _draw_where(figure: Figure | SubFigure, d: Diagnosis) -> None:
     left, right = parts(figure, 1, 2, width_ratios=(1, 1.9))
     where = d.file.where
-    panels = (("phase", where.phase), ("harmonic", where.harmonic), ("series", where.series))
+    study = study_of(d)
+    series = {
+        label.removesuffix(unit_suffix(d.data.units[d.data.labels.index(label)])): share
+        for label, share in where.series.items()
+    }
+    title = "phase" if study is None else "phase of the beat"
+    panels = ((title, where.phase), ("harmonic", where.harmonic), ("series", series))
     ratios = [max(2.5, float(len(shares))) for _, shares in panels]
     for axes, (title, shares) in zip(left.subplots(3, 1, height_ratios=ratios), panels, strict=True):
         axes.barh(np.arange(len(shares)), [100 * v for v in shares.values()], color=GAP_COLOUR, height=0.7)
-        axes.set_yticks(np.arange(len(shares)), [name.rsplit("_", 1)[0] for name in shares], fontsize="small")
+        axes.set_yticks(np.arange(len(shares)), list(shares), fontsize="small")
         axes.set_ylim(len(shares) - 0.4, -0.6)
         axes.set_xlim(0, 100)
         axes.set_title(title)
     axes.set_xlabel("share of the gap's energy (%)")
-    if isinstance(d, StudyDiagnosis):
-        draw_tree(right.subplots(), d)
+    if study is None:
+        draw_locations(right.subplots(), d)
     else:
-        _draw_locations(right.subplots(), d)
-
-
-def _draw_locations(axes: Axes, d: Diagnosis) -> None:
-    """Probabilities of the locations of a simulator that has no tree."""
-    shares = {location_name(share): 100 * share.probability for share in d.file.where.place[:12]}
-    axes.barh(np.arange(len(shares)), list(shares.values()), color=CAUSE_COLOUR, height=0.7)
-    axes.set_yticks(np.arange(len(shares)), list(shares), fontsize="small")
-    axes.set_ylim(len(shares) - 0.4, -0.6)
-    axes.set_xlim(0, 100)
-    axes.set_title("location")
-    axes.set_xlabel("probability (%)")
+        draw_tree(right.subplots(), d, study)
 
 
 def _where_height(d: Diagnosis) -> float:
-    vessels = d.study.vessels if isinstance(d, StudyDiagnosis) else ()
-    terminals = len(vessels) - len({v.parent for v in vessels} - {None})
+    study = study_of(d)
+    terminals = len(d.file.where.place)
+    if study is not None:
+        terminals = len(study.vessels) - len({v.parent for v in study.vessels} - {None})
     bars = 5 + len(d.file.where.harmonic) + len(d.file.where.series)
     return min(24.0, max(1.8 + 0.24 * bars, 1.5 + 0.3 * terminals))
 

@@ -9,23 +9,16 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from zoo.core.diagnosis.file import HypothesisResult, LocationShare
-from zoo.core.effects import Location
 from zoo.plots.style import COLOURS, INK
+from zoo.plots.subject import location_of
 
 if TYPE_CHECKING:
-    from zoo.blood.diagnosis import StudyDiagnosis
-    from zoo.blood.study import Vessel
+    from zoo.blood.study import Study, Vessel
+    from zoo.core.diagnosis import Diagnosis
 
 LOCATION_COLOURS = ("#DDE2E8", "#E69F00", "#B23A00")
 """From improbable to certain; the first still shows on white."""
 LABELLED_VESSELS = 45
-
-
-def location_name(found: HypothesisResult | LocationShare) -> str:
-    """Such as "vessel 2 and below"."""
-    part = found.place if isinstance(found, HypothesisResult) else found.part
-    return str(Location(part, found.subtree, "vessel" if isinstance(part, int) else ""))
 
 
 def tree_layout(vessels: Sequence[Vessel]) -> dict[int, tuple[float, float, float, float]]:
@@ -65,19 +58,21 @@ def _below(vessels: Sequence[Vessel], vessel: int) -> set[int]:
     return inside
 
 
-def draw_tree(axes: Axes, d: StudyDiagnosis) -> None:
-    vessels = d.study.vessels
+def draw_tree(axes: Axes, d: Diagnosis, study: Study) -> None:
+    """Vessels coloured by the probability that the cause acts in them, with the sensors."""
+    vessels = study.vessels
     probability = {v.id: 0.0 for v in vessels}
     everywhere = 0.0
     for share in d.file.where.place:
         if share.part is None:
             everywhere += share.probability
         else:
-            for v in _below(vessels, int(share.part)) if share.subtree else {share.part}:
+            vessel_id = int(share.part)
+            for v in _below(vessels, vessel_id) if share.subtree else {vessel_id}:
                 probability[v] += share.probability
     colours = mpl.colors.LinearSegmentedColormap.from_list("locations", LOCATION_COLOURS)
     layout = tree_layout(vessels)
-    sensors = dict.fromkeys((s.vessel, s.position) for s in d.study.series)
+    sensors = dict.fromkeys((s.vessel, s.position) for s in study.series)
     marked = {vessel for vessel, position in sensors if abs(position - 0.5) < 0.25}
     thickest = max(v.radius_cm for v in vessels)
     for vessel in vessels:
@@ -99,7 +94,8 @@ def draw_tree(axes: Axes, d: StudyDiagnosis) -> None:
     wanted = d.file.next_measurement
     marks: list[tuple[tuple[int, float], str, str, str]] = [(p, "o", "white", "measured") for p in sensors]
     if wanted is not None:
-        marks.append(((wanted.vessel, wanted.position), "*", COLOURS[0], "measure next"))
+        at = wanted.model_extra or {}
+        marks.append(((at["vessel"], at["position"]), "*", COLOURS[0], "measure next"))
     for (vessel_id, position), marker, fill, label in marks:
         x0, y0, x1, y1 = layout[vessel_id]
         x, y = x0 + position * (x1 - x0), y0 + position * (y1 - y0)
@@ -116,7 +112,7 @@ def draw_tree(axes: Axes, d: StudyDiagnosis) -> None:
     )
     listed = [p for p in d.file.where.place if p.part is not None and p.probability >= 0.01][:3]
     axes.annotate(
-        "\n".join(f"{location_name(p)}: {100 * p.probability:.0f} %" for p in listed),
+        "\n".join(f"{location_of(d.file, p.part, p.subtree)}: {100 * p.probability:.0f} %" for p in listed),
         (0.01, 0.91),
         xycoords="axes fraction",
         va="top",
@@ -132,3 +128,15 @@ def draw_tree(axes: Axes, d: StudyDiagnosis) -> None:
     bar = axes.figure.colorbar(scale, ax=axes, shrink=0.6, aspect=30)
     bar.set_label("probability that the cause acts in the vessel", fontsize="small")
     bar.outline.set_visible(False)
+
+
+def draw_locations(axes: Axes, d: Diagnosis) -> None:
+    """Locations with the probability that the cause acts there, for data that are not of a tree."""
+    shares = d.file.where.place
+    rows = np.arange(len(shares))
+    axes.barh(rows, [100 * p.probability for p in shares], color=LOCATION_COLOURS[1], height=0.7)
+    axes.set_yticks(rows, [location_of(d.file, p.part, p.subtree) for p in shares], fontsize="small")
+    axes.set_ylim(max(len(shares), 1) - 0.4, -0.6)
+    axes.set_xlim(0, 100)
+    axes.set_title("place")
+    axes.set_xlabel("probability that the cause acts there (%)")

@@ -2,7 +2,7 @@
 
 from zoo.report.chapter import Chapter, sampling_command
 from zoo.report.chapters import BANNER, gather, stored, write_chapters, write_report
-from zoo.report.diagnosis import diagnosis_summary, total_seconds, write_diagnosis
+from zoo.report.diagnosis import diagnosis_summary, next_measurement_words, total_seconds, write_diagnosis
 from zoo.report.page import ReportError
 from zoo.report.sentences import summary
 
@@ -12,6 +12,7 @@ __all__ = [
     "ReportError",
     "diagnosis_summary",
     "gather",
+    "next_measurement_words",
     "sampling_command",
     "stored",
     "summary",

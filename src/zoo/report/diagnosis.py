@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from zoo.blood.effects import CATALOGUE
-from zoo.core.diagnosis.file import DiagnosisFile, HypothesisResult
+from zoo.core.diagnosis import DiagnosisFile
+from zoo.core.diagnosis.file import AddedStep, HypothesisResult, SeriesGap
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.plots import plot_diagnosis, plot_gap, plot_hypotheses, plot_where, save_figure
+from zoo.plots.subject import location_of, study_of, unit_words
 from zoo.report.page import ReportError, picture_of, write_page
 from zoo.report.parameters import MEANINGS
-from zoo.report.words import estimate, listed, location_text, maybe, percent, settings_text, span, value_text
+from zoo.report.words import estimate, listed, maybe, percent, settings_text, span, value_text
 
 if TYPE_CHECKING:
-    from zoo.blood.diagnosis import StudyDiagnosis
+    from zoo.core.diagnosis import Diagnosis
 
 DIAGNOSIS_FIGURES = {
     "gap": (
@@ -43,12 +45,12 @@ MADE_UP = {
 """Explanations outside the catalogue."""
 
 
-def write_diagnosis(diagnosis: StudyDiagnosis, folder: str | Path, *, command: str = "") -> list[Path]:
+def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = "") -> list[Path]:
     """Write a diagnosis into a folder: diagnosis.json, a self-contained report.html, and its figures.
 
     Parameters
     ----------
-    diagnosis : StudyDiagnosis
+    diagnosis : Diagnosis
     folder : path
         Made if it is missing.
     command : str
@@ -74,27 +76,29 @@ def write_diagnosis(diagnosis: StudyDiagnosis, folder: str | Path, *, command: s
     written = [diagnosis.save(folder), folder / "report.html"]
     pictures = {}
     for name, (draw, caption) in DIAGNOSIS_FIGURES.items():
+        if name == "where" and study_of(diagnosis) is None:
+            caption = "Shares of the gap's energy, and the probability that a listed cause acts in a place."
         figure = draw(diagnosis)
         written.append(save_figure(figure, folder / f"{name}.png"))
         pictures[name] = picture_of(figure, f"{caption} The tables have the numbers.", caption)
     written.append(save_figure(plot_diagnosis(diagnosis), folder / "diagnosis.png"))
     file = diagnosis.file
-    unit = str(file.record.get("gap_unit", "mmHg"))
     write_page(
         written[1],
         "diagnosis.html",
         title=f"What {file.base} misses in {file.study}",
         file=file,
-        unit=unit,
+        unit=file.gap.unit,
+        next=_next_words(file),
         summary=diagnosis_summary(file),
-        estimate=estimate,
         facts=_diagnosis_facts(diagnosis),
         gap=[_gap_row(row) for row in file.gap.per_series],
         where=_where_sentences(file),
         hypotheses=[_hypothesis_row(h, file) for h in file.hypotheses],
         groups=_groups(file),
         moved=_moved(file),
-        confirmation=_confirmed(file),
+        steps=[_step_row(step, file) for step in file.steps],
+        posteriors=_posterior_rows(file),
         pictures=pictures,
         command=command,
     )
@@ -134,57 +138,97 @@ def diagnosis_summary(file: DiagnosisFile) -> list[str]:
     -------
     list of str
     """
-    gap, unit = file.gap, str(file.record.get("gap_unit", "mmHg"))
+    gap, unit = file.gap, unit_words(file.gap.unit)
     lines = [f"Verdict: {file.verdict}.", *(f"Warning: {text}." for text in file.warnings)]
-    before = f"{span(gap.before, gap.before_interval)} {unit}"
-    floor = f"the noise {gap.noise_floor:.2g} {unit}"
+    before = f"{span(gap.before, gap.before_interval)}{unit}"
+    floor = f"the noise {gap.noise_floor:.2g}{unit}"
     if file.hypotheses[0].name in (NULL, NONPARAMETRIC, CORRELATED):
         lines.append(f"Beside the noise the base leaves a gap of {before}; {floor}.")
     else:
         lines.append(
             f"The gap of the base is {before}, with its cause "
-            f"{span(gap.after, gap.after_interval)} {unit}: {percent(gap.removed)} is removed "
+            f"{span(gap.after, gap.after_interval)}{unit}: {percent(gap.removed)} is removed "
             f"({percent(gap.removed_interval[0])} to {percent(gap.removed_interval[1])}); {floor}."
         )
     if gap.held_out_before is not None and gap.held_out_after is not None:
         lines.append(
             f"In data that were not fitted ({gap.held_out}) the gap goes from "
-            f"{gap.held_out_before:.2g} to {gap.held_out_after:.2g} {unit}."
+            f"{gap.held_out_before:.2g} to {gap.held_out_after:.2g}{unit}."
         )
     if len(file.steps) > 1:
         lines.append(
-            f"One after the other were added: {'; '.join(_step(step, unit) for step in file.steps)}."
+            f"One after the other were added: {'; '.join(_step(step, file) for step in file.steps)}."
         )
     if file.failed:
         lines.append(f"The solver failed wherever these were tried: {listed(file.failed)}.")
     return lines
 
 
-def _step(step: Any, unit: str) -> str:
-    where = "" if step.place is None else f" ({location_text(step.place, step.subtree)})"
-    sizes = ", ".join(f"{a.name} {estimate(a.mean, a.sd, a.unit)}" for a in step.amplitudes)
+def _sizes(step: AddedStep) -> str:
+    return ", ".join(f"{a.name} {estimate(a.mean, a.sd, a.unit)}" for a in step.amplitudes)
+
+
+def _step(step: AddedStep, file: DiagnosisFile) -> str:
+    where = "" if step.place is None else f" ({location_of(file, step.place, step.subtree)})"
     return (
-        f"{step.name}{where}, {percent(step.probability)} probable, {sizes}: "
-        f"{step.gap_before:.2g} to {step.gap_after:.2g} {unit}"
+        f"{step.name}{where}, {percent(step.probability)} probable, {_sizes(step)}: "
+        f"{step.gap_before:.2g} to {step.gap_after:.2g}{unit_words(file.gap.unit)}"
     )
 
 
-def _diagnosis_facts(diagnosis: StudyDiagnosis) -> list[tuple[str, str]]:
-    study, file = diagnosis.study, diagnosis.file
-    series = ", ".join(f"{s.label} ({len(s.value)} samples)" for s in study.series)
+def _step_row(step: AddedStep, file: DiagnosisFile) -> dict[str, Any]:
+    return {
+        "name": step.name,
+        "where": "" if step.place is None else location_of(file, step.place, step.subtree),
+        "probability": f"{100 * step.probability:.0f} %",
+        "sizes": _sizes(step),
+        "gaps": [f"{step.gap_before:.2g}", f"{step.gap_after:.2g}"],
+    }
+
+
+def next_measurement_words(file: DiagnosisFile) -> str:
+    """What to measure next: such as "flow_ml_s in vessel 5 at 0.5"; empty where nothing would tell.
+
+    Parameters
+    ----------
+    file : DiagnosisFile
+
+    Returns
+    -------
+    str
+    """
+    if file.next_measurement is None:
+        return ""
+    words = file.next_measurement.model_extra or {}
+    if {"quantity", "vessel", "position"} <= set(words):
+        return f"{words['quantity']} in vessel {words['vessel']} at {words['position']:g}"
+    return ", ".join(f"{name} {value_text(value)}" for name, value in words.items())
+
+
+def _next_words(file: DiagnosisFile) -> str:
+    """The same as the beginning of a sentence."""
+    words = next_measurement_words(file)
+    for quantity, name in (("pressure_mmHg", "Pressure"), ("flow_ml_s", "Flow")):
+        if words.startswith(f"{quantity} in vessel"):
+            return words.replace(quantity, name, 1) + " of its length"
+    return words[:1].upper() + words[1:]
+
+
+def _diagnosis_facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    data, file, study = diagnosis.data, diagnosis.file, study_of(diagnosis)
+    series = ", ".join(f"{label} ({data.n_times} samples)" for label in data.labels)
     record = file.record
     noise = [
         f"{quantity}: " + ", ".join(f"{name} {value_text(value)}" for name, value in errors.items())
         for quantity, errors in record.get("noise", {}).items()
     ]
-    facts = [
-        ("study", f"{study.name}, {len(study.vessels)} vessels, period {1e3 * study.period_s:g} ms"),
-        ("observed", series),
-        ("checksum", file.study_checksum),
-        ("base", file.base),
-        ("conventions", study.conventions.name),
-        ("errors", "; ".join(noise)),
-    ]
+    if study is None:
+        facts = [("data", data.name)]
+    else:
+        facts = [("study", f"{study.name}, {len(study.vessels)} vessels, period {1e3 * study.period_s:g} ms")]
+    facts += [("observed", series), ("checksum", file.study_checksum), ("base", file.base)]
+    facts += [] if study is None else [("conventions", study.conventions.name)]
+    facts.append(("errors", "; ".join(noise)))
     seconds = {
         "screening_seconds": record.get("screening_seconds"),
         "posterior_seconds": _posterior_seconds(record),
@@ -199,7 +243,7 @@ def _diagnosis_facts(diagnosis: StudyDiagnosis) -> list[tuple[str, str]]:
     return facts
 
 
-def _gap_row(row: Any) -> list[str]:
+def _gap_row(row: SeriesGap) -> list[str]:
     removed = 1.0 - row.after.mean / row.before.mean if row.before.mean > 0 else 0.0
     return [
         row.series,
@@ -219,7 +263,7 @@ def _where_sentences(file: DiagnosisFile) -> list[str]:
     for what, shares in (("phase", where.phase), ("harmonic", where.harmonic), ("series", where.series)):
         named = [f"{name} ({percent(share)})" for name, share in shares.items() if share >= 0.005]
         lines.append(f"By {what}: {', '.join(named) or 'nothing'}.")
-    places = [f"{location_text(p.part, p.subtree)} ({percent(p.probability)})" for p in where.place[:5]]
+    places = [f"{location_of(file, p.part, p.subtree)} ({percent(p.probability)})" for p in where.place[:5]]
     lines.append(f"Place: {', '.join(places) or 'unknown'}.")
     return lines
 
@@ -237,7 +281,7 @@ def _hypothesis_row(h: HypothesisResult, file: DiagnosisFile) -> dict[str, Any]:
         "statement": CATALOGUE[h.name].statement if h.name in CATALOGUE else MADE_UP.get(h.name, ""),
         "hidden": h.name in file.invisible,
         "cells": [
-            "" if h.place is None else location_text(h.place, h.subtree),
+            "" if h.place is None else location_of(file, h.place, h.subtree),
             "invisible" if h.name in file.invisible else percent(h.probability),
             str(h.group),
             f"{h.log_evidence - zero:+.1f}",
@@ -284,8 +328,8 @@ def _moved(file: DiagnosisFile) -> list[list[str]]:
     return rows
 
 
-def _confirmed(file: DiagnosisFile) -> list[dict[str, Any]]:
-    """Rows of the confirmation, best marginal likelihood first."""
+def _posterior_rows(file: DiagnosisFile) -> list[dict[str, Any]]:
+    """Rows of the posteriors that were sampled, best marginal likelihood first."""
     rows = []
     found = file.posteriors or {}
 

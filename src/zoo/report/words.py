@@ -5,13 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from zoo.core.effects import Location
-
-
-def location_text(vessel: int | str | None, subtree: bool) -> str:
-    """Such as "vessel 2 and below"; None stands for everywhere alike."""
-    return str(Location(vessel, subtree, "vessel" if isinstance(vessel, int) else ""))
-
 
 def listed(names: Iterable[Any]) -> str:
     """Such as "A, B and C"."""

@@ -1,8 +1,7 @@
 """Screening: the evidence for each effect, from a search and a linearisation.
 
 Each hypothesis (the baseline with an effect somewhere) is taken to its mode by Gauss-Newton steps with
-Broyden's updates; the marginal likelihood around the mode is that of the linearised model, which is exact
-for it.
+Broyden's updates; the marginal likelihood around the mode is that of the linearised model, which is exact for it.
 """
 
 from __future__ import annotations
@@ -60,6 +59,9 @@ class Screening:
         Harmonics for periodic data, cosines for others.
     added : sequence of AddedEffect
         Effects that every hypothesis has.
+    start : array, optional
+        Search coordinates of the baseline and those effects where a search begins, such as what an earlier
+        screening found; their own start if absent.
     cores : int
         Threads that solve.
     tick : callable, optional
@@ -74,6 +76,7 @@ class Screening:
         *,
         errors: Spectral,
         added: Sequence[AddedEffect] = (),
+        start: Array | None = None,
         cores: int = 2,
         tick: Callable[[str, float], None] | None = None,
     ) -> None:
@@ -81,6 +84,7 @@ class Screening:
         self.errors = errors.bind(data)
         self.coefficients = self.errors.flat(data.values)
         self.added = tuple(added)
+        self.start = start
         self.cores = cores
         self.tick = tick or _silent
         self.forwards: list[HypothesisModel] = []
@@ -171,13 +175,14 @@ class Screening:
         # loose errors first: far from the mode a tenth of the range is what the linearisation is good for
         S = self.errors.variances({q: GroupErrors(0.1 * size) for q, size in self.range.items()})
         search = Search(forward, self.coefficients, S)
-        point = search.refine(search.descend(search.at(forward.start), 10, 1e-3), 4)
+        start = forward.start if self.start is None else self.start
+        point = search.refine(search.descend(search.at(start), 10, 1e-3), 4)
         for _ in range(3):
             errors = self._noise(self.coefficients - point.computed, self.numerics())
             search = Search(forward, self.coefficients, self.errors.variances(errors))
             point = replace(point, cost=search.cost(point.u, point.computed))
             before = point.cost
-            point = search.refine(point, 2)
+            point = search.refine(point, 2, fine=True)
             if before - point.cost < 0.1:
                 break
         return self.evidence(forward, point, self.numerics())
@@ -186,7 +191,7 @@ class Screening:
         """The baseline's best fit beside the noise that a nonparametric discrepancy leaves."""
         search = Search(base.forward, self.coefficients, self.beside(noise, self.numerics()))
         return self.evidence(
-            base.forward, search.refine(search.descend(search.resume(base), 8), 2), self.numerics()
+            base.forward, search.refine(search.descend(search.resume(base), 8), 2, fine=True), self.numerics()
         )
 
     def fit_free(self, base: Fit, name: str) -> Fit:
@@ -305,12 +310,12 @@ class Screening:
                 continue
             if point.cost < best.cost:
                 best = point
-        found = self.evidence(fit.forward, search.refine(best, 6, 15), allowances)
+        found = self.evidence(fit.forward, search.refine(best, 6, 15, fine=True), allowances)
         for _ in range(3):  # a free discrepancy leaves other noise than a cause
             search = Search(fit.forward, self.coefficients, self.beside(found.errors, self.numerics()))
             best = search.resume(found)
             before = best.cost
-            best = search.refine(best, 6, 15)
+            best = search.refine(best, 6, 15, fine=True)
             found = self.evidence(fit.forward, best, allowances)
             if before - best.cost < 0.1:
                 break
@@ -321,8 +326,8 @@ class Screening:
     def _start(parameters: Sequence[EffectParameter], first: float) -> Array:
         return np.array([first, *(a.centre for a in parameters[1:])])
 
-    def _secant(self, search: Search[HypothesisModel], base: Fit, start: Array) -> Point:
-        """A start with the baseline's own Jacobian, and secants for the effect's; solved once."""
+    def _secant(self, search: Search, base: Fit, start: Array) -> Point:
+        """A start with the baseline's own Jacobian, and secants from the base for the effect's; solved once."""
         key = (search.forward.hypothesis, start.tobytes())
         if key in self._secants:
             known = self._secants[key]
@@ -349,7 +354,7 @@ class Screening:
         self._secants[key] = point
         return point
 
-    def _aim(self, search: Search[HypothesisModel], point: Point) -> tuple[float, float]:
+    def _aim(self, search: Search, point: Point) -> tuple[float, float]:
         """Evidence of the linearised model, and where its mode has the first parameter."""
         _, precision, pull = search.forward.prior(point.u)
         log_z, step, _ = marginal(

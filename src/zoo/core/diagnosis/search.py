@@ -88,15 +88,20 @@ class Search(Generic[F]):
         """A point (or a fit) of another search, with its cost in this one."""
         return Point(point.u, point.computed, point.jacobian, self.cost(point.u, point.computed))
 
-    def differences(self, point: Point, guess: Array | None) -> Array:
-        """Jacobian by one-sided differences, of steps that change the series by about twice their noise."""
-        forward, wanted = self.forward, 2.0 * math.sqrt(float(len(self.S)))
+    def differences(self, point: Point, guess: Array | None, *, fine: bool = False) -> Array:
+        """Jacobian by one-sided differences, of steps that change the series by about twice their noise.
+
+        Fine steps change the log-likelihood by about 2: where there are many samples, the posterior is much
+        narrower than the noise of one.
+        """
+        forward, wanted = self.forward, 2.0 if fine else 2.0 * math.sqrt(float(len(self.S)))
+        least = 1e-4 if fine else 0.01
         columns = []
         for i, unit in enumerate(forward.units):
             step = 0.05 * unit
             if guess is not None:
                 size = math.sqrt(float(np.sum(guess[:, i] ** 2 / self.S)))
-                step = float(np.clip(wanted / size, 0.01 * unit, 0.3 * unit)) if size > 0 else 0.3 * unit
+                step = float(np.clip(wanted / size, least * unit, 0.3 * unit)) if size > 0 else 0.3 * unit
             room = (forward.low[i] - point.u[i], forward.high[i] - point.u[i])
             if step > room[1]:
                 step = max(-step, room[0])
@@ -175,14 +180,20 @@ class Search(Generic[F]):
                     break
         return point
 
-    def refine(self, point: Point, rounds: int = 3, iterations: int = 6) -> Point:
-        """Fresh Jacobians and descents until one gains nothing."""
+    def refine(self, point: Point, rounds: int = 3, iterations: int = 6, *, fine: bool = False) -> Point:
+        """Fresh Jacobians and descents until one gains nothing; then, if `fine`, the same with fine steps."""
         for _ in range(rounds):
             before = point.cost
             point = replace(point, jacobian=self.differences(point, point.jacobian))
             point = self.descend(point, iterations, damping=1e-9)  # damping would stop it on a ridge
             if before - point.cost < 0.1:
                 break
+        for _ in range(rounds if fine else 0):
+            jacobian = self.differences(point, point.jacobian, fine=True)
+            moved = self.descend(replace(point, jacobian=jacobian), iterations, damping=1e-9)
+            if point.cost - moved.cost < 0.1:
+                break
+            point = moved
         return point
 
 

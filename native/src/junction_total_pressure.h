@@ -17,23 +17,25 @@
  * daughters; two equations for dP and dH remain.  It starts from the old time,
  * which is near: two or three rounds.
  */
-#ifndef ZOO_JUNCTION_EXTRA_H
-#define ZOO_JUNCTION_EXTRA_H
+#ifndef ZOO_JUNCTION_TOTAL_PRESSURE_H
+#define ZOO_JUNCTION_TOTAL_PRESSURE_H
 
 #include "internal.h"
 
-ZOO_INLINE void junction_extra(const int wall, const int W, zoo_sim *s, zoo_junctions *ju)
+ZOO_INLINE void junction_total_pressure(const int wall, const int W, zoo_sim *s, zoo_junction_group *ju)
 {
     enum { ROUNDS = 30 };
     const int n = ju->count, nb = ju->branches;
     const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum, rho = 1.0 / inv_rho, per_dt = 1.0 / dt;
-    const double dynamic = rho * s->problem->extras.total_pressure, lossy = rho * s->problem->extras.junction_loss;
+    const double dynamic = rho * s->problem->junction.total_pressure, lossy = rho * s->problem->junction.loss;
     const double later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
     const int *restrict node = ju->node, *restrict mid = ju->mid, *restrict junction = ju->junction;
     const double *restrict w = ju->w, *restrict per_w = ju->per_w, *restrict A0 = ju->A0,
                            *restrict f_s = ju->f_s, *restrict f_c = ju->f_c, *restrict sign = ju->sign;
     const double *restrict kappa = s->kappa, *restrict leak = s->leak, *restrict loss = s->loss,
-                           *restrict off = s->off, *restrict inv_A0 = s->inv_A0, *restrict K = s->K, *restrict th = s->theta;
+                           *restrict off = s->off, *restrict inv_A0 = s->inv_A0, *restrict K = s->K;
+    const double *restrict th = s->coefficient;
+    const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
     const double *restrict Ah = s->Ah, *restrict qh = s->qh, *restrict Ph = s->Ph, *restrict Mh = s->Mh,
                            *restrict Gh = s->Gh;
     double *restrict A = s->A, *restrict q = s->q;
@@ -77,16 +79,15 @@ ZOO_INLINE void junction_extra(const int wall, const int W, zoo_sim *s, zoo_junc
             const int v = node[x];
             const double is = sign[x], below = 0.5 * (1.0 - is) * D[y];
             const double K1 = wall_stiffened(K[o], stiff, later, kappa[v]), a = area[i] * inv_A0[v];
-            const double root = a * wall_rsqrt(a), per_area = wall_reciprocal(area[i]);
-            const double elastic = wall_p(wall, K1, th[o], a, root), tangent = elastic * wall_reciprocal(K1);
-            const double slope = wall == ZOO_WALL_LINEAR ? 0.5 * K1 * root * per_area
-                                                         : K1 * th[o] * (1.0 + tangent * tangent) * inv_A0[v];
+            const double root = a * fast_rsqrt(a), per_area = fast_reciprocal(area[i]);
+            const double elastic = wall_p(wall, K1, (wall_shape){th + o, stride}, a, root);
+            const double slope = wall_slope_area(wall, K1, (wall_shape){th + o, stride}, elastic, root, per_area, inv_A0[v]);
             const double u = flow[i] * per_area, at_u = dynamic * u * per_area;
             const double F1 = elastic + off[o] + 0.5 * dynamic * u * u + below - P[y];
             const double F1_a = slope - at_u * u, F1_q = at_u;
             /* momentum of the half cell; `half` and `flux` are its end's area and flow at mid-step */
             const double half = 0.5 * (A[o] + area[i]), ratio = half * inv_A0[v];
-            const double half_root = ratio * wall_rsqrt(ratio), per_half = wall_reciprocal(half);
+            const double half_root = ratio * fast_rsqrt(ratio), per_half = fast_reciprocal(half);
             const double flux = qh[m] - is * w[x] * ((area[i] - A[o]) * per_dt + leak[v] * Ph[m]);
             const double flux_a = -is * w[x] * per_dt, mean_u = flux * per_half;
             const double drag = (f_s[x] * half_root + f_c[x] + leak[v] * Ph[m]) * per_half, sink = loss[v] * half;
@@ -101,7 +102,7 @@ ZOO_INLINE void junction_extra(const int wall, const int W, zoo_sim *s, zoo_junc
                       0.5 * push * at_u * u) +
                 0.5 * dt * (drag_a * flux + drag * flux_a + (0.5 * loss[v] * flux + 2.0 * sink * flux_a) * fabs(flux));
             const double F2_q = 1.0 - 0.5 * is * push * at_u;
-            const double inv = wall_reciprocal(F1_a * F2_q - F1_q * F2_a);
+            const double inv = fast_reciprocal(F1_a * F2_q - F1_q * F2_a);
             a0[i] = (F1_q * F2 - F2_q * F1) * inv;
             q0[i] = (F2_a * F1 - F1_a * F2) * inv;
             aP[i] = F2_q * inv;
@@ -150,15 +151,15 @@ ZOO_INLINE void junction_extra(const int wall, const int W, zoo_sim *s, zoo_junc
             const ptrdiff_t o = (ptrdiff_t)node[x] * W + l, y = (ptrdiff_t)junction[x] * W + l;
             const double dD = 0.5 * (1.0 - sign[x]) * g0[y], dP = m0[y] - dD, dH = mH[y] - 0.5 * dD;
             /* never more than halfway to the wall's limits */
-            const double room = 0.5 * (wall_limit(wall, th[o]) * A0[x] - area[i]);
-            const double fall = 0.5 * (wall_floor(wall, th[o]) * A0[x] - area[i]);
+            const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride}) * A0[x] - area[i]);
+            const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride}) * A0[x] - area[i]);
             double move = a0[i] + aP[i] * dP + aH[i] * dH;
             move = move > room ? room : move < fall ? fall : move;
             const double turn = q0[i] + qP[i] * dP + qH[i] * dH;
             area[i] += move;
             flow[i] += turn;
             /* what is left after this round is of the order of these squares: below rounding */
-            const double per_area = wall_reciprocal(area[i]), da = move * per_area, du = turn * per_area;
+            const double per_area = fast_reciprocal(area[i]), da = move * per_area, du = turn * per_area;
             unfinished |= K[o] * da * da + (dynamic + lossy) * du * du > 1e-11 * K[o];
         });
         if (!unfinished)

@@ -1,0 +1,78 @@
+/* The grid: nodes of the vessels, their ends at junctions and outlets; it depends on neither parameters nor time. */
+#include <string.h>
+
+#include "internal.h"
+
+/* The ends of the vessels that meet at the junctions of one size. */
+static void set_junctions(zoo_sim *s, zoo_junction_group *ju)
+{
+    const zoo_network *net = &s->problem->network;
+    int i = 0;
+    for (int k = 0; k < s->n_vessels; k++) {
+        if (zoo_children(net, k) + 1 != ju->branches)
+            continue;
+        ju->node[i] = s->last[k];
+        ju->mid[i] = s->last[k] - 1;
+        int b = 1;
+        for (int d = k + 1; d < s->n_vessels; d++)
+            if (net->parent[d] == k) {
+                ju->node[b * ju->count + i] = s->first[d];
+                ju->mid[b * ju->count + i] = s->first[d];
+                b++;
+            }
+        i++;
+    }
+    for (int x = 0; x < ju->branches * ju->count; x++) {
+        int node = ju->node[x];
+        ju->junction[x] = x % ju->count;
+        ju->sign[x] = x < ju->count ? 1.0 : -1.0;
+        ju->w[x] = 0.5 * s->dx[s->vessel_of[node]];
+        ju->A0[x] = s->A0[node];
+        ju->f_s[x] = s->f_s[node];
+        ju->f_c[x] = s->f_c[node];
+        ju->rest[x % ju->count] = (x < ju->count ? 0.0 : ju->rest[x % ju->count]) + ju->w[x] * ju->A0[x];
+    }
+}
+
+void zoo_set_grid(zoo_sim *s)
+{
+    const zoo_network *net = &s->problem->network;
+    int node = 0, nt = 0;
+    double *mids[] = {s->Ah, s->qh, s->Ph, s->Mh, s->Gh};
+    for (int a = 0; a < 5; a++)
+        memset(mids[a] - s->lanes, 0, (size_t)(s->n_nodes + 1) * s->lanes * sizeof(double));
+    for (int k = 0; k < s->n_vessels; k++) {
+        int n = net->n_cells[k];
+        s->first[k] = node;
+        s->last[k] = node + n;
+        s->dx[k] = net->length[k] / n;
+        for (int j = 0; j <= n; j++, node++) {
+            double step = (net->radius_out[k] - net->radius_in[k]) / n;
+            double r = net->radius_in[k] + step * j;
+            double r_mid = j < n ? r + 0.5 * step : r, next = j < n ? r + step : r;
+            r = zoo_narrowed(s, k, s->dx[k] * j, r);
+            r_mid = zoo_narrowed(s, k, s->dx[k] * (j + (j < n ? 0.5 : 0.0)), r_mid);
+            next = zoo_narrowed(s, k, s->dx[k] * (j < n ? j + 1 : j), next);
+            s->vessel_of[node] = k;
+            s->A0[node] = ZOO_PI * r * r;
+            s->inv_A0[node] = 1.0 / s->A0[node];
+            /* the mean of the nodes', so that equal A/A0 at the nodes gives the same at the midpoint */
+            s->inv_A0_mid[node] = 2.0 / (s->A0[node] + ZOO_PI * pow(next, 2));
+            zoo_friction(s, k, r, &s->f_s[node], &s->f_c[node]);
+            zoo_friction(s, k, r_mid, &s->f_s_mid[node], &s->f_c_mid[node]);
+        }
+        if (s->extra)
+            zoo_set_additions(s, k);
+        if (zoo_children(net, k) == 0)
+            s->outlets.vessel[nt++] = k;
+    }
+    for (int t = 0; t < s->outlets.count; t++) {
+        s->outlets.node[t] = s->last[s->outlets.vessel[t]];
+        s->outlets.A0[t] = s->A0[s->outlets.node[t]];
+    }
+    for (int g = 0; g < s->n_groups; g++)
+        set_junctions(s, &s->groups[g]);
+    for (int i = 0; i < s->problem->outputs.n_series; i++)
+        zoo_output_weights(s, i);
+    zoo_curve_sum(s);
+}

@@ -1,0 +1,169 @@
+/* Memory: where each array of a run stands in the workspace. */
+#include <string.h>
+
+#include "outlet.h"
+
+/* Takes `count` elements off the workspace, aligned to a cache line. */
+static void *carve(char **at, int64_t *used, int64_t count, int64_t size)
+{
+    void *here = *at ? *at + *used : NULL;
+    *used += (count * size + 63) / 64 * 64;
+    return here;
+}
+
+int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
+{
+    const zoo_network *net = &pr->network;
+    char *at = base;
+    int64_t used = 0, nv = net->n_vessels, n = 0, nt = 0, W = lanes;
+    int64_t ns = pr->outputs.n_series, ntime = pr->outputs.n_times;
+    memset(s, 0, sizeof *s);
+    for (int k = 0; k < nv; k++)
+        n += net->n_cells[k] + 1;
+
+    s->problem = pr;
+    s->lanes = lanes;
+    s->wall = pr->wall.law;
+    s->n_vessels = (int)nv;
+    s->n_nodes = (int)n;
+    s->momentum = pr->fluid.momentum_correction;
+    s->inv_density = 1.0 / pr->fluid.density;
+    s->extra = zoo_has_additions(pr);
+    s->stiff = s->stiff_half = s->stiffest = 1.0;
+    s->coupled = pr->junction.total_pressure != 0.0 || pr->junction.loss != 0.0;
+    int64_t x = s->extra ? 1 : 0; /* no memory for what is not added */
+    int64_t wave = s->extra && pr->wall.n_wave > 0 ? pr->numerics.max_steps : 0;
+
+#define INTS(name, count) name = carve(&at, &used, count, sizeof(int))
+#define REALS(name, count) name = carve(&at, &used, count, sizeof(double))
+/* midpoints have one more in front of node 0, so that no loop needs a special case for it */
+#define MIDS(name)                \
+    do {                          \
+        REALS(name, (n + 1) * W); \
+        if (base)                 \
+            name += W;            \
+    } while (0)
+    /* how many junctions there are of each size */
+    s->groups = carve(&at, &used, nv, sizeof *s->groups);
+    int n_groups = 0;
+    for (int b = 1; b < nv; b++) { /* b children */
+        int count = 0;
+        for (int k = 0; k < nv; k++)
+            count += zoo_children(net, k) == b;
+        if (count == 0)
+            continue;
+        int64_t size = (int64_t)(b + 1) * count;
+        zoo_junction_group g = {.count = count, .branches = b + 1};
+        INTS(g.node, size);
+        INTS(g.mid, size);
+        INTS(g.junction, size);
+        REALS(g.w, size);
+        REALS(g.per_w, size);
+        REALS(g.sign, size);
+        REALS(g.A0, size);
+        REALS(g.f_s, size);
+        REALS(g.f_c, size);
+        REALS(g.soft, size * W);
+        REALS(g.rest, count);
+        REALS(g.soft1, count * W);
+        REALS(g.soft2, count * W);
+        REALS(g.area, size * W);
+        REALS(g.c, size * W);
+        REALS(g.beta, size * W);
+        REALS(g.volume, count * W);
+        REALS(g.sum_c, count * W);
+        REALS(g.sum_beta, count * W);
+        double **per_branch[] = {&g.flow, &g.old, &g.a0, &g.aP, &g.aH, &g.q0, &g.qP, &g.qH};
+        double **per_junction[] = {&g.P,  &g.H,  &g.D,  &g.g0, &g.gP, &g.gH,
+                                   &g.m0, &g.mP, &g.mH, &g.f0, &g.fP, &g.fH};
+        for (size_t i = 0; i < sizeof per_branch / sizeof *per_branch; i++)
+            REALS(*per_branch[i], x * size * W);
+        for (size_t i = 0; i < sizeof per_junction / sizeof *per_junction; i++)
+            REALS(*per_junction[i], x * count * W);
+        if (base)
+            s->groups[n_groups] = g;
+        n_groups++;
+    }
+    for (int k = 0; k < nv; k++)
+        nt += zoo_children(net, k) == 0;
+    s->n_groups = n_groups;
+
+    zoo_terminals *ou = &s->outlets;
+    ou->count = (int)nt;
+    ou->kind = outlet_kind(pr, s->extra);
+    ou->rows = outlet_rows(ou->kind, pr);
+    s->n_state = (int)((2 + x) * n + (ou->rows.pressures + ou->rows.flows) * nt);
+    INTS(ou->vessel, nt);
+    INTS(ou->node, nt);
+    REALS(ou->per_w, nt);
+    REALS(ou->A0, nt);
+    REALS(ou->R1, nt * W);
+    REALS(ou->R2, nt * W);
+    REALS(ou->C, nt * W);
+    REALS(ou->volume, nt * W);
+    REALS(ou->coefficient, ou->rows.coefficients * nt * W);
+    REALS(ou->v, ou->rows.pressures * nt * W);
+    REALS(ou->carry, ou->rows.flows * nt * W);
+    REALS(ou->scratch, ou->rows.scratch * nt * W);
+
+    INTS(s->first, nv);
+    INTS(s->last, nv);
+    INTS(s->vessel_of, n);
+    INTS(s->out_node, 4 * ns);
+    INTS(s->live, W);
+    INTS(s->stuck, W);
+    INTS(s->outran, W);
+    REALS(s->dx, nv);
+    REALS(s->A0, n);
+    REALS(s->inv_A0, n);
+    REALS(s->inv_A0_mid, n);
+    REALS(s->f_s, n);
+    REALS(s->f_c, n);
+    REALS(s->f_s_mid, n);
+    REALS(s->f_c_mid, n);
+    REALS(s->lam_mid, n);
+    REALS(s->lam, n);
+    REALS(s->half_dt, n);
+    REALS(s->K, n * W);
+    REALS(s->coefficient, wall_shapes(s->wall) * n * W);
+    REALS(s->A, n * W);
+    REALS(s->q, n * W);
+    REALS(s->P, n * W);
+    REALS(s->M, n * W);
+    REALS(s->G, n * W);
+    REALS(s->wave_node, wave + 1);
+    REALS(s->wave_half, wave);
+    REALS(s->offset, x * n);
+    REALS(s->kappa, x * n);
+    REALS(s->leak, x * n);
+    REALS(s->leak_mid, x * n);
+    REALS(s->loss, x * n);
+    REALS(s->loss_mid, x * n);
+    REALS(s->z, x * n * W);
+    REALS(s->pe, x * n * W);
+    REALS(s->off, x * n * W);
+    REALS(s->off_half, x * n * W);
+    MIDS(s->Ah);
+    MIDS(s->qh);
+    MIDS(s->Ph);
+    MIDS(s->Mh);
+    MIDS(s->Gh);
+    REALS(s->curve_node, (int64_t)pr->numerics.max_steps + 1);
+    REALS(s->curve_mean, pr->numerics.max_steps);
+    REALS(s->curve_sum, (int64_t)pr->inlet.n_samples + 1);
+    REALS(s->entered, W);
+    REALS(s->out_weight, 4 * ns);
+    REALS(s->ring, 4 * ns * 3 * W);
+    REALS(s->sample, ntime * ns * 3 * W);
+    REALS(s->start, s->n_state * W);
+    REALS(s->states, ZOO_HISTORY * s->n_state * W);
+    REALS(s->ends, ZOO_HISTORY * s->n_state * W);
+    REALS(s->weight, s->n_state * W);
+    REALS(s->slow, W);
+#undef INTS
+#undef REALS
+#undef MIDS
+    s->report = carve(&at, &used, W, sizeof *s->report);
+    s->set_of = carve(&at, &used, W, sizeof *s->set_of);
+    return used;
+}

@@ -1,0 +1,308 @@
+/* At the end of a terminal vessel: behind R1 an inertance beside a resistance R_p, and
+ * several parallel RC pairs (sections),
+ *
+ *   p = R1 q + p_L + sum_k v_k,     C_k dv_k/dt = q - v_k/R_k,
+ *   p_L = L dq_L/dt = R_p (q - q_L),     R_p = 6 rho c/A0 of the vessel's end at rest.
+ *
+ * R_p lets the fastest waves out, which an inertance alone would send back whole.  They
+ * must leave: a vessel that shares the static pressure of its junction returns waves
+ * amplified by up to (c + u)/(c - u), so with an outlet that returns all of them every
+ * harmonic grows, those of the shortest vessels first, and the equations have no solution
+ * for a scheme to converge to.
+ *
+ * Each pair is integrated as in outlet_windkessel.h.  In the mean over the step, with mean flow Q,
+ * and c the inertance's flow by the trapezoidal rule (stable for any L),
+ *
+ *   p_L = I (Q - c),   c' = c + dt/L p_L,   I = 2 L/(dt + 2 L/R_p),
+ *   p(A') = -p + sum_k (1 + e_k) v_k - 2 I c + E Q(A'),   E = 2 R1 + sum_k R_k (1 - e_k) + 2 I.
+ *
+ * The node's own flow follows from y = p - sum_k v_k, linear over the step, exactly:
+ * L (1 + R1/R_p) dq_L/dt + R1 q_L = y gives q_L' = keep q_L + now y' + before y, and
+ * q = (R_p q_L + y)/(R1 + R_p) = share q_L + direct y.  Unlike c this has no memory of a
+ * sawtooth when L is small, and without L it is y'/R1 as in outlet_windkessel.h.
+ *
+ * A Windkessel in a tree with additions runs these loops too, with one section and no
+ * inertance; then neither is read.  outlet.h says what each function is for.
+ */
+#ifndef ZOO_OUTLET_CIRCUIT_H
+#define ZOO_OUTLET_CIRCUIT_H
+
+enum {
+    circuit_loops = OUTLET_ADDED,
+    CIRCUIT_PARALLEL = 6 /* R_p in rho c/A0 at rest */
+};
+
+/* E; 2 I; c' = c + gain (Q - c); q_L' = keep q_L + now y' + before y; q = share q_L + direct y; then e of the
+ * sections, then their R (1 - e) */
+enum {
+    CIRCUIT_E,
+    CIRCUIT_INERTIA,
+    CIRCUIT_GAIN,
+    CIRCUIT_KEEP,
+    CIRCUIT_NOW,
+    CIRCUIT_BEFORE,
+    CIRCUIT_SHARE,
+    CIRCUIT_DIRECT,
+    CIRCUIT_DECAY
+};
+enum { CIRCUIT_BASE, CIRCUIT_Q_MID, CIRCUIT_Y, CIRCUIT_BACK, CIRCUIT_A, CIRCUIT_P, CIRCUIT_SCRATCH };
+
+/* Sections that the caller gave; 0: one of R2 and C. */
+ZOO_INLINE int circuit_given(const zoo_problem *pr)
+{
+    return pr->outlet.kind == ZOO_OUTLET_WINDKESSEL ? 0 : pr->outlet.n_sections;
+}
+
+ZOO_INLINE int circuit_sections(const zoo_problem *pr)
+{
+    return circuit_given(pr) > 0 ? circuit_given(pr) : 1;
+}
+
+static inline double circuit_inertance(const zoo_problem *pr, int k)
+{
+    return pr->outlet.kind == ZOO_OUTLET_WINDKESSEL ? 0.0 : value_or_zero(pr->outlet.inertance, k);
+}
+
+/* R and C of section m of terminal t in lane l; R = 0: the section is absent. */
+static inline double circuit_R(const zoo_sim *s, int m, int t, int l)
+{
+    const int n = circuit_given(s->problem);
+    const double R2 = s->outlets.R2[t * s->lanes + l];
+    return n ? R2 * s->problem->outlet.section_resistance[s->outlets.vessel[t] * n + m] : R2;
+}
+
+static inline double circuit_C(const zoo_sim *s, int m, int t, int l)
+{
+    const int n = circuit_given(s->problem);
+    const double C = s->outlets.C[t * s->lanes + l];
+    return n ? C * s->problem->outlet.section_compliance[s->outlets.vessel[t] * n + m] : C;
+}
+
+static inline int circuit_bad(const zoo_problem *pr)
+{
+    const zoo_outlet *out = &pr->outlet;
+    int64_t nv = pr->network.n_vessels, ns = out->n_sections;
+    if (values_outside(out->inertance, nv, 0.0, INFINITY) || ns < 0 ||
+        (ns > 0 && (!out->section_resistance || !out->section_compliance)))
+        return 1;
+    for (int k = 0; k < nv && ns > 0; k++) {
+        if (zoo_children(&pr->network, k) > 0)
+            continue;
+        double sum = 0.0;
+        for (int64_t i = k * ns; i < (k + 1) * ns; i++) {
+            double rho = out->section_resistance[i];
+            if (!(rho >= 0.0) || isinf(rho) || (rho > 0.0 && value_bad(out->section_compliance[i])))
+                return 1;
+            sum += rho;
+        }
+        if (!(sum > 0.0))
+            return 1;
+    }
+    return 0;
+}
+
+/* Unless every terminal is a Windkessel. */
+static inline int circuit_adds(const zoo_problem *pr)
+{
+    const zoo_outlet *out = &pr->outlet;
+    int ns = out->n_sections;
+    for (int k = 0; k < pr->network.n_vessels; k++) {
+        if (zoo_children(&pr->network, k) > 0)
+            continue;
+        int there = 0;
+        for (int i = k * ns; i < (k + 1) * ns; i++) {
+            double rho = out->section_resistance[i];
+            there += rho != 0.0;
+            if (rho != 0.0 && (rho != 1.0 || out->section_compliance[i] != 1.0))
+                return 1;
+        }
+        if (there > 1 || value_or_zero(out->inertance, k) != 0.0)
+            return 1;
+    }
+    return 0;
+}
+
+static inline zoo_rows circuit_rows(const zoo_problem *pr)
+{
+    int n = circuit_sections(pr);
+    return (zoo_rows){.coefficients = CIRCUIT_DECAY + 2 * n, .pressures = n, .flows = 1, .scratch = CIRCUIT_SCRATCH};
+}
+
+static inline double circuit_parallel(const zoo_sim *s, int t, int l)
+{
+    int j = s->outlets.node[t], i = j * s->lanes + l;
+    double slope = wall_slope(s->wall, s->K[i], zoo_shape(s, i), 0.0, 1.0, 1.0); /* rho c^2 at rest */
+    return CIRCUIT_PARALLEL * sqrt(slope / s->inv_density) / s->A0[j];
+}
+
+static inline void circuit_set_step(zoo_sim *s)
+{
+    zoo_terminals *ou = &s->outlets;
+    const int W = s->lanes, ns = circuit_sections(s->problem);
+    double *row[CIRCUIT_DECAY], *decay = outlet_row(s, ou->coefficient, CIRCUIT_DECAY);
+    double *fill = outlet_row(s, decay, ns);
+    for (int m = 0; m < CIRCUIT_DECAY; m++)
+        row[m] = outlet_row(s, ou->coefficient, m);
+    for (int t = 0; t < ou->count; t++)
+        for (int l = 0; l < W; l++) {
+            int i = t * W + l;
+            double L = circuit_inertance(s->problem, ou->vessel[t]), filled = 0.0, R1 = ou->R1[i];
+            for (int m = 0; m < ns; m++) {
+                int o = (m * ou->count + t) * W + l;
+                double R = circuit_R(s, m, t, l), RC = R * circuit_C(s, m, t, l);
+                decay[o] = R > 0.0 ? exp(-s->dt / RC) : 0.0;
+                fill[o] = R > 0.0 ? -R * expm1(-s->dt / RC) : 0.0;
+                filled += fill[o];
+            }
+            /* the inertance's pressure in the mean over the step is inertia/2 (Q - c) */
+            double Rp = circuit_parallel(s, t, l), ease = s->dt + 2.0 * L / Rp;
+            double inertia = 4.0 * L / ease, share = L > 0.0 ? Rp / (R1 + Rp) : 1.0;
+            row[CIRCUIT_INERTIA][i] = inertia;
+            row[CIRCUIT_GAIN][i] = L > 0.0 ? 2.0 * s->dt / ease : 1.0;
+            row[CIRCUIT_E][i] = 2.0 * R1 + filled + inertia;
+            row[CIRCUIT_DIRECT][i] = L > 0.0 ? 1.0 / (R1 + Rp) : 0.0;
+            row[CIRCUIT_SHARE][i] = share;
+            /* L (1 + R1/R_p) dq_L/dt + R1 q_L = y is integrated exactly for y linear over the step */
+            double x = L > 0.0 ? R1 * s->dt / L * share : INFINITY, keep = exp(-x);
+            double mean = x < 1e-3 ? 1.0 - x / 2.0 + x * x / 6.0 : isinf(x) ? 0.0 : -expm1(-x) / x;
+            row[CIRCUIT_KEEP][i] = keep;
+            row[CIRCUIT_NOW][i] = (x < 1e-3 ? x / 2.0 - x * x / 6.0 : 1.0 - mean) / R1;
+            row[CIRCUIT_BEFORE][i] = (x < 1e-3 ? x / 2.0 - x * x / 3.0 : mean - keep) / R1;
+        }
+}
+
+/* Of the sections behind R1. */
+static inline double circuit_behind(const zoo_sim *s, int t, int l)
+{
+    double sum = 0.0;
+    for (int m = 0; m < circuit_sections(s->problem); m++)
+        sum += circuit_R(s, m, t, l);
+    return sum;
+}
+
+static inline double circuit_resistance(const zoo_sim *s, int t, int l)
+{
+    return s->outlets.R1[t * s->lanes + l] + circuit_behind(s, t, l);
+}
+
+/* Of one pair of all the sections' resistance, with their mean time. */
+static inline double circuit_capacity(const zoo_sim *s, int t, int l)
+{
+    double sum = 0.0, all = circuit_behind(s, t, l);
+    for (int m = 0; m < circuit_sections(s->problem); m++) {
+        double part = circuit_R(s, m, t, l) / all;
+        sum += part > 0.0 ? part * part * circuit_C(s, m, t, l) : 0.0;
+    }
+    return sum;
+}
+
+static inline void circuit_start(zoo_sim *s, int t, int l)
+{
+    int i = s->outlets.node[t] * s->lanes + l, o = t * s->lanes + l;
+    double v = s->P[i] - s->outlets.R1[o] * s->q[i], R = circuit_behind(s, t, l);
+    for (int m = 0; m < circuit_sections(s->problem); m++)
+        outlet_row(s, s->outlets.v, m)[o] = v * circuit_R(s, m, t, l) / R;
+    s->outlets.carry[o] = s->q[i];
+}
+
+ZOO_INLINE void circuit_advance(const int wall, const int W, const int extra, zoo_sim *s)
+{
+    (void)extra;
+    enum { ROUNDS = 30 };
+    zoo_terminals *ou = &s->outlets;
+    const int n = ou->count, n_sections = ou->rows.pressures;
+    const double dt = s->dt, later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
+    const int *restrict node = ou->node;
+    const double *restrict per_w = ou->per_w, *restrict A0 = ou->A0,
+                           *restrict E = outlet_row(s, ou->coefficient, CIRCUIT_E),
+                           *restrict inertia = outlet_row(s, ou->coefficient, CIRCUIT_INERTIA),
+                           *restrict gain = outlet_row(s, ou->coefficient, CIRCUIT_GAIN),
+                           *restrict keep = outlet_row(s, ou->coefficient, CIRCUIT_KEEP),
+                           *restrict after = outlet_row(s, ou->coefficient, CIRCUIT_NOW),
+                           *restrict before = outlet_row(s, ou->coefficient, CIRCUIT_BEFORE),
+                           *restrict share = outlet_row(s, ou->coefficient, CIRCUIT_SHARE),
+                           *restrict direct = outlet_row(s, ou->coefficient, CIRCUIT_DIRECT),
+                           *restrict decay = outlet_row(s, ou->coefficient, CIRCUIT_DECAY),
+                           *restrict fill = outlet_row(s, ou->coefficient, CIRCUIT_DECAY + n_sections);
+    const double *restrict P = s->P, *restrict K = s->K, *restrict qh = s->qh, *restrict Ph = s->Ph,
+                           *restrict off = s->off, *restrict kappa = s->kappa, *restrict leak = s->leak;
+    const double *restrict th = s->coefficient;
+    const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    double *restrict A = s->A, *restrict q = s->q, *restrict v = ou->v, *restrict volume = ou->volume,
+                     *restrict carry = ou->carry, *restrict base = outlet_row(s, ou->scratch, CIRCUIT_BASE),
+                     *restrict q_mid = outlet_row(s, ou->scratch, CIRCUIT_Q_MID),
+                     *restrict y = outlet_row(s, ou->scratch, CIRCUIT_Y),
+                     *restrict back = outlet_row(s, ou->scratch, CIRCUIT_BACK),
+                     *restrict a = outlet_row(s, ou->scratch, CIRCUIT_A),
+                     *restrict p = outlet_row(s, ou->scratch, CIRCUIT_P);
+    ZOO_LOOP(W, i, t, l, 0, n, {
+        const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
+        y[i] = P[o];
+        base[i] = -P[o] - inertia[i] * carry[i];
+        /* the half cell's leak is w leak p* */
+        q_mid[i] = qh[o - W] - dt / per_w[t] * leak[node[t]] * Ph[o - W];
+        a[i] = A[o] / A0[t];
+    });
+    for (int m = 0; m < n_sections; m++) {
+        const ptrdiff_t from = (ptrdiff_t)m * n * W;
+        ZOO_LOOP(W, i, t, l, 0, n, {
+            y[i] -= v[from + i];
+            base[i] += (1.0 + decay[from + i]) * v[from + i];
+        });
+    }
+    if (wall_in_root(wall))
+        /* k2 r^2 + K1 r = k0 for r = sqrt(A'/A0) */
+        ZOO_LOOP(W, i, t, l, 0, n, {
+            const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
+            const double K1 = wall_stiffened(K[o], stiff, later, kappa[node[t]]), k2 = E[i] * A0[t] / per_w[t];
+            const double k0 = K1 - off[o] + base[i] + E[i] * (q_mid[i] + A[o] / per_w[t]);
+            const double r = 2.0 * k0 / (K1 + sqrt(K1 * K1 + 4.0 * k2 * k0));
+            a[i] = r * r;
+        });
+    else
+        for (int round = 0; round < ROUNDS; round++) {
+            int unfinished = 0;
+            ZOO_LOOP(W, i, t, l, 0, n, {
+                const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
+                const double K1 = wall_stiffened(K[o], stiff, later, kappa[node[t]]), root = sqrt(a[i]);
+                const double elastic = wall_p(wall, K1, (wall_shape){th + o, stride}, a[i], root);
+                const double Q = q_mid[i] - (a[i] * A0[t] - A[o]) / per_w[t];
+                const double slope = wall_slope(wall, K1, (wall_shape){th + o, stride}, elastic, a[i], root) + E[i] * A0[t] / per_w[t];
+                const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride}) - a[i]);
+                const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride}) - a[i]);
+                double move = -(elastic + off[o] - base[i] - E[i] * Q) / slope;
+                move = move > room ? room : move < fall ? fall : move;
+                a[i] += move;
+                p[i] = move;
+                unfinished |= fabs(move) > 1e-8;
+            });
+            if (!unfinished)
+                break;
+            if (round + 1 == ROUNDS) {
+                s->no_root = 1;
+                for (int l = 0; l < W; l++)
+                    for (ptrdiff_t t = 0; t < n; t++)
+                        s->stuck[l] |= !(fabs(p[t * W + l]) <= 1e-6);
+            }
+        }
+    ZOO_LOOP(W, i, t, l, 0, n, {
+        const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
+        const double then = A0[t] * a[i], Q = q_mid[i] - (then - A[o]) / per_w[t];
+        A[o] = then;
+        q[o] = keep[i] * (q[o] - direct[i] * y[i]) + share[i] * before[i] * y[i];
+        y[i] = base[i] + E[i] * Q; /* the new pressure, less the sections' below */
+        back[i] = Q;
+        carry[i] += gain[i] * (Q - carry[i]);
+        volume[i] += dt * Q;
+    });
+    for (int m = 0; m < n_sections; m++) {
+        const ptrdiff_t from = (ptrdiff_t)m * n * W;
+        ZOO_LOOP(W, i, t, l, 0, n, {
+            v[from + i] = decay[from + i] * v[from + i] + fill[from + i] * back[i];
+            y[i] -= v[from + i];
+        });
+    }
+    ZOO_LOOP(W, i, t, l, 0, n, { q[(ptrdiff_t)node[t] * W + l] += (share[i] * after[i] + direct[i]) * y[i]; });
+}
+
+#endif

@@ -1,0 +1,84 @@
+/* The parameters of each lane's set, at the nodes. */
+#include <string.h>
+
+#include "internal.h"
+#include "values.h"
+
+/* What a junction needs of its walls' K. */
+void zoo_set_softness(zoo_sim *s, zoo_junction_group *ju, int l)
+{
+    int W = s->lanes;
+    for (int j = 0; j < ju->count; j++)
+        ju->soft1[j * W + l] = ju->soft2[j * W + l] = 0.0;
+    for (int x = 0; x < ju->branches * ju->count; x++) {
+        double soft = 1.0 / s->K[ju->node[x] * W + l], size = ju->w[x] * ju->A0[x];
+        ju->soft[x * W + l] = soft;
+        ju->soft1[ju->junction[x] * W + l] += size * soft;
+        ju->soft2[ju->junction[x] * W + l] += size * soft * soft;
+    }
+}
+
+/* Shape parameters of vessel k in the set of lane l. */
+static wall_shape given_shape(const zoo_sim *s, const zoo_parameters *pa, int l, int k)
+{
+    ptrdiff_t nv = s->n_vessels, per_set = wall_shapes(s->wall) * nv;
+    return (wall_shape){per_set ? pa->shape + s->set_of[l] * per_set + k : NULL, nv};
+}
+
+/* Spreads the parameters of each lane's set over the nodes.  A lane whose set
+ * is out of range is reported and given the parameters of a good one, so that
+ * it computes something harmless; returns the number of good lanes. */
+int zoo_set_parameters(zoo_sim *s, const zoo_parameters *pa)
+{
+    const zoo_outlet *out = &s->problem->outlet;
+    int W = s->lanes, nv = s->n_vessels, good = 0, any = -1;
+    for (int l = 0; l < W; l++) {
+        int64_t row = s->set_of[l] * nv;
+        int wrong = -1;
+        for (int k = 0; k < nv && wrong < 0; k++)
+            if (value_bad(pa->stiffness[row + k]) || !wall_usable(s->wall, given_shape(s, pa, l, k)))
+                wrong = k;
+        for (int t = 0; t < s->outlets.count && wrong < 0; t++) {
+            int k = s->outlets.vessel[t];
+            if (value_bad(pa->psi1[row + k]) || value_bad(pa->psi2[row + k]) || value_bad(pa->c[row + k]))
+                wrong = k;
+        }
+        memset(&s->report[l], 0, sizeof s->report[l]);
+        s->report[l].vessel = wrong;
+        s->report[l].status = wrong < 0 ? ZOO_OK : ZOO_BAD_ARGUMENT;
+        s->live[l] = wrong < 0;
+        good += wrong < 0;
+        if (wrong < 0 && any < 0)
+            any = l;
+    }
+    if (any < 0)
+        return 0;
+    s->uniform = 1;
+    for (int l = 0; l < W; l++) {
+        int64_t row = s->set_of[s->live[l] ? l : any] * nv;
+        for (int k = 0; k < nv; k++) {
+            const wall_shape given = given_shape(s, pa, s->live[l] ? l : any, k);
+            double K = wall_scale(s->wall, s->problem->wall.factor, pa->stiffness[row + k], given);
+            for (int j = s->first[k]; j <= s->last[k]; j++)
+                s->K[j * W + l] = K;
+            s->uniform &= K == s->K[l];
+            for (int m = 0; m < wall_shapes(s->wall); m++) {
+                double *row_m = s->coefficient + (ptrdiff_t)m * s->n_nodes * W;
+                double value = wall_coefficient(s->wall, given, m);
+                for (int j = s->first[k]; j <= s->last[k]; j++)
+                    row_m[j * W + l] = value;
+                s->uniform &= value == row_m[l];
+            }
+        }
+        for (int t = 0; t < s->outlets.count; t++) {
+            int k = s->outlets.vessel[t];
+            s->outlets.R1[t * W + l] = out->R1[k] * pa->psi1[row + k];
+            s->outlets.R2[t * W + l] = out->R2[k] * pa->psi2[row + k];
+            s->outlets.C[t * W + l] = out->C[k] * pa->c[row + k];
+        }
+    }
+    for (int g = 0; g < s->n_groups; g++)
+        for (int l = 0; l < W; l++)
+            zoo_set_softness(s, &s->groups[g], l);
+    return good;
+}

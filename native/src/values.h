@@ -1,0 +1,37 @@
+/* Ranges of numbers and arrays, for the checks of arguments; an array that is NULL is not there. */
+#ifndef ZOO_VALUES_H
+#define ZOO_VALUES_H
+
+#include <math.h>
+#include <stdint.h>
+
+/* 1 unless x is positive and finite. */
+static inline int value_bad(double x)
+{
+    return !(x > 0.0) || isinf(x);
+}
+
+/* 1 when the array is there and a value lies outside [low, high] or is not finite. */
+static inline int values_outside(const double *values, int64_t n, double low, double high)
+{
+    for (int64_t i = 0; values && i < n; i++)
+        if (!(values[i] >= low && values[i] <= high) || isinf(values[i]))
+            return 1;
+    return 0;
+}
+
+/* 1 when the array is there and a value is another one. */
+static inline int values_differ(const double *values, int64_t n, double from)
+{
+    for (int64_t i = 0; values && i < n; i++)
+        if (values[i] != from)
+            return 1;
+    return 0;
+}
+
+static inline double value_or_zero(const double *values, int k)
+{
+    return values ? values[k] : 0.0;
+}
+
+#endif

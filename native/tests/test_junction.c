@@ -1,0 +1,46 @@
+/* Where vessels meet: no flow is lost, and the pressures obey their relation, after many steps. */
+#include "check.h"
+
+static tree one;
+static additions x;
+
+/* p + tau rho u^2/2 is shared, with the daughters' loss; tau = 1 and K = 2 when coupled, else 0. */
+static void relation(int wall, int added, int coupled, int alike)
+{
+    tree_make(&one, wall);
+    for (int i = 0; i < NV && alike; i++) {
+        one.stiffness[i] = 5e4;
+        for (int m = 0; m < wall_shapes(wall); m++)
+            one.shape[m * NV + i] = wall_shape_parameter(wall, m).typical;
+    }
+    if (added)
+        tree_add(&one, &x);
+    one.problem.junction = (zoo_junction){coupled, 2.0 * coupled};
+    tree_open(&one, 1, 4096);
+    zoo_sim *s = &one.sim;
+    CHECK(s->uniform == alike && s->coupled == coupled);
+    zoo_start(s);
+    for (int i = 0; i < 3000; i++) {
+        CHECK(zoo_step(s, i) == 0);
+        CHECK(zoo_junction_defect(s, 0) < 1e-13);
+    }
+    for (int g = 0; g < s->n_groups; g++) {
+        const zoo_junction_group *ju = &s->groups[g];
+        for (int x = 0; x < ju->branches * ju->count; x++) {
+            int up = ju->node[x % ju->count], o = ju->node[x];
+            double u0 = s->q[up] / s->A[up], u = s->q[o] / s->A[o];
+            double half_rho = coupled ? 0.5 * 1.055 : 0.0, shared = s->P[up] + half_rho * u0 * u0;
+            double lost = x < ju->count ? 0.0 : 2.0 * half_rho * u0 * fabs(u0); /* K = 2 */
+            NEAR(s->P[o] + half_rho * u * u, shared - lost, 1e-4);
+        }
+    }
+    tree_close(&one);
+}
+
+int main(void)
+{
+    for (int wall = 0; wall < ZOO_N_WALLS; wall++)
+        for (int i = 0; i < 8; i++)
+            relation(wall, i & 1, i >> 1 & 1, i >> 2);
+    return finish("junction");
+}

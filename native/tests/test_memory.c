@@ -1,0 +1,61 @@
+/* The workspace: every array has its own place in it, and the bytes that are counted are those that are used. */
+#include "check.h"
+
+static tree t;
+static additions x;
+
+static void places(int lanes, int added)
+{
+    tree_make(&t, ZOO_WALL_TANGENT);
+    if (added)
+        tree_add(&t, &x);
+    tree_open(&t, lanes, 1024);
+    zoo_sim *s = &t.sim;
+    const int64_t bytes = zoo_layout(&t.problem, lanes, s, NULL);
+    CHECK(zoo_layout(&t.problem, lanes, s, t.memory) == bytes);
+    const size_t n = (size_t)s->n_nodes * lanes, nt = (size_t)s->outlets.count * lanes;
+    struct {
+        double *at;
+        size_t size;
+    } array[] = {{s->A0, (size_t)s->n_nodes},
+                 {s->K, n},
+                 {s->coefficient, n},
+                 {s->A, n},
+                 {s->q, n},
+                 {s->P, n},
+                 {s->Ah - lanes, n + lanes}, /* a midpoint before the first node */
+                 {s->Gh - lanes, n + lanes},
+                 {s->z, added ? n : 0},
+                 {s->off_half, added ? n : 0},
+                 {s->outlets.R1, nt},
+                 {s->outlets.coefficient, s->outlets.rows.coefficients * nt},
+                 {s->outlets.v, s->outlets.rows.pressures * nt},
+                 {s->outlets.carry, s->outlets.rows.flows * nt},
+                 {s->outlets.scratch, s->outlets.rows.scratch * nt},
+                 {s->curve_node, (size_t)t.problem.numerics.max_steps + 1},
+                 {s->entered, (size_t)lanes},
+                 {s->states, ZOO_HISTORY * (size_t)s->n_state * lanes},
+                 {s->slow, (size_t)lanes}};
+    const size_t count = sizeof array / sizeof *array;
+    for (size_t i = 0; i < count; i++) {
+        CHECK((uintptr_t)array[i].at % 64 == 0 || lanes == 1);
+        CHECK((char *)array[i].at >= t.memory && (char *)(array[i].at + array[i].size) <= t.memory + bytes);
+        for (size_t j = 0; j < array[i].size; j++)
+            array[i].at[j] = (double)i;
+    }
+    for (size_t i = 0; i < count; i++)
+        for (size_t j = 0; j < array[i].size; j++)
+            CHECK(array[i].at[j] == (double)i);
+    /* the state is that of the nodes and of the outlets */
+    CHECK(s->n_state == (2 + added) * s->n_nodes + s->outlets.count * (added ? 3 + 1 : 1));
+    tree_close(&t);
+}
+
+int main(void)
+{
+    places(1, 0);
+    places(ZOO_LANES, 0);
+    places(1, 1);
+    places(ZOO_LANES, 1);
+    return finish("memory");
+}

@@ -1,0 +1,78 @@
+/* The outlets: what their state and their end have to do with each other, after many steps. */
+#include "check.h"
+
+static tree one, two;
+static additions x;
+
+/* The state of the terminal vessels' ends: p = R1 q + sum_k v_k without an inertance. */
+static void relation(int wall, int circuit)
+{
+    tree_make(&one, wall);
+    if (circuit) {
+        tree_add(&one, &x);
+        one.problem.outlet.inertance = NULL;
+    }
+    tree_open(&one, 1, 4096);
+    zoo_sim *s = &one.sim;
+    CHECK(s->outlets.kind == (circuit ? ZOO_OUTLET_CIRCUIT : ZOO_OUTLET_WINDKESSEL));
+    zoo_start(s);
+    for (int i = 0; i < 3000; i++)
+        CHECK(zoo_step(s, i) == 0);
+    for (int t = 0; t < s->outlets.count; t++) {
+        int o = s->outlets.node[t];
+        double behind = 0.0;
+        for (int m = 0; m < s->outlets.rows.pressures; m++)
+            behind += outlet_row(s, s->outlets.v, m)[t];
+        NEAR(s->P[o], behind + s->outlets.R1[t] * s->q[o], 1e-6);
+    }
+    tree_close(&one);
+}
+
+/* A circuit of one section of (1, 1), of two equal ones of half, and one with a tiny inertance are the Windkessel. */
+static void special_cases(int wall)
+{
+    static const double whole[NV] = {1, 1, 1, 1, 1, 1, 1, 1}, tiny[NV] = {0, 0, 0, 0, 1e-9, 1e-9, 1e-9, 1e-9};
+    double half[2 * NV], doubled[2 * NV];
+    for (int i = 0; i < 2 * NV; i++)
+        half[i] = 0.5, doubled[i] = 2.0;
+    tree_make(&one, wall);
+    tree_open(&one, 1, 4096);
+    zoo_start(&one.sim);
+    for (int i = 0; i < 1000; i++)
+        zoo_step(&one.sim, i);
+    for (int which = 0; which < 3; which++) {
+        tree_make(&two, wall);
+        zoo_outlet *out = &two.problem.outlet;
+        out->kind = ZOO_OUTLET_CIRCUIT;
+        out->n_sections = which == 1 ? 2 : 1;
+        out->section_resistance = which == 1 ? half : whole; /* R/2 and 2 C in series: R and C */
+        out->section_compliance = which == 1 ? doubled : whole;
+        out->inertance = which == 2 ? tiny : NULL;
+        two.problem.numerics.additions = 1;
+        tree_open(&two, 1, 4096);
+        CHECK(two.sim.outlets.kind == ZOO_OUTLET_CIRCUIT);
+        for (int t = 0; t < one.sim.outlets.count; t++) {
+            NEAR(outlet_resistance(&two.sim, t, 0), outlet_resistance(&one.sim, t, 0), 1e-6);
+            NEAR(outlet_capacity(&two.sim, t, 0), outlet_capacity(&one.sim, t, 0), 1e-20);
+        }
+        zoo_start(&two.sim);
+        for (int i = 0; i < 1000; i++)
+            zoo_step(&two.sim, i);
+        for (int j = 0; j < one.sim.n_nodes; j++) {
+            NEAR(two.sim.P[j], one.sim.P[j], which == 2 ? 1.0 : 1e-6);
+            NEAR(two.sim.q[j], one.sim.q[j], which == 2 ? 1e-5 : 1e-11);
+        }
+        tree_close(&two);
+    }
+    tree_close(&one);
+}
+
+int main(void)
+{
+    for (int wall = 0; wall < ZOO_N_WALLS; wall++) {
+        relation(wall, 0);
+        relation(wall, 1);
+        special_cases(wall);
+    }
+    return finish("outlet");
+}
