@@ -1,9 +1,9 @@
 """Effects inside a PyMC model: is the truth in its intervals as often as they say?
 
-Draws studies from model C with two effects (a viscoelastic wall, and a stiffness of its own of vessel 2), on a tree of
-the main pulmonary artery and its two daughters, all three observed; samples each with the same model; counts how
-often the 95 % interval of each parameter holds the value that was drawn. The grid is coarse in both, which changes
-nothing that is counted. A killed run goes on where it stopped.
+Draws studies from model C with two effects (a viscoelastic wall, and a stiffness of its own of vessel 2), on
+a tree of the main pulmonary artery and its two daughters, all three observed; samples each with the same
+model; counts how often the 95 % interval of each parameter holds the value that was drawn. The grid is
+coarse in both, which changes nothing that is counted. A killed run goes on where it stopped.
 
     python benchmarks/effects_in_models.py --studies 20 --seed 1 -o runs/effects-in-models
 """

@@ -32,7 +32,7 @@ from zoo.core.blindcheck.making import write_cases
 from zoo.core.blindcheck.rates import Rate, reliability
 from zoo.core.blindcheck.running import read_answers, run_folders
 from zoo.core.blindcheck.sealing import read_sealed
-from zoo.core.diagnosis.diagnosis import read_diagnosis
+from zoo.core.diagnosis import read_diagnosis
 from zoo.core.effects import Location
 
 ANSWERS = Path(__file__).parents[1] / "benchmarks" / "blind" / "independent" / "answers"

@@ -16,7 +16,7 @@ from zoo.blood.blind import BlindError, diagnose_cases, score_cases
 from zoo.blood.blind.keys import read_key
 from zoo.cli import app
 from zoo.core.blindcheck.sealing import KEY_DIGEST
-from zoo.core.diagnosis.diagnosis import diagnose
+from zoo.blood.diagnosis import diagnose
 from zoo.core.effects import Location
 
 

@@ -15,10 +15,7 @@ from withheld import CONFIRMATION, TRIED, made
 
 from zoo.blood.solver import Solver
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel, save_study
-from zoo.core.diagnosis.diagnosis import (
-    Diagnosis,
-    diagnose,
-)
+from zoo.blood.diagnosis import StudyDiagnosis, diagnose
 from zoo.paper.synthetic import ejection
 
 
@@ -66,14 +63,14 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def three() -> Diagnosis:
+def three() -> StudyDiagnosis:
     """Two pressures and a flow."""
     study = made((1, 0.0, "pressure_mmHg"), (4, 0.5, "pressure_mmHg"), (3, 0.5, "flow_ml_s"))
     return diagnose(study, effects=TRIED)
 
 
 @pytest.fixture(scope="session")
-def one() -> Diagnosis:
+def one() -> StudyDiagnosis:
     """One pressure."""
     return diagnose(made((1, 0.0, "pressure_mmHg")), effects=TRIED[:2], max_effects=1)
 
@@ -86,11 +83,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def sampled(one: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> Diagnosis:
-    """What `confirmed` makes of a diagnosis when the posteriors cost no time."""
+def sampled(one: StudyDiagnosis, monkeypatch: pytest.MonkeyPatch) -> StudyDiagnosis:
+    """What `with_posteriors` makes of a diagnosis when the posteriors cost no time."""
 
     def confirm(*_: object, **__: object) -> SimpleNamespace:
         return SimpleNamespace(summary=lambda: CONFIRMATION)
 
-    monkeypatch.setattr("zoo.core.diagnosis.confirm.confirm", confirm)
-    return one.confirmed()
+    monkeypatch.setattr("zoo.core.diagnosis.posteriors.sample_explanations", confirm)
+    return one.with_posteriors()

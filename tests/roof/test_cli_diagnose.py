@@ -11,8 +11,8 @@ from withheld import FILES, TAU_S, made, screen_of, with_confirmation
 
 from zoo import cli, report
 from zoo.blood.study import Study, load_study, save_study
-from zoo.core.diagnosis import diagnosis
-from zoo.core.diagnosis.diagnosis import (
+from zoo.core.diagnosis.file import NextMeasurement
+from zoo.core.diagnosis import (
     Diagnosis,
     read_diagnosis,
 )
@@ -52,7 +52,7 @@ def test_diagnose_writes_everything_and_says_what_it_found(commanded: tuple[Path
 
 
 def test_the_screen_tells_of_groups_rivals_and_posteriors(three: Diagnosis) -> None:
-    measure = diagnosis.NextMeasurement(
+    measure = NextMeasurement(
         vessel=5,
         position=0.5,
         quantity="flow_ml_s",
@@ -121,7 +121,7 @@ def test_options_reach_the_diagnosis(
         return self
 
     monkeypatch.setattr(diagnosis, "diagnose", caught)
-    monkeypatch.setattr(diagnosis.Diagnosis, "confirmed", sampled)
+    monkeypatch.setattr(Diagnosis, "with_posteriors", sampled)
     monkeypatch.setattr(report, "write_diagnosis", lambda *_, **__: [])
     out = tmp_path / "gap"
     run("diagnose", folder, "-o", out, "-q")

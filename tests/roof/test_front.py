@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 import zoo
 from zoo import front
 from zoo.core.data import Data
-from zoo.core.diagnosis.diagnosis import Diagnosis
+from zoo.core.diagnosis import Diagnosis
 
 SOURCE = Path(zoo.__file__).parent
 

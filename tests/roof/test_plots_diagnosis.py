@@ -11,10 +11,10 @@ import pytest
 from matplotlib.patches import Rectangle
 
 from zoo import plots
-from zoo.core.diagnosis import diagnosis
-from zoo.core.diagnosis.diagnosis import (
+from zoo.blood.diagnosis import PHASES, phases
+from zoo.core.diagnosis.file import LocationShare, NextMeasurement
+from zoo.core.diagnosis import (
     Diagnosis,
-    PlaceShare,
 )
 from zoo.plots import diagnosis as figures
 from zoo.plots import tree
@@ -44,7 +44,7 @@ def test_the_gap_figure_carries_the_numbers(three: Diagnosis) -> None:
     for series, row in zip(three.study.series, three.file.gap.per_series, strict=True):
         label = series.label.rsplit(" ", 1)[0]
         assert f"{label}: gap {row.before.mean:.2g} to {row.after.mean:.2g} {row.unit}" in found
-    assert {"pressure (mmHg)", "flow (ml/s)", "gap (ml/s)", *diagnosis.PHASES} <= {
+    assert {"pressure (mmHg)", "flow (ml/s)", "gap (ml/s)", *PHASES} <= {
         t.get_text() for t in figure.findobj(mpl.text.Text)
     }
     top, bottom = figure.axes[0], figure.axes[3]
@@ -64,7 +64,7 @@ def test_the_gap_figure_carries_the_numbers(three: Diagnosis) -> None:
 
 
 def test_phases_are_shaded_where_they_are(one: Diagnosis) -> None:
-    phase = diagnosis.phases(one.study.values[0], one.study.period_s)
+    phase = phases(one.study.values[0], one.study.period_s)
     spans = figures._spans(phase)
     assert sum(last - first for first, last, _ in spans) == len(phase)
     for first, last, k in spans:
@@ -96,14 +96,14 @@ def test_hypotheses_are_ordered_coloured_and_marked(three: Diagnosis) -> None:
     found = words_of(figure)
     assert "invisible here" in found
     assert "not told apart" in found
-    assert f"gap {hypotheses[0].gap_after_mmHg:.2g} mmHg" in found
+    assert f"gap {hypotheses[0].gap_after:.2g} mmHg" in found
 
 
 def test_the_tree_is_coloured_by_the_probability_of_the_place(three: Diagnosis) -> None:
     shares = [
-        PlaceShare(vessel=2, subtree=True, probability=0.5),
-        PlaceShare(vessel=None, subtree=False, probability=0.3),
-        PlaceShare(vessel=4, subtree=False, probability=0.2),
+        LocationShare(noun="vessel", part=2, subtree=True, probability=0.5),
+        LocationShare(noun="vessel", part=None, subtree=False, probability=0.3),
+        LocationShare(noun="vessel", part=4, subtree=False, probability=0.2),
     ]
     where = three.file.where.model_copy(update={"place": shares})
     figure = plots.plot_where(replace(three, file=three.file.model_copy(update={"where": where})))

@@ -17,7 +17,7 @@ from withheld import CONFIRMATION, FILES, screen_of, with_confirmation
 import zoo
 from zoo import report
 from zoo.core.diagnosis import diagnosis, discrepancy, screening
-from zoo.core.diagnosis.diagnosis import (
+from zoo.core.diagnosis import (
     Diagnosis,
     DiagnosisError,
     DiagnosisFile,

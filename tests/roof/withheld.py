@@ -8,12 +8,14 @@ import numpy as np
 from rich.console import Console
 
 from zoo import cli
-from zoo.blood.effects import Place, get_base, get_effect, simulate
+from zoo.blood.baseline import get_baseline
+from zoo.blood.diagnosis import StudyDiagnosis
+from zoo.blood.effects import CATALOGUE
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
-from zoo.core.diagnosis.diagnosis import (
-    Diagnosis,
-    DiagnosisFile,
-)
+from zoo.core.diagnosis import DiagnosisFile
+from zoo.core.effects import with_effects
+from zoo.core.forward import Outputs
+from zoo.core.parameters import pack, start_of
 from zoo.paper.synthetic import ejection
 
 TAU_S = 0.004
@@ -36,10 +38,10 @@ def made(*series: tuple[int, float, str]) -> Study:
     )
     times = np.arange(64) * 0.11 / 64
     study = Study("soft", 0.11, Blood(1.055, 0.049), vessels, flow_time, flow, times, ())
-    base = get_base("linear-constant")
-    case = get_effect("viscoelastic-wall").apply(base.case(study, base.start), (TAU_S,), Place())
-    waves, reason = simulate(case, series, times)
-    assert reason is None
+    flow = get_baseline("linear-constant").forward(study)
+    model = with_effects(flow, [CATALOGUE["viscoelastic-wall"].at()])
+    theta = np.append(pack(flow.parameters, start_of(flow.parameters)), TAU_S)
+    waves = model.solve(model.configure(theta), Outputs(series, times))
     rng = np.random.default_rng(3)
     noisy = [w + NOISE[s[2]] * rng.standard_normal(64) for s, w in zip(series, waves, strict=True)]
     return replace(study, series=tuple(Series(*s, w) for s, w in zip(series, noisy, strict=True)))
@@ -63,9 +65,9 @@ CONFIRMATION = {
 }
 
 
-def with_confirmation(d: Diagnosis) -> Diagnosis:
+def with_confirmation(d: StudyDiagnosis) -> StudyDiagnosis:
     """As if the leading explanations had been sampled."""
-    return replace(d, file=d.file.model_copy(update={"confirmation": CONFIRMATION}))
+    return replace(d, file=d.file.model_copy(update={"posteriors": CONFIRMATION}))
 
 
 def screen_of(file: DiagnosisFile) -> str:

@@ -104,6 +104,7 @@ HOOKS = Hooks(
     phases=_phases,
     candidates=_candidates,
     advice="check the units in observations.csv, the inflow and the conventions",
+    smooth=False,
 )
 """What a diagnosis is told about blood flow."""
 

@@ -157,8 +157,8 @@ def _checked(
         raise DiagnosisError(f"data = {data!r}: give a zoo.core.data.Data (times, values, labels, units)")
     if not isinstance(model, ForwardModel):
         raise DiagnosisError(
-            f"model = {model!r}: has not all of name, parameters, outputs, families, key, configure and solve; "
-            "give a zoo.core.forward.ForwardModel, such as a FunctionModel"
+            f"model = {model!r}: has not all of name, parameters, outputs, families, key, configure and "
+            "solve; give a zoo.core.forward.ForwardModel, such as a FunctionModel"
         )
     if model.outputs.shape != data.values.shape:
         raise DiagnosisError(
@@ -174,14 +174,14 @@ def _checked(
     chosen = spectral_errors(data) if errors is None else errors
     if not isinstance(chosen, Spectral):
         raise DiagnosisError(
-            f"errors = {chosen.name}: a diagnosis weighs errors in independent coefficients; give Harmonics() for "
-            "periodic series or Cosines() for others"
+            f"errors = {chosen.name}: a diagnosis weighs errors in independent coefficients; give "
+            "Harmonics() for periodic series or Cosines() for others"
         )
     for label, series in zip(data.labels, data.values, strict=True):
         if np.ptp(series) == 0.0:
             raise DiagnosisError(
-                f"{data.source or data.name}: series {label} is {series[0]:g} throughout; give one that varies, or "
-                "leave it out"
+                f"{data.source or data.name}: series {label} is {series[0]:g} throughout; give one that "
+                "varies, or leave it out"
             )
     return chosen
 
@@ -203,9 +203,10 @@ def diagnose(
 ) -> Diagnosis:
     """Find where a baseline model misses data, which unmodelled effect explains it, and how well.
 
-    Every effect is fitted with the baseline and weighed by its marginal likelihood, beside the null hypothesis
-    "no-gap" (noise alone), "correlated-noise", and "unlisted" (a nonparametric smooth discrepancy). The best is
-    added and the rest weighed again, until noise or nothing listed explains what is left.
+    Every effect is fitted with the baseline and weighed by its marginal likelihood, beside the null
+    hypothesis "no-gap" (noise alone), "correlated-noise", and "unlisted" (a nonparametric smooth
+    discrepancy). The best is added and the rest weighed again, until noise or nothing listed explains what
+    is left.
 
     Parameters
     ----------
@@ -222,8 +223,8 @@ def diagnose(
     max_effects : int
         Most effects to add.
     exhaust : bool
-        Go on adding the best listed effect where a nonparametric discrepancy explains more: what the effects can
-        do at most. The verdict is that of the first round all the same.
+        Go on adding the best listed effect where a nonparametric discrepancy explains more: what the effects
+        can do at most. The verdict is that of the first round all the same.
     posteriors : bool
         Sample the posteriors of the leading explanations in PyMC.
     cores : int
@@ -261,7 +262,15 @@ def diagnose(
     while True:
         start = rounds[-1].best[added[-1].name].u if added else None
         screening = Screening(
-            data, model, effects, errors=chosen, added=added, start=start, cores=cores, tick=tick
+            data,
+            model,
+            effects,
+            errors=chosen,
+            added=added,
+            start=start,
+            smooth=hooks.smooth,
+            cores=cores,
+            tick=tick,
         )
         try:
             scored = score(screening.run(stop_at_noise=bool(rounds)))
@@ -269,7 +278,8 @@ def diagnose(
             if rounds:
                 break
             raise DiagnosisError(
-                f"{data.source or data.name}: the baseline {model.name!r} cannot be solved ({error}); {hooks.advice}"
+                f"{data.source or data.name}: the baseline {model.name!r} cannot be solved ({error}); "
+                f"{hooks.advice}"
             ) from None
         rounds.append(scored)
         best = _stronger(scored, exhaust)

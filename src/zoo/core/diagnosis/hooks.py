@@ -56,12 +56,16 @@ class Hooks:
         ``candidates(data, baseline) -> sequence of Candidate``; none if absent.
     advice : str
         What to check where the baseline misses the data by far.
+    smooth : bool
+        Whether solutions are smooth in the parameters down to rounding, so that a fit may end with differences
+        as fine as its posterior; false for a solver whose time step follows its parameters.
     """
 
     about: str = ""
     phases: Callable[[Data, list[int]], tuple[Sequence[str], NDArray[np.int_]]] | None = None
     candidates: Callable[[Data, ForwardModel], Sequence[Candidate]] | None = None
     advice: str = "check units, inputs and parameters"
+    smooth: bool = True
 
     def rows(self, data: Data) -> list[int]:
         """Series that the verdict is about."""

@@ -1,7 +1,8 @@
 """Screening: the evidence for each effect, from a search and a linearisation.
 
 Each hypothesis (the baseline with an effect somewhere) is taken to its mode by Gauss-Newton steps with
-Broyden's updates; the marginal likelihood around the mode is that of the linearised model, which is exact for it.
+Broyden's updates; the marginal likelihood around the mode is that of the linearised model, which is exact
+for it.
 """
 
 from __future__ import annotations
@@ -62,6 +63,8 @@ class Screening:
     start : array, optional
         Search coordinates of the baseline and those effects where a search begins, such as what an earlier
         screening found; their own start if absent.
+    smooth : bool
+        Whether fits end with fine differences, as in `Hooks`.
     cores : int
         Threads that solve.
     tick : callable, optional
@@ -77,6 +80,7 @@ class Screening:
         errors: Spectral,
         added: Sequence[AddedEffect] = (),
         start: Array | None = None,
+        smooth: bool = True,
         cores: int = 2,
         tick: Callable[[str, float], None] | None = None,
     ) -> None:
@@ -84,7 +88,7 @@ class Screening:
         self.errors = errors.bind(data)
         self.coefficients = self.errors.flat(data.values)
         self.added = tuple(added)
-        self.start = start
+        self.start, self.smooth = start, smooth
         self.cores = cores
         self.tick = tick or _silent
         self.forwards: list[HypothesisModel] = []
@@ -182,7 +186,7 @@ class Screening:
             search = Search(forward, self.coefficients, self.errors.variances(errors))
             point = replace(point, cost=search.cost(point.u, point.computed))
             before = point.cost
-            point = search.refine(point, 2, fine=True)
+            point = search.refine(point, 2, fine=self.smooth)
             if before - point.cost < 0.1:
                 break
         return self.evidence(forward, point, self.numerics())
@@ -191,7 +195,9 @@ class Screening:
         """The baseline's best fit beside the noise that a nonparametric discrepancy leaves."""
         search = Search(base.forward, self.coefficients, self.beside(noise, self.numerics()))
         return self.evidence(
-            base.forward, search.refine(search.descend(search.resume(base), 8), 2, fine=True), self.numerics()
+            base.forward,
+            search.refine(search.descend(search.resume(base), 8), 2, fine=self.smooth),
+            self.numerics(),
         )
 
     def fit_free(self, base: Fit, name: str) -> Fit:
@@ -310,12 +316,12 @@ class Screening:
                 continue
             if point.cost < best.cost:
                 best = point
-        found = self.evidence(fit.forward, search.refine(best, 6, 15, fine=True), allowances)
+        found = self.evidence(fit.forward, search.refine(best, 6, 15, fine=self.smooth), allowances)
         for _ in range(3):  # a free discrepancy leaves other noise than a cause
             search = Search(fit.forward, self.coefficients, self.beside(found.errors, self.numerics()))
             best = search.resume(found)
             before = best.cost
-            best = search.refine(best, 6, 15, fine=True)
+            best = search.refine(best, 6, 15, fine=self.smooth)
             found = self.evidence(fit.forward, best, allowances)
             if before - best.cost < 0.1:
                 break
@@ -327,7 +333,7 @@ class Screening:
         return np.array([first, *(a.centre for a in parameters[1:])])
 
     def _secant(self, search: Search, base: Fit, start: Array) -> Point:
-        """A start with the baseline's own Jacobian, and secants from the base for the effect's; solved once."""
+        """A start with the baseline's own Jacobian, and secants for the effect's; solved once."""
         key = (search.forward.hypothesis, start.tobytes())
         if key in self._secants:
             known = self._secants[key]
