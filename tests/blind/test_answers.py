@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 import zoo.blood.blind.run as running
 from zoo.blood.blind import BlindError, diagnose_cases, score_cases
 from zoo.blood.blind.keys import read_key
+from zoo.blood.diagnosis import diagnose
 from zoo.cli import app
 from zoo.core.blindcheck.sealing import KEY_DIGEST
-from zoo.blood.diagnosis import diagnose
 from zoo.core.effects import Location
 
 

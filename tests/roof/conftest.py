@@ -13,9 +13,9 @@ from commands import TRUE
 from drawn import TIMES
 from withheld import CONFIRMATION, TRIED, made
 
+from zoo.blood.diagnosis import StudyDiagnosis, diagnose
 from zoo.blood.solver import Solver
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel, save_study
-from zoo.blood.diagnosis import StudyDiagnosis, diagnose
 from zoo.paper.synthetic import ejection
 
 

@@ -11,11 +11,11 @@ from withheld import FILES, TAU_S, made, screen_of, with_confirmation
 
 from zoo import cli, report
 from zoo.blood.study import Study, load_study, save_study
-from zoo.core.diagnosis.file import NextMeasurement
 from zoo.core.diagnosis import (
     Diagnosis,
     read_diagnosis,
 )
+from zoo.core.diagnosis.file import NextMeasurement
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 

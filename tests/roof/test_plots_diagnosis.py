@@ -12,10 +12,10 @@ from matplotlib.patches import Rectangle
 
 from zoo import plots
 from zoo.blood.diagnosis import PHASES, phases
-from zoo.core.diagnosis.file import LocationShare, NextMeasurement
 from zoo.core.diagnosis import (
     Diagnosis,
 )
+from zoo.core.diagnosis.file import LocationShare
 from zoo.plots import diagnosis as figures
 from zoo.plots import tree
 

@@ -16,12 +16,14 @@ from withheld import CONFIRMATION, FILES, screen_of, with_confirmation
 
 import zoo
 from zoo import report
-from zoo.core.diagnosis import diagnosis, discrepancy, screening
 from zoo.core.diagnosis import (
     Diagnosis,
     DiagnosisError,
     DiagnosisFile,
+    diagnosis,
+    discrepancy,
     read_diagnosis,
+    screening,
 )
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from zoo.blood.case import UNITS, Case, Place, check_series, simulate, solver_of
 from zoo.blood.conventions import Conventions
 from zoo.blood.network import Network, stiffness_profile
-from zoo.blood.solver import NO_PHYSICS, WALLS, Solver, SolverArgumentError, SolverOptions
+from zoo.blood.solver import NO_PHYSICS, SHAPES, WALLS, Solver, SolverArgumentError, SolverOptions
 from zoo.blood.study import Study
 from zoo.core.data import Data
 from zoo.core.forward import Outputs, content_key
@@ -79,7 +79,7 @@ class BloodFlow:
         A `StiffnessLaw`.
     parameters : sequence of Parameter
         Those of the stiffness law, and of "gamma" (2 if absent), "psi1", "psi2" and "c" (1 if absent): one
-        value, or one for each vessel.
+        value, or one for each vessel. A wall with several shape parameters has their names instead of gamma.
     name : str
     conventions : Conventions
         Instead of the study's own.
@@ -125,13 +125,14 @@ class BloodFlow:
         self.outputs = outputs or Outputs(
             tuple((s.vessel, s.position, s.quantity) for s in study.series), study.time_s
         )
+        self._times = self.outputs.times + self.conventions.sample_lag_beats * self.network.period_s
         series = cast("tuple[Place, ...]", self.outputs.series)
         self._kept: tuple[tuple[Case, Any, Array, Solver], ...] = ()
         self.key = self._digest()
         if len(self.network.ids) and series:
             blank = self._case(self.fixed, np.ones(len(self.network.ids)))
             check_series(blank, series)
-            self._solver(blank, tuple(dict.fromkeys((v, x) for v, x, _ in series)), self._clock(self.outputs))
+            self._solver(blank, tuple(dict.fromkeys((v, x) for v, x, _ in series)), self._times)
 
     def _digest(self) -> str:
         """Of everything that a solution depends on besides theta."""
@@ -150,7 +151,7 @@ class BloodFlow:
         return {**self.__dict__, "_kept": ()}
 
     def _case(self, values: Values, stiffness: Array) -> Case:
-        n = len(self.network.ids)
+        n, shapes = len(self.network.ids), SHAPES[self.wall]
 
         def of_each(name: str, otherwise: float = 1.0) -> Array:
             return np.full(n, np.asarray(values.get(name, otherwise), dtype=np.float64))
@@ -164,7 +165,7 @@ class BloodFlow:
             options=self.options,
             physics=NO_PHYSICS,
             stiffness=stiffness,
-            gamma=of_each("gamma", 2.0),
+            gamma=of_each("gamma", 2.0) if len(shapes) < 2 else np.stack([of_each(name) for name in shapes]),
             psi1=of_each("psi1"),
             psi2=of_each("psi2"),
             c=of_each("c"),
@@ -199,12 +200,15 @@ class BloodFlow:
         """
         wanted = outputs or self.outputs
         series = cast("tuple[Place, ...]", wanted.series)
-        return simulate(configuration, series, self._clock(wanted, configuration), solver=self._solver)
+        if wanted is not self.outputs:
+            check_series(configuration, series)
+        return simulate(configuration, series, self._clock(wanted), solver=self._solver)
 
-    def _clock(self, outputs: Outputs, case: Case | None = None) -> Array:
+    def _clock(self, outputs: Outputs) -> Array:
         """When the solution is sampled: the samples' times, with the conventions' lag."""
-        lag = (case.conventions if case else self.conventions).sample_lag_beats
-        return np.asarray(outputs.times + lag * self.network.period_s)
+        if outputs is not self.outputs:
+            return np.asarray(outputs.times + self.conventions.sample_lag_beats * self.network.period_s)
+        return self._times
 
     def _solver(self, case: Case, places: Sequence[tuple[int, float]], times: Array) -> Solver:
         """A solver that was made before, if only the parameters differ."""
@@ -215,10 +219,10 @@ class BloodFlow:
                 and old.inflow_time_s is case.inflow_time_s
                 and old.physics is case.physics
                 and old.wall == case.wall
-                and old.conventions == case.conventions
-                and old.options == case.options
+                and (old.conventions is case.conventions or old.conventions == case.conventions)
+                and (old.options is case.options or old.options == case.options)
                 and at == places
-                and np.array_equal(when, times)
+                and (when is times or np.array_equal(when, times))
             )
             if same:
                 return solver
