@@ -12,32 +12,29 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from zoo.blood.effects import (
-    BASES,
-    CATALOGUE,
-    FAMILIES,
+from zoo.blood.case import (
     Case,
-    Effect,
-    EffectError,
-    Place,
+    OutputError,
     Wave,
-    apply_all,
-    catalogue_table,
-    effects_for,
     filtered,
-    foster_fit,
-    get_base,
-    get_effect,
-    ladder_sections,
     members,
-    relative_viscosity,
-    signature_table,
-    signatures,
     simulate,
     total_resistance,
-    tree_impedance,
-    typical_values,
 )
+from zoo.blood.effects import (
+    CATALOGUE,
+    FAMILIES,
+    Effect,
+    EffectError,
+    EffectParameter,
+    Location,
+    added_effects,
+    at_vessel,
+)
+from zoo.blood.effects.fluid import relative_viscosity
+from zoo.blood.effects.outflow import ladder_sections
+from zoo.blood.effects.structured_tree import foster_fit, tree_impedance
+from zoo.blood.effects.tables import catalogue_table, signature_table, signatures, typical_values
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions, wall_pressure_mmHg
 from zoo.blood.study import Blood, Study, StudyError, Vessel, Windkessel, load_study
@@ -85,12 +82,12 @@ def solved(case: Case, series: list[tuple[int, float, str]], n: int = 256) -> Ar
     return values
 
 
-def added(case: Case, name: str, *values: float, place: Place | None = None) -> Case:
+def added(case: Case, name: str, *values: float, place: Location | None = None) -> Case:
     """With one effect; the values of its shapes are their centres unless given."""
-    effect = get_effect(name)
+    effect = CATALOGUE[name]
     assert effect.apply is not None
-    rest = tuple(a.centre for a in effect.amplitudes[len(values) :])
-    return effect.apply(case, (*values, *rest), place or effect.places(case.network)[0])
+    rest = tuple(a.centre for a in effect.parameters[len(values) :])
+    return effect.apply(case, (*values, *rest), place or effect.locations(case)[0])
 
 
 def tube(flow_ml_s: float = 0.02, **changed: Any) -> Case:
@@ -131,7 +128,7 @@ def test_it_holds_every_effect() -> None:
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_every_entry_is_complete(name: str) -> None:
-    effect = get_effect(name)
+    effect = CATALOGUE[name]
     assert effect.name == name
     assert effect.family in FAMILIES
     for text in (effect.statement, effect.equation, effect.signature):
@@ -139,8 +136,8 @@ def test_every_entry_is_complete(name: str) -> None:
         assert text == text.strip()
     assert effect.statement.endswith(".")
     assert re.search(r"doi 10\.\d{4,}/\S+|definition|Math\. Biosci\. Eng\.", effect.source)
-    assert effect.amplitudes[0].zero_is_base
-    for amplitude in effect.amplitudes:
+    assert effect.parameters[0].zero_is_base
+    for amplitude in effect.parameters:
         assert amplitude.name
         assert amplitude.unit
         assert amplitude.why
@@ -159,7 +156,7 @@ def test_every_entry_is_complete(name: str) -> None:
 
 def test_unknown_names_are_refused_with_the_nearest() -> None:
     with pytest.raises(EffectError, match=r"effect 'stenoses': unknown; did you mean 'stenosis'\?"):
-        get_effect("stenoses")
+        CATALOGUE["stenoses"]
     with pytest.raises(EffectError, match=r"base 'linear-constnt': unknown; did you mean 'linear-constant'"):
         get_base("linear-constnt")
     with pytest.raises(EffectError, match="family = 'walls': unknown; did you mean 'wall'"):
@@ -167,18 +164,18 @@ def test_unknown_names_are_refused_with_the_nearest() -> None:
 
 
 def test_wrong_values_and_places_are_refused(case: Case) -> None:
-    apply = get_effect("catheter-resonance").apply
+    apply = CATALOGUE["catheter-resonance"].apply
     assert apply is not None
     with pytest.raises(EffectError, match=r"give finite numbers for 1/f_n \(s\), damping \(1\)"):
-        apply(case, (0.01,), Place())
+        apply(case, (0.01,), Location())
     with pytest.raises(EffectError, match="finite"):
-        apply(case, (float("nan"), 0.3), Place())
+        apply(case, (float("nan"), 0.3), Location())
     with pytest.raises(EffectError, match="stenosis: place: is missing"):
-        added(case, "stenosis", 0.3, place=Place())
+        added(case, "stenosis", 0.3, place=Location())
     with pytest.raises(StudyError, match="vessel = 99"):
-        added(case, "stenosis", 0.3, place=Place(99))
+        added(case, "stenosis", 0.3, place=at_vessel(99))
     with pytest.raises(EffectError, match="correlated-noise: is part of the errors"):
-        apply_all(case, [(get_effect("correlated-noise"), (0.1, 0.003), Place())])
+        apply_all(case, [(CATALOGUE["correlated-noise"], (0.1, 0.003), Location())])
     with pytest.raises(EffectError, match="use a linear base"):
         added(get_base("H").case(load_study("demo"), get_base("H").start), "tangent-wall", 0.2)
 
@@ -195,24 +192,24 @@ def test_what_each_base_is_offered() -> None:
 
 def test_places(case: Case) -> None:
     network = case.network
-    assert get_effect("taper").places(network) == (Place(),)
-    assert get_effect("stenosis").places(network) == tuple(Place(v) for v in range(1, 22))
-    inner = get_effect("local-stiffness").places(network)[21:]
-    assert [place.vessel for place in inner] == [2, 3, 4, 6, 8, 10, 14, 16, 18]
+    assert CATALOGUE["taper"].locations(case) == (Location(),)
+    assert CATALOGUE["stenosis"].locations(case) == tuple(at_vessel(v) for v in range(1, 22))
+    inner = CATALOGUE["local-stiffness"].locations(case)[21:]
+    assert [place.part for place in inner] == [2, 3, 4, 6, 8, 10, 14, 16, 18]
     assert all(place.subtree for place in inner)
-    sides = get_effect("uneven-resistance").places(network)
-    assert sides[0] == Place(2, True)
-    assert [p.vessel for p in sides[1:]] == [5, 7, 9, 11, 12, 13, 15, 17, 19, 20, 21]
-    assert network.ids[members(network, Place(8, True))].tolist() == [8, 10, 11, 12, 13]
-    assert str(Place()), str(Place(3)) == ("everywhere", "vessel 3")
-    assert str(Place(3, True)) == "vessel 3 and below"
+    sides = CATALOGUE["uneven-resistance"].locations(case)
+    assert sides[0] == at_vessel(2, True)
+    assert [p.part for p in sides[1:]] == [5, 7, 9, 11, 12, 13, 15, 17, 19, 20, 21]
+    assert network.ids[members(network, at_vessel(8, True))].tolist() == [8, 10, 11, 12, 13]
+    assert str(Location()), str(at_vessel(3)) == ("everywhere", "vessel 3")
+    assert str(at_vessel(3, True)) == "vessel 3 and below"
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_pickles(name: str, case: Case) -> None:
-    assert pickle.loads(pickle.dumps(get_effect(name))) is get_effect(name)
+    assert pickle.loads(pickle.dumps(CATALOGUE[name])) is CATALOGUE[name]
     if name in SOLVED:
-        changed = added(case, name, *typical_values(get_effect(name))[:1])
+        changed = added(case, name, *typical_values(CATALOGUE[name])[:1])
         again = pickle.loads(pickle.dumps(changed))
         assert len(again.waves) == len(changed.waves)
         np.testing.assert_array_equal(again.stiffness, changed.stiffness)
@@ -245,10 +242,10 @@ def test_the_base_is_the_solver_bit_for_bit(study: Study) -> None:
 
 @pytest.mark.parametrize("name", SOLVED)
 def test_amplitude_0_is_the_base(name: str, case: Case, plain: Array) -> None:
-    effect = get_effect(name)
+    effect = CATALOGUE[name]
     zero = (0.0, *typical_values(effect)[1:])
     assert effect.apply is not None
-    for place in effect.places(case.network):
+    for place in effect.locations(case):
         changed = effect.apply(case, zero, place)
         assert changed is case
     np.testing.assert_array_equal(solved(changed, ROOT), plain)
@@ -256,11 +253,11 @@ def test_amplitude_0_is_the_base(name: str, case: Case, plain: Array) -> None:
 
 @pytest.mark.parametrize("name", SOLVED)
 def test_small_amplitudes_change_little_unless_a_switch(name: str, case: Case, plain: Array) -> None:
-    effect = get_effect(name)
+    effect = CATALOGUE[name]
     values = typical_values(effect)
-    place = max(effect.places(case.network)[:3], key=lambda p: p.subtree)
-    if not effect.amplitudes[0].continuous:
-        least = added(case, name, effect.amplitudes[0].low, place=place)
+    place = max(effect.locations(case)[:3], key=lambda p: p.subtree)
+    if not effect.parameters[0].continuous:
+        least = added(case, name, effect.parameters[0].low, place=place)
         assert np.max(np.abs(solved(least, ROOT) - plain)) > 0.1
         return
     large = np.max(np.abs(solved(added(case, name, 0.1 * values[0], place=place), ROOT) - plain))
@@ -270,18 +267,18 @@ def test_small_amplitudes_change_little_unless_a_switch(name: str, case: Case, p
 
 def test_the_order_of_effects_does_not_matter(case: Case) -> None:
     chosen = [
-        (get_effect(name), typical_values(get_effect(name)), place)
+        (CATALOGUE[name], typical_values(CATALOGUE[name]), place)
         for name, place in [
-            ("vessel-length", Place(18)),
-            ("hydrostatic", Place()),
-            ("side-branches", Place()),
-            ("uneven-resistance", Place(2, True)),
-            ("distributed-outflow", Place()),
-            ("structured-tree", Place()),
-            ("catheter-resonance", Place()),
-            ("sensor-offset", Place()),
-            ("inflow-shift", Place()),
-            ("coarse-grid", Place()),
+            ("vessel-length", at_vessel(18)),
+            ("hydrostatic", Location()),
+            ("side-branches", Location()),
+            ("uneven-resistance", at_vessel(2, True)),
+            ("distributed-outflow", Location()),
+            ("structured-tree", Location()),
+            ("catheter-resonance", Location()),
+            ("sensor-offset", Location()),
+            ("inflow-shift", Location()),
+            ("coarse-grid", Location()),
         ]
     ]
     forward, backward = (solved(apply_all(case, order), ROOT) for order in (chosen, chosen[::-1]))
@@ -291,7 +288,7 @@ def test_the_order_of_effects_does_not_matter(case: Case) -> None:
 
 def test_an_effect_twice_adds_up(case: Case) -> None:
     for name in ("external-pressure", "minor-losses", "viscoelastic-wall", "side-branches", "hydrostatic"):
-        a, b = 0.2 * typical_values(get_effect(name))[0], 0.3 * typical_values(get_effect(name))[0]
+        a, b = 0.2 * typical_values(CATALOGUE[name])[0], 0.3 * typical_values(CATALOGUE[name])[0]
         np.testing.assert_allclose(
             solved(added(added(case, name, a), name, b), ROOT),
             solved(added(case, name, a + b), ROOT),
@@ -305,14 +302,14 @@ def test_an_effect_twice_adds_up(case: Case) -> None:
 
 def test_geometry_changes_what_it_says(case: Case) -> None:
     net = case.network
-    wide = added(case, "vessel-radius", 0.1, place=Place(3)).network
+    wide = added(case, "vessel-radius", 0.1, place=at_vessel(3)).network
     at = net.index(3)
     assert wide.radius_in_cm[at] / net.radius_in_cm[at] == pytest.approx(np.exp(0.1))
     assert wide.radius_out_cm[at] / net.radius_out_cm[at] == pytest.approx(np.exp(0.1))
     assert np.sum(wide.radius_in_cm != net.radius_in_cm) == 1
     np.testing.assert_allclose(added(case, "taper", 0.2).network.radius_out_cm, 0.8 * net.radius_out_cm)
     np.testing.assert_array_equal(added(case, "taper", 0.2).network.radius_in_cm, net.radius_in_cm)
-    throat = added(case, "stenosis", 0.5, place=Place(5)).physics
+    throat = added(case, "stenosis", 0.5, place=at_vessel(5)).physics
     assert throat.throat_severity is not None
     assert throat.throat_length is not None
     assert throat.throat_severity[net.index(5)] == 0.5
@@ -324,7 +321,7 @@ def test_geometry_changes_what_it_says(case: Case) -> None:
 def test_a_length_is_free_where_conventions_truncate_it(study: Study) -> None:
     base = get_base("B")
     case = base.case(study, base.start, conventions=replace_truncated(study))
-    changed = added(case, "vessel-length", 0.01, place=Place(1))
+    changed = added(case, "vessel-length", 0.01, place=at_vessel(1))
     assert not changed.conventions.truncate_lengths
     assert changed.network.length_cm[0] == pytest.approx(np.floor(40 * 0.41) / 40 * np.exp(0.01))
     difference = solved(changed, ROOT) - solved(case, ROOT)
@@ -357,7 +354,7 @@ def test_stiffness_by_radius_is_equation_3_5(case: Case) -> None:
 
 
 def test_local_stiffness_of_a_subtree(case: Case) -> None:
-    ratio = added(case, "local-stiffness", 0.4, place=Place(8, True)).stiffness / case.stiffness
+    ratio = added(case, "local-stiffness", 0.4, place=at_vessel(8, True)).stiffness / case.stiffness
     stiff = case.network.ids[ratio > 1].tolist()
     assert stiff == [8, 10, 11, 12, 13]
     assert ratio[case.network.index(8)] == pytest.approx(np.exp(0.4))
@@ -621,11 +618,11 @@ def test_venous_pressure_is_where_the_windkessels_end(case: Case) -> None:
 
 def test_uneven_resistance_moves_flow_to_the_other_side(case: Case) -> None:
     a, net = 0.6, case.network
-    one = added(case, "uneven-resistance", a, place=Place(12))
+    one = added(case, "uneven-resistance", a, place=at_vessel(12))
     assert one.psi1[net.index(12)] / case.psi1[0] == pytest.approx(np.exp(a))
     assert np.sum(one.psi2 != case.psi2) == 1
-    sides = added(case, "uneven-resistance", a, place=Place(2, True))
-    left = members(net, Place(2, True))
+    sides = added(case, "uneven-resistance", a, place=at_vessel(2, True))
+    left = members(net, at_vessel(2, True))
     np.testing.assert_allclose(sides.psi1 / case.psi1, np.where(left, np.exp(a), np.exp(-a)))
     flows = [(2, 0.0, "flow_ml_s"), (3, 0.0, "flow_ml_s")]
     before, after = (solved(c, flows).mean(axis=1) for c in (case, sides))
@@ -899,10 +896,10 @@ def test_the_documents_own_effect_works(case: Case, plain: Array) -> None:
         for block in blocks:
             exec(compile(block, str(DOCUMENT), "exec"), {})
         (name,) = set(CATALOGUE) - set(before)
-        difference = solved(added(case, name, *typical_values(get_effect(name))), ROOT) - plain
+        difference = solved(added(case, name, *typical_values(CATALOGUE[name])), ROOT) - plain
         assert np.max(np.abs(difference)) > 0.01
-        again = pickle.loads(pickle.dumps(get_effect(name)))
-        assert again is get_effect(name)
+        again = pickle.loads(pickle.dumps(CATALOGUE[name]))
+        assert again is CATALOGUE[name]
     finally:
         for name in set(CATALOGUE) - set(before):
             del CATALOGUE[name]

@@ -16,6 +16,7 @@ from zoo.blood.conventions import PRINTED, Conventions
 from zoo.blood.network import Network
 from zoo.blood.study import ReadOnlyArrays, read_only
 from zoo.blood.units import cgs_to_mmhg
+from zoo.core.forward import SolveError
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
@@ -62,32 +63,52 @@ PUBLISHED_CELLS_PER_CM = 40
 THROAT_LENGTH_CM = 0.15
 
 
-class SolverError(RuntimeError):
-    """A solve that did not reach a periodic state; its text says why and what to change."""
+class SolverError(SolveError):
+    """A solve that did not reach a periodic state; its text says why and what to change.
+
+    Its `kind` is the name of its status, such as "collapse".
+    """
+
+    status = "failed"
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason, self.status)
 
 
 class SolverArgumentError(SolverError, ValueError):
     """An input of the solver is out of range."""
 
+    status = STATUS_NAMES[lib.ZOO_BAD_ARGUMENT]
+
 
 class CFLError(SolverError):
     """The time step is too long for the wave speed."""
+
+    status = STATUS_NAMES[lib.ZOO_CFL]
 
 
 class CollapseError(SolverError):
     """A vessel's cross-section fell to zero."""
 
+    status = STATUS_NAMES[lib.ZOO_COLLAPSE]
+
 
 class WallLimitError(SolverError):
     """A vessel's cross-section passed the largest one of its wall law."""
+
+    status = STATUS_NAMES[lib.ZOO_WALL_LIMIT]
 
 
 class RootError(SolverError):
     """A junction or an outlet has no pressure that satisfies its equations."""
 
+    status = STATUS_NAMES[lib.ZOO_NO_ROOT]
+
 
 class NotPeriodicError(SolverError):
     """The beats did not repeat themselves within the limit."""
+
+    status = STATUS_NAMES[lib.ZOO_NOT_PERIODIC]
 
 
 _ERRORS: dict[int, tuple[type[SolverError], str]] = {

@@ -71,8 +71,9 @@ class ForwardOp(Op):
     Returns `mean`, float64 (n_series, n_times), each series in its own unit, and `ok`, an int8 scalar: 1, or
     0 when the solve failed and `mean` is zero.
 
-    The last few points are kept, so PyMC's repeated evaluations of a point cost one solve. Copies of
-    an operation (in compiled functions, after unpickling) share these points and the counts.
+    The last few points are kept, so PyMC's repeated evaluations of a point cost one solve, and a change of
+    hyperparameters none. Copies of an operation (in compiled functions, after unpickling) share these points
+    and the counts.
 
     Parameters
     ----------
@@ -95,6 +96,7 @@ class ForwardOp(Op):
             )
         self.model = model
         self.key = content_key(model.key, model.outputs)
+        self._read = np.concatenate([np.full(p.size, not p.hyper) for p in model.parameters])
         self._attach()
 
     def _attach(self) -> None:
@@ -157,7 +159,7 @@ class ForwardOp(Op):
         if theta.shape != (n_values(self.model.parameters),):
             names = ", ".join(p.name for p in self.model.parameters)
             raise ValueError(f"{theta.size} values for {n_values(self.model.parameters)}: give {names}")
-        point = theta.tobytes()
+        point = theta[self._read].tobytes()
         state = self._state
         with state.lock:
             state.counts["evaluations"] += 1

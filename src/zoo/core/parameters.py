@@ -400,6 +400,8 @@ class Parameter:
         Name of the dimension of a vector, such as "vessel"; empty for a number.
     size : int
         Elements.
+    hyper : bool
+        Whether only the priors of others depend on it and no solution does, as a population's mean.
     """
 
     name: str
@@ -410,6 +412,7 @@ class Parameter:
     log: bool = False
     dims: str = ""
     size: int = 1
+    hyper: bool = False
 
     @property
     def first(self) -> float:

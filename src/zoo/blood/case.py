@@ -1,0 +1,314 @@
+"""A solve about to be made, which effects change, and what solving and sampling it gives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zoo.blood.conventions import Conventions
+from zoo.blood.network import Network
+from zoo.blood.solver import PUBLISHED_CELLS_PER_CM, Physics, Solver, SolverOptions
+from zoo.blood.study import QUANTITIES
+from zoo.core.effects import Location, nearest
+from zoo.core.forward import SolveError
+
+Array = NDArray[np.float64]
+Place = tuple[int, float, str]
+"""A series: vessel id, position (0 inlet, 1 outlet), quantity."""
+
+UNITS = {"pressure_mmHg": "mmHg", "flow_ml_s": "ml/s", "area_cm2": "cm2"}
+WAVE_SAMPLES = 1024
+"""Samples of a cardiac cycle on which functions of the waves act."""
+
+
+class OutputError(ValueError):
+    """A series that no solve has: its position or quantity does not exist."""
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Waveforms over one cardiac cycle, which sensors act on.
+
+    Parameters
+    ----------
+    value : array (n_series, n)
+        At times m period/n, each series in its own unit.
+    quantity : tuple of str
+        "pressure_mmHg", "flow_ml_s" or "area_cm2", for each series.
+    period_s : float
+        s.
+    """
+
+    value: Array
+    quantity: tuple[str, ...]
+    period_s: float
+
+    @property
+    def is_pressure(self) -> NDArray[np.bool_]:
+        """Which series are pressures, (n_series,)."""
+        return np.array([q == "pressure_mmHg" for q in self.quantity], dtype=bool)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A solve about to be made: what an effect may change.
+
+    Parameters
+    ----------
+    network : Network
+    inflow_time_s, inflow_ml_s : array (n,)
+        Flow into the root over one cardiac cycle.
+    conventions : Conventions
+    wall : {"linear", "tangent"}
+    options : SolverOptions
+    physics : Physics
+        Terms inside the solver.
+    stiffness, gamma, psi1, psi2, c : array (n_vessels,)
+        chi (g cm-1 s-2), the tangent wall's gamma, and the factors of the nominal R1, R2, C.
+    waves : tuple of functions
+        From `Wave` to `Wave`, applied to the solution in this order.
+    coarse_blend : float
+        a in y + a (y(2 dx) - y), where y(2 dx) is a second solve with cells twice as long.
+    """
+
+    network: Network
+    inflow_time_s: Array
+    inflow_ml_s: Array
+    conventions: Conventions
+    wall: str
+    options: SolverOptions
+    physics: Physics
+    stiffness: Array
+    gamma: Array
+    psi1: Array
+    psi2: Array
+    c: Array
+    waves: tuple[Callable[[Wave], Wave], ...] = ()
+    coarse_blend: float = 0.0
+
+
+# ---------------------------------------------------------------------------------------------------
+# Solving
+
+
+def solver_of(case: Case, places: Sequence[tuple[int, float]], times_s: Array) -> Solver:
+    """The solver of a case, sampled at places (vessel id, position) and times."""
+    return Solver(
+        case.network,
+        case.inflow_time_s,
+        case.inflow_ml_s,
+        wall=case.wall,
+        conventions=case.conventions,
+        series=places,
+        times_s=times_s,
+        options=case.options,
+        physics=case.physics,
+    )
+
+
+def check_series(case: Case, series: Sequence[Place]) -> None:
+    """Raise where a vessel is not in the network, or a position or a quantity does not exist.
+
+    Raises
+    ------
+    zoo.blood.study.StudyError
+        For the vessel.
+    OutputError
+        For the other two.
+    """
+    for vessel, position, quantity in series:
+        case.network.index(vessel)
+        if quantity not in QUANTITIES:
+            raise OutputError(f"quantity = {quantity!r}: {nearest(quantity, QUANTITIES)}")
+        if not 0 <= position <= 1:
+            raise OutputError(f"position = {position!r} of vessel {vessel}: must be in [0, 1]")
+
+
+def simulate(
+    case: Case,
+    series: Sequence[Place],
+    times_s: ArrayLike,
+    *,
+    solver: Callable[[Case, Sequence[tuple[int, float]], Array], Solver] = solver_of,
+) -> Array:
+    """Solve a case and sample it.
+
+    Without functions of the waves this is ``Solver(...).solve(...)``, bit for bit. They act on
+    `WAVE_SAMPLES` uniform samples of the cardiac cycle, and what they add there is added to the solution
+    after periodic cubic interpolation.
+
+    Parameters
+    ----------
+    case : Case
+    series : sequence of (vessel id, position, quantity)
+        Position 0 is the vessel's inlet, 1 its outlet.
+    times_s : array (n_times,)
+        s, from the start of the cardiac cycle.
+    solver : function
+        Makes or finds the solver.
+
+    Returns
+    -------
+    array (n_series, n_times)
+        Each series in its own unit.
+
+    Raises
+    ------
+    SolveError
+        If the solve fails; its kind is the solver's status, such as "collapse", or "not-finite".
+    zoo.blood.study.StudyError, OutputError
+        If a vessel, a position or a quantity does not exist.
+    """
+    check_series(case, series)
+    times = np.asarray(times_s, dtype=np.float64)
+    period = case.network.period_s
+    cycle = np.arange(WAVE_SAMPLES) * (period / WAVE_SAMPLES)
+    wanted = np.concatenate([times, cycle]) if case.waves else times
+
+    solved = _sample(case, series, wanted, solver)
+    if case.coarse_blend:
+        solved = solved + case.coarse_blend * (_sample(_coarser(case), series, wanted, solver) - solved)
+    if not case.waves:
+        return solved
+
+    plain = solved[:, len(times) :]
+    wave = Wave(plain, tuple(quantity for _, _, quantity in series), period)
+    for act in case.waves:
+        wave = act(wave)
+    return np.asarray(solved[:, : len(times)] + _periodic(wave.value - plain, period, times))
+
+
+def _sample(case: Case, series: Sequence[Place], times: Array, solver: Callable[..., Solver]) -> Array:
+    rows: dict[tuple[int, float], int] = {}
+    at = [rows.setdefault((vessel, position), len(rows)) for vessel, position, _ in series]
+    solution = solver(case, tuple(rows), times).solve(
+        case.stiffness, case.gamma, case.psi1, case.psi2, case.c
+    )
+    values = np.array([getattr(solution, series[k][2])[i] for k, i in enumerate(at)])
+    values = values.reshape(len(series), len(times))
+    if not np.all(np.isfinite(values)):
+        raise SolveError("the solution is not finite", "not-finite")
+    return values
+
+
+def _coarser(case: Case) -> Case:
+    """The same with cells twice as long, and with them the time step."""
+    case = with_true_lengths(case)
+    steps = case.options.steps_per_beat
+    coarse = max(32, steps // 2) if steps else 0
+    return replace(case, options=replace(case.options, dx_cm=2 * case.options.dx_cm, steps_per_beat=coarse))
+
+
+def _periodic(values: Array, period: float, times: Array) -> Array:
+    """Cubic spline through uniform samples of a period, (n_series, n) to (n_series, n_times)."""
+    from scipy.interpolate import CubicSpline
+
+    n = values.shape[1]
+    closed = np.concatenate([values, values[:, :1]], axis=1)
+    spline = CubicSpline(np.arange(n + 1) * (period / n), closed, axis=1, bc_type="periodic")
+    return np.asarray(spline(np.mod(times, period)))
+
+
+# ---------------------------------------------------------------------------------------------------
+# Changed copies, and what effects ask of a case
+
+
+def with_true_lengths(case: Case) -> Case:
+    """The same case with the lengths that its grid has, where the conventions truncate them.
+
+    Truncated lengths come in steps of 1/40 cm; an effect that changes a length must not.
+    """
+    if not case.conventions.truncate_lengths:
+        return case
+    cells = np.floor(PUBLISHED_CELLS_PER_CM * case.network.length_cm + 1e-9)
+    return replace(
+        case,
+        network=replace(case.network, length_cm=cells / PUBLISHED_CELLS_PER_CM),
+        conventions=case.conventions.replace(truncate_lengths=False),
+        options=replace(case.options, dx_cm=1 / PUBLISHED_CELLS_PER_CM),
+    )
+
+
+def with_network(case: Case, **arrays: Any) -> Case:
+    """The case with some of its network's arrays changed."""
+    return replace(case, network=replace(case.network, **arrays))
+
+
+def with_physics(case: Case, **terms: Any) -> Case:
+    """The case with some terms of its physics changed."""
+    return replace(case, physics=replace(case.physics, **terms))
+
+
+def with_offset(case: Case, at_inlet: ArrayLike, at_outlet: ArrayLike) -> Case:
+    """The case with something added to the wall's pressure, dyn/cm2, linear along each vessel."""
+    zero = np.zeros(len(case.network.ids))
+
+    def total(old: Array | None, added: ArrayLike) -> Array:
+        return np.asarray((zero if old is None else old) + np.asarray(added, dtype=np.float64))
+
+    old = case.physics
+    return with_physics(
+        case,
+        offset_in=total(old.offset_in, at_inlet),
+        offset_out=total(old.offset_out, at_outlet),
+    )
+
+
+def with_wave(case: Case, act: Callable[[Wave], Wave]) -> Case:
+    """The case with one more function of the waves, after those it has."""
+    return replace(case, waves=(*case.waves, act))
+
+
+def members(network: Network, location: Location) -> NDArray[np.bool_]:
+    """Which vessels a location holds, (n_vessels,).
+
+    Raises
+    ------
+    zoo.blood.study.StudyError
+        If its vessel is not in the network.
+    """
+    if location.part is None:
+        return np.ones(len(network.ids), dtype=bool)
+    inside = np.zeros(len(network.ids), dtype=bool)
+    inside[network.index(int(location.part))] = True
+    if location.subtree:
+        for i, parent in enumerate(network.parent):
+            inside[i] |= parent >= 0 and inside[parent]
+    return inside
+
+
+def total_resistance(case: Case) -> Array:
+    """psi1 R1 + psi2 R2 of every vessel, dyn s/cm5, NaN where there is no terminal; (n_vessels,)."""
+    return np.asarray(case.psi1 * case.network.R1 + case.psi2 * case.network.R2)
+
+
+def wall_slope(case: Case) -> Array:
+    """dp/d(A/A0) at rest, dyn/cm2, (n_vessels,): (2/3) chi, or k chi pi/gamma of the tangent wall."""
+    if case.wall == "linear":
+        return np.asarray(2 / 3 * case.stiffness)
+    return np.asarray(case.conventions.wall_factor * case.stiffness * math.pi / case.gamma)
+
+
+def filtered(values: Array, period_s: float, response: Callable[[Array], NDArray[Any]]) -> Array:
+    """Periodic samples after a linear filter.
+
+    Parameters
+    ----------
+    values : array (..., n)
+        Over one period.
+    period_s : float
+    response : function
+        Complex response at the angular frequencies (rad/s) of the harmonics from 0 up.
+
+    Returns
+    -------
+    array (..., n)
+    """
+    n = values.shape[-1]
+    harmonics = 2 * math.pi / period_s * np.arange(n // 2 + 1)
+    return np.fft.irfft(np.fft.rfft(values) * response(harmonics), n)

@@ -1,0 +1,90 @@
+"""What a baseline model of blood flow may lack: a catalogue of effects, zero in the baseline.
+
+An effect takes a `zoo.blood.case.Case`, a solve about to be made, and returns a changed copy: another
+network, another inflow, other parameters, terms inside the solver (`zoo.blood.solver.Physics`), or a function
+that acts on the solved waves, as a sensor does. To add one, write a function with `@effect(...)`, here or in a
+file of your own; docs/effects.md shows one of ten lines.
+"""
+
+from zoo.blood.case import Case, Wave
+from zoo.blood.effects.catalogue import CATALOGUE, effect
+from zoo.blood.effects.given import added_effects
+from zoo.blood.effects.locations import at_vessel, each_vessel, sides_and_terminals, vessels_and_subtrees
+from zoo.blood.forward import FAMILIES
+from zoo.core.effects import Effect, EffectError, EffectParameter, Location, everywhere
+
+# in the order in which those of a family are applied
+from zoo.blood.effects import geometry, wall, fluid, junctions, outflow, structured_tree  # isort: skip
+from zoo.blood.effects import surroundings, inflow, sensor, noise, numerics  # isort: skip
+
+__all__ = [
+    "CATALOGUE",
+    "FAMILIES",
+    "Case",
+    "Effect",
+    "EffectError",
+    "EffectParameter",
+    "Location",
+    "Wave",
+    "added_effects",
+    "at_vessel",
+    "each_vessel",
+    "effect",
+    "everywhere",
+    "fluid",
+    "geometry",
+    "inflow",
+    "junctions",
+    "noise",
+    "numerics",
+    "outflow",
+    "sensor",
+    "sides_and_terminals",
+    "simulate",
+    "structured_tree",
+    "surroundings",
+    "vessels_and_subtrees",
+    "wall",
+]
+
+# names of before, until their last users are gone
+from zoo.blood.case import (
+    filtered as filtered,
+)
+from zoo.blood.case import (
+    members as members,
+)
+from zoo.blood.case import (
+    total_resistance as total_resistance,
+)
+from zoo.blood.case import (
+    with_physics as with_physics,
+)
+from zoo.blood.effects.before import (
+    BASES as BASES,
+)
+from zoo.blood.effects.before import (
+    Amplitude as Amplitude,
+)
+from zoo.blood.effects.before import (
+    Base as Base,
+)
+from zoo.blood.effects.before import (
+    Place as Place,
+)
+from zoo.blood.effects.before import (
+    apply_all as apply_all,
+)
+from zoo.blood.effects.before import (
+    effects_for as effects_for,
+)
+from zoo.blood.effects.before import (
+    get_base as get_base,
+)
+from zoo.blood.effects.before import (
+    get_effect as get_effect,
+)
+from zoo.blood.effects.before import (
+    simulate as simulate,
+)
+from zoo.blood.effects.tables import prior_text as prior_text

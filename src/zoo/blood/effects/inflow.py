@@ -1,0 +1,71 @@
+"""Effects on the flow into the root."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+from zoo.blood.case import Case, filtered
+from zoo.blood.effects.catalogue import effect
+from zoo.blood.effects.responses import delay, low_pass
+from zoo.core.effects import EffectParameter, Location
+
+_INFLOW = "Paun et al. 2020, doi 10.1098/rsif.2020.0886, takes the measured inflow as exact"
+
+
+@effect(
+    "inflow-gain",
+    "inflow",
+    equation="q(t) -> (1 + g) q(t)",
+    source=_INFLOW,
+    signature="scales pressure and flow; the baseline's stiffness and resistances take most of it up",
+    parameters=[EffectParameter("gain", "1", 0.15, -0.6, 0.6, (0.15, -0.15))],
+    why="error of a flow from ultrasound: 10 to 20 %",
+)
+def inflow_gain(case: Case, values: tuple[float, ...], location: Location) -> Case:
+    """The inflow is measured too small or too large by a factor."""
+    return replace(case, inflow_ml_s=case.inflow_ml_s * (1 + values[0]))
+
+
+@effect(
+    "inflow-offset",
+    "inflow",
+    equation="q(t) -> q(t) + f mean(q)",
+    source=_INFLOW,
+    signature="a shift of the mean pressure against its pulse, which the resistances take up",
+    parameters=[EffectParameter("offset", "mean flow", 0.1, -0.5, 0.5, (0.1, -0.1))],
+    why="diastolic flow is read as 0 to within a tenth of the mean",
+)
+def inflow_offset(case: Case, values: tuple[float, ...], location: Location) -> Case:
+    """The inflow's zero is off."""
+    return replace(case, inflow_ml_s=case.inflow_ml_s + values[0] * case.inflow_ml_s.mean())
+
+
+@effect(
+    "inflow-shift",
+    "inflow",
+    equation="q(t) -> q(t - s)",
+    source=_INFLOW + "; flow and pressure are recorded one after the other and aligned",
+    signature="the whole beat moves in time; the derivative of the pressure",
+    parameters=[EffectParameter("shift", "s", 0.003, -0.02, 0.02, (0.002, -0.002))],
+    why="a few samples of the alignment of two records by their upstrokes",
+)
+def inflow_shift(case: Case, values: tuple[float, ...], location: Location) -> Case:
+    """Flow and pressure are not recorded at the same time."""
+    later = functools.partial(delay, time_s=values[0])
+    return replace(case, inflow_ml_s=filtered(case.inflow_ml_s, case.network.period_s, later))
+
+
+@effect(
+    "inflow-bandwidth",
+    "inflow",
+    equation="tau dy/dt + y = q",
+    source=_INFLOW,
+    signature="a later, slower upstroke and a lower peak; like a catheter's resonance",
+    parameters=[EffectParameter("tau", "s", 0.003, 0.0, 0.03, (0.002, 0.008))],
+    why="a corner at 53 Hz, near the sixth harmonic of a mouse's beat",
+)
+def inflow_bandwidth(case: Case, values: tuple[float, ...], location: Location) -> Case:
+    """The flow that enters is smoother than the one recorded."""
+    smoother = functools.partial(low_pass, time_s=values[0])
+    return replace(case, inflow_ml_s=filtered(case.inflow_ml_s, case.network.period_s, smoother))

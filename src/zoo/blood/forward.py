@@ -1,0 +1,256 @@
+"""Blood flow in a study's tree as a forward model: parameters in, the observed series out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zoo.blood.case import UNITS, Case, Place, check_series, simulate, solver_of
+from zoo.blood.conventions import Conventions
+from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.solver import NO_PHYSICS, WALLS, Solver, SolverArgumentError, SolverOptions
+from zoo.blood.study import Study
+from zoo.core.data import Data
+from zoo.core.forward import Outputs, content_key
+from zoo.core.parameters import Parameter, unpack
+
+Array = NDArray[np.float64]
+Values = Mapping[str, Array]
+StiffnessLaw = Callable[[Values, Network, Conventions], Array]
+"""From parameters by name to chi (g cm-1 s-2) of every vessel, (n_vessels,)."""
+
+FAMILIES = (
+    "geometry",
+    "wall",
+    "fluid",
+    "junctions",
+    "outflow",
+    "surroundings",
+    "inflow",
+    "sensor",
+    "noise",
+    "numerics",
+)
+"""In this order effects are applied: first what others read, such as lengths and radii."""
+KEPT_SOLVERS = 4
+
+
+# ---------------------------------------------------------------------------------------------------
+# Stiffness laws
+
+
+def constant_stiffness(values: Values, network: Network, conventions: Conventions) -> Array:
+    """The same in every vessel: chi = f3."""
+    return np.full(len(network.ids), float(values["f3"]))
+
+
+def radius_dependent_stiffness(values: Values, network: Network, conventions: Conventions) -> Array:
+    """By the inlet's radius at rest, `stiffness_profile`: chi = f1 exp(f2 r0/u) + f3 (eq. 3.5)."""
+    f1, f2, f3 = (float(values[name]) for name in ("f1", "f2", "f3"))
+    return stiffness_profile(network.radius_in_cm, f1, f2, f3, conventions.stiffness_radius_unit_cm)
+
+
+def stiffness_of_each_vessel(values: Values, network: Network, conventions: Conventions) -> Array:
+    """Each vessel has its own: chi, (n_vessels,)."""
+    return np.array(values["chi"], dtype=np.float64)
+
+
+# ---------------------------------------------------------------------------------------------------
+# The forward model
+
+
+class BloodFlow:
+    """Pressure, flow and area in a study's tree at the periodic state, as a `zoo.core.forward.ForwardModel`.
+
+    Its configuration is a `zoo.blood.case.Case`; without effects its series are those of
+    ``Solver.for_study(study, wall).solve(...)``, bit for bit. Series are (vessel id, position, quantity),
+    and times are those of the study's samples: the convention `sample_lag_beats` is added when it solves.
+
+    Parameters
+    ----------
+    study : Study
+        Vessels, blood, inflow; its observed series and times are the default outputs.
+    wall : {"linear", "tangent"}
+        Eq. (3.3) or (3.4).
+    stiffness : function
+        A `StiffnessLaw`.
+    parameters : sequence of Parameter
+        Those of the stiffness law, and of "gamma" (2 if absent), "psi1", "psi2" and "c" (1 if absent): one
+        value, or one for each vessel.
+    name : str
+    conventions : Conventions
+        Instead of the study's own.
+    options : SolverOptions
+        Numerical settings.
+    outputs : Outputs
+        Instead of the study's.
+
+    Raises
+    ------
+    SolverArgumentError
+        If the wall is unknown or the numerical settings do not fit the network.
+    zoo.blood.study.StudyError, zoo.blood.case.OutputError
+        If a series' vessel, position or quantity does not exist.
+    """
+
+    families = FAMILIES
+
+    def __init__(
+        self,
+        study: Study,
+        wall: str,
+        stiffness: StiffnessLaw,
+        parameters: Sequence[Parameter],
+        *,
+        name: str = "blood-flow",
+        conventions: Conventions | None = None,
+        options: SolverOptions | None = None,
+        outputs: Outputs | None = None,
+    ) -> None:
+        if wall not in WALLS:
+            raise SolverArgumentError(f"wall = {wall!r}: must be one of {', '.join(WALLS)}")
+        self.study, self.wall, self.stiffness, self.name = study, wall, stiffness, name
+        self.parameters = tuple(parameters)
+        self.conventions = conventions or study.conventions
+        self.options = options or SolverOptions()
+        self.network = Network.from_study(study)
+        self.outputs = outputs or Outputs(
+            tuple((s.vessel, s.position, s.quantity) for s in study.series), study.time_s
+        )
+        series = cast("tuple[Place, ...]", self.outputs.series)
+        self._kept: tuple[tuple[Case, Any, Array, Solver], ...] = ()
+        self.key = self._digest()
+        if len(self.network.ids) and series:
+            blank = self._case({}, np.ones(len(self.network.ids)))
+            check_series(blank, series)
+            self._solver(blank, tuple(dict.fromkeys((v, x) for v, x, _ in series)), self._clock(self.outputs))
+
+    def _digest(self) -> str:
+        """Of everything that a solution depends on besides theta."""
+        net, code = self.network, getattr(self.stiffness, "__code__", None)
+        law = f"{getattr(self.stiffness, '__qualname__', self.stiffness)}".encode()
+        if code is not None:
+            law += code.co_code + repr((code.co_consts, code.co_names)).encode()
+        words = [self.wall, self.conventions, self.options, net.density, net.viscosity, net.period_s]
+        words += [(p.name, p.size) for p in self.parameters]
+        tree = (net.ids, net.parent, net.length_cm, net.radius_in_cm, net.radius_out_cm)
+        loads_and_inflow = (net.R1, net.R2, net.C, self.study.inflow_time_s, self.study.inflow_ml_s)
+        return content_key(law, repr(words), *tree, *loads_and_inflow, self.outputs)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_kept": ()}
+
+    def _case(self, values: Values, stiffness: Array) -> Case:
+        n = len(self.network.ids)
+
+        def of_each(name: str, otherwise: float = 1.0) -> Array:
+            return np.full(n, np.asarray(values.get(name, otherwise), dtype=np.float64))
+
+        return Case(
+            network=self.network,
+            inflow_time_s=self.study.inflow_time_s,
+            inflow_ml_s=self.study.inflow_ml_s,
+            conventions=self.conventions,
+            wall=self.wall,
+            options=self.options,
+            physics=NO_PHYSICS,
+            stiffness=stiffness,
+            gamma=of_each("gamma", 2.0),
+            psi1=of_each("psi1"),
+            psi2=of_each("psi2"),
+            c=of_each("c"),
+        )
+
+    def configure(self, theta: ArrayLike) -> Case:
+        """The solve about to be made, from parameters (n_values,).
+
+        Raises
+        ------
+        zoo.core.parameters.ParameterError
+            If theta has another length.
+        """
+        values = unpack(self.parameters, theta)
+        return self._case(values, self.stiffness(values, self.network, self.conventions))
+
+    def solve(self, configuration: Case, outputs: Outputs | None = None) -> Array:
+        """Series (n_series, n_times), each in the unit of its quantity.
+
+        Parameters
+        ----------
+        configuration : Case
+        outputs : Outputs
+            Series (vessel id, position, quantity), and times of samples in s; the observed ones if absent.
+
+        Raises
+        ------
+        SolveError
+            If the solve fails; its kind is the solver's status, such as "collapse", or "not-finite".
+        zoo.blood.study.StudyError, zoo.blood.case.OutputError
+            If a vessel, a position or a quantity does not exist.
+        """
+        wanted = outputs or self.outputs
+        series = cast("tuple[Place, ...]", wanted.series)
+        return simulate(configuration, series, self._clock(wanted, configuration), solver=self._solver)
+
+    def _clock(self, outputs: Outputs, case: Case | None = None) -> Array:
+        """When the solution is sampled: the samples' times, with the conventions' lag."""
+        lag = (case.conventions if case else self.conventions).sample_lag_beats
+        return np.asarray(outputs.times + lag * self.network.period_s)
+
+    def _solver(self, case: Case, places: Sequence[tuple[int, float]], times: Array) -> Solver:
+        """A solver that was made before, if only the parameters differ."""
+        for old, at, when, solver in self._kept:
+            same = (
+                old.network is case.network
+                and old.inflow_ml_s is case.inflow_ml_s
+                and old.inflow_time_s is case.inflow_time_s
+                and old.physics is case.physics
+                and old.wall == case.wall
+                and old.conventions == case.conventions
+                and old.options == case.options
+                and at == places
+                and np.array_equal(when, times)
+            )
+            if same:
+                return solver
+        made = solver_of(case, places, times)
+        self._kept = ((case, places, times, made), *self._kept[: KEPT_SOLVERS - 1])
+        return made
+
+
+def study_data(study: Study) -> Data:
+    """A study's observed series as data: a group for each quantity.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    Data
+        Its outputs are (vessel id, position, quantity).
+
+    Raises
+    ------
+    ValueError
+        If the study has no observations.
+    """
+    if not study.series:
+        raise ValueError(
+            f"{study.source}: study {study.name!r} has no observations: add observations.csv, "
+            "a model needs something to be compared with"
+        )
+    return Data(
+        study.time_s,
+        study.values,
+        labels=[s.label for s in study.series],
+        units=[UNITS[s.quantity] for s in study.series],
+        groups=[s.quantity for s in study.series],
+        period=study.period_s,
+        outputs=[(s.vessel, s.position, s.quantity) for s in study.series],
+        name=study.name,
+        source=str(study.source),
+    )
