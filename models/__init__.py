@@ -37,7 +37,8 @@ def get_model(name: str) -> Callable[..., pm.Model]:
     Returns
     -------
     callable
-        ``model_X(study, *, options=None, conventions=None) -> pm.Model``.
+        ``model_X(study, *, effects=(), options=None, conventions=None) -> pm.Model``, with settings as in
+        `zoo.blood.baseline.Settings`.
 
     Raises
     ------
@@ -68,4 +69,5 @@ def suggested(name: str) -> dict[str, float]:
         If there is no such model.
     """
     module, _ = _module(name)
-    return dict(module.SUGGESTED)
+    parameters = (*module.BASELINE.parameters, *module.ERRORS.parameters)
+    return {p.name: p.first for p in parameters}

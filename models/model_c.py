@@ -5,32 +5,37 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 
 from __future__ import annotations
 
+from typing import Unpack
+
 import pymc as pm
 
-from zoo.blood.conventions import Conventions
-from zoo.blood.op import blood_flow
-from zoo.blood.solver import SolverOptions
+from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.forward import constant_stiffness
 from zoo.blood.study import Study
-from zoo.core.errors.likelihood import gp_errors, study_model
+from zoo.core.errors.gaussian_process import GaussianProcess
+from zoo.core.parameters import LogUniform, Parameter, Uniform
 
-# published posterior medians
-SUGGESTED = {"f3": 4.31e4, "psi1": 0.29, "psi2": 0.87, "c": 1.34, "w": 5.41e4, "b": 138.0}
+# starts are published posterior medians
+BASELINE = Baseline(
+    "linear-constant",
+    wall="linear",
+    stiffness=constant_stiffness,
+    parameters=(
+        Parameter("f3", Uniform(2e4, 1e5), "g cm-1 s-2", start=4.31e4, log=True),  # stiffness of every vessel
+        # factors on the nominal R1, R2 and C of every outlet
+        Parameter("psi1", Uniform(0.05, 2.5), start=0.29, log=True),
+        Parameter("psi2", Uniform(0.05, 2.5), start=0.87, log=True),
+        Parameter("c", Uniform(0.05, 2.5), start=1.34, log=True),
+    ),
+)
+ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; its amplitude is in mmHg2
+    w=LogUniform(1e4, 9e4), w_start=5.41e4, b=LogUniform(1, 500), b_start=138.0, unit="mmHg"
+)
 
 
-def model_C(
-    study: Study, *, options: SolverOptions | None = None, conventions: Conventions | None = None
-) -> pm.Model:
+def model_C(study: Study, **settings: Unpack[Settings]) -> pm.Model:
     """Linear wall, one stiffness, a Gaussian process for the errors: the density of model B.
 
     The paper keeps the two apart to show that its emulator of B adds no bias.
     """
-    with study_model("C", study, SUGGESTED) as model:
-        f3 = pm.Uniform("f3", 2e4, 1e5)  # stiffness, g cm-1 s-2
-        psi1 = pm.Uniform("psi1", 0.05, 2.5)  # factors on the nominal R1, R2 and C of every outlet
-        psi2 = pm.Uniform("psi2", 0.05, 2.5)
-        c = pm.Uniform("c", 0.05, 2.5)
-
-        mean, ok = blood_flow(study, "linear", f3, psi1, psi2, c, options=options, conventions=conventions)
-
-        gp_errors(mean, ok, study, w_range=(1e4, 9e4), b_range=(1, 500))  # w, b log-uniform
-    return model
+    return blood_model("C", study, BASELINE, ERRORS, **settings)

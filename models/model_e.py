@@ -5,43 +5,37 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 
 from __future__ import annotations
 
+from typing import Unpack
+
 import pymc as pm
 
-from zoo.blood.conventions import Conventions
-from zoo.blood.op import blood_flow, radius_dependent_stiffness
-from zoo.blood.solver import SolverOptions
+from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.forward import radius_dependent_stiffness
 from zoo.blood.study import Study
-from zoo.core.errors.likelihood import gp_errors, study_model
+from zoo.core.errors.gaussian_process import GaussianProcess
+from zoo.core.parameters import LogUniform, Parameter, Uniform
 
-# published posterior medians
-SUGGESTED = {
-    "f1": 51.1e5,
-    "f2": -171.0,
-    "f3": 4.32e4,
-    "psi1": 0.29,
-    "psi2": 0.87,
-    "c": 1.34,
-    "w": 5.39e4,
-    "b": 138.0,
-}
+# starts are published posterior medians
+BASELINE = Baseline(
+    "linear-radius",
+    wall="linear",
+    stiffness=radius_dependent_stiffness,
+    parameters=(
+        # stiffness f1 exp(f2 r0/u) + f3, u the conventions' stiffness_radius_unit_cm
+        Parameter("f1", Uniform(1e3, 1e7), "g cm-1 s-2", start=51.1e5, log=True),
+        Parameter("f2", Uniform(-300, -50), "1/stiffness_radius_unit_cm", start=-171.0),
+        Parameter("f3", Uniform(3e4, 6e4), "g cm-1 s-2", start=4.32e4, log=True),
+        # factors on the nominal R1, R2 and C of every outlet
+        Parameter("psi1", Uniform(0.05, 2.5), start=0.29, log=True),
+        Parameter("psi2", Uniform(0.05, 2.5), start=0.87, log=True),
+        Parameter("c", Uniform(0.05, 2.5), start=1.34, log=True),
+    ),
+)
+ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; its amplitude is in mmHg2
+    w=LogUniform(1e4, 9e4), w_start=5.39e4, b=LogUniform(1, 500), b_start=138.0, unit="mmHg"
+)
 
 
-def model_E(
-    study: Study, *, options: SolverOptions | None = None, conventions: Conventions | None = None
-) -> pm.Model:
+def model_E(study: Study, **settings: Unpack[Settings]) -> pm.Model:
     """Linear wall, stiffness by radius (eq. 3.5), a Gaussian process for the errors."""
-    with study_model("E", study, SUGGESTED) as model:
-        f1 = pm.Uniform("f1", 1e3, 1e7)  # stiffness f1 exp(f2 r0) + f3, g cm-1 s-2
-        f2 = pm.Uniform("f2", -300, -50)  # per stiffness_radius_unit_cm of the conventions
-        f3 = pm.Uniform("f3", 3e4, 6e4)
-        stiffness = radius_dependent_stiffness(study, f1, f2, f3, conventions=conventions)
-        psi1 = pm.Uniform("psi1", 0.05, 2.5)  # factors on the nominal R1, R2 and C of every outlet
-        psi2 = pm.Uniform("psi2", 0.05, 2.5)
-        c = pm.Uniform("c", 0.05, 2.5)
-
-        mean, ok = blood_flow(
-            study, "linear", stiffness, psi1, psi2, c, options=options, conventions=conventions
-        )
-
-        gp_errors(mean, ok, study, w_range=(1e4, 9e4), b_range=(1, 500))  # w, b log-uniform
-    return model
+    return blood_model("E", study, BASELINE, ERRORS, **settings)

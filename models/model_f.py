@@ -5,46 +5,43 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 
 from __future__ import annotations
 
+from typing import Unpack
+
 import pymc as pm
 
-from zoo.blood.conventions import Conventions
-from zoo.blood.op import blood_flow
-from zoo.blood.solver import SolverOptions
+from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.forward import stiffness_of_each_vessel
 from zoo.blood.study import Study
-from zoo.core.errors.likelihood import iid_errors, study_model
+from zoo.core.errors.independent import Independent
+from zoo.core.parameters import InverseGamma, Normal, Parameter, Population, Uniform
 
-# published posterior medians, but for sigma2, the stiffnesses and their population: all vessels are equal
-SUGGESTED = {
-    "m_chi": 5e4,
-    "v_chi": 2.0,
-    "chi": 5e4,
-    "psi1": 2.45,
-    "psi2": 0.21,
-    "c": 2.08,
-    "sigma2": 0.05,
-}
+# starts are published posterior medians, but for sigma2 and the stiffnesses, here alike in all vessels
+BASELINE = Baseline(
+    "linear-vessels",
+    wall="linear",
+    stiffness=stiffness_of_each_vessel,
+    parameters=(
+        # mean of the vessels' population of stiffnesses, and its variance in (1e4 g cm-1 s-2)^2
+        Parameter("m_chi", Normal(6e4, 1.5e4), "g cm-1 s-2", start=5e4, hyper=True),
+        Parameter("v_chi", InverseGamma(3, 7.78), start=2.0, log=True, hyper=True),
+        # each vessel's own; sampled as its logarithm, no wall has a negative one
+        Parameter(
+            "chi", Population("m_chi", "v_chi", unit=1e4), "g cm-1 s-2", start=5e4, log=True, dims="vessel"
+        ),
+        # factors on the nominal R1, R2 and C of every outlet
+        Parameter("psi1", Uniform(0.05, 2.5), start=2.45, log=True),
+        Parameter("psi2", Uniform(0.05, 2.5), start=0.21, log=True),
+        Parameter("c", Uniform(0.05, 2.5), start=2.08, log=True),
+    ),
+)
+ERRORS = Independent(sigma2=InverseGamma(0.001, 0.001), start=0.05)  # variance, mmHg2
 
 
-def model_F(
-    study: Study, *, options: SolverOptions | None = None, conventions: Conventions | None = None
-) -> pm.Model:
+def model_F(study: Study, **settings: Unpack[Settings]) -> pm.Model:
     """Linear wall, a stiffness for each vessel from one normal population, independent errors.
 
     With these hyperpriors 90 % of the prior of each stiffness lies in (2e4, 1e5), as Table 2 asks; how the
     paper divides that between the population's mean and its variance is only in its supplement, as are the
     parameters of its beta priors of psi1, psi2 and c, here uniform.
     """
-    with study_model("F", study, SUGGESTED) as model:
-        m_chi = pm.Normal("m_chi", 6e4, 1.5e4)  # population mean of the stiffness, g cm-1 s-2
-        v_chi = pm.InverseGamma("v_chi", 3, 7.78)  # its variance, (1e4 g cm-1 s-2)^2
-        chi = pm.Normal(  # each vessel's own; sampled as its logarithm, no wall has a negative one
-            "chi", m_chi, 1e4 * pm.math.sqrt(v_chi), dims="vessel", transform=pm.distributions.transforms.log
-        )
-        psi1 = pm.Uniform("psi1", 0.05, 2.5)  # factors on the nominal R1, R2 and C of every outlet
-        psi2 = pm.Uniform("psi2", 0.05, 2.5)
-        c = pm.Uniform("c", 0.05, 2.5)
-
-        mean, ok = blood_flow(study, "linear", chi, psi1, psi2, c, options=options, conventions=conventions)
-
-        iid_errors(mean, ok, study)  # sigma2 ~ InverseGamma(0.001, 0.001)
-    return model
+    return blood_model("F", study, BASELINE, ERRORS, **settings)

@@ -5,36 +5,40 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from typing import Unpack
+
 import pymc as pm
 
-from zoo.blood.conventions import Conventions
-from zoo.blood.op import blood_flow
-from zoo.blood.solver import SolverOptions
+from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.forward import constant_stiffness
 from zoo.blood.study import Study
-from zoo.core.errors.likelihood import gp_errors, study_model
+from zoo.core.errors.gaussian_process import GaussianProcess
+from zoo.core.parameters import LogUniform, Parameter, Uniform
 
-# published posterior medians
-SUGGESTED = {"f3": 9.17e4, "gamma": 5.18, "psi1": 0.37, "psi2": 0.94, "c": 1.60, "w": 4.91e4, "b": 178.0}
+# starts are published posterior medians
+BASELINE = Baseline(
+    "tangent-constant",
+    wall="tangent",
+    stiffness=constant_stiffness,
+    parameters=(
+        Parameter("f3", Uniform(3e4, 5e5), "g cm-1 s-2", start=9.17e4, log=True),  # stiffness of every vessel
+        # largest area of the wall: A0 (1 + gamma/2)
+        Parameter("gamma", Uniform(1, 2 * math.pi), start=5.18, log=True),
+        # factors on the nominal R1, R2 and C of every outlet
+        Parameter("psi1", Uniform(0.05, 2.5), start=0.37, log=True),
+        Parameter("psi2", Uniform(0.05, 2.5), start=0.94, log=True),
+        Parameter("c", Uniform(0.05, 2.5), start=1.60, log=True),
+    ),
+)
+ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; its amplitude is in mmHg2
+    w=LogUniform(1e4, 9e4), w_start=4.91e4, b=LogUniform(1, 500), b_start=178.0, unit="mmHg"
+)
 
 
-def model_H(
-    study: Study, *, options: SolverOptions | None = None, conventions: Conventions | None = None
-) -> pm.Model:
+def model_H(study: Study, **settings: Unpack[Settings]) -> pm.Model:
     """Tangent wall, the same stiffness in every vessel, a Gaussian process for the errors.
 
     `wall_factor` of the conventions, 1 as printed or 1/pi as in the published code, is the wall's own.
     """
-    with study_model("H", study, SUGGESTED) as model:
-        f3 = pm.Uniform("f3", 3e4, 5e5)  # stiffness, g cm-1 s-2
-        gamma = pm.Uniform("gamma", 1, 2 * np.pi)  # largest area of the wall: A0 (1 + gamma/2)
-        psi1 = pm.Uniform("psi1", 0.05, 2.5)  # factors on the nominal R1, R2 and C of every outlet
-        psi2 = pm.Uniform("psi2", 0.05, 2.5)
-        c = pm.Uniform("c", 0.05, 2.5)
-
-        mean, ok = blood_flow(
-            study, "tangent", f3, psi1, psi2, c, gamma, options=options, conventions=conventions
-        )
-
-        gp_errors(mean, ok, study, w_range=(1e4, 9e4), b_range=(1, 500))  # w, b log-uniform
-    return model
+    return blood_model("H", study, BASELINE, ERRORS, **settings)

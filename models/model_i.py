@@ -5,51 +5,45 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from typing import Unpack
+
 import pymc as pm
 
-from zoo.blood.conventions import Conventions
-from zoo.blood.op import blood_flow, radius_dependent_stiffness
-from zoo.blood.solver import SolverOptions
+from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.forward import radius_dependent_stiffness
 from zoo.blood.study import Study
-from zoo.core.errors.likelihood import gp_errors, study_model
+from zoo.core.errors.gaussian_process import GaussianProcess
+from zoo.core.parameters import LogUniform, Parameter, Uniform
 
-# published posterior medians
-SUGGESTED = {
-    "f1": 0.58e5,
-    "f2": -6.0,
-    "f3": 2.00e4,
-    "gamma": 5.09,
-    "psi1": 0.34,
-    "psi2": 0.97,
-    "c": 1.58,
-    "w": 4.45e4,
-    "b": 196.0,
-}
+# starts are published posterior medians
+BASELINE = Baseline(
+    "tangent-radius",
+    wall="tangent",
+    stiffness=radius_dependent_stiffness,
+    parameters=(
+        # stiffness f1 exp(f2 r0/u) + f3, u the conventions' stiffness_radius_unit_cm
+        Parameter("f1", Uniform(5e3, 1e5), "g cm-1 s-2", start=0.58e5, log=True),
+        Parameter("f2", Uniform(-200, 0), "1/stiffness_radius_unit_cm", start=-6.0),
+        Parameter("f3", Uniform(1e4, 5e5), "g cm-1 s-2", start=2.00e4, log=True),
+        # largest area of the wall: A0 (1 + gamma/2)
+        Parameter("gamma", Uniform(1, 2 * math.pi), start=5.09, log=True),
+        # factors on the nominal R1, R2 and C of every outlet
+        Parameter("psi1", Uniform(0.05, 2.5), start=0.34, log=True),
+        Parameter("psi2", Uniform(0.05, 2.5), start=0.97, log=True),
+        Parameter("c", Uniform(0.05, 2.5), start=1.58, log=True),
+    ),
+    wall_factor=1.0,
+)
+ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; its amplitude is in mmHg2
+    w=LogUniform(1e4, 9e4), w_start=4.45e4, b=LogUniform(1, 500), b_start=196.0, unit="mmHg"
+)
 
 
-def model_I(
-    study: Study, *, options: SolverOptions | None = None, conventions: Conventions | None = None
-) -> pm.Model:
+def model_I(study: Study, **settings: Unpack[Settings]) -> pm.Model:
     """Tangent wall, stiffness by radius (eq. 3.5), a Gaussian process for the errors.
 
     Unless conventions are given, `wall_factor` is 1, the printed one, also in a study of the published
-    code's conventions: only so do the published medians fit the measured beat.
+    code's conventions: only so do the published medians fit the measured pressures.
     """
-    conventions = conventions or study.conventions.replace(wall_factor=1.0)
-    with study_model("I", study, SUGGESTED) as model:
-        f1 = pm.Uniform("f1", 5e3, 1e5)  # stiffness f1 exp(f2 r0) + f3, g cm-1 s-2
-        f2 = pm.Uniform("f2", -200, 0)  # per stiffness_radius_unit_cm of the conventions
-        f3 = pm.Uniform("f3", 1e4, 5e5)
-        stiffness = radius_dependent_stiffness(study, f1, f2, f3, conventions=conventions)
-        gamma = pm.Uniform("gamma", 1, 2 * np.pi)  # largest area of the wall: A0 (1 + gamma/2)
-        psi1 = pm.Uniform("psi1", 0.05, 2.5)  # factors on the nominal R1, R2 and C of every outlet
-        psi2 = pm.Uniform("psi2", 0.05, 2.5)
-        c = pm.Uniform("c", 0.05, 2.5)
-
-        mean, ok = blood_flow(
-            study, "tangent", stiffness, psi1, psi2, c, gamma, options=options, conventions=conventions
-        )
-
-        gp_errors(mean, ok, study, w_range=(1e4, 9e4), b_range=(1, 500))  # w, b log-uniform
-    return model
+    return blood_model("I", study, BASELINE, ERRORS, **settings)

@@ -1,0 +1,185 @@
+"""Baseline models of blood flow, and PyMC models made of one, an error model and effects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from importlib import import_module
+from typing import TYPE_CHECKING, TypedDict, Unpack
+
+from zoo.blood.conventions import Conventions
+from zoo.blood.effects.given import Given, added_effects
+from zoo.blood.forward import BloodFlow, StiffnessLaw, study_data
+from zoo.blood.solver import SolverOptions
+from zoo.blood.study import Study
+from zoo.core.effects import EffectError, nearest, with_effects
+from zoo.core.parameters import Parameter
+
+if TYPE_CHECKING:
+    import pymc as pm
+
+    from zoo.core.errors.base import ErrorModel
+
+HOMES = {
+    "linear-constant": "B",
+    "linear-radius": "E",
+    "linear-vessels": "G",
+    "tangent-constant": "H",
+    "tangent-radius": "I",
+}
+"""The model that declares each baseline."""
+SHARED = {"A": "B", "C": "B", "D": "E", "F": "G"}
+"""Models with the same mean as another."""
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A model to which effects are added: a wall law, a stiffness law, and parameters with their priors.
+
+    Parameters
+    ----------
+    name : str
+    wall : {"linear", "tangent"}
+        Eq. (3.3) or (3.4).
+    stiffness : function
+        Stiffness of every vessel from the parameters, a `zoo.blood.forward.StiffnessLaw`.
+    parameters : tuple of Parameter
+        Their starts are where a search may begin. One with dims "vessel" has an element for each vessel.
+    wall_factor : float, optional
+        Instead of that of a study's conventions, as model I has it.
+    """
+
+    name: str
+    wall: str
+    stiffness: StiffnessLaw
+    parameters: tuple[Parameter, ...]
+    wall_factor: float | None = None
+
+    def forward(
+        self,
+        study: Study,
+        *,
+        conventions: Conventions | None = None,
+        options: SolverOptions | None = None,
+    ) -> BloodFlow:
+        """The forward model of a study.
+
+        Parameters
+        ----------
+        study : Study
+        conventions : Conventions
+            Instead of the study's own, also of the baseline's `wall_factor`.
+        options : SolverOptions
+            Numerical settings.
+
+        Returns
+        -------
+        BloodFlow
+        """
+        if conventions is None and self.wall_factor is not None:
+            conventions = study.conventions.replace(wall_factor=self.wall_factor)
+        n = len(study.vessels)
+        parameters = [replace(p, size=n) if p.dims == "vessel" else p for p in self.parameters]
+        return BloodFlow(
+            study, self.wall, self.stiffness, parameters,
+            name=self.name, conventions=conventions, options=options,
+        )  # fmt: skip
+
+
+class Settings(TypedDict, total=False):
+    """What every function that makes a model takes besides the study.
+
+    Parameters
+    ----------
+    effects : iterable
+        Added to the baseline, their parameters sampled beside its own: names such as "viscoelastic-wall" or
+        "local-stiffness@2" (vessel 2), pairs such as ("local-stiffness", 2), or effects with a location; see
+        `zoo.blood.effects.added_effects`.
+    options : SolverOptions
+        Numerical settings.
+    conventions : Conventions
+        Instead of the study's own.
+    """
+
+    effects: Iterable[Given]
+    options: SolverOptions | None
+    conventions: Conventions | None
+
+
+def get_baseline(name: str) -> Baseline:
+    """A baseline by its name, or by the letter of a model that has its mean.
+
+    Parameters
+    ----------
+    name : str
+        Such as "linear-constant" or "B".
+
+    Returns
+    -------
+    Baseline
+
+    Raises
+    ------
+    EffectError
+        If there is none.
+
+    Examples
+    --------
+    >>> [p.name for p in get_baseline("B").parameters]
+    ['f3', 'psi1', 'psi2', 'c']
+    """
+    letter = HOMES.get(name, SHARED.get(name.upper(), name.upper()))
+    if letter not in HOMES.values():
+        raise EffectError(
+            f"baseline {name!r}: {nearest(name, [*HOMES, *sorted({*HOMES.values(), *SHARED})])}"
+        )
+    found: Baseline = import_module(f"zoo.models.model_{letter.lower()}").BASELINE
+    return found
+
+
+def blood_model(
+    name: str,
+    study: Study,
+    baseline: Baseline,
+    errors: ErrorModel,
+    **settings: Unpack[Settings],
+) -> pm.Model:
+    """A PyMC model of a study: priors, the baseline with effects, and errors.
+
+    Parameters
+    ----------
+    name : str
+        Of the model, such as "B"; with effects its record has "B+viscoelastic-wall".
+    study : Study
+        With at least one observed series.
+    baseline : Baseline
+    errors : ErrorModel
+    **settings
+        Effects, options, conventions, as in `Settings`.
+
+    Returns
+    -------
+    pm.Model
+        ``model.zoo`` is its record.
+
+    Raises
+    ------
+    EffectError
+        If an effect does not exist, cannot act there or cannot be added to this baseline.
+    ValueError
+        If the study has no observations, or the errors cannot hold for them.
+    """
+    from zoo.core.model import bayesian_model
+
+    data = study_data(study)
+    flow = baseline.forward(study, conventions=settings.get("conventions"), options=settings.get("options"))
+    added = added_effects(settings.get("effects") or (), flow)
+    return bayesian_model(
+        "+".join([name, *(one.name + one.location.suffix for one in added)]),
+        with_effects(flow, added),
+        data,
+        errors,
+        coords={"vessel": [int(vessel) for vessel in flow.network.ids]},
+        study=study,
+        settings={"conventions": asdict(flow.conventions), "solver options": asdict(flow.options)},
+    )
