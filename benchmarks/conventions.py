@@ -16,7 +16,7 @@ from zoo.blood.conventions import PRINTED, PUBLISHED_CODE, Conventions
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import STATUS_NAMES, Solver
 from zoo.blood.study import Study, load_study
-from zoo.core.errors.likelihood import gp_sequential
+from zoo.core.errors.gaussian_process import gp_sequential
 
 Array = NDArray[np.float64]
 

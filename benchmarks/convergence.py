@@ -24,7 +24,7 @@ from zoo.blood.fetch import FetchError
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solution, Solver, SolverError, SolverOptions
 from zoo.blood.study import Study, load_study
-from zoo.core.errors.likelihood import gp_sequential
+from zoo.core.errors.gaussian_process import gp_sequential
 from zoo.paper.synthetic import Truth
 from zoo.plots import COLOURS, INK, STYLE
 

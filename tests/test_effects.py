@@ -8,10 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cloudpickle
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from zoo.blood.baseline import HOMES, get_baseline
 from zoo.blood.case import (
     Case,
     OutputError,
@@ -28,7 +30,6 @@ from zoo.blood.effects import (
     EffectError,
     EffectParameter,
     Location,
-    added_effects,
     at_vessel,
 )
 from zoo.blood.effects.fluid import relative_viscosity
@@ -39,7 +40,9 @@ from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions, wall_pressure_mmHg
 from zoo.blood.study import Blood, Study, StudyError, Vessel, Windkessel, load_study
 from zoo.blood.units import MMHG
-from zoo.models import get_model, suggested
+from zoo.core.effects import with_effects
+from zoo.core.forward import SolveError
+from zoo.core.parameters import pack, start_of
 
 Array = NDArray[np.float64]
 
@@ -63,13 +66,18 @@ def study() -> Study:
 
 @pytest.fixture(scope="module")
 def case(study: Study) -> Case:
-    base = get_base("linear-constant")
-    return base.case(study, base.start)
+    return of_baseline("linear-constant", study)
 
 
 @pytest.fixture(scope="module")
 def plain(case: Case) -> Array:
     return solved(case, ROOT)
+
+
+def of_baseline(name: str, study: Study, **settings: Any) -> Case:
+    """The case at a baseline's start."""
+    model = get_baseline(name).forward(study, **settings)
+    return model.configure(pack(model.parameters, start_of(model.parameters)))
 
 
 def beat(case: Case, n: int = 256) -> Array:
@@ -95,7 +103,7 @@ def tube(flow_ml_s: float = 0.02, **changed: Any) -> Case:
     network = Network.from_vessels([Vessel(1, "tube", windkessel=load, **vessel)], Blood(1.055, 0.049), 0.11)
     time = np.arange(64, dtype=np.float64) * (0.11 / 64)
     study = load_study("demo")
-    demo = get_base("B").case(study, get_base("B").start)
+    demo = of_baseline("B", study)
     ones = np.ones(1)
     return replace(
         demo,
@@ -155,8 +163,6 @@ def test_every_entry_is_complete(name: str) -> None:
 def test_unknown_names_are_refused_with_the_nearest() -> None:
     with pytest.raises(EffectError, match=r"effect 'stenoses': unknown; did you mean 'stenosis'\?"):
         CATALOGUE["stenoses"]
-    with pytest.raises(EffectError, match=r"base 'linear-constnt': unknown; did you mean 'linear-constant'"):
-        get_base("linear-constnt")
     with pytest.raises(EffectError, match="family = 'walls': unknown; did you mean 'wall'"):
         CATALOGUE.add(Effect("x", (EffectParameter("a", "1", 1.0, 0.0, 1.0, (0.1,)),), None, family="walls"))
 
@@ -173,19 +179,9 @@ def test_wrong_values_and_places_are_refused(case: Case) -> None:
     with pytest.raises(StudyError, match="vessel = 99"):
         added(case, "stenosis", 0.3, place=at_vessel(99))
     with pytest.raises(EffectError, match="correlated-noise: is part of the errors"):
-        with_effects(baseline("B"), [CATALOGUE["correlated-noise"].at()])
+        with_effects(get_baseline("B").forward(load_study("demo")), [CATALOGUE["correlated-noise"].at()])
     with pytest.raises(EffectError, match="use a linear baseline"):
-        added(get_base("H").case(load_study("demo"), get_base("H").start), "tangent-wall", 0.2)
-
-
-def test_what_each_base_is_offered() -> None:
-    offered = {base: {n for n in CATALOGUE if not CATALOGUE[n].offered(base)} for base in BASES}
-    assert offered == {
-        "linear-constant": set(),
-        "linear-radius": {"radius-dependent-stiffness"},
-        "tangent-constant": {"tangent-wall"},
-        "tangent-radius": {"tangent-wall", "radius-dependent-stiffness"},
-    }
+        added(of_baseline("H", load_study("demo")), "tangent-wall", 0.2)
 
 
 def test_places(case: Case) -> None:
@@ -220,11 +216,11 @@ def test_pickles(name: str, case: Case) -> None:
 def test_the_base_is_the_solver_bit_for_bit(study: Study) -> None:
     places = [(1, 0.0, "pressure_mmHg"), (8, 0.5, "flow_ml_s"), (20, 1.0, "area_cm2")]
     times = study.time_s + 0.001
-    for name, base in BASES.items():
-        case = base.case(study, base.start)
+    for name in HOMES:
+        case = of_baseline(name, study)
         solver = Solver.for_study(
             study,
-            base.wall,
+            case.wall,
             series=[(v, x) for v, x, _ in places],
             times_s=times,
             conventions=case.conventions,
@@ -261,7 +257,7 @@ def test_small_amplitudes_change_little_unless_a_switch(name: str, case: Case, p
     assert small < 0.02 * large + 1e-3
 
 
-def test_the_order_of_effects_does_not_matter(case: Case) -> None:
+def test_the_order_of_effects_does_not_matter(study: Study, case: Case) -> None:
     chosen = [
         CATALOGUE[name].at(place)
         for name, place in [
@@ -279,7 +275,7 @@ def test_the_order_of_effects_does_not_matter(case: Case) -> None:
     ]
     found = []
     for order in (chosen, chosen[::-1]):
-        model = with_effects(baseline("B"), order)
+        model = with_effects(get_baseline("B").forward(study), order)
         theta = start_of(model.parameters)
         for one in order:
             values = typical_values(one.effect)
@@ -322,8 +318,7 @@ def test_geometry_changes_what_it_says(case: Case) -> None:
 
 
 def test_a_length_is_free_where_conventions_truncate_it(study: Study) -> None:
-    base = get_base("B")
-    case = base.case(study, base.start, conventions=replace_truncated(study))
+    case = of_baseline("B", study, conventions=replace_truncated(study))
     changed = added(case, "vessel-length", 0.01, place=at_vessel(1))
     assert not changed.conventions.truncate_lengths
     assert changed.network.length_cm[0] == pytest.approx(np.floor(40 * 0.41) / 40 * np.exp(0.01))
@@ -800,55 +795,12 @@ def test_series_that_do_not_exist_raise(case: Case) -> None:
         simulate(case, [(1, 1.5, "pressure_mmHg")], beat(case))
 
 
-@pytest.mark.parametrize("letter", "ABCDEHI")
-def test_bases_have_the_models_priors(letter: str, study: Study) -> None:
-    base = get_base(letter)
-    assert letter in base.models
-    assert base is get_base(letter.lower())
-    assert base is get_base(base.name)
-    model = get_model(letter)(study)
-    for parameter in base.parameters:
-        prior = model[parameter.name]
-        assert type(prior.owner.op).__name__ == "UniformRV"
-        low, high = (float(x.eval()) for x in prior.owner.inputs[-2:])
-        assert (low, high) == pytest.approx((parameter.low, parameter.high))
-        assert parameter.low < parameter.start < parameter.high
-        assert parameter.start > 0 or not parameter.log
-        assert parameter.unit
-    if letter in "BEHI":
-        wanted = suggested(letter)
-        assert base.start == {name: wanted[name] for name in base.start}
-    free = {variable.name for variable in model.free_RVs}
-    assert {p.name for p in base.parameters} == free & {"f1", "f2", "f3", "gamma", "psi1", "psi2", "c"}
-
-
-def test_bases_that_do_not_fit_are_refused(study: Study) -> None:
-    for letter in ("F", "g"):
-        with pytest.raises(EffectError, match="a stiffness of its own for each vessel"):
-            get_base(letter)
-    with pytest.raises(EffectError, match="2 parameters: give f3, psi1, psi2, c"):
-        get_base("B").case(study, [4e4, 0.3])
-    with pytest.raises(EffectError, match="give f3, psi1, psi2, c"):
-        get_base("B").case(study, {"f3": 4e4, "psi1": 0.3, "psi2": 1.0, "C": 1.0})
-    five = [4e4, 0.3, 0.9, 1.2]
-    np.testing.assert_array_equal(get_base("B").case(study, five).c, np.full(21, 1.2))
-
-
-def test_conventions_of_a_base(study: Study) -> None:
-    published = study.conventions.replace(wall_factor=0.5)
-    other = replace(study, conventions=published)
-    assert get_base("H").case(other, get_base("H").start).conventions.wall_factor == 0.5
-    assert get_base("I").case(other, get_base("I").start).conventions.wall_factor == 1.0
-    given = get_base("I").case(other, get_base("I").start, conventions=published)
-    assert given.conventions.wall_factor == 0.5
-
-
 # ---------------------------------------------------------------------------------------------------
 # Signatures and the document
 
 
 def test_signatures_have_their_sign_and_size(study: Study) -> None:
-    rows = {row.effect: row for row in signatures(study)}
+    rows = {row.effect: row for row in signatures(get_baseline("B").forward(study))}
     assert set(rows) == set(SOLVED)
     mean = {
         "taper": 1,
@@ -888,7 +840,7 @@ def test_the_document_holds_the_catalogue() -> None:
 def test_the_document_holds_the_signatures(study: Study) -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
     printed = {line.split("|")[1]: line.split("|") for line in text.splitlines() if line.count("|") == 7}
-    for line in signature_table(study).splitlines()[2:]:
+    for line in signature_table(get_baseline("B").forward(study)).splitlines()[2:]:
         cells = line.split("|")
         there = printed[cells[1]]
         assert there[2:4] == cells[2:4]
@@ -896,29 +848,15 @@ def test_the_document_holds_the_signatures(study: Study) -> None:
             assert float(new) == pytest.approx(float(old), rel=0.05, abs=0.011), line
 
 
-def test_the_documents_own_effect_works(case: Case, plain: Array) -> None:
+def test_the_documents_own_effect_works(case: Case, plain: Array, monkeypatch: pytest.MonkeyPatch) -> None:
     blocks = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), flags=re.S)
-    before = dict(CATALOGUE)
-    try:
-        for block in blocks:
-            exec(compile(block, str(DOCUMENT), "exec"), {})
-        (name,) = set(CATALOGUE) - set(before)
-        difference = solved(added(case, name, *typical_values(CATALOGUE[name])), ROOT) - plain
-        assert np.max(np.abs(difference)) > 0.01
-        again = pickle.loads(pickle.dumps(CATALOGUE[name]))
-        assert again is CATALOGUE[name]
-    finally:
-        for name in set(CATALOGUE) - set(before):
-            del CATALOGUE[name]
-
-
-def test_effects_that_a_base_can_take() -> None:
-    every = effects_for("linear-constant")
-    assert set(effects_for("tangent-constant")) == set(every) - {"tangent-wall"}
-    assert effects_for("H", ["taper", "stenosis", "taper"]) == ("taper", "stenosis")
-    with pytest.raises(
-        EffectError, match="effect tangent-wall: cannot be added to tangent-constant, only to "
-    ):
-        effects_for("H", ["tangent-wall"])
-    with pytest.raises(EffectError, match="did you mean 'stenosis'"):
-        effects_for("B", ["stenoss"])
+    before = set(CATALOGUE)
+    monkeypatch.setattr(CATALOGUE, "_effects", dict(CATALOGUE))  # what the document adds is forgotten again
+    for block in blocks:
+        exec(compile(block, str(DOCUMENT), "exec"), {})
+    (name,) = set(CATALOGUE) - before
+    values = typical_values(CATALOGUE[name])
+    changed = solved(added(case, name, *values), ROOT)
+    assert np.max(np.abs(changed - plain)) > 0.01
+    again = pickle.loads(cloudpickle.dumps(CATALOGUE[name]))
+    np.testing.assert_array_equal(solved(again.apply(case, values, Location()), ROOT), changed)

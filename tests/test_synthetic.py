@@ -10,7 +10,7 @@ from zoo.blood.conventions import get_conventions
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import load_study, save_study
-from zoo.core.errors.likelihood import neural_network_kernel, whiten
+from zoo.core.errors.gaussian_process import neural_network_kernel
 from zoo.paper.synthetic import (
     Truth,
     correlated_errors,
@@ -19,6 +19,7 @@ from zoo.paper.synthetic import (
     falls_towards_periphery,
     ordered_error_means,
     signal_to_noise,
+    whitened,
     synthetic_study,
 )
 
@@ -107,5 +108,5 @@ def test_errors_are_all_that_separates_data_from_their_truth():
     stiffness = stiffness_profile(Network.from_study(made).radius_in_cm, truth.f1, truth.f2, truth.f3, unit)
     solver = Solver.for_study(made, options=SolverOptions(refine=4, tolerance_mmHg=1e-6))
     clean = solver.solve(stiffness, psi1=truth.psi1, psi2=truth.psi2, c=truth.c).pressure_mmHg
-    z = whiten("gp", made.values - clean, made.time_s, {"w": truth.w, "b": truth.b})
+    z = whitened(made.values - clean, made.time_s, truth)
     assert np.mean(z**2) == pytest.approx(1.0, abs=0.1)

@@ -31,7 +31,6 @@ _HOME = {
     "Solver": "blood.solver",
     "SolverError": "blood.solver",
     "SolverOptions": "blood.solver",
-    "BloodFlowOp": "blood.op",
     "sample": "core.inference.sampling",
     "compare": "core.posterior.comparison",
     "diagnose": "front",

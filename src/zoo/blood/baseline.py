@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
@@ -47,6 +47,8 @@ class Baseline:
         Their starts are where a search may begin. One with dims "vessel" has an element for each vessel.
     wall_factor : float, optional
         Instead of that of a study's conventions, as model I has it.
+    fixed : mapping of name to number
+        Parameters of known value, such as {"gamma": 5.0}.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Baseline:
     stiffness: StiffnessLaw
     parameters: tuple[Parameter, ...]
     wall_factor: float | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
     def forward(
         self,
@@ -82,7 +85,7 @@ class Baseline:
         parameters = [replace(p, size=n) if p.dims == "vessel" else p for p in self.parameters]
         return BloodFlow(
             study, self.wall, self.stiffness, parameters,
-            name=self.name, conventions=conventions, options=options,
+            name=self.name, conventions=conventions, options=options, fixed=self.fixed,
         )  # fmt: skip
 
 

@@ -87,6 +87,8 @@ class BloodFlow:
         Numerical settings.
     outputs : Outputs
         Instead of the study's.
+    fixed : mapping of name to number
+        Parameters of known value.
 
     Raises
     ------
@@ -97,6 +99,7 @@ class BloodFlow:
     """
 
     families = FAMILIES
+    threads = True
 
     def __init__(
         self,
@@ -109,11 +112,13 @@ class BloodFlow:
         conventions: Conventions | None = None,
         options: SolverOptions | None = None,
         outputs: Outputs | None = None,
+        fixed: Mapping[str, float] | None = None,
     ) -> None:
         if wall not in WALLS:
             raise SolverArgumentError(f"wall = {wall!r}: must be one of {', '.join(WALLS)}")
         self.study, self.wall, self.stiffness, self.name = study, wall, stiffness, name
         self.parameters = tuple(parameters)
+        self.fixed = {name: np.asarray(value, dtype=np.float64) for name, value in (fixed or {}).items()}
         self.conventions = conventions or study.conventions
         self.options = options or SolverOptions()
         self.network = Network.from_study(study)
@@ -124,7 +129,7 @@ class BloodFlow:
         self._kept: tuple[tuple[Case, Any, Array, Solver], ...] = ()
         self.key = self._digest()
         if len(self.network.ids) and series:
-            blank = self._case({}, np.ones(len(self.network.ids)))
+            blank = self._case(self.fixed, np.ones(len(self.network.ids)))
             check_series(blank, series)
             self._solver(blank, tuple(dict.fromkeys((v, x) for v, x, _ in series)), self._clock(self.outputs))
 
@@ -136,6 +141,7 @@ class BloodFlow:
             law += code.co_code + repr((code.co_consts, code.co_names)).encode()
         words = [self.wall, self.conventions, self.options, net.density, net.viscosity, net.period_s]
         words += [(p.name, p.size) for p in self.parameters]
+        words += [(name, value.tolist()) for name, value in sorted(self.fixed.items())]
         tree = (net.ids, net.parent, net.length_cm, net.radius_in_cm, net.radius_out_cm)
         loads_and_inflow = (net.R1, net.R2, net.C, self.study.inflow_time_s, self.study.inflow_ml_s)
         return content_key(law, repr(words), *tree, *loads_and_inflow, self.outputs)
@@ -172,7 +178,7 @@ class BloodFlow:
         zoo.core.parameters.ParameterError
             If theta has another length.
         """
-        values = unpack(self.parameters, theta)
+        values = self.fixed | unpack(self.parameters, theta)
         return self._case(values, self.stiffness(values, self.network, self.conventions))
 
     def solve(self, configuration: Case, outputs: Outputs | None = None) -> Array:

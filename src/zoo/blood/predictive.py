@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,11 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import elementwise
 from scipy.special import ndtr, ndtri
 
+from zoo.blood.case import UNITS
+from zoo.blood.forward import BloodFlow, constant_stiffness
 from zoo.blood.network import Network
-from zoo.blood.solver import STATUS_NAMES, WALLS, Solution, Solver
-from zoo.core.errors.likelihood import JITTER, NOISE_VARIANCE, neural_network_kernel
+from zoo.blood.solver import WALLS
+from zoo.core.data import Data
+from zoo.core.errors.base import ErrorModel
+from zoo.core.forward import ForwardModel, Outputs, SolveError
 from zoo.core.inference.record import versions
-from zoo.core.posterior.comparison import Progress, posterior_means, record_of, solver_inputs, thin
+from zoo.core.parameters import Parameter, Uniform
+from zoo.core.posterior.comparison import Progress, forward_points, posterior_means, record_of, thin
 
 if TYPE_CHECKING:
     import arviz as az
@@ -29,8 +36,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-UNITS = {"pressure_mmHg": "mmHg", "flow_ml_s": "ml/s", "area_cm2": "cm2"}
-ERROR_UNITS = {"sigma2": "mmHg2", "w": "s-2", "b": "1"}
 PROBABILITIES = (0.5, 0.8, 0.95)
 STIFFNESS_PARAMETERS = ("f1", "f2", "f3", "m_chi", "v_chi", "chi")
 """What the nine models make their stiffness of."""
@@ -50,7 +55,7 @@ def predictive_draws(
     """Waveforms of posterior draws at the observed series, without and with the model's errors.
 
     A predicted value is y(t) = m(t) + e(t), with e(t) from the model's own marginal law at each draw: normal
-    with variance sigma2, or with variance k(t, t; w, b) plus the fixed noise and jitter.
+    with the error model's variance.
 
     Parameters
     ----------
@@ -77,21 +82,18 @@ def predictive_draws(
         name: posterior[name].transpose("chain", "draw", ...).to_numpy().ravel()
         for name in record.error_parameters
     }
-    variance = _variance(record.error, np.asarray(record.study.time_s), errors)
+    variance = _variances(record.errors, errors)
     good = np.isfinite(means).all(axis=(1, 2))
     means, variance = means[good], variance[good]
     noise = np.random.default_rng(seed).standard_normal((10, *means.shape))
-    predictions = means + np.sqrt(variance)[:, None, :] * noise
+    predictions = means + np.sqrt(variance) * noise
     return means, predictions.reshape(-1, *means.shape[1:])
 
 
-def _variance(error: str, time_s: Array, parameters: Mapping[str, Array]) -> Array:
-    """Marginal variance of the errors at each draw, (n_draws, n_times)."""
-    if error == "iid":
-        return np.tile(np.asarray(parameters["sigma2"])[:, None], (1, len(time_s)))
-    pairs = zip(parameters["w"], parameters["b"], strict=True)
-    diagonals = [np.diag(neural_network_kernel(time_s, float(w), float(b))) for w, b in pairs]
-    return np.asarray(diagonals) + NOISE_VARIANCE + JITTER
+def _variances(errors: ErrorModel, parameters: Mapping[str, Array]) -> Array:
+    """Marginal variance of the errors at each draw of their parameters, (n_draws, n_series, n_times)."""
+    rows = zip(*parameters.values(), strict=True)
+    return np.array([errors.variance(dict(zip(parameters, row, strict=True))) for row in rows])
 
 
 # -------------------------------------------------------------------------------------------------
@@ -110,7 +112,7 @@ def vessel_waves(
 ) -> xr.Dataset:
     """Pressure, flow and area in every vessel at posterior draws.
 
-    Solved with the wall, conventions and options of the model's record, one by one. As in the paper, the
+    Solved by the forward model of the model's record, with its effects, one by one. As in the paper, the
     root is to be looked at at position 0, where it is observed, and the other vessels midway: `one_place`
     picks these. Times are those of the study's samples, so the convention `sample_lag_beats` is in.
 
@@ -134,9 +136,10 @@ def vessel_waves(
     Returns
     -------
     Dataset
-        pressure_mmHg, flow_ml_s, area_cm2 (draw, vessel, position, time in s), 32-bit; sigma2, or w and b,
-        (draw). Coordinates radius_cm and name of each vessel, chain and posterior_draw of each draw. Draws
-        whose solve failed are left out; the attribute draws_failed counts them.
+        pressure_mmHg, flow_ml_s, area_cm2 (draw, vessel, position, time in s), 32-bit; the parameters of the
+        errors (draw), and their error_variance (draw, time) of the observed quantity. Coordinates
+        radius_cm and name of each vessel, chain and posterior_draw of each draw. Draws whose solve failed are
+        left out; the attribute draws_failed counts them.
 
     Raises
     ------
@@ -149,28 +152,17 @@ def vessel_waves(
     if bad or not positions:
         raise PredictiveError(f"positions = {tuple(positions)}: give numbers from 0 (inlet) to 1 (outlet)")
     record = record_of(model)
-    network, lag = record.op.solver.network, record.op.solver.conventions.sample_lag_beats
+    forward, network = record.forward, _network(record.forward)
     time_s = np.arange(n_times) * network.period_s / n_times
-    solver = Solver(
-        network,
-        record.op.solver.inflow_time_s,
-        record.op.solver.inflow_ml_s,
-        wall=record.wall,
-        conventions=record.op.solver.conventions,
-        series=[(int(v), float(p)) for v in network.ids for p in positions],
-        times_s=time_s + lag * network.period_s,
-        options=record.options,
-    )
+    shape = (len(network.ids), len(positions), len(UNITS), n_times)
+    series = tuple((int(v), float(p), q) for v in network.ids for p in positions for q in UNITS)
     picked = _pick(idata, n_draws, seed)
-    inputs = np.stack(solver_inputs(model, picked), axis=1)
-    points, which = np.unique(inputs, axis=0, return_inverse=True)
-    shape = (len(network.ids), len(positions), n_times)
-    waves = {name: np.full((len(points), *shape), np.nan, dtype=np.float32) for name in UNITS}
+    points, which = np.unique(forward_points(model, picked), axis=0, return_inverse=True)
+    waves = np.full((len(points), *shape), np.nan, dtype=np.float32)
     solved = np.zeros(len(points), dtype=bool)
-    for i, solution in enumerate(_solve_each(solver, points)):
-        solved[i] = solution.ok
-        for name, wave in waves.items():
-            wave[i] = getattr(solution, name).reshape(shape)
+    for i, values in enumerate(_solve_each(forward, points, Outputs(series, time_s))):
+        if not isinstance(values, SolveError):
+            solved[i], waves[i] = True, values.reshape(shape)
         if progress is not None:
             progress(i + 1, len(points))
     which = which.ravel()
@@ -182,11 +174,17 @@ def vessel_waves(
         )
     dims = ("draw", "vessel", "position", "time")
     kept: dict[str, Any] = {
-        name: (dims, wave[which[good]], {"units": UNITS[name]}) for name, wave in waves.items()
+        name: (dims, waves[which[good], :, :, k], {"units": unit})
+        for k, (name, unit) in enumerate(UNITS.items())
     }
-    for name in record.error_parameters:
-        units = {"units": ERROR_UNITS[name]}
-        kept[name] = ("draw", picked[name].to_numpy().ravel()[good], units)
+    for parameter in record.errors.parameters:
+        draws = picked[parameter.name].to_numpy().ravel()[good]
+        kept[parameter.name] = ("draw", draws, {"units": parameter.unit})
+    observed = record.data.groups[0]
+    blank = Data(time_s, np.zeros((1, n_times)), units=[UNITS[observed]], groups=[observed])
+    drawn = {name: kept[name][1] for name in record.error_parameters}
+    variances = _variances(record.errors.bind(blank), drawn)[:, 0]
+    kept["error_variance"] = (("draw", "time"), variances, {"units": f"{UNITS[observed]}2"})
     names = {vessel.id: vessel.name or f"v{vessel.id}" for vessel in record.study.vessels}
     coords: dict[str, Any] = {
         "draw": np.arange(int(good.sum())),
@@ -202,12 +200,12 @@ def vessel_waves(
         "model": record.name,
         "study": record.study.name,
         "study_checksum": record.study.checksum,
-        "error": record.error,
-        "observed_quantity": record.study.series[0].quantity,
+        "error": record.errors.name,
+        "observed_quantity": observed,
         "root": int(network.ids[int(np.argmin(network.parent))]),
         "seed": seed,
         "draws_failed": int((~good).sum()),
-        "solver": json.dumps(solver.settings(), sort_keys=True),
+        "solver": json.dumps(dict(record.settings), sort_keys=True),
         "versions": json.dumps(versions(), sort_keys=True),
     }
     return xr.Dataset(kept, coords=coords, attrs=attributes)
@@ -226,11 +224,22 @@ def _pick(idata: az.InferenceData, n_draws: int, seed: int) -> xr.Dataset:
     return single.expand_dims("chain").transpose("chain", "draw", ...)
 
 
-def _solve_each(solver: Solver, points: Array) -> Iterator[Solution]:
-    """Solutions at points (n_points, 5, n_vessels), in their order, on all cores."""
+def _network(forward: ForwardModel) -> Network:
+    """The vessel tree of a model of blood flow, with effects or without."""
+    network = getattr(forward, "network", None)
+    if not isinstance(network, Network):
+        raise PredictiveError(f"{forward.name}: has no vessels; predict with posterior_means")
+    return network
 
-    def solve(point: Array) -> Solution:
-        return solver.solve(*point, check=False)
+
+def _solve_each(forward: ForwardModel, points: Array, outputs: Outputs) -> Iterator[Array | SolveError]:
+    """Series at points (n_points, n_values), or why there are none; in their order, on all cores."""
+
+    def solve(point: Array) -> Array | SolveError:
+        try:
+            return forward.solve(forward.configure(point), outputs)
+        except SolveError as error:
+            return error
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         yield from pool.map(solve, points)
@@ -319,8 +328,8 @@ def bands(
     """Pointwise credible intervals of a quantity, and prediction intervals if asked.
 
     A credible interval has the quantiles of m_s(t) over the draws s; a prediction interval those of the
-    mixture F(y) = mean_s Phi((y - m_s(t))/sd_s(t)), with sd_s(t)^2 the marginal variance of the errors:
-    sigma2, or k(t, t; w, b) plus the fixed noise and jitter. In vessels and at positions without data that
+    mixture F(y) = mean_s Phi((y - m_s(t))/sd_s(t)), with sd_s(t)^2 the marginal variance of the errors. In
+    vessels and at positions without data that
     assumes that their errors would follow the law of the observed ones.
 
     Parameters
@@ -364,8 +373,7 @@ def bands(
         "high": (("prob", *inner), high),
     }
     if errors:
-        parameters = {name: waves[name].to_numpy() for name in ERROR_UNITS if name in waves}
-        variance = _variance(waves.attrs["error"], waves["time"].to_numpy(), parameters)
+        variance = waves["error_variance"].to_numpy()
         flat = values.to_numpy().reshape(len(values), -1)
         sd = np.tile(np.sqrt(variance), (1, flat.shape[1] // variance.shape[1]))
         edges = np.array([[_mixture_quantile(flat, sd, p) for p in pair] for pair in tails])
@@ -443,8 +451,8 @@ def stiffness_draws(model: pm.Model, idata: az.InferenceData, *, n_draws: int | 
         g cm-1 s-2, with the coordinate radius_cm (inlet radius at rest).
     """
     posterior = thin(idata, n_draws)
-    network = record_of(model).op.solver.network
-    values = solver_inputs(model, posterior)[0]
+    forward, network = record_of(model).forward, _network(record_of(model).forward)
+    values = np.array([forward.configure(point).stiffness for point in forward_points(model, posterior)])
     shape = (posterior.sizes["chain"], posterior.sizes["draw"], len(network.ids))
     coords: dict[str, Any] = {
         "chain": posterior["chain"].to_numpy(),
@@ -544,16 +552,23 @@ def pressure_against_stiffness(
         raise PredictiveError(f"stiffness = {values.tolist()}: give positive numbers, g cm-1 s-2")
     if wall not in WALLS:
         raise PredictiveError(f"wall = {wall!r}: must be one of {', '.join(WALLS)}")
-    network = Network.from_study(study)
-    root = int(network.ids[int(np.argmin(network.parent))])
-    times = np.arange(1024) * study.period_s / 1024
-    solver = Solver.for_study(study, wall, series=[(root, 0.0)], times_s=times)
-    ones = np.ones(len(network.ids))
-    points = np.array([np.outer((value, gamma, psi1, psi2, c), ones) for value in values])
+    root = next(vessel.id for vessel in study.vessels if vessel.parent is None)
+    cycle = np.arange(1024) * study.period_s / 1024
+    names = ("f3", "gamma", "psi1", "psi2", "c")
+    forward = BloodFlow(
+        replace(study, conventions=study.conventions.replace(sample_lag_beats=0.0)),
+        wall,
+        constant_stiffness,
+        [Parameter(name, Uniform(0.0, 1.0)) for name in names],
+        outputs=Outputs(((root, 0.0, "pressure_mmHg"),), cycle),
+    )
+    points = np.array([(value, gamma, psi1, psi2, c) for value in values])
     rows = []
-    for value, solution in zip(values, _solve_each(solver, points), strict=True):
-        pressure = solution.pressure_mmHg[0]
-        high, low = float(pressure.max()), float(pressure.min())
-        rows.append((value, high, low, high - low, float(pressure.mean()), STATUS_NAMES[solution.status]))
+    for value, solved in zip(values, _solve_each(forward, points, forward.outputs), strict=True):
+        if isinstance(solved, SolveError):
+            rows.append((value, *[math.nan] * 4, solved.kind))
+            continue
+        high, low = float(solved.max()), float(solved.min())
+        rows.append((value, high, low, high - low, float(solved.mean()), "ok"))
     pressures = ("systolic_mmHg", "diastolic_mmHg", "pulse_mmHg", "mean_mmHg")
     return pd.DataFrame(rows, columns=["stiffness_g_cm_s2", *pressures, "status"])

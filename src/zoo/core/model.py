@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pymc as pm
@@ -140,6 +140,6 @@ def record_of(model: pm.Model) -> ModelRecord:
         If the model has none.
     """
     record = getattr(model, "zoo", None)
-    if not hasattr(record, "errors"):
+    if not isinstance(record, ModelRecord):
         raise ModelError("this PyMC model has no record: make it with zoo.core.model.bayesian_model")
-    return cast(ModelRecord, record)
+    return record

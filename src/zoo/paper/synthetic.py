@@ -13,12 +13,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
 
 from zoo.blood.ejection import PERIOD_S, ejection
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Series, Study, read_network, save_study
-from zoo.core.errors.likelihood import JITTER, NOISE_VARIANCE, neural_network_kernel
+from zoo.core.errors.gaussian_process import NOISE, neural_network_kernel
 
 Array = NDArray[np.float64]
 
@@ -75,8 +76,14 @@ def correlated_errors(
     return np.asarray(errors + shift[:, None] * along / along.mean())
 
 
+def whitened(residuals: Array, time_s: Array, truth: Truth) -> Array:
+    """Residuals (n_series, n_times) in units of a truth's errors: z = L^-1 r, L L' the errors' covariance."""
+    lower = np.linalg.cholesky(_error_covariance(time_s, truth.w, truth.b))
+    return np.asarray(solve_triangular(lower, residuals.T, lower=True).T)
+
+
 def _error_covariance(time_s: Array, w: float, b: float) -> Array:
-    return neural_network_kernel(time_s, w, b) + (NOISE_VARIANCE + JITTER) * np.eye(len(time_s))
+    return neural_network_kernel(time_s, w, b) + NOISE * np.eye(len(time_s))
 
 
 def ordered_error_means(

@@ -2,8 +2,8 @@
 
 An effect takes a `zoo.blood.case.Case`, a solve about to be made, and returns a changed copy: another
 network, another inflow, other parameters, terms inside the solver (`zoo.blood.solver.Physics`), or a function
-that acts on the solved waves, as a sensor does. To add one, write a function with `@effect(...)`, here or in a
-file of your own; docs/effects.md shows one of ten lines.
+that acts on the solved waves, as a sensor does. To add one, write a function with `@effect(...)`, here or in
+a file of your own; docs/effects.md shows one of ten lines.
 """
 
 from zoo.blood.case import Case, Wave

@@ -19,14 +19,14 @@ from pytensor.graph.op import Op
 from scipy.special import logsumexp
 
 from zoo.blood.effects import get_base
-from zoo.blood.op import MissingGradientError
 from zoo.blood.study import Study
 from zoo.core.diagnosis.discrepancy import CORRELATED_RATIO, LENGTH_BEATS, MEMORY_BEATS, Harmonics
 from zoo.core.diagnosis.screening import DOUBT, NO_GAP, Fit, Forward, Hypothesis, Scored, Screened
-from zoo.core.errors.likelihood import IidErrors
+from zoo.core.errors.variables import IidErrors
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.sampling import sample
+from zoo.core.op import MissingGradientError
 from zoo.core.posterior.comparison import thin
 from zoo.core.posterior.files import sample_to
 

@@ -6,7 +6,6 @@ import json
 import os
 import pickle
 from collections.abc import Mapping
-from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -127,9 +126,8 @@ class Folder:
 def identity_of(logp: LogPosterior, settings: Mapping[str, Any]) -> dict[str, Any]:
     """What must not change when a run is resumed; the log-posterior at three points stands for all data."""
     record = getattr(logp.model, "zoo", None)
-    study = getattr(record, "study", None)
-    solver = getattr(getattr(record, "op", None), "solver", None)
-    conventions = getattr(solver, "conventions", None) or getattr(study, "conventions", None)
+    source = getattr(record, "study", None) or getattr(record, "data", None)
+    made_with = getattr(record, "settings", None) or {}
     q = logp.vector(logp.initial)
     rng = np.random.default_rng(20200886)
     probes = [q, q + 0.05 * rng.standard_normal(len(q)), q + 0.1 * rng.standard_normal(len(q))]
@@ -138,22 +136,14 @@ def identity_of(logp: LogPosterior, settings: Mapping[str, Any]) -> dict[str, An
         "pymc": pm.__version__,
         "model": model_name(logp.model),
         "variables": {v.name: list(np.shape(logp.initial[v.name])) for v in logp.variables},
-        "study": str(getattr(study, "name", "")),
-        "study checksum": str(getattr(study, "checksum", "")),
-        "conventions": _as_dict(conventions),
-        "solver options": _as_dict(getattr(record, "options", None)),
+        "study": str(getattr(source, "name", "")),
+        "study checksum": str(getattr(source, "checksum", "")),
+        "conventions": dict(made_with.get("conventions", {})),
+        "solver options": dict(made_with.get("solver options", {})),
         "log-posterior at three points": [logp(probe) for probe in probes],
         **settings,
     }
     return dict(json.loads(json.dumps(identity, default=str)))
-
-
-def _as_dict(value: Any) -> dict[str, Any]:
-    if value is None:
-        return {}
-    if is_dataclass(value) and not isinstance(value, type):
-        return asdict(value)
-    return dict(value) if isinstance(value, Mapping) else {"value": str(value)}
 
 
 def check_identity(path: Path, stored: Mapping[str, Any], identity: Mapping[str, Any]) -> None:

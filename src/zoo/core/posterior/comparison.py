@@ -13,7 +13,6 @@ import arviz as az
 import numpy as np
 import pandas as pd
 import pymc as pm
-import pytensor
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
@@ -93,8 +92,8 @@ def thin(idata: az.InferenceData, n_draws: int | None = N_DRAWS) -> xr.Dataset:
     return posterior.isel(draw=kept)
 
 
-def solver_inputs(model: pm.Model, posterior: xr.Dataset) -> list[Array]:
-    """What the solver is called with at each posterior draw.
+def forward_points(model: pm.Model, posterior: xr.Dataset) -> Array:
+    """Parameters of the forward model at each posterior draw.
 
     Parameters
     ----------
@@ -105,8 +104,8 @@ def solver_inputs(model: pm.Model, posterior: xr.Dataset) -> list[Array]:
 
     Returns
     -------
-    list of five arrays (n_chains n_draws, n_vessels)
-        Stiffness (g cm-1 s-2), gamma, psi1, psi2, c; the draws of the first chain stand first.
+    array (n_chains n_draws, n_values)
+        For `ForwardModel.configure`; the draws of the first chain stand first.
 
     Raises
     ------
@@ -114,11 +113,8 @@ def solver_inputs(model: pm.Model, posterior: xr.Dataset) -> list[Array]:
         If a parameter is missing.
     """
     record = record_of(model)
-    draws = [_flat(posterior, name, record) for name in record.parameters]
-    variables = [model[name] for name in record.parameters]
-    function = pytensor.function(variables, record.mean.owner.inputs, on_unused_input="ignore")
-    points = [function(*point) for point in zip(*draws, strict=True)]
-    return [np.stack(column) for column in zip(*points, strict=True)]
+    draws = [_flat(posterior, name, record) for name in record.forward_parameters]
+    return np.concatenate([values.reshape(len(values), -1) for values in draws], axis=1)
 
 
 def _flat(posterior: xr.Dataset, name: str, record: ModelRecord) -> Array:
@@ -174,53 +170,23 @@ def posterior_means(model: pm.Model, posterior: xr.Dataset, *, progress: Progres
     array (n_chains n_draws, n_series, n_times)
         In the series' own units; NaN where a solve failed.
     """
-    record = record_of(model)
-    if not hasattr(record, "forward"):
-        return _solver_means(model, posterior, progress)
-    forward = record.forward
+    forward = record_of(model).forward
     points, which = np.unique(forward_points(model, posterior), axis=0, return_inverse=True)
 
     def solve(point: Array) -> Array:
         try:
             return forward.solve(forward.configure(point))
         except SolveError:
-            return np.full(record.data.values.shape, np.nan)
+            return np.full(forward.outputs.shape, np.nan)
 
-    means = _each(solve, points, record.data.values.shape, getattr(forward, "threads", False), progress)
-    return np.asarray(means[which.ravel()])
-
-
-def _each(
-    solve: Callable[[Array], Array],
-    points: Array,
-    shape: tuple[int, ...],
-    threads: bool,
-    progress: Progress | None,
-) -> Array:
-    """Series (n_points, *shape) at each point, by several threads at once if these may solve together.
-
-    One by one, as when sampling: a batch of the blood-flow solver takes the time step of its stiffest set,
-    which moves the Gaussian process' log-likelihood by a few tenths.
-    """
-    means = np.empty((len(points), *shape))
-    with ThreadPoolExecutor(os.cpu_count() if threads else 1) as pool:
+    # One by one, as when sampling: a batch solves all its sets with the time step of the stiffest, which
+    # moves the Gaussian process' log-likelihood by a few tenths.
+    means = np.empty((len(points), *forward.outputs.shape))
+    with ThreadPoolExecutor(os.cpu_count() if getattr(forward, "threads", False) else 1) as pool:
         for i, mean in enumerate(pool.map(solve, points)):
             means[i] = mean
             if progress is not None:
                 progress(i + 1, len(points))
-    return means
-
-
-def _solver_means(model: pm.Model, posterior: xr.Dataset, progress: Progress | None) -> Array:
-    op: Any = record_of(model).op
-    inputs = solver_inputs(model, posterior)
-    points, which = np.unique(np.concatenate(inputs, axis=1), axis=0, return_inverse=True)
-
-    def solve(point: Array) -> Array:
-        solution = op.solver.solve(*np.split(point, len(inputs)), check=False)
-        return op.observed(solution) if solution.ok else np.full(op.shape, np.nan)
-
-    means = _each(solve, points, op.shape, True, progress)
     return np.asarray(means[which.ravel()])
 
 

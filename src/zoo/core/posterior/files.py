@@ -64,11 +64,13 @@ def checkpoint_of(path: Path) -> Path:
 def mismatch(idata: az.InferenceData, model: Any) -> str | None:
     """What a stored posterior has otherwise than a model: its name, study, data or conventions; or None."""
     record, ours = RunRecord.of(idata), model.zoo
+    source = ours.study or ours.data
+    conventions = ours.settings.get("conventions", {})
     for what, found, wanted in (
         ("model", record.model, ours.name),
-        ("study", record.study, ours.study.name),
-        ("checksum of the study", record.study_checksum, ours.study.checksum),
-        ("conventions", record.conventions.get("name", ""), ours.op.solver.conventions.name),
+        ("study", record.study, source.name),
+        ("checksum of the study", record.study_checksum, source.checksum),
+        ("conventions", record.conventions.get("name", ""), conventions.get("name", "")),
     ):
         if found != wanted:
             return f"{what} is {found}, here it is {wanted}"
