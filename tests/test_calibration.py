@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,11 @@ import pymc as pm
 import pytest
 from scipy import stats
 
-from zoo.blood.op import blood_flow
+from zoo.blood.baseline import blood_model, get_baseline
+from zoo.blood.solver import Solver
 from zoo.blood.study import Series, Study
-from zoo.core.errors.likelihood import INVERSE_GAMMA, IidErrors, study_model
+from zoo.core.errors.independent import Independent
+from zoo.core.errors.variables import IidErrors
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.posterior.ranks import LOG_POSTERIOR, CalibrationError, RankTest
 from zoo.models import get_model
@@ -136,7 +139,7 @@ def test_truths_have_the_prior_and_data_the_errors(replicators: dict[str, Replic
     gamma = stats.gamma(0.001, scale=1 / 0.001)  # of 1/sigma2
     low, high = gamma.sf(1 / 1e-3), gamma.sf(1 / 1.0)
     assert stats.kstest(sigma2, lambda x: (gamma.sf(1 / x) - low) / (high - low)).pvalue > 1e-3
-    solver = replicator.model.zoo.op.solver  # type: ignore[attr-defined]
+    solver = Solver.for_study(cheap_study(), options=cheap_options())
     z = []
     for d in drawn[:20]:
         outlets = {name: d.values[name] for name in ("psi1", "psi2", "c")}
@@ -182,15 +185,18 @@ def test_a_sampler_of_a_tempered_posterior_is_flagged(
     assert test.ecdf_p()[test.names.index(LOG_POSTERIOR)] < 1e-3
 
 
+@dataclass(frozen=True)
+class Halved(Independent):
+    """Half of the variance that its parameter says."""
+
+    def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
+        """With sigma2/2."""
+        return IidErrors(name, mean, ok, variables["sigma2"] / 2, observed=self.on.values)
+
+
 def half_variance(study: Study) -> pm.Model:
     """Model A, with errors of half the variance."""
-    with study_model("half", study) as model:
-        f3 = pm.Uniform("f3", 2e4, 1e5)
-        psi1, psi2, c = (pm.Uniform(name, 0.05, 2.5) for name in ("psi1", "psi2", "c"))
-        mean, ok = blood_flow(study, "linear", f3, psi1, psi2, c, options=cheap_options())
-        sigma2 = pm.InverseGamma("sigma2", *INVERSE_GAMMA)
-        IidErrors("y", mean, ok, sigma2 / 2, observed=study.values)
-    return model
+    return blood_model("half", study, get_baseline("A"), Halved(), options=cheap_options())
 
 
 def test_a_likelihood_of_half_the_variance_is_flagged() -> None:

@@ -11,21 +11,23 @@ import pytest
 from scipy import stats
 
 from test_op import small_study
-from zoo.blood.op import blood_flow, radius_dependent_stiffness
+from zoo.blood.baseline import Baseline, blood_model
+from zoo.blood.forward import radius_dependent_stiffness
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Study
-from zoo.core.errors.likelihood import iid_errors, study_model
+from zoo.core.errors.independent import Independent
 from zoo.core.inference.convergence import check_convergence
 from zoo.core.model import ModelError
+from zoo.core.parameters import Parameter, Uniform
 from zoo.core.posterior.comparison import (
     ComparisonError,
     add_log_likelihood,
     compare,
     describe_difference,
+    forward_points,
     log_likelihood,
     log_likelihoods,
     posterior_means,
-    solver_inputs,
     sse_at_median,
     thin,
     waic_one_observation,
@@ -100,21 +102,28 @@ def test_thin_takes_the_same_number_from_each_chain(idatas) -> None:
     assert thin(idatas["A"], None).sizes["draw"] == 40
 
 
-def test_solver_inputs_of_vectors_and_scalars(study: Study) -> None:
-    with study_model("E-like", study) as model:
-        f1 = pm.Uniform("f1", 1e3, 1e7)
-        f3 = pm.Uniform("f3", 3e4, 6e4)
-        psi1 = pm.Uniform("psi1", 0.05, 2.5, dims="vessel")
-        chi = radius_dependent_stiffness(study, f1, -50.0, f3)
-        mean, ok = blood_flow(study, "linear", chi, psi1, 0.9, 1.2)
-        iid_errors(mean, ok, study)
+def test_points_of_vectors_and_scalars(study: Study) -> None:
+    parameters = (
+        Parameter("f1", Uniform(1e3, 1e7)),
+        Parameter("f3", Uniform(3e4, 6e4)),
+        Parameter("psi1", Uniform(0.05, 2.5), dims="vessel"),
+    )
+    fixed = {"f2": -50.0, "psi2": 0.9, "c": 1.2}
+    baseline = Baseline("E-like", "linear", radius_dependent_stiffness, parameters, fixed=fixed)
+    model = blood_model("E-like", study, baseline, Independent())
     draws = {
         "f1": np.array([[1e5, 2e5]]),
         "f3": np.array([[4e4, 5e4]]),
         "psi1": np.array([[[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]]),
         "sigma2": np.ones((1, 2)),
     }
-    stiffness, gamma, psi1_in, psi2, c = solver_inputs(model, az.from_dict(posterior=draws).posterior)
+    points = forward_points(model, az.from_dict(posterior=draws).posterior)
+    np.testing.assert_array_equal(points, [[1e5, 4e4, 0.1, 0.2, 0.3], [2e5, 5e4, 0.4, 0.5, 0.6]])
+    cases = [model.zoo.forward.configure(point) for point in points]
+    stiffness, gamma, psi1_in, psi2, c = (
+        np.array([getattr(case, name) for case in cases])
+        for name in ("stiffness", "gamma", "psi1", "psi2", "c")
+    )
     radius = np.array([0.047, 0.026, 0.037])
     np.testing.assert_allclose(stiffness[1], 2e5 * np.exp(-50 * radius) + 5e4)
     np.testing.assert_allclose(psi1_in, draws["psi1"][0])

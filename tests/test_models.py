@@ -13,11 +13,10 @@ import pymc as pm
 import pytest
 from scipy import stats
 
-from test_op import small_study
-from zoo.blood.baseline import Baseline, blood_model
+from test_op import STIFF, small_study
+from zoo.blood.baseline import blood_model
 from zoo.blood.conventions import PUBLISHED_CODE
 from zoo.blood.effects import CATALOGUE
-from zoo.blood.forward import constant_stiffness
 from zoo.blood.network import Network
 from zoo.blood.solver import Physics, Solver, SolverOptions
 from zoo.blood.study import Study, load_study
@@ -27,7 +26,7 @@ from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.independent import Independent
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.model import ModelRecord
-from zoo.core.parameters import LogUniform, Parameter, pack
+from zoo.core.parameters import LogUniform, pack
 from zoo.models import MODELS, get_model, suggested
 
 pytestmark = pytest.mark.filterwarnings(
@@ -263,16 +262,6 @@ def test_sampling_waic_and_predictive_draws_of_all(study: Study) -> None:
     table = az.compare(idatas, ic="waic", scale="deviance")
     assert set(table.index) == set(NAMES)
     assert np.all(np.isfinite(table["elpd_waic"]))
-
-
-STIFF = Baseline(
-    "stiff",
-    "linear",
-    constant_stiffness,
-    (Parameter("f3", LogUniform(1e3, 1e12), "g cm-1 s-2"),),
-    fixed={"psi1": 0.3, "psi2": 0.9, "c": 1.2},
-)
-"""A wall that may be so stiff that no time step allowed is short enough."""
 
 
 @pytest.mark.parametrize(

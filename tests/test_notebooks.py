@@ -47,7 +47,7 @@ def store(folder: Path, letter: str) -> None:
     values = suggested(letter)
     draws = {name: values[name] * np.exp(0.002 * rng.normal(size=(4, 60))) for name in model.zoo.parameters}
     idata = az.from_dict(posterior=draws)
-    study, conventions = model.zoo.study, model.zoo.op.solver.conventions.name
+    study, conventions = model.zoo.study, model.zoo.forward.conventions.name
     RunRecord(
         letter, study.name, study.checksum, {"name": conventions}, {}, {}, 1, 10, 10, 1, {}, 1.0, 1.0, 9.0,
         1, "",

@@ -15,6 +15,7 @@ import pytensor.tensor as pt
 import pytest
 from pytensor.graph.traversal import ancestors
 
+from zoo.blood.baseline import Baseline
 from zoo.blood.conventions import PRINTED, PUBLISHED_CODE
 from zoo.blood.forward import (
     BloodFlow,
@@ -26,9 +27,19 @@ from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
 from zoo.core.forward import Outputs
 from zoo.core.op import CACHE_SIZE, ForwardOp, MissingGradientError, observed_series
-from zoo.core.parameters import Parameter, Uniform
+from zoo.core.parameters import LogUniform, Parameter, Uniform
 
 POINT = (5e4, 2.0, 0.3, 0.9, 1.2)  # stiffness, gamma, psi1, psi2, c
+
+
+STIFF = Baseline(
+    "stiff",
+    "linear",
+    constant_stiffness,
+    (Parameter("f3", LogUniform(1e3, 1e12), "g cm-1 s-2"),),
+    fixed={"psi1": 0.3, "psi2": 0.9, "c": 1.2},
+)
+"""A wall that may be so stiff that no time step allowed is short enough."""
 
 
 def small_study(n_times: int = 32, quantities: tuple[str, ...] = ("pressure_mmHg", "pressure_mmHg")) -> Study:

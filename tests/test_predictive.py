@@ -12,10 +12,11 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from test_op import small_study
+from test_op import STIFF, small_study
 from zoo.blood import predictive
+from zoo.blood.baseline import blood_model
+from zoo.blood.forward import study_data
 from zoo.blood.network import Network, stiffness_profile
-from zoo.blood.op import blood_flow
 from zoo.blood.predictive import (
     PredictiveError,
     bands,
@@ -29,9 +30,13 @@ from zoo.blood.predictive import (
     waves_at_medians,
     with_stiffness,
 )
-from zoo.blood.solver import Solver, wall_pressure_mmHg
+from zoo.blood.solver import Physics, Solver, wall_pressure_mmHg
 from zoo.blood.study import Study
-from zoo.core.errors.likelihood import LogUniform, iid_errors, neural_network_kernel, study_model
+from zoo.core.data import Data
+from zoo.core.errors.base import ErrorModel
+from zoo.core.errors.gaussian_process import GaussianProcess, neural_network_kernel
+from zoo.core.errors.independent import Independent
+from zoo.core.parameters import LogUniform
 from zoo.core.posterior.comparison import posterior_means
 from zoo.models import get_model
 
@@ -40,6 +45,10 @@ CENTRE = {
     **{"psi1": 0.3, "psi2": 0.9, "c": 1.2, "gamma": 5.0, "sigma2": 0.09, "w": 5e4, "b": 100.0},
 }
 TIMES = np.arange(40) * 0.11 / 40
+ERRORS: dict[str, ErrorModel] = {
+    "iid": Independent(),
+    "gp": GaussianProcess(LogUniform(1e4, 9e4), LogUniform(1, 500), unit="mmHg"),
+}
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +88,7 @@ def test_waves_are_those_of_single_solves(study: Study, name: str) -> None:
         chi = stiffness_profile([0.047, 0.026, 0.037], draw["f1"], draw["f2"], draw["f3"])
     wall = {"B": "linear", "I": "tangent"}[name]
     times = waves["time"].to_numpy() + 0.05 * 0.11
-    conventions = model.zoo.op.solver.conventions
+    conventions = model.zoo.forward.conventions
     alone = Solver.for_study(study, wall, series=[(3, 0.5)], times_s=times, conventions=conventions)
     scales = {p: draw[p] for p in ("psi1", "psi2", "c")}
     solution = alone.solve(chi, draw.get("gamma", 2.0), **scales)
@@ -118,9 +127,7 @@ def test_waves_conserve_volume_and_survive_a_file(study: Study, tmp_path) -> Non
 
 
 def test_draws_that_do_not_solve_are_left_out_and_counted(study: Study) -> None:
-    with study_model("stiff", study) as model:
-        f3 = LogUniform("f3", 1e3, 1e12)
-        iid_errors(*blood_flow(study, "linear", f3, 0.3, 0.9, 1.2), study)
+    model = blood_model("stiff", study, STIFF, Independent())
     f3_draws = np.array([[5e4, 1e11, 6e4], [1e11, 4e4, 1e11]])
     idata = az.from_dict(posterior={"f3": f3_draws, "sigma2": np.arange(1.0, 7.0).reshape(2, 3)})
     waves = vessel_waves(model, idata, n_times=32)
@@ -133,8 +140,29 @@ def test_draws_that_do_not_solve_are_left_out_and_counted(study: Study) -> None:
         vessel_waves(model, only)
 
 
+def test_effects_are_in_the_predictions(study: Study) -> None:
+    """Waves of a model with effects are those of a solver with their terms, in every vessel."""
+    model = get_model("A")(study, effects=["viscoelastic-wall", "local-stiffness@2"])
+    values = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.1}
+    values |= {"viscoelastic-wall.tau": 2e-3, "local-stiffness@2.log-stiffness": 0.4}
+    idata = az.from_dict(posterior={name: np.array([[value]]) for name, value in values.items()})
+    waves = vessel_waves(model, idata, n_times=32)
+    chi = np.array([5e4, 5e4 * np.exp(0.4), 5e4])
+    np.testing.assert_allclose(stiffness_draws(model, idata)[0, 0], chi)
+    physics = Physics(viscoelastic_time=np.full(3, 2e-3))
+    places = [(int(v), float(x)) for v in waves.vessel for x in waves.position]
+    solver = Solver.for_study(study, series=places, times_s=waves["time"].to_numpy(), physics=physics)
+    solution = solver.solve(chi, 2.0, 0.3, 0.9, 1.2)
+    for name in ("pressure_mmHg", "flow_ml_s", "area_cm2"):
+        expected = getattr(solution, name).reshape(3, 2, 32).astype(np.float32)
+        np.testing.assert_array_equal(waves[name][0], expected)
+
+
 def fake_waves(error: str = "iid", n: int = 4000, **parameters: np.ndarray) -> xr.Dataset:
     """Waves whose law is known: a normal level at each draw in two vessels, at two positions."""
+    w_b = [dict(zip(parameters, row, strict=True)) for row in zip(*parameters.values(), strict=True)]
+    bound = ERRORS[error].bind(Data(TIMES, np.zeros((1, 40)), units=["mmHg"]))
+    variance = np.array([bound.variance(values)[0] for values in w_b])
     level = np.random.default_rng(5).normal(15.0, 0.4, size=n)
     shape = np.array([[0.0, 1.0], [2.0, 3.0]])[None, :, :, None] + np.sin(57 * TIMES)
     pressure = level[:, None, None, None] + shape
@@ -144,6 +172,7 @@ def fake_waves(error: str = "iid", n: int = 4000, **parameters: np.ndarray) -> x
             "flow_ml_s": (("draw", "vessel", "position", "time"), pressure / 100),
             "area_cm2": (("draw", "vessel", "position", "time"), pressure / 1000),
             **{name: ("draw", values) for name, values in parameters.items()},
+            "error_variance": (("draw", "time"), variance),
         },
         coords={
             "draw": np.arange(n),
@@ -229,7 +258,7 @@ def test_predictions_have_the_variance_of_the_error_model(study: Study, monkeypa
     errors = {"iid": ("sigma2",), "gp": ("w", "b")}[error]
     values = {"sigma2": np.full((4, n), 0.09), "w": np.full((4, n), 5e4), "b": np.full((4, n), 130.0)}
     idata = az.from_dict(posterior={name: values[name] for name in errors})
-    record = SimpleNamespace(study=study, error=error, error_parameters=errors)
+    record = SimpleNamespace(errors=ERRORS[error].bind(study_data(study)), error_parameters=errors)
     monkeypatch.setattr(predictive, "record_of", lambda model: record)
     monkeypatch.setattr(predictive, "posterior_means", lambda model, posterior: means)
     got_means, predictions = predictive_draws(None, idata, n_draws=None)

@@ -19,8 +19,8 @@ from zoo.paper.synthetic import (
     falls_towards_periphery,
     ordered_error_means,
     signal_to_noise,
-    whitened,
     synthetic_study,
+    whitened,
 )
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.blood.effects import Amplitude, Case, Effect, Place, everywhere, with_physics
+from zoo.blood.effects import Amplitude, Case, Effect, Place, with_physics
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,9 @@ def _outside(
     name: str, family: str, change: Callable[..., Case], equation: str, amplitude: Amplitude
 ) -> Effect:
     text = (change.__doc__ or "").strip()
-    return Effect(name, family, text, equation, "zoo.blood.blind", "", (amplitude,), everywhere, change)
+    return Effect(
+        name, (amplitude,), change, family=family, statement=text, equation=equation, source="zoo.blood.blind"
+    )
 
 
 OUTSIDE: dict[str, Effect] = {
