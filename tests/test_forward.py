@@ -48,7 +48,7 @@ def test_it_is_a_forward_model(study: Study) -> None:
 
 @pytest.mark.parametrize("wall", ["linear", "tangent"])
 @pytest.mark.parametrize("conventions", [PRINTED, PUBLISHED_CODE])
-@pytest.mark.parametrize("options", [None, SolverOptions(dx_cm=0.05, steps_per_beat=512)])
+@pytest.mark.parametrize("options", [None, SolverOptions(dx_cm=0.05, steps_per_beat=2048)])
 def test_without_effects_it_is_the_solver_bit_for_bit(
     wall: str, conventions: Any, options: SolverOptions | None
 ) -> None:
@@ -84,7 +84,7 @@ def test_a_solver_is_made_once_while_only_parameters_change(
         return original(*args)
 
     monkeypatch.setattr(module, "solver_of", counted)
-    model = flow(study)
+    model = flow(study, name="linear-constant")
     local = WithEffects(model, [CATALOGUE["local-stiffness"].at(at_vessel(2))])
     for k in range(4):
         model.solve(model.configure(at((5e4 + k, *POINT[1:]))))
