@@ -92,31 +92,6 @@ def thin(idata: az.InferenceData, n_draws: int | None = N_DRAWS) -> xr.Dataset:
     return posterior.isel(draw=kept)
 
 
-def forward_points(model: pm.Model, posterior: xr.Dataset) -> Array:
-    """Parameters of the forward model at each posterior draw.
-
-    Parameters
-    ----------
-    model : pm.Model
-        With a record.
-    posterior : Dataset
-        Draws of every free parameter, dimensions chain, draw, ...
-
-    Returns
-    -------
-    array (n_chains n_draws, n_values)
-        For `ForwardModel.configure`; the draws of the first chain stand first.
-
-    Raises
-    ------
-    ComparisonError
-        If a parameter is missing.
-    """
-    record = record_of(model)
-    draws = [_flat(posterior, name, record) for name in record.forward_parameters]
-    return np.concatenate([values.reshape(len(values), -1) for values in draws], axis=1)
-
-
 def _flat(posterior: xr.Dataset, name: str, record: ModelRecord) -> Array:
     """Draws of one parameter, (n_chains n_draws, ...)."""
     if name not in posterior:
