@@ -134,7 +134,7 @@ def simulate(
     series: Sequence[Place],
     times_s: ArrayLike,
     *,
-    solver: Callable[[Case, Sequence[tuple[int, float]], Array], Solver] = solver_of,
+    solver: Callable[[Case, Sequence[tuple[int, float]], Array], Solver] | None = None,
 ) -> Array:
     """Solve a case and sample it.
 
@@ -150,7 +150,7 @@ def simulate(
     times_s : array (n_times,)
         s, from the start of the cardiac cycle.
     solver : function
-        Makes or finds the solver.
+        Finds a solver for series that are known to exist, instead of `solver_of`.
 
     Returns
     -------
@@ -164,11 +164,14 @@ def simulate(
     zoo.blood.study.StudyError, OutputError
         If a vessel, a position or a quantity does not exist.
     """
-    check_series(case, series)
+    if solver is None:
+        check_series(case, series)
+        solver = solver_of
     times = np.asarray(times_s, dtype=np.float64)
     period = case.network.period_s
-    cycle = np.arange(WAVE_SAMPLES) * (period / WAVE_SAMPLES)
-    wanted = np.concatenate([times, cycle]) if case.waves else times
+    wanted = times
+    if case.waves:
+        wanted = np.concatenate([times, np.arange(WAVE_SAMPLES) * (period / WAVE_SAMPLES)])
 
     solved = _sample(case, series, wanted, solver)
     if case.coarse_blend:

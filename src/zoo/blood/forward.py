@@ -125,13 +125,14 @@ class BloodFlow:
         self.outputs = outputs or Outputs(
             tuple((s.vessel, s.position, s.quantity) for s in study.series), study.time_s
         )
+        self._times = self.outputs.times + self.conventions.sample_lag_beats * self.network.period_s
         series = cast("tuple[Place, ...]", self.outputs.series)
         self._kept: tuple[tuple[Case, Any, Array, Solver], ...] = ()
         self.key = self._digest()
         if len(self.network.ids) and series:
             blank = self._case(self.fixed, np.ones(len(self.network.ids)))
             check_series(blank, series)
-            self._solver(blank, tuple(dict.fromkeys((v, x) for v, x, _ in series)), self._clock(self.outputs))
+            self._solver(blank, tuple(dict.fromkeys((v, x) for v, x, _ in series)), self._times)
 
     def _digest(self) -> str:
         """Of everything that a solution depends on besides theta."""
@@ -199,12 +200,15 @@ class BloodFlow:
         """
         wanted = outputs or self.outputs
         series = cast("tuple[Place, ...]", wanted.series)
-        return simulate(configuration, series, self._clock(wanted, configuration), solver=self._solver)
+        if wanted is not self.outputs:
+            check_series(configuration, series)
+        return simulate(configuration, series, self._clock(wanted), solver=self._solver)
 
-    def _clock(self, outputs: Outputs, case: Case | None = None) -> Array:
+    def _clock(self, outputs: Outputs) -> Array:
         """When the solution is sampled: the samples' times, with the conventions' lag."""
-        lag = (case.conventions if case else self.conventions).sample_lag_beats
-        return np.asarray(outputs.times + lag * self.network.period_s)
+        if outputs is not self.outputs:
+            return np.asarray(outputs.times + self.conventions.sample_lag_beats * self.network.period_s)
+        return self._times
 
     def _solver(self, case: Case, places: Sequence[tuple[int, float]], times: Array) -> Solver:
         """A solver that was made before, if only the parameters differ."""
@@ -215,10 +219,10 @@ class BloodFlow:
                 and old.inflow_time_s is case.inflow_time_s
                 and old.physics is case.physics
                 and old.wall == case.wall
-                and old.conventions == case.conventions
-                and old.options == case.options
+                and (old.conventions is case.conventions or old.conventions == case.conventions)
+                and (old.options is case.options or old.options == case.options)
                 and at == places
-                and np.array_equal(when, times)
+                and (when is times or np.array_equal(when, times))
             )
             if same:
                 return solver
