@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from zoo.core.errors.likelihood import ERROR_PARAMETERS
 from zoo.core.posterior.ranks import RankTest
 from zoo.models import get_model
 from zoo.paper.calibration import simulate_and_rank
@@ -47,7 +46,7 @@ def main() -> None:
             args.replicates,
             seed=args.seed,
             settings=Settings(),
-            limits={ERROR_PARAMETERS["iid"][0]: SIGMA2} if independent else None,
+            limits={"sigma2": SIGMA2} if independent else None,
             path=args.folder / f"{name}.jsonl",
             cores=args.cores,
             progress=True,

@@ -11,7 +11,7 @@ import numpy as np
 from zoo import load_study
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
-from zoo.core.errors.likelihood import whiten
+from zoo.paper.synthetic import whitened
 from zoo.paper.truth import PAPER_TRUTH
 
 STEPS = {"f3": 500.0, "psi1": 0.01, "psi2": 0.005, "c": 0.02}
@@ -36,9 +36,7 @@ def main() -> None:
                 return solver.solve(chi, **at).pressure_mmHg
 
             def scaled(residual: np.ndarray, times=times) -> np.ndarray:
-                z = whiten("gp", residual, times, {"w": PAPER_TRUTH.w, "b": PAPER_TRUTH.b})
-                assert z is not None
-                return z.ravel()
+                return whitened(residual, times, PAPER_TRUTH).ravel()
 
             fine = waves(SolverOptions(refine=4, tolerance_mmHg=1e-6))
             for name, options in (("default", SolverOptions()), ("halved", SolverOptions(refine=2))):

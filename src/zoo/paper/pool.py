@@ -12,32 +12,16 @@ from numpy.typing import NDArray
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver
 from zoo.blood.study import Study
-from zoo.core.errors.likelihood import (
-    B_RANGE,
-    JITTER,
-    NOISE_VARIANCE,
-    W_RANGE,
-    gp_sequential,
-    neural_network_kernel,
-    whiten,
-)
+from zoo.core.errors.gaussian_process import NOISE, gp_sequential, neural_network_kernel
 from zoo.core.inference.convergence import ESS_TARGET
-from zoo.paper.synthetic import Truth
+from zoo.models import model_e
+from zoo.paper.synthetic import Truth, whitened
 from zoo.paper.truth import SCALES, THETA, kernel_density, relative_sse
 
 Array = NDArray[np.float64]
 
 
-BOUNDS = {
-    "f1": (1e3, 1e7),
-    "f2": (-300.0, -50.0),
-    "f3": (3e4, 6e4),
-    "psi1": (0.05, 2.5),
-    "psi2": (0.05, 2.5),
-    "c": (0.05, 2.5),
-    "w": W_RANGE,
-    "b": B_RANGE,
-}
+BOUNDS = {p.name: p.prior.support for p in (*model_e.BASELINE.parameters, *model_e.ERRORS.parameters)}
 """The box of model E's priors (Table 2); w and b are uniform in their logarithms."""
 POOL_DOF = 8.0
 POOL_WIDTH = 3.0
@@ -176,16 +160,14 @@ def _wave_covariance(
         up, down = (waves(true * np.exp(sign * h * axis)) for sign in (1, -1))
         if up is None or down is None:
             raise RuntimeError(f"{THETA[k]} cannot be moved from the truth: choose another one")
-        z = whiten("gp", (up - down) / (2 * h), times, {"w": truth.w, "b": truth.b})
-        assert z is not None
-        columns.append(z.ravel())
+        columns.append(whitened((up - down) / (2 * h), times, truth).ravel())
     jacobian = np.array(columns).T
     return np.asarray(np.linalg.inv(jacobian.T @ jacobian))
 
 
 def _error_parameter_covariance(times: Array, truth: Truth, n_series: int) -> Array:
     """Inverse Fisher information of log w, log b: I_ij = n/2 tr(K^-1 dK_i K^-1 dK_j)."""
-    noise = (NOISE_VARIANCE + JITTER) * np.eye(len(times))
+    noise = NOISE * np.eye(len(times))
     inverse = np.linalg.inv(neural_network_kernel(times, truth.w, truth.b) + noise)
     h, moved = 1e-3, []
     for factor in ((np.exp(h), 1.0), (1.0, np.exp(h))):

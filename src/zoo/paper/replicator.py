@@ -163,7 +163,7 @@ class Replicator:
             raise CalibrationError(f"truth: its parameters are {', '.join(names)}, not {', '.join(mine)}")
         if getattr(source, "zoo", None) is None:
             raise CalibrationError(
-                f"model {model_name(source)}: has no record; make its errors with iid_errors or gp_errors"
+                f"model {model_name(source)}: has no record; make it with zoo.core.model.bayesian_model"
             )
         y = source.observed_RVs[0]
         self._bounded = [rv for rv in source.free_RVs if rv.name in self.limits]
