@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from zoo.blood.case import UNITS, Case, Place, check_series, simulate, solver_of
 from zoo.blood.conventions import Conventions
 from zoo.blood.network import Network, stiffness_profile
-from zoo.blood.solver import NO_PHYSICS, WALLS, Solver, SolverArgumentError, SolverOptions
+from zoo.blood.solver import NO_PHYSICS, SHAPES, WALLS, Solver, SolverArgumentError, SolverOptions
 from zoo.blood.study import Study
 from zoo.core.data import Data
 from zoo.core.forward import Outputs, content_key
@@ -79,7 +79,7 @@ class BloodFlow:
         A `StiffnessLaw`.
     parameters : sequence of Parameter
         Those of the stiffness law, and of "gamma" (2 if absent), "psi1", "psi2" and "c" (1 if absent): one
-        value, or one for each vessel.
+        value, or one for each vessel. A wall with several shape parameters has their names instead of gamma.
     name : str
     conventions : Conventions
         Instead of the study's own.
@@ -151,7 +151,7 @@ class BloodFlow:
         return {**self.__dict__, "_kept": ()}
 
     def _case(self, values: Values, stiffness: Array) -> Case:
-        n = len(self.network.ids)
+        n, shapes = len(self.network.ids), SHAPES[self.wall]
 
         def of_each(name: str, otherwise: float = 1.0) -> Array:
             return np.full(n, np.asarray(values.get(name, otherwise), dtype=np.float64))
@@ -165,7 +165,7 @@ class BloodFlow:
             options=self.options,
             physics=NO_PHYSICS,
             stiffness=stiffness,
-            gamma=of_each("gamma", 2.0),
+            gamma=of_each("gamma", 2.0) if len(shapes) < 2 else np.stack([of_each(name) for name in shapes]),
             psi1=of_each("psi1"),
             psi2=of_each("psi2"),
             c=of_each("c"),
