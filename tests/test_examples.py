@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -232,6 +233,39 @@ def test_a_pints_model_is_a_forward_model() -> None:
     assert model.key != from_pints(Decay(3.0), t, [rate], labels=("left", "gone")).key
     with pytest.raises(ValueError, match="2 parameters for 1: give one for each"):
         from_pints(Decay(2.0), t, [rate, rate])
+
+
+# ---------------------------------------------------------------------------------------------------
+# the page
+
+
+def test_the_page_runs_from_top_to_bottom(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (ROOT / "docs" / "bring-your-own-simulator.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"__name__": "page"}
+    for code in re.findall(r"^```python\n(.*?)^```", text, flags=re.S | re.M):
+        exec(compile(code, "bring-your-own-simulator.md", "exec"), names)
+    shown = re.search(r"print\(found\.file\.verdict\)\n```\n\n```text\n(.*?)\n```", text, flags=re.S)
+    assert shown
+    assert shown[1] in capsys.readouterr().out
+    found = names["found"]
+    assert found.cause == ["evaporation"]
+    assert found.file.invisible == ["late-thermometer"]
+    amplitude = found.hypotheses[0].amplitude
+    assert amplitude.mean == pytest.approx(1e-5, abs=3 * amplitude.sd)
+    assert found.file.steps[0].name == "evaporation"
+    assert (tmp_path / "diagnosis" / "diagnosis.json").is_file()
+    growth = names["growth"]
+    assert growth.solve(growth.configure([0.1, 50.0])).shape == (1, 51)
+
+
+def test_the_page_lists_every_effect_of_the_tanks() -> None:
+    text = (ROOT / "docs" / "bring-your-own-simulator.md").read_text(encoding="utf-8")
+    assert f"{len(tanks.EFFECTS)} rival effects" in text
+    for one in tanks.EFFECTS:
+        assert text.count(f"\n{one.name} ") >= 2, "in the first result and in the present one"
 
 
 # ---------------------------------------------------------------------------------------------------

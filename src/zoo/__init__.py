@@ -31,6 +31,10 @@ _HOME = {
     "Solver": "blood.solver",
     "SolverError": "blood.solver",
     "SolverOptions": "blood.solver",
+    "Effect": "core.effects",
+    "EffectParameter": "core.effects",
+    "Location": "core.effects",
+    "effect": "blood.effects",
     "sample": "core.inference.sampling",
     "compare": "core.posterior.comparison",
     "diagnose": "front",
@@ -58,6 +62,8 @@ def __getattr__(name: str) -> Any:
         value = getattr(import_module(f"zoo.{_HOME[name]}"), name)
     elif name in __all__:
         value = _model(name.removeprefix("model_"))
+    elif name == "BloodFlowOp":
+        raise AttributeError("zoo.BloodFlowOp: is zoo.core.op.ForwardOp now, for any forward model")
     else:
         raise AttributeError(f"module 'zoo' has no attribute {name!r}")
     globals()[name] = value

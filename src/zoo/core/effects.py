@@ -403,7 +403,7 @@ class Catalogue(Mapping[str, Effect]):
         old = self._effects.get(made.name)
         change = getattr(made.apply, "change", made.apply)
         module = self.home.partition(":")[0]
-        own = bool(module) and (change is None or getattr(change, "__module__", "").startswith(module))
+        own = bool(module) and (change is None or str(getattr(change, "__module__", "")).startswith(module))
         position = old.position if old else len(self._effects)
         made = replace(made, position=position, home=self.home if own else "")
         self._effects[made.name] = made
