@@ -93,7 +93,7 @@ def test_diagnose_says_what_to_change_before_it_works(
         raise AssertionError("it worked")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(diagnosis, "diagnose", worked)
+    monkeypatch.setattr("zoo.blood.diagnosis.diagnose", worked)
     Path("file").write_text("")
     assert message in fails("diagnose", folder, *options)
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
@@ -120,7 +120,7 @@ def test_options_reach_the_diagnosis(
         given.update(confirm=True, folder=settings["folder"])
         return self
 
-    monkeypatch.setattr(diagnosis, "diagnose", caught)
+    monkeypatch.setattr("zoo.blood.diagnosis.diagnose", caught)
     monkeypatch.setattr(Diagnosis, "with_posteriors", sampled)
     monkeypatch.setattr(report, "write_diagnosis", lambda *_, **__: [])
     out = tmp_path / "gap"
