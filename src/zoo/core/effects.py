@@ -431,6 +431,10 @@ class Catalogue(Mapping[str, Effect]):
             raise EffectError(f"effect {name!r}: {nearest(name, list(self._effects))}")
         return self._effects[name]
 
+    def get(self, name: str, default: Any = None) -> Any:
+        """An effect by its name, or something else where there is none."""
+        return self[name] if name in self else default
+
     def __contains__(self, name: object) -> bool:
         self._load()
         return name in self._effects

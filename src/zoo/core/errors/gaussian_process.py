@@ -217,7 +217,7 @@ class GaussianProcess(ErrorModel):
     >>> t = np.linspace(0.0, 0.1, 4)
     >>> bound = errors.bind(Data(t, np.zeros((1, 4)), units=["mmHg"]))
     >>> bound.variance({"w": 5e4, "b": 100.0}).round(3)
-    array([[0.955, 0.966, 0.98 , 0.987]])
+    array([[0.936, 0.949, 0.965, 0.974]])
     """
 
     w: Prior
