@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from zoo.core.inference.logposterior import Array, LogPosterior, SamplingError, model_name
 from zoo.core.inference.newton import gauss_newton, newton
+from zoo.core.model import ModelRecord
 
 LARGE = 100.0
 """Size of an unconstrained coordinate from which it is scaled for the search."""
@@ -120,7 +121,7 @@ def search_mode(
 
     limit = 300 + 60 * d if max_evaluations is None else max_evaluations
     frame = None
-    if d > MANY and hasattr(getattr(logp.model, "zoo", None), "errors"):
+    if d > MANY and isinstance(getattr(logp.model, "zoo", None), ModelRecord):
         begin = [(q, best)] if start is not None else _prior_points(logp, q, seed)
         q, best, frame = _highest(logp, begin, limit)
     elif limit > 2 * d + 1:
