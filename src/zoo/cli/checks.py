@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zoo.cli.command import UsageError
-from zoo.models import MODELS
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
@@ -36,19 +35,23 @@ def numbers(option: str, text: str, study: Study) -> list[float]:
 
 
 def model_name(name: str) -> str:
-    """Letter of a model."""
-    if name.strip().upper() not in MODELS:
-        raise UsageError(f"model {name!r}: unknown; there is {', '.join(MODELS)}")
-    return name.strip().upper()
+    """Name of a model: its letter, or that of a file of one's own, and after each "+" an effect."""
+    from zoo.blood.plugins import known_name
+    from zoo.core.effects import EffectError
+
+    try:
+        return known_name(name)
+    except EffectError as error:
+        raise UsageError(str(error)) from None
 
 
 def model_names(text: str) -> list[str]:
-    """Letters of models, given with commas."""
+    """Names of models, given with commas."""
     return [model_name(part) for part in text.split(",") if part.strip()]
 
 
 def different_models(text: str) -> list[str]:
-    """Letters of two models or more."""
+    """Names of two models or more."""
     names = model_names(text)
     if len(names) < 2 or len(set(names)) < len(names):
         raise UsageError(f"--models {text}: give at least two different models, such as --models A,B")

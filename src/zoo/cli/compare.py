@@ -10,7 +10,7 @@ import typer
 
 from zoo.cli.checks import at_least, different_models, parent_exists
 from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import ConventionOptions, SamplingOptions
+from zoo.cli.options import ConventionOptions, PluginOptions, SamplingOptions
 from zoo.cli.sample import build_model, sample_with_checkpoint
 from zoo.cli.screen import plain_table, say
 
@@ -26,7 +26,9 @@ def compare(
             metavar="STUDY...", help="Built-in studies (see `zoo studies`) or folders; a table each."
         ),
     ],
-    models: Annotated[str, typer.Option("--models", help="With commas, such as A,B.")] = "A,B",
+    models: Annotated[
+        str, typer.Option("--models", help="With commas, such as A,B or B,B+viscoelastic-wall.")
+    ] = "A,B",
     posteriors: Annotated[
         list[Path] | None,
         typer.Option(
@@ -48,6 +50,7 @@ def compare(
     *,
     sampling: Annotated[SamplingOptions, Without("step", "thin")],
     conventions: ConventionOptions,
+    plugins: PluginOptions,
 ) -> None:
     """Rank models by how well they predict a study; posteriors that are missing are sampled first.
 
@@ -55,6 +58,7 @@ def compare(
     """
     if posteriors and not sampling.resume:
         raise UsageError("--fresh: samples every model anew; leave out --posteriors, or --fresh")
+    plugins.load()
     names = different_models(models)
     settings = sampling.settings()
     at_least("--n-draws", n_draws, 10)

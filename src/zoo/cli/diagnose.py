@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import at_least, output_folder
-from zoo.cli.command import UsageError, command
-from zoo.cli.options import ConventionOptions, QuietOption, StudyArgument
+from zoo.cli.command import UsageError, Without, command
+from zoo.cli.options import ConventionOptions, PluginOptions, QuietOption, StudyArgument
 from zoo.cli.screen import plain_table, say
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ def diagnose(
     quiet: QuietOption = False,
     *,
     conventions: ConventionOptions,
+    plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
     """Find what a base model misses in a study: where the gap lies, what causes it, how far it shrinks."""
     import shlex
@@ -72,6 +73,7 @@ def diagnose(
         ("--seed", seed, 0),
     ):
         at_least(option, count, least)
+    plugins.load()
     chosen = get_baseline(base)
     names = _effect_names(effects, chosen.name)
     loaded = conventions.load(study)
@@ -109,6 +111,7 @@ def diagnose(
         words += ["--confirm" if confirm else "--no-confirm", "--max-effects", str(max_effects)]
         words += ["--exhaust"] if exhaust else []
         words += ["--effects", ",".join(names)] if names else []
+        words += plugins.words()
         words += [*conventions.words(), "--cores", str(cores), "--seed", str(seed)]
         written = write_diagnosis(found, output, command=shlex.join(words))
     say(*diagnosis_screen(found.file), f"wrote {output}: {', '.join(path.name for path in written)}")

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.command import command
+from zoo.cli.command import Without, command
+from zoo.cli.options import PluginOptions
 from zoo.cli.screen import plain_table, say
 
 if TYPE_CHECKING:
@@ -29,12 +30,15 @@ def effects(
         typer.Argument(metavar="[NAME]", help="One effect, such as viscoelastic-wall.", show_default=False),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    *,
+    plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
     """List the effects that a base model may lack; with a name, all that is known about one."""
     import json
 
     from zoo.blood.effects import CATALOGUE
 
+    plugins.load()
     chosen = list(CATALOGUE.values()) if name is None else [CATALOGUE[name]]
     if as_json:
         found = [_effect_fields(effect) for effect in chosen]

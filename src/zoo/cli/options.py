@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -25,6 +26,44 @@ StudyArgument = Annotated[
     str, typer.Argument(metavar="STUDY", help="A built-in study (see `zoo studies`) or a folder.")
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
+
+
+@dataclass(frozen=True)
+class PluginOptions:
+    """Files with effects and models of one's own."""
+
+    effects_from: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--effects-from",
+            help="Python file that defines effects; it is run. May be repeated.",
+            metavar="FILE",
+            show_default=False,
+        ),
+    ] = None
+    models_from: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--models-from",
+            help="Python file with functions model_NAME(study, **settings); it is run. May be repeated.",
+            metavar="FILE",
+            show_default=False,
+        ),
+    ] = None
+
+    def load(self) -> None:
+        """Run the files, so that what they define can be named."""
+        from zoo.blood.plugins import add_effects, load_models
+
+        for path in self.effects_from or []:
+            add_effects(path)
+        for path in self.models_from or []:
+            load_models(path)
+
+    def words(self) -> list[str]:
+        """The options as they were typed."""
+        given = [("--effects-from", self.effects_from), ("--models-from", self.models_from)]
+        return [word for option, paths in given for path in paths or [] for word in (option, str(path))]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import typer
 
 from zoo.cli.checks import at_least, model_names, parent_exists
 from zoo.cli.command import command
-from zoo.cli.options import QuietOption
+from zoo.cli.options import PluginOptions, QuietOption
 from zoo.cli.screen import say
 
 
@@ -36,6 +36,8 @@ def report(
     ] = 1000,
     title: Annotated[str, typer.Option("--title", help="Of the page.")] = "Models of blood flow",
     quiet: QuietOption = False,
+    *,
+    plugins: PluginOptions,
 ) -> None:
     """Write one HTML page on stored posteriors: comparison, fits, convergence, how they were made."""
     import shlex
@@ -43,6 +45,7 @@ def report(
     from zoo.blood.study import list_studies
     from zoo.report import gather, write_chapters
 
+    plugins.load()
     letters = model_names(models)
     at_least("--n-draws", n_draws, 10)
     parent_exists(output.resolve())
@@ -51,6 +54,7 @@ def report(
     chapters = gather(names, folders, letters=letters, data=bool(os.environ.get("CI")), say=say)
     words = ["zoo", "report", *names]
     words += [word for folder in folders for word in ("--posteriors", str(folder))]
+    words += plugins.words()
     words += ["--models", ",".join(letters), "--ic", criterion, "--n-draws", str(n_draws), "-o", str(output)]
     write_chapters(
         output,

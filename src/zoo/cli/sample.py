@@ -10,7 +10,7 @@ import typer
 
 from zoo.cli.checks import model_name, parent_exists
 from zoo.cli.command import UsageError, command
-from zoo.cli.options import ConventionOptions, SamplingOptions, StudyArgument
+from zoo.cli.options import ConventionOptions, PluginOptions, SamplingOptions, StudyArgument
 from zoo.cli.screen import plain_table, say
 
 if TYPE_CHECKING:
@@ -21,18 +21,31 @@ if TYPE_CHECKING:
 
 @command
 def sample(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="A to I.")],
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="A to I, or one of --models-from.")],
     study: StudyArgument,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="NetCDF file; MODEL-STUDY.nc by default.", show_default=False),
     ] = None,
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            "--effects",
+            help="Put these into the model, with commas: viscoelastic-wall,local-stiffness@2 (vessel 2; 2+ "
+            "with all below). The model's name becomes MODEL+EFFECT.",
+            metavar="NAMES",
+            show_default=False,
+        ),
+    ] = None,
     *,
     sampling: SamplingOptions,
     conventions: ConventionOptions,
+    plugins: PluginOptions,
 ) -> None:
     """Sample a model's posterior on a study, until converged; an interrupted run goes on where it was."""
-    name = model_name(model)
+    plugins.load()
+    added = [part.strip() for part in (effects or "").split(",") if part.strip()]
+    name = model_name("+".join([model, *added]))
     settings = sampling.settings()
     loaded = conventions.load(study)
     path = parent_exists(Path(f"{name}-{loaded.name}.nc") if output is None else output)
@@ -43,10 +56,10 @@ def sample(
 
 
 def build_model(name: str, study: Study) -> Any:
-    """A model of the package on a study."""
-    import zoo
+    """A model on a study, by its name."""
+    from zoo.blood.plugins import get_model
 
-    return getattr(zoo, f"model_{name}")(study)
+    return get_model(name)(study)
 
 
 def sample_with_checkpoint(

@@ -236,7 +236,7 @@ def _model_part(
 def _about(name: str) -> str:
     """First line of a model's docstring, for the models of this package."""
     if name not in MODELS:
-        return ""
+        return ""  # with effects it is another one
     return (get_model(name).__doc__ or "").strip().splitlines()[0]
 
 

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zoo.blood.fetch import FetchError
+from zoo.blood.plugins import get_model
 from zoo.blood.study import load_study
 from zoo.core.inference.convergence import ESS_TARGET, RHAT_LIMIT
 from zoo.core.inference.record import ResultsError, RunRecord, versions
 from zoo.core.posterior.files import find, load_for
 from zoo.core.posterior.storage import load
-from zoo.models import MODELS, get_model
+from zoo.models import MODELS
 from zoo.report.chapter import Chapter, part_of
 from zoo.report.page import ReportError, write_page
 
