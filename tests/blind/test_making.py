@@ -15,6 +15,7 @@ import pytest
 from scipy.stats import binom
 
 import zoo.blood.blind.make as making
+from zoo.blood.baseline import get_baseline
 from zoo.blood.blind import BlindError, make_cases
 from zoo.blood.blind.bench import GENERATOR
 from zoo.blood.blind.draw import Draw
@@ -23,11 +24,13 @@ from zoo.blood.blind.networks import tree
 from zoo.blood.blind.noise import autoregressive
 from zoo.blood.blind.outside import OUTSIDE, leaking_valve
 from zoo.blood.blind.visibility import visible_amplitude
-from zoo.blood.effects import CATALOGUE, Amplitude, Place, get_base, simulate
+from zoo.blood.case import Case, simulate
+from zoo.blood.diagnosis import SEARCH
+from zoo.blood.effects import CATALOGUE, EffectParameter, Location
 from zoo.blood.solver import Physics
 from zoo.blood.study import load_study
 from zoo.core.blindcheck.sealing import KEY_DIGEST
-from zoo.core.diagnosis.screening import SEARCH
+from zoo.core.parameters import pack, start_of
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -61,7 +64,7 @@ def test_cases_are_studies_and_the_key_is_apart(made: tuple[Path, Path]) -> None
         assert gap["after"] < 0.4 * gap["before"]
         for effect in e["effects"]:
             known = CATALOGUE.get(effect["effect"]) or OUTSIDE[effect["effect"]]
-            for a in known.amplitudes:
+            for a in known.parameters:
                 assert a.low <= effect["amplitudes"][a.name] <= a.high
 
 
@@ -70,12 +73,12 @@ def test_data_are_the_truth_and_noise_of_the_stated_size(made: tuple[Path, Path]
     cases, key = made
     e = next(e for e in json.loads(key.read_text()) if e["kind"] == "listed")
     study = load_study(cases / e["case"])
-    case = get_base(e["base"]).case(study, e["base_parameters"], GENERATOR)
+    flow = get_baseline(e["base"]).forward(study, options=GENERATOR)
+    case = flow.configure(pack(flow.parameters, e["base_parameters"]))
     [effect] = e["effects"]
     values = tuple(effect["amplitudes"].values())
-    case = CATALOGUE[effect["effect"]].apply(case, values, Place(effect["vessel"], effect["subtree"]))  # type: ignore[misc]
-    waves, reason = simulate(case, [(s.vessel, s.position, s.quantity) for s in study.series], study.time_s)
-    assert reason is None
+    case = CATALOGUE[effect["effect"]].apply(case, values, Location(effect["vessel"], effect["subtree"]))  # type: ignore[misc]
+    waves = simulate(case, [(s.vessel, s.position, s.quantity) for s in study.series], study.time_s)
     sd = math.hypot(0.05, e["noise"]["correlated_mmHg"])
     assert np.std(study.values - waves) == pytest.approx(sd, rel=0.25)
 
@@ -195,7 +198,7 @@ def test_effects_come_evenly() -> None:
 
 
 def test_an_amplitude_is_kept_or_scaled_into_the_range() -> None:
-    a = Amplitude("a", "1", 1.0, -4.0, 4.0, (1.0,))
+    a = EffectParameter("a", "1", 1.0, -4.0, 4.0, (1.0,))
     limits = (0.15, 1.0)
     assert visible_amplitude(lambda x: abs(x) / 2, a, -1.2, limits, 0.5)[0] == -1.2
     value, *_ = visible_amplitude(lambda x: abs(x) ** 3, a, 2.0, limits, 0.5)
@@ -212,7 +215,7 @@ def test_an_amplitude_is_kept_or_scaled_into_the_range() -> None:
     found, smallest, largest = visible_amplitude(lambda x: abs(x) / 100, a, 1.0, limits, 0.5)
     assert found is None
     assert largest == pytest.approx(0.04)
-    switch = Amplitude("s", "1", 0.5, 0.1, 1.2, (0.2,))
+    switch = EffectParameter("s", "1", 0.5, 0.1, 1.2, (0.2,))
     found, smallest, _ = visible_amplitude(lambda x: 2.0 + x, switch, 0.5, limits, 0.5)
     assert found is None
     assert smallest > 1.0
@@ -231,23 +234,26 @@ def test_trees_bifurcate_and_narrow(n: int) -> None:
     assert all(length >= 0.05 and length <= 15 * r + 0.05 for _, _, length, r in rows)
 
 
+def at_start(study: Any) -> Case:
+    """The baseline's case where a search begins."""
+    flow = get_baseline("linear-constant").forward(study)
+    return flow.configure(pack(flow.parameters, start_of(flow.parameters)))
+
+
 @pytest.mark.parametrize("name", sorted(OUTSIDE))
 def test_outside_effects_are_in_no_catalogue_and_grow_from_0(name: str) -> None:
     assert name not in CATALOGUE
     if name == "active-tone" and not hasattr(Physics(), "stiffness_wave"):
         pytest.skip("this solver's stiffness cannot change within the beat")
     study = load_study("demo")
-    base = get_base("linear-constant")
-    case = base.case(study, base.start)
+    case = at_start(study)
     apply = OUTSIDE[name].apply
     assert apply is not None
 
     def wave(x: float) -> Any:
-        values, reason = simulate(apply(case, (x,), Place()), [(1, 0.0, "pressure_mmHg")], study.time_s)
-        assert reason is None
-        return values
+        return simulate(apply(case, (x,), Location()), [(1, 0.0, "pressure_mmHg")], study.time_s)
 
-    plain, _ = simulate(case, [(1, 0.0, "pressure_mmHg")], study.time_s)
+    plain = simulate(case, [(1, 0.0, "pressure_mmHg")], study.time_s)
     small, large = (float(np.abs(wave(x) - plain).max()) for x in (0.05, 0.1))
     assert np.allclose(wave(0.0), plain, atol=1e-3)
     assert small > 0.02
@@ -256,9 +262,8 @@ def test_outside_effects_are_in_no_catalogue_and_grow_from_0(name: str) -> None:
 
 def test_leaking_valve_returns_its_share_in_diastole() -> None:
     study = load_study("demo")
-    base = get_base("linear-constant")
-    case = base.case(study, base.start)
-    changed = leaking_valve(case, (0.2,), Place())
+    case = at_start(study)
+    changed = leaking_valve(case, (0.2,), Location())
     assert changed.inflow_ml_s.mean() == pytest.approx(0.8 * case.inflow_ml_s.mean())
     moved = changed.inflow_ml_s != case.inflow_ml_s
     assert case.inflow_ml_s[moved].max() <= 0.02 * case.inflow_ml_s.max()

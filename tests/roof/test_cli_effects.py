@@ -8,7 +8,7 @@ from commands import fails, run
 from typer.testing import CliRunner
 
 from zoo import cli
-from zoo.blood.effects import CATALOGUE, FAMILIES, get_effect
+from zoo.blood.effects import CATALOGUE, FAMILIES
 from zoo.cli import app
 
 
@@ -27,11 +27,11 @@ def test_effects_lists_the_catalogue_by_family() -> None:
 
 
 def test_effects_tells_all_about_one() -> None:
-    made = get_effect("catheter-resonance")
+    made = CATALOGUE["catheter-resonance"]
     found = run("effects", "catheter-resonance")
     for words in (made.statement, made.equation, made.signature, made.source, made.family):
         assert words in found
-    for amplitude in made.amplitudes:
+    for amplitude in made.parameters:
         assert (
             f"{amplitude.name} ({amplitude.unit}) ~ normal({amplitude.centre:g}, {amplitude.scale:g})"
             in found
