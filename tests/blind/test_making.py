@@ -24,22 +24,13 @@ from zoo.blood.blind.networks import tree
 from zoo.blood.blind.noise import autoregressive
 from zoo.blood.blind.outside import OUTSIDE, leaking_valve
 from zoo.blood.blind.visibility import visible_amplitude
-from zoo.blood.case import Case
+from zoo.blood.case import Case, simulate
 from zoo.blood.diagnosis import SEARCH
-from zoo.blood.effects import CATALOGUE
-from zoo.blood.forward import BloodFlow
+from zoo.blood.effects import CATALOGUE, EffectParameter, Location
 from zoo.blood.solver import Physics
 from zoo.blood.study import load_study
 from zoo.core.blindcheck.sealing import KEY_DIGEST
-from zoo.core.effects import EVERYWHERE, EffectParameter, Location
-from zoo.core.forward import Outputs
 from zoo.core.parameters import pack, start_of
-
-
-def demo_case() -> tuple[BloodFlow, Case]:
-    """The embedded study's baseline at its start."""
-    flow = get_baseline("linear-constant").forward(load_study("demo"))
-    return flow, flow.configure(pack(flow.parameters, start_of(flow.parameters)))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -87,7 +78,7 @@ def test_data_are_the_truth_and_noise_of_the_stated_size(made: tuple[Path, Path]
     [effect] = e["effects"]
     values = tuple(effect["amplitudes"].values())
     case = CATALOGUE[effect["effect"]].apply(case, values, Location(effect["vessel"], effect["subtree"]))  # type: ignore[misc]
-    waves = flow.solve(case)
+    waves = simulate(case, [(s.vessel, s.position, s.quantity) for s in study.series], study.time_s)
     sd = math.hypot(0.05, e["noise"]["correlated_mmHg"])
     assert np.std(study.values - waves) == pytest.approx(sd, rel=0.25)
 
@@ -243,20 +234,26 @@ def test_trees_bifurcate_and_narrow(n: int) -> None:
     assert all(length >= 0.05 and length <= 15 * r + 0.05 for _, _, length, r in rows)
 
 
+def at_start(study: Any) -> Case:
+    """The baseline's case where a search begins."""
+    flow = get_baseline("linear-constant").forward(study)
+    return flow.configure(pack(flow.parameters, start_of(flow.parameters)))
+
+
 @pytest.mark.parametrize("name", sorted(OUTSIDE))
 def test_outside_effects_are_in_no_catalogue_and_grow_from_0(name: str) -> None:
     assert name not in CATALOGUE
     if name == "active-tone" and not hasattr(Physics(), "stiffness_wave"):
         pytest.skip("this solver's stiffness cannot change within the beat")
-    flow, case = demo_case()
-    outputs = Outputs(((1, 0.0, "pressure_mmHg"),), load_study("demo").time_s)
+    study = load_study("demo")
+    case = at_start(study)
     apply = OUTSIDE[name].apply
     assert apply is not None
 
     def wave(x: float) -> Any:
-        return flow.solve(apply(case, (x,), EVERYWHERE), outputs)
+        return simulate(apply(case, (x,), Location()), [(1, 0.0, "pressure_mmHg")], study.time_s)
 
-    plain = flow.solve(case, outputs)
+    plain = simulate(case, [(1, 0.0, "pressure_mmHg")], study.time_s)
     small, large = (float(np.abs(wave(x) - plain).max()) for x in (0.05, 0.1))
     assert np.allclose(wave(0.0), plain, atol=1e-3)
     assert small > 0.02
@@ -264,8 +261,9 @@ def test_outside_effects_are_in_no_catalogue_and_grow_from_0(name: str) -> None:
 
 
 def test_leaking_valve_returns_its_share_in_diastole() -> None:
-    _, case = demo_case()
-    changed = leaking_valve(case, (0.2,), EVERYWHERE)
+    study = load_study("demo")
+    case = at_start(study)
+    changed = leaking_valve(case, (0.2,), Location())
     assert changed.inflow_ml_s.mean() == pytest.approx(0.8 * case.inflow_ml_s.mean())
     moved = changed.inflow_ml_s != case.inflow_ml_s
     assert case.inflow_ml_s[moved].max() <= 0.02 * case.inflow_ml_s.max()

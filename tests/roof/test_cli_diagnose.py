@@ -73,8 +73,8 @@ def test_the_screen_tells_of_groups_rivals_and_posteriors(three: Diagnosis) -> N
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--base", "linear-constnt"), "base 'linear-constnt': unknown; did you mean 'linear-constant'?"),
-        (("--base", "G"), "use linear-constant"),
+        (("--base", "linear-constnt"), "baseline 'linear-constnt': unknown; did you mean 'linear-constant'?"),
+        (("--base", "G", "--effects", "local-stiffness"), "cannot be added to linear-vessels, only to"),
         (("--effects", "taper,viscoelastic-wal"), "did you mean 'viscoelastic-wall'?"),
         (("--effects", " , "), "--effects: no names"),
         (("--base", "H", "--effects", "tangent-wall"), "cannot be added to tangent-constant, only to linear"),

@@ -31,7 +31,7 @@ def test_effects_tells_all_about_one() -> None:
     found = run("effects", "catheter-resonance")
     for words in (made.statement, made.equation, made.signature, made.source, made.family):
         assert words in found
-    for amplitude in made.amplitudes:
+    for amplitude in made.parameters:
         assert (
             f"{amplitude.name} ({amplitude.unit}) ~ normal({amplitude.centre:g}, {amplitude.scale:g})"
             in found

@@ -67,7 +67,7 @@ def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Pat
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("Z",), "model 'Z': unknown; there is A, B"),
+        (("Z",), "model 'Z': unknown; use one of A, B"),
         (("A", "--until", "400"), "--until 400: write --until ess=400"),
         (("A", "--until", "ess=-1"), "write --until ess=400"),
         (("A", "--step", "nuts"), "step = 'nuts': must be one of demetropolisz, metropolis"),
