@@ -30,7 +30,7 @@ from zoo.paper.calibration import cheap_study
 EFFECTS = ["viscoelastic-wall", "local-stiffness@2"]
 SITES = ((1, 0.0), (2, 0.5), (3, 0.5))
 OPTIONS = SolverOptions(dx_cm=0.2, steps_per_beat=1024, tolerance_mmHg=1e-4)
-"""Fixed steps: one that followed the parameters would make the waves jump by more than the fixed noise."""
+"""Fixed steps: if they followed the parameters, waves would jump by more than the fixed noise."""
 
 
 def drawn(study: Study, rng: np.random.Generator) -> tuple[Study, dict[str, float]]:

@@ -30,9 +30,7 @@ def test_a_diagnosis_draws_itself(one: Diagnosis, sampled: Diagnosis) -> None:
 
 
 def test_the_front_takes_studies_and_other_data(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "zoo.blood.diagnosis.diagnose", lambda *given, **settings: ("study", given, settings)
-    )
+    monkeypatch.setattr("zoo.blood.diagnosis.diagnose", lambda *given, **settings: ("study", given, settings))
     monkeypatch.setattr(front.diagnosis, "diagnose", lambda *given, **settings: ("data", given, settings))
     study = zoo.load_study("demo")
     assert front.diagnose(study, base="B") == ("study", (study,), {"base": "B"})

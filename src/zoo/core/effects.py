@@ -433,7 +433,8 @@ class Catalogue(Mapping[str, Effect]):
 
     def get(self, name: str, default: Any = None) -> Any:
         """An effect by its name, or something else where there is none."""
-        return self[name] if name in self else default
+        self._load()
+        return self._effects.get(name, default)
 
     def __contains__(self, name: object) -> bool:
         self._load()

@@ -57,8 +57,8 @@ class Hooks:
     advice : str
         What to check where the baseline misses the data by far.
     smooth : bool
-        Whether solutions are smooth in the parameters down to rounding, so that a fit may end with differences
-        as fine as its posterior; false for a solver whose time step follows its parameters.
+        Whether solutions are smooth in the parameters down to rounding, so that a fit may end with
+        differences as fine as its posterior; false for a solver whose time step follows its parameters.
     """
 
     about: str = ""
