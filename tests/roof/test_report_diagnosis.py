@@ -16,18 +16,24 @@ from withheld import CONFIRMATION, FILES, screen_of, with_confirmation
 
 import zoo
 from zoo import report
+from zoo.blood import diagnosis as binding
 from zoo.core.diagnosis import (
     Diagnosis,
     DiagnosisError,
     DiagnosisFile,
-    diagnosis,
+    answer,
     discrepancy,
+    heldout,
+    posteriors,
     read_diagnosis,
+    scoring,
     screening,
 )
+from zoo.core.errors import spectral
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 
+HOMES = (answer, binding, discrepancy, heldout, posteriors, scoring, screening, spectral)
 DOC = Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md"
 
 
@@ -46,7 +52,7 @@ def test_a_file_that_does_not_fit_is_refused(one: Diagnosis, tmp_path: Path) -> 
     content = json.loads(path.read_text("utf-8"))
     with pytest.raises(DiagnosisError, match="cannot be read"):
         read_diagnosis(tmp_path / "no.json")
-    for change, field in (({"format": 2}, "format"), ({"gapp": 1}, "gapp"), ({"verdict": None}, "verdict")):
+    for change, field in (({"format": 3}, "format"), ({"gapp": 1}, "gapp"), ({"verdict": None}, "verdict")):
         path.write_text(json.dumps(content | change), "utf-8")
         with pytest.raises(DiagnosisError, match=f"{field}: .*make it again") as error:
             read_diagnosis(path)
@@ -93,12 +99,14 @@ def test_readers_read_the_times_that_are_written(one: Diagnosis, sampled: Diagno
 def test_the_document_has_every_field_and_constant(one: Diagnosis, sampled: Diagnosis) -> None:
     text = DOC.read_text("utf-8")
     words = set(re.findall(r"`([\w.]+)`", text))
-    assert fields(DiagnosisFile) - {"low", "high", "mean"} <= words
+    words |= {word.removesuffix("_mmHg") for word in words}  # amounts carry their unit in the file
+    assert "vessel" in words  # what a part is called in a tree of vessels
+    assert fields(DiagnosisFile) - {"low", "high", "mean", "part", "noun"} <= words
     assert set(sampled.file.record) | set(CONFIRMATION["no-gap"]) <= words
     rows = dict(re.findall(r"^\| `([A-Z_]+)` \| ([\d., ]+) \|", text, flags=re.M))
     assert len(rows) > 10
     for name, value in rows.items():
-        [home] = [m for m in (screening, discrepancy, diagnosis) if name in ast_names(m)]
+        [home] = [m for m in HOMES if name in ast_names(m)]
         expected = np.atleast_1d(getattr(home, name))
         assert [float(x) for x in value.split(",")] == pytest.approx(list(expected)), name
 
