@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import re
 import shutil
 from pathlib import Path
@@ -35,14 +37,50 @@ def test_links_lead_somewhere(path: Path) -> None:
             assert anchor in anchors(other), f"{path.name}: {target}"
 
 
-def test_the_example_study_solves_and_is_what_the_readme_shows() -> None:
+def test_the_example_study_solves_and_is_what_the_study_format_shows() -> None:
     study = load_study(EXAMPLE)
     solution = Solver.for_study(study).solve(6e4, psi1=0.6, psi2=0.95, c=1.1)
-    assert ((solution.pressure_mmHg - study.values) ** 2).sum() == pytest.approx(1.89, abs=0.01)
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    sse = ((solution.pressure_mmHg - study.values) ** 2).sum()
+    assert sse == pytest.approx(1.89, abs=0.01)
+    text = (ROOT / "docs" / "study-format.md").read_text(encoding="utf-8")
+    assert f"sum of squared errors against the {study.values.size} observed values: {sse:.2f}" in text
     for name in ("study.toml", "network.toml"):
         for line in (EXAMPLE / name).read_text(encoding="utf-8").splitlines():
-            assert line.startswith("#") or line in readme, f"{name}: {line}"
+            assert line.startswith("#") or line in text, f"{name}: {line}"
+
+
+def test_the_simulator_of_the_readme_gives_what_the_readme_prints(capsys: pytest.CaptureFixture[str]) -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(readme.splitlines()) <= 150
+    [(code, shown)] = re.findall(r"```python\n(import numpy.*?)```\n\n```text\n(.*?)```", readme, flags=re.S)
+    exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
+    assert capsys.readouterr().out == shown
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda p: p.name)
+def test_what_the_documents_import_exists(path: Path) -> None:
+    """Snippets of Python parse, and what they import from the package is there."""
+    text = path.read_text(encoding="utf-8")
+    for code in re.findall(r"^```python\n(.*?)^```", text, flags=re.S | re.M):
+        for node in ast.walk(ast.parse(code)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "zoo":
+                module = importlib.import_module(str(node.module))
+                for alias in node.names:
+                    assert alias.name == "*" or hasattr(module, alias.name), f"{node.module}.{alias.name}"
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda p: p.name)
+def test_modules_and_names_in_the_documents_exist(path: Path) -> None:
+    """Such as `zoo.core.op.ForwardOp`."""
+    for name in set(re.findall(r"`(zoo(?!\.h\b)(?:\.\w+)+)", path.read_text(encoding="utf-8"))):
+        parts = name.split(".")
+        if parts[-1] in ("effects",) and len(parts) == 2:  # the group of entry points
+            continue
+        found: object = importlib.import_module("zoo")
+        for i, part in enumerate(parts[1:], 2):
+            if not hasattr(found, part):
+                importlib.import_module(".".join(parts[:i]))
+            found = getattr(found, part)
 
 
 # file, what is replaced, and by what; the errors stand in docs/study-format.md

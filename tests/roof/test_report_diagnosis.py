@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import get_args
 
@@ -16,24 +17,11 @@ from withheld import CONFIRMATION, FILES, screen_of, with_confirmation
 
 import zoo
 from zoo import report
-from zoo.blood import diagnosis as binding
-from zoo.core.diagnosis import (
-    Diagnosis,
-    DiagnosisError,
-    DiagnosisFile,
-    answer,
-    discrepancy,
-    heldout,
-    posteriors,
-    read_diagnosis,
-    scoring,
-    screening,
-)
-from zoo.core.errors import spectral
+from zoo.core.diagnosis import Diagnosis, DiagnosisError, DiagnosisFile, read_diagnosis
+from zoo.core.errors.spectral import Harmonics
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 
-HOMES = (answer, binding, discrepancy, heldout, posteriors, scoring, screening, spectral)
 DOC = Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md"
 
 
@@ -63,10 +51,13 @@ def test_a_file_that_does_not_fit_is_refused(one: Diagnosis, tmp_path: Path) -> 
 
 
 def fields(model: type[BaseModel]) -> set[str]:
-    """Names of a model's fields and of those inside it."""
+    """Names of a model's fields and of those inside it, as the file of a study with pressures has them."""
     found = set()
+    amounts = getattr(model, "amounts", ())
     for name, field in model.model_fields.items():
-        found.add(name)
+        if field.exclude:
+            continue
+        found.add("vessel" if name == "part" else name + "_mmHg" * (name in amounts))
         kinds = [field.annotation]
         while kinds:
             kind = kinds.pop()
@@ -103,11 +94,22 @@ def test_the_document_has_every_field_and_constant(one: Diagnosis, sampled: Diag
     assert "vessel" in words  # what a part is called in a tree of vessels
     assert fields(DiagnosisFile) - {"low", "high", "mean", "part", "noun"} <= words
     assert set(sampled.file.record) | set(CONFIRMATION["no-gap"]) <= words
-    rows = dict(re.findall(r"^\| `([A-Z_]+)` \| ([\d., ]+) \|", text, flags=re.M))
+    rows = re.findall(r"^\| `([A-Z_]+)` \| ([\d., ]+) \| `(\w+)` \|", text, flags=re.M)
     assert len(rows) > 10
-    for name, value in rows.items():
-        [home] = [m for m in HOMES if name in ast_names(m)]
-        expected = np.atleast_1d(getattr(home, name))
+    for name, value, module in rows:
+        room = "blood" if module == "diagnosis" else "core.diagnosis"
+        home = import_module(f"zoo.{room}.{module}")
+        assert name in ast_names(home), name
+        assert [float(x) for x in value.split(",")] == pytest.approx([getattr(home, name)]), name
+    grids = re.findall(r"^\| `([A-Z_]+)` \| (\S+) to (\S+) in (\d+) steps \| `(\w+)` \|", text, flags=re.M)
+    assert len(grids) == 2
+    for name, low, high, n, module in grids:
+        grid = getattr(import_module(f"zoo.core.diagnosis.{module}"), name)
+        assert grid == pytest.approx(np.linspace(float(low), float(high), int(n))), name
+    settings = re.findall(r"^\| `([a-z_]+)` \| ([\d., ]+) \| ", text, flags=re.M)
+    assert len(settings) == 4
+    for name, value in settings:
+        expected = np.atleast_1d(getattr(Harmonics(), name))
         assert [float(x) for x in value.split(",")] == pytest.approx(list(expected)), name
 
 
