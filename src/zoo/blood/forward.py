@@ -12,7 +12,7 @@ from zoo.blood.case import UNITS, Case, Place, check_series, simulate, solver_of
 from zoo.blood.conventions import Conventions
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import NO_PHYSICS, SHAPES, WALLS, Solver, SolverArgumentError, SolverOptions
-from zoo.blood.study import Study
+from zoo.blood.study import Study, StudyError
 from zoo.core.data import Data
 from zoo.core.forward import Outputs, content_key
 from zoo.core.parameters import Parameter, unpack
@@ -245,11 +245,11 @@ def study_data(study: Study) -> Data:
 
     Raises
     ------
-    ValueError
+    StudyError
         If the study has no observations.
     """
     if not study.series:
-        raise ValueError(
+        raise StudyError(
             f"{study.source}: study {study.name!r} has no observations: add observations.csv, "
             "a model needs something to be compared with"
         )
