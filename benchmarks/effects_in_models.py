@@ -25,7 +25,7 @@ from zoo.core.inference.convergence import verdict
 from zoo.core.model import record_of
 from zoo.core.parameters import draw_prior, unpack, variable_name
 from zoo.core.posterior.files import sample_to
-from zoo.paper.calibration import cheap_study
+from zoo.paper.cheap import cheap_study
 
 EFFECTS = ["viscoelastic-wall", "local-stiffness@2"]
 SITES = ((1, 0.0), (2, 0.5), (3, 0.5))
