@@ -26,7 +26,7 @@ from zoo.blood.solver import Solution, Solver, SolverError, SolverOptions
 from zoo.blood.study import Study, load_study
 from zoo.core.errors.gaussian_process import gp_sequential
 from zoo.paper.synthetic import Truth
-from zoo.plots import COLOURS, INK, STYLE
+from zoo.plots.style import COLOURS, INK, STYLE
 
 Array = NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from zoo.core.inference.convergence import verdict
 from zoo.core.model import record_of
 from zoo.core.parameters import draw_prior, unpack, variable_name
 from zoo.core.posterior.files import sample_to
-from zoo.paper.calibration import cheap_study
+from zoo.paper.cheap import cheap_study
 
 EFFECTS = ["viscoelastic-wall", "local-stiffness@2"]
 SITES = ((1, 0.0), (2, 0.5), (3, 0.5))
@@ -34,7 +34,7 @@ OPTIONS = SolverOptions(dx_cm=0.2, steps_per_beat=1024, tolerance_mmHg=1e-4)
 
 
 def drawn(study: Study, rng: np.random.Generator) -> tuple[Study, dict[str, float]]:
-    """A study drawn from the model, and its parameters; draws that the solver cannot solve are drawn again."""
+    """A study drawn from the model, and its parameters; what the solver cannot solve is drawn again."""
     record = record_of(model_C(study, effects=EFFECTS, options=OPTIONS))
     while True:
         theta, eta = draw_prior(record.forward.parameters, rng), draw_prior(record.errors.parameters, rng)
