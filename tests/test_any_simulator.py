@@ -11,7 +11,7 @@ from zoo.core.diagnosis import Candidate, DiagnosisError, Hooks, diagnose
 from zoo.core.effects import EffectParameter, Location, effect
 from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs, SolveError
-from zoo.core.parameters import Parameter, Uniform
+from zoo.core.parameters import LogUniform, Parameter, Uniform
 
 TIMES = np.linspace(0.0, 6.0, 120)
 
@@ -116,3 +116,12 @@ def test_importing_the_diagnosis_loads_neither_the_study_nor_the_compiled_librar
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip().splitlines()[-1] == "[]"
+
+
+def test_a_log_uniform_prior_is_searched_in_its_logarithm() -> None:
+    """Its density is not log-concave in the parameter itself."""
+    parameters = (Parameter("a", LogUniform(0.05, 2.0), "1/min"), Parameter("b", LogUniform(0.05, 2.0), "1/min"))
+    model = FunctionModel(cooling, parameters, MODEL.outputs, "cooling")
+    found = diagnose(measured(0.15), model, [drift])
+    assert found.cause == ["drift"]
+    assert abs(found.file.base_parameters["with cause"]["a"] - 0.5) < 0.02

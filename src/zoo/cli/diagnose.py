@@ -31,7 +31,7 @@ def diagnose(
         typer.Option(
             "--base",
             help="linear-constant, linear-radius, tangent-constant, tangent-radius, or a model with that "
-            "structure: A to E, H, I.",
+            "structure: A to I.",
         ),
     ] = "linear-constant",
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for what is found.")] = Path("gap"),

@@ -14,7 +14,7 @@ from zoo.core.data import Data
 from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, Location, with_effects
 from zoo.core.errors.spectral import Spectral
 from zoo.core.forward import ForwardModel, Outputs, SolveError
-from zoo.core.parameters import Normal, Parameter, log_normal_mass, start_of, unpack
+from zoo.core.parameters import LogUniform, Normal, Parameter, log_normal_mass, start_of, unpack
 
 Array = NDArray[np.float64]
 
@@ -64,11 +64,11 @@ class Coordinate:
 
 
 def coordinates(parameters: Sequence[Parameter]) -> tuple[Coordinate, ...]:
-    """A coordinate for each number in parameters; positive ones without an upper bound are logarithms."""
+    """A coordinate for each number in parameters; positive and log-uniform ones are logarithms."""
     found = []
     for p in parameters:
         low, high = p.prior.support
-        log = p.log or (low >= 0.0 and math.isinf(high))
+        log = p.log or isinstance(p.prior, LogUniform) or (low >= 0.0 and math.isinf(high))
         for i in range(p.size):
             name = f"{p.name}[{i}]" if p.dims else p.name
             found.append(Coordinate(name, p.unit, p, low, high, log))
@@ -177,7 +177,8 @@ class HypothesisModel:
             at += p.size
         if not self.hierarchical:
             pull = -np.where(self._log, x * slope + 1.0, slope)
-            return total, np.where(self._log, x * (x * curvature - slope), curvature), pull
+            precision = np.where(self._log, x * (x * curvature - slope), curvature)
+            return total, np.maximum(precision, 0.0), pull  # some densities are not log-concave everywhere
         P = np.diag(curvature)
         for p in self.model.parameters:
             if not p.prior.depends_on:
