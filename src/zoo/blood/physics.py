@@ -1,0 +1,215 @@
+"""What is added to the equations of blood flow inside the solver, as one value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.blood.network import Network
+from zoo.blood.solve_errors import SolverArgumentError
+from zoo.blood.study import ReadOnlyArrays, read_only
+
+Array = NDArray[np.float64]
+
+_NUMBERS = {
+    "momentum_correction": (0.0, False, "positive; 1 is a flat profile, 4/3 a parabolic one"),
+    "stokes_friction": (0.0, True, "zero or positive; 1 is eq. (3.1)"),
+    "viscous_friction": (0.0, True, "zero or positive; 8 is Poiseuille's"),
+    "relaxation_time": (0.0, False, "positive, s"),
+    "total_pressure": (0.0, True, "zero or positive; 1 is the total pressure"),
+    "junction_loss": (0.0, True, "zero or positive"),
+    "throat_loss": (0.0, True, "zero or positive; Young and Tsai have 1.52"),
+}
+_PER_VESSEL = {
+    "viscosity_factor": (0.0, False, "positive"),
+    "offset_in": (-np.inf, False, "finite, dyn/cm2"),
+    "offset_out": (-np.inf, False, "finite, dyn/cm2"),
+    "viscoelastic_time": (0.0, True, "zero or positive, s"),
+    "leak": (0.0, True, "zero or positive, cm4 s/g"),
+    "inertance": (0.0, True, "zero or positive, g/cm4; any value, say 0, where a vessel is no terminal"),
+    "section_resistance": (0.0, True, "zero or positive"),
+    "section_compliance": (0.0, True, "zero or positive"),
+    "throat_severity": (0.0, True, "at least 0 and below 1"),
+    "throat_position": (0.0, True, "between 0 (inlet) and 1 (outlet)"),
+    "throat_length": (0.0, False, "positive, cm"),
+}
+_PER_TIME = {"stiffness_wave": (0.0, False, "positive")}
+_LIMITS = {"throat_severity": 1.0 - 1e-9, "throat_position": 1.0}
+_SECTIONS = ("section_resistance", "section_compliance")
+
+
+@dataclass(frozen=True, eq=False)
+class Physics(ReadOnlyArrays):
+    """What is added to eq. (3.1) to (3.7); the default is nothing. Read-only.
+
+    Arrays have one value per vessel, in the order of ``Network.ids``, except `stiffness_wave`; None stands
+    for no change.
+
+    Parameters
+    ----------
+    momentum_correction : float
+        alpha, factor of q^2/A; 1 for a flat profile.
+    stokes_friction : float
+        Factor of the Stokes layer's friction, eq. (3.1); 0 switches it off.
+    viscous_friction : float
+        k in a further friction -k pi nu q/A; 8 is Poiseuille's, 2 (zeta + 2) that of a profile of order zeta.
+    viscosity_factor : array (n_vessels,)
+        Factor of the viscosity in each vessel, in both frictions and in delta.
+    offset_in, offset_out : array (n_vessels,)
+        dyn/cm2, added to the wall's pressure at the inlet and outlet, linear between: an external pressure
+        or a hydrostatic head. Given alone, the other is zero.
+    viscoelastic_time : array (n_vessels,)
+        tau, s, in p = p_e + tau dp_e/dt with the wall's p_e (Kelvin-Voigt), slowed by `relaxation_time`.
+    relaxation_time : float
+        tau_r, s: p = p_e + p_v, tau_r dp_v/dt + p_v = tau dp_e/dt (Zener; Kelvin-Voigt as tau_r goes to 0).
+    stiffness_wave : array (m,)
+        s, factor of the stiffness in all vessels at m uniform times of the beat from 0, linear between,
+        periodic: p_e = s(t) wall(A), for walls that stiffen and soften by themselves.
+    leak : array (n_vessels,)
+        cm4 s/g (ml/s per dyn/cm2 and cm): A_t + q_x = -leak p. What leaves takes its axial momentum along.
+    total_pressure : float
+        tau: at a junction p + tau rho u^2/2 is shared instead of p, u = q/A at the branch's own end.
+    junction_loss : float
+        K: each daughter's inlet has K rho/2 u abs(u) less pressure than the parent's end, u the parent's.
+    inertance : array (n_vessels,)
+        L, g/cm4, read at terminals: p = v + R1 q + p_L, p_L = L dq_L/dt = R_p (q - q_L), where R_p is
+        6 rho c/A0 of the terminal's end at rest and lets out waves faster than R_p/L (6 c/l at rho l/A0),
+        without which they would grow.
+    section_resistance, section_compliance : array (n_vessels, n_sections)
+        Shares rho_k and kappa_k, read at terminals: R1 in series with parallel pairs R_k, C_k (Foster's
+        form), R_k = rho_k psi2 R2, C_k = kappa_k c C, C_k dv_k/dt = q - v_k/R_k, p = R1 q + sum_k v_k.
+        One section of (1, 1) is the Windkessel; one with rho_k = 0 is absent. Given together.
+    throat_severity : array (n_vessels,)
+        s in [0, 1): the radius at rest is multiplied by 1 - s (1 + cos(2 pi (x - x0)/l))/2 for
+        abs(x - x0) < l/2.
+    throat_position : array (n_vessels,)
+        x0/L; 0.5 when not given.
+    throat_length : array (n_vessels,)
+        l, cm; 0.15 when not given.
+    throat_loss : float
+        K_t: over the throat, pressure falls by a further K_t rho/2 (A0/A0_throat - 1)^2 (q/A0)^2, A0 the
+        area at rest without the throat, A0_throat at its narrowest.
+
+    Raises
+    ------
+    SolverArgumentError
+        If a value is out of range.
+
+    References
+    ----------
+    Young and Tsai 1973, doi 10.1016/0021-9290(73)90099-7.
+    """
+
+    momentum_correction: float = 1.0
+    stokes_friction: float = 1.0
+    viscous_friction: float = 0.0
+    viscosity_factor: Array | None = None
+    offset_in: Array | None = None
+    offset_out: Array | None = None
+    viscoelastic_time: Array | None = None
+    relaxation_time: float = 3e-4
+    stiffness_wave: Array | None = None
+    leak: Array | None = None
+    total_pressure: float = 0.0
+    junction_loss: float = 0.0
+    inertance: Array | None = None
+    section_resistance: Array | None = None
+    section_compliance: Array | None = None
+    throat_severity: Array | None = None
+    throat_position: Array | None = None
+    throat_length: Array | None = None
+    throat_loss: float = 1.52
+
+    def __post_init__(self) -> None:
+        for name, (low, closed, words) in _NUMBERS.items():
+            value = getattr(self, name)
+            if not np.isfinite(value) or value < low or (value == low and not closed):
+                raise SolverArgumentError(f"physics: {name} = {value}: must be {words}")
+            object.__setattr__(self, name, float(value))
+        for name, (low, closed, words) in (_PER_VESSEL | _PER_TIME).items():
+            if getattr(self, name) is None:
+                continue
+            values = read_only(getattr(self, name))
+            object.__setattr__(self, name, values)
+            wanted = 2 if name in _SECTIONS else 1
+            if values.ndim != wanted or not values.size:
+                shape = "(n_vessels, n_sections)" if wanted == 2 else "(n_vessels,)"
+                shape = "(n_times,)" if name in _PER_TIME else shape
+                raise SolverArgumentError(f"physics: {name} has shape {values.shape}: must be {shape}")
+            high = _LIMITS.get(name, np.inf)
+            good = np.isfinite(values) & (values >= low) & (values <= high) & (closed | (values != low))
+            if not good.all():
+                where = np.unravel_index(int(np.argmin(good)), good.shape)
+                at = ", ".join(str(int(i)) for i in where)
+                raise SolverArgumentError(f"physics: {name}[{at}] = {values[where]}: must be {words}")
+        if (self.section_resistance is None) != (self.section_compliance is None):
+            raise SolverArgumentError(
+                "physics: section_resistance and section_compliance must be given together"
+            )
+        if self.section_resistance is not None and self.section_compliance is not None:
+            if self.section_resistance.shape != self.section_compliance.shape:
+                raise SolverArgumentError(
+                    f"physics: section_compliance has shape {self.section_compliance.shape}: must be that of "
+                    f"section_resistance, {self.section_resistance.shape}"
+                )
+            lacking = (self.section_resistance > 0) & ~(self.section_compliance > 0)
+            if lacking.any():
+                vessel, section = (int(i) for i in np.argwhere(lacking)[0])
+                raise SolverArgumentError(
+                    f"physics: section_compliance[{vessel}, {section}] = "
+                    f"{self.section_compliance[vessel, section]}: must be positive where the resistance is"
+                )
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything is added: whether a solve may differ from the default's."""
+        away = [
+            self.momentum_correction != 1,
+            self.stokes_friction != 1,
+            self.viscous_friction != 0,
+            self.viscosity_factor is not None and np.any(self.viscosity_factor != 1),
+            self.stiffness_wave is not None and np.any(self.stiffness_wave != 1),
+            self.total_pressure != 0,
+            self.junction_loss != 0,
+        ]
+        for name in ("offset_in", "offset_out", "viscoelastic_time", "leak", "inertance", "throat_severity"):
+            away.append(getattr(self, name) is not None and np.any(getattr(self, name) != 0))
+        if self.section_resistance is not None and self.section_compliance is not None:
+            there = self.section_resistance > 0
+            one = np.where(there, (self.section_resistance == 1) & (self.section_compliance == 1), True)
+            away.append(not (one.all() and np.all(there.sum(axis=1) <= 1)))
+        return bool(any(away))
+
+    def settings(self) -> dict[str, Any]:
+        """The fields that are not at their default, arrays as lists."""
+        given = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                given[field.name] = value.tolist()
+            elif value != field.default:
+                given[field.name] = value
+        return given
+
+    def fit(self, network: Network) -> None:
+        """Raise SolverArgumentError where an array does not fit the network."""
+        n_vessels = len(network.ids)
+        for name in _PER_VESSEL:
+            values = getattr(self, name)
+            if values is not None and len(values) != n_vessels:
+                raise SolverArgumentError(
+                    f"physics: {name} has shape {values.shape}: must have one row per vessel, {n_vessels}"
+                )
+        if self.section_resistance is not None:
+            for k in network.terminals:
+                if not np.any(self.section_resistance[k] > 0):
+                    raise SolverArgumentError(
+                        f"physics: section_resistance[{int(k)}] = {self.section_resistance[k].tolist()}: "
+                        f"vessel {int(network.ids[k])} is a terminal and needs at least one positive share"
+                    )
+
+
+NO_PHYSICS = Physics()
