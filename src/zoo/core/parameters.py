@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -424,10 +424,6 @@ class Parameter:
         """For a table or an axis, with its unit."""
         text = self.label or self.name
         return text if self.unit == "1" else f"{text} ({self.unit})"
-
-    def starting_at(self, value: float) -> Parameter:
-        """The same with another start."""
-        return replace(self, start=float(value))
 
 
 def n_values(parameters: Iterable[Parameter]) -> int:

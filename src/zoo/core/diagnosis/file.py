@@ -240,12 +240,6 @@ class DiagnosisFile(_Part):
                 }
         return given
 
-    @property
-    def seconds(self) -> float:
-        """Time that screening and posterior sampling took, s."""
-        names = ("screening_seconds", "posterior_seconds", "confirmation_seconds")
-        return float(sum(self.record.get(name, 0.0) for name in names))
-
 
 def read_diagnosis(path: str | Path) -> DiagnosisFile:
     """Read a diagnosis.json back.
