@@ -120,7 +120,7 @@ def test_importing_the_diagnosis_loads_neither_the_study_nor_the_compiled_librar
 
 def test_a_log_uniform_prior_is_searched_in_its_logarithm() -> None:
     """Its density is not log-concave in the parameter itself."""
-    parameters = (Parameter("a", LogUniform(0.05, 2.0), "1/min"), Parameter("b", LogUniform(0.05, 2.0), "1/min"))
+    parameters = tuple(Parameter(name, LogUniform(0.05, 2.0), "1/min") for name in "ab")
     model = FunctionModel(cooling, parameters, MODEL.outputs, "cooling")
     found = diagnose(measured(0.15), model, [drift])
     assert found.cause == ["drift"]
