@@ -150,3 +150,27 @@ def test_command_line(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     found = run(app, ["sample", "A", "small", "--effects", "dampd", *few])
     assert found.exit_code == 2
     assert "unknown" in found.output
+
+
+def test_effects_of_an_installed_package_are_in_the_catalogue(tmp_path: Path) -> None:
+    """By the entry point group `zoo.effects`, as an installer writes it."""
+    (tmp_path / "lab_effects.py").write_text(
+        "from zoo.core.effects import EffectParameter, effect\n"
+        "@effect('lab-offset', 'sensor', parameters=[EffectParameter('size', 'mmHg', 1.0, -5.0, 5.0, (1.0,))])\n"
+        "def lab_offset(case, values, location):\n"
+        "    'The laboratory reads too much.'\n"
+        "    return case\n"
+    )
+    info = tmp_path / "lab_effects-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-effects\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[zoo.effects]\nlab = lab_effects:lab_offset\n")
+    code = (
+        "from zoo.blood.effects import CATALOGUE; made = CATALOGUE['lab-offset']; "
+        "print(made.statement, list(CATALOGUE)[-1], len(CATALOGUE))"
+    )
+    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path}
+    )
+    assert done.stdout.strip() == "The laboratory reads too much. lab-offset 31", done.stderr
