@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from commands import TRUE
 from drawn import TIMES
-from withheld import CONFIRMATION, TRIED, made
+from withheld import POSTERIORS, TRIED, made
 
 from zoo.blood.diagnosis import StudyDiagnosis, diagnose
 from zoo.blood.solver import Solver
@@ -86,8 +86,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def sampled(one: StudyDiagnosis, monkeypatch: pytest.MonkeyPatch) -> StudyDiagnosis:
     """What `with_posteriors` makes of a diagnosis when the posteriors cost no time."""
 
-    def confirm(*_: object, **__: object) -> SimpleNamespace:
-        return SimpleNamespace(summary=lambda: CONFIRMATION)
+    def given(*_: object, **__: object) -> SimpleNamespace:
+        return SimpleNamespace(summary=lambda: POSTERIORS)
 
-    monkeypatch.setattr("zoo.core.diagnosis.posteriors.sample_explanations", confirm)
+    monkeypatch.setattr("zoo.core.diagnosis.posteriors.sample_explanations", given)
     return one.with_posteriors()

@@ -72,13 +72,13 @@ def words_of(figure: mpl.figure.Figure) -> set[str]:
 def test_the_whole_is_drawn_with_the_words_of_the_data(cups: Diagnosis) -> None:
     found = words_of(cups.plot())
     row = cups.file.gap.per_series[1]
-    assert f"two: gap {row.before.mean:.2g} to {row.after.mean:.2g} K" in found
-    assert {"T (K)", "gap (K)", "time (min)", "phase", "first quarter", "drift, body two"} <= found
+    assert f"two: discrepancy {row.before.mean:.2g} to {row.after.mean:.2g} K" in found
+    assert {"T (K)", "discrepancy (K)", "time (min)", "phase", "first quarter", "drift, body two"} <= found
     assert not {text for text in found if "beat" in text or "vessel" in text or "mmHg" in text}
 
 
 def test_series_stand_at_their_own_times(cups: Diagnosis) -> None:
-    top = plots.plot_gap(cups).axes[0]
+    top = plots.plot_discrepancy(cups).axes[0]
     measured = next(line for line in top.get_lines() if line.get_label() == "measured")
     np.testing.assert_array_equal(measured.get_xdata(), cups.data.times)
     np.testing.assert_array_equal(measured.get_ydata(), cups.data.values[0])
@@ -91,14 +91,14 @@ def test_locations_are_bars_where_there_is_no_tree(cups: Diagnosis) -> None:
     ]
     where = cups.file.where.model_copy(update={"place": shares})
     figure = plots.plot_where(replace(cups, file=cups.file.model_copy(update={"where": where})))
-    axes = next(a for a in figure.axes if a.get_title(loc="left") == "place")
+    axes = next(a for a in figure.axes if a.get_title(loc="left") == "location")
     assert [label.get_text() for label in axes.get_yticklabels()] == ["body two", "everywhere"]
     assert [bar.get_width() for bar in axes.patches] == [75.0, 25.0]
 
 
 def test_phases_of_ones_own_are_not_shaded_where_they_are_unknown(cups: Diagnosis) -> None:
     where = cups.file.where.model_copy(update={"phase": {"early": 0.5, "late": 0.5}})
-    figure = plots.plot_gap(replace(cups, file=cups.file.model_copy(update={"where": where})))
+    figure = plots.plot_discrepancy(replace(cups, file=cups.file.model_copy(update={"where": where})))
     assert "early" not in words_of(figure)
 
 
@@ -113,10 +113,10 @@ def test_page_and_screen_have_the_numbers(cups: Diagnosis, tmp_path: Path) -> No
         assert "mmHg" not in shown
     assert "Body two, depth 0.25 would best tell drift from no-gap" in text
     assert "next measurement: body two, depth 0.25, which tells drift from no-gap" in screen
-    rows = table_of(page, "Gap in each observed series")
+    rows = table_of(page, "Discrepancy in each observed series")
     assert [row[:2] for row in rows] == [["one", "K"], ["two", "K"]]
     assert "body two" in table_of(page, "Explanations")[0]
     slope = cups.hypotheses[0].amplitude
     assert slope is not None
     assert f"slope {slope.mean:.3g} ± {slope.sd:.2g} K/min" in screen
-    assert [row[0] for row in table_of(page, "Parameters of the base")] == ["a", "b"]
+    assert [row[0] for row in table_of(page, "Parameters of the baseline")] == ["a", "b"]

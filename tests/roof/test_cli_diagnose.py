@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from commands import fails, run
 from pages import read
-from withheld import FILES, TAU_S, made, screen_of, with_confirmation
+from withheld import FILES, TAU_S, as_if_sampled, made, screen_of
 
 from zoo import cli, report
 from zoo.blood.study import Study, load_study, save_study
@@ -60,11 +60,11 @@ def test_the_screen_tells_of_groups_rivals_and_posteriors(three: Diagnosis) -> N
         expected_log_odds=7.25,
     )
     change = {"next_measurement": measure, "invisible": ["inflow-gain"], "failed": ["stenosis"]}
-    file = with_confirmation(three).file.model_copy(update=change)
+    file = as_if_sampled(three).file.model_copy(update=change)
     screen = screen_of(file)
     assert "flow_ml_s in vessel 5 at 0.5, which tells taper from minor-losses" in screen
     assert "7.2" in screen
-    assert "this study cannot show: inflow-gain" in screen
+    assert "these data cannot show: inflow-gain" in screen
     assert "The solver failed wherever these were tried: stenosis." in screen
     assert "posterior of viscoelastic-wall: log marginal likelihood 60.0 ± 0.1" in screen
     assert "not converged, see report.html" in screen
@@ -117,7 +117,7 @@ def test_options_reach_the_diagnosis(
         return one
 
     def sampled(self: Diagnosis, **settings: object) -> Diagnosis:
-        given.update(confirm=True, folder=settings["folder"])
+        given.update(posteriors=True, folder=settings["folder"])
         return self
 
     monkeypatch.setattr("zoo.blood.diagnosis.diagnose", caught)
@@ -125,17 +125,17 @@ def test_options_reach_the_diagnosis(
     monkeypatch.setattr(report, "write_diagnosis", lambda *_, **__: [])
     out = tmp_path / "gap"
     run("diagnose", folder, "-o", out, "-q")
-    assert (given["base"], given["confirm"], given["effects"]) == ("linear-constant", True, None)
+    assert (given["base"], given["posteriors"], given["effects"]) == ("linear-constant", True, None)
     assert (given["max_effects"], given["cores"], given["seed"]) == (3, 2, 1)
     assert given["conventions"] is None
     first = Path(str(given["folder"]))
     assert first.is_dir()
     assert first.parent == out / "posteriors"
     assert (out / "diagnosis.json").is_file()  # before the posteriors, which take longer
-    given |= {"confirm": False, "folder": None}
+    given |= {"posteriors": False, "folder": None}
     options = ("--base", "I", "--wall-factor", 2, "--effects", "taper", "--seed", 5, "--no-confirm", "-q")
     run("diagnose", folder, "-o", out, *options)
-    assert (given["base"], given["confirm"], given["effects"]) == ("tangent-radius", False, ["taper"])
+    assert (given["base"], given["posteriors"], given["effects"]) == ("tangent-radius", False, ["taper"])
     assert given["folder"] is None
     conventions = given["conventions"]
     assert conventions is not None
@@ -145,10 +145,16 @@ def test_options_reach_the_diagnosis(
 
 
 def test_progress_says_what_is_tried() -> None:
-    for confirm, last in ((True, "posteriors"), (False, "weighing")):
-        with cli.diagnose.Telling(False, confirm) as tell:
+    for posteriors, last in ((True, "posteriors"), (False, "weighing")):
+        with cli.diagnose.Telling(False, posteriors) as tell:
             found = []
-            for text, share in (("base", 0.0), ("taper", 0.4), ("base", 0.0), ("stenosis", 0.5), ("x", 1.0)):
+            for text, share in (
+                ("baseline", 0.0),
+                ("taper", 0.4),
+                ("baseline", 0.0),
+                ("stenosis", 0.5),
+                ("x", 1.0),
+            ):
                 tell(text, share)
                 task = tell.bar.tasks[0]
                 found.append((task.description, task.completed))

@@ -27,7 +27,7 @@ def words_of(figure: mpl.figure.Figure) -> str:
     return " ".join(t.get_text() for t in figure.findobj(mpl.text.Text))
 
 
-@pytest.mark.parametrize("name", ["plot_gap", "plot_hypotheses", "plot_where", "plot_diagnosis"])
+@pytest.mark.parametrize("name", ["plot_discrepancy", "plot_hypotheses", "plot_where", "plot_diagnosis"])
 @pytest.mark.parametrize("case", ["one", "three"])
 def test_every_figure_draws(name: str, case: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     figure = getattr(plots, name)(request.getfixturevalue(case))
@@ -38,24 +38,24 @@ def test_every_figure_draws(name: str, case: str, request: pytest.FixtureRequest
     assert plt.get_fignums() == []
 
 
-def test_the_gap_figure_carries_the_numbers(three: Diagnosis) -> None:
-    figure = plots.plot_gap(three)
+def test_the_discrepancy_figure_carries_the_numbers(three: Diagnosis) -> None:
+    figure = plots.plot_discrepancy(three)
     found = words_of(figure)
     for series, row in zip(three.study.series, three.file.gap.per_series, strict=True):
         label = series.label.rsplit(" ", 1)[0]
-        assert f"{label}: gap {row.before.mean:.2g} to {row.after.mean:.2g} {row.unit}" in found
-    assert {"pressure (mmHg)", "flow (ml/s)", "gap (ml/s)", *PHASES} <= {
+        assert f"{label}: discrepancy {row.before.mean:.2g} to {row.after.mean:.2g} {row.unit}" in found
+    assert {"pressure (mmHg)", "flow (ml/s)", "discrepancy (ml/s)", *PHASES} <= {
         t.get_text() for t in figure.findobj(mpl.text.Text)
     }
     top, bottom = figure.axes[0], figure.axes[3]
     lines = {line.get_label(): line.get_ydata() for line in top.get_lines()}
     np.testing.assert_array_equal(lines["measured"], three.study.values[0])
-    np.testing.assert_allclose(lines["base"], three.computed[0][0], atol=1e-9)
+    np.testing.assert_allclose(lines["baseline"], three.computed[0][0], atol=1e-9)
     np.testing.assert_allclose(
-        lines["base + viscoelastic-wall"], three.study.values[0] - three.after.residual[0]
+        lines["baseline + viscoelastic-wall"], three.study.values[0] - three.after.residual[0]
     )
     left = {line.get_label(): line.get_ydata() for line in bottom.get_lines()}
-    np.testing.assert_array_equal(left["discrepancy of base, 95 %"], three.before.mean[0])
+    np.testing.assert_array_equal(left["discrepancy of baseline, 95 %"], three.before.mean[0])
     [band] = [c for c in bottom.collections if np.isclose(c.get_paths()[0].vertices[:, 1].max(),
               np.max(three.before.mean[0] + 1.96 * three.before.sd[0]))]  # fmt: skip
     assert band is not None
@@ -69,7 +69,7 @@ def test_phases_are_shaded_where_they_are(one: Diagnosis) -> None:
     assert sum(last - first for first, last, _ in spans) == len(phase)
     for first, last, k in spans:
         assert set(phase[first:last]) == {k}
-    shaded = [p for p in plots.plot_gap(one).axes[0].patches if isinstance(p, Rectangle)]
+    shaded = [p for p in plots.plot_discrepancy(one).axes[0].patches if isinstance(p, Rectangle)]
     step = 110 / 64
     expected = [(first * step, (last - first) * step) for first, last, k in spans if k % 2]
     np.testing.assert_allclose([(p.get_x(), p.get_width()) for p in shaded], expected)
@@ -95,11 +95,13 @@ def test_hypotheses_are_ordered_coloured_and_marked(three: Diagnosis) -> None:
     assert last == mpl.colors.to_rgba("white")
     found = words_of(figure)
     assert "invisible here" in found
+    assert "null hypothesis (no-gap)" in found
+    assert "nonparametric discrepancy (unlisted)" in found
     assert "not told apart" in found
-    assert f"gap {hypotheses[0].gap_after:.2g} mmHg" in found
+    assert f"discrepancy {hypotheses[0].gap_after:.2g} mmHg" in found
 
 
-def test_the_tree_is_coloured_by_the_probability_of_the_place(three: Diagnosis) -> None:
+def test_the_tree_is_coloured_by_the_probability_of_the_location(three: Diagnosis) -> None:
     shares = [
         LocationShare(noun="vessel", part=2, subtree=True, probability=0.5),
         LocationShare(noun="vessel", part=None, subtree=False, probability=0.3),
@@ -112,7 +114,7 @@ def test_the_tree_is_coloured_by_the_probability_of_the_place(three: Diagnosis) 
         for line in figure.findobj(mpl.lines.Line2D)
         if line.get_gid()
     }
-    colours = mpl.colors.LinearSegmentedColormap.from_list("places", tree.LOCATION_COLOURS)
+    colours = mpl.colors.LinearSegmentedColormap.from_list("locations", tree.LOCATION_COLOURS)
     for vessel, p in {1: 0.0, 2: 0.5, 3: 0.0, 4: 0.7, 5: 0.5}.items():
         assert lines[vessel].get_color() == pytest.approx(colours(p))
     assert lines[1].get_linewidth() > lines[5].get_linewidth()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from pages import Element, read, table_of
 from pydantic import BaseModel
-from withheld import CONFIRMATION, FILES, screen_of, with_confirmation
+from withheld import FILES, POSTERIORS, as_if_sampled, screen_of
 
 import zoo
 from zoo import report
@@ -26,7 +26,7 @@ DOC = Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md"
 
 
 def test_the_file_comes_back_as_it_was(three: Diagnosis, one: Diagnosis, tmp_path: Path) -> None:
-    for d in (three, one, with_confirmation(one)):
+    for d in (three, one, as_if_sampled(one)):
         path = d.save(tmp_path / "x")
         assert path == tmp_path / "x" / "diagnosis.json"
         for again in (read_diagnosis(path), zoo.read_diagnosis(path.parent)):
@@ -93,7 +93,7 @@ def test_the_document_has_every_field_and_constant(one: Diagnosis, sampled: Diag
     words |= {word.removesuffix("_mmHg") for word in words}  # amounts carry their unit in the file
     assert "vessel" in words  # what a part is called in a tree of vessels
     assert fields(DiagnosisFile) - {"low", "high", "mean", "part", "noun"} <= words
-    assert set(sampled.file.record) | set(CONFIRMATION["no-gap"]) <= words
+    assert set(sampled.file.record) | set(POSTERIORS["no-gap"]) <= words
     rows = re.findall(r"^\| `([A-Z_]+)` \| ([\d., ]+) \| `(\w+)` \|", text, flags=re.M)
     assert len(rows) > 10
     for name, value, module in rows:
@@ -123,7 +123,7 @@ def ast_names(module: object) -> set[str]:
 @pytest.fixture(scope="module")
 def page(three: Diagnosis, tmp_path_factory: pytest.TempPathFactory) -> Element:
     out = tmp_path_factory.mktemp("page") / "gap"
-    written = report.write_diagnosis(with_confirmation(three), out, command="zoo diagnose <x>")
+    written = report.write_diagnosis(as_if_sampled(three), out, command="zoo diagnose <x>")
     assert [p.name for p in written] == FILES
     assert all(p.is_file() for p in written)
     return read(out / "report.html")
@@ -148,7 +148,7 @@ def test_the_page_has_the_numbers(page: Element, three: Diagnosis) -> None:
     assert file.verdict in text
     for words in ("zoo diagnose <x>", file.study_checksum, *(f"{x} " for x in file.record["versions"])):
         assert words in text
-    rows = table_of(page, "Gap in each observed series")
+    rows = table_of(page, "Discrepancy in each observed series")
     assert [row[:2] for row in rows] == [[s.series, s.unit] for s in file.gap.per_series]
     assert rows[0][2].startswith(f"{file.gap.per_series[0].before.mean:.2g} (")
     rows = table_of(page, "Explanations")
@@ -157,14 +157,14 @@ def test_the_page_has_the_numbers(page: Element, three: Diagnosis) -> None:
     tau = file.hypotheses[0].amplitude
     assert tau is not None
     assert f"tau {tau.mean:.3g} ± {tau.sd:.2g} s" in rows[0]
-    rows = table_of(page, "Parameters of the base")
+    rows = table_of(page, "Parameters of the baseline")
     assert [row[0] for row in rows] == ["f3", "psi1", "psi2", "c"]
     shift = file.base_parameters["with cause"]["c"] - file.base_parameters["base"]["c"]
     assert float(rows[3][5]) == pytest.approx(shift, rel=0.01)
     assert [row[0] for row in table_of(page, "After each")] == [step.name for step in file.steps]
     [failed] = page.of_class("failed")
     assert failed.text == "viscoelastic-wall: not converged: R-hat of tau is 1.2"
-    rows = table_of(page, "The base and the leading explanations sampled")
+    rows = table_of(page, "The baseline and the leading explanations sampled")
     assert [row[0] for row in rows] == ["viscoelastic-wall", "no-gap"]
     assert rows[0][1:] == ["no", "60.0 ± 0.1", "65.0", "0.0", "–", "f3 4.3e+04 ± 3e+02"]
 
@@ -175,8 +175,9 @@ def test_groups_are_explained(three: Diagnosis, tmp_path: Path) -> None:
     file = three.file.model_copy(update={"hypotheses": hypotheses, "invisible": ["inflow-shift"]})
     report.write_diagnosis(replace(three, file=file), tmp_path / "x")
     text = read(tmp_path / "x" / "report.html").text
-    assert f"Group 0: {hypotheses[0].name} and {hypotheses[1].name} explain these data alike" in text
-    assert "inflow-shift: the base's parameters absorb what these do" in text
+    names = f"{hypotheses[0].name} and {hypotheses[1].name}"
+    assert f"Group 0: {names} explain these data alike and cannot be told apart" in text
+    assert "inflow-shift: the baseline's parameters absorb what these do" in text
 
 
 def test_a_page_needs_a_folder(one: Diagnosis, tmp_path: Path) -> None:

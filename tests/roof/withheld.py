@@ -49,7 +49,7 @@ def made(*series: tuple[int, float, str]) -> Study:
 
 FILES = ["diagnosis.json", "report.html", "gap.png", "hypotheses.png", "where.png", "diagnosis.png"]
 
-CONFIRMATION = {
+POSTERIORS = {
     name: {
         "converged": name == "no-gap",
         "verdict": "not converged: R-hat of tau is 1.2",
@@ -65,9 +65,9 @@ CONFIRMATION = {
 }
 
 
-def with_confirmation(d: StudyDiagnosis) -> StudyDiagnosis:
+def as_if_sampled(d: StudyDiagnosis) -> StudyDiagnosis:
     """As if the leading explanations had been sampled."""
-    return replace(d, file=d.file.model_copy(update={"posteriors": CONFIRMATION}))
+    return replace(d, file=d.file.model_copy(update={"posteriors": POSTERIORS}))
 
 
 def screen_of(file: DiagnosisFile) -> str:

@@ -94,9 +94,10 @@ def make(
 def run(
     cases: Annotated[Path, typer.Argument(metavar="CASES", help="Folder of studies, without their key.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the answers.")] = Path("answers"),
-    base: Annotated[str, typer.Option("--base", help="As in `zoo diagnose`.")] = "linear-constant",
-    confirm: Annotated[
-        bool, typer.Option("--confirm/--no-confirm", help="Sample the leading explanations too.")
+    base: Annotated[str, typer.Option("--base", help="Baseline, as in `zoo diagnose`.")] = "linear-constant",
+    posteriors: Annotated[
+        bool,
+        typer.Option("--confirm/--no-confirm", help="Posterior sampling of the leading explanations too."),
     ] = False,
     max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
@@ -115,7 +116,7 @@ def run(
             cases,
             output,
             base=base,
-            posteriors=confirm,
+            posteriors=posteriors,
             max_effects=max_effects,
             seed=seed,
             cores=cores,

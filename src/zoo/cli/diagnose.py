@@ -30,20 +30,20 @@ def diagnose(
         str,
         typer.Option(
             "--base",
-            help="linear-constant, linear-radius, tangent-constant, tangent-radius, or a model with that "
-            "structure: A to I.",
+            help="Baseline: linear-constant, linear-radius, tangent-constant, tangent-radius, or a model "
+            "with that structure: A to I.",
         ),
     ] = "linear-constant",
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for what is found.")] = Path("gap"),
-    confirm: Annotated[
+    posteriors: Annotated[
         bool,
-        typer.Option("--confirm/--no-confirm", help="Sample the posteriors of the leading explanations."),
+        typer.Option("--confirm/--no-confirm", help="Posterior sampling of the leading explanations."),
     ] = True,
     effects: Annotated[
         str | None,
         typer.Option(
             "--effects",
-            help="Only these, with commas; all of `zoo effects` that fit the base if absent.",
+            help="Only these, with commas; all of `zoo effects` that fit the baseline if absent.",
             metavar="NAMES",
             show_default=False,
         ),
@@ -52,7 +52,8 @@ def diagnose(
     exhaust: Annotated[
         bool,
         typer.Option(
-            "--exhaust", help="Add the best listed effects even where a free discrepancy explains more."
+            "--exhaust",
+            help="Add the best listed effects even where a nonparametric discrepancy explains more.",
         ),
     ] = False,
     cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time.")] = 2,
@@ -62,7 +63,7 @@ def diagnose(
     conventions: ConventionOptions,
     plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
-    """Find what a base model misses in a study: where the gap lies, what causes it, how far it shrinks."""
+    """Find what a baseline misses in a study: where the discrepancy lies, its cause, how far it shrinks."""
     import shlex
 
     from zoo.blood.baseline import get_baseline
@@ -86,12 +87,12 @@ def diagnose(
 
     Harmonics().bind(study_data(loaded))  # a study without observations is refused before the work
     output.mkdir(exist_ok=True)
-    # a base has a wall factor of its own unless one is asked for
+    # a baseline has a wall factor of its own unless one is asked for
     own = loaded.conventions if conventions.wall_factor is not None else None
     folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
-    if confirm:
+    if posteriors:
         folder.mkdir(parents=True, exist_ok=True)
-    with Telling(not quiet, confirm) as tell:
+    with Telling(not quiet, posteriors) as tell:
         found = run(
             loaded,
             chosen.name,
@@ -104,11 +105,11 @@ def diagnose(
             tick=tell,
         )
         found.save(output)  # what comes next takes longer and may be stopped
-        if confirm:
+        if posteriors:
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
         tell.say("figures and page")
         words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]
-        words += ["--confirm" if confirm else "--no-confirm", "--max-effects", str(max_effects)]
+        words += ["--confirm" if posteriors else "--no-confirm", "--max-effects", str(max_effects)]
         words += ["--exhaust"] if exhaust else []
         words += ["--effects", ",".join(names)] if names else []
         words += plugins.words()
@@ -120,15 +121,15 @@ def diagnose(
 class Telling:
     """A progress bar that says what is being tried."""
 
-    def __init__(self, wanted: bool, confirm: bool) -> None:
+    def __init__(self, wanted: bool, posteriors: bool) -> None:
         from zoo.core.inference.progress import bar
 
-        self.bar, self.confirm = bar(wanted), confirm
+        self.bar, self.posteriors = bar(wanted), posteriors
         self.added = -1
 
     def __enter__(self) -> Telling:
         self.bar.__enter__()
-        self.task = self.bar.add_task("base", total=100)
+        self.task = self.bar.add_task("baseline", total=100)
         return self
 
     def __exit__(self, *error: Any) -> None:
@@ -138,7 +139,7 @@ class Telling:
         """What is being tried, and the share of this round that is done; each round starts with 0."""
         self.added += share == 0.0
         if share >= 1.0:
-            text = "posteriors" if self.confirm else "weighing"
+            text = "posteriors" if self.posteriors else "weighing"
         elif self.added > 0:
             text = f"{text} (beside {self.added} added)"
         self.bar.update(self.task, description=text, completed=100 * share)
@@ -149,7 +150,7 @@ class Telling:
 
 
 def _effect_names(text: str | None, base: str) -> list[str] | None:
-    """Effects of an option, each of which the base can take; None for all."""
+    """Effects of an option, each of which the baseline can take; None for all."""
     from zoo.blood.diagnosis import effects_for
 
     if text is None:
@@ -161,7 +162,7 @@ def _effect_names(text: str | None, base: str) -> list[str] | None:
 
 
 def _run_name(study: Study, base: str, conventions: Conventions | None, seed: int) -> str:
-    """Folder of a run's posteriors: another study, base, conventions or seed has another one."""
+    """Folder of a run's posteriors: another study, baseline, conventions or seed has another one."""
     import hashlib
 
     what = repr((study.checksum, study.conventions, conventions, seed)).encode()
@@ -181,20 +182,21 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     from zoo.report.words import maybe
 
     verdict, *rest = diagnosis_summary(file)
-    where = plain_table(title=f"where the gap of {file.base} in {file.study} lies")
+    where = plain_table(title=f"where the discrepancy of {file.base} in {file.study} lies")
     for heading, justify in (("by", "left"), ("", "left"), ("share", "right"), ("", "left")):
         where.add_column(heading, justify=justify, no_wrap=True)  # type: ignore[arg-type]
     harmonics = dict(sorted(file.where.harmonic.items(), key=lambda item: -item[1])[:4])
-    places = {location_of(file, p.part, p.subtree): p.probability for p in file.where.place[:4]}
+    locations = {location_of(file, p.part, p.subtree): p.probability for p in file.where.place[:4]}
     parts = {"phase": file.where.phase, "series": file.where.series, "harmonic": harmonics}
-    parts["place"] = places
+    parts["location"] = locations
     for what, shares in parts.items():
         for k, (name, share) in enumerate(shares.items()):
             where.add_row(what if k == 0 else "", name, _share(share), Text(_bar(share), style="cyan"))
     rows = [h for k, h in enumerate(file.hypotheses) if k < LEADING or h.name in ("no-gap", "unlisted")]
     table = plain_table(title="explanations, most probable first")
-    for heading in ("explanation", "place", "prob.", "group", "amplitude", f"gap after ({file.gap.unit})"):
-        named = heading in ("explanation", "place")
+    after = f"discrepancy after ({file.gap.unit})"
+    for heading in ("explanation", "location", "prob.", "group", "effect parameter", after):
+        named = heading in ("explanation", "location")
         table.add_column(heading, justify="left" if named else "right", no_wrap=heading == "explanation")
     for h in rows:
         free = h.name in ("unlisted", "correlated-noise")
@@ -212,13 +214,13 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
             style="bold" if h.name in file.cause else None,
         )
     lines: list[Any] = [Text(verdict, style="bold"), *(Text(line) for line in rest), ""]
-    lines += [table] if file.hypotheses[0].name == "no-gap" else [where, "", table]  # nothing to place
+    lines += [table] if file.hypotheses[0].name == "no-gap" else [where, "", table]  # nothing to locate
     if len(file.hypotheses) > len(rows):
         lines.append(
             f"and {len(file.hypotheses) - len(rows)} more; explanations of one group look alike here"
         )
     if file.invisible:
-        lines.append(f"this study cannot show: {', '.join(file.invisible)}")
+        lines.append(f"these data cannot show: {', '.join(file.invisible)}")
     if file.next_measurement is not None:
         m = file.next_measurement
         lines.append(

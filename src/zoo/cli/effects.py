@@ -20,7 +20,7 @@ LOCATION_WORDS = {
     "vessels_and_subtrees": "each vessel, each subtree",
     "sides_and_terminals": "each side, each terminal",
 }
-"""Function that lists the places of an effect -> what these are."""
+"""Function that lists the locations of an effect -> what these are."""
 
 
 @command
@@ -33,7 +33,7 @@ def effects(
     *,
     plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
-    """List the effects that a base model may lack; with a name, all that is known about one."""
+    """List the effects that a baseline may lack; with a name, all that is known about one."""
     import json
 
     from zoo.blood.effects import CATALOGUE
@@ -52,7 +52,7 @@ def effects(
 def _locations(effect: Effect) -> str:
     """Where an effect can act, in words."""
     function = getattr(effect.locations, "__name__", "")
-    return LOCATION_WORDS.get(function, function.replace("_", " ") or "some places")
+    return LOCATION_WORDS.get(function, function.replace("_", " ") or "some locations")
 
 
 def _effect_fields(effect: Effect) -> dict[str, Any]:
@@ -61,8 +61,8 @@ def _effect_fields(effect: Effect) -> dict[str, Any]:
     fields = {
         n: getattr(effect, n) for n in ("name", "family", "statement", "equation", "signature", "source")
     }
-    amplitudes = [asdict(amplitude) for amplitude in effect.parameters]
-    return fields | {"places": _locations(effect), "bases": list(effect.baselines), "amplitudes": amplitudes}
+    parameters = [asdict(parameter) for parameter in effect.parameters]
+    return fields | {"places": _locations(effect), "bases": list(effect.baselines), "amplitudes": parameters}
 
 
 def _effects_table(chosen: Sequence[Effect]) -> Any:
@@ -72,7 +72,7 @@ def _effects_table(chosen: Sequence[Effect]) -> Any:
 
     from zoo.blood.effects import FAMILIES, prior_text
 
-    headings = ("effect", "amplitude", "prior", "places", "what it does to a beat")
+    headings = ("effect", "parameter", "prior", "locations", "what it does to a beat")
     wide = Console().width >= 130
     table = plain_table()
     for heading in headings if wide else ("effect", ", ".join(headings[1:])):
@@ -82,7 +82,7 @@ def _effects_table(chosen: Sequence[Effect]) -> Any:
         if members:
             table.add_row(Text(family, style="bold"))
         for effect in members:
-            names = [f"{amplitude.name} ({amplitude.unit})" for amplitude in effect.parameters]
+            names = [f"{parameter.name} ({parameter.unit})" for parameter in effect.parameters]
             priors = [prior_text(a).removesuffix(f" {a.unit}") for a in effect.parameters]
             if wide:
                 cells = ["\n".join(names), "\n".join(priors), _locations(effect), effect.signature]
@@ -102,11 +102,11 @@ def _effect_lines(effect: Effect) -> list[Any]:
     table.add_column(no_wrap=True)
     table.add_column()
     rows = [(n, str(getattr(effect, n))) for n in ("family", "statement", "equation", "signature")]
-    for amplitude in effect.parameters:
-        words = [f"{amplitude.name} ({amplitude.unit}) ~ {prior_text(amplitude)}", amplitude.why]
-        words.append("0 is the base" if amplitude.zero_is_base else "a shape, which no base has")
-        rows.append(("amplitude", "; ".join(word for word in words if word)))
-    rows += [("places", _locations(effect)), ("bases", ", ".join(effect.baselines) or "all")]
+    for parameter in effect.parameters:
+        words = [f"{parameter.name} ({parameter.unit}) ~ {prior_text(parameter)}", parameter.why]
+        words.append("0 is the baseline" if parameter.zero_is_base else "a shape, which no baseline has")
+        rows.append(("parameter", "; ".join(word for word in words if word)))
+    rows += [("locations", _locations(effect)), ("baselines", ", ".join(effect.baselines) or "all")]
     rows.append(("source", effect.source))
     for what, text in rows:
         table.add_row(Text(what, style="bold"), Text(text))

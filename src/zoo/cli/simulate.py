@@ -85,8 +85,8 @@ def simulate(
     }
     options = numerical.solver()
     time_s = np.arange(times) * loaded.period_s / times
-    places = [(int(i), p) for i in network.ids for p in POSITIONS]
-    solver = Solver.for_study(loaded, wall, series=places, times_s=time_s, options=options)
+    positions = [(int(i), p) for i in network.ids for p in POSITIONS]
+    solver = Solver.for_study(loaded, wall, series=positions, times_s=time_s, options=options)
     solution = solver.solve(**parameters)
     waves = _waves(solution, [int(i) for i in network.ids], time_s)
     waves.attrs |= {

@@ -8,7 +8,7 @@ from zoo.plots.blindcheck import plot_accuracy, plot_confusion, plot_reliability
 from zoo.plots.calibration import calibration_figure, truth_figure
 from zoo.plots.chains import pair_figure, rank_figure, trace_figure
 from zoo.plots.comparison import comparison_figure
-from zoo.plots.diagnosis import plot_diagnosis, plot_gap, plot_hypotheses, plot_where
+from zoo.plots.diagnosis import plot_diagnosis, plot_discrepancy, plot_hypotheses, plot_where
 from zoo.plots.fit import fit_figure
 from zoo.plots.posteriors import forest_figure, intervals_figure, posteriors_figure
 from zoo.plots.stiffness import pressure_stiffness_figure, stiffness_figure
@@ -40,7 +40,7 @@ __all__ = [
     "plot_accuracy",
     "plot_confusion",
     "plot_diagnosis",
-    "plot_gap",
+    "plot_discrepancy",
     "plot_hypotheses",
     "plot_reliability",
     "plot_sizes",

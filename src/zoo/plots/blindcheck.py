@@ -70,7 +70,7 @@ def plot_reliability(score: CheckScore) -> Figure:
 
 
 def plot_accuracy(score: CheckScore) -> Figure:
-    """From which gap on an answer can be trusted: share right against gap over noise, and the rates.
+    """From which discrepancy on an answer can be trusted: share right against its size, and the rates.
 
     Parameters
     ----------
@@ -102,9 +102,9 @@ def plot_accuracy(score: CheckScore) -> Figure:
             left.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
         left.set_ylim(-0.12, 1.12)
         left.set_yticks(np.linspace(0.0, 1.0, 6))
-        left.set_xlabel("gap / sd of the noise")
+        left.set_xlabel("discrepancy / sd of the noise")
         left.set_ylabel("true effect or its group first")
-        left.set_title("accuracy by size of the gap")
+        left.set_title("accuracy by size of the discrepancy")
         rates = [(words, score.summary[name]) for name, words in HEADLINES if score.summary[name]["n"]]
         for row, (_, rate) in enumerate(rates):
             right.plot((100 * rate["low"], 100 * rate["high"]), (row, row), color=COLOURS[0], lw=1.3)
@@ -159,7 +159,7 @@ def plot_confusion(score: CheckScore) -> Figure:
 
 
 def plot_sizes(score: CheckScore) -> Figure:
-    """Stated against true: what part of the gap the cause removes, and the effects' amplitudes.
+    """Stated against true: what part of the discrepancy the cause removes, and the effects' parameters.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def plot_sizes(score: CheckScore) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Bars are 95 % intervals; amplitudes are divided by the true ones.
+        Bars are 95 % intervals; effect parameters are divided by the true ones.
     """
     rows = [c for c in score.cases if c.amplitude is not None and c.amplitude_true]
     names = sorted({c.truth for c in rows})
@@ -187,7 +187,7 @@ def plot_sizes(score: CheckScore) -> Figure:
         left.fill_between(line, line - 10, line + 10, color="#DDE2E8", lw=0, zorder=0)
         left.set_xlim(low, high)
         left.set_ylim(top=101.5)  # all of it, and room for the marks
-        left.set_xlabel("true shrinkage of the gap (%)")
+        left.set_xlabel("true shrinkage of the discrepancy (%)")
         left.set_ylabel("stated shrinkage (%)")
         left.set_title("what the cause removes (strip: ± 10 points)")
         for c in rows:
@@ -202,6 +202,6 @@ def plot_sizes(score: CheckScore) -> Figure:
         right.set_xlim(-0.6, 2.6)
         right.set_yticks(range(len(names)), names, fontsize="small")
         right.set_ylim(len(names) - 0.4, -0.6)
-        right.set_xlabel("stated amplitude / true one")
-        right.set_title("amplitude of the true effect, at the true place")
+        right.set_xlabel("stated effect parameter / true one")
+        right.set_title("parameter of the true effect, at the true location")
     return figure

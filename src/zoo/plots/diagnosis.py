@@ -1,4 +1,4 @@
-"""A diagnosis: the gap, its explanations, where it lies, and all three on one page."""
+"""A diagnosis: the model discrepancy, its explanations, where it lies, and all three on one page."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from zoo.plots.tree import draw_locations, draw_tree
 if TYPE_CHECKING:
     from zoo.core.diagnosis import Diagnosis
 
-GAP_COLOUR, CAUSE_COLOUR, ALL_COLOUR = COLOURS[1], COLOURS[0], COLOURS[2]
+BASELINE_COLOUR, CAUSE_COLOUR, ALL_COLOUR = COLOURS[1], COLOURS[0], COLOURS[2]
 ALONE = "#9AA5B1"
 """Of explanations that are no group: nothing else looks like them."""
 
@@ -72,7 +72,7 @@ def _shade_phases(
             )
 
 
-def _draw_gap(figure: Figure | SubFigure, d: Diagnosis) -> None:
+def _draw_discrepancy(figure: Figure | SubFigure, d: Diagnosis) -> None:
     data = d.data
     columns = min(data.n_series, 3)
     blocks = math.ceil(data.n_series / columns)
@@ -92,14 +92,14 @@ def _draw_gap(figure: Figure | SubFigure, d: Diagnosis) -> None:
             axes.set_xlim(times[0], times[0] + duration)
         top.plot(times, values, color=INK, lw=2.2, alpha=0.35, label="measured")
         computed = values - d.before.residual[i]
-        top.plot(times, computed, color=GAP_COLOUR, lw=1.2, ls=DASHED, label="base")
-        drawn = [("base", d.before, GAP_COLOUR)]
+        top.plot(times, computed, color=BASELINE_COLOUR, lw=1.2, ls=DASHED, label="baseline")
+        drawn = [("baseline", d.before, BASELINE_COLOUR)]
         if cause:
             computed = values - d.after.residual[i]
-            top.plot(times, computed, color=CAUSE_COLOUR, lw=1.2, label=f"base + {cause}")
-            drawn.append(("base + cause", d.after, CAUSE_COLOUR))
+            top.plot(times, computed, color=CAUSE_COLOUR, lw=1.2, label=f"baseline + {cause}")
+            drawn.append(("baseline + cause", d.after, CAUSE_COLOUR))
         if len(d.file.steps) > 1:
-            label = f"base + {' + '.join(step.name for step in d.file.steps)}"
+            label = f"baseline + {' + '.join(step.name for step in d.file.steps)}"
             top.plot(times, d.computed[1][i], color=ALL_COLOUR, lw=1.1, ls=DOTTED, label=label)
         noise = row.noise_floor
         bottom.axhspan(-noise, noise, color="#B8C0C8", alpha=0.45, lw=0, zorder=1, label="noise (sd)")
@@ -114,20 +114,20 @@ def _draw_gap(figure: Figure | SubFigure, d: Diagnosis) -> None:
         top.set_title(f"{label}: {_shrinks(row, bool(cause))}", pad=24)
         top.set_ylabel(QUANTITY_LABELS.get(group, f"{group} ({data.units[i]})"))
         top.tick_params(labelbottom=False)
-        bottom.set_ylabel(f"gap ({row.unit})")
+        bottom.set_ylabel(f"discrepancy ({row.unit})")
         bottom.set_xlabel("time in the beat (ms)" if beat else f"time ({data.time_unit})")
     handles = [handle for axes in grid[:2, 0] for handle in axes.get_legend_handles_labels()[0]]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
 
 
 def _shrinks(row: SeriesGap, cause: bool) -> str:
-    """Such as "gap 0.25 to 0.01 mmHg"."""
+    """Such as "discrepancy 0.25 to 0.01 mmHg"."""
     after = f" to {row.after.mean:.2g}" if cause else ""
-    return f"gap {row.before.mean:.2g}{after}{unit_words(row.unit)}"
+    return f"discrepancy {row.before.mean:.2g}{after}{unit_words(row.unit)}"
 
 
-def plot_gap(d: Diagnosis) -> Figure:
-    """Each observed series with the base and the base with its cause; below, what these leave.
+def plot_discrepancy(d: Diagnosis) -> Figure:
+    """Each observed series with the baseline and the baseline with its cause; below, what these leave.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def plot_gap(d: Diagnosis) -> Figure:
     columns = min(n, 3)
     size = (max(6.4, 4.3 * columns), 0.5 + 4.9 * math.ceil(n / columns))
     with new_figure(size) as figure:
-        _draw_gap(figure, d)
+        _draw_discrepancy(figure, d)
     return figure
 
 
@@ -161,7 +161,7 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
     unit = unit_words(d.file.gap.unit)
     colours = _group_colours(d)
     zero = next(h.log_evidence for h in found if h.name == NULL)
-    special = {NULL: "noise alone", NONPARAMETRIC: "none of those listed", CORRELATED: "correlated noise"}
+    special = {NULL: "null hypothesis", NONPARAMETRIC: "nonparametric discrepancy", CORRELATED: ""}
     for row, h in enumerate(found):
         hidden = h.name in d.file.invisible
         bar = axes.barh(
@@ -179,7 +179,7 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
         if hidden:
             words = "invisible here"
         elif h.name not in (NONPARAMETRIC, CORRELATED):
-            words += f", gap {h.gap_after:.2g}{unit}"
+            words += f", discrepancy {h.gap_after:.2g}{unit}"
         axes.annotate(
             words,
             (1.0, row),
@@ -194,10 +194,7 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
     axes.set_xscale("symlog", linthresh=10)
     axes.xaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
     axes.margins(x=0.08)
-    names = [
-        f"{h.name} ({special[h.name]})" if h.name in special and h.name != CORRELATED else _named(h, d)
-        for h in found
-    ]
+    names = [f"{special[h.name]} ({h.name})" if special.get(h.name) else _named(h, d) for h in found]
     axes.set_yticks(np.arange(len(found)), names)
     axes.set_ylim(len(found) - 0.4, -0.6)
     axes.grid(axis="x", color="#DDDDDD", lw=0.7)
@@ -221,7 +218,7 @@ def _hypotheses_height(d: Diagnosis) -> float:
 
 
 def plot_hypotheses(d: Diagnosis) -> Figure:
-    """Log evidence of each explanation over that of noise alone, with the gap that it leaves.
+    """Log evidence of each explanation over that of noise alone, with the discrepancy that it leaves.
 
     Parameters
     ----------
@@ -231,7 +228,7 @@ def plot_hypotheses(d: Diagnosis) -> Figure:
     -------
     matplotlib.figure.Figure
         A bar for each explanation, most probable first, coloured by group; hatched are those that name no
-        listed effect, hollow those that this study cannot show.
+        listed effect, hollow those that these data cannot show.
     """
     with new_figure((8.4, _hypotheses_height(d))) as figure:
         _draw_hypotheses(figure, d)
@@ -250,12 +247,14 @@ def _draw_where(figure: Figure | SubFigure, d: Diagnosis) -> None:
     panels = ((title, where.phase), ("harmonic", where.harmonic), ("series", series))
     ratios = [max(2.5, float(len(shares))) for _, shares in panels]
     for axes, (title, shares) in zip(left.subplots(3, 1, height_ratios=ratios), panels, strict=True):
-        axes.barh(np.arange(len(shares)), [100 * v for v in shares.values()], color=GAP_COLOUR, height=0.7)
+        axes.barh(
+            np.arange(len(shares)), [100 * v for v in shares.values()], color=BASELINE_COLOUR, height=0.7
+        )
         axes.set_yticks(np.arange(len(shares)), list(shares), fontsize="small")
         axes.set_ylim(len(shares) - 0.4, -0.6)
         axes.set_xlim(0, 100)
         axes.set_title(title)
-    axes.set_xlabel("share of the gap's energy (%)")
+    axes.set_xlabel("share of the discrepancy's energy (%)")
     if study is None:
         draw_locations(right.subplots(), d)
     else:
@@ -272,7 +271,7 @@ def _where_height(d: Diagnosis) -> float:
 
 
 def plot_where(d: Diagnosis) -> Figure:
-    """Where the gap lies: shares by phase, harmonic and series, and the probability of each location.
+    """Where the discrepancy lies: shares by phase, harmonic and series, and the probability of each location.
 
     Parameters
     ----------
@@ -290,7 +289,7 @@ def plot_where(d: Diagnosis) -> Figure:
 
 
 def plot_diagnosis(d: Diagnosis) -> Figure:
-    """The whole diagnosis on one page: `plot_gap`, `plot_hypotheses` and `plot_where`, the verdict above.
+    """The whole diagnosis on one page: `plot_discrepancy`, `plot_hypotheses`, `plot_where` under the verdict.
 
     Parameters
     ----------
@@ -304,10 +303,10 @@ def plot_diagnosis(d: Diagnosis) -> Figure:
     heights = (0.5 + 4.9 * math.ceil(n / min(n, 3)), max(_hypotheses_height(d), _where_height(d)))
     with new_figure((17.0, 0.6 + sum(heights))) as figure:
         top, bottom = parts(figure, 2, 1, height_ratios=heights)
-        _draw_gap(top, d)
+        _draw_discrepancy(top, d)
         left, right = parts(bottom, 1, 2, width_ratios=(1, 1.1))
         _draw_hypotheses(left, d)
         _draw_where(right, d)
-        title = f"{d.file.study}, base {d.file.base}. {d.file.verdict}"
+        title = f"{d.file.study}, baseline {d.file.base}. {d.file.verdict}"
         figure.suptitle(textwrap.fill(title, 150), x=0.01, ha="left")
     return figure

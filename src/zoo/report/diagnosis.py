@@ -13,7 +13,7 @@ from zoo.blood.effects import CATALOGUE
 from zoo.core.diagnosis import DiagnosisFile
 from zoo.core.diagnosis.file import AddedStep, HypothesisResult, SeriesGap
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
-from zoo.plots import plot_diagnosis, plot_gap, plot_hypotheses, plot_where, save_figure
+from zoo.plots import plot_diagnosis, plot_discrepancy, plot_hypotheses, plot_where, save_figure
 from zoo.plots.subject import location_of, study_of, unit_words
 from zoo.report.page import ReportError, picture_of, write_page
 from zoo.report.parameters import MEANINGS
@@ -24,23 +24,25 @@ if TYPE_CHECKING:
 
 DIAGNOSIS_FIGURES = {
     "gap": (
-        plot_gap,
-        "What was measured, the base, and the base with its cause; below, the discrepancy of each with 95 % "
-        "bands, and one standard deviation of the noise in grey.",
+        plot_discrepancy,
+        "What was measured, the baseline, and the baseline with its cause; below, the discrepancy of each "
+        "with 95 % bands, and one standard deviation of the noise in grey.",
     ),
     "hypotheses": (
         plot_hypotheses,
-        "Log evidence of each explanation over that of noise alone, its probability, and the gap it leaves.",
+        "Log evidence of each explanation over that of noise alone, its probability, and the discrepancy it "
+        "leaves.",
     ),
     "where": (
         plot_where,
-        "Shares of the gap's energy, and the tree with the probability that a listed cause acts in a vessel.",
+        "Shares of the discrepancy's energy, and the tree with the probability that a listed cause acts in a "
+        "vessel.",
     ),
 }
 """Figure -> what draws it, and its caption."""
 MADE_UP = {
-    NULL: "Noise explains what the base leaves.",
-    NONPARAMETRIC: "Something smooth that is not listed.",
+    NULL: "Null hypothesis: noise explains what the baseline leaves.",
+    NONPARAMETRIC: "Nonparametric discrepancy: something smooth that is not listed.",
 }
 """Explanations outside the catalogue."""
 
@@ -77,7 +79,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
     pictures = {}
     for name, (draw, caption) in DIAGNOSIS_FIGURES.items():
         if name == "where" and study_of(diagnosis) is None:
-            caption = "Shares of the gap's energy, and the probability that a listed cause acts in a place."
+            caption = (
+                "Shares of the discrepancy's energy, and the probability of each location of a listed cause."
+            )
         figure = draw(diagnosis)
         written.append(save_figure(figure, folder / f"{name}.png"))
         pictures[name] = picture_of(figure, f"{caption} The tables have the numbers.", caption)
@@ -92,7 +96,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
         next=_next_words(file),
         summary=diagnosis_summary(file),
         facts=_diagnosis_facts(diagnosis),
-        gap=[_gap_row(row) for row in file.gap.per_series],
+        discrepancy=[_discrepancy_row(row) for row in file.gap.per_series],
         where=_where_sentences(file),
         hypotheses=[_hypothesis_row(h, file) for h in file.hypotheses],
         groups=_groups(file),
@@ -128,7 +132,7 @@ def _posterior_seconds(record: Mapping[str, Any]) -> float | None:
 
 
 def diagnosis_summary(file: DiagnosisFile) -> list[str]:
-    """What a diagnosis found, as a few sentences: verdict, gap, data that were not fitted, what is left.
+    """What a diagnosis found, as a few sentences: verdict, discrepancy, held-out data, what is left.
 
     Parameters
     ----------
@@ -143,16 +147,16 @@ def diagnosis_summary(file: DiagnosisFile) -> list[str]:
     before = f"{span(gap.before, gap.before_interval)}{unit}"
     floor = f"the noise {gap.noise_floor:.2g}{unit}"
     if file.hypotheses[0].name in (NULL, NONPARAMETRIC, CORRELATED):
-        lines.append(f"Beside the noise the base leaves a gap of {before}; {floor}.")
+        lines.append(f"Beside the noise the baseline leaves a discrepancy of {before}; {floor}.")
     else:
         lines.append(
-            f"The gap of the base is {before}, with its cause "
+            f"The discrepancy of the baseline is {before}, with its cause "
             f"{span(gap.after, gap.after_interval)}{unit}: {percent(gap.removed)} is removed "
             f"({percent(gap.removed_interval[0])} to {percent(gap.removed_interval[1])}); {floor}."
         )
     if gap.held_out_before is not None and gap.held_out_after is not None:
         lines.append(
-            f"In data that were not fitted ({gap.held_out}) the gap goes from "
+            f"In data that were not fitted ({gap.held_out}) the discrepancy goes from "
             f"{gap.held_out_before:.2g} to {gap.held_out_after:.2g}{unit}."
         )
     if len(file.steps) > 1:
@@ -182,7 +186,7 @@ def _step_row(step: AddedStep, file: DiagnosisFile) -> dict[str, Any]:
         "where": "" if step.place is None else location_of(file, step.place, step.subtree),
         "probability": f"{100 * step.probability:.0f} %",
         "sizes": _sizes(step),
-        "gaps": [f"{step.gap_before:.2g}", f"{step.gap_after:.2g}"],
+        "discrepancies": [f"{step.gap_before:.2g}", f"{step.gap_after:.2g}"],
     }
 
 
@@ -226,7 +230,7 @@ def _diagnosis_facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         facts = [("data", data.name)]
     else:
         facts = [("study", f"{study.name}, {len(study.vessels)} vessels, period {1e3 * study.period_s:g} ms")]
-    facts += [("observed", series), ("checksum", file.study_checksum), ("base", file.base)]
+    facts += [("observed", series), ("checksum", file.study_checksum), ("baseline", file.base)]
     facts += [] if study is None else [("conventions", study.conventions.name)]
     facts.append(("errors", "; ".join(noise)))
     seconds = {
@@ -243,7 +247,7 @@ def _diagnosis_facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return facts
 
 
-def _gap_row(row: SeriesGap) -> list[str]:
+def _discrepancy_row(row: SeriesGap) -> list[str]:
     removed = 1.0 - row.after.mean / row.before.mean if row.before.mean > 0 else 0.0
     return [
         row.series,
@@ -263,18 +267,18 @@ def _where_sentences(file: DiagnosisFile) -> list[str]:
     for what, shares in (("phase", where.phase), ("harmonic", where.harmonic), ("series", where.series)):
         named = [f"{name} ({percent(share)})" for name, share in shares.items() if share >= 0.005]
         lines.append(f"By {what}: {', '.join(named) or 'nothing'}.")
-    places = [f"{location_of(file, p.part, p.subtree)} ({percent(p.probability)})" for p in where.place[:5]]
-    lines.append(f"Place: {', '.join(places) or 'unknown'}.")
+    found = [f"{location_of(file, p.part, p.subtree)} ({percent(p.probability)})" for p in where.place[:5]]
+    lines.append(f"Location: {', '.join(found) or 'unknown'}.")
     return lines
 
 
 def _hypothesis_row(h: HypothesisResult, file: DiagnosisFile) -> dict[str, Any]:
     zero = next(x.log_evidence for x in file.hypotheses if x.name == NULL)
-    amplitudes = [a for a in (h.amplitude, *h.other_amplitudes) if a is not None]
+    parameters = [a for a in (h.amplitude, *h.other_amplitudes) if a is not None]
     free = h.name in (NONPARAMETRIC, CORRELATED)
     size = ", ".join(
         f"{a.name} " + (f"{a.mean:.3g} {a.unit}" if free else estimate(a.mean, a.sd, a.unit))
-        for a in amplitudes
+        for a in parameters
     )
     return {
         "name": h.name,
@@ -297,7 +301,7 @@ def _groups(file: DiagnosisFile) -> list[str]:
     for h in file.hypotheses:
         members.setdefault(h.group, []).append(h.name)
     return [
-        f"Group {group}: {listed(names)} explain these data alike; the study cannot tell them apart, so the "
+        f"Group {group}: {listed(names)} explain these data alike and cannot be told apart, so the "
         "answer is the group."
         for group, names in members.items()
         if len(names) > 1
@@ -305,7 +309,7 @@ def _groups(file: DiagnosisFile) -> list[str]:
 
 
 def _moved(file: DiagnosisFile) -> list[list[str]]:
-    """Parameters of the base, without and with the cause, and the shift in standard deviations."""
+    """Parameters of the baseline, without and with the cause, and the shift in standard deviations."""
     before, after = (file.base_parameters.get(key, {}) for key in ("base", "with cause"))
     rows = []
     for name, value in before.items():

@@ -172,7 +172,7 @@ def check(
     4 cases, 0 without an answer
     true effect, or the group that holds it, ranked first          100 % (2 of 2; 34 to 100 %)
     true effect ranked first                                       100 % (2 of 2; 34 to 100 %)
-    no-effect cases called a gap                                   0 % (0 of 1; 0 to 79 %)
+    no-effect cases with a discrepancy found                       0 % (0 of 1; 0 to 79 %)
     outside cases called unlisted, or no listed effect above 50 %  100 % (1 of 1; 21 to 100 %)
     """
     if cores < 1:

@@ -14,12 +14,12 @@ from zoo.core.blindcheck.sealing import replace_file
 HEADLINES = (
     ("effect_or_group_first", "true effect, or the group that holds it, ranked first"),
     ("effect_first", "true effect ranked first"),
-    ("false_alarms", "no-effect cases called a gap"),
+    ("false_alarms", "no-effect cases with a discrepancy found"),
     ("outside_called_unlisted", "outside cases called unlisted, or no listed effect above 50 %"),
     ("second_effect_one_of_two_first", "of two effects, one (or its group) ranked first"),
     ("shrinkage_within_10_points", "stated shrinkage within 10 points of the true one"),
     ("shrinkage_interval_holds_truth", "its 95 % interval holds the true one"),
-    ("amplitude_interval_holds_truth", "95 % interval of the amplitude holds the true one"),
+    ("amplitude_interval_holds_truth", "95 % interval of the effect parameter holds the true one"),
     ("place_exact", "location named is the true one"),
     ("place_within_1", "location named is the true one or next to it"),
 )

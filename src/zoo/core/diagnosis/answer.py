@@ -220,22 +220,22 @@ def _verdict(scored: Scored, gap: Gap) -> str:
     unit = "" if gap.unit == "1" else f" {gap.unit}"
     leader, p = scored.leader, scored.probability[scored.leader]
     if leader == NULL:
-        return f"no gap: noise of {gap.noise_floor:.3g}{unit} explains what the base leaves ({p:.0%})"
+        return f"no gap: noise of {gap.noise_floor:.3g}{unit} explains what the baseline leaves ({p:.0%})"
     if leader in (NONPARAMETRIC, CORRELATED):
         text = "none of the listed effects" if leader == NONPARAMETRIC else "correlated noise"
         twin = [n for n in scored.members(leader) if n != leader]
         return f"{text} ({p:.0%}): a smooth discrepancy of {gap.before:.2g}{unit}" + (
-            f"; this study cannot tell it from {' or '.join(twin)}" if twin else ""
+            f"; these data cannot tell it from {' or '.join(twin)}" if twin else ""
         )
     members = scored.members(leader)
-    twins = f", which this study cannot tell from {', '.join(members[1:])}" if len(members) > 1 else ""
+    twins = f", which these data cannot tell from {', '.join(members[1:])}" if len(members) > 1 else ""
     fit = scored.best[leader]
     at = fit.hypothesis.location
     where = f" in {at}" if at.part is not None else ""
     total = sum(scored.probability[m] for m in members)
     return (
         f"{leader}{where} ({total:.0%}{' with its group' if twins else ''}){twins}: "
-        f"the gap of {gap.before:.2g}{unit} shrinks to {gap.after:.2g}{unit}"
+        f"the discrepancy of {gap.before:.2g}{unit} shrinks to {gap.after:.2g}{unit}"
     )
 
 
@@ -247,7 +247,7 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
     spread = float(max(np.ptp(data.values[i]) for i in rows))
     if gap.before > POOR_FIT * spread:
         found.append(
-            f"the base misses the data by {gap.before:.2g}{unit}, {gap.before / spread:.0%} of "
+            f"the baseline misses the data by {gap.before:.2g}{unit}, {gap.before / spread:.0%} of "
             f"their range, more than any effect of the catalogue should: {hooks.advice}"
         )
     leader = scored.leader
@@ -256,13 +256,13 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
     if gap.removed < LITTLE:
         found.append(
             f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
-            "gap goes with it: most has another cause"
+            "discrepancy goes with it: most has another cause"
         )
     fit = scored.best[leader]
     for i in range(fit.forward.asked, len(fit.u)):
         p = fit.forward.parameters[i]
         for name, bound in (("lower", p.low), ("upper", p.high)):
-            zero = bound == 0.0  # the base itself
+            zero = bound == 0.0  # the baseline itself
             if not zero and abs(fit.values[i] - bound) < 1e-3 * (p.high - p.low):
                 found.append(
                     f"{p.name} of {leader} stands at the {name} bound of its prior, {bound:g} {p.unit}: "

@@ -30,7 +30,7 @@ from zoo.core.forward import ForwardModel
 Array = NDArray[np.float64]
 
 ALLOWANCE = 0.1
-"""What a listed effect may leave of the gap, as a part of it (sd): an effect is a caricature of its cause."""
+"""Part of the discrepancy that a listed effect may leave (sd): an effect is a caricature of its cause."""
 NUMERICS_PART = 1e-3
 """Error of the simulator's numerics, for which no effect is blamed, in parts of a series' range."""
 PRIOR_NULL, PRIOR_NONPARAMETRIC = 0.5, 0.1
@@ -170,11 +170,11 @@ class Screening:
             bests[best][1],
         )
 
-    # -- the base --------------------------------------------------------------------------------
+    # -- the baseline ----------------------------------------------------------------------------
 
     def fit_base(self) -> Fit:
         """The baseline (with what was added) at its mode, under noise alone."""
-        self.tick("base", 0.0)
+        self.tick("baseline", 0.0)
         forward = self.forward(Hypothesis(self.added))
         # loose errors first: far from the mode a tenth of the range is what the linearisation is good for
         S = self.errors.variances({q: GroupErrors(0.1 * size) for q, size in self.range.items()})
@@ -448,7 +448,7 @@ class Screening:
                 fits[h] = fit
         # the best explanation of all leaves the noise: a free discrepancy takes some of it along
         best = max((unlisted, correlated, *fits.values()), key=lambda f: f.log_z)
-        # beside its noise the base has its best fit too: the gap is what that leaves
+        # beside its noise the baseline has its best fit too: the discrepancy is what that leaves
         refitted = self.refit_base(base, best.errors)
         base = replace(refitted, log_z=max(base.log_z, refitted.log_z))
         possible = possible_noise(best)
