@@ -235,3 +235,45 @@ def test_conventions_of_a_baseline() -> None:
     }
     assert factors == {"B": 0.5, "H": 0.5, "I": 1.0}
     assert get_baseline("I").forward(other, conventions=published).conventions.wall_factor == 0.5
+
+
+def test_the_key_sees_what_a_stiffness_law_refers_to() -> None:
+    """A closure, a default and a constant of its module; laws alike in all have one key in every process."""
+    import types
+
+    study = small_study()
+
+    def closed(factor: float):  # type: ignore[no-untyped-def]
+        def law(values, network, conventions):  # type: ignore[no-untyped-def]
+            return np.full(len(network.ids), factor * float(values["f3"]))
+
+        return law
+
+    def key_of(law) -> str:  # type: ignore[no-untyped-def]
+        return BloodFlow(study, "linear", law, (Parameter("f3", Uniform(2e4, 1e5)),)).key
+
+    assert key_of(closed(1.0)) == key_of(closed(1.0)) != key_of(closed(1.5))
+    source = (
+        "import numpy as np\nFACTOR = {}\ndef law(v, n, c): return np.full(len(n.ids), FACTOR * v['f3'])\n"
+    )
+    laws = []
+    for factor in (1.0, 1.5):
+        module = types.ModuleType("laws")
+        exec(source.format(factor), module.__dict__)
+        laws.append(module.law)
+    assert key_of(laws[0]) != key_of(laws[1])
+
+
+def test_operations_of_one_key_do_not_share_solutions() -> None:
+    """What the key cannot see, such as an array that is changed in place, is solved again."""
+    from zoo.core.forward import FunctionModel
+    from zoo.core.op import ForwardOp
+
+    slope = np.array([1.0])
+    model = FunctionModel(
+        lambda c, t: slope[0] * c["a"] * t, (Parameter("a", Uniform(0, 2)),), Outputs(("y",), np.arange(3.0))
+    )
+    first = ForwardOp(model)
+    assert first.evaluate(np.array([1.0]))[0][0, 1] == 1.0
+    slope[0] = 3.0
+    assert ForwardOp(model).evaluate(np.array([1.0]))[0][0, 1] == 3.0

@@ -157,3 +157,13 @@ def test_models_refuse_a_second_name() -> None:
     )
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].startswith("ImportError: the models were imported as 'models'")
+
+
+@pytest.mark.parametrize("path", sorted(Path(zoo.__file__).parent.glob("core/**/*.py")), ids=str)
+def test_the_core_does_not_go_through_the_packages_door(path: Path) -> None:
+    """`zoo.load_study` or `from zoo import diagnose` would load blood where no contract sees it."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            assert "zoo" not in {alias.name for alias in node.names}, f"{path}:{node.lineno}"
+        elif isinstance(node, ast.ImportFrom):
+            assert node.module != "zoo", f"{path}:{node.lineno}"

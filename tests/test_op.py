@@ -179,9 +179,13 @@ def test_work_in_place_does_not_reach_the_cache(op: ForwardOp) -> None:
 
 def test_copies_share_points_and_counts_and_others_do_not(study: Study, op: ForwardOp) -> None:
     op.evaluate(at(POINT))
-    twin = ForwardOp(flow(study))
+    twin = pickle.loads(pickle.dumps(op))
     assert twin == op
     assert hash(twin) == hash(op)
+    another = ForwardOp(flow(study))  # of an equal forward model, but an operation of its own
+    assert another != op
+    assert another.key == op.key
+    assert another.counts["evaluations"] == 0
     twin.evaluate(at(POINT))
     assert op.counts["evaluations"] == 2
     assert op.counts["solves"] == 1

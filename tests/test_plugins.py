@@ -156,7 +156,8 @@ def test_effects_of_an_installed_package_are_in_the_catalogue(tmp_path: Path) ->
     """By the entry point group `zoo.effects`, as an installer writes it."""
     (tmp_path / "lab_effects.py").write_text(
         "from zoo.core.effects import EffectParameter, effect\n"
-        "@effect('lab-offset', 'sensor', parameters=[EffectParameter('size', 'mmHg', 1.0, -5.0, 5.0, (1.0,))])\n"
+        "size = EffectParameter('size', 'mmHg', 1.0, -5.0, 5.0, (1.0,))\n"
+        "@effect('lab-offset', 'sensor', parameters=[size])\n"
         "def lab_offset(case, values, location):\n"
         "    'The laboratory reads too much.'\n"
         "    return case\n"

@@ -14,7 +14,7 @@ from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import NO_PHYSICS, SHAPES, WALLS, Solver, SolverArgumentError, SolverOptions
 from zoo.blood.study import Study, StudyError
 from zoo.core.data import Data
-from zoo.core.forward import Outputs, content_key
+from zoo.core.forward import Outputs, content_key, function_text
 from zoo.core.parameters import Parameter, unpack
 
 Array = NDArray[np.float64]
@@ -136,10 +136,7 @@ class BloodFlow:
 
     def _digest(self) -> str:
         """Of everything that a solution depends on besides theta."""
-        net, code = self.network, getattr(self.stiffness, "__code__", None)
-        law = f"{getattr(self.stiffness, '__qualname__', self.stiffness)}".encode()
-        if code is not None:
-            law += code.co_code + repr((code.co_consts, code.co_names)).encode()
+        net, law = self.network, function_text(self.stiffness)
         words = [self.wall, self.conventions, self.options, net.density, net.viscosity, net.period_s]
         words += [(p.name, p.size) for p in self.parameters]
         words += [(name, value.tolist()) for name, value in sorted(self.fixed.items())]

@@ -319,7 +319,8 @@ class WithEffects:
     @property
     def key(self) -> str:
         """Of the model and the effects' names, locations and functions."""
-        return content_key(self.model.key, *(_effect_text(one) for one in self.added))
+        texts = [_effect_text(one) for one in self.added]
+        return content_key(self.model.key, repr(self._order), *texts)
 
     def configure(self, theta: Array) -> Any:
         """The model's configuration, changed by each effect."""

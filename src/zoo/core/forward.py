@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from types import FunctionType
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -171,12 +172,17 @@ def content_key(*parts: Any) -> str:
 
 
 def function_text(function: Any) -> bytes:
-    """What tells a function from others: its pickle, which holds its code and what it is closed over.
+    """What tells a function from others: its pickle by value, with its code and all that this refers to.
 
     What cannot be pickled is told apart by its address, so that it is equal to itself only.
     """
     import cloudpickle  # type: ignore[import-untyped]
 
+    if isinstance(function, FunctionType):  # one of an importable module would be pickled by its name
+        parts = (function.__code__, function.__globals__, function.__name__, function.__defaults__)
+        copy = FunctionType(*parts, function.__closure__)
+        copy.__kwdefaults__, copy.__module__ = function.__kwdefaults__, "__main__"
+        function = copy
     try:
         return bytes(cloudpickle.dumps(function))
     except Exception:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import uuid
 import weakref
 from collections import Counter, OrderedDict
 from collections.abc import Mapping, Sequence
@@ -73,7 +74,7 @@ class ForwardOp(Op):
 
     The last few points are kept, so PyMC's repeated evaluations of a point cost one solve, and a change of
     hyperparameters none. Copies of an operation (in compiled functions, after unpickling) share these points
-    and the counts.
+    and the counts; another operation never does, even of a forward model with the same key.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ class ForwardOp(Op):
         If there is no parameter or no series.
     """
 
-    __props__ = ("key",)
+    __props__ = ("key", "token")
 
     def __init__(self, model: ForwardModel) -> None:
         if not model.parameters or not model.outputs.series:
@@ -96,11 +97,12 @@ class ForwardOp(Op):
             )
         self.model = model
         self.key = content_key(model.key, model.outputs)
+        self.token = uuid.uuid4().hex
         self._read = np.concatenate([np.full(p.size, not p.hyper) for p in model.parameters])
         self._attach()
 
     def _attach(self) -> None:
-        self._state = _states.setdefault(self.key, _State())
+        self._state = _states.setdefault(self.token, _State())
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()

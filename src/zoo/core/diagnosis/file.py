@@ -36,7 +36,7 @@ class _Amounts(_Part):
     """Some of the fields are amounts in one unit, which ends their names in the file, as `before_mmHg`."""
 
     amounts: ClassVar[tuple[str, ...]] = ()
-    unit: str = Field(default="1", exclude=True)
+    unit: str = "1"
 
     @model_validator(mode="before")
     @classmethod
@@ -44,14 +44,21 @@ class _Amounts(_Part):
         if not isinstance(given, dict):
             return given
         found: dict[str, Any] = {}
+        suffixes: set[str] = set()
         for key, value in given.items():
             names = [a for a in cls.amounts if key.startswith(a + "_")]
             if key in cls.amounts or not names:
                 found[key] = value
                 continue
             name = max(names, key=len)
+            if name in found:
+                raise ValueError(f"{name} is given twice, as {name} and {key}")
             found[name] = value
-            found.setdefault("unit", key[len(name) + 1 :].replace("_", "/"))
+            suffixes.add(key[len(name) :])
+        if len(suffixes) > 1:
+            raise ValueError(f"amounts in {' and '.join(sorted(s[1:] for s in suffixes))}: give one unit")
+        if suffixes and "unit" not in given:
+            found["unit"] = suffixes.pop()[1:].replace("_", "/")
         return found
 
     @model_serializer(mode="wrap")
@@ -229,10 +236,11 @@ class DiagnosisFile(_Part):
         """In the first format the names said mmHg whatever the unit was; the record has it."""
         if isinstance(given, dict) and given.get("format", 1) == 1 and isinstance(given.get("record"), dict):
             unit = given["record"].get("gap_unit")
-            parts = [given.get("gap"), *(given.get("hypotheses") or []), *(given.get("steps") or [])]
-            if unit:
+            lists = [given.get(name) or [] for name in ("hypotheses", "steps")]
+            if unit and all(isinstance(found, list) for found in lists):
+                parts = [given.get("gap"), *lists[0], *lists[1]]
                 renewed = [p | {"unit": unit} if isinstance(p, dict) else p for p in parts]
-                n = len(given.get("hypotheses") or [])
+                n = len(lists[0])
                 given = given | {
                     "gap": renewed[0],
                     "hypotheses": renewed[1 : n + 1],
@@ -266,7 +274,11 @@ def read_diagnosis(path: str | Path) -> DiagnosisFile:
         raise DiagnosisError(
             f"{path}: cannot be read ({error.strerror}); give a file of `zoo diagnose`"
         ) from None
-    except ValidationError as error:
+    except (UnicodeDecodeError, ValueError) as error:
+        if not isinstance(error, ValidationError):
+            raise DiagnosisError(
+                f"{path!s:.200}: cannot be read ({error}); give a file of `zoo diagnose`"
+            ) from None
         first = error.errors()[0]
         where = ".".join(str(x) for x in first["loc"]) or "the file"
         raise DiagnosisError(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from zoo.core.data import Data
 from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, Location, with_effects
-from zoo.core.errors.spectral import Spectral
+from zoo.core.errors.spectral import LogNormal, Spectral
 from zoo.core.forward import ForwardModel, Outputs, SolveError
 from zoo.core.parameters import LogUniform, Normal, Parameter, log_normal_mass, start_of, unpack
 
@@ -64,11 +64,11 @@ class Coordinate:
 
 
 def coordinates(parameters: Sequence[Parameter]) -> tuple[Coordinate, ...]:
-    """A coordinate for each number in parameters; positive and log-uniform ones are logarithms."""
+    """A coordinate for each number in parameters; positive ones with such a prior are logarithms."""
     found = []
     for p in parameters:
         low, high = p.prior.support
-        log = p.log or isinstance(p.prior, LogUniform) or (low >= 0.0 and math.isinf(high))
+        log = p.log or isinstance(p.prior, LogUniform | LogNormal) or (low >= 0.0 and math.isinf(high))
         for i in range(p.size):
             name = f"{p.name}[{i}]" if p.dims else p.name
             found.append(Coordinate(name, p.unit, p, low, high, log))

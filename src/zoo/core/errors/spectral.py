@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel, ErrorModelError
-from zoo.core.parameters import Normal, Parameter, Prior, variable_name
+from zoo.core.parameters import Normal, Parameter, Prior, log_normal_mass, variable_name
 
 Array = NDArray[np.float64]
 
@@ -85,10 +85,28 @@ class LogNormal(Prior):
         """Its two bounds."""
         return self.low, self.high
 
+    @property
+    def _limits(self) -> tuple[float, float]:
+        """Bounds of (log x - log centre)/spread."""
+        low = math.log(self.low / self.centre) / self.spread if self.low > 0 else -math.inf
+        return low, math.log(self.high / self.centre) / self.spread
+
     def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
-        """Without the constant of the truncation."""
+        """Sum of -z^2/2 - log x - log(spread sqrt(2 pi)) - log(mass inside the bounds)."""
         z = np.log(np.asarray(x) / self.centre) / self.spread
-        return float(np.sum(-0.5 * z * z - np.log(x) - math.log(self.spread * math.sqrt(2.0 * math.pi))))
+        size = math.log(self.spread * math.sqrt(2.0 * math.pi)) + float(log_normal_mass(*self._limits))
+        return float(np.sum(-0.5 * z * z - np.log(x) - size))
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """-(1 + z/spread)/x and (1/spread^2 - 1 - z/spread)/x^2."""
+        x = np.asarray(x, dtype=np.float64)
+        z = np.log(x / self.centre) / self.spread
+        return -(1.0 + z / self.spread) / x, (1.0 / self.spread**2 - 1.0 - z / self.spread) / x**2
+
+    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
+        """Exponentials of truncated normal draws."""
+        z = Normal(0.0, 1.0, *self._limits).draw(rng, size, {})
+        return np.asarray(self.centre * np.exp(self.spread * z))
 
     def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
         """``pm.LogNormal``, truncated where there are bounds."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import sys
 from dataclasses import asdict, dataclass, field, fields
 from importlib import metadata
 from pathlib import Path
@@ -34,11 +35,8 @@ def versions() -> dict[str, str]:
 
 
 def _version(name: str) -> str:
-    if name == "zoo":
-        import zoo
-
-        if hasattr(zoo, "__version__"):
-            return str(zoo.__version__)
+    if name == "zoo" and hasattr(sys.modules["zoo"], "__version__"):
+        return str(sys.modules["zoo"].__version__)
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
