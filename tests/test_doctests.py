@@ -8,9 +8,8 @@ import pytest
 
 import zoo
 
-MODULES = [
-    m.name for m in pkgutil.walk_packages(zoo.__path__, "zoo.") if not m.name.startswith("zoo._native")
-]
+WALKED = pkgutil.walk_packages(zoo.__path__, "zoo.")
+MODULES = [m.name for m in WALKED if m.name != "zoo._native" and not m.name.endswith("__main__")]
 
 
 @pytest.mark.parametrize("name", MODULES)

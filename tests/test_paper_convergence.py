@@ -43,3 +43,10 @@ def test_mpsrf_of_one_scalar_is_the_classical_factor_and_bounds_those_of_many():
     assert both >= classical
     assert mpsrf({"y": rng.normal(size=(4, 5000, 3))}) == pytest.approx(1, abs=0.01)
     assert np.isnan(mpsrf({"x": x[:1]}))
+
+
+def test_chains_that_stand_still_have_no_scale_reduction() -> None:
+    """Fewer different draws than dimensions: the covariance within the chains is singular."""
+    still = np.random.default_rng(3).standard_normal((2, 4, 1))
+    draws = {name: np.repeat(values, 10, axis=1) for name, values in zip("ab", still, strict=True)}
+    assert mpsrf(draws) == np.inf

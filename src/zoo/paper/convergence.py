@@ -88,7 +88,11 @@ def mpsrf(draws: Mapping[str, np.ndarray]) -> float:
     m, n, d = x.shape
     within = np.mean([np.cov(chain.T).reshape(d, d) for chain in x], axis=0)
     between = np.cov(x.mean(axis=1).T).reshape(d, d)
-    return float((n - 1) / n + (m + 1) / m * eigh(between, within, eigvals_only=True)[-1])
+    try:
+        largest = eigh(between, within, eigvals_only=True)[-1]
+    except np.linalg.LinAlgError:  # chains that hardly moved have no covariance within
+        return np.inf
+    return float((n - 1) / n + (m + 1) / m * largest)
 
 
 def paper_tests(draws: Mapping[str, np.ndarray]) -> dict[str, Any]:
