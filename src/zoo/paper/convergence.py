@@ -88,11 +88,9 @@ def mpsrf(draws: Mapping[str, np.ndarray]) -> float:
     m, n, d = x.shape
     within = np.mean([np.cov(chain.T).reshape(d, d) for chain in x], axis=0)
     between = np.cov(x.mean(axis=1).T).reshape(d, d)
-    try:
-        largest = eigh(between, within, eigvals_only=True)[-1]
-    except np.linalg.LinAlgError:  # chains that hardly moved have no covariance within
+    if np.linalg.matrix_rank(within) < d:  # chains that hardly moved
         return np.inf
-    return float((n - 1) / n + (m + 1) / m * largest)
+    return float((n - 1) / n + (m + 1) / m * eigh(between, within, eigvals_only=True)[-1])
 
 
 def paper_tests(draws: Mapping[str, np.ndarray]) -> dict[str, Any]:
