@@ -46,7 +46,7 @@ class Conventions:
     sample_lag_beats : float
         The model is compared with a sample this part of a beat after the sample's time. The published
         program writes row k after step 16 (k + 1) of 8192, so row k is 1/512 of a beat later than sample k of
-        512; pairs of 1024 samples lie 0.25/512 after k/512, which leaves 0.75/512. Docs: conventions.
+        512, which it is compared with. Docs: conventions.
 
     Raises
     ------
@@ -145,7 +145,7 @@ _VALUES: dict[str, dict[str, Any]] = {
         "friction_radius_cm": 0.07,
         "truncate_lengths": True,
         "mmhg": 1332.22,
-        "sample_lag_beats": 0.75 / 512,
+        "sample_lag_beats": 1 / 512,
     },
 }
 

@@ -9,7 +9,7 @@ import difflib
 import logging
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ class FetchError(RuntimeError):
 
 @dataclass(frozen=True)
 class Dataset:
-    """Files of one public source.
+    """Files of public sources.
 
     Parameters
     ----------
@@ -31,15 +31,27 @@ class Dataset:
         Address of the folder, ending in a slash.
     sha256 : dict of str to str
         File name -> digest.
+    elsewhere : dict of str to str
+        File name -> address of its folder, where that is another.
     """
 
     url: str
     sha256: dict[str, str]
+    elsewhere: dict[str, str] = field(default_factory=dict)
+
+    def folder_of(self, file: str) -> str:
+        """Address of the folder that holds a file."""
+        return self.elsewhere.get(file, self.url)
+
+
+_VASODILATION = (
+    "https://raw.githubusercontent.com/mjcolebank/1D_Vasodilation/d971758aa5ea28bce6f02bfff9a96775d2df7f67/"
+)
 
 
 DATASETS = {
     # Main pulmonary artery of a control mouse: inflow (ml/s, 8192 steps of one beat and its first value
-    # again) and pressure (mmHg, 1024 samples of one beat).
+    # again) and pressure (mmHg, 1024 samples of one beat, and the 512 that were fitted by Paun et al. 2020).
     # Qureshi et al. 2018, doi 10.1007/s10237-018-1078-8.
     "mouse-c6": Dataset(
         url=(
@@ -49,6 +61,16 @@ DATASETS = {
         sha256={
             "qC6_8192.dat": "30584fce8d54af56e733bc78894c54e4686ac46ca12cb4a78b3d0b43c23f0020",
             "pC6_1024.dat": "a6e7878d32390ff4fd62356507754b91ea18fd28922b6489903caf9b42056d94",
+            "pC6_512.dat": "d77222438c9353ed043067aa8ecc389518026a455697ea8e70c80b9a0807db72",
+        },
+        elsewhere={"pC6_512.dat": _VASODILATION},
+    ),
+    # The same of a hypoxic mouse, with pulmonary hypertension. Qureshi et al. 2018.
+    "mouse-h1": Dataset(
+        url=_VASODILATION,
+        sha256={
+            "qH1_8192.dat": "a87ffcd71ffddeba8a68831a175146bda672cfb60fc517900a39d15b1e207b23",
+            "pH1_1024.dat": "63b3533d95fc2dcba8e5b37ebe003bcc31bc0099626dc1eefb97e34e8151e8d2",
         },
     ),
     # Cascaded tanks: pump voltage and water level (V, every 4 s), an estimation and a test record of 1024
@@ -161,7 +183,8 @@ def fetch_file(name: str, *, progress: bool | None = None) -> Path:
 
     pooch.get_logger().setLevel(logging.WARNING)
     registry = {known: f"sha256:{digest}" for known, digest in source.sha256.items()}
-    cache = pooch.create(Path(pooch.os_cache("zoo")) / dataset, source.url, registry=registry)
+    urls = {known: f"{folder}{known}" for known, folder in source.elsewhere.items()}
+    cache = pooch.create(Path(pooch.os_cache("zoo")) / dataset, source.url, registry=registry, urls=urls)
     try:
         return Path(cache.fetch(file, downloader=download))
     except (OSError, ValueError) as error:  # requests' errors are OSErrors, a wrong digest is a ValueError
@@ -169,7 +192,7 @@ def fetch_file(name: str, *, progress: bool | None = None) -> Path:
         folder = os.environ.get(DATA_DIR_VARIABLE)
         state = f"{folder} does not hold it" if folder else "it is not set"
         raise FetchError(
-            f"{name}: cannot be downloaded from {source.url}{file} ({reason}); set {DATA_DIR_VARIABLE} to a "
+            f"{name}: cannot be downloaded from {source.folder_of(file)}{file} ({reason}); set {DATA_DIR_VARIABLE} to a "
             f"folder that holds {name} ({state}), or try again when online"
         ) from error
 
