@@ -35,7 +35,7 @@ def test_the_two_bundles_differ_in_what_the_published_code_does() -> None:
     assert PUBLISHED_CODE.stiffness_radius_unit_cm == 0.1
     assert (PUBLISHED_CODE.friction, PUBLISHED_CODE.friction_radius_cm) == ("fixed", 0.07)
     assert PUBLISHED_CODE.truncate_lengths is True
-    assert (PRINTED.sample_lag_beats, PUBLISHED_CODE.sample_lag_beats) == (0.0, 0.75 / 512)
+    assert (PRINTED.sample_lag_beats, PUBLISHED_CODE.sample_lag_beats) == (0.0, 1 / 512)
     assert PRINTED.truncate_lengths is False
     assert not PRINTED.changes
     assert not PUBLISHED_CODE.changes

@@ -192,8 +192,8 @@ def fetch_file(name: str, *, progress: bool | None = None) -> Path:
         folder = os.environ.get(DATA_DIR_VARIABLE)
         state = f"{folder} does not hold it" if folder else "it is not set"
         raise FetchError(
-            f"{name}: cannot be downloaded from {source.folder_of(file)}{file} ({reason}); set {DATA_DIR_VARIABLE} to a "
-            f"folder that holds {name} ({state}), or try again when online"
+            f"{name}: cannot be downloaded from {source.folder_of(file)}{file} ({reason}); set "
+            f"{DATA_DIR_VARIABLE} to a folder that holds {name} ({state}), or try again when online"
         ) from error
 
 

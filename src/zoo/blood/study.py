@@ -154,7 +154,7 @@ class Series(ReadOnlyArrays):
 class Study(ReadOnlyArrays):
     """A vessel tree, its inflow and its observations; frozen, with read-only arrays.
 
-    Two studies are equal when their name, conventions and checksum are.
+    Two studies are equal when their name, conventions, checksum and tables are.
 
     Parameters
     ----------
@@ -172,9 +172,15 @@ class Study(ReadOnlyArrays):
     conventions : Conventions
     source : Path or str
         Where it came from.
+    priors : mapping
+        The table [priors] of study.toml, as it stands there.
+    noise_sd : mapping of str to float
+        Known standard deviations of the measurement noise: quantity, or label of a series -> its unit.
+    numerics : mapping
+        The table [numerics], as it stands there.
     checksum : str
-        SHA-256 over everything but the names, the conventions and the source. It is always computed: a
-        value handed in is not read.
+        SHA-256 over everything but the names, the conventions, the source and these three tables. It is
+        always computed: a value handed in is not read.
 
     Raises
     ------
@@ -192,6 +198,9 @@ class Study(ReadOnlyArrays):
     series: tuple[Series, ...]
     conventions: Conventions = PRINTED
     source: Path | str = ""
+    priors: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    noise_sd: Mapping[str, float] = field(default_factory=dict, repr=False)
+    numerics: Mapping[str, Any] = field(default_factory=dict, repr=False)
     checksum: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
@@ -227,8 +236,9 @@ class Study(ReadOnlyArrays):
         """All series, shape (n_series, n_times), each in its own unit."""
         return np.array([s.value for s in self.series]).reshape(len(self.series), len(self.time_s))
 
-    def _identity(self) -> tuple[str, Conventions, str]:
-        return self.name, self.conventions, self.checksum
+    def _identity(self) -> tuple[str, Conventions, str, str]:
+        tables = json.dumps([dict(self.priors), dict(self.noise_sd), dict(self.numerics)], sort_keys=True)
+        return self.name, self.conventions, self.checksum, tables
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Study) and self._identity() == other._identity()
@@ -252,6 +262,9 @@ class _StudyTable(_Table):
     observations: Any = None
     period_s: float = Field(gt=0)
     conventions: Any = "printed"
+    priors: dict[str, Any] = Field(default_factory=dict)
+    noise_sd: dict[str, float] = Field(default_factory=dict)
+    numerics: dict[str, Any] = Field(default_factory=dict)
 
 
 class _FetchedInflow(_Table):
@@ -817,7 +830,21 @@ def load_study(
         series=series,
         conventions=chosen,
         source=source,
+        priors=table.priors,
+        noise_sd=_checked_noise(where, table.noise_sd, series),
+        numerics=table.numerics,
     )
+
+
+def _checked_noise(where: str, noise_sd: Mapping[str, float], series: Sequence[Series]) -> dict[str, float]:
+    """Standard deviations by quantity or series, positive, of series that there are."""
+    known = [*QUANTITIES, *(s.label for s in series)]
+    for name, value in noise_sd.items():
+        if name not in known:
+            raise StudyError(f"{where}: noise_sd: {name!r}: unknown; {_near(name, known)}")
+        if not value > 0:
+            raise StudyError(f"{where}: noise_sd: {name} = {value!r}: must be positive; correct it")
+    return {name: float(value) for name, value in noise_sd.items()}
 
 
 def root_pressure(vessels: Sequence[Vessel], series: Sequence[Series]) -> Series | None:
@@ -850,7 +877,17 @@ def _quoted(text: str) -> str:
 def _value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(name)} = {_value(inner)}" for name, inner in value.items()) + " }"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    if isinstance(value, int):
+        return repr(value)
     return _quoted(value) if isinstance(value, str) else repr(float(value))
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
 
 
 def _vessel_lines(vessel: Vessel) -> list[str]:
@@ -889,6 +926,14 @@ def save_study(study: Study, folder: str | Path) -> None:
     changes = "".join(f", {name} = {_value(value)}" for name, value in own.changes.items())
     named = f"{{ base = {_quoted(own.base)}{changes} }}" if changes else _quoted(own.name)
     lines.append(f"conventions = {named}")
+    for heading in ("priors", "noise_sd", "numerics"):
+        table = getattr(study, heading)
+        if table:
+            lines += [
+                "",
+                f"[{heading}]",
+                *(f"{_key(name)} = {_value(value)}" for name, value in table.items()),
+            ]
     write("study.toml", lines)
 
     blood = [f"{name} = {_value(value)}" for name, value in vars(study.blood).items()]
