@@ -153,7 +153,8 @@ def test_a_cache_that_cannot_be_written(server: Server, tmp_path: Path) -> None:
 def test_unknown_names() -> None:
     fails(
         "mouse_c6/pC6_1024.dat",
-        r"data set 'mouse_c6': unknown; did you mean 'mouse-c6'\? there is mouse-c6, mouse-h1, cascaded-tanks",
+        r"data set 'mouse_c6': unknown; did you mean 'mouse-c6'\? "
+        "there is mouse-c6, mouse-h1, cascaded-tanks",
     )
     fails(
         "mouse-c6/p.dat",
