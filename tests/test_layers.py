@@ -49,7 +49,7 @@ def test_every_contract_is_kept(package: Path) -> None:
         ("core/inference/record.py", "from zoo.core.posterior import storage", "core-rooms"),
         ("core/weather.py", "", "core-rooms"),  # a module without a place
         ("blood/units.py", "def f():\n    from zoo.blood.solver import Solver", "blood-rooms"),
-        ("blood/study.py", "from zoo.models import model_a", "models"),
+        ("blood/study/study.py", "from zoo.models import model_a", "models"),
         ("models/model_a.py", "from zoo.report import page", "house"),
         ("plots/style.py", "from zoo.paper import coverage", "house"),
         ("models/model_a.py", "from zoo.cli import app", "cli"),
@@ -137,7 +137,7 @@ def test_import_is_cheap() -> None:
         "print(sorted(heavy & set(sys.modules)), model_A.__name__, load_study.__module__)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[] model_A zoo.blood.study"
+    assert done.stdout.strip() == "[] model_A zoo.blood.study.loading"
 
 
 def test_every_export_exists() -> None:

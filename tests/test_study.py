@@ -565,7 +565,7 @@ def test_names_and_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_built_in_copy_reads_the_same_checks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fetched columns: numbers of one file, averaged in groups that must fit."""
     column = tmp_path / "column.dat"
-    monkeypatch.setattr(zoo.blood.study, "fetch_file", lambda name: column)
+    monkeypatch.setattr(zoo.blood.study.samples, "fetch_file", lambda name: column)
     content = files()
     swap(TOP, '"inflow.csv"', '{ fetch = "set/q.dat" }')(content)
     table = '{ fetch = "set/p.dat", vessel = 1, position = 0.5, quantity = "flow_ml_s", average = 2 }'

@@ -1,0 +1,43 @@
+"""Studies: a vessel tree, its inflow over one beat, and what was observed, as a folder of four files.
+
+``study.toml`` names the others: ``network.toml`` (blood and vessels), ``inflow.csv`` and
+``observations.csv``. Everything is checked when it is loaded, and an error says in one line which file,
+row and field is wrong, what it holds, and what to do.
+"""
+
+from zoo.blood.study.loading import list_studies, load_study, root_pressure
+from zoo.blood.study.parts import (
+    QUANTITIES,
+    Blood,
+    ReadOnlyArrays,
+    Series,
+    StudyError,
+    Vessel,
+    Windkessel,
+    read_only,
+)
+from zoo.blood.study.samples import INFLOW_COLUMNS, MIN_SAMPLES, OBSERVATION_COLUMNS
+from zoo.blood.study.saving import save_study
+from zoo.blood.study.study import Study
+from zoo.blood.study.tree import read_network, sort_vessels
+
+__all__ = [
+    "INFLOW_COLUMNS",
+    "MIN_SAMPLES",
+    "OBSERVATION_COLUMNS",
+    "QUANTITIES",
+    "Blood",
+    "ReadOnlyArrays",
+    "Series",
+    "Study",
+    "StudyError",
+    "Vessel",
+    "Windkessel",
+    "list_studies",
+    "load_study",
+    "read_network",
+    "read_only",
+    "root_pressure",
+    "save_study",
+    "sort_vessels",
+]

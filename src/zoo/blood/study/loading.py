@@ -1,0 +1,179 @@
+"""A study from its folder, or from those that come with the package."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zoo.blood.conventions import Conventions, ConventionsError, get_conventions
+from zoo.blood.study.parts import QUANTITIES, Array, Series, StudyError, Vessel
+from zoo.blood.study.samples import (
+    fetched_inflow,
+    fetched_observations,
+    read_inflow,
+    read_observations,
+)
+from zoo.blood.study.study import Study
+from zoo.blood.study.tables import (
+    FetchedInflowTable,
+    FetchedObservationsTable,
+    StudyTable,
+    near,
+    read_toml,
+    short,
+    validated,
+    visible_name,
+)
+from zoo.blood.study.tree import read_network_places
+
+_BUILT_IN = Path(__file__).parents[2] / "data"
+
+
+def list_studies() -> tuple[str, ...]:
+    """Names of the studies that come with the package."""
+    return tuple(sorted(path.parent.name for path in _BUILT_IN.glob("*/study.toml")))
+
+
+def _find(name_or_folder: str | Path) -> tuple[Path, Path | str]:
+    """Folder of a study, and what to call it."""
+    folder = Path(name_or_folder)
+    folder = folder.parent if folder.name == "study.toml" else folder
+    here = (folder / "study.toml").is_file()
+    if isinstance(name_or_folder, str) and name_or_folder in list_studies():
+        built_in = _BUILT_IN / name_or_folder
+        if here and folder.resolve() != built_in.resolve():
+            raise StudyError(
+                f"{name_or_folder}: both a built-in study and a folder here; write ./{name_or_folder} for "
+                "the folder, or work in another one"
+            )
+        return built_in, f"built-in study {name_or_folder}"
+    if here:
+        return folder, folder
+    if folder.is_dir():
+        raise StudyError(f"{folder}: no study.toml in this folder; add one")
+    known = list_studies()
+    raise StudyError(
+        f"{name_or_folder}: neither a folder with a study.toml nor a built-in study; "
+        f"{near(name_or_folder, known)}"
+    )
+
+
+def _file(where: str, folder: Path, name: str, value: Any) -> Path:
+    if not isinstance(value, str):
+        raise StudyError(f"{where}: {name} = {short(value)}: must be a file name; write it in quotes")
+    path = folder / value
+    if not path.is_file():
+        raise StudyError(f"{where}: {name} = {value!r}: no such file in {folder}; add it or correct the name")
+    return path
+
+
+def load_study(
+    name_or_folder: str | Path, conventions: str | Mapping[str, Any] | Conventions | None = None
+) -> Study:
+    """Load and check a study.
+
+    Parameters
+    ----------
+    name_or_folder : str or Path
+        A built-in name (see `list_studies`), or a folder with a ``study.toml``.
+    conventions : str, mapping or Conventions
+        Instead of the study's own; as in `zoo.blood.conventions.get_conventions`.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    StudyError
+        If anything in it is wrong: one line with the file, row, field, value and remedy.
+    zoo.blood.fetch.FetchError
+        If it is made of measured data that cannot be had.
+    zoo.blood.conventions.ConventionsError
+        If `conventions` do not exist.
+    """
+    folder, source = _find(name_or_folder)
+    path = folder / "study.toml"
+    table = validated(StudyTable, read_toml(path)[0], str(path))
+    where = str(path)
+    name = visible_name(where, table.name)
+    try:
+        own = get_conventions(table.conventions)
+    except ConventionsError as error:
+        raise StudyError(f"{where}: {error}") from None
+    chosen = own if conventions is None else get_conventions(conventions)
+
+    network = _file(where, folder, "network", table.network)
+    blood, vessels, places = read_network_places(network)
+    known = [v.id for v in vessels]
+
+    if isinstance(table.inflow, dict):
+        fetched = validated(FetchedInflowTable, table.inflow, f"{where}: inflow")
+        inflow_time, inflow = fetched_inflow(fetched, table.period_s)
+    else:
+        inflow_path = _file(where, folder, "inflow", table.inflow)
+        inflow_time, inflow = read_inflow(inflow_path, table.period_s)
+    if not inflow.mean() > 0:
+        raise StudyError(
+            f"{where}: inflow = {short(table.inflow)}: mean flow_ml_s = {inflow.mean():.6g}: must be "
+            "positive; count flow into the root as positive"
+        )
+
+    time: Array = np.empty(0)
+    series: tuple[Series, ...] = ()
+    if isinstance(table.observations, dict):
+        observed = validated(FetchedObservationsTable, table.observations, f"{where}: observations")
+        time, series = fetched_observations(f"{where}: observations", observed, table.period_s, known)
+    elif table.observations is not None:
+        observations_path = _file(where, folder, "observations", table.observations)
+        time, series = read_observations(observations_path, table.period_s, known)
+
+    _check_terminals(vessels, places, series)
+    return Study(
+        name=name,
+        period_s=table.period_s,
+        blood=blood,
+        vessels=vessels,
+        inflow_time_s=inflow_time,
+        inflow_ml_s=inflow,
+        time_s=time,
+        series=series,
+        conventions=chosen,
+        source=source,
+        priors=table.priors,
+        noise_sd=_checked_noise(where, table.noise_sd, series),
+        numerics=table.numerics,
+    )
+
+
+def _checked_noise(where: str, noise_sd: Mapping[str, float], series: Sequence[Series]) -> dict[str, float]:
+    """Standard deviations by quantity or series, positive, of series that there are."""
+    known = [*QUANTITIES, *(s.label for s in series)]
+    for name, value in noise_sd.items():
+        if name not in known:
+            raise StudyError(f"{where}: noise_sd: {name!r}: unknown; {near(name, known)}")
+        if not value > 0:
+            raise StudyError(f"{where}: noise_sd: {name} = {value!r}: must be positive; correct it")
+    return {name: float(value) for name, value in noise_sd.items()}
+
+
+def root_pressure(vessels: Sequence[Vessel], series: Sequence[Series]) -> Series | None:
+    """The observed pressure nearest to the inlet of the root, from which nominal loads can be derived."""
+    root = next(v.id for v in vessels if v.parent is None)
+    found = [s for s in series if s.vessel == root and s.quantity == "pressure_mmHg"]
+    return min(found, key=lambda s: s.position, default=None)
+
+
+def _check_terminals(vessels: Sequence[Vessel], places: Sequence[str], series: Sequence[Series]) -> None:
+    feeding = {v.parent for v in vessels}
+    root = next(v.id for v in vessels if v.parent is None)
+    for vessel, place in zip(vessels, places, strict=True):
+        if vessel.id in feeding or vessel.windkessel or root_pressure(vessels, series):
+            continue
+        raise StudyError(
+            f"{place}: windkessel: is missing at a terminal, and cannot be derived without an observed "
+            f"pressure_mmHg in the root (vessel {root}); add windkessel = {{ R1, R2, C }} in cgs"
+        )

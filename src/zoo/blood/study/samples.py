@@ -1,0 +1,247 @@
+"""Samples of a cardiac cycle: inflow and observations, from CSV and from fetched files."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from zoo.blood.fetch import fetch_file
+from zoo.blood.study.parts import QUANTITIES, Array, Series, StudyError
+from zoo.blood.study.tables import FetchedInflowTable, FetchedObservationsTable, near, read_text
+
+INFLOW_COLUMNS = ("time_s", "flow_ml_s")
+OBSERVATION_COLUMNS = ("vessel", "position", "quantity", "time_s", "value")
+MIN_SAMPLES = 16
+"""Fewest samples of a beat, in the inflow and in every observed series."""
+
+
+_STEP_TOLERANCE = 0.02  # of a step: how far two neighbouring samples may be from the usual distance
+_GRID_TOLERANCE = 0.1  # of a step: how far a sample may be from its place on the uniform grid
+_PERIOD_TOLERANCE = 0.05  # of a step: how far the samples' length may be from the period
+_TIME_ROUNDING_S = 2e-8  # two times printed with 8 decimals
+
+
+def number(where: str, name: str, text: str) -> float:
+    try:
+        value = float(text) if "_" not in text else None
+    except ValueError:
+        value = None
+    if value is None:
+        raise StudyError(f"{where}: {name} = {text!r}: not a number; correct it")
+    if not math.isfinite(value):
+        raise StudyError(f"{where}: {name} = {text!r}: must be finite; interpolate it or cut the series")
+    return value
+
+
+def _read_csv(path: Path, columns: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
+    """Rows as (row number, cells by column); row 1 is the header, blank rows are left out."""
+    reader = csv.reader(read_text(path).splitlines(), strict=True)
+    try:
+        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except csv.Error as error:
+        raise StudyError(f"{path}, row {reader.line_num}: {error}; correct that row") from None
+    lines = [(row, cells) for row, cells in rows if any(cells)]
+    if not lines:
+        raise StudyError(f"{path}: the file is empty; its first row is {','.join(columns)}")
+    row, header = lines[0]
+    for name in header:
+        if name not in columns:
+            raise StudyError(f"{path}, row {row}: {name!r}: unknown column; {near(name, columns)}")
+        if header.count(name) > 1:
+            raise StudyError(f"{path}, row {row}: {name!r}: the column occurs twice; keep one")
+    for name in columns:
+        if name not in header:
+            raise StudyError(f"{path}, row {row}: {name}: column missing; add it to {','.join(header)}")
+    for row, cells in lines[1:]:
+        if len(cells) != len(header):
+            raise StudyError(
+                f"{path}, row {row}: {len(cells)} cells where the header has {len(header)}; "
+                f"give {','.join(header)}"
+            )
+    return [(row, dict(zip(header, cells, strict=True))) for row, cells in lines[1:]]
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Samples of one series before they are on the grid, and the rows they came from."""
+
+    path: Path | str
+    label: str
+    rows: Sequence[int]
+    times: Array
+    values: Array
+    unit: str
+
+    def fail(self, i: int, name: str, value: float, reason: str) -> NoReturn:
+        raise StudyError(f"{self.path}, row {self.rows[i]}: {name} = {value:.10g}: {self.label}: {reason}")
+
+
+def _uniform(samples: _Samples, period: float, *, from_zero: bool) -> tuple[Array, Array]:
+    """Times and values on the uniform grid of one period that the samples are on.
+
+    Times t0 + m period/n replace the printed ones, which may be rounded; a last sample that repeats the first
+    one a period later is dropped.
+    """
+    if len(samples.times) < MIN_SAMPLES:
+        raise StudyError(
+            f"{samples.path}: {samples.label}: {len(samples.times)} samples: too few for a beat; "
+            f"give at least {MIN_SAMPLES}"
+        )
+    order = np.argsort(samples.times, kind="stable")
+    s = _Samples(
+        samples.path,
+        samples.label,
+        [samples.rows[i] for i in order],
+        samples.times[order],
+        samples.values[order],
+        samples.unit,
+    )
+    times, values = s.times, s.values
+    gaps = np.diff(times)
+    if np.any(gaps == 0):
+        i = int(np.argmax(gaps == 0))
+        s.fail(
+            i + 1, "time_s", times[i + 1], f"a second sample at this time, beside row {s.rows[i]}; keep one"
+        )
+    step = float(np.median(gaps))
+    uneven = np.abs(gaps - step) > _STEP_TOLERANCE * step + _TIME_ROUNDING_S
+    if np.any(uneven):
+        i = int(np.argmax(uneven))
+        s.fail(
+            i + 1,
+            "time_s",
+            times[i + 1],
+            f"{gaps[i]:.6g} s after the sample before, where others are {step:.6g} s apart; "
+            "resample to a uniform grid",
+        )
+    if abs(times[-1] - times[0] - period) <= _GRID_TOLERANCE * step:
+        if abs(values[-1] - values[0]) > 1e-9 * np.ptp(values):
+            s.fail(
+                len(times) - 1,
+                s.unit,
+                values[-1],
+                f"a period_s = {period:.10g} after the first sample ({values[0]:.10g}), so it must repeat "
+                "that one; remove this row, or correct period_s",
+            )
+        times, values = times[:-1], values[:-1]
+    n = len(times)
+    step = float(times[-1] - times[0]) / (n - 1)
+    if abs(n * step - period) > _PERIOD_TOLERANCE * step:
+        raise StudyError(
+            f"{s.path}, row {s.rows[n - 1]}: time_s = {times[-1]:.10g}: {s.label}: {n} samples {step:.6g} s "
+            f"apart make a beat of {n * step:.8g} s, but period_s = {period:.10g} in study.toml; correct "
+            "period_s, or resample to one whole period"
+        )
+    if times[0] < 0:
+        s.fail(0, "time_s", times[0], "before the beat; count from its start")
+    if times[0] > (1 - _GRID_TOLERANCE) * step:
+        s.fail(n - 1, "time_s", times[-1], "past the period, as the series begins late; begin at time 0")
+    if from_zero and times[0] > _PERIOD_TOLERANCE * step:
+        s.fail(0, "time_s", times[0], "the inflow must begin at time 0; shift or resample it")
+    start = 0.0 if from_zero else float(times[0])
+    grid = np.asarray(start + np.arange(n) * (period / n), dtype=np.float64)
+    off = np.abs(times - grid)
+    if np.any(off > _GRID_TOLERANCE * step):
+        i = int(np.argmax(off))
+        s.fail(i, "time_s", times[i], f"{off[i]:.3g} s from its place on a uniform grid; resample to one")
+    return grid, values
+
+
+def read_inflow(path: Path, period: float) -> tuple[Array, Array]:
+    table = _read_csv(path, INFLOW_COLUMNS)
+    numbers = np.array(
+        [[number(f"{path}, row {row}", c, cells[c]) for c in INFLOW_COLUMNS] for row, cells in table]
+    ).reshape(-1, 2)
+    samples = _Samples(path, "inflow", [row for row, _ in table], numbers[:, 0], numbers[:, 1], "flow_ml_s")
+    return _uniform(samples, period, from_zero=True)
+
+
+def _check_place(where: str, vessel: int, position: float, quantity: str, known: Sequence[int]) -> None:
+    if vessel not in known:
+        raise StudyError(
+            f"{where}: vessel = {vessel}: not in the network; use one of {', '.join(map(str, sorted(known)))}"
+        )
+    if not 0 <= position <= 1:
+        raise StudyError(
+            f"{where}: position = {position!r}: must be in [0, 1]; give the fraction of the vessel's length"
+        )
+    if quantity not in QUANTITIES:
+        raise StudyError(f"{where}: quantity = {quantity!r}: unknown; {near(quantity, QUANTITIES)}")
+
+
+def read_observations(path: Path, period: float, known: Sequence[int]) -> tuple[Array, tuple[Series, ...]]:
+    groups: dict[tuple[int, float, str], list[tuple[int, float, float]]] = {}
+    for row, cells in _read_csv(path, OBSERVATION_COLUMNS):
+        where = f"{path}, row {row}"
+        if not re.fullmatch(r"[+-]?\d{1,10}", cells["vessel"]):
+            raise StudyError(f"{where}: vessel = {cells['vessel']!r}: not a whole number; use a vessel's id")
+        place = int(cells["vessel"]), number(where, "position", cells["position"]) + 0.0, cells["quantity"]
+        if place not in groups:
+            _check_place(where, *place, known)
+        time, value = (number(where, name, cells[name]) for name in ("time_s", "value"))
+        if cells["quantity"] == "area_cm2" and value <= 0:
+            raise StudyError(f"{where}: value = {value!r}: an area_cm2 must be positive; correct it")
+        groups.setdefault(place, []).append((row, time, value))
+    if not groups:
+        raise StudyError(f"{path}: no samples; add some, or remove observations from study.toml")
+
+    series: list[Series] = []
+    grid = np.empty(0)
+    for place, samples in groups.items():
+        rows = [row for row, _, _ in samples]
+        times, values = np.array([sample[1:] for sample in samples]).T
+        label = Series(*place, np.empty(0)).label
+        own, on_grid = _uniform(_Samples(path, label, rows, times, values, "value"), period, from_zero=False)
+        if not series:
+            grid = own
+        elif len(own) != len(grid) or np.max(np.abs(own - grid)) > _PERIOD_TOLERANCE * period / len(grid):
+            raise StudyError(
+                f"{path}, row {rows[0]}: time_s = {times[0]:.10g}: {label}: {len(own)} samples from "
+                f"{own[0]:.6g} s, but {series[0].label} has {len(grid)} from {grid[0]:.6g} s; "
+                "resample all series to the same times"
+            )
+        series.append(Series(*place, on_grid))
+    return grid, tuple(series)
+
+
+def _column(path: Path) -> Array:
+    """Numbers of a file with one in each row."""
+    lines = [(row, line.strip()) for row, line in enumerate(read_text(path).split("\n"), 1)]
+    return np.array([number(f"{path}, row {row}", "value", line) for row, line in lines if line])
+
+
+def fetched_inflow(table: FetchedInflowTable, period: float) -> tuple[Array, Array]:
+    """Column of flows, the first one repeated at the end."""
+    path = fetch_file(table.fetch)
+    flow = _column(path)
+    times = np.arange(len(flow)) * period / max(1, len(flow) - 1)
+    return _uniform(
+        _Samples(path, "inflow", range(1, len(flow) + 1), times, flow, "value"), period, from_zero=True
+    )
+
+
+def fetched_observations(
+    where: str, table: FetchedObservationsTable, period: float, known: Sequence[int]
+) -> tuple[Array, tuple[Series, ...]]:
+    """Column of samples of a beat; `average` neighbours become their mean, at their mean time."""
+    _check_place(where, table.vessel, table.position, table.quantity, known)
+    path = fetch_file(table.fetch)
+    raw = _column(path)
+    if len(raw) % table.average:
+        raise StudyError(
+            f"{where}: average = {table.average}: does not divide the {len(raw)} samples of {table.fetch}; "
+            "use a divisor"
+        )
+    times = np.arange(len(raw)) * period / len(raw)
+    times, values = (a.reshape(-1, table.average).mean(axis=1) for a in (times, raw))
+    series = Series(table.vessel, table.position + 0.0, table.quantity, values)
+    rows = range(1, len(raw) + 1, table.average)
+    grid, _ = _uniform(_Samples(path, series.label, rows, times, values, "value"), period, from_zero=False)
+    return grid, (series,)

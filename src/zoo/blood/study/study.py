@@ -1,0 +1,112 @@
+"""The study itself: a vessel tree, its inflow and its observations, with its checksum."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zoo.blood.conventions import PRINTED, Conventions
+from zoo.blood.study.parts import Array, Blood, ReadOnlyArrays, Series, StudyError, Vessel, read_only
+
+
+@dataclass(frozen=True, eq=False)
+class Study(ReadOnlyArrays):
+    """A vessel tree, its inflow and its observations; frozen, with read-only arrays.
+
+    Two studies are equal when their name, conventions, checksum and tables are.
+
+    Parameters
+    ----------
+    name : str
+    period_s : float
+        Length of the beat, s.
+    blood : Blood
+    vessels : tuple of Vessel
+        In the order of the file.
+    inflow_time_s, inflow_ml_s : array (n,)
+        Flow into the root at times m period/n, s and ml/s.
+    time_s : array (n_times,)
+        Times of all series, uniform over one period, s; empty without series.
+    series : tuple of Series
+    conventions : Conventions
+    source : Path or str
+        Where it came from.
+    priors : mapping
+        The table [priors] of study.toml, as it stands there.
+    noise_sd : mapping of str to float
+        Known standard deviations of the measurement noise: quantity, or label of a series -> its unit.
+    numerics : mapping
+        The table [numerics], as it stands there.
+    checksum : str
+        SHA-256 over everything but the names, the conventions, the source and these three tables. It is
+        always computed: a value handed in is not read.
+
+    Raises
+    ------
+    StudyError
+        If the arrays do not fit each other.
+    """
+
+    name: str
+    period_s: float
+    blood: Blood
+    vessels: tuple[Vessel, ...]
+    inflow_time_s: Array
+    inflow_ml_s: Array
+    time_s: Array
+    series: tuple[Series, ...]
+    conventions: Conventions = PRINTED
+    source: Path | str = ""
+    priors: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    noise_sd: Mapping[str, float] = field(default_factory=dict, repr=False)
+    numerics: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    checksum: str = field(default="", repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("inflow_time_s", "inflow_ml_s", "time_s"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+        for name in ("vessels", "series"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        lengths = [("inflow_ml_s", self.inflow_ml_s, self.inflow_time_s)]
+        lengths += [(series.label, series.value, self.time_s) for series in self.series]
+        for name, values, times in lengths:
+            if values.ndim != 1 or values.shape != times.shape:
+                raise StudyError(
+                    f"study {self.name!r}: {name}: shape {values.shape} does not fit the {len(times)} times; "
+                    "give one value for each time"
+                )
+        object.__setattr__(self, "checksum", self._checksum())
+
+    def _checksum(self) -> str:
+        vessels = [
+            [v.id, v.parent, *map(float, (v.length_cm, v.radius_cm, v.radius_out_cm))]
+            + ([] if v.windkessel is None else [float(x) for x in vars(v.windkessel).values()])
+            for v in self.vessels
+        ]
+        series = [[s.vessel, float(s.position), s.quantity] for s in self.series]
+        blood = [float(x) for x in vars(self.blood).values()]
+        digest = hashlib.sha256(json.dumps([float(self.period_s), blood, vessels, series]).encode())
+        for array in (self.inflow_time_s, self.inflow_ml_s, self.time_s, *(s.value for s in self.series)):
+            digest.update(f";{len(array)}:".encode() + array.astype("<f8").tobytes())
+        return digest.hexdigest()
+
+    @property
+    def values(self) -> Array:
+        """All series, shape (n_series, n_times), each in its own unit."""
+        return np.array([s.value for s in self.series]).reshape(len(self.series), len(self.time_s))
+
+    def _identity(self) -> tuple[str, Conventions, str, str]:
+        tables = json.dumps([dict(self.priors), dict(self.noise_sd), dict(self.numerics)], sort_keys=True)
+        return self.name, self.conventions, self.checksum, tables
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Study) and self._identity() == other._identity()
+
+    def __hash__(self) -> int:
+        return hash(self._identity())

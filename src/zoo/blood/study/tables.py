@@ -1,0 +1,134 @@
+"""Tables of the TOML files, and how a fault of theirs is said in one line."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from zoo.blood.study.parts import StudyError
+
+
+class Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class StudyTable(Table):
+    name: str
+    network: str
+    inflow: Any
+    observations: Any = None
+    period_s: float = Field(gt=0)
+    conventions: Any = "printed"
+    priors: dict[str, Any] = Field(default_factory=dict)
+    noise_sd: dict[str, float] = Field(default_factory=dict)
+    numerics: dict[str, Any] = Field(default_factory=dict)
+
+
+class FetchedInflowTable(Table):
+    fetch: str
+
+
+class FetchedObservationsTable(Table):
+    fetch: str
+    vessel: int
+    position: float
+    quantity: str
+    average: int = Field(default=1, ge=1)
+
+
+class NetworkTable(Table):
+    blood: dict[str, Any]
+    vessel: list[dict[str, Any]]
+
+
+class BloodTable(Table):
+    density_g_cm3: float = Field(gt=0)
+    viscosity_g_cm_s: float = Field(gt=0)
+
+
+class WindkesselTable(Table):
+    R1: float = Field(gt=0)
+    R2: float = Field(gt=0)
+    C: float = Field(gt=0)
+
+
+class VesselTable(Table):
+    id: int = Field(ge=1, lt=2**31)
+    name: str = ""
+    length_cm: float = Field(gt=0)
+    radius_cm: float = Field(gt=0)
+    radius_out_cm: float | None = Field(default=None, gt=0)
+    parent: int | None = None
+    windkessel: WindkesselTable | None = None
+
+
+_MEANING = {
+    "missing": "is missing; add it",
+    "greater_than": "must be positive; correct it",
+    "greater_than_equal": "must be at least 1; correct it",
+    "less_than": "is too large; correct it",
+    "finite_number": "must be finite; correct it",
+    "float_type": "must be a number; write it without quotes",
+    "int_type": "must be a whole number; correct it",
+    "string_type": "must be text; write it in quotes",
+    "dict_type": "must be a table; write { ... } or a [heading]",
+    "model_type": "must be a table; write { ... } or a [heading]",
+    "list_type": "must be a list of tables; write [[vessel]]",
+}
+
+
+def near(word: object, known: Sequence[str]) -> str:
+    """Hint at the nearest known word, then all of them."""
+    close = difflib.get_close_matches(str(word), known, 1, 0.5)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{hint}use one of {', '.join(known)}"
+
+
+def short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def validated(model: type[Table], data: Any, where: str) -> Any:
+    """Validate a table of a TOML file; its first fault is raised, a misspelt field before others."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
+    loc, kind = faults[0]["loc"], faults[0]["type"]
+    name = ".".join(str(part) for part in loc)
+    if kind == "extra_forbidden":
+        known = WindkesselTable if loc[0] == "windkessel" else model
+        raise StudyError(f"{where}: {name}: unknown field; {near(loc[-1], list(known.model_fields))}")
+    if kind == "missing":
+        raise StudyError(f"{where}: {name}: {_MEANING[kind]}")
+    meaning = _MEANING.get(kind, f"{faults[0]['msg']}; correct it")
+    raise StudyError(f"{where}: {name} = {short(faults[0]['input'])}: {meaning}")
+
+
+def read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise StudyError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from None
+    except OSError as error:
+        raise StudyError(f"{path}: cannot be read ({error.strerror}); correct that") from None
+
+
+def read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    text = read_text(path)
+    try:
+        return tomllib.loads(text), text
+    except tomllib.TOMLDecodeError as error:
+        raise StudyError(f"{path}: not valid TOML: {error}; correct that line") from None
+
+
+def visible_name(where: str, name: str) -> str:
+    if not name.strip() or not name.isprintable():
+        raise StudyError(f"{where}: name = {name!r}: must be one line of visible text; correct it")
+    return name
