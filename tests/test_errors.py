@@ -23,14 +23,14 @@ from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel, ErrorModelError
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.independent import Independent
-from zoo.core.errors.spectral import Cosines, GroupPriors, Harmonics, LogNormal
+from zoo.core.errors.spectral import Cosines, GroupPriors, Harmonics
 from zoo.core.forward import FunctionModel, Outputs, SolveError
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.mode import find_mode
 from zoo.core.inference.newton import gauss_newton
 from zoo.core.inference.sampling import sample
 from zoo.core.model import ModelError, bayesian_model, record_of
-from zoo.core.parameters import InverseGamma, LogUniform, Normal, Parameter, Prior, Uniform
+from zoo.core.parameters import InverseGamma, LogNormal, LogUniform, Normal, Parameter, Prior, Uniform
 from zoo.core.posterior.comparison import compare, log_likelihoods
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from zoo.core.data import Data
 from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, Location, with_effects
-from zoo.core.errors.spectral import LogNormal, Spectral
+from zoo.core.errors.spectral import Spectral
 from zoo.core.forward import ForwardModel, Outputs, SolveError
-from zoo.core.parameters import LogUniform, Normal, Parameter, log_normal_mass, start_of, unpack
+from zoo.core.parameters import LogNormal, LogUniform, Normal, Parameter, log_normal_mass, start_of, unpack
 
 Array = NDArray[np.float64]
 

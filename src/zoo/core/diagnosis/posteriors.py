@@ -18,12 +18,12 @@ from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.hypothesis import NULL
 from zoo.core.diagnosis.scoring import DOUBT, Scored
 from zoo.core.diagnosis.screening import Screened
-from zoo.core.errors.spectral import GroupPriors, LogNormal
+from zoo.core.errors.spectral import GroupPriors
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.sampling import sample
 from zoo.core.model import bayesian_model
-from zoo.core.parameters import Normal, unpack, variable_name
+from zoo.core.parameters import LogNormal, Normal, unpack, variable_name
 from zoo.core.posterior.comparison import thin
 from zoo.core.posterior.files import sample_to
 

@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel, ErrorModelError
-from zoo.core.parameters import Normal, Parameter, Prior, log_normal_mass, variable_name
+from zoo.core.parameters import LogNormal, Normal, Parameter, Prior, variable_name
 
 Array = NDArray[np.float64]
 
@@ -69,63 +69,6 @@ class GroupErrors:
     def noise(self) -> float:
         """Sd of white and correlated noise together."""
         return self.sigma * math.hypot(1.0, self.ratio)
-
-
-@dataclass(frozen=True)
-class LogNormal(Prior):
-    """Log-normal: log x ~ N(log centre, spread^2), truncated to (low, high)."""
-
-    centre: float
-    spread: float
-    low: float = 0.0
-    high: float = math.inf
-
-    @property
-    def support(self) -> tuple[float, float]:
-        """Its two bounds."""
-        return self.low, self.high
-
-    @property
-    def _limits(self) -> tuple[float, float]:
-        """Bounds of (log x - log centre)/spread."""
-        low = math.log(self.low / self.centre) / self.spread if self.low > 0 else -math.inf
-        return low, math.log(self.high / self.centre) / self.spread
-
-    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
-        """Sum of -z^2/2 - log x - log(spread sqrt(2 pi)) - log(mass inside the bounds)."""
-        z = np.log(np.asarray(x) / self.centre) / self.spread
-        size = math.log(self.spread * math.sqrt(2.0 * math.pi)) + float(log_normal_mass(*self._limits))
-        return float(np.sum(-0.5 * z * z - np.log(x) - size))
-
-    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
-        """-(1 + z/spread)/x and (1/spread^2 - 1 - z/spread)/x^2."""
-        x = np.asarray(x, dtype=np.float64)
-        z = np.log(x / self.centre) / self.spread
-        return -(1.0 + z / self.spread) / x, (1.0 / self.spread**2 - 1.0 - z / self.spread) / x**2
-
-    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """Exponentials of truncated normal draws."""
-        z = Normal(0.0, 1.0, *self._limits).draw(rng, size, {})
-        return np.asarray(self.centre * np.exp(self.spread * z))
-
-    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
-        """``pm.LogNormal``, truncated where there are bounds."""
-        import pymc as pm
-
-        if self.low == 0.0 and math.isinf(self.high):
-            return pm.LogNormal(name, math.log(self.centre), self.spread, **settings)
-        plain = pm.LogNormal.dist(math.log(self.centre), self.spread)
-        return pm.Truncated(name, plain, lower=self.low, upper=self.high, **settings)
-
-    @property
-    def median(self) -> float:
-        """The centre."""
-        return self.centre
-
-    @property
-    def text(self) -> str:
-        """Such as "log-normal(0.05, 0.5)"."""
-        return f"log-normal({self.centre:g}, {self.spread:g})"
 
 
 @dataclass(frozen=True)

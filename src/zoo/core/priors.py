@@ -1,0 +1,529 @@
+"""Priors as values: the same ones make PyMC variables, searches, draws and tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import gammaincc, gammainccinv, log_ndtr, ndtri_exp
+
+Array = NDArray[np.float64]
+
+
+class ParameterError(ValueError):
+    """A parameter or prior that is out of range or does not fit; its text says what to change."""
+
+
+def log_normal_mass(low: Any, high: Any) -> Any:
+    """log(Phi(high) - Phi(low)) of standard normal bounds, also far out in a tail."""
+    a, b = log_normal_tails(low, high)
+    return b + np.log1p(-np.exp(np.minimum(a - b, -1e-12)))
+
+
+def log_normal_tails(low: Any, high: Any) -> tuple[Any, Any]:
+    """log Phi of both ends; right of 0 those of their mirror images, since the left tail has the digits."""
+    return log_ndtr(np.where(low > 0, -high, low)), log_ndtr(np.where(low > 0, -low, high))
+
+
+def normal_quantile(p: ArrayLike, low: float = -math.inf, high: float = math.inf) -> Array:
+    """Quantiles of a standard normal truncated to (low, high), exact in the tails too."""
+    p = np.asarray(p, dtype=np.float64)
+    return _from_uniform(1.0 - p if low > 0 else p, low, high)
+
+
+def _from_uniform(u: Array, low: float, high: float) -> Array:
+    """Values of a truncated standard normal from uniform numbers, falling with them if low > 0."""
+    log_a, log_b = log_normal_tails(low, high)
+    with np.errstate(divide="ignore"):
+        z = ndtri_exp(log_b + np.log(u + (1.0 - u) * np.exp(log_a - log_b)))
+    return np.asarray(np.clip(-z if low > 0 else z, low, high))
+
+
+def normal_cdf(z: ArrayLike, low: float = -math.inf, high: float = math.inf) -> Array:
+    """Distribution function of a standard normal truncated to (low, high), exact in the tails too."""
+    z = np.clip(np.asarray(z, dtype=np.float64), max(low, -1e100), min(high, 1e100))
+    part = np.exp(log_normal_mass(low, z) - log_normal_mass(low, high))
+    return np.where(z <= low, 0.0, np.where(z >= high, 1.0, part))
+
+
+# ---------------------------------------------------------------------------------------------------
+# Priors
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a parameter before the data: a density on (low, high).
+
+    Subclasses give the log-density with its first two derivatives, the PyMC variable, and draws.
+    """
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Lower and upper bound, in the parameter's unit."""
+        raise NotImplementedError
+
+    @property
+    def depends_on(self) -> tuple[str, ...]:
+        """Names of the parameters that this density is made of; a hierarchical prior has some."""
+        return ()
+
+    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
+        """Sum over the elements of x of the log-density; `given` has the parameters it depends on."""
+        raise NotImplementedError
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """First derivative of each element's log-density, and its negative second derivative."""
+        raise NotImplementedError
+
+    def dependence(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+        """Derivatives with respect to the k parameters that a hierarchical prior depends on.
+
+        Returns
+        -------
+        array (k,)
+            First derivatives of the log-density.
+        array (k, k)
+            Negative second derivatives.
+        array (size, k)
+            Negative second derivatives with respect to each element of x and each of them.
+        """
+        raise NotImplementedError
+
+    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
+        """The PyMC random variable, made inside a model's context."""
+        raise NotImplementedError
+
+    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
+        """`size` independent draws."""
+        raise NotImplementedError
+
+    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Values below which the prior has mass p.
+
+        Parameters
+        ----------
+        p : array
+            Between 0 and 1.
+        given : mapping
+            The parameters that a hierarchical prior depends on.
+
+        Returns
+        -------
+        array
+            Of p's shape, in the parameter's unit.
+        """
+        raise NotImplementedError
+
+    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Prior mass below each x: the inverse of `quantile`, 0 below the support and 1 above."""
+        raise NotImplementedError
+
+    @property
+    def median(self) -> float:
+        """The median, where a search may start if nothing better is known."""
+        raise NotImplementedError
+
+    @property
+    def text(self) -> str:
+        """In words, such as "uniform in [0, 1]"."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Uniform(Prior):
+    """Uniform on [low, high]."""
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise ParameterError(
+                f"uniform prior: bounds [{self.low}, {self.high}]: must be finite and ascend"
+            )
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Its two bounds."""
+        return float(self.low), float(self.high)
+
+    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
+        """-log(high - low) for each element, whatever it is: the bounds are the search's to keep."""
+        return -np.size(x) * math.log(self.high - self.low)
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Zero and zero."""
+        return np.zeros(np.shape(x)), np.zeros(np.shape(x))
+
+    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
+        """``pm.Uniform``."""
+        import pymc as pm
+
+        return pm.Uniform(name, self.low, self.high, **settings)
+
+    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
+        """`size` uniform draws."""
+        return rng.uniform(self.low, self.high, size)
+
+    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """low + p (high - low)."""
+        return self.low + (self.high - self.low) * np.asarray(p, dtype=np.float64)
+
+    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """(x - low)/(high - low)."""
+        return np.clip((np.asarray(x, dtype=np.float64) - self.low) / (self.high - self.low), 0.0, 1.0)
+
+    @property
+    def median(self) -> float:
+        """The middle."""
+        return 0.5 * (self.low + self.high)
+
+    @property
+    def text(self) -> str:
+        """Such as "uniform in [0, 1]"."""
+        return f"uniform in [{self.low:g}, {self.high:g}]"
+
+
+@dataclass(frozen=True)
+class LogUniform(Prior):
+    """Uniform in the logarithm: p(x) = 1/(x log(high/low)) on [low, high], low > 0."""
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.low < self.high < math.inf:
+            raise ParameterError(
+                f"log-uniform prior: bounds [{self.low}, {self.high}]: must be positive, ascend"
+            )
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Its two bounds."""
+        return float(self.low), float(self.high)
+
+    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
+        """Sum of -log x - log log(high/low)."""
+        return float(np.sum(-np.log(x) - math.log(math.log(self.high / self.low))))
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """-1/x and -1/x^2."""
+        x = np.asarray(x, dtype=np.float64)
+        return -1.0 / x, -1.0 / x**2
+
+    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
+        """``zoo.core.distributions.LogUniform``."""
+        from zoo.core import distributions
+
+        return distributions.LogUniform(name, self.low, self.high, **settings)
+
+    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
+        """Exponentials of uniform draws."""
+        return np.asarray(np.exp(rng.uniform(math.log(self.low), math.log(self.high), size)))
+
+    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """low (high/low)^p."""
+        return np.asarray(self.low * (self.high / self.low) ** np.asarray(p, dtype=np.float64))
+
+    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """log(x/low)/log(high/low)."""
+        x = np.clip(np.asarray(x, dtype=np.float64), self.low, self.high)
+        return np.asarray(np.log(x / self.low) / math.log(self.high / self.low))
+
+    @property
+    def median(self) -> float:
+        """The geometric mean of the bounds."""
+        return math.sqrt(self.low * self.high)
+
+    @property
+    def text(self) -> str:
+        """Such as "log-uniform in [1, 500]"."""
+        return f"log-uniform in [{self.low:g}, {self.high:g}]"
+
+
+@dataclass(frozen=True)
+class Normal(Prior):
+    """Normal(mean, sd), truncated to [low, high] where these are finite."""
+
+    mean: float
+    sd: float
+    low: float = -math.inf
+    high: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (0 < self.sd < math.inf and math.isfinite(self.mean) and self.low < self.high):
+            raise ParameterError(
+                f"normal prior: mean {self.mean}, sd {self.sd}, bounds [{self.low}, {self.high}]: the sd "
+                "must be positive and the bounds ascend"
+            )
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Its two bounds."""
+        return float(self.low), float(self.high)
+
+    @property
+    def _limits(self) -> tuple[float, float]:
+        """Bounds of (x - mean)/sd."""
+        return (self.low - self.mean) / self.sd, (self.high - self.mean) / self.sd
+
+    @property
+    def _log_mass(self) -> float:
+        return math.log(self.sd * math.sqrt(2.0 * math.pi)) + float(log_normal_mass(*self._limits))
+
+    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
+        """Of the truncated normal, as if x were inside the bounds."""
+        z = (np.asarray(x) - self.mean) / self.sd
+        return float(np.sum(-0.5 * z * z - self._log_mass))
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """-(x - mean)/sd^2 and 1/sd^2."""
+        x = np.asarray(x, dtype=np.float64)
+        return -(x - self.mean) / self.sd**2, np.full(x.shape, 1.0 / self.sd**2)
+
+    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
+        """``pm.Normal``, or ``pm.TruncatedNormal`` where there are bounds."""
+        import pymc as pm
+
+        if math.isinf(self.low) and math.isinf(self.high):
+            return pm.Normal(name, self.mean, self.sd, **settings)
+        bounds = {k: v for k, v in (("lower", self.low), ("upper", self.high)) if math.isfinite(v)}
+        return pm.TruncatedNormal(name, self.mean, self.sd, **bounds, **settings)
+
+    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
+        """By inversion of the distribution function."""
+        z = _from_uniform(rng.uniform(size=size), *self._limits)
+        return np.asarray(np.clip(self.mean + self.sd * z, self.low, self.high))
+
+    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Of the truncated normal."""
+        x = self.mean + self.sd * normal_quantile(p, *self._limits)
+        return np.asarray(np.clip(x, self.low, self.high))
+
+    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Of the truncated normal."""
+        return normal_cdf((np.asarray(x, dtype=np.float64) - self.mean) / self.sd, *self._limits)
+
+    @property
+    def median(self) -> float:
+        """The mean, moved inside the bounds."""
+        return float(np.clip(self.mean, self.low, self.high))
+
+    @property
+    def text(self) -> str:
+        """Such as "normal(0, 0.5) in [-1, 1]"."""
+        bounded = math.isfinite(self.low) or math.isfinite(self.high)
+        return f"normal({self.mean:g}, {self.sd:g})" + (
+            f" in [{self.low:g}, {self.high:g}]" if bounded else ""
+        )
+
+
+@dataclass(frozen=True)
+class LogNormal(Prior):
+    """Log-normal: log x ~ N(log centre, spread^2), truncated to (low, high)."""
+
+    centre: float
+    spread: float
+    low: float = 0.0
+    high: float = math.inf
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Its two bounds."""
+        return self.low, self.high
+
+    @property
+    def _limits(self) -> tuple[float, float]:
+        """Bounds of (log x - log centre)/spread."""
+        low = math.log(self.low / self.centre) / self.spread if self.low > 0 else -math.inf
+        return low, math.log(self.high / self.centre) / self.spread
+
+    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
+        """Sum of -z^2/2 - log x - log(spread sqrt(2 pi)) - log(mass inside the bounds)."""
+        z = np.log(np.asarray(x) / self.centre) / self.spread
+        size = math.log(self.spread * math.sqrt(2.0 * math.pi)) + float(log_normal_mass(*self._limits))
+        return float(np.sum(-0.5 * z * z - np.log(x) - size))
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """-(1 + z/spread)/x and (1/spread^2 - 1 - z/spread)/x^2."""
+        x = np.asarray(x, dtype=np.float64)
+        z = np.log(x / self.centre) / self.spread
+        return -(1.0 + z / self.spread) / x, (1.0 / self.spread**2 - 1.0 - z / self.spread) / x**2
+
+    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
+        """Exponentials of truncated normal draws."""
+        z = _from_uniform(rng.uniform(size=size), *self._limits)
+        return np.asarray(np.clip(self.centre * np.exp(self.spread * z), self.low, self.high))
+
+    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
+        """``pm.LogNormal``, truncated where there are bounds."""
+        import pymc as pm
+
+        if self.low == 0.0 and math.isinf(self.high):
+            return pm.LogNormal(name, math.log(self.centre), self.spread, **settings)
+        plain = pm.LogNormal.dist(math.log(self.centre), self.spread)
+        return pm.Truncated(name, plain, lower=self.low, upper=self.high, **settings)
+
+    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Exponentials of quantiles of the truncated normal."""
+        x = self.centre * np.exp(self.spread * normal_quantile(p, *self._limits))
+        return np.asarray(np.clip(x, self.low, self.high))
+
+    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """That of the truncated normal at the logarithm."""
+        with np.errstate(divide="ignore"):
+            z = np.log(np.maximum(np.asarray(x, dtype=np.float64), 0.0) / self.centre) / self.spread
+        return normal_cdf(z, *self._limits)
+
+    @property
+    def median(self) -> float:
+        """The centre."""
+        return self.centre
+
+    @property
+    def text(self) -> str:
+        """Such as "log-normal(0.05, 0.5)"."""
+        return f"log-normal({self.centre:g}, {self.spread:g})"
+
+
+@dataclass(frozen=True)
+class InverseGamma(Prior):
+    """Inverse gamma with a shape and a scale: p(x) proportional to x^(-shape - 1) exp(-scale/x), x > 0."""
+
+    shape: float
+    scale: float
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Zero and infinity."""
+        return 0.0, math.inf
+
+    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
+        """Sum of shape log scale - log Gamma(shape) - (shape + 1) log x - scale/x."""
+        constant = self.shape * math.log(self.scale) - math.lgamma(self.shape)
+        return float(np.sum(constant - (self.shape + 1) * np.log(x) - self.scale / np.asarray(x)))
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """-(shape + 1)/x + scale/x^2, and 2 scale/x^3 - (shape + 1)/x^2."""
+        x = np.asarray(x, dtype=np.float64)
+        slope = -(self.shape + 1) / x + self.scale / x**2
+        return slope, 2 * self.scale / x**3 - (self.shape + 1) / x**2
+
+    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
+        """``pm.InverseGamma``."""
+        import pymc as pm
+
+        return pm.InverseGamma(name, self.shape, self.scale, **settings)
+
+    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
+        """Scale over gamma draws."""
+        return self.scale / rng.gamma(self.shape, size=size)
+
+    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """By the inverse of the regularised gamma function; infinite where no double is large enough."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.scale / gammainccinv(self.shape, np.asarray(p, dtype=np.float64)))
+
+    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """The regularised upper incomplete gamma function at scale/x."""
+        x = np.maximum(np.asarray(x, dtype=np.float64), 0.0)
+        with np.errstate(divide="ignore"):
+            return np.asarray(gammaincc(self.shape, self.scale / x))
+
+    @property
+    def median(self) -> float:
+        """The median."""
+        return float(self.quantile(0.5))
+
+    @property
+    def text(self) -> str:
+        """Such as "inverse gamma (3, 7.78)"."""
+        return f"inverse gamma ({self.shape:g}, {self.scale:g})"
+
+
+@dataclass(frozen=True)
+class Population(Prior):
+    """Each element normal around a population's mean: x_i ~ N(m, (unit sqrt(v))^2), x_i > 0.
+
+    Parameters
+    ----------
+    mean, variance : str
+        Names of the parameters m and v.
+    unit : float
+        What the population's standard deviation is counted in, in the parameter's unit.
+    """
+
+    mean: str
+    variance: str
+    unit: float = 1.0
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Zero and infinity: sampled and searched as a logarithm."""
+        return 0.0, math.inf
+
+    @property
+    def depends_on(self) -> tuple[str, ...]:
+        """Mean and variance of the population."""
+        return self.mean, self.variance
+
+    def _standard(self, given: Mapping[str, Array]) -> tuple[float, float]:
+        return float(given[self.mean]), self.unit * math.sqrt(float(given[self.variance]))
+
+    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
+        """Sum of the elements' normal log-densities."""
+        mean, sd = self._standard(given)
+        z = (np.asarray(x) - mean) / sd
+        return float(np.sum(-0.5 * z * z - math.log(sd * math.sqrt(2 * math.pi))))
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """-(x - m)/sd^2 and 1/sd^2."""
+        mean, sd = self._standard(given)
+        x = np.asarray(x, dtype=np.float64)
+        return -(x - mean) / sd**2, np.full(x.shape, 1.0 / sd**2)
+
+    def dependence(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+        """With respect to m and v, where -log p = sum (x - m)^2/(2 unit^2 v) + n log(v)/2."""
+        mean, sd = self._standard(given)
+        v = float(given[self.variance])
+        x = np.asarray(x, dtype=np.float64)
+        z, n = (x - mean) / sd, len(x)
+        first = np.array([np.sum(z) / sd, (np.sum(z * z) - n) / (2.0 * v)])
+        mixed = np.sum(z) / (sd * v)
+        second = np.array([[n / sd**2, mixed], [mixed, (np.sum(z * z) - 0.5 * n) / v**2]])
+        cross = np.stack([np.full(n, -1.0 / sd**2), -z / (sd * v)], axis=1)
+        return first, second, cross
+
+    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
+        """``pm.Normal``, sampled as its logarithm."""
+        import pymc as pm
+
+        sd = self.unit * pm.math.sqrt(given[self.variance])
+        return pm.Normal(name, given[self.mean], sd, transform=pm.distributions.transforms.log, **settings)
+
+    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
+        """Normal draws, those below zero drawn again."""
+        mean, sd = self._standard(given)
+        return Normal(mean, sd, 0.0).draw(rng, size, {})
+
+    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Of one element, given the population's mean and variance."""
+        return Normal(*self._standard(given or {}), 0.0).quantile(p)
+
+    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Of one element, given the population's mean and variance."""
+        return Normal(*self._standard(given or {}), 0.0).cdf(x)
+
+    @property
+    def median(self) -> float:
+        """Not a number: that of the population."""
+        return math.nan
+
+    @property
+    def text(self) -> str:
+        """Such as "normal(m_chi, 10000 sqrt(v_chi))"."""
+        return f"normal({self.mean}, {self.unit:g} sqrt({self.variance}))"
