@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 PARAMETERS = ("f1", "f2", "f3", "gamma", "psi1", "psi2", "c", "w", "b")
 REFERENCE = "B"
 """The model that differences of WAIC are taken to."""
-WAIC_LIMITS = {"A": 25.0, "D": 25.0, "F": 25.0}
+WAIC_LIMITS = {"A": 10.0, "D": 10.0, "F": 25.0}
 WAIC_LIMIT = 5.0
 """Accepted distance of a difference of WAIC from the published one; wider for independent errors."""
-WAIC_LEVEL = 40.0
-"""Accepted distance of a WAIC itself: the paper's 512 samples are not public, and their wiggles decide it."""
+WAIC_LEVEL = 10.0
+"""Accepted distance of a WAIC itself."""
 NOT_EXPLAINED, UNCONVERGED = "not explained", "not converged"
 QUARTER = 0.25
 """Accepted distance of medians, in widths of the published 95 % interval."""
