@@ -79,9 +79,9 @@ def test_the_whole_is_drawn_with_the_words_of_the_data(cups: Diagnosis) -> None:
 
 def test_series_stand_at_their_own_times(cups: Diagnosis) -> None:
     top = plots.plot_discrepancy(cups).axes[0]
-    measured = next(line for line in top.get_lines() if line.get_label() == "measured")
-    np.testing.assert_array_equal(measured.get_xdata(), cups.data.times)
-    np.testing.assert_array_equal(measured.get_ydata(), cups.data.values[0])
+    observed = next(line for line in top.get_lines() if line.get_label() == "observed")
+    np.testing.assert_array_equal(observed.get_xdata(), cups.data.times)
+    np.testing.assert_array_equal(observed.get_ydata(), cups.data.values[0])
 
 
 def test_locations_are_bars_where_there_is_no_tree(cups: Diagnosis) -> None:

@@ -49,7 +49,7 @@ def test_the_discrepancy_figure_carries_the_numbers(three: Diagnosis) -> None:
     }
     top, bottom = figure.axes[0], figure.axes[3]
     lines = {line.get_label(): line.get_ydata() for line in top.get_lines()}
-    np.testing.assert_array_equal(lines["measured"], three.study.values[0])
+    np.testing.assert_array_equal(lines["observed"], three.study.values[0])
     np.testing.assert_allclose(lines["baseline"], three.computed[0][0], atol=1e-9)
     np.testing.assert_allclose(
         lines["baseline + viscoelastic-wall"], three.study.values[0] - three.after.residual[0]
@@ -83,16 +83,23 @@ def test_hypotheses_are_ordered_coloured_and_marked(three: Diagnosis) -> None:
     d = replace(three, file=three.file.model_copy(update={"hypotheses": hypotheses, "invisible": [hidden]}))
     figure = plots.plot_hypotheses(d)
     [axes] = figure.axes
-    bars = {c.get_label(): c[0] for c in axes.containers}
-    zero = next(h.log_evidence for h in hypotheses if h.name == "no-gap")
+    dots = {line.get_label(): line for line in axes.get_lines()}
+    best = max(h.log_evidence for h in hypotheses)
+    assert axes.get_xscale() == "linear"
     for row, h in enumerate(hypotheses):
-        bar = bars[h.name]
-        assert bar.get_width() == pytest.approx(h.log_evidence - zero)
-        assert bar.get_y() + bar.get_height() / 2 == pytest.approx(row)
-        assert bool(bar.get_hatch()) == (h.name in ("no-gap", "unlisted", "correlated-noise"))
-    first, second, last = (bars[hypotheses[i].name].get_facecolor() for i in (0, 1, -1))
+        [x], [y] = dots[h.name].get_data()
+        arrow = dots[h.name].get_marker() == ">"
+        assert x == pytest.approx(axes.get_xlim()[1] if arrow else best - h.log_evidence)
+        assert best - h.log_evidence >= x - 1e-9
+        assert y == row
+        named = h.name not in ("no-gap", "unlisted", "correlated-noise")
+        assert arrow or dots[h.name].get_marker() == ("o" if named else "D")
+        assert (
+            h.log_evidence == best or f"{h.log_evidence - best:.3g}: " in words_of(figure) or h.name == hidden
+        )
+    first, second, last = (dots[hypotheses[i].name].get_markerfacecolor() for i in (0, 1, -1))
     assert first == second != last
-    assert last == mpl.colors.to_rgba("white")
+    assert last == "white"
     found = words_of(figure)
     assert "invisible here" in found
     assert "null hypothesis (no-gap)" in found

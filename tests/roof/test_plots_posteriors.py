@@ -26,7 +26,7 @@ def test_posteriors_show_common_parameters_only(idata):
     assert len(shown) == 3
     density = {line.get_color(): line for line in shown[0].get_lines()}
     assert all(line.get_ydata().max() == 1 for line in density.values())
-    narrow = density[plots.COLOURS[1]].get_xdata()
+    narrow = density[plots.model_style("B")[0]].get_xdata()
     assert 3.99 < narrow.min() < narrow.max() < 4.01
     sizes = sorted(len(c.get_offsets()) for c in shown[1].collections)
     assert sizes == [200, 800]

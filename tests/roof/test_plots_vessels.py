@@ -11,6 +11,7 @@ from drawn import TIMES, fake_waves, fill_of, lines_of, texts
 
 from zoo import plots
 from zoo.blood.predictive import bands, median_waves
+from zoo.plots import vessels
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -42,7 +43,7 @@ def test_uncertainty_has_a_column_a_model_and_a_row_a_vessel(tube):
     figure = plots.uncertainty_figure(both, tube, vessels=(1, 4, 7))
     assert len(figure.axes) == 6
     found = texts(figure)
-    assert {"model A", "model B", "95 % credible", "95 % prediction", "measured"} <= found
+    assert {"model A", "model B", "95 % credible", "95 % prediction", "observed"} <= found
     assert "trunk\npressure (mmHg)" in found
     assert "vessel 7\npressure (mmHg)" in found
     expected = both["B"].sel(vessel=4, position=0.5, prob=0.95)  # midway, other than the root
@@ -53,7 +54,7 @@ def test_uncertainty_has_a_column_a_model_and_a_row_a_vessel(tube):
     np.testing.assert_allclose(lines_of(axes)[0], expected["median"])
     assert [len(axes.get_lines()) for axes in figure.axes] == [2, 2, 1, 1, 1, 1]
     np.testing.assert_array_equal(lines_of(figure.axes[1])[1], tube.series[0].value)
-    assert "measured" not in texts(plots.uncertainty_figure({"A": bands(fake_waves(), "flow_ml_s")}))
+    assert "observed" not in texts(plots.uncertainty_figure({"A": bands(fake_waves(), "flow_ml_s")}))
     with pytest.raises(plots.FigureError, match=r"prob = 0\.9: the bands have 0\.95; choose"):
         plots.uncertainty_figure(both, prob=0.9)
     with pytest.raises(plots.FigureError, match="vessel 30: the waves have 1, 2, 3"):
@@ -69,7 +70,7 @@ def test_all_vessels_have_a_panel_and_areas_readable_numbers(tube):
     shown = [axes for axes in figure.axes if axes.axison]
     assert [axes.get_title(loc="left") for axes in shown] == ["trunk", *(f"vessel {v}" for v in range(2, 10))]
     assert [len(axes.collections) for axes in shown] == [2] * 9
-    assert {"measured", "model A", "pressure (mmHg)", "95 % prediction"} <= texts(figure)
+    assert {"observed", "model A", "pressure (mmHg)", "95 % prediction"} <= texts(figure)
     area = bands(fake_waves(), "area_cm2")
     drawn = plots.all_vessels_figure(area)
     assert "area (10$^{-3}$ cm$^2$)" in texts(drawn)
@@ -86,12 +87,12 @@ def test_models_share_panels_and_leave_residuals(tube):
         np.testing.assert_allclose(line, medians[name].pressure_mmHg.sel(vessel=5))
     residual = lines_of(figure.axes[3])[2]
     np.testing.assert_allclose(residual, tube.series[0].value - medians["B"].pressure_mmHg.sel(vessel=1))
-    assert {"model A", "model H", "residual, trunk", "measured"} <= texts(figure)
+    assert {"model A", "model H", "residual (mmHg),\ntrunk", "observed"} <= texts(figure)
     styles = {line.get_linestyle() for line in figure.axes[0].get_lines()[:3]}
     assert styles == {"--", "-"}  # independent errors are dashed
     flow = plots.models_figure(medians, tube, quantity="flow_ml_s")
     assert sum(axes.axison for axes in flow.axes) == 7
-    assert "residual, trunk" not in texts(flow)
+    assert not any("residual" in text for text in texts(flow))
     with pytest.raises(plots.FigureError, match="quantity = 'speed': must be one of pressure_mmHg"):
         plots.models_figure(medians, quantity="speed")
 
@@ -112,10 +113,46 @@ def test_loops_are_pressure_against_area(standardised):
     everything = plots.loops_figure(waves, vessels=list(waves["G"].vessel.values), standardised=standardised)
     assert sum(axes.axison for axes in everything.axes) == 9
     assert {"model G", "model I", "pressure (mmHg)", "vessel 9"} <= texts(everything)
+    assert any("no loop" in text for text in texts(figure))
+
+
+def test_a_loop_is_drawn_as_a_loop():
+    wave = median_waves(fake_waves())
+    late = wave.assign(area_cm2=wave.area_cm2.roll(time=3))  # the area follows the pressure later
+    figure = plots.loops_figure({"B": late})
+    [line] = figure.axes[0].get_lines()
+    x, y = line.get_xdata(), line.get_ydata()
+    assert (x[0], y[0]) == (x[-1], y[-1])
+    enclosed = 0.5 * abs(np.dot(x[:-1], y[1:]) - np.dot(x[1:], y[:-1]))
+    assert enclosed > 0.1 * np.ptp(x) * np.ptp(y)
+    assert not any("no loop" in text for text in texts(figure))
+
+
+def test_vessels_shown_of_any_tree(tube):
+    def shown(n, series=()):
+        study = replace(tube, series=tuple(replace(tube.series[0], vessel=v) for v in series))
+        return vessels.shown_vessels(fake_waves(n), None, vessels.SEVEN_VESSELS, study)
+
+    assert shown(21) == [1, 2, 3, 4, 8, 12, 21]  # the paper's
+    assert shown(4) == [1, 2, 3, 4]
+    many = shown(56, (7, 40))
+    assert len(many) == 7
+    assert {1, 7, 40} <= set(many)
+    assert set(range(10, 20)) <= set(shown(56, range(10, 20)))  # every one that was observed
+    with pytest.raises(plots.FigureError, match="vessel 30: the waves have 1, 2, 3"):
+        vessels.shown_vessels(fake_waves(3), [30], vessels.SEVEN_VESSELS)
+
+
+def test_an_observed_area_is_in_the_unit_of_its_panel(tube):
+    waves = fake_waves()
+    area = replace(tube.series[0], quantity="area_cm2", value=np.full(40, 0.003))
+    figure = plots.all_vessels_figure(bands(waves, "area_cm2"), replace(tube, series=(area,)))
+    np.testing.assert_allclose(lines_of(figure.axes[0])[1], 3.0)
 
 
 def test_nine_models_have_nine_styles():
     styles = [plots.model_style(name) for name in "ABCDEFGHI"]
     assert len(set(styles)) == 9
+    assert len({colour for colour, _ in styles}) == 9
     others = [plots.model_style("mine", place) for place in range(21)]
     assert len(set(others)) == 21

@@ -182,6 +182,7 @@ def _figures(
 
     save(plots.comparison_figure(table), "comparison")
     medians, loops = {}, {}
+    quantities = dict.fromkeys(["pressure_mmHg", "flow_ml_s", *(s.quantity for s in study.series)])
     for name, idata in found.items():
         names = list(models[name].zoo.parameters)
         means, predictions = predictive.predictive_draws(models[name], idata)
@@ -193,7 +194,7 @@ def _figures(
         single = [n for n in names if idata["posterior"][n].ndim == 2]
         save(plots.pair_figure(idata, single), f"pair-{name}")
         waves = predictive.vessel_waves(models[name], idata, n_draws=100)
-        for quantity in ("pressure_mmHg", "flow_ml_s"):
+        for quantity in quantities:
             kind = quantity.split("_")[0]
             errors = any(series.quantity == quantity for series in study.series)
             shown = predictive.bands(predictive.one_place(waves), quantity, (0.95,), errors=errors)
@@ -201,7 +202,7 @@ def _figures(
         medians[name] = predictive.median_waves(waves)
         loops[name] = predictive.waves_at_medians(models[name], idata)
     vessels = [int(v) for v in next(iter(loops.values()))["vessel"].to_numpy()]
-    save(plots.models_figure(medians, study), "pressure")
-    save(plots.models_figure(medians, study, quantity="flow_ml_s"), "flow")
+    for quantity in quantities:
+        save(plots.models_figure(medians, study, quantity=quantity), quantity.split("_")[0])
     save(plots.loops_figure(loops, vessels=vessels), "loops")
     say(f"wrote figures to {output}")

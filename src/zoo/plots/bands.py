@@ -15,7 +15,7 @@ from zoo.plots.style import QUANTITY_LABELS, FigureError, first_of, model_style,
 from zoo.plots.vessels import (
     FOUR_VESSELS,
     area_factor,
-    draw_measured,
+    draw_observed,
     panels_of,
     quantity_label,
     shown_vessels,
@@ -41,14 +41,14 @@ def _draw_bands(axes: Axes, data: xr.Dataset, vessel: int, prob: float, colour: 
     axes.set_xlim(time_ms[0], 1e3 * float(data["time"][-1] + data["time"][1]))
 
 
-def _band_handles(prob: float, colour: str, *, prediction: bool, measured: bool) -> list[Any]:
+def _band_handles(prob: float, colour: str, *, prediction: bool, observed: bool) -> list[Any]:
     patch = mpl.patches.Patch
     handles: list[Any] = [Line2D([], [], color=colour, lw=1.4, label="posterior median")]
     handles.append(patch(color=colour, alpha=0.55, lw=0, label=f"{100 * prob:g} % credible"))
     if prediction:
         handles.append(patch(color=colour, alpha=0.2, lw=0, label=f"{100 * prob:g} % prediction"))
-    if measured:
-        handles.append(Line2D([], [], color="black", lw=1.1, label="measured"))
+    if observed:
+        handles.append(Line2D([], [], color="black", lw=1.1, label="observed"))
     return handles
 
 
@@ -77,7 +77,7 @@ def uncertainty_figure(
         From `zoo.blood.predictive.bands`, one for each model, of one quantity; prediction bands
         are drawn if there.
     study : Study, optional
-        Its measured series are drawn where they were measured.
+        Its observed series are drawn where they were observed.
     vessels : sequence of int, optional
         Rows; four if absent.
     prob : float
@@ -94,10 +94,10 @@ def uncertainty_figure(
         If a vessel or the probability is not in the bands.
     """
     first = one_place(first_of(bands, "bands"))
-    shown = shown_vessels(first, vessels, FOUR_VESSELS)
+    shown = shown_vessels(first, vessels, FOUR_VESSELS, study)
     quantity = str(first.attrs["quantity"])
     pressure = quantity == "pressure_mmHg"
-    measured = False
+    observed = False
     with new_figure((1.2 + 2.7 * len(bands), 1.0 + 1.75 * len(shown))) as figure:
         grid = figure.subplots(
             len(shown), len(bands), squeeze=False, sharex=True, sharey="all" if pressure else "row"
@@ -108,13 +108,13 @@ def uncertainty_figure(
             for row, vessel in enumerate(shown):
                 axes = grid[row, column]
                 _draw_bands(axes, data, vessel, prob, model_style(name, column)[0])
-                measured |= draw_measured(axes, study, quantity, data, vessel)
+                observed |= draw_observed(axes, study, quantity, data, vessel)
                 if column == 0:
                     axes.set_ylabel(f"{vessel_title(data, vessel)}\n{QUANTITY_LABELS[quantity]}")
             grid[0, column].set_title(f"model {name}")
             grid[-1, column].set_xlabel("time in the beat (ms)")
         prediction = any("prediction_low" in data for data in bands.values())
-        handles = _band_handles(prob, "#555555", prediction=prediction, measured=measured)
+        handles = _band_handles(prob, "#555555", prediction=prediction, observed=observed)
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small")
     return figure
 
@@ -129,7 +129,7 @@ def all_vessels_figure(
     bands : Dataset
         From `zoo.blood.predictive.bands`; prediction bands are drawn if there.
     study : Study, optional
-        Its measured series are drawn where they were measured.
+        Its observed series are drawn where they were observed.
     prob : float
         Of the bands.
     title : str
@@ -150,18 +150,18 @@ def all_vessels_figure(
     quantity = str(data.attrs["quantity"])
     shown = [int(v) for v in data["vessel"].to_numpy()]
     colour = model_style(str(data.attrs.get("model", "")))[0]
-    measured = False
+    observed = False
     with panels_of(len(shown), sharey=quantity == "pressure_mmHg", spare=1) as (figure, panels, rest):
         for axes, vessel in zip(panels, shown, strict=True):
             factor = area_factor(quantity)
             _draw_bands(axes, _scaled(data, factor), vessel, prob, colour)
-            measured |= draw_measured(axes, study, quantity, data, vessel)
+            observed |= draw_observed(axes, study, quantity, data, vessel, factor)
             axes.set_title(vessel_title(data, vessel))
         figure.supxlabel("time in the beat (ms)", fontsize="medium")
         figure.supylabel(quantity_label(quantity), fontsize="medium")
         prediction = "prediction_low" in data
         rest[0].legend(
-            handles=_band_handles(prob, colour, prediction=prediction, measured=measured), loc="center"
+            handles=_band_handles(prob, colour, prediction=prediction, observed=observed), loc="center"
         )
         if title:
             figure.suptitle(title)

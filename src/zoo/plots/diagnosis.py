@@ -6,19 +6,30 @@ import math
 import textwrap
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.ticker import SymmetricalLogLocator
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from zoo.core.diagnosis.file import HypothesisResult, SeriesGap, unit_suffix
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
-from zoo.plots.style import COLOURS, DASHED, DOTTED, INK, QUANTITY_LABELS, Array, new_figure, parts
+from zoo.plots.style import (
+    COLOURS,
+    DASHED,
+    DOTTED,
+    INK,
+    QUANTITY_LABELS,
+    SOLID,
+    Array,
+    axis_end,
+    new_figure,
+    parts,
+)
 from zoo.plots.subject import location_of, phases_of, study_of, unit_words
 from zoo.plots.tree import draw_locations, draw_tree
 
@@ -26,6 +37,8 @@ if TYPE_CHECKING:
     from zoo.core.diagnosis import Diagnosis
 
 BASELINE_COLOUR, CAUSE_COLOUR, ALL_COLOUR = COLOURS[1], COLOURS[0], COLOURS[2]
+NEAR = 5.0
+"""Differences of log evidence below which an axis need not tell explanations apart."""
 ALONE = "#9AA5B1"
 """Of explanations that are no group: nothing else looks like them."""
 
@@ -90,7 +103,7 @@ def _draw_discrepancy(figure: Figure | SubFigure, d: Diagnosis) -> None:
             axes.set_axis_on()
             _shade_phases(axes, phase_names, phase, times, named=axes is top)
             axes.set_xlim(times[0], times[0] + duration)
-        top.plot(times, values, color=INK, lw=2.2, alpha=0.35, label="measured")
+        top.plot(times, values, color=INK, lw=2.2, alpha=0.35, label="observed")
         computed = values - d.before.residual[i]
         top.plot(times, computed, color=BASELINE_COLOUR, lw=1.2, ls=DASHED, label="baseline")
         drawn = [("baseline", d.before, BASELINE_COLOUR)]
@@ -160,21 +173,28 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
     found = d.file.hypotheses
     unit = unit_words(d.file.gap.unit)
     colours = _group_colours(d)
-    zero = next(h.log_evidence for h in found if h.name == NULL)
+    best = max(h.log_evidence for h in found)
+    behind = [best - h.log_evidence for h in found]
+    end = axis_end(behind, NEAR)
+    axis = 1.1 * max(NEAR, *(value for value in behind if end is None or value <= end))
     special = {NULL: "null hypothesis", NONPARAMETRIC: "nonparametric discrepancy", CORRELATED: ""}
-    for row, h in enumerate(found):
-        hidden = h.name in d.file.invisible
-        bar = axes.barh(
+    for row, (h, value) in enumerate(zip(found, behind, strict=True)):
+        hidden, named = h.name in d.file.invisible, h.name not in special
+        colour = ALONE if hidden else colours.get(h.group, ALONE)
+        seen = end is None or value <= end
+        axes.plot((0, min(value, axis)), (row, row), color=colour, lw=1.2, ls=DOTTED if hidden else SOLID)
+        axes.plot(
+            value if seen else axis,
             row,
-            h.log_evidence - zero,
-            height=0.72,
-            color="white" if hidden else colours.get(h.group, ALONE),
-            edgecolor=ALONE if hidden else "#333333" if h.name in special else "none",
-            hatch="////" if h.name in special else None,
-            lw=0.8,
+            ("o" if named else "D") if seen else ">",
+            color=colour,
+            mfc="white" if hidden else colour,
+            mec="#333333" if not named else colour,
+            ms=7,
+            clip_on=False,
+            label=h.name,
         )
-        bar.set_label(h.name)
-        words = f"{h.log_evidence - zero:+.0f}: "
+        words = f"{-value:.3g}: " if value >= 0.05 else "best: "
         words += f"{100 * h.probability:.0f} %" if h.probability >= 0.005 else "<1 %"
         if hidden:
             words = "invisible here"
@@ -184,32 +204,31 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
             words,
             (1.0, row),
             xycoords=("axes fraction", "data"),
-            xytext=(5, 0),
+            xytext=(9, 0),
             textcoords="offset points",
             va="center",
             fontsize="small",
             color="#666666",
         )
-    axes.axvline(0, color="#888888", lw=0.9)
-    axes.set_xscale("symlog", linthresh=10)
-    axes.xaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
-    axes.margins(x=0.08)
+    axes.set_xlim(-0.04 * axis, axis)
     names = [f"{special[h.name]} ({h.name})" if special.get(h.name) else _named(h, d) for h in found]
     axes.set_yticks(np.arange(len(found)), names)
     axes.set_ylim(len(found) - 0.4, -0.6)
     axes.grid(axis="x", color="#DDDDDD", lw=0.7)
     axes.set_axisbelow(True)
-    axes.set_xlabel("log evidence over noise alone (linear within ±10)")
+    axes.set_xlabel("log evidence below the best")
     axes.set_title("explanations, most probable first")
     sizes = Counter(h.group for h in found)
-    patch = mpl.patches.Patch
+    dot = partial(Line2D, [], [], ls="", ms=7)
     handles = [
-        patch(color=colour, label="leader" if sizes[g] == 1 else f"group {g}: not told apart")
+        dot(marker="o", color=colour, label="leader" if sizes[g] == 1 else f"group {g}: not told apart")
         for g, colour in colours.items()
     ]
     if any(h.group not in colours and h.name not in d.file.invisible for h in found):
-        handles.append(patch(color=ALONE, label="told apart"))
-    handles.append(patch(facecolor="white", edgecolor="#333333", hatch="////", label="no listed effect"))
+        handles.append(dot(marker="o", color=ALONE, label="told apart"))
+    handles.append(dot(marker="D", color="white", mec="#333333", label="no listed effect"))
+    if end is not None:
+        handles.append(dot(marker=">", color="#666666", label="beyond the axis: see the number"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
 
 
@@ -218,7 +237,7 @@ def _hypotheses_height(d: Diagnosis) -> float:
 
 
 def plot_hypotheses(d: Diagnosis) -> Figure:
-    """Log evidence of each explanation over that of noise alone, with the discrepancy that it leaves.
+    """Log evidence of each explanation below that of the best, with the discrepancy that it leaves.
 
     Parameters
     ----------
@@ -227,8 +246,9 @@ def plot_hypotheses(d: Diagnosis) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        A bar for each explanation, most probable first, coloured by group; hatched are those that name no
-        listed effect, hollow those that these data cannot show.
+        A dot for each explanation, most probable first, coloured by group, on a linear axis; diamonds name
+        no listed effect, hollow dots are what these data cannot show. Where some are so far behind that the
+        others could not be told apart, the axis ends before them, and arrows stand for them.
     """
     with new_figure((8.4, _hypotheses_height(d))) as figure:
         _draw_hypotheses(figure, d)

@@ -1,14 +1,15 @@
-"""What was measured, what a fitted model says of it, and the residual."""
+"""What was observed, what a fitted model says of it, and the residual."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from zoo.plots.style import COLOURS, INK, QUANTITY_LABELS, new_figure
+from zoo.plots.style import COLOURS, INK, QUANTITY_LABELS, RESIDUAL_LABELS, new_figure
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
@@ -33,15 +34,22 @@ def fit_figure(
     Returns
     -------
     matplotlib.figure.Figure
-        Two panels for each observed series.
+        Two panels for each observed series, three series beside each other.
     """
     means = np.asarray(means, dtype=float)
     n = len(study.series)
+    columns = min(n, 3)
+    blocks = math.ceil(n / columns)
     time_ms = 1e3 * np.asarray(study.time_s)
-    with new_figure((max(5.2, 4.2 * n), 5.0)) as figure:
-        axes = figure.subplots(2, n, squeeze=False, sharex=True, height_ratios=(3, 1))
+    with new_figure((max(5.2, 4.2 * columns), 5.0 * blocks)) as figure:
+        grid = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=(3, 1) * blocks)
+        for axes in grid.flat[:]:
+            axes.set_axis_off()
         for k, series in enumerate(study.series):
-            top, bottom = axes[0, k], axes[1, k]
+            top, bottom = (grid[2 * (k // columns) + i, k % columns] for i in (0, 1))
+            for axes in (top, bottom):
+                axes.set_axis_on()
+                axes.margins(x=0)
             median = np.median(means[:, k], axis=0)
             low, high = np.quantile(means[:, k], (0.025, 0.975), axis=0)
             if predictions is not None:
@@ -51,15 +59,21 @@ def fit_figure(
             top.fill_between(time_ms, low, high, color=COLOURS[0], alpha=0.45, lw=0, label="95 % credible")
             top.plot(time_ms, median, color=COLOURS[0], lw=1.4, label="posterior median")
             top.plot(time_ms, series.value, color=INK, lw=0.9, ls=(0, (4, 2)), label="observed")
+            top.set_title(series.label.rsplit(" ", 1)[0])
+            top.set_ylabel(QUANTITY_LABELS[series.quantity])
+            top.tick_params(labelbottom=False)
             bottom.fill_between(time_ms, low - median, high - median, color=COLOURS[0], alpha=0.45, lw=0)
             bottom.axhline(0, color=COLOURS[0], lw=1)
             bottom.plot(time_ms, series.value - median, color=INK, lw=0.9)
-            top.set_title(series.label.rsplit(" ", 1)[0])
-            top.set_ylabel(QUANTITY_LABELS[series.quantity])
-            bottom.set_ylabel("residual")
+            bottom.set_ylabel(RESIDUAL_LABELS[series.quantity])
             bottom.set_xlabel("time in the beat (ms)")
-            top.margins(x=0)
-        axes[0, 0].legend(loc="best", fontsize="small")
+        figure.align_ylabels()
+        figure.legend(
+            handles=grid[0, 0].get_legend_handles_labels()[0],
+            loc="outside lower center",
+            ncols=4,
+            fontsize="small",
+        )
         if title:
             figure.suptitle(title)
     return figure

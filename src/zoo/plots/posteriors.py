@@ -21,6 +21,7 @@ from zoo.plots.style import (
     broken,
     first_of,
     in_scale,
+    model_style,
     new_figure,
     parameter_label,
 )
@@ -77,8 +78,8 @@ def posteriors_figure(
     n = len(names)
     with new_figure((1.0 + 1.65 * n, 0.6 + 1.5 * n)) as figure:
         grid = figure.subplots(n, n, squeeze=False, sharex="col")
-        for k, values in reversed(list(enumerate(draws.values()))):
-            colour = COLOURS[k % len(COLOURS)]
+        for k, (name, values) in reversed(list(enumerate(draws.items()))):
+            colour = model_style(name, k)[0]
             step = max(1, math.ceil(len(values[names[0]]) / 1000))
             for i, below in enumerate(names):
                 x, density = az.kde(values[below])
@@ -103,7 +104,7 @@ def posteriors_figure(
             grid[-1, i].set_xlabel(broken(parameter_label(below)), fontsize="small")
         figure.align_ylabels(grid[1:, 0])
         handles = [
-            Line2D([], [], color=COLOURS[k % len(COLOURS)], lw=2, label=f"model {model}")
+            Line2D([], [], color=model_style(model, k)[0], lw=2, label=f"model {model}")
             for k, model in enumerate(draws)
         ]
         figure.legend(handles=handles, loc="upper right")
@@ -141,9 +142,10 @@ def forest_figure(posteriors: Mapping[str, az.InferenceData]) -> Figure:
                 if model not in found[name]:
                     continue
                 low, q1, median, q3, high = np.quantile(found[name][model], (0.025, 0.25, 0.5, 0.75, 0.975))
-                axes.plot((low, high), (row, row), color=COLOURS[0], lw=1.2)
-                axes.plot((q1, q3), (row, row), color=COLOURS[0], lw=3.2, solid_capstyle="butt")
-                axes.plot(median, row, "o", color="white", mec=COLOURS[0], mew=1.4, ms=5)
+                colour = model_style(model, row)[0]
+                axes.plot((low, high), (row, row), color=colour, lw=1.2)
+                axes.plot((q1, q3), (row, row), color=colour, lw=3.2, solid_capstyle="butt")
+                axes.plot(median, row, "o", color="white", mec=colour, mew=1.4, ms=5)
             axes.set_yticks(range(len(models)), models)
             axes.set_ylim(len(models) - 0.5, -0.5)
             axes.set_xlabel(PARAMETER_LABELS.get(name, name))

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from zoo.plots.style import COLOURS, PARAMETER_LABELS, Array, first_of, in_scale, new_figure, parameter_label
+from zoo.plots.style import (
+    COLOURS,
+    PARAMETER_LABELS,
+    Array,
+    first_of,
+    in_scale,
+    model_style,
+    new_figure,
+    parameter_label,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,9 +45,10 @@ def stiffness_figure(stiffness: Mapping[str, xr.DataArray]) -> Figure:
         tops: dict[int, tuple[float, float]] = {}
         for k, (name, draws) in enumerate(stiffness.items()):
             radius = draws["radius_cm"].to_numpy()
+            width = float(np.ptp(radius)) or float(radius[0])
             low, median, high = in_scale("chi", draws.quantile((0.025, 0.5, 0.975), ("chain", "draw")))
-            x = _apart(radius, 0.0006) + 0.00018 * (k - (len(stiffness) - 1) / 2)
-            colour = COLOURS[k % len(COLOURS)]
+            x = _apart(radius, 0.018 * width) + 0.0053 * width * (k - (len(stiffness) - 1) / 2)
+            colour = model_style(name, k)[0]
             errors = np.stack([median - low, high - median])
             axes.errorbar(
                 x,

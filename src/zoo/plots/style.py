@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ QUANTITY_LABELS = {
     "flow_ml_s": "flow (ml/s)",
     "area_cm2": "area (cm$^2$)",
 }
+RESIDUAL_LABELS = {name: f"residual{label[label.index(' (') :]}" for name, label in QUANTITY_LABELS.items()}
 PARAMETER_LABELS = {
     "f1": "$f_1$ (g cm$^{-1}$ s$^{-2}$)",
     "f2": "$f_2$ (1/radius unit)",
@@ -57,17 +58,19 @@ SCALES = {"f1": 5, "f3": 4, "chi": 4, "m_chi": 4, "w": 4}
 """Powers of ten that axes of these parameters are in."""
 SOLID, DASHED, DOTTED = "-", (0, (4, 1.6)), (0, (1, 1.2))
 MODEL_STYLES: dict[str, tuple[str, Any]] = {
-    "A": (COLOURS[0], DASHED),
+    "A": (COLOURS[4], DASHED),
     "B": (COLOURS[0], SOLID),
     "C": (COLOURS[5], DOTTED),
-    "D": (COLOURS[4], DASHED),
-    "E": (COLOURS[4], SOLID),
-    "F": (COLOURS[2], DASHED),
-    "G": (COLOURS[2], SOLID),
+    "D": (COLOURS[6], DASHED),
+    "E": (COLOURS[2], SOLID),
+    "F": ("#7F7F7F", DASHED),
+    "G": (COLOURS[3], SOLID),
     "H": (COLOURS[1], SOLID),
-    "I": (COLOURS[3], SOLID),
+    "I": ("#5B3A8E", SOLID),
 }
-"""Colour and line of each model: colours tell wall and stiffness, dashes independent errors."""
+"""Each model's own colour, the same in every figure, and its line: dashes for independent errors."""
+FAR = 50.0
+"""A value that is so many times the one before it lies beyond the axis of those before it."""
 
 
 class FigureError(ValueError):
@@ -103,6 +106,37 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
 def model_style(name: str, order: int = 0) -> tuple[str, Any]:
     """Colour and line of a model, by its letter, or by its order for a model outside the nine."""
     return MODEL_STYLES.get(name, (COLOURS[order % len(COLOURS)], (SOLID, DASHED, DOTTED)[order // 7 % 3]))
+
+
+def axis_end(differences: Sequence[float], least: float) -> float | None:
+    """Where a linear axis of differences to the best has to end so that the leading ones can be told apart.
+
+    Parameters
+    ----------
+    differences : sequence of float
+        At least 0.
+    least : float
+        Smaller ones need not be told apart.
+
+    Returns
+    -------
+    float or None
+        The last difference before the first that is `FAR` times as large; None if there is none, and the axis
+        may hold all.
+
+    Examples
+    --------
+    >>> axis_end([0.0, 3.0, 40.0, 4889.0], least=10.0)
+    40.0
+    >>> axis_end([0.0, 277.0, 609.0], least=5.0) is None
+    True
+    """
+    before = least
+    for value in sorted(differences):
+        if value > FAR * before:
+            return before
+        before = max(before, value)
+    return None
 
 
 def parameter_label(name: str) -> str:

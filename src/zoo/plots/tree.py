@@ -92,7 +92,7 @@ def draw_tree(axes: Axes, d: Diagnosis, study: Study) -> None:
                 bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8},
             )
     wanted = d.file.next_measurement
-    marks: list[tuple[tuple[int, float], str, str, str]] = [(p, "o", "white", "measured") for p in sensors]
+    marks: list[tuple[tuple[int, float], str, str, str]] = [(p, "o", "white", "observed") for p in sensors]
     if wanted is not None:
         at = wanted.model_extra or {}
         marks.append(((at["vessel"], at["position"]), "*", COLOURS[0], "measure next"))

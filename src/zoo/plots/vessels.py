@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -23,14 +24,25 @@ if TYPE_CHECKING:
 SEVEN_VESSELS = (1, 2, 3, 4, 8, 12, 21)
 """The paper's text names six of the seven vessels in its figures 8 and 9; 21 is ours."""
 FOUR_VESSELS = (1, 3, 8, 21)
+PAPER_VESSELS = 21
 
 
-def shown_vessels(data: xr.Dataset, wanted: Sequence[int] | None, usual: Sequence[int]) -> list[int]:
-    """Vessels to show: those asked for, the usual ones, or as many from the root on."""
+def shown_vessels(
+    data: xr.Dataset, wanted: Sequence[int] | None, usual: Sequence[int], study: Study | None = None
+) -> list[int]:
+    """Vessels to show: those asked for; the usual ones in the paper's tree; of others the first, those that
+    were observed, and more that lie evenly between the first and the last."""
     there = [int(v) for v in data["vessel"].to_numpy()]
-    chosen = list(usual if wanted is None else wanted)
-    if wanted is None and not set(chosen) <= set(there):
-        chosen = there[: len(usual)]
+    if wanted is not None:
+        chosen = list(wanted)
+    elif there == list(range(1, PAPER_VESSELS + 1)):
+        chosen = list(usual)
+    else:
+        observed = [s.vessel for s in study.series if s.vessel in there] if study is not None else []
+        even = np.linspace(0, len(there) - 1, len(usual)).round().astype(int)
+        wanted_first = dict.fromkeys([there[0], *observed, *(there[i] for i in even)])
+        some = list(wanted_first)[: max(len(usual), 1 + len(set(observed)))]
+        chosen = [vessel for vessel in there if vessel in some]
     for vessel in chosen:
         if vessel not in there:
             raise FigureError(
@@ -41,11 +53,11 @@ def shown_vessels(data: xr.Dataset, wanted: Sequence[int] | None, usual: Sequenc
 
 def vessel_title(data: xr.Dataset, vessel: int) -> str:
     name = str(data["name"].sel(vessel=vessel).item()) if "name" in data.coords else ""
-    return f"vessel {vessel}" if name in ("", f"v{vessel}") else name
+    return f"vessel {vessel}" if name in ("", f"v{vessel}") else textwrap.fill(name.replace("_", " "), 24)
 
 
 def observed_at(study: Study | None, quantity: str, data: xr.Dataset, vessel: int) -> list[ArrayLike]:
-    """Measured series of a quantity where the vessel is looked at."""
+    """Observed series of a quantity where the vessel is looked at."""
     if study is None:
         return []
     position = float(data["position"].sel(vessel=vessel)) if "position" in data.coords else 0.0
@@ -53,12 +65,15 @@ def observed_at(study: Study | None, quantity: str, data: xr.Dataset, vessel: in
     return [s.value for s in found if s.position == position]
 
 
-def draw_measured(axes: Axes, study: Study | None, quantity: str, data: xr.Dataset, vessel: int) -> bool:
-    measured = observed_at(study, quantity, data, vessel)
-    for values in measured:
+def draw_observed(
+    axes: Axes, study: Study | None, quantity: str, data: xr.Dataset, vessel: int, factor: float = 1.0
+) -> bool:
+    """Draw what was observed where the vessel is looked at, times a factor; whether anything was."""
+    observed = observed_at(study, quantity, data, vessel)
+    for values in observed:
         time_ms = 1e3 * np.asarray(study.time_s) if study is not None else np.empty(0)
-        axes.plot(time_ms, np.asarray(values), color="black", lw=1.1, zorder=3)
-    return bool(measured)
+        axes.plot(time_ms, factor * np.asarray(values), color="black", lw=1.1, zorder=3)
+    return bool(observed)
 
 
 def area_factor(quantity: str) -> float:

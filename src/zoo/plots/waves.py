@@ -13,11 +13,20 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from zoo.plots.style import COLOURS, INK, QUANTITY_LABELS, FigureError, first_of, model_style, new_figure
+from zoo.plots.style import (
+    COLOURS,
+    INK,
+    QUANTITY_LABELS,
+    Array,
+    FigureError,
+    first_of,
+    model_style,
+    new_figure,
+)
 from zoo.plots.vessels import (
     SEVEN_VESSELS,
     area_factor,
-    draw_measured,
+    draw_observed,
     model_handles,
     observed_at,
     panels_of,
@@ -76,7 +85,9 @@ def waves_figure(
             axes.set_xlabel("time in the beat (ms)")
             axes.margins(x=0)
         line = mpl.lines.Line2D
-        handles = [line([], [], color=c, label=f"vessel {v}") for v, c in zip(shown, colours, strict=False)]
+        handles = [
+            line([], [], color=c, label=vessel_title(waves, v)) for v, c in zip(shown, colours, strict=False)
+        ]
         handles += [line([], [], color="#666666", ls=styles[p], label=f"position {p:g}") for p in positions]
         columns = math.ceil(len(handles) / 14)
         figure.legend(handles=handles, loc="outside right center", fontsize="small", ncols=columns)
@@ -97,8 +108,8 @@ def models_figure(
     medians : mapping of name to Dataset
         From `zoo.blood.predictive.median_waves`, one for each model.
     study : Study, optional
-        Its measured series are drawn where they were measured, and give a last panel with the residuals,
-        measured minus median, of the first of them.
+        Its observed series are drawn where they were observed, and give a panel each at the end with the
+        residuals, observed minus median.
     quantity : str
         pressure_mmHg, flow_ml_s or area_cm2.
     vessels : sequence of int, optional
@@ -107,7 +118,7 @@ def models_figure(
     Returns
     -------
     matplotlib.figure.Figure
-        Colours tell wall and stiffness, dashes independent errors.
+        Each model has its colour; dashes tell independent errors.
 
     Raises
     ------
@@ -117,10 +128,10 @@ def models_figure(
     first = first_of(medians, "medians")
     if quantity not in QUANTITY_LABELS:
         raise FigureError(f"quantity = {quantity!r}: must be one of {', '.join(QUANTITY_LABELS)}")
-    shown = shown_vessels(first, vessels, SEVEN_VESSELS)
+    shown = shown_vessels(first, vessels, SEVEN_VESSELS, study)
     observed = [v for v in shown if observed_at(study, quantity, first, v)]
     factor = area_factor(quantity)
-    with panels_of(len(shown) + bool(observed), spare=0 if observed else 1) as (figure, panels, rest):
+    with panels_of(len(shown) + len(observed), spare=0 if observed else 1) as (figure, panels, rest):
         waves = panels[: len(shown)]
         if quantity == "pressure_mmHg":
             for axes in waves[1:]:
@@ -133,14 +144,16 @@ def models_figure(
                 colour, line = model_style(name, k)
                 wave = factor * data[quantity].sel(vessel=vessel)
                 axes.plot(1e3 * data["time"], wave, color=colour, ls=line, lw=width_of(k, len(medians)))
-            draw_measured(axes, study, quantity, first, vessel)
+            draw_observed(axes, study, quantity, first, vessel, factor)
             axes.set_title(vessel_title(first, vessel))
             axes.set_xlim(0, 1e3 * float(first["time"][-1] + first["time"][1]))
         handles = model_handles(medians)
         if observed and study is not None:
-            handles.append(Line2D([], [], color="black", lw=1.1, label="measured"))
-            _draw_residuals(panels[-1], medians, study, quantity, observed[0])
-            panels[-1].set_title(f"residual, {vessel_title(first, observed[0])}")
+            handles.append(Line2D([], [], color="black", lw=1.1, label="observed"))
+            for axes, vessel in zip(panels[len(shown) :], observed, strict=True):
+                _draw_residuals(axes, medians, study, quantity, vessel)
+                unit = quantity_label(quantity).partition(" ")[2]
+                axes.set_title(f"residual {unit},\n{vessel_title(first, vessel)}")
         figure.supxlabel("time in the beat (ms)", fontsize="medium")
         figure.supylabel(quantity_label(quantity), fontsize="medium")
         if rest:
@@ -157,16 +170,21 @@ def _draw_residuals(
     axes.axhline(0, color="#999999", lw=0.8)
     for k, (name, data) in enumerate(medians.items()):
         colour, line = model_style(name, k)
-        [measured, *_] = observed_at(study, quantity, data, vessel)
+        [observed, *_] = observed_at(study, quantity, data, vessel)
         wave = data[quantity].sel(vessel=vessel).to_numpy()
         predicted = np.interp(time_s, data["time"].to_numpy(), wave, period=study.period_s)
         axes.plot(
             1e3 * time_s,
-            np.asarray(measured) - predicted,
+            area_factor(quantity) * (np.asarray(observed) - predicted),
             color=colour,
             ls=line,
             lw=width_of(k, len(medians)),
         )
+
+
+def _is_curve(pressure: Array) -> bool:
+    """Whether pressures, in the order of their areas, only rise; within a hundredth of their range."""
+    return float(np.diff(pressure).min()) > -0.01 * float(np.ptp(pressure))
 
 
 def loops_figure(
@@ -177,9 +195,10 @@ def loops_figure(
 ) -> Figure:
     """Pressure against cross-sectional area over the beat (figure 9, right, of the paper).
 
-    The walls are elastic, so pressure is a function of area and a loop is a curve, passed in both directions.
-    Areas are those of the vessels, in cm2. The paper shows (A - l)/(u - l), with the least and largest area
-    l and u of each vessel; with `standardised` so does this figure, l and u taken over the models shown.
+    With elastic walls pressure is a function of area: no loop, but a curve that is passed up and down, and
+    the figure says so. What viscoelastic walls do is drawn as the loop that it is. Areas are those of the
+    vessels, in cm2. The paper shows (A - l)/(u - l), with the least and largest area l and u of each vessel;
+    with `standardised` so does this figure, l and u taken over the models shown.
 
     Parameters
     ----------
@@ -194,7 +213,7 @@ def loops_figure(
     Returns
     -------
     matplotlib.figure.Figure
-        Colours tell wall and stiffness, dashes independent errors.
+        Each model has its colour; dashes tell independent errors.
 
     Raises
     ------
@@ -203,6 +222,7 @@ def loops_figure(
     """
     first = first_of(waves, "waves")
     shown = shown_vessels(first, vessels, SEVEN_VESSELS)
+    loops = False
     with panels_of(len(shown), sharey=True, sharex=standardised, spare=1) as (figure, panels, rest):
         for axes, vessel in zip(panels, shown, strict=True):
             areas = {name: data["area_cm2"].sel(vessel=vessel).to_numpy() for name, data in waves.items()}
@@ -212,11 +232,15 @@ def loops_figure(
                 colour, line = model_style(name, k)
                 area = (areas[name] - least) / (largest - least) if standardised else 1e3 * areas[name]
                 pressure = data["pressure_mmHg"].sel(vessel=vessel).to_numpy()
-                order = np.argsort(area)  # passed once, so that dashes stay dashes
+                order = np.argsort(area)  # a curve is passed once, so that dashes stay dashes
+                if not _is_curve(pressure[order]):
+                    order, loops = np.append(np.arange(len(area)), 0), True
                 axes.plot(area[order], pressure[order], color=colour, ls=line, lw=width_of(k, len(waves)))
             axes.set_title(vessel_title(first, vessel))
             if not standardised:
                 axes.xaxis.set_major_locator(MaxNLocator(4))
+        if not loops:
+            figure.suptitle("pressure against area over the beat: elastic walls have a curve, no loop")
         panels[0].yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
         label = "standardised area" if standardised else quantity_label("area_cm2")
         figure.supxlabel(label, fontsize="medium")

@@ -106,7 +106,7 @@ def part_of(
             found = {name: check.verdict for name, check in checks.items()}
             table = compare(posteriors, chapter.models, ic=ic, n_draws=n_draws, verdicts=found)  # type: ignore[arg-type]
     failing = [name for name, check in checks.items() if not check.verdict.passes]
-    pictures = {}
+    pictures: dict[str, Any] = {}
     if table is not None and len(table) > 1:
         caption = f"{CRITERION[table.attrs.get('ic', 'waic')]} of each model and its difference to the best."
         pictures["ranking"] = picture_of(
@@ -117,16 +117,16 @@ def part_of(
         alt = f"{caption} The tables below have the numbers."
         pictures["forest"] = picture_of(forest_figure(posteriors), alt, caption)
     if posteriors and chapter.study is not None:
-        say(f"{chapter.name}: pressure in the vessels")
+        say(f"{chapter.name}: waves in the vessels")
         medians = {
             name: median_waves(one_place(vessel_waves(chapter.models[name], idata, n_draws=WAVE_DRAWS)))
             for name, idata in posteriors.items()
         }
-        caption = (
-            f"Median pressure of {WAVE_DRAWS} draws of each model at the inlet of the root and midway in "
-            "the others; last, measured minus median. Where nothing was measured this is prediction alone."
-        )
-        pictures["waves"] = picture_of(models_figure(medians, chapter.study), caption, caption)
+        quantities = dict.fromkeys(series.quantity for series in chapter.study.series)
+        pictures["waves"] = [
+            picture_of(models_figure(medians, chapter.study, quantity=quantity), caption, caption)
+            for quantity, caption in ((q, _waves_caption(q)) for q in quantities)
+        ]
     details = []
     for name in posteriors:
         say(f"{chapter.name}: model {name}")
@@ -148,6 +148,13 @@ def part_of(
         "commands": [*chapter.commands, *(sampling_command(record) for record in records.values())],
         "data": chapter.study is not None,
     }
+
+
+def _waves_caption(quantity: str) -> str:
+    return (
+        f"Median {quantity.split('_')[0]} of {WAVE_DRAWS} draws of each model at the inlet of the root and "
+        "midway in the others; last, observed minus median. Where nothing was observed it is prediction."
+    )
 
 
 def _facts(chapter: Chapter, records: Mapping[str, RunRecord]) -> list[tuple[str, str]]:

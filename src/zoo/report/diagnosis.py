@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 DIAGNOSIS_FIGURES = {
     "gap": (
         plot_discrepancy,
-        "What was measured, the baseline, and the baseline with its cause; below, the discrepancy of each "
+        "What was observed, the baseline, and the baseline with its cause; below, the discrepancy of each "
         "with 95 % bands, and one standard deviation of the noise in grey.",
     ),
     "hypotheses": (
         plot_hypotheses,
-        "Log evidence of each explanation over that of noise alone, its probability, and the discrepancy it "
+        "Log evidence of each explanation below that of the best, its probability, and the discrepancy it "
         "leaves.",
     ),
     "where": (
