@@ -45,9 +45,9 @@ def stiffness_figure(stiffness: Mapping[str, xr.DataArray]) -> Figure:
         tops: dict[int, tuple[float, float]] = {}
         for k, (name, draws) in enumerate(stiffness.items()):
             radius = draws["radius_cm"].to_numpy()
-            width = float(np.ptp(radius)) or float(radius[0])
+            widest = float(radius.max())
             low, median, high = in_scale("chi", draws.quantile((0.025, 0.5, 0.975), ("chain", "draw")))
-            x = _apart(radius, 0.018 * width) + 0.0053 * width * (k - (len(stiffness) - 1) / 2)
+            x = _apart(radius, 0.0128 * widest) + 0.0038 * widest * (k - (len(stiffness) - 1) / 2)
             colour = model_style(name, k)[0]
             errors = np.stack([median - low, high - median])
             axes.errorbar(
