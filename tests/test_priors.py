@@ -3,12 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+import pymc as pm
 import pytest
+from pymc.model_graph import ModelGraph
 from scipy import stats
 
-from zoo.core.parameters import InverseGamma, LogNormal, LogUniform, Normal, Population, Uniform
+from zoo import load_study
+from zoo.core.parameters import (
+    InverseGamma,
+    LogNormal,
+    LogUniform,
+    Normal,
+    Parameter,
+    Population,
+    Uniform,
+    random_variables,
+)
+from zoo.models import MODELS, get_model
 
 GIVEN = {"m": np.asarray(3.0), "v": np.asarray(0.7)}
 LAWS = {
@@ -52,3 +67,89 @@ def test_mass_inside_bounds_of_a_log_normal() -> None:
     a, b = whole.cdf([0.1, 1.0])
     np.testing.assert_allclose(prior.cdf(x), (whole.cdf(x) - a) / (b - a), rtol=1e-12)
     np.testing.assert_allclose(prior.quantile(prior.cdf(x)), x, rtol=1e-10)
+
+
+# ---------------------------------------------------------------------------------------------------
+# A population above zero
+
+POPULATION = (
+    Parameter("m", Normal(6.0, 1.5)),
+    Parameter("v", InverseGamma(3.0, 8.0)),
+    Parameter("chi", Population("m", "v", unit=2.0), dims="vessel", size=3),
+)
+
+
+def differences(f: Callable[[np.ndarray], float], at: np.ndarray, h: float = 1e-4) -> tuple[Any, Any]:
+    """Gradient and Hessian by central differences."""
+    eye = h * np.eye(len(at))
+    first = np.array([f(at + s) - f(at - s) for s in eye]) / (2 * h)
+    second = [[f(at + s + r) - f(at + s - r) - f(at - s + r) + f(at - s - r) for r in eye] for s in eye]
+    return first, np.array(second) / (4 * h * h)
+
+
+@pytest.mark.parametrize("mean", [-1.5, 0.7, 4.0])
+def test_derivatives_of_a_population_are_those_of_differences(mean: float) -> None:
+    """Where Phi(m/s) is 0.2, 0.65 and 0.99: with respect to its elements, mean and variance."""
+    prior = Population("m", "v", unit=2.0)
+    at = np.array([mean, 0.8, 0.4, 2.5, 5.0])
+
+    def density(theta: np.ndarray) -> float:
+        return prior.log_density(theta[2:], {"m": theta[0], "v": theta[1]})
+
+    gradient, hessian = differences(density, at)
+    given = {"m": at[0], "v": at[1]}
+    slope, curvature = prior.curvature(at[2:], given)
+    first, second, cross = prior.dependence(at[2:], given)
+    np.testing.assert_allclose(np.concatenate([first, slope]), gradient, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(second, -hessian[:2, :2], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(cross, -hessian[2:, :2], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(curvature, -np.diag(hessian)[2:], rtol=1e-5, atol=1e-5)
+
+
+def test_a_population_has_one_density_everywhere() -> None:
+    """As value, as PyMC variable, and as SciPy has it; its draws are positive and have that law."""
+    with pm.Model(coords={"vessel": [0, 1, 2]}) as model:
+        random_variables(POPULATION)
+    given = {"m": np.asarray(1.0), "v": np.asarray(0.8)}
+    reference = stats.truncnorm(-1.0 / (2 * math.sqrt(0.8)), math.inf, 1.0, 2 * math.sqrt(0.8))
+    x = np.array([0.2, 1.0, 4.0])
+    made = pm.logp(model["chi"], x).eval({model["m"]: 1.0, model["v"]: 0.8})
+    np.testing.assert_allclose(made, reference.logpdf(x), rtol=1e-7)
+    assert POPULATION[2].prior.log_density(x, given) == pytest.approx(reference.logpdf(x).sum())
+    draws = pm.draw(pm.do(model, {"m": 1.0, "v": 0.8})["chi"], draws=2000, random_seed=1)
+    ours = POPULATION[2].prior.draw(np.random.default_rng(2), 6000, given)
+    for values in (draws.ravel(), ours):
+        assert values.min() > 0
+        assert stats.kstest(values, reference.cdf).pvalue > 1e-3
+
+
+def test_a_population_is_sampled_as_its_logarithm() -> None:
+    with pm.Model(coords={"vessel": [0, 1, 2]}) as model:
+        random_variables(POPULATION)
+    point = model.initial_point()
+    assert set(point) == {"m", "v_log__", "chi_log__"}
+    np.testing.assert_allclose(np.exp(point["chi_log__"]), 6.0)  # at its mean
+
+
+def test_a_vague_inverse_gamma_can_be_drawn() -> None:
+    """Half of its draws are beyond the largest double; the others have its law."""
+    with pm.Model():
+        vague = InverseGamma(0.001, 0.001).variable("x", {})
+    for draws in (
+        pm.draw(vague, draws=2000, random_seed=1),
+        InverseGamma(0.001, 0.001).draw(np.random.default_rng(1), 2000, {}),
+    ):
+        assert np.all(np.isfinite(draws))
+        assert np.all(draws > 0)
+        for limit in (1.0, 1e100, 1e200):
+            expected = float(stats.invgamma(0.001, scale=0.001).cdf(limit))
+            assert np.mean(draws < limit) == pytest.approx(expected, abs=0.04)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_model_can_be_drawn_from(name: str) -> None:
+    model = get_model(name)(load_study("demo"))
+    ModelGraph(model).get_plates()  # what pm.model_to_graphviz draws
+    found = pm.sample_prior_predictive(2, model=model, random_seed=3)
+    assert found.prior_predictive["y"].shape == (1, 2, *model.zoo.data.values.shape)
+    assert all(np.all(np.isfinite(values)) for values in found.prior.values())

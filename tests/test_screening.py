@@ -315,7 +315,7 @@ def test_slopes_and_curvatures_of_priors_are_those_of_differences() -> None:
     outputs = Outputs(("y",), np.arange(8.0))
     model = SimpleNamespace(parameters=parameters, outputs=outputs, families=(), name="x")
     forward = HypothesisModel(model, Hypothesis(), None)  # type: ignore[arg-type]
-    u = np.array([6.5, math.log(2.0), math.log(9.0), math.log(4.0), math.log(7.0), math.log(0.4)])
+    u = np.array([6.5, math.log(2.0), math.log(8.0), math.log(6.0), math.log(7.0), math.log(0.4)])
 
     def value(u: np.ndarray) -> float:
         jacobian = float(np.sum(u[[1, 2, 3, 4, 5]]))

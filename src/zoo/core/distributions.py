@@ -5,14 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pymc as pm
 import pytensor.tensor as pt
 from numpy.typing import NDArray
 from pymc.distributions import transforms
-from pymc.distributions.continuous import BoundedContinuous
+from pymc.distributions.continuous import BoundedContinuous, TruncatedNormalRV
 from pytensor.graph.op import Op
+from pytensor.tensor.random.basic import InvGammaRV
 from pytensor.tensor.random.op import RandomVariable
 
 Array = NDArray[np.float64]
+
+LARGEST_DRAW = 1e300
+"""What stands for draws that no double can hold, as in `zoo.core.priors`."""
 
 
 class LogUniformRV(RandomVariable):
@@ -54,3 +59,37 @@ def _log_bounds(*inputs: Any) -> tuple[Any, Any]:
 @transforms._default_transform.register(LogUniformRV)
 def _log_uniform_transform(op: Op, rv: Any) -> Any:
     return transforms.Chain([transforms.log, transforms.Interval(bounds_fn=_log_bounds)])
+
+
+class InverseGammaRV(InvGammaRV):
+    """Draws of `InverseGamma`."""
+
+    @classmethod
+    def rng_fn(cls, rng: np.random.Generator, shape: Array, scale: Array, size: Any = None) -> Array:
+        """The scale over a gamma draw, at most `LARGEST_DRAW`."""
+        return np.asarray(scale / np.maximum(rng.gamma(shape, size=size), scale / LARGEST_DRAW))
+
+
+class InverseGamma(pm.InverseGamma):
+    """``pm.InverseGamma`` whose draws are finite also where a gamma draw is below the smallest double."""
+
+    rv_op = InverseGammaRV()
+
+
+class PositiveNormalRV(TruncatedNormalRV):
+    """Draws of `PositiveNormal`."""
+
+
+class PositiveNormal(pm.TruncatedNormal):
+    """``pm.TruncatedNormal`` above zero that is sampled as its logarithm and starts at its mean."""
+
+    rv_type = PositiveNormalRV
+    rv_op = PositiveNormalRV()
+
+    def support_point(rv, size, mu, sigma, lower, upper):  # type: ignore[no-untyped-def]
+        return pt.zeros_like(rv) + pt.switch(mu > 0, mu, sigma)
+
+
+@transforms._default_transform.register(PositiveNormalRV)
+def _log(op: Op, rv: Any) -> Any:
+    return transforms.log

@@ -13,6 +13,9 @@ from scipy.special import gammaincc, gammainccinv, log_ndtr, ndtri_exp
 
 Array = NDArray[np.float64]
 
+LARGEST_DRAW = 1e300
+"""What stands for draws that no double can hold: half of those of an inverse gamma of shape 0.001."""
+
 
 class ParameterError(ValueError):
     """A parameter or prior that is out of range or does not fit; its text says what to change."""
@@ -414,14 +417,16 @@ class InverseGamma(Prior):
         return slope, 2 * self.scale / x**3 - (self.shape + 1) / x**2
 
     def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
-        """``pm.InverseGamma``."""
-        import pymc as pm
+        """``zoo.core.distributions.InverseGamma``, which can be drawn from however vague it is."""
+        from zoo.core import distributions
 
-        return pm.InverseGamma(name, self.shape, self.scale, **settings)
+        return distributions.InverseGamma(name, self.shape, self.scale, **settings)
 
     def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """Scale over gamma draws."""
-        return self.scale / rng.gamma(self.shape, size=size)
+        """Scale over gamma draws, at most `LARGEST_DRAW`."""
+        return np.asarray(
+            self.scale / np.maximum(rng.gamma(self.shape, size=size), self.scale / LARGEST_DRAW)
+        )
 
     def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
         """By the inverse of the regularised gamma function; infinite where no double is large enough."""
@@ -436,8 +441,8 @@ class InverseGamma(Prior):
 
     @property
     def median(self) -> float:
-        """The median."""
-        return float(self.quantile(0.5))
+        """The median, at most `LARGEST_DRAW`."""
+        return min(float(self.quantile(0.5)), LARGEST_DRAW)
 
     @property
     def text(self) -> str:
@@ -447,7 +452,9 @@ class InverseGamma(Prior):
 
 @dataclass(frozen=True)
 class Population(Prior):
-    """Each element normal around a population's mean: x_i ~ N(m, (unit sqrt(v))^2), x_i > 0.
+    """Each element normal around a population's mean, and positive: x_i ~ N(m, s^2) given x_i > 0.
+
+    Its sd is s = unit sqrt(v), and its density the normal one over Phi(m/s), which m and v change too.
 
     Parameters
     ----------
@@ -475,10 +482,11 @@ class Population(Prior):
         return float(given[self.mean]), self.unit * math.sqrt(float(given[self.variance]))
 
     def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
-        """Sum of the elements' normal log-densities."""
+        """Sum of -z^2/2 - log(s sqrt(2 pi)) - log Phi(m/s), z = (x - m)/s."""
         mean, sd = self._standard(given)
         z = (np.asarray(x) - mean) / sd
-        return float(np.sum(-0.5 * z * z - math.log(sd * math.sqrt(2 * math.pi))))
+        size = math.log(sd * math.sqrt(2 * math.pi)) + float(log_ndtr(mean / sd))
+        return float(np.sum(-0.5 * z * z - size))
 
     def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
         """-(x - m)/sd^2 and 1/sd^2."""
@@ -487,26 +495,32 @@ class Population(Prior):
         return -(x - mean) / sd**2, np.full(x.shape, 1.0 / sd**2)
 
     def dependence(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array, Array]:
-        """With respect to m and v, where -log p = sum (x - m)^2/(2 unit^2 v) + n log(v)/2."""
+        """With respect to m and v: -log p = sum (x - m)^2/(2 s^2) + n log(v)/2 + n log Phi(m/s) + const."""
         mean, sd = self._standard(given)
         v = float(given[self.variance])
         x = np.asarray(x, dtype=np.float64)
-        z, n = (x - mean) / sd, len(x)
-        first = np.array([np.sum(z) / sd, (np.sum(z * z) - n) / (2.0 * v)])
-        mixed = np.sum(z) / (sd * v)
-        second = np.array([[n / sd**2, mixed], [mixed, (np.sum(z * z) - 0.5 * n) / v**2]])
+        z, n, t = (x - mean) / sd, len(x), mean / sd
+        ratio = math.exp(-0.5 * t * t - 0.5 * math.log(2 * math.pi) - float(log_ndtr(t)))
+        bend = -ratio * (t + ratio)  # first and second derivative of log Phi(t)
+        squares = float(np.sum(z * z))
+        first = np.array([np.sum(z) / sd - n * ratio / sd, (squares - n + n * ratio * t) / (2.0 * v)])
+        mixed = (np.sum(z) - 0.5 * n * (bend * t + ratio)) / (sd * v)
+        of_variance = (squares - 0.5 * n + 0.25 * n * (bend * t * t + 3.0 * ratio * t)) / v**2
+        second = np.array([[n * (1.0 + bend) / sd**2, mixed], [mixed, of_variance]])
         cross = np.stack([np.full(n, -1.0 / sd**2), -z / (sd * v)], axis=1)
         return first, second, cross
 
     def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
-        """``pm.Normal``, sampled as its logarithm."""
+        """``zoo.core.distributions.PositiveNormal``, sampled as its logarithm."""
         import pymc as pm
 
+        from zoo.core import distributions
+
         sd = self.unit * pm.math.sqrt(given[self.variance])
-        return pm.Normal(name, given[self.mean], sd, transform=pm.distributions.transforms.log, **settings)
+        return distributions.PositiveNormal(name, given[self.mean], sd, lower=0.0, **settings)
 
     def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """Normal draws, those below zero drawn again."""
+        """By inversion of the distribution function."""
         mean, sd = self._standard(given)
         return Normal(mean, sd, 0.0).draw(rng, size, {})
 
@@ -525,5 +539,5 @@ class Population(Prior):
 
     @property
     def text(self) -> str:
-        """Such as "normal(m_chi, 10000 sqrt(v_chi))"."""
-        return f"normal({self.mean}, {self.unit:g} sqrt({self.variance}))"
+        """Such as "normal(m_chi, 10000 sqrt(v_chi)) above 0"."""
+        return f"normal({self.mean}, {self.unit:g} sqrt({self.variance})) above 0"
