@@ -11,7 +11,7 @@
 #include <stdint.h>
 
 /* cffi:begin */
-enum { ZOO_ABI = 2 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
+enum { ZOO_ABI = 3 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
 
 enum zoo_status {
     ZOO_OK = 0,
@@ -59,6 +59,8 @@ typedef struct {
 typedef struct {
     int32_t law;                     /* number of the law, see zoo_wall_name */
     double factor;                   /* k in p = k chi tan(...): 1 as printed, 1/pi as in the published code */
+    const double *stiffness_ratio;    /* [n_vessels] s in chi(x) = chi (1 + (s - 1) x/L) (r_in/r(x))^e, or NULL for 1 */
+    const double *stiffness_exponent; /* [n_vessels] e; 1 where E h is constant; or NULL for 0 */
     const double *offset_in;         /* [n_vessels] dyn/cm^2, added to the pressure at the inlet, or NULL */
     const double *offset_out;        /* [n_vessels] and at the outlet; linear between */
     const double *viscoelastic_time; /* [n_vessels] s, tau in tau_r dp_v/dt + p_v = tau dp_e/dt, or NULL */
@@ -93,8 +95,9 @@ typedef struct {
 typedef struct {
     int32_t kind;                     /* number of the kind, see zoo_outlet_name; 0: the Windkessel */
     const double *R1;                 /* [n_vessels] dyn s/cm^5 */
-    const double *R2;                 /* [n_vessels] dyn s/cm^5 */
-    const double *C;                  /* [n_vessels] cm^5/dyn */
+    const double *R2;                 /* [n_vessels] dyn s/cm^5; 0: a single resistance, R1, */
+    const double *C;                  /* [n_vessels] cm^5/dyn; not read where R2 is 0 */
+    const double *pressure;           /* [n_vessels] dyn/cm^2 behind the outlet, or NULL for 0 */
     const double *inertance;          /* [n_vessels] g/cm^4, or NULL */
     int32_t n_sections;               /* parallel RC pairs at each terminal; 0: one of R2 and C */
     const double *section_resistance; /* [n_vessels][n_sections] shares of R2; 0: the section is absent */
@@ -134,7 +137,7 @@ typedef struct {
 
 /* One set of parameters is a row of each array. */
 typedef struct {
-    const double *stiffness; /* [n_sets][n_vessels] chi, dyn/cm^2 */
+    const double *stiffness; /* [n_sets][n_vessels] chi at the inlet, dyn/cm^2 */
     const double *shape;     /* [n_sets][zoo_wall_shapes][n_vessels] further parameters of the wall law, or NULL if none */
     const double *psi1;      /* [n_sets][n_vessels] factor of R1 */
     const double *psi2;      /* [n_sets][n_vessels] factor of R2 */

@@ -36,6 +36,9 @@ static int bad_wall(const zoo_wall *wall, int nv)
     if (!wall->offset_in != !wall->offset_out || values_outside(wall->offset_in, nv, -INFINITY, INFINITY) ||
         values_outside(wall->offset_out, nv, -INFINITY, INFINITY))
         return 1;
+    if (values_outside(wall->stiffness_ratio, nv, 1e-300, INFINITY) ||
+        values_outside(wall->stiffness_exponent, nv, -INFINITY, INFINITY))
+        return 1;
     if (values_outside(wall->viscoelastic_time, nv, 0.0, INFINITY) ||
         (wall->viscoelastic_time && value_bad(wall->relaxation_time)))
         return 1;

@@ -2,6 +2,7 @@
 #include <string.h>
 
 #include "internal.h"
+#include "values.h"
 
 /* The ends of the vessels that meet at the junctions of one size. */
 static void set_junctions(zoo_sim *s, zoo_junction_group *ju)
@@ -60,6 +61,12 @@ void zoo_set_grid(zoo_sim *s)
             s->inv_A0_mid[node] = 2.0 / (s->A0[node] + ZOO_PI * pow(next, 2));
             zoo_friction(s, k, r, &s->f_s[node], &s->f_c[node]);
             zoo_friction(s, k, r_mid, &s->f_s_mid[node], &s->f_c_mid[node]);
+            if (s->varying) {
+                const zoo_wall *wall = &s->problem->wall;
+                double ratio = wall->stiffness_ratio ? wall->stiffness_ratio[k] : 1.0, part = (double)j / n;
+                double wider = net->radius_in[k] / (net->radius_in[k] + step * j); /* a throat is as stiff as its vessel */
+                s->stiffening[node] = (1.0 + (ratio - 1.0) * part) * pow(wider, value_or_zero(wall->stiffness_exponent, k));
+            }
         }
         if (s->extra)
             zoo_set_additions(s, k);
@@ -69,6 +76,7 @@ void zoo_set_grid(zoo_sim *s)
     for (int t = 0; t < s->outlets.count; t++) {
         s->outlets.node[t] = s->last[s->outlets.vessel[t]];
         s->outlets.A0[t] = s->A0[s->outlets.node[t]];
+        s->outlets.behind[t] = value_or_zero(s->problem->outlet.pressure, s->outlets.vessel[t]);
     }
     for (int g = 0; g < s->n_groups; g++)
         set_junctions(s, &s->groups[g]);

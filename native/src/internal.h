@@ -59,6 +59,7 @@ typedef struct {
     int *vessel, *node;                  /* [count] */
     double *per_w, *A0;                  /* [count] 2 dt/dx, rest area at the node */
     double *R1, *R2, *C;                 /* [count*lanes] */
+    double *behind;                      /* [count] pressure behind the outlet */
     double *volume;                      /* [count*lanes] ml that left so far in this beat */
     double *coefficient;                 /* [rows.coefficients][count*lanes] */
     double *v;                           /* [rows.pressures][count*lanes] state */
@@ -86,6 +87,9 @@ typedef struct {
 
     /* wall, lane arrays at nodes; midpoint j lies in the vessel of node j */
     double *K;                           /* [n_nodes*lanes] */
+    double *K_mid;                       /* [n_nodes*lanes] at midpoints; K itself unless stiffness varies along a vessel */
+    double *stiffening;                  /* [n_nodes] chi over that at the inlet, where it varies */
+    int varying;                         /* 1: stiffness varies along a vessel */
     double *coefficient;                 /* [wall_shapes][n_nodes*lanes] of the law, zoo_shape */
 
     /* state at nodes: area, flow, pressure, momentum flux, friction force */
@@ -191,6 +195,9 @@ int64_t zoo_layout(const zoo_problem *problem, int lanes, zoo_sim *sim, void *ba
 
 /* grid.c: nodes, ends of vessels, and where outputs are taken. */
 void zoo_set_grid(zoo_sim *sim);
+
+/* parameters.c: whether stiffness varies along a vessel. */
+int zoo_stiffness_varies(const zoo_problem *problem);
 
 /* friction.c and throat.c: at one rest radius, at one place of a vessel. */
 void zoo_friction(const zoo_sim *sim, int vessel, double r0, double *f_s, double *f_c);

@@ -30,6 +30,7 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     s->inv_density = 1.0 / pr->fluid.density;
     s->extra = zoo_has_additions(pr);
     s->stiff = s->stiff_half = s->stiffest = 1.0;
+    s->varying = zoo_stiffness_varies(pr);
     s->coupled = pr->junction.total_pressure != 0.0 || pr->junction.loss != 0.0;
     int64_t x = s->extra ? 1 : 0; /* no memory for what is not added */
     int64_t wave = s->extra && pr->wall.n_wave > 0 ? pr->numerics.max_steps : 0;
@@ -100,6 +101,7 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(ou->R1, nt * W);
     REALS(ou->R2, nt * W);
     REALS(ou->C, nt * W);
+    REALS(ou->behind, nt);
     REALS(ou->volume, nt * W);
     REALS(ou->coefficient, ou->rows.coefficients * nt * W);
     REALS(ou->v, ou->rows.pressures * nt * W);
@@ -125,6 +127,10 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(s->lam, n);
     REALS(s->half_dt, n);
     REALS(s->K, n * W);
+    s->K_mid = s->K;
+    if (s->varying)
+        REALS(s->K_mid, n * W);
+    REALS(s->stiffening, s->varying ? n : 0);
     REALS(s->coefficient, wall_shapes(s->wall) * n * W);
     REALS(s->A, n * W);
     REALS(s->q, n * W);

@@ -4,7 +4,7 @@
  * there.  The header holds, for a kind called `windkessel`,
  *
  *   windkessel_loops                 in which loops of step.c it can run: OUTLET_PLAIN, OUTLET_ADDED, or both
- *   windkessel_bad(pr)               1 if an argument is out of range (R1, R2 and C are positive already)
+ *   windkessel_bad(pr)               1 if an argument is out of range (R1 is positive already, R2 and C positive or R2 zero)
  *   windkessel_adds(pr)              1 if it needs the loops with additions
  *   windkessel_rows(pr)              how many rows of [count*lanes] it has of coefficients, of pressures and flows
  *                                    in its state, and of scratch
@@ -63,9 +63,11 @@ enum { ZOO_OUTLETS(OUTLET_NUMBER, ) ZOO_N_OUTLETS };
 
 static inline int outlet_bad(const zoo_problem *pr)
 {
+    const zoo_outlet *out = &pr->outlet;
     for (int k = 0; k < pr->network.n_vessels; k++)
         if (zoo_children(&pr->network, k) == 0 &&
-            (value_bad(pr->outlet.R1[k]) || value_bad(pr->outlet.R2[k]) || value_bad(pr->outlet.C[k])))
+            (value_bad(out->R1[k]) || (out->R2[k] != 0.0 && (value_bad(out->R2[k]) || value_bad(out->C[k]))) ||
+             !isfinite(value_or_zero(out->pressure, k))))
             return 1;
     OUTLET_RETURN(pr->outlet.kind, 1, bad, pr)
 }

@@ -1,7 +1,7 @@
 /* At the end of a terminal vessel: behind R1 an inertance beside a resistance R_p, and
  * several parallel RC pairs (sections),
  *
- *   p = R1 q + p_L + sum_k v_k,     C_k dv_k/dt = q - v_k/R_k,
+ *   p = p_out + R1 q + p_L + sum_k v_k,     C_k dv_k/dt = q - v_k/R_k,
  *   p_L = L dq_L/dt = R_p (q - q_L),     R_p = 6 rho c/A0 of the vessel's end at rest.
  *
  * R_p lets the fastest waves out, which an inertance alone would send back whole.  They
@@ -14,9 +14,9 @@
  * and c the inertance's flow by the trapezoidal rule (stable for any L),
  *
  *   p_L = I (Q - c),   c' = c + dt/L p_L,   I = 2 L/(dt + 2 L/R_p),
- *   p(A') = -p + sum_k (1 + e_k) v_k - 2 I c + E Q(A'),   E = 2 R1 + sum_k R_k (1 - e_k) + 2 I.
+ *   p(A') = 2 p_out - p + sum_k (1 + e_k) v_k - 2 I c + E Q(A'),   E = 2 R1 + sum_k R_k (1 - e_k) + 2 I.
  *
- * The node's own flow follows from y = p - sum_k v_k, linear over the step, exactly:
+ * The node's own flow follows from y = p - p_out - sum_k v_k, linear over the step, exactly:
  * L (1 + R1/R_p) dq_L/dt + R1 q_L = y gives q_L' = keep q_L + now y' + before y, and
  * q = (R_p q_L + y)/(R1 + R_p) = share q_L + direct y.  Unlike c this has no memory of a
  * sawtooth when L is small, and without L it is y'/R1 as in outlet_windkessel.h.
@@ -190,7 +190,7 @@ static inline double circuit_capacity(const zoo_sim *s, int t, int l)
 {
     double sum = 0.0, all = circuit_behind(s, t, l);
     for (int m = 0; m < circuit_sections(s->problem); m++) {
-        double part = circuit_R(s, m, t, l) / all;
+        double part = all > 0.0 ? circuit_R(s, m, t, l) / all : 0.0;
         sum += part > 0.0 ? part * part * circuit_C(s, m, t, l) : 0.0;
     }
     return sum;
@@ -199,9 +199,9 @@ static inline double circuit_capacity(const zoo_sim *s, int t, int l)
 static inline void circuit_start(zoo_sim *s, int t, int l)
 {
     int i = s->outlets.node[t] * s->lanes + l, o = t * s->lanes + l;
-    double v = s->P[i] - s->outlets.R1[o] * s->q[i], R = circuit_behind(s, t, l);
+    double v = s->P[i] - s->outlets.behind[t] - s->outlets.R1[o] * s->q[i], R = circuit_behind(s, t, l);
     for (int m = 0; m < circuit_sections(s->problem); m++)
-        outlet_row(s, s->outlets.v, m)[o] = v * circuit_R(s, m, t, l) / R;
+        outlet_row(s, s->outlets.v, m)[o] = R > 0.0 ? v * circuit_R(s, m, t, l) / R : 0.0;
     s->outlets.carry[o] = s->q[i];
 }
 
@@ -213,7 +213,7 @@ ZOO_INLINE void circuit_advance(const int wall, const int W, const int extra, zo
     const int n = ou->count, n_sections = ou->rows.pressures;
     const double dt = s->dt, later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
     const int *restrict node = ou->node;
-    const double *restrict per_w = ou->per_w, *restrict A0 = ou->A0,
+    const double *restrict per_w = ou->per_w, *restrict A0 = ou->A0, *restrict p_out = ou->behind,
                            *restrict E = outlet_row(s, ou->coefficient, CIRCUIT_E),
                            *restrict inertia = outlet_row(s, ou->coefficient, CIRCUIT_INERTIA),
                            *restrict gain = outlet_row(s, ou->coefficient, CIRCUIT_GAIN),
@@ -237,8 +237,8 @@ ZOO_INLINE void circuit_advance(const int wall, const int W, const int extra, zo
                      *restrict p = outlet_row(s, ou->scratch, CIRCUIT_P);
     ZOO_LOOP(W, i, t, l, 0, n, {
         const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-        y[i] = P[o];
-        base[i] = -P[o] - inertia[i] * carry[i];
+        y[i] = P[o] - p_out[t];
+        base[i] = 2.0 * p_out[t] - P[o] - inertia[i] * carry[i];
         /* the half cell's leak is w leak p* */
         q_mid[i] = qh[o - W] - dt / per_w[t] * leak[node[t]] * Ph[o - W];
         a[i] = A[o] / A0[t];
@@ -290,7 +290,7 @@ ZOO_INLINE void circuit_advance(const int wall, const int W, const int extra, zo
         const double then = A0[t] * a[i], Q = q_mid[i] - (then - A[o]) / per_w[t];
         A[o] = then;
         q[o] = keep[i] * (q[o] - direct[i] * y[i]) + share[i] * before[i] * y[i];
-        y[i] = base[i] + E[i] * Q; /* the new pressure, less the sections' below */
+        y[i] = base[i] + E[i] * Q - p_out[t]; /* the new pressure above that behind, less the sections' below */
         back[i] = Q;
         carry[i] += gain[i] * (Q - carry[i]);
         volume[i] += dt * Q;

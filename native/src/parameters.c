@@ -25,6 +25,37 @@ static wall_shape given_shape(const zoo_sim *s, const zoo_parameters *pa, int l,
     return (wall_shape){per_set ? pa->shape + s->set_of[l] * per_set + k : NULL, nv};
 }
 
+int zoo_stiffness_varies(const zoo_problem *pr)
+{
+    const zoo_wall *wall = &pr->wall;
+    const zoo_network *net = &pr->network;
+    if (values_differ(wall->stiffness_ratio, net->n_vessels, 1.0))
+        return 1;
+    for (int k = 0; k < net->n_vessels; k++)
+        if (value_or_zero(wall->stiffness_exponent, k) != 0.0 && net->radius_in[k] != net->radius_out[k])
+            return 1;
+    return 0;
+}
+
+/* K along vessel k, and at its midpoints
+ *
+ *   K_mid = (A0 + A0')/(A0/K + A0'/K'),
+ *
+ * so that a midpoint between two nodes of one pressure p, whose area is the mean of theirs, has that pressure too, but
+ * for what is of the order of (p/K)^2 times the square of what a cell changes: blood at rest stays at rest. */
+static void vary_stiffness(zoo_sim *s, int k, int l)
+{
+    const int W = s->lanes;
+    for (int j = s->first[k]; j <= s->last[k]; j++)
+        s->K[j * W + l] *= s->stiffening[j];
+    for (int j = s->first[k]; j < s->last[k]; j++) {
+        double here = s->A0[j], next = s->A0[j + 1];
+        s->K_mid[j * W + l] = (here + next) / (here / s->K[j * W + l] + next / s->K[(j + 1) * W + l]);
+    }
+    s->K_mid[s->last[k] * W + l] = s->K[s->last[k] * W + l];
+    s->uniform = 0;
+}
+
 /* Spreads the parameters of each lane's set over the nodes.  A lane whose set
  * is out of range is reported and given the parameters of a good one, so that
  * it computes something harmless; returns the number of good lanes. */
@@ -69,6 +100,8 @@ int zoo_set_parameters(zoo_sim *s, const zoo_parameters *pa)
                     row_m[j * W + l] = value;
                 s->uniform &= value == row_m[l];
             }
+            if (s->varying)
+                vary_stiffness(s, k, l);
         }
         for (int t = 0; t < s->outlets.count; t++) {
             int k = s->outlets.vessel[t];

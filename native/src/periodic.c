@@ -166,6 +166,8 @@ static void disarm(zoo_sim *s, int lane)
     double *nodes[] = {s->K, s->A, s->q, s->P, s->M, s->G, s->Ah, s->qh, s->Ph, s->Mh, s->Gh, s->z, s->pe, s->off, s->off_half};
     for (int a = 0; a < (s->extra ? 15 : 11); a++)
         copy_lane(nodes[a], s->n_nodes, W, lane, from);
+    if (s->varying)
+        copy_lane(s->K_mid, s->n_nodes, W, lane, from);
     const zoo_terminals *ou = &s->outlets;
     copy_lane(s->coefficient, (ptrdiff_t)wall_shapes(s->wall) * s->n_nodes, W, lane, from);
     copy_lane(ou->R1, ou->count, W, lane, from);

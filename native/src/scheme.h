@@ -6,7 +6,8 @@
  * First to the midpoints, half a step on, then from the midpoints over the
  * whole step.  The pressure term is kept as A p_x: it is second order like the
  * flux form, holds fluid at rest in a tapered vessel exactly, and needs no
- * integral of the wall law.
+ * integral of the wall law.  Where the stiffness varies along a vessel, p is the pressure of each
+ * place's own wall, so that p_x holds what its change adds.
  *
  * With `extra`, A_t + q_x = -leak p, and p = p_e + p_v + offset, where p_e is the
  * wall's at its stiffness of the time (K is multiplied by `stiff`) and p_v follows from it with a memory,
@@ -24,7 +25,7 @@
 /* Areas, flows, pressures, fluxes and friction at the midpoints, half a step on. */
 ZOO_INLINE void scheme_half(const int wall, const int W, const int extra, zoo_sim *s)
 {
-    const double *restrict A = s->A, *restrict q = s->q, *restrict K = s->K;
+    const double *restrict A = s->A, *restrict q = s->q, *restrict K = s->K_mid;
     const double *restrict th = s->coefficient;
     const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
     const double *restrict P = s->P, *restrict M = s->M, *restrict G = s->G;

@@ -2,9 +2,9 @@
  *
  * First the steady flow of the mean inflow through vessels and Windkessels
  * (the pressure drop along a vessel is the scheme's own friction); then that
- * state is scaled to the start of the beat: all compliances in one vessel of
- * capacity C_sum, emptied through R_sum, filled by the inflow, has the
- * periodic pressure
+ * state, less the pressure that it has without flow, is scaled to the start of
+ * the beat: all compliances in one vessel of capacity C_sum, emptied through
+ * R_sum, filled by the inflow, has the periodic pressure
  *
  *   v(0) = int_0^T exp(-(T-t)/tau) q_in(t) dt / (C_sum (1 - exp(-T/tau))),  tau = R_sum C_sum.
  *
@@ -59,36 +59,46 @@ static double vessel_compliance(const zoo_sim *s, int k, int l)
     return sum * s->dx[k];
 }
 
-/* Equivalent resistance of the tree; `own` and `below` are scratch [n_vessels], and then hold each
- * vessel's own resistance and the conductance at its outlet.  Half of a leak sits at either end. */
-static double resistance_from(const zoo_sim *s, int l, double *own, double *below)
+/* Equivalent resistance of the tree; `own`, `below` and `source` are scratch [n_vessels], and then hold each
+ * vessel's own resistance, the conductance at its outlet, and the pressure that this leads to.  Half of a
+ * leak sits at either end.  `against` is the pressure without flow. */
+static double resistance_from(const zoo_sim *s, int l, double *own, double *below, double *source, double *against)
 {
     const int32_t *parent = s->problem->network.parent;
     for (int k = 0; k < s->n_vessels; k++)
-        below[k] = 0.5 * leaks(s, k); /* conductance of what hangs on k */
-    for (int t = 0; t < s->outlets.count; t++)
-        below[s->outlets.vessel[t]] += 1.0 / outlet_resistance(s, t, l);
+        below[k] = 0.5 * leaks(s, k), source[k] = 0.0; /* conductance of what hangs on k */
+    for (int t = 0; t < s->outlets.count; t++) {
+        int k = s->outlets.vessel[t];
+        below[k] += 1.0 / outlet_resistance(s, t, l);
+        source[k] += s->outlets.behind[t] / outlet_resistance(s, t, l); /* conductance times pressure, so far */
+    }
     for (int k = s->n_vessels - 1; k >= 0; k--) {
         own[k] = vessel_resistance(s, k, l);
-        if (k > 0)
-            below[parent[k]] += 1.0 / (own[k] + 1.0 / below[k]) + 0.5 * leaks(s, k);
+        source[k] /= below[k];
+        if (k > 0) {
+            double through = 1.0 / (own[k] + 1.0 / below[k]);
+            below[parent[k]] += through + 0.5 * leaks(s, k);
+            source[parent[k]] += through * source[k];
+        }
     }
-    double rest = own[0] + 1.0 / below[0];
-    return s->extra ? rest / (1.0 + 0.5 * leaks(s, 0) * rest) : rest;
+    double rest = own[0] + 1.0 / below[0], lost = s->extra ? 1.0 + 0.5 * leaks(s, 0) * rest : 1.0;
+    *against = source[0] / lost;
+    return s->extra ? rest / lost : rest;
 }
 
-/* Steady pressures into P and flows into q, for the mean inflow. */
-static void steady(zoo_sim *s, int l, double mean_flow, double *own, double *below)
+/* Steady pressures into P and flows into q, for the mean inflow; returns the root's pressure without flow. */
+static double steady(zoo_sim *s, int l, double mean_flow, double *own, double *below, double *source)
 {
+    double against = 0.0;
     const int32_t *parent = s->problem->network.parent;
     int W = s->lanes;
     for (int j = 0; j < s->n_nodes; j++)
         s->P[j * W + l] = 0.0;
     for (int sweep = 0; sweep < START_SWEEPS; sweep++) {
-        double root = mean_flow * resistance_from(s, l, own, below);
+        double root = mean_flow * resistance_from(s, l, own, below, source, &against) + against;
         for (int k = 0; k < s->n_vessels; k++) {
             double p_in = k ? s->P[s->last[parent[k]] * W + l] : root;
-            double flow = k || s->extra ? p_in / (own[k] + 1.0 / below[k]) : mean_flow;
+            double flow = k || s->extra ? (p_in - source[k]) / (own[k] + 1.0 / below[k]) : mean_flow;
             for (int j = s->first[k]; j <= s->last[k]; j++) {
                 double part = (double)(j - s->first[k]) / (s->last[k] - s->first[k]);
                 s->P[j * W + l] = p_in - part * flow * own[k];
@@ -96,6 +106,7 @@ static void steady(zoo_sim *s, int l, double mean_flow, double *own, double *bel
             }
         }
     }
+    return against;
 }
 
 void zoo_start(zoo_sim *s)
@@ -107,25 +118,25 @@ void zoo_start(zoo_sim *s)
         s->stiff = s->wave_node[0];
     double mean_flow = inlet_mean(s), h = in->period / in->n_samples;
     /* vessel by vessel scratch, borrowed from the history that is not in use yet */
-    double *own = s->states, *below = own + nv, *capacity = below + nv;
+    double *own = s->states, *below = own + nv, *capacity = below + nv, *source = capacity + nv;
     for (int l = 0; l < W; l++) {
-        steady(s, l, mean_flow, own, below);
+        double against = steady(s, l, mean_flow, own, below, source);
         double vessels = 0.0, total = 0.0;
         for (int k = 0; k < nv; k++)
             vessels += capacity[k] = vessel_compliance(s, k, l);
         for (int t = 0; t < s->outlets.count; t++)
             total += outlet_capacity(s, t, l);
         total += vessels;
-        double resistance = s->P[l] / mean_flow, tau = resistance * total;
+        double resistance = (s->P[l] - against) / mean_flow, tau = resistance * total;
         double filled = 0.0;
         for (int i = 0; i < in->n_samples; i++)
             filled += h * inlet_sample(s, i) * exp(-(in->period - i * h) / tau);
         s->slow[l] = exp(-in->period / tau);
-        double ratio = filled / (total * (1.0 - s->slow[l])) / s->P[l];
+        double ratio = filled / (total * (1.0 - s->slow[l])) / (s->P[l] - against);
 
         /* flow out of the terminals now, less the inflow, comes out of the vessels */
         for (int j = 0; j < s->n_nodes; j++) {
-            s->P[j * W + l] *= ratio;
+            s->P[j * W + l] = against + (s->P[j * W + l] - against) * ratio;
             s->q[j * W + l] *= ratio;
         }
         double surplus = (ratio * mean_flow - inlet_sample(s, 0)) / vessels;

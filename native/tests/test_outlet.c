@@ -4,10 +4,17 @@
 static tree one, two;
 static additions x;
 
-/* The state of the terminal vessels' ends: p = R1 q + sum_k v_k without an inertance. */
-static void relation(int wall, int circuit)
+static const double behind_outlets[NV] = {0, 0, 0, 0, 2e3, 3e3, -1e3, 0};
+static const double some_R2[NV] = {0, 0, 0, 0, 8e5, 0, 4e5, 0}; /* two single resistances */
+
+/* The state of the terminal vessels' ends: p = p_out + R1 q + sum_k v_k without an inertance. */
+static void relation(int wall, int circuit, int pressure)
 {
     tree_make(&one, wall);
+    if (pressure) {
+        one.problem.outlet.pressure = behind_outlets;
+        one.problem.outlet.R2 = some_R2;
+    }
     if (circuit) {
         tree_add(&one, &x);
         one.problem.outlet.inertance = NULL;
@@ -20,7 +27,7 @@ static void relation(int wall, int circuit)
         CHECK(zoo_step(s, i) == 0);
     for (int t = 0; t < s->outlets.count; t++) {
         int o = s->outlets.node[t];
-        double behind = 0.0;
+        double behind = circuit && pressure ? behind_outlets[s->outlets.vessel[t]] : 0.0; /* else it is part of v */
         for (int m = 0; m < s->outlets.rows.pressures; m++)
             behind += outlet_row(s, s->outlets.v, m)[t];
         NEAR(s->P[o], behind + s->outlets.R1[t] * s->q[o], 1e-6);
@@ -67,11 +74,50 @@ static void special_cases(int wall)
     tree_close(&one);
 }
 
+/* An outside pressure p0 of all vessels is the same as -p0 behind all outlets, with p0 more everywhere; and the
+ * circuit's loops agree with the Windkessel's. */
+static void shifted(int wall)
+{
+    enum { P0 = 4000, SIZE = NSERIES * NTIMES };
+    static double offset[NV], less[NV], wave[3][3][SIZE];
+    for (int k = 0; k < NV; k++) {
+        offset[k] = P0;
+        less[k] = behind_outlets[k] - P0;
+    }
+    for (int which = 0; which < 3; which++) { /* 0: outside; 1: behind, in the plain loops; 2: in the others */
+        tree_make(&one, wall);
+        one.problem.numerics.tolerance = 1e-3;
+        one.problem.numerics.steps_per_beat = 4096;
+        one.problem.numerics.additions = which == 2;
+        one.problem.outlet.R2 = some_R2;
+        one.problem.outlet.pressure = which ? less : behind_outlets;
+        if (which == 0)
+            one.problem.wall.offset_in = one.problem.wall.offset_out = offset;
+        int64_t bytes;
+        CHECK(zoo_workspace_size(&one.problem, 1, &bytes) == ZOO_OK);
+        void *work = malloc((size_t)bytes);
+        zoo_report report;
+        CHECK(zoo_solve(&one.problem, 1, &one.parameters, work, bytes, wave[which][0], wave[which][1], wave[which][2],
+                        &report) == ZOO_OK);
+        CHECK(report.status == ZOO_OK);
+        free(work);
+    }
+    for (int which = 1; which < 3; which++)
+        for (int i = 0; i < SIZE; i++) {
+            NEAR(wave[which][0][i] + P0, wave[0][0][i], 0.01);
+            NEAR(wave[which][1][i], wave[0][1][i], 1e-6);
+            NEAR(wave[which][2][i], wave[0][2][i], 1e-8);
+        }
+}
+
 int main(void)
 {
     for (int wall = 0; wall < ZOO_N_WALLS; wall++) {
-        relation(wall, 0);
-        relation(wall, 1);
+        for (int pressure = 0; pressure < 2; pressure++) {
+            relation(wall, 0, pressure);
+            relation(wall, 1, pressure);
+        }
+        shifted(wall);
         special_cases(wall);
     }
     return finish("outlet");

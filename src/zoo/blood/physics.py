@@ -29,6 +29,9 @@ _PER_VESSEL = {
     "offset_out": (-np.inf, False, "finite, dyn/cm2"),
     "viscoelastic_time": (0.0, True, "zero or positive, s"),
     "leak": (0.0, True, "zero or positive, cm4 s/g"),
+    "stiffness_ratio": (0.0, False, "positive"),
+    "stiffness_exponent": (-np.inf, False, "finite"),
+    "outflow_pressure": (-np.inf, False, "finite, dyn/cm2"),
     "inertance": (0.0, True, "zero or positive, g/cm4; any value, say 0, where a vessel is no terminal"),
     "section_resistance": (0.0, True, "zero or positive"),
     "section_compliance": (0.0, True, "zero or positive"),
@@ -36,6 +39,17 @@ _PER_VESSEL = {
     "throat_position": (0.0, True, "between 0 (inlet) and 1 (outlet)"),
     "throat_length": (0.0, False, "positive, cm"),
 }
+_ZERO = (
+    "offset_in",
+    "offset_out",
+    "stiffness_exponent",
+    "viscoelastic_time",
+    "leak",
+    "outflow_pressure",
+    "inertance",
+    "throat_severity",
+)
+"""Per vessel, zero where nothing is added."""
 _PER_TIME = {"stiffness_wave": (0.0, False, "positive")}
 _LIMITS = {"throat_severity": 1.0 - 1e-9, "throat_position": 1.0}
 _SECTIONS = ("section_resistance", "section_compliance")
@@ -61,6 +75,9 @@ class Physics(ReadOnlyArrays):
     offset_in, offset_out : array (n_vessels,)
         dyn/cm2, added to the wall's pressure at the inlet and outlet, linear between: an external pressure
         or a hydrostatic head. Given alone, the other is zero.
+    stiffness_ratio, stiffness_exponent : array (n_vessels,)
+        s and e in chi(x) = chi (1 + (s - 1) x/L) (r0(0)/r0(x))^e, the stiffness along each vessel: e = 1 where the
+        wall's E h is constant, s = h(L)/h(0) with it where the wall's thickness changes.
     viscoelastic_time : array (n_vessels,)
         tau, s, in p = p_e + tau dp_e/dt with the wall's p_e (Kelvin-Voigt), slowed by `relaxation_time`.
     relaxation_time : float
@@ -74,6 +91,8 @@ class Physics(ReadOnlyArrays):
         tau: at a junction p + tau rho u^2/2 is shared instead of p, u = q/A at the branch's own end.
     junction_loss : float
         K: each daughter's inlet has K rho/2 u abs(u) less pressure than the parent's end, u the parent's.
+    outflow_pressure : array (n_vessels,)
+        p_out, dyn/cm2, read at terminals: behind the outlets, p - p_out = R1 q + v.
     inertance : array (n_vessels,)
         L, g/cm4, read at terminals: p = v + R1 q + p_L, p_L = L dq_L/dt = R_p (q - q_L), where R_p is
         6 rho c/A0 of the terminal's end at rest and lets out waves faster than R_p/L (6 c/l at rho l/A0),
@@ -109,12 +128,15 @@ class Physics(ReadOnlyArrays):
     viscosity_factor: Array | None = None
     offset_in: Array | None = None
     offset_out: Array | None = None
+    stiffness_ratio: Array | None = None
+    stiffness_exponent: Array | None = None
     viscoelastic_time: Array | None = None
     relaxation_time: float = 3e-4
     stiffness_wave: Array | None = None
     leak: Array | None = None
     total_pressure: float = 0.0
     junction_loss: float = 0.0
+    outflow_pressure: Array | None = None
     inertance: Array | None = None
     section_resistance: Array | None = None
     section_compliance: Array | None = None
@@ -172,10 +194,11 @@ class Physics(ReadOnlyArrays):
             self.viscous_friction != 0,
             self.viscosity_factor is not None and np.any(self.viscosity_factor != 1),
             self.stiffness_wave is not None and np.any(self.stiffness_wave != 1),
+            self.stiffness_ratio is not None and np.any(self.stiffness_ratio != 1),
             self.total_pressure != 0,
             self.junction_loss != 0,
         ]
-        for name in ("offset_in", "offset_out", "viscoelastic_time", "leak", "inertance", "throat_severity"):
+        for name in _ZERO:
             away.append(getattr(self, name) is not None and np.any(getattr(self, name) != 0))
         if self.section_resistance is not None and self.section_compliance is not None:
             there = self.section_resistance > 0

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ABI = 2
+ABI = 3
 if getattr(lib, "ZOO_ABI", 1) != ABI:
     raise ImportError(
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
@@ -347,6 +347,7 @@ class Solver:
             )
         problem.fluid.friction = FRICTIONS[conventions.friction]
         problem.fluid.friction_radius = conventions.friction_radius_cm
+        self._shift = 0.0
         self._set_physics(problem, reals)
 
         flow = self.inflow_ml_s
@@ -399,8 +400,18 @@ class Solver:
         give(fluid, "viscosity_factor", added.viscosity_factor)
         give(fluid, "leak", added.leak)
 
+        give(wall, "stiffness_ratio", added.stiffness_ratio)
+        give(wall, "stiffness_exponent", added.stiffness_exponent)
+        behind = added.outflow_pressure
         if added.offset_in is not None or added.offset_out is not None:
-            wall.offset_in, wall.offset_out = reals(filled(added.offset_in)), reals(filled(added.offset_out))
+            offset = filled(added.offset_in), filled(added.offset_out)
+            if np.ptp(offset) == 0 and added.leak is None:
+                # the same pressure outside everywhere: as if it were taken off behind all outlets, which is faster
+                self._shift = float(offset[0][0])
+                behind = filled(behind) - self._shift if self._shift else behind
+            else:
+                wall.offset_in, wall.offset_out = reals(offset[0]), reals(offset[1])
+        give(outlet, "pressure", behind)
         give(wall, "viscoelastic_time", added.viscoelastic_time)
         wall.relaxation_time = added.relaxation_time
         if added.stiffness_wave is not None:
@@ -470,7 +481,7 @@ class Solver:
             back = np.empty(shape)
             back[..., self._order] = wave
             ordered.append(back)
-        ordered[0] = cgs_to_mmhg(ordered[0], self.conventions.mmhg)
+        ordered[0] = cgs_to_mmhg(ordered[0] + self._shift, self.conventions.mmhg)
         return ordered, reports
 
     def _reason(self, report: Any) -> str:
