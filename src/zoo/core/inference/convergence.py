@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from zoo.core.inference.record import ResultsError, plain
+from zoo.core.inference.prior_check import PriorCheck, check_priors, priors_of
+from zoo.core.inference.record import ResultsError, RunRecord, plain
 
 RHAT_LIMIT = 1.01
 """Largest rank-normalised R-hat of a converged parameter (Vehtari et al. 2021)."""
@@ -56,9 +57,14 @@ class Verdict:
     chains, draws : int
         Chains, and stored draws of each.
     passes : bool
-        Every parameter passes and there are at least `MIN_CHAINS` chains.
+        Every parameter that the data inform passes and there are at least `MIN_CHAINS` chains.
     text : str
-        One to three sentences: what failed and what to do.
+        A few sentences: bounds that the posterior leans on first, then what failed and what to do.
+    bounds : tuple of str
+        One warning for each bound of a prior that the posterior leans on, without a full stop.
+    uninformed : tuple of str
+        Scalars whose posterior is like their prior: their R-hat and effective sample sizes are told, but
+        do not make a run unconverged.
     """
 
     parameters: tuple[ParameterVerdict, ...]
@@ -66,6 +72,8 @@ class Verdict:
     draws: int
     passes: bool
     text: str
+    bounds: tuple[str, ...] = ()
+    uninformed: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> ParameterVerdict:
         for parameter in self.parameters:
@@ -124,7 +132,9 @@ def ess_to_count(goal: float | None) -> float:
     return max(goal or 0.0, ESS_TARGET)
 
 
-def check_convergence(draws: Mapping[str, np.ndarray], *, ess: float = ESS_TARGET) -> Verdict:
+def check_convergence(
+    draws: Mapping[str, np.ndarray], *, ess: float = ESS_TARGET, priors: PriorCheck | None = None
+) -> Verdict:
     """Judge convergence of plain arrays of draws.
 
     A parameter passes if R-hat <= 1.01 and both the bulk and the tail effective sample size reach `ess`.
@@ -135,6 +145,8 @@ def check_convergence(draws: Mapping[str, np.ndarray], *, ess: float = ESS_TARGE
         Variable -> array (n_chains, n_draws, ...). Elements that never vary are left out.
     ess : float
         Effective sample size asked for.
+    priors : PriorCheck, optional
+        What the draws say of their prior.
 
     Returns
     -------
@@ -160,11 +172,57 @@ def check_convergence(draws: Mapping[str, np.ndarray], *, ess: float = ESS_TARGE
             tail = float(az.ess(values, method="tail"))
         good = bool(rhat <= RHAT_LIMIT and bulk >= ess and tail >= ess)
         found.append(ParameterVerdict(name, rhat, bulk, tail, good))
-    passes = bool(found) and all(p.passes for p in found) and shape[0] >= MIN_CHAINS
-    return Verdict(tuple(found), shape[0], shape[1], passes, _verdict_text(found, *shape, ess))
+    return _judgement(tuple(found), *shape, ess, priors or PriorCheck())
 
 
-def verdict(idata: Any, *, ess: float = ESS_TARGET, var_names: list[str] | None = None) -> Verdict:
+def _judgement(
+    found: tuple[ParameterVerdict, ...], chains: int, draws: int, ess: float, priors: PriorCheck
+) -> Verdict:
+    """A verdict on parameters, those that the data do not inform set apart."""
+    informed = [p for p in found if p.name not in priors.uninformed] or list(found)
+    aside = [p for p in found if p not in informed]
+    passes = bool(informed) and all(p.passes for p in informed) and chains >= MIN_CHAINS
+    text = _verdict_text(informed, chains, draws, ess)
+    warned = "".join(f"{warning}. " for warning in priors.warnings)
+    if aside:
+        rhat = max(aside, key=lambda p: _or(p.rhat, np.inf))
+        least = min(aside, key=lambda p: min(_or(p.ess_bulk, 0), _or(p.ess_tail, 0)))
+        text += (
+            f" Not informed by the data, posterior like prior: {', '.join(p.name for p in aside)} (R-hat at "
+            f"most {rhat.rhat:.3f}, ESS at least {min(least.ess_bulk, least.ess_tail):.0f})."
+        )
+    names = tuple(p.name for p in aside)
+    return Verdict(found, chains, draws, passes, warned + text, tuple(priors.warnings), names)
+
+
+def prior_check(idata: Any, model: Any = None) -> PriorCheck | None:
+    """What a posterior says of its prior: as its record has it, or else from its draws and its model.
+
+    Parameters
+    ----------
+    idata : arviz.InferenceData
+        With a posterior group.
+    model : pymc.Model, optional
+        That the draws are of, for posteriors whose record does not say.
+
+    Returns
+    -------
+    PriorCheck or None
+        None where neither is there.
+    """
+    try:
+        stored = RunRecord.of(idata).prior_check
+    except ResultsError:
+        stored = None
+    if stored is not None:
+        return PriorCheck.from_dict(stored)
+    parameters, effects = priors_of(model)
+    return check_priors(parameters, arrays(idata), effects=effects) if parameters else None
+
+
+def verdict(
+    idata: Any, *, ess: float = ESS_TARGET, var_names: list[str] | None = None, model: Any = None
+) -> Verdict:
     """Judge convergence of an InferenceData.
 
     Parameters
@@ -175,6 +233,8 @@ def verdict(idata: Any, *, ess: float = ESS_TARGET, var_names: list[str] | None 
         Effective sample size asked for.
     var_names : list of str, optional
         Variables to judge; all of the posterior's if absent.
+    model : pymc.Model, optional
+        That the draws are of: its priors are taken where the record says nothing of them.
 
     Returns
     -------
@@ -194,7 +254,7 @@ def verdict(idata: Any, *, ess: float = ESS_TARGET, var_names: list[str] | None 
             raise ResultsError(
                 f"no parameter {name!r} in the posterior; it has {', '.join(posterior.data_vars)}"
             )
-    return check_convergence(arrays(idata, names), ess=ess)
+    return check_convergence(arrays(idata, names), ess=ess, priors=prior_check(idata, model))
 
 
 @dataclass(frozen=True)
@@ -234,6 +294,8 @@ class Diagnostics:
             judged = raw["verdict"]
             parameters = tuple(ParameterVerdict(**p) for p in judged.pop("parameters"))
             further = {name: found for name, found in raw.items() if name not in ("verdict", "acceptance")}
+            for name in ("bounds", "uninformed"):
+                judged[name] = tuple(judged.get(name, ()))
             return cls(Verdict(parameters, **judged), tuple(raw["acceptance"]), further)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ResultsError(
@@ -241,7 +303,7 @@ class Diagnostics:
             ) from None
 
 
-def diagnostics(idata: Any, further: FurtherTests | None = None) -> Diagnostics:
+def diagnostics(idata: Any, further: FurtherTests | None = None, *, model: Any = None) -> Diagnostics:
     """Checks of a run: those that `slim` stored of the whole run, or else of the draws that are here.
 
     Parameters
@@ -250,6 +312,8 @@ def diagnostics(idata: Any, further: FurtherTests | None = None) -> Diagnostics:
         With a posterior group.
     further : callable, optional
         Further tests of the draws; where checks of the whole run are stored, what they hold is taken.
+    model : pymc.Model, optional
+        As in `verdict`.
 
     Returns
     -------
@@ -262,8 +326,9 @@ def diagnostics(idata: Any, further: FurtherTests | None = None) -> Diagnostics:
     """
     stored = idata.attrs.get(DIAGNOSTICS_ATTR)
     if stored is not None:
-        return Diagnostics.from_json(str(stored))
-    judged = verdict(idata)
+        found = Diagnostics.from_json(str(stored))
+        return replace(found, verdict=_told(found.verdict, prior_check(idata, model)))
+    judged = verdict(idata, model=model)
     acceptance: tuple[float, ...] = ()
     if "sample_stats" in idata.groups() and "accepted" in idata.sample_stats:
         accepted = idata.sample_stats["accepted"]
@@ -273,7 +338,14 @@ def diagnostics(idata: Any, further: FurtherTests | None = None) -> Diagnostics:
     return Diagnostics(judged, acceptance, {} if further is None else dict(further(arrays(idata))))
 
 
-def judged(idata: Any, *, var_names: list[str] | None = None) -> Verdict:
+def _told(stored: Verdict, priors: PriorCheck | None) -> Verdict:
+    """A stored verdict with what the posterior says of its prior, if it was stored without."""
+    if priors is None or stored.bounds or stored.uninformed or not (priors.bounds or priors.uninformed):
+        return stored
+    return _judgement(stored.parameters, stored.chains, stored.draws, ESS_TARGET, priors)
+
+
+def judged(idata: Any, *, var_names: list[str] | None = None, model: Any = None) -> Verdict:
     """Verdict of the whole run if `slim` stored it, or else on the draws that are here.
 
     Parameters
@@ -282,6 +354,8 @@ def judged(idata: Any, *, var_names: list[str] | None = None) -> Verdict:
         With a posterior group.
     var_names : list of str, optional
         Variables to judge where nothing is stored; all if absent.
+    model : pymc.Model, optional
+        As in `verdict`.
 
     Returns
     -------
@@ -289,8 +363,8 @@ def judged(idata: Any, *, var_names: list[str] | None = None) -> Verdict:
     """
     stored = idata.attrs.get(DIAGNOSTICS_ATTR)
     if stored is not None:
-        return Diagnostics.from_json(str(stored)).verdict
-    return verdict(idata, var_names=var_names)
+        return _told(Diagnostics.from_json(str(stored)).verdict, prior_check(idata, model))
+    return verdict(idata, var_names=var_names, model=model)
 
 
 def _verdict_text(found: list[ParameterVerdict], chains: int, draws: int, ess: float) -> str:

@@ -77,6 +77,9 @@ class RunRecord:
         Start of the first sitting, ISO 8601, UTC.
     versions : dict
         Versions of zoo, python, pymc, pytensor, arviz, numpy.
+    prior_check : dict or None
+        Bounds of the priors that the posterior leans on, and what the data do not inform
+        (`zoo.core.inference.prior_check.PriorCheck`); None of older runs and of models without a record.
     """
 
     model: str
@@ -96,6 +99,7 @@ class RunRecord:
     sittings: int
     started: str
     versions: dict[str, str] = field(default_factory=versions)
+    prior_check: dict[str, Any] | None = None
 
     def to_json(self) -> str:
         """The record as one JSON object with sorted keys."""
@@ -117,6 +121,7 @@ class RunRecord:
         if not isinstance(raw, dict):
             raise ResultsError("run record: not a JSON object; sample again to get a record")
         names = [f.name for f in fields(cls)]
+        raw = {"prior_check": None} | raw  # records of before have none
         missing = [name for name in names if name not in raw]
         if missing:
             raise ResultsError(f"run record: field {missing[0]!r} is missing; sample again to get a record")

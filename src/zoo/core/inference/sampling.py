@@ -28,6 +28,7 @@ from zoo.core.inference.convergence import ESS_TARGET, check_convergence, ess_to
 from zoo.core.inference.logposterior import Array, LogPosterior, SamplingError, model_name
 from zoo.core.inference.mode import MANY, Mode, find_mode, search_mode
 from zoo.core.inference.pool import ChainPool, InlineChainPool, ProcessChainPool
+from zoo.core.inference.prior_check import check_priors, modes_at_bounds, priors_of
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.starts import Start, disperse
@@ -132,6 +133,7 @@ def sample(
     ----------
     ter Braak, Vrugt (2008), doi 10.1007/s11222-008-9104-9; Vehtari et al. (2021), doi 10.1214/20-BA1221.
     """
+    _check_model(model)
     _check_settings(draws, tune, chains, cores, step, thin, seed, until_ess, max_draws)
     began = time.monotonic()
     folder = None if checkpoint is None else Folder(Path(checkpoint))
@@ -183,6 +185,10 @@ def sample(
                 if folder is not None:
                     folder.write_start(beginning)
                 show.say(f"mode: log-posterior {mode.logp:.2f} after {mode.evaluations} evaluations")
+            parameters, effects = priors_of(model)
+            at_mode = modes_at_bounds(parameters, beginning.mode.values, effects=effects)
+            for found in at_mode:
+                show.say(f"warning: {found.text}")
             pool = _pool(
                 model,
                 beginning,
@@ -197,16 +203,23 @@ def sample(
                 checkpoint_seconds=checkpoint_seconds,
             )
             try:
-                kept = _run(pool, draws, until_ess, max_draws or 40 * draws)
+                kept = _run(model, pool, draws, until_ess, max_draws or 40 * draws)
             finally:
                 pool.close()
                 stored["wall_seconds"] = earlier + time.monotonic() - began
                 if folder is not None:
                     folder.write_run(stored)
-            idata = _inference_data(model, pool.draws(kept), pool.stats(kept))
+            made = pool.draws(kept)
+            priors = check_priors(parameters, made, effects=effects)
+            leaning = {(found.parameter, found.side) for found in priors.bounds}
+            more = tuple(found for found in at_mode if (found.parameter, found.side) not in leaning)
+            priors = replace(priors, bounds=priors.bounds + more)
+            idata = _inference_data(model, made, pool.stats(kept))
             record = _record(model, pool, beginning, stored, settings, kept, draws, until_ess, cores)
+            if parameters:
+                record = replace(record, prior_check=priors.as_dict())
             record.attach(idata)
-            show.say(check_convergence(pool.draws(kept), ess=ess_to_count(until_ess)).text)
+            show.say(check_convergence(made, ess=ess_to_count(until_ess), priors=priors).text)
         return idata
     finally:
         if folder is not None:
@@ -288,6 +301,15 @@ def _improve(
     return beginning
 
 
+def _check_model(model: Any) -> None:
+    import pymc as pm
+
+    if not isinstance(model, pm.Model):
+        raise SamplingError(
+            f"model = {model!r:.80}: give a PyMC model, such as that of zoo.core.model.bayesian_model"
+        )
+
+
 def _check_settings(
     draws: int,
     tune: int | None,
@@ -342,7 +364,7 @@ def _opening(model: Any, d: int, settings: Mapping[str, Any], stored: Mapping[st
     )
 
 
-def _run(pool: ChainPool, draws: int, until_ess: float | None, limit: int) -> int:
+def _run(model: Any, pool: ChainPool, draws: int, until_ess: float | None, limit: int) -> int:
     """Advance the chains to the end; returns the number of draws of each chain that count."""
     kept = draws
     pool.advance(kept)
@@ -350,10 +372,16 @@ def _run(pool: ChainPool, draws: int, until_ess: float | None, limit: int) -> in
         return kept
     while kept < limit:
         # only numbers of draws and the draws decide where to look, so a resumed run stops where it would have
-        verdict = check_convergence(pool.draws(kept), ess=until_ess)
-        if not verdict.parameters or all(p.passes for p in verdict.parameters):
+        made = pool.draws(kept)
+        verdict = check_convergence(made, ess=until_ess)
+        failing = {p.name for p in verdict.parameters if not p.passes}
+        if failing:  # but for what the data do not inform the run need not go on
+            parameters, effects = priors_of(model)
+            failing -= set(check_priors(parameters, made, effects=effects).uninformed)
+        if not failing:
             break
-        factor = 1.1 * until_ess / max(verdict.min_ess, 1.0)
+        least = min(min(verdict[name].ess_bulk, verdict[name].ess_tail) for name in failing)
+        factor = 1.1 * until_ess / max(np.nan_to_num(least), 1.0)
         kept = min(limit, int(np.ceil(kept * float(np.clip(factor, 1.25, 2.0)))))
         pool.advance(kept)
     return kept
