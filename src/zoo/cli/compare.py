@@ -168,7 +168,17 @@ def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
         for name, row in table.iterrows()
         if not row["converged"]
     ]
-    return [shown, legend, *standing, *unsure, *notes]
+    leaning = [
+        Text(f"warning: model {name}: {row['at_bounds']}", style="yellow")
+        for name, row in table.iterrows()
+        if row["at_bounds"] and row["converged"]
+    ]
+    like_prior = [
+        f"model {name}: not informed by the data, posterior like prior: {row['uninformed']}"
+        for name, row in table.iterrows()
+        if row["uninformed"]
+    ]
+    return [shown, *leaning, legend, *standing, *unsure, *like_prior, *notes]
 
 
 def _figures(

@@ -109,12 +109,13 @@ def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]
     for column in ("median", "2.5 %", "97.5 %", "R-hat", "ESS bulk", "ESS tail"):
         table.add_column(column, justify="right")
     draws, judged = arrays(idata), {p.name: p for p in found.parameters}
+    aside = set(found.uninformed)
     for label, values in scalars(draws):
         if label in judged:
             p = judged[label]
             cells = [f"{q:.4g}" for q in np.quantile(values, (0.5, 0.025, 0.975))]
             cells += [f"{p.rhat:.3f}", f"{p.ess_bulk:.0f}", f"{p.ess_tail:.0f}"]
-            table.add_row(label, *cells, style=None if p.passes else "yellow")
+            table.add_row(label, *cells, style=None if p.passes or label in aside else "yellow")
     record = RunRecord.of(idata)
     failed = ", ".join(f"{n} {status}" for status, n in record.failures.items()) or "none"
     tests = paper_tests(draws)
@@ -125,7 +126,7 @@ def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]
         paper += f"; Geweke p below 0.05 in {below} of {len(p_values)} (expected {0.05 * len(p_values):.1f})"
     return [
         table,
-        Text(found.text, style="green" if found.passes else "yellow"),
+        Text(found.text, style="green" if found.passes and not found.bounds else "yellow"),
         paper,
         f"{found.chains} chains of {found.draws} draws, seed {record.seed}; {record.solves} solves "
         f"({record.solves_per_step:.2f} a step), failed: {failed}; {record.wall_seconds:.0f} s",

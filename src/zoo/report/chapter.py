@@ -93,7 +93,10 @@ def part_of(
 ) -> dict[str, Any]:
     """What the template shows of a chapter."""
     posteriors = chapter.posteriors
-    checks = {name: diagnostics(idata, paper_tests) for name, idata in posteriors.items()}
+    checks = {
+        name: diagnostics(idata, paper_tests, model=chapter.models.get(name))
+        for name, idata in posteriors.items()
+    }
     records = {name: RunRecord.of(idata) for name, idata in posteriors.items()}
     table = chapter.table
     if chapter.study is not None and posteriors:

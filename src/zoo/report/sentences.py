@@ -32,7 +32,18 @@ def summary(
     list of str
     """
     failing = [name for name, found in checks.items() if not found.verdict.passes]
-    lines = [_convergence(checks, failing)]
+    lines = [
+        f"Warning: model {name}: {warning}."
+        for name, found in checks.items()
+        for warning in found.verdict.bounds
+    ]
+    lines.append(_convergence(checks, failing))
+    lines += [
+        f"Not informed by the data, with a posterior like the prior, in model {name}: "
+        f"{listed(found.verdict.uninformed)}."
+        for name, found in checks.items()
+        if found.verdict.uninformed
+    ]
     if table is not None:
         lines += _standing(table, provisional=str(table.index[0]) in failing)
     solves = sum(record.solves for record in records.values())

@@ -184,6 +184,7 @@ def _judgement(
     passes = bool(informed) and all(p.passes for p in informed) and chains >= MIN_CHAINS
     text = _verdict_text(informed, chains, draws, ess)
     warned = "".join(f"{warning}. " for warning in priors.warnings)
+    text = text[:1].upper() + text[1:] if warned else text
     if aside:
         rhat = max(aside, key=lambda p: _or(p.rhat, np.inf))
         least = min(aside, key=lambda p: min(_or(p.ess_bulk, 0), _or(p.ess_tail, 0)))

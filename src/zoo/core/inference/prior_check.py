@@ -19,12 +19,14 @@ Array = NDArray[np.float64]
 
 OUTER = 0.01
 """Part of a prior's mass at each end in which a posterior is counted."""
+NEAR = 0.05
+"""Part of the way from a bound to the prior's median beyond which nothing leans on it."""
 LEANING = 5.0
 """A posterior with more than this many times the prior's mass there leans on the bound."""
 BINS = 10
 """Parts of equal prior mass over which a posterior is compared with its prior."""
 UNINFORMED = 0.05
-"""Information in nats below which a parameter is not informed: a normal posterior of 0.79 of the prior's sd."""
+"""Nats below which a parameter is not informed: what a normal posterior of 0.79 of its prior's sd has."""
 LEAST_ESS = 100.0
 """Effective draws below which nothing is said of what the data inform."""
 MOST_RHAT = 1.1
@@ -62,7 +64,7 @@ class AtBound:
     @property
     def remedy(self) -> str:
         """The option that lifts it."""
-        return f"widen it with --prior {self.parameter.partition('[')[0]}=..."
+        return f"--prior {self.parameter.partition('[')[0]}=... lifts it"
 
     @property
     def text(self) -> str:
@@ -120,9 +122,9 @@ class PriorCheck:
 def edges(prior: Prior) -> tuple[float | None, float | None]:
     """Where the outer 1 % of a prior begins at its lower and its upper bound; None where it has no bound.
 
-    That is its 1 % or 99 % quantile, but no further from the bound than 2 % of the way to the median, which
-    for a flat prior is the same: the tail of a normal far inside its bounds is not a bound. Zero is none
-    either where the prior has no upper end: there positive numbers end, and nothing can be widened.
+    That is its 1 % or 99 % quantile, but no further from the bound than a twentieth of the way to the median
+    (2 % are the same for a flat prior): the tail of a normal far inside its bounds is not a bound. Zero is
+    none either where the prior has no upper end: there positive numbers end, and nothing can be widened.
 
     Parameters
     ----------
@@ -143,9 +145,7 @@ def edges(prior: Prior) -> tuple[float | None, float | None]:
             found.append(None)
             continue
         quantile, middle = float(prior.quantile(p)), float(prior.quantile(0.5))
-        near = bound + 2.0 * OUTER * (middle - bound)
-        if logarithmic:
-            near = bound * (middle / bound) ** (2.0 * OUTER)
+        near = bound * (middle / bound) ** NEAR if logarithmic else bound + NEAR * (middle - bound)
         found.append(min(quantile, near) if bound == low else max(quantile, near))
     return found[0], found[1]
 

@@ -121,7 +121,7 @@ class RunRecord:
         if not isinstance(raw, dict):
             raise ResultsError("run record: not a JSON object; sample again to get a record")
         names = [f.name for f in fields(cls)]
-        raw = {"prior_check": None} | raw  # records of before have none
+        raw.setdefault("prior_check", None)  # records of before have none
         missing = [name for name in names if name not in raw]
         if missing:
             raise ResultsError(f"run record: field {missing[0]!r} is missing; sample again to get a record")

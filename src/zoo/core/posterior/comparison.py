@@ -348,6 +348,8 @@ def compare(
         PSIS-LOO is not to be trusted, k > min(1 - 1/log10(draws), 0.7). `sse` is at the
         posterior medians, `sse_mcse` its Monte Carlo standard error; `one_observation_mcse` is
         that of `waic_one_observation`. Both are taken from the values of each chain alone.
+        `at_bounds` warns of priors' bounds that the posterior leans on, `uninformed` names parameters
+        whose posterior is like their prior.
 
     Raises
     ------
@@ -378,7 +380,9 @@ def compare(
         one_of_each = [waic_one_observation(chain).waic for chain in joint]
         pareto_k = loo.pareto_k.to_numpy()
         squares = sse_at_median(idata, model)
-        found = (verdicts or {}).get(name) or judged(idata, var_names=list(record_of(model).parameters))
+        found = (verdicts or {}).get(name) or judged(
+            idata, var_names=list(record_of(model).parameters), model=model
+        )
         scores[name] = waic if ic == "waic" else loo
         rows[name] = {
             "waic": waic.elpd_waic,
@@ -401,6 +405,8 @@ def compare(
             "rhat_max": found.max_rhat,
             "ess_min": found.min_ess,
             "convergence": found.text,
+            "at_bounds": "; ".join(found.bounds),
+            "uninformed": ", ".join(found.uninformed),
         }
     _shift_terms(scores, f"{ic}_i")
     with warnings.catch_warnings():
