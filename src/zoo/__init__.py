@@ -36,6 +36,8 @@ _HOME = {
     "Location": "core.effects",
     "effect": "blood.effects",
     "sample": "core.inference.sampling",
+    "find_mode": "core.inference.mode",
+    "step": "core.inference.pymc_step",
     "compare": "core.posterior.comparison",
     "diagnose": "front",
     "read_diagnosis": "core.diagnosis",

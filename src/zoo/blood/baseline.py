@@ -172,6 +172,7 @@ def blood_model(
     ValueError
         If the study has no observations, or the errors cannot hold for them.
     """
+    import zoo.core.inference.pymc_step  # noqa: F401  for pm.sample() without a step method
     from zoo.core.model import bayesian_model
 
     data = study_data(study)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pymc as pm
@@ -19,6 +19,20 @@ from zoo.core.parameters import random_variables, start_of, variable_name
 
 class ModelError(ValueError):
     """A PyMC model that cannot be made or used; its text says what to change."""
+
+
+class GradientFreeModel(pm.Model):
+    """A PyMC model whose forward model has no gradient, and which says so to ``pm.find_MAP``.
+
+    Without one PyMC minimizes each variable in turn, and may end far from the mode without a warning.
+    """
+
+    def dlogp(self, vars: Any = None, jacobian: bool = True) -> NoReturn:
+        """Raise ModelError."""
+        raise ModelError(
+            f"model {record_of(self).name}: has no gradient, and pm.find_MAP without one may end far from "
+            "the mode; use zoo.find_mode(model)"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +137,7 @@ def bayesian_model(
     bound = errors.bind(data)
     counted = {p.dims: np.arange(p.size) for p in (*forward.parameters, *bound.parameters) if p.dims}
     own = {"series": list(data.labels), "time": np.asarray(data.times)}
-    with pm.Model(coords={**counted, **own, **dict(coords or {})}) as model:
+    with GradientFreeModel(coords={**counted, **own, **dict(coords or {})}) as model:
         variables = random_variables(forward.parameters)
         mean, ok = observed_series(forward, variables)
         bound.observe("y", mean, ok, random_variables(bound.parameters))

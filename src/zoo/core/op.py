@@ -7,7 +7,7 @@ import threading
 import uuid
 import weakref
 from collections import Counter, OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, NoReturn, cast
 
 import numpy as np
@@ -15,6 +15,7 @@ import pytensor.tensor as pt
 from numpy.typing import NDArray
 from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
+from pytensor.graph.traversal import ancestors
 from pytensor.tensor.variable import TensorVariable
 
 from zoo.core.forward import ForwardModel, SolveError, content_key
@@ -24,16 +25,41 @@ Array = NDArray[np.float64]
 CACHE_SIZE = 8
 
 
-# Not a NotImplementedError: PyMC takes that as "use Slice", which solves 18 times a step without a word.
-# As an AttributeError it stops pm.sample, while pm.find_MAP goes on without gradients.
 class MissingGradientError(AttributeError):
     """A gradient was asked of an operation that has none."""
 
     def __init__(self, op: str) -> None:
         super().__init__(
-            f"{op} has no gradient, so PyMC cannot choose NUTS: "
-            "pass a step method without gradients, pm.sample(step=pm.DEMetropolisZ())"
+            f"{op} has no gradient: sample with `zoo.sample(model)` or `pm.sample(step=zoo.step(model))`, "
+            "and find the mode with `zoo.find_mode(model)`"
         )
+
+
+class OtherStepError(MissingGradientError, NotImplementedError):
+    """The same, when PyMC knows a step method for it: a NotImplementedError makes it look for one."""
+
+
+def missing_gradient(op: str) -> MissingGradientError:
+    """What an operation without a gradient raises.
+
+    PyMC takes a NotImplementedError as "use another step method". It would choose Slice, which solves 18
+    times a step without a word, so it only gets one when `zoo.core.inference.pymc_step` is among its methods.
+    """
+    import pymc as pm
+
+    known = any(getattr(method, "for_forward_models", False) for method in pm.STEP_METHODS)
+    return (OtherStepError if known else MissingGradientError)(op)
+
+
+def mark_without_gradient(variables: Iterable[Any]) -> None:
+    """Note on variables, and on all they are made of, that what follows from them has no gradient."""
+    for variable in ancestors([pt.as_tensor_variable(variable) for variable in variables]):
+        variable.tag.without_gradient = True
+
+
+def without_gradient(variable: Any) -> bool:
+    """Whether `mark_without_gradient` was called for a variable."""
+    return bool(getattr(variable.tag, "without_gradient", False))
 
 
 class _State:
@@ -222,7 +248,7 @@ class ForwardOp(Op):
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
     ) -> NoReturn:
         """Raise MissingGradientError."""
-        raise MissingGradientError(f"the forward model {self.model.name}")
+        raise missing_gradient(f"the forward model {self.model.name}")
 
     pullback = L_op  # its name in PyTensor 3
 
@@ -259,5 +285,6 @@ def observed_series(model: ForwardModel, values: Mapping[str, Any]) -> Series:
             raise ValueError(f"{model.name}: parameter {p.name} is missing; give {', '.join(values)} and it")
         value = pt.as_tensor_variable(values[p.name], dtype="float64")
         inputs.append(pt.alloc(value, p.size) if p.dims and value.ndim == 0 else value)
+    mark_without_gradient(inputs)
     mean, ok = cast("list[TensorVariable]", ForwardOp(model)(*inputs, return_list=True))
     return Series(mean, ok)

@@ -20,7 +20,7 @@ from pytensor.graph.op import Op
 from pytensor.tensor.random.op import RandomVariable
 
 from zoo.core.errors.base import ErrorModel
-from zoo.core.op import MissingGradientError
+from zoo.core.op import mark_without_gradient, missing_gradient
 
 Array = NDArray[np.float64]
 
@@ -50,6 +50,7 @@ class IidErrors(Continuous):
     @classmethod
     def dist(cls, mean: Any, ok: Any, sigma2: Any, **kwargs: Any) -> Any:
         """Mean (n_series, n_times), scalars ok and sigma2."""
+        mark_without_gradient([sigma2])
         return super().dist([mean, ok, sigma2], **kwargs)
 
     def support_point(rv, size, mean, ok, sigma2):  # type: ignore[no-untyped-def]
@@ -102,7 +103,7 @@ class ErrorTermsOp(Op):
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
     ) -> NoReturn:
         """Raise MissingGradientError."""
-        raise MissingGradientError(f"the log-likelihood of the error model {self.errors.name}")
+        raise missing_gradient(f"the log-likelihood of the error model {self.errors.name}")
 
     pullback = L_op  # its name in PyTensor 3
 
@@ -158,6 +159,7 @@ class Errors(Continuous):
     @classmethod
     def dist(cls, mean: Any, ok: Any, *parameters: Any, errors: ErrorModel, **kwargs: Any) -> Any:
         """Mean (n_series, n_times), scalar ok, and the errors' parameters in their order."""
+        mark_without_gradient(parameters)
         return super().dist([mean, ok, *parameters], errors=errors, **kwargs)
 
     def support_point(rv, size, mean, ok, *parameters):  # type: ignore[no-untyped-def]

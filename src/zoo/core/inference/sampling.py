@@ -32,7 +32,7 @@ from zoo.core.inference.prior_check import check_priors, modes_at_bounds, priors
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.starts import Start, disperse
-from zoo.core.inference.steps import DEMetropolisZ, Metropolis
+from zoo.core.inference.steps import DEMETROPOLISZ, DEMetropolisZ, Metropolis
 
 if TYPE_CHECKING:
     import arviz as az
@@ -51,8 +51,6 @@ __all__ = [
 STEPS = ("demetropolisz", "metropolis")
 PILOTS = 4
 """Most rounds of short chains that look for a higher mode of a model with many parameters."""
-DEMETROPOLISZ: Mapping[str, Any] = {"crank_nicolson": 0.5, "constrained": 0.5, "tune_drop_fraction": 0.5}
-"""Options of `zoo.core.inference.steps.DEMetropolisZ`."""
 
 
 def sample(

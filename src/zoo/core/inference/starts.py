@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,25 +24,36 @@ class Start:
 
 def disperse(logp: LogPosterior, mode: Mode, chains: int, seed: int) -> Start:
     """Starts from a t distribution twice as wide as the Gaussian at the mode, failed solves rejected."""
-    d = len(mode.vector)
     reference = Gaussian(mode.vector, mode.covariance)
     starts = []
     for chain in range(chains):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(chain, 0)))
-        for _ in range(20):
-            u = 2.0 * rng.standard_normal(d) * np.sqrt(T_DOF / rng.chisquare(T_DOF))
-            lowest = mode.logp - 10.0 * d - 2.0 * float(u @ u)
-            for _ in range(12):
-                q = reference.colour(u)
-                if logp(q) >= lowest:
-                    break
-                u = 0.7 * u
-            else:
-                continue
-            break
-        else:
-            q = mode.vector
-        starts.append(q)
+        place = scattered(logp, reference, mode.logp, rng)
+        starts.append(mode.vector if place is None else place)
+    return Start(np.array(starts), reference, first_archive(reference, seed), mode)
+
+
+def scattered(
+    logp: Callable[[Array], float], reference: Gaussian, highest: float, rng: np.random.Generator
+) -> Array | None:
+    """A draw (n_dim,) of a t distribution twice as wide as a Gaussian, nearer where the posterior is too low.
+
+    `highest` is the log-posterior at the Gaussian's mean. None if nothing was found.
+    """
+    d = len(reference.mean)
+    for _ in range(20):
+        u = 2.0 * rng.standard_normal(d) * np.sqrt(T_DOF / rng.chisquare(T_DOF))
+        lowest = highest - 10.0 * d - 2.0 * float(u @ u)
+        for _ in range(12):
+            q = reference.colour(u)
+            if logp(q) >= lowest:
+                return q
+            u = 0.7 * u
+    return None
+
+
+def first_archive(reference: Gaussian, seed: int) -> Array:
+    """The first history (10 n_dim, n_dim) that jumps are drawn from: draws of the Gaussian."""
+    d = len(reference.mean)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1 << 30,)))
-    archive = reference.colour(rng.standard_normal((10 * d, d)))
-    return Start(np.array(starts), reference, archive, mode)
+    return reference.colour(rng.standard_normal((10 * d, d)))

@@ -24,6 +24,8 @@ StepResult = tuple[RaveledVars, list[dict[str, Any]]]
 
 _CN_ACCEPTANCE = 0.25
 _FIRST_REFIT = 200
+DEMETROPOLISZ: Mapping[str, Any] = {"crank_nicolson": 0.5, "constrained": 0.5, "tune_drop_fraction": 0.5}
+"""Options of `DEMetropolisZ` that suit posteriors of costly models."""
 
 
 class _OneEvaluation:

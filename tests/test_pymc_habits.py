@@ -1,0 +1,137 @@
+"""What somebody who knows PyMC and ArviZ tries first."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import arviz as az
+import numpy as np
+import pymc as pm
+import pytest
+from pymc.sampling.mcmc import assign_step_methods
+
+import zoo
+from gaussian import gaussian_model
+from zoo.core.inference.pymc_step import DEMetropolisZFromMode
+from zoo.core.model import ModelError
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def model_a():
+    return zoo.model_A(zoo.load_study("demo"))
+
+
+@pytest.fixture(scope="module")
+def mode_a(model_a):
+    return zoo.find_mode(model_a)
+
+
+@pytest.mark.parametrize("letter", ["A", "B", "F"])
+def test_pymc_chooses_our_step_method_for_every_variable(letter):
+    model = getattr(zoo, f"model_{letter}")(zoo.load_study("demo"))
+    given, chosen = assign_step_methods(model)
+    assert given == []
+    assert list(chosen) == [DEMetropolisZFromMode]
+    assert set(chosen[DEMetropolisZFromMode]) == set(model.value_vars)
+
+
+def test_other_models_keep_pymcs_choice():
+    _, chosen = assign_step_methods(gaussian_model())
+    assert DEMetropolisZFromMode not in chosen
+    with pm.Model() as plain:
+        pm.Normal("x")
+    _, chosen = assign_step_methods(plain)
+    assert list(chosen) == [pm.NUTS]
+
+
+def moments_of(model, point, n, step):
+    """First point of a chain in PyMC's order of calls, and the draws after its tuning (n, n_dim)."""
+    step.tune = True
+    step.reset_tuning()
+    rows = []
+    for i in range(2 * n):
+        if i == n:
+            step.stop_tuning()
+        point, _ = step.step(point)
+        rows.append(np.concatenate([np.ravel(point[v.name]) for v in step.vars]))
+    return rows[0], np.array(rows[n:])
+
+
+def test_chains_of_a_known_law_start_apart_and_end_together():
+    model = gaussian_model()
+    step = zoo.step(model)
+    firsts, draws = [], []
+    for seed in range(4):
+        step.set_rng(np.random.default_rng(seed))
+        first, kept = moments_of(model, model.initial_point(), 1500, step)
+        firsts.append(first)
+        draws.append(kept)
+    assert len({tuple(first) for first in firsts}) == 4
+    from gaussian import gaussian_posterior
+
+    mean, covariance = gaussian_posterior()
+    found = np.concatenate(draws)
+    sd = np.sqrt(np.diag(covariance))
+    assert np.all(np.abs(found.mean(0) - mean) < 0.15 * sd)
+    np.testing.assert_allclose(found.std(0), sd, rtol=0.15)
+
+
+def test_starts_that_are_given_are_kept():
+    model = gaussian_model()
+    step = zoo.step(model, scaling=1e-12, lamb=1e-12, crank_nicolson=0.0)
+    start = {name: value + 0.25 for name, value in model.initial_point().items()}
+    step.set_rng(np.random.default_rng(0))
+    first, _ = moments_of(model, start, 1, step)
+    given = np.concatenate([np.ravel(start[v.name]) for v in step.vars])
+    np.testing.assert_allclose(first, given, atol=1e-6)
+
+
+def test_a_variable_added_to_the_model_gets_pymcs_own_step(mode_a):
+    with zoo.model_A(zoo.load_study("demo")) as model:
+        pm.Normal("own")
+        _, chosen = assign_step_methods(model)
+        ours = DEMetropolisZFromMode(chosen[DEMetropolisZFromMode], model=model)
+    assert [v.name for v in chosen[pm.NUTS]] == ["own"]
+    assert len(ours._around.mean) == 5
+    np.testing.assert_allclose(ours._around.mean, mode_a.vector, atol=0.02)
+
+
+def test_find_map_says_what_to_do(model_a):
+    with model_a, pytest.raises(ModelError, match=r"model A: .* use zoo\.find_mode\(model\)"):
+        pm.find_MAP(progressbar=False)
+
+
+def test_metropolis_of_pymc_takes_the_mode_as_start(model_a, mode_a):
+    values = {name: mode_a.values[name] for name in ("f3", "psi1", "psi2", "c", "sigma2")}
+    with model_a, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        idata = pm.sample(
+            2, tune=0, chains=1, cores=1, step=pm.Metropolis(), initvals=values, random_seed=1,
+            progressbar=False, compute_convergence_checks=False,
+        )  # fmt: skip
+    assert float(idata.posterior["psi2"][0, 0]) == pytest.approx(float(values["psi2"]), rel=0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_the_first_snippet_of_the_readme_converges_as_printed():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    code = re.findall(r"```python\n(.*?)```", text, flags=re.S)[0]
+    assert "pm.sample(" in code
+    assert "step=step(model)" in code
+    found: dict[str, object] = {}
+    code = code.replace("pm.sample(", "pm.sample(random_seed=1, progressbar=False, ")
+    exec(compile(code, "README.md", "exec"), found)
+    summary = az.summary(found["idata"], round_to=None)
+    assert list(summary.index) == ["f3", "psi1", "psi2", "c", "sigma2"]
+    assert summary["r_hat"].max() <= 1.01
+    assert summary[["ess_bulk", "ess_tail"]].to_numpy().min() >= 400
+    # the medians of the table above it, which `zoo sample` prints
+    medians = dict(re.findall(r"^(\w+) +([\d.e+]+) +[\d.e+]+ +[\d.e+]+ +1\.\d+", text, flags=re.M))
+    for name, printed in medians.items():
+        draws = found["idata"].posterior[name]
+        assert float(abs(draws.median() - float(printed))) < 0.3 * float(draws.std())
