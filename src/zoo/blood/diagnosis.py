@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from zoo.blood.conventions import Conventions
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.forward import study_data
 from zoo.blood.solver import SolverOptions
-from zoo.blood.study import Study
+from zoo.blood.study import Study, suspect_units
 from zoo.core.data import Data
 from zoo.core.diagnosis import Candidate, Diagnosis, DiagnosisError, Hooks
 from zoo.core.diagnosis import diagnose as diagnose_data
@@ -207,7 +207,7 @@ def diagnose(
         study_data(study),
         forward,
         effects_for(forward.name, effects),
-        hooks=HOOKS,
+        hooks=replace(HOOKS, warnings=tuple(map(str, suspect_units(study)))),
         max_effects=max_effects,
         exhaust=exhaust,
         posteriors=posteriors or confirm,

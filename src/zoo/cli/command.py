@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, get_args, get_type_hints
 
 import typer
 
-from zoo.cli.screen import complain
+from zoo.cli.screen import complain, warn
 
 _debug = False
 
@@ -58,7 +60,8 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         for name, (group, options) in groups.items():
             given[name] = group(**{option: given.pop(option) for option in options})
         try:
-            function(**given)
+            with _warnings_as_lines():
+                function(**given)
         except typer.Exit:
             raise
         except KeyboardInterrupt:
@@ -80,6 +83,24 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Warnings of this package become lines, each text once; all others stay as they are."""
+    told = set()
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+
+        def line(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
+            if category.__module__.split(".")[0] != "zoo":
+                show(message, category, *where, **more)
+            elif str(message) not in told:
+                told.add(str(message))
+                warn(str(message))
+
+        warnings.showwarning = line
+        yield
 
 
 def _spread(

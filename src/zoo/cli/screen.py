@@ -26,6 +26,14 @@ def complain(text: str) -> None:
     Console(stderr=True).print(Text(f"error: {text}", style="red"), soft_wrap=True)
 
 
+def warn(text: str) -> None:
+    """Print a warning as one yellow line on standard error."""
+    from rich.console import Console
+    from rich.text import Text
+
+    Console(stderr=True).print(Text(f"warning: {text}", style="yellow"), soft_wrap=True)
+
+
 def plain_table(*headings: str, title: str | None = None, heads: bool = True) -> Table:
     """A table without a frame, readable in a pipe too; columns may be added."""
     from rich.table import Table

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from zoo.blood.predictive import median_waves, one_place, predictive_draws, vessel_waves
+from zoo.blood.study import suspect_units
 from zoo.core.inference.convergence import Diagnostics, diagnostics
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.comparison import compare
@@ -138,6 +139,7 @@ def part_of(
         "name": chapter.name,
         "anchor": anchor,
         "note": chapter.note,
+        "warnings": [] if chapter.study is None else list(map(str, suspect_units(chapter.study))),
         "facts": _facts(chapter, records),
         "failing": failing,
         "summary": summary(table, checks, records) if posteriors else [],

@@ -19,6 +19,7 @@ from zoo.blood.study.parts import (
 from zoo.blood.study.samples import INFLOW_COLUMNS, MIN_SAMPLES, OBSERVATION_COLUMNS
 from zoo.blood.study.saving import save_study
 from zoo.blood.study.study import Study
+from zoo.blood.study.suspicion import Suspicion, UnitWarning, suspect_units
 from zoo.blood.study.tree import read_network, sort_vessels
 
 __all__ = [
@@ -31,6 +32,8 @@ __all__ = [
     "Series",
     "Study",
     "StudyError",
+    "Suspicion",
+    "UnitWarning",
     "Vessel",
     "Windkessel",
     "list_studies",
@@ -40,4 +43,5 @@ __all__ = [
     "root_pressure",
     "save_study",
     "sort_vessels",
+    "suspect_units",
 ]

@@ -17,6 +17,7 @@ from zoo.blood.study.samples import (
     read_observations,
 )
 from zoo.blood.study.study import Study
+from zoo.blood.study.suspicion import warn_of_units
 from zoo.blood.study.tables import (
     FetchedInflowTable,
     FetchedObservationsTable,
@@ -94,6 +95,11 @@ def load_study(
         If it is made of measured data that cannot be had.
     zoo.blood.conventions.ConventionsError
         If `conventions` do not exist.
+
+    Warns
+    -----
+    zoo.blood.study.UnitWarning
+        If a quantity has the size of another unit.
     """
     folder, source = _find(name_or_folder)
     path = folder / "study.toml"
@@ -132,7 +138,7 @@ def load_study(
         time, series = read_observations(observations_path, table.period_s, known)
 
     _check_terminals(vessels, places, series)
-    return Study(
+    study = Study(
         name=name,
         period_s=table.period_s,
         blood=blood,
@@ -147,6 +153,8 @@ def load_study(
         noise_sd=_checked_noise(where, table.noise_sd, series),
         numerics=table.numerics,
     )
+    warn_of_units(study)
+    return study
 
 
 def _checked_noise(where: str, noise_sd: Mapping[str, float], series: Sequence[Series]) -> dict[str, float]:

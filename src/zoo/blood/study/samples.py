@@ -51,6 +51,12 @@ def _read_csv(path: Path, columns: Sequence[str]) -> list[tuple[int, dict[str, s
     if not lines:
         raise StudyError(f"{path}: the file is empty; its first row is {','.join(columns)}")
     row, header = lines[0]
+    for sign, words in ((";", "semicolons"), ("\t", "tabs")):
+        if any(sign in cell for cell in header):
+            raise StudyError(
+                f"{path}, row {row}: the columns are separated by {words}: must be by commas, with points in "
+                "numbers; save the file as comma-separated values"
+            )
     for name in header:
         if name not in columns:
             raise StudyError(f"{path}, row {row}: {name!r}: unknown column; {near(name, columns)}")

@@ -242,7 +242,7 @@ def _verdict(scored: Scored, gap: Gap) -> str:
 def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
     """What should be looked at before the answer is believed."""
     data = scored.screened.screening.data
-    rows, found = hooks.rows(data), []
+    rows, found = hooks.rows(data), list(hooks.warnings)
     unit = "" if gap.unit == "1" else f" {gap.unit}"
     spread = float(max(np.ptp(data.values[i]) for i in rows))
     if gap.before > POOR_FIT * spread:

@@ -56,6 +56,8 @@ class Hooks:
         ``candidates(data, baseline) -> sequence of Candidate``; none if absent.
     advice : str
         What to check where the baseline misses the data by far.
+    warnings : tuple of str
+        What is odd about the data themselves; they come first among the answer's.
     smooth : bool
         Whether solutions are smooth in the parameters down to rounding, so that a fit may end with
         differences as fine as its posterior; false for a solver whose time step follows its parameters.
@@ -65,6 +67,7 @@ class Hooks:
     phases: Callable[[Data, list[int]], tuple[Sequence[str], NDArray[np.int_]]] | None = None
     candidates: Callable[[Data, ForwardModel], Sequence[Candidate]] | None = None
     advice: str = "check units, inputs and parameters"
+    warnings: tuple[str, ...] = ()
     smooth: bool = True
 
     def rows(self, data: Data) -> list[int]:
