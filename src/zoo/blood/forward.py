@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from zoo.blood.case import UNITS, Case, Place, check_series, simulate, solver_of
 from zoo.blood.conventions import Conventions
 from zoo.blood.network import Network, stiffness_profile
-from zoo.blood.solver import NO_PHYSICS, SHAPES, WALLS, Solver, SolverArgumentError, SolverOptions
+from zoo.blood.physics import NO_PHYSICS, study_physics
+from zoo.blood.solver import SHAPES, WALLS, Solver, SolverArgumentError, SolverOptions
 from zoo.blood.study import Study, StudyError
 from zoo.core.data import Data
 from zoo.core.forward import Outputs, content_key, function_text
@@ -58,12 +59,32 @@ def stiffness_of_each_vessel(values: Values, network: Network, conventions: Conv
     return np.array(values["chi"], dtype=np.float64)
 
 
+def scaled_stiffness(values: Values, network: Network, conventions: Conventions) -> Array:
+    """What the study gives, times a factor: chi = f chi_given, also along each vessel.
+
+    Raises
+    ------
+    zoo.blood.study.StudyError
+        If the study gives no stiffness.
+    """
+    if network.stiffness_in is None:
+        raise StudyError(
+            "network: stiffness_g_cm_s2: is missing, and there is nothing to scale; give every vessel one "
+            "(or youngs_modulus_g_cm_s2 and wall_thickness_cm), or take another stiffness law"
+        )
+    return float(values["stiffness_factor"]) * network.stiffness_in
+
+
 # ---------------------------------------------------------------------------------------------------
 # The forward model
 
 
 class BloodFlow:
     """Pressure, flow and area in a study's tree at the periodic state, as a `zoo.core.forward.ForwardModel`.
+
+    It has the study's physics (`zoo.blood.physics.study_physics`). Stiffness is that of the law, the same
+    all along a vessel; what the study gives is read by `scaled_stiffness` alone, and then also along the
+    vessels.
 
     Its configuration is a `zoo.blood.case.Case`; without effects its series are those of
     ``Solver.for_study(study, wall).solve(...)``, bit for bit. Series are (vessel id, position, quantity),
@@ -122,6 +143,9 @@ class BloodFlow:
         self.conventions = conventions or study.conventions
         self.options = options or SolverOptions()
         self.network = Network.from_study(study)
+        self.physics = study_physics(
+            study, self.network, mmhg=self.conventions.mmhg, along=stiffness is scaled_stiffness
+        )
         self.outputs = outputs or Outputs(
             tuple((s.vessel, s.position, s.quantity) for s in study.series), study.time_s
         )
@@ -139,10 +163,12 @@ class BloodFlow:
         net, law = self.network, function_text(self.stiffness)
         words = [self.wall, self.conventions, self.options, net.density, net.viscosity, net.period_s]
         words += [(p.name, p.size) for p in self.parameters]
+        words += [self.physics.settings()] if self.physics is not NO_PHYSICS else []
         words += [(name, value.tolist()) for name, value in sorted(self.fixed.items())]
         tree = (net.ids, net.parent, net.length_cm, net.radius_in_cm, net.radius_out_cm)
         loads_and_inflow = (net.R1, net.R2, net.C, self.study.inflow_time_s, self.study.inflow_ml_s)
-        return content_key(law, repr(words), *tree, *loads_and_inflow, self.outputs)
+        walls = () if net.stiffness_in is None else (net.stiffness_in,)
+        return content_key(law, repr(words), *tree, *loads_and_inflow, *walls, self.outputs)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_kept": ()}
@@ -160,7 +186,7 @@ class BloodFlow:
             conventions=self.conventions,
             wall=self.wall,
             options=self.options,
-            physics=NO_PHYSICS,
+            physics=self.physics,
             stiffness=stiffness,
             gamma=of_each("gamma", 2.0) if len(shapes) < 2 else np.stack([of_each(name) for name in shapes]),
             psi1=of_each("psi1"),

@@ -17,6 +17,7 @@ from zoo.blood.study import (
     StudyError,
     Vessel,
     Windkessel,
+    check_physics,
     read_only,
     root_pressure,
 )
@@ -46,15 +47,18 @@ class Network(ReadOnlyArrays):
     length_cm, radius_in_cm, radius_out_cm : array (n,)
         cm, at rest.
     R1, R2 : array (n,)
-        Nominal resistances of the terminals, dyn s/cm5; NaN elsewhere.
+        Nominal resistances of the terminals, dyn s/cm5; NaN elsewhere. A single resistance is R1, with R2 =
+        0.
     C : array (n,)
-        Nominal compliance of the terminals, cm5/dyn; NaN elsewhere.
+        Nominal compliance of the terminals, cm5/dyn; 0 beside a single resistance, NaN elsewhere.
     density : float
         g/cm3.
     viscosity : float
         g/(cm s).
     period_s : float
         s.
+    stiffness_in, stiffness_out : array (n,) or None
+        Stiffness chi that the study gives, at the vessels' ends, g/(cm s2); None where it gives none.
     """
 
     ids: NDArray[np.int32]
@@ -68,6 +72,8 @@ class Network(ReadOnlyArrays):
     density: float
     viscosity: float
     period_s: float
+    stiffness_in: Array | None = None
+    stiffness_out: Array | None = None
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -94,25 +100,30 @@ class Network(ReadOnlyArrays):
         Raises
         ------
         StudyError
-            If the vessels are not one tree, a size is not positive, or a terminal has no Windkessel.
+            If the vessels are not one tree, a size is not positive, a terminal has neither Windkessel nor
+            resistance, or what is said of walls and outlets cannot be (`zoo.blood.study.check_physics`).
         """
         order = _sort_vessels(vessels)
         ordered = [vessels[i] for i in order]
         index = {v.id: i for i, v in enumerate(ordered)}
         feeding = {v.parent for v in ordered}
-        _positive("blood", vars(blood))
+        _positive("blood", {name: value for name, value in vars(blood).items() if value is not None})
         _positive("beat", {"period_s": period_s})
         loads = []
         for v in ordered:
             sizes = {name: getattr(v, name) for name in ("length_cm", "radius_cm", "radius_out_cm")}
             _positive(f"vessel {v.id}", sizes)
-            if v.windkessel is None and v.id not in feeding:
+            if v.windkessel is None and v.resistance is None and v.id not in feeding:
                 raise StudyError(
-                    f"network: vessel {v.id}: windkessel: is missing at a terminal; give R1, R2 and C in cgs"
+                    f"network: vessel {v.id}: windkessel: is missing at a terminal; give R1, R2 and C, or a "
+                    "resistance, in cgs"
                 )
             if v.windkessel is not None:
                 _positive(f"vessel {v.id}: windkessel", vars(v.windkessel))
-            loads.append(v.windkessel or Windkessel(math.nan, math.nan, math.nan))
+            alone = Windkessel(v.resistance, 0.0, 0.0) if v.resistance else None
+            loads.append(v.windkessel or alone or Windkessel(math.nan, math.nan, math.nan))
+        check_physics(ordered)
+        ends = np.array([v.stiffness for v in ordered if v.stiffness])
         return cls(
             ids=np.array([v.id for v in ordered], np.int32),
             parent=np.array([-1 if v.parent is None else index[v.parent] for v in ordered], np.int32),
@@ -125,6 +136,8 @@ class Network(ReadOnlyArrays):
             density=float(blood.density_g_cm3),
             viscosity=float(blood.viscosity_g_cm_s),
             period_s=float(period_s),
+            stiffness_in=ends[:, 0] if len(ends) else None,
+            stiffness_out=ends[:, 1] if len(ends) else None,
         )
 
     @classmethod
@@ -147,6 +160,7 @@ class Network(ReadOnlyArrays):
         StudyError
             If the vessels are not one tree, or a nominal load is needed and cannot be derived.
         """
+        check_physics(study.vessels, radius_pressure_mmHg=study.radius_pressure_mmHg)
         return cls.from_vessels(with_nominal_loads(study), study.blood, study.period_s)
 
     def index(self, vessel_id: int) -> int:
@@ -335,7 +349,7 @@ def nominal_windkessel(
     vessels : sequence of Vessel
         One tree.
     mean_pressure_mmHg : float
-        In the root, taken for that in the terminals; mmHg.
+        In the root, taken for that in the terminals, above that behind the outlets; mmHg.
     mean_flow_ml_s : float
         Into the root, ml/s.
     tau_s : float
@@ -389,20 +403,27 @@ def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
         If a load is needed and no pressure of the root is observed, or `diastolic_tau` cannot be fitted.
     """
     feeding = {v.parent for v in study.vessels}
-    bare = [v.id for v in study.vessels if v.id not in feeding and v.windkessel is None]
+    bare = [v.id for v in study.vessels if v.id not in feeding and not (v.windkessel or v.resistance)]
     if not bare:
         return study.vessels
     where = f"{study.source}: study {study.name!r}: vessel {bare[0]} has no windkessel"
     observed = root_pressure(study.vessels, study.series)
     if observed is None:
         raise StudyError(f"{where}, and no pressure_mmHg of the root is observed; add one of the two")
-    try:
-        tau = diastolic_tau(
-            study.time_s, observed.value, study.inflow_time_s, study.inflow_ml_s, study.period_s
+    behind = {v.id: study.pressure_mmHg("outflow", v) for v in study.vessels if v.id in bare}
+    different = next((v for v in bare if behind[v] != behind[bare[0]]), None)
+    if different is not None:
+        raise StudyError(
+            f"{where}, and none can be derived: outflow_pressure_mmHg = {behind[different]!r} of vessel "
+            f"{different} is not that of vessel {bare[0]}, {behind[bare[0]]!r}; give these vessels a "
+            "windkessel"
         )
+    above = observed.value - behind[bare[0]]
+    try:
+        tau = diastolic_tau(study.time_s, above, study.inflow_time_s, study.inflow_ml_s, study.period_s)
         loads = nominal_windkessel(
             study.vessels,
-            float(observed.value.mean()),
+            float(above.mean()),
             float(study.inflow_ml_s.mean()),
             tau,
             mmhg=study.conventions.mmhg,

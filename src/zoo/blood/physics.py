@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 
 from zoo.blood.network import Network
 from zoo.blood.solve_errors import SolverArgumentError
-from zoo.blood.study import ReadOnlyArrays, read_only
+from zoo.blood.study import ReadOnlyArrays, Study, read_only
+from zoo.blood.units import mmhg_to_cgs
 
 Array = NDArray[np.float64]
 
@@ -76,8 +78,8 @@ class Physics(ReadOnlyArrays):
         dyn/cm2, added to the wall's pressure at the inlet and outlet, linear between: an external pressure
         or a hydrostatic head. Given alone, the other is zero.
     stiffness_ratio, stiffness_exponent : array (n_vessels,)
-        s and e in chi(x) = chi (1 + (s - 1) x/L) (r0(0)/r0(x))^e, the stiffness along each vessel: e = 1 where the
-        wall's E h is constant, s = h(L)/h(0) with it where the wall's thickness changes.
+        s and e in chi(x) = chi (1 + (s - 1) x/L) (r0(0)/r0(x))^e, the stiffness along each vessel: e = 1
+        where the wall's E h is constant, s = h(L)/h(0) with it where the wall's thickness changes.
     viscoelastic_time : array (n_vessels,)
         tau, s, in p = p_e + tau dp_e/dt with the wall's p_e (Kelvin-Voigt), slowed by `relaxation_time`.
     relaxation_time : float
@@ -236,3 +238,104 @@ class Physics(ReadOnlyArrays):
 
 
 NO_PHYSICS = Physics()
+
+
+def study_physics(
+    study: Study, network: Network, *, mmhg: float | None = None, along: bool = True
+) -> Physics:
+    """What a study adds to the equations: profile, junctions, pressures around the vessels, stiffness "
+    "along them.
+
+    Parameters
+    ----------
+    study : Study
+    network : Network
+        Of the study.
+    mmhg : float
+        dyn/cm2 in 1 mmHg; that of the study's conventions if absent.
+    along : bool
+        Whether stiffness changes along the vessels as the study says: chi linear between the ends, or E
+        h(x)/r(x).
+
+    Returns
+    -------
+    Physics
+        `NO_PHYSICS` for a study that adds nothing.
+    """
+    unit = study.conventions.mmhg if mmhg is None else mmhg
+    by_id = {v.id: v for v in study.vessels}
+    vessels = [by_id[int(i)] for i in network.ids]
+    given: dict[str, Any] = {}
+    blood = study.blood
+    if blood.velocity_profile_order is not None:
+        given |= {"stokes_friction": 0.0, "viscous_friction": 2 * (blood.velocity_profile_order + 2)}
+    if blood.momentum_correction != 1:
+        given["momentum_correction"] = blood.momentum_correction
+    if study.junction_pressure == "total":
+        given["total_pressure"] = 1.0
+    around = np.array(
+        [study.pressure_mmHg("external", v) + study.pressure_mmHg("radius", v) for v in vessels]
+    )
+    if np.any(around):
+        given["offset_in"] = given["offset_out"] = mmhg_to_cgs(around, unit)
+    behind = np.array([study.pressure_mmHg("outflow", v) for v in vessels])
+    if np.any(behind[network.terminals]):
+        given["outflow_pressure"] = mmhg_to_cgs(behind, unit)
+    if along and network.stiffness_in is not None and network.stiffness_out is not None:
+        elastic = np.array([v.youngs_modulus_g_cm_s2 is not None for v in vessels])
+        narrowing = network.radius_out_cm / network.radius_in_cm
+        ratio = network.stiffness_out / network.stiffness_in * np.where(elastic, narrowing, 1.0)
+        ratio = np.where(np.abs(ratio - 1) < 1e-12, 1.0, ratio)
+        if np.any(ratio != 1):
+            given["stiffness_ratio"] = ratio
+        if np.any(elastic):
+            given["stiffness_exponent"] = elastic.astype(np.float64)
+    return Physics(**given) if given else NO_PHYSICS
+
+
+def physics_words(study: Study, *, along: bool = True) -> list[str]:
+    """What `study_physics` holds, in words, one line for each part.
+
+    Parameters
+    ----------
+    study : Study
+    along : bool
+        As in `study_physics`.
+
+    Returns
+    -------
+    list of str
+    """
+    blood = study.blood
+    order = blood.velocity_profile_order
+    words = [
+        "velocity profile: flat with a Stokes layer, eq. (3.1)"
+        if order is None
+        else f"velocity profile: of order {order:g}, friction -{2 * (order + 2):g} pi nu q/A"
+    ]
+    words[0] += f"; momentum correction {blood.momentum_correction:g}"
+    words.append(f"junctions: {study.junction_pressure} pressure")
+    feeding = {v.parent for v in study.vessels}
+    terminals = [v for v in study.vessels if v.id not in feeding]
+    alone = sum(v.resistance is not None for v in terminals)
+    loads = [(len(terminals) - alone, "Windkessel"), (alone, "single resistance")]
+    words.append("outlets: " + ", ".join(f"{n} {name}{'s' * (n > 1)}" for n, name in loads if n))
+    words[-1] += f"; {_range(study.pressure_mmHg('outflow', v) for v in terminals)} mmHg behind them"
+    words.append(
+        f"walls: {_range(study.pressure_mmHg('external', v) for v in study.vessels)} mmHg outside, "
+        f"radii given at {_range(study.pressure_mmHg('radius', v) for v in study.vessels)} mmHg"
+    )
+    stiff = [v.stiffness for v in study.vessels if v.stiffness]
+    if along and stiff:
+        source = "E h/r" if study.vessels[0].youngs_modulus_g_cm_s2 else "given"
+        ends = _range(x for pair in stiff for x in pair)
+        words.append(f"stiffness of the study: {ends} g/(cm s2), {source}")
+    if study.inflow_note:
+        words.append(f"inflow: {study.inflow_note}")
+    return words
+
+
+def _range(values: Iterable[float]) -> str:
+    kept = list(values)
+    found = f"{min(kept):.4g}", f"{max(kept):.4g}"
+    return found[0] if found[0] == found[1] else " to ".join(found)

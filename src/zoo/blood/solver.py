@@ -15,7 +15,7 @@ from zoo._native import ffi, lib
 from zoo.blood.conventions import PRINTED, Conventions
 from zoo.blood.network import Network
 from zoo.blood.physics import NO_PHYSICS as NO_PHYSICS
-from zoo.blood.physics import Physics
+from zoo.blood.physics import Physics, study_physics
 from zoo.blood.solve_errors import (
     CFLError,
     CollapseError,
@@ -269,6 +269,9 @@ class Solver:
     ) -> Solver:
         """Make the solver of a study, at the study's own series and times unless others are given.
 
+        Without `physics` it is the study's own, `zoo.blood.physics.study_physics`; then `solve` takes the
+        stiffness at the vessels' inlets, which changes along them as the study says.
+
         At the study's own times the conventions' ``sample_lag_beats`` is added; times that are given are
         taken as they are.
         """
@@ -277,8 +280,11 @@ class Solver:
             series = [(s.vessel, s.position) for s in study.series]
         if times_s is None:
             times_s = study.time_s + conventions.sample_lag_beats * study.period_s
+        network = Network.from_study(study)
+        if physics is None:
+            physics = study_physics(study, network, mmhg=conventions.mmhg)
         return cls(
-            Network.from_study(study),
+            network,
             study.inflow_time_s,
             study.inflow_ml_s,
             wall=wall,
@@ -406,7 +412,8 @@ class Solver:
         if added.offset_in is not None or added.offset_out is not None:
             offset = filled(added.offset_in), filled(added.offset_out)
             if np.ptp(offset) == 0 and added.leak is None:
-                # the same pressure outside everywhere: as if it were taken off behind all outlets, which is faster
+                # the same pressure outside everywhere: as if it were taken off behind all outlets, which is
+                # faster
                 self._shift = float(offset[0][0])
                 behind = filled(behind) - self._shift if self._shift else behind
             else:

@@ -16,14 +16,16 @@ from zoo.blood.study.parts import (
     Windkessel,
     read_only,
 )
+from zoo.blood.study.resampling import even_samples
 from zoo.blood.study.samples import INFLOW_COLUMNS, MIN_SAMPLES, OBSERVATION_COLUMNS
 from zoo.blood.study.saving import save_study
-from zoo.blood.study.study import Study
+from zoo.blood.study.study import JUNCTION_PRESSURES, Study
 from zoo.blood.study.suspicion import Suspicion, UnitWarning, suspect_units
-from zoo.blood.study.tree import read_network, sort_vessels
+from zoo.blood.study.tree import check_physics, read_network, sort_vessels
 
 __all__ = [
     "INFLOW_COLUMNS",
+    "JUNCTION_PRESSURES",
     "MIN_SAMPLES",
     "OBSERVATION_COLUMNS",
     "QUANTITIES",
@@ -36,6 +38,8 @@ __all__ = [
     "UnitWarning",
     "Vessel",
     "Windkessel",
+    "check_physics",
+    "even_samples",
     "list_studies",
     "load_study",
     "read_network",

@@ -28,7 +28,7 @@ from zoo.blood.study.tables import (
     validated,
     visible_name,
 )
-from zoo.blood.study.tree import read_network_places
+from zoo.blood.study.tree import read_network_file
 
 _BUILT_IN = Path(__file__).parents[2] / "data"
 
@@ -113,15 +113,16 @@ def load_study(
     chosen = own if conventions is None else get_conventions(conventions)
 
     network = _file(where, folder, "network", table.network)
-    blood, vessels, places = read_network_places(network)
-    known = [v.id for v in vessels]
+    tree = read_network_file(network)
+    known = [v.id for v in tree.vessels]
+    inflow_note = ""
 
     if isinstance(table.inflow, dict):
         fetched = validated(FetchedInflowTable, table.inflow, f"{where}: inflow")
         inflow_time, inflow = fetched_inflow(fetched, table.period_s)
     else:
         inflow_path = _file(where, folder, "inflow", table.inflow)
-        inflow_time, inflow = read_inflow(inflow_path, table.period_s)
+        inflow_time, inflow, inflow_note = read_inflow(inflow_path, table.period_s)
     if not inflow.mean() > 0:
         raise StudyError(
             f"{where}: inflow = {short(table.inflow)}: mean flow_ml_s = {inflow.mean():.6g}: must be "
@@ -137,12 +138,12 @@ def load_study(
         observations_path = _file(where, folder, "observations", table.observations)
         time, series = read_observations(observations_path, table.period_s, known)
 
-    _check_terminals(vessels, places, series)
+    _check_terminals(tree.vessels, tree.places, series)
     study = Study(
         name=name,
         period_s=table.period_s,
-        blood=blood,
-        vessels=vessels,
+        blood=tree.blood,
+        vessels=tree.vessels,
         inflow_time_s=inflow_time,
         inflow_ml_s=inflow,
         time_s=time,
@@ -152,6 +153,11 @@ def load_study(
         priors=table.priors,
         noise_sd=_checked_noise(where, table.noise_sd, series),
         numerics=table.numerics,
+        junction_pressure=tree.junction_pressure,
+        inflow_note=inflow_note,
+        external_pressure_mmHg=tree.surroundings["external_pressure_mmHg"],
+        outflow_pressure_mmHg=tree.surroundings["outflow_pressure_mmHg"],
+        radius_pressure_mmHg=tree.surroundings["radius_pressure_mmHg"],
     )
     warn_of_units(study)
     return study
@@ -179,9 +185,10 @@ def _check_terminals(vessels: Sequence[Vessel], places: Sequence[str], series: S
     feeding = {v.parent for v in vessels}
     root = next(v.id for v in vessels if v.parent is None)
     for vessel, place in zip(vessels, places, strict=True):
-        if vessel.id in feeding or vessel.windkessel or root_pressure(vessels, series):
+        if vessel.id in feeding or vessel.windkessel or vessel.resistance or root_pressure(vessels, series):
             continue
         raise StudyError(
             f"{place}: windkessel: is missing at a terminal, and cannot be derived without an observed "
-            f"pressure_mmHg in the root (vessel {root}); add windkessel = {{ R1, R2, C }} in cgs"
+            f"pressure_mmHg in the root (vessel {root}); add windkessel = {{ R1, R2, C }} or a "
+            "resistance, in cgs"
         )

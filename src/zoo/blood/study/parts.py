@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -70,6 +70,19 @@ class Vessel:
         Id of the vessel that feeds it; None for the root.
     windkessel : Windkessel or None
         Nominal load of a terminal; None there means that it is derived from the observations.
+    resistance : float or None
+        dyn s/cm5, R in p - p_out = R q: a single resistance as the outlet instead of a Windkessel.
+    stiffness_g_cm_s2, stiffness_out_g_cm_s2 : float or None
+        chi at the inlet and at the outlet, linear between; the same at both ends where only the first is
+        given.
+    youngs_modulus_g_cm_s2, wall_thickness_cm, wall_thickness_out_cm : float or None
+        E, and h at the inlet and at the outlet, linear between, instead of chi: chi(x) = E h(x)/r(x).
+    outflow_pressure_mmHg : float or None
+        p_out behind the outlet of a terminal, mmHg; None: the study's.
+    external_pressure_mmHg : float or None
+        Outside the vessel, mmHg; None: the study's.
+    radius_pressure_mmHg : float or None
+        Inside less outside pressure at which the vessel has its radii, mmHg; None: the study's.
     """
 
     id: int
@@ -79,14 +92,81 @@ class Vessel:
     radius_out_cm: float
     parent: int | None = None
     windkessel: Windkessel | None = None
+    resistance: float | None = None
+    stiffness_g_cm_s2: float | None = None
+    stiffness_out_g_cm_s2: float | None = None
+    youngs_modulus_g_cm_s2: float | None = None
+    wall_thickness_cm: float | None = None
+    wall_thickness_out_cm: float | None = None
+    outflow_pressure_mmHg: float | None = None
+    external_pressure_mmHg: float | None = None
+    radius_pressure_mmHg: float | None = None
+
+    @property
+    def physics(self) -> dict[str, float]:
+        """The fields after `windkessel` that are given."""
+        return {name: value for name in VESSEL_PHYSICS if (value := getattr(self, name)) is not None}
+
+    @property
+    def stiffness(self) -> tuple[float, float] | None:
+        """Stiffness chi in p = (4/3) chi (sqrt(A/A0) - 1) at the inlet and at the outlet, g/(cm s2).
+
+        It is what is given, or chi = E h/r: Poisson's ratio 1/2 gives p = (4/3) (E h/r) (sqrt(A/A0) - 1).
+        None where the vessel has neither.
+
+        References
+        ----------
+        Boileau et al. 2015, doi 10.1002/cnm.2732.
+
+        Examples
+        --------
+        >>> Vessel(1, "a", 1.0, 0.5, 0.4, youngs_modulus_g_cm_s2=4e6, wall_thickness_cm=0.05).stiffness
+        (400000.0, 500000.0)
+        """
+        if self.stiffness_g_cm_s2 is not None:
+            end = self.stiffness_out_g_cm_s2
+            return self.stiffness_g_cm_s2, self.stiffness_g_cm_s2 if end is None else end
+        if self.youngs_modulus_g_cm_s2 is None or self.wall_thickness_cm is None:
+            return None
+        h = self.wall_thickness_cm
+        h_out = h if self.wall_thickness_out_cm is None else self.wall_thickness_out_cm
+        return (
+            self.youngs_modulus_g_cm_s2 * h / self.radius_cm,
+            self.youngs_modulus_g_cm_s2 * h_out / self.radius_out_cm,
+        )
+
+
+VESSEL_PHYSICS = tuple(field.name for field in fields(Vessel) if field.default is None)[2:]
+"""Fields of a vessel after its Windkessel."""
 
 
 @dataclass(frozen=True)
 class Blood:
-    """Density in g/cm3 and dynamic viscosity in g/(cm s)."""
+    """What flows, and how it is spread over a cross-section.
+
+    Parameters
+    ----------
+    density_g_cm3 : float
+    viscosity_g_cm_s : float
+        Dynamic.
+    velocity_profile_order : float or None
+        zeta of a profile u ~ 1 - (r/R)^zeta, whose friction is -2 (zeta + 2) pi nu q/A; 2 is a parabola.
+        None: a flat profile with a Stokes layer, eq. (3.1).
+    momentum_correction : float
+        alpha, factor of q^2/A; 1 is that of a flat profile.
+    """
 
     density_g_cm3: float
     viscosity_g_cm_s: float
+    velocity_profile_order: float | None = None
+    momentum_correction: float = 1.0
+
+    @property
+    def physics(self) -> dict[str, float]:
+        """The fields after the first two that are not at their default."""
+        given = {"velocity_profile_order": self.velocity_profile_order} if self.velocity_profile_order else {}
+        flat = self.momentum_correction == 1
+        return given if flat else {**given, "momentum_correction": self.momentum_correction}
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,14 +6,16 @@ import csv
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zoo.blood.fetch import fetch_file
 from zoo.blood.study.parts import QUANTITIES, Array, Series, StudyError
+from zoo.blood.study.resampling import even_samples
 from zoo.blood.study.tables import FetchedInflowTable, FetchedObservationsTable, near, read_text
 
 INFLOW_COLUMNS = ("time_s", "flow_ml_s")
@@ -88,6 +90,31 @@ class _Samples:
     def fail(self, i: int, name: str, value: float, reason: str) -> NoReturn:
         raise StudyError(f"{self.path}, row {self.rows[i]}: {name} = {value:.10g}: {self.label}: {reason}")
 
+    def sorted(self) -> _Samples:
+        """The same in the order of their times."""
+        order = np.argsort(self.times, kind="stable")
+        rows = [self.rows[i] for i in order]
+        return replace(self, rows=rows, times=self.times[order], values=self.values[order])
+
+    def refuse_twice(self) -> None:
+        """Raise where two samples, ascending in time, have the same time."""
+        same = np.diff(self.times) == 0
+        if np.any(same):
+            i = int(np.argmax(same))
+            self.fail(
+                i + 1,
+                "time_s",
+                self.times[i + 1],
+                f"a second sample at this time, beside row {self.rows[i]}; keep one",
+            )
+
+
+def _uneven(times: Array) -> NDArray[np.bool_]:
+    """Which distances between ascending times are not the usual one, (n - 1,)."""
+    gaps = np.diff(times)
+    step = float(np.median(gaps))
+    return np.asarray(np.abs(gaps - step) > _STEP_TOLERANCE * step + _TIME_ROUNDING_S)
+
 
 def _uniform(samples: _Samples, period: float, *, from_zero: bool) -> tuple[Array, Array]:
     """Times and values on the uniform grid of one period that the samples are on.
@@ -100,24 +127,12 @@ def _uniform(samples: _Samples, period: float, *, from_zero: bool) -> tuple[Arra
             f"{samples.path}: {samples.label}: {len(samples.times)} samples: too few for a beat; "
             f"give at least {MIN_SAMPLES}"
         )
-    order = np.argsort(samples.times, kind="stable")
-    s = _Samples(
-        samples.path,
-        samples.label,
-        [samples.rows[i] for i in order],
-        samples.times[order],
-        samples.values[order],
-        samples.unit,
-    )
+    s = samples.sorted()
     times, values = s.times, s.values
     gaps = np.diff(times)
-    if np.any(gaps == 0):
-        i = int(np.argmax(gaps == 0))
-        s.fail(
-            i + 1, "time_s", times[i + 1], f"a second sample at this time, beside row {s.rows[i]}; keep one"
-        )
+    s.refuse_twice()
     step = float(np.median(gaps))
-    uneven = np.abs(gaps - step) > _STEP_TOLERANCE * step + _TIME_ROUNDING_S
+    uneven = _uneven(times)
     if np.any(uneven):
         i = int(np.argmax(uneven))
         s.fail(
@@ -160,13 +175,56 @@ def _uniform(samples: _Samples, period: float, *, from_zero: bool) -> tuple[Arra
     return grid, values
 
 
-def read_inflow(path: Path, period: float) -> tuple[Array, Array]:
+def _evened(samples: _Samples, period: float) -> tuple[Array, Array, str]:
+    """Times and values on a uniform grid, from samples at uneven times; and what was done, in words."""
+    s, times, values = samples, samples.times, samples.values
+    s.sorted().refuse_twice()
+    back = np.diff(times) < 0
+    if np.any(back):
+        i = int(np.argmax(back))
+        s.fail(i + 1, "time_s", times[i + 1], f"before that of row {s.rows[i]}; sort the rows by time")
+    if abs(times[0]) > _TIME_ROUNDING_S:
+        s.fail(0, "time_s", times[0], "the inflow must begin at time 0; shift or resample it")
+    end = len(times) - 1
+    if abs(times[end] - period) <= _TIME_ROUNDING_S:
+        if abs(values[end] - values[0]) > 1e-9 * np.ptp(values):
+            s.fail(
+                end,
+                s.unit,
+                values[end],
+                f"a period_s = {period:.10g} after the first sample ({values[0]:.10g}), so it must repeat "
+                "that one; remove this row, or correct period_s",
+            )
+        times, values = times[:-1], values[:-1]
+    elif times[end] > period:
+        s.fail(
+            end, "time_s", times[end], f"past period_s = {period:.10g}; give one period, or correct period_s"
+        )
+    left, widest = period - times[-1], float(np.max(np.diff(times)))
+    if left > widest * (1 + _STEP_TOLERANCE):
+        s.fail(
+            len(times) - 1,
+            "time_s",
+            times[-1],
+            f"{left:.6g} s before period_s = {period:.10g} ends, but no other samples are more than "
+            f"{widest:.6g} s apart; give the whole period, or correct period_s",
+        )
+    even, distance = even_samples(np.maximum(times, 0.0), values, period)
+    how = f"at most {distance:.2g} ml/s from these lines" if distance else "which hold all of them"
+    note = f"{len(times)} samples at uneven times, linear between, read at {len(even)} even times, {how}"
+    return np.asarray(np.arange(len(even)) * (period / len(even)), dtype=np.float64), even, note
+
+
+def read_inflow(path: Path, period: float) -> tuple[Array, Array, str]:
+    """Times and values of the inflow on a uniform grid, and what was done to them, in words."""
     table = _read_csv(path, INFLOW_COLUMNS)
     numbers = np.array(
         [[number(f"{path}, row {row}", c, cells[c]) for c in INFLOW_COLUMNS] for row, cells in table]
     ).reshape(-1, 2)
     samples = _Samples(path, "inflow", [row for row, _ in table], numbers[:, 0], numbers[:, 1], "flow_ml_s")
-    return _uniform(samples, period, from_zero=True)
+    if len(samples.times) >= MIN_SAMPLES and np.any(_uneven(np.sort(samples.times))):
+        return _evened(samples, period)
+    return *_uniform(samples, period, from_zero=True), ""
 
 
 def _check_place(where: str, vessel: int, position: float, quantity: str, known: Sequence[int]) -> None:

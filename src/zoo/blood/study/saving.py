@@ -42,6 +42,7 @@ def _vessel_lines(vessel: Vessel) -> list[str]:
     if vessel.windkessel is not None:
         load = ", ".join(f"{name} = {_value(x)}" for name, x in vars(vessel.windkessel).items())
         lines.append(f"windkessel = {{ {load} }}")
+    lines += [f"{name} = {_value(value)}" for name, value in vessel.physics.items()]
     return lines
 
 
@@ -78,8 +79,16 @@ def save_study(study: Study, folder: str | Path) -> None:
             ]
     write("study.toml", lines)
 
-    blood = [f"{name} = {_value(value)}" for name, value in vars(study.blood).items()]
-    write("network.toml", ["[blood]", *blood, *(line for v in study.vessels for line in _vessel_lines(v))])
+    blood = {name: getattr(study.blood, name) for name in ("density_g_cm3", "viscosity_g_cm_s")}
+    tables = {"blood": blood | study.blood.physics, "junctions": {}, "surroundings": dict(study.physics)}
+    if "junction_pressure" in study.physics:
+        tables["junctions"] = {"pressure": tables["surroundings"].pop("junction_pressure")}
+    tree: list[str] = []
+    for heading, table in tables.items():
+        if table:
+            lines = [f"[{heading}]", *(f"{name} = {_value(value)}" for name, value in table.items())]
+            tree += ["", *lines] if tree else lines
+    write("network.toml", [*tree, *(line for v in study.vessels for line in _vessel_lines(v))])
 
     pairs = zip(study.inflow_time_s.tolist(), study.inflow_ml_s.tolist(), strict=True)
     write("inflow.csv", [",".join(INFLOW_COLUMNS), *(f"{t!r},{q!r}" for t, q in pairs)])

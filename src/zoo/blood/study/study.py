@@ -14,6 +14,9 @@ import numpy as np
 from zoo.blood.conventions import PRINTED, Conventions
 from zoo.blood.study.parts import Array, Blood, ReadOnlyArrays, Series, StudyError, Vessel, read_only
 
+JUNCTION_PRESSURES = ("static", "total")
+PRESSURES = ("external_pressure_mmHg", "outflow_pressure_mmHg", "radius_pressure_mmHg")
+
 
 @dataclass(frozen=True, eq=False)
 class Study(ReadOnlyArrays):
@@ -39,6 +42,13 @@ class Study(ReadOnlyArrays):
         Where it came from.
     priors : mapping
         The table [priors] of study.toml, as it stands there.
+    junction_pressure : {"static", "total"}
+        What is equal in the vessels that meet: p, or p + rho u^2/2.
+    external_pressure_mmHg, outflow_pressure_mmHg, radius_pressure_mmHg : float
+        Outside all vessels, behind all outlets, and that (inside less outside) at which radii are given,
+        mmHg; a vessel's own value takes its place.
+    inflow_note : str
+        What was done to the inflow when it was loaded; empty for nothing.
     noise_sd : mapping of str to float
         Known standard deviations of the measurement noise: quantity, or label of a series -> its unit.
     numerics : mapping
@@ -66,6 +76,11 @@ class Study(ReadOnlyArrays):
     priors: Mapping[str, Any] = field(default_factory=dict, repr=False)
     noise_sd: Mapping[str, float] = field(default_factory=dict, repr=False)
     numerics: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    junction_pressure: str = "static"
+    external_pressure_mmHg: float = 0.0
+    outflow_pressure_mmHg: float = 0.0
+    radius_pressure_mmHg: float = 0.0
+    inflow_note: str = field(default="", repr=False)
     checksum: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
@@ -81,6 +96,11 @@ class Study(ReadOnlyArrays):
                     f"study {self.name!r}: {name}: shape {values.shape} does not fit the {len(times)} times; "
                     "give one value for each time"
                 )
+        if self.junction_pressure not in JUNCTION_PRESSURES:
+            raise StudyError(
+                f"study {self.name!r}: junction_pressure = {self.junction_pressure!r}: must be one of "
+                f"{', '.join(JUNCTION_PRESSURES)}"
+            )
         object.__setattr__(self, "checksum", self._checksum())
 
     def _checksum(self) -> str:
@@ -90,11 +110,28 @@ class Study(ReadOnlyArrays):
             for v in self.vessels
         ]
         series = [[s.vessel, float(s.position), s.quantity] for s in self.series]
-        blood = [float(x) for x in vars(self.blood).values()]
-        digest = hashlib.sha256(json.dumps([float(self.period_s), blood, vessels, series]).encode())
+        blood = [float(self.blood.density_g_cm3), float(self.blood.viscosity_g_cm_s)]
+        content: list[Any] = [float(self.period_s), blood, vessels, series]
+        own = {v.id: v.physics for v in self.vessels if v.physics}
+        if self.physics or self.blood.physics or own:  # a study without has the checksum that it always had
+            content.append([self.physics, self.blood.physics, own])
+        digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
         for array in (self.inflow_time_s, self.inflow_ml_s, self.time_s, *(s.value for s in self.series)):
             digest.update(f";{len(array)}:".encode() + array.astype("<f8").tobytes())
         return digest.hexdigest()
+
+    @property
+    def physics(self) -> dict[str, str | float]:
+        """Pressures and junctions of the whole tree that are not at their default."""
+        at_junctions = (
+            {} if self.junction_pressure == "static" else {"junction_pressure": self.junction_pressure}
+        )
+        return at_junctions | {name: value for name in PRESSURES if (value := float(getattr(self, name)))}
+
+    def pressure_mmHg(self, name: str, vessel: Vessel) -> float:
+        """A vessel's own "outflow", "external" or "radius" pressure, or the study's; mmHg."""
+        own: float | None = getattr(vessel, f"{name}_pressure_mmHg")
+        return float(getattr(self, f"{name}_pressure_mmHg") if own is None else own)
 
     @property
     def values(self) -> Array:

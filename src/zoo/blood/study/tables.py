@@ -43,12 +43,26 @@ class FetchedObservationsTable(Table):
 
 class NetworkTable(Table):
     blood: dict[str, Any]
+    junctions: dict[str, Any] = Field(default_factory=dict)
+    surroundings: dict[str, Any] = Field(default_factory=dict)
     vessel: list[dict[str, Any]]
 
 
 class BloodTable(Table):
     density_g_cm3: float = Field(gt=0)
     viscosity_g_cm_s: float = Field(gt=0)
+    velocity_profile_order: float | None = Field(default=None, gt=0)
+    momentum_correction: float = Field(default=1.0, ge=1)
+
+
+class JunctionsTable(Table):
+    pressure: str = "static"
+
+
+class SurroundingsTable(Table):
+    external_pressure_mmHg: float = 0.0
+    outflow_pressure_mmHg: float = 0.0
+    radius_pressure_mmHg: float = 0.0
 
 
 class WindkesselTable(Table):
@@ -65,6 +79,15 @@ class VesselTable(Table):
     radius_out_cm: float | None = Field(default=None, gt=0)
     parent: int | None = None
     windkessel: WindkesselTable | None = None
+    resistance: float | None = Field(default=None, gt=0)
+    stiffness_g_cm_s2: float | None = Field(default=None, gt=0)
+    stiffness_out_g_cm_s2: float | None = Field(default=None, gt=0)
+    youngs_modulus_g_cm_s2: float | None = Field(default=None, gt=0)
+    wall_thickness_cm: float | None = Field(default=None, gt=0)
+    wall_thickness_out_cm: float | None = Field(default=None, gt=0)
+    outflow_pressure_mmHg: float | None = None
+    external_pressure_mmHg: float | None = None
+    radius_pressure_mmHg: float | None = None
 
 
 _MEANING = {

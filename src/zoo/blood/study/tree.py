@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from zoo.blood.study.parts import Blood, StudyError, Vessel, Windkessel
-from zoo.blood.study.tables import BloodTable, NetworkTable, VesselTable, read_toml, validated, visible_name
+from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, StudyError, Vessel, Windkessel
+from zoo.blood.study.study import JUNCTION_PRESSURES
+from zoo.blood.study.tables import (
+    BloodTable,
+    JunctionsTable,
+    NetworkTable,
+    SurroundingsTable,
+    VesselTable,
+    near,
+    read_toml,
+    validated,
+    visible_name,
+)
+from zoo.blood.units import MMHG
 
 
 def sort_vessels(vessels: Sequence[Vessel], where: Sequence[str] | None = None) -> list[int]:
@@ -83,11 +97,100 @@ def sort_vessels(vessels: Sequence[Vessel], where: Sequence[str] | None = None) 
     return order
 
 
-def read_network_places(path: Path) -> tuple[Blood, tuple[Vessel, ...], list[str]]:
-    """Blood, vessels, and what an error calls each vessel."""
+_PAIRS = (
+    ("stiffness_out_g_cm_s2", "stiffness_g_cm_s2"),
+    ("wall_thickness_out_cm", "wall_thickness_cm"),
+    ("wall_thickness_cm", "youngs_modulus_g_cm_s2"),
+    ("youngs_modulus_g_cm_s2", "wall_thickness_cm"),
+)
+"""Fields of a vessel that mean nothing without another."""
+_TERMINALS_ONLY = ("resistance", "outflow_pressure_mmHg")
+
+
+def check_physics(
+    vessels: Sequence[Vessel], where: Sequence[str] | None = None, radius_pressure_mmHg: float = 0.0
+) -> None:
+    """Check what vessels say about their walls, outlets and pressures.
+
+    Parameters
+    ----------
+    vessels : sequence of Vessel
+    where : sequence of str
+        What an error calls each vessel; "network: vessel ID" when absent.
+    radius_pressure_mmHg : float
+        The study's, for vessels without their own; mmHg.
+
+    Raises
+    ------
+    StudyError
+        If a value is out of range, a field lacks another that it belongs to, two fields say the same, only
+        some of the vessels have a stiffness, or a wall would have no radius without pressure.
+    """
+    where = where or [f"network: vessel {v.id}" for v in vessels]
+    feeding = {v.parent for v in vessels}
+    stiff = next((v for v in vessels if v.stiffness), None)
+    for v, place in zip(vessels, where, strict=True):
+        for name, value in v.physics.items():
+            positive = not name.endswith("_mmHg")
+            if not math.isfinite(value) or (positive and value <= 0):
+                word = "positive and finite" if positive else "finite"
+                raise StudyError(f"{place}: {name} = {value!r}: must be {word}; correct it")
+        for name, other in _PAIRS:
+            if getattr(v, name) is not None and getattr(v, other) is None:
+                raise StudyError(f"{place}: {name} = {getattr(v, name)!r}: needs {other} beside it; add that")
+        if v.stiffness_g_cm_s2 is not None and v.youngs_modulus_g_cm_s2 is not None:
+            raise StudyError(
+                f"{place}: youngs_modulus_g_cm_s2 = {v.youngs_modulus_g_cm_s2!r}: stiffness_g_cm_s2 says "
+                "how stiff the wall is already; give one of the two"
+            )
+        if v.resistance is not None and v.windkessel is not None:
+            raise StudyError(
+                f"{place}: resistance = {v.resistance!r}: a windkessel is the outlet already; give one "
+                "of the two"
+            )
+        for name in _TERMINALS_ONLY:
+            if v.id in feeding and getattr(v, name) is not None:
+                raise StudyError(
+                    f"{place}: {name} = {getattr(v, name)!r}: only a terminal may have one, but vessels "
+                    "are fed by this one; remove it"
+                )
+        ends = v.stiffness
+        if stiff and not ends:
+            raise StudyError(
+                f"{place}: stiffness_g_cm_s2: is missing, but vessel {stiff.id} has a stiffness; give all "
+                "vessels one (stiffness_g_cm_s2, or youngs_modulus_g_cm_s2 and wall_thickness_cm), or none"
+            )
+        at = radius_pressure_mmHg if v.radius_pressure_mmHg is None else v.radius_pressure_mmHg
+        if ends and at * MMHG >= 4 / 3 * min(ends):
+            raise StudyError(
+                f"{place}: radius_pressure_mmHg = {at!r}: without pressure the radius would be zero, for a "
+                f"stiffness of {min(ends):.6g} g/(cm s2); it must be below {4 / 3 * min(ends) / MMHG:.6g}"
+            )
+
+
+@dataclass(frozen=True)
+class NetworkFile:
+    """What a network.toml holds, and what an error calls each vessel."""
+
+    blood: Blood
+    vessels: tuple[Vessel, ...]
+    places: list[str]
+    junction_pressure: str
+    surroundings: dict[str, float]
+
+
+def read_network_file(path: Path) -> NetworkFile:
+    """A network.toml, checked."""
     data, text = read_toml(path)
     table = validated(NetworkTable, data, str(path))
     blood = validated(BloodTable, table.blood, f"{path}: blood")
+    junctions = validated(JunctionsTable, table.junctions, f"{path}: junctions")
+    if junctions.pressure not in JUNCTION_PRESSURES:
+        raise StudyError(
+            f"{path}: junctions: pressure = {junctions.pressure!r}: unknown; "
+            f"{near(junctions.pressure, JUNCTION_PRESSURES)}"
+        )
+    surroundings = validated(SurroundingsTable, table.surroundings, f"{path}: surroundings").model_dump()
     heads = [n for n, line in enumerate(text.splitlines(), 1) if re.match(r"\s*\[\[\s*vessel\s*\]\]", line)]
     vessels, where = [], []
     for i, data in enumerate(table.vessel):
@@ -97,12 +200,14 @@ def read_network_places(path: Path) -> tuple[Blood, tuple[Vessel, ...], list[str
         load = v.windkessel and Windkessel(v.windkessel.R1, v.windkessel.R2, v.windkessel.C)
         out = v.radius_cm if v.radius_out_cm is None else v.radius_out_cm
         name = visible_name(place, v.name or f"v{v.id}")
-        vessels.append(Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, load))
+        given = {field: getattr(v, field) for field in VESSEL_PHYSICS}
+        vessels.append(Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, load, **given))
         where.append(place)
     if not vessels:
         raise StudyError(f"{path}: vessel: the list is empty; add at least one [[vessel]]")
     sort_vessels(vessels, where)
-    return Blood(blood.density_g_cm3, blood.viscosity_g_cm_s), tuple(vessels), where
+    check_physics(vessels, where, surroundings["radius_pressure_mmHg"])
+    return NetworkFile(Blood(**blood.model_dump()), tuple(vessels), where, junctions.pressure, surroundings)
 
 
 def read_network(path: str | Path) -> tuple[Blood, tuple[Vessel, ...]]:
@@ -122,5 +227,5 @@ def read_network(path: str | Path) -> tuple[Blood, tuple[Vessel, ...]]:
     StudyError
         If the file cannot be read or a field is wrong.
     """
-    blood, vessels, _ = read_network_places(Path(path))
-    return blood, vessels
+    file = read_network_file(Path(path))
+    return file.blood, file.vessels
