@@ -90,7 +90,10 @@ def test_one_vessel_is_root_and_terminal() -> None:
     ("vessels", "message"),
     [
         ([], "no vessels; add at least one"),
-        ([vessel(1)], "vessel 1: windkessel: is missing at a terminal; give R1, R2 and C, or a resistance, in cgs"),
+        (
+            [vessel(1)],
+            "vessel 1: windkessel: is missing at a terminal; give R1, R2 and C, or a resistance, in cgs",
+        ),
         ([vessel(1, load=LOAD), vessel(1, load=LOAD)], "vessel 1: id = 1: also the id of another vessel"),
         ([vessel(1), vessel(2, 3, load=LOAD)], "vessel 2: parent = 3: no such vessel"),
         (

@@ -380,9 +380,24 @@ MISTAKES: list[tuple[str, Callable[[Files], None], str]] = [
         r"inflow\.csv: inflow: 15 samples: too few for a beat; give at least 16",
     ),
     (
-        "gap",
-        drop(INF, 11),
-        r"inflow\.csv, row 11: time_s = 0\.01718\d+: inflow: 0\.0034\d+ s after the sample before, where",
+        "cut short",
+        lambda content: content.__setitem__(INF, content[INF][:10] + content[INF][11:60]),
+        r"inflow\.csv, row 59: time_s = 0\.0996875: inflow: 0\.0103125 s before period_s = 0\.11 ends, but no other",
+    ),
+    (
+        "backwards",
+        lambda content: content.__setitem__(INF, [*content[INF][:10], "0.05,1.0", *content[INF][10:]]),
+        r"inflow\.csv, row 12: time_s = 0\.01546875: inflow: before that of row 11; sort the rows by time",
+    ),
+    (
+        "late and uneven",
+        lambda content: content.__setitem__(INF, [content[INF][0], *content[INF][2:10], *content[INF][11:]]),
+        r"inflow\.csv, row 2: time_s = 0\.00171875: inflow: the inflow must begin at time 0",
+    ),
+    (
+        "no number",
+        swap(INF, "0.00171875,", "nan,"),
+        r"inflow\.csv, row 3: time_s = 'nan': must be finite",
     ),
     (
         "same time",
