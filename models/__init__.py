@@ -1,7 +1,9 @@
-"""The models of Paun et al. 2020, one short file each; installed as ``zoo.models``."""
+"""The models of Paun et al. 2020 and those beside them, one short file each; installed as ``zoo.models``."""
 
 from __future__ import annotations
 
+import pkgutil
+import re
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +18,12 @@ if __name__ != "zoo.models":
         "a second copy under another name would not be the one that the package uses"
     )
 
-MODELS = ("A", "B", "C", "D", "E", "F", "G", "H", "I")
+PAPER = ("A", "B", "C", "D", "E", "F", "G", "H", "I")
+"""The models of Table 2."""
+MODELS = tuple(
+    sorted(m[-1].upper() for _, m, _ in pkgutil.iter_modules(__path__) if re.fullmatch("model_[a-z]", m))
+)
+"""The letters of all models: each file ``model_x.py`` here is one."""
 
 
 def _module(name: str) -> tuple[Any, str]:
@@ -32,7 +39,7 @@ def get_model(name: str) -> Callable[..., pm.Model]:
     Parameters
     ----------
     name : str
-        Letter of Table 2, upper or lower case.
+        Its letter, upper or lower case.
 
     Returns
     -------
@@ -56,7 +63,7 @@ def suggested(name: str) -> dict[str, float]:
     Parameters
     ----------
     name : str
-        Letter of Table 2, upper or lower case.
+        Its letter, upper or lower case.
 
     Returns
     -------

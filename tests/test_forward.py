@@ -28,7 +28,7 @@ from zoo.blood.study import Study, StudyError, load_study
 from zoo.core.effects import EffectError, WithEffects
 from zoo.core.forward import ForwardModel, Outputs, SolveError
 from zoo.core.parameters import Parameter, ParameterError, Uniform, draw_prior, pack, start_of
-from zoo.models import MODELS, get_model
+from zoo.models import MODELS, PAPER, get_model
 
 QUANTITIES = ("pressure_mmHg", "flow_ml_s", "area_cm2")
 
@@ -178,7 +178,7 @@ def test_study_data() -> None:
 def test_baselines_by_name_and_letter() -> None:
     names = dict(zip("ABCDEFGHI", ["linear-constant"] * 3 + ["linear-radius"] * 2, strict=False))
     names |= {"F": "linear-vessels", "G": "linear-vessels", "H": "tangent-constant", "I": "tangent-radius"}
-    assert set(names) == set(MODELS)
+    assert set(names) == set(PAPER)
     for letter, name in names.items():
         baseline = get_baseline(letter)
         assert baseline.name == name

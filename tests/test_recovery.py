@@ -13,7 +13,7 @@ from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Series, Study
 from zoo.core.inference.sampling import sample
-from zoo.models import MODELS, get_model
+from zoo.models import PAPER, get_model
 from zoo.paper.cheap import cheap_options, cheap_study
 from zoo.paper.synthetic import correlated_errors
 
@@ -82,7 +82,7 @@ def recover(
     return found
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", PAPER)
 def test_recovery(name: str) -> None:
     found = recover(name)
     for parameter, (draws, true) in found.items():

@@ -27,7 +27,7 @@ HOMES = {
     "tangent-constant": "H",
     "tangent-radius": "I",
 }
-"""The model that declares each baseline."""
+"""The model that declares each baseline of the paper's models; others declare their own."""
 SHARED = {"A": "B", "C": "B", "D": "E", "F": "G"}
 """Models with the same mean as another."""
 
@@ -131,11 +131,23 @@ def get_baseline(name: str) -> Baseline:
     >>> [p.name for p in get_baseline("B").parameters]
     ['f3', 'psi1', 'psi2', 'c']
     """
-    letter = HOMES.get(name, SHARED.get(name.upper(), name.upper()))
-    if letter not in HOMES.values():
-        raise EffectError(
-            f"baseline {name!r}: {nearest(name, [*HOMES, *sorted({*HOMES.values(), *SHARED})])}"
-        )
+    from zoo.models import MODELS, PAPER
+
+    own = {letter: _declared(letter) for letter in MODELS if letter not in PAPER}
+    for letter, baseline in own.items():
+        if [*HOMES, *(other.name for other in own.values())].count(baseline.name) > 1:
+            raise EffectError(
+                f"model {letter}: another model has a baseline named {baseline.name!r}; "
+                "give this one a new name"
+            )
+    homes = HOMES | {baseline.name: letter for letter, baseline in own.items()}
+    letter = homes.get(name, SHARED.get(name.upper(), name.upper()))
+    if letter not in MODELS:
+        raise EffectError(f"baseline {name!r}: {nearest(name, [*homes, *MODELS])}")
+    return _declared(letter)
+
+
+def _declared(letter: str) -> Baseline:
     found: Baseline = import_module(f"zoo.models.model_{letter.lower()}").BASELINE
     return found
 

@@ -15,7 +15,7 @@ from zoo.cli.checks import at_least, different_models, parent_exists
 from zoo.cli.command import UsageError, Without, command
 from zoo.cli.options import SamplingOptions
 from zoo.cli.screen import say, text_table
-from zoo.models import MODELS
+from zoo.models import PAPER
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
@@ -91,7 +91,7 @@ def reproduce(
             raise UsageError(
                 f"--{option} {value}: is of the synthetic studies; add --synthetic, or leave it out"
             )
-    names = list(MODELS) if models is None else different_models(models)
+    names = list(PAPER) if models is None else different_models(models)
     folder = Path(paper) if output is None else output
     parent_exists(folder.resolve())
     asked = sampling.settings()

@@ -12,7 +12,7 @@ import pandas as pd
 
 from zoo.core.inference.convergence import judged
 from zoo.core.posterior.files import matching, refuse_other_settings, sample_to
-from zoo.models import MODELS, get_model
+from zoo.models import PAPER, get_model
 from zoo.paper.table4 import (
     REFERENCE,
     cost_table,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 def nine_posteriors(
     study: Study,
     folder: Path,
-    names: Sequence[str] = MODELS,
+    names: Sequence[str] = PAPER,
     *,
     say: Callable[[str], None] = lambda text: None,
     **settings: Any,
@@ -115,7 +115,7 @@ def _short(value: Any) -> str:
 def reproduce(
     study: Study,
     folder: Path,
-    names: Sequence[str] = MODELS,
+    names: Sequence[str] = PAPER,
     *,
     figures: bool = True,
     say: Callable[[str], None] = lambda text: None,
