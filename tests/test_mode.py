@@ -60,7 +60,7 @@ def test_mode_survives_noise_and_failed_solves():
         return -0.5 * (q - mean) @ precision @ (q - mean) + 0.03 * rng.uniform()
 
     start = mean + np.array([0.3, -0.4, 0.2])
-    q, _, found = newton(logp, start, logp(start), passes=8)
+    q, _, found, _ = newton(logp, start, logp(start), passes=8)
     sd = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose((q - mean) / sd, 0.0, atol=0.4)
     ratio = np.linalg.eigvals(np.linalg.solve(covariance, found)).real
@@ -96,7 +96,7 @@ def test_gauss_newton_reaches_the_mode_of_a_hierarchical_model():
     q = logp.from_values(start)
     found, value, frame = gauss_newton(logp, q, logp(q), limit=600)
     assert logp(found) == value
-    _, best, _ = newton(logp, found, value, passes=2, frame=frame)
+    _, best, *_ = newton(logp, found, value, passes=2, frame=frame)
     assert value > best - 1.0
     values = logp.to_values(found)
     np.testing.assert_allclose(values["chi"][0], 4.0e4, rtol=0.05)

@@ -289,7 +289,7 @@ class Replicator:
         value = self.logp(q)
         if not np.isfinite(value):
             raise CalibrationError("start: the log-posterior is not finite there; start elsewhere")
-        q, value, covariance = newton(self.logp, q, value, passes=8)
+        q, value, covariance, _ = newton(self.logp, q, value, passes=8)
         mode = Mode(q, {}, value, covariance, self.logp.evaluations - before)
         beginning = disperse(self.logp, mode, settings.chains, seed)
         chains = []

@@ -25,7 +25,7 @@ NOISE = NOISE_VARIANCE + JITTER
 
 _LOG_2PI = math.log(2.0 * math.pi)
 _BLOCK = 128  # rows of the kernel at a time: they stay in cache, and most of the upper triangle is skipped
-_FACTORS_KEPT = 4
+_FACTORS_KEPT = 8  # of two points with a few groups of series
 
 
 def neural_network_kernel(time_s: ArrayLike, w: float, b: float, other_s: ArrayLike | None = None) -> Array:
@@ -185,6 +185,23 @@ def gp_leave_one_out(
     return terms
 
 
+def whiten_by_process(residuals: Array, time_s: ArrayLike, w: Any, b: Any, noise: float) -> Array | None:
+    """z = L^-1 r of residuals (..., n_times), L L' the covariance; None where it has no Cholesky factor."""
+    with _one_thread():
+        factor = _factor_at(time_s, w, b, noise)
+        if factor is None:
+            return None
+        rows = np.reshape(residuals, (-1, residuals.shape[-1]))
+        return _whiten(factor, rows).reshape(residuals.shape)
+
+
+def colour_by_process(z: Array, time_s: ArrayLike, w: Any, b: Any, noise: float) -> Array | None:
+    """r = L z of standard normal numbers (..., n_times), the inverse of `whiten_by_process`."""
+    with _one_thread():
+        factor = _factor_at(time_s, w, b, noise)
+        return None if factor is None else np.asarray(z @ factor.triangle().T)
+
+
 @dataclass(frozen=True)
 class GaussianProcess(ErrorModel):
     """A Gaussian process around each series, with the neural-network kernel and fixed noise.
@@ -260,7 +277,7 @@ class GaussianProcess(ErrorModel):
                 raise ErrorModelError(
                     f"{data.source or 'data'}: {data.name!r} observes {label}: the Gaussian process' "
                     f"amplitude and noise are in {self.unit}2; keep the series in {self.unit} only, or use "
-                    "independent errors"
+                    "zoo.core.errors.groups.GroupProcess()"
                 )
         return super().bind(data)
 
@@ -280,18 +297,11 @@ class GaussianProcess(ErrorModel):
 
     def whiten(self, residuals: Array, values: Mapping[str, ArrayLike]) -> Array | None:
         """z = L^-1 r with L L' the covariance of a series; None where it has no Cholesky factor."""
-        with _one_thread():
-            factor = _factor_at(self.on.times, values["w"], values["b"], self.noise)
-            if factor is None:
-                return None
-            rows = np.reshape(residuals, (-1, residuals.shape[-1]))
-            return _whiten(factor, rows).reshape(residuals.shape)
+        return whiten_by_process(residuals, self.on.times, values["w"], values["b"], self.noise)
 
     def unwhiten(self, z: Array, values: Mapping[str, ArrayLike]) -> Array | None:
         """r = L z; None where the covariance has no Cholesky factor."""
-        with _one_thread():
-            factor = _factor_at(self.on.times, values["w"], values["b"], self.noise)
-            return None if factor is None else np.asarray(z @ factor.triangle().T)
+        return colour_by_process(z, self.on.times, values["w"], values["b"], self.noise)
 
     def terms(
         self, residual: Array, values: Mapping[str, ArrayLike], decomposition: str = "sequential"

@@ -22,6 +22,8 @@ STARTS = 16
 """Prior draws that the search starts from with many parameters; lesser modes are common there."""
 FOLLOWED = 4
 """Different modes that are followed to their end."""
+NARROW = 0.005
+"""Step of differences, in standard deviations of the prior, where data leave far less than the prior."""
 KICK = -2.3
 """What is added to one element of a vector in the unconstrained space to leave a lesser mode: a tenth."""
 
@@ -121,7 +123,8 @@ def search_mode(
 
     limit = 300 + 60 * d if max_evaluations is None else max_evaluations
     frame = None
-    if d > MANY and isinstance(getattr(logp.model, "zoo", None), ModelRecord):
+    structured = isinstance(getattr(logp.model, "zoo", None), ModelRecord)
+    if d > MANY and structured:
         begin = [(q, best)] if start is not None else _prior_points(logp, q, seed)
         q, best, frame = _highest(logp, begin, limit)
     elif limit > 2 * d + 1:
@@ -129,7 +132,10 @@ def search_mode(
         scale = np.where(np.abs(q) > LARGE, np.abs(q), 1.0)
         options = {"initial_tr_radius": 0.5, "final_tr_radius": 0.02, "maxfev": limit}
         minimize(lambda x: cost(x * scale), q / scale, method="COBYQA", options=options)
-    q, best, covariance = newton(logp, q, best, passes=8 if d <= MANY else 3, frame=frame)
+    q, best, covariance, settled = newton(logp, q, best, passes=8 if d <= MANY else 3, frame=frame)
+    if structured and not settled and d <= MANY and limit > 2 * d + 1:  # a ridge far narrower than the search
+        q, best, frame = gauss_newton(logp, q, best, limit=limit, step=NARROW)
+        q, best, covariance, _ = newton(logp, q, best, passes=8, frame=frame)
     return Mode(q, logp.to_values(q), best, covariance, logp.evaluations - before)
 
 

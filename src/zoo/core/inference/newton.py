@@ -96,11 +96,12 @@ def gauss_newton(
             return -found if np.isfinite(found) else 1e300
 
         spent = logp.evaluations
-        found = minimize(cost, q[eta], method="Nelder-Mead", options={"maxfev": 80, "xatol": 1e-2})
-        logp.evaluations = spent  # the solver remembers the point
-        if -found.fun > value:
-            value, q = -float(found.fun), q.copy()
-            q[eta] = found.x
+        if eta.size:
+            found = minimize(cost, q[eta], method="Nelder-Mead", options={"maxfev": 80, "xatol": 1e-2})
+            logp.evaluations = spent  # the solver remembers the point
+            if -found.fun > value:
+                value, q = -float(found.fun), q.copy()
+                q[eta] = found.x
         mean, errors = model.mean(q)
         if mean is None or (z := model.whiten(data - mean, errors)) is None:
             break
@@ -139,12 +140,13 @@ def gauss_newton(
 
 def newton(
     logp: Callable[[Array], float], q: Array, value: float, *, passes: int, frame: Array | None = None
-) -> tuple[Array, float, Array]:
-    """Newton steps on wide differences: mode (n_dim,), its log-posterior, covariance (n_dim, n_dim).
+) -> tuple[Array, float, Array, bool]:
+    """Newton steps on wide differences: mode (n_dim,), its log-posterior, covariance (n_dim, n_dim), settled.
 
-    Columns of `frame` are directions, each about a standard deviation long after the first pass.
+    Columns of `frame` are directions, each about a standard deviation long after the first pass. Settled is
+    whether a further step would gain less than 0.05.
     """
-    d = len(q)
+    d, settled = len(q), False
     frame = 0.1 * np.eye(d) if frame is None else frame
     for turn in range(passes):
         seen: list[tuple[float, Array]] = []
@@ -175,9 +177,10 @@ def newton(
             new_value, new = top
         moved = new_value - value
         q, value, frame = new, new_value, axes
-        if turn >= 1 and gain < 0.05 and moved < 0.05:
+        settled = gain < 0.05 and moved < 0.05
+        if turn >= 1 and settled:
             break
-    return q, value, frame @ frame.T
+    return q, value, frame @ frame.T, settled
 
 
 def _quadratic(
