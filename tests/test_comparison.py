@@ -189,11 +189,11 @@ def test_sse_at_the_median(study: Study, models, idatas) -> None:
         return float(np.sum((study.values - solution.pressure_mmHg) ** 2))
 
     posterior = idatas["A"].posterior
-    found = sse_at_median(idatas["A"], models["A"])
+    found = sse_at_median(idatas["A"], models["A"])["pressure_mmHg"]
     assert found.value == pytest.approx(expected(posterior), rel=1e-6)
     one, two = (expected(posterior.sel(chain=chain)) for chain in posterior["chain"])
     assert found.mcse == pytest.approx(abs(one - two) / 2, rel=1e-6)
-    alone = sse_at_median(idatas["A"].sel(chain=[0]), models["A"])
+    alone = sse_at_median(idatas["A"].sel(chain=[0]), models["A"])["pressure_mmHg"]
     assert np.isnan(alone.mcse)
 
 
@@ -218,7 +218,9 @@ def test_table(study: Study, models, idatas) -> None:
     assert best["one_observation_mcse"] == pytest.approx(abs(one - two) / 2)
     assert best["waic_leave_one_out"] == pytest.approx(best["waic"])
     assert best["loo"] == pytest.approx(best["waic"], abs=1.0)
-    assert (best["sse"], best["sse_mcse"]) == pytest.approx(sse_at_median(idatas["A"], models["A"]))
+    assert (best["sse_pressure_mmHg"], best["sse_pressure_mmHg_mcse"]) == pytest.approx(
+        sse_at_median(idatas["A"], models["A"])["pressure_mmHg"]
+    )
     k = az.loo(add_log_likelihood(idatas["A"], models["A"], n_draws=None), pointwise=True).pareto_k
     assert best["pareto_k_max"] == pytest.approx(float(k.max()))
     assert best["pareto_k_bad"] == int((k > 1 - 1 / math.log10(80)).sum())
@@ -300,4 +302,4 @@ def test_draws_that_do_not_solve_are_refused(study: Study, idatas) -> None:
     hasty = get_model("A")(study, options=SolverOptions(max_beats=1, tolerance_mmHg=1e-12))
     with pytest.raises(ComparisonError, match="10 of 10 posterior draws do not solve"):
         log_likelihoods(idatas["A"], hasty, n_draws=10)
-    assert math.isnan(sse_at_median(idatas["A"], hasty).value)
+    assert math.isnan(sse_at_median(idatas["A"], hasty)["pressure_mmHg"].value)

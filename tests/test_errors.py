@@ -22,6 +22,7 @@ from scipy import stats
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel, ErrorModelError
 from zoo.core.errors.gaussian_process import GaussianProcess
+from zoo.core.errors.groups import GroupNoise, GroupProcess
 from zoo.core.errors.independent import Independent
 from zoo.core.errors.spectral import Cosines, GroupPriors, Harmonics
 from zoo.core.forward import FunctionModel, Outputs, SolveError
@@ -95,6 +96,10 @@ SPECTRAL = {
     "sigma_u": 0.4, "ratio_u": 0.6, "tau_u": 0.004, "delta_u": 1.5,
     "sigma_v": 0.9, "ratio_v": 0.2, "tau_v": 0.002, "delta_v": 0.3,
 }  # fmt: skip
+PROCESS = {
+    "noise_u": 0.4, "amplitude_u": 1.1, "w_u": 150.0, "b_u": 12.0,
+    "amplitude_v": 0.2, "w_v": 300.0, "b_v": 20.0,
+}  # fmt: skip
 CASES: dict[str, tuple[ErrorModel, dict[str, float]]] = {
     "independent": (Independent(InverseGamma(3, 1)).bind(some_data(ONE)), {"sigma2": 0.13}),
     "gaussian process": (
@@ -106,6 +111,8 @@ CASES: dict[str, tuple[ErrorModel, dict[str, float]]] = {
         SPECTRAL,
     ),
     "cosines": (Cosines(priors=PRIORS).bind(some_data(TWO)), SPECTRAL),
+    "noise": (GroupNoise().bind(some_data(TWO)), {"noise_u": 0.4, "noise_v": 0.9}),
+    "process": (GroupProcess(known={"v": 0.3}).bind(some_data(TWO, period=N_TIMES * 0.01)), PROCESS),
     "student-t": (StudentT(SCALE).bind(some_data(ONE)), {"scale": 0.3}),
 }
 NORMAL = [name for name in CASES if name != "student-t"]

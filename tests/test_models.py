@@ -14,12 +14,12 @@ import pytest
 from scipy import stats
 
 from test_op import STIFF, small_study
-from zoo.blood.baseline import blood_model
+from zoo.blood.baseline import blood_model, get_baseline
 from zoo.blood.conventions import PUBLISHED_CODE
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.network import Network
 from zoo.blood.solver import Physics, Solver, SolverOptions
-from zoo.blood.study import Study, load_study
+from zoo.blood.study import Study, StudyError, load_study
 from zoo.core.effects import EffectError, EffectParameter, Location, effect
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.gaussian_process import GaussianProcess
@@ -289,12 +289,23 @@ def test_a_chain_leaves_failed_solves_out(study: Study) -> None:
 
 def test_errors_refuse_what_they_cannot_hold_for() -> None:
     mixed = small_study(quantities=("pressure_mmHg", "flow_ml_s"))
+    baseline = get_baseline("B")
     with pytest.raises(
         ValueError, match="observes flow_ml_s and pressure_mmHg: one sigma2 cannot hold for both"
     ):
-        get_model("A")(mixed)
+        blood_model("own", mixed, baseline, Independent())
+    process = GaussianProcess(LogUniform(1e4, 9e4), LogUniform(1, 500), unit="mmHg")
     with pytest.raises(ValueError, match=r"observes v2@0.5 flow_ml_s: the Gaussian process' amplitude"):
-        get_model("B")(mixed)
+        blood_model("own", mixed, baseline, process)
+    with pytest.raises(
+        StudyError, match=r"'paun2020': its errors are of one quantity, the study observes pres"
+    ):
+        get_model("A")(mixed)
+    known = replace(small_study(), noise_sd={"pressure_mmHg": 0.05})
+    with pytest.raises(
+        StudyError, match=r"'paun2020': has a noise of its own, but noise_sd gives that of pr"
+    ):
+        get_model("B")(known)
     get_model("A")(small_study(quantities=("flow_ml_s", "flow_ml_s")))
 
 
@@ -315,7 +326,7 @@ WRITTEN_OUT = {
 @pytest.mark.parametrize("name", PAPER)
 def test_log_posterior_is_that_of_the_model_written_out(name: str) -> None:
     """At the suggested values, and at 0.97 and 1.02 of them; stiffnesses fan out by 10 %."""
-    model = get_model(name)(load_study("demo"))
+    model = get_model(name)(replace(load_study("demo"), priors={"set": "paun2020"}))
     logp = LogPosterior(model)
     for scale, expected in zip((1.0, 0.97, 1.02), WRITTEN_OUT[name], strict=True):
         values = {p: np.full(shape_of(model, p), scale * x) for p, x in suggested(name).items()}

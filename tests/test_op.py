@@ -43,7 +43,7 @@ STIFF = Baseline(
 
 
 def small_study(n_times: int = 32, quantities: tuple[str, ...] = ("pressure_mmHg", "pressure_mmHg")) -> Study:
-    """Three vessels, observed with noise of 0.05 in the root and, given two quantities, a daughter."""
+    """Three vessels with noise of 0.05 in the root and, given two quantities, a daughter; the paper's set."""
     period = 0.11
     vessels = (
         Vessel(1, "root", 0.41, 0.047, 0.047, None, None),
@@ -67,6 +67,7 @@ def small_study(n_times: int = 32, quantities: tuple[str, ...] = ("pressure_mmHg
         series=tuple(blank),
         conventions=PRINTED,
         source="small",
+        priors={"set": "paun2020"},
         checksum="small",
     )
     solution = Solver.for_study(study).solve(*POINT)

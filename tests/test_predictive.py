@@ -172,7 +172,7 @@ def fake_waves(error: str = "iid", n: int = 4000, **parameters: np.ndarray) -> x
             "flow_ml_s": (("draw", "vessel", "position", "time"), pressure / 100),
             "area_cm2": (("draw", "vessel", "position", "time"), pressure / 1000),
             **{name: ("draw", values) for name, values in parameters.items()},
-            "error_variance": (("draw", "time"), variance),
+            "error_variance_pressure_mmHg": (("draw", "time"), variance),
         },
         coords={
             "draw": np.arange(n),
@@ -181,7 +181,7 @@ def fake_waves(error: str = "iid", n: int = 4000, **parameters: np.ndarray) -> x
             "position": [0.0, 0.5],
             "time": TIMES,
         },
-        attrs={"error": error, "root": 1, "observed_quantity": "pressure_mmHg"},
+        attrs={"error": error, "root": 1},
     )
 
 

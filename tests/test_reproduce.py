@@ -94,8 +94,8 @@ def comparison(waic: dict[str, float]) -> pd.DataFrame:
             "waic_one_observation": value,
             "one_observation_mcse": 0.6,
             "loo": value - 400,
-            "sse": 60.0,
-            "sse_mcse": 2.0,
+            "sse_pressure_mmHg": 60.0,
+            "sse_pressure_mmHg_mcse": 2.0,
             "converged": True,
         }
         for name, value in waic.items()

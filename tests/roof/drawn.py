@@ -38,7 +38,7 @@ def fake_waves(n_vessels: int = 9, level: float = 15.0, n: int = 60) -> xr.Datas
             "flow_ml_s": (dims, pressure / 100),
             "area_cm2": (dims, pressure / 5000),
             "sigma2": ("draw", np.full(n, 0.04)),
-            "error_variance": (("draw", "time"), np.full((n, len(TIMES)), 0.04)),
+            "error_variance_pressure_mmHg": (("draw", "time"), np.full((n, len(TIMES)), 0.04)),
         },
         coords={
             "vessel": vessel,
@@ -47,7 +47,7 @@ def fake_waves(n_vessels: int = 9, level: float = 15.0, n: int = 60) -> xr.Datas
             "position": [0.0, 0.5],
             "time": TIMES,
         },
-        attrs={"error": "iid", "root": 1, "observed_quantity": "pressure_mmHg", "model": "A"},
+        attrs={"error": "iid", "root": 1, "model": "A"},
     )
 
 

@@ -183,5 +183,5 @@ def test_simulate_says_what_to_change(tiny: Path, options, message) -> None:
 @pytest.mark.needs_data
 def test_simulate_the_mouse_at_the_published_medians() -> None:
     output = run("simulate", "mouse-c6", "--stiffness", "5.17e4", "--psi1", 0.21, "--psi2", 0.88, "--c", 1.44)
-    sse = float(output.split("512 observed values: ")[1].split()[0])
+    sse = float(output.split("512 observed values of pressure: ")[1].split()[0])
     assert sse == pytest.approx(64.6, abs=2.5)

@@ -113,7 +113,7 @@ def test_the_ranking_is_that_of_compare(page: Element, study: Study, table: pd.D
             f"{expected['pareto_k_bad']}",
             f"{expected['waic_one_observation']:.1f}",
             f"{expected['p_waic']:.1f}",
-            f"{expected['sse']:.3g}",
+            f"{expected['sse_pressure_mmHg']:.3g} mmHg2",
             expected["standing"],
             "yes",
         ]

@@ -1,4 +1,4 @@
-"""Which errors a model of a study has: those of the paper's named set, or those that follow from the study."""
+"""Which errors a model of a study has: those of the paper's named set, or what follows from the study."""
 
 from __future__ import annotations
 
@@ -34,14 +34,18 @@ def errors_for(study: Study, paper: ErrorModel) -> ErrorModel:
         If the paper's set is asked for a study with a `noise_sd`, or with several quantities.
     """
     if study.priors.get("set") == PAPER_SET:
+        where = f"{study.source}: priors: set = {PAPER_SET!r}"
         quantities = list(dict.fromkeys(s.quantity for s in study.series))
-        for what, wrong in (("noise_sd", study.noise_sd), ("observations", quantities[1:])):
-            if wrong:
-                raise StudyError(
-                    f"{study.source}: priors: set = {PAPER_SET!r}: has errors of its own for one quantity, but "
-                    f"the study has {what} of {', '.join(study.noise_sd if what == 'noise_sd' else quantities)}; "
-                    "leave out the set, or these"
-                )
+        if len(quantities) > 1:
+            raise StudyError(
+                f"{where}: its errors are of one quantity, the study observes {' and '.join(quantities)}; "
+                "leave out the set, or the series of all but one"
+            )
+        if study.noise_sd:
+            raise StudyError(
+                f"{where}: has a noise of its own, but noise_sd gives that of {', '.join(study.noise_sd)}; "
+                "leave out one of them"
+            )
         return paper
     if isinstance(paper, Independent):
         return GroupNoise(known=study.noise_sd)

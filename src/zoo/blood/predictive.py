@@ -21,7 +21,7 @@ from zoo.blood.case import UNITS
 from zoo.blood.forward import BloodFlow, constant_stiffness
 from zoo.blood.network import Network
 from zoo.blood.solver import WALLS
-from zoo.core.data import Data
+from zoo.core.data import squared
 from zoo.core.errors.base import ErrorModel
 from zoo.core.forward import ForwardModel, Outputs, SolveError
 from zoo.core.inference.record import versions
@@ -82,7 +82,7 @@ def predictive_draws(
         name: posterior[name].transpose("chain", "draw", ...).to_numpy().ravel()
         for name in record.error_parameters
     }
-    variance = _variances(record.errors, errors)
+    variance = _variances(record.errors, errors, len(means))
     good = np.isfinite(means).all(axis=(1, 2))
     means, variance = means[good], variance[good]
     noise = np.random.default_rng(seed).standard_normal((10, *means.shape))
@@ -90,10 +90,10 @@ def predictive_draws(
     return means, predictions.reshape(-1, *means.shape[1:])
 
 
-def _variances(errors: ErrorModel, parameters: Mapping[str, Array]) -> Array:
+def _variances(errors: ErrorModel, parameters: Mapping[str, Array], n_draws: int) -> Array:
     """Marginal variance of the errors at each draw of their parameters, (n_draws, n_series, n_times)."""
-    rows = zip(*parameters.values(), strict=True)
-    return np.array([errors.variance(dict(zip(parameters, row, strict=True))) for row in rows])
+    draws = [{name: column[i] for name, column in parameters.items()} for i in range(n_draws)]
+    return np.array([errors.variance(values) for values in draws])
 
 
 # -------------------------------------------------------------------------------------------------
@@ -137,9 +137,9 @@ def vessel_waves(
     -------
     Dataset
         pressure_mmHg, flow_ml_s, area_cm2 (draw, vessel, position, time in s), 32-bit; the parameters of the
-        errors (draw), and their error_variance (draw, time) of the observed quantity. Coordinates
-        radius_cm and name of each vessel, chain and posterior_draw of each draw. Draws whose solve failed are
-        left out; the attribute draws_failed counts them.
+        errors (draw), and for each observed quantity Q their variance error_variance_Q (draw, time).
+        Coordinates radius_cm and name of each vessel, chain and posterior_draw of each draw. Draws whose
+        solve failed are left out; the attribute draws_failed counts them.
 
     Raises
     ------
@@ -180,11 +180,11 @@ def vessel_waves(
     for parameter in record.errors.parameters:
         draws = picked[parameter.name].to_numpy().ravel()[good]
         kept[parameter.name] = ("draw", draws, {"units": parameter.unit})
-    observed = record.data.groups[0]
-    blank = Data(time_s, np.zeros((1, n_times)), units=[UNITS[observed]], groups=[observed])
     drawn = {name: kept[name][1] for name in record.error_parameters}
-    variances = _variances(record.errors.bind(blank), drawn)[:, 0]
-    kept["error_variance"] = (("draw", "time"), variances, {"units": f"{UNITS[observed]}2"})
+    for quantity in record.data.rows:
+        variances = _variances(record.errors.elsewhere(quantity, time_s), drawn, int(good.sum()))[:, 0]
+        name, unit = f"error_variance_{quantity}", squared(UNITS[quantity])
+        kept[name] = (("draw", "time"), variances, {"units": unit})
     names = {vessel.id: vessel.name or f"v{vessel.id}" for vessel in record.study.vessels}
     coords: dict[str, Any] = {
         "draw": np.arange(int(good.sum())),
@@ -201,7 +201,6 @@ def vessel_waves(
         "study": record.study.name,
         "study_checksum": record.study.checksum,
         "error": record.errors.name,
-        "observed_quantity": observed,
         "root": int(network.ids[int(np.argmin(network.parent))]),
         "seed": seed,
         "draws_failed": int((~good).sum()),
@@ -341,7 +340,7 @@ def bands(
     probs : sequence of float
         Probabilities of the central intervals, between 0 and 1.
     errors : bool
-        Give prediction intervals too; only for the quantity that the study observes.
+        Give prediction intervals too; only for a quantity that the study observes.
 
     Returns
     -------
@@ -358,10 +357,11 @@ def bands(
         raise PredictiveError(f"quantity = {quantity!r}: must be one of {', '.join(UNITS)}")
     if not probs or not all(0 < p < 1 for p in probs):
         raise PredictiveError(f"probs = {tuple(probs)}: give probabilities between 0 and 1, such as 0.95")
-    observed = waves.attrs["observed_quantity"]
-    if errors and quantity != observed:
+    if errors and f"error_variance_{quantity}" not in waves:
+        observed = [str(name).partition("variance_")[2] for name in waves if "variance_" in str(name)]
         raise PredictiveError(
-            f"errors of {quantity}: the model has errors of {observed} only; ask for errors=False"
+            f"errors of {quantity}: the model has errors of {' and '.join(observed)} only; "
+            "ask for errors=False"
         )
     values = waves[quantity].transpose("draw", ..., "time").astype(float)
     inner, shape = values.dims[1:], values.shape[1:]
@@ -373,7 +373,7 @@ def bands(
         "high": (("prob", *inner), high),
     }
     if errors:
-        variance = waves["error_variance"].to_numpy()
+        variance = waves[f"error_variance_{quantity}"].to_numpy()
         flat = values.to_numpy().reshape(len(values), -1)
         sd = np.tile(np.sqrt(variance), (1, flat.shape[1] // variance.shape[1]))
         edges = np.array([[_mixture_quantile(flat, sd, p) for p in pair] for pair in tails])

@@ -133,7 +133,10 @@ def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
     title = f"{study.name}: models by {name}, lower is better"
     shown = plain_table(title=title)
     shown.add_column("model", no_wrap=True)
-    for column in ("WAIC", "SE", "as one", "PSIS-LOO", "diff.", "its SE", "weight", "SSE", "converged"):
+    for column in ("WAIC", "SE", "as one", "PSIS-LOO", "diff.", "its SE", "weight"):
+        shown.add_column(column, justify="right", no_wrap=True)
+    sums = table.attrs["sums_of_squares"]
+    for column in (*(f"SSE ({unit})" for unit in sums.values()), "converged"):
         shown.add_column(column, justify="right", no_wrap=True)
     for model, row in table.iterrows():
         shown.add_row(
@@ -145,7 +148,7 @@ def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
             f"{row['difference']:.1f}",
             f"{row['difference_se']:.1f}",
             f"{row['weight']:.2f}",
-            f"{row['sse']:.3g}",
+            *(f"{row[name]:.3g}" for name in sums),
             "yes" if row["converged"] else "no",
         )
     legend = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -106,11 +106,12 @@ def simulate(
         from zoo.plots import save_figure, waves_figure
 
         save_figure(waves_figure(waves, loaded), plot)
-    error = None
+    error = {}
     if loaded.series:
         at_data = Solver.for_study(loaded, wall, options=options).solve(**parameters)
-        rows = [getattr(at_data, s.quantity)[i] - s.value for i, s in enumerate(loaded.series)]
-        error = float(np.sum(np.square(rows)))
+        error = {s.quantity: 0.0 for s in loaded.series}
+        for i, s in enumerate(loaded.series):
+            error[s.quantity] += float(np.sum(np.square(getattr(at_data, s.quantity)[i] - s.value)))
     say(*_simulation_summary(loaded, wall, waves, solution, error))
     say(*(f"wrote {path}" for path in (output, plot) if path is not None))
 
@@ -181,8 +182,11 @@ def _write_waves(waves: xr.Dataset, path: Path) -> None:
 
 
 def _simulation_summary(
-    study: Study, wall: str, waves: xr.Dataset, solution: Solution, sse: float | None
+    study: Study, wall: str, waves: xr.Dataset, solution: Solution, sse: Mapping[str, float]
 ) -> list[str]:
+    from zoo.blood.case import UNITS
+    from zoo.core.data import squared
+
     root = next(v for v in study.vessels if v.parent is None)
     pressure = waves["pressure_mmHg"].sel(vessel=root.id, position=0.0).to_numpy()
     flow = waves["flow_ml_s"].sel(vessel=root.id, position=0.0).to_numpy()
@@ -193,7 +197,8 @@ def _simulation_summary(
         f"periodic after {solution.beats} beats of {solution.steps_per_beat} steps, "
         f"{solution.distance_mmHg:.1g} mmHg from the periodic state; status: {solution.reason or 'ok'}",
     ]
-    if sse is not None:
-        n = sum(len(s.value) for s in study.series)
-        lines.append(f"sum of squared errors against the {n} observed values: {sse:.4g}")
+    for quantity, value in sse.items():  # of different units, so not added
+        n = sum(len(s.value) for s in study.series if s.quantity == quantity)
+        name, unit = quantity.split("_")[0], squared(UNITS[quantity])
+        lines.append(f"sum of squared errors against the {n} observed values of {name}: {value:.4g} {unit}")
     return lines

@@ -18,6 +18,11 @@ class DataError(ValueError):
     """Data that do not fit together; the text names the field and says what to change."""
 
 
+def squared(unit: str) -> str:
+    """A unit's square, such as "mmHg2", "(ml/s)2" or "1"."""
+    return unit if unit == "1" else f"{unit}2" if unit.isalpha() else f"({unit})2"
+
+
 @dataclass(frozen=True, eq=False)
 class Data:
     """Series that were measured at the same times; frozen, with read-only arrays.

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zoo.blood.ejection import PERIOD_S, ejection
+from zoo.blood.errors import PAPER_SET
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
 from zoo.core.posterior.ranks import CalibrationError
@@ -32,7 +33,10 @@ def cheap_study(n_times: int = 32, sites: Sequence[tuple[int, float]] = ((1, 0.0
     )
     series = tuple(Series(vessel, x, "pressure_mmHg", np.zeros(n_times)) for vessel, x in sites)
     observed_s = np.arange(n_times) * PERIOD_S / n_times
-    return Study("cheap", PERIOD_S, Blood(1.055, 0.049), vessels, time_s, flow_ml_s, observed_s, series)
+    return Study(
+        "cheap", PERIOD_S, Blood(1.055, 0.049), vessels, time_s, flow_ml_s, observed_s, series,
+        priors={"set": PAPER_SET},
+    )  # fmt: skip
 
 
 def cheap_options(wall: str = "linear") -> SolverOptions:

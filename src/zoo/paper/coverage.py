@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from zoo.blood.errors import PAPER_SET
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study
 from zoo.core.inference.convergence import verdict
@@ -81,7 +82,7 @@ def data_set(
     """
     sites = [(v.id, 0.0 if i == 0 else 0.5) for i, v in enumerate(base.vessels[:vessels])]
     return synthetic_study(
-        base,
+        replace(base, priors={"set": PAPER_SET}, noise_sd={}),
         name=f"{base.name}-synthetic-{vessels}-{number:02d}",
         truth=truth,
         sites=sites,

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
+from zoo.blood.errors import PAPER_SET
 from zoo.core.inference.convergence import judged
 from zoo.core.posterior.files import matching, refuse_other_settings, sample_to
 from zoo.models import PAPER, get_model
@@ -129,7 +130,8 @@ def reproduce(
     Parameters
     ----------
     study : Study
-        The measured mouse, or another one (then the published columns are only for orientation).
+        The measured mouse, or another one (then the published columns are only for orientation). Whatever
+        its priors and noise are, the paper's are taken.
     folder : Path
         Posteriors that it holds are taken, checkpoints resumed.
     names : sequence of str
@@ -147,6 +149,7 @@ def reproduce(
     """
     from zoo.core.posterior.comparison import compare
 
+    study = replace(study, priors={"set": PAPER_SET}, noise_sd={})
     posteriors, models = nine_posteriors(study, folder, names, say=say, **settings)
     comparison = compare(posteriors, models)
     found = Reproduction(

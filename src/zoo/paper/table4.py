@@ -189,7 +189,8 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
             limit = WAIC_LIMITS.get(model, WAIC_LIMIT)
             entry["agrees"] = bool(abs(entry["difference"] - entry["published_difference"]) <= limit)
             entry["reason"] = "" if entry["agrees"] else _waic_reason(known, model, mine, base)
-        rows[model] = {**entry, "published_sse": row.sse, "sse": mine["sse"], "sse_mcse": mine["sse_mcse"]}
+        own = {name: mine[f"sse_pressure_mmHg{end}"] for name, end in (("sse", ""), ("sse_mcse", "_mcse"))}
+        rows[model] = {**entry, "published_sse": row.sse, **own}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("model")
 
 

@@ -198,7 +198,7 @@ def _ranking(table: pd.DataFrame) -> list[dict[str, Any]]:
             str(int(row["pareto_k_bad"])),
             f"{row['waic_one_observation']:.1f}",
             f"{row['p_waic']:.1f}",
-            f"{row['sse']:.3g}",
+            ", ".join(f"{row[name]:.3g} {unit}" for name, unit in table.attrs["sums_of_squares"].items()),
         ]
         converged = bool(row["converged"])
         rows.append(

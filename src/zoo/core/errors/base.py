@@ -89,6 +89,27 @@ class ErrorModel(ABC):
         """
         return replace(self, data=data)
 
+    def elsewhere(self, group: str, times: Array) -> Self:
+        """The law of one more series of a group, at other times, where nothing is measured.
+
+        Parameters
+        ----------
+        group : str
+        times : array (n_times,)
+            Uniform, in the data's unit of time.
+        """
+        first = self.on.rows[group][0]
+        blank = Data(
+            times,
+            np.zeros((1, len(times))),
+            labels=[self.on.labels[first]],
+            units=[self.on.units[first]],
+            groups=[group],
+            period=self.on.period,
+            time_unit=self.on.time_unit,
+        )
+        return replace(self, data=blank)
+
     @property
     def on(self) -> Data:
         """The data.

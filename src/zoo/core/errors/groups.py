@@ -19,8 +19,7 @@ from zoo.core.errors.gaussian_process import (
     gp_sequential,
     whiten_by_process,
 )
-from zoo.core.errors.spectral import LogNormal
-from zoo.core.parameters import Parameter, Prior
+from zoo.core.parameters import LogNormal, Parameter, Prior
 
 Array = NDArray[np.float64]
 
@@ -95,8 +94,11 @@ class GroupNoise(ErrorModel):
         bound = super().bind(data)
         there = [*data.rows, *data.labels]
         parameters = [p.name for p in bound._all_parameters]
-        for what, given, possible in (("known", bound.known, there), ("priors", bound.priors, parameters)):
-            for name, _ in given:
+        for what, given, possible in (
+            ("known", dict(bound.known), there),
+            ("priors", dict(bound.priors), parameters),
+        ):
+            for name in given:
                 if name not in possible:
                     raise ErrorModelError(
                         f"{data.source or data.name}: {what}: {name!r}: no such name; use one of "
@@ -130,7 +132,7 @@ class GroupNoise(ErrorModel):
         return tuple(found)
 
     @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+    def parameters(self) -> tuple[Parameter, ...]:
         """For each group G "noise_G", unless it is known for all its series."""
         given = dict(self.priors)
         found = []

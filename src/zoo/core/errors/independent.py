@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.core.data import Data
+from zoo.core.data import Data, squared
 from zoo.core.errors.base import ErrorModel, ErrorModelError
 from zoo.core.parameters import InverseGamma, Parameter, Prior
 
@@ -75,8 +75,7 @@ class Independent(ErrorModel):
     def parameters(self) -> tuple[Parameter, ...]:
         """The variance "sigma2"."""
         unit = self.data.units[0] if self.data is not None else "1"
-        squared = unit if unit == "1" else f"{unit}2" if unit.isalpha() else f"({unit})2"
-        return (Parameter("sigma2", self.sigma2, squared, self.start, "variance of the errors"),)
+        return (Parameter("sigma2", self.sigma2, squared(unit), self.start, "variance of the errors"),)
 
     def bind(self, data: Data) -> Self:
         """The same for given data.

@@ -17,6 +17,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
+from zoo.core.data import squared
 from zoo.core.errors.base import DECOMPOSITIONS
 from zoo.core.forward import SolveError
 from zoo.core.inference.convergence import Verdict, judged
@@ -275,11 +276,12 @@ class SumOfSquares(NamedTuple):
     mcse: float
 
 
-def sse_at_median(idata: az.InferenceData, model: pm.Model) -> SumOfSquares:
-    """Sum of squared errors with every parameter at its posterior median.
+def sse_at_median(idata: az.InferenceData, model: pm.Model) -> dict[str, SumOfSquares]:
+    """Sum of squared errors of each group of series, with every parameter at its posterior median.
 
     The paper's "Euclidean distance": the sum over series and times of (y - mean(median))^2. Its error is the
-    standard deviation of the sums at the medians of each chain alone, over the root of their number.
+    standard deviation of the sums at the medians of each chain alone, over the root of their number. Groups
+    are quantities of different units, so their sums are not added.
 
     Parameters
     ----------
@@ -290,15 +292,19 @@ def sse_at_median(idata: az.InferenceData, model: pm.Model) -> SumOfSquares:
 
     Returns
     -------
-    SumOfSquares
+    dict of group to SumOfSquares
         In the squared unit of the series; NaN when a solve fails, and the error with one chain.
     """
     draws = idata["posterior"]
     whole = draws.median(("chain", "draw")).expand_dims(("chain", "draw")).assign_coords(chain=[-1], draw=[0])
     alone = draws.median("draw").expand_dims("draw", axis=1).assign_coords(draw=[0])
     means = posterior_means(model, xr.concat([whole, alone], "chain"))
-    whole_sum, *sums = ((record_of(model).data.values - means) ** 2).sum(axis=(1, 2))
-    return SumOfSquares(float(whole_sum), _error_of_mean(sums))
+    data = record_of(model).data
+    found = {}
+    for group, rows in data.rows.items():
+        whole_sum, *sums = ((data.values - means)[:, rows] ** 2).sum(axis=(1, 2))
+        found[group] = SumOfSquares(float(whole_sum), _error_of_mean(sums))
+    return found
 
 
 def _error_of_mean(values: Sequence[float]) -> float:
@@ -345,11 +351,12 @@ def compare(
     DataFrame
         One row a model, the best first. `difference` and `difference_se` are to the best; `standing` says
         what they mean. `waic_warning`: a term's variance exceeds 0.4. `pareto_k_bad`: points where
-        PSIS-LOO is not to be trusted, k > min(1 - 1/log10(draws), 0.7). `sse` is at the
-        posterior medians, `sse_mcse` its Monte Carlo standard error; `one_observation_mcse` is
-        that of `waic_one_observation`. Both are taken from the values of each chain alone.
-        `at_bounds` warns of priors' bounds that the posterior leans on, `uninformed` names parameters
-        whose posterior is like their prior.
+        PSIS-LOO is not to be trusted, k > min(1 - 1/log10(draws), 0.7). For each group G of series `sse_G` is
+        the sum of squared errors at the posterior medians, in the square of the group's unit, and
+        `sse_G_mcse` its Monte Carlo standard error; `one_observation_mcse` is that of
+        `waic_one_observation`. Both are taken from the values of each chain alone. `at_bounds` warns of
+        priors' bounds that the posterior leans on, `uninformed` names parameters whose posterior is like
+        their prior.
 
     Raises
     ------
@@ -398,8 +405,8 @@ def compare(
             "p_loo": loo.p_loo,
             "pareto_k_max": float(np.max(pareto_k)),
             "pareto_k_bad": int(np.sum(pareto_k > loo.good_k)),
-            "sse": squares.value,
-            "sse_mcse": squares.mcse,
+            **{f"sse_{group}": sums.value for group, sums in squares.items()},
+            **{f"sse_{group}_mcse": sums.mcse for group, sums in squares.items()},
             "draws": terms.sizes["chain"] * terms.sizes["draw"],
             "converged": found.passes,
             "rhat_max": found.max_rhat,
@@ -423,7 +430,9 @@ def compare(
     ]
     table.insert(4, "standing", standing)
     table.index.name = "model"
-    table.attrs.update({"ic": ic, "scale": "deviance", "weights": weights})
+    data = record_of(models[next(iter(idatas))]).data
+    sums = {f"sse_{group}": squared(data.unit(group)) for group in data.rows}
+    table.attrs.update({"ic": ic, "scale": "deviance", "weights": weights, "sums_of_squares": sums})
     return table
 
 
