@@ -33,7 +33,7 @@ def test_sample_writes_the_posterior_and_a_verdict(sampled: tuple[Path, str], ti
     path, output = sampled
     idata = load(path)
     assert dict(idata.posterior.sizes)["draw"] == 60
-    assert set(idata.posterior.data_vars) == {"f3", "psi1", "psi2", "c", "sigma2"}
+    assert set(idata.posterior.data_vars) == {"f3", "psi1", "psi2", "c", "noise_pressure_mmHg"}
     record = RunRecord.of(idata)
     assert (record.model, record.study, record.seed) == ("A", "tiny", 3)
     assert record.study_checksum == load_study(tiny).checksum
