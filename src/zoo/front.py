@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import TYPE_CHECKING, Any
 
 from zoo.core import diagnosis
 from zoo.core.data import Data
+from zoo.core.words import refuse_unknown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,6 +46,8 @@ def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
     ------
     DiagnosisError
         If an argument is out of range, a series does not vary, or the baseline cannot be fitted.
+    TypeError
+        For a setting that does not exist.
 
     Examples
     --------
@@ -55,8 +59,8 @@ def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
     ----------
     Kennedy and O'Hagan 2001, doi 10.1111/1467-9868.00294.
     """
-    if isinstance(data, Data):
-        return diagnosis.diagnose(data, *arguments, **settings)
     from zoo.blood.diagnosis import diagnose as diagnose_study
 
-    return diagnose_study(data, *arguments, **settings)
+    function: Any = diagnosis.diagnose if isinstance(data, Data) else diagnose_study
+    refuse_unknown("diagnose", settings, inspect.signature(function).parameters)
+    return function(data, *arguments, **settings)

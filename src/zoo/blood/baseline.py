@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from zoo.blood.conventions import Conventions
 from zoo.blood.effects.given import Given, added_effects
 from zoo.blood.forward import BloodFlow, StiffnessLaw, study_data
+from zoo.blood.network import Network
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study
-from zoo.core.effects import EffectError, nearest, with_effects
+from zoo.core.effects import EffectError, with_effects
 from zoo.core.parameters import Parameter
+from zoo.core.words import nearest, refuse_unknown
 
 if TYPE_CHECKING:
     import pymc as pm
@@ -183,10 +185,13 @@ def blood_model(
         If an effect does not exist, cannot act there or cannot be added to this baseline.
     ValueError
         If the study has no observations, or the errors cannot hold for them.
+    TypeError
+        If a setting is none of `Settings`.
     """
     import zoo.core.inference.pymc_step  # noqa: F401  for pm.sample() without a step method
     from zoo.core.model import bayesian_model
 
+    refuse_unknown(f"model_{name}", settings, Settings.__annotations__)
     data = study_data(study)
     flow = baseline.forward(study, conventions=settings.get("conventions"), options=settings.get("options"))
     added = added_effects(settings.get("effects") or (), flow)
@@ -197,5 +202,18 @@ def blood_model(
         errors,
         coords={"vessel": [int(vessel) for vessel in flow.network.ids]},
         study=study,
+        constants=_constants(study, flow.network),
         settings={"conventions": asdict(flow.conventions), "solver options": asdict(flow.options)},
     )
+
+
+def _constants(study: Study, network: Network) -> dict[str, tuple[tuple[str, ...], Any, str]]:
+    """What a study gives its models and no parameter changes: name -> dimensions, values, unit."""
+    return {
+        "inflow": (("inflow_time",), study.inflow_ml_s, "ml/s"),
+        "inflow_time": (("inflow_time",), study.inflow_time_s, "s"),
+        "length": (("vessel",), network.length_cm, "cm"),
+        "radius_in": (("vessel",), network.radius_in_cm, "cm"),
+        "radius_out": (("vessel",), network.radius_out_cm, "cm"),
+        "period": ((), study.period_s, "s"),
+    }

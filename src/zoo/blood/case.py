@@ -14,8 +14,9 @@ from zoo.blood.conventions import Conventions
 from zoo.blood.network import Network
 from zoo.blood.solver import PUBLISHED_CELLS_PER_CM, Physics, Solver, SolverOptions
 from zoo.blood.study import QUANTITIES
-from zoo.core.effects import Location, nearest
+from zoo.core.effects import Location
 from zoo.core.forward import SolveError
+from zoo.core.words import nearest
 
 Array = NDArray[np.float64]
 Place = tuple[int, float, str]

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zoo.blood.effects import CATALOGUE
-from zoo.core.effects import Effect, EffectError, effects_in, load_module, nearest
+from zoo.core.effects import Effect, EffectError, effects_in, load_module
+from zoo.core.words import nearest
 
 if TYPE_CHECKING:
     import pymc as pm

@@ -272,13 +272,17 @@ class Solver:
         Without `physics` it is the study's own, `zoo.blood.physics.study_physics`; then `solve` takes the
         stiffness at the vessels' inlets, which changes along them as the study says.
 
+        Those of a study without observations are the inlet of every vessel at 512 times of the beat.
+
         At the study's own times the conventions' ``sample_lag_beats`` is added; times that are given are
         taken as they are.
         """
         conventions = conventions or study.conventions
         if series is None:
-            series = [(s.vessel, s.position) for s in study.series]
-        if times_s is None:
+            series = [(s.vessel, s.position) for s in study.series] or [(v.id, 0.0) for v in study.vessels]
+        if times_s is None and not study.series:
+            times_s = np.arange(512) * study.period_s / 512
+        elif times_s is None:
             times_s = study.time_s + conventions.sample_lag_beats * study.period_s
         network = Network.from_study(study)
         if physics is None:

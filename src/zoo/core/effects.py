@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import importlib.util
 import math
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from zoo.core.forward import ForwardModel, Outputs, content_key, function_text
 from zoo.core.parameters import Normal, Parameter, n_values
+from zoo.core.words import nearest
 
 Array = NDArray[np.float64]
 ENTRY_POINTS = "zoo.effects"
@@ -459,12 +459,6 @@ class Catalogue(Mapping[str, Effect]):
         """
         found = [self[one] if isinstance(one, str) else one for one in given]
         return tuple({made.name: made for made in found}.values())
-
-
-def nearest(word: object, known: Sequence[str]) -> str:
-    """Words for an unknown name: the nearest known one, and all."""
-    close = difflib.get_close_matches(str(word), known, 1, 0.5)
-    return f"unknown; {f'did you mean {close[0]!r}? ' if close else ''}use one of {', '.join(known)}"
 
 
 def effects_in(found: Any) -> list[Effect]:

@@ -16,6 +16,8 @@ from zoo.core.forward import ForwardModel
 from zoo.core.op import ForwardOp, observed_series
 from zoo.core.parameters import random_variables, start_of, variable_name
 
+Constants = Mapping[str, tuple[tuple[str, ...], Any, str]]
+
 
 class ModelError(ValueError):
     """A PyMC model that cannot be made or used; its text says what to change."""
@@ -53,6 +55,8 @@ class ModelRecord:
         Where the data come from, such as a `zoo.Study`; None for plain data.
     settings : mapping
         What else the model was made with, for the record of a run.
+    constants : mapping
+        Name -> (dimensions, values, unit) of what is known beside the data, for the group constant_data.
     """
 
     name: str
@@ -63,6 +67,7 @@ class ModelRecord:
     ok: TensorVariable
     study: Any = None
     settings: Mapping[str, Any] = field(default_factory=dict)
+    constants: Constants = field(default_factory=dict)
 
     @property
     def op(self) -> ForwardOp:
@@ -102,6 +107,7 @@ def bayesian_model(
     coords: Mapping[str, Any] | None = None,
     study: Any = None,
     settings: Mapping[str, Any] | None = None,
+    constants: Constants | None = None,
 ) -> pm.Model:
     """A PyMC model of data: priors of all parameters, the forward model, and the errors.
 
@@ -118,6 +124,8 @@ def bayesian_model(
         For the record.
     settings : mapping
         For the record.
+    constants : mapping
+        Name -> (dimensions, values, unit), for the record.
 
     Returns
     -------
@@ -141,7 +149,9 @@ def bayesian_model(
         variables = random_variables(forward.parameters)
         mean, ok = observed_series(forward, variables)
         bound.observe("y", mean, ok, random_variables(bound.parameters))
-    model.zoo = ModelRecord(name, forward, data, bound, mean, ok, study, dict(settings or {}))
+    model.zoo = ModelRecord(
+        name, forward, data, bound, mean, ok, study, dict(settings or {}), dict(constants or {})
+    )
     return model
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from zoo.core.inference.record import ResultsError, RunRecord
-from zoo.core.inference.sampling import sample
+from zoo.core.posterior.groups import sample
 from zoo.core.posterior.storage import load, save
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class PosteriorError(ValueError):
     """A stored posterior that does not belong; its text says to what, and what to change."""
 
 
-def sample_to(path: str | Path, model: Any, **settings: Any) -> az.InferenceData:
+def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings: Any) -> az.InferenceData:
     """Sample a model into a NetCDF file, with the checkpoint in a folder beside it.
 
     Parameters
@@ -37,6 +37,8 @@ def sample_to(path: str | Path, model: Any, **settings: Any) -> az.InferenceData
         ``X.nc``; the checkpoint is ``X.checkpoint``.
     model : pymc.Model
         With a record.
+    groups : bool
+        Store ArviZ's groups too, see `zoo.core.posterior.groups.add_groups`.
     **settings
         Of `zoo.sample`.
 
@@ -51,7 +53,7 @@ def sample_to(path: str | Path, model: Any, **settings: Any) -> az.InferenceData
         If the checkpoint is in use, or of another run.
     """
     path = Path(path)
-    idata = sample(model, checkpoint=checkpoint_of(path), **settings)
+    idata = sample(model, groups=groups, checkpoint=checkpoint_of(path), **settings)
     save(idata, path)
     return idata
 

@@ -1,0 +1,209 @@
+"""An InferenceData with the groups that ArviZ knows, and the units of its variables."""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import logging
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pymc as pm
+import xarray as xr
+
+from zoo.core.errors.base import ErrorModel
+from zoo.core.inference import sampling
+from zoo.core.inference.progress import bar
+from zoo.core.inference.record import RunRecord
+from zoo.core.model import ModelRecord, record_of
+from zoo.core.parameters import variable_name
+from zoo.core.posterior.comparison import posterior_means, thin
+from zoo.core.words import refuse_unknown
+
+if TYPE_CHECKING:
+    import arviz as az
+
+N_TERMS = 1000
+"""Posterior draws, of all chains together, in log_likelihood and posterior_predictive."""
+N_PRIOR = 200
+"""Draws in prior and prior_predictive."""
+DIMS = ("series", "time")
+
+
+def add_groups(
+    idata: az.InferenceData,
+    model: pm.Model,
+    *,
+    n_draws: int | None = N_TERMS,
+    n_prior: int = N_PRIOR,
+    seed: int | None = None,
+    progress: bool = False,
+) -> az.InferenceData:
+    """Add log_likelihood, posterior_predictive, prior, prior_predictive, data groups and units.
+
+    The log-likelihood is that of the terms log p(y_i | y_<i), whose sum is the joint one. It and the
+    predictive draws cost one solve for each of `n_draws` posterior draws, those of the prior one each.
+
+    Parameters
+    ----------
+    idata : InferenceData
+        Posterior of `model`, from `zoo.sample` or ``pm.sample``; left as it is.
+    model : pm.Model
+        With a record.
+    n_draws : int or None
+        Posterior draws of all chains together, evenly spaced; None takes all.
+    n_prior : int
+        Draws of the prior; 0 leaves its groups out.
+    seed : int, optional
+        Of the errors that are drawn and of the prior; the run's own if absent, else 0.
+    progress : bool
+        Show a bar on standard error.
+
+    Returns
+    -------
+    InferenceData
+        log_likelihood and posterior_predictive have "y" (chain, draw, series, time), float32, with the
+        numbers of the posterior draws as coordinate; where a solve fails -inf and NaN. Variables have their
+        unit as the attribute "units"; "y" has them as the coordinate "unit" of its series.
+    """
+    import arviz as az
+
+    record = record_of(model)
+    if seed is None:
+        seed = _seed_of(idata)
+    kept = thin(idata, n_draws)
+    with bar(progress) as shown:
+        task = shown.add_task("log-likelihood and predictions", total=None)
+        means = posterior_means(
+            model, kept, progress=lambda done, total: shown.update(task, completed=done, total=total)
+        )
+    values = _error_parameters(record, kept)
+    terms = record.errors.pointwise(means, values, ("sequential",))["sequential"]
+    drawn = _with_errors(record.errors, means, values, np.random.default_rng(seed))
+    groups = {name: idata[name].copy() for name in idata.groups()}
+    groups["log_likelihood"] = _series(terms, kept, record)
+    groups["posterior_predictive"] = _series(drawn, kept, record)
+    groups["observed_data"] = _described(xr.Dataset({"y": (DIMS, record.data.values)}), record)
+    if record.constants:
+        used = {d for dims, _, _ in record.constants.values() for d in dims}
+        groups["constant_data"] = xr.Dataset(
+            {name: (dims, value, {"units": unit}) for name, (dims, value, unit) in record.constants.items()},
+            coords={d: np.asarray(c) for d, c in model.coords.items() if d in used and c is not None},
+        )
+    if n_prior:
+        with _without_messages():
+            prior = pm.sample_prior_predictive(n_prior, model=model, random_seed=seed)
+        groups["prior"] = prior["prior"]
+        groups["prior_predictive"] = _described(prior["prior_predictive"], record)
+    for name in ("posterior", "prior"):
+        if name in groups:
+            groups[name] = with_units(groups[name], record)
+    found: az.InferenceData = az.InferenceData(attrs=dict(idata.attrs), **groups)  # type: ignore[arg-type]
+    return found
+
+
+def with_units(draws: xr.Dataset, record: ModelRecord) -> xr.Dataset:
+    """Draws with the unit of each parameter as the attribute "units"."""
+    found = draws.copy()
+    for p in (*record.forward.parameters, *record.errors.parameters):
+        if (name := variable_name(p.name)) in found:
+            found[name].attrs["units"] = p.unit
+    return found
+
+
+@contextlib.contextmanager
+def _without_messages() -> Iterator[None]:
+    """PyMC names the variables that it draws, for its users and not for ours."""
+    logger = logging.getLogger("pymc.sampling.forward")
+    before = logger.level
+    logger.setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+def _seed_of(idata: az.InferenceData) -> int:
+    try:
+        return RunRecord.of(idata).seed
+    except ValueError:
+        return 0
+
+
+def _error_parameters(record: ModelRecord, draws: xr.Dataset) -> dict[str, np.ndarray]:
+    """Parameters of the errors, name -> (n_chains n_draws, ...)."""
+    found = {}
+    for name in record.errors.parameter_names:
+        values = draws[variable_name(name)].transpose("chain", "draw", ...).to_numpy()
+        found[name] = values.reshape(-1, *values.shape[2:])
+    return found
+
+
+def _with_errors(
+    errors: ErrorModel, means: np.ndarray, values: Mapping[str, np.ndarray], rng: np.random.Generator
+) -> np.ndarray:
+    """One draw of the errors added to each of the series (n_draws, n_series, n_times); NaN without a law."""
+    drawn = np.full(means.shape, np.nan)
+    for i, mean in enumerate(means):
+        error = errors.draw(rng, {name: column[i] for name, column in values.items()})
+        if error is not None:
+            drawn[i] = mean + error
+    return drawn
+
+
+def _series(values: np.ndarray, kept: xr.Dataset, record: ModelRecord) -> xr.Dataset:
+    """Values (n_chains n_draws, n_series, n_times) as "y" of the posterior draws they belong to."""
+    shape = (kept.sizes["chain"], kept.sizes["draw"], *values.shape[1:])
+    found = xr.Dataset(
+        {"y": (("chain", "draw", *DIMS), values.reshape(shape).astype(np.float32))},
+        coords={"chain": kept["chain"], "draw": kept["draw"]},
+    )
+    return _described(found, record)
+
+
+def _described(found: xr.Dataset, record: ModelRecord) -> xr.Dataset:
+    """A group whose "y" is over series and times: with labels, units and times as coordinates."""
+    data = record.data
+    found = found.assign_coords(
+        series=list(data.labels),
+        unit=("series", list(data.units)),
+        time=("time", np.asarray(data.times), {"units": data.time_unit}),
+    )
+    found["y"].attrs["units"] = ", ".join(dict.fromkeys(data.units))
+    return found
+
+
+def sample(model: Any, *, groups: bool = True, progress: bool = True, **settings: Any) -> az.InferenceData:
+    """Sample a model's posterior, as `zoo.core.inference.sampling.sample` does, and add ArviZ's groups.
+
+    Parameters
+    ----------
+    model : pm.Model
+    groups : bool
+        Add the groups of `add_groups`; it costs a solve for each of `N_TERMS` draws.
+    progress : bool
+        Show progress on standard error.
+    **settings
+        Of `zoo.core.inference.sampling.sample`: draws, tune, chains, cores, step, thin, seed, checkpoint,
+        until_ess, max_draws, start and so on.
+
+    Returns
+    -------
+    InferenceData
+        posterior, sample_stats, observed_data, and those of `add_groups`.
+
+    Raises
+    ------
+    SamplingError
+        For a setting out of range, a model that cannot be sampled, or a chain that fails.
+    CheckpointError
+        If the checkpoint belongs to another model, study or settings, or is in use.
+    TypeError
+        For a setting that does not exist.
+    """
+    refuse_unknown("sample", settings, [*inspect.signature(sampling.sample).parameters, "groups"][1:])
+    idata = sampling.sample(model, progress=progress, **settings)
+    if groups and isinstance(getattr(model, "zoo", None), ModelRecord):
+        return add_groups(idata, model, progress=progress)
+    return idata

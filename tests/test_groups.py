@@ -1,0 +1,174 @@
+"""The groups and units of an InferenceData, on a line whose posterior is known, and on the demo study."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import arviz as az
+import numpy as np
+import pymc as pm
+import pytest
+from scipy import stats
+
+import zoo
+from zoo.core.data import Data
+from zoo.core.errors.independent import Independent
+from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.model import bayesian_model
+from zoo.core.parameters import InverseGamma, Normal, Parameter
+from zoo.core.posterior.comparison import compare
+from zoo.core.posterior.groups import N_TERMS, add_groups
+from zoo.core.posterior.storage import load, save, slim
+
+TIMES = np.arange(12.0)
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def line(c, t):
+    return c["a"] + c["b"] * t
+
+
+@pytest.fixture(scope="module")
+def model():
+    parameters = (Parameter("a", Normal(0.0, 2.0), "V"), Parameter("b", Normal(0.0, 1.0), "V/s"))
+    values = 1.0 + 0.5 * TIMES + 0.3 * np.random.default_rng(5).standard_normal(12)
+    data = Data(TIMES, values, labels=["u"], units=["V"], name="line")
+    forward = FunctionModel(line, parameters, Outputs(("u",), TIMES))
+    constants = {"gain": ((), 2.0, "V/A")}
+    return bayesian_model("line", forward, data, Independent(InverseGamma(3.0, 0.3)), constants=constants)
+
+
+@pytest.fixture(scope="module")
+def draws():
+    """Draws that stand for a posterior, more than are kept."""
+    rng = np.random.default_rng(0)
+    shape = (4, 400)
+    values = {"a": 1.0 + 0.1 * rng.standard_normal(shape), "b": 0.5 + 0.01 * rng.standard_normal(shape)}
+    return az.from_dict(posterior=values | {"sigma2": 0.09 * np.exp(0.1 * rng.standard_normal(shape))})
+
+
+@pytest.fixture(scope="module")
+def whole(model, draws):
+    return add_groups(draws, model, seed=3)
+
+
+def test_groups_are_arvizs(whole, draws):
+    wanted = {"posterior", "log_likelihood", "posterior_predictive", "prior", "prior_predictive"}
+    assert wanted | {"observed_data", "constant_data"} == set(whole.groups())
+    assert whole.posterior.sizes == draws.posterior.sizes
+    assert draws.groups() == ["posterior"]
+    assert "units" not in draws.posterior["a"].attrs
+
+
+def test_log_likelihood_is_that_of_the_draws_it_names(whole, model):
+    terms = whole.log_likelihood["y"]
+    assert terms.dims == ("chain", "draw", "series", "time")
+    assert terms.sizes["chain"] * terms.sizes["draw"] == N_TERMS
+    for chain, draw in ((0, 0), (2, 100), (3, 249)):
+        at = whole.posterior.sel(chain=chain, draw=int(terms["draw"][draw]))
+        mean = float(at["a"]) + float(at["b"]) * TIMES
+        expected = stats.norm(mean, math.sqrt(float(at["sigma2"]))).logpdf(model.zoo.data.values[0])
+        np.testing.assert_allclose(terms[chain, draw, 0], expected, rtol=1e-5)
+
+
+def test_predictions_have_the_errors_of_the_draws(whole):
+    drawn = whole.posterior_predictive["y"].stack(all=("chain", "draw"))[0].to_numpy()
+    variance = 0.09 * math.exp(0.005) + 0.1**2 + (0.01 * TIMES) ** 2
+    np.testing.assert_allclose(drawn.mean(1), 1.0 + 0.5 * TIMES, atol=4 * math.sqrt(variance.max() / 1000))
+    np.testing.assert_allclose(drawn.var(1), variance, rtol=0.25)
+    prior = whole.prior_predictive["y"].to_numpy()[0, :, 0]
+    assert np.isfinite(prior).all()
+    np.testing.assert_allclose(prior.std(0), np.sqrt(4.0 + TIMES**2 + 0.15), rtol=0.25)
+
+
+def test_units_are_attributes(whole):
+    assert {n: v.attrs["units"] for n, v in whole.posterior.data_vars.items()} == {
+        "a": "V", "b": "V/s", "sigma2": "V2",
+    }  # fmt: skip
+    assert whole.prior["b"].attrs["units"] == "V/s"
+    for group in (whole.log_likelihood, whole.posterior_predictive, whole.prior_predictive):
+        assert group["unit"].to_numpy().tolist() == ["V"]
+    assert whole.observed_data["y"].attrs["units"] == "V"
+    assert whole.observed_data["time"].attrs["units"] == "s"
+    assert whole.constant_data["gain"].attrs["units"] == "V/A"
+
+
+def test_they_survive_a_file_and_a_slim_copy_does_without(whole, tmp_path):
+    back = load(save(whole, tmp_path / "line.nc"))
+    assert set(back.groups()) == set(whole.groups())
+    assert back.posterior["b"].attrs["units"] == "V/s"
+    np.testing.assert_array_equal(back.log_likelihood["y"], whole.log_likelihood["y"])
+    assert az.loo(back).n_data_points == 12
+    az.plot_ppc(back, num_pp_samples=5)
+
+
+def test_waic_of_arviz_is_that_of_the_comparison(whole, model):
+    ours = compare({"line": whole}, {"line": model}).loc["line"]
+    arviz = az.waic(whole, scale="deviance")
+    assert arviz.elpd_waic == pytest.approx(ours["waic"], abs=1e-3)
+    assert arviz.p_waic == pytest.approx(ours["p_waic"], rel=1e-3)
+
+
+def test_draws_of_pymc_get_them_too(model):
+    with model:
+        idata = pm.sample(
+            30, tune=30, chains=2, cores=1, step=zoo.step(model), random_seed=1, progressbar=False,
+            compute_convergence_checks=False,
+        )  # fmt: skip
+    found = add_groups(idata, model, n_prior=0)
+    assert found.log_likelihood["y"].shape == (2, 30, 1, 12)
+    assert "prior" not in found.groups()
+
+
+def test_sample_has_all_groups_and_a_slim_copy_of_it_has_draws_alone():
+    model = zoo.model_B(zoo.load_study("demo"))
+    settings = {"draws": 20, "tune": 20, "cores": 0, "seed": 1, "progress": False}
+    idata = zoo.sample(model, start=zoo.find_mode(model, max_evaluations=5), **settings)
+    constants = idata.constant_data
+    network = model.zoo.forward.network
+    assert constants["vessel"].to_numpy().tolist() == [int(v) for v in network.ids]
+    np.testing.assert_array_equal(constants["length"], network.length_cm)
+    assert constants["inflow"].attrs["units"] == "ml/s"
+    assert idata.posterior["f3"].attrs["units"] == "g cm-1 s-2"
+    assert idata.posterior_predictive["y"].shape == (4, 20, *model.zoo.data.values.shape)
+    joint = idata.log_likelihood["y"].sum(("series", "time"))[1, 7]
+    at = {name: float(idata.posterior[name][1, 7]) for name in idata.posterior}
+    values = {name: at[name] for name in model.zoo.errors.parameter_names}
+    mean = model.zoo.forward.solve(
+        model.zoo.forward.configure(np.array([at[n] for n in model.zoo.forward_parameters]))
+    )
+    residual = (model.zoo.data.values - mean).ravel()
+    law = stats.multivariate_normal(cov=model.zoo.errors.covariance(values), allow_singular=True)
+    assert float(joint) == pytest.approx(law.logpdf(residual), rel=1e-4)
+    assert slim(idata, 40).groups() == ["posterior"]
+
+
+def test_posteriors_of_before_still_load():
+    for path in sorted((ROOT / "notebooks" / "posteriors").glob("*.nc")):
+        assert load(path).groups() == ["posterior"]
+
+
+def test_misspelt_settings_are_refused_with_the_nearest(model):
+    study = zoo.load_study("demo")
+    with pytest.raises(TypeError, match="sample: setting 'drws': unknown; did you mean 'draws'"):
+        zoo.sample(model, drws=10)
+    with pytest.raises(TypeError, match="model_B: setting 'efects': unknown; did you mean 'effects'"):
+        zoo.model_B(study, efects=["taper"])
+    with pytest.raises(
+        TypeError, match="diagnose: setting 'max_efects': unknown; did you mean 'max_effects'"
+    ):
+        zoo.diagnose(study, base="B", max_efects=1)
+
+
+def test_a_study_without_observations_is_solved_at_every_inlet():
+    demo = zoo.load_study("demo")
+    bare = replace(demo, series=(), time_s=np.empty(0))
+    waves = zoo.Solver.for_study(bare).solve(stiffness=5e4)
+    assert waves.pressure_mmHg.shape == (len(demo.vessels), 512)
+    root = waves.flow_ml_s[0]
+    inflow = np.interp(
+        np.arange(512) / 512, np.arange(len(demo.inflow_ml_s)) / len(demo.inflow_ml_s), demo.inflow_ml_s
+    )
+    np.testing.assert_allclose(root, inflow, atol=0.01 * np.ptp(inflow))
