@@ -54,6 +54,12 @@ PARAMETER_LABELS = {
     "w": "$w$ (s$^{-2}$)",
     "b": "$b$",
 }
+for _quantity, _label in QUANTITY_LABELS.items():  # errors of one quantity
+    for _name, _text in (("noise", "noise of {}"), ("amplitude", "amplitude of {}")):
+        PARAMETER_LABELS[f"{_name}_{_quantity}"] = _text.format(_label)
+    _word = _label.partition(" (")[0]
+    PARAMETER_LABELS[f"w_{_quantity}"] = f"$w$ of {_word} (cycle$^{{-2}}$)"
+    PARAMETER_LABELS[f"b_{_quantity}"] = f"$b$ of {_word}"
 SCALES = {"f1": 5, "f3": 4, "chi": 4, "m_chi": 4, "w": 4}
 """Powers of ten that axes of these parameters are in."""
 SOLID, DASHED, DOTTED = "-", (0, (4, 1.6)), (0, (1, 1.2))

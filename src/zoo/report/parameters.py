@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from zoo.blood.case import UNITS
 from zoo.core.inference.convergence import Diagnostics, scalars
 from zoo.core.posterior.comparison import record_of
 from zoo.report.words import number
@@ -30,6 +31,14 @@ MEANINGS = {
     "b": ("error kernel: bias", "–"),
 }
 """Parameter -> what it is, and its unit."""
+for _quantity, _unit in UNITS.items():
+    _word = _quantity.partition("_")[0]
+    MEANINGS |= {
+        f"noise_{_quantity}": (f"standard deviation of the noise, {_word}", _unit),
+        f"amplitude_{_quantity}": (f"amplitude of the error kernel, {_word}", _unit),
+        f"w_{_quantity}": (f"error kernel: weights, {_word}", "cycle⁻²"),
+        f"b_{_quantity}": (f"error kernel: bias, {_word}", "–"),
+    }
 
 
 class Row(NamedTuple):
