@@ -10,7 +10,7 @@ from typing import Unpack
 import pymc as pm
 
 from zoo.blood.baseline import Baseline, Settings, blood_model
-from zoo.blood.errors import errors_for
+from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import constant_stiffness
 from zoo.blood.study import Study
 from zoo.core.errors.independent import Independent
@@ -34,4 +34,4 @@ ERRORS = Independent(sigma2=InverseGamma(0.001, 0.001), start=0.13)  # variance,
 
 def model_A(study: Study, **settings: Unpack[Settings]) -> pm.Model:
     """Linear wall, the same stiffness in every vessel, independent errors."""
-    return blood_model("A", study, BASELINE, errors_for(study, ERRORS), **settings)
+    return blood_model("A", study, BASELINE, by_prior_set(ERRORS), **settings)

@@ -10,7 +10,7 @@ from typing import Unpack
 import pymc as pm
 
 from zoo.blood.baseline import Baseline, Settings, blood_model
-from zoo.blood.errors import errors_for
+from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import constant_stiffness
 from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
@@ -36,4 +36,4 @@ ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; i
 
 def model_B(study: Study, **settings: Unpack[Settings]) -> pm.Model:
     """Linear wall, the same stiffness in every vessel, a Gaussian process for the errors."""
-    return blood_model("B", study, BASELINE, errors_for(study, ERRORS), **settings)
+    return blood_model("B", study, BASELINE, by_prior_set(ERRORS), **settings)

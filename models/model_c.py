@@ -10,7 +10,7 @@ from typing import Unpack
 import pymc as pm
 
 from zoo.blood.baseline import Baseline, Settings, blood_model
-from zoo.blood.errors import errors_for
+from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import constant_stiffness
 from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
@@ -39,4 +39,4 @@ def model_C(study: Study, **settings: Unpack[Settings]) -> pm.Model:
 
     The paper keeps the two apart to show that its emulator of B adds no bias.
     """
-    return blood_model("C", study, BASELINE, errors_for(study, ERRORS), **settings)
+    return blood_model("C", study, BASELINE, by_prior_set(ERRORS), **settings)

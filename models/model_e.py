@@ -10,7 +10,7 @@ from typing import Unpack
 import pymc as pm
 
 from zoo.blood.baseline import Baseline, Settings, blood_model
-from zoo.blood.errors import errors_for
+from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import radius_dependent_stiffness
 from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
@@ -39,4 +39,4 @@ ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; i
 
 def model_E(study: Study, **settings: Unpack[Settings]) -> pm.Model:
     """Linear wall, stiffness by radius (eq. 3.5), a Gaussian process for the errors."""
-    return blood_model("E", study, BASELINE, errors_for(study, ERRORS), **settings)
+    return blood_model("E", study, BASELINE, by_prior_set(ERRORS), **settings)

@@ -10,7 +10,7 @@ from typing import Unpack
 import pymc as pm
 
 from zoo.blood.baseline import Baseline, Settings, blood_model
-from zoo.blood.errors import errors_for
+from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import stiffness_of_each_vessel
 from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
@@ -47,4 +47,4 @@ def model_G(study: Study, **settings: Unpack[Settings]) -> pm.Model:
     paper divides that between the population's mean and its variance is only in its supplement, as are the
     parameters of its beta priors of psi1, psi2 and c, here uniform.
     """
-    return blood_model("G", study, BASELINE, errors_for(study, ERRORS), **settings)
+    return blood_model("G", study, BASELINE, by_prior_set(ERRORS), **settings)

@@ -11,7 +11,7 @@ from typing import Unpack
 import pymc as pm
 
 from zoo.blood.baseline import Baseline, Settings, blood_model
-from zoo.blood.errors import errors_for
+from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import constant_stiffness
 from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
@@ -42,4 +42,4 @@ def model_H(study: Study, **settings: Unpack[Settings]) -> pm.Model:
 
     `wall_factor` of the conventions, 1 as printed or 1/pi as in the published code, is the wall's own.
     """
-    return blood_model("H", study, BASELINE, errors_for(study, ERRORS), **settings)
+    return blood_model("H", study, BASELINE, by_prior_set(ERRORS), **settings)

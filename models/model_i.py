@@ -11,7 +11,7 @@ from typing import Unpack
 import pymc as pm
 
 from zoo.blood.baseline import Baseline, Settings, blood_model
-from zoo.blood.errors import errors_for
+from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import radius_dependent_stiffness
 from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
@@ -47,4 +47,4 @@ def model_I(study: Study, **settings: Unpack[Settings]) -> pm.Model:
     Unless conventions are given, `wall_factor` is 1, the printed one, also in a study of the published
     code's conventions: only so do the published medians fit the measured pressures.
     """
-    return blood_model("I", study, BASELINE, errors_for(study, ERRORS), **settings)
+    return blood_model("I", study, BASELINE, by_prior_set(ERRORS), **settings)

@@ -18,6 +18,7 @@ from zoo.blood.study import Study
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModelError
 from zoo.core.errors.groups import GroupNoise, GroupProcess
+from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.inference.mode import find_mode
 from zoo.core.inference.sampling import sample
@@ -308,3 +309,11 @@ def test_pressure_with_flow_from_sampling_to_comparison() -> None:
         for quantity in ("pressure_mmHg", "flow_ml_s"):
             shown = bands(waves, quantity, (0.9,), errors=True)
             assert np.all(shown["prediction_low"] < shown["low"])
+
+
+def test_any_error_model_takes_other_priors_of_its_parameters() -> None:
+    mine = LogUniform(1e-3, 1.0)
+    assert Independent().with_priors({"sigma2": mine}).sigma2 == mine
+    assert dict(GroupNoise().with_priors({"noise_p": mine}).bind(some_data()).priors) == {"noise_p": mine}
+    with pytest.raises(ErrorModelError, match=r"error model iid: no prior 'w'; use one of sigma2"):
+        Independent().with_priors({"w": mine})

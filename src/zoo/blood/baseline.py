@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
@@ -158,7 +158,7 @@ def blood_model(
     name: str,
     study: Study,
     baseline: Baseline,
-    errors: ErrorModel,
+    errors: ErrorModel | Callable[[Study], ErrorModel],
     **settings: Unpack[Settings],
 ) -> pm.Model:
     """A PyMC model of a study: priors, the baseline with effects, and errors.
@@ -170,7 +170,8 @@ def blood_model(
     study : Study
         With at least one observed series.
     baseline : Baseline
-    errors : ErrorModel
+    errors : ErrorModel, or function of a study
+        A function, such as `zoo.blood.errors.by_prior_set` makes, gives the errors of the study at hand.
     **settings
         Effects, options, conventions, as in `Settings`.
 
@@ -193,13 +194,14 @@ def blood_model(
 
     refuse_unknown(f"model_{name}", settings, Settings.__annotations__)
     data = study_data(study)
+    law = errors(study) if callable(errors) else errors
     flow = baseline.forward(study, conventions=settings.get("conventions"), options=settings.get("options"))
     added = added_effects(settings.get("effects") or (), flow)
     return bayesian_model(
         "+".join([name, *(one.name + one.location.suffix for one in added)]),
         with_effects(flow, added),
         data,
-        errors,
+        law,
         coords={"vessel": [int(vessel) for vessel in flow.network.ids]},
         study=study,
         constants=_constants(study, flow.network),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 from zoo.blood.study import Study, StudyError
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.gaussian_process import GaussianProcess
@@ -9,6 +12,11 @@ from zoo.core.errors.groups import GroupNoise, GroupProcess
 from zoo.core.errors.independent import Independent
 
 PAPER_SET = "paun2020"
+
+
+def by_prior_set(paper: ErrorModel) -> Callable[[Study], ErrorModel]:
+    """`errors_for` of these errors, for `zoo.blood.baseline.blood_model`, which knows the study's priors."""
+    return partial(errors_for, paper=paper)
 
 
 def errors_for(study: Study, paper: ErrorModel) -> ErrorModel:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zoo.core.data import Data
-from zoo.core.parameters import Parameter
+from zoo.core.parameters import Parameter, Prior
 
 Array = NDArray[np.float64]
 
@@ -88,6 +88,28 @@ class ErrorModel(ABC):
             If it cannot hold for them, such as one variance for two quantities.
         """
         return replace(self, data=data)
+
+    def with_priors(self, priors: Mapping[str, Prior]) -> Self:
+        """The same with other priors of some of its parameters.
+
+        Parameters
+        ----------
+        priors : mapping of str to Prior
+            By the names of parameters, which here are the fields of the class that hold their priors.
+
+        Raises
+        ------
+        ErrorModelError
+            If there is no such field.
+        """
+        named = [f.name for f in fields(self) if isinstance(getattr(self, f.name), Prior)]
+        for name in priors:
+            if name not in named:
+                raise ErrorModelError(
+                    f"error model {self.name}: no prior {name!r}; use one of {', '.join(named) or 'none'}"
+                )
+        given: dict[str, Any] = dict(priors)
+        return replace(self, **given)
 
     def elsewhere(self, group: str, times: Array) -> Self:
         """The law of one more series of a group, at other times, where nothing is measured.

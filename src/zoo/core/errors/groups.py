@@ -106,6 +106,10 @@ class GroupNoise(ErrorModel):
                     )
         return bound
 
+    def with_priors(self, priors: Mapping[str, Prior]) -> Self:
+        """The same with other priors of some of its parameters; what there is, `bind` sees."""
+        return replace(self, priors={**dict(self.priors), **priors})
+
     def _group_parameters(self, group: str, unit: str, size: float) -> Iterator[Parameter]:
         """Of one group whose series have the range `size`."""
         if None in [self._given[i] for i in self.on.rows[group]]:
