@@ -332,8 +332,10 @@ def suspect_units(study: Study) -> tuple[Suspicion, ...]:
     together: dict[tuple[str, str], list[str]] = {}
     for name, unit in chosen.items():
         together.setdefault((_GROUPS[name].kind, unit), []).append(name)
-    found = (_suspicion(study, sizes, names, unit, by_name) for (_, unit), names in together.items())
-    return tuple(suspicion for suspicion in found if suspicion is not None)
+    right = as_is | {name: np.asarray(math.log(factor)) for name, factor in by_name.items()}
+    if sum(float(_misfit(size, right)) for size in sizes) > 3 * PRICE:
+        return ()  # sizes of nothing that lives, in any units
+    return tuple(_suspicion(study, sizes, names, unit, by_name) for (_, unit), names in together.items())
 
 
 def _typical(study: Study, group: str) -> tuple[str, float]:
@@ -366,17 +368,12 @@ def _typical(study: Study, group: str) -> tuple[str, float]:
 
 def _suspicion(
     study: Study, sizes: Sequence[_Size], names: Sequence[str], unit: str, factors: Mapping[str, float]
-) -> Suspicion | None:
-    """What is told of groups that seem to be in a unit, when all groups in `factors` are in another.
-
-    Nothing, where the sizes stay odd.
-    """
+) -> Suspicion:
+    """What is told of groups that seem to be in a unit, when all groups in `factors` are in another."""
     none = {group: np.zeros(()) for group in _GROUPS}
     right = none | {group: np.asarray(math.log(factor)) for group, factor in factors.items()}
     concerned = [size for size in sizes if any(size.powers.get(name) for name in names)]
     oddest = max(concerned, key=lambda size: float(_misfit(size, none) - _misfit(size, right)))
-    if sum(_misfit(size, right) for size in concerned) > 2 * PRICE:
-        return None
     better = oddest.value * math.prod(
         factors.get(group, 1.0) ** power for group, power in oddest.powers.items()
     )
