@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from zoo.cli import blind, compare, data, diagnose, effects, report, reproduce, sample, simulate
+from zoo.cli import blind, compare, data, diagnose, effects, importing, report, reproduce, sample, simulate
 from zoo.cli.command import show_tracebacks
 
 HELP = {"help_option_names": ["-h", "--help"]}
@@ -49,6 +49,7 @@ for function in (
     report.report,
 ):
     app.command()(function)
+app.command(name="import")(importing.import_)
 for function in (blind.make, blind.run, blind.score):
     blind_app.command()(function)
 app.add_typer(blind_app)

@@ -138,7 +138,7 @@ def load_study(
         observations_path = _file(where, folder, "observations", table.observations)
         time, series = read_observations(observations_path, table.period_s, known)
 
-    _check_terminals(tree.vessels, tree.places, series)
+    check_terminals(tree.vessels, tree.places, series)
     study = Study(
         name=name,
         period_s=table.period_s,
@@ -181,7 +181,7 @@ def root_pressure(vessels: Sequence[Vessel], series: Sequence[Series]) -> Series
     return min(found, key=lambda s: s.position, default=None)
 
 
-def _check_terminals(vessels: Sequence[Vessel], places: Sequence[str], series: Sequence[Series]) -> None:
+def check_terminals(vessels: Sequence[Vessel], places: Sequence[str], series: Sequence[Series]) -> None:
     feeding = {v.parent for v in vessels}
     root = next(v.id for v in vessels if v.parent is None)
     for vessel, place in zip(vessels, places, strict=True):

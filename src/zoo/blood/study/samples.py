@@ -42,7 +42,9 @@ def number(where: str, name: str, text: str) -> float:
     return value
 
 
-def _read_csv(path: Path, columns: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
+def read_csv(
+    path: Path, columns: Sequence[str], optional: Sequence[str] = ()
+) -> list[tuple[int, dict[str, str]]]:
     """Rows as (row number, cells by column); row 1 is the header, blank rows are left out."""
     reader = csv.reader(read_text(path).splitlines(), strict=True)
     try:
@@ -60,8 +62,9 @@ def _read_csv(path: Path, columns: Sequence[str]) -> list[tuple[int, dict[str, s
                 "numbers; save the file as comma-separated values"
             )
     for name in header:
-        if name not in columns:
-            raise StudyError(f"{path}, row {row}: {name!r}: unknown column; {near(name, columns)}")
+        if name not in (*columns, *optional):
+            known = [*columns, *optional]
+            raise StudyError(f"{path}, row {row}: {name!r}: unknown column; {near(name, known)}")
         if header.count(name) > 1:
             raise StudyError(f"{path}, row {row}: {name!r}: the column occurs twice; keep one")
     for name in columns:
@@ -217,7 +220,7 @@ def _evened(samples: _Samples, period: float) -> tuple[Array, Array, str]:
 
 def read_inflow(path: Path, period: float) -> tuple[Array, Array, str]:
     """Times and values of the inflow on a uniform grid, and what was done to them, in words."""
-    table = _read_csv(path, INFLOW_COLUMNS)
+    table = read_csv(path, INFLOW_COLUMNS)
     numbers = np.array(
         [[number(f"{path}, row {row}", c, cells[c]) for c in INFLOW_COLUMNS] for row, cells in table]
     ).reshape(-1, 2)
@@ -242,7 +245,7 @@ def _check_place(where: str, vessel: int, position: float, quantity: str, known:
 
 def read_observations(path: Path, period: float, known: Sequence[int]) -> tuple[Array, tuple[Series, ...]]:
     groups: dict[tuple[int, float, str], list[tuple[int, float, float]]] = {}
-    for row, cells in _read_csv(path, OBSERVATION_COLUMNS):
+    for row, cells in read_csv(path, OBSERVATION_COLUMNS):
         where = f"{path}, row {row}"
         if not re.fullmatch(r"[+-]?\d{1,10}", cells["vessel"]):
             raise StudyError(f"{where}: vessel = {cells['vessel']!r}: not a whole number; use a vessel's id")

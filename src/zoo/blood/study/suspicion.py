@@ -226,7 +226,7 @@ def _load_sizes(study: Study, tree: _Tree, mean: float) -> list[_Size]:
     """The mean pressure that the mean flow makes over the loads, and their time constant."""
     flow_over, conductance, times = 0.0, 0.0, []
     for v in study.vessels:
-        load, single = v.windkessel, getattr(v, "resistance", None) or 0.0
+        load, single = v.windkessel, v.resistance or 0.0
         if load is None and not single:
             continue
         total = load.R1 + load.R2 if load is not None else float(single)
@@ -239,7 +239,7 @@ def _load_sizes(study: Study, tree: _Tree, mean: float) -> list[_Size]:
     powers = {"inflow": 1.0, "resistance": 1.0}
     fall = flow_over / conductance / _MMHG
     pressure = _nearest(study, "pressure_mmHg", tree)
-    outflow = getattr(study, "outflow_pressure_mmHg", 0.0)
+    outflow = study.outflow_pressure_mmHg
     if pressure is not None and float(pressure.value.mean()) > 1.2 * abs(outflow):
         ratio = fall / (float(pressure.value.mean()) - outflow)
         sizes = [
@@ -262,15 +262,8 @@ def _load_sizes(study: Study, tree: _Tree, mean: float) -> list[_Size]:
 
 
 def _stiffnesses(study: Study) -> list[float]:
-    """chi of each vessel that has a stiffness, g/(cm s2); from E h/r where that is given."""
-    found = []
-    for v in study.vessels:
-        chi, modulus = getattr(v, "stiffness_g_cm_s2", None), getattr(v, "youngs_modulus_g_cm_s2", None)
-        if chi is not None:
-            found.append(chi)
-        elif modulus is not None:
-            found.append(modulus * v.wall_thickness_cm / v.radius_cm)  # type: ignore[attr-defined]
-    return found
+    """chi at the inlet of each vessel that has a stiffness, g/(cm s2)."""
+    return [v.stiffness[0] for v in study.vessels if v.stiffness]
 
 
 def _misfit(size: _Size, log_factors: Mapping[str, Array]) -> Array:
@@ -348,13 +341,15 @@ def _typical(study: Study, group: str) -> tuple[str, float]:
         assert series is not None  # else no size asks for the group
         return f"{quantity[group]} in vessel {series.vessel} has a mean of", float(series.value.mean())
     if group in ("resistance", "compliance"):
-        v = next(v for v in study.vessels if v.windkessel or getattr(v, "resistance", None))
-        if v.windkessel is None:
-            return f"resistance of vessel {v.id} is", v.resistance  # type: ignore[attr-defined]
-        load = v.windkessel
-        if group == "resistance":
-            return f"R1 + R2 of vessel {v.id} is", load.R1 + load.R2
-        return f"C of vessel {v.id} is", load.C
+        for v in study.vessels:
+            if v.resistance is not None and group == "resistance":
+                return f"resistance of vessel {v.id} is", v.resistance
+            if v.windkessel is not None:
+                load = v.windkessel
+                total = load.R1 + load.R2
+                both = {"resistance": ("R1 + R2", total), "compliance": ("C", load.C)}
+                words, value = both[group]
+                return f"{words} of vessel {v.id} is", value
     return {
         "inflow": ("flow_ml_s has a mean of", _mean_inflow(study)),
         "length": (f"length_cm of vessel {root.id} is", root.length_cm),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, StudyError, Vessel, Windkessel
 from zoo.blood.study.study import JUNCTION_PRESSURES
@@ -179,6 +180,16 @@ class NetworkFile:
     surroundings: dict[str, float]
 
 
+def vessel_of(fields: Mapping[str, Any], where: str) -> Vessel:
+    """A vessel from the fields of a [[vessel]], checked by themselves; `where` is what an error calls it."""
+    v = validated(VesselTable, fields, where)
+    load = v.windkessel and Windkessel(v.windkessel.R1, v.windkessel.R2, v.windkessel.C)
+    out = v.radius_cm if v.radius_out_cm is None else v.radius_out_cm
+    name = visible_name(where, v.name or f"v{v.id}")
+    given = {field: getattr(v, field) for field in VESSEL_PHYSICS}
+    return Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, load, **given)
+
+
 def read_network_file(path: Path) -> NetworkFile:
     """A network.toml, checked."""
     data, text = read_toml(path)
@@ -196,12 +207,7 @@ def read_network_file(path: Path) -> NetworkFile:
     for i, data in enumerate(table.vessel):
         row = f", row {heads[i]}" if len(heads) == len(table.vessel) else ""
         place = f"{path}{row}: vessel {data.get('id', f'number {i + 1}')}"
-        v = validated(VesselTable, data, place)
-        load = v.windkessel and Windkessel(v.windkessel.R1, v.windkessel.R2, v.windkessel.C)
-        out = v.radius_cm if v.radius_out_cm is None else v.radius_out_cm
-        name = visible_name(place, v.name or f"v{v.id}")
-        given = {field: getattr(v, field) for field in VESSEL_PHYSICS}
-        vessels.append(Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, load, **given))
+        vessels.append(vessel_of(data, place))
         where.append(place)
     if not vessels:
         raise StudyError(f"{path}: vessel: the list is empty; add at least one [[vessel]]")

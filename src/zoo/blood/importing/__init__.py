@@ -1,0 +1,1 @@
+"""Networks of other programs as studies: openBF's YAML, and tables of vessels."""

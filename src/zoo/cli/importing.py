@@ -1,0 +1,97 @@
+"""`zoo import`: networks of other programs, and tables of vessels, as studies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from zoo.cli.checks import output_folder
+from zoo.cli.command import UsageError, command
+from zoo.cli.screen import say
+
+YAML = (".yaml", ".yml")
+
+
+@command
+def import_(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="openBF's .yaml, or a .csv with a row for each vessel.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study.")],
+    inflow: Annotated[
+        Path | None, typer.Option("--inflow", help="Inflow of a .csv: columns time_s, flow_ml_s.")
+    ] = None,
+    period: Annotated[
+        float | None, typer.Option("--period", help="Length of the beat of a .csv, s.", metavar="S")
+    ] = None,
+    observations: Annotated[
+        Path | None, typer.Option("--observations", help="Observations of a .csv, as a study has them.")
+    ] = None,
+    density: Annotated[
+        float | None, typer.Option("--density", help="Of blood, for a .csv; 1.06 g/cm3.", show_default=False)
+    ] = None,
+    viscosity: Annotated[
+        float | None,
+        typer.Option("--viscosity", help="Of blood, for a .csv; 0.04 g/(cm s).", show_default=False),
+    ] = None,
+    profile: Annotated[
+        float | None,
+        typer.Option(
+            "--profile-order", help="Order of the velocity profile, for a .csv; a flat one without it."
+        ),
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option("--name", help="Of the study; that of the file if absent.")
+    ] = None,
+) -> None:
+    """Make a study of openBF's YAML, or of a CSV table of vessels."""
+    from dataclasses import replace
+
+    from zoo.blood.importing.openbf import import_openbf
+    from zoo.blood.importing.table import DENSITY, VISCOSITY, import_table
+
+    output_folder(output)
+    if not file.is_file():
+        raise UsageError(f"{file}: no such file; give openBF's .yaml, or a .csv of vessels")
+    suffix = file.suffix.lower()
+    of_a_table = {
+        "--inflow": inflow,
+        "--period": period,
+        "--observations": observations,
+        "--density": density,
+        "--viscosity": viscosity,
+        "--profile-order": profile,
+    }
+    if suffix in YAML:
+        for option, value in of_a_table.items():
+            if value is not None:
+                raise UsageError(
+                    f"{option} {value}: belongs to a .csv; {file.name} says that itself: leave it out"
+                )
+        found = import_openbf(file)
+        if name is not None:
+            found = replace(found, study=replace(found.study, name=name))
+    elif suffix == ".csv":
+        if inflow is None or period is None:
+            lacking = "--inflow inflow.csv" if inflow is None else "--period 0.85"
+            raise UsageError(f"{file}: a table of vessels has no inflow: add {lacking}")
+        found = import_table(
+            file,
+            inflow,
+            period,
+            observations=observations,
+            density_g_cm3=DENSITY if density is None else density,
+            viscosity_g_cm_s=VISCOSITY if viscosity is None else viscosity,
+            velocity_profile_order=profile,
+            name=name,
+        )
+    else:
+        raise UsageError(f"{file}: unknown ending {file.suffix!r}; give openBF's .yaml, or a .csv of vessels")
+    study = found.save(output)
+    say(f"[bold]{study.name}[/bold]", *(f"  read: {line}" for line in found.read))
+    say(*(f"  converted: {line}" for line in found.converted))
+    say(*(f"  left out: {line}" for line in found.left_out))
+    given = any(v.stiffness for v in study.vessels)
+    say(f"wrote {output}", f"next: zoo simulate {output}" + ("" if given else " --stiffness 6e4"))

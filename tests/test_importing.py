@@ -1,0 +1,476 @@
+"""Files of others as studies: openBF's YAML in SI units, and tables of vessels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zoo.blood.importing.imported import ImportedFileError
+from zoo.blood.importing.openbf import import_openbf, thickness
+from zoo.blood.importing.table import import_table
+from zoo.blood.importing.yaml import MAX_DEPTH, read_yaml
+from zoo.blood.network import Network
+from zoo.blood.solver import Solution, Solver, SolverOptions, wall_pressure_mmHg
+from zoo.blood.study import Study, StudyError, load_study, suspect_units
+
+ONE = """project_name: one
+blood:
+  rho: 1060.0
+  mu: 4.0e-3
+solver: {solver}
+network:
+  - label: trunk
+    sn: 1
+    tn: 2
+    L: 126.0e-3
+    E: 700.0e3
+    R0: 3.0e-3
+    h0: 0.3e-3
+    gamma_profile: 2
+"""
+WK3 = "    R1: 2.5e8\n    R2: 1.9e9\n    Cc: 1.8e-10\n"
+DAUGHTERS = """  - label: left
+    sn: 2
+    tn: 3
+    L: 0.1
+    E: 5.0e5
+    Rp: 2.5e-3
+    Rd: 2.0e-3
+    gamma_profile: 2
+    R1: 2.5e8
+    R2: 1.9e9
+    Cc: 1.8e-10
+  - label: right
+    sn: 2
+    tn: 4
+    L: 0.1
+    E: 5.0e5
+    R0: 2.0e-3
+    h0: 0.2e-3
+    gamma_profile: 2
+    R1: 2.5e8
+    R2: 1.9e9
+    Cc: 1.8e-10
+"""
+
+
+def write(folder: Path, text: str = ONE + WK3, times: np.ndarray | None = None) -> Path:
+    path = folder / "model.yaml"
+    path.write_text(text.replace("solver: {solver}\n", "solver:\n  Ccfl: 0.9\n  cycles: 10\n"))
+    t = np.linspace(0, 1.0, 101) if times is None else times
+    q = 6.5e-6 * (1 + np.sin(2 * np.pi * t))
+    q[-1] = q[0]
+    np.savetxt(folder / "one_inlet.dat", np.column_stack([t, q]))
+    return path
+
+
+# ---------------------------------------------------------------------------------------------------
+# YAML
+
+
+def test_yaml_values(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(
+        "---\n# a comment\na: 1\nb: -2.5e-3 # another\n'c d': \"x: # y\"\ne: [P, 1, 'q']\nf: true\ng:\nh: ~\n"
+        "list:\n- 1\n- - 2\n  - 3\n- k: 1e-13\n  m: 010\n\n  n:\n    deep: 1.\nlast: 1-Ascending aorta\n"
+    )
+    assert read_yaml(path) == {
+        "a": 1,
+        "b": -2.5e-3,
+        "c d": "x: # y",
+        "e": ["P", 1, "q"],
+        "f": True,
+        "g": None,
+        "h": None,
+        "list": [1, [2, 3], {"k": 1e-13, "m": 10.0, "n": {"deep": 1.0}}],
+        "last": "1-Ascending aorta",
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a: !!python/object/apply:os.system ['true']", "row 1: .* a tag is not read"),
+        ("a: &x 1\nb: *x", "row 1: .* an anchor"),
+        ("a: 1\nb: *x", "row 2: .* an alias"),
+        ("a: {b: 1}", "an inline mapping"),
+        ("a: |\n  text", "a text over several lines"),
+        ("a: 1\na: 2", "row 2: a: the key occurs twice"),
+        ("a:\n\tb: 1", "row 2: is indented by a tab"),
+        ("a: 1\n   b: 2", "row 2: .* deeper than what it belongs to"),
+        ("a: 'x", "a quote too many or too few"),
+        ("a: [1, [2]]", "only lists of plain values"),
+        ("a: 1\nnonsense\n", "row 2: 'nonsense': not read as YAML"),
+        ("", "the file is empty"),
+        ("".join(" " * i + "a:\n" for i in range(MAX_DEPTH + 1)), f"nested more than {MAX_DEPTH} deep"),
+        ("- " * 5000 + "1", f"nested more than {MAX_DEPTH} deep"),
+    ],
+)
+def test_yaml_that_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(text)
+    with pytest.raises(ImportedFileError, match=said) as caught:
+        read_yaml(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_huge_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    with open(path, "wb") as file:
+        file.truncate(11_000_000)
+    with pytest.raises(ImportedFileError, match="smaller than 10 MB"):
+        read_yaml(path)
+
+
+# ---------------------------------------------------------------------------------------------------
+# openBF
+
+
+def wave_speed(study: Study, radius_cm: float, stiffness: float) -> float:
+    """c = sqrt(A/rho dp/dA) at rest, by a difference of the solver's wall law, cm/s."""
+    h = 1e-6
+    p = wall_pressure_mmHg("linear", np.array([1 - h, 1 + h]), stiffness) * study.conventions.mmhg
+    return math.sqrt((p[1] - p[0]) / (2 * h) / study.blood.density_g_cm3)
+
+
+def test_units_and_physics(tmp_path: Path) -> None:
+    study = import_openbf(write(tmp_path)).save(tmp_path / "study")
+    (v,) = study.vessels
+    assert study.name == "one"
+    assert (v.name, v.parent) == ("trunk", None)
+    assert (v.length_cm, v.radius_cm, v.radius_out_cm) == pytest.approx((12.6, 0.3, 0.3))
+    assert (study.blood.density_g_cm3, study.blood.viscosity_g_cm_s) == pytest.approx((1.06, 0.04))
+    assert study.blood.velocity_profile_order == 2
+    assert study.blood.momentum_correction == 1
+    assert study.junction_pressure == "static"
+    assert vars(v.windkessel) == pytest.approx({"R1": 2500.0, "R2": 19000.0, "C": 1.8e-5})
+    # p = (4/3) (E h/R) (sqrt(A/A0) - 1): at twice the area, in Pa, then mmHg
+    p = wall_pressure_mmHg("linear", np.array([2.0]), Network.from_study(study).stiffness_in[0])[0]
+    assert p == pytest.approx(4 / 3 * 7e5 * 0.1 * (math.sqrt(2) - 1) * 10 / study.conventions.mmhg, rel=1e-9)
+    assert study.period_s == 1.0
+    assert study.inflow_ml_s == pytest.approx(6.5 * (1 + np.sin(2 * np.pi * np.arange(100) / 100)))
+    assert suspect_units(study) == ()
+
+
+def test_taper_and_thickness(tmp_path: Path) -> None:
+    study = import_openbf(write(tmp_path, ONE + DAUGHTERS)).save(tmp_path / "study")
+    _, left, right = study.vessels
+    assert [v.parent for v in study.vessels] == [None, 1, 1]
+    assert (left.radius_cm, left.radius_out_cm) == pytest.approx((0.25, 0.2))
+    # a wall of an aorta of 1.2 cm, and of an artery of 2 mm, after the same formula in cm
+    for r in (1.2, 0.2):
+        h = r * (0.2802 * math.exp(-5.053 * r) + 0.1324 * math.exp(-0.1114 * r))
+        assert 100 * thickness(r / 100) == pytest.approx(h)
+    assert left.stiffness[1] / left.stiffness[0] == pytest.approx(
+        thickness(2e-3) / 2e-3 / (thickness(2.5e-3) / 2.5e-3)
+    )
+    assert right.stiffness == pytest.approx((5e5, 5e5))
+
+
+def test_outside_pressure(tmp_path: Path) -> None:
+    """p = P_ext + K (...): all pressures of a vessel without taper rise by P_ext, the loads' part stays."""
+    text = ONE + "    Pext: 1333.22\n" + WK3
+    v = import_openbf(write(tmp_path, text)).study.vessels[0]
+    assert v.external_pressure_mmHg == pytest.approx(10.0)
+
+
+def test_keys_of_earlier_files(tmp_path: Path) -> None:
+    new = ONE.replace("gamma_profile: 2", "gamma_profile: 9")
+    old = new.replace("project_name", "project name").replace("gamma_profile", "gamma profile")
+    a = import_openbf(write(tmp_path, new + WK3)).study
+    b = import_openbf(write(tmp_path, old + "    outlet: wk3\n" + WK3)).study
+    assert a == b
+    assert a.blood.velocity_profile_order == 9
+    absent = import_openbf(write(tmp_path, ONE.replace("    gamma_profile: 2\n", "") + WK3))
+    assert absent.study.blood.velocity_profile_order == 2
+    assert any("no gamma_profile" in line for line in absent.converted)
+
+
+def test_outlets(tmp_path: Path) -> None:
+    def outlet(text: str) -> tuple[Study, list[str]]:
+        found = import_openbf(write(tmp_path, ONE + text))
+        return found.study, list(found.converted)
+
+    study, _ = outlet(WK3)
+    Z = 1.06 * wave_speed(study, 0.3, study.vessels[0].stiffness[0]) / (math.pi * 0.09)
+    for words in ("", "    outlet: wk2\n", "    outlet: wk3\n"):
+        study, told = outlet(words + "    R1: 2.0e9\n    Cc: 1.8e-10\n")
+        load = study.vessels[0].windkessel
+        assert load.R1 == pytest.approx(Z, rel=1e-6)
+        assert load.R1 + load.R2 == pytest.approx(2e4)
+        assert any("R1 and Cc alone" in line for line in told)
+    study, told = outlet(WK3 + "    inlet_impedance_matching: true\n")
+    load = study.vessels[0].windkessel
+    assert (load.R1, load.R1 + load.R2) == pytest.approx((Z, 21500.0), rel=1e-6)
+    assert any("inlet_impedance_matching" in line for line in told)
+    for Rt in (-0.5, 0.0, 0.8):
+        study, _ = outlet(f"    outlet: reflection\n    Rt: {Rt}\n    Pext: 1333.22\n")
+        v = study.vessels[0]
+        assert (v.resistance - Z) / (v.resistance + Z) == pytest.approx(Rt, abs=1e-6)
+        assert v.outflow_pressure_mmHg == pytest.approx(10.0)  # so that nothing flows at rest
+    study, _ = outlet("    R1: 2.0e9\n")
+    assert study.vessels[0].resistance == pytest.approx(2e4)
+
+
+def test_a_reflection_coefficient_reflects(tmp_path: Path) -> None:
+    """Small waves: 0 reflects nothing, so that p = Z q in every place, of the same shape."""
+    folder = write(tmp_path, ONE + "    outlet: reflection\n    Rt: 0.0\n").parent
+    data = np.loadtxt(folder / "one_inlet.dat")
+    data[:, 1] *= 1e-3
+    np.savetxt(folder / "one_inlet.dat", data)
+    study = import_openbf(folder / "model.yaml").study
+    calm = replace(study, blood=replace(study.blood, viscosity_g_cm_s=1e-6))
+    found = solve(calm, [(1, 0.3)], dx_cm=0.2)
+    Z = calm.vessels[0].resistance
+    p = found.pressure_mmHg[0] * calm.conventions.mmhg
+    assert np.max(np.abs(p - Z * found.flow_ml_s[0])) < 2e-3 * np.ptp(p)
+
+
+def test_inflow_at_uneven_times(tmp_path: Path) -> None:
+    times = np.sort(np.append(np.linspace(0, 1, 51), [0.013, 0.617]))
+    found = import_openbf(write(tmp_path, times=times))
+    study = found.study
+    q = 6.5 * (1 + np.sin(2 * np.pi * times))
+    q[-1] = q[0]
+    assert study.inflow_ml_s == pytest.approx(np.interp(study.inflow_time_s, times, q), abs=1e-3)
+    assert any("uneven" in line for line in found.converted)
+    assert study == found.save(tmp_path / "study")
+
+
+LEFT = "  - label: a\n    sn: 2\n    tn: 3\n    L: 0.1\n    E: 5.0e5\n    R0: 2.0e-3\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (ONE + DAUGHTERS + LEFT.replace("sn: 2", "sn: 3").replace("tn: 3", "tn: 4"), "node 4: .* a loop or"),
+        (ONE + LEFT.replace("sn: 2", "sn: 7").replace("tn: 3", "tn: 8"), r"several inlets \(trunk, a\)"),
+        (ONE + LEFT.replace("tn: 3", "tn: 1"), "the network is a loop"),
+        (ONE.replace("tn: 2", "tn: 1") + WK3, "begins and ends at node 1"),
+        (
+            ONE + "    outlet: coronary\n" + WK3,
+            "row 1[0-9]: vessel trunk: outlet = 'coronary': unknown; use one",
+        ),
+        (ONE + "    outlet: reflection\n    Rt: 1.0\n", "Rt = 1.0: must be a number between -1 and 1"),
+        (ONE + "    inlet: P\n" + WK3, "inlet = 'P': a study has a flow at its inlet"),
+        (ONE + "    visco-elastic: true\n" + WK3, "visco-elastic = True: a viscoelastic wall"),
+        (ONE + "    Rc: 0.01\n" + WK3, "walls that buckle"),
+        (ONE + "    R_1: 2\n", "R_1: unknown key; did you mean R1"),
+        (ONE, "vessel trunk: R1: is missing"),
+        (ONE.replace("rho: 1060.0", "rho: -1"), "blood: rho = -1: must be positive"),
+        (ONE.replace("E: 700.0e3", "E: stiff") + WK3, "vessel trunk: E = 'stiff': must be a number"),
+        (ONE.replace("    E: 700.0e3\n", "") + WK3, "vessel trunk: E: is missing"),
+        (ONE.replace("sn: 1", "sn: 1.5") + WK3, "sn = 1.5: must be the whole number"),
+        (
+            ONE + DAUGHTERS.replace("gamma_profile: 2", "gamma_profile: 9"),
+            "gamma_profile = 9, but 2 in trunk",
+        ),
+        (ONE + "    R1: 1.0e6\n    Cc: 1e-10\n", "is below the vessel's impedance"),
+        ("- 1\n- 2\n", "the file: must be a table"),
+        ("blood:\n  rho: 1\n  mu: 1\n", "network: must be a list of vessels"),
+    ],
+)
+def test_what_cannot_be_expressed_is_refused_by_name(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ImportedFileError, match=said) as caught:
+        import_openbf(write(tmp_path, text))
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_solver_settings_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    path.write_text(path.read_text().replace("cycles", "newton_iterations"))
+    with pytest.raises(ImportedFileError, match="solver: newton_iterations: unknown key"):
+        import_openbf(path)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("0 1e-6\n0.5 2e-6\n1 3e-6\n", "must repeat the first"),
+        ("0.1 1e-6\n0.5 2e-6\n1 1e-6\n", "times must begin at 0"),
+        ("0 1e-6\n0.5 2e-6\n0.4 1e-6\n", "times must begin at 0 and rise"),
+        ("0 a\n", "not two columns of numbers"),
+        ("0 1 2\n1 2 3\n2 1 2\n", "must have two columns"),
+    ],
+)
+def test_inflows_that_are_refused(tmp_path: Path, rows: str, said: str) -> None:
+    path = write(tmp_path)
+    (tmp_path / "one_inlet.dat").write_text(rows)
+    with pytest.raises(ImportedFileError, match=said):
+        import_openbf(path)
+    (tmp_path / "one_inlet.dat").unlink()
+    with pytest.raises(ImportedFileError, match="no such file"):
+        import_openbf(path)
+
+
+# ---------------------------------------------------------------------------------------------------
+# Published networks
+
+
+def solve(
+    study: Study, places: list[tuple[int, float]], times: np.ndarray | None = None, **options
+) -> Solution:
+    network = Network.from_study(study)
+    times = study.inflow_time_s if times is None else times
+    solver = Solver.for_study(study, "linear", series=places, times_s=times, options=SolverOptions(**options))
+    return solver.solve(stiffness=network.stiffness_in)
+
+
+# Boileau et al. 2015, doi 10.1002/cnm.2732: radius and thickness (cm) at the diastolic pressure (Pa), by
+# which the finite-volume waveforms were made; openBF's files have others, at rest.
+PUBLISHED = {
+    "cca": {"common_carotid_artery": (0.30, 0.030, 10933.0)},
+    "ibif": {"parent": (0.86, 0.1032, 9500.0), "d1": (0.60, 0.072, 9500.0), "d2": (0.60, 0.072, 9500.0)},
+}
+WAVEFORMS = [("cca", 1, "cca_mid_fv"), ("ibif", 1, "ibif_aorta_mid_fv"), ("ibif", 2, "ibif_iliac_mid_fv")]
+
+
+def with_published_walls(study: Study) -> Study:
+    vessels = []
+    for v in study.vessels:
+        radius, wall, pressure = PUBLISHED[study.name][v.name]
+        vessels.append(
+            replace(
+                v,
+                radius_cm=radius,
+                radius_out_cm=radius,
+                wall_thickness_cm=wall,
+                radius_pressure_mmHg=pressure * 10 / study.conventions.mmhg,
+            )
+        )
+    return replace(study, vessels=tuple(vessels))
+
+
+def distance(study: Study, vessel: int, file: Path) -> tuple[float, float]:
+    """RMS of the pressure relative to the local reference, and of the flow relative to its maximum."""
+    data = np.genfromtxt(file, delimiter=",", names=True)
+    found = solve(study, [(vessel, 0.5)], data["time_s"], dx_cm=0.1)
+    kpa = found.pressure_mmHg[0] * study.conventions.mmhg / 1e4
+    p = np.sqrt(np.mean((kpa / data["pressure_kPa"] - 1) ** 2))
+    q = np.sqrt(np.mean((found.flow_ml_s[0] - data["flow_ml_s"]) ** 2)) / np.abs(data["flow_ml_s"]).max()
+    return float(p), float(q)
+
+
+@pytest.mark.needs_data
+@pytest.mark.parametrize(("name", "vessel", "file"), WAVEFORMS)
+def test_finite_volume_waveforms(data_dir: Path, name: str, vessel: int, file: str) -> None:
+    """With the published walls within 0.1 % and 0.2 %; with the file's own, as far as its walls are off."""
+    benchmarks = data_dir / "benchmarks"
+    study = import_openbf(benchmarks / "openbf" / f"{name}.yaml").study
+    p, q = distance(with_published_walls(study), vessel, benchmarks / f"{file}.csv")
+    assert p <= 1e-3
+    assert q <= 2e-3
+    p, q = distance(study, vessel, benchmarks / f"{file}.csv")
+    assert p <= (0.002 if name == "cca" else 0.0145)
+    assert q <= (0.001 if name == "cca" else 0.0145)
+
+
+@pytest.mark.needs_data
+@pytest.mark.parametrize(
+    ("name", "vessels", "terminals"), [("uta", 1, 1), ("adan56", 77, 31), ("invitro_model", 37, 16)]
+)
+def test_published_networks_are_solved(
+    data_dir: Path, tmp_path: Path, name: str, vessels: int, terminals: int
+) -> None:
+    found = import_openbf(data_dir / "benchmarks" / "openbf" / f"{name}.yaml")
+    study = found.save(tmp_path / name)
+    assert study == found.study
+    assert len(study.vessels) == vessels
+    ends = [v.id for v in study.vessels if v.windkessel]
+    assert len(ends) == terminals
+    assert suspect_units(study) == ()
+    solution = solve(study, [(1, 0.0), *((i, 1.0) for i in ends)], dx_cm=1.0)
+    assert solution.ok
+    # what flows in flows out, and p = (R1 + R2) q in the mean at every outlet
+    mean = solution.flow_ml_s.mean(axis=1)
+    assert mean[1:].sum() == pytest.approx(mean[0], rel=2e-3)
+    total = np.array([v.windkessel.R1 + v.windkessel.R2 for v in study.vessels if v.windkessel])
+    fall = solution.pressure_mmHg[1:].mean(axis=1) * study.conventions.mmhg
+    assert fall == pytest.approx(total * mean[1:], rel=2e-3)
+    low, high = solution.pressure_mmHg[0].min(), solution.pressure_mmHg[0].max()
+    assert 50 < low < 100 < high < 160
+
+
+@pytest.mark.needs_data
+def test_loops_are_refused(data_dir: Path) -> None:
+    with pytest.raises(
+        ImportedFileError, match=r"node 15: vessels 14-R-vertebral and 17-L-vertebral .* a loop"
+    ):
+        import_openbf(data_dir / "benchmarks" / "openbf" / "circle_of_willis.yaml")
+
+
+# ---------------------------------------------------------------------------------------------------
+# Tables of vessels
+
+TABLE = """id,parent,name,length_cm,radius_cm,radius_out_cm,R1,R2,C,resistance,stiffness_g_cm_s2
+1,,trunk,5,0.6,0.55,,,,,2e6
+2,1,,6,0.4,,900,8000,4e-5,,3e6
+3,1,right,6,0.4,,,,,9000,3e6
+"""
+TIMES = np.arange(20) * 0.04
+FLOW = "time_s,flow_ml_s\n" + "".join(
+    f"{t:.2f},{40 + 30 * math.sin(2 * math.pi * t / 0.8):.6f}\n" for t in TIMES
+)
+
+
+def table(folder: Path, text: str = TABLE, **arguments) -> Study:
+    (folder / "vessels.csv").write_text(text)
+    (folder / "inflow.csv").write_text(FLOW)
+    found = import_table(folder / "vessels.csv", folder / "inflow.csv", 0.8, **arguments)
+    return found.save(folder / "study")
+
+
+def test_a_table_of_vessels(tmp_path: Path) -> None:
+    (tmp_path / "seen.csv").write_text(
+        "vessel,position,quantity,time_s,value\n"
+        + "".join(f"2,0.5,pressure_mmHg,{t:.2f},{90 + 20 * math.sin(7 * t)}\n" for t in TIMES)
+    )
+    study = table(tmp_path, observations=tmp_path / "seen.csv", velocity_profile_order=9.0, name="mine")
+    assert study.name == "mine"
+    assert [v.name for v in study.vessels] == ["trunk", "v2", "right"]
+    assert [(v.radius_cm, v.radius_out_cm) for v in study.vessels] == [(0.6, 0.55), (0.4, 0.4), (0.4, 0.4)]
+    assert vars(study.vessels[1].windkessel) == {"R1": 900.0, "R2": 8000.0, "C": 4e-5}
+    assert study.vessels[2].resistance == 9000
+    assert study.vessels[0].stiffness == (2e6, 2e6)
+    assert study.blood.velocity_profile_order == 9
+    assert [s.label for s in study.series] == ["v2@0.5 pressure_mmHg"]
+    assert solve(study, [(1, 0.0)], dx_cm=0.5).ok
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (TABLE.replace("radius_cm,", "radius_mm,", 1), "row 1: 'radius_mm': unknown column; did you mean"),
+        (TABLE.replace(",", ";"), "row 1: the columns are separated by semicolons"),
+        (TABLE.replace("0.4,,900", "-0.4,,900"), r"row 3: vessel 2: radius_cm = -0.4: must be positive"),
+        (TABLE.replace("900,8000,4e-5", "900,,4e-5"), "row 3: vessel 2: windkessel.R2: is missing"),
+        (TABLE.replace("2,1,,6", "2,x,,6"), "row 3: vessel 2: parent = 'x': must be a whole number"),
+        (TABLE.replace("3,1,right", "3,7,right"), "row 4: vessel 3: parent = 7: no such vessel"),
+        (TABLE.replace(",,9000,3e6", ",,,3e6"), "row 4: vessel 3: windkessel: is missing at a terminal"),
+        (TABLE.replace("9000,3e6", "9000,"), "row 4: vessel 3: stiffness_g_cm_s2: is missing"),
+        (TABLE.replace("5,0.6", "long,0.6"), "row 2: vessel 1: length_cm = 'long': not a number"),
+        (TABLE.splitlines()[0] + "\n", "no vessels"),
+    ],
+)
+def test_tables_that_are_refused(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises((ImportedFileError, StudyError), match=said) as caught:
+        table(tmp_path, text)
+    assert "vessels.csv" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_study_is_not_written_over(tmp_path: Path) -> None:
+    table(tmp_path)
+    with pytest.raises(ImportedFileError, match="holds a study already"):
+        table(tmp_path)
+    assert load_study(tmp_path / "study").name == "vessels"
+
+
+@pytest.mark.parametrize("wrong", [{"density_g_cm3": 0.0}, {"velocity_profile_order": -1.0}])
+def test_numbers_out_of_range(tmp_path: Path, wrong: dict[str, float]) -> None:
+    with pytest.raises(ImportedFileError, match="must be positive"):
+        table(tmp_path, **wrong)
