@@ -224,3 +224,14 @@ def test_other_separators_are_named(tmp_path: Path, sign: str, words: str) -> No
         with pytest.raises(StudyError, match=f"{name}, row 1: the columns are separated by {words}"):
             load_study(tmp_path)
         (tmp_path / name).write_text(text)
+
+
+@pytest.mark.parametrize("mistake", ["pressure in kPa", "flow in l/min"])
+def test_warnings_in_the_documents_are_real(tmp_path: Path, mistake: str, monkeypatch) -> None:
+    change, factor, _ = MISTAKES[mistake]
+    monkeypatch.chdir(tmp_path)
+    save_study(change(load_study(ROOT / "docs" / "example-study"), factor), "my-study")
+    with pytest.warns(UnitWarning) as caught:
+        load_study("my-study")
+    text = (ROOT / "docs" / "study-format.md").read_text(encoding="utf-8")
+    assert f"warning: {caught[0].message}\n" in text
