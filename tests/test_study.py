@@ -382,7 +382,7 @@ MISTAKES: list[tuple[str, Callable[[Files], None], str]] = [
     (
         "cut short",
         lambda content: content.__setitem__(INF, content[INF][:10] + content[INF][11:60]),
-        r"inflow\.csv, row 59: time_s = 0\.0996875: inflow: 0\.0103125 s before period_s = 0\.11 ends, but no other",
+        r"inflow\.csv, row 59: time_s = 0\.0996875: inflow: 0\.0103125 s before period_s = 0\.11 ends",
     ),
     (
         "backwards",

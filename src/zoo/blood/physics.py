@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -306,36 +306,37 @@ def physics_words(study: Study, *, along: bool = True) -> list[str]:
     -------
     list of str
     """
-    blood = study.blood
-    order = blood.velocity_profile_order
-    words = [
-        "velocity profile: flat with a Stokes layer, eq. (3.1)"
-        if order is None
-        else f"velocity profile: of order {order:g}, friction -{2 * (order + 2):g} pi nu q/A"
-    ]
-    words[0] += f"; momentum correction {blood.momentum_correction:g}"
-    words.append(f"junctions: {study.junction_pressure} pressure")
+    blood, order = study.blood, study.blood.velocity_profile_order
     feeding = {v.parent for v in study.vessels}
     terminals = [v for v in study.vessels if v.id not in feeding]
     alone = sum(v.resistance is not None for v in terminals)
     loads = [(len(terminals) - alone, "Windkessel"), (alone, "single resistance")]
-    words.append("outlets: " + ", ".join(f"{n} {name}{'s' * (n > 1)}" for n, name in loads if n))
-    words[-1] += f"; {_range(study.pressure_mmHg('outflow', v) for v in terminals)} mmHg behind them"
-    words.append(
-        f"walls: {_range(study.pressure_mmHg('external', v) for v in study.vessels)} mmHg outside, "
-        f"radii given at {_range(study.pressure_mmHg('radius', v) for v in study.vessels)} mmHg"
-    )
-    stiff = [v.stiffness for v in study.vessels if v.stiffness]
-    if along and stiff:
-        source = "E h/r" if study.vessels[0].youngs_modulus_g_cm_s2 else "given"
-        ends = _range(x for pair in stiff for x in pair)
-        words.append(f"stiffness of the study: {ends} g/(cm s2), {source}")
+    words = [
+        "flat velocity profile with a Stokes layer"
+        if order is None
+        else f"velocity profile of order {order:g}"
+    ]
+    if blood.momentum_correction != 1:
+        words[0] += f", momentum correction {blood.momentum_correction:g}"
+    outlets = " and ".join(f"{n} {name}{'s' * (n > 1)}" for n, name in loads if n)
+    words[0] += f"; {study.junction_pressure} pressure at junctions; {outlets}"
+    for name, where, vessels in (
+        ("outflow", "behind the outlets", terminals),
+        ("external", "outside the vessels", study.vessels),
+        ("radius", "at which radii are given", study.vessels),
+    ):
+        found = [study.pressure_mmHg(name, v) for v in vessels]
+        if any(found):
+            words.append(f"pressure {where}: {_range(found)} mmHg")
+    if along and study.vessels[0].stiffness:
+        source = ", E h/r" if study.vessels[0].youngs_modulus_g_cm_s2 else ""
+        ends = [x for v in study.vessels for x in v.stiffness or ()]
+        words.append(f"stiffness: {_range(ends)} g/(cm s2){source}")
     if study.inflow_note:
         words.append(f"inflow: {study.inflow_note}")
     return words
 
 
-def _range(values: Iterable[float]) -> str:
-    kept = list(values)
-    found = f"{min(kept):.4g}", f"{max(kept):.4g}"
+def _range(values: Sequence[float]) -> str:
+    found = f"{min(values):.4g}", f"{max(values):.4g}"
     return found[0] if found[0] == found[1] else " to ".join(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +11,7 @@ import typer
 from zoo.cli.checks import numbers, parent_exists
 from zoo.cli.command import UsageError, command
 from zoo.cli.options import ConventionOptions, NumericalOptions, StudyArgument
+from zoo.cli.physics import PhysicsOptions
 from zoo.cli.screen import say
 
 if TYPE_CHECKING:
@@ -30,7 +31,10 @@ def simulate(
     wall: Annotated[str, typer.Option("--wall", help="linear (eq. 3.3) or tangent (eq. 3.4).")] = "linear",
     stiffness: Annotated[
         str | None,
-        typer.Option("--stiffness", help="chi, g/(cm s2): one value, or one per vessel with commas."),
+        typer.Option(
+            "--stiffness",
+            help="chi, g/(cm s2): one value, or one per vessel with commas; the study's if absent.",
+        ),
     ] = None,
     f1: Annotated[float | None, typer.Option("--f1", help="chi = f1 exp(f2 r0) + f3 (eq. 3.5).")] = None,
     f2: Annotated[float | None, typer.Option("--f2", help="See --f1.")] = None,
@@ -49,6 +53,7 @@ def simulate(
     ] = None,
     times: Annotated[int, typer.Option("--times", help="Times in the beat, from its start.")] = 512,
     *,
+    physics: PhysicsOptions,
     conventions: ConventionOptions,
     numerical: NumericalOptions,
 ) -> None:
@@ -56,10 +61,10 @@ def simulate(
     import numpy as np
 
     from zoo.blood.network import Network
+    from zoo.blood.physics import physics_words
     from zoo.blood.solver import Solver
 
     loaded = conventions.load(study)
-    network = Network.from_study(loaded)
     if output is not None and parent_exists(output).suffix not in (".nc", ".csv"):
         raise UsageError(f"--output {output}: unknown ending {output.suffix!r}; use .nc or .csv")
     if plot is not None:
@@ -70,6 +75,9 @@ def simulate(
         raise UsageError("--wall tangent needs --gamma, such as --gamma 5.2")
     if wall == "linear" and gamma is not None:
         raise UsageError("--gamma belongs to the tangent wall: add --wall tangent, or leave it out")
+    given = _stiffness(stiffness, f1, f2, f3, loaded, physics.youngs_modulus is not None)
+    loaded = physics.applied(loaded, given)
+    network = Network.from_study(loaded)
     order = [[v.id for v in loaded.vessels].index(int(i)) for i in network.ids]
 
     def each(option: str, text: str) -> np.ndarray:
@@ -77,7 +85,7 @@ def simulate(
         return values[order] if len(values) > 1 else np.full(len(order), values[0])
 
     parameters: dict[str, Any] = {
-        "stiffness": _stiffness(stiffness, f1, f2, f3, loaded, network.radius_in_cm, each),
+        "stiffness": network.stiffness_in,
         "gamma": each("--gamma", gamma if gamma is not None else "2"),
         "psi1": each("--psi1", psi1),
         "psi2": each("--psi2", psi2),
@@ -94,6 +102,7 @@ def simulate(
         "study_checksum": loaded.checksum,
         "conventions": loaded.conventions.name,
         "wall": wall,
+        "physics": "; ".join(physics_words(loaded)),
         "beats": solution.beats,
         "steps_per_beat": solution.steps_per_beat,
         "distance_from_periodic_state_mmHg": solution.distance_mmHg,
@@ -112,7 +121,7 @@ def simulate(
         error = {s.quantity: 0.0 for s in loaded.series}
         for i, s in enumerate(loaded.series):
             error[s.quantity] += float(np.sum(np.square(getattr(at_data, s.quantity)[i] - s.value)))
-    say(*_simulation_summary(loaded, wall, waves, solution, error))
+    say(*_simulation_summary(loaded, wall, physics_words(loaded), waves, solution, error))
     say(*(f"wrote {path}" for path in (output, plot) if path is not None))
 
 
@@ -122,16 +131,20 @@ def _stiffness(
     f2: float | None,
     f3: float | None,
     study: Study,
-    radius_cm: np.ndarray,
-    each: Callable[[str, str], np.ndarray],
-) -> np.ndarray:
+    other: bool,
+) -> list[float] | None:
+    """A stiffness for each vessel in the study's order; None where the study's or the walls' own is to "
+    "be taken."""
     from zoo.blood.network import stiffness_profile
 
     profile = [f1, f2, f3]
     if stiffness is not None:
         if any(value is not None for value in profile):
             raise UsageError("--stiffness and --f1 --f2 --f3 are two ways to say the same: give one of them")
-        return each("--stiffness", stiffness)
+        values = numbers("--stiffness", stiffness, study)
+        return values if len(values) > 1 else values * len(study.vessels)
+    if f3 is None and f1 is None and f2 is None and (other or any(v.stiffness for v in study.vessels)):
+        return None
     if f3 is None:
         raise UsageError("no stiffness: give --stiffness 5.17e4, or --f3 (with --f1 and --f2 for eq. 3.5)")
     if (f1 is None) != (f2 is None):
@@ -139,7 +152,8 @@ def _stiffness(
             "--f1 and --f2 belong together in chi = f1 exp(f2 r0) + f3: give both, or --f3 alone"
         )
     unit = study.conventions.stiffness_radius_unit_cm
-    return stiffness_profile(radius_cm, f1 or 0.0, f2 or 0.0, f3, unit)
+    radius_cm = [v.radius_cm for v in study.vessels]
+    return [float(x) for x in stiffness_profile(radius_cm, f1 or 0.0, f2 or 0.0, f3, unit)]
 
 
 def _waves(solution: Solution, vessels: Sequence[int], time_s: np.ndarray) -> xr.Dataset:
@@ -182,7 +196,12 @@ def _write_waves(waves: xr.Dataset, path: Path) -> None:
 
 
 def _simulation_summary(
-    study: Study, wall: str, waves: xr.Dataset, solution: Solution, sse: Mapping[str, float]
+    study: Study,
+    wall: str,
+    physics: Sequence[str],
+    waves: xr.Dataset,
+    solution: Solution,
+    sse: Mapping[str, float],
 ) -> list[str]:
     from zoo.blood.case import UNITS
     from zoo.core.data import squared
@@ -192,6 +211,7 @@ def _simulation_summary(
     flow = waves["flow_ml_s"].sel(vessel=root.id, position=0.0).to_numpy()
     lines = [
         f"[bold]{study.name}[/bold]: {wall} wall, conventions {study.conventions.name}",
+        *physics,
         f"pressure at the inlet of {root.name or f'vessel {root.id}'}: systolic {pressure.max():.2f}, "
         f"diastolic {pressure.min():.2f}, mean {pressure.mean():.2f} mmHg; mean flow {flow.mean():.4f} ml/s",
         f"periodic after {solution.beats} beats of {solution.steps_per_beat} steps, "

@@ -111,6 +111,22 @@ def everywhere(model: Any) -> tuple[Location, ...]:
 
 
 @dataclass(frozen=True)
+class EverywhereIf:
+    """Locations of an effect that acts everywhere, in models for which it is something new.
+
+    Parameters
+    ----------
+    new : function
+        From a forward model to whether the effect can be added to it.
+    """
+
+    new: Callable[[Any], bool]
+
+    def __call__(self, model: Any) -> tuple[Location, ...]:
+        return (EVERYWHERE,) if self.new(model) else ()
+
+
+@dataclass(frozen=True)
 class Effect:
     """One thing that a baseline model may lack.
 
@@ -242,7 +258,9 @@ def effect(
         known = tuple(parameters)
         if why:
             known = (replace(known[0], why=why), *known[1:])
-        guarded = _Guarded(name, known, change, locations is not everywhere)
+        guarded = _Guarded(
+            name, known, change, not (locations is everywhere or isinstance(locations, EverywhereIf))
+        )
         return Effect(
             name, known, guarded, locations, family, (change.__doc__ or "").strip(), equation, source,
             signature, tuple(baselines),

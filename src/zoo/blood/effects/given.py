@@ -50,6 +50,8 @@ def _added(one: Given, model: ForwardModel) -> AddedEffect:
             location = _location(part)
         made = name if isinstance(name, Effect) else CATALOGUE[name]
     known = {place: place for place in made.locations(model)}
+    if not known:
+        raise EffectError(f"effect {made.name}: cannot be added to this study, which leaves no room for it")
     if location not in known:
         where = "everywhere" if set(known) == {EVERYWHERE} else f"at {', '.join(map(str, known))}"
         what = "the location is missing" if location == EVERYWHERE else f"cannot act at {location}"

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from zoo.blood.case import Case, with_physics
 from zoo.blood.effects.catalogue import effect
-from zoo.core.effects import EffectParameter, Location
+from zoo.blood.physics import NO_PHYSICS
+from zoo.core.effects import EffectParameter, EverywhereIf, Location
+
+
+def static_pressure(model: Any) -> bool:
+    """Whether the vessels of a model's study share the static pressure where they meet."""
+    return not getattr(model, "physics", NO_PHYSICS).total_pressure
 
 
 @effect(
@@ -15,6 +23,7 @@ from zoo.core.effects import EffectParameter, Location
     signature="a pressure step of rho u^2/2 at each junction in systole",
     parameters=[EffectParameter("share", "1", 1.0, 0.0, 1.5, (1.0, 0.5))],
     why="1 is Bernoulli's law without loss, 0 the baseline",
+    locations=EverywhereIf(static_pressure),
 )
 def total_pressure_junctions(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """Vessels that meet share the total instead of the static pressure."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
+
 from zoo.blood.network import Network
 from zoo.core.effects import Location
 
@@ -18,6 +20,12 @@ class Tree(Protocol):
 def at_vessel(vessel: int, subtree: bool = False) -> Location:
     """One vessel, by its id, or that one and all below."""
     return Location(int(vessel), subtree, "vessel")
+
+
+def windkessels_only(model: Tree) -> bool:
+    """Whether no outlet is a single resistance."""
+    network = model.network
+    return bool(np.all(network.R2[network.terminals] > 0))
 
 
 def each_vessel(model: Tree) -> tuple[Location, ...]:

@@ -20,9 +20,9 @@ from zoo.blood.case import (
     with_wave,
 )
 from zoo.blood.effects.catalogue import effect
-from zoo.blood.effects.locations import sides_and_terminals
+from zoo.blood.effects.locations import sides_and_terminals, windkessels_only
 from zoo.blood.effects.responses import add_to_pressures
-from zoo.core.effects import EffectError, EffectParameter, Location
+from zoo.core.effects import EffectError, EffectParameter, EverywhereIf, Location
 
 Array = NDArray[np.float64]
 
@@ -164,6 +164,7 @@ def side_branches(case: Case, values: tuple[float, ...], location: Location) -> 
     signature="less compliance for fast waves: a slower late decay with a higher pulse",
     parameters=[EffectParameter("n - 1", "sections", 4.0, 0.0, 15.0, (2.0, 6.0))],
     why="beyond about 5 sections a ladder is near its limit, a transmission line",
+    locations=EverywhereIf(windkessels_only),
 )
 def distributed_outflow(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """Compliance and resistance behind an outlet alternate in n sections instead of one."""

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from zoo.blood.case import Case, total_resistance, with_physics
 from zoo.blood.effects.catalogue import effect
+from zoo.blood.effects.locations import windkessels_only
 from zoo.blood.effects.outflow import blended_sections, sections_of
-from zoo.core.effects import EffectParameter, Location
+from zoo.core.effects import EffectParameter, EverywhereIf, Location
 
 Array = NDArray[np.float64]
 
@@ -189,6 +190,7 @@ def _tree_sections(
     signature="less abrupt reflections: a smoother late systole, and a decay of many time constants",
     parameters=[EffectParameter("share", "1", 0.7, 0.0, 1.0, (0.5, 1.0))],
     why="1 is the tree alone, 0 the Windkessel alone",
+    locations=EverywhereIf(windkessels_only),
 )
 def structured_tree(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """Behind each outlet lies a tree of small arteries, which sends waves back."""

@@ -105,7 +105,8 @@ class Vessel:
     @property
     def physics(self) -> dict[str, float]:
         """The fields after `windkessel` that are given."""
-        return {name: value for name in VESSEL_PHYSICS if (value := getattr(self, name)) is not None}
+        given = {name: getattr(self, name) for name in VESSEL_PHYSICS}
+        return {name: float(value) for name, value in given.items() if value is not None}
 
     @property
     def stiffness(self) -> tuple[float, float] | None:
@@ -164,9 +165,9 @@ class Blood:
     @property
     def physics(self) -> dict[str, float]:
         """The fields after the first two that are not at their default."""
-        given = {"velocity_profile_order": self.velocity_profile_order} if self.velocity_profile_order else {}
-        flat = self.momentum_correction == 1
-        return given if flat else {**given, "momentum_correction": self.momentum_correction}
+        order, alpha = self.velocity_profile_order, float(self.momentum_correction)
+        given = {} if order is None else {"velocity_profile_order": float(order)}
+        return given if alpha == 1 else {**given, "momentum_correction": alpha}
 
 
 @dataclass(frozen=True, eq=False)

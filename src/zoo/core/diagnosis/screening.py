@@ -96,9 +96,9 @@ class Screening:
         everywhere = {one.name for one in self.added if one.location == EVERYWHERE}
         self.effects = {e.name: e for e in effects if e.apply is not None and e.offered(baseline.name)}
         self.hypotheses = {
-            name: [Hypothesis((*self.added, e.at(location))) for location in e.locations(baseline)]
+            name: [Hypothesis((*self.added, e.at(location))) for location in found]
             for name, e in self.effects.items()
-            if name not in everywhere
+            if name not in everywhere and (found := e.locations(baseline))
         }
         self.range = ranges(data)
 
