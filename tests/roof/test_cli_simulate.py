@@ -48,7 +48,7 @@ def test_simulate_writes_every_vessel_as_netcdf(tiny: Path, tmp_path: Path) -> N
         in output
     )
     clean = Solver.for_study(study).solve(**TRUE).pressure_mmHg
-    assert f"64 observed values: {np.sum((clean - study.values) ** 2):.4g}" in output
+    assert f"64 observed values of pressure: {np.sum((clean - study.values) ** 2):.4g} mmHg2" in output
     assert np.sum((clean - study.values) ** 2) == pytest.approx(64 * 0.01, rel=0.4)
 
 
