@@ -195,6 +195,7 @@ def test_units_that_cannot_be_are_warned_of() -> None:
     study = made([])
     study = replace(study, series=tuple(replace(s, value=s.value * 0.133322) for s in study.series))
     file = diagnose(study, effects=["sensor-offset", "tangent-wall"], max_effects=1).file
+    assert "kPa would fit" in file.warnings[0]
     assert any("check the units in observations.csv" in text for text in file.warnings)
     if file.cause[0] not in (NULL, NONPARAMETRIC) and file.gap.removed < 0.5:
         assert any("most has another cause" in text for text in file.warnings)

@@ -191,6 +191,32 @@ def test_blood_in_other_units(blood: Blood, unit: str) -> None:
     assert [s.unit for s in suspect_units(replace(tree("human"), blood=blood))] == [unit]
 
 
+@pytest.mark.parametrize(("factor", "unit"), [(1e-4, "kPa"), (1e-7, "MPa")])
+def test_walls_in_other_units(factor: float, unit: str) -> None:
+    """A modulus of 4e6 g/(cm s2), 0.4 MPa, walls a tenth of the radius."""
+    study = tree("human")
+    given = [
+        tuple(
+            replace(v, youngs_modulus_g_cm_s2=4e6 * f, wall_thickness_cm=0.1 * v.radius_cm)
+            for v in study.vessels
+        )
+        for f in (1.0, factor)
+    ]
+    assert suspect_units(replace(study, vessels=given[0])) == ()
+    (found,) = suspect_units(replace(study, vessels=given[1]))
+    assert (found.unit, found.factors[0]) == (unit, pytest.approx(1 / factor))
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(100.0, "mm2"), (1e-4, "m2")])
+def test_areas_in_other_units(factor: float, unit: str) -> None:
+    study = tree("human")
+    area = np.pi * 1.4**2 * (1.1 + 0.1 * np.sin(2 * np.pi * study.time_s / study.period_s))
+    right = replace(study, series=(*study.series, Series(1, 0.0, "area_cm2", area)))
+    assert suspect_units(right) == ()
+    (found,) = suspect_units(replace(right, series=scaled(right, "area_cm2", factor)))
+    assert (found.unit, found.factors[0]) == (unit, pytest.approx(1 / factor))
+
+
 def test_a_period_in_milliseconds() -> None:
     study = tree("human")
     wrong = replace(study, period_s=850.0, inflow_time_s=study.inflow_time_s * 1e3, time_s=study.time_s * 1e3)

@@ -59,7 +59,7 @@ _GROUPS = {
     "radius": _Group("size", "network: radius_cm", "cm", _SIZE),
     "observed area": _Group("area", "observations: area_cm2", "cm2", {"mm2": 0.01, "m2": 1e4}),
     "period": _Group("time", "study: period_s", "s", {"ms": 1e-3}),
-    "stiffness": _Group("stiffness", "network: stiffness", "g/(cm s2)", {"Pa": 10.0, "kPa": 1e4, "MPa": 1e7}),
+    "stiffness": _Group("stiffness", "network: stiffness", "g/(cm s2)", {"kPa": 1e4, "MPa": 1e7}),
     "resistance": _Group("load", "network: R1 and R2", "dyn s/cm5", {_SI_LOADS: 1e-5, _MMHG_LOADS: _MMHG}),
     "compliance": _Group("load", "network: C", "cm5/dyn", {_SI_LOADS: 1e5, _MMHG_LOADS: 1 / _MMHG}),
     "density": _Group("density", "network: density_g_cm3", "g/cm3", {"kg/m3": 1e-3}),
