@@ -17,7 +17,7 @@ from zoo.core.model import ModelRecord
 LARGE = 100.0
 """Size of an unconstrained coordinate from which it is scaled for the search."""
 MANY = 12
-"""Dimensions above which the search for the mode uses the structure of zoo's models."""
+"""Dimensions, at most two of the errors, above which a search uses the structure of zoo's models."""
 STARTS = 16
 """Prior draws that the search starts from with many parameters; lesser modes are common there."""
 FOLLOWED = 4
@@ -63,11 +63,12 @@ def find_mode(
     """Find the mode of a model's posterior without gradients, and the Gaussian around it.
 
     A derivative-free trust-region search (COBYQA) from the best of the model's initial point and its
-    suggested values; if a model of zoo's has more than 12 parameters, Gauss-Newton steps from there and from
-    16 draws of the prior, since such posteriors have lesser modes, the best 4 followed to their end, and from
-    these ends with each element of a vector lowered in turn. Then Newton steps on a quadratic fitted over
-    steps wide enough to lower the log-posterior by about one, so that rounding and the tolerance of a solver
-    do not matter.
+    suggested values; if a model of zoo's has more than 12 parameters, at most two of the errors counted,
+    then Gauss-Newton steps from there and from 16 draws of the prior, since such posteriors have lesser
+    modes, the best 4 followed to their end, and from these ends with each element of a vector lowered in
+    turn. Then Newton steps on a quadratic fitted over steps wide enough to lower the log-posterior by about
+    one, so that rounding and the tolerance of a solver do not matter. Where these do not settle, as on the
+    narrow ridge that a small noise leaves, Gauss-Newton steps go on, and Newton steps once more.
 
     Parameters
     ----------
@@ -94,6 +95,15 @@ def find_mode(
     Ragonneau, Zhang: COBYQA, https://www.cobyqa.com (doi 10.5281/zenodo.10048050).
     """
     return search_mode(LogPosterior(model), start, max_evaluations, seed)
+
+
+def has_many(logp: LogPosterior) -> bool:
+    """Whether there are so many parameters that lesser modes are common; those of errors make few."""
+    d, record = len(logp.template.data), getattr(logp.model, "zoo", None)
+    if not isinstance(record, ModelRecord):
+        return d > MANY
+    own = sum(p.size for p in record.errors.parameters)
+    return d - own + min(own, 2) > MANY
 
 
 def search_mode(
@@ -124,7 +134,8 @@ def search_mode(
     limit = 300 + 60 * d if max_evaluations is None else max_evaluations
     frame = None
     structured = isinstance(getattr(logp.model, "zoo", None), ModelRecord)
-    if d > MANY and structured:
+    many = has_many(logp)
+    if many and structured:
         begin = [(q, best)] if start is not None else _prior_points(logp, q, seed)
         q, best, frame = _highest(logp, begin, limit)
     elif limit > 2 * d + 1:
@@ -132,8 +143,8 @@ def search_mode(
         scale = np.where(np.abs(q) > LARGE, np.abs(q), 1.0)
         options = {"initial_tr_radius": 0.5, "final_tr_radius": 0.02, "maxfev": limit}
         minimize(lambda x: cost(x * scale), q / scale, method="COBYQA", options=options)
-    q, best, covariance, settled = newton(logp, q, best, passes=8 if d <= MANY else 3, frame=frame)
-    if structured and not settled and d <= MANY and limit > 2 * d + 1:  # a ridge far narrower than the search
+    q, best, covariance, settled = newton(logp, q, best, passes=3 if many else 8, frame=frame)
+    if structured and not settled and not many and limit > 2 * d + 1:  # far narrower than the search's steps
         q, best, frame = gauss_newton(logp, q, best, limit=limit, step=NARROW)
         q, best, covariance, _ = newton(logp, q, best, passes=8, frame=frame)
     return Mode(q, logp.to_values(q), best, covariance, logp.evaluations - before)

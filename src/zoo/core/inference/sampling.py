@@ -26,7 +26,7 @@ from zoo.core.inference.checkpoint import (
 )
 from zoo.core.inference.convergence import ESS_TARGET, check_convergence, ess_to_count
 from zoo.core.inference.logposterior import Array, LogPosterior, SamplingError, model_name
-from zoo.core.inference.mode import MANY, Mode, find_mode, search_mode
+from zoo.core.inference.mode import Mode, find_mode, has_many, search_mode
 from zoo.core.inference.pool import ChainPool, InlineChainPool, ProcessChainPool
 from zoo.core.inference.prior_check import check_priors, modes_at_bounds, priors_of
 from zoo.core.inference.progress import Display
@@ -177,7 +177,7 @@ def sample(
             if beginning is None:
                 mode = start if isinstance(start, Mode) else search_mode(logp, start, seed=int(seed))
                 beginning = disperse(logp, mode, chains, int(seed))
-                if d > MANY and not isinstance(start, Mode):
+                if has_many(logp) and not isinstance(start, Mode):
                     beginning = _improve(logp, beginning, chains, cores, int(seed), step, options, show)
                     mode = beginning.mode
                 if folder is not None:
