@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from zoo.blood.conventions import SWITCHES
-from zoo.blood.solver import STATUS_NAMES, Solver
+from zoo.blood.solver import STATUS_NAMES, Solver, SolverOptions
 from zoo.blood.study import StudyError, load_study
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -127,3 +127,25 @@ def test_documents_know_every_switch_and_status() -> None:
         assert f"| `{switch}`" in study_format
     for code, name in STATUS_NAMES.items():
         assert f"| {code} | `{name}` |" in numerics
+
+
+def test_the_network_with_all_of_the_physics_solves(tmp_path: Path) -> None:
+    """What docs/study-format.md shows as complete holds every table and field of walls, outlets and pressures."""
+    text = (ROOT / "docs" / "study-format.md").read_text(encoding="utf-8")
+    [network] = [
+        code for code in re.findall(r"```toml\n(.*?)```", text, flags=re.S) if "[surroundings]" in code
+    ]
+    (tmp_path / "network.toml").write_text(network, encoding="utf-8")
+    (tmp_path / "study.toml").write_text(
+        'name = "x"\nnetwork = "network.toml"\ninflow = "inflow.csv"\nperiod_s = 1.0\n', encoding="utf-8"
+    )
+    rows = [f"{m / 20},{150 if 2 <= m <= 6 else 30}" for m in range(20)]
+    (tmp_path / "inflow.csv").write_text("\n".join(["time_s,flow_ml_s", *rows]), encoding="utf-8")
+    study = load_study(tmp_path)
+    assert study.physics.keys() == {"junction_pressure", "outflow_pressure_mmHg", "radius_pressure_mmHg"}
+    solver = Solver.for_study(
+        study, series=[(1, 0.0), (3, 1.0)], times_s=[0.0], options=SolverOptions(dx_cm=0.2)
+    )
+    solution = solver.solve(solver.network.stiffness_in)
+    pressure, flow = solution.pressure_mmHg[1, 0], solution.flow_ml_s[1, 0]
+    assert pressure == pytest.approx(8 + 31700 * flow / 1333.22, rel=1e-9)
