@@ -6,7 +6,7 @@ STAMP := $(VENV)/.zoo-setup
 PYTEST_ARGS ?= -n auto --dist loadfile
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
-.PHONY: setup test check demo report bench clean
+.PHONY: setup test readme check demo report bench clean
 setup: $(STAMP)
 
 # Versions come from requirements.lock, those of the build tools too.
@@ -19,7 +19,11 @@ $(STAMP): pyproject.toml setup.py requirements.lock src/zoo/__init__.py $(NATIVE
 
 test: setup
 	$(MAKE) --no-print-directory -C native test
-	$(BIN)/pytest $(PYTEST_ARGS)
+	$(BIN)/pytest $(PYTEST_ARGS) --ignore tests/test_readme.py
+
+# What README.md shows, as it stands, with the time of each block: five minutes on two cores.
+readme: setup
+	$(BIN)/pytest -n 0 -s -v tests/test_readme.py
 
 check: setup
 	$(BIN)/ruff check .

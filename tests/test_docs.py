@@ -118,6 +118,14 @@ def test_the_errors_in_the_documents_are_real(
     assert str(error.value) in (ROOT / "docs" / "study-format.md").read_text(encoding="utf-8").splitlines()
 
 
+@pytest.mark.parametrize("tree", ["core", "blood"])
+def test_the_architecture_has_a_place_for_every_room(tree: str) -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    [row] = [line for line in text.splitlines() if line.startswith(f"| `zoo.{tree}` |")]
+    rooms = {path.stem for path in (ROOT / "src" / "zoo" / tree).iterdir() if not path.name.startswith("_")}
+    assert rooms == set(re.findall(r"`(\w+)`", row))
+
+
 def test_documents_know_every_switch_and_status() -> None:
     conventions = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
     study_format = (ROOT / "docs" / "study-format.md").read_text(encoding="utf-8")
