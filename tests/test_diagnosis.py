@@ -236,3 +236,19 @@ def test_a_series_that_does_not_vary_is_refused() -> None:
     flat = replace(first, value=np.full_like(first.value, 10.0))
     with pytest.raises(DiagnosisError, match=r"is 10 throughout; give one that varies"):
         diagnose(replace(study, series=(flat, *rest)))
+
+
+@pytest.mark.slow
+@pytest.mark.needs_data
+def test_the_papers_prior_excludes_the_hypoxic_mouse() -> None:
+    """Least squares has its stiffness at 1.75e5 and leaves 0.204 mmHg; at the bound 1e5 it leaves 0.98."""
+    study = replace(load_study("mouse-h1"), priors={"set": "paun2020"})
+    file = diagnose(study, effects=["taper", "sensor-gain"], max_effects=1).file
+    assert file.excluded is not None
+    (bound,) = file.excluded.bounds
+    assert (bound.parameter, bound.side, bound.bound) == ("f3", "upper", 1e5)
+    assert bound.best == pytest.approx(1.75e5, rel=0.05)
+    assert file.excluded.residual_rms_within > 0.9
+    assert 0.2 < file.gap.before < 0.25
+    assert file.verdict.startswith("the baseline's prior excludes what fits best: f3 at 100000")
+    assert "--prior f3=... lifts it" in file.warnings[0]

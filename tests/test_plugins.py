@@ -175,3 +175,16 @@ def test_effects_of_an_installed_package_are_in_the_catalogue(tmp_path: Path) ->
         [sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path}
     )
     assert done.stdout.strip() == "The laboratory reads too much. lab-offset 31", done.stderr
+
+
+def test_a_model_that_takes_no_effects_or_gives_no_model_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("def model_bare(study):\n    return None\n")
+    load_models(file)
+    with pytest.raises(EffectError, match=r"model bare: its function takes no effects; write model_bare\("):
+        get_model("bare+taper")
+    folder = tmp_path / "study"
+    save_study(small_study(), folder)
+    found = CliRunner().invoke(app, ["sample", "bare", str(folder), "--models-from", str(file)])
+    assert found.exit_code == 2
+    assert "model bare: this PyMC model has no record" in found.stderr

@@ -60,6 +60,13 @@ def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
     Kennedy and O'Hagan 2001, doi 10.1111/1467-9868.00294.
     """
     from zoo.blood.diagnosis import diagnose as diagnose_study
+    from zoo.blood.study import Study
+
+    if not isinstance(data, Study):
+        raise diagnosis.DiagnosisError(
+            f"data = {data!r:.60}: give a study, such as zoo.load_study('demo'), or a zoo.core.data.Data "
+            "(times, values, labels, units)"
+        )
 
     function: Any = diagnosis.diagnose if isinstance(data, Data) else diagnose_study
     refuse_unknown("diagnose", settings, inspect.signature(function).parameters)

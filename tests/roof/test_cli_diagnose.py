@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,9 @@ from commands import fails, run
 from pages import read
 from withheld import FILES, TAU_S, as_if_sampled, made, screen_of
 
-from zoo import cli, report
+from zoo import report
 from zoo.blood.study import Study, load_study, save_study
+from zoo.cli.telling import Telling
 from zoo.core.diagnosis import (
     Diagnosis,
     read_diagnosis,
@@ -25,7 +27,7 @@ def commanded(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
     """Folder and screen of `zoo diagnose`."""
     out = tmp_path_factory.mktemp("out") / "gap"
     options = ("--effects", "viscoelastic-wall,inflow-shift", "--max-effects", 1, "--base", "a", "-q")
-    return out, run("diagnose", folder, *options, "--no-confirm", "--friction", "current", "-o", out)
+    return out, run("diagnose", folder, *options, "--friction", "current", "-o", out)
 
 
 def test_diagnose_writes_everything_and_says_what_it_found(commanded: tuple[Path, str]) -> None:
@@ -47,7 +49,8 @@ def test_diagnose_writes_everything_and_says_what_it_found(commanded: tuple[Path
     assert "error" not in screen
     command = read(out / "report.html").all("pre")[0].text
     assert "--base linear-constant" in command
-    assert "--no-confirm --max-effects 1 --effects viscoelastic-wall,inflow-shift" in command
+    assert "--posteriors" not in command
+    assert "--max-effects 1 --effects viscoelastic-wall,inflow-shift" in command
     assert "--friction current" in command
 
 
@@ -95,16 +98,16 @@ def test_diagnose_says_what_to_change_before_it_works(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("zoo.blood.diagnosis.diagnose", worked)
     Path("file").write_text("")
-    assert message in fails("diagnose", folder, *options)
+    assert message in fails("diagnose", folder, *options, "-q")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
 def test_a_study_without_observations_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     save_study(made(), "bare")
-    assert "add observations.csv" in fails("diagnose", "bare")
+    assert "add observations.csv" in fails("diagnose", "bare", "-q")
     assert [p.name for p in tmp_path.iterdir()] == ["bare"]
-    assert "did you mean 'demo'?" in fails("diagnose", "demmo")
+    assert "did you mean 'demo'?" in fails("diagnose", "demmo", "-q")
 
 
 def test_options_reach_the_diagnosis(
@@ -122,51 +125,51 @@ def test_options_reach_the_diagnosis(
 
     monkeypatch.setattr("zoo.blood.diagnosis.diagnose", caught)
     monkeypatch.setattr(Diagnosis, "with_posteriors", sampled)
-    monkeypatch.setattr(report, "write_diagnosis", lambda *_, **__: [])
+    written: list[bool] = []
+    monkeypatch.setattr(report, "write_diagnosis", lambda *_, **__: written.append("folder" in given) or [])
     out = tmp_path / "gap"
-    run("diagnose", folder, "-o", out, "-q")
+    run("diagnose", folder, "-o", out, "--posteriors", "-q")
+    assert written == [False, True]  # before the posteriors, which take longer, and with them
     assert (given["base"], given["posteriors"], given["effects"]) == ("linear-constant", True, None)
     assert (given["max_effects"], given["cores"], given["seed"]) == (3, 2, 1)
     assert given["conventions"] is None
     first = Path(str(given["folder"]))
     assert first.is_dir()
     assert first.parent == out / "posteriors"
-    assert (out / "diagnosis.json").is_file()  # before the posteriors, which take longer
     given |= {"posteriors": False, "folder": None}
-    options = ("--base", "I", "--wall-factor", 2, "--effects", "taper", "--seed", 5, "--no-confirm", "-q")
+    options = ("--base", "I", "--wall-factor", 2, "--effects", "taper", "--seed", 5, "-q")
     run("diagnose", folder, "-o", out, *options)
     assert (given["base"], given["posteriors"], given["effects"]) == ("tangent-radius", False, ["taper"])
     assert given["folder"] is None
     conventions = given["conventions"]
     assert conventions is not None
     assert conventions.wall_factor == 2  # type: ignore[attr-defined]
-    run("diagnose", folder, "-o", out, "--seed", 2, "-q")
+    run("diagnose", folder, "-o", out, "--seed", 2, "--posteriors", "-q")
     assert Path(str(given["folder"])) != first
 
 
 def test_progress_says_what_is_tried() -> None:
-    for posteriors, last in ((True, "posteriors"), (False, "weighing")):
-        with cli.diagnose.Telling(False, posteriors) as tell:
-            found = []
-            for text, share in (
-                ("baseline", 0.0),
-                ("taper", 0.4),
-                ("baseline", 0.0),
-                ("stenosis", 0.5),
-                ("x", 1.0),
-            ):
-                tell(text, share)
-                task = tell.bar.tasks[0]
-                found.append((task.description, task.completed))
-        assert found[1] == ("taper", 40)
-        assert found[3] == ("stenosis (beside 1 added)", 50)
-        assert found[4] == (last, 100)
+    with Telling(False, terminal=True) as tell:
+        tell("taper", 0.4)
+        task = tell.bar.tasks[0]
+        assert (task.description, task.completed) == ("taper", 40)
+
+
+def test_a_pipe_hears_something_every_two_seconds(capsys: pytest.CaptureFixture[str]) -> None:
+    with Telling(True, terminal=False) as tell:
+        tell.say("reading the study")
+        tell("stenosis (beside 1 added)", 0.5)
+        time.sleep(2.0)
+    first, second, *_ = capsys.readouterr().err.splitlines()
+    assert first.endswith("0 %  reading the study")
+    assert second.endswith("50 %  stenosis (beside 1 added)")
+    with Telling(False, terminal=False) as tell:
+        tell.say("nothing")
+    assert not capsys.readouterr().err
 
 
 @pytest.mark.slow
 def test_demo_by_its_name(tmp_path: Path) -> None:
-    screen = run(
-        "diagnose", "demo", "--effects", "sensor-offset", "--no-confirm", "-o", tmp_path / "gap", "-q"
-    )
+    screen = run("diagnose", "demo", "--effects", "sensor-offset", "-o", tmp_path / "gap", "-q")
     assert read_diagnosis(tmp_path / "gap").study_checksum == load_study("demo").checksum
     assert "wrote" in screen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable
 from functools import partial
@@ -102,7 +103,17 @@ def get_model(name: str) -> Builder:
 
     bare, *effects = split_name(known_name(name))
     build: Builder = of_package(bare) if bare in MODELS else USER_MODELS[bare]
+    if effects and not _takes(build, "effects"):
+        raise EffectError(
+            f"model {bare}: its function takes no effects; write model_{bare}(study, **settings) and hand the "
+            "settings on, as zoo.blood.baseline.blood_model takes them"
+        )
     return partial(build, effects=effects) if effects else build
+
+
+def _takes(build: Builder, setting: str) -> bool:
+    parameters = inspect.signature(build).parameters
+    return setting in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
 
 
 def known_name(name: str) -> str:

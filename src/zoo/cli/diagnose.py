@@ -10,7 +10,8 @@ import typer
 from zoo.cli.checks import at_least, output_folder
 from zoo.cli.command import UsageError, Without, command
 from zoo.cli.options import ConventionOptions, PluginOptions, QuietOption, StudyArgument
-from zoo.cli.screen import plain_table, say
+from zoo.cli.screen import plain_table, say, warn
+from zoo.cli.telling import Telling
 
 if TYPE_CHECKING:
     from zoo.blood.conventions import Conventions
@@ -37,8 +38,8 @@ def diagnose(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for what is found.")] = Path("gap"),
     posteriors: Annotated[
         bool,
-        typer.Option("--confirm/--no-confirm", help="Posterior sampling of the leading explanations."),
-    ] = True,
+        typer.Option("--posteriors", help="Sample the posteriors of the leading explanations too."),
+    ] = False,
     effects: Annotated[
         str | None,
         typer.Option(
@@ -59,14 +60,17 @@ def diagnose(
     cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time.")] = 2,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     quiet: QuietOption = False,
+    confirm: Annotated[bool | None, typer.Option("--confirm/--no-confirm", hidden=True)] = None,
     *,
     conventions: ConventionOptions,
     plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
     """Find what a baseline misses in a study: where the discrepancy lies, its cause, how far it shrinks."""
+    if confirm is not None:
+        posteriors = posteriors or confirm
+        words = "is now called --posteriors" if confirm else "is what happens without --posteriors"
+        warn(f"--{'' if confirm else 'no-'}confirm {words}")
     import shlex
-
-    from zoo.blood.baseline import get_baseline
 
     for option, count, least in (
         ("--max-effects", max_effects, 1),
@@ -74,25 +78,32 @@ def diagnose(
         ("--seed", seed, 0),
     ):
         at_least(option, count, least)
-    plugins.load()
-    chosen = get_baseline(base)
-    names = _effect_names(effects, chosen.name)
-    loaded = conventions.load(study)
-    output_folder(output)
+    with Telling(not quiet) as tell:
+        tell.say(f"reading {study}")
+        from zoo.blood.baseline import get_baseline
 
-    from zoo.blood.diagnosis import diagnose as run
-    from zoo.blood.forward import study_data
-    from zoo.core.errors.spectral import Harmonics
-    from zoo.report import write_diagnosis
+        plugins.load()
+        chosen = get_baseline(base)
+        names = _effect_names(effects, chosen.name)
+        loaded = conventions.load(study)
+        output_folder(output)
+        # a baseline has a wall factor of its own unless one is asked for
+        own = loaded.conventions if conventions.wall_factor is not None else None
 
-    Harmonics().bind(study_data(loaded))  # a study without observations is refused before the work
-    output.mkdir(exist_ok=True)
-    # a baseline has a wall factor of its own unless one is asked for
-    own = loaded.conventions if conventions.wall_factor is not None else None
-    folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
-    if posteriors:
-        folder.mkdir(parents=True, exist_ok=True)
-    with Telling(not quiet, posteriors) as tell:
+        from zoo.blood.diagnosis import diagnose as run
+        from zoo.blood.forward import study_data
+        from zoo.core.errors.spectral import Harmonics
+        from zoo.report import write_diagnosis
+
+        Harmonics().bind(study_data(loaded))  # a study without observations is refused before the work
+        output.mkdir(exist_ok=True)
+        words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]
+        words += ["--posteriors"] if posteriors else []
+        words += ["--max-effects", str(max_effects)]
+        words += ["--exhaust"] if exhaust else []
+        words += ["--effects", ",".join(names)] if names else []
+        words += plugins.words()
+        words += [*conventions.words(), "--cores", str(cores), "--seed", str(seed)]
         found = run(
             loaded,
             chosen.name,
@@ -104,49 +115,16 @@ def diagnose(
             seed=seed,
             tick=tell,
         )
-        found.save(output)  # what comes next takes longer and may be stopped
-        if posteriors:
-            found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
         tell.say("figures and page")
-        words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]
-        words += ["--confirm" if posteriors else "--no-confirm", "--max-effects", str(max_effects)]
-        words += ["--exhaust"] if exhaust else []
-        words += ["--effects", ",".join(names)] if names else []
-        words += plugins.words()
-        words += [*conventions.words(), "--cores", str(cores), "--seed", str(seed)]
         written = write_diagnosis(found, output, command=shlex.join(words))
+        if posteriors:  # takes longer and may be stopped: what was found is on disk
+            folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
+            folder.mkdir(parents=True, exist_ok=True)
+            tell.say(f"{found.file.verdict}; {output}/report.html is written, its posteriors follow")
+            found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
+            tell.say("figures and page")
+            written = write_diagnosis(found, output, command=shlex.join(words))
     say(*diagnosis_screen(found.file), f"wrote {output}: {', '.join(path.name for path in written)}")
-
-
-class Telling:
-    """A progress bar that says what is being tried."""
-
-    def __init__(self, wanted: bool, posteriors: bool) -> None:
-        from zoo.core.inference.progress import bar
-
-        self.bar, self.posteriors = bar(wanted), posteriors
-        self.added = -1
-
-    def __enter__(self) -> Telling:
-        self.bar.__enter__()
-        self.task = self.bar.add_task("baseline", total=100)
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.bar.__exit__(*error)
-
-    def __call__(self, text: str, share: float) -> None:
-        """What is being tried, and the share of this round that is done; each round starts with 0."""
-        self.added += share == 0.0
-        if share >= 1.0:
-            text = "posteriors" if self.posteriors else "weighing"
-        elif self.added > 0:
-            text = f"{text} (beside {self.added} added)"
-        self.bar.update(self.task, description=text, completed=100 * share)
-
-    def say(self, text: str) -> None:
-        """A word on what follows the screening."""
-        self.bar.update(self.task, description=text, completed=100)
 
 
 def _effect_names(text: str | None, base: str) -> list[str] | None:

@@ -58,8 +58,14 @@ def sample(
 def build_model(name: str, study: Study) -> Any:
     """A model on a study, by its name."""
     from zoo.blood.plugins import get_model
+    from zoo.core.model import ModelError, record_of
 
-    return get_model(name)(study)
+    model = get_model(name)(study)
+    try:
+        record_of(model)
+    except ModelError as error:
+        raise UsageError(f"model {name}: {error}") from None
+    return model
 
 
 def sample_with_checkpoint(

@@ -166,6 +166,13 @@ class Effect:
     position: int = field(default=1 << 30, compare=False)
     home: str = field(default="", compare=False, repr=False)
 
+    def __post_init__(self) -> None:
+        if not self.parameters:
+            raise EffectError(
+                f"effect {self.name}: has no parameters; give at least one EffectParameter, 0 where "
+                "the effect is not there"
+            )
+
     # functions behind a decorator have no importable name: an effect of a catalogue is pickled by its own
     def __reduce__(self) -> Any:
         if self.home:
@@ -284,7 +291,14 @@ class _Guarded:
             raise EffectError(f"effect {self.name}: values = {values}: give finite numbers for {wanted}")
         if self.located and location.part is None:
             raise EffectError(f"effect {self.name}: location: is missing; give where it acts")
-        return self.change(configuration, values, location) if values[0] else configuration
+        if not values[0]:
+            return configuration
+        changed = self.change(configuration, values, location)
+        if changed is None:
+            raise EffectError(
+                f"effect {self.name}: its function returns None; let it return the changed configuration"
+            )
+        return changed
 
 
 # ---------------------------------------------------------------------------------------------------

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import FunctionType
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.core.parameters import Parameter, unpack
+from zoo.core.parameters import Parameter, Prior, unpack
 
 Array = NDArray[np.float64]
 
@@ -97,6 +97,39 @@ class ForwardModel(Protocol):
             If there is no solution.
         """
         ...
+
+
+class WithPriors:
+    """A forward model with other priors of some parameters; itself a forward model.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    priors : mapping of name to Prior
+    """
+
+    def __init__(self, model: ForwardModel, priors: Mapping[str, Prior]) -> None:
+        self.model = model
+        self.name, self.outputs, self.families = model.name, model.outputs, model.families
+        self.parameters = tuple(replace(p, prior=priors.get(p.name, p.prior)) for p in model.parameters)
+
+    @property
+    def key(self) -> str:
+        """Of the model: no solution depends on a prior."""
+        return self.model.key
+
+    def configure(self, theta: Array) -> Any:
+        """As the model does."""
+        return self.model.configure(theta)
+
+    def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
+        """As the model does."""
+        return self.model.solve(configuration, outputs)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "model":
+            raise AttributeError(name)
+        return getattr(self.model, name)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,13 @@
 """Synthetic studies: model E's family with correlated errors (section 2.2 of Paun et al. 2020).
 
-`python -m zoo.paper.synthetic FOLDER` makes the embedded study `demo` again.
+`python -m zoo.paper.synthetic FOLDER` makes the embedded study `demo` again, `python -m zoo.paper.synthetic FOLDER
+demo-gap` the embedded study `demo-gap`, whose wall does what no baseline has.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -236,9 +237,42 @@ def demo_study() -> Study:
     return synthetic_study(base, name="demo", sites=DEMO_SITES, n_times=DEMO_TIMES, seed=DEMO_SEED)
 
 
+GAP_TRUTH: Mapping[str, float] = {"f3": 4.5e4, "psi1": 0.35, "psi2": 0.7, "c": 1.5}
+"""Parameters of linear-constant that `demo-gap` was made with."""
+GAP_EFFECT, GAP_TAU_S = "viscoelastic-wall", 0.004
+"""What `demo-gap` has besides: p = p_e + tau dp_e/dt."""
+GAP_TIMES, GAP_NOISE_MMHG, GAP_SEED = 128, 0.1, 7
+
+
+def demo_gap_study() -> Study:
+    """The embedded study for the diagnosis: the tree and inflow of `demo`, a viscoelastic wall, white noise.
+
+    Pressure at the sites of `demo` by linear-constant with `GAP_EFFECT`, on a grid four times finer than the
+    default, and independent normal errors of `GAP_NOISE_MMHG`.
+    """
+    from zoo.blood.baseline import get_baseline
+    from zoo.blood.effects import CATALOGUE
+    from zoo.core.effects import with_effects
+    from zoo.core.forward import Outputs
+
+    bare = demo_study()
+    times = np.arange(GAP_TIMES) * bare.period_s / GAP_TIMES
+    flow = get_baseline("linear-constant").forward(bare, options=SolverOptions(refine=4, tolerance_mmHg=1e-6))
+    model = with_effects(flow, [CATALOGUE[GAP_EFFECT].at()])
+    theta = np.array([GAP_TRUTH[p.name] for p in flow.parameters] + [GAP_TAU_S])
+    sites = tuple((vessel, position, "pressure_mmHg") for vessel, position in DEMO_SITES)
+    clean = model.solve(model.configure(theta), Outputs(sites, times))
+    noisy = clean + GAP_NOISE_MMHG * np.random.default_rng(GAP_SEED).standard_normal(clean.shape)
+    series = tuple(Series(*site, np.round(row, 4)) for site, row in zip(sites, noisy, strict=True))
+    return replace(bare, name="demo-gap", time_s=times, series=series)
+
+
+EMBEDDED = {"demo": demo_study, "demo-gap": demo_gap_study}
+
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("usage: python -m zoo.paper.synthetic FOLDER")
-    made = demo_study()
+    chosen = sys.argv[2] if len(sys.argv) == 3 else "demo"
+    if len(sys.argv) not in (2, 3) or chosen not in EMBEDDED:
+        sys.exit(f"usage: python -m zoo.paper.synthetic FOLDER [{'|'.join(EMBEDDED)}]")
+    made = EMBEDDED[chosen]()
     save_study(made, sys.argv[1])
-    print(f"{sys.argv[1]}: {len(made.series)} series, signal to noise {signal_to_noise(made):.0f}")
+    print(f"{sys.argv[1]}: {len(made.series)} series of {len(made.time_s)} samples")

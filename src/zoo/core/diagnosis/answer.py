@@ -10,15 +10,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.diagnosis.bounds import Excluded, at_bounds
 from zoo.core.diagnosis.discrepancy import model_discrepancy, smooth_part
 from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.file import (
     AddedStep,
     DiagnosisFile,
     Estimate,
+    ExcludedFit,
     Gap,
     HypothesisResult,
     Interval,
+    LiftedBound,
     LocationShare,
     SeriesGap,
     Where,
@@ -27,7 +30,7 @@ from zoo.core.diagnosis.heldout import hold_out
 from zoo.core.diagnosis.hooks import Hooks, next_measurement
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.core.diagnosis.scoring import DOUBT, Scored
-from zoo.core.diagnosis.screening import Screened
+from zoo.core.diagnosis.screening import Screened, Screening
 from zoo.core.effects import Location
 from zoo.core.inference.record import versions
 
@@ -180,6 +183,8 @@ def _results(
         else:
             improbable = scored.probability[name] < DOUBT
             d = known.get(name) or discrepancy_of(screened, fit, seed, known_noise=improbable)
+            if name in scored.locations and d.pooled(rows).mean() > known[NULL].pooled(rows).mean():
+                d = known[NULL]  # an effect can be 0: none leaves more than the baseline
             size = d.interval(rows)
             after = np.array([size.mean, size.low, size.high])
             rms = _rms(d.residual[rows])
@@ -187,7 +192,7 @@ def _results(
         estimates = [] if name == NULL else _estimates(fit) if listed else _free_estimates(fit)
         shift = {}
         if listed:
-            base = screened.base
+            base = screened.least
             for i, p in enumerate(fit.forward.parameters[: fit.forward.n_base]):
                 shift[p.name] = float(fit.values[i] - base.values[i])
         locations = scored.locations.get(name, [])
@@ -251,6 +256,8 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
             f"their range, more than any effect of the catalogue should: {hooks.advice}"
         )
     leader = scored.leader
+    stuck = {p.name for p, _ in at_bounds(scored.screened.least)}
+    found += [one.text for _, one in at_bounds(scored.screened.least)]
     if leader not in scored.locations:
         return found
     if gap.removed < LITTLE:
@@ -258,17 +265,62 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
             f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
             "discrepancy goes with it: most has another cause"
         )
-    fit = scored.best[leader]
-    for i in range(fit.forward.asked, len(fit.u)):
-        p = fit.forward.parameters[i]
-        for name, bound in (("lower", p.low), ("upper", p.high)):
-            zero = bound == 0.0  # the baseline itself
-            if not zero and abs(fit.values[i] - bound) < 1e-3 * (p.high - p.low):
-                found.append(
-                    f"{p.name} of {leader} stands at the {name} bound of its prior, {bound:g} {p.unit}: "
-                    "the data ask for more than the catalogue allows"
-                )
+    effect = {p.name for p in scored.best[leader].forward.parameters[scored.best[leader].forward.asked :]}
+    for p, one in at_bounds(scored.best[leader]):
+        if p.name in effect:
+            found.append(
+                f"{p.name} of {leader} stands at the {one.side} bound of its prior, {one.bound:g} {p.unit}: "
+                "the data ask for more than the catalogue allows"
+            )
+        elif p.name not in stuck:
+            found.append(f"with {leader}, {one.text}")
     return found
+
+
+def _beyond(excluded: Excluded | None, gap: Gap) -> str:
+    """The beginning of a verdict: what the baseline's prior excludes comes before any effect."""
+    if excluded is None:
+        return ""
+    where = " and ".join(
+        f"{one.place} ({value:.3g} fits best)"
+        for one, value in zip(excluded.bounds, excluded.values, strict=True)
+    )
+    unit = "" if gap.unit == "1" else f" {gap.unit}"
+    them = "it" if len(excluded.bounds) == 1 else "them"
+    return (
+        f"the baseline's prior excludes what fits best: {where}; with {them} free the gap is "
+        f"{gap.before:.2g}{unit}, and then: "
+    )
+
+
+def _lifted_warnings(excluded: Excluded | None) -> list[str]:
+    if excluded is None:
+        return []
+    return [
+        f"{one.text} in other commands too; here the explanations are weighed with it free"
+        for one in excluded.bounds
+    ]
+
+
+def _excluded(
+    excluded: Excluded | None, screening: Screening, rows: list[int], unit: str
+) -> ExcludedFit | None:
+    if excluded is None:
+        return None
+    within, free = (_rms(screening.errors.unflat(f.residual)[rows]) for f in (excluded.within, excluded.free))
+    bounds = [
+        LiftedBound.model_validate(
+            {
+                "parameter": one.parameter,
+                "unit": one.unit,
+                "side": one.side,
+                "bound": one.bound,
+                "best": value,
+            }
+        )
+        for one, value in zip(excluded.bounds, excluded.values, strict=True)
+    ]
+    return ExcludedFit(unit=unit, bounds=bounds, residual_rms_within=within, residual_rms_free=free)
 
 
 def answer(
@@ -277,6 +329,7 @@ def answer(
     seed: int,
     started: str,
     seconds: float,
+    excluded: Excluded | None = None,
 ) -> tuple[DiagnosisFile, FitDiscrepancy, FitDiscrepancy]:
     """The content of diagnosis.json, and the discrepancy before and after.
 
@@ -291,6 +344,8 @@ def answer(
         When.
     seconds : float
         What the screening took.
+    excluded : Excluded, optional
+        What the baseline's prior excluded; the rounds are of the baseline with these bounds lifted.
 
     Returns
     -------
@@ -305,7 +360,7 @@ def answer(
     rows = hooks.rows(data)
     unit = data.units[rows[0]]
     screened = first.screened
-    before = discrepancy_of(screened, screened.base, seed)
+    before = discrepancy_of(screened, screened.least, seed)
     listed = first.leader in first.locations
     after = discrepancy_of(screened, single, seed) if listed else before
     held = hold_out(first, single, rows) if listed else None
@@ -341,7 +396,7 @@ def answer(
     steps = []
     for now, then in pairwise(rounds):
         one = then.screened.screening.added[-1]
-        fits = (now.screened.base, then.screened.base)
+        fits = (now.screened.least, then.screened.least)
         sizes = [float(discrepancy_of(now.screened, f, seed).pooled(rows).mean()) for f in fits]
         steps.append(
             AddedStep(
@@ -351,7 +406,7 @@ def answer(
             )
         )  # fmt: skip
     parameters = {}
-    for label, fit in (("base", screened.base), ("with cause", single)):
+    for label, fit in (("base", screened.least), ("with cause", single)):
         values = fit.values
         sds = fit.sd
         parameters[label] = {p.name: float(values[i]) for i, p in enumerate(fit.forward.parameters)} | {
@@ -366,8 +421,9 @@ def answer(
         gap=gap,
         where=_where(first, before, hooks),
         cause=members,
-        verdict=_verdict(first, gap),
-        warnings=_warnings(gap, first, hooks),
+        verdict=_beyond(excluded, gap) + _verdict(first, gap),
+        warnings=[*_lifted_warnings(excluded), *_warnings(gap, first, hooks)],
+        excluded=_excluded(excluded, screenings[0], rows, unit),
         hypotheses=_results(first, seed, {NULL: before} | ({first.leader: after} if listed else {}), hooks),
         steps=steps,
         invisible=list(first.invisible),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import FitDiscrepancy, answer
+from zoo.core.diagnosis.bounds import Excluded, freed
 from zoo.core.diagnosis.file import DiagnosisError, DiagnosisFile, HypothesisResult, Where
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC
@@ -130,6 +131,8 @@ class Diagnosis:
     def save(self, folder: str | Path) -> Path:
         """Write diagnosis.json into a folder; returns its path."""
         folder = Path(folder)
+        if folder.is_file():
+            raise DiagnosisError(f"{folder}: is a file; give a folder, in which diagnosis.json is written")
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / "diagnosis.json"
         path.write_text(
@@ -258,6 +261,7 @@ def diagnose(
     began = time.monotonic()
     started = datetime.now(UTC).isoformat(timespec="seconds")
     rounds: list[Scored] = []
+    excluded: Excluded | None = None
     added: list[AddedEffect] = []
     while True:
         start = rounds[-1].best[added[-1].name].u if added else None
@@ -273,6 +277,9 @@ def diagnose(
             tick=tick,
         )
         try:
+            if not rounds:
+                screening, excluded = freed(screening)
+                model = screening.baseline
             scored = score(screening.run(stop_at_noise=bool(rounds)))
         except SearchError as error:
             if rounds:
@@ -287,8 +294,8 @@ def diagnose(
             break
         added.append(best)
     first = rounds[0]
-    file, before, after = answer(rounds, hooks, seed, started, time.monotonic() - began)
-    last = rounds[-1].screened.base if len(rounds) > 1 else first.best[first.leader]
-    base, cause = (first.screened.screening.errors.unflat(f.computed) for f in (first.screened.base, last))
+    file, before, after = answer(rounds, hooks, seed, started, time.monotonic() - began, excluded)
+    last = rounds[-1].screened.least if len(rounds) > 1 else first.best[first.leader]
+    base, cause = (first.screened.screening.errors.unflat(f.computed) for f in (first.screened.least, last))
     found = Diagnosis(data, file, tuple(rounds), before, after, (base, cause), hooks=hooks)
     return found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tick) if posteriors else found

@@ -207,6 +207,25 @@ class AddedStep(_Amounts):
     gap_after: float
 
 
+class LiftedBound(_Part):
+    """A bound of the baseline's prior that was lifted, and what fits best beyond it."""
+
+    parameter: str
+    unit: str
+    side: Literal["lower", "upper"]
+    bound: float
+    best: float
+
+
+class ExcludedFit(_Amounts):
+    """What the baseline's prior excludes: the explanations were weighed with these bounds lifted."""
+
+    amounts = ("residual_rms_within", "residual_rms_free")
+    bounds: list[LiftedBound]
+    residual_rms_within: float
+    residual_rms_free: float
+
+
 class DiagnosisFile(_Part):
     """Content of diagnosis.json; documented in docs/diagnosis.md."""
 
@@ -219,6 +238,7 @@ class DiagnosisFile(_Part):
     cause: list[str]
     verdict: str
     warnings: list[str] = []
+    excluded: ExcludedFit | None = None
     hypotheses: list[HypothesisResult]
     steps: list[AddedStep]
     invisible: list[str]

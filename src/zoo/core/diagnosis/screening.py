@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -21,6 +22,7 @@ from scipy.special import logsumexp
 from zoo.core.data import Data
 from zoo.core.diagnosis.discrepancy import SIZE_GRID, SIZE_PART, model_discrepancy, possible_noise
 from zoo.core.diagnosis.evidence import Fit, marginal
+from zoo.core.diagnosis.file import DiagnosisError
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, Hypothesis, HypothesisModel, ranges
 from zoo.core.diagnosis.search import Point, Search, SearchError
 from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, EffectParameter
@@ -44,6 +46,24 @@ MULTISTARTED = 4
 
 def _silent(text: str, share: float) -> None:
     """Says nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class BaseFits:
+    """The baseline beside the noise, and what it is compared with: discrepancies of no listed cause.
+
+    `alone` is the baseline with all that it leaves taken for noise, about its least squares.
+    """
+
+    fit: Fit
+    alone: Fit
+    unlisted: Fit
+    correlated: Fit
+
+    @property
+    def noise(self) -> Mapping[str, GroupErrors]:
+        """What the better of the two discrepancies leaves."""
+        return max((self.unlisted, self.correlated), key=lambda f: f.log_z).errors
 
 
 class Screening:
@@ -85,12 +105,13 @@ class Screening:
         tick: Callable[[str, float], None] | None = None,
     ) -> None:
         self.data, self.baseline = data, baseline
+        self._given = errors, tuple(effects), tick
         self.errors = errors.bind(data)
         self.coefficients = self.errors.flat(data.values)
         self.added = tuple(added)
         self.start, self.smooth = start, smooth
         self.cores = cores
-        self.tick = tick or _silent
+        self._tick = tick or _silent
         self.forwards: list[HypothesisModel] = []
         self._secants: dict[tuple[Hypothesis, bytes], Point] = {}
         everywhere = {one.name for one in self.added if one.location == EVERYWHERE}
@@ -101,6 +122,11 @@ class Screening:
             if name not in everywhere and (found := e.locations(baseline))
         }
         self.range = ranges(data)
+
+    def tick(self, text: str, share: float) -> None:
+        """Say what is being tried, and the share of this screening that is done."""
+        beside = f" (beside {len(self.added)} added)" if self.added else ""
+        self._tick("weighing" if share >= 1.0 else text + beside, share)
 
     def forward(self, hypothesis: Hypothesis) -> HypothesisModel:
         """Its series as functions of the search's coordinates."""
@@ -171,6 +197,61 @@ class Screening:
         )
 
     # -- the baseline ----------------------------------------------------------------------------
+
+    def with_baseline(self, baseline: ForwardModel, start: Array) -> Screening:
+        """The same with another baseline, whose search begins elsewhere."""
+        errors, effects, tick = self._given
+        return Screening(
+            self.data,
+            baseline,
+            effects,
+            errors=errors,
+            added=self.added,
+            start=start,
+            smooth=self.smooth,
+            cores=self.cores,
+            tick=tick,
+        )
+
+    @cached_property
+    def base(self) -> BaseFits:
+        """The baseline with what was added to it, fitted beside the noise that a free discrepancy leaves.
+
+        Raises
+        ------
+        SearchError
+            If it cannot be solved.
+        DiagnosisError
+            If the series do not tell its parameters.
+        """
+        try:
+            base = self.fit_base()
+            unlisted = self.fit_free(base, NONPARAMETRIC)
+            correlated = self.fit_free(base, CORRELATED)
+            found = BaseFits(base, base, unlisted, correlated)
+            return replace(found, fit=self.refit_base(base, found.noise))
+        except np.linalg.LinAlgError:
+            raise DiagnosisError(self._singular()) from None
+
+    def _singular(self) -> str:
+        """Which parameters the series do not tell, where a search begins."""
+        forward = self.forwards[0]
+        start = forward.start if self.start is None else self.start
+        search = Search(forward, self.coefficients, np.ones(len(self.coefficients)))
+        J = search.at(start).jacobian * forward.units
+        names = [p.name for p in forward.parameters]
+        unused = [name for name, size in zip(names, np.abs(J).max(axis=0), strict=True) if size == 0.0]
+        if unused:
+            return (
+                f"{self.baseline.name}: its series do not depend on {', '.join(unused)}: leave "
+                f"{'it' if len(unused) == 1 else 'them'} out of the model's parameters, or correct the model"
+            )
+        weak = np.linalg.svd(J / np.linalg.norm(J, axis=0))[2][-1]
+        alike = [name for name, part in zip(names, weak, strict=True) if abs(part) > 0.1]
+        return (
+            f"{self.baseline.name}: its series do not tell {' from '.join(alike)}: fix one of them, or give "
+            "it a normal prior"
+        )
 
     def fit_base(self) -> Fit:
         """The baseline (with what was added) at its mode, under noise alone."""
@@ -400,11 +481,8 @@ class Screening:
         -------
         Screened
         """
-        base = self.fit_base()
-        unlisted = self.fit_free(base, NONPARAMETRIC)
-        correlated = self.fit_free(base, CORRELATED)
-        noise = max((unlisted, correlated), key=lambda f: f.log_z).errors
-        base = self.refit_base(base, noise)
+        base, unlisted, correlated = self.base.fit, self.base.unlisted, self.base.correlated
+        noise = self.base.noise
         gap = {q: self.discrepancy_size(base, noise, q) for q in self.errors.groups}
         allowances = {q: math.hypot(ALLOWANCE * gap[q], own) for q, own in self.numerics().items()}
         S = self.beside(noise, allowances)
@@ -452,7 +530,14 @@ class Screening:
         refitted = self.refit_base(base, best.errors)
         base = replace(refitted, log_z=max(base.log_z, refitted.log_z))
         possible = possible_noise(best)
-        return Screened(self, base, unlisted, correlated, fits, best.errors, possible, gap, allowances)
+        # with the noise of another explanation a few harmonics may count for all: the best fit misses least
+        least = min((refitted, self.base.fit, self.base.alone), key=self.missed)
+        return Screened(self, base, least, unlisted, correlated, fits, best.errors, possible, gap, allowances)
+
+    def missed(self, fit: Fit) -> float:
+        """Mean square residual, in parts of each group's range."""
+        parts = (self.errors.part(fit.residual, q) / size for q, size in self.range.items())
+        return float(np.sum([np.sum(part**2) for part in parts]))
 
     def discrepancy_size(self, fit: Fit, noise: Mapping[str, GroupErrors], group: str) -> float:
         """Rms of truth minus fit, in the group's unit."""
@@ -463,10 +548,15 @@ class Screening:
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """What a screening found."""
+    """What a screening found.
+
+    `base` is the baseline beside the noise of the best explanation, as all of them are fitted; `least` is the
+    fit of the baseline that leaves the smallest residual.
+    """
 
     screening: Screening
     base: Fit
+    least: Fit
     nonparametric: Fit
     correlated: Fit
     fits: Mapping[Hypothesis, Fit]
