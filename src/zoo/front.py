@@ -62,7 +62,7 @@ def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
     from zoo.blood.diagnosis import diagnose as diagnose_study
     from zoo.blood.study import Study
 
-    if not isinstance(data, Study):
+    if not isinstance(data, Study | Data):
         raise diagnosis.DiagnosisError(
             f"data = {data!r:.60}: give a study, such as zoo.load_study('demo'), or a zoo.core.data.Data "
             "(times, values, labels, units)"

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 import zoo
 from zoo import front
 from zoo.core.data import Data
-from zoo.core.diagnosis import Diagnosis
+from zoo.core.diagnosis import Diagnosis, DiagnosisError
 
 SOURCE = Path(zoo.__file__).parent
 
@@ -30,12 +30,15 @@ def test_a_diagnosis_draws_itself(one: Diagnosis, sampled: Diagnosis) -> None:
 
 
 def test_the_front_takes_studies_and_other_data(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zoo.blood.diagnosis.diagnose", lambda *given, **settings: ("study", given, settings))
-    monkeypatch.setattr(front.diagnosis, "diagnose", lambda *given, **settings: ("data", given, settings))
+    monkeypatch.setattr("zoo.blood.diagnosis.diagnose", lambda *given, base: ("study", given, base))
+    monkeypatch.setattr(front.diagnosis, "diagnose", lambda *given, seed: ("data", given, seed))
     study = zoo.load_study("demo")
-    assert front.diagnose(study, base="B") == ("study", (study,), {"base": "B"})
+    assert front.diagnose(study, base="B") == ("study", (study,), "B")
     data = Data(study.time_s, study.values)
-    assert front.diagnose(data, "model", [], seed=3) == ("data", (data, "model", []), {"seed": 3})
+    assert front.diagnose(data, "model", [], seed=3) == ("data", (data, "model", []), 3)
+    for other in (study.values, "demo"):
+        with pytest.raises(DiagnosisError, match=r"give a study, such as .*, or a zoo\.core\.data\.Data"):
+            front.diagnose(other, "model", [])  # type: ignore[arg-type]
 
 
 def test_figures_are_loaded_when_something_is_drawn() -> None:

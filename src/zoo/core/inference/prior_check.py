@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from zoo.core.effects import WithEffects
 from zoo.core.inference.record import ResultsError
-from zoo.core.model import ModelRecord
 from zoo.core.parameters import LogNormal, LogUniform, Parameter, Prior, variable_name
 
 Array = NDArray[np.float64]
@@ -152,6 +151,8 @@ def edges(prior: Prior) -> tuple[float | None, float | None]:
 
 def priors_of(model: Any) -> tuple[tuple[Parameter, ...], frozenset[str]]:
     """Parameters of a model with a record, and the names of those that are an effect's; else nothing."""
+    from zoo.core.model import ModelRecord  # PyMC is slow to load, and a diagnosis does not need it
+
     record = getattr(model, "zoo", None)
     if not isinstance(record, ModelRecord):
         return (), frozenset()
