@@ -174,8 +174,11 @@ def test_taper_and_thickness(tmp_path: Path) -> None:
 def test_outside_pressure(tmp_path: Path) -> None:
     """p = P_ext + K (...): all pressures of a vessel without taper rise by P_ext, the loads' part stays."""
     text = ONE + "    Pext: 1333.22\n" + WK3
-    v = import_openbf(write(tmp_path, text)).study.vessels[0]
-    assert v.external_pressure_mmHg == pytest.approx(10.0)
+    study = import_openbf(write(tmp_path, text)).save(tmp_path / "study")
+    assert study.external_pressure_mmHg == pytest.approx(10.0)
+    one = import_openbf(write(tmp_path, text + DAUGHTERS)).study  # the daughters have none
+    assert one.external_pressure_mmHg == 0
+    assert [v.external_pressure_mmHg for v in one.vessels] == [pytest.approx(10.0), None, None]
 
 
 def test_keys_of_earlier_files(tmp_path: Path) -> None:
@@ -270,6 +273,7 @@ LEFT = "  - label: a\n    sn: 2\n    tn: 3\n    L: 0.1\n    E: 5.0e5\n    R0: 2.
             "gamma_profile = 9, but 2 in trunk",
         ),
         (ONE + "    R1: 1.0e6\n    Cc: 1e-10\n", "is below the vessel's impedance"),
+        (ONE.replace("trunk", "tr\tunk") + WK3, r"label = 'tr\\tunk': must be one line of visible text"),
         ("- 1\n- 2\n", "the file: must be a table"),
         ("blood:\n  rho: 1\n  mu: 1\n", "network: must be a list of vessels"),
     ],
@@ -278,6 +282,17 @@ def test_what_cannot_be_expressed_is_refused_by_name(tmp_path: Path, text: str, 
     with pytest.raises(ImportedFileError, match=said) as caught:
         import_openbf(write(tmp_path, text))
     assert "\n" not in str(caught.value)
+
+
+def test_what_makes_no_study_leaves_nothing(tmp_path: Path) -> None:
+    """An inflow that flows out."""
+    path = write(tmp_path)
+    data = np.loadtxt(tmp_path / "one_inlet.dat")
+    data[:, 1] *= -1
+    np.savetxt(tmp_path / "one_inlet.dat", data)
+    with pytest.raises(ImportedFileError, match=r"model.yaml: makes no study: .* mean flow_ml_s"):
+        import_openbf(path).save(tmp_path / "study")
+    assert not (tmp_path / "study").exists()
 
 
 def test_unknown_solver_settings_are_refused(tmp_path: Path) -> None:

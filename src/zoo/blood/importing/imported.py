@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from zoo.blood.study import Study, load_study, save_study
+from zoo.blood.study import Study, StudyError, load_study, save_study
+
+FILES = "study.toml", "network.toml", "inflow.csv", "observations.csv"
+"""What a study is written into."""
 
 
 class ImportedFileError(ValueError):
@@ -48,12 +51,21 @@ class Imported:
         Raises
         ------
         ImportedFileError
-            If there is a study in the folder already, or the path is a file.
+            If there is a study in the folder already, the path is a file, or the files make no study; of that
+            nothing is left.
         """
         folder = Path(folder)
         if folder.exists() and not folder.is_dir():
             raise ImportedFileError(f"{folder}: is a file; give a folder")
         if (folder / "study.toml").exists():
             raise ImportedFileError(f"{folder}: holds a study already; give another folder, or remove it")
+        made = not folder.exists()
         save_study(self.study, folder)
-        return load_study(folder)
+        try:
+            return load_study(folder)
+        except StudyError as error:
+            for name in FILES:
+                (folder / name).unlink(missing_ok=True)
+            if made:
+                folder.rmdir()
+            raise ImportedFileError(f"{self.study.source}: makes no study: {error}") from None

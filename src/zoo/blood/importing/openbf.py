@@ -6,7 +6,7 @@ and outlets drain to a pressure of zero.
 
 References
 ----------
-Melis 2017, openBF, doi 10.15131/shef.data.7166183; Avolio 1980, doi 10.1007/BF02441895, for the thickness of
+Melis 2018, openBF, doi 10.15131/shef.data.7166183; Avolio 1980, doi 10.1007/BF02441895, for the thickness of
 walls that have none.
 """
 
@@ -16,6 +16,7 @@ import difflib
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -97,17 +98,28 @@ class _File:
         return renamed
 
     def number(
-        self, table: Table, what: str, key: str, default: float | None = None, *, zero: bool = False
+        self, table: Table, what: str, key: str, default: float | None = None, *, least: float | None = None
     ) -> float:
+        """A positive number, or one that is at least `least`."""
         value = table.get(key, default)
         at = f", row {table.rows[key]}" if key in table else ""
         if value is None:
             raise self.fail(at, f"{what}: {key}: is missing; add it")
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise self.fail(at, f"{what}: {key} = {value!r}: must be a number; correct it")
-        if value < 0 or (value == 0 and not zero):
-            raise self.fail(at, f"{what}: {key} = {value!r}: must be positive; correct it")
+        if value <= 0 if least is None else value < least:
+            word = "positive" if least is None else "zero or positive"
+            raise self.fail(at, f"{what}: {key} = {value!r}: must be {word}; correct it")
         return float(value)
+
+    def name(self, table: Table, key: str, default: str) -> str:
+        value = table.get(key)
+        text = default if value is None else str(value)
+        if not text.strip() or not text.isprintable():
+            raise self.fail(
+                f", row {table.rows[key]}", f"{key} = {text!r}: must be one line of visible text; correct it"
+            )
+        return text
 
     def node(self, table: Table, what: str, key: str) -> int:
         value = table.get(key)
@@ -138,13 +150,13 @@ def import_openbf(path: str | Path) -> Imported:
 
     References
     ----------
-    Melis 2017, doi 10.15131/shef.data.7166183.
+    Melis 2018, doi 10.15131/shef.data.7166183.
     """
     file = _File(Path(path))
     blood = file.table(file.top.get("blood"), "blood", _BLOOD, file.top.rows.get("blood"))
     solver = file.table(file.top.get("solver", Table()), "solver", _SOLVER, file.top.rows.get("solver"))
-    density = file.number(blood, "blood", "rho") * _CGS_DENSITY
-    viscosity = file.number(blood, "blood", "mu") * _CGS_PRESSURE
+    density = _times(file.number(blood, "blood", "rho"), _CGS_DENSITY)
+    viscosity = _times(file.number(blood, "blood", "mu"), _CGS_PRESSURE)
     network = file.top.get("network")
     if not isinstance(network, list) or not network:
         raise file.fail("", "network: must be a list of vessels; is this an openBF file?")
@@ -156,7 +168,7 @@ def import_openbf(path: str | Path) -> Imported:
         label = entry.get("label") if isinstance(entry, Table) else None
         what = f"vessel {label if label is not None else i}"
         tables.append(file.table(entry, what, _VESSEL | _VESSEL_LEFT_OUT))
-        names.append(str(label) if label is not None else f"v{i}")
+        names.append(file.name(tables[-1], "label", f"v{i}"))
     for key in sorted(_VESSEL_LEFT_OUT):
         n = sum(key in table for table in tables)
         left_out += [f"{key} of {n} vessels"] if n else []
@@ -168,10 +180,14 @@ def import_openbf(path: str | Path) -> Imported:
         _vessel(file, tables[i], i + 1, names[i], parent, i not in fed, density)
         for i, parent in enumerate(parents)
     )
+    outside = {v.external_pressure_mmHg for v in vessels}
+    everywhere = outside.pop() if len(outside) == 1 else None
+    if everywhere is not None:
+        vessels = tuple(replace(v, external_pressure_mmHg=None) for v in vessels)
     order = _profile(file, tables, names)
     times, flow, period = _inflow(file, tables[root])
     study = Study(
-        name=str(file.top.get("project_name") or file.path.stem),
+        name=file.name(file.top, "project_name", file.path.stem),
         period_s=period,
         blood=Blood(density, viscosity, velocity_profile_order=order),
         vessels=vessels,
@@ -180,6 +196,7 @@ def import_openbf(path: str | Path) -> Imported:
         time_s=np.empty(0),
         series=(),
         source=file.path,
+        external_pressure_mmHg=everywhere or 0.0,
     )
     return Imported(study, tuple(_told(study)), tuple(_converted(file)), tuple(left_out))
 
@@ -240,7 +257,7 @@ def _vessel(
         file.notes.append(
             "walls without h0 got h0 = R0 (0.2802 exp(-505.3 R0) + 0.1324 exp(-11.14 R0)), in m"
         )
-    outside = file.number(table, what, "Pext", 0.0, zero=True)
+    outside = file.number(table, what, "Pext", 0.0, least=-math.inf)
     stated = any(key in table for key in ("outlet", "R1", "R2", "Cc", "Rt"))
     if stated and not terminal and table.get("outlet") not in (None, "none"):
         raise file.fail(
@@ -253,18 +270,23 @@ def _vessel(
     return Vessel(
         id=number,
         name=name,
-        length_cm=file.number(table, what, "L") * _CM,
-        radius_cm=radius * _CM,
-        radius_out_cm=out * _CM,
+        length_cm=_times(file.number(table, what, "L"), _CM),
+        radius_cm=_times(radius, _CM),
+        radius_out_cm=_times(out, _CM),
         parent=None if parent is None else parent + 1,
         windkessel=load,
         resistance=single,
-        youngs_modulus_g_cm_s2=modulus * _CGS_PRESSURE,
-        wall_thickness_cm=wall * _CM,
-        wall_thickness_out_cm=None if wall_out == wall else wall_out * _CM,
+        youngs_modulus_g_cm_s2=_times(modulus, _CGS_PRESSURE),
+        wall_thickness_cm=_times(wall, _CM),
+        wall_thickness_out_cm=None if wall_out == wall else _times(wall_out, _CM),
         outflow_pressure_mmHg=behind,
         external_pressure_mmHg=_mmhg(outside) if outside else None,
     )
+
+
+def _times(value: float, factor: float) -> float:
+    """The product to 14 digits, so that 0.126 m are 12.6 cm."""
+    return float(f"{value * factor:.14g}")
 
 
 def _mmhg(pascal: float) -> float:
@@ -286,11 +308,11 @@ def _outlet(
         kind = "reflection" if not table.get("R1") and table.get("Rt") is not None else "wk3"
     if kind == "reflection":
         return None, _reflecting(file, table, what, impedance), _mmhg(outside) if outside else None
-    R1 = file.number(table, what, "R1") * _CGS_RESISTANCE
-    R2 = file.number(table, what, "R2", 0.0, zero=True) * _CGS_RESISTANCE
+    R1 = _times(file.number(table, what, "R1"), _CGS_RESISTANCE)
+    R2 = _times(file.number(table, what, "R2", 0.0, least=0.0), _CGS_RESISTANCE)
     if not R2 and not table.get("Cc"):
         return None, R1, None
-    C = file.number(table, what, "Cc") * _CGS_COMPLIANCE
+    C = _times(file.number(table, what, "Cc"), _CGS_COMPLIANCE)
     if R2 and not table.get("inlet_impedance_matching"):
         if kind == "wk2":
             raise file.fail(
@@ -394,7 +416,7 @@ def _told(study: Study) -> list[str]:
     tapered = sum(v.radius_out_cm != v.radius_cm for v in study.vessels)
     kinds = Counter("Windkessel" if v.windkessel else "resistance" for v in study.vessels if _ends(v))
     outlets = ", ".join(f"{n} x {kind}" for kind, n in kinds.items())
-    outside = sorted({v.external_pressure_mmHg or 0.0 for v in study.vessels})
+    outside = sorted({v.external_pressure_mmHg or study.external_pressure_mmHg for v in study.vessels})
     surroundings = " to ".join(f"{p:.4g}" for p in dict.fromkeys((outside[0], outside[-1])))
     return [
         f"{len(study.vessels)} vessels, {tapered} tapered; outlets: {outlets}",
