@@ -7,6 +7,7 @@ falls by alpha rho q^2/2 (1/A'^2 - 1/A^2) where it narrows, and an outlet has p 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,11 @@ from numpy.typing import NDArray
 from zoo.blood.effects.given import added_effects
 from zoo.blood.forward import BloodFlow, constant_stiffness, scaled_stiffness
 from zoo.blood.physics import NO_PHYSICS, physics_words
+from zoo.blood.plugins import load_models
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import (
     Blood,
+    Series,
     Study,
     StudyError,
     Vessel,
@@ -493,6 +496,28 @@ def test_models_have_the_studys_physics_and_a_stiffness_of_their_own() -> None:
     assert plain.configure([4e5]).physics is NO_PHYSICS
     with pytest.raises(StudyError, match="stiffness_g_cm_s2: is missing, and there is nothing to scale"):
         BloodFlow(plain.study, "linear", scaled_stiffness, [f3("stiffness_factor")]).configure([1.0])
+
+
+def observed(made: Study) -> Study:
+    """The study with the pressure of its root's inlet, as it is without errors."""
+    pressure = waves(made, (1, 0.0))[0]
+    series = (Series(1, 0.0, "pressure_mmHg", pressure[0]),)
+    return replace(made, time_s=np.arange(100) * (PERIOD / 100), series=series)
+
+
+def test_the_documented_model_infers_a_factor_of_the_given_stiffness(tmp_path: Path) -> None:
+    text = (Path(__file__).resolve().parents[1] / "docs" / "study-format.md").read_text(encoding="utf-8")
+    [code] = [c for c in re.findall(r"```python\n(.*?)```", text, flags=re.S) if c.startswith("# scaled.py")]
+    (tmp_path / "scaled.py").write_text(code, encoding="utf-8")
+    [build] = load_models(tmp_path / "scaled.py").values()
+    made = observed(tree(radius_pressure_mmHg=20.0, outflow_pressure_mmHg=4.0, junction_pressure="total"))
+    flow = build(made, options=FINE).zoo.forward
+    start = {p.name: 1.0 for p in flow.parameters}
+    assert set(start) >= {"stiffness_factor", "psi1", "psi2", "c"}
+    series = flow.solve(flow.configure([1.0] * len(flow.parameters)))
+    np.testing.assert_allclose(series, made.values, atol=1e-8)
+    softer = flow.solve(flow.configure([0.9, 1.0, 1.0, 1.0]))
+    assert np.max(np.abs(softer - series)) > 0.1
 
 
 def test_effects_add_to_the_studys_physics_or_are_refused() -> None:
