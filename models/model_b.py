@@ -28,6 +28,7 @@ BASELINE = Baseline(
         Parameter("psi2", Uniform(0.05, 2.5), start=0.87, log=True),
         Parameter("c", Uniform(0.05, 2.5), start=1.35, log=True),
     ),
+    prior_set="paun2020",  # for mouse-c6; the priors of other studies follow from them, zoo.blood.priors
 )
 ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; its amplitude is in mmHg2
     w=LogUniform(1e4, 9e4), w_start=5.36e4, b=LogUniform(1, 500), b_start=137.0, unit="mmHg"

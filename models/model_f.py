@@ -34,6 +34,7 @@ BASELINE = Baseline(
         Parameter("psi2", Uniform(0.05, 2.5), start=0.21, log=True),
         Parameter("c", Uniform(0.05, 2.5), start=2.08, log=True),
     ),
+    prior_set="paun2020",  # for mouse-c6; the priors of other studies follow from them, zoo.blood.priors
 )
 ERRORS = Independent(sigma2=InverseGamma(0.001, 0.001), start=0.05)  # variance, mmHg2
 

@@ -35,6 +35,7 @@ BASELINE = Baseline(
         Parameter("c", Uniform(0.05, 2.5), start=1.58, log=True),
     ),
     wall_factor=1.0,
+    prior_set="paun2020",  # for mouse-c6; the priors of other studies follow from them, zoo.blood.priors
 )
 ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; its amplitude is in mmHg2
     w=LogUniform(1e4, 9e4), w_start=4.45e4, b=LogUniform(1, 500), b_start=196.0, unit="mmHg"

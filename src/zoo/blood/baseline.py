@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
@@ -11,6 +11,7 @@ from zoo.blood.conventions import Conventions
 from zoo.blood.effects.given import Given, added_effects
 from zoo.blood.forward import BloodFlow, StiffnessLaw, study_data
 from zoo.blood.network import Network
+from zoo.blood.priors import GivenPrior, check_names, prior_table, study_parameters, with_priors
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study
 from zoo.core.effects import EffectError, with_effects
@@ -20,6 +21,7 @@ from zoo.core.words import nearest, refuse_unknown
 if TYPE_CHECKING:
     import pymc as pm
 
+    from zoo.core.data import Data
     from zoo.core.errors.base import ErrorModel
 
 HOMES = {
@@ -51,6 +53,9 @@ class Baseline:
         Instead of that of a study's conventions, as model I has it.
     fixed : mapping of name to number
         Parameters of known value, such as {"gamma": 5.0}.
+    prior_set : str
+        Which named set the priors of `parameters` are, such as "paun2020": studies of another set have those
+        of `zoo.blood.priors` instead. Empty: they hold for any study.
     """
 
     name: str
@@ -59,6 +64,47 @@ class Baseline:
     parameters: tuple[Parameter, ...]
     wall_factor: float | None = None
     fixed: Mapping[str, float] = field(default_factory=dict)
+    prior_set: str = ""
+
+    def _conventions(self, study: Study, given: Conventions | None) -> Conventions:
+        if given is None and self.wall_factor is not None:
+            return study.conventions.replace(wall_factor=self.wall_factor)
+        return given or study.conventions
+
+    def priors(
+        self,
+        study: Study,
+        *,
+        conventions: Conventions | None = None,
+        priors: Mapping[str, Any] | None = None,
+    ) -> tuple[GivenPrior, ...]:
+        """The parameters with the priors that a study gives them, and where these came from.
+
+        Parameters
+        ----------
+        study : Study
+        conventions, priors
+            As in `forward`.
+
+        Returns
+        -------
+        tuple of GivenPrior
+            Vectors with an element for each vessel.
+
+        Raises
+        ------
+        zoo.blood.prior_tables.PriorsError
+            If the study's table of priors, or `priors`, cannot be used.
+        """
+        n = len(study.vessels)
+        parameters = [replace(p, size=n) if p.dims == "vessel" else p for p in self.parameters]
+        return study_parameters(
+            parameters,
+            with_priors(study, priors),
+            self.wall,
+            self._conventions(study, conventions),
+            self.prior_set,
+        )
 
     def forward(
         self,
@@ -66,6 +112,7 @@ class Baseline:
         *,
         conventions: Conventions | None = None,
         options: SolverOptions | None = None,
+        priors: Mapping[str, Any] | None = None,
     ) -> BloodFlow:
         """The forward model of a study.
 
@@ -76,18 +123,19 @@ class Baseline:
             Instead of the study's own, also of the baseline's `wall_factor`.
         options : SolverOptions
             Numerical settings.
+        priors : mapping
+            Instead of some of the study's own, as its table [priors] or as `Prior` objects.
 
         Returns
         -------
         BloodFlow
         """
-        if conventions is None and self.wall_factor is not None:
-            conventions = study.conventions.replace(wall_factor=self.wall_factor)
-        n = len(study.vessels)
-        parameters = [replace(p, size=n) if p.dims == "vessel" else p for p in self.parameters]
+        given = self.priors(study, conventions=conventions, priors=priors)
+        parameters = [one.parameter for one in given]
+        check_names(with_priors(study, priors), parameters)
         return BloodFlow(
-            study, self.wall, self.stiffness, parameters,
-            name=self.name, conventions=conventions, options=options, fixed=self.fixed,
+            study, self.wall, self.stiffness, parameters, name=self.name,
+            conventions=self._conventions(study, conventions), options=options, fixed=self.fixed,
         )  # fmt: skip
 
 
@@ -104,11 +152,16 @@ class Settings(TypedDict, total=False):
         Numerical settings.
     conventions : Conventions
         Instead of the study's own.
+    priors : mapping
+        Instead of some of the study's own: by parameter ("stiffness" is the overall one), each a `Prior` or
+        as in study.toml, ``{"f3": LogUniform(2e4, 4e5), "c": {"log_normal": [1, 0.5]}}``; also "set" and
+        "wave_speed_m_s".
     """
 
     effects: Iterable[Given]
     options: SolverOptions | None
     conventions: Conventions | None
+    priors: Mapping[str, Any] | None
 
 
 def get_baseline(name: str) -> Baseline:
@@ -173,7 +226,7 @@ def blood_model(
     errors : ErrorModel, or function of a study
         A function, such as `zoo.blood.errors.by_prior_set` makes, gives the errors of the study at hand.
     **settings
-        Effects, options, conventions, as in `Settings`.
+        Effects, options, conventions, priors, as in `Settings`.
 
     Returns
     -------
@@ -193,9 +246,12 @@ def blood_model(
     from zoo.core.model import bayesian_model
 
     refuse_unknown(f"model_{name}", settings, Settings.__annotations__)
+    study = with_priors(study, settings.get("priors"))
     data = study_data(study)
-    law = errors(study) if callable(errors) else errors
-    flow = baseline.forward(study, conventions=settings.get("conventions"), options=settings.get("options"))
+    law = _with_own_priors(errors(study) if callable(errors) else errors, study, data)
+    conventions = settings.get("conventions")
+    flow = baseline.forward(study, conventions=conventions, options=settings.get("options"))
+    given = baseline.priors(study, conventions=conventions)
     added = added_effects(settings.get("effects") or (), flow)
     return bayesian_model(
         "+".join([name, *(one.name + one.location.suffix for one in added)]),
@@ -205,7 +261,14 @@ def blood_model(
         coords={"vessel": [int(vessel) for vessel in flow.network.ids]},
         study=study,
         constants=_constants(study, flow.network),
-        settings={"conventions": asdict(flow.conventions), "solver options": asdict(flow.options)},
+        settings={
+            "conventions": asdict(flow.conventions),
+            "solver options": asdict(flow.options),
+            "prior origins": {
+                **dict.fromkeys(prior_table(study).own, "given"),
+                **{one.parameter.name: one.origin for one in given},
+            },
+        },
     )
 
 
@@ -219,3 +282,14 @@ def _constants(study: Study, network: Network) -> dict[str, tuple[tuple[str, ...
         "radius_out": (("vessel",), network.radius_out_cm, "cm"),
         "period": ((), study.period_s, "s"),
     }
+
+
+def _with_own_priors(errors: ErrorModel, study: Study, data: Data) -> ErrorModel:
+    """Errors with the priors that a study gives their parameters by name."""
+    there = errors.bind(data).parameter_names
+    own: dict[str, Any] = {name: prior for name, prior in prior_table(study).own.items() if name in there}
+    if not own:
+        return errors
+    if "priors" in {f.name for f in fields(errors)}:
+        own = {"priors": own}
+    return replace(errors, **own)

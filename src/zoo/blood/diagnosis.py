@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from zoo.blood.baseline import get_baseline
 from zoo.blood.conventions import Conventions
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.forward import study_data
+from zoo.blood.priors import with_priors
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study, suspect_units
 from zoo.core.data import Data
@@ -152,6 +153,7 @@ def diagnose(
     exhaust: bool = False,
     conventions: Conventions | None = None,
     options: SolverOptions | None = None,
+    priors: Mapping[str, Any] | None = None,
     cores: int = 2,
     seed: int = 1,
     tick: Callable[[str, float], None] | None = None,
@@ -165,7 +167,7 @@ def diagnose(
         With observations.
     base : str
         "linear-constant", "linear-radius", "linear-vessels", "tangent-constant", "tangent-radius", or the
-        letter         of a model with that structure.
+        letter of a model with that structure.
     effects : iterable of str or Effect, optional
         Only these: names in the catalogue, or effects of your own.
     posteriors : bool
@@ -174,6 +176,8 @@ def diagnose(
         Instead of the study's own.
     options : SolverOptions, optional
         Numerical settings; a tighter tolerance than that of sampling if absent.
+    priors : mapping, optional
+        Instead of some of the study's own, as in `zoo.blood.baseline.Settings`.
     max_effects, exhaust, cores, seed, tick, folder
         As in `zoo.core.diagnosis.diagnose`.
 
@@ -202,6 +206,7 @@ def diagnose(
             "series of eight samples; add observations.csv"
         )
     chosen = get_baseline(base)
+    study = with_priors(study, priors)
     forward = chosen.forward(study, conventions=conventions, options=options or SEARCH)
     found = diagnose_data(
         study_data(study),
@@ -216,11 +221,19 @@ def diagnose(
         tick=tick,
         folder=folder,
     )
-    return of_study(found, study)
+    return of_study(found, study, {p.name: p.prior.text for p in forward.parameters})
 
 
-def of_study(found: Diagnosis, study: Study) -> StudyDiagnosis:
-    """A diagnosis of a study's data with the study and its checksum."""
-    file = found.file.model_copy(update={"study": study.name, "study_checksum": study.checksum})
+def prior_words(study: Study, base: str, priors: Mapping[str, Any] | None = None) -> dict[str, str]:
+    """Priors of a baseline's parameters in words, as the record of a diagnosis has them."""
+    given = get_baseline(base).priors(study, priors=priors)
+    return {one.parameter.name: one.parameter.prior.text for one in given}
+
+
+def of_study(found: Diagnosis, study: Study, priors: Mapping[str, str] | None = None) -> StudyDiagnosis:
+    """A diagnosis of a study's data with the study, its checksum, and the baseline's priors in words."""
+    record = found.file.record | ({"priors": dict(priors)} if priors else {})
+    update = {"study": study.name, "study_checksum": study.checksum, "record": record}
+    file = found.file.model_copy(update=update)
     values: dict[str, Any] = {f.name: getattr(found, f.name) for f in fields(Diagnosis)}
     return StudyDiagnosis(**(values | {"file": file}), study=study)

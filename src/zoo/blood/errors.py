@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from zoo.blood.prior_tables import PAPER_SET as PAPER_SET
 from zoo.blood.study import Study, StudyError
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.groups import GroupNoise, GroupProcess
 from zoo.core.errors.independent import Independent
-
-PAPER_SET = "paun2020"
 
 
 def by_prior_set(paper: ErrorModel) -> Callable[[Study], ErrorModel]:

@@ -7,7 +7,19 @@ from typing import Annotated
 
 import typer
 
-from zoo.cli import blind, compare, data, diagnose, effects, importing, report, reproduce, sample, simulate
+from zoo.cli import (
+    blind,
+    compare,
+    data,
+    diagnose,
+    effects,
+    importing,
+    priors,
+    report,
+    reproduce,
+    sample,
+    simulate,
+)
 from zoo.cli.command import show_tracebacks
 
 HELP = {"help_option_names": ["-h", "--help"]}
@@ -41,6 +53,7 @@ for function in (
     data.studies,
     data.version,
     simulate.simulate,
+    priors.priors,
     sample.sample,
     compare.compare,
     reproduce.reproduce,

@@ -9,7 +9,7 @@ import typer
 
 from zoo.cli.checks import output_folder
 from zoo.cli.command import UsageError, command
-from zoo.cli.options import QuietOption
+from zoo.cli.options import PriorOptions, QuietOption
 from zoo.cli.screen import plain_table, say
 
 if TYPE_CHECKING:
@@ -103,6 +103,8 @@ def run(
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each.")] = 2,
     quiet: QuietOption = False,
+    *,
+    priors: PriorOptions,
 ) -> None:
     """Diagnose every case of a folder; sees no key, and goes on where it was interrupted."""
     import time
@@ -119,6 +121,7 @@ def run(
             posteriors=posteriors,
             max_effects=max_effects,
             seed=seed,
+            priors=priors.table(),
             cores=cores,
             done=counting,
         )

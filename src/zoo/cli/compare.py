@@ -10,7 +10,7 @@ import typer
 
 from zoo.cli.checks import at_least, different_models, parent_exists
 from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import ConventionOptions, PluginOptions, SamplingOptions
+from zoo.cli.options import ConventionOptions, PluginOptions, PriorOptions, SamplingOptions
 from zoo.cli.sample import build_model, sample_with_checkpoint
 from zoo.cli.screen import plain_table, say
 
@@ -49,6 +49,7 @@ def compare(
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
     *,
     sampling: Annotated[SamplingOptions, Without("step", "thin")],
+    priors: PriorOptions,
     conventions: ConventionOptions,
     plugins: PluginOptions,
 ) -> None:
@@ -62,7 +63,7 @@ def compare(
     names = different_models(models)
     settings = sampling.settings()
     at_least("--n-draws", n_draws, 10)
-    loaded = [conventions.load(study) for study in studies]
+    loaded = [priors.into(conventions.load(study)) for study in studies]
     if len({study.name for study in loaded}) < len(loaded):
         raise UsageError(f"{', '.join(studies)}: two studies of one name; give each once")
     parent_exists(output.resolve()).mkdir(exist_ok=True)

@@ -9,7 +9,7 @@ import typer
 
 from zoo.cli.checks import at_least, output_folder
 from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import ConventionOptions, PluginOptions, QuietOption, StudyArgument
+from zoo.cli.options import ConventionOptions, PluginOptions, PriorOptions, QuietOption, StudyArgument
 from zoo.cli.screen import plain_table, say, warn
 from zoo.cli.telling import Telling
 
@@ -62,6 +62,7 @@ def diagnose(
     quiet: QuietOption = False,
     confirm: Annotated[bool | None, typer.Option("--confirm/--no-confirm", hidden=True)] = None,
     *,
+    priors: PriorOptions,
     conventions: ConventionOptions,
     plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
@@ -85,7 +86,7 @@ def diagnose(
         plugins.load()
         chosen = get_baseline(base)
         names = _effect_names(effects, chosen.name)
-        loaded = conventions.load(study)
+        loaded = priors.into(conventions.load(study))
         output_folder(output)
         # a baseline has a wall factor of its own unless one is asked for
         own = loaded.conventions if conventions.wall_factor is not None else None
@@ -103,7 +104,7 @@ def diagnose(
         words += ["--exhaust"] if exhaust else []
         words += ["--effects", ",".join(names)] if names else []
         words += plugins.words()
-        words += [*conventions.words(), "--cores", str(cores), "--seed", str(seed)]
+        words += [*priors.words(), *conventions.words(), "--cores", str(cores), "--seed", str(seed)]
         found = run(
             loaded,
             chosen.name,
@@ -140,10 +141,11 @@ def _effect_names(text: str | None, base: str) -> list[str] | None:
 
 
 def _run_name(study: Study, base: str, conventions: Conventions | None, seed: int) -> str:
-    """Folder of a run's posteriors: another study, baseline, conventions or seed has another one."""
+    """Folder of a run's posteriors: another study, baseline, priors, conventions or seed has another one."""
     import hashlib
 
-    what = repr((study.checksum, study.conventions, conventions, seed)).encode()
+    own = sorted(study.priors.items()) if study.priors else []
+    what = repr((study.checksum, study.conventions, conventions, seed, *own)).encode()
     return f"{base}-{hashlib.sha256(what).hexdigest()[:8]}"
 
 

@@ -137,6 +137,54 @@ class ConventionOptions:
 
 
 @dataclass(frozen=True)
+class PriorOptions:
+    """Priors instead of some of a study's own."""
+
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--prior",
+            help="Instead of the study's own: stiffness=log_uniform(2e4,4e5), f3=..., wave_speed_m_s=1,4 or "
+            "set=paun2020; laws uniform, log_uniform, normal, log_normal, inverse_gamma. May be repeated.",
+            metavar="NAME=LAW(...)",
+            show_default=False,
+        ),
+    ] = None
+
+    def table(self) -> dict[str, Any]:
+        """What was given, as the table [priors] of study.toml has it.
+
+        Raises
+        ------
+        UsageError
+            If an option cannot be read, or two are of one name.
+        """
+        from zoo.blood.prior_tables import PriorsError, read_option, read_priors
+
+        found: dict[str, Any] = {}
+        for text in self.prior or []:
+            try:
+                name, value = read_option(text)
+                read_priors({name: value})
+            except PriorsError as error:
+                raise UsageError(f"--prior {error}") from None
+            if name in found:
+                raise UsageError(f"--prior {text}: {name} was given before; give it once")
+            found[name] = value
+        return found
+
+    def into(self, study: Study) -> Study:
+        """The study with these priors."""
+        from zoo.blood.priors import with_priors
+
+        return with_priors(study, self.table())
+
+    def words(self) -> list[str]:
+        """The options as they were typed."""
+        return [word for text in self.prior or [] for word in ("--prior", text)]
+
+
+@dataclass(frozen=True)
 class NumericalOptions:
     """Options of the solver, by the names that `SolverOptions` gives them."""
 

@@ -10,7 +10,7 @@ import typer
 
 from zoo.cli.checks import at_least, model_names, parent_exists
 from zoo.cli.command import command
-from zoo.cli.options import PluginOptions, QuietOption
+from zoo.cli.options import PluginOptions, PriorOptions, QuietOption
 from zoo.cli.screen import say
 
 
@@ -37,6 +37,7 @@ def report(
     title: Annotated[str, typer.Option("--title", help="Of the page.")] = "Models of blood flow",
     quiet: QuietOption = False,
     *,
+    priors: PriorOptions,
     plugins: PluginOptions,
 ) -> None:
     """Write one HTML page on stored posteriors: comparison, fits, convergence, how they were made."""
@@ -51,10 +52,12 @@ def report(
     parent_exists(output.resolve())
     names = studies or list(list_studies())
     folders = posteriors or [Path()]
-    chapters = gather(names, folders, letters=letters, data=bool(os.environ.get("CI")), say=say)
+    chapters = gather(
+        names, folders, letters=letters, data=bool(os.environ.get("CI")), priors=priors.table(), say=say
+    )
     words = ["zoo", "report", *names]
     words += [word for folder in folders for word in ("--posteriors", str(folder))]
-    words += plugins.words()
+    words += [*priors.words(), *plugins.words()]
     words += ["--models", ",".join(letters), "--ic", criterion, "--n-draws", str(n_draws), "-o", str(output)]
     write_chapters(
         output,

@@ -10,7 +10,7 @@ import typer
 
 from zoo.cli.checks import model_name, parent_exists
 from zoo.cli.command import UsageError, command
-from zoo.cli.options import ConventionOptions, PluginOptions, SamplingOptions, StudyArgument
+from zoo.cli.options import ConventionOptions, PluginOptions, PriorOptions, SamplingOptions, StudyArgument
 from zoo.cli.screen import plain_table, say
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def sample(
     ] = None,
     *,
     sampling: SamplingOptions,
+    priors: PriorOptions,
     conventions: ConventionOptions,
     plugins: PluginOptions,
 ) -> None:
@@ -47,7 +48,7 @@ def sample(
     added = [part.strip() for part in (effects or "").split(",") if part.strip()]
     name = model_name("+".join([model, *added]))
     settings = sampling.settings()
-    loaded = conventions.load(study)
+    loaded = priors.into(conventions.load(study))
     path = parent_exists(Path(f"{name}-{loaded.name}.nc") if output is None else output)
     idata = sample_with_checkpoint(
         name, loaded, path, settings, resume=sampling.resume, progress=not sampling.quiet
@@ -58,13 +59,16 @@ def sample(
 def build_model(name: str, study: Study) -> Any:
     """A model on a study, by its name."""
     from zoo.blood.plugins import get_model
+    from zoo.blood.priors import without_use
     from zoo.core.model import ModelError, record_of
 
     model = get_model(name)(study)
     try:
-        record_of(model)
+        there = record_of(model).parameters
     except ModelError as error:
         raise UsageError(f"model {name}: {error}") from None
+    for parameter in without_use(study, there):
+        say(f"model {name} has no {parameter}: the prior of {parameter} is not used")
     return model
 
 

@@ -92,6 +92,12 @@ class ModelRecord:
         return self.forward_parameters + self.error_parameters
 
     @property
+    def priors(self) -> dict[str, str]:
+        """Prior of each variable in words."""
+        both = (*self.forward.parameters, *self.errors.parameters)
+        return {variable_name(p.name): p.prior.text for p in both}
+
+    @property
     def suggested(self) -> dict[str, Any]:
         """Values of the variables that a search for the mode may start from."""
         both = start_of(self.forward.parameters) | start_of(self.errors.parameters)

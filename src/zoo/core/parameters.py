@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zoo.core.priors import InverseGamma as InverseGamma
 from zoo.core.priors import LogNormal as LogNormal
+from zoo.core.priors import LogPopulation as LogPopulation
 from zoo.core.priors import LogUniform as LogUniform
 from zoo.core.priors import Normal as Normal
 from zoo.core.priors import ParameterError as ParameterError

@@ -334,6 +334,14 @@ class LogNormal(Prior):
     low: float = 0.0
     high: float = math.inf
 
+    def __post_init__(self) -> None:
+        good = 0 < self.centre < math.inf and 0 < self.spread < math.inf and 0 <= self.low < self.high
+        if not good:
+            raise ParameterError(
+                f"log-normal prior: median {self.centre}, sd of the logarithm {self.spread}, bounds "
+                f"[{self.low}, {self.high}]: the first two must be positive and the bounds ascend from 0 up"
+            )
+
     @property
     def support(self) -> tuple[float, float]:
         """Its two bounds."""
@@ -399,6 +407,12 @@ class InverseGamma(Prior):
 
     shape: float
     scale: float
+
+    def __post_init__(self) -> None:
+        if not (0 < self.shape < math.inf and 0 < self.scale < math.inf):
+            raise ParameterError(
+                f"inverse-gamma prior: shape {self.shape}, scale {self.scale}: must be positive"
+            )
 
     @property
     def support(self) -> tuple[float, float]:
@@ -541,3 +555,80 @@ class Population(Prior):
     def text(self) -> str:
         """Such as "normal(m_chi, 10000 sqrt(v_chi)) above 0"."""
         return f"normal({self.mean}, {self.unit:g} sqrt({self.variance})) above 0"
+
+
+@dataclass(frozen=True)
+class LogPopulation(Prior):
+    """Each element log-normal around a population's median: log x_i ~ N(log m, v).
+
+    Parameters
+    ----------
+    median_name, variance : str
+        Names of the parameters m and v; v is the variance of the logarithm.
+    """
+
+    median_name: str
+    variance: str
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Zero and infinity: sampled and searched as a logarithm."""
+        return 0.0, math.inf
+
+    @property
+    def depends_on(self) -> tuple[str, ...]:
+        """Median and variance of the population."""
+        return self.median_name, self.variance
+
+    def _given(self, given: Mapping[str, Array] | None) -> LogNormal:
+        values = given or {}
+        return LogNormal(float(values[self.median_name]), math.sqrt(float(values[self.variance])))
+
+    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
+        """Sum of -z^2/2 - log x - log(v)/2 - log(2 pi)/2, z = log(x/m)/sqrt(v)."""
+        return self._given(given).log_density(x, {})
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Those of the log-normal density."""
+        return self._given(given).curvature(x, {})
+
+    def dependence(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+        """With respect to m and v, where -log p = sum log(x/m)^2/(2 v) + n log(v)/2."""
+        m, v = float(given[self.median_name]), float(given[self.variance])
+        x = np.asarray(x, dtype=np.float64)
+        away = np.log(x / m)
+        n, total, squares = len(x), float(np.sum(away)), float(np.sum(away * away))
+        first = np.array([total / (m * v), 0.5 * squares / v**2 - 0.5 * n / v])
+        mixed = total / (m * v**2)
+        second = np.array([[(n + total) / (m * m * v), mixed], [mixed, squares / v**3 - 0.5 * n / v**2]])
+        cross = np.stack([-1.0 / (x * m * v), -away / (x * v * v)], axis=1)
+        return first, second, cross
+
+    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
+        """``pm.LogNormal``."""
+        import pymc as pm
+
+        m, v = given[self.median_name], given[self.variance]
+        return pm.LogNormal(name, pm.math.log(m), pm.math.sqrt(v), **settings)
+
+    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
+        """Exponentials of normal draws."""
+        return self._given(given).draw(rng, size, {})
+
+    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Of one element, given the population's median and variance."""
+        return self._given(given).quantile(p)
+
+    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Of one element, given the population's median and variance."""
+        return self._given(given).cdf(x)
+
+    @property
+    def median(self) -> float:
+        """Not a number: that of the population."""
+        return math.nan
+
+    @property
+    def text(self) -> str:
+        """Such as "log-normal(m_chi, sqrt(v_chi))"."""
+        return f"log-normal({self.median_name}, sqrt({self.variance}))"

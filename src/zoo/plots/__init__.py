@@ -11,6 +11,7 @@ from zoo.plots.comparison import comparison_figure
 from zoo.plots.diagnosis import plot_diagnosis, plot_discrepancy, plot_hypotheses, plot_where
 from zoo.plots.fit import fit_figure
 from zoo.plots.posteriors import forest_figure, intervals_figure, posteriors_figure
+from zoo.plots.priors import prior_predictive_figure, priors_figure
 from zoo.plots.stiffness import pressure_stiffness_figure, stiffness_figure
 from zoo.plots.style import (
     COLOURS,
@@ -47,6 +48,8 @@ __all__ = [
     "plot_where",
     "posteriors_figure",
     "pressure_stiffness_figure",
+    "prior_predictive_figure",
+    "priors_figure",
     "rank_figure",
     "save_figure",
     "score_figures",

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from zoo.blood.baseline import get_baseline
 from zoo.blood.blind.bench import BASELINE
-from zoo.blood.diagnosis import diagnose
+from zoo.blood.diagnosis import diagnose, prior_words
 from zoo.blood.study import Study, StudyError, load_study
 from zoo.core.blindcheck.running import Ran, run_folders
 from zoo.core.blindcheck.sealing import BlindError
@@ -26,7 +26,7 @@ class CaseDiagnosis:
     ----------
     base : str
         Name of the baseline model.
-    posteriors, max_effects, seed, effects
+    posteriors, max_effects, seed, effects, priors
         As in `zoo.blood.diagnosis.diagnose`.
     """
 
@@ -35,6 +35,7 @@ class CaseDiagnosis:
     max_effects: int
     seed: int
     effects: tuple[str, ...] | None = None
+    priors: Mapping[str, Any] | None = None
     marker: str = "study.toml"
     result: str = "diagnosis.json"
 
@@ -51,6 +52,7 @@ class CaseDiagnosis:
             and found.base == self.base
             and found.record.get("versions", {}).get("zoo") == versions()["zoo"]
             and found.record.get("seed") == self.seed
+            and found.record.get("priors") == prior_words(study, self.base, self.priors)
             and (found.posteriors is not None or not self.posteriors)
         )
 
@@ -64,6 +66,7 @@ class CaseDiagnosis:
             posteriors=self.posteriors,
             max_effects=self.max_effects,
             effects=self.effects,
+            priors=self.priors,
             cores=1,
             seed=self.seed,
             folder=answer / "posteriors" if self.posteriors else None,
@@ -106,6 +109,7 @@ def diagnose_cases(
     max_effects: int = 3,
     effects: Sequence[str] | None = None,
     seed: int = 1,
+    priors: Mapping[str, Any] | None = None,
     cores: int = 2,
     done: Callable[[str], None] = lambda case: None,
 ) -> Ran:
@@ -123,7 +127,7 @@ def diagnose_cases(
     base : str
     posteriors : bool
         Sample the leading explanations' posteriors too.
-    max_effects, effects, seed
+    max_effects, effects, seed, priors
         As in `zoo.blood.diagnosis.diagnose`.
     cores : int
         Processes.
@@ -146,5 +150,5 @@ def diagnose_cases(
         if count < least:
             raise BlindError(f"{what} = {count}: must be at least {least}")
     chosen = None if effects is None else tuple(effects)
-    diagnosis = CaseDiagnosis(get_baseline(base).name, posteriors, max_effects, seed, chosen)
+    diagnosis = CaseDiagnosis(get_baseline(base).name, posteriors, max_effects, seed, chosen, priors)
     return run_folders(cases, answers, diagnosis, cores=cores, done=done)

@@ -150,7 +150,7 @@ def load_study(
         series=series,
         conventions=chosen,
         source=source,
-        priors=table.priors,
+        priors=_checked_priors(where, table.priors),
         noise_sd=_checked_noise(where, table.noise_sd, series),
         numerics=table.numerics,
         junction_pressure=tree.junction_pressure,
@@ -161,6 +161,19 @@ def load_study(
     )
     warn_of_units(study)
     return study
+
+
+def _checked_priors(where: str, priors: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The table of priors, each of which can be read."""
+    if not priors:
+        return priors
+    from zoo.blood.prior_tables import PriorsError, read_priors  # not for all who import the package
+
+    try:
+        read_priors(priors)
+    except PriorsError as error:
+        raise StudyError(f"{where}: priors: {error}") from None
+    return priors
 
 
 def _checked_noise(where: str, noise_sd: Mapping[str, float], series: Sequence[Series]) -> dict[str, float]:

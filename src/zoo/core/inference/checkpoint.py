@@ -140,6 +140,7 @@ def identity_of(logp: LogPosterior, settings: Mapping[str, Any]) -> dict[str, An
         "study checksum": str(getattr(source, "checksum", "")),
         "conventions": dict(made_with.get("conventions", {})),
         "solver options": dict(made_with.get("solver options", {})),
+        "priors": getattr(record, "priors", None),
         "log-posterior at three points": [logp(probe) for probe in probes],
         **settings,
     }
@@ -152,7 +153,7 @@ def check_identity(path: Path, stored: Mapping[str, Any], identity: Mapping[str,
         if name == "log-posterior at three points" and isinstance(theirs, list) and len(theirs) == len(mine):
             same = bool(np.allclose(theirs, mine, rtol=1e-9, atol=1e-7))
         else:
-            same = theirs == mine
+            same = theirs == mine or (name == "priors" and theirs is None)  # checkpoints of before have none
         if not same:
             raise CheckpointError(
                 f"{path}: checkpoint of another run: {name} is {_short(theirs)} there and {_short(mine)} "

@@ -80,6 +80,8 @@ class RunRecord:
     prior_check : dict or None
         Bounds of the priors that the posterior leans on, and what the data do not inform
         (`zoo.core.inference.prior_check.PriorCheck`); None of older runs and of models without a record.
+    priors : dict or None
+        Prior of each parameter in words; None as above.
     """
 
     model: str
@@ -100,6 +102,7 @@ class RunRecord:
     started: str
     versions: dict[str, str] = field(default_factory=versions)
     prior_check: dict[str, Any] | None = None
+    priors: dict[str, str] | None = None
 
     def to_json(self) -> str:
         """The record as one JSON object with sorted keys."""
@@ -121,7 +124,8 @@ class RunRecord:
         if not isinstance(raw, dict):
             raise ResultsError("run record: not a JSON object; sample again to get a record")
         names = [f.name for f in fields(cls)]
-        raw.setdefault("prior_check", None)  # records of before have none
+        for name in ("prior_check", "priors"):  # records of before have none
+            raw.setdefault(name, None)
         missing = [name for name in names if name not in raw]
         if missing:
             raise ResultsError(f"run record: field {missing[0]!r} is missing; sample again to get a record")

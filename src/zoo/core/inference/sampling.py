@@ -33,6 +33,7 @@ from zoo.core.inference.progress import Display
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.starts import Start, disperse
 from zoo.core.inference.steps import DEMETROPOLISZ, DEMetropolisZ, Metropolis
+from zoo.core.model import ModelRecord
 
 if TYPE_CHECKING:
     import arviz as az
@@ -439,4 +440,5 @@ def _record(
         wall_seconds=float(stored["wall_seconds"]),
         sittings=int(stored["sittings"]),
         started=str(stored["started"]),
+        priors=model.zoo.priors if isinstance(getattr(model, "zoo", None), ModelRecord) else None,
     )

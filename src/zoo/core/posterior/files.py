@@ -64,7 +64,7 @@ def checkpoint_of(path: Path) -> Path:
 
 
 def mismatch(idata: az.InferenceData, model: Any) -> str | None:
-    """What a stored posterior has otherwise than a model: its name, study, data or conventions; or None."""
+    """What a stored posterior has otherwise than a model: name, study, data, conventions, priors; or None."""
     record, ours = RunRecord.of(idata), model.zoo
     source = ours.study or ours.data
     conventions = ours.settings.get("conventions", {})
@@ -76,6 +76,10 @@ def mismatch(idata: az.InferenceData, model: Any) -> str | None:
     ):
         if found != wanted:
             return f"{what} is {found}, here it is {wanted}"
+    for name, wanted in ours.priors.items():
+        found = (record.priors or {}).get(name, wanted)  # records of before have none
+        if found != wanted:
+            return f"prior of {name} is {found}, here it is {wanted}"
     return None
 
 

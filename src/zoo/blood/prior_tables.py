@@ -1,0 +1,205 @@
+"""The table [priors] of a study, and the option --prior, read into priors; what each mistake is."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from zoo.core.priors import InverseGamma, LogNormal, LogUniform, Normal, ParameterError, Prior, Uniform
+
+PAPER_SET = "paun2020"
+"""Table 2 of Paun et al. 2020, as it stands in the files of the models."""
+STUDY_SET = "study"
+"""Priors that follow from the study, `zoo.blood.priors`."""
+SETS = (PAPER_SET, STUDY_SET)
+
+WAVE_SPEED_M_S = (0.7, 20.0)
+"""Pulse wave speeds at rest that hold 95 % of the prior of the stiffness, if a study gives no others."""
+_SPEEDS = (0.01, 1000.0)
+
+STIFFNESS = "stiffness"
+"""What a model's overall stiffness is also called: f3, or m_chi."""
+
+LAWS: Mapping[str, tuple[type[Prior], tuple[str, ...], tuple[int, ...]]] = {
+    "uniform": (Uniform, ("low", "high"), (2,)),
+    "log_uniform": (LogUniform, ("low", "high"), (2,)),
+    "normal": (Normal, ("mean", "sd", "low", "high"), (2, 4)),
+    "log_normal": (LogNormal, ("median", "sd of the logarithm", "low", "high"), (2, 4)),
+    "inverse_gamma": (InverseGamma, ("shape", "scale"), (2,)),
+}
+"""Law -> its class, the names of its numbers, and how many of them there may be."""
+
+
+class PriorsError(ValueError):
+    """Priors that cannot be used; its text names the field, the value and what to change."""
+
+
+@dataclass(frozen=True)
+class PriorTable:
+    """A table of priors, read.
+
+    Parameters
+    ----------
+    set : {"paun2020", "study"}
+    wave_speed_m_s : (low, high)
+        Wave speeds at rest, m/s, that hold 95 % of the prior of the stiffness in the set "study".
+    own : mapping of str to Prior
+        Of single parameters.
+    given_wave_speed : bool
+        Whether the table has the wave speeds.
+    """
+
+    set: str = STUDY_SET
+    wave_speed_m_s: tuple[float, float] = WAVE_SPEED_M_S
+    own: Mapping[str, Prior] = field(default_factory=dict)
+    given_wave_speed: bool = False
+
+
+def read_priors(table: Mapping[str, Any]) -> PriorTable:
+    """A table of priors as study.toml has it.
+
+    Parameters
+    ----------
+    table : mapping
+        "set", "wave_speed_m_s", and parameters, each with one law: {"log_uniform": [2e4, 4e5]}.
+
+    Returns
+    -------
+    PriorTable
+
+    Raises
+    ------
+    PriorsError
+        In one line for the first mistake: field, value, remedy.
+
+    Examples
+    --------
+    >>> read_priors({"f3": {"log_uniform": [2e4, 4e5]}}).own
+    {'f3': LogUniform(low=20000.0, high=400000.0)}
+    """
+    chosen = table.get("set", STUDY_SET)
+    if chosen not in SETS:
+        raise PriorsError(f"set = {chosen!r}: unknown; {_near(chosen, SETS)}")
+    speeds = WAVE_SPEED_M_S
+    if "wave_speed_m_s" in table:
+        if chosen == PAPER_SET:
+            raise PriorsError(
+                f"wave_speed_m_s: the set {PAPER_SET!r} has a stiffness of its own; leave out one of them"
+            )
+        speeds = _wave_speeds(table["wave_speed_m_s"])
+    own = {
+        name: _prior(name, value) for name, value in table.items() if name not in ("set", "wave_speed_m_s")
+    }
+    return PriorTable(str(chosen), speeds, own, "wave_speed_m_s" in table)
+
+
+def _near(word: object, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(str(word), known, 1, 0.5)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{hint}use one of {', '.join(known)}"
+
+
+def _numbers(value: Any) -> list[float] | None:
+    """The numbers of a list, if it is one of numbers; infinite bounds are allowed."""
+    if not isinstance(value, list | tuple):
+        return None
+    good = all(isinstance(x, int | float) and not isinstance(x, bool) and not math.isnan(x) for x in value)
+    return [float(x) for x in value] if good else None
+
+
+def _wave_speeds(value: Any) -> tuple[float, float]:
+    speeds = _numbers(value)
+    if speeds is None or len(speeds) != 2:
+        raise PriorsError(f"wave_speed_m_s = {value!r}: must be two numbers in m/s, such as [0.7, 20.0]")
+    low, high = speeds
+    if not _SPEEDS[0] <= low < high <= _SPEEDS[1]:
+        raise PriorsError(
+            f"wave_speed_m_s = {value!r}: must ascend and lie between {_SPEEDS[0]:g} and {_SPEEDS[1]:g} m/s; "
+            "pulse waves travel at some 1 to 20 m/s, correct the numbers or their unit"
+        )
+    return low, high
+
+
+def _prior(name: str, value: Any) -> Prior:
+    """The prior of one parameter, from its law."""
+    if name == "chi":
+        raise PriorsError("chi: is a population of stiffnesses; give m_chi or v_chi instead")
+    if not isinstance(value, Mapping) or len(value) != 1:
+        hint = difflib.get_close_matches(name, ("set", "wave_speed_m_s"), 1, 0.4)
+        meant = f"did you mean the field {hint[0]!r}? " if hint else ""
+        raise PriorsError(
+            f"{name} = {value!r}: {meant}a parameter has one law, such as {{ log_uniform = [2e4, 4e5] }}"
+        )
+    ((law, given),) = value.items()
+    if law not in LAWS:
+        raise PriorsError(f"{name}: {law!r}: unknown law; {_near(law, list(LAWS))}")
+    made, words, counts = LAWS[law]
+    numbers = _numbers(given)
+    if numbers is None or len(numbers) not in counts:
+        shown = " or ".join("[" + ", ".join(words[:n]) + "]" for n in counts)
+        raise PriorsError(f"{name}: {law} = {given!r}: must be {shown}")
+    try:
+        return made(*numbers)
+    except ParameterError as error:
+        raise PriorsError(f"{name}: {law} = {given!r}: {error}") from None
+
+
+def table_of(prior: Prior) -> dict[str, list[float]]:
+    """A prior as a table has it: {"log_uniform": [2e4, 4e5]}.
+
+    Raises
+    ------
+    PriorsError
+        If a table cannot have its law.
+    """
+    for law, (made, _, counts) in LAWS.items():
+        if type(prior) is made:
+            numbers = [float(x) for x in vars(prior).values()]
+            whole = made(*numbers[: counts[0]])
+            return {law: numbers[: counts[0]] if whole == prior else numbers}
+    raise PriorsError(
+        f"{prior!r}: not a law of a table; use one of {', '.join(LAWS)}, or write a model of your own"
+    )
+
+
+def read_option(text: str) -> tuple[str, Any]:
+    """What `--prior` is given, as field and value of the table.
+
+    Parameters
+    ----------
+    text : str
+        Such as "f3=log_uniform(2e4, 4e5)", "wave_speed_m_s=1,4" or "set=paun2020".
+
+    Raises
+    ------
+    PriorsError
+        If it cannot be read.
+
+    Examples
+    --------
+    >>> read_option("f3=log_uniform(2e4,4e5)")
+    ('f3', {'log_uniform': [20000.0, 400000.0]})
+    """
+    name, sign, value = (part.strip() for part in text.partition("="))
+    if not sign or not name or not value:
+        raise PriorsError(
+            f"{text!r}: write NAME=LAW(NUMBERS), such as f3=log_uniform(2e4,4e5), wave_speed_m_s=1,4 or "
+            "set=paun2020"
+        )
+    if name == "set":
+        return name, value.strip("'\"")
+    called = re.fullmatch(r"(\w+)\s*\((.*)\)", value)
+    listed = (called[2] if called else value).strip("[]() ")
+    try:
+        numbers = [float(part) for part in listed.split(",")]
+    except ValueError:
+        if called is None and name != "wave_speed_m_s":
+            return name, value
+        raise PriorsError(f"{text!r}: {listed!r} is not numbers with commas between them") from None
+    if called:
+        return name, {called[1]: numbers}
+    return name, numbers

@@ -1,0 +1,124 @@
+"""`zoo priors`: what a model of a study believes before the data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from zoo.cli.checks import at_least, model_name, output_folder
+from zoo.cli.command import command
+from zoo.cli.options import ConventionOptions, PluginOptions, PriorOptions, QuietOption, StudyArgument
+from zoo.cli.screen import plain_table, say
+
+if TYPE_CHECKING:
+    from zoo.blood.prior_predictive import PriorPredictive, PriorRow
+    from zoo.blood.study import Study
+
+LEAST_SOLVED = 0.8
+"""Part of the prior draws below which the screen says that many cannot be solved."""
+
+
+@command
+def priors(
+    study: StudyArgument,
+    model: Annotated[str, typer.Option("--model", help="A to I, or one of --models-from.")] = "B",
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder for table, figures; none if absent.", show_default=False),
+    ] = None,
+    n_draws: Annotated[int, typer.Option("--n-draws", help="Prior draws to solve.")] = 200,
+    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
+    quiet: QuietOption = False,
+    *,
+    prior: PriorOptions,
+    conventions: ConventionOptions,
+    plugins: PluginOptions,
+) -> None:
+    """Show the priors of a model on a study, and the series that they lead to beside the observed ones."""
+    plugins.load()
+    name = model_name(model)
+    at_least("--n-draws", n_draws, 10)
+    at_least("--seed", seed, 0)
+    loaded = prior.into(conventions.load(study))
+    if output is not None:
+        output_folder(output)
+
+    from zoo.blood.prior_predictive import prior_predictive, prior_rows
+    from zoo.cli.sample import build_model
+    from zoo.core.inference.progress import bar
+
+    built = build_model(name, loaded)
+    rows = prior_rows(built)
+    say(_table(rows, name, loaded))
+    with bar(not quiet) as progress:
+        task = progress.add_task("prior draws", total=n_draws)
+        found = prior_predictive(built, n_draws, seed, lambda done: progress.update(task, completed=done))
+    say(*_summary(found, loaded))
+    if output is not None:
+        output.mkdir(exist_ok=True)
+        written = _write(rows, found, loaded, name, output)
+        say(f"wrote {output}: {', '.join(written)}")
+
+
+def _table(rows: tuple[PriorRow, ...], name: str, study: Study) -> Any:
+    from zoo.blood.priors import prior_table
+
+    table = plain_table(title=f"priors of model {name} on {study.name}, set {prior_table(study).set}")
+    for heading in ("parameter", "median", "2.5 %", "97.5 %", "prior; where from"):
+        number = heading in ("median", "2.5 %", "97.5 %")
+        table.add_column(heading, justify="right" if number else "left", no_wrap=number)
+    for row in rows:
+        p = row.parameter
+        label = p.name + (f" of {p.size}" if p.dims else "") + ("" if p.unit == "1" else f" ({p.unit})")
+        numbers = (_number(x) for x in (row.median, row.low, row.high))
+        table.add_row(label, *numbers, f"{p.prior.text}; {row.origin}")
+    return table
+
+
+def _number(x: float) -> str:
+    return f"{x:.3g}"
+
+
+def _summary(found: PriorPredictive, study: Study) -> list[Any]:
+    import numpy as np
+    from rich.text import Text
+
+    few = len(found.series) < LEAST_SOLVED * len(found.draws)
+    lines: list[Any] = [Text(found.text, style="yellow" if few else "")]
+    for k, series in enumerate(study.series if len(found.series) else ()):
+        quantity, _, words = series.quantity.partition("_")
+        unit = words.replace("_", "/")
+        low, high = np.quantile(found.series[:, k], (0.025, 0.975), axis=0)
+        inside = np.mean((series.value >= low) & (series.value <= high))
+        means = np.quantile(found.series[:, k].mean(axis=1), (0.025, 0.975))
+        lines.append(
+            f"{series.label}: {100 * inside:.0f} % of the samples lie in the prior's 95 % band; mean "
+            f"{quantity} {series.value.mean():.4g}, prior {means[0]:.3g} to {means[1]:.3g} {unit}"
+        )
+    return lines
+
+
+def _write(
+    rows: tuple[PriorRow, ...], found: PriorPredictive, study: Study, name: str, output: Path
+) -> list[str]:
+    import csv
+
+    from zoo import plots
+
+    with (output / "priors.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["parameter", "unit", "prior", "median", "low_95", "high_95", "from"])
+        for row in rows:
+            numbers = [repr(x) for x in (row.median, row.low, row.high)]
+            p = row.parameter
+            writer.writerow([p.name, p.unit, p.prior.text, *numbers, row.origin])
+    title = f"model {name} on {study.name}"
+    figures = {
+        "priors": plots.priors_figure(rows, title=f"priors of {title}"),
+        "prior-predictive": plots.prior_predictive_figure(study, found, title=f"before the data: {title}"),
+    }
+    for stem, figure in figures.items():
+        plots.save_figure(figure, output / f"{stem}.png")
+    return ["priors.csv", *(f"{stem}.png" for stem in figures)]
