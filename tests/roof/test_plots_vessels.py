@@ -128,6 +128,17 @@ def test_a_loop_is_drawn_as_a_loop():
     assert not any("no loop" in text for text in texts(figure))
 
 
+def test_waves_of_many_vessels_have_a_bar_for_their_colours():
+    waves = fake_waves(56).isel(draw=0)
+    figure = plots.waves_figure(waves)
+    assert [len(axes.get_lines()) for axes in figure.axes[:3]] == [56] * 3
+    bar = figure.axes[3]
+    assert [label.get_text() for label in bar.get_yticklabels()][:: len(bar.get_yticks()) - 1] == ["1", "56"]
+    assert "vessel 30" not in texts(figure)
+    widths = [axes.get_window_extent().width for axes in figure.axes[:3]]
+    assert min(widths) > 0.2 * figure.get_window_extent().width
+
+
 def test_vessels_shown_of_any_tree(tube):
     def shown(n, series=()):
         study = replace(tube, series=tuple(replace(tube.series[0], vessel=v) for v in series))

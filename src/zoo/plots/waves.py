@@ -42,6 +42,10 @@ if TYPE_CHECKING:
     from zoo.blood.study import Study
 
 
+MOST_NAMED = 28
+"""Vessels that a legend can name; the colours of more are on a bar."""
+
+
 def waves_figure(
     waves: xr.Dataset, study: Study | None = None, *, vessels: Sequence[int] | None = None
 ) -> Figure:
@@ -60,7 +64,7 @@ def waves_figure(
     -------
     matplotlib.figure.Figure
         One panel for each quantity; colour tells the vessel, the line the position. With more than seven
-        vessels only the first position is drawn.
+        vessels only the first position is drawn, and with more than `MOST_NAMED` a bar tells the colours.
     """
     shown = [int(v) for v in (waves["vessel"].to_numpy() if vessels is None else vessels)]
     few = len(shown) <= len(COLOURS)
@@ -84,11 +88,16 @@ def waves_figure(
             axes.set_title(label)
             axes.set_xlabel("time in the beat (ms)")
             axes.margins(x=0)
-        line = mpl.lines.Line2D
-        handles = [
-            line([], [], color=c, label=vessel_title(waves, v)) for v, c in zip(shown, colours, strict=False)
-        ]
-        handles += [line([], [], color="#666666", ls=styles[p], label=f"position {p:g}") for p in positions]
+        handles = [Line2D([], [], color="#666666", ls=styles[p], label=f"position {p:g}") for p in positions]
+        if len(shown) <= MOST_NAMED:
+            named = [vessel_title(waves, v) if few else f"vessel {v}" for v in shown]
+            pairs = zip(named, colours, strict=False)
+            handles = [*(Line2D([], [], color=colour, label=name) for name, colour in pairs), *handles]
+        else:
+            scale = mpl.cm.ScalarMappable(mpl.colors.Normalize(1, len(shown)), "viridis")
+            bar = figure.colorbar(scale, ax=figure.axes, fraction=0.03, pad=0.01, label="vessel")
+            ticks = np.unique(np.linspace(1, len(shown), 6).round().astype(int))
+            bar.set_ticks(ticks, labels=[str(shown[i - 1]) for i in ticks])
         columns = math.ceil(len(handles) / 14)
         figure.legend(handles=handles, loc="outside right center", fontsize="small", ncols=columns)
     return figure
