@@ -24,7 +24,7 @@ Place = tuple[int, float, str]
 
 UNITS = {"pressure_mmHg": "mmHg", "flow_ml_s": "ml/s", "area_cm2": "cm2"}
 WAVE_SAMPLES = 1024
-"""Samples of a cardiac cycle on which functions of the waves act."""
+"""Samples of a beat on which functions of the waves act."""
 
 
 class OutputError(ValueError):
@@ -33,7 +33,7 @@ class OutputError(ValueError):
 
 @dataclass(frozen=True)
 class Wave:
-    """Waveforms over one cardiac cycle, which sensors act on.
+    """Waveforms over one beat, which sensors act on.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class Case:
     ----------
     network : Network
     inflow_time_s, inflow_ml_s : array (n,)
-        Flow into the root over one cardiac cycle.
+        Flow into the root over one beat.
     conventions : Conventions
     wall : {"linear", "tangent"}
     options : SolverOptions
@@ -140,7 +140,7 @@ def simulate(
     """Solve a case and sample it.
 
     Without functions of the waves this is ``Solver(...).solve(...)``, bit for bit. They act on
-    `WAVE_SAMPLES` uniform samples of the cardiac cycle, and what they add there is added to the solution
+    `WAVE_SAMPLES` uniform samples of the beat, and what they add there is added to the solution
     after periodic cubic interpolation.
 
     Parameters
@@ -149,7 +149,7 @@ def simulate(
     series : sequence of (vessel id, position, quantity)
         Position 0 is the vessel's inlet, 1 its outlet.
     times_s : array (n_times,)
-        s, from the start of the cardiac cycle.
+        s, from the start of the beat.
     solver : function
         Finds a solver for series that are known to exist, instead of `solver_of`.
 

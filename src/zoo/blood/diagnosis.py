@@ -1,4 +1,4 @@
-"""The diagnosis of a study: baselines, effects, phases of the cardiac cycle, candidate measurements."""
+"""The diagnosis of a study: baselines, effects, phases of the beat, candidate measurements."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 PHASES = ("upstroke", "peak", "late-systole", "incisura", "diastole")
 PEAK_BEATS = 0.03
-"""Half the width of the peak and of the incisura, in cardiac cycles."""
+"""Half the width of the peak and of the incisura, in beats."""
 FLOW_NOISE_PART = 0.02
 """Noise of a flow measurement that is only planned, as a part of its peak."""
 SEARCH = SolverOptions(tolerance_mmHg=2e-4)
@@ -35,7 +35,7 @@ SEARCH = SolverOptions(tolerance_mmHg=2e-4)
 
 
 def phases(wave: Array, period_s: float) -> NDArray[np.int_]:
-    """Phase of the cardiac cycle of each sample, an index of `PHASES`, found from the waveform.
+    """Phase of the beat of each sample, an index of `PHASES`, found from the waveform.
 
     The foot is the least value before the steepest rise, the peak the largest value, the incisura the
     sharpest upward bend (largest second difference of the smoothed wave) after it within 0.45 cycles.

@@ -29,7 +29,7 @@ class Signature:
     values : tuple of float
         Of the effect's parameters; the first halved where the solve failed.
     mean_mmHg, rms_mmHg, largest_mmHg : float
-        Of the change over the cardiac cycle.
+        Of the change over the beat.
     left_mmHg : float
         Root mean square of what no small change of the baseline's parameters can imitate.
     """
@@ -56,7 +56,7 @@ def signatures(model: BloodFlow, *, n_times: int = 256) -> list[Signature]:
     model : BloodFlow
         Such as ``get_baseline("B").forward(study)``.
     n_times : int
-        Samples of the cardiac cycle.
+        Samples of the beat.
 
     Returns
     -------

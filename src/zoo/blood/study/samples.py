@@ -1,4 +1,4 @@
-"""Samples of a cardiac cycle: inflow and observations, from CSV and from fetched files."""
+"""Samples of a beat: inflow and observations, from CSV and from fetched files."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def neural_network_kernel(time_s: ArrayLike, w: float, b: float, other_s: ArrayL
     Parameters
     ----------
     time_s : array (n,)
-        Times in s, from the start of the cardiac cycle: the kernel is not stationary.
+        Times in s, from the start of the record: the kernel is not stationary.
     w : float
         Variance of the weights, s-2.
     b : float
