@@ -214,3 +214,22 @@ def test_what_cannot_be_sampled_or_read_is_named() -> None:
         sample("A")
     with pytest.raises(ResultsError, match="prior_check is not readable"):
         PriorCheck.from_dict({"bounds": [{"parameter": "a"}], "uninformed": []})
+
+
+def test_reports_and_comparisons_on_screen_warn(idata: az.InferenceData, model: pm.Model) -> None:
+    from types import SimpleNamespace
+
+    from zoo.cli.compare import _comparison_summary
+    from zoo.core.inference.convergence import diagnostics
+    from zoo.report.sentences import summary
+
+    lines = summary(None, {"line": diagnostics(idata)}, {"line": RunRecord.of(idata)})
+    assert lines[0].startswith("Warning: model line: slope leans on the upper bound of its prior, 1 V/s")
+    assert lines[1:3] == [
+        "The posterior of model line converged.",
+        "Not informed by the data, with a posterior like the prior, in model line: idle.",
+    ]
+    table = compare({"line": idata}, {"line": model}, n_draws=100)
+    said = [str(line) for line in _comparison_summary(table, "waic", SimpleNamespace(name="beyond"))]  # type: ignore[arg-type]
+    assert any(line.startswith("warning: model line: slope leans on the upper bound") for line in said)
+    assert "model line: not informed by the data, posterior like prior: idle" in said

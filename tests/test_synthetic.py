@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from zoo.blood.baseline import get_baseline
 from zoo.blood.conventions import get_conventions
+from zoo.blood.diagnosis import diagnose
+from zoo.blood.effects import CATALOGUE
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import load_study, save_study
+from zoo.core.effects import with_effects
 from zoo.core.errors.gaussian_process import neural_network_kernel
 from zoo.paper.synthetic import (
+    GAP_NOISE_MMHG,
+    GAP_TRUTH,
     Truth,
     correlated_errors,
+    demo_gap_study,
     demo_study,
     ejection,
     falls_towards_periphery,
@@ -37,6 +44,26 @@ def test_errors_have_the_kernel_as_covariance():
     time = np.linspace(0, 0.11, 12)
     draws = correlated_errors(np.random.default_rng(1), time, 5e4, 140.0, 40_000)
     np.testing.assert_allclose(np.cov(draws.T), neural_network_kernel(time, 5e4, 140.0), atol=0.03)
+
+
+def test_the_study_for_the_diagnosis_is_what_the_command_makes():
+    made, embedded = demo_gap_study(), load_study("demo-gap")
+    np.testing.assert_allclose(made.values, embedded.values, atol=2e-4)
+    assert embedded.vessels == load_study("demo").vessels
+    flow = get_baseline("linear-constant").forward(embedded, options=SolverOptions(refine=2))
+    theta = [GAP_TRUTH[p.name] for p in flow.parameters]
+    elastic = embedded.values - flow.solve(flow.configure(np.array(theta)))
+    assert np.sqrt(np.mean(elastic**2)) > 3 * GAP_NOISE_MMHG  # what a model without the effect misses
+    model = with_effects(flow, [CATALOGUE["viscoelastic-wall"].at()])
+    left = embedded.values - model.solve(model.configure(np.array([*theta, 0.004])))
+    assert np.sqrt(np.mean(left**2)) == pytest.approx(GAP_NOISE_MMHG, rel=0.1)
+
+
+@pytest.mark.slow
+def test_the_diagnosis_names_its_cause():
+    found = diagnose(load_study("demo-gap"))
+    assert found.cause == ["viscoelastic-wall"]
+    assert found.hypotheses[0].amplitude.mean == pytest.approx(0.004, rel=0.1)
 
 
 def test_embedded_study_is_what_the_command_makes(tmp_path: Path):

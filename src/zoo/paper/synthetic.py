@@ -1,7 +1,7 @@
 """Synthetic studies: model E's family with correlated errors (section 2.2 of Paun et al. 2020).
 
-`python -m zoo.paper.synthetic FOLDER` makes the embedded study `demo` again, and with `demo-gap` after the folder
-the embedded study `demo-gap`, whose wall does what no baseline has.
+`python -m zoo.paper.synthetic FOLDER` makes the embedded study `demo` again; with `demo-gap` after it the
+one for the diagnosis, whose wall does what no baseline has.
 """
 
 from __future__ import annotations
