@@ -77,15 +77,17 @@ def prior_rows(model: Any) -> tuple[PriorRow, ...]:
     record = record_of(model)
     origins = record.settings.get("prior origins", {})
     found = []
-    for parameters in (record.forward.parameters, record.errors.parameters):
+    for parameters, otherwise in (
+        (record.forward.parameters, "the model's file"),
+        (record.errors.parameters, "its errors"),
+    ):
         drawn = _hierarchical(parameters)
         for p in parameters:
             if p.name in drawn:
                 low, median, high = np.quantile(drawn[p.name], (0.025, 0.5, 0.975))
             else:
                 low, median, high = p.prior.quantile([0.025, 0.5, 0.975])
-            of_effect = "the effect" if "." in p.name else "the model's file"
-            origin = str(origins.get(p.name, of_effect))
+            origin = str(origins.get(p.name, "the effect" if "." in p.name else otherwise))
             found.append(PriorRow(p, float(median), float(low), float(high), origin))
     return tuple(found)
 

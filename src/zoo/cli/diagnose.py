@@ -69,8 +69,8 @@ def diagnose(
     """Find what a baseline misses in a study: where the discrepancy lies, its cause, how far it shrinks."""
     if confirm is not None:
         posteriors = posteriors or confirm
-        words = "is now called --posteriors" if confirm else "is what happens without --posteriors"
-        warn(f"--{'' if confirm else 'no-'}confirm {words}")
+        now = "is now called --posteriors" if confirm else "is what happens without --posteriors"
+        warn(f"--{'' if confirm else 'no-'}confirm {now}")
     import shlex
 
     for option, count, least in (
