@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
@@ -287,9 +287,5 @@ def _constants(study: Study, network: Network) -> dict[str, tuple[tuple[str, ...
 def _with_own_priors(errors: ErrorModel, study: Study, data: Data) -> ErrorModel:
     """Errors with the priors that a study gives their parameters by name."""
     there = errors.bind(data).parameter_names
-    own: dict[str, Any] = {name: prior for name, prior in prior_table(study).own.items() if name in there}
-    if not own:
-        return errors
-    if "priors" in {f.name for f in fields(errors)}:
-        own = {"priors": own}
-    return replace(errors, **own)
+    own = {name: prior for name, prior in prior_table(study).own.items() if name in there}
+    return errors.with_priors(own) if own else errors

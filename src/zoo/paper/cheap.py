@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zoo.blood.ejection import PERIOD_S, ejection
-from zoo.blood.errors import PAPER_SET
+from zoo.blood.prior_tables import PAPER_SET
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
 from zoo.core.posterior.ranks import CalibrationError

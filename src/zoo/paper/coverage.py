@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from zoo.blood.errors import PAPER_SET
+from zoo.blood.prior_tables import PAPER_SET
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study
 from zoo.core.inference.convergence import verdict

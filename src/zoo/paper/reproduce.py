@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from zoo.blood.errors import PAPER_SET
+from zoo.blood.prior_tables import PAPER_SET
 from zoo.core.inference.convergence import judged
 from zoo.core.posterior.files import matching, refuse_other_settings, sample_to
 from zoo.models import PAPER, get_model
