@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import arviz as az
 import numpy as np
@@ -10,6 +11,7 @@ import pymc as pm
 import pytest
 from scipy import stats
 
+from gaussian import a_record
 from test_op import small_study
 from zoo.blood.baseline import Baseline, blood_model
 from zoo.blood.forward import radius_dependent_stiffness
@@ -271,6 +273,42 @@ def test_weights_and_differences_are_arviz_s(models, idatas) -> None:
     for column, its in {"waic": "elpd_waic", "difference": "elpd_diff", "difference_se": "dse"}.items():
         np.testing.assert_allclose(ours[column], theirs[its], rtol=1e-6, err_msg=column)
     np.testing.assert_allclose(ours["weight"], theirs["weight"], atol=0.02)
+
+
+def test_arviz_names_stand_beside_ours(models, idatas) -> None:
+    for ic in ("waic", "loo"):
+        table = compare(idatas, models, ic=ic)
+        wanted = {"rank", f"elpd_{ic}", f"p_{ic}", "elpd_diff", "weight", "se", "dse", "warning", "scale"}
+        assert wanted <= set(table)
+        for theirs, ours in {f"elpd_{ic}": ic, "elpd_diff": "difference", "dse": "difference_se"}.items():
+            np.testing.assert_array_equal(table[theirs], table[ours])
+        np.testing.assert_allclose(table["se"], table[f"{ic}_se"], rtol=1e-12)
+        assert set(table["scale"]) == {"deviance"}
+        az.plot_compare(table)
+
+
+def test_posteriors_of_something_else_are_refused_by_name(study: Study, models, idatas) -> None:
+    source, conventions = models["A"].zoo.study, models["A"].zoo.settings["conventions"]
+    fits = replace(
+        a_record(), model="A", study=source.name, study_checksum=source.checksum, conventions=conventions,
+        priors=models["A"].zoo.priors,
+    )  # fmt: skip
+
+    def table(**changed):
+        idata = idatas["A"].copy()
+        replace(fits, **changed).attach(idata)
+        return compare({"A": idata}, {"A": models["A"]}, n_draws=10)
+
+    assert list(table().index) == ["A"]
+    for changed, words in (
+        ({"study": "mouse"}, f"posterior 'A': study is mouse, here it is {source.name}"),
+        ({"study_checksum": "0ff"}, "checksum of the study is 0ff"),
+        ({"model": "B"}, "model is B, here it is A"),
+        ({"conventions": {"name": "custom"}}, "conventions is custom"),
+        ({"priors": {"f3": "Uniform(1, 2)"}}, r"prior of f3 is Uniform\(1, 2\), here it is "),
+    ):
+        with pytest.raises(ComparisonError, match=words):
+            table(**changed)
 
 
 def test_a_difference_in_words() -> None:

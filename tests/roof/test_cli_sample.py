@@ -173,7 +173,7 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
     study = load_study(tiny)
     series = replace(study.series[0], value=study.series[0].value + 0.5)
     save_study(replace(study, series=(series,)), other)
-    assert "checksum of the study is" in fails(
+    assert "A.nc: is of model A on other data named tiny; sample again" in fails(
         "compare", other, "--posteriors", path, "-o", tmp_path / "q", "--models", "A,B"
     )
     assert "--fresh: samples every model anew" in fails("compare", tiny, "--posteriors", path, "--fresh")
@@ -187,8 +187,15 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
     (folder / "B.nc").write_text("no NetCDF", encoding="utf-8")
     said: list[str] = []
     assert find([folder], ["A", "B"], load_study(other), say=said.append) == {}
-    assert said[0] == f"passed over: {folder / 'A.nc'}: of model A on other data named tiny; sample again"
-    assert said[1].startswith(f"passed over: {folder / 'B.nc'}: ")
+    assert said[0] == f"passed over: {folder / 'A.nc'}: is of model A on other data named tiny; sample again"
+    assert said[1].startswith(f"passed over: {folder / 'B.nc'}: is no posterior: ")
+    # so are those of another study and of models that are not asked for
+    said.clear()
+    assert find([folder], ["A", "B"], load_study("demo"), say=said.append) == {}
+    assert said[0] == f"passed over: {folder / 'A.nc'}: is of model A on tiny, not on demo"
+    said.clear()
+    assert find([folder], ["B", "C"], study, say=said.append) == {}
+    assert said[0] == f"passed over: {folder / 'A.nc'}: is of model A, not of B, C"
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import output_folder
-from zoo.cli.command import UsageError, command
-from zoo.cli.options import PriorOptions, QuietOption
+from zoo.cli.command import UsageError, Without, command
+from zoo.cli.options import PluginOptions, PriorOptions, QuietOption
 from zoo.cli.screen import plain_table, say
 
 if TYPE_CHECKING:
@@ -105,12 +105,14 @@ def run(
     quiet: QuietOption = False,
     *,
     priors: PriorOptions,
+    plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
     """Diagnose every case of a folder; sees no key, and goes on where it was interrupted."""
     import time
 
     from zoo.blood.blind import diagnose_cases
 
+    plugins.load()
     began = time.monotonic()
     total = sum((p / "study.toml").is_file() for p in cases.iterdir()) if cases.is_dir() else 0
     with _Counting(not quiet, total) as counting:
@@ -120,6 +122,7 @@ def run(
             base=base,
             posteriors=posteriors,
             max_effects=max_effects,
+            effects_from=plugins.effects_from or (),
             seed=seed,
             priors=priors.table(),
             cores=cores,

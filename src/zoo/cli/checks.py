@@ -25,6 +25,8 @@ def numbers(option: str, text: str, study: Study) -> list[float]:
             ) from None
         if not math.isfinite(values[-1]):
             raise UsageError(f"{option} {text}: {part.strip()!r} is not finite; give a finite number")
+        if values[-1] <= 0:
+            raise UsageError(f"{option} {text}: must be positive")
     n = len(study.vessels)
     if len(values) not in (1, n):
         raise UsageError(
@@ -68,6 +70,15 @@ def parent_exists(path: Path) -> Path:
     """The path, whose folder must be there."""
     if not path.parent.is_dir():
         raise UsageError(f"{path}: folder {path.parent} does not exist; create it or choose another path")
+    return path
+
+
+def output_file(option: str, path: Path) -> Path:
+    """The path of a file that can be written: its folder is there, and it is no folder itself."""
+    if path.is_dir():
+        raise UsageError(f"{option} {path}: is a folder; give a file in it, such as {path / 'A.nc'}")
+    if not os.access(parent_exists(path).parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
+        raise UsageError(f"{option} {path}: cannot be written; choose another path")
     return path
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, get_args, get_type_hints
@@ -15,6 +16,10 @@ import typer
 from zoo.cli.screen import complain, warn
 
 _debug = False
+
+
+NOT_CONVERGED = 3
+"""Exit code of --strict when the chains have not converged."""
 
 
 class UsageError(ValueError):
@@ -41,7 +46,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     the field's annotation and default; the function gets the dataclass filled in.
 
     Errors end in one red line and an exit code: 2 for what the user can change, 1 for faults of ours, 130 for
-    an interruption.
+    an interruption. One that names a setting, as "tune = -1: must be ...", names its option: "--tune -1".
 
     Parameters
     ----------
@@ -54,6 +59,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         For ``app.command()``.
     """
     parameters, groups = _spread(function)
+    flags = _flags(parameters)
 
     @functools.wraps(function)
     def run(**given: Any) -> None:
@@ -72,6 +78,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
                 raise
             ours = any(kind.__module__.split(".")[0] == "zoo" for kind in type(error).__mro__)
             text = " ".join(str(error).split()) or type(error).__name__
+            text = _with_option(text, flags) if ours else text
             if isinstance(error, FileExistsError | NotADirectoryError):
                 text = f"{error.filename}: is a file where a folder is needed; choose another path"
             if ours or isinstance(error, OSError):
@@ -83,6 +90,27 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
+
+
+def _flags(parameters: Sequence[inspect.Parameter]) -> dict[str, str]:
+    """Setting -> its option, such as "dx_cm" -> "--dx"."""
+    found: dict[str, str] = {}
+    for parameter in parameters:
+        for extra in get_args(parameter.annotation)[1:]:
+            # typer keeps the first word of an annotation as its default
+            words = getattr(extra, "default", None), *(getattr(extra, "param_decls", None) or ())
+            for word in words:
+                if str(word).startswith("--"):
+                    found.setdefault(parameter.name, word.split("/")[0])
+    return found
+
+
+def _with_option(text: str, options: Mapping[str, str]) -> str:
+    """An error's text with the option in place of the setting that it names."""
+    match = re.match(r"(?:conventions: )?(\w+) = ([^\s:]+|'[^']*'): (.*)", text)
+    if match is None or match[1] not in options:
+        return text
+    return f"{options[match[1]]} {match[2].strip(chr(39))}: {match[3]}"
 
 
 @contextmanager

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from zoo.cli.checks import at_least, different_models, parent_exists
-from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import ConventionOptions, PluginOptions, PriorOptions, SamplingOptions
+from zoo.cli.command import NOT_CONVERGED, UsageError, Without, command
+from zoo.cli.options import ConventionOptions, PluginOptions, PriorOptions, SamplingOptions, StrictOption
 from zoo.cli.sample import build_model, sample_with_checkpoint
 from zoo.cli.screen import plain_table, say
 
@@ -47,6 +47,7 @@ def compare(
         int, typer.Option("--n-draws", help="Draws of each posterior that are scored.")
     ] = 1000,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
+    strict: StrictOption = False,
     *,
     sampling: Annotated[SamplingOptions, Without("step", "thin")],
     priors: PriorOptions,
@@ -67,13 +68,16 @@ def compare(
     if len({study.name for study in loaded}) < len(loaded):
         raise UsageError(f"{', '.join(studies)}: two studies of one name; give each once")
     parent_exists(output.resolve()).mkdir(exist_ok=True)
+    converged = True
     for study in loaded:
         folder = output if len(loaded) == 1 else output / study.name
         folder.mkdir(exist_ok=True)
         built, found = _posteriors_of(
             study, names, posteriors or [], folder, settings, sampling.resume, not sampling.quiet
         )
-        _compare_on(study, built, found, folder, criterion, n_draws, figures)
+        converged &= _compare_on(study, built, found, folder, criterion, n_draws, figures)
+    if strict and not converged:
+        raise typer.Exit(NOT_CONVERGED)
 
 
 def _posteriors_of(
@@ -86,7 +90,10 @@ def _posteriors_of(
     progress: bool,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Models on a study and their posteriors: given, of an earlier call, in the working directory, or new."""
-    from zoo.core.posterior.files import belongs, find, load_for
+    from zoo.core.inference.record import ResultsError
+    from zoo.core.posterior.belonging import mismatch
+    from zoo.core.posterior.files import find, load_for
+    from zoo.core.posterior.storage import load
 
     files = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
     files |= find(given, names, study, say=say)
@@ -95,8 +102,15 @@ def _posteriors_of(
     for name in names:
         built[name] = build_model(name, study)
         here = Path(f"{name}.nc")
-        if name not in files and belongs(here, built[name]):
-            files[name] = here
+        if name not in files and here.is_file():
+            try:
+                wrong = mismatch(load(here), built[name])
+            except ResultsError as error:
+                wrong = str(error).removeprefix(f"{here}: ")
+            if wrong:
+                say(f"passed over: {here}: {wrong}")
+            else:
+                files[name] = here
         if name in files and resume:
             found[name] = load_for(files[name], built[name])
             say(f"model {name}: posterior of {files[name]}")
@@ -117,7 +131,8 @@ def _compare_on(
     criterion: Literal["waic", "loo"],
     n_draws: int,
     figures: bool,
-) -> None:
+) -> bool:
+    """Write the table and figures; returns whether all posteriors have converged."""
     from zoo.core.posterior.comparison import compare as rank
 
     table = rank(found, models, ic=criterion, n_draws=n_draws)
@@ -125,6 +140,7 @@ def _compare_on(
     say(*_comparison_summary(table, criterion, study), f"wrote {output / 'comparison.csv'}")
     if figures:
         _figures(table, models, found, study, output)
+    return bool(table["converged"].all())
 
 
 def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:

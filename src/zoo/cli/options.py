@@ -25,6 +25,9 @@ FIRST_CHECK = 500
 StudyArgument = Annotated[
     str, typer.Argument(metavar="STUDY", help="A built-in study (see `zoo studies`) or a folder.")
 ]
+StrictOption = Annotated[
+    bool, typer.Option("--strict", help="End with exit code 3 if chains have not converged.")
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
 
 
@@ -215,7 +218,6 @@ class SamplingOptions:
         int | None,
         typer.Option(
             "--draws",
-            min=1,
             help="Stored draws of each chain; without it, until converged.",
             show_default=False,
         ),
@@ -229,7 +231,7 @@ class SamplingOptions:
     chains: Annotated[int, typer.Option("--chains", help="Chains; at least 4 for a verdict.")] = 4
     cores: Annotated[
         int | None,
-        typer.Option("--cores", min=1, help="Processes at a time; all cores by default.", show_default=False),
+        typer.Option("--cores", help="Processes at a time; all cores by default.", show_default=False),
     ] = None
     step: Annotated[str, typer.Option("--step", help="demetropolisz or metropolis.")] = "demetropolisz"
     thin: Annotated[
@@ -270,10 +272,13 @@ class SamplingOptions:
         Raises
         ------
         UsageError
-            If `--until` cannot be read.
+            If `--until` cannot be read, or a number is too small.
         """
+        for option, value in (("--draws", self.draws), ("--cores", self.cores)):
+            if value is not None and value < 1:
+                raise UsageError(f"{option} {value}: must be at least 1")
         return {
-            "draws": self.draws or FIRST_CHECK,
+            "draws": FIRST_CHECK if self.draws is None else self.draws,
             "tune": self.tune,
             "chains": self.chains,
             "cores": self.cores or max(1, min(self.chains, os.cpu_count() or 1)),

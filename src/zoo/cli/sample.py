@@ -8,15 +8,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.checks import model_name, parent_exists
-from zoo.cli.command import UsageError, command
-from zoo.cli.options import ConventionOptions, PluginOptions, PriorOptions, SamplingOptions, StudyArgument
+from zoo.cli.checks import model_name, output_file
+from zoo.cli.command import NOT_CONVERGED, UsageError, command
+from zoo.cli.options import (
+    ConventionOptions,
+    PluginOptions,
+    PriorOptions,
+    SamplingOptions,
+    StrictOption,
+    StudyArgument,
+)
 from zoo.cli.screen import plain_table, say
 
 if TYPE_CHECKING:
     import arviz as az
 
     from zoo.blood.study import Study
+    from zoo.core.inference.convergence import Verdict
 
 
 @command
@@ -37,6 +45,7 @@ def sample(
             show_default=False,
         ),
     ] = None,
+    strict: StrictOption = False,
     *,
     sampling: SamplingOptions,
     priors: PriorOptions,
@@ -49,11 +58,21 @@ def sample(
     name = model_name("+".join([model, *added]))
     settings = sampling.settings()
     loaded = priors.into(conventions.load(study))
-    path = parent_exists(Path(f"{name}-{loaded.name}.nc") if output is None else output)
+    path = output_file("--output", Path(f"{name}-{loaded.name}.nc") if output is None else output)
     idata = sample_with_checkpoint(
         name, loaded, path, settings, resume=sampling.resume, progress=not sampling.quiet
     )
-    say(*_posterior_summary(idata, settings["until_ess"]), f"wrote {path}")
+    found = verdict_of(idata, settings["until_ess"])
+    say(*_posterior_summary(idata, found), f"wrote {path}")
+    if strict and not found.passes:
+        raise typer.Exit(NOT_CONVERGED)
+
+
+def verdict_of(idata: az.InferenceData, goal: float | None) -> Verdict:
+    """Have the chains converged, with the effective sample size that was asked for."""
+    from zoo.core.inference.convergence import ess_to_count, verdict
+
+    return verdict(idata, ess=ess_to_count(goal))
 
 
 def build_model(name: str, study: Study) -> Any:
@@ -82,7 +101,7 @@ def sample_with_checkpoint(
     try:
         if not resume:
             _remove_checkpoint(checkpoint_of(path))
-        return sample_to(path, build_model(name, study), progress=progress, **settings)
+        return sample_to(path, build_model(name, study), groups=True, progress=progress, **settings)
     except CheckpointInUseError as error:
         raise UsageError(str(error)) from None
     except CheckpointError as error:
@@ -105,15 +124,14 @@ def _remove_checkpoint(folder: Path) -> None:
         raise UsageError(f"{folder}: holds files that are not a checkpoint's; move them away") from None
 
 
-def _posterior_summary(idata: az.InferenceData, goal: float | None) -> list[Any]:
+def _posterior_summary(idata: az.InferenceData, found: Verdict) -> list[Any]:
     import numpy as np
     from rich.text import Text
 
-    from zoo.core.inference.convergence import arrays, ess_to_count, scalars, verdict
+    from zoo.core.inference.convergence import arrays, scalars
     from zoo.core.inference.record import RunRecord
     from zoo.paper.convergence import paper_tests
 
-    found = verdict(idata, ess=ess_to_count(goal))
     table = plain_table()
     table.add_column("parameter")
     for column in ("median", "2.5 %", "97.5 %", "R-hat", "ESS bulk", "ESS tail"):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.checks import numbers, parent_exists
+from zoo.cli.checks import numbers, output_file
 from zoo.cli.command import UsageError, command
 from zoo.cli.options import ConventionOptions, NumericalOptions, StudyArgument
 from zoo.cli.physics import PhysicsOptions
@@ -65,10 +65,12 @@ def simulate(
     from zoo.blood.solver import Solver
 
     loaded = conventions.load(study)
-    if output is not None and parent_exists(output).suffix not in (".nc", ".csv"):
+    if output is not None and output_file("--output", output).suffix not in (".nc", ".csv"):
         raise UsageError(f"--output {output}: unknown ending {output.suffix!r}; use .nc or .csv")
     if plot is not None:
-        parent_exists(plot)
+        from zoo.plots import figure_path
+
+        figure_path(output_file("--plot", plot))
     if times < 2:
         raise UsageError(f"--times {times}: give at least 2 times in the beat")
     if wall == "tangent" and gamma is None:

@@ -18,6 +18,7 @@ from zoo.plots.style import (
     PARAMETER_LABELS,
     QUANTITY_LABELS,
     FigureError,
+    figure_path,
     model_style,
     save_figure,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "all_vessels_figure",
     "calibration_figure",
     "comparison_figure",
+    "figure_path",
     "fit_figure",
     "forest_figure",
     "intervals_figure",

@@ -9,6 +9,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import ArrayLike, NDArray
 
@@ -90,8 +91,8 @@ def new_figure(size: tuple[float, float]) -> Iterator[Figure]:
         yield Figure(figsize=size, layout="constrained")
 
 
-def save_figure(figure: Figure, path: str | Path) -> Path:
-    """Write a figure; the ending (.png, .pdf, .svg) chooses the format.
+def figure_path(path: str | Path) -> Path:
+    """A path that a figure can be written to.
 
     Raises
     ------
@@ -101,9 +102,20 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     path = Path(path)
     if not path.parent.is_dir():
         raise FigureError(f"{path}: folder {path.parent} does not exist; create it or choose another path")
-    formats = figure.canvas.get_supported_filetypes()
-    if path.suffix.lstrip(".").lower() not in formats:
+    if path.suffix.lstrip(".").lower() not in FigureCanvasBase.get_supported_filetypes():
         raise FigureError(f"{path}: unknown figure format {path.suffix!r}; use .png, .pdf or .svg")
+    return path
+
+
+def save_figure(figure: Figure, path: str | Path) -> Path:
+    """Write a figure; the ending (.png, .pdf, .svg) chooses the format.
+
+    Raises
+    ------
+    FigureError
+        If the format is unknown or the folder does not exist.
+    """
+    path = figure_path(path)
     with mpl.rc_context(STYLE):
         figure.savefig(path)
     return path

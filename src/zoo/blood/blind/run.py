@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import Any
 from zoo.blood.baseline import get_baseline
 from zoo.blood.blind.bench import BASELINE
 from zoo.blood.diagnosis import diagnose, prior_words
+from zoo.blood.plugins import add_effects
 from zoo.blood.study import Study, StudyError, load_study
 from zoo.core.blindcheck.running import Ran, run_folders
 from zoo.core.blindcheck.sealing import BlindError
@@ -28,6 +30,8 @@ class CaseDiagnosis:
         Name of the baseline model.
     posteriors, max_effects, seed, effects, priors
         As in `zoo.blood.diagnosis.diagnose`.
+    effects_from : tuple of str
+        Python files that define effects; they are run.
     """
 
     base: str
@@ -36,6 +40,7 @@ class CaseDiagnosis:
     seed: int
     effects: tuple[str, ...] | None = None
     priors: Mapping[str, Any] | None = None
+    effects_from: tuple[str, ...] = ()
     marker: str = "study.toml"
     result: str = "diagnosis.json"
 
@@ -44,11 +49,12 @@ class CaseDiagnosis:
         try:
             study = load_study(case)
             found = read_diagnosis(answer)
-            read_case_facts(answer)
+            facts = read_case_facts(answer)
         except (StudyError, DiagnosisError, BlindError):
             return False
         return bool(
             found.study_checksum == study.checksum
+            and facts.get("effects_from", []) == _digests(self.effects_from)
             and found.base == self.base
             and found.record.get("versions", {}).get("zoo") == versions()["zoo"]
             and found.record.get("seed") == self.seed
@@ -58,8 +64,10 @@ class CaseDiagnosis:
 
     def diagnose(self, case: Path, answer: Path) -> None:
         """Diagnose the study, and write its tree and the diagnosis."""
+        for path in self.effects_from:
+            add_effects(path)
         study = load_study(case)
-        _write_case_facts(answer, study)
+        _write_case_facts(answer, study, _digests(self.effects_from))
         found = diagnose(
             study,
             self.base,
@@ -74,12 +82,19 @@ class CaseDiagnosis:
         found.save(answer)
 
 
-def _write_case_facts(answer: Path, study: Study) -> None:
+def _digests(paths: Sequence[str]) -> list[str]:
+    """SHA-256 of files."""
+    return [hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths]
+
+
+def _write_case_facts(answer: Path, study: Study, effects_from: list[str]) -> None:
     facts = {
         "checksum": study.checksum,
         "parents": {str(v.id): v.parent for v in study.vessels},
         "series": [s.label for s in study.series],
     }
+    if effects_from:
+        facts["effects_from"] = effects_from
     (answer / "case.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
 
 
@@ -108,6 +123,7 @@ def diagnose_cases(
     posteriors: bool = False,
     max_effects: int = 3,
     effects: Sequence[str] | None = None,
+    effects_from: Sequence[str | Path] = (),
     seed: int = 1,
     priors: Mapping[str, Any] | None = None,
     cores: int = 2,
@@ -129,6 +145,8 @@ def diagnose_cases(
         Sample the leading explanations' posteriors too.
     max_effects, effects, seed, priors
         As in `zoo.blood.diagnosis.diagnose`.
+    effects_from : sequence of path
+        Python files that define effects, which every process runs.
     cores : int
         Processes.
     done : callable
@@ -150,5 +168,8 @@ def diagnose_cases(
         if count < least:
             raise BlindError(f"{what} = {count}: must be at least {least}")
     chosen = None if effects is None else tuple(effects)
-    diagnosis = CaseDiagnosis(get_baseline(base).name, posteriors, max_effects, seed, chosen, priors)
+    files = tuple(map(str, effects_from))
+    diagnosis = CaseDiagnosis(
+        get_baseline(base).name, posteriors, max_effects, seed, chosen, priors, effects_from=files
+    )
     return run_folders(cases, answers, diagnosis, cores=cores, done=done)

@@ -21,8 +21,10 @@ from zoo.core.data import squared
 from zoo.core.errors.base import DECOMPOSITIONS
 from zoo.core.forward import SolveError
 from zoo.core.inference.convergence import Verdict, judged
+from zoo.core.inference.record import ResultsError
 from zoo.core.model import ModelRecord, record_of
 from zoo.core.parameters import variable_name
+from zoo.core.posterior.belonging import mismatch
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -356,12 +358,14 @@ def compare(
         `sse_G_mcse` its Monte Carlo standard error; `one_observation_mcse` is that of
         `waic_one_observation`. Both are taken from the values of each chain alone. `at_bounds` warns of
         priors' bounds that the posterior leans on, `uninformed` names parameters whose posterior is like
-        their prior.
+        their prior. ArviZ's own columns stand beside these, so that ``az.plot_compare`` takes the table:
+        rank, elpd_waic (or elpd_loo: those of `ic`), p_waic, elpd_diff, weight, se, dse, warning, scale.
 
     Raises
     ------
     ComparisonError
-        If a model is missing, models belong to different studies, or draws do not solve.
+        If a model is missing, models belong to different studies, a posterior was drawn from another model,
+        study, data, conventions or priors than those of the model it is given for, or draws do not solve.
 
     References
     ----------
@@ -429,6 +433,9 @@ def compare(
         for rank, difference, se in zip(ranked["rank"], ranked["elpd_diff"], ranked["dse"], strict=True)
     ]
     table.insert(4, "standing", standing)
+    as_arviz = {f"elpd_{ic}": table[ic], "elpd_diff": ranked["elpd_diff"], "se": ranked["se"]}
+    as_arviz |= {name: ranked[name] for name in ("dse", "warning", "scale")}
+    table = table.assign(**as_arviz)
     table.index.name = "model"
     data = record_of(models[next(iter(idatas))]).data
     sums = {f"sse_{group}": squared(data.unit(group)) for group in data.rows}
@@ -468,6 +475,14 @@ def describe_difference(difference: float, se: float) -> str:
     return f"{difference / se:.1f} SE behind the best"
 
 
+def _wrong(idata: az.InferenceData, model: pm.Model) -> str | None:
+    """What a posterior has otherwise than its model; draws of others than `zoo.sample` have no record."""
+    try:
+        return mismatch(idata, model)
+    except ResultsError:
+        return None
+
+
 def _check_comparable(idatas: Mapping[str, az.InferenceData], models: Mapping[str, pm.Model]) -> None:
     if not idatas:
         raise ComparisonError("no posteriors: give at least one")
@@ -477,6 +492,8 @@ def _check_comparable(idatas: Mapping[str, az.InferenceData], models: Mapping[st
             raise ComparisonError(f"posterior {name!r}: no model of that name among {', '.join(models)}")
         record = record_of(models[name])
         first = first or record
+        if wrong := _wrong(idatas[name], models[name]):
+            raise ComparisonError(f"posterior {name!r}: {wrong}; sample again, or give the one that belongs")
         if not np.array_equal(record.data.values, first.data.values):
             raise ComparisonError(
                 f"model {name}: was fitted to {record.data.name!r}, the first to "

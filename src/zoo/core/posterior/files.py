@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from zoo.core.inference.record import ResultsError, RunRecord
+from zoo.core.posterior.belonging import mismatch
 from zoo.core.posterior.groups import sample
 from zoo.core.posterior.storage import load, save
 
@@ -61,26 +62,6 @@ def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings:
 def checkpoint_of(path: Path) -> Path:
     """Folder of the checkpoint that belongs to a posterior's file."""
     return path.with_suffix(".checkpoint")
-
-
-def mismatch(idata: az.InferenceData, model: Any) -> str | None:
-    """What a stored posterior has otherwise than a model: name, study, data, conventions, priors; or None."""
-    record, ours = RunRecord.of(idata), model.zoo
-    source = ours.study or ours.data
-    conventions = ours.settings.get("conventions", {})
-    for what, found, wanted in (
-        ("model", record.model, ours.name),
-        ("study", record.study, source.name),
-        ("checksum of the study", record.study_checksum, source.checksum),
-        ("conventions", record.conventions.get("name", ""), conventions.get("name", "")),
-    ):
-        if found != wanted:
-            return f"{what} is {found}, here it is {wanted}"
-    for name, wanted in ours.priors.items():
-        found = (record.priors or {}).get(name, wanted)  # records of before have none
-        if found != wanted:
-            return f"prior of {name} is {found}, here it is {wanted}"
-    return None
 
 
 def refuse_other_settings(path: str | Path, idata: az.InferenceData, settings: Mapping[str, Any]) -> None:
@@ -144,13 +125,14 @@ def find(
     Parameters
     ----------
     given : iterable of Path
-        Files, which must be of one of the models, or folders, in which other files are passed over.
+        Files, which must be of one of the models and of the study, or folders, in which others are passed
+        over and named.
     names : sequence of str
         Models.
     study : Study, or anything with its name and checksum
         Whose posteriors count.
     say : callable
-        Told of files in folders that cannot be read or are of other data under the study's name.
+        Told which files in folders are passed over, and why: a line for each reason.
 
     Returns
     -------
@@ -160,7 +142,7 @@ def find(
     Raises
     ------
     PosteriorError
-        If there is no such file, or it is of another model.
+        If there is no such file, or one that was named is of another model or study.
     zoo.core.inference.record.ResultsError
         If a file that was named is no posterior.
     """
@@ -168,21 +150,36 @@ def find(
     for path in given:
         if not path.exists():
             raise PosteriorError(f"{path}: no such file or folder of posteriors; `zoo sample` writes them")
+        passed: dict[str, list[str]] = {}
         for file in sorted(path.glob("*.nc")) if path.is_dir() else [path]:
             try:
                 record = RunRecord.of(load(file))
+                wrong = _elsewhere(record, names, study)
             except ResultsError as error:
-                if path.is_dir():
-                    say(f"passed over: {error}")
-                    continue
-                raise
-            if path.is_dir() and record.study_checksum != study.checksum:
-                if record.study == study.name:
-                    what = f"of model {record.model} on other data named {study.name}"
-                    say(f"passed over: {file}: {what}; sample again")
-                continue
-            if record.model in names:
+                if not path.is_dir():
+                    raise
+                wrong = f"is no posterior: {str(error).removeprefix(f'{file}: ')}"
+            if not wrong:
+                if record.model in found:
+                    passed.setdefault("is of a model of which a later one is taken", []).append(
+                        str(found[record.model])
+                    )
                 found[record.model] = file
-            elif path.is_file():
-                raise PosteriorError(f"{file}: is of model {record.model}, not of {', '.join(names)}")
+            elif path.is_dir():
+                passed.setdefault(wrong, []).append(str(file))
+            else:
+                raise PosteriorError(f"{file}: {wrong}")
+        for why, files in passed.items():
+            say(f"passed over: {', '.join(files)}: {why}")
     return found
+
+
+def _elsewhere(record: RunRecord, names: Sequence[str], study: Observed) -> str | None:
+    """Why a posterior is none of these models on this study, or None."""
+    if record.study != study.name:
+        return f"is of model {record.model} on {record.study}, not on {study.name}"
+    if record.study_checksum != study.checksum:
+        return f"is of model {record.model} on other data named {study.name}; sample again"
+    if record.model not in names:
+        return f"is of model {record.model}, not of {', '.join(names)}"
+    return None

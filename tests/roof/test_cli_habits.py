@@ -1,0 +1,138 @@
+"""Exit codes, options in errors, tables that fit, outputs that are checked first."""
+
+from __future__ import annotations
+
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from commands import fails, run
+from rich.cells import cell_len
+from rich.console import Console
+from rich.text import Text
+from typer.testing import CliRunner
+
+import zoo
+import zoo.core.posterior.storage
+from zoo.cli import app
+from zoo.cli.screen import in_blocks, plain_table
+
+
+def test_version_option() -> None:
+    assert run("--version").strip() == f"zoo {zoo.__version__}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--draws", 0], "--draws 0: must be at least 1"),
+        (["--cores", 0], "--cores 0: must be at least 1"),
+        (["--tune", -1], "--tune -1: must be a whole number of at least 0"),
+        (["--step", "nuts"], "--step nuts: must be one of demetropolisz, metropolis"),
+        (["--max-draws", 3], "--max-draws 3: must be a whole number of at least 500"),
+    ],
+)
+def test_errors_of_values_name_the_option(arguments, message, tmp_path) -> None:
+    assert message in fails("sample", "A", "demo", "-o", tmp_path / "A.nc", *arguments)
+
+
+def test_errors_of_the_solvers_values_name_the_option() -> None:
+    stiff = ["simulate", "demo", "--stiffness", "5e4"]
+    assert "--dx -1.0: must be positive" in fails(*stiff, "--dx", -1)
+    assert "--friction foo: unknown; use one of" in fails(*stiff, "--friction", "foo")
+    assert "--psi1 -3: must be positive" in fails(*stiff, "--psi1", -3)
+
+
+def test_outputs_are_checked_before_the_work(tmp_path, monkeypatch) -> None:
+    def never(*arguments, **settings):
+        raise AssertionError("the work began")
+
+    monkeypatch.setattr("zoo.core.posterior.files.sample", never)
+    monkeypatch.setattr("zoo.blood.solver.Solver.solve", never)
+    assert "does not exist" in fails("sample", "A", "demo", "-o", tmp_path / "no" / "A.nc")
+    assert "is a folder; give a file in it" in fails("sample", "A", "demo", "-o", tmp_path)
+    stiff = ["simulate", "demo", "--stiffness", "5e4"]
+    assert "unknown figure format '.foo'" in fails(*stiff, "--plot", tmp_path / "waves.foo")
+    assert "does not exist" in fails(*stiff, "--plot", tmp_path / "no" / "waves.png")
+
+
+def test_strict_ends_with_its_own_code_and_still_writes(tiny: Path, tmp_path) -> None:
+    path = tmp_path / "A.nc"
+    words = ["sample", "A", tiny, "-o", path, "--draws", 8, "--tune", 8, "--seed", 1, "-q"]
+    assert "not converged" in run(*words)
+    path.unlink()
+    assert f"wrote {path}" in run(*words, "--strict", code=3)
+    groups = set(zoo.core.posterior.storage.load(path).groups())
+    assert {"log_likelihood", "posterior_predictive", "prior", "constant_data"} <= groups
+
+
+def printed(table, width: int) -> list[str]:
+    """Lines of the blocks of a table."""
+    file = StringIO()
+    console = Console(file=file, width=width)
+    for block in in_blocks(table, width):
+        console.print(block, highlight=False)
+    return [line.rstrip() for line in file.getvalue().splitlines()]
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 200])
+def test_tables_of_numbers_are_cut_between_columns_and_never_inside(width) -> None:
+    columns = ("WAIC", "SE", "as one", "PSIS-LOO", "diff.", "its SE", "weight", "SSE ((ml/s)2)", "converged")
+    table = plain_table(title="models")
+    table.add_column("model", no_wrap=True)
+    rows = [("B+viscoelastic-wall", *(f"{-4516.5 + i:.1f}" for i in range(9))), ("A", *"123456789")]
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    lines = printed(table, width)
+    assert max(cell_len(line) for line in lines) <= width
+    text = "\n".join(lines)
+    for word in (*columns, *rows[0][1:]):
+        assert text.count(word) >= 1
+    blocks = sum(line.startswith("model ") for line in lines)
+    assert text.count("B+viscoelastic-wall") == blocks
+    assert (blocks == 1) == (width == 200)
+
+
+def test_a_column_of_texts_is_folded_instead() -> None:
+    table = plain_table("name", "what it does")
+    table.add_row("taper", Text(" ".join(["narrows along the vessel"] * 8)))
+    lines = printed(table, 80)
+    assert max(map(len, lines)) <= 80
+    assert sum(line.startswith("name") for line in lines) == 1
+
+
+def test_tables_in_a_pipe_have_80_columns() -> None:
+    result = CliRunner().invoke(app, ["effects"], env={"COLUMNS": "80"})
+    assert max(cell_len(line) for line in result.output.splitlines()) <= 80
+
+
+EFFECT = '''
+from zoo.blood.effects import effect
+from zoo.core.effects import EffectParameter
+
+
+@effect("mine", family="fluid", parameters=[EffectParameter("a", "1", 0.5, -1.0, 3.0, starts=(0.1,))])
+def mine(case, values, location):
+    """Nothing."""
+    return case
+'''
+
+
+def test_blind_run_takes_effects_of_ones_own(tmp_path, monkeypatch) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(EFFECT, encoding="utf-8")
+    (tmp_path / "cases").mkdir()
+    seen = {}
+
+    def diagnosed(cases, output, **settings):
+        from zoo.core.blindcheck.running import Ran
+
+        seen.update(settings)
+        return Ran((), (), {})
+
+    monkeypatch.setattr("zoo.blood.blind.diagnose_cases", diagnosed)
+    run("blind", "run", tmp_path / "cases", "-o", tmp_path / "answers", "--effects-from", file, "-q")
+    assert list(seen["effects_from"]) == [file]
+    assert "no.py" in fails("blind", "run", tmp_path / "cases", "--effects-from", tmp_path / "no.py")
