@@ -116,14 +116,14 @@ def diagnose(
             seed=seed,
             tick=tell,
         )
-        tell.say("figures and page")
+        tell.say("figures and page", 1.0)
         written = write_diagnosis(found, output, command=shlex.join(words))
         if posteriors:  # takes longer and may be stopped: what was found is on disk
             folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
             folder.mkdir(parents=True, exist_ok=True)
             tell.say(f"{found.file.verdict}; {output}/report.html is written, its posteriors follow")
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
-            tell.say("figures and page")
+            tell.say("figures and page", 1.0)
             written = write_diagnosis(found, output, command=shlex.join(words))
     say(*diagnosis_screen(found.file), f"wrote {output}: {', '.join(path.name for path in written)}")
 

@@ -54,9 +54,9 @@ class Telling:
         self.text, self.share = text, share
         self.bar.update(self.task, description=text, completed=100 * share)
 
-    def say(self, text: str) -> None:
+    def say(self, text: str, share: float | None = None) -> None:
         """A word on what comes before or follows; with lines it is one of its own."""
-        self(text, self.share)
+        self(text, self.share if share is None else share)
         if self.wanted and not self.terminal:
             self._line()
 
