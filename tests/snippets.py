@@ -73,7 +73,7 @@ def blocks(document: Path) -> list[Block]:
 def environment() -> dict[str, str]:
     """As a reader has it, with the package that is tested."""
     path = os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH")]))
-    return {**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1", "NO_COLOR": "1", "COLUMNS": "120"}
+    return {**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1", "NO_COLOR": "1", "COLUMNS": "200"}
 
 
 def run_command(line: str, folder: Path) -> str:
