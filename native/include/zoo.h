@@ -34,7 +34,7 @@ enum zoo_friction {
 typedef struct {
     int32_t n_vessels;
     const int32_t *parent;    /* [n_vessels] index of the parent, -1 for the root */
-    const int32_t *n_cells;   /* [n_vessels] grid cells, at least 2 */
+    const int32_t *n_cells;   /* [n_vessels] grid cells, at least 1 */
     const double *length;     /* [n_vessels] cm */
     const double *radius_in;  /* [n_vessels] cm, at rest, at the inlet */
     const double *radius_out; /* [n_vessels] cm, at rest, at the outlet; linear between */
@@ -116,6 +116,7 @@ typedef struct {
 typedef struct {
     double cfl;             /* wanted largest (|u| + c) dt/dx, in (0, 1) */
     int32_t steps_per_beat; /* 0: chosen from cfl */
+    int32_t least_steps;    /* when they are chosen, at least as many; 0: no such limit */
     int32_t max_steps;      /* upper limit of the steps in a beat */
     int32_t max_beats;
     double tolerance;       /* dyn/cm^2, on the estimated distance from the periodic state */
@@ -164,11 +165,12 @@ int32_t zoo_workspace_size(const zoo_problem *problem, int64_t n_sets, int64_t *
 
 /* Solve to the periodic state for n_sets sets of parameters.
  * pressure, flow, area: [n_sets][n_series][n_times], dyn/cm^2, ml/s, cm^2; the
- * rows of a set that failed are filled with NaN.  reports: [n_sets].  Returns ZOO_OK unless
+ * rows of a set that failed are filled with NaN.  fastest: [n_sets][n_vessels] or NULL, largest |u| + c in each
+ * vessel at 32 times of the last beat, cm/s.  reports: [n_sets].  Returns ZOO_OK unless
  * the problem itself is unusable (then reports may be unwritten). */
 int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_parameters *parameters,
                   void *workspace, int64_t workspace_bytes, double *pressure, double *flow,
-                  double *area, zoo_report *reports);
+                  double *area, double *fastest, zoo_report *reports);
 
 /* Name of a wall law, an inlet or an outlet, by its number from 0 on; NULL past the last. */
 const char *zoo_wall_name(int32_t law);

@@ -10,7 +10,7 @@ static int bad_network(const zoo_network *net)
     for (int k = 0; k < net->n_vessels; k++) {
         if (k > 0 && (net->parent[k] < 0 || net->parent[k] >= k))
             return 1;
-        if (net->n_cells[k] < 2 || value_bad(net->length[k]) || value_bad(net->radius_in[k]) ||
+        if (net->n_cells[k] < 1 || value_bad(net->length[k]) || value_bad(net->radius_in[k]) ||
             value_bad(net->radius_out[k]))
             return 1;
     }
@@ -70,7 +70,8 @@ static int bad_outputs(const zoo_outputs *out, int nv, double period)
 static int bad_numerics(const zoo_numerics *num)
 {
     return !(num->cfl > 0.0) || !(num->cfl < 1.0) || num->max_steps < ZOO_STEP_UNIT || num->max_beats < 1 ||
-           value_bad(num->tolerance) || num->steps_per_beat < 0 || num->steps_per_beat > num->max_steps ||
+           value_bad(num->tolerance) || num->steps_per_beat < 0 || num->least_steps < 0 || num->least_steps > num->max_steps ||
+           num->steps_per_beat > num->max_steps ||
            (num->steps_per_beat != 0 && num->steps_per_beat < ZOO_CHECKS);
 }
 

@@ -135,6 +135,7 @@ typedef struct {
     double *states, *ends;               /* [ZOO_HISTORY][n_state*lanes] starts and ends of past beats */
     double *weight;                      /* [n_state*lanes] turns a difference of state into a pressure */
     double *slow;                        /* [lanes] estimated slowest decay factor per beat */
+    double *fastest;                     /* [n_vessels*lanes] largest |u| + c seen in this beat, cm/s */
 
     /* per lane */
     int *live;                           /* 1: still to be solved */
@@ -226,7 +227,7 @@ double zoo_start_speed(const zoo_sim *sim);
 /* step.c: advance by one step; returns 1 if some node left the wall's range. */
 int zoo_step(zoo_sim *sim, int step);
 void zoo_refresh_nodes(zoo_sim *sim);
-double zoo_speed(const zoo_sim *sim, int lane);
+double zoo_speed(zoo_sim *sim, int lane);
 double zoo_junction_defect(const zoo_sim *sim, int lane);
 
 /* output.c: sample the wanted series while the beat runs. */

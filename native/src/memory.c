@@ -166,6 +166,7 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(s->ends, ZOO_HISTORY * s->n_state * W);
     REALS(s->weight, s->n_state * W);
     REALS(s->slow, W);
+    REALS(s->fastest, nv * W);
 #undef INTS
 #undef REALS
 #undef MIDS

@@ -1,7 +1,7 @@
 /* Samples of the wanted series, taken while the beat runs.
  *
  * In space: the cubic through the four nearest nodes of the vessel (the parabola
- * through all three of a vessel of two cells).  In time:
+ * through all three of a vessel of two cells, the line through both of a single cell).  In time:
  * the cubic through four successive steps, centred where it can be and
  * one-sided in the first and last step of the beat, so that no sample needs
  * anything from outside it.  Both are of higher order than the scheme.
@@ -11,13 +11,13 @@
 
 #include "internal.h"
 
-/* Weights of the cubic through four neighbouring nodes (three, where a vessel has no four). */
+/* Weights of the cubic through four neighbouring nodes (fewer, where a vessel has no four). */
 void zoo_output_weights(zoo_sim *s, int series)
 {
     const zoo_outputs *out = &s->problem->outputs;
     int k = out->vessel[series], n = s->last[k] - s->first[k]; /* n cells */
     double x = out->position[series] * n;
-    int points = n >= 3 ? 4 : 3;
+    int points = n >= 3 ? 4 : n + 1;
     int j0 = (int)floor(x) - 1;
     j0 = j0 < 0 ? 0 : j0 > n + 1 - points ? n + 1 - points : j0;
     for (int i = 0; i < 4; i++) {

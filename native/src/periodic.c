@@ -237,6 +237,8 @@ static double beat(zoo_sim *s, double limit)
     for (int l = 0; l < s->lanes; l++) {
         if (!s->live[l])
             continue;
+        for (int k = 0; k < s->n_vessels; k++)
+            s->fastest[k * s->lanes + l] = 0.0;
         s->report[l].max_cfl = zoo_speed(s, l) * s->dt;
         s->report[l].junction_defect = 0.0;
         s->report[l].steps_per_beat = s->n_steps;
@@ -285,8 +287,7 @@ static int steps_for(const zoo_sim *s, double speed)
 {
     const zoo_numerics *num = &s->problem->numerics;
     double n = ceil(s->problem->inlet.period * speed / num->cfl / ZOO_STEP_UNIT) * ZOO_STEP_UNIT;
-    if (n < ZOO_STEP_UNIT)
-        n = ZOO_STEP_UNIT;
+    n = fmax(n, fmax(num->least_steps, ZOO_STEP_UNIT));
     return n > num->max_steps ? num->max_steps : (int)n;
 }
 

@@ -22,7 +22,7 @@ int32_t zoo_workspace_size(const zoo_problem *problem, int64_t n_sets, int64_t *
 
 int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_parameters *parameters,
                   void *workspace, int64_t workspace_bytes, double *pressure, double *flow,
-                  double *area, zoo_report *reports)
+                  double *area, double *fastest, zoo_report *reports)
 {
     int64_t bytes;
     if (zoo_workspace_size(problem, n_sets, &bytes) != ZOO_OK)
@@ -54,6 +54,9 @@ int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_paramete
             zoo_periodic(&sim, pressure, flow, area);
         for (int l = 0; l < used; l++) {
             reports[done + l] = sim.report[l];
+            for (int k = 0; k < sim.n_vessels && fastest; k++)
+                fastest[(done + l) * sim.n_vessels + k] =
+                    sim.report[l].status == ZOO_OK ? sim.fastest[k * lanes + l] : NAN;
             if (sim.report[l].status != ZOO_OK)
                 zoo_output_store(&sim, l, pressure, flow, area);
         }

@@ -76,8 +76,8 @@ void zoo_refresh_nodes(zoo_sim *s)
 }
 
 /* Largest (|u| + c)/dx of one lane, 1/s, c at the wall's largest stiffness of the beat; NaN when the
- * state is not a number. */
-double zoo_speed(const zoo_sim *s, int lane)
+ * state is not a number.  The largest |u| + c of each vessel is kept in `fastest`. */
+double zoo_speed(zoo_sim *s, int lane)
 {
     double worst = 0.0;
     for (int j = 0; j < s->n_nodes; j++) {
@@ -86,8 +86,10 @@ double zoo_speed(const zoo_sim *s, int lane)
         double slope = s->extra ? (1.0 + s->kappa[j]) * s->stiffest / s->stiff *
                                       wall_slope(s->wall, zoo_K(s, i), zoo_shape(s, i), s->pe[i], a, sqrt(a))
                                 : wall_slope(s->wall, s->K[i], zoo_shape(s, i), s->P[i], a, sqrt(a));
-        double speed = (fabs(s->q[i] / s->A[i]) + sqrt(a * slope * s->inv_density)) /
-                       s->dx[s->vessel_of[j]];
+        int k = s->vessel_of[j];
+        double fast = fabs(s->q[i] / s->A[i]) + sqrt(a * slope * s->inv_density), speed = fast / s->dx[k];
+        if (!(fast <= s->fastest[k * s->lanes + lane]))
+            s->fastest[k * s->lanes + lane] = fast;
         if (!(speed <= worst))
             worst = speed;
     }

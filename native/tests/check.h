@@ -43,6 +43,7 @@ static inline int finish(const char *name)
 enum { NV = 8, NSAMPLES = 256, NTIMES = 50, NSERIES = 3 };
 static const int32_t tree_parent[NV] = {-1, 0, 0, 1, 2, 2, 2, 3};
 static const int32_t tree_cells[NV] = {16, 12, 8, 5, 2, 7, 9, 3};
+static const int32_t tree_single_cells[NV] = {1, 1, 1, 1, 1, 1, 1, 1};
 static const double tree_length[NV] = {0.41, 0.3, 0.2, 0.13, 0.06, 0.18, 0.22, 0.08};
 static const double tree_in[NV] = {0.047, 0.03, 0.035, 0.028, 0.015, 0.02, 0.022, 0.026};
 static const double tree_out[NV] = {0.047, 0.03, 0.030, 0.028, 0.015, 0.018, 0.022, 0.026};
@@ -81,7 +82,8 @@ static inline void tree_make(tree *t, int wall)
     t->problem.inlet = (zoo_inlet){ZOO_INLET_FLOW, 0.11, NSAMPLES, t->flow};
     t->problem.outlet = (zoo_outlet){.kind = ZOO_OUTLET_WINDKESSEL, .R1 = tree_R1, .R2 = tree_R2, .C = tree_C};
     t->problem.outputs = (zoo_outputs){NSERIES, tree_vessel, tree_position, NTIMES, t->times};
-    t->problem.numerics = (zoo_numerics){0.9, 0, 32768, 60, 1.0, 1, 0};
+    t->problem.numerics = (zoo_numerics){
+        .cfl = 0.9, .max_steps = 32768, .max_beats = 60, .tolerance = 1.0, .accelerate = 1};
     for (int i = 0; i < 64 * NV; i++) {
         t->stiffness[i] = 5e4 * (1.0 + 0.02 * (i % NV)) * (1.0 + 0.01 * (i / NV));
         for (int m = 0; m < wall_shapes(wall); m++) /* [set][parameter][vessel] */

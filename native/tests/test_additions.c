@@ -142,7 +142,7 @@ static void solve(int wall, int n)
     CHECK(zoo_workspace_size(&one.problem, n, &bytes) == ZOO_OK);
     char *memory = malloc((size_t)bytes);
     memset(memory, 0xff, (size_t)bytes);
-    CHECK(zoo_solve(&one.problem, n, &one.parameters, memory, bytes, p, q, A, reports) == ZOO_OK);
+    CHECK(zoo_solve(&one.problem, n, &one.parameters, memory, bytes, p, q, A, NULL, reports) == ZOO_OK);
     for (int i = 0; i < n; i++) {
         CHECK(reports[i].status == (i == 1 ? ZOO_BAD_ARGUMENT : ZOO_OK));
         CHECK(isnan(p[i * NSERIES * NTIMES]) == (i == 1));

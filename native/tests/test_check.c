@@ -25,7 +25,7 @@ static void problem(int added)
     bad_length[3] = -0.1;
     bad_C[7] = NAN;
     bad_parent[2] = 5;
-    bad_cells[4] = 1;
+    bad_cells[4] = 0;
     int32_t bad_vessel[NSERIES] = {0, NV, 1};
     REJECTS(t.problem.network.length = bad_length);
     REJECTS(t.problem.outlet.C = bad_C);
@@ -70,6 +70,8 @@ static void addition(int added)
     REJECTS(t.problem.wall.relaxation_time = 0.0);
     REJECTS(t.problem.junction.total_pressure = -1.0);
     REJECTS(t.problem.junction.loss = NAN);
+    REJECTS(t.problem.numerics.least_steps = -1);
+    REJECTS(t.problem.numerics.least_steps = t.problem.numerics.max_steps + 1);
     REJECTS(t.problem.throat.loss = INFINITY);
     REJECTS(t.problem.wall.offset_out = NULL);
     REJECTS(t.problem.throat.length = NULL);

@@ -10,10 +10,13 @@ static double cubic(double x)
 
 int main(void)
 {
-    int32_t vessel[4] = {0, 1, 4, 7};
-    double position[4] = {0.0, 0.37, 0.5, 1.0};
+    int32_t vessel[5] = {0, 1, 4, 7, 5}, cells[NV];
+    double position[5] = {0.0, 0.37, 0.5, 1.0, 0.7};
+    memcpy(cells, tree_cells, sizeof cells);
+    cells[5] = 1; /* only a straight line goes through two nodes */
     tree_make(&t, ZOO_WALL_LINEAR);
-    t.problem.outputs.n_series = 4;
+    t.problem.outputs.n_series = 5;
+    t.problem.network.n_cells = cells;
     t.problem.outputs.vessel = vessel;
     t.problem.outputs.position = position;
     tree_open(&t, 1, 64);
@@ -22,7 +25,7 @@ int main(void)
         for (int k = 0; k < NV; k++)
             for (int j = s->first[k]; j <= s->last[k]; j++) {
                 double x = (double)(j - s->first[k]) / (s->last[k] - s->first[k]), y = step / 64.0;
-                s->P[j] = cubic(y) + (k == 4 ? x * x : cubic(x));
+                s->P[j] = cubic(y) + (k == 5 ? x : k == 4 ? x * x : cubic(x));
                 s->q[j] = cubic(y) * x;
                 s->A[j] = 1.0 + x;
             }
@@ -32,18 +35,18 @@ int main(void)
             zoo_output_step(s, step);
     }
     CHECK(s->next_time == NTIMES);
-    double p[4 * NTIMES], q[4 * NTIMES], A[4 * NTIMES];
+    double p[5 * NTIMES], q[5 * NTIMES], A[5 * NTIMES];
     zoo_output_store(s, 0, p, q, A);
-    for (int i = 0; i < 4; i++)
+    for (int i = 0; i < 5; i++)
         for (int m = 0; m < NTIMES; m++) {
             double x = position[i], y = t.times[m] / 0.11;
-            NEAR(p[i * NTIMES + m], cubic(y) + (vessel[i] == 4 ? x * x : cubic(x)), 1e-12);
+            NEAR(p[i * NTIMES + m], cubic(y) + (vessel[i] == 5 ? x : vessel[i] == 4 ? x * x : cubic(x)), 1e-12);
             NEAR(q[i * NTIMES + m], cubic(y) * x, 1e-12);
             NEAR(A[i * NTIMES + m], 1.0 + x, 1e-12);
         }
     s->report[0].status = ZOO_COLLAPSE;
     zoo_output_store(s, 0, p, q, A);
-    CHECK(isnan(p[0]) && isnan(q[4 * NTIMES - 1]));
+    CHECK(isnan(p[0]) && isnan(q[5 * NTIMES - 1]));
     tree_close(&t);
     return finish("output");
 }

@@ -15,8 +15,8 @@ static int32_t run(int64_t n, zoo_parameters pa, double *P, double *Q, double *S
         return code;
     char *memory = malloc((size_t)bytes); /* exactly: the sanitizer sees a byte too many */
     memset(memory, 0xff, (size_t)bytes);
-    CHECK(zoo_solve(&t.problem, n, &pa, memory, bytes - 1, P, Q, S, r) == ZOO_WORKSPACE);
-    code = zoo_solve(&t.problem, n, &pa, memory, bytes, P, Q, S, r);
+    CHECK(zoo_solve(&t.problem, n, &pa, memory, bytes - 1, P, Q, S, NULL, r) == ZOO_WORKSPACE);
+    code = zoo_solve(&t.problem, n, &pa, memory, bytes, P, Q, S, NULL, r);
     free(memory);
     return code;
 }
@@ -80,12 +80,12 @@ static void statuses(void)
     CHECK(zoo_workspace_size(&t.problem, 0, &bytes) == ZOO_BAD_ARGUMENT);
     CHECK(zoo_workspace_size(NULL, 1, &bytes) == ZOO_BAD_ARGUMENT);
     CHECK(zoo_workspace_size(&t.problem, 1, NULL) == ZOO_BAD_ARGUMENT);
-    CHECK(zoo_solve(&t.problem, 1, NULL, NULL, 0, p, q, A, reports) == ZOO_BAD_ARGUMENT);
-    CHECK(zoo_solve(&t.problem, 1, &t.parameters, NULL, 0, p, q, A, NULL) == ZOO_BAD_ARGUMENT);
-    CHECK(zoo_solve(&t.problem, 1, &t.parameters, NULL, 0, p, q, A, reports) == ZOO_WORKSPACE);
+    CHECK(zoo_solve(&t.problem, 1, NULL, NULL, 0, p, q, A, NULL, reports) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_solve(&t.problem, 1, &t.parameters, NULL, 0, p, q, A, NULL, NULL) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_solve(&t.problem, 1, &t.parameters, NULL, 0, p, q, A, NULL, reports) == ZOO_WORKSPACE);
     tree_make(&t, ZOO_WALL_TANGENT);
     t.parameters.shape = NULL;
-    CHECK(zoo_solve(&t.problem, 1, &t.parameters, NULL, 0, p, q, A, reports) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_solve(&t.problem, 1, &t.parameters, NULL, 0, p, q, A, NULL, reports) == ZOO_BAD_ARGUMENT);
     CHECK(strcmp(zoo_inlet_name(ZOO_INLET_FLOW), "flow") == 0 && zoo_inlet_name(ZOO_N_INLETS) == NULL);
     CHECK(strcmp(zoo_outlet_name(ZOO_OUTLET_CIRCUIT), "circuit") == 0 && zoo_outlet_name(-1) == NULL);
     for (int i = 0; i <= ZOO_WORKSPACE; i++)
@@ -93,10 +93,30 @@ static void statuses(void)
     CHECK(strcmp(zoo_status_text(99), "unknown status") == 0);
 }
 
+/* The largest speeds are those that set the time step, which is never longer than the given one. */
+static void speeds(void)
+{
+    tree_make(&t, ZOO_WALL_LINEAR);
+    t.problem.numerics.least_steps = 3000; /* in units of 32: what is chosen below is fewer */
+    int64_t bytes = 0;
+    double fastest[NV], worst = 0.0;
+    CHECK(zoo_workspace_size(&t.problem, 1, &bytes) == ZOO_OK);
+    char *memory = malloc((size_t)bytes);
+    CHECK(zoo_solve(&t.problem, 1, &t.parameters, memory, bytes, p, q, A, fastest, reports) == ZOO_OK);
+    free(memory);
+    CHECK(reports[0].status == ZOO_OK && reports[0].steps_per_beat == 3000);
+    for (int k = 0; k < NV; k++)
+        worst = fmax(worst, fastest[k] * tree_cells[k] / tree_length[k] * 0.11 / 3000);
+    NEAR(worst, reports[0].max_cfl, 1e-12);
+    t.problem.numerics.least_steps = 32;
+    CHECK(run(1, t.parameters, p, q, A, reports) == ZOO_OK && reports[0].steps_per_beat < 3000);
+}
+
 int main(void)
 {
     for (int wall = 0; wall < ZOO_N_WALLS; wall++)
         batch(wall);
     statuses();
+    speeds();
     return finish("solve");
 }

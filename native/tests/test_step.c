@@ -4,9 +4,10 @@
 static tree one, many;
 
 /* Fluid at rest at one pressure stays at rest, in tapered vessels too. */
-static void rest(int wall)
+static void rest(int wall, const int32_t *cells)
 {
     tree_make(&one, wall);
+    one.problem.network.n_cells = cells;
     memset(one.flow, 0, sizeof one.flow);
     tree_open(&one, 1, 1024);
     zoo_sim *s = &one.sim;
@@ -30,9 +31,10 @@ static void rest(int wall)
 }
 
 /* Blood is neither lost nor made, and junctions pass on what they get. */
-static void mass(int wall)
+static void mass(int wall, const int32_t *cells)
 {
     tree_make(&one, wall);
+    one.problem.network.n_cells = cells;
     tree_open(&one, 1, 1600);
     zoo_sim *s = &one.sim;
     zoo_start(s);
@@ -102,8 +104,10 @@ static void wrong(void)
 int main(void)
 {
     for (int wall = 0; wall < ZOO_N_WALLS; wall++) {
-        rest(wall);
-        mass(wall);
+        rest(wall, tree_cells);
+        rest(wall, tree_single_cells);
+        mass(wall, tree_cells);
+        mass(wall, tree_single_cells);
         lanes(wall);
     }
     wrong();
