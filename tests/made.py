@@ -8,9 +8,10 @@ import numpy as np
 
 from zoo import load_study
 from zoo.blood.baseline import get_baseline
-from zoo.blood.diagnosis import SEARCH, effects_for
+from zoo.blood.diagnosis import effects_for
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.forward import study_data
+from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Series, Study
 from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
 from zoo.core.diagnosis.screening import Screening
@@ -19,6 +20,8 @@ from zoo.core.errors.spectral import Harmonics
 from zoo.core.forward import ForwardModel, Outputs
 from zoo.core.parameters import pack
 
+SEARCH = SolverOptions(tolerance_mmHg=2e-4)
+"""The grid of the published program, at a search's tolerance."""
 QUANTITY = "pressure_mmHg"
 THETA = {"f3": 4.6e4, "psi1": 0.35, "psi2": 0.9, "c": 1.2}
 Added = tuple[str, tuple[float, ...], Location]

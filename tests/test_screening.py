@@ -9,9 +9,8 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import binom
 
-from made import QUANTITY, THETA, baseline_of, hypothesis_model, made, screening_of, solved
+from made import QUANTITY, SEARCH, THETA, baseline_of, hypothesis_model, made, screening_of, solved
 from zoo import load_study
-from zoo.blood.diagnosis import SEARCH
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.study import Series
 from zoo.core.diagnosis.discrepancy import model_discrepancy, possible_noise

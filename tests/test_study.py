@@ -846,7 +846,7 @@ def test_tables_of_study_toml_are_kept(tmp_path: Path) -> None:
     tables = {
         "priors": {"wave_speed_m_s": [1.0, 12.0]},
         "noise_sd": {"pressure_mmHg": 0.3},
-        "numerics": {"accuracy": 3e-4},
+        "numerics": {"accuracy_percent": 0.05},
     }
     changed = replace(study, **tables)
     save_study(changed, tmp_path)

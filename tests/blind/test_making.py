@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,9 @@ from zoo.blood.blind.noise import autoregressive
 from zoo.blood.blind.outside import OUTSIDE, leaking_valve
 from zoo.blood.blind.visibility import visible_amplitude
 from zoo.blood.case import Case, simulate
-from zoo.blood.diagnosis import SEARCH
+from zoo.blood.diagnosis import SEARCH_SHARE
 from zoo.blood.effects import CATALOGUE, EffectParameter, Location
-from zoo.blood.solver import Physics
+from zoo.blood.solver import Physics, Solver
 from zoo.blood.study import load_study
 from zoo.core.blindcheck.sealing import KEY_DIGEST
 from zoo.core.parameters import pack, start_of
@@ -84,9 +85,12 @@ def test_data_are_the_truth_and_noise_of_the_stated_size(made: tuple[Path, Path]
 
 
 def test_the_grid_is_not_the_diagnosis_own() -> None:
-    assert GENERATOR.dx_cm / GENERATOR.refine < 0.5 * SEARCH.dx_cm
-    assert (SEARCH.dx_cm / (GENERATOR.dx_cm / GENERATOR.refine)) % 1 > 0.1
-    assert GENERATOR.cfl != SEARCH.cfl
+    for study in (load_study("demo"), replace(load_study("demo"), numerics={})):
+        flow = get_baseline("B").forward(study, share=SEARCH_SHARE)
+        its, own = (Solver.for_study(study, options=o).grid()[0] for o in (flow.options, GENERATOR))
+        assert np.all(own > 2 * its)
+        assert np.mean(own % its > 0) > 0.5
+        assert GENERATOR.cfl != flow.options.cfl
 
 
 def test_same_seed_same_files_and_another_seed_others(

@@ -113,6 +113,7 @@ class Baseline:
         conventions: Conventions | None = None,
         options: SolverOptions | None = None,
         priors: Mapping[str, Any] | None = None,
+        share: float = 1.0,
     ) -> BloodFlow:
         """The forward model of a study.
 
@@ -122,7 +123,9 @@ class Baseline:
         conventions : Conventions
             Instead of the study's own, also of the baseline's `wall_factor`.
         options : SolverOptions
-            Numerical settings.
+            Numerical settings; those of the study, `zoo.blood.resolution.resolve`, if absent.
+        share : float
+            Factor of the study's accepted distance from the periodic state.
         priors : mapping
             Instead of some of the study's own, as its table [priors] or as `Prior` objects.
 
@@ -133,10 +136,11 @@ class Baseline:
         given = self.priors(study, conventions=conventions, priors=priors)
         parameters = [one.parameter for one in given]
         check_names(with_priors(study, priors), parameters)
-        return BloodFlow(
+        flow = BloodFlow(
             study, self.wall, self.stiffness, parameters, name=self.name,
             conventions=self._conventions(study, conventions), options=options, fixed=self.fixed,
         )  # fmt: skip
+        return flow if options is not None else flow.resolved(share=share)
 
 
 class Settings(TypedDict, total=False):
@@ -149,7 +153,7 @@ class Settings(TypedDict, total=False):
         "local-stiffness@2" (vessel 2), pairs such as ("local-stiffness", 2), or effects with a location; see
         `zoo.blood.effects.added_effects`.
     options : SolverOptions
-        Numerical settings.
+        Numerical settings; chosen for the study's accuracy if absent, as `zoo.blood.resolution` says.
     conventions : Conventions
         Instead of the study's own.
     priors : mapping
@@ -263,7 +267,8 @@ def blood_model(
         constants=_constants(study, flow.network),
         settings={
             "conventions": asdict(flow.conventions),
-            "solver options": asdict(flow.options),
+            "solver options": asdict(flow.options)
+            | ({} if flow.resolution is None else flow.resolution.record()),
             "prior origins": {
                 **dict.fromkeys(prior_table(study).own, "given"),
                 **{one.parameter.name: one.origin for one in given},

@@ -203,9 +203,15 @@ def _sample(case: Case, series: Sequence[Place], times: Array, solver: Callable[
 def _coarser(case: Case) -> Case:
     """The same with cells twice as long, and with them the time step."""
     case = with_true_lengths(case)
-    steps = case.options.steps_per_beat
-    coarse = max(32, steps // 2) if steps else 0
-    return replace(case, options=replace(case.options, dx_cm=2 * case.options.dx_cm, steps_per_beat=coarse))
+    fine = case.options
+    coarse = replace(
+        fine,
+        dx_cm=2 * fine.dx_cm,
+        cells=tuple(max(1, n // 2) for n in fine.cells),
+        steps_per_beat=max(32, fine.steps_per_beat // 2) if fine.steps_per_beat else 0,
+        least_steps=fine.least_steps // 2,
+    )
+    return replace(case, options=coarse)
 
 
 def _periodic(values: Array, period: float, times: Array) -> Array:

@@ -30,7 +30,7 @@ PEAK_BEATS = 0.03
 """Half the width of the peak and of the incisura, in beats."""
 FLOW_NOISE_PART = 0.02
 """Noise of a flow measurement that is only planned, as a part of its peak."""
-SEARCH = SolverOptions(tolerance_mmHg=2e-4)
+SEARCH_SHARE = 0.1
 """Tolerance of the solves of a search, whose differences must not be noise."""
 
 
@@ -175,7 +175,7 @@ def diagnose(
     conventions : Conventions, optional
         Instead of the study's own.
     options : SolverOptions, optional
-        Numerical settings; a tighter tolerance than that of sampling if absent.
+        Numerical settings; those of the study, with a tighter tolerance than for sampling, if absent.
     priors : mapping, optional
         Instead of some of the study's own, as in `zoo.blood.baseline.Settings`.
     max_effects, exhaust, cores, seed, tick, folder
@@ -207,7 +207,7 @@ def diagnose(
         )
     chosen = get_baseline(base)
     study = with_priors(study, priors)
-    forward = chosen.forward(study, conventions=conventions, options=options or SEARCH)
+    forward = chosen.forward(study, conventions=conventions, options=options, share=SEARCH_SHARE)
     found = diagnose_data(
         study_data(study),
         forward,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
@@ -12,11 +13,12 @@ from zoo.blood.case import UNITS, Case, Place, check_series, simulate, solver_of
 from zoo.blood.conventions import Conventions
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.physics import NO_PHYSICS, study_physics
+from zoo.blood.resolution import Resolution, resolve
 from zoo.blood.solver import SHAPES, WALLS, Solver, SolverArgumentError, SolverOptions
 from zoo.blood.study import Study, StudyError
 from zoo.core.data import Data
-from zoo.core.forward import Outputs, content_key, function_text
-from zoo.core.parameters import Parameter, unpack
+from zoo.core.forward import Outputs, SolveError, content_key, function_text
+from zoo.core.parameters import Parameter, pack, start_of, unpack
 
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]
@@ -142,6 +144,7 @@ class BloodFlow:
         self.fixed = {name: np.asarray(value, dtype=np.float64) for name, value in (fixed or {}).items()}
         self.conventions = conventions or study.conventions
         self.options = options or SolverOptions()
+        self.resolution: Resolution | None = None
         self.network = Network.from_study(study)
         self.physics = study_physics(
             study, self.network, mmhg=self.conventions.mmhg, along=stiffness is scaled_stiffness
@@ -169,6 +172,39 @@ class BloodFlow:
         loads_and_inflow = (net.R1, net.R2, net.C, self.study.inflow_time_s, self.study.inflow_ml_s)
         walls = () if net.stiffness_in is None else (net.stiffness_in,)
         return content_key(law, repr(words), *tree, *loads_and_inflow, *walls, self.outputs)
+
+    def resolved(self, *, share: float = 1.0) -> BloodFlow:
+        """The same model at the numerical settings of its study, `zoo.blood.resolution.resolve`.
+
+        They are chosen at the parameters' starts. What was chosen stands in `resolution`.
+
+        Parameters
+        ----------
+        share : float
+            Factor of the accepted distance from the periodic state.
+
+        Returns
+        -------
+        BloodFlow
+
+        Raises
+        ------
+        StudyError
+            If the study's table [numerics] is wrong, or nothing can be solved at the starts.
+        """
+        case = self.configure(pack(self.parameters, start_of(self.parameters)))
+        series = cast("tuple[Place, ...]", self.outputs.series)
+        try:
+            found = resolve(self.study, case, series, self._times, share=share)
+        except SolveError as error:
+            raise StudyError(
+                f"study {self.study.name!r}: cells and steps cannot be chosen at the parameters where "
+                f"{self.name} starts: {error}; or give dx_cm in [numerics] (--dx)"
+            ) from None
+        model = copy.copy(self)
+        model.options, model.resolution, model._kept = found.options, found, ()
+        model.key = model._digest()
+        return model
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_kept": ()}

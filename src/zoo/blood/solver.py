@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ABI = 3
+ABI = 4
 if getattr(lib, "ZOO_ABI", 1) != ABI:
     raise ImportError(
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
@@ -70,6 +70,8 @@ STATUS_NAMES: dict[int, str] = {
 PARAMETERS = ("stiffness", "gamma", "psi1", "psi2", "c")
 PUBLISHED_CELLS_PER_CM = 40
 THROAT_LENGTH_CM = 0.15
+THROAT_CELLS = 6
+"""Cells along a throat, at least, where cells are given for each vessel."""
 
 
 _ERRORS: dict[int, tuple[type[SolverError], str]] = {
@@ -97,12 +99,17 @@ class SolverOptions:
     dx_cm : float
         Target cell length; each vessel has the nearest whole number of cells, at least two.
         The convention ``truncate_lengths`` has its own grid, 40 cells per cm.
+    cells : tuple of int
+        Cells of each vessel, in the order of ``Network.ids``, instead of those of `dx_cm`; one is enough.
     refine : int
         Divides the cells and, with them, the time step.
     cfl : float
         Wanted largest (abs(u) + c) dt/dx, between 0 and 1.
     steps_per_beat : int
         Time steps in a beat before refinement; 0 chooses them from `cfl`, in multiples of 32.
+    least_steps : int
+        At least so many, before refinement, where they are chosen; so that their number does not change from
+        one set of parameters to the next as long as these are enough.
     max_steps, max_beats : int
         Limits beyond which a solve fails.
     tolerance_mmHg : float
@@ -112,9 +119,11 @@ class SolverOptions:
     """
 
     dx_cm: float = 0.025
+    cells: tuple[int, ...] = ()
     refine: int = 1
     cfl: float = 0.95
     steps_per_beat: int = 0
+    least_steps: int = 0
     max_steps: int = 65536
     max_beats: int = 60
     tolerance_mmHg: float = 2e-3
@@ -132,6 +141,13 @@ class SolverOptions:
                 f"steps_per_beat = {self.steps_per_beat}: must be 0 (chosen from cfl) or, times refine, "
                 f"between 32 and max_steps = {self.max_steps}"
             )
+        if not 0 <= self.least_steps * self.refine <= self.max_steps:
+            raise SolverArgumentError(
+                f"least_steps = {self.least_steps}: must, times refine, be between 0 and max_steps = "
+                f"{self.max_steps}"
+            )
+        if any(n < 1 for n in self.cells):
+            raise SolverArgumentError(f"cells = {self.cells}: must be at least 1 in every vessel")
 
 
 # field of Physics: least value, whether that value itself is allowed, and what is allowed in words
@@ -145,6 +161,7 @@ class Solution:
     `change_mmHg` is the largest difference between the end and the start of the last beat,
     `distance_mmHg` the estimated distance from the periodic state; `inflow_ml` and `outflow_ml` are
     volumes over the last beat, `junction_defect_ml_s` the largest flow that a junction lost or made.
+    `fastest_cm_s`, (n_vessels,), is the largest abs(u) + c of each vessel in the last beat.
     """
 
     pressure_mmHg: Array
@@ -163,6 +180,7 @@ class Solution:
     inflow_ml: float
     outflow_ml: float
     junction_defect_ml_s: float
+    fastest_cm_s: Array
 
     @property
     def ok(self) -> bool:
@@ -322,9 +340,26 @@ class Solver:
                 )
             length = cells / PUBLISHED_CELLS_PER_CM
             cells = np.maximum(2, cells)
+        elif self.options.cells:
+            cells = self._given_cells()
         else:
             cells = np.maximum(2, np.rint(length / self.options.dx_cm)).astype(np.int32)
         return (cells * self.options.refine).astype(np.int32), np.asarray(length, dtype=np.float64)
+
+    def _given_cells(self) -> NDArray[np.int32]:
+        """The options' cells, with more where a throat is shorter than they show."""
+        cells = np.array(self.options.cells, dtype=np.int32)
+        if cells.shape != self.network.ids.shape:
+            raise SolverArgumentError(
+                f"cells: {len(cells)} values for {len(self.network.ids)} vessels; give one for each vessel"
+            )
+        if self.physics.throat_severity is None:
+            return cells
+        throat = self.physics.throat_length
+        length = self.network.length_cm
+        fine = np.ceil(THROAT_CELLS * length / (THROAT_LENGTH_CM if throat is None else throat))
+        narrow = self.physics.throat_severity > 0
+        return np.where(narrow, np.maximum(cells, fine), cells).astype(np.int32)
 
     def _build(self) -> None:
         net, options, conventions = self.network, self.options, self.conventions
@@ -386,6 +421,7 @@ class Solver:
         num = problem.numerics
         num.cfl = options.cfl
         num.steps_per_beat = options.steps_per_beat * options.refine
+        num.least_steps = options.least_steps * options.refine
         num.max_steps, num.max_beats = options.max_steps, options.max_beats
         num.tolerance = options.tolerance_mmHg * conventions.mmhg
         num.accelerate = options.accelerate
@@ -459,7 +495,7 @@ class Solver:
                 ) from None
         return rows
 
-    def _run(self, rows: dict[str, Array]) -> tuple[list[Array], Any]:
+    def _run(self, rows: dict[str, Array]) -> tuple[list[Array], Array, Any]:
         n_sets = len(rows["stiffness"])
         size = ffi.new("int64_t *")
         if lib.zoo_workspace_size(self._problem, n_sets, size) != lib.ZOO_OK:
@@ -474,6 +510,7 @@ class Solver:
             setattr(parameters, field, ffi.from_buffer("double[]", rows[name]))
         shape = (n_sets, len(self.series), len(self.times_s))
         waves = [np.empty(shape) for _ in range(3)]
+        fastest = np.empty((n_sets, len(self.network.ids)))
         reports = ffi.new("zoo_report[]", n_sets)
         code = lib.zoo_solve(
             self._problem,
@@ -481,7 +518,7 @@ class Solver:
             parameters,
             ffi.from_buffer("char[]", workspace),
             size[0],
-            *(ffi.from_buffer("double[]", wave) for wave in waves),
+            *(ffi.from_buffer("double[]", array) for array in (*waves, fastest)),
             reports,
         )
         self._workspaces[size[0]] = workspace
@@ -493,7 +530,7 @@ class Solver:
             back[..., self._order] = wave
             ordered.append(back)
         ordered[0] = cgs_to_mmhg(ordered[0] + self._shift, self.conventions.mmhg)
-        return ordered, reports
+        return ordered, fastest, reports
 
     def _reason(self, report: Any) -> str:
         text: str = ffi.string(lib.zoo_status_text(report.status)).decode()
@@ -547,7 +584,7 @@ class Solver:
             One of its subclasses, when the solve fails and `check` is true.
         """
         values = dict(zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True))
-        waves, reports = self._run(self._broadcast(values, 1))
+        waves, fastest, reports = self._run(self._broadcast(values, 1))
         report = reports[0]
         if check and report.status != lib.ZOO_OK:
             raise _ERRORS[report.status][0](self._reason(report))
@@ -569,6 +606,7 @@ class Solver:
             inflow_ml=report.inflow,
             outflow_ml=report.outflow,
             junction_defect_ml_s=report.junction_defect,
+            fastest_cm_s=fastest[0],
         )
 
     def solve_batch(
@@ -604,7 +642,7 @@ class Solver:
         # sets solved side by side wait for the slowest, which is the one with the longest decay, psi2 c
         order = np.argsort((rows["psi2"] * rows["c"]).mean(axis=1), kind="stable")
         back = np.argsort(order)
-        waves, reports = self._run({name: v[order] for name, v in rows.items()})
+        waves, _, reports = self._run({name: v[order] for name, v in rows.items()})
 
         def field(name: str, dtype: Any = np.float64) -> Any:
             return np.array([getattr(reports[i], name) for i in back], dtype=dtype)

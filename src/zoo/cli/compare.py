@@ -10,7 +10,14 @@ import typer
 
 from zoo.cli.checks import at_least, different_models, parent_exists
 from zoo.cli.command import NOT_CONVERGED, UsageError, Without, command
-from zoo.cli.options import ConventionOptions, PluginOptions, PriorOptions, SamplingOptions, StrictOption
+from zoo.cli.options import (
+    ConventionOptions,
+    NumericalOptions,
+    PluginOptions,
+    PriorOptions,
+    SamplingOptions,
+    StrictOption,
+)
 from zoo.cli.sample import build_model, sample_with_checkpoint
 from zoo.cli.screen import plain_table, say
 
@@ -52,6 +59,7 @@ def compare(
     sampling: Annotated[SamplingOptions, Without("step", "thin")],
     priors: PriorOptions,
     conventions: ConventionOptions,
+    numerical: NumericalOptions,
     plugins: PluginOptions,
 ) -> None:
     """Rank models by how well they predict a study; posteriors that are missing are sampled first.
@@ -64,7 +72,7 @@ def compare(
     names = different_models(models)
     settings = sampling.settings()
     at_least("--n-draws", n_draws, 10)
-    loaded = [priors.into(conventions.load(study)) for study in studies]
+    loaded = [numerical.on(priors.into(conventions.load(study))) for study in studies]
     if len({study.name for study in loaded}) < len(loaded):
         raise UsageError(f"{', '.join(studies)}: two studies of one name; give each once")
     parent_exists(output.resolve()).mkdir(exist_ok=True)

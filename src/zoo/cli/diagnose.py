@@ -9,7 +9,14 @@ import typer
 
 from zoo.cli.checks import at_least, output_folder
 from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import ConventionOptions, PluginOptions, PriorOptions, QuietOption, StudyArgument
+from zoo.cli.options import (
+    ConventionOptions,
+    NumericalOptions,
+    PluginOptions,
+    PriorOptions,
+    QuietOption,
+    StudyArgument,
+)
 from zoo.cli.screen import plain_table, say, warn
 from zoo.cli.telling import Telling
 
@@ -64,6 +71,7 @@ def diagnose(
     *,
     priors: PriorOptions,
     conventions: ConventionOptions,
+    numerical: NumericalOptions,
     plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
     """Find what a baseline misses in a study: where the discrepancy lies, its cause, how far it shrinks."""
@@ -86,7 +94,7 @@ def diagnose(
         plugins.load()
         chosen = get_baseline(base)
         names = _effect_names(effects, chosen.name)
-        loaded = priors.into(conventions.load(study))
+        loaded = numerical.on(priors.into(conventions.load(study)))
         output_folder(output)
         # a baseline has a wall factor of its own unless one is asked for
         own = loaded.conventions if conventions.wall_factor is not None else None
@@ -104,7 +112,15 @@ def diagnose(
         words += ["--exhaust"] if exhaust else []
         words += ["--effects", ",".join(names)] if names else []
         words += plugins.words()
-        words += [*priors.words(), *conventions.words(), "--cores", str(cores), "--seed", str(seed)]
+        words += [
+            *priors.words(),
+            *conventions.words(),
+            *numerical.words(),
+            "--cores",
+            str(cores),
+            "--seed",
+            str(seed),
+        ]
         found = run(
             loaded,
             chosen.name,
@@ -145,7 +161,7 @@ def _run_name(study: Study, base: str, conventions: Conventions | None, seed: in
     import hashlib
 
     own = sorted(study.priors.items()) if study.priors else []
-    what = repr((study.checksum, study.conventions, conventions, seed, *own)).encode()
+    what = repr((study.checksum, study.conventions, conventions, seed, dict(study.numerics), *own)).encode()
     return f"{base}-{hashlib.sha256(what).hexdigest()[:8]}"
 
 

@@ -16,10 +16,15 @@ import typer
 from zoo.cli.command import UsageError
 
 if TYPE_CHECKING:
-    from zoo.blood.solver import SolverOptions
     from zoo.blood.study import Study
 
 DEFAULT_ESS = 400.0
+NUMERICAL_NAMES = {
+    "accuracy_percent": "--accuracy",
+    "dx_cm": "--dx",
+    "steps_per_beat": "--steps",
+    "tolerance_mmHg": "--tolerance",
+}
 FIRST_CHECK = 500
 
 StudyArgument = Annotated[
@@ -189,25 +194,66 @@ class PriorOptions:
 
 @dataclass(frozen=True)
 class NumericalOptions:
-    """Options of the solver, by the names that `SolverOptions` gives them."""
+    """Options of the solver: fields of a study's table [numerics], in whose place they stand."""
 
+    accuracy_percent: Annotated[
+        float | None,
+        typer.Option(
+            "--accuracy",
+            help="Choose cells and steps for this error, % of the pulse (default 0.03).",
+            metavar="PERCENT",
+        ),
+    ] = None
     dx_cm: Annotated[
-        float | None, typer.Option("--dx", help="Target cell length, cm (default 0.025).", metavar="CM")
+        float | None, typer.Option("--dx", help="Cell length, cm, instead of choosing it.", metavar="CM")
     ] = None
     steps_per_beat: Annotated[
-        int | None, typer.Option("--steps", help="Time steps in a beat; 0 chooses them.")
+        int | None, typer.Option("--steps", help="Time steps in a beat; chosen by default.")
     ] = None
     tolerance_mmHg: Annotated[
         float | None,
         typer.Option("--tolerance", help="Accepted distance from the periodic state, mmHg.", metavar="MMHG"),
     ] = None
 
-    def solver(self) -> SolverOptions:
-        """Options of the solver, with its defaults for those that were not given."""
-        from zoo.blood.solver import SolverOptions
+    def given(self) -> dict[str, Any]:
+        """The options that were given, by their fields."""
+        all_of_them = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in all_of_them.items() if value is not None}
 
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        return SolverOptions(**{name: value for name, value in given.items() if value is not None})
+    def on(self, study: Study) -> Study:
+        """The study with these in its table [numerics].
+
+        Raises
+        ------
+        UsageError
+            If a value is out of range, or cells are asked for in two ways.
+        """
+        from dataclasses import replace
+
+        from zoo.blood.study import StudyError
+        from zoo.blood.study.tables import checked_numerics
+
+        given = self.given()
+        if not given:
+            return study
+        try:
+            checked_numerics("", given)
+        except StudyError as error:
+            text = str(error).removeprefix(": ")
+            for name, option in NUMERICAL_NAMES.items():
+                text = text.replace(name, option)
+            raise UsageError(text) from None
+        cells = ("dx_cm", "accuracy_percent")
+        kept = {
+            name: value
+            for name, value in study.numerics.items()
+            if not (name in cells and any(other in given for other in cells))
+        }
+        return replace(study, numerics=kept | given)
+
+    def words(self) -> list[str]:
+        """The options that were given, as they are typed."""
+        return [word for name, value in self.given().items() for word in (NUMERICAL_NAMES[name], str(value))]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import typer
 
 from zoo.cli.checks import at_least, different_models, parent_exists
 from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import SamplingOptions
+from zoo.cli.options import NumericalOptions, SamplingOptions
 from zoo.cli.screen import say, text_table
 from zoo.models import PAPER
 
@@ -76,6 +76,7 @@ def reproduce(
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
     *,
     sampling: Annotated[ReproductionOptions, Without("chains", "step", "thin", "resume")],
+    numerical: NumericalOptions,
 ) -> None:
     """Do a paper again: its models on its data, its tables beside ours; goes on where it was interrupted."""
     from zoo.blood.study import load_study
@@ -96,7 +97,7 @@ def reproduce(
     parent_exists(folder.resolve())
     asked = sampling.settings()
     settings = {name: asked[name] for name in ("cores", "tune", "max_draws", "draws", "until_ess")}
-    loaded = load_study(study)
+    loaded = numerical.on(load_study(study))
     if synthetic:
         counts = _vessel_counts(vessels or "1,3,21", loaded)
         _reproduce_synthetic(

@@ -12,6 +12,7 @@ from zoo.cli.checks import model_name, output_file
 from zoo.cli.command import NOT_CONVERGED, UsageError, command
 from zoo.cli.options import (
     ConventionOptions,
+    NumericalOptions,
     PluginOptions,
     PriorOptions,
     SamplingOptions,
@@ -50,6 +51,7 @@ def sample(
     sampling: SamplingOptions,
     priors: PriorOptions,
     conventions: ConventionOptions,
+    numerical: NumericalOptions,
     plugins: PluginOptions,
 ) -> None:
     """Sample a model's posterior on a study, until converged; an interrupted run goes on where it was."""
@@ -57,7 +59,7 @@ def sample(
     added = [part.strip() for part in (effects or "").split(",") if part.strip()]
     name = model_name("+".join([model, *added]))
     settings = sampling.settings()
-    loaded = priors.into(conventions.load(study))
+    loaded = numerical.on(priors.into(conventions.load(study)))
     path = output_file("--output", Path(f"{name}-{loaded.name}.nc") if output is None else output)
     idata = sample_with_checkpoint(
         name, loaded, path, settings, resume=sampling.resume, progress=not sampling.quiet
@@ -106,6 +108,14 @@ def sample_with_checkpoint(
         raise UsageError(str(error)) from None
     except CheckpointError as error:
         raise UsageError(f"{error} (--fresh removes it)") from None
+
+
+def say_grid(model: Any) -> None:
+    """Say which cells and steps were chosen for a model that has a record of them."""
+    made_with = getattr(getattr(model, "zoo", None), "settings", None) or {}
+    grid = made_with.get("solver options", {}).get("grid")
+    if grid:
+        say(grid)
 
 
 def _remove_checkpoint(folder: Path) -> None:

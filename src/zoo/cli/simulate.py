@@ -62,9 +62,10 @@ def simulate(
 
     from zoo.blood.network import Network
     from zoo.blood.physics import physics_words
+    from zoo.blood.resolution import resolve_solver
     from zoo.blood.solver import Solver
 
-    loaded = conventions.load(study)
+    loaded = numerical.on(conventions.load(study))
     if output is not None and output_file("--output", output).suffix not in (".nc", ".csv"):
         raise UsageError(f"--output {output}: unknown ending {output.suffix!r}; use .nc or .csv")
     if plot is not None:
@@ -93,7 +94,8 @@ def simulate(
         "psi2": each("--psi2", psi2),
         "c": each("--c", c),
     }
-    options = numerical.solver()
+    resolution = resolve_solver(loaded, Solver.for_study(loaded, wall), **parameters)
+    options = resolution.options
     time_s = np.arange(times) * loaded.period_s / times
     positions = [(int(i), p) for i in network.ids for p in POSITIONS]
     solver = Solver.for_study(loaded, wall, series=positions, times_s=time_s, options=options)
@@ -108,6 +110,7 @@ def simulate(
         "beats": solution.beats,
         "steps_per_beat": solution.steps_per_beat,
         "distance_from_periodic_state_mmHg": solution.distance_mmHg,
+        "grid": resolution.text,
     }
     for name, values in parameters.items():
         waves[name] = ("vessel", values)
@@ -123,7 +126,7 @@ def simulate(
         error = {s.quantity: 0.0 for s in loaded.series}
         for i, s in enumerate(loaded.series):
             error[s.quantity] += float(np.sum(np.square(getattr(at_data, s.quantity)[i] - s.value)))
-    say(*_simulation_summary(loaded, wall, physics_words(loaded), waves, solution, error))
+    say(*_simulation_summary(loaded, wall, physics_words(loaded), waves, solution, error), resolution.text)
     say(*(f"wrote {path}" for path in (output, plot) if path is not None))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -90,10 +90,18 @@ class VesselTable(Table):
     radius_pressure_mmHg: float | None = None
 
 
+class NumericsTable(Table):
+    accuracy_percent: float | None = Field(default=None, gt=0, lt=10)
+    dx_cm: float | None = Field(default=None, gt=0)
+    steps_per_beat: int | None = Field(default=None, ge=32, le=65536)
+    tolerance_mmHg: float | None = Field(default=None, gt=0)
+    max_beats: int | None = Field(default=None, ge=1)
+
+
 _MEANING = {
     "missing": "is missing; add it",
     "greater_than": "must be positive; correct it",
-    "greater_than_equal": "must be at least 1; correct it",
+    "greater_than_equal": "must be at least {ge}; correct it",
     "less_than": "is too large; correct it",
     "finite_number": "must be finite; correct it",
     "float_type": "must be a number; write it without quotes",
@@ -130,8 +138,26 @@ def validated(model: type[Table], data: Any, where: str) -> Any:
         raise StudyError(f"{where}: {name}: unknown field; {near(loc[-1], list(known.model_fields))}")
     if kind == "missing":
         raise StudyError(f"{where}: {name}: {_MEANING[kind]}")
-    meaning = _MEANING.get(kind, f"{faults[0]['msg']}; correct it")
+    meaning = _MEANING.get(kind, f"{faults[0]['msg']}; correct it").replace(
+        "{ge}", str(faults[0].get("ctx", {}).get("ge"))
+    )
     raise StudyError(f"{where}: {name} = {short(faults[0]['input'])}: {meaning}")
+
+
+def checked_numerics(where: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The table [numerics] without what is absent.
+
+    Raises
+    ------
+    StudyError
+        If a field is unknown or out of range, or cells are asked for in two ways.
+    """
+    table = validated(NumericsTable, dict(given), where).model_dump(exclude_none=True)
+    if "accuracy_percent" in table and "dx_cm" in table:
+        raise StudyError(
+            f"{where}: accuracy_percent and dx_cm are two ways to say how long cells are; leave one out"
+        )
+    return dict(table)
 
 
 def read_text(path: Path) -> str:

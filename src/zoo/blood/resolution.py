@@ -1,0 +1,322 @@
+"""Cells and time steps that give a stated accuracy, for any network.
+
+All vessels share one time step, T/N. The scheme of Lax and Wendroff is most accurate where a wave crosses
+nearly a whole cell in a step, so each vessel has as many cells as its own largest wave speed allows,
+
+    n_v = max(1, floor(0.9 N L_v/(T max(|u| + c)_v))),
+
+and N is the only number to choose. It is raised until refinement by two says that the error is small
+enough. A vessel so short that waves cross it in less than a step of T/N has one cell, and sets the steps; the
+cells of the others stay those of N.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.blood.case import Case, Place, simulate, solver_of
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.study import Study, StudyError
+from zoo.blood.study.tables import checked_numerics
+from zoo.core.forward import SolveError, content_key
+
+Array = NDArray[np.float64]
+
+ACCURACY_PERCENT = 0.03
+"""Of each series' range: the largest root mean square over a beat of the discretisation error."""
+NOISE_SHARE = 1 / 3
+"""Of a known noise's standard deviation, likewise."""
+COURANT = 0.9
+"""(abs(u) + c) dt/dx in the vessel where it is largest; the solver takes more steps above 0.95."""
+SOFTER = 0.8
+"""The error is also looked at with walls of this part of the stiffness, where waves are shorter."""
+REMAINDER = 1.5
+"""Error over the difference from cells and steps of half the size; 4/3 at second order, 2 at first."""
+TOLERANCE_SHARE = 0.25
+"""Accepted distance from the periodic state, as a part of the error that is asked for."""
+FIRST_STEPS = 64
+STEP_UNIT = 32
+MOST_WORK = 6e8
+"""Nodes times steps that one trial may cost, about two seconds of a core."""
+TRIALS = 12
+SAMPLES = 128
+"""Times in a beat at which the error is looked at where the study has none."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Numerical settings, and the error that refinement showed.
+
+    Parameters
+    ----------
+    options : SolverOptions
+    cells : tuple of int
+        Of each vessel, in the order of ``Network.ids``.
+    error_percent : float
+        Estimated error: root mean square over a beat, in percent of the series' range, of the series that is
+        nearest to its limit or furthest above it. NaN where cells were given and nothing was estimated.
+    limit_percent : float
+        What was asked of that series.
+    worst : str
+        Its label.
+    """
+
+    options: SolverOptions
+    cells: tuple[int, ...]
+    error_percent: float = math.nan
+    limit_percent: float = math.nan
+    worst: str = ""
+
+    @property
+    def met(self) -> bool:
+        """Whether the error is as small as asked, as far as it was estimated."""
+        return not self.error_percent > self.limit_percent
+
+    @property
+    def text(self) -> str:
+        """One line: cells, steps and error."""
+        n, least, most = sum(self.cells), min(self.cells), max(self.cells)
+        each = f"{least} to {most} each" if least < most else f"{least} each"
+        steps = self.options.steps_per_beat or self.options.least_steps
+        line = f"grid: {n} cells in {len(self.cells)} vessels ({each}), "
+        line += f"{steps} steps a beat" if steps else "steps from the wave speed"
+        if math.isnan(self.error_percent):
+            return f"{line}; error not estimated, since the cells were given"
+        line += f"; estimated error {self.error_percent:.2g} % of the pulse ({self.worst})"
+        if self.met:
+            return line
+        return (
+            f"{line}, more than the {self.limit_percent:.2g} % asked for: accept it with a larger "
+            "accuracy_percent (--accuracy), or give shorter cells, dx_cm (--dx)"
+        )
+
+    def record(self) -> dict[str, Any]:
+        """For a run's record: the line, and the error if it was estimated."""
+        if math.isnan(self.error_percent):
+            return {"grid": self.text}
+        return {"grid": self.text, "error_percent": self.error_percent}
+
+
+def resolve(
+    study: Study,
+    case: Case,
+    series: Sequence[Place] = (),
+    times_s: Array | None = None,
+    *,
+    share: float = 1.0,
+) -> Resolution:
+    """The numerical settings of a study, from its table [numerics] and what is observed.
+
+    Cells are those of `dx_cm` where it is given, and those of the published program where the conventions
+    truncate lengths. Otherwise they are chosen, at the parameters of `case`.
+
+    Parameters
+    ----------
+    study : Study
+    case : Case
+        The solve at the parameters at which the error is looked at.
+    series : sequence of (vessel id, position, quantity)
+        Where; pressures at all ends of vessels and flows at all inlets if there are none.
+    times_s : array (n_times,)
+        When; 128 times of the beat if absent.
+    share : float
+        Factor of the distance from the periodic state that is accepted.
+
+    Returns
+    -------
+    Resolution
+
+    Raises
+    ------
+    zoo.blood.study.StudyError
+        If a field of the table is unknown or out of range.
+    SolveError
+        If cells are to be chosen and the case cannot be solved.
+    """
+    given = checked_numerics(f"study {study.name!r}: numerics", study.numerics)
+    plain: dict[str, Any] = {name: given[name] for name in ("steps_per_beat", "max_beats") if name in given}
+    if case.conventions.truncate_lengths and "accuracy_percent" in given:
+        raise StudyError(
+            f"study {study.name!r}: numerics: accuracy_percent = {given['accuracy_percent']}: the convention "
+            "truncate_lengths has cells of its own; leave it out, or take true lengths (--true-lengths)"
+        )
+    if "dx_cm" in given or case.conventions.truncate_lengths:
+        options = SolverOptions(dx_cm=given.get("dx_cm", SolverOptions.dx_cm), **plain)
+        tolerance = given.get("tolerance_mmHg", options.tolerance_mmHg) * share
+        options = replace(options, tolerance_mmHg=tolerance)
+        cells, _ = solver_of(replace(case, options=options), (), np.empty(0)).grid()
+        return Resolution(options, tuple(int(n) for n in cells))
+    if not series:
+        net = case.network
+        series = [(int(v), x, "pressure_mmHg") for v in net.ids for x in (0.0, 1.0)]
+        series += [(int(v), 0.0, "flow_ml_s") for v in net.ids]
+    if times_s is None or len(times_s) == 0:
+        times_s = np.asarray(np.arange(SAMPLES) * (case.network.period_s / SAMPLES), dtype=np.float64)
+    wanted = _Wanted(
+        case,
+        tuple(series),
+        times_s,
+        given.get("accuracy_percent", ACCURACY_PERCENT),
+        dict(study.noise_sd),
+        plain,
+    )
+    found = _chosen(wanted)
+    tolerance = given.get("tolerance_mmHg", found.options.tolerance_mmHg) * share
+    return replace(found, options=replace(found.options, tolerance_mmHg=tolerance))
+
+
+def resolve_solver(study: Study, solver: Solver, **parameters: Array) -> Resolution:
+    """As `resolve`, of a solver of the study at parameters of `Solver.solve`, (n_vessels,) each."""
+    case = Case(
+        network=solver.network,
+        inflow_time_s=solver.inflow_time_s,
+        inflow_ml_s=solver.inflow_ml_s,
+        conventions=solver.conventions,
+        wall=solver.wall,
+        options=solver.options,
+        physics=solver.physics,
+        stiffness=parameters["stiffness"],
+        gamma=parameters["gamma"],
+        psi1=parameters["psi1"],
+        psi2=parameters["psi2"],
+        c=parameters["c"],
+    )
+    series = [(s.vessel, s.position, s.quantity) for s in study.series]
+    return resolve(study, case, series, study.time_s)
+
+
+class _Wanted:
+    """What a choice depends on; equal where the choice is the same, so that it is made once."""
+
+    def __init__(
+        self,
+        case: Case,
+        series: tuple[Place, ...],
+        times_s: Array,
+        accuracy_percent: float,
+        noise_sd: Mapping[str, float],
+        plain: Mapping[str, Any],
+    ) -> None:
+        self.case, self.series, self.times_s = case, series, times_s
+        self.accuracy_percent, self.noise_sd, self.plain = accuracy_percent, noise_sd, plain
+        net, physics = case.network, case.physics
+        words = (
+            case.wall,
+            case.conventions,
+            series,
+            accuracy_percent,
+            sorted(noise_sd.items()),
+            sorted(plain.items()),
+        )
+        fields = [*vars(net).items(), *vars(physics).items()]
+        arrays = [value for _, value in fields if isinstance(value, np.ndarray)]
+        numbers = [(name, None if isinstance(value, np.ndarray) else value) for name, value in fields]
+        numbers += [(name, "array") for name, value in fields if isinstance(value, np.ndarray)]
+        arrays += [case.stiffness, case.gamma, case.psi1, case.psi2, case.c, case.inflow_ml_s, times_s]
+        self.key = content_key(repr((words, numbers)), *arrays)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Wanted) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+
+@lru_cache(maxsize=64)
+def _chosen(wanted: _Wanted) -> Resolution:
+    """Raise the steps until the error is small enough, or a trial would take too long."""
+    case, series, plain = wanted.case, wanted.series, dict(wanted.plain)
+    fixed = int(plain.pop("steps_per_beat", 0))
+    period, length = case.network.period_s, case.network.length_cm
+    speed, limits, ranges, tolerance = _look(wanted, plain)
+    crossed = period * speed / length / COURANT  # steps in which a wave crosses each vessel once
+    if fixed and fixed < crossed.max():
+        short = int(case.network.ids[int(np.argmax(crossed))])
+        raise SolveError(
+            f"steps_per_beat = {fixed}: waves cross vessel {short} in less than a step; give at least "
+            f"{math.ceil(crossed.max())}, or leave it out",
+            "bad-argument",
+        )
+
+    def options(steps: float) -> SolverOptions:
+        cells = tuple(int(n) for n in np.maximum(1, np.floor(steps / crossed + 1e-9)))
+        whole = math.ceil(max(steps, crossed.max()) / STEP_UNIT - 1e-9) * STEP_UNIT
+        taken = {"steps_per_beat": fixed} if fixed else {"least_steps": whole}
+        return SolverOptions(cells=cells, tolerance_mmHg=tolerance, **taken, **plain)
+
+    steps = float(fixed or FIRST_STEPS)
+    for trial in range(1, TRIALS + 1):
+        now = options(steps)
+        errors = _errors(case, series, wanted.times_s, now)
+        worst = int(np.argmax(errors / limits))
+        over = float(errors[worst] / limits[worst])
+        found = Resolution(
+            now,
+            now.cells,
+            100 * float(errors[worst] / ranges[worst]),
+            100 * float(limits[worst] / ranges[worst]),
+            _words(series[worst]),
+        )
+        steps *= min(max(1.05 * math.sqrt(over), 1.15), 3.0)
+        after = options(steps)
+        work = (sum(after.cells) + len(after.cells)) * after.least_steps * 5 * 6 * 2
+        if over <= 1 or fixed or trial == TRIALS or work > MOST_WORK or 2 * after.least_steps > now.max_steps:
+            return found
+    raise AssertionError("the last trial returns")
+
+
+def _words(place: Place) -> str:
+    vessel, position, quantity = place
+    return f"{quantity.split('_')[0]} at {position:g} of v{vessel}"
+
+
+def _look(wanted: _Wanted, plain: Mapping[str, Any]) -> tuple[Array, Array, Array, float]:
+    """On few cells: wave speeds (n_vessels,), limits and ranges of the series, and the tolerance in mmHg."""
+    case = wanted.case
+    length, ids = case.network.length_cm, case.network.ids
+    cells = tuple(int(n) for n in np.maximum(1, np.rint(64 * length / length.sum())))
+    coarse = replace(case, options=SolverOptions(cells=cells, tolerance_mmHg=0.5, **plain))
+    speed = (
+        solver_of(coarse, (), np.empty(0))
+        .solve(case.stiffness, case.gamma, case.psi1, case.psi2, case.c)
+        .fastest_cm_s
+    )
+    root = (int(ids[0]), 0.0, "pressure_mmHg")
+    waves = simulate(coarse, (*wanted.series, root), wanted.times_s)
+    part = wanted.accuracy_percent / 100
+    ranges = np.maximum(np.ptp(waves, axis=1), 1e-9 * np.abs(waves).max(axis=1) + 1e-300)
+    limits = part * ranges
+    for i, (vessel, position, quantity) in enumerate(wanted.series):
+        label = f"v{vessel}@{repr(float(position)).removesuffix('.0')} {quantity}"
+        known = wanted.noise_sd.get(label, wanted.noise_sd.get(quantity))
+        if known is not None:
+            limits[i] = min(limits[i], NOISE_SHARE * known)
+    pressures = [limits[i] for i, (_, _, quantity) in enumerate(wanted.series) if quantity == "pressure_mmHg"]
+    tolerance = TOLERANCE_SHARE * float(min(pressures, default=limits[-1]))
+    return speed, limits[:-1], ranges[:-1], tolerance
+
+
+def _errors(case: Case, series: tuple[Place, ...], times_s: Array, options: SolverOptions) -> Array:
+    """Estimated root mean square error of each series, at the stiffness or a softer one."""
+    fine = replace(options, refine=2, tolerance_mmHg=0.2 * options.tolerance_mmHg)
+    worst = np.zeros(len(series))
+    for part in (1.0, SOFTER):
+        try:
+            pair = [
+                simulate(replace(case, options=o, stiffness=part * case.stiffness), series, times_s)
+                for o in (options, fine)
+            ]
+        except SolveError:
+            if part == 1.0:
+                raise
+            continue  # walls that are too soft to be solved say nothing of the grid
+        rms = np.sqrt(np.mean(np.square(pair[0] - pair[1]), axis=1))
+        worst = np.maximum(worst, REMAINDER * rms)
+    return worst
