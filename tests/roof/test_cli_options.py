@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
 import pytest
@@ -11,10 +11,11 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from zoo.blood.conventions import SWITCHES
-from zoo.blood.solver import SolverOptions
+from zoo.blood.study import load_study
+from zoo.blood.study.tables import NumericsTable
 from zoo.cli import app
 from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import ConventionOptions, NumericalOptions, SamplingOptions
+from zoo.cli.options import NUMERICAL_NAMES, ConventionOptions, NumericalOptions, SamplingOptions
 
 
 def probe(words: list[str]) -> tuple[ConventionOptions, SamplingOptions]:
@@ -38,9 +39,26 @@ def probe(words: list[str]) -> tuple[ConventionOptions, SamplingOptions]:
 
 def test_options_are_named_as_what_they_set() -> None:
     assert {field.name for field in fields(ConventionOptions)} == {"conventions", *SWITCHES}
-    assert {field.name for field in fields(NumericalOptions)} <= {
-        field.name for field in fields(SolverOptions)
+    assert {field.name for field in fields(NumericalOptions)} == set(NUMERICAL_NAMES)
+    assert set(NUMERICAL_NAMES) <= set(NumericsTable.model_fields)
+
+
+def test_options_take_the_place_of_the_study_s_numerics() -> None:
+    study = replace(load_study("demo"), numerics={"dx_cm": 0.025, "max_beats": 40})
+    assert NumericalOptions().on(study) is study
+    assert NumericalOptions(dx_cm=0.05).on(study).numerics == {"dx_cm": 0.05, "max_beats": 40}
+    assert NumericalOptions(accuracy_percent=0.1).on(study).numerics == {
+        "accuracy_percent": 0.1,
+        "max_beats": 40,
     }
+    given = NumericalOptions(accuracy_percent=0.1, steps_per_beat=1024)
+    assert given.words() == ["--accuracy", "0.1", "--steps", "1024"]
+
+
+@pytest.mark.parametrize("name", ["simulate", "sample", "compare", "diagnose", "reproduce"])
+def test_the_resolution_is_an_option_of_every_command_that_solves(name: str) -> None:
+    options = {p.name for p in get_command(app).commands[name].params}  # type: ignore[attr-defined]
+    assert set(NUMERICAL_NAMES) <= options
 
 
 @pytest.mark.parametrize("name", ["simulate", "sample", "compare", "diagnose"])

@@ -14,7 +14,7 @@ import xarray as xr
 from commands import TRUE, fails, run
 
 from zoo.blood.network import Network, stiffness_profile
-from zoo.blood.solver import Solver
+from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import load_study, save_study
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
@@ -24,7 +24,7 @@ SIMULATE = ("--stiffness", "5e4", "--psi1", "0.9", "--psi2", "1.1", "--c", "0.8"
 
 def test_simulate_writes_every_vessel_as_netcdf(tiny: Path, tmp_path: Path) -> None:
     path = tmp_path / "waves.nc"
-    output = run("simulate", tiny, *SIMULATE, "-o", path, "--times", 100)
+    output = run("simulate", tiny, *SIMULATE, "-o", path, "--times", 100, "--dx", SolverOptions.dx_cm)
     study = load_study(tiny)
     network = Network.from_study(study)
     with xr.open_dataset(path) as waves:
@@ -91,7 +91,7 @@ def test_simulate_takes_the_parameters_of_any_model(tiny: Path, tmp_path: Path, 
     if "profile" in solve:
         solve = {"stiffness": stiffness_profile(Network.from_study(study).radius_in_cm, *solve["profile"])}
     wall = "tangent" if "gamma" in solve else "linear"
-    run("simulate", tiny, *options, "-o", tmp_path / "w.nc")
+    run("simulate", tiny, *options, "-o", tmp_path / "w.nc", "--dx", SolverOptions.dx_cm)
     time_s = np.arange(512) * 0.11 / 512
     expected = (
         Solver.for_study(study, wall, series=[(2, 1.0)], times_s=time_s).solve(**solve).pressure_mmHg[0]
@@ -144,7 +144,16 @@ def test_simulate_conventions_and_single_switches(tiny: Path, tmp_path: Path) ->
 def test_simulate_numerical_options(tiny: Path) -> None:
     assert "beats of 4096 steps" in run("simulate", tiny, *SIMULATE, "--steps", 4096)
     fine = run("simulate", tiny, *SIMULATE, "--dx", 0.01, "--tolerance", "1e-6")
-    assert fine != run("simulate", tiny, *SIMULATE)
+    plain = run("simulate", tiny, *SIMULATE)
+    assert fine != plain
+    assert "error not estimated, since the cells were given" in fine
+    cells, error = (re.findall(r"grid: (\d+) cells in 3 vessels .*error ([0-9.]+) %", plain))[0]
+    assert float(error) <= 0.03
+    more, less = (
+        re.findall(r"grid: (\d+) cells", run("simulate", tiny, *SIMULATE, "--accuracy", a))[0]
+        for a in ("0.005", "1")
+    )
+    assert int(more) > int(cells) > int(less)
 
 
 @pytest.mark.parametrize(
@@ -164,8 +173,11 @@ def test_simulate_numerical_options(tiny: Path) -> None:
         (("--stiffness", "5e4", "--wall", "rigid"), "wall = 'rigid': must be one of linear, tangent"),
         (("--stiffness", "-1"), "positive"),
         (("--stiffness", "5e4", "--psi1", "0"), "positive"),
-        (("--stiffness", "5e4", "--dx", "-1"), "dx_cm = -1.0: must be positive"),
-        (("--stiffness", "5e4", "--steps", "33"), "CFL"),
+        (("--stiffness", "5e4", "--dx", "-1"), "--dx = -1.0: must be positive"),
+        (("--stiffness", "5e4", "--steps", "33"), "steps_per_beat = 33: waves cross vessel"),
+        (("--stiffness", "5e4", "--steps", "33", "--dx", "0.025"), "CFL"),
+        (("--stiffness", "5e4", "--accuracy", "40"), "--accuracy = 40.0: is too large"),
+        (("--stiffness", "5e4", "--accuracy", "1", "--dx", "1"), "--accuracy and --dx are two ways to say"),
         (("--stiffness", "5e4", "--times", "1"), "--times 1: give at least 2"),
         (("--stiffness", "5e4", "--conventions", "printd"), "did you mean 'printed'?"),
         (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -176,7 +177,8 @@ class BloodFlow:
     def resolved(self, *, share: float = 1.0) -> BloodFlow:
         """The same model at the numerical settings of its study, `zoo.blood.resolution.resolve`.
 
-        They are chosen at the parameters' starts. What was chosen stands in `resolution`.
+        They are chosen at the medians of the parameters' priors, which models of the same mean share, or at
+        the parameters' starts if those cannot be solved. What was chosen stands in `resolution`.
 
         Parameters
         ----------
@@ -190,21 +192,26 @@ class BloodFlow:
         Raises
         ------
         StudyError
-            If the study's table [numerics] is wrong, or nothing can be solved at the starts.
+            If the study's table [numerics] is wrong, or neither can be solved.
         """
-        case = self.configure(pack(self.parameters, start_of(self.parameters)))
         series = cast("tuple[Place, ...]", self.outputs.series)
-        try:
-            found = resolve(self.study, case, series, self._times, share=share)
-        except SolveError as error:
-            raise StudyError(
-                f"study {self.study.name!r}: cells and steps cannot be chosen at the parameters where "
-                f"{self.name} starts: {error}; or give dx_cm in [numerics] (--dx)"
-            ) from None
-        model = copy.copy(self)
-        model.options, model.resolution, model._kept = found.options, found, ()
-        model.key = model._digest()
-        return model
+        medians = start_of([replace(p, start=None) for p in self.parameters])
+        failed: SolveError | None = None
+        for values in (medians, start_of(self.parameters)):
+            case = self.configure(pack(self.parameters, values))
+            try:
+                found = resolve(self.study, case, series, self._times, share=share)
+            except SolveError as error:
+                failed = error
+                continue
+            model = copy.copy(self)
+            model.options, model.resolution, model._kept = found.options, found, ()
+            model.key = model._digest()
+            return model
+        raise StudyError(
+            f"study {self.study.name!r}: cells and steps cannot be chosen at the parameters where "
+            f"{self.name} starts: {failed}; or give dx_cm in [numerics] (--dx)"
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_kept": ()}

@@ -110,14 +110,6 @@ def sample_with_checkpoint(
         raise UsageError(f"{error} (--fresh removes it)") from None
 
 
-def say_grid(model: Any) -> None:
-    """Say which cells and steps were chosen for a model that has a record of them."""
-    made_with = getattr(getattr(model, "zoo", None), "settings", None) or {}
-    grid = made_with.get("solver options", {}).get("grid")
-    if grid:
-        say(grid)
-
-
 def _remove_checkpoint(folder: Path) -> None:
     """Delete the files of a checkpoint that no run is using, and nothing else."""
     from zoo.core.inference.checkpoint import Folder
@@ -168,4 +160,5 @@ def _posterior_summary(idata: az.InferenceData, found: Verdict) -> list[Any]:
         paper,
         f"{found.chains} chains of {found.draws} draws, seed {record.seed}; {record.solves} solves "
         f"({record.solves_per_step:.2f} a step), failed: {failed}; {record.wall_seconds:.0f} s",
+        *([record.solver["grid"]] if "grid" in record.solver else []),
     ]
