@@ -68,6 +68,7 @@ def small_study(n_times: int = 32, quantities: tuple[str, ...] = ("pressure_mmHg
         conventions=PRINTED,
         source="small",
         priors={"set": "paun2020"},
+        numerics={"dx_cm": 0.025},
         checksum="small",
     )
     solution = Solver.for_study(study).solve(*POINT)
