@@ -98,7 +98,7 @@ static void shifted(int wall)
         void *work = malloc((size_t)bytes);
         zoo_report report;
         CHECK(zoo_solve(&one.problem, 1, &one.parameters, work, bytes, wave[which][0], wave[which][1], wave[which][2],
-                        &report) == ZOO_OK);
+                        NULL, &report) == ZOO_OK);
         CHECK(report.status == ZOO_OK);
         free(work);
     }
