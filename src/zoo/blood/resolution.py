@@ -46,6 +46,8 @@ STEP_UNIT = 32
 MOST_WORK = 6e8
 """Nodes times steps that one trial may cost, about two seconds of a core."""
 TRIALS = 12
+GIVEN_UP = 1024
+"""Steps at which a case that fails is one that has no solution, and not one on too few cells."""
 SAMPLES = 128
 """Times in a beat at which the error is looked at where the study has none."""
 
@@ -254,7 +256,13 @@ def _chosen(wanted: _Wanted) -> Resolution:
     steps = float(fixed or FIRST_STEPS)
     for trial in range(1, TRIALS + 1):
         now = options(steps)
-        errors = _errors(case, series, wanted.times_s, now)
+        try:
+            errors = _errors(case, series, wanted.times_s, now)
+        except SolveError:  # waves that few cells do not show may empty a vessel that more cells do not
+            steps *= 1.5
+            if fixed or trial == TRIALS or steps > GIVEN_UP:
+                raise
+            continue
         worst = int(np.argmax(errors / limits))
         over = float(errors[worst] / limits[worst])
         found = Resolution(
@@ -264,12 +272,21 @@ def _chosen(wanted: _Wanted) -> Resolution:
             100 * float(limits[worst] / ranges[worst]),
             _words(series[worst]),
         )
-        steps *= min(max(1.05 * math.sqrt(over), 1.15), 3.0)
-        after = options(steps)
-        work = (sum(after.cells) + len(after.cells)) * after.least_steps * 5 * 6 * 2
-        if over <= 1 or fixed or trial == TRIALS or work > MOST_WORK or 2 * after.least_steps > now.max_steps:
+        if over <= 1 or fixed or trial == TRIALS:
+            return found
+        before, steps = steps, steps * min(max(1.05 * math.sqrt(over), 1.15), 3.0)
+        while _work(options(steps)) > MOST_WORK:
+            steps *= 0.95
+        if steps < 1.1 * before:
             return found
     raise AssertionError("the last trial returns")
+
+
+def _work(options: SolverOptions) -> float:
+    """Nodes times steps of a trial: six beats at two stiffnesses, on this grid and on one twice as fine."""
+    if 2 * options.least_steps > options.max_steps:
+        return math.inf
+    return (sum(options.cells) + len(options.cells)) * options.least_steps * 5 * 6 * 2
 
 
 def _words(place: Place) -> str:
@@ -281,13 +298,14 @@ def _look(wanted: _Wanted, plain: Mapping[str, Any]) -> tuple[Array, Array, Arra
     """On few cells: wave speeds (n_vessels,), limits and ranges of the series, and the tolerance in mmHg."""
     case = wanted.case
     length, ids = case.network.length_cm, case.network.ids
-    cells = tuple(int(n) for n in np.maximum(1, np.rint(64 * length / length.sum())))
-    coarse = replace(case, options=SolverOptions(cells=cells, tolerance_mmHg=0.5, **plain))
-    speed = (
-        solver_of(coarse, (), np.empty(0))
-        .solve(case.stiffness, case.gamma, case.psi1, case.psi2, case.c)
-        .fastest_cm_s
-    )
+    for total in (64, 256, 1024):
+        cells = tuple(int(n) for n in np.maximum(1, np.rint(total * length / length.sum())))
+        coarse = replace(case, options=SolverOptions(cells=cells, tolerance_mmHg=0.5, **plain))
+        solver = solver_of(coarse, (), np.empty(0))
+        looked = solver.solve(case.stiffness, case.gamma, case.psi1, case.psi2, case.c, check=total == 1024)
+        if looked.ok:
+            break
+    speed = looked.fastest_cm_s
     root = (int(ids[0]), 0.0, "pressure_mmHg")
     waves = simulate(coarse, (*wanted.series, root), wanted.times_s)
     part = wanted.accuracy_percent / 100
