@@ -25,8 +25,6 @@ def numbers(option: str, text: str, study: Study) -> list[float]:
             ) from None
         if not math.isfinite(values[-1]):
             raise UsageError(f"{option} {text}: {part.strip()!r} is not finite; give a finite number")
-        if values[-1] <= 0:
-            raise UsageError(f"{option} {text}: must be positive")
     n = len(study.vessels)
     if len(values) not in (1, n):
         raise UsageError(

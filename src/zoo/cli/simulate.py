@@ -85,6 +85,8 @@ def simulate(
 
     def each(option: str, text: str) -> np.ndarray:
         values = np.array(numbers(option, text, loaded))
+        if np.any(values <= 0):
+            raise UsageError(f"{option} {text}: must be positive")
         return values[order] if len(values) > 1 else np.full(len(order), values[0])
 
     parameters: dict[str, Any] = {
