@@ -38,7 +38,7 @@ def test_errors_of_values_name_the_option(arguments, message, tmp_path) -> None:
 
 def test_errors_of_the_solvers_values_name_the_option() -> None:
     stiff = ["simulate", "demo", "--stiffness", "5e4"]
-    assert "--dx -1.0: must be positive" in fails(*stiff, "--dx", -1)
+    assert "--dx = -1.0: must be positive" in fails(*stiff, "--dx", -1)
     assert "--friction foo: unknown; use one of" in fails(*stiff, "--friction", "foo")
     assert "--psi1 -3: must be positive" in fails(*stiff, "--psi1", -3)
 
