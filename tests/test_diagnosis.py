@@ -191,12 +191,13 @@ def test_a_good_explanation_has_no_warning(jitter: StudyDiagnosis) -> None:
 
 
 def test_units_that_cannot_be_are_warned_of() -> None:
-    """Pressures in kPa instead of mmHg: whatever is named removes little, and the input is suspected."""
-    study = made([])
+    """Pressures in kPa instead of mmHg: the paper's priors exclude what fits, and the input is suspected."""
+    study = replace(made([]), priors={"set": "paun2020"})
     study = replace(study, series=tuple(replace(s, value=s.value * 0.133322) for s in study.series))
     file = diagnose(study, effects=["sensor-offset", "tangent-wall"], max_effects=1).file
     assert "kPa would fit" in file.warnings[0]
     assert any("check the units in observations.csv" in text for text in file.warnings)
+    assert file.excluded is not None
     if file.cause[0] not in (NULL, NONPARAMETRIC) and file.gap.removed < 0.5:
         assert any("most has another cause" in text for text in file.warnings)
 

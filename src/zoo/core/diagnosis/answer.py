@@ -247,7 +247,7 @@ def _verdict(scored: Scored, gap: Gap) -> str:
 def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
     """What should be looked at before the answer is believed."""
     data = scored.screened.screening.data
-    rows, found = hooks.rows(data), list(hooks.warnings)
+    rows, found = hooks.rows(data), list[str]()
     unit = "" if gap.unit == "1" else f" {gap.unit}"
     spread = float(max(np.ptp(data.values[i]) for i in rows))
     if gap.before > POOR_FIT * spread:
@@ -293,12 +293,13 @@ def _beyond(excluded: Excluded | None, gap: Gap) -> str:
     )
 
 
-def _lifted_warnings(excluded: Excluded | None) -> list[str]:
+def _lifted_warnings(excluded: Excluded | None, hooks: Hooks) -> list[str]:
     if excluded is None:
         return []
     return [
-        f"{one.text} in other commands too; here the explanations are weighed with it free"
-        for one in excluded.bounds
+        f"{one.text} in other commands too; here the explanations are weighed with it free; if {value:.3g} "
+        f"cannot be, {hooks.advice}"
+        for one, value in zip(excluded.bounds, excluded.values, strict=True)
     ]
 
 
@@ -422,7 +423,7 @@ def answer(
         where=_where(first, before, hooks),
         cause=members,
         verdict=_beyond(excluded, gap) + _verdict(first, gap),
-        warnings=[*_lifted_warnings(excluded), *_warnings(gap, first, hooks)],
+        warnings=[*hooks.warnings, *_lifted_warnings(excluded, hooks), *_warnings(gap, first, hooks)],
         excluded=_excluded(excluded, screenings[0], rows, unit),
         hypotheses=_results(first, seed, {NULL: before} | ({first.leader: after} if listed else {}), hooks),
         steps=steps,
