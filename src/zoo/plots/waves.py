@@ -97,7 +97,7 @@ def waves_figure(
             scale = mpl.cm.ScalarMappable(mpl.colors.Normalize(1, len(shown)), "viridis")
             bar = figure.colorbar(scale, ax=figure.axes, fraction=0.03, pad=0.01, label="vessel")
             ticks = np.unique(np.linspace(1, len(shown), 6).round().astype(int))
-            bar.set_ticks(ticks, labels=[str(shown[i - 1]) for i in ticks])
+            bar.set_ticks(ticks.tolist(), labels=[str(shown[i - 1]) for i in ticks])
         columns = math.ceil(len(handles) / 14)
         figure.legend(handles=handles, loc="outside right center", fontsize="small", ncols=columns)
     return figure
