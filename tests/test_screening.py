@@ -24,9 +24,10 @@ from zoo.core.diagnosis.hypothesis import (
     coordinates,
 )
 from zoo.core.diagnosis.scoring import VISIBLE, _groups, score
+from zoo.core.diagnosis.screening import Screening
 from zoo.core.diagnosis.search import Point, Search, SearchError
 from zoo.core.effects import EVERYWHERE, EffectParameter
-from zoo.core.errors.spectral import GroupErrors, log_density
+from zoo.core.errors.spectral import GroupErrors, Harmonics, log_density
 from zoo.core.forward import Outputs
 from zoo.core.parameters import InverseGamma, Normal, Parameter, Population, Uniform, log_prior
 
@@ -388,3 +389,22 @@ def test_what_can_imitate_the_leader_after_a_refit_is_in_its_group() -> None:
     screened = SimpleNamespace(base=fit(base))
     group = _groups(screened, list(best), best, dict.fromkeys(best, 0.0), (), S)  # type: ignore[arg-type]
     assert group == {"leader": 0, "imitates": 0, "nearly the same": 0, "another": 1}
+
+
+def test_an_effect_that_was_added_is_tried_elsewhere_only() -> None:
+    study = made([], series=(0,), n=32)
+    stenosis = CATALOGUE["stenosis"]
+    [first, second, *_] = stenosis.locations(baseline_of(study))
+    gain = CATALOGUE["sensor-gain"].at(EVERYWHERE)
+    screening = screening_of(study, ["stenosis", "sensor-gain"])
+    assert first in {h.location for h in screening.hypotheses["stenosis"]}
+    beside = Screening(
+        screening.data, screening.baseline, [stenosis, CATALOGUE["sensor-gain"]], errors=Harmonics(),
+        added=[stenosis.at(first), gain],
+    )  # fmt: skip
+    left = {h.location for h in beside.hypotheses["stenosis"]}
+    assert second in left
+    assert first not in left
+    assert list(beside.hypotheses) == ["stenosis"]
+    for hypothesis in beside.hypotheses["stenosis"][:2]:
+        beside.forward(hypothesis)

@@ -117,9 +117,10 @@ class Screening:
         everywhere = {one.name for one in self.added if one.location == EVERYWHERE}
         self.effects = {e.name: e for e in effects if e.apply is not None and e.offered(baseline.name)}
         self.hypotheses = {
-            name: [Hypothesis((*self.added, e.at(location))) for location in found]
+            name: [Hypothesis((*self.added, one)) for one in new]
             for name, e in self.effects.items()
-            if name not in everywhere and (found := e.locations(baseline))
+            if name not in everywhere
+            and (new := [one for one in map(e.at, e.locations(baseline)) if one not in self.added])
         }
         self.range = ranges(data)
 
