@@ -55,7 +55,7 @@ def test_fetch_unknown() -> None:
 @pytest.mark.needs_data
 def test_fetch() -> None:
     output = run("fetch", "mouse-c6")
-    assert output.count("sha256 as expected") == 2
+    assert output.count("sha256 as expected") == 3
 
 
 def test_unknown_study() -> None:
