@@ -82,9 +82,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
             caption = (
                 "Shares of the discrepancy's energy, and the probability of each location of a listed cause."
             )
-        figure = draw(diagnosis)
-        written.append(save_figure(figure, folder / f"{name}.png"))
-        pictures[name] = picture_of(figure, f"{caption} The tables have the numbers.", caption)
+        written.append(save_figure(draw(diagnosis), folder / f"{name}.png"))
+        pictures[name] = picture_of(written[-1], f"{caption} The tables have the numbers.", caption)
     written.append(save_figure(plot_diagnosis(diagnosis), folder / "diagnosis.png"))
     file = diagnosis.file
     write_page(

@@ -50,9 +50,10 @@ class Picture(NamedTuple):
 
 
 def picture_of(figure: Any, alt: str, caption: str) -> Picture:
-    """A figure as a PNG in a data URI, with its size in CSS pixels."""
+    """A figure, or the PNG that it was saved as, in a data URI, with its size in CSS pixels."""
     with tempfile.TemporaryDirectory() as folder:
-        image = Image.open(save_figure(figure, Path(folder) / "figure.png")).convert("RGB")
+        drawn = figure if isinstance(figure, Path) else save_figure(figure, Path(folder) / "figure.png")
+        image = Image.open(drawn).convert("RGB")
     small = BytesIO()
     image.quantize(COLOURS).save(small, "PNG", optimize=True)
     source = "data:image/png;base64," + base64.b64encode(small.getvalue()).decode("ascii")
