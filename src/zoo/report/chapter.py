@@ -176,7 +176,7 @@ def _facts(chapter: Chapter, records: Mapping[str, RunRecord]) -> list[tuple[str
         facts += [("checksum", value) for value in sorted({r.study_checksum for r in records.values()})]
     for label, get in (
         ("conventions", lambda record: settings_text(record.conventions)),
-        ("solver", lambda record: settings_text(record.solver)),
+        ("solver", lambda record: _solver_text(record.solver)),
         ("seed", lambda record: str(record.seed)),
     ):
         which: dict[str, list[str]] = {}
@@ -185,6 +185,12 @@ def _facts(chapter: Chapter, records: Mapping[str, RunRecord]) -> list[tuple[str
         for value, names in which.items():
             facts.append((label if len(which) == 1 else f"{label} of {listed(names)}", value))
     return facts
+
+
+def _solver_text(solver: Mapping[str, Any]) -> str:
+    """Settings of the solver that say something, and the cells in words."""
+    settings = {name: value for name, value in solver.items() if name != "grid" and value not in ([], ())}
+    return "; ".join(filter(None, [settings_text(settings), solver.get("grid", "")]))
 
 
 def _ranking(table: pd.DataFrame) -> list[dict[str, Any]]:
