@@ -97,7 +97,7 @@ def run(
     base: Annotated[str, typer.Option("--base", help="Baseline, as in `zoo diagnose`.")] = "linear-constant",
     posteriors: Annotated[
         bool,
-        typer.Option("--confirm/--no-confirm", help="Posterior sampling of the leading explanations too."),
+        typer.Option("--posteriors", "--confirm", help="Posterior sampling of the leading explanations too."),
     ] = False,
     max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
