@@ -166,6 +166,12 @@ def table_of(prior: Prior) -> dict[str, list[float]]:
     )
 
 
+def _no_law(name: str, text: str) -> PriorsError:
+    hint = difflib.get_close_matches(name, ("set", "wave_speed_m_s"), 1, 0.6)
+    meant = f"did you mean the field {hint[0]!r}? " if hint else ""
+    return PriorsError(f"{text!r}: {meant}a parameter has one law, such as {name}=log_uniform(2e4,4e5)")
+
+
 def read_option(text: str) -> tuple[str, Any]:
     """What `--prior` is given, as field and value of the table.
 
@@ -198,8 +204,10 @@ def read_option(text: str) -> tuple[str, Any]:
         numbers = [float(part) for part in listed.split(",")]
     except ValueError:
         if called is None and name != "wave_speed_m_s":
-            return name, value
+            raise _no_law(name, text) from None
         raise PriorsError(f"{text!r}: {listed!r} is not numbers with commas between them") from None
+    if called is None and name != "wave_speed_m_s":
+        raise _no_law(name, text)
     if called:
         return name, {called[1]: numbers}
     return name, numbers

@@ -207,7 +207,9 @@ def check_names(study: Study, parameters: Sequence[Parameter]) -> None:
     known = [*dict.fromkeys([*(p.name for p in parameters), *OF_MODELS])]
     for name in prior_table(study).own:
         if name not in known:
-            there = [*(p.name for p in parameters if p.name != "chi"), STIFFNESS, "set", "wave_speed_m_s"]
+            noises = [f"noise_{quantity}" for quantity in dict.fromkeys(s.quantity for s in study.series)]
+            there = [p.name for p in parameters if p.name != "chi"]
+            there = [*dict.fromkeys([*there, STIFFNESS, *noises, "set", "wave_speed_m_s"])]
             raise PriorsError(f"{study.source or study.name}: priors: {name}: {nearest(name, there)}")
 
 

@@ -53,6 +53,7 @@ class _Group(NamedTuple):
 
 _GROUPS = {
     "pressure": _Group("pressure", "observations: pressure_mmHg", "mmHg", _PRESSURE),
+    "outflow pressure": _Group("pressure", "network: outflow_pressure_mmHg", "mmHg", _PRESSURE),
     "inflow": _Group("flow", "inflow: flow_ml_s", "ml/s", _FLOW),
     "observed flow": _Group("flow", "observations: flow_ml_s", "ml/s", _FLOW),
     "length": _Group("size", "network: length_cm", "cm", _SIZE),
@@ -209,6 +210,10 @@ def _observed_sizes(study: Study, tree: _Tree, mean: float) -> list[_Size]:
             _Size("pulse of the pressure", "mmHg", pulse, 1.5, 200, {"pressure": 1}),
             _Size("wave speed that the pulses of pressure and flow need", "cm/s", speed, 80, 3000, powers),
         ]
+        behind, mean_there = _outflow_pressure(study), abs(float(pressure.value.mean()))
+        if behind > 0.95 * mean_there > 0:  # a small one is as good as none
+            ratio, powers = behind / mean_there, {"outflow pressure": 1, "pressure": -1}
+            sizes.append(_Size("outflow pressure", "of the mean pressure", ratio, 0.002, 0.95, powers))
     flow = _nearest(study, "flow_ml_s", tree)
     if flow is not None:
         ratio = abs(float(flow.value.mean())) / (mean * tree.share[flow.vessel])
@@ -220,6 +225,13 @@ def _observed_sizes(study: Study, tree: _Tree, mean: float) -> list[_Size]:
         ratio = float(area_seen.value.mean()) / (math.pi * tree.vessels[area_seen.vessel].radius_cm ** 2)
         sizes.append(_Size("mean area", "of pi radius^2", ratio, 0.4, 4, {"observed area": 1, "radius": -2}))
     return sizes
+
+
+def _outflow_pressure(study: Study) -> float:
+    """The largest pressure behind an outlet, mmHg."""
+    fed = {v.parent for v in study.vessels}
+    own = [v.outflow_pressure_mmHg for v in study.vessels if v.id not in fed]
+    return max(study.outflow_pressure_mmHg if p is None else p for p in own)
 
 
 def _load_sizes(study: Study, tree: _Tree, mean: float) -> list[_Size]:
@@ -351,6 +363,7 @@ def _typical(study: Study, group: str) -> tuple[str, float]:
                 words, value = both[group]
                 return f"{words} of vessel {v.id} is", value
     return {
+        "outflow pressure": ("outflow_pressure_mmHg is", _outflow_pressure(study)),
         "inflow": ("flow_ml_s has a mean of", _mean_inflow(study)),
         "length": (f"length_cm of vessel {root.id} is", root.length_cm),
         "radius": (f"radius_cm of vessel {root.id} is", root.radius_cm),

@@ -102,7 +102,7 @@ _MEANING = {
     "missing": "is missing; add it",
     "greater_than": "must be positive; correct it",
     "greater_than_equal": "must be at least {ge}; correct it",
-    "less_than": "is too large; correct it",
+    "less_than": "must be below {lt}; correct it",
     "finite_number": "must be finite; correct it",
     "float_type": "must be a number; write it without quotes",
     "int_type": "must be a whole number; correct it",
@@ -138,9 +138,9 @@ def validated(model: type[Table], data: Any, where: str) -> Any:
         raise StudyError(f"{where}: {name}: unknown field; {near(loc[-1], list(known.model_fields))}")
     if kind == "missing":
         raise StudyError(f"{where}: {name}: {_MEANING[kind]}")
-    meaning = _MEANING.get(kind, f"{faults[0]['msg']}; correct it").replace(
-        "{ge}", str(faults[0].get("ctx", {}).get("ge"))
-    )
+    meaning = _MEANING.get(kind, f"{faults[0]['msg']}; correct it")
+    for limit, number in faults[0].get("ctx", {}).items():
+        meaning = meaning.replace(f"{{{limit}}}", f"{number:g}" if isinstance(number, float) else str(number))
     raise StudyError(f"{where}: {name} = {short(faults[0]['input'])}: {meaning}")
 
 

@@ -155,10 +155,24 @@ def check_identity(path: Path, stored: Mapping[str, Any], identity: Mapping[str,
         else:
             same = theirs == mine or (name == "priors" and theirs is None)  # checkpoints of before have none
         if not same:
+            if isinstance(theirs, dict) and isinstance(mine, dict):
+                name, theirs, mine = _first_difference(name, theirs, mine)
             raise CheckpointError(
                 f"{path}: checkpoint of another run: {name} is {_short(theirs)} there and {_short(mine)} "
                 "here; use the same settings, another folder, or remove this one"
             )
+
+
+def _first_difference(name: str, theirs: dict[str, Any], mine: dict[str, Any]) -> tuple[str, Any, Any]:
+    """The first entry in which two tables differ, one that is a text if there is one."""
+    missing = object()
+    different = [
+        key
+        for key in dict.fromkeys([*mine, *theirs])
+        if theirs.get(key, missing) != mine.get(key, missing)
+    ]
+    key = min(different, key=lambda k: not isinstance(mine.get(k), str))
+    return f"{key} of the {name}", theirs.get(key, "absent"), mine.get(key, "absent")
 
 
 def _short(value: Any) -> str:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from zoo.core.inference.convergence import ESS_TARGET, Verdict, check_convergence
+
+EVERY_S = 30.0
+"""Seconds between lines where there is no terminal."""
 
 
 @dataclass
@@ -80,6 +85,25 @@ class Display:
         if self.wanted:
             self.console.print(text, highlight=False, soft_wrap=True)
 
+    @contextlib.contextmanager
+    def during(self, text: str, state: Callable[[], str], every_s: float = EVERY_S) -> Iterator[None]:
+        """Say that work of unknown length goes on, and how far it is: now and again while it lasts."""
+        over = threading.Event()
+
+        def lines() -> None:
+            while not over.wait(every_s):
+                self.say(f"{text}: {state()}, {_duration(time.monotonic() - self.began)} so far")
+
+        thread = threading.Thread(target=lines, daemon=True)
+        if self.wanted:
+            thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            if thread.ident is not None:
+                thread.join()
+
     def update(self, states: Sequence[ChainState], until: int) -> None:
         """Show the present state."""
         if not self.wanted:
@@ -91,7 +115,7 @@ class Display:
         if self.live is not None:
             self._judge(states, now)
             self.live.update(self.table(states, until))
-        elif now - self._shown_at >= 30.0:
+        elif now - self._shown_at >= EVERY_S:
             self._shown_at = now
             self._judge(states, now)
             self.console.print(self.line(states, until), highlight=False, soft_wrap=True)

@@ -172,15 +172,18 @@ def sample(
         earlier = float(stored["wall_seconds"])
         with Display(progress, tune=tune, thin=thin, cores=cores, ess=until_ess) as show:
             show.say(_opening(model, d, settings, stored))
+            if "grid" in identity["solver options"]:
+                show.say(identity["solver options"]["grid"])
             if folder is not None:
                 folder.write_run(stored)
             beginning = None if folder is None else folder.start()
             if beginning is None:
-                mode = start if isinstance(start, Mode) else search_mode(logp, start, seed=int(seed))
-                beginning = disperse(logp, mode, chains, int(seed))
-                if has_many(logp) and not isinstance(start, Mode):
-                    beginning = _improve(logp, beginning, chains, cores, int(seed), step, options, show)
-                    mode = beginning.mode
+                with show.during("finding the mode", lambda: f"{logp.evaluations} evaluations"):
+                    mode = start if isinstance(start, Mode) else search_mode(logp, start, seed=int(seed))
+                    beginning = disperse(logp, mode, chains, int(seed))
+                    if has_many(logp) and not isinstance(start, Mode):
+                        beginning = _improve(logp, beginning, chains, cores, int(seed), step, options, show)
+                        mode = beginning.mode
                 if folder is not None:
                     folder.write_start(beginning)
                 show.say(f"mode: log-posterior {mode.logp:.2f} after {mode.evaluations} evaluations")
