@@ -159,7 +159,7 @@ def test_finished_run_goes_on_to_more_draws(short_checkpoint, uninterrupted):
         ({"tune": 300}, "tune is 200 there and 300 here"),
         ({"seed": 12}, "seed is 11 there and 12 here"),
         ({"step": "metropolis"}, "step is demetropolisz there and metropolis here"),
-        ({"step_options": {"crank_nicolson": 0.1}}, "step options is"),
+        ({"step_options": {"crank_nicolson": 0.1}}, "crank_nicolson of the step options is .* there and 0.1"),
     ],
 )
 def test_checkpoint_of_other_settings_is_refused(short_checkpoint, change, message):
@@ -292,6 +292,17 @@ def test_until_ess_goes_on_and_stops_at_the_limit(capsys):
 def test_settings_are_checked(settings, message):
     with pytest.raises(SamplingError, match=message):
         sample(gaussian_model(), progress=False, **settings)
+
+
+def test_work_of_unknown_length_says_how_far_it_is(capsys):
+    show, done = Display(True, tune=100, thin=1, cores=1, ess=None), iter(range(1000))
+    with show.during("finding the mode", lambda: f"{next(done)} evaluations", every_s=0.01):
+        time.sleep(0.2)
+    told = capsys.readouterr().err.splitlines()
+    assert told[1].startswith("finding the mode: 1 evaluations, 0 s so far")
+    with Display(False, tune=1, thin=1, cores=1, ess=None).during("nothing", str, every_s=0.01):
+        time.sleep(0.05)
+    assert capsys.readouterr().err == ""
 
 
 def test_display_line_and_table():

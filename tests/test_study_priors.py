@@ -262,6 +262,8 @@ def test_a_parameter_that_no_model_has_is_refused_with_the_nearest(example: Stud
             zoo.model_A(study)
         with pytest.raises(PriorsError, match=name):
             zoo.diagnose(study)
+    with pytest.raises(PriorsError, match="did you mean 'noise_pressure_mmHg'"):
+        zoo.model_A(example, priors={"noise_pressure": {"uniform": [1.0, 2.0]}})
     # f1 is of other models: a study may give it, model A has no use for it
     zoo.model_A(example, priors={"f1": {"uniform": [1.0, 2.0]}})
 
@@ -285,6 +287,12 @@ def test_the_option_says_what_the_table_does(text: str, table: dict[str, object]
 @pytest.mark.parametrize("text", ["f3", "=uniform(1,2)", "f3=", "f3=uniform(1;2)", "f3=uniform(a,b)"])
 def test_an_option_that_cannot_be_read_is_refused(text: str) -> None:
     with pytest.raises(PriorsError, match=r"write NAME=LAW|not numbers"):
+        read_option(text)
+
+
+@pytest.mark.parametrize("text", ["f3=2e4,4e5", "f3=log_uniform(2e4", "sett=paun2020"])
+def test_an_option_without_a_law_is_shown_one_as_it_is_typed(text: str) -> None:
+    with pytest.raises(PriorsError, match=r"one law, such as \w+=log_uniform\(2e4,4e5\)"):
         read_option(text)
 
 

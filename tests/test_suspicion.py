@@ -217,6 +217,20 @@ def test_areas_in_other_units(factor: float, unit: str) -> None:
     assert (found.unit, found.factors[0]) == (unit, pytest.approx(1 / factor))
 
 
+def test_an_outflow_pressure_above_the_observed() -> None:
+    """5 mmHg in Pa, of the study and of one vessel; a venous pressure below the observed one is none."""
+    study = tree("human")
+    assert suspect_units(replace(study, outflow_pressure_mmHg=12.0)) == ()
+    one_of = [replace(study.vessels[-1], outflow_pressure_mmHg=666.6)]
+    for wrong in (
+        replace(study, outflow_pressure_mmHg=666.6),
+        replace(study, vessels=(*study.vessels[:-1], *one_of)),
+    ):
+        (found,) = suspect_units(wrong)
+        assert (found.fields, found.unit) == (("network: outflow_pressure_mmHg",), "Pa")
+        assert "outflow_pressure_mmHg is 666.6" in str(found)
+
+
 def test_a_period_in_milliseconds() -> None:
     study = tree("human")
     wrong = replace(study, period_s=850.0, inflow_time_s=study.inflow_time_s * 1e3, time_s=study.time_s * 1e3)

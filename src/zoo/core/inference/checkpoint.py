@@ -167,9 +167,7 @@ def _first_difference(name: str, theirs: dict[str, Any], mine: dict[str, Any]) -
     """The first entry in which two tables differ, one that is a text if there is one."""
     missing = object()
     different = [
-        key
-        for key in dict.fromkeys([*mine, *theirs])
-        if theirs.get(key, missing) != mine.get(key, missing)
+        key for key in dict.fromkeys([*mine, *theirs]) if theirs.get(key, missing) != mine.get(key, missing)
     ]
     key = min(different, key=lambda k: not isinstance(mine.get(k), str))
     return f"{key} of the {name}", theirs.get(key, "absent"), mine.get(key, "absent")
