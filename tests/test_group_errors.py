@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pymc as pm
@@ -14,7 +15,7 @@ from scipy import stats
 
 from test_op import small_study
 from zoo.blood.predictive import bands, predictive_draws, vessel_waves
-from zoo.blood.study import Study
+from zoo.blood.study import Study, load_study
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModelError
 from zoo.core.errors.groups import GroupNoise, GroupProcess
@@ -317,3 +318,12 @@ def test_any_error_model_takes_other_priors_of_its_parameters() -> None:
     assert dict(GroupNoise().with_priors({"noise_p": mine}).bind(some_data()).priors) == {"noise_p": mine}
     with pytest.raises(ErrorModelError, match=r"error model iid: no prior 'w'; use one of sigma2"):
         Independent().with_priors({"w": mine})
+
+
+def test_the_search_does_not_take_the_signal_for_error() -> None:
+    """From the prior's median, a stiffness of 2e5, a process of the size of the pulse is a lesser mode."""
+    study = load_study(Path(__file__).parents[1] / "docs" / "example-study")
+    for name in "AB":
+        mode = find_mode(get_model(name)(study))
+        assert float(mode.values["f3"]) == pytest.approx(6.13e4, rel=0.03)
+        assert float(mode.values["noise_pressure_mmHg"]) == pytest.approx(0.08, rel=0.1)

@@ -89,6 +89,11 @@ class ErrorModel(ABC):
         """
         return replace(self, data=data)
 
+    @property
+    def least_squares_first(self) -> bool:
+        """Whether a search begins with least squares, as errors of any size can take the signal for error."""
+        return False
+
     def with_priors(self, priors: Mapping[str, Prior]) -> Self:
         """The same with other priors of some of its parameters.
 

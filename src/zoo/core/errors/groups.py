@@ -83,6 +83,11 @@ class GroupNoise(ErrorModel):
         """Its name, "noise"."""
         return "noise"
 
+    @property
+    def least_squares_first(self) -> bool:
+        """Yes."""
+        return True
+
     def bind(self, data: Data) -> Self:
         """The same for given data.
 

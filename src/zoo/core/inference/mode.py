@@ -11,7 +11,7 @@ import pymc as pm
 from numpy.typing import ArrayLike
 
 from zoo.core.inference.logposterior import Array, LogPosterior, SamplingError, model_name
-from zoo.core.inference.newton import gauss_newton, newton
+from zoo.core.inference.newton import gauss_newton, least_squares, newton
 from zoo.core.model import ModelRecord
 
 LARGE = 100.0
@@ -68,7 +68,9 @@ def find_mode(
     modes, the best 4 followed to their end, and from these ends with each element of a vector lowered in
     turn. Then Newton steps on a quadratic fitted over steps wide enough to lower the log-posterior by about
     one, so that rounding and the tolerance of a solver do not matter. Where these do not settle, as on the
-    narrow ridge that a small noise leaves, Gauss-Newton steps go on, and Newton steps once more.
+    narrow ridge that a small noise leaves, Gauss-Newton steps go on, and Newton steps once more. With
+    errors of any size (`GroupNoise`, `GroupProcess`) all that begins with least squares from the best of 16
+    draws of the prior: a process could take the whole signal for error.
 
     Parameters
     ----------
@@ -135,6 +137,12 @@ def search_mode(
     frame = None
     structured = isinstance(getattr(logp.model, "zoo", None), ModelRecord)
     many = has_many(logp)
+    wide = structured and logp.model.zoo.errors.least_squares_first
+    if wide and start is None and not many and limit > 2 * d + 1:
+        begin = _prior_points(logp, logp.from_values(_suggested(logp.model)), seed)
+        without = least_squares(logp, [point for point, _ in begin])
+        if np.isfinite(value := logp(without)):
+            q, best, worst = without, value, [value]
     if many and structured:
         begin = [(q, best)] if start is not None else _prior_points(logp, q, seed)
         q, best, frame = _highest(logp, begin, limit)
