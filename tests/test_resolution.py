@@ -201,7 +201,7 @@ def test_a_model_has_what_was_chosen_in_its_record() -> None:
 MISTAKES = [
     ({"accuracy": 0.1}, "accuracy: unknown field; did you mean 'accuracy_percent'?"),
     ({"accuracy_percent": 0}, "accuracy_percent = 0: must be positive"),
-    ({"accuracy_percent": 20}, "accuracy_percent = 20: is too large"),
+    ({"accuracy_percent": 20}, "accuracy_percent = 20: must be below 10"),
     ({"dx_cm": -1.0}, "dx_cm = -1.0: must be positive"),
     ({"dx_cm": "fine"}, "dx_cm = 'fine': must be a number"),
     ({"steps_per_beat": 8}, "steps_per_beat = 8: must be at least 32"),
