@@ -20,6 +20,7 @@ from zoo.core.parameters import (
     Normal,
     Parameter,
     Population,
+    Prior,
     Uniform,
     random_variables,
 )
@@ -153,3 +154,31 @@ def test_every_model_can_be_drawn_from(name: str) -> None:
     found = pm.sample_prior_predictive(2, model=model, random_seed=3)
     assert found.prior_predictive["y"].shape == (1, 2, *model.zoo.data.values.shape)
     assert all(np.all(np.isfinite(values)) for values in found.prior.values())
+
+
+@pytest.mark.parametrize(
+    "prior",
+    [
+        LogNormal(1e5, 1.0, 2e5, 4e5),
+        LogNormal(3e5, 1.0, 2e5, 4e5),
+        LogNormal(1e5, 1.0, 0.0, 5e4),
+        LogNormal(1e5, 1.0, 2e5),
+        Normal(0.0, 1.0, 0.5, 2.0),
+        Normal(5.0, 1.0, high=2.0),
+    ],
+)
+def test_a_search_begins_inside_the_bounds_wherever_these_are(prior: Prior) -> None:
+    low, high = prior.support
+    assert low < Parameter("x", prior).first < high
+    with pm.Model(coords={"place": range(3)}) as model:
+        prior.variable("x", {})
+        prior.variable("y", {}, dims="place")
+    assert all(np.all(np.isfinite(value)) for value in model.initial_point().values())
+    assert np.isfinite(model.compile_logp()(model.initial_point()))
+    assert np.shape(model.initial_point(0)[model.rvs_to_values[model["y"]].name]) == (3,)
+
+
+def test_bounds_that_count_are_told() -> None:
+    assert LogNormal(1e5, 1.0).text == "log-normal(100000, 1)"
+    assert LogNormal(1e5, 1.0, 1e2).text == "log-normal(100000, 1)"  # a thousandth of the mass at most
+    assert LogNormal(1e5, 1.0, 2e4, 4e5).text == "log-normal(100000, 1) in [20000, 400000]"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -325,3 +326,20 @@ def test_a_posterior_of_other_priors_is_named_as_such(example: Study) -> None:
     assert mismatch(idata, other) == "prior of c is log-normal(1, 1), here it is log-uniform in [0.5, 2]"
     replace(record, priors=None).attach(idata)  # as of before
     assert mismatch(idata, other) is None
+
+
+def test_a_posterior_of_another_noise_is_named_as_such(example: Study) -> None:
+    models = [zoo.model_A(replace(example, noise_sd=sd)) for sd in ({}, {"pressure_mmHg": 0.5})]
+    other = zoo.model_A(replace(example, noise_sd={"pressure_mmHg": 3.0}))
+    free, known = (
+        zoo.sample(m, draws=4, tune=8, chains=1, cores=1, progress=False, until_ess=None, seed=1)
+        for m in models
+    )
+    assert mismatch(free, models[0]) is None
+    assert mismatch(known, models[1]) is None
+    label = example.series[0].label
+    assert mismatch(known, other) == f"noise of {label} is known, 0.5 mmHg, here it is known, 3 mmHg"
+    assert mismatch(free, other) == f"noise of {label} is none, here it is known, 3 mmHg"
+    assert re.match(
+        "prior of noise_pressure_mmHg is none, here it is log-normal", mismatch(known, models[0]) or ""
+    )

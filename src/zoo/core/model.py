@@ -93,9 +93,9 @@ class ModelRecord:
 
     @property
     def priors(self) -> dict[str, str]:
-        """Prior of each variable in words."""
+        """Prior of each variable in words, and what is known of the errors instead."""
         both = (*self.forward.parameters, *self.errors.parameters)
-        return {variable_name(p.name): p.prior.text for p in both}
+        return {variable_name(p.name): p.prior.text for p in both} | self.errors.fixed
 
     @property
     def suggested(self) -> dict[str, Any]:

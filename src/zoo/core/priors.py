@@ -313,8 +313,8 @@ class Normal(Prior):
 
     @property
     def median(self) -> float:
-        """The mean, moved inside the bounds."""
-        return float(np.clip(self.mean, self.low, self.high))
+        """The mean if it lies inside the bounds, else the median between these."""
+        return self.mean if self.low < self.mean < self.high else float(self.quantile(0.5))
 
     @property
     def text(self) -> str:
@@ -377,6 +377,10 @@ class LogNormal(Prior):
         if self.low == 0.0 and math.isinf(self.high):
             return pm.LogNormal(name, math.log(self.centre), self.spread, **settings)
         plain = pm.LogNormal.dist(math.log(self.centre), self.spread)
+        if math.isfinite(self.high):  # PyMC's own initial point, half the width, may lie outside
+            sizes = pm.modelcontext(None).dim_lengths
+            shape = (int(sizes[settings["dims"]].eval()),) if settings.get("dims") else ()
+            settings["initval"] = np.full(shape, float(self.quantile(0.5)))
         return pm.Truncated(name, plain, lower=self.low, upper=self.high, **settings)
 
     def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
@@ -392,13 +396,16 @@ class LogNormal(Prior):
 
     @property
     def median(self) -> float:
-        """The centre."""
-        return self.centre
+        """The centre if it lies inside the bounds, else the median between these."""
+        return self.centre if self.low < self.centre < self.high else float(self.quantile(0.5))
 
     @property
     def text(self) -> str:
-        """Such as "log-normal(0.05, 0.5)"."""
-        return f"log-normal({self.centre:g}, {self.spread:g})"
+        """Such as "log-normal(0.05, 0.5)", with the bounds if they leave out more than 1 % of it."""
+        whole = float(np.exp(log_normal_mass(*self._limits)))
+        return f"log-normal({self.centre:g}, {self.spread:g})" + (
+            f" in [{self.low:g}, {self.high:g}]" if whole < 0.99 else ""
+        )
 
 
 @dataclass(frozen=True)

@@ -155,6 +155,11 @@ class ErrorModel(ABC):
         """Names of its free parameters."""
         return tuple(p.name for p in self.parameters)
 
+    @property
+    def fixed(self) -> dict[str, str]:
+        """What is given instead of inferred, such as a known noise: name -> words, for a run's record."""
+        return {}
+
     def transform(self, series: Array) -> Array:
         """Series to the coefficients in which the errors are described; here the series themselves."""
         return series

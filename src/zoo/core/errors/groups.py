@@ -153,6 +153,12 @@ class GroupNoise(ErrorModel):
             found.append(p)
         return tuple(found)
 
+    @property
+    def fixed(self) -> dict[str, str]:
+        """The known standard deviation of each series that has one."""
+        series = zip(self.on.labels, self.on.units, self._given, strict=True)
+        return {f"noise of {label}": f"known, {sd:g} {unit}" for label, unit, sd in series if sd is not None}
+
     def noise(self, values: Mapping[str, Any]) -> list[Any]:
         """Standard deviation of the noise of each series, a number or a tensor."""
         pairs = zip(self._given, self.on.groups, strict=True)

@@ -24,7 +24,8 @@ def mismatch(idata: az.InferenceData, model: Any) -> str | None:
     -------
     str or None
         The first of: the model's name, the study, the checksum of its data, a switch of the conventions, a
-        prior. Priors that an older run has not recorded are not looked at.
+        prior or known noise, also one that only one of them has. A run so old that it has recorded no
+        priors at all passes in these.
 
     Raises
     ------
@@ -40,6 +41,12 @@ def mismatch(idata: az.InferenceData, model: Any) -> str | None:
         ("checksum of the study", record.study_checksum, source.checksum),
         ("conventions", record.conventions.get("name", ""), conventions.get("name", "")),
     ]
-    known = record.priors or {}
-    pairs += [(f"prior of {n}", known[n], prior) for n, prior in ours.priors.items() if n in known]
+    if record.priors is not None:
+        both = dict.fromkeys([*ours.priors, *record.priors])
+        pairs += [(_of_prior(n), record.priors.get(n, "none"), ours.priors.get(n, "none")) for n in both]
     return next((f"{what} is {a}, here it is {b}" for what, a, b in pairs if a != b), None)
+
+
+def _of_prior(name: str) -> str:
+    """What a record's prior is called; a known noise has a name in words."""
+    return name if " of " in name else f"prior of {name}"
