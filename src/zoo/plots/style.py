@@ -146,7 +146,7 @@ def axis_end(differences: Sequence[float], least: float) -> float | None:
     --------
     >>> axis_end([0.0, 3.0, 40.0, 4889.0], least=10.0)
     40.0
-    >>> axis_end([0.0, 277.0, 609.0], least=5.0) is None
+    >>> axis_end([0.0, 277.0, 609.0], least=10.0) is None
     True
     """
     before = least
