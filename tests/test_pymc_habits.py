@@ -106,7 +106,7 @@ def test_find_map_says_what_to_do(model_a):
 
 
 def test_metropolis_of_pymc_takes_the_mode_as_start(model_a, mode_a):
-    values = {name: mode_a.values[name] for name in ("f3", "psi1", "psi2", "c", "sigma2")}
+    values = {name: mode_a.values[name] for name in ("f3", "psi1", "psi2", "c", "noise_pressure_mmHg")}
     with model_a, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         idata = pm.sample(
@@ -127,7 +127,7 @@ def test_the_first_snippet_of_the_readme_converges_as_printed():
     code = code.replace("pm.sample(", "pm.sample(random_seed=1, progressbar=False, ")
     exec(compile(code, "README.md", "exec"), found)
     summary = az.summary(found["idata"], round_to=None)
-    assert list(summary.index) == ["f3", "psi1", "psi2", "c", "sigma2"]
+    assert list(summary.index) == ["f3", "psi1", "psi2", "c", "noise_pressure_mmHg"]
     assert summary["r_hat"].max() <= 1.01
     assert summary[["ess_bulk", "ess_tail"]].to_numpy().min() >= 400
     # the medians of the table above it, which `zoo sample` prints

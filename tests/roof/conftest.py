@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import arviz as az
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from commands import TRUE
@@ -17,6 +18,12 @@ from zoo.blood.diagnosis import StudyDiagnosis, diagnose
 from zoo.blood.solver import Solver
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel, save_study
 from zoo.paper.synthetic import ejection
+
+
+@pytest.fixture(autouse=True)
+def no_figures_of_others() -> None:
+    """A test that counts open figures begins with none."""
+    plt.close("all")
 
 
 @pytest.fixture

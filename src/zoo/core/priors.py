@@ -377,7 +377,9 @@ class LogNormal(Prior):
         if self.low == 0.0 and math.isinf(self.high):
             return pm.LogNormal(name, math.log(self.centre), self.spread, **settings)
         plain = pm.LogNormal.dist(math.log(self.centre), self.spread)
-        if math.isfinite(self.high):  # PyMC's own initial point, half the width, may lie outside
+        # PyMC's own initial point is half the width; one of ours is set only where that lies outside, since
+        # models with such a point cannot be converted to functions of their draws
+        if math.isfinite(self.high) and 0.5 * (self.high - self.low) <= self.low:
             sizes = pm.modelcontext(None).dim_lengths
             shape = (int(sizes[settings["dims"]].eval()),) if settings.get("dims") else ()
             settings["initval"] = np.full(shape, float(self.quantile(0.5)))
