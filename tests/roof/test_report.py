@@ -332,7 +332,7 @@ def test_without_data_the_posteriors_are_shown(
     unreadable = f"passed over: {tmp_path / 'other.nc'}: not a readable NetCDF file"
     assert any(line.startswith(unreadable) for line in passed_over)
     assert all(line.startswith("passed over: ") for line in passed_over)
-    assert error == "error: mouse-c6/pC6_1024.dat: cannot be had; set ZOO_DATA_DIR"
+    assert error == "error: mouse-c6/pC6_512.dat: cannot be had; set ZOO_DATA_DIR"
 
 
 def test_commands_keep_the_target() -> None:

@@ -51,7 +51,11 @@ def effects(
 
 def _locations(effect: Effect) -> str:
     """Where an effect can act, in words."""
+    from zoo.core.effects import EverywhereIf
+
     function = getattr(effect.locations, "__name__", "")
+    if isinstance(effect.locations, EverywhereIf):
+        return LOCATION_WORDS["everywhere"]
     return LOCATION_WORDS.get(function, function.replace("_", " ") or "some locations")
 
 
