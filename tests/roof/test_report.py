@@ -329,10 +329,10 @@ def test_without_data_the_posteriors_are_shown(
     result = CliRunner(env={"COLUMNS": "200"}).invoke(app, words)
     assert result.exit_code == 2
     *passed_over, error = result.output.strip().splitlines()
-    unreadable = f"passed over: {tmp_path / 'other.nc'}: not a readable NetCDF file"
-    assert any(line.startswith(unreadable) for line in passed_over)
-    assert all(line.startswith("passed over: ") for line in passed_over)
-    assert error == "error: mouse-c6/pC6_512.dat: cannot be had; set ZOO_DATA_DIR"
+    (unreadable,) = [line for line in passed_over if "other.nc" in line]
+    assert "not a readable NetCDF file" in unreadable
+    assert all(line.startswith("passed over: ") for line in passed_over), [x[-150:] for x in passed_over]
+    assert error == "error: mouse-c6/pC6_1024.dat: cannot be had; set ZOO_DATA_DIR"
 
 
 def test_commands_keep_the_target() -> None:
