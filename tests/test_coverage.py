@@ -105,7 +105,7 @@ def test_data_sets_share_the_truth_and_have_errors_of_their_own():
 
 @pytest.fixture(scope="module")
 def cheap():
-    """The cheap tree with the cells of the pool's solver, and an error process that leaves wide posteriors."""
+    """The cheap tree with the cells of the pool, and an error process that leaves wide posteriors."""
     base = replace(cheap_study(64), numerics={"dx_cm": 0.025})
     return base, Truth(f1=2e6, f2=-200.0, f3=4.3e4, psi1=0.6, psi2=0.9, c=1.2, w=4e4, b=60.0)
 
