@@ -10,14 +10,15 @@ import pytensor.tensor as pt
 from numpy.typing import NDArray
 from pymc.distributions import transforms
 from pymc.distributions.continuous import BoundedContinuous, TruncatedNormalRV
+from pymc.distributions.distribution import _support_point
+from pymc.distributions.truncated import TruncatedRV, truncated_support_point
 from pytensor.graph.op import Op
 from pytensor.tensor.random.basic import InvGammaRV
 from pytensor.tensor.random.op import RandomVariable
 
-Array = NDArray[np.float64]
+from zoo.core.draws import inverse_gamma_draws
 
-LARGEST_DRAW = 1e300
-"""What stands for draws that no double can hold, as in `zoo.core.priors`."""
+Array = NDArray[np.float64]
 
 
 class LogUniformRV(RandomVariable):
@@ -66,8 +67,8 @@ class InverseGammaRV(InvGammaRV):
 
     @classmethod
     def rng_fn(cls, rng: np.random.Generator, shape: Array, scale: Array, size: Any = None) -> Array:
-        """The scale over a gamma draw, at most `LARGEST_DRAW`."""
-        return np.asarray(scale / np.maximum(rng.gamma(shape, size=size), scale / LARGEST_DRAW))
+        """Of `zoo.core.draws.inverse_gamma_draws`."""
+        return inverse_gamma_draws(rng, shape, scale, size)
 
 
 class InverseGamma(pm.InverseGamma):
@@ -93,3 +94,34 @@ class PositiveNormal(pm.TruncatedNormal):
 @transforms._default_transform.register(PositiveNormalRV)
 def _log(op: Op, rv: Any) -> Any:
     return transforms.log
+
+
+class BetweenRV(TruncatedRV):
+    """Draws of `Between`."""
+
+    @classmethod
+    def rv_op(cls, *arguments: Any, **settings: Any) -> Any:
+        """That of ``pm.Truncated``, with an operation of this class."""
+        made = TruncatedRV.rv_op(*arguments, **settings).owner
+        return cls(
+            base_rv_op=made.op.base_rv_op,
+            max_n_steps=made.op.max_n_steps,
+            inputs=made.op.inner_inputs,
+            outputs=made.op.inner_outputs,
+            ndim_supp=0,
+        )(*made.inputs)
+
+
+class Between(pm.Truncated):
+    """``pm.Truncated`` of a distribution that PyMC has no truncated form of; starts inside its bounds."""
+
+    rv_type = BetweenRV
+    rv_op = BetweenRV.rv_op
+
+
+@_support_point.register(BetweenRV)
+def _inside(op: Op, rv: Any, *inputs: Any) -> Any:
+    """PyMC's own point, half the width where the mean lies outside, and the middle where that does too."""
+    *_, low, high = inputs
+    own = truncated_support_point(op, rv, *inputs)
+    return pt.switch(pt.and_(own > low, own < high), own, 0.5 * (low + high))

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincc, gammainccinv, log_ndtr, ndtri_exp
 
-Array = NDArray[np.float64]
+from zoo.core.draws import LARGEST_DRAW, inverse_gamma_draws
 
-LARGEST_DRAW = 1e300
-"""What stands for draws that no double can hold: half of those of an inverse gamma of shape 0.001."""
+Array = NDArray[np.float64]
 
 
 class ParameterError(ValueError):
@@ -376,14 +375,10 @@ class LogNormal(Prior):
 
         if self.low == 0.0 and math.isinf(self.high):
             return pm.LogNormal(name, math.log(self.centre), self.spread, **settings)
+        from zoo.core import distributions
+
         plain = pm.LogNormal.dist(math.log(self.centre), self.spread)
-        # PyMC's own initial point is half the width; one of ours is set only where that lies outside, since
-        # models with such a point cannot be converted to functions of their draws
-        if math.isfinite(self.high) and 0.5 * (self.high - self.low) <= self.low:
-            sizes = pm.modelcontext(None).dim_lengths
-            shape = (int(sizes[settings["dims"]].eval()),) if settings.get("dims") else ()
-            settings["initval"] = np.full(shape, float(self.quantile(0.5)))
-        return pm.Truncated(name, plain, lower=self.low, upper=self.high, **settings)
+        return distributions.Between(name, plain, lower=self.low, upper=self.high, **settings)
 
     def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
         """Exponentials of quantiles of the truncated normal."""
@@ -446,10 +441,8 @@ class InverseGamma(Prior):
         return distributions.InverseGamma(name, self.shape, self.scale, **settings)
 
     def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """Scale over gamma draws, at most `LARGEST_DRAW`."""
-        return np.asarray(
-            self.scale / np.maximum(rng.gamma(self.shape, size=size), self.scale / LARGEST_DRAW)
-        )
+        """Of `inverse_gamma_draws`."""
+        return inverse_gamma_draws(rng, self.shape, self.scale, size)
 
     def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
         """By the inverse of the regularised gamma function; infinite where no double is large enough."""
@@ -474,7 +467,49 @@ class InverseGamma(Prior):
 
 
 @dataclass(frozen=True)
-class Population(Prior):
+class _Hierarchical(Prior):
+    """A prior of positive elements that are alike, given a population's parameters.
+
+    Subclasses give `depends_on`, `dependence`, `variable`, `text`, and the prior of one element, `_given`.
+    """
+
+    def _given(self, given: Mapping[str, Array] | None) -> Normal | LogNormal:
+        """The prior of one element at these values of the population's parameters."""
+        raise NotImplementedError
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Zero and infinity: sampled and searched as a logarithm."""
+        return 0.0, math.inf
+
+    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
+        """Sum of the elements' log-densities."""
+        return self._given(given).log_density(x, {})
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Those of an element's log-density."""
+        return self._given(given).curvature(x, {})
+
+    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
+        """`size` elements, independent given the population."""
+        return self._given(given).draw(rng, size, {})
+
+    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Of one element."""
+        return self._given(given).quantile(p)
+
+    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Of one element."""
+        return self._given(given).cdf(x)
+
+    @property
+    def median(self) -> float:
+        """Not a number: that of the population."""
+        return math.nan
+
+
+@dataclass(frozen=True)
+class Population(_Hierarchical):
     """Each element normal around a population's mean, and positive: x_i ~ N(m, s^2) given x_i > 0.
 
     Its sd is s = unit sqrt(v), and its density the normal one over Phi(m/s), which m and v change too.
@@ -492,34 +527,18 @@ class Population(Prior):
     unit: float = 1.0
 
     @property
-    def support(self) -> tuple[float, float]:
-        """Zero and infinity: sampled and searched as a logarithm."""
-        return 0.0, math.inf
-
-    @property
     def depends_on(self) -> tuple[str, ...]:
         """Mean and variance of the population."""
         return self.mean, self.variance
 
-    def _standard(self, given: Mapping[str, Array]) -> tuple[float, float]:
-        return float(given[self.mean]), self.unit * math.sqrt(float(given[self.variance]))
-
-    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
-        """Sum of -z^2/2 - log(s sqrt(2 pi)) - log Phi(m/s), z = (x - m)/s."""
-        mean, sd = self._standard(given)
-        z = (np.asarray(x) - mean) / sd
-        size = math.log(sd * math.sqrt(2 * math.pi)) + float(log_ndtr(mean / sd))
-        return float(np.sum(-0.5 * z * z - size))
-
-    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
-        """-(x - m)/sd^2 and 1/sd^2."""
-        mean, sd = self._standard(given)
-        x = np.asarray(x, dtype=np.float64)
-        return -(x - mean) / sd**2, np.full(x.shape, 1.0 / sd**2)
+    def _given(self, given: Mapping[str, Array] | None) -> Normal:
+        values = given or {}
+        return Normal(float(values[self.mean]), self.unit * math.sqrt(float(values[self.variance])), 0.0)
 
     def dependence(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array, Array]:
         """With respect to m and v: -log p = sum (x - m)^2/(2 s^2) + n log(v)/2 + n log Phi(m/s) + const."""
-        mean, sd = self._standard(given)
+        one = self._given(given)
+        mean, sd = one.mean, one.sd
         v = float(given[self.variance])
         x = np.asarray(x, dtype=np.float64)
         z, n, t = (x - mean) / sd, len(x), mean / sd
@@ -542,24 +561,6 @@ class Population(Prior):
         sd = self.unit * pm.math.sqrt(given[self.variance])
         return distributions.PositiveNormal(name, given[self.mean], sd, lower=0.0, **settings)
 
-    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """By inversion of the distribution function."""
-        mean, sd = self._standard(given)
-        return Normal(mean, sd, 0.0).draw(rng, size, {})
-
-    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """Of one element, given the population's mean and variance."""
-        return Normal(*self._standard(given or {}), 0.0).quantile(p)
-
-    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """Of one element, given the population's mean and variance."""
-        return Normal(*self._standard(given or {}), 0.0).cdf(x)
-
-    @property
-    def median(self) -> float:
-        """Not a number: that of the population."""
-        return math.nan
-
     @property
     def text(self) -> str:
         """Such as "normal(m_chi, 10000 sqrt(v_chi)) above 0"."""
@@ -567,7 +568,7 @@ class Population(Prior):
 
 
 @dataclass(frozen=True)
-class LogPopulation(Prior):
+class LogPopulation(_Hierarchical):
     """Each element log-normal around a population's median: log x_i ~ N(log m, v).
 
     Parameters
@@ -580,11 +581,6 @@ class LogPopulation(Prior):
     variance: str
 
     @property
-    def support(self) -> tuple[float, float]:
-        """Zero and infinity: sampled and searched as a logarithm."""
-        return 0.0, math.inf
-
-    @property
     def depends_on(self) -> tuple[str, ...]:
         """Median and variance of the population."""
         return self.median_name, self.variance
@@ -592,14 +588,6 @@ class LogPopulation(Prior):
     def _given(self, given: Mapping[str, Array] | None) -> LogNormal:
         values = given or {}
         return LogNormal(float(values[self.median_name]), math.sqrt(float(values[self.variance])))
-
-    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
-        """Sum of -z^2/2 - log x - log(v)/2 - log(2 pi)/2, z = log(x/m)/sqrt(v)."""
-        return self._given(given).log_density(x, {})
-
-    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
-        """Those of the log-normal density."""
-        return self._given(given).curvature(x, {})
 
     def dependence(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array, Array]:
         """With respect to m and v, where -log p = sum log(x/m)^2/(2 v) + n log(v)/2."""
@@ -619,23 +607,6 @@ class LogPopulation(Prior):
 
         m, v = given[self.median_name], given[self.variance]
         return pm.LogNormal(name, pm.math.log(m), pm.math.sqrt(v), **settings)
-
-    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """Exponentials of normal draws."""
-        return self._given(given).draw(rng, size, {})
-
-    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """Of one element, given the population's median and variance."""
-        return self._given(given).quantile(p)
-
-    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """Of one element, given the population's median and variance."""
-        return self._given(given).cdf(x)
-
-    @property
-    def median(self) -> float:
-        """Not a number: that of the population."""
-        return math.nan
 
     @property
     def text(self) -> str:
