@@ -133,9 +133,9 @@ class Baseline:
         -------
         BloodFlow
         """
-        given = self.priors(study, conventions=conventions, priors=priors)
-        parameters = [one.parameter for one in given]
-        check_names(with_priors(study, priors), parameters)
+        study = with_priors(study, priors)
+        parameters = [one.parameter for one in self.priors(study, conventions=conventions)]
+        check_names(study, parameters)
         flow = BloodFlow(
             study, self.wall, self.stiffness, parameters, name=self.name,
             conventions=self._conventions(study, conventions), options=options, fixed=self.fixed,

@@ -6,11 +6,12 @@ The two differ in seven places, each a switch of its own. The code's slip in the
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
+
+from zoo.core.words import nearest
 
 FRICTIONS = ("current", "rest", "fixed")
 
@@ -130,9 +131,7 @@ class Conventions:
 
 
 def _unknown(what: str, value: object, known: Any) -> str:
-    near = difflib.get_close_matches(str(value), list(known), 1, 0.5)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    return f"conventions: {what} = {value!r}: unknown; {hint}use one of {', '.join(known)}"
+    return f"conventions: {what} = {value!r}: {nearest(value, list(known))}"
 
 
 SWITCHES = tuple(f.name for f in fields(Conventions) if f.name != "name")

@@ -5,13 +5,14 @@ Every file is checked against its SHA-256 digest, wherever it comes from.
 
 from __future__ import annotations
 
-import difflib
 import logging
 import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from zoo.core.words import meant
 
 DATA_DIR_VARIABLE = "ZOO_DATA_DIR"
 TIMEOUT_S = 30
@@ -88,9 +89,9 @@ DATASETS = {
 def _dataset(name: str) -> Dataset:
     if name in DATASETS:
         return DATASETS[name]
-    near = difflib.get_close_matches(name, DATASETS, 1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    raise FetchError(f"data set {name!r}: unknown; {hint}there is {', '.join(DATASETS)}")
+    raise FetchError(
+        f"data set {name!r}: unknown; {meant(name, list(DATASETS), 0.6)}there is {', '.join(DATASETS)}"
+    )
 
 
 def _local(dataset: str, file: str, expected: str) -> Path | None:

@@ -243,8 +243,7 @@ NO_PHYSICS = Physics()
 def study_physics(
     study: Study, network: Network, *, mmhg: float | None = None, along: bool = True
 ) -> Physics:
-    """What a study adds to the equations: profile, junctions, pressures around the vessels, stiffness "
-    "along them.
+    """What a study adds to the equations: profile, junctions, pressures, stiffness along the vessels.
 
     Parameters
     ----------

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from zoo.core.priors import InverseGamma, LogNormal, LogUniform, Normal, ParameterError, Prior, Uniform
+from zoo.core.words import choices, meant, nearest
 
 PAPER_SET = "paun2020"
 """Table 2 of Paun et al. 2020, as it stands in the files of the models."""
 STUDY_SET = "study"
 """Priors that follow from the study, `zoo.blood.priors`."""
 SETS = (PAPER_SET, STUDY_SET)
+
+FIELDS = ("set", "wave_speed_m_s")
+"""Fields of a table that are no parameters."""
 
 WAVE_SPEED_M_S = (0.7, 20.0)
 """Pulse wave speeds at rest that hold 95 % of the prior of the stiffness, if a study gives no others."""
@@ -83,7 +86,7 @@ def read_priors(table: Mapping[str, Any]) -> PriorTable:
     """
     chosen = table.get("set", STUDY_SET)
     if chosen not in SETS:
-        raise PriorsError(f"set = {chosen!r}: unknown; {_near(chosen, SETS)}")
+        raise PriorsError(f"set = {chosen!r}: {nearest(chosen, SETS)}")
     speeds = WAVE_SPEED_M_S
     if "wave_speed_m_s" in table:
         if chosen == PAPER_SET:
@@ -91,16 +94,8 @@ def read_priors(table: Mapping[str, Any]) -> PriorTable:
                 f"wave_speed_m_s: the set {PAPER_SET!r} has a stiffness of its own; leave out one of them"
             )
         speeds = _wave_speeds(table["wave_speed_m_s"])
-    own = {
-        name: _prior(name, value) for name, value in table.items() if name not in ("set", "wave_speed_m_s")
-    }
+    own = {name: _prior(name, value) for name, value in table.items() if name not in FIELDS}
     return PriorTable(str(chosen), speeds, own, "wave_speed_m_s" in table)
-
-
-def _near(word: object, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(str(word), known, 1, 0.5)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}use one of {', '.join(known)}"
 
 
 def _numbers(value: Any) -> list[float] | None:
@@ -129,14 +124,13 @@ def _prior(name: str, value: Any) -> Prior:
     if name == "chi":
         raise PriorsError("chi: is a population of stiffnesses; give m_chi or v_chi instead")
     if not isinstance(value, Mapping) or len(value) != 1:
-        hint = difflib.get_close_matches(name, ("set", "wave_speed_m_s"), 1, 0.4)
-        meant = f"did you mean the field {hint[0]!r}? " if hint else ""
+        hint = meant(name, FIELDS, 0.4, "the field ")
         raise PriorsError(
-            f"{name} = {value!r}: {meant}a parameter has one law, such as {{ log_uniform = [2e4, 4e5] }}"
+            f"{name} = {value!r}: {hint}a parameter has one law, such as {{ log_uniform = [2e4, 4e5] }}"
         )
     ((law, given),) = value.items()
     if law not in LAWS:
-        raise PriorsError(f"{name}: {law!r}: unknown law; {_near(law, list(LAWS))}")
+        raise PriorsError(f"{name}: {law!r}: unknown law; {choices(law, list(LAWS))}")
     made, words, counts = LAWS[law]
     numbers = _numbers(given)
     if numbers is None or len(numbers) not in counts:
@@ -167,9 +161,8 @@ def table_of(prior: Prior) -> dict[str, list[float]]:
 
 
 def _no_law(name: str, text: str) -> PriorsError:
-    hint = difflib.get_close_matches(name, ("set", "wave_speed_m_s"), 1, 0.6)
-    meant = f"did you mean the field {hint[0]!r}? " if hint else ""
-    return PriorsError(f"{text!r}: {meant}a parameter has one law, such as {name}=log_uniform(2e4,4e5)")
+    hint = meant(name, FIELDS, 0.6, "the field ")
+    return PriorsError(f"{text!r}: {hint}a parameter has one law, such as {name}=log_uniform(2e4,4e5)")
 
 
 def read_option(text: str) -> tuple[str, Any]:

@@ -76,8 +76,7 @@ class PhysicsOptions:
     ] = None
 
     def applied(self, study: Study, stiffness: list[float] | None) -> Study:
-        """The study with these in the place of its own, and with a stiffness of each vessel if there "
-        "is one."""
+        """The study with these in the place of its own, and with stiffnesses of its vessels if given."""
         from zoo.blood.study import JUNCTION_PRESSURES, check_physics
 
         if stiffness is None and self.stiffness_out is not None:

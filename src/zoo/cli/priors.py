@@ -85,11 +85,12 @@ def _summary(found: PriorPredictive, study: Study) -> list[Any]:
     import numpy as np
     from rich.text import Text
 
+    from zoo.blood.case import UNITS
+
     few = len(found.series) < LEAST_SOLVED * len(found.draws)
     lines: list[Any] = [Text(found.text, style="yellow" if few else "")]
     for k, series in enumerate(study.series if len(found.series) else ()):
-        quantity, _, words = series.quantity.partition("_")
-        unit = words.replace("_", "/")
+        quantity, unit = series.quantity.partition("_")[0], UNITS[series.quantity]
         low, high = np.quantile(found.series[:, k], (0.025, 0.975), axis=0)
         inside = np.mean((series.value >= low) & (series.value <= high))
         means = np.quantile(found.series[:, k].mean(axis=1), (0.025, 0.975))

@@ -130,7 +130,7 @@ def _posterior_summary(idata: az.InferenceData, found: Verdict) -> list[Any]:
     import numpy as np
     from rich.text import Text
 
-    from zoo.core.inference.convergence import arrays, scalars
+    from zoo.core.inference.elements import arrays, scalars
     from zoo.core.inference.record import RunRecord
     from zoo.paper.convergence import paper_tests
 

@@ -79,18 +79,19 @@ def _longest(texts: Sequence[str]) -> int:
 
 def complain(text: str) -> None:
     """Print an error as one red line on standard error."""
-    from rich.console import Console
-    from rich.text import Text
-
-    Console(stderr=True).print(Text(f"error: {text}", style="red"), soft_wrap=True)
+    _aside(f"error: {text}", "red")
 
 
 def warn(text: str) -> None:
     """Print a warning as one yellow line on standard error."""
+    _aside(f"warning: {text}", "yellow")
+
+
+def _aside(line: str, colour: str) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    Console(stderr=True).print(Text(f"warning: {text}", style="yellow"), soft_wrap=True)
+    Console(stderr=True).print(Text(line, style=colour), soft_wrap=True)
 
 
 def plain_table(*headings: str, title: str | None = None, heads: bool = True) -> Table:

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from zoo.blood.study import Study
 
 POSITIONS = (0.0, 0.5, 1.0)
-QUANTITIES = ("pressure_mmHg", "flow_ml_s", "area_cm2")
 
 
 @command
@@ -140,8 +139,7 @@ def _stiffness(
     study: Study,
     other: bool,
 ) -> list[float] | None:
-    """A stiffness for each vessel in the study's order; None where the study's or the walls' own is to "
-    "be taken."""
+    """A stiffness for each vessel in the study's order; None for the study's or the walls' own."""
     from zoo.blood.network import stiffness_profile
 
     profile = [f1, f2, f3]
@@ -167,8 +165,9 @@ def _waves(solution: Solution, vessels: Sequence[int], time_s: np.ndarray) -> xr
     """Dataset with dimensions vessel, position, time."""
     import xarray as xr
 
+    from zoo.blood.case import UNITS
+
     shape = (len(vessels), len(POSITIONS), len(time_s))
-    units = {"pressure_mmHg": "mmHg", "flow_ml_s": "ml/s", "area_cm2": "cm2"}
     waves = xr.Dataset(
         {
             quantity: (
@@ -176,7 +175,7 @@ def _waves(solution: Solution, vessels: Sequence[int], time_s: np.ndarray) -> xr
                 getattr(solution, quantity).reshape(shape),
                 {"units": unit},
             )
-            for quantity, unit in units.items()
+            for quantity, unit in UNITS.items()
         },
         coords={
             "vessel": list(vessels),
@@ -191,12 +190,14 @@ def _write_waves(waves: xr.Dataset, path: Path) -> None:
     if path.suffix == ".nc":
         waves.to_netcdf(path, engine="h5netcdf")
         return
+    from zoo.blood.case import UNITS
+
     time_s = [f"{t:.9g}" for t in waves["time"].to_numpy()]
     with open(path, "w", newline="") as file:
         file.write("vessel,position,quantity,time_s,value\n")
         for vessel in waves["vessel"].to_numpy():
             for position in POSITIONS:
-                for quantity in QUANTITIES:
+                for quantity in UNITS:
                     values = waves[quantity].sel(vessel=vessel, position=position).to_numpy()
                     head = f"{vessel},{position:g},{quantity}"
                     file.writelines(f"{head},{t},{v:.9g}\n" for t, v in zip(time_s, values, strict=True))

@@ -6,10 +6,20 @@ import difflib
 from collections.abc import Iterable, Sequence
 
 
+def meant(word: object, known: Sequence[str], alike: float = 0.5, what: str = "") -> str:
+    """A question for the known name that is nearest, with a blank at its end; empty if none is near."""
+    close = difflib.get_close_matches(str(word), known, 1, alike)
+    return f"did you mean {what}{close[0]!r}? " if close else ""
+
+
+def choices(word: object, known: Sequence[str]) -> str:
+    """The nearest known name, and all."""
+    return f"{meant(word, known)}use one of {', '.join(known)}"
+
+
 def nearest(word: object, known: Sequence[str]) -> str:
     """Words for an unknown name: the nearest known one, and all."""
-    close = difflib.get_close_matches(str(word), known, 1, 0.5)
-    return f"unknown; {f'did you mean {close[0]!r}? ' if close else ''}use one of {', '.join(known)}"
+    return f"unknown; {choices(word, known)}"
 
 
 def refuse_unknown(what: str, given: Iterable[str], known: Iterable[str]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.core.inference.convergence import scalars
+from zoo.core.inference.elements import scalars
 from zoo.core.inference.record import ResultsError
 
 Array = NDArray[np.float64]

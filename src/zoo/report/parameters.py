@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from zoo.blood.case import UNITS
-from zoo.core.inference.convergence import Diagnostics, scalars
+from zoo.core.inference.convergence import Diagnostics
+from zoo.core.inference.elements import scalars
 from zoo.core.posterior.comparison import record_of
 from zoo.report.words import number
 

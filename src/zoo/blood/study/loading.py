@@ -23,13 +23,13 @@ from zoo.blood.study.tables import (
     FetchedObservationsTable,
     StudyTable,
     checked_numerics,
-    near,
     read_toml,
     short,
     validated,
     visible_name,
 )
 from zoo.blood.study.tree import read_network_file
+from zoo.core.words import choices, nearest
 
 _BUILT_IN = Path(__file__).parents[2] / "data"
 
@@ -59,7 +59,7 @@ def _find(name_or_folder: str | Path) -> tuple[Path, Path | str]:
     known = list_studies()
     raise StudyError(
         f"{name_or_folder}: neither a folder with a study.toml nor a built-in study; "
-        f"{near(name_or_folder, known)}"
+        f"{choices(name_or_folder, known)}"
     )
 
 
@@ -182,7 +182,7 @@ def _checked_noise(where: str, noise_sd: Mapping[str, float], series: Sequence[S
     known = [*QUANTITIES, *(s.label for s in series)]
     for name, value in noise_sd.items():
         if name not in known:
-            raise StudyError(f"{where}: noise_sd: {name!r}: unknown; {near(name, known)}")
+            raise StudyError(f"{where}: noise_sd: {name!r}: {nearest(name, known)}")
         if not value > 0:
             raise StudyError(f"{where}: noise_sd: {name} = {value!r}: must be positive; correct it")
     return {name: float(value) for name, value in noise_sd.items()}

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from zoo.blood.fetch import fetch_file
 from zoo.blood.study.parts import QUANTITIES, Array, Series, StudyError
 from zoo.blood.study.resampling import even_samples
-from zoo.blood.study.tables import FetchedInflowTable, FetchedObservationsTable, near, read_text
+from zoo.blood.study.tables import FetchedInflowTable, FetchedObservationsTable, read_text
+from zoo.core.words import choices, nearest
 
 INFLOW_COLUMNS = ("time_s", "flow_ml_s")
 OBSERVATION_COLUMNS = ("vessel", "position", "quantity", "time_s", "value")
@@ -64,7 +65,7 @@ def read_csv(
     for name in header:
         if name not in (*columns, *optional):
             known = [*columns, *optional]
-            raise StudyError(f"{path}, row {row}: {name!r}: unknown column; {near(name, known)}")
+            raise StudyError(f"{path}, row {row}: {name!r}: unknown column; {choices(name, known)}")
         if header.count(name) > 1:
             raise StudyError(f"{path}, row {row}: {name!r}: the column occurs twice; keep one")
     for name in columns:
@@ -111,6 +112,18 @@ class _Samples:
                 f"a second sample at this time, beside row {self.rows[i]}; keep one",
             )
 
+    def must_repeat(self, period: float) -> None:
+        """Raise unless the last value is the first, as it must be a period later."""
+        first, last = self.values[0], self.values[-1]
+        if abs(last - first) > 1e-9 * np.ptp(self.values):
+            self.fail(
+                len(self.values) - 1,
+                self.unit,
+                last,
+                f"a period_s = {period:.10g} after the first sample ({first:.10g}), so it must repeat that "
+                "one; remove this row, or correct period_s",
+            )
+
 
 def _uneven(times: Array) -> NDArray[np.bool_]:
     """Which distances between ascending times are not the usual one, (n - 1,)."""
@@ -146,14 +159,7 @@ def _uniform(samples: _Samples, period: float, *, from_zero: bool) -> tuple[Arra
             "resample to a uniform grid",
         )
     if abs(times[-1] - times[0] - period) <= _GRID_TOLERANCE * step:
-        if abs(values[-1] - values[0]) > 1e-9 * np.ptp(values):
-            s.fail(
-                len(times) - 1,
-                s.unit,
-                values[-1],
-                f"a period_s = {period:.10g} after the first sample ({values[0]:.10g}), so it must repeat "
-                "that one; remove this row, or correct period_s",
-            )
+        s.must_repeat(period)
         times, values = times[:-1], values[:-1]
     n = len(times)
     step = float(times[-1] - times[0]) / (n - 1)
@@ -190,14 +196,7 @@ def _evened(samples: _Samples, period: float) -> tuple[Array, Array, str]:
         s.fail(0, "time_s", times[0], "the inflow must begin at time 0; shift or resample it")
     end = len(times) - 1
     if abs(times[end] - period) <= _TIME_ROUNDING_S:
-        if abs(values[end] - values[0]) > 1e-9 * np.ptp(values):
-            s.fail(
-                end,
-                s.unit,
-                values[end],
-                f"a period_s = {period:.10g} after the first sample ({values[0]:.10g}), so it must repeat "
-                "that one; remove this row, or correct period_s",
-            )
+        s.must_repeat(period)
         times, values = times[:-1], values[:-1]
     elif times[end] > period:
         s.fail(
@@ -240,7 +239,7 @@ def _check_place(where: str, vessel: int, position: float, quantity: str, known:
             f"{where}: position = {position!r}: must be in [0, 1]; give the fraction of the vessel's length"
         )
     if quantity not in QUANTITIES:
-        raise StudyError(f"{where}: quantity = {quantity!r}: unknown; {near(quantity, QUANTITIES)}")
+        raise StudyError(f"{where}: quantity = {quantity!r}: {nearest(quantity, QUANTITIES)}")
 
 
 def read_observations(path: Path, period: float, known: Sequence[int]) -> tuple[Array, tuple[Series, ...]]:

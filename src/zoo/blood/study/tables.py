@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from zoo.blood.study.parts import StudyError
+from zoo.core.words import choices
 
 
 class Table(BaseModel):
@@ -113,13 +113,6 @@ _MEANING = {
 }
 
 
-def near(word: object, known: Sequence[str]) -> str:
-    """Hint at the nearest known word, then all of them."""
-    close = difflib.get_close_matches(str(word), known, 1, 0.5)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}use one of {', '.join(known)}"
-
-
 def short(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
@@ -134,8 +127,8 @@ def validated(model: type[Table], data: Any, where: str) -> Any:
     loc, kind = faults[0]["loc"], faults[0]["type"]
     name = ".".join(str(part) for part in loc)
     if kind == "extra_forbidden":
-        known = WindkesselTable if loc[0] == "windkessel" else model
-        raise StudyError(f"{where}: {name}: unknown field; {near(loc[-1], list(known.model_fields))}")
+        fields = list((WindkesselTable if loc[0] == "windkessel" else model).model_fields)
+        raise StudyError(f"{where}: {name}: unknown field; {choices(loc[-1], fields)}")
     if kind == "missing":
         raise StudyError(f"{where}: {name}: {_MEANING[kind]}")
     meaning = _MEANING.get(kind, f"{faults[0]['msg']}; correct it")

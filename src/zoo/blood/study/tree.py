@@ -17,12 +17,12 @@ from zoo.blood.study.tables import (
     NetworkTable,
     SurroundingsTable,
     VesselTable,
-    near,
     read_toml,
     validated,
     visible_name,
 )
 from zoo.blood.units import MMHG
+from zoo.core.words import nearest
 
 
 def sort_vessels(vessels: Sequence[Vessel], where: Sequence[str] | None = None) -> list[int]:
@@ -198,8 +198,8 @@ def read_network_file(path: Path) -> NetworkFile:
     junctions = validated(JunctionsTable, table.junctions, f"{path}: junctions")
     if junctions.pressure not in JUNCTION_PRESSURES:
         raise StudyError(
-            f"{path}: junctions: pressure = {junctions.pressure!r}: unknown; "
-            f"{near(junctions.pressure, JUNCTION_PRESSURES)}"
+            f"{path}: junctions: pressure = {junctions.pressure!r}: "
+            f"{nearest(junctions.pressure, JUNCTION_PRESSURES)}"
         )
     surroundings = validated(SurroundingsTable, table.surroundings, f"{path}: surroundings").model_dump()
     heads = [n for n, line in enumerate(text.splitlines(), 1) if re.match(r"\s*\[\[\s*vessel\s*\]\]", line)]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from zoo.core.inference.elements import arrays, scalars
 from zoo.core.inference.prior_check import PriorCheck, check_priors, priors_of
 from zoo.core.inference.record import ResultsError, RunRecord, plain
 
@@ -96,35 +97,6 @@ class Verdict:
 
 def _or(value: float, otherwise: float) -> float:
     return float(otherwise) if np.isnan(value) else float(value)
-
-
-def scalars(draws: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
-    """Name and draws of every scalar element of the variables.
-
-    Parameters
-    ----------
-    draws : mapping
-        Variable -> array (n_chains, n_draws, ...).
-
-    Yields
-    ------
-    tuple
-        `name` or `name[i, j]`, and an array (n_chains, n_draws).
-    """
-    for name, values in draws.items():
-        values = np.asarray(values)
-        if values.ndim == 2:
-            yield name, values
-            continue
-        for index in np.ndindex(values.shape[2:]):
-            yield f"{name}[{', '.join(str(i) for i in index)}]", values[(slice(None), slice(None), *index)]
-
-
-def arrays(idata: Any, var_names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
-    """Draws of a posterior's variables, or of those that are named, as arrays (n_chains, n_draws, ...)."""
-    posterior = idata.posterior
-    names = posterior.data_vars if var_names is None else var_names
-    return {str(name): posterior[name].transpose("chain", "draw", ...).to_numpy() for name in names}
 
 
 def ess_to_count(goal: float | None) -> float:

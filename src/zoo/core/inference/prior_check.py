@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.effects import WithEffects
+from zoo.core.inference.elements import scalars
 from zoo.core.inference.record import ResultsError
 from zoo.core.parameters import LogNormal, LogUniform, Parameter, Prior, variable_name
 
@@ -200,14 +201,11 @@ def check_priors(
         if name not in draws or p.prior.depends_on:
             continue
         values = np.asarray(draws[name], dtype=np.float64)
-        low, high = p.prior.support
-        for label, x in _elements(name, values):
+        ends = _ends(p, without)
+        for label, x in scalars({name: values}):
             if x.size == 0 or np.all(x == x.flat[0]):
                 continue
-            first, last = edges(p.prior)
-            for side, bound, edge in (("lower", low, first), ("upper", high, last)):
-                if edge is None or (bound == 0.0 and p.name in without):
-                    continue
+            for side, bound, edge in ends:
                 share = float(np.mean(x <= edge if side == "lower" else x >= edge))
                 if share > LEANING * OUTER:
                     bounds.append(AtBound(label, side, bound, p.unit, share))
@@ -226,10 +224,13 @@ def check_priors(
     return PriorCheck(tuple(bounds), tuple(uninformed))
 
 
-def _elements(name: str, values: Array) -> list[tuple[str, Array]]:
-    if values.ndim == 2:
-        return [(name, values)]
-    return [(f"{name}[{i}]", values[:, :, i]) for i in range(values.shape[2])]
+def _ends(p: Parameter, effects: frozenset[str]) -> list[tuple[str, float, float]]:
+    """Side, bound and edge of each end of a prior that is a limit."""
+    return [
+        (side, bound, edge)
+        for side, bound, edge in zip(("lower", "upper"), p.prior.support, edges(p.prior), strict=True)
+        if edge is not None and not (bound == 0.0 and p.name in effects)
+    ]
 
 
 def modes_at_bounds(
@@ -256,10 +257,7 @@ def modes_at_bounds(
         if name not in values or p.prior.depends_on:
             continue
         x = np.atleast_1d(np.asarray(values[name], dtype=np.float64))
-        first, last = edges(p.prior)
-        for side, bound, edge in zip(("lower", "upper"), p.prior.support, (first, last), strict=True):
-            if edge is None or (bound == 0.0 and p.name in without):
-                continue
+        for side, bound, edge in _ends(p, without):
             for i in np.flatnonzero(np.abs(x - bound) <= 0.1 * abs(edge - bound)):
                 found.append(AtBound(f"{name}[{i}]" if p.dims else name, side, bound, p.unit))
     return tuple(found)
