@@ -14,6 +14,7 @@ from zoo.core.diagnosis.bounds import widened
 from zoo.core.effects import EffectError, EffectParameter, effect
 from zoo.core.errors.spectral import Cosines
 from zoo.core.forward import ForwardModel, FunctionModel, Outputs, WithPriors
+from zoo.core.outputs import OutputFileError
 from zoo.core.parameters import InverseGamma, LogNormal, LogUniform, Normal, Parameter, Prior, Uniform
 
 TIMES = np.linspace(0.0, 6.0, 80)
@@ -158,5 +159,5 @@ def test_a_diagnosis_is_not_saved_over_a_file(tmp_path: object) -> None:
     path = f"{tmp_path}/gap"
     with open(path, "w"):
         pass
-    with pytest.raises(DiagnosisError, match="gap: is a file; give a folder"):
+    with pytest.raises(OutputFileError, match="gap: is a file; give a folder"):
         found.save(path)

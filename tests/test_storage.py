@@ -12,6 +12,7 @@ import pytest
 from gaussian import a_record, autoregressive, independent_draws
 from zoo.core.inference.convergence import diagnostics, verdict
 from zoo.core.inference.record import ResultsError, RunRecord
+from zoo.core.outputs import OutputFileError
 from zoo.core.posterior.storage import load, save, slim
 from zoo.paper.convergence import geweke, mpsrf, paper_tests
 
@@ -38,7 +39,7 @@ def test_record_survives_the_file(tmp_path, idata, record):
 
 
 def test_save_and_load_say_what_is_wrong(tmp_path, idata):
-    with pytest.raises(ResultsError, match=r"folder .*nowhere does not exist; create it"):
+    with pytest.raises(OutputFileError, match=r"folder .*nowhere does not exist; create it"):
         save(idata, tmp_path / "nowhere" / "A.nc")
     with pytest.raises(ResultsError, match=r"A\.nc: no such file; `zoo sample MODEL STUDY -o A\.nc`"):
         load(tmp_path / "A.nc")

@@ -10,6 +10,7 @@ import pytest
 from drawn import band_of, texts
 
 from zoo import plots
+from zoo.core.outputs import OutputFileError
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -137,5 +138,5 @@ def test_save_says_what_is_wrong(tube, tmp_path):
     figure = plots.fit_figure(tube, tube.values[None])
     with pytest.raises(plots.FigureError, match=r"unknown figure format '\.xyz'; use \.png"):
         plots.save_figure(figure, tmp_path / "a.xyz")
-    with pytest.raises(plots.FigureError, match="does not exist; create it"):
+    with pytest.raises(OutputFileError, match="does not exist; create it"):
         plots.save_figure(figure, tmp_path / "no" / "a.png")

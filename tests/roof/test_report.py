@@ -24,6 +24,7 @@ from zoo.blood.study import Study, load_study, save_study
 from zoo.cli import app
 from zoo.core.inference.convergence import Diagnostics, check_convergence
 from zoo.core.inference.record import RunRecord, versions
+from zoo.core.outputs import OutputFileError
 from zoo.core.posterior.comparison import compare
 from zoo.core.posterior.storage import save, slim
 from zoo.models import get_model
@@ -269,7 +270,7 @@ def test_summary_tells_a_lead_from_a_tie() -> None:
 def test_faults_are_one_line(
     tmp_path: Path, study: Study, posteriors: dict[str, az.InferenceData], models: dict[str, pm.Model]
 ) -> None:
-    with pytest.raises(report.ReportError, match="does not exist; create it"):
+    with pytest.raises(OutputFileError, match="does not exist; create it"):
         report.write_report(tmp_path / "no" / "r.html", study, posteriors, models)
     with pytest.raises(report.ReportError, match="posterior 'B' has no model"):
         report.write_report(tmp_path / "r.html", study, posteriors, {"A": models["A"]})

@@ -19,6 +19,7 @@ import zoo
 from zoo import report
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, DiagnosisFile, read_diagnosis
 from zoo.core.errors.spectral import Harmonics
+from zoo.core.outputs import OutputFileError
 
 pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 
@@ -182,7 +183,7 @@ def test_groups_are_explained(three: Diagnosis, tmp_path: Path) -> None:
 
 def test_a_page_needs_a_folder(one: Diagnosis, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(report.ReportError, match="is a file; choose a folder"):
+    with pytest.raises(OutputFileError, match="is a file; give a folder"):
         report.write_diagnosis(one, tmp_path / "file")
-    with pytest.raises(report.ReportError, match="does not exist; create it"):
+    with pytest.raises(OutputFileError, match="does not exist; create it"):
         report.write_diagnosis(one, tmp_path / "no" / "gap")

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.checks import output_folder
 from zoo.cli.command import UsageError, Without, command
 from zoo.cli.options import PluginOptions, PriorOptions, QuietOption
 from zoo.cli.screen import plain_table, say
+from zoo.core.outputs import output_file, output_folder
 
 if TYPE_CHECKING:
     from zoo.core.blindcheck import CheckScore
@@ -75,6 +75,8 @@ def make(
     """Write studies with a withheld effect each, and the key apart; goes on where it was interrupted."""
     from zoo.blood.blind import make_cases
 
+    output_folder(folder, option="CASES", deep=True)
+    output_file(key, "--key")
     with _Counting(not quiet, n) as counting:
         path = make_cases(
             folder,
@@ -112,6 +114,7 @@ def run(
 
     from zoo.blood.blind import diagnose_cases
 
+    output_folder(output, option="--output", deep=True)
     plugins.load()
     began = time.monotonic()
     total = sum((p / "study.toml").is_file() for p in cases.iterdir()) if cases.is_dir() else 0
@@ -152,7 +155,7 @@ def score(
     """Score answers against their key: score.json, score.md, cases.csv and figures."""
     from zoo.blood.blind import score_cases
 
-    output_folder(output)
+    output_folder(output, ("score.json", "score.md", "cases.csv"), "--output")
     found = score_cases(answers, key, output)
 
     from zoo.plots import save_figure, score_figures

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zoo.cli.command import UsageError
@@ -62,29 +60,3 @@ def at_least(option: str, value: int, least: int) -> None:
     """Refuse a number that is too small."""
     if value < least:
         raise UsageError(f"{option} {value}: give at least {least}")
-
-
-def parent_exists(path: Path) -> Path:
-    """The path, whose folder must be there."""
-    if not path.parent.is_dir():
-        raise UsageError(f"{path}: folder {path.parent} does not exist; create it or choose another path")
-    return path
-
-
-def output_file(option: str, path: Path) -> Path:
-    """The path of a file that can be written: its folder is there, and it is no folder itself."""
-    if path.is_dir():
-        raise UsageError(f"{option} {path}: is a folder; give a file in it, such as {path / 'A.nc'}")
-    if not os.access(parent_exists(path).parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
-        raise UsageError(f"{option} {path}: cannot be written; choose another path")
-    return path
-
-
-def output_folder(path: Path) -> None:
-    """Refuse a folder for the output that cannot be made or written to."""
-    if path.exists() and not path.is_dir():
-        raise UsageError(f"--output {path}: is a file; give a folder")
-    if not path.exists():
-        parent_exists(path.resolve())
-    elif not os.access(path, os.W_OK):
-        raise UsageError(f"--output {path}: cannot be written to; choose another folder")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from zoo.cli.checks import at_least, different_models, parent_exists
+from zoo.cli.checks import at_least, different_models
 from zoo.cli.command import NOT_CONVERGED, UsageError, Without, command
 from zoo.cli.options import (
     ConventionOptions,
@@ -20,6 +20,7 @@ from zoo.cli.options import (
 )
 from zoo.cli.sample import build_model, sample_with_checkpoint
 from zoo.cli.screen import plain_table, say
+from zoo.core.outputs import output_folder, write_file
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
@@ -75,11 +76,13 @@ def compare(
     loaded = [numerical.on(priors.into(conventions.load(study))) for study in studies]
     if len({study.name for study in loaded}) < len(loaded):
         raise UsageError(f"{', '.join(studies)}: two studies of one name; give each once")
-    parent_exists(output.resolve()).mkdir(exist_ok=True)
+    files = ["comparison.csv", *(f"{name}.nc" for name in names)]
+    folders = [output if len(loaded) == 1 else output / study.name for study in loaded]
+    output_folder(output, option="--output").mkdir(exist_ok=True)
+    for folder in folders:
+        output_folder(folder, files, "--output").mkdir(exist_ok=True)
     converged = True
-    for study in loaded:
-        folder = output if len(loaded) == 1 else output / study.name
-        folder.mkdir(exist_ok=True)
+    for study, folder in zip(loaded, folders, strict=True):
         built, found = _posteriors_of(
             study, names, posteriors or [], folder, settings, sampling.resume, not sampling.quiet
         )
@@ -144,7 +147,7 @@ def _compare_on(
     from zoo.core.posterior.comparison import compare as rank
 
     table = rank(found, models, ic=criterion, n_draws=n_draws)
-    table.to_csv(output / "comparison.csv")
+    write_file(output / "comparison.csv", table.to_csv())
     say(*_comparison_summary(table, criterion, study), f"wrote {output / 'comparison.csv'}")
     if figures:
         _figures(table, models, found, study, output)

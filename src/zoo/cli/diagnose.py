@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.checks import at_least, output_folder
+from zoo.cli.checks import at_least
 from zoo.cli.command import UsageError, Without, command
 from zoo.cli.options import (
     ConventionOptions,
@@ -19,6 +19,7 @@ from zoo.cli.options import (
 )
 from zoo.cli.screen import plain_table, say, warn
 from zoo.cli.telling import Telling
+from zoo.core.outputs import output_folder
 
 if TYPE_CHECKING:
     from zoo.blood.conventions import Conventions
@@ -95,15 +96,15 @@ def diagnose(
         chosen = get_baseline(base)
         names = _effect_names(effects, chosen.name)
         loaded = numerical.on(priors.into(conventions.load(study)))
-        output_folder(output)
         # a baseline has a wall factor of its own unless one is asked for
         own = loaded.conventions if conventions.wall_factor is not None else None
 
         from zoo.blood.diagnosis import diagnose as run
         from zoo.blood.forward import study_data
         from zoo.core.errors.spectral import Harmonics
-        from zoo.report import write_diagnosis
+        from zoo.report import diagnosis_files, write_diagnosis
 
+        output_folder(output, diagnosis_files(), "--output")
         Harmonics().bind(study_data(loaded))  # a study without observations is refused before the work
         output.mkdir(exist_ok=True)
         words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from zoo.cli.checks import output_folder
 from zoo.cli.command import UsageError, command
 from zoo.cli.screen import say
+from zoo.core.outputs import output_folder
 
 YAML = (".yaml", ".yml")
 
@@ -51,8 +51,9 @@ def import_(
 
     from zoo.blood.importing.openbf import import_openbf
     from zoo.blood.importing.table import DENSITY, VISCOSITY, import_table
+    from zoo.blood.study import STUDY_FILES
 
-    output_folder(output)
+    output_folder(output, STUDY_FILES, "--output")
     if not file.is_file():
         raise UsageError(f"{file}: no such file; give openBF's .yaml, or a .csv of vessels")
     suffix = file.suffix.lower()

@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.checks import at_least, model_name, output_folder
+from zoo.cli.checks import at_least, model_name
 from zoo.cli.command import command
 from zoo.cli.options import ConventionOptions, PluginOptions, PriorOptions, QuietOption, StudyArgument
 from zoo.cli.screen import plain_table, say
+from zoo.core.outputs import output_folder, write_file
 
 if TYPE_CHECKING:
     from zoo.blood.prior_predictive import PriorPredictive, PriorRow
     from zoo.blood.study import Study
 
+WRITTEN = "priors.csv", "priors.png", "prior-predictive.png"
 LEAST_SOLVED = 0.8
 """Part of the prior draws below which the screen says that many cannot be solved."""
 
@@ -43,7 +45,7 @@ def priors(
     at_least("--seed", seed, 0)
     loaded = prior.into(conventions.load(study))
     if output is not None:
-        output_folder(output)
+        output_folder(output, WRITTEN, "--output")
 
     from zoo.blood.prior_predictive import prior_predictive, prior_rows
     from zoo.cli.sample import build_model
@@ -105,16 +107,18 @@ def _write(
     rows: tuple[PriorRow, ...], found: PriorPredictive, study: Study, name: str, output: Path
 ) -> list[str]:
     import csv
+    import io
 
     from zoo import plots
 
-    with (output / "priors.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["parameter", "unit", "prior", "median", "low_95", "high_95", "from"])
-        for row in rows:
-            numbers = [repr(x) for x in (row.median, row.low, row.high)]
-            p = row.parameter
-            writer.writerow([p.name, p.unit, p.prior.text, *numbers, row.origin])
+    table = io.StringIO(newline="")
+    writer = csv.writer(table)
+    writer.writerow(["parameter", "unit", "prior", "median", "low_95", "high_95", "from"])
+    for row in rows:
+        numbers = [repr(x) for x in (row.median, row.low, row.high)]
+        p = row.parameter
+        writer.writerow([p.name, p.unit, p.prior.text, *numbers, row.origin])
+    write_file(output / WRITTEN[0], table.getvalue())
     title = f"model {name} on {study.name}"
     figures = {
         "priors": plots.priors_figure(rows, title=f"priors of {title}"),
@@ -122,4 +126,4 @@ def _write(
     }
     for stem, figure in figures.items():
         plots.save_figure(figure, output / f"{stem}.png")
-    return ["priors.csv", *(f"{stem}.png" for stem in figures)]
+    return list(WRITTEN)

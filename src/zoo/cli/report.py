@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 
 import typer
 
-from zoo.cli.checks import at_least, model_names, parent_exists
+from zoo.cli.checks import at_least, model_names
 from zoo.cli.command import command
 from zoo.cli.options import PluginOptions, PriorOptions, QuietOption
 from zoo.cli.screen import say
+from zoo.core.outputs import output_file
 
 
 @command
@@ -49,7 +50,7 @@ def report(
     plugins.load()
     letters = model_names(models)
     at_least("--n-draws", n_draws, 10)
-    parent_exists(output.resolve())
+    output_file(output, "--output")
     names = studies or list(list_studies())
     folders = posteriors or [Path()]
     chapters = gather(

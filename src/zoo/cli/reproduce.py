@@ -11,16 +11,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.checks import at_least, different_models, parent_exists
+from zoo.cli.checks import at_least, different_models
 from zoo.cli.command import UsageError, Without, command
 from zoo.cli.options import NumericalOptions, SamplingOptions
 from zoo.cli.screen import say, text_table
+from zoo.core.outputs import output_folder, write_file
 from zoo.models import PAPER
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
 
 PAPERS = ("paun2020",)
+REPRODUCED = (
+    *(f"{name}.csv" for name in ("table4", "scores", "costs", "comparison", "interval-widths", "figure7")),
+    "table4.md",
+)
 
 
 @dataclass(frozen=True)
@@ -94,7 +99,7 @@ def reproduce(
             )
     names = list(PAPER) if models is None else different_models(models)
     folder = Path(paper) if output is None else output
-    parent_exists(folder.resolve())
+    output_folder(folder, (*(f"{name}.nc" for name in names), *REPRODUCED), "--output")
     asked = sampling.settings()
     settings = {name: asked[name] for name in ("cores", "tune", "max_draws", "draws", "until_ess")}
     loaded = numerical.on(load_study(study))
@@ -188,8 +193,8 @@ def _reproduce_synthetic(
     scores = coverage.run(base, folder, scenarios=wanted, **settings)
     data_sets = settings["data_sets"]
     table, covered = synthetic_tables(scores), coverage.coverage(scores)
-    table.to_csv(folder / "tables-3-and-5.csv")
-    covered.to_csv(folder / "coverage.csv", index=False)
+    write_file(folder / "tables-3-and-5.csv", table.to_csv())
+    write_file(folder / "coverage.csv", covered.to_csv(index=False))
     shown = {"converged": lambda row: f"{row['converged']:.0f} of {row['data_sets']:.0f}"}
     for name in ("relative_sse", *(f"density_{name}" for name in coverage.THETA)):
         label = name.replace("density_", "p(") + "|y)" if name.startswith("density_") else "relative SSE"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.checks import model_name, output_file
+from zoo.cli.checks import model_name
 from zoo.cli.command import NOT_CONVERGED, UsageError, command
 from zoo.cli.options import (
     ConventionOptions,
@@ -20,6 +20,7 @@ from zoo.cli.options import (
     StudyArgument,
 )
 from zoo.cli.screen import plain_table, say
+from zoo.core.outputs import output_file
 
 if TYPE_CHECKING:
     import arviz as az
@@ -60,7 +61,7 @@ def sample(
     name = model_name("+".join([model, *added]))
     settings = sampling.settings()
     loaded = numerical.on(priors.into(conventions.load(study)))
-    path = output_file("--output", Path(f"{name}-{loaded.name}.nc") if output is None else output)
+    path = output_file(Path(f"{name}-{loaded.name}.nc") if output is None else output, "--output")
     idata = sample_with_checkpoint(
         name, loaded, path, settings, resume=sampling.resume, progress=not sampling.quiet
     )

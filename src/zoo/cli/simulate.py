@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.checks import numbers, output_file
+from zoo.cli.checks import numbers
 from zoo.cli.command import UsageError, command
 from zoo.cli.options import ConventionOptions, NumericalOptions, StudyArgument
 from zoo.cli.physics import PhysicsOptions
 from zoo.cli.screen import say
+from zoo.core.outputs import output_file, write_file
 
 if TYPE_CHECKING:
     import numpy as np
@@ -65,12 +66,12 @@ def simulate(
     from zoo.blood.solver import Solver
 
     loaded = numerical.on(conventions.load(study))
-    if output is not None and output_file("--output", output).suffix not in (".nc", ".csv"):
+    if output is not None and output_file(output, "--output").suffix not in (".nc", ".csv"):
         raise UsageError(f"--output {output}: unknown ending {output.suffix!r}; use .nc or .csv")
     if plot is not None:
         from zoo.plots import figure_path
 
-        figure_path(output_file("--plot", plot))
+        figure_path(output_file(plot, "--plot"))
     if times < 2:
         raise UsageError(f"--times {times}: give at least 2 times in the beat")
     if wall == "tangent" and gamma is None:
@@ -188,19 +189,19 @@ def _waves(solution: Solution, vessels: Sequence[int], time_s: np.ndarray) -> xr
 
 def _write_waves(waves: xr.Dataset, path: Path) -> None:
     if path.suffix == ".nc":
-        waves.to_netcdf(path, engine="h5netcdf")
+        write_file(path, waves.to_netcdf(engine="h5netcdf"))
         return
     from zoo.blood.case import UNITS
 
     time_s = [f"{t:.9g}" for t in waves["time"].to_numpy()]
-    with open(path, "w", newline="") as file:
-        file.write("vessel,position,quantity,time_s,value\n")
-        for vessel in waves["vessel"].to_numpy():
-            for position in POSITIONS:
-                for quantity in UNITS:
-                    values = waves[quantity].sel(vessel=vessel, position=position).to_numpy()
-                    head = f"{vessel},{position:g},{quantity}"
-                    file.writelines(f"{head},{t},{v:.9g}\n" for t, v in zip(time_s, values, strict=True))
+    lines = ["vessel,position,quantity,time_s,value\n"]
+    for vessel in waves["vessel"].to_numpy():
+        for position in POSITIONS:
+            for quantity in UNITS:
+                values = waves[quantity].sel(vessel=vessel, position=position).to_numpy()
+                head = f"{vessel},{position:g},{quantity}"
+                lines += [f"{head},{t},{v:.9g}\n" for t, v in zip(time_s, values, strict=True)]
+    write_file(path, "".join(lines))
 
 
 def _simulation_summary(

@@ -1,9 +1,43 @@
-"""Words for names that are not known."""
+"""Words of errors: one line each, and what comes near a name that is not known."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Sequence
+
+LONGEST = 500
+"""Characters of an error's text."""
+
+
+def one_line(text: str, longest: int = LONGEST) -> str:
+    r"""A text without control characters, and without its middle where it is too long.
+
+    What a file holds may end in an error's text: escape sequences would change the terminal that shows it.
+
+    Parameters
+    ----------
+    text : str
+    longest : int
+        Characters to keep; two fifths of them are from the end, where an error says what to change.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> one_line("vessel \x1b[31m: is missing")
+    'vessel \\x1b[31m: is missing'
+    >>> one_line("abcdefghijklmnopqrstuvwxyz", 15)
+    'abcd ... uvwxyz'
+    """
+    if len(text) > longest:
+        end = 2 * longest // 5
+        text = f"{text[: longest - end - 5]} ... {text[-end:]}"
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text.replace("\n", " "))
+        text = text if len(text) <= longest else one_line(text, longest)
+    return text
 
 
 def meant(word: object, known: Sequence[str], alike: float = 0.5, what: str = "") -> str:

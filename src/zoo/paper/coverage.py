@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from zoo.core.inference.convergence import verdict
 from zoo.core.inference.progress import bar
 from zoo.core.inference.record import versions
 from zoo.core.inference.workers import each
+from zoo.core.outputs import write_file
 from zoo.core.posterior.files import belongs, checkpoint_of, load_for, sample_to
 from zoo.core.posterior.storage import save
 from zoo.models import get_model
@@ -314,7 +316,7 @@ def run(
                 found = _sampled(scenario, made, values, folder, cores, names, settings, advance)
             rows += [{"scenario": scenario.name, "data_set": i, **row} for i, row in enumerate(found)]
     scores = pd.DataFrame(rows)
-    scores.to_csv(folder / "scores.csv", index=False)
+    write_file(folder / "scores.csv", scores.to_csv(index=False))
     return scores
 
 
@@ -365,7 +367,9 @@ def _pooled(
             solved()
     else:
         pool = fill_pool(studies, truth, points, cores=cores, solved=solved)
-        np.savez(file, **{name: getattr(pool, name) for name in fields})
+        stored = BytesIO()
+        np.savez(stored, **{name: getattr(pool, name) for name in fields})
+        write_file(file, stored.getvalue())
     rows = []
     for i, study in enumerate(studies):
         row, draws = score_pool(pool, asdict(truth), i)

@@ -12,6 +12,7 @@ import pandas as pd
 
 from zoo.blood.prior_tables import PAPER_SET
 from zoo.core.inference.convergence import judged
+from zoo.core.outputs import write_file
 from zoo.core.posterior.files import matching, refuse_other_settings, sample_to
 from zoo.models import PAPER, get_model
 from zoo.paper.table4 import (
@@ -155,11 +156,10 @@ def reproduce(
     found = Reproduction(
         parameter_table(posteriors), score_table(comparison), cost_table(posteriors), comparison
     )
-    found.parameters.to_csv(folder / "table4.csv", index=False)
-    found.scores.to_csv(folder / "scores.csv")
-    found.costs.to_csv(folder / "costs.csv")
-    comparison.to_csv(folder / "comparison.csv")
-    (folder / "table4.md").write_text(found.markdown(), encoding="utf-8")
+    write_file(folder / "table4.csv", found.parameters.to_csv(index=False))
+    for name, table in (("scores", found.scores), ("costs", found.costs), ("comparison", comparison)):
+        write_file(folder / f"{name}.csv", table.to_csv())
+    write_file(folder / "table4.md", found.markdown())
     if figures:
         paper_figures(study, posteriors, models, found, folder, say=say)
     return found
@@ -204,7 +204,7 @@ def paper_figures(
         save(plots.rank_figure(idata, list(models[name].zoo.parameters)), f"rank-{name}")
         say(f"model {name}: waves in all vessels")
     every = [int(v) for v in next(iter(at_medians.values()))["vessel"].to_numpy()]
-    pd.concat(widths, names=["model", "vessel"]).to_csv(folder / "interval-widths.csv")
+    write_file(folder / "interval-widths.csv", pd.concat(widths, names=["model", "vessel"]).to_csv())
     if {"A", "B"} <= set(posteriors):
         names = ("f3", "psi1", "psi2", "c")
         save(plots.posteriors_figure({m: posteriors[m] for m in ("A", "B")}, names), "figure4a")
@@ -219,7 +219,7 @@ def paper_figures(
     save(plots.stiffness_figure({n: d for n, d in own.items() if n == "G"} or own), "figure6-right")
     estimate = float(posteriors["B"]["posterior"]["f3"].median()) if "B" in posteriors else None
     curve = predictive.pressure_against_stiffness(study)
-    curve.to_csv(folder / "figure7.csv", index=False)
+    write_file(folder / "figure7.csv", curve.to_csv(index=False))
     save(plots.pressure_stiffness_figure(curve, estimate), "figure7")
     save(plots.models_figure(medians, study), "figure8")
     save(plots.models_figure(medians, study, quantity="flow_ml_s"), "figure9-flow")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ import numpy as np
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import ArrayLike, NDArray
+
+from zoo.core.outputs import output_file, write_file
 
 Array = NDArray[np.float64]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A7A00")
@@ -97,11 +100,11 @@ def figure_path(path: str | Path) -> Path:
     Raises
     ------
     FigureError
-        If the format is unknown or the folder does not exist.
+        If the format is unknown.
+    zoo.core.outputs.OutputFileError
+        If the file cannot be written.
     """
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise FigureError(f"{path}: folder {path.parent} does not exist; create it or choose another path")
+    path = output_file(path)
     if path.suffix.lstrip(".").lower() not in FigureCanvasBase.get_supported_filetypes():
         raise FigureError(f"{path}: unknown figure format {path.suffix!r}; use .png, .pdf or .svg")
     return path
@@ -113,12 +116,15 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     Raises
     ------
     FigureError
-        If the format is unknown or the folder does not exist.
+        If the format is unknown.
+    zoo.core.outputs.OutputFileError
+        If the file cannot be written.
     """
     path = figure_path(path)
+    drawn = BytesIO()
     with mpl.rc_context(STYLE):
-        figure.savefig(path)
-    return path
+        figure.savefig(drawn, format=path.suffix.lstrip(".").lower())
+    return write_file(path, drawn.getvalue())
 
 
 def model_style(name: str, order: int = 0) -> tuple[str, Any]:

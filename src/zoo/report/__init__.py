@@ -2,7 +2,13 @@
 
 from zoo.report.chapter import Chapter, sampling_command
 from zoo.report.chapters import BANNER, gather, stored, write_chapters, write_report
-from zoo.report.diagnosis import diagnosis_summary, next_measurement_words, total_seconds, write_diagnosis
+from zoo.report.diagnosis import (
+    diagnosis_files,
+    diagnosis_summary,
+    next_measurement_words,
+    total_seconds,
+    write_diagnosis,
+)
 from zoo.report.page import ReportError
 from zoo.report.sentences import summary
 
@@ -10,6 +16,7 @@ __all__ = [
     "BANNER",
     "Chapter",
     "ReportError",
+    "diagnosis_files",
     "diagnosis_summary",
     "gather",
     "next_measurement_words",

@@ -14,6 +14,7 @@ from zoo.blood.priors import with_priors
 from zoo.blood.study import load_study
 from zoo.core.inference.convergence import ESS_TARGET, RHAT_LIMIT
 from zoo.core.inference.record import ResultsError, RunRecord, versions
+from zoo.core.outputs import output_file
 from zoo.core.posterior.files import find, load_for
 from zoo.core.posterior.storage import load
 from zoo.models import MODELS
@@ -65,7 +66,9 @@ def write_report(
     Raises
     ------
     ReportError
-        If a posterior has no model, or the folder does not exist.
+        If a posterior has no model.
+    zoo.core.outputs.OutputFileError
+        If the file cannot be written.
     """
     chapter = Chapter(study.name, posteriors, study, models, table, note)
     return write_chapters(path, [chapter], title=title or f"Models of blood flow: {study.name}", **options)
@@ -111,13 +114,13 @@ def write_chapters(
     Raises
     ------
     ReportError
-        If there is nothing to report, a posterior has no model, or the folder does not exist.
+        If there is nothing to report, or a posterior has no model.
+    zoo.core.outputs.OutputFileError
+        If the file cannot be written.
     zoo.core.posterior.comparison.ComparisonError
         If posteriors and models do not fit each other.
     """
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise ReportError(f"{path}: folder {path.parent} does not exist; create it or choose another path")
+    path = output_file(path)
     if not chapters:
         raise ReportError("no chapters: give at least one study")
     anchors: set[str] = set()

@@ -13,9 +13,10 @@ from zoo.blood.effects import CATALOGUE
 from zoo.core.diagnosis import DiagnosisFile
 from zoo.core.diagnosis.file import AddedStep, HypothesisResult, SeriesGap
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
+from zoo.core.outputs import output_folder
 from zoo.plots import plot_diagnosis, plot_discrepancy, plot_hypotheses, plot_where, save_figure
 from zoo.plots.subject import location_of, study_of, unit_words
-from zoo.report.page import ReportError, picture_of, write_page
+from zoo.report.page import picture_of, write_page
 from zoo.report.parameters import MEANINGS
 from zoo.report.words import estimate, listed, maybe, percent, settings_text, span, value_text
 
@@ -47,6 +48,11 @@ MADE_UP = {
 """Explanations outside the catalogue."""
 
 
+def diagnosis_files() -> tuple[str, ...]:
+    """Names of the files that `write_diagnosis` writes."""
+    return "diagnosis.json", "report.html", *(f"{name}.png" for name in DIAGNOSIS_FIGURES), "diagnosis.png"
+
+
 def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = "") -> list[Path]:
     """Write a diagnosis into a folder: diagnosis.json, a self-contained report.html, and its figures.
 
@@ -65,16 +71,10 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
 
     Raises
     ------
-    ReportError
-        If the folder is a file, or what it lies in does not exist.
+    zoo.core.outputs.OutputFileError
+        If the folder is a file, what it lies in does not exist, or a file in it cannot be written.
     """
-    folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise ReportError(f"{folder}: is a file; choose a folder")
-    if not folder.resolve().parent.is_dir():
-        raise ReportError(
-            f"{folder}: folder {folder.parent} does not exist; create it or choose another path"
-        )
+    folder = output_folder(folder, diagnosis_files())
     written = [diagnosis.save(folder), folder / "report.html"]
     pictures = {}
     for name, (draw, caption) in DIAGNOSIS_FIGURES.items():

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
+from zoo.core.outputs import write_file
 from zoo.plots import save_figure
 
 COLOURS = 64
@@ -35,8 +36,7 @@ def _templates() -> Environment:
 
 def write_page(path: Path, template: str, **values: Any) -> Path:
     """Fill a template in and write the page; returns its path."""
-    path.write_text(_templates().get_template(template).render(**values), encoding="utf-8")
-    return path
+    return write_file(path, _templates().get_template(template).render(**values))
 
 
 class Picture(NamedTuple):

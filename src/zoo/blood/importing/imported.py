@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from zoo.blood.study import Study, StudyError, load_study, save_study
-
-FILES = "study.toml", "network.toml", "inflow.csv", "observations.csv"
-"""What a study is written into."""
+from zoo.blood.study import STUDY_FILES, Study, StudyError, load_study, save_study
+from zoo.core.outputs import output_folder
 
 
 class ImportedFileError(ValueError):
@@ -51,12 +49,11 @@ class Imported:
         Raises
         ------
         ImportedFileError
-            If there is a study in the folder already, the path is a file, or the files make no study; of that
-            nothing is left.
+            If there is a study in the folder already, or the files make no study; of that nothing is left.
+        zoo.core.outputs.OutputFileError
+            If the folder or a file cannot be written.
         """
-        folder = Path(folder)
-        if folder.exists() and not folder.is_dir():
-            raise ImportedFileError(f"{folder}: is a file; give a folder")
+        folder = output_folder(folder, STUDY_FILES, deep=True)
         if (folder / "study.toml").exists():
             raise ImportedFileError(f"{folder}: holds a study already; give another folder, or remove it")
         made = not folder.exists()
@@ -64,7 +61,7 @@ class Imported:
         try:
             return load_study(folder)
         except StudyError as error:
-            for name in FILES:
+            for name in STUDY_FILES:
                 (folder / name).unlink(missing_ok=True)
             if made:
                 folder.rmdir()

@@ -18,7 +18,7 @@ from zoo.blood.study.parts import (
 )
 from zoo.blood.study.resampling import even_samples
 from zoo.blood.study.samples import INFLOW_COLUMNS, MIN_SAMPLES, OBSERVATION_COLUMNS
-from zoo.blood.study.saving import save_study
+from zoo.blood.study.saving import STUDY_FILES, save_study
 from zoo.blood.study.study import JUNCTION_PRESSURES, Study
 from zoo.blood.study.suspicion import Suspicion, UnitWarning, suspect_units
 from zoo.blood.study.tree import check_physics, read_network, sort_vessels
@@ -29,6 +29,7 @@ __all__ = [
     "MIN_SAMPLES",
     "OBSERVATION_COLUMNS",
     "QUANTITIES",
+    "STUDY_FILES",
     "Blood",
     "ReadOnlyArrays",
     "Series",

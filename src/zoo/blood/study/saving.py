@@ -10,6 +10,10 @@ from typing import Any
 from zoo.blood.study.parts import Vessel
 from zoo.blood.study.samples import INFLOW_COLUMNS, OBSERVATION_COLUMNS
 from zoo.blood.study.study import Study
+from zoo.core.outputs import output_folder, write_file
+
+STUDY_FILES = "study.toml", "network.toml", "inflow.csv", "observations.csv"
+"""What a study is written into."""
 
 
 def _quoted(text: str) -> str:
@@ -54,12 +58,17 @@ def save_study(study: Study, folder: str | Path) -> None:
     study : Study
     folder : str or Path
         Made when absent; files of the same names in it are replaced.
+
+    Raises
+    ------
+    zoo.core.outputs.OutputFileError
+        If the folder or a file cannot be written.
     """
-    folder = Path(folder)
+    folder = output_folder(folder, STUDY_FILES, deep=True)
     folder.mkdir(parents=True, exist_ok=True)
 
     def write(name: str, lines: Sequence[str]) -> None:
-        (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_file(folder / name, "\n".join(lines) + "\n")
 
     lines = [f"name = {_quoted(study.name)}", 'network = "network.toml"', 'inflow = "inflow.csv"']
     if study.series:

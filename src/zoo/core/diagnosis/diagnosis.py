@@ -26,6 +26,7 @@ from zoo.core.effects import AddedEffect, Effect, EffectError
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.spectral import Spectral, spectral_errors
 from zoo.core.forward import ForwardModel
+from zoo.core.outputs import output_folder, write_file
 
 if TYPE_CHECKING:
     from zoo.core.diagnosis.posteriors import SampledExplanations
@@ -130,15 +131,10 @@ class Diagnosis:
 
     def save(self, folder: str | Path) -> Path:
         """Write diagnosis.json into a folder; returns its path."""
-        folder = Path(folder)
-        if folder.is_file():
-            raise DiagnosisError(f"{folder}: is a file; give a folder, in which diagnosis.json is written")
+        folder = output_folder(folder, ["diagnosis.json"], deep=True)
         folder.mkdir(parents=True, exist_ok=True)
-        path = folder / "diagnosis.json"
-        path.write_text(
-            json.dumps(json.loads(self.file.model_dump_json()), indent=1) + "\n", encoding="utf-8"
-        )
-        return path
+        text = json.dumps(json.loads(self.file.model_dump_json()), indent=1) + "\n"
+        return write_file(folder / "diagnosis.json", text)
 
 
 def _stronger(scored: Scored, exhaust: bool) -> AddedEffect | None:

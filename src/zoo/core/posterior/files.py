@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from zoo.core.inference.record import ResultsError, RunRecord
+from zoo.core.outputs import OutputFileError, output_file
 from zoo.core.posterior.belonging import mismatch
 from zoo.core.posterior.groups import sample
 from zoo.core.posterior.storage import load, save
@@ -52,10 +53,18 @@ def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings:
     ------
     zoo.core.inference.checkpoint.CheckpointError
         If the checkpoint is in use, or of another run.
+    zoo.core.outputs.OutputFileError
+        If the file cannot be written, before the sampling; or after it, when the checkpoint holds the draws.
     """
-    path = Path(path)
-    idata = sample(model, groups=groups, checkpoint=checkpoint_of(path), **settings)
-    save(idata, path)
+    path = output_file(path)
+    checkpoint = checkpoint_of(path)
+    idata = sample(model, groups=groups, checkpoint=checkpoint, **settings)
+    try:
+        save(idata, path)
+    except OutputFileError as error:
+        raise OutputFileError(
+            f"{error}; the draws are in {checkpoint}, from where the same call goes on"
+        ) from None
     return idata
 
 

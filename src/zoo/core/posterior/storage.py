@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +9,13 @@ import numpy as np
 
 from zoo.core.inference.convergence import DIAGNOSTICS_ATTR, FurtherTests, diagnostics
 from zoo.core.inference.record import ResultsError, RunRecord
+from zoo.core.outputs import output_file, write_file
 
 
 def save(idata: Any, path: str | Path) -> Path:
-    """Write an InferenceData as one NetCDF file, through a temporary file so that a kill leaves no half file.
+    """Write an InferenceData as one NetCDF file, whole or not at all.
+
+    The file is made in memory first: HDF5 itself ends the process where a disk is full.
 
     Parameters
     ----------
@@ -29,21 +31,26 @@ def save(idata: Any, path: str | Path) -> Path:
 
     Raises
     ------
-    ResultsError
-        If the folder does not exist or cannot be written to.
+    zoo.core.outputs.OutputFileError
+        If it cannot be written; what was there before stays as it was.
     """
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise ResultsError(f"{path}: folder {path.parent} does not exist; create it or choose another path")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        idata.to_netcdf(str(temporary), engine="h5netcdf")
-        os.replace(temporary, path)
-    except PermissionError:
-        raise ResultsError(f"{path}: not writable; choose another path") from None
-    finally:
-        temporary.unlink(missing_ok=True)
-    return path
+    output_file(path)
+    return write_file(path, netcdf_bytes(idata))
+
+
+def netcdf_bytes(idata: Any) -> memoryview:
+    """The NetCDF file of an InferenceData, compressed as ArviZ does it, for `arviz.from_netcdf` to read."""
+    import xarray as xr
+
+    groups = {f"/{name}": idata[name] for name in idata.groups()}
+    packed = {
+        place: {
+            name: {"zlib": True} for name, values in group.variables.items() if values.dtype.kind in "biufc"
+        }
+        for place, group in groups.items()
+    }
+    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs=idata.attrs), **groups})
+    return tree.to_netcdf(engine="h5netcdf", encoding=packed)
 
 
 def load(path: str | Path) -> Any:

@@ -1,0 +1,178 @@
+"""Files that results are written to: refused before the work, whole or not there after it."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import arviz as az
+import numpy as np
+import pytest
+
+from zoo.core.outputs import OutputFileError, output_file, output_folder, write_file
+from zoo.core.posterior.storage import load, save
+
+AS_ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
+
+
+def device(path: Path) -> None:
+    path.symlink_to("/dev/null")
+
+
+def listening(path: Path) -> None:
+    socket.socket(socket.AF_UNIX).bind(str(path))
+
+
+def circle(path: Path) -> None:
+    path.symlink_to(path.name)
+
+
+SPECIAL: dict[str, tuple[Callable[[Path], object], str]] = {
+    "folder": (Path.mkdir, "is a folder; give a file in it"),
+    "pipe": (os.mkfifo, "is a pipe, not a file"),
+    "socket": (listening, "is a socket, not a file"),
+    "device": (device, "is a device, not a file"),
+    "circle": (circle, "cannot be written .*symbolic links"),
+}
+
+
+@pytest.mark.parametrize("kind", SPECIAL)
+def test_only_regular_files_are_replaced(tmp_path, monkeypatch, kind):
+    monkeypatch.chdir(tmp_path)  # names of sockets are short
+    make, said = SPECIAL[kind]
+    path = Path("out.nc")
+    make(path)
+    before = path.lstat()
+    for check in (output_file, lambda p: write_file(p, "x"), lambda p: output_folder(".", [p.name])):
+        with pytest.raises(OutputFileError, match=f"out.nc: {said}"):
+            check(path)
+    assert path.lstat().st_ino == before.st_ino
+    assert path.lstat().st_mode == before.st_mode
+    assert os.listdir() == ["out.nc"]
+
+
+@pytest.mark.parametrize("kind", [k for k in SPECIAL if k != "folder"])
+def test_a_folder_of_results_is_a_folder(tmp_path, monkeypatch, kind):
+    monkeypatch.chdir(tmp_path)
+    SPECIAL[kind][0](Path("out"))
+    with pytest.raises(OutputFileError, match=r"--output out: (is a \w+; give a folder|cannot be written)"):
+        output_folder("out", option="--output")
+
+
+def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "disk" / "a.csv").write_text("old")
+    (tmp_path / "disk" / "a.csv").chmod(0o640)
+    for name, target in (("there", "a.csv"), ("new", "b.csv")):
+        link = tmp_path / name
+        link.symlink_to(tmp_path / "disk" / target)
+        assert write_file(output_file(link), "content") == link
+        assert link.is_symlink()
+        assert (tmp_path / "disk" / target).read_text() == "content"
+    assert (tmp_path / "disk" / "a.csv").stat().st_mode & 0o777 == 0o640
+    lost = tmp_path / "lost"
+    lost.symlink_to(tmp_path / "nowhere" / "c.csv")
+    with pytest.raises(OutputFileError, match="does not exist; create it"):
+        output_file(lost)
+    with pytest.raises(OutputFileError, match="is a link to nothing; give a folder"):
+        output_folder(lost)
+    assert sorted(os.listdir(tmp_path / "disk")) == ["a.csv", "b.csv"]
+
+
+def test_a_name_too_long_and_a_folder_that_is_a_file(tmp_path):
+    with pytest.raises(OutputFileError, match=r"cannot be written \(File name too long\)") as error:
+        output_file(tmp_path / f"{'x' * 300}.nc")
+    assert len(str(error.value)) <= 500
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputFileError, match="Not a directory"):
+        output_file(tmp_path / "file" / "a.nc")
+    with pytest.raises(OutputFileError, match="zero byte"):
+        output_file(tmp_path / "a\0b")
+    longest = tmp_path / ("y" * 252 + ".nc")
+    assert write_file(output_file(longest), b"1").read_bytes() == b"1"  # its temporary name is short
+
+
+def test_a_folder_may_be_new_at_one_level_or_at_any(tmp_path):
+    assert output_folder(tmp_path / "new") == tmp_path / "new"
+    assert not (tmp_path / "new").exists()
+    with pytest.raises(OutputFileError, match="does not exist; create it"):
+        output_folder(tmp_path / "a" / "b")
+    assert output_folder(tmp_path / "a" / "b", deep=True) == tmp_path / "a" / "b"
+
+
+@pytest.mark.skipif(AS_ROOT, reason="root may write everywhere")
+def test_what_may_not_be_written_is_refused(tmp_path):
+    (tmp_path / "a.nc").write_text("")
+    (tmp_path / "a.nc").chmod(0o400)
+    with pytest.raises(OutputFileError, match="it is read-only"):
+        output_file(tmp_path / "a.nc")
+    tmp_path.chmod(0o500)
+    for check in (output_file, output_folder):
+        with pytest.raises(OutputFileError, match="Permission denied"):
+            check(tmp_path / "b.nc")
+    tmp_path.chmod(0o700)
+
+
+FULL = """
+import resource, sys
+import numpy as np
+import arviz as az
+from zoo.core.outputs import OutputFileError, write_file
+from zoo.core.posterior.storage import save
+import zoo.plots as plots
+
+what, path = sys.argv[1:]
+idata = az.from_dict(posterior={"a": np.random.default_rng(1).normal(size=(4, 500))})
+with plots.style.new_figure((8, 8)) as figure:
+    figure.subplots().plot(np.random.default_rng(1).normal(size=500))
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # as a full disk: writing ends after 4 kB
+try:
+    if what == "posterior":
+        save(idata, path)
+    elif what == "text":
+        write_file(path, "x" * 100_000)
+    else:
+        plots.save_figure(figure, path)
+except OutputFileError as error:
+    print(error)
+    sys.exit(7)
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "name", "there"),
+    [("posterior", "a.nc", True), ("text", "a.csv", False), ("figure", "a.png", True)],
+)
+def test_a_full_disk_is_one_line_and_nothing_is_lost(tmp_path, what, name, there):
+    path = tmp_path / name
+    if there:
+        path.write_text("what was there")
+    ended = subprocess.run(
+        [sys.executable, "-c", FULL, what, str(path)], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 7, ended.stderr
+    assert ended.stdout.startswith(f"{path}: cannot be written (File too large); make room")
+    assert ended.stdout.count("\n") == 1
+    assert os.listdir(tmp_path) == ([name] if there else [])
+    assert not there or path.read_text() == "what was there"
+
+
+def test_a_posterior_reads_back_as_it_was(tmp_path):
+    rng = np.random.default_rng(1)
+    idata = az.from_dict(
+        posterior={"a": rng.normal(size=(2, 9, 3))},
+        sample_stats={"diverging": np.zeros((2, 9), bool)},
+        observed_data={"y": np.arange(3)},
+        coords={"vessel": ["left", "right", "root"]},
+        dims={"a": ["vessel"]},
+    )
+    idata.attrs["record"] = "{}"
+    again = load(save(idata, tmp_path / "a.nc"))
+    assert again.groups() == idata.groups()
+    assert again.attrs == idata.attrs
+    for group in idata.groups():
+        assert again[group].identical(idata[group]), group
