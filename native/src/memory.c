@@ -11,6 +11,18 @@ static void *carve(char **at, int64_t *used, int64_t count, int64_t size)
     return here;
 }
 
+/* The fewest children above `least` that a vessel has; 0 if none has more. */
+static int next_size(const zoo_network *net, int least)
+{
+    int next = 0;
+    for (int k = 0; k < net->n_vessels; k++) {
+        int n = zoo_children(net, k);
+        if (n > least && (next == 0 || n < next))
+            next = n;
+    }
+    return next;
+}
+
 int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
 {
     const zoo_network *net = &pr->network;
@@ -47,12 +59,10 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     /* how many junctions there are of each size */
     s->groups = carve(&at, &used, nv, sizeof *s->groups);
     int n_groups = 0;
-    for (int b = 1; b < nv; b++) { /* b children */
+    for (int b = next_size(net, 0); b > 0; b = next_size(net, b)) { /* b children */
         int count = 0;
         for (int k = 0; k < nv; k++)
             count += zoo_children(net, k) == b;
-        if (count == 0)
-            continue;
         int64_t size = (int64_t)(b + 1) * count;
         zoo_junction_group g = {.count = count, .branches = b + 1};
         INTS(g.node, size);

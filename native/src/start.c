@@ -12,6 +12,7 @@
  * one of the whole tree.
  */
 #include <math.h>
+#include <string.h>
 
 #include "inlet.h"
 #include "outlet.h"
@@ -142,14 +143,13 @@ void zoo_start(zoo_sim *s)
         double surplus = (ratio * mean_flow - inlet_sample(s, 0)) / vessels;
         for (int k = nv - 1; k > 0; k--)
             capacity[parent[k]] += capacity[k];
+        memcpy(source, capacity, (size_t)nv * sizeof *source); /* without that below the outlet */
+        for (int d = 1; d < nv; d++)
+            source[parent[d]] -= capacity[d];
         for (int k = 0; k < nv; k++) {
-            double below_k = capacity[k];
-            for (int d = k + 1; d < nv; d++)
-                if (parent[d] == k)
-                    below_k -= capacity[d];
             for (int j = s->first[k]; j <= s->last[k]; j++) {
                 double part = (double)(j - s->first[k]) / (s->last[k] - s->first[k]);
-                s->q[j * W + l] -= surplus * (capacity[k] - part * below_k);
+                s->q[j * W + l] -= surplus * (capacity[k] - part * source[k]);
             }
         }
         for (int j = 0; j < s->n_nodes; j++) {
