@@ -141,6 +141,24 @@ LINE = FunctionModel(
 )
 
 
+class Inexact(FunctionModel):
+    """A forward model that knows where it is less exact than promised."""
+
+    def warning_at(self, configuration):  # type: ignore[no-untyped-def]
+        return "the slope is steep here" if configuration["slope"] > 0.5 else ""
+
+
+@pytest.mark.parametrize(("slope", "words"), [(0.8, "the slope is steep here"), (0.2, "")])
+def test_what_a_forward_model_says_of_its_exactness_at_the_mode_is_heard(slope: float, words: str) -> None:
+    y = slope * TIMES + 0.1 * np.random.default_rng(2).standard_normal(len(TIMES))
+    data = Data(TIMES, y[None], labels=["y"], units=["V"], name="steep")
+    forward = Inexact(line, (Parameter("slope", Uniform(0.0, 1.0), "V/s"),), LINE.outputs, "line")
+    model = bayesian_model("line", forward, data, Independent(InverseGamma(3.0, 0.05)))
+    found = verdict(sample(model, draws=100, tune=100, cores=0, seed=1, progress=False))
+    assert not found.bounds
+    assert found.text.startswith(f"{words}. " if words else ("converged", "not converged"))
+
+
 @pytest.fixture(scope="module")
 def model() -> pm.Model:
     """The truth, 1.5, is beyond the prior of the slope."""

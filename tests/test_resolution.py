@@ -1,5 +1,6 @@
 """Cells and steps from a stated accuracy: finer solves are the judge."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -143,6 +144,27 @@ def test_accuracy_is_asked_for_in_the_study() -> None:
     assert cells[0] < cells[1] < cells[2]
     assert [one.limit_percent for one in found] == pytest.approx([0.3, 0.1, 0.02])
     assert found[0].options.tolerance_mmHg > found[2].options.tolerance_mmHg
+
+
+@pytest.mark.parametrize(("part", "heard"), [(1.0, False), (1 / 6, True)])
+def test_softer_walls_than_the_cells_were_chosen_for_are_warned_about(part: float, heard: bool) -> None:
+    flow = get_baseline("A").forward(human())
+    medians = start_of([replace(p, start=None) for p in flow.parameters])
+    softer = flow.configure(pack(flow.parameters, medians | {"f3": part * medians["f3"]}))
+    fine = replace(softer, options=replace(softer.options, refine=4, tolerance_mmHg=1e-5))
+    times = flow.outputs.times
+    taken, exact = (simulate(case, tuple(SITES), times) for case in (softer, fine))
+    error = np.sqrt(np.mean((taken - exact) ** 2, axis=1)) / np.ptp(exact, axis=1)
+    assert (100 * error.max() > 1.5 * ACCURACY_PERCENT) == heard
+    words = flow.warning_at(softer)
+    if not heard:
+        assert words == ""
+        return
+    stated = float(re.search(r"the discretisation error is (\S+) %", words)[1])  # type: ignore[index]
+    assert 0.7 < stated / (100 * error.max()) < 2
+    asked = float(re.search(r"--accuracy (\S+),", words)[1])  # type: ignore[index]
+    finer = get_baseline("A").forward(replace(human(), numerics={"accuracy_percent": asked}))
+    assert flow.warning_at(replace(softer, options=finer.options)) == ""
 
 
 def test_what_cannot_be_reached_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

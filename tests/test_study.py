@@ -8,6 +8,7 @@ import math
 import pickle
 import re
 import tomllib
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -24,6 +25,7 @@ from zoo.blood.study import (
     MIN_SAMPLES,
     QUANTITIES,
     Blood,
+    LoadWarning,
     Series,
     Study,
     StudyError,
@@ -545,7 +547,12 @@ def test_a_mistake_is_named_in_one_line(
 def test_a_bare_terminal_needs_an_observed_root(tmp_path: Path) -> None:
     content = files()
     swap(NET, "windkessel = { R1 = 5e4, R2 = 2e5, C = 1.6e-7 }", "")(content)
-    assert load_study(write(tmp_path, content)).vessels[1].windkessel is None
+    with pytest.warns(LoadWarning, match=r"row \d+: vessel 2: windkessel: is missing at terminal 2, while"):
+        assert load_study(write(tmp_path, content)).vessels[1].windkessel is None
+    swap(NET, "windkessel = { R1 = 3e4, R2 = 1.2e5, C = 2.6e-7 }", "")(content)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", LoadWarning)
+        assert load_study(write(tmp_path, content)).vessels[2].windkessel is None
     message = (
         r"network\.toml, row 11: vessel 2: windkessel: is missing at a terminal, .*root \(vessel 1\); add"
     )

@@ -14,7 +14,7 @@ from zoo.blood.case import UNITS, Case, Place, check_series, simulate, solver_of
 from zoo.blood.conventions import Conventions
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.physics import NO_PHYSICS, study_physics
-from zoo.blood.resolution import Resolution, resolve
+from zoo.blood.resolution import Resolution, coarse_at, resolve
 from zoo.blood.solver import SHAPES, WALLS, Solver, SolverArgumentError, SolverOptions
 from zoo.blood.study import Study, StudyError
 from zoo.core.data import Data
@@ -212,6 +212,13 @@ class BloodFlow:
             f"study {self.study.name!r}: cells and steps cannot be chosen at the parameters where "
             f"{self.name} starts: {failed}; or give dx_cm in [numerics] (--dx)"
         )
+
+    def warning_at(self, configuration: Case) -> str:
+        """A sentence if the chosen cells and steps are too coarse for this solve; else empty."""
+        if self.resolution is None:
+            return ""
+        series = cast("tuple[Place, ...]", self.outputs.series)
+        return coarse_at(self.study, configuration, series, self._times)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_kept": ()}

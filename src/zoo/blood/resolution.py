@@ -46,6 +46,8 @@ STEP_UNIT = 32
 MOST_WORK = 6e8
 """Nodes times steps that one trial may cost, about two seconds of a core."""
 TRIALS = 12
+TOO_COARSE = 1.5
+"""Error over its limit above which a grid that was chosen elsewhere is warned about."""
 GIVEN_UP = 1024
 """Steps at which a case that fails is one that has no solution, and not one on too few cells."""
 SAMPLES = 128
@@ -308,24 +310,78 @@ def _look(wanted: _Wanted, plain: Mapping[str, Any]) -> tuple[Array, Array, Arra
     speed = looked.fastest_cm_s
     root = (int(ids[0]), 0.0, "pressure_mmHg")
     waves = simulate(coarse, (*wanted.series, root), wanted.times_s)
-    part = wanted.accuracy_percent / 100
-    ranges = np.maximum(np.ptp(waves, axis=1), 1e-9 * np.abs(waves).max(axis=1) + 1e-300)
-    limits = part * ranges
-    for i, (vessel, position, quantity) in enumerate(wanted.series):
-        label = f"v{vessel}@{repr(float(position)).removesuffix('.0')} {quantity}"
-        known = wanted.noise_sd.get(label, wanted.noise_sd.get(quantity))
-        if known is not None:
-            limits[i] = min(limits[i], NOISE_SHARE * known)
+    limits, ranges = _limits((*wanted.series, root), waves, wanted.accuracy_percent, wanted.noise_sd)
     pressures = [limits[i] for i, (_, _, quantity) in enumerate(wanted.series) if quantity == "pressure_mmHg"]
     tolerance = TOLERANCE_SHARE * float(min(pressures, default=limits[-1]))
     return speed, limits[:-1], ranges[:-1], tolerance
 
 
-def _errors(case: Case, series: tuple[Place, ...], times_s: Array, options: SolverOptions) -> Array:
+def _limits(
+    series: Sequence[Place], waves: Array, accuracy_percent: float, noise_sd: Mapping[str, float]
+) -> tuple[Array, Array]:
+    """The largest error of each series that is asked for, and its range, both in the series' unit."""
+    ranges = np.maximum(np.ptp(waves, axis=1), 1e-9 * np.abs(waves).max(axis=1) + 1e-300)
+    limits = accuracy_percent / 100 * ranges
+    for i, (vessel, position, quantity) in enumerate(series):
+        label = f"v{vessel}@{repr(float(position)).removesuffix('.0')} {quantity}"
+        known = noise_sd.get(label, noise_sd.get(quantity))
+        if known is not None:
+            limits[i] = min(limits[i], NOISE_SHARE * known)
+    return limits, ranges
+
+
+def coarse_at(study: Study, case: Case, series: Sequence[Place], times_s: Array) -> str:
+    """A warning if cells and steps that were chosen elsewhere are too coarse for a solve; else empty.
+
+    The error of each series is estimated as when they were chosen, and compared with what is asked of it.
+
+    Parameters
+    ----------
+    study : Study
+    case : Case
+        With the options that were chosen.
+    series : sequence of (vessel id, position, quantity)
+    times_s : array (n_times,)
+
+    Returns
+    -------
+    str
+        One sentence with the error, its limit and what makes it smaller.
+    """
+    given = checked_numerics(f"study {study.name!r}: numerics", study.numerics)
+    if "dx_cm" in given or case.conventions.truncate_lengths:
+        return ""
+    places = tuple(series)
+    try:
+        waves = simulate(case, places, times_s)
+        errors = _errors(case, places, times_s, case.options, softer=())
+    except SolveError:
+        return ""
+    asked = given.get("accuracy_percent", ACCURACY_PERCENT)
+    limits, ranges = _limits(places, waves, asked, study.noise_sd)
+    worst = int(np.argmax(errors / limits))
+    over = float(errors[worst] / limits[worst])
+    if over <= TOO_COARSE:
+        return ""
+    error, limit = 100 * float(errors[worst] / ranges[worst]), 100 * float(limits[worst] / ranges[worst])
+    return (
+        f"cells and steps were chosen at the medians of the priors; here the discretisation error is "
+        f"{error:.2g} % of the pulse ({_words(places[worst])}), not the {limit:.2g} % asked for: "
+        f"--accuracy {0.8 * asked / over:.1g}, or a prior of the stiffness nearer to it, makes it smaller"
+    )
+
+
+def _errors(
+    case: Case,
+    series: tuple[Place, ...],
+    times_s: Array,
+    options: SolverOptions,
+    softer: tuple[float, ...] = (SOFTER,),
+) -> Array:
     """Estimated root mean square error of each series, at the stiffness or a softer one."""
     fine = replace(options, refine=2, tolerance_mmHg=0.2 * options.tolerance_mmHg)
     worst = np.zeros(len(series))
-    for part in (1.0, SOFTER):
+    for part in (1.0, *softer):
         try:
             pair = [
                 simulate(replace(case, options=o, stiffness=part * case.stiffness), series, times_s)

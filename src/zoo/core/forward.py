@@ -70,7 +70,9 @@ class ForwardModel(Protocol):
     families : tuple of str
         Kinds of effects in the order in which they are applied; empty if it does not matter.
 
-    A model that may be solved in several threads at once says so with an attribute ``threads = True``.
+    A model that may be solved in several threads at once says so with an attribute ``threads = True``. One
+    that knows where its solutions are less exact than promised has a method ``warning_at(configuration)``,
+    which returns a sentence about it, or an empty text; it is asked at the mode.
     """
 
     @property

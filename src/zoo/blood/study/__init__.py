@@ -5,7 +5,7 @@
 row and field is wrong, what it holds, and what to do.
 """
 
-from zoo.blood.study.loading import list_studies, load_study, root_pressure
+from zoo.blood.study.loading import LoadWarning, list_studies, load_study, root_pressure
 from zoo.blood.study.parts import (
     QUANTITIES,
     Blood,
@@ -31,6 +31,7 @@ __all__ = [
     "QUANTITIES",
     "STUDY_FILES",
     "Blood",
+    "LoadWarning",
     "ReadOnlyArrays",
     "Series",
     "Study",

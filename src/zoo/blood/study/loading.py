@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -101,6 +102,8 @@ def load_study(
     -----
     zoo.blood.study.UnitWarning
         If a quantity has the size of another unit.
+    zoo.blood.study.LoadWarning
+        If some terminals have a load and others none.
     """
     folder, source = _find(name_or_folder)
     path = folder / "study.toml"
@@ -188,6 +191,10 @@ def _checked_noise(where: str, noise_sd: Mapping[str, float], series: Sequence[S
     return {name: float(value) for name, value in noise_sd.items()}
 
 
+class LoadWarning(UserWarning):
+    """Some terminals of a study have a load of their own, others a derived one."""
+
+
 def root_pressure(vessels: Sequence[Vessel], series: Sequence[Series]) -> Series | None:
     """The observed pressure nearest to the inlet of the root, from which nominal loads can be derived."""
     root = next(v.id for v in vessels if v.parent is None)
@@ -196,13 +203,43 @@ def root_pressure(vessels: Sequence[Vessel], series: Sequence[Series]) -> Series
 
 
 def check_terminals(vessels: Sequence[Vessel], places: Sequence[str], series: Sequence[Series]) -> None:
+    """Refuse a terminal without a load that cannot be derived; warn of one that alone has none.
+
+    Parameters
+    ----------
+    vessels : sequence of Vessel
+    places : sequence of str
+        Where each of them stands in the file.
+    series : sequence of Series
+        What is observed.
+
+    Raises
+    ------
+    StudyError
+        If a terminal has no load, and no pressure is observed in the root.
+
+    Warns
+    -----
+    LoadWarning
+        If some terminals have a load and others none.
+    """
     feeding = {v.parent for v in vessels}
     root = next(v.id for v in vessels if v.parent is None)
-    for vessel, place in zip(vessels, places, strict=True):
-        if vessel.id in feeding or vessel.windkessel or vessel.resistance or root_pressure(vessels, series):
-            continue
+    ends = [(v, place) for v, place in zip(vessels, places, strict=True) if v.id not in feeding]
+    without = [(v, place) for v, place in ends if not (v.windkessel or v.resistance)]
+    if without and root_pressure(vessels, series) is None:
         raise StudyError(
-            f"{place}: windkessel: is missing at a terminal, and cannot be derived without an observed "
-            f"pressure_mmHg in the root (vessel {root}); add windkessel = {{ R1, R2, C }} or a "
+            f"{without[0][1]}: windkessel: is missing at a terminal, and cannot be derived without an "
+            f"observed pressure_mmHg in the root (vessel {root}); add windkessel = {{ R1, R2, C }} or a "
             "resistance, in cgs"
+        )
+    if 0 < len(without) < len(ends):
+        names = ", ".join(str(v.id) for v, _ in without)
+        one = len(without) == 1
+        warnings.warn(
+            f"{without[0][1]}: windkessel: is missing at {'terminal' if one else 'terminals'} {names}, while "
+            f"other terminals have a load; {'a nominal one is' if one else 'nominal ones are'} derived from "
+            "the pressure observed in the root; add what is missing, or leave out all loads",
+            LoadWarning,
+            stacklevel=3,
         )

@@ -155,7 +155,7 @@ def _judgement(
     aside = [p for p in found if p not in informed]
     passes = bool(informed) and all(p.passes for p in informed) and chains >= MIN_CHAINS
     text = _verdict_text(informed, chains, draws, ess)
-    warned = "".join(f"{warning}. " for warning in priors.warnings)
+    warned = "".join(f"{warning}. " for warning in [*priors.warnings, priors.numerical] if warning)
     text = text[:1].upper() + text[1:] if warned else text
     if aside:
         rhat = max(aside, key=lambda p: _or(p.rhat, np.inf))

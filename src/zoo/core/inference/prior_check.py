@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zoo.core.effects import WithEffects
 from zoo.core.inference.elements import scalars
 from zoo.core.inference.record import ResultsError
-from zoo.core.parameters import LogNormal, LogUniform, Parameter, Prior, variable_name
+from zoo.core.parameters import LogNormal, LogUniform, Parameter, Prior, pack, variable_name
 
 Array = NDArray[np.float64]
 
@@ -87,10 +87,13 @@ class PriorCheck:
     bounds : tuple of AtBound
     uninformed : tuple of str
         Scalars whose posterior is like their prior.
+    numerical : str
+        What the forward model says of its exactness at the mode; empty if nothing.
     """
 
     bounds: tuple[AtBound, ...] = ()
     uninformed: tuple[str, ...] = ()
+    numerical: str = ""
 
     @property
     def warnings(self) -> list[str]:
@@ -99,7 +102,8 @@ class PriorCheck:
 
     def as_dict(self) -> dict[str, Any]:
         """Fit for JSON."""
-        return {"bounds": [asdict(found) for found in self.bounds], "uninformed": list(self.uninformed)}
+        bounds = [asdict(found) for found in self.bounds]
+        return {"bounds": bounds, "uninformed": list(self.uninformed), "numerical": self.numerical}
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> PriorCheck:
@@ -112,7 +116,8 @@ class PriorCheck:
         """
         try:
             bounds = tuple(AtBound(**found) for found in given["bounds"])
-            return cls(bounds, tuple(str(name) for name in given["uninformed"]))
+            uninformed = tuple(str(name) for name in given["uninformed"])
+            return cls(bounds, uninformed, str(given.get("numerical", "")))
         except (TypeError, KeyError) as error:
             raise ResultsError(
                 f"run record: prior_check is not readable ({error}); sample again to get a record"
@@ -160,6 +165,18 @@ def priors_of(model: Any) -> tuple[tuple[Parameter, ...], frozenset[str]]:
     added = record.forward.added if isinstance(record.forward, WithEffects) else ()
     names = frozenset(p.name for one in added for p in one.parameters)
     return (*record.forward.parameters, *record.errors.parameters), names
+
+
+def exactness_at(model: Any, values: Mapping[str, Any]) -> str:
+    """What a model's forward model says of its exactness at values of the variables; empty if nothing."""
+    from zoo.core.model import ModelRecord
+
+    record = getattr(model, "zoo", None)
+    forward = record.forward if isinstance(record, ModelRecord) else None
+    if forward is None or not hasattr(forward, "warning_at"):
+        return ""
+    theta = pack(forward.parameters, {p.name: values[variable_name(p.name)] for p in forward.parameters})
+    return str(forward.warning_at(forward.configure(theta)))
 
 
 def check_priors(

@@ -28,7 +28,7 @@ from zoo.core.inference.convergence import ESS_TARGET, check_convergence, ess_to
 from zoo.core.inference.logposterior import Array, LogPosterior, SamplingError, model_name
 from zoo.core.inference.mode import Mode, find_mode, has_many, search_mode
 from zoo.core.inference.pool import ChainPool, InlineChainPool, ProcessChainPool
-from zoo.core.inference.prior_check import check_priors, modes_at_bounds, priors_of
+from zoo.core.inference.prior_check import check_priors, exactness_at, modes_at_bounds, priors_of
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.starts import Start, disperse
@@ -191,6 +191,8 @@ def sample(
             at_mode = modes_at_bounds(parameters, beginning.mode.values, effects=effects)
             for found in at_mode:
                 show.say(f"warning: {found.text}")
+            if numerical := exactness_at(model, beginning.mode.values):
+                show.say(f"warning: {numerical}")
             pool = _pool(
                 model,
                 beginning,
@@ -215,7 +217,7 @@ def sample(
             priors = check_priors(parameters, made, effects=effects)
             leaning = {(found.parameter, found.side) for found in priors.bounds}
             more = tuple(found for found in at_mode if (found.parameter, found.side) not in leaning)
-            priors = replace(priors, bounds=priors.bounds + more)
+            priors = replace(priors, bounds=priors.bounds + more, numerical=numerical)
             idata = _inference_data(model, made, pool.stats(kept))
             record = _record(model, pool, beginning, stored, settings, kept, draws, until_ess, cores)
             if parameters:
