@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import math
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 
 from zoo.core.forward import ForwardModel, Outputs, content_key, function_text
 from zoo.core.parameters import Normal, Parameter, n_values
+from zoo.core.user_code import run_file
 from zoo.core.words import nearest
 
 Array = NDArray[np.float64]
@@ -504,29 +503,20 @@ def effects_in(found: Any) -> list[Effect]:
 def load_module(path: str | Path) -> Any:
     """Run a Python file and return it as a module whose functions travel to other processes by value.
 
-    This executes the file: give only one that you trust.
+    This executes the file, and what it imports from its folder: give only one that you trust.
 
     Raises
     ------
     EffectError
         If it is missing or fails.
     """
-    import cloudpickle  # type: ignore[import-untyped]
-
     path = Path(path)
-    name = f"zoo_user_{path.stem}_{content_key(str(path.resolve()))[:8]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None or not path.is_file():
+    if not path.is_file():
         raise EffectError(f"{path}: cannot be read; give a Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        return run_file(path, f"zoo_user_{path.stem}_{content_key(str(path.resolve()))[:8]}")
     except Exception as error:
-        del sys.modules[name]
         raise EffectError(f"{path}: {type(error).__name__}: {error}; correct the file") from error
-    cloudpickle.register_pickle_by_value(module)
-    return module
 
 
 def load_effects(path: str | Path) -> list[Effect]:

@@ -14,6 +14,7 @@ import tempfile
 import threading
 import time
 import traceback
+from subprocess import _args_from_interpreter_flags as args_from_interpreter_flags  # type: ignore[attr-defined]
 from typing import IO, Any
 
 from zoo.core.inference.chain import Chain
@@ -29,7 +30,8 @@ _ONE_THREAD = dict.fromkeys(
     "1",
 )
 # Not multiprocessing: its spawn and forkserver import the caller's script again, which a script that samples
-# without `if __name__ == "__main__"` does not survive.
+# without `if __name__ == "__main__"` does not survive. With -P the working folder is not searched for modules
+# (a json.py beside the data would be run); then the path becomes the parent's.
 _BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
     "from zoo.core.inference.processes import worker_main; worker_main()"
@@ -114,7 +116,7 @@ class Worker:
         self.inbox = inbox
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed by wait)
         self.process = subprocess.Popen(
-            [sys.executable, "-c", _BOOT, json.dumps(sys.path)],
+            [sys.executable, *args_from_interpreter_flags(), "-P", "-c", _BOOT, json.dumps(sys.path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self.errors,

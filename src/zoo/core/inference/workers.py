@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing as mp
 import os
 import threading
@@ -11,6 +12,7 @@ from typing import Any, TypeVar
 
 J = TypeVar("J")
 R = TypeVar("R")
+_SAFE_PATH = "PYTHONSAFEPATH"
 
 
 def each(
@@ -54,18 +56,32 @@ def each(
             for job in jobs:
                 yield job, work(job)
         return
-    pool = ProcessPoolExecutor(
-        min(cores, len(jobs)),
-        mp_context=mp.get_context("spawn"),
-        initializer=_begin,
-        initargs=(prepare, arguments),
-    )
-    try:
-        futures = {pool.submit(work, job): job for job in jobs}
+    with contextlib.ExitStack() as opened:
+        with _safe_path():  # the pool starts its processes with the first jobs, and a helper before
+            pool = ProcessPoolExecutor(
+                min(cores, len(jobs)),
+                mp_context=mp.get_context("spawn"),
+                initializer=_begin,
+                initargs=(prepare, arguments),
+            )
+            opened.callback(pool.shutdown, cancel_futures=True)
+            futures = {pool.submit(work, job): job for job in jobs}
         for future in as_completed(futures):
             yield futures[future], future.result()
+
+
+@contextlib.contextmanager
+def _safe_path() -> Iterator[None]:
+    """Processes that start meanwhile do not search the working folder for modules, only the parent's path."""
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
     finally:
-        pool.shutdown(cancel_futures=True)
+        if before is None:
+            del os.environ[_SAFE_PATH]
+        else:
+            os.environ[_SAFE_PATH] = before
 
 
 def _begin(prepare: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
