@@ -549,6 +549,13 @@ def test_a_bare_terminal_needs_an_observed_root(tmp_path: Path) -> None:
     swap(NET, "windkessel = { R1 = 5e4, R2 = 2e5, C = 1.6e-7 }", "")(content)
     with pytest.warns(LoadWarning, match=r"row \d+: vessel 2: windkessel: is missing at terminal 2, while"):
         assert load_study(write(tmp_path, content)).vessels[1].windkessel is None
+    stated = files()
+    swap(NET, "windkessel = { R1 = 5e4, R2 = 2e5, C = 1.6e-7 }", 'windkessel = "nominal"')(stated)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", LoadWarning)
+        study = load_study(write(tmp_path, stated))
+        save_study(study, tmp_path / "saved")
+        assert load_study(tmp_path / "saved").checksum == study.checksum
     swap(NET, "windkessel = { R1 = 3e4, R2 = 1.2e5, C = 2.6e-7 }", "")(content)
     with warnings.catch_warnings():
         warnings.simplefilter("error", LoadWarning)

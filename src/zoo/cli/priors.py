@@ -9,7 +9,14 @@ import typer
 
 from zoo.cli.checks import at_least, model_name
 from zoo.cli.command import command
-from zoo.cli.options import ConventionOptions, PluginOptions, PriorOptions, QuietOption, StudyArgument
+from zoo.cli.options import (
+    ConventionOptions,
+    NumericalOptions,
+    PluginOptions,
+    PriorOptions,
+    QuietOption,
+    StudyArgument,
+)
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_folder, write_file
 
@@ -36,6 +43,7 @@ def priors(
     *,
     prior: PriorOptions,
     conventions: ConventionOptions,
+    numerical: NumericalOptions,
     plugins: PluginOptions,
 ) -> None:
     """Show the priors of a model on a study, and the series that they lead to beside the observed ones."""
@@ -43,7 +51,7 @@ def priors(
     name = model_name(model)
     at_least("--n-draws", n_draws, 10)
     at_least("--seed", seed, 0)
-    loaded = prior.into(conventions.load(study))
+    loaded = numerical.on(prior.into(conventions.load(study)))
     if output is not None:
         output_folder(output, WRITTEN, "--output")
 

@@ -10,7 +10,7 @@ import typer
 
 from zoo.cli.checks import at_least, model_names
 from zoo.cli.command import command
-from zoo.cli.options import PluginOptions, PriorOptions, QuietOption
+from zoo.cli.options import NumericalOptions, PluginOptions, PriorOptions, QuietOption
 from zoo.cli.screen import say
 from zoo.core.outputs import output_file
 
@@ -39,6 +39,7 @@ def report(
     quiet: QuietOption = False,
     *,
     priors: PriorOptions,
+    numerical: NumericalOptions,
     plugins: PluginOptions,
 ) -> None:
     """Write one HTML page on stored posteriors: comparison, fits, convergence, how they were made."""
@@ -54,11 +55,16 @@ def report(
     names = studies or list(list_studies())
     folders = posteriors or [Path()]
     chapters = gather(
-        names, folders, letters=letters, data=bool(os.environ.get("CI")), priors=priors.table(), say=say
+        names,
+        folders,
+        letters=letters,
+        data=bool(os.environ.get("CI")),
+        settled=lambda study: numerical.on(priors.into(study)),
+        say=say,
     )
     words = ["zoo", "report", *names]
     words += [word for folder in folders for word in ("--posteriors", str(folder))]
-    words += [*priors.words(), *plugins.words()]
+    words += [*priors.words(), *numerical.words(), *plugins.words()]
     words += ["--models", ",".join(letters), "--ic", criterion, "--n-draws", str(n_draws), "-o", str(output)]
     write_chapters(
         output,

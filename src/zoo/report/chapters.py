@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from zoo.blood.fetch import FetchError
 from zoo.blood.plugins import get_model
-from zoo.blood.priors import with_priors
 from zoo.blood.study import load_study
 from zoo.core.inference.convergence import ESS_TARGET, RHAT_LIMIT
 from zoo.core.inference.record import ResultsError, RunRecord, versions
@@ -184,7 +183,7 @@ def gather(
     *,
     letters: Sequence[str] = MODELS,
     data: bool = False,
-    priors: Mapping[str, Any] | None = None,
+    settled: Callable[[Study], Study] = lambda study: study,
     say: Callable[[str], None] = lambda text: None,
 ) -> list[Chapter]:
     """Chapters on studies with the posteriors that folders hold.
@@ -201,8 +200,8 @@ def gather(
         Models to take.
     data : bool
         Refuse measured data that cannot be had.
-    priors : mapping
-        Instead of some of the studies' own, as in `zoo.blood.baseline.Settings`.
+    settled : callable
+        What is changed in each study: its priors, its cells.
     say : callable
         Told of files that are passed over, one line each.
 
@@ -230,7 +229,7 @@ def gather(
             posteriors = stored(folders, name, letters)
             chapters.append(Chapter(name, posteriors, note=note, commands=[f"zoo fetch {name}"]))
             continue
-        study = with_priors(study, priors)
+        study = settled(study)
         files_found = find(folders, letters, study, say=say)
         models = {letter: get_model(letter)(study) for letter in letters if letter in files_found}
         posteriors = {letter: load_for(files_found[letter], model) for letter, model in models.items()}

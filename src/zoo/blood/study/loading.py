@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from zoo.blood.study.tables import (
     validated,
     visible_name,
 )
-from zoo.blood.study.tree import read_network_file
+from zoo.blood.study.tree import NOMINAL, read_network_file
 from zoo.core.words import choices, nearest
 
 _BUILT_IN = Path(__file__).parents[2] / "data"
@@ -142,7 +142,7 @@ def load_study(
         observations_path = _file(where, folder, "observations", table.observations)
         time, series = read_observations(observations_path, table.period_s, known)
 
-    check_terminals(tree.vessels, tree.places, series)
+    check_terminals(tree.vessels, tree.places, series, tree.nominal)
     study = Study(
         name=name,
         period_s=table.period_s,
@@ -202,7 +202,12 @@ def root_pressure(vessels: Sequence[Vessel], series: Sequence[Series]) -> Series
     return min(found, key=lambda s: s.position, default=None)
 
 
-def check_terminals(vessels: Sequence[Vessel], places: Sequence[str], series: Sequence[Series]) -> None:
+def check_terminals(
+    vessels: Sequence[Vessel],
+    places: Sequence[str],
+    series: Sequence[Series],
+    nominal: Collection[int] = (),
+) -> None:
     """Refuse a terminal without a load that cannot be derived; warn of one that alone has none.
 
     Parameters
@@ -212,6 +217,8 @@ def check_terminals(vessels: Sequence[Vessel], places: Sequence[str], series: Se
         Where each of them stands in the file.
     series : sequence of Series
         What is observed.
+    nominal : collection of int
+        Vessels whose load is to be derived, as their file says.
 
     Raises
     ------
@@ -221,7 +228,7 @@ def check_terminals(vessels: Sequence[Vessel], places: Sequence[str], series: Se
     Warns
     -----
     LoadWarning
-        If some terminals have a load and others none.
+        If some terminals have a load, and others none without saying so.
     """
     feeding = {v.parent for v in vessels}
     root = next(v.id for v in vessels if v.parent is None)
@@ -233,13 +240,13 @@ def check_terminals(vessels: Sequence[Vessel], places: Sequence[str], series: Se
             f"observed pressure_mmHg in the root (vessel {root}); add windkessel = {{ R1, R2, C }} or a "
             "resistance, in cgs"
         )
-    if 0 < len(without) < len(ends):
-        names = ", ".join(str(v.id) for v, _ in without)
-        one = len(without) == 1
+    forgotten = [(v, place) for v, place in without if v.id not in nominal]
+    if forgotten and len(without) < len(ends):
+        names = ", ".join(str(v.id) for v, _ in forgotten)
         warnings.warn(
-            f"{without[0][1]}: windkessel: is missing at {'terminal' if one else 'terminals'} {names}, while "
-            f"other terminals have a load; {'a nominal one is' if one else 'nominal ones are'} derived from "
-            "the pressure observed in the root; add what is missing, or leave out all loads",
+            f"{forgotten[0][1]}: windkessel: is missing at terminal {names}, while other terminals have a "
+            "load; a nominal one is derived from "
+            f'the pressure observed in the root; add what is missing, or say windkessel = "{NOMINAL}"',
             LoadWarning,
             stacklevel=3,
         )

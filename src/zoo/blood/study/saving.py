@@ -10,6 +10,7 @@ from typing import Any
 from zoo.blood.study.parts import Vessel
 from zoo.blood.study.samples import INFLOW_COLUMNS, OBSERVATION_COLUMNS
 from zoo.blood.study.study import Study
+from zoo.blood.study.tree import NOMINAL
 from zoo.core.outputs import output_folder, write_file
 
 STUDY_FILES = "study.toml", "network.toml", "inflow.csv", "observations.csv"
@@ -36,7 +37,7 @@ def _key(name: str) -> str:
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
 
 
-def _vessel_lines(vessel: Vessel) -> list[str]:
+def _vessel_lines(vessel: Vessel, nominal: bool) -> list[str]:
     lines = ["", "[[vessel]]", f"id = {int(vessel.id)}", f"name = {_quoted(vessel.name)}"]
     lines += [f"length_cm = {_value(vessel.length_cm)}", f"radius_cm = {_value(vessel.radius_cm)}"]
     if vessel.radius_out_cm != vessel.radius_cm:
@@ -46,6 +47,8 @@ def _vessel_lines(vessel: Vessel) -> list[str]:
     if vessel.windkessel is not None:
         load = ", ".join(f"{name} = {_value(x)}" for name, x in vars(vessel.windkessel).items())
         lines.append(f"windkessel = {{ {load} }}")
+    elif nominal:
+        lines.append(f"windkessel = {_quoted(NOMINAL)}")
     lines += [f"{name} = {_value(value)}" for name, value in vessel.physics.items()]
     return lines
 
@@ -97,7 +100,11 @@ def save_study(study: Study, folder: str | Path) -> None:
         if table:
             lines = [f"[{heading}]", *(f"{name} = {_value(value)}" for name, value in table.items())]
             tree += ["", *lines] if tree else lines
-    write("network.toml", [*tree, *(line for v in study.vessels for line in _vessel_lines(v))])
+    feeding = {v.parent for v in study.vessels}
+    loaded = any(v.windkessel or v.resistance for v in study.vessels)
+    for v in study.vessels:
+        tree += _vessel_lines(v, loaded and v.id not in feeding and v.resistance is None)
+    write("network.toml", tree)
 
     pairs = zip(study.inflow_time_s.tolist(), study.inflow_ml_s.tolist(), strict=True)
     write("inflow.csv", [",".join(INFLOW_COLUMNS), *(f"{t!r},{q!r}" for t, q in pairs)])

@@ -169,19 +169,26 @@ def check_physics(
             )
 
 
+NOMINAL = "nominal"
+"""In the place of a Windkessel's numbers: the load is to be derived."""
+
+
 @dataclass(frozen=True)
 class NetworkFile:
-    """What a network.toml holds, and what an error calls each vessel."""
+    """What a network.toml holds, what an error calls each vessel, and which are to have nominal loads."""
 
     blood: Blood
     vessels: tuple[Vessel, ...]
     places: list[str]
     junction_pressure: str
     surroundings: dict[str, float]
+    nominal: frozenset[int]
 
 
 def vessel_of(fields: Mapping[str, Any], where: str) -> Vessel:
     """A vessel from the fields of a [[vessel]], checked by themselves; `where` is what an error calls it."""
+    if fields.get("windkessel") == NOMINAL:
+        fields = {name: value for name, value in fields.items() if name != "windkessel"}
     v = validated(VesselTable, fields, where)
     load = v.windkessel and Windkessel(v.windkessel.R1, v.windkessel.R2, v.windkessel.C)
     out = v.radius_cm if v.radius_out_cm is None else v.radius_out_cm
@@ -213,7 +220,12 @@ def read_network_file(path: Path) -> NetworkFile:
         raise StudyError(f"{path}: vessel: the list is empty; add at least one [[vessel]]")
     sort_vessels(vessels, where)
     check_physics(vessels, where, surroundings["radius_pressure_mmHg"])
-    return NetworkFile(Blood(**blood.model_dump()), tuple(vessels), where, junctions.pressure, surroundings)
+    nominal = frozenset(
+        v.id for v, data in zip(vessels, table.vessel, strict=True) if data.get("windkessel") == NOMINAL
+    )
+    return NetworkFile(
+        Blood(**blood.model_dump()), tuple(vessels), where, junctions.pressure, surroundings, nominal
+    )
 
 
 def read_network(path: str | Path) -> tuple[Blood, tuple[Vessel, ...]]:
