@@ -17,6 +17,7 @@ from zoo.core.blindcheck import (
     Answer,
     BlindError,
     CaseKey,
+    CheckScore,
     DrawnCase,
     Explanation,
     TrueEffect,
@@ -26,29 +27,30 @@ from zoo.core.blindcheck import (
     score_table,
     write_score,
 )
+from zoo.core.blindcheck.answers import Fitted, Size
 from zoo.core.blindcheck.case_score import FLOOR, score_case, tree_distance
 from zoo.core.blindcheck.check_score import assemble
 from zoo.core.blindcheck.making import write_cases
 from zoo.core.blindcheck.rates import Rate, reliability
 from zoo.core.blindcheck.running import read_answers, run_folders
-from zoo.core.blindcheck.sealing import read_sealed
+from zoo.core.blindcheck.sealing import MadeCase, read_sealed
 from zoo.core.diagnosis import read_diagnosis
 from zoo.core.effects import Location
 
 ANSWERS = Path(__file__).parents[1] / "benchmarks" / "blind" / "independent" / "answers"
 
 
-def answer(explanations: list[Explanation], removed: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Answer:
+def answer(explanations: list[Explanation], **fields: Any) -> Answer:
     cause = tuple(e.name for e in explanations if e.group == explanations[0].group)
-    return Answer(tuple(explanations), frozenset(), cause, *removed)
+    return Answer(tuple(explanations), frozenset(), cause, **fields)
 
 
 def truth(kind: str, label: str, *effects: TrueEffect, **fields: Any) -> CaseKey:
-    values: dict[str, Any] = {"noise": 0.05, "before": 0.5, "after": 0.05} | fields
+    values: dict[str, Any] = {"noise": 0.05, "before": 0.5} | fields
     return CaseKey("case-001", kind, label, effects, **values)
 
 
-TAPER = TrueEffect("taper", Location(), 0.2)
+TAPER = TrueEffect("taper", Location(), 0.2, (-0.4, 0.4))
 FOUR = [
     Explanation("minor-losses", 0.5, 0, amplitude=2.0, amplitude_sd=0.1),
     Explanation("taper", 0.3, 0, amplitude=0.25, amplitude_sd=0.02),
@@ -60,30 +62,123 @@ FOUR = [
 
 
 def test_scores_by_hand() -> None:
-    found = score_case(truth("listed", "taper", TAPER), answer(FOUR, (0.85, 0.8, 0.95)))
+    found = score_case(truth("listed", "taper", TAPER), answer(FOUR))
     assert (found.rank, found.group_rank, found.first, found.group_first) == (2, 1, False, True)
     assert found.right
     assert found.leader_probability == pytest.approx(0.8)
     assert found.log_score == pytest.approx(math.log(0.3))
     assert found.group_log_score == pytest.approx(math.log(0.8))
-    assert found.uniform_log_score == pytest.approx(math.log(1 / 4))
-    assert found.uniform_group_log_score == pytest.approx(math.log(2 / 4))
     assert found.brier == pytest.approx(0.5**2 + 0.7**2 + 0.15**2 + 0.05**2)
-    assert found.uniform_brier == pytest.approx(0.75**2 + 3 * 0.25**2)
     assert found.group_brier == pytest.approx(0.2**2 + 0.15**2 + 0.05**2)
-    assert found.uniform_group_brier == pytest.approx(0.5**2 + 2 * 0.25**2)
-    assert found.shrinkage_true == pytest.approx(0.9)
-    assert found.shrinkage_within
-    assert found.shrinkage_covered
     assert found.amplitude == 0.25
-    assert found.amplitude_covered is False  # 2.5 sd away
+    assert found.z == pytest.approx(2.5)
+    assert found.amplitude_covered is False
+    assert found.prior_covered
+    assert found.prior_only is None  # this answer does not say what the prior gives
     assert found.gap_over_noise == pytest.approx(10)
 
 
-def test_invisible_explanations_have_no_share_in_a_guess() -> None:
-    given = replace(answer([*FOUR, Explanation("hydrostatic", 0.0, 3)]), invisible=frozenset({"hydrostatic"}))
-    found = score_case(truth("listed", "taper", TAPER), given)
-    assert found.uniform_log_score == pytest.approx(math.log(1 / 4))
+TRUE = np.zeros((3, 8))
+FITTED = Fitted(TRUE + 0.3, TRUE + np.array([[0.03], [0.04], [9.0]]), (0, 1))
+
+
+def test_what_is_left_is_that_of_the_leaders_own_fit() -> None:
+    """Rms of the noise-free data minus the fit, over the series that the answer is about, by hand."""
+    key = truth("listed", "taper", TAPER, truth=TRUE)
+    left = math.sqrt((0.03**2 + 0.04**2) / 2)
+    given = {"gap_before": Size(0.31, 0.28, 0.33), "fitted": FITTED}
+    found = score_case(key, answer(FOUR, gap_after=Size(0.05, 0.02, 0.06), **given))
+    assert (found.gap_true, found.left_true) == (pytest.approx(0.3), pytest.approx(left))
+    assert (found.gap_covered, found.left_covered) == (True, True)
+    assert found.left_ratio == pytest.approx(0.05 / left)  # above a fifth of 0.05
+    assert found.left_error is None
+    loud = score_case(replace(key, noise=0.5), answer(FOUR, gap_after=Size(0.05, 0.04, 0.06), **given))
+    assert loud.left_ratio is None
+    assert loud.left_error == pytest.approx(0.05 - left)
+    assert loud.left_covered is False
+    # where no effect leads there is nothing that it leaves
+    none = score_case(key, answer([FOUR[2], *FOUR[:2]], gap_after=Size(0.05, 0.0, 0.1), **given))
+    assert none.gap_true == pytest.approx(0.3)
+    assert (none.left, none.left_true, none.left_covered) == (None, None, None)
+    # without the series of the fit, or without the noise-free data, there is nothing to compare
+    assert score_case(key, answer(FOUR, gap_after=Size(0.05, 0.0, 0.1))).left_true is None
+    assert score_case(truth("listed", "taper", TAPER), answer(FOUR, **given)).gap_true is None
+    with pytest.raises(ValueError, match="shape"):
+        FITTED.left(np.zeros((2, 8)))
+
+
+def test_a_probability_that_the_prior_alone_gives_is_told() -> None:
+    """By group: 0.8 of both members together, against what their priors give together."""
+    for priors, flagged in (((0.4, 0.395), True), ((0.4, 0.38), False), ((0.4, None), None)):
+        stated = [replace(e, prior_probability=p) for e, p in zip(FOUR, (*priors, 0.1, 0.1), strict=True)]
+        assert score_case(truth("listed", "taper", TAPER), answer(stated)).prior_only is flagged
+    stated = [replace(e, prior_probability=p) for e, p in zip(FOUR, (0.4, 0.4, 0.1, 0.1), strict=True)]
+    cases = [score_case(truth("listed", "taper", TAPER), answer(one)) for one in (stated, FOUR)]
+    found = assemble(cases)
+    assert (found.summary["prior_only"]["count"], found.summary["prior_only"]["n"]) == (1, 1)
+    assert found.summary["prior_only_right"]["count"] == 1
+    assert sum(b.n for b in found.reliability) == 1  # the other one says nothing of the data
+
+
+def test_sds_that_are_too_small_are_counted_by_effect() -> None:
+    far = replace(FOUR[1], amplitude_sd=0.005)  # 10 sds
+    cases = [score_case(truth("listed", "taper", TAPER), answer([e, FOUR[2]])) for e in (far, FOUR[1])]
+    found = assemble(cases)
+    assert found.summary["amplitude_beyond_5_sd"]["count"] == 1
+    z = found.amplitudes["taper"]
+    assert (z["n"], z["beyond_5_sd"], z["held"]) == (2, 1, 0)
+    assert (z["mean"], z["largest"]) == (pytest.approx(6.25), pytest.approx(10.0))
+
+
+def test_a_constant_answer_scores_what_the_best_constant_says() -> None:
+    """Each constant answer, given as an answer, has the figure that is printed beside the score."""
+    labels = ["taper"] * 4 + ["minor-losses"] * 2 + ["no-gap"] * 2 + ["valve-click"] * 2
+    keys = [
+        truth("none" if n == "no-gap" else "outside" if n == "valve-click" else "listed", n,
+              *([] if n == "no-gap" else [TrueEffect(n, Location(), 0.2)]))
+        for n in labels
+    ]  # fmt: skip
+
+    def always(shares: dict[str, float]) -> CheckScore:
+        return assemble([score_case(key, Answer.ranked(shares)) for key in keys])
+
+    taper = always({"taper": 0.4, "minor-losses": 0.2, "no-gap": 0.2, "unlisted": 0.2})
+    best = taper.constants
+    for name in ("right", "effect_first", "effect_or_group_first"):
+        assert best[name]["answer"] == "always taper"
+        assert taper.summary[name]["share"] == best[name]["share"]
+    assert best["right"]["share"] == 0.4
+    for name in ("log_score", "brier", "leader_brier"):
+        assert taper.summary[name] == pytest.approx(best[name]["value"])
+        for other in ({"taper": 0.5, "minor-losses": 0.2, "no-gap": 0.2, "unlisted": 0.1}, {"taper": 1.0}):
+            found = always(other).summary[name]
+            assert found < taper.summary[name] if name == "log_score" else found > taper.summary[name]
+    for label, name in (("no-gap", "false_alarms"), ("unlisted", "outside_called_unlisted")):
+        found = always({label: 1.0}).summary
+        assert best[name]["answer"] == f"always {label}"
+        assert found[name]["share"] == best[name]["share"]
+
+
+def test_constants_of_sizes_by_hand() -> None:
+    """A constant size is the median; a constant interval the shortest with 95 % of the true ones."""
+    true = [0.02 * 1.1**i for i in range(20)]
+    cases = [
+        replace(score_case(truth("listed", "taper", TAPER), answer(FOUR)),
+                left=1.5 * x, left_true=x, left_low=0.5 * x, left_high=2.0 * x)
+        for x in true
+    ]  # fmt: skip
+    found = assemble(cases)
+    assert found.summary["left_ratio"]["median"] == pytest.approx(1.5)
+    middle = float(np.median(true))
+    assert found.constants["left_ratio"]["worst"] == pytest.approx(middle / true[0])
+    own, constant = (x["left_interval_holds_truth"] for x in (found.summary, found.constants))
+    assert own["width"] == pytest.approx(1.5 * middle)
+    assert constant["width"] == pytest.approx(true[18] - true[0])
+    assert constant["share"] == 0.95
+    small = assemble([replace(c, noise=10.0) for c in cases])
+    assert small.summary["left_ratio"] == {"n": 0}
+    assert small.summary["left_error"]["worst"] == pytest.approx(0.5 * true[-1])
+    assert "| what the leader leaves" in score_table(found)
 
 
 def test_what_was_called_impossible_costs_the_floor() -> None:
@@ -108,7 +203,7 @@ def test_no_effect_and_outside_cases() -> None:
     assert found.right
     two = truth("outside", "second-effect", TAPER, TrueEffect("minor-losses", Location(), 2.0))
     found = score_case(two, answer(sure))
-    assert (found.first, found.called_unlisted, found.shrinkage_true) == (True, True, None)
+    assert (found.first, found.called_unlisted) == (True, True)
     assert found.probability == pytest.approx(0.6 + 0.3 + 0.05)
 
 
@@ -146,7 +241,7 @@ def test_reliability_by_hand() -> None:
 
 def test_summary_counts_failures_and_rates() -> None:
     listed = truth("listed", "taper", TAPER)
-    cases = [score_case(listed, answer(FOUR, (0.85, 0.8, 0.95))), score_case(listed, None)]
+    cases = [score_case(listed, answer(FOUR)), score_case(listed, None)]
     cases.append(score_case(truth("none", "no-gap", before=0.0), answer(FOUR)))
     found = assemble(cases, by=("gap",), gap_edges=(0.0, 0.4, 0.65, math.inf))
     s = found.summary
@@ -176,7 +271,8 @@ def test_an_answer_is_what_the_file_says() -> None:
     content = json.loads((ANSWERS / "case-101" / "diagnosis.json").read_text())
     assert [e.name for e in found.explanations] == [h["name"] for h in content["hypotheses"]]
     assert [e.location.part for e in found.explanations] == [h["place"] for h in content["hypotheses"]]
-    assert found.removed == content["gap"]["removed"]
+    assert found.gap_after == Size(content["gap"]["after_mmHg"], *content["gap"]["after_interval_mmHg"])
+    assert found.gap_before == Size(content["gap"]["before_mmHg"], *content["gap"]["before_interval_mmHg"])
     assert found.checksum == content["study_checksum"]
     assert found.seconds == content["record"]["screening_seconds"]
     assert sum(found.group_probabilities.values()) == pytest.approx(1.0, abs=1e-6)
@@ -191,13 +287,11 @@ class Weighing:
     """A case that is a file with a number, withheld in it a factor of 2."""
 
     name: str
-    folder: Path
 
 
-def write(job: Weighing) -> dict[str, Any]:
-    (job.folder / job.name).mkdir(exist_ok=True)
-    (job.folder / job.name / "weight.txt").write_text("2" if job.name == "b" else "1")
-    return {"case": job.name, "draw": "d", "doubled": job.name == "b"}
+def weigh(job: Weighing) -> MadeCase:
+    files = {"weight.txt": "2" if job.name == "b" else "1"}
+    return MadeCase({"case": job.name, "doubled": job.name == "b"}, files)
 
 
 @dataclass(frozen=True)
@@ -217,8 +311,12 @@ class Scales:
 
 def test_folders_from_key_to_answers(tmp_path: Path) -> None:
     cases, key, answers = tmp_path / "cases", tmp_path / "key.json", tmp_path / "answers"
-    jobs = [Weighing(name, cases) for name in "abc"]
-    write_cases(cases, key, jobs, write, draw="d", there=lambda folder, entry: folder.is_dir())
+    jobs = [Weighing(name) for name in "abc"]
+    write_cases(cases, key, jobs, weigh, head={"secret": "d"}, totals=lambda entries: {"n": len(entries)})
+    assert json.loads(key.read_text())["n"] == 3
+    (cases / "b" / "weight.txt").unlink()
+    write_cases(cases, key, jobs, weigh, head={"secret": "d"})  # what was lost is made again
+    assert (cases / "b" / "weight.txt").read_text() == "2"
     ran = run_folders(cases, answers, Scales())
     assert (ran.diagnosed, ran.kept, ran.failed) == (("a", "b"), (), {"c": "the scales are broken"})
     assert run_folders(cases, answers, Scales()).kept == ("a", "b")

@@ -13,25 +13,34 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import binom
+from scipy.stats import binom, kstest
 
 import zoo.blood.blind.make as making
 from zoo.blood.baseline import get_baseline
 from zoo.blood.blind import BlindError, make_cases
 from zoo.blood.blind.bench import GENERATOR
-from zoo.blood.blind.draw import Draw
-from zoo.blood.blind.effect_draw import GAP_MMHG
+from zoo.blood.blind.draw import GAP_OVER_NOISE, Draw
+from zoo.blood.blind.effect_draw import EffectDraw
 from zoo.blood.blind.networks import tree
 from zoo.blood.blind.noise import autoregressive
 from zoo.blood.blind.outside import OUTSIDE, leaking_valve
-from zoo.blood.blind.visibility import visible_amplitude
 from zoo.blood.case import Case, simulate
 from zoo.blood.diagnosis import SEARCH_SHARE
 from zoo.blood.effects import CATALOGUE, EffectParameter, Location
 from zoo.blood.solver import Physics, Solver
 from zoo.blood.study import load_study
-from zoo.core.blindcheck.sealing import KEY_DIGEST
+from zoo.core.blindcheck.sealing import KEY_DIGEST, unfinished
+from zoo.core.effects import Effect
 from zoo.core.parameters import pack, start_of
+
+
+def read_entries(key: Path) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = json.loads(key.read_text())["cases"]
+    return found
+
+
+def secret(i: int) -> str:
+    return f"{i:032x}"
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -43,7 +52,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def test_cases_are_studies_and_the_key_is_apart(made: tuple[Path, Path]) -> None:
     cases, key = made
-    entries = json.loads(key.read_text())
+    entries = read_entries(key)
     assert [e["case"] for e in entries] == ["case-001", "case-002", "case-003"]
     assert sorted(e["kind"] for e in entries) == ["listed", "listed", "outside"]
     digest = (cases / KEY_DIGEST).read_text().split()[0]
@@ -60,9 +69,9 @@ def test_cases_are_studies_and_the_key_is_apart(made: tuple[Path, Path]) -> None
         study = load_study(cases / e["case"])
         assert study.checksum == e["digest"]
         assert len(study.time_s) == 512
-        gap = e["gap_mmHg"]
-        assert GAP_MMHG[0] * 0.9 < gap["before"] < GAP_MMHG[1] * 1.1
-        assert gap["after"] < 0.4 * gap["before"]
+        noise = math.hypot(e["noise"]["white"]["mmHg"], e["noise"]["correlated_mmHg"])
+        low, high = (x * noise for x in GAP_OVER_NOISE)
+        assert low * 0.9 < e["gap_mmHg"]["before"] < high * 1.1
         for effect in e["effects"]:
             known = CATALOGUE.get(effect["effect"]) or OUTSIDE[effect["effect"]]
             for a in known.parameters:
@@ -72,7 +81,7 @@ def test_cases_are_studies_and_the_key_is_apart(made: tuple[Path, Path]) -> None
 def test_data_are_the_truth_and_noise_of_the_stated_size(made: tuple[Path, Path]) -> None:
     """The key's effect at its amplitude, solved here, leaves noise of 0.05 mmHg (0.064 with its AR part)."""
     cases, key = made
-    e = next(e for e in json.loads(key.read_text()) if e["kind"] == "listed")
+    e = next(e for e in read_entries(key) if e["kind"] == "listed")
     study = load_study(cases / e["case"])
     flow = get_baseline(e["base"]).forward(study, options=GENERATOR)
     case = flow.configure(pack(flow.parameters, e["base_parameters"]))
@@ -80,6 +89,9 @@ def test_data_are_the_truth_and_noise_of_the_stated_size(made: tuple[Path, Path]
     values = tuple(effect["amplitudes"].values())
     case = CATALOGUE[effect["effect"]].apply(case, values, Location(effect["vessel"], effect["subtree"]))  # type: ignore[misc]
     waves = simulate(case, [(s.vessel, s.position, s.quantity) for s in study.series], study.time_s)
+    truth = np.array([[float(x) for x in row.split()] for row in e["truth"].values()])
+    assert list(e["truth"]) == [s.label for s in study.series]
+    assert np.allclose(truth, waves, atol=2e-4)
     sd = math.hypot(0.05, e["noise"]["correlated_mmHg"])
     assert np.std(study.values - waves) == pytest.approx(sd, rel=0.25)
 
@@ -93,15 +105,43 @@ def test_the_grid_is_not_the_diagnosis_own() -> None:
         assert GENERATOR.cfl != flow.options.cfl
 
 
-def test_same_seed_same_files_and_another_seed_others(
+def test_a_secret_makes_its_cases_again_and_another_one_others(
     made: tuple[Path, Path], tiny: dict[str, Any], tmp_path: Path
 ) -> None:
     cases, key = made
-    again = make_cases(tmp_path / "cases", 3, 5, tmp_path / "other.json", **tiny)
+    again = make_cases(tmp_path / "cases", 3, tmp_path / "other.json", **tiny)
     assert contents(tmp_path / "cases") == contents(cases)
     assert again.read_bytes() == key.read_bytes()
-    other, same = (Draw(40, s, tuple(CATALOGUE)).plan() for s in (1, 2))
+    other, same = (Draw(40, secret(s), tuple(CATALOGUE)).plan() for s in (1, 2))
     assert other != same
+
+
+def test_the_secret_is_128_bits_that_only_the_key_holds(tiny: dict[str, Any], tmp_path: Path) -> None:
+    """Two sets of the same arguments differ, and nothing in the cases has the secret or a part of it."""
+    found = []
+    for name in "ab":
+        cases = tmp_path / name
+        key = make_cases(cases, 1, tmp_path / f"{name}.json", **tiny | {"secret": None})
+        own = json.loads(key.read_text())["secret"]
+        assert len(own) == 32
+        assert int(own, 16).bit_length() > 64
+        assert not any(own[:8].encode() in text for text in contents(cases).values())
+        found.append((own, contents(cases)))
+    assert found[0][0] != found[1][0]
+    assert found[0][1] != found[1][1]
+    for wrong in ("7", "x" * 32, secret(1) + "0"):
+        with pytest.raises(BlindError, match="32 hexadecimal digits"):
+            make_cases(tmp_path / "c", 1, tmp_path / "c.json", **tiny | {"secret": wrong})
+
+
+def test_what_a_case_shows_comes_from_another_stream_than_its_effect() -> None:
+    """Streams of one secret share nothing, between purposes or cases, and none has a small seed."""
+    draw = Draw(40, secret(3), tuple(CATALOGUE))
+    streams = [draw.rng(what, i) for what in ("plan", "network", "effect", "noise") for i in range(5)]
+    streams += [np.random.default_rng([3, 40, i]) for i in range(5)]
+    first = np.array([rng.random(4) for rng in streams])
+    assert len(np.unique(first)) == first.size
+    assert np.array_equal(draw.rng("effect", 2).random(3), draw.rng("effect", 2).random(3))
 
 
 def test_an_interrupted_make_goes_on(
@@ -111,7 +151,7 @@ def test_an_interrupted_make_goes_on(
     drawn: list[str] = []
     original = making.draw_case
 
-    def stopping(job: Any) -> dict[str, Any]:
+    def stopping(job: Any) -> Any:
         if job.name == "case-003" and "case-003" not in drawn:
             drawn.append(job.name)
             raise KeyboardInterrupt
@@ -119,21 +159,53 @@ def test_an_interrupted_make_goes_on(
         return original(job)
 
     monkeypatch.setattr(making, "draw_case", stopping)
-    arguments = (tmp_path / "cases", 3, 5, tmp_path / "key.json")
+    own = tmp_path / "key.json"
+    arguments = (tmp_path / "cases", 3, own)
     with pytest.raises(KeyboardInterrupt):
         make_cases(*arguments, **tiny)
-    assert not (tmp_path / "key.json").exists()
+    assert not own.exists()
+    assert not (tmp_path / "cases").exists()  # until all are made, none is written
+    with unfinished(own).open("a") as file:
+        file.write('{"entry": {"case": "case-0')  # as a kill leaves it
     finished: list[str] = []
-    make_cases(*arguments, **tiny, done=finished.append)
+    make_cases(*arguments, **tiny | {"secret": None}, done=finished.append)  # the secret lies beside the key
     assert drawn == ["case-001", "case-002", "case-003", "case-003"]
     assert finished == ["case-001", "case-002", "case-003"]
     assert contents(tmp_path / "cases") == contents(cases)
-    assert (tmp_path / "key.json").read_bytes() == key.read_bytes()
+    assert own.read_bytes() == key.read_bytes()
     assert not list(tmp_path.glob("*.part"))
     make_cases(*arguments, **tiny)  # complete: nothing is drawn again
     assert len(drawn) == 4
     with pytest.raises(BlindError, match="another draw"):
-        make_cases(tmp_path / "cases", 3, 6, tmp_path / "key.json", **tiny)
+        make_cases(*arguments, **tiny | {"secret": secret(6)})
+
+
+def test_files_are_written_together_in_an_order_of_their_own(
+    made: tuple[Path, Path], tiny: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cases that take half a second and more leave files of one moment: times of birth tell no solve."""
+    folder = tmp_path / "cases"
+    make_cases(folder, 3, tmp_path / "key.json", **tiny)
+    changed = [path.stat().st_ctime for path in folder.rglob("*.*")]
+    assert max(changed) - min(changed) < 0.2
+    assert {path.stat().st_mtime for path in (folder, *folder.rglob("*"))} == {1577836800.0}
+    orders = set()
+    original = Path.write_bytes
+    for _ in range(3):
+        shutil.rmtree(folder)
+        (tmp_path / "key.json").unlink()
+        seen: list[str] = []
+
+        def spy(self: Path, content: bytes, seen: list[str] = seen) -> int:
+            seen.append(f"{self.parent.name}/{self.name}")
+            return original(self, content)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "write_bytes", spy)
+            make_cases(folder, 3, tmp_path / "key.json", **tiny)
+        assert len(seen) == 12
+        orders.add(tuple(seen))
+    assert len(orders) > 1
 
 
 def test_nothing_but_the_values_depends_on_the_effect(
@@ -142,8 +214,8 @@ def test_nothing_but_the_values_depends_on_the_effect(
     """A guesser that sees everything else sees the same for two draws with different effects."""
     cases, key = made
     others = ("sensor-gain", "inflow-gain", "catheter-resonance", "inflow-offset")
-    make_cases(tmp_path / "cases", 3, 5, tmp_path / "key.json", **tiny | {"effects": others})
-    own, other = (json.loads(k.read_text()) for k in (key, tmp_path / "key.json"))
+    make_cases(tmp_path / "cases", 3, tmp_path / "key.json", **tiny | {"effects": others})
+    own, other = (read_entries(k) for k in (key, tmp_path / "key.json"))
     assert [e["effect"] for e in own] != [e["effect"] for e in other]
 
     def seen(folder: Path) -> dict[Any, Any]:
@@ -182,47 +254,90 @@ def test_the_order_of_cases_tells_nothing() -> None:
     """Guess each case's kind from its neighbours and its place in the list: no better than by chance."""
     right = total = 0
     for seed in range(20):
-        plan = Draw(40, seed, tuple(CATALOGUE)).plan()
+        plan = Draw(40, secret(seed), tuple(CATALOGUE)).plan()
         kinds = [kind for kind, _ in plan]
         assert (kinds.count("none"), kinds.count("outside"), kinds.count("listed")) == (5, 8, 27)
         right += sum(a == b == "outside" for a, b in itertools.pairwise(kinds))
         total += sum(a == "outside" for a in kinds[:-1])
     low, high = binom.interval(0.999, total, 7 / 39)
     assert low <= right <= high
-    first = [Draw(40, seed, tuple(CATALOGUE)).plan()[0][0] for seed in range(200)]
+    first = [Draw(40, secret(seed), tuple(CATALOGUE)).plan()[0][0] for seed in range(200)]
     low, high = binom.interval(0.999, 200, 27 / 40)
     assert low <= first.count("listed") <= high
 
 
 def test_effects_come_evenly() -> None:
-    names = [name for kind, name in Draw(120, 3, tuple(CATALOGUE)).plan() if kind == "listed"]
+    names = [name for kind, name in Draw(120, secret(3), tuple(CATALOGUE)).plan() if kind == "listed"]
     counts = {name: names.count(name) for name in CATALOGUE}
     assert set(counts.values()) <= {2, 3}
     assert "correlated-noise" in counts
 
 
-def test_an_amplitude_is_kept_or_scaled_into_the_range() -> None:
-    a = EffectParameter("a", "1", 1.0, -4.0, 4.0, (1.0,))
-    limits = (0.15, 1.0)
-    assert visible_amplitude(lambda x: abs(x) / 2, a, -1.2, limits, 0.5)[0] == -1.2
-    value, *_ = visible_amplitude(lambda x: abs(x) ** 3, a, 2.0, limits, 0.5)
-    assert value is not None
-    assert 0.15 <= value**3 <= 1.0
-    # only the other side of 0 shows anything
-    value, *_ = visible_amplitude(lambda x: max(0.0, -x) / 20, a, 1.0, limits, 0.18)
-    assert value is not None
-    assert -4.0 <= value <= -3.0
-    # the solve fails beyond 2
-    value, *_ = visible_amplitude(lambda x: abs(x) / 10 if abs(x) < 2 else math.inf, a, 3.0, limits, 0.17)
-    assert value is not None
-    assert 1.5 <= abs(value) < 2
-    found, smallest, largest = visible_amplitude(lambda x: abs(x) / 100, a, 1.0, limits, 0.5)
-    assert found is None
-    assert largest == pytest.approx(0.04)
-    switch = EffectParameter("s", "1", 0.5, 0.1, 1.2, (0.2,))
-    found, smallest, _ = visible_amplitude(lambda x: 2.0 + x, switch, 0.5, limits, 0.5)
-    assert found is None
-    assert smallest > 1.0
+class Line:
+    """A bench without solves: the discrepancy is a quarter of the amplitude's size, mmHg."""
+
+    clean, sensors, flow = np.zeros((1, 4)), [(1, 0.0, "pressure_mmHg")], None
+
+    def solve(self, added: Any) -> Any:
+        return np.full((1, 4), abs(added[0][1][0]) / 4)
+
+    def change(self, waves: Any) -> float:
+        return float(waves[0, 0])
+
+    discrepancy = change
+
+
+def test_amplitudes_follow_the_prior_within_the_stated_range() -> None:
+    """Draws in range are the prior's own, cut where the discrepancy leaves 0.5 to 20 times the noise."""
+    given = EffectParameter("a", "1", 1.0, -4.0, 4.0, (1.0,))
+    one = Effect("one", (given,), lambda case, values, at: case, family="wall", statement="", equation="")
+    drawn = EffectDraw(np.random.default_rng(3), Line(), 0.05)  # type: ignore[arg-type]
+    sizes = []
+    for _ in range(600):
+        found = drawn._one(one)
+        if found is not None:
+            [(_, values, _)] = found[0]
+            sizes.append(values[0])
+    assert not {given.low, given.high} & set(sizes)
+    x = np.array(sizes)
+    assert np.abs(x).min() >= 0.1  # 0.025 mmHg
+    p = given.prior.cdf(np.array([-4.0, -0.1, 0.1, 4.0]))
+    low, high = p[1] - p[0], p[3] - p[2]
+    inside = np.where(x < 0, given.prior.cdf(x) - p[0], low + given.prior.cdf(x) - p[2]) / (low + high)
+    assert kstest(inside, "uniform").pvalue > 0.01
+    counts = drawn.redrawn["one"]
+    assert counts["kept"] == len(sizes)
+    share = counts["below"] / sum(counts.values())
+    assert share == pytest.approx(p[2] - p[1], abs=0.03)
+    assert set(counts) == {"kept", "below"}
+
+
+def test_what_is_too_large_or_not_solved_is_counted() -> None:
+    class Failing(Line):
+        def solve(self, added: Any) -> Any:
+            return None if added[0][1][0] < 0 else np.full((1, 4), 30.0)
+
+        def change(self, waves: Any) -> float:
+            return math.inf if waves is None else float(waves[0, 0])
+
+        discrepancy = change
+
+    given = EffectParameter("a", "1", 1.0, -4.0, 4.0, (1.0,))
+    one = Effect("one", (given,), lambda case, values, at: case, family="wall", statement="", equation="")
+    drawn = EffectDraw(np.random.default_rng(3), Failing(), 0.05)  # type: ignore[arg-type]
+    assert drawn._one(one) is None
+    assert drawn.redrawn["one"].keys() == {"above", "unsolved"}
+    assert sum(drawn.redrawn["one"].values()) == 12
+
+
+def test_the_key_counts_what_was_drawn_again(made: tuple[Path, Path]) -> None:
+    key = json.loads(made[1].read_text())
+    assert key["gap_over_noise"] == list(GAP_OVER_NOISE)
+    kept = sum(counts.get("kept", 0) for counts in key["redrawn"].values())
+    assert kept >= len(key["cases"])
+    for what in ("kept", "below", "above", "unsolved"):
+        total = sum(counts.get(what, 0) for counts in key["redrawn"].values())
+        assert total == sum(n.get(what, 0) for e in key["cases"] for n in e["redrawn"].values())
 
 
 @pytest.mark.parametrize("n", [5, 9, 15])
@@ -301,7 +416,7 @@ def test_make_refuses_a_folder_whose_key_is_another(made: tuple[Path, Path], tmp
     shutil.copytree(made[0], cases)
     before = {p: p.read_bytes() for p in cases.rglob("*") if p.is_file()}
     with pytest.raises(BlindError, match="holds cases whose key is not"):
-        make_cases(cases, 3, seed=99, key=tmp_path / "other.json")
+        make_cases(cases, 3, key=tmp_path / "other.json")
     assert {p: p.read_bytes() for p in cases.rglob("*") if p.is_file()} == before
 
 

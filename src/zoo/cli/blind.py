@@ -50,10 +50,18 @@ def _name_list(option: str, text: str | None) -> list[str] | None:
 def make(
     folder: Annotated[Path, typer.Argument(metavar="CASES", help="Folder for the cases.")],
     n: Annotated[int, typer.Option("--n", help="Cases.")] = 40,
-    seed: Annotated[int, typer.Option("--seed", help="Of the draw.")] = 1,
     key: Annotated[Path, typer.Option("--key", help="File for what is withheld, outside the folder.")] = Path(
         "key.json"
     ),
+    secret: Annotated[
+        str | None,
+        typer.Option(
+            "--secret",
+            help="Of an older key, to make its cases again; a new one is drawn if absent.",
+            metavar="HEX",
+            show_default=False,
+        ),
+    ] = None,
     effects: Annotated[
         str | None,
         typer.Option(
@@ -81,8 +89,8 @@ def make(
         path = make_cases(
             folder,
             n,
-            seed,
             key,
+            secret=secret,
             effects=_name_list("--effects", effects),
             layouts=_name_list("--layouts", layouts) or [],
             networks=_name_list("--networks", networks) or [],
@@ -169,21 +177,19 @@ def score(
 
 def _score_summary(found: CheckScore) -> list[Any]:
     from zoo.core.blindcheck.rates import FULL_BIN
-    from zoo.core.blindcheck.tables import HEADLINES, rate_text
+    from zoo.core.blindcheck.tables import HEADLINES, MEANS, constant_text, rate_text, size_rows
 
-    s = found.summary
+    s, best = found.summary, found.constants
     title = f"{s['n']} cases, {s['failed']} without an answer"
     if found.without_key:
         title += f"; {found.without_key} more answers have no key"
-    table = plain_table(title=title, heads=False)
+    table = plain_table("score", "", "best constant answer", title=title)
     for name, words in HEADLINES:
-        table.add_row(words, rate_text(s[name]))
-    for what, label in (("log_score", "log score"), ("brier", "Brier score")):
-        group = f"group_{what}"
-        table.add_row(
-            f"{label} by explanation, by group (uniform guess)",
-            f"{s[what]:.3f} ({s[f'uniform_{what}']:.3f}), {s[group]:.3f} ({s[f'uniform_{group}']:.3f})",
-        )
+        table.add_row(words, rate_text(s[name]), constant_text(best.get(name)))
+    for row in size_rows(found):
+        table.add_row(*row)
+    for name, words in MEANS:
+        table.add_row(words, f"{s[name]:.3f}", constant_text(best[name]))
     full = [b for b in found.reliability if b.n >= FULL_BIN]
     table.add_row(
         f"bins of stated probability with {FULL_BIN} cases or more that lie within their band",

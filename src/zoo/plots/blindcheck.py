@@ -80,11 +80,12 @@ def plot_accuracy(score: CheckScore) -> Figure:
     -------
     matplotlib.figure.Figure
         Left the share of listed effects that (or whose group) were ranked first with Wilson's 95 % interval,
-        a tick for each case, those above right. Right the rates of the summary with theirs.
+        a tick for each case, those above right. Right the rates of the summary with theirs; crosses are the
+        best constant answers.
     """
     from zoo.core.blindcheck.tables import HEADLINES
 
-    with new_figure((11.0, 4.2)) as figure:
+    with new_figure((11.0, 5.6)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
         listed = [c for c in score.cases if c.kind == "listed"]
         for hit, y, marker in ((True, 1.06, "|"), (False, -0.06, "|")):
@@ -105,16 +106,18 @@ def plot_accuracy(score: CheckScore) -> Figure:
         left.set_xlabel("discrepancy / sd of the noise")
         left.set_ylabel("true effect or its group first")
         left.set_title("accuracy by size of the discrepancy")
-        rates = [(words, score.summary[name]) for name, words in HEADLINES if score.summary[name]["n"]]
-        for row, (_, rate) in enumerate(rates):
+        rates = [(name, words, score.summary[name]) for name, words in HEADLINES if score.summary[name]["n"]]
+        for row, (name, _, rate) in enumerate(rates):
+            if name in score.constants:
+                right.plot(100 * score.constants[name]["share"], row, "x", color="#888888", ms=6)
             right.plot((100 * rate["low"], 100 * rate["high"]), (row, row), color=COLOURS[0], lw=1.3)
             right.plot(100 * rate["share"], row, "o", color=COLOURS[0], ms=6)
         right.set_yticks(
-            range(len(rates)), [textwrap.fill(words, 34) for words, _ in rates], fontsize="small"
+            range(len(rates)), [textwrap.fill(words, 46) for _, words, _ in rates], fontsize="x-small"
         )
         right.set_ylim(len(rates) - 0.4, -0.6)
         right.set_xlim(-3, 103)
-        right.set_xlabel("% of cases (line: 95 % interval)")
+        right.set_xlabel("% of cases (line: 95 % interval, cross: best constant answer)")
         right.grid(axis="x", color="#DDDDDD", lw=0.7)
         right.set_axisbelow(True)
     return figure
@@ -159,7 +162,7 @@ def plot_confusion(score: CheckScore) -> Figure:
 
 
 def plot_sizes(score: CheckScore) -> Figure:
-    """Stated against true: what part of the discrepancy the cause removes, and the effects' parameters.
+    """Stated against true: the discrepancy that the leading effect leaves, and the effects' parameters.
 
     Parameters
     ----------
@@ -168,28 +171,26 @@ def plot_sizes(score: CheckScore) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Bars are 95 % intervals; effect parameters are divided by the true ones.
+        Bars are 95 % intervals; discrepancies are in sds of the noise, effect parameters over the true ones.
     """
     rows = [c for c in score.cases if c.amplitude is not None and c.amplitude_true]
     names = sorted({c.truth for c in rows})
     with new_figure((10.5, max(4.4, 1.2 + 0.3 * len(names)))) as figure:
         left, right = figure.subplots(1, 2)
         for c in score.cases:
-            if c.shrinkage is None or c.shrinkage_low is None or c.shrinkage_high is None:
+            if c.left is None or c.left_low is None or c.left_high is None or c.left_true is None:
                 continue
-            assert c.shrinkage_true is not None
-            colour = RIGHT if c.shrinkage_within else WRONG
-            x = 100 * c.shrinkage_true
-            left.plot((x, x), (100 * c.shrinkage_low, 100 * c.shrinkage_high), color=colour, lw=1)
-            left.plot(x, 100 * c.shrinkage, "o", color=colour, ms=4)
-        low, high = left.get_xlim()
-        line = np.array([low, high])
-        left.fill_between(line, line - 10, line + 10, color="#DDE2E8", lw=0, zorder=0)
-        left.set_xlim(low, high)
-        left.set_ylim(top=101.5)  # all of it, and room for the marks
-        left.set_xlabel("true shrinkage of the discrepancy (%)")
-        left.set_ylabel("stated shrinkage (%)")
-        left.set_title("what the cause removes (strip: ± 10 points)")
+            colour = RIGHT if c.left_covered else WRONG
+            x, y, low, high = (v / c.noise for v in (c.left_true, c.left, c.left_low, c.left_high))
+            left.plot((x, x), (low, high), color=colour, lw=1)
+            left.plot(x, y, "o", color=colour, ms=4)
+        top = max(*left.get_xlim(), *left.get_ylim())
+        left.plot((0, top), (0, top), color="#888888", lw=0.9, ls=(0, (4, 2)))
+        left.set_xlim(0, top)
+        left.set_ylim(0, top)
+        left.set_xlabel("true discrepancy / sd of the noise")
+        left.set_ylabel("stated discrepancy / sd of the noise")
+        left.set_title("what the leading effect leaves")
         for c in rows:
             assert c.amplitude is not None
             assert c.amplitude_true is not None

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from zoo.blood.baseline import get_baseline
 from zoo.blood.blind.networks import Sensor
-from zoo.blood.case import Case
-from zoo.blood.forward import BloodFlow, study_data
+from zoo.blood.forward import study_data
 from zoo.blood.solver import SolverArgumentError, SolverOptions
 from zoo.blood.study import Series, Study
 from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
@@ -32,38 +31,6 @@ SAMPLES = 512
 WHITE_MMHG = 0.05
 FLOW_NOISE = 0.01
 """Noise of a flow, as a part of its peak."""
-
-
-class FixedEffects:
-    """A forward model with effects whose parameters stay as they are; itself a forward model.
-
-    Parameters
-    ----------
-    model : BloodFlow
-    added : sequence of (Effect, values, Location)
-    """
-
-    def __init__(self, model: BloodFlow, added: Added) -> None:
-        self.model = model
-        self.name, self.parameters = model.name, model.parameters
-        self.outputs, self.families, self.key = model.outputs, model.families, model.key
-        order = in_order(model, [effect.at(location) for effect, _, location in added])
-        self.added = tuple(added[i] for i in order)
-
-    def configure(self, theta: Array) -> Case:
-        """The model's case with the effects."""
-        case = self.model.configure(theta)
-        for effect, values, location in self.added:
-            if effect.apply is None:
-                raise EffectError(
-                    f"effect {effect.name}: is part of the errors; it cannot be added to a solve"
-                )
-            case = effect.apply(case, values, location)
-        return case
-
-    def solve(self, configuration: Case, outputs: Outputs | None = None) -> Array:
-        """As the model does."""
-        return self.model.solve(configuration, outputs)
 
 
 def over_pressures(rms: Mapping[str, float]) -> float:
@@ -118,20 +85,26 @@ class Bench:
         """Waveforms with these effects, or None where the solve fails."""
         if not added:
             return self.clean
-        model = FixedEffects(self.flow, added)
+        order = in_order(self.flow, [effect.at(location) for effect, _, location in added])
         try:
-            return model.solve(model.configure(self.values))
+            case = self.flow.configure(self.values)
+            for effect, values, location in (added[i] for i in order):
+                assert effect.apply is not None
+                case = effect.apply(case, values, location)
+            return self.flow.solve(case)
         except (EffectError, SolveError, SolverArgumentError):
             return None
 
+    def change(self, waves: Array) -> float:
+        """Rms over the pressures of waveforms minus the baseline's own, before any refit, mmHg."""
+        return over_pressures(self._rms(waves - self.clean))
+
+    def _rms(self, difference: Array) -> dict[str, float]:
+        """Of each series, in its unit."""
+        return {k: float(np.sqrt(np.mean(row**2))) for k, row in zip(self.labels, difference, strict=True)}
+
     def refit(
-        self,
-        data: Array,
-        against: Array,
-        *,
-        added: Added = (),
-        free: bool = False,
-        noise: Mapping[str, GroupErrors] | None = None,
+        self, data: Array, against: Array, noise: Mapping[str, GroupErrors] | None = None
     ) -> tuple[dict[str, float], dict[str, float]] | None:
         """Fit the baseline to data.
 
@@ -139,10 +112,6 @@ class Bench:
         ----------
         data, against : array (n_series, n_times)
             What is fitted, and what the fit is compared with.
-        added : sequence of (Effect, values, Location)
-            Effects that the baseline has besides; they stay as they are.
-        free : bool
-            Fit their parameters too; listed effects only.
         noise : mapping of quantity to GroupErrors
             Of the data; white if absent.
 
@@ -153,31 +122,21 @@ class Bench:
         values : dict
             Parameters.
         """
-        jacobian = self._jacobian
-        if free:
-            hypothesis = Hypothesis(tuple(effect.at(location) for effect, _, location in added))
-            forward = HypothesisModel(self.flow, hypothesis, self.errors)
-            jacobian = None
-        else:
-            forward = HypothesisModel(FixedEffects(self.flow, added), Hypothesis(), self.errors)
-        values = [x for _, given, _ in added for x in given] if free else []
-        given = [*self.values, *values]
-        start = np.array([p.coordinate(float(x)) for p, x in zip(forward.parameters, given, strict=True)])
+        forward = HypothesisModel(self.flow, Hypothesis(), self.errors)
+        start = np.array(
+            [p.coordinate(float(x)) for p, x in zip(forward.parameters, self.values, strict=True)]
+        )
         S = self.errors.variances(noise or {q: GroupErrors(sigma) for q, sigma in self.sigma.items()})
         search = Search(forward, self.errors.flat(data), S)
         try:
-            point = search.at(start, jacobian)
+            point = search.at(start, self._jacobian)
         except SearchError:
             return None
-        if self._jacobian is None and not added:
+        if self._jacobian is None:
             self._jacobian = point.jacobian
-        point = search.descend(point, 12)
-        if not added:
-            point = search.refine(point, 4)
-        left = against - self.errors.unflat(point.computed)
-        rms = {k: float(np.sqrt(np.mean(row**2))) for k, row in zip(self.labels, left, strict=True)}
+        point = search.refine(search.descend(point, 12), 4)
         found = zip(forward.parameters, forward.theta(point.u), strict=True)
-        return rms, {p.name: float(x) for p, x in found}
+        return self._rms(against - self.errors.unflat(point.computed)), {p.name: float(x) for p, x in found}
 
     def discrepancy(self, waves: Array | None) -> float:
         """Rms over the pressures of noise-free waveforms minus the refitted baseline, mmHg."""

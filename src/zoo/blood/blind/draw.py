@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +15,12 @@ from zoo.blood.blind.outside import OUTSIDE
 from zoo.core.blindcheck.keys import SECOND
 from zoo.core.diagnosis.hypothesis import NULL
 
-FORMAT = 1
+FORMAT = 2
+GAP_OVER_NOISE = (0.5, 20.0)
+"""Model discrepancy of the refitted baseline (rms over the pressures, without noise) that a case with an
+effect has, over the sd of the pressures' noise. What is drawn outside is drawn again."""
+SECRET = re.compile(r"[0-9a-f]{32}")
+"""128 bits in hexadecimal digits."""
 NONE_SHARE, OUTSIDE_SHARE = 1 / 8, 1 / 5
 LAYOUTS = ("MPA", "MPA+daughters", "MPA+distal", "MPA+flow")
 NETWORKS = ("mouse", "tree")
@@ -25,7 +32,9 @@ class Draw:
 
     Parameters
     ----------
-    n, seed : int
+    n : int
+    secret : str
+        128 bits, as `SECRET`; the key alone holds it.
     effects : tuple of str
         Of the catalogue.
     networks : tuple of str
@@ -37,24 +46,32 @@ class Draw:
     """
 
     n: int
-    seed: int
+    secret: str
     effects: tuple[str, ...]
     networks: tuple[str, ...] = NETWORKS
     layouts: tuple[str, ...] = LAYOUTS
     vessels: tuple[int, int] = (5, 15)
 
     @property
-    def digest(self) -> str:
-        """Of everything that shapes the cases."""
-        content = json.dumps([FORMAT, asdict(self)], sort_keys=True)
-        return hashlib.sha256(content.encode()).hexdigest()[:16]
+    def head(self) -> dict[str, Any]:
+        """Everything that shapes the cases, for the key."""
+        return {"format": FORMAT, **asdict(self), "gap_over_noise": list(GAP_OVER_NOISE)}
+
+    def rng(self, purpose: str, index: int = 0) -> np.random.Generator:
+        """A stream of random numbers for one purpose in one case.
+
+        Its seed is SHA-256 of the secret and both: who guesses one stream from what a case shows, such as
+        the radii of its network, learns nothing of another one or of the secret.
+        """
+        digest = hashlib.sha256(json.dumps([FORMAT, self.secret, self.n, purpose, index]).encode()).digest()
+        return np.random.default_rng(int.from_bytes(digest))
 
     def plan(self) -> list[tuple[str, str]]:
         """Kind and effect of each case; the effect is the first to be tried.
 
-        Every effect comes once before one comes twice, in an order that the seed shuffles.
+        Every effect comes once before one comes twice, in an order that the secret shuffles.
         """
-        rng = np.random.default_rng([self.seed, self.n])
+        rng = self.rng("plan")
         none, outside = round(self.n * NONE_SHARE), round(self.n * OUTSIDE_SHARE)
         kinds = ["none"] * none + ["outside"] * outside + ["listed"] * (self.n - none - outside)
 

@@ -1,8 +1,9 @@
-"""The effects of a case: drawn from their priors until some can be seen."""
+"""The effects of a case: drawn from their priors until their size is in range."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,19 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.blood.blind.bench import Added, Bench
+from zoo.blood.blind.draw import GAP_OVER_NOISE
 from zoo.blood.blind.noise import periodic_noise
 from zoo.blood.blind.outside import OUTSIDE
-from zoo.blood.blind.visibility import prior_draw, visible_amplitude
 from zoo.blood.effects import CATALOGUE
 from zoo.core.blindcheck.keys import SECOND
 from zoo.core.effects import Effect, Location
 
 Array = NDArray[np.float64]
 
-GAP_MMHG = (0.15, 1.0)
-"""Discrepancy of the refitted baseline (rms over the pressures, without noise) that a case may have."""
+DRAWS = 12
+"""Locations and parameters that are drawn of one effect before another effect is."""
 TRIES = 60
-"""Effects, networks or parameters to draw before giving up."""
+"""Effects or networks to draw before giving up."""
 
 
 def location_fields(location: Location) -> dict[str, Any]:
@@ -31,25 +32,29 @@ def location_fields(location: Location) -> dict[str, Any]:
 
 
 class EffectDraw:
-    """Draws effects for a bench until one can be seen.
+    """Draws effects for a bench until the size of one is in range.
 
     Parameters
     ----------
     rng : numpy.random.Generator
     bench : Bench
+    noise : float
+        Standard deviation of the pressures' noise, mmHg.
 
     Attributes
     ----------
-    invisible : list of dict
-        What was drawn and cannot be used, for the key.
+    redrawn : dict
+        Effect -> how many draws of it were "kept", and drawn again because the model discrepancy was "below"
+        or "above" the range or the solve failed ("unsolved").
     """
 
-    def __init__(self, rng: np.random.Generator, bench: Bench) -> None:
+    def __init__(self, rng: np.random.Generator, bench: Bench, noise: float) -> None:
         self.rng, self.bench = rng, bench
-        self.invisible: list[dict[str, Any]] = []
+        self.limits = tuple(x * noise for x in GAP_OVER_NOISE)
+        self.redrawn: dict[str, Counter[str]] = {}
 
     def draw(self, name: str, kind: str, effects: Sequence[str]) -> tuple[str, Added, Array] | None:
-        """Name, effects and noise-free waveforms, or None if nothing that was drawn can be seen.
+        """Name, effects and noise-free waveforms, or None if nothing that was drawn is in range.
 
         Parameters
         ----------
@@ -71,51 +76,45 @@ class EffectDraw:
                 return name, *found
         return None
 
-    def _one(self, effect: Effect, limits: tuple[float, float] = GAP_MMHG) -> tuple[Added, Array] | None:
-        """The effect at a location and amplitudes from its prior, scaled where needed; its waveforms."""
+    def _verdict(self, name: str, waves: Array | None) -> bool:
+        """Whether the discrepancy of noise-free waveforms is in range; counted."""
+        low, high = self.limits
+        gap = 0.0
+        # a refit leaves little of what is small before it
+        if waves is None or self.bench.change(waves) > 0.5 * low:
+            gap = self.bench.discrepancy(waves)
+        kept = low <= gap <= high
+        why = "kept" if kept else "below" if gap < low else "above" if math.isfinite(gap) else "unsolved"
+        self.redrawn.setdefault(name, Counter())[why] += 1
+        return kept
+
+    def _one(self, effect: Effect) -> tuple[Added, Array] | None:
+        """The effect at a location and amplitudes from its prior, and its waveforms."""
         bench, rng = self.bench, self.rng
         locations = effect.locations(bench.flow)
-        location = locations[int(rng.integers(len(locations)))]
-        values = [prior_draw(rng, p) for p in effect.parameters]
-        target = math.exp(rng.uniform(math.log(1.1 * limits[0]), math.log(0.9 * limits[1])))
-        rest = tuple(float(f"{x:.6g}") for x in values[1:])
-        noise = np.zeros_like(bench.clean)
-        if effect.apply is None:  # correlated errors of unit size
-            pressure = np.array([[float(q == "pressure_mmHg")] for _, _, q in bench.sensors])
-            noise = pressure * periodic_noise(rng, rest[0], bench.study.period_s, bench.clean.shape)
-
-        def waves(x: float) -> Array | None:
-            if effect.apply is None:
-                return np.asarray(bench.clean + x * noise)
-            return bench.solve(((effect, (float(f"{x:.6g}"), *rest), location),))
-
-        found, smallest, largest = visible_amplitude(
-            lambda x: bench.discrepancy(waves(x)), effect.parameters[0], values[0], limits, target
-        )
-        if found is None:
-            why = (
-                "invisible" if largest < limits[0] else "too large" if smallest > limits[1] else "not solved"
-            )
-            seen = [x if math.isfinite(x) else None for x in (smallest, largest)]
-            self.invisible.append(
-                {"effect": effect.name, **location_fields(location), "why": why, "gaps_mmHg": seen}
-            )
-            return None
-        size = float(f"{found:.6g}")
-        made = waves(size)
-        assert made is not None
-        return ((effect, (size, *rest), location),), made
+        for _ in range(DRAWS):
+            location = locations[int(rng.integers(len(locations)))]
+            values = tuple(float(f"{p.prior.draw(rng, 1, {})[0]:.6g}") for p in effect.parameters)
+            if effect.apply is None:  # correlated errors
+                pressure = np.array([[float(q == "pressure_mmHg")] for _, _, q in bench.sensors])
+                noise = periodic_noise(rng, values[1], bench.study.period_s, bench.clean.shape)
+                waves: Array | None = np.asarray(bench.clean + values[0] * pressure * noise)
+            else:
+                waves = bench.solve(((effect, values, location),))
+            if self._verdict(effect.name, waves):
+                assert waves is not None
+                return ((effect, values, location),), waves
+        return None
 
     def _two(self, effects: Sequence[str]) -> tuple[Added, Array] | None:
-        """Two listed effects, each of which could be seen alone, and whose sum can."""
+        """Two listed effects, each of which and whose sum is in range."""
         listed = [n for n in effects if CATALOGUE[n].apply is not None]
-        limits = (GAP_MMHG[0], 0.6 * GAP_MMHG[1])
         first: Added = ()
         for _ in range(TRIES // 3):
             name = str(self.rng.choice(listed))
             if first and name == first[0][0].name:
                 continue
-            found = self._one(CATALOGUE[name], limits)
+            found = self._one(CATALOGUE[name])
             if found is None:
                 continue
             if not first:
@@ -123,6 +122,7 @@ class EffectDraw:
                 continue
             added = (*first, *found[0])
             waves = self.bench.solve(added)
-            if waves is not None and GAP_MMHG[0] <= self.bench.discrepancy(waves) <= GAP_MMHG[1]:
+            if self._verdict(SECOND, waves):
+                assert waves is not None
                 return added, waves
         return None

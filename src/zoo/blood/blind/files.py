@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from zoo.blood.study import Study, StudyError, load_study
 from zoo.core.blindcheck.sealing import BlindError
@@ -11,12 +12,18 @@ from zoo.core.blindcheck.sealing import BlindError
 DIGITS = {"pressure_mmHg": 4, "flow_ml_s": 6}
 
 
-def write_case(study: Study, folder: Path) -> None:
-    """Write a case: `save_study`'s format with as many digits and columns in every case."""
-    folder.mkdir(parents=True, exist_ok=True)
+def case_files(study: Study) -> dict[str, str]:
+    """Files of a case by name: `save_study`'s format with as many digits and columns in every case.
+
+    Raises
+    ------
+    BlindError
+        If they would not be read back as this study.
+    """
+    files: dict[str, str] = {}
 
     def write(name: str, lines: Iterable[str]) -> None:
-        (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        files[name] = "\n".join(lines) + "\n"
 
     write(
         "study.toml",
@@ -48,9 +55,13 @@ def write_case(study: Study, folder: Path) -> None:
         for t, x in zip(study.time_s, s.value, strict=True)
     ]
     write("observations.csv", ("vessel,position,quantity,time_s,value", *rows))
-    try:
-        same = load_study(folder).checksum == study.checksum
-    except StudyError as error:
-        raise BlindError(f"{folder}: what was written cannot be read: {error}") from None
+    with TemporaryDirectory() as folder:
+        for name, text in files.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        try:
+            same = load_study(folder).checksum == study.checksum
+        except StudyError as error:
+            raise BlindError(f"{study.name}: what was written cannot be read: {error}") from None
     if not same:
-        raise BlindError(f"{folder}: what was written reads back as another study")
+        raise BlindError(f"{study.name}: what was written reads back as another study")
+    return files

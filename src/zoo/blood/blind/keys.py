@@ -34,15 +34,29 @@ _NO_AMPLITUDE = (CORRELATED, "coarse-grid")
 """The size of correlated errors has no interval; that of a grid's error depends on whose grid it is."""
 
 
-def _true_effect(name: str, vessel: int | None, subtree: bool, amplitude: float) -> TrueEffect:
-    size = None if name in _NO_AMPLITUDE else amplitude
-    return TrueEffect(name, Location(vessel, subtree, "vessel"), size)
+def _true_effect(
+    name: str,
+    vessel: int | None,
+    subtree: bool,
+    amplitude: float,
+    prior: Sequence[float] | None = None,
+) -> TrueEffect:
+    where = Location(vessel, subtree, "vessel")
+    if name in _NO_AMPLITUDE:
+        return TrueEffect(name, where)
+    return TrueEffect(name, where, amplitude, (prior[0], prior[1]) if prior else None)
 
 
 def own_key(entry: Mapping[str, Any]) -> CaseKey:
     """From an entry of a key of `make_cases`."""
     effects = tuple(
-        _true_effect(e["effect"], e["vessel"], e["subtree"], next(iter(e["amplitudes"].values())))
+        _true_effect(
+            e["effect"],
+            e["vessel"],
+            e["subtree"],
+            next(iter(e["amplitudes"].values())),
+            next(iter(e["priors_95"].values())),
+        )
         for e in entry["effects"]
     )
     noise = entry["noise"]
@@ -53,7 +67,7 @@ def own_key(entry: Mapping[str, Any]) -> CaseKey:
         effects,
         math.hypot(noise["white"].get("mmHg", 0.0), noise["correlated_mmHg"]),
         entry["gap_mmHg"]["before"],
-        None if entry["effect"] == CORRELATED else entry["gap_mmHg"]["after"],
+        np.array([[float(x) for x in row.split()] for row in entry["truth"].values()]),
         entry["digest"],
         {"layout": entry["layout"], "network": entry["network"]["kind"]},
     )
@@ -80,10 +94,8 @@ def other_key(entry: Mapping[str, Any]) -> CaseKey:
         return float(np.mean(np.square(values)))
 
     before = math.sqrt(mean_square(entry["base_fit"]["rms_noisefree_mmHg"]))
-    refitted = mean_square(entry["refit_with_true_effect"]["rms_noisy_mmHg"])
-    after = None if name == CORRELATED else math.sqrt(max(0.0, refitted - noise**2))
     tags = {"layout": entry["layout"], "network": "mouse"}
-    return CaseKey(entry["case"], kind, name, effects, noise, before, after, tags=tags)
+    return CaseKey(entry["case"], kind, name, effects, noise, before, tags=tags)
 
 
 def read_key(key: str | Path, answers: str | Path) -> tuple[list[CaseKey], bool]:

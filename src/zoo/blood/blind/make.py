@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import secrets
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from zoo.blood.blind.bench import BASELINE
 from zoo.blood.blind.case import CaseDraw, draw_case
-from zoo.blood.blind.draw import LAYOUTS, NETWORKS, Draw
+from zoo.blood.blind.draw import LAYOUTS, NETWORKS, SECRET, Draw
 from zoo.blood.diagnosis import effects_for
-from zoo.blood.study import StudyError, load_study
 from zoo.core.blindcheck.making import write_cases
-from zoo.core.blindcheck.sealing import BlindError
+from zoo.core.blindcheck.sealing import BlindError, read_head
 
 
 def make_cases(
     folder: str | Path,
     n: int = 40,
-    seed: int = 1,
     key: str | Path = "key.json",
     *,
+    secret: str | None = None,
     effects: Sequence[str] | None = None,
     networks: Sequence[str] = NETWORKS,
     layouts: Sequence[str] = LAYOUTS,
@@ -30,7 +31,9 @@ def make_cases(
 ) -> Path:
     """Write studies with a withheld effect each, and the key apart.
 
-    A draw depends only on the arguments up to `vessels`. Cases that an interrupted call wrote are kept.
+    All that is random comes from a secret of 128 bits, which the key holds and nothing else: nobody finds the
+    plan by trying numbers. The cases are written together when all are made; until then they lie beside the
+    key with the secret, and a call that was interrupted goes on with both.
 
     Parameters
     ----------
@@ -38,9 +41,11 @@ def make_cases(
         For the cases, and the key's SHA-256.
     n : int
         Cases: an eighth without an effect, a fifth with one that the catalogue does not hold.
-    seed : int
     key : path
         JSON file outside the folder.
+    secret : str, optional
+        That of an older key, 32 hexadecimal digits, to make its cases again with the same `n` and settings; a
+        new one is drawn if absent.
     effects : sequence of str, optional
         Of the catalogue; all that fit the baseline if absent.
     networks : sequence of str
@@ -65,10 +70,10 @@ def make_cases(
         If an argument is out of range, or folder and key hold another draw.
     """
     folder, key = Path(folder), Path(key)
-    if n < 1 or n > 999 or cores < 1 or seed < 0:
-        raise BlindError(
-            f"n = {n}, seed = {seed}, cores = {cores}: give n from 1 to 999, seed >= 0, cores >= 1"
-        )
+    if n < 1 or n > 999 or cores < 1:
+        raise BlindError(f"n = {n}, cores = {cores}: give n from 1 to 999, cores >= 1")
+    if secret is not None and not SECRET.fullmatch(secret):
+        raise BlindError('secret: give the 32 hexadecimal digits of a key\'s "secret", or leave it out')
     for what, given, some in (("networks", networks, NETWORKS), ("layouts", layouts, LAYOUTS)):
         if not given or set(given) - set(some):
             raise BlindError(f"{what} = {', '.join(given)}: give some of {', '.join(some)}")
@@ -79,15 +84,17 @@ def make_cases(
         raise BlindError(
             f"vessels = {vessels[0]}, {vessels[1]}: give limits of at least 3 with an odd number between them"
         )
-    draw = Draw(n, seed, names, tuple(networks), tuple(layouts), (vessels[0], vessels[1]))
-    jobs = [CaseDraw(draw, i, *kind, folder) for i, kind in enumerate(draw.plan())]
-    write_cases(folder, key, jobs, draw_case, draw=draw.digest, there=_there, cores=cores, done=done)
+    secret = secret or (read_head(key) or {}).get("secret") or secrets.token_hex(16)
+    draw = Draw(n, secret, names, tuple(networks), tuple(layouts), (vessels[0], vessels[1]))
+    jobs = [CaseDraw(draw, i, *kind) for i, kind in enumerate(draw.plan())]
+    write_cases(folder, key, jobs, draw_case, head=draw.head, totals=_redrawn, cores=cores, done=done)
     return key
 
 
-def _there(folder: Path, entry: dict[str, Any]) -> bool:
-    """Whether the case of an entry was written in full."""
-    try:
-        return bool(load_study(folder).checksum == entry["digest"])
-    except StudyError:
-        return False
+def _redrawn(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Effect -> how many of its draws were kept, and drawn again for which reason, over all cases."""
+    total: dict[str, Counter[str]] = {}
+    for entry in entries:
+        for name, counts in entry["redrawn"].items():
+            total.setdefault(name, Counter()).update(counts)
+    return {"redrawn": {name: dict(total[name]) for name in sorted(total)}}

@@ -9,15 +9,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from zoo.blood.baseline import get_baseline
 from zoo.blood.blind.bench import BASELINE
 from zoo.blood.diagnosis import diagnose, prior_words
 from zoo.blood.plugins import add_effects
 from zoo.blood.study import Study, StudyError, load_study
+from zoo.core.blindcheck.answers import Fitted, fitted_series
 from zoo.core.blindcheck.running import Ran, run_folders
 from zoo.core.blindcheck.sealing import BlindError
 from zoo.core.diagnosis import DiagnosisError, read_diagnosis
 from zoo.core.inference.record import versions
+
+FITTED = "fitted.json"
+FITTED_DIGITS = 7
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,7 @@ class CaseDiagnosis:
             and found.record.get("seed") == self.seed
             and found.record.get("priors") == prior_words(study, self.base, self.priors)
             and (found.posteriors is not None or not self.posteriors)
+            and (answer / FITTED).is_file()
         )
 
     def diagnose(self, case: Path, answer: Path) -> None:
@@ -79,7 +86,40 @@ class CaseDiagnosis:
             seed=self.seed,
             folder=answer / "posteriors" if self.posteriors else None,
         )
+        write_fitted(answer, fitted_series(found))
         found.save(answer)
+
+
+def write_fitted(answer: Path, fitted: Fitted) -> None:
+    """Write the series that a diagnosis fitted, which what it states of the discrepancy is about."""
+    content = {
+        "about": list(fitted.rows),
+        "base": np.round(fitted.base, FITTED_DIGITS).tolist(),
+        "leader": np.round(fitted.leader, FITTED_DIGITS).tolist(),
+    }
+    (answer / FITTED).write_text(json.dumps(content) + "\n", encoding="utf-8")
+
+
+def read_fitted(answer: Path) -> Fitted | None:
+    """What `write_fitted` wrote; None where answers are of a version that did not.
+
+    Raises
+    ------
+    BlindError
+        If it is broken.
+    """
+    path = answer / FITTED
+    if not path.exists():
+        return None
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        base, leader = (np.array(found[name], dtype=float) for name in ("base", "leader"))
+        rows = tuple(int(i) for i in found["about"])
+        if base.ndim != 2 or base.shape != leader.shape or not set(rows) <= set(range(len(base))) or not rows:
+            raise ValueError
+    except (OSError, ValueError, KeyError, TypeError):
+        raise BlindError(f"{path}: is broken; make it again with `zoo blind run`") from None
+    return Fitted(base, leader, rows)
 
 
 def _digests(paths: Sequence[str]) -> list[str]:

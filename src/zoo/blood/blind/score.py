@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from zoo.blood.blind.keys import read_key
-from zoo.blood.blind.run import read_case_facts
+from zoo.blood.blind.run import read_case_facts, read_fitted
 from zoo.core.blindcheck.answers import Answer, as_answer
 from zoo.core.blindcheck.check_score import CheckScore, score_answers
 from zoo.core.blindcheck.running import read_answers
@@ -15,13 +15,13 @@ from zoo.core.blindcheck.tables import write_score
 from zoo.core.diagnosis import read_diagnosis
 
 BY = ("kind", "layout", "effect", "gap", "network")
-GAP_EDGES = (0.0, 0.15, 0.25, 0.4, 0.65, 1.0, math.inf)
+GAP_EDGES = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, math.inf)
 """Of the bins of model discrepancy, mmHg."""
 
 
 def read_answer(folder: Path) -> Answer:
     """The answer that a folder of `diagnose_cases` holds, with the tree of its vessels."""
-    return as_answer(read_diagnosis(folder), read_case_facts(folder)["parents"])
+    return as_answer(read_diagnosis(folder), read_case_facts(folder)["parents"], read_fitted(folder))
 
 
 def score_cases(answers: str | Path, key: str | Path, out: str | Path) -> CheckScore:

@@ -7,7 +7,13 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.diagnosis.diagnosis import Diagnosis
 from zoo.core.effects import EVERYWHERE, Location
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -24,6 +30,8 @@ class Explanation:
     location : Location
     amplitude, amplitude_sd : float, optional
         Posterior mean and standard deviation of the effect's first parameter.
+    prior_probability : float, optional
+        What the prior alone gives, had the data said nothing.
     """
 
     name: str
@@ -32,6 +40,47 @@ class Explanation:
     location: Location = EVERYWHERE
     amplitude: float | None = None
     amplitude_sd: float | None = None
+    prior_probability: float | None = None
+
+
+@dataclass(frozen=True)
+class Size:
+    """A stated size with its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Series that an answer fits to the data.
+
+    Parameters
+    ----------
+    base, leader : array (n_series, n_times)
+        Of the baseline, and of the leading explanation; the baseline's where that is no effect.
+    rows : tuple of int
+        The series that the stated discrepancy is of.
+    """
+
+    base: Array
+    leader: Array
+    rows: tuple[int, ...]
+
+    def left(self, truth: Array) -> tuple[float, float]:
+        """Rms of the noise-free data minus the baseline's fit, and minus the leader's.
+
+        Raises
+        ------
+        ValueError
+            If the series have other lengths.
+        """
+        if truth.shape != self.base.shape:
+            raise ValueError(f"the key's series have the shape {truth.shape}, the fit's {self.base.shape}")
+        rows = list(self.rows)
+        base, leader = (float(np.sqrt(np.mean((truth - x)[rows] ** 2))) for x in (self.base, self.leader))
+        return base, leader
 
 
 @dataclass(frozen=True)
@@ -45,8 +94,10 @@ class Answer:
         Names of explanations that these data cannot show; a uniform guess gives them no share.
     cause : tuple of str
         Names that the diagnosis calls the cause together.
-    removed, removed_low, removed_high : float, optional
-        Part of the model discrepancy that the cause removes, and its 95 % interval.
+    gap_before, gap_after : Size, optional
+        Stated model discrepancy of the baseline, and with the leading explanation.
+    fitted : Fitted, optional
+        What these are compared with, beside the noise-free data.
     parents : mapping, optional
         Part of the simulator -> the part above it, None for the root: distances between locations.
     seconds : float
@@ -58,9 +109,9 @@ class Answer:
     explanations: tuple[Explanation, ...]
     invisible: frozenset[str] = frozenset()
     cause: tuple[str, ...] = ()
-    removed: float | None = None
-    removed_low: float | None = None
-    removed_high: float | None = None
+    gap_before: Size | None = None
+    gap_after: Size | None = None
+    fitted: Fitted | None = field(default=None, compare=False)
     parents: Mapping[Any, Any] = field(default_factory=dict)
     seconds: float = math.nan
     checksum: str = ""
@@ -85,7 +136,7 @@ class Answer:
         return total
 
 
-def as_answer(found: Any, parents: Mapping[Any, Any] | None = None) -> Answer:
+def as_answer(found: Any, parents: Mapping[Any, Any] | None = None, fitted: Fitted | None = None) -> Answer:
     """The answer that a diagnosis gives.
 
     Parameters
@@ -94,6 +145,8 @@ def as_answer(found: Any, parents: Mapping[Any, Any] | None = None) -> Answer:
         An answer is given back as it is; a diagnosis is read from the fields of its diagnosis.json.
     parents : mapping, optional
         As in `Answer`.
+    fitted : Fitted, optional
+        That of a file, which has no series; a `Diagnosis` has its own.
 
     Returns
     -------
@@ -101,8 +154,9 @@ def as_answer(found: Any, parents: Mapping[Any, Any] | None = None) -> Answer:
     """
     if isinstance(found, Answer):
         return found
+    if isinstance(found, Diagnosis):
+        fitted = fitted_series(found)
     file = getattr(found, "file", found)
-    low, high = file.gap.removed_interval
     explanations = tuple(
         Explanation(
             h.name,
@@ -111,6 +165,7 @@ def as_answer(found: Any, parents: Mapping[Any, Any] | None = None) -> Answer:
             Location(h.place, h.subtree),
             h.amplitude.mean if h.amplitude else None,
             h.amplitude.sd if h.amplitude else None,
+            getattr(h, "prior_probability", None),
         )
         for h in file.hypotheses
     )
@@ -118,10 +173,19 @@ def as_answer(found: Any, parents: Mapping[Any, Any] | None = None) -> Answer:
         explanations,
         frozenset(file.invisible),
         tuple(file.cause),
-        file.gap.removed,
-        low,
-        high,
+        Size(file.gap.before, *file.gap.before_interval),
+        Size(file.gap.after, *file.gap.after_interval),
+        fitted,
         parents or {},
         float(file.record.get("screening_seconds", math.nan)),
         file.study_checksum,
     )
+
+
+def fitted_series(found: Diagnosis) -> Fitted:
+    """The series that a diagnosis fitted with the baseline, and with its leading explanation alone."""
+    first = found.rounds[0]
+    fits = (first.screened.least, first.best[first.leader] if first.leader in first.locations else None)
+    errors = first.screened.screening.errors
+    base, leader = (errors.unflat((fit or fits[0]).computed) for fit in fits)
+    return Fitted(base, leader, tuple(found.hooks.rows(found.data)))

@@ -9,12 +9,14 @@ from typing import Any
 
 from zoo.core.blindcheck.answers import Answer, Explanation
 from zoo.core.blindcheck.keys import SECOND, CaseKey
-from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
+from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 
 FLOOR = 1e-6
 """Least probability that the log score counts: one that was called impossible costs 13.8."""
-WITHIN = 0.1
-"""How near a stated shrinkage must be to the true one."""
+PRIOR_ONLY = 0.01
+"""A probability nearer to what the prior alone gives says nothing of the data."""
+RESOLVED = 0.2
+"""A discrepancy above this part of the noise is compared by its ratio, a smaller one by the difference."""
 MAJORITY = 0.5
 
 
@@ -26,6 +28,8 @@ class CaseScore:
     ----------
     tags : mapping
         Of the key.
+    accepted : tuple of str
+        Explanations that are right, by name.
     gap, noise : float
         Model discrepancy of the refitted baseline, and standard deviation of the noise.
     rank, group_rank : int or None
@@ -39,16 +43,22 @@ class CaseScore:
     probability, group_probability : float
         Of what is true; with all that the data cannot tell from it.
     log_score, brier : float
-        log p, and the sum over explanations of (p - 1[true])^2; `group_`: a group counts as one explanation;
-        `uniform_`: of a guess that gives every explanation the same probability.
+        log p, and the sum over explanations of (p - 1[true])^2; `group_`: a group counts as one explanation.
+    prior_probability : float or None
+        What the prior alone gives the leading group.
     place, leader_place : int, str or None
         Part of the true location and of the leader's.
     distance : int or None
         Parts between the true location and the leader's; None if one of them has none.
-    shrinkage, shrinkage_true, shrinkage_low, shrinkage_high : float or None
-        Stated with its 95 % interval, and true.
+    gap_stated, gap_low, gap_high, gap_true : float or None
+        Discrepancy of the baseline: stated with its 95 % interval, and the rms of the noise-free data minus
+        the fit.
+    left, left_low, left_high, left_true : float or None
+        The same with the leading explanation; only where that is an effect.
     amplitude, amplitude_sd, amplitude_true : float or None
         Of the true effect, whatever leads.
+    amplitude_prior_low, amplitude_prior_high : float or None
+        Central 95 % interval of its prior.
     """
 
     case: str
@@ -58,6 +68,7 @@ class CaseScore:
     noise: float
     answered: bool
     tags: Mapping[str, str] = field(default_factory=dict)
+    accepted: tuple[str, ...] = ()
     leader: str = ""
     leader_probability: float = 0.0
     right: bool = False
@@ -71,22 +82,25 @@ class CaseScore:
     group_probability: float = 0.0
     log_score: float | None = None
     group_log_score: float | None = None
-    uniform_log_score: float | None = None
-    uniform_group_log_score: float | None = None
     brier: float | None = None
     group_brier: float | None = None
-    uniform_brier: float | None = None
-    uniform_group_brier: float | None = None
+    prior_probability: float | None = None
     place: int | str | None = None
     leader_place: int | str | None = None
     distance: int | None = None
-    shrinkage: float | None = None
-    shrinkage_low: float | None = None
-    shrinkage_high: float | None = None
-    shrinkage_true: float | None = None
+    gap_stated: float | None = None
+    gap_low: float | None = None
+    gap_high: float | None = None
+    gap_true: float | None = None
+    left: float | None = None
+    left_low: float | None = None
+    left_high: float | None = None
+    left_true: float | None = None
     amplitude: float | None = None
     amplitude_sd: float | None = None
     amplitude_true: float | None = None
+    amplitude_prior_low: float | None = None
+    amplitude_prior_high: float | None = None
     seconds: float = math.nan
 
     @property
@@ -95,32 +109,63 @@ class CaseScore:
         return self.gap / self.noise
 
     @property
-    def shrinkage_within(self) -> bool | None:
-        """Whether the stated shrinkage is near the true one."""
-        if self.shrinkage is None or self.shrinkage_true is None:
-            return None
-        return abs(self.shrinkage - self.shrinkage_true) <= WITHIN
+    def gap_covered(self) -> bool | None:
+        """Whether the interval of the baseline's discrepancy holds the true one."""
+        return _holds(self.gap_low, self.gap_high, self.gap_true)
 
     @property
-    def shrinkage_covered(self) -> bool | None:
-        """Whether its interval holds the true one."""
-        if self.shrinkage_low is None or self.shrinkage_high is None or self.shrinkage_true is None:
+    def left_covered(self) -> bool | None:
+        """Whether the interval of what the leading explanation leaves holds what it does."""
+        return _holds(self.left_low, self.left_high, self.left_true)
+
+    @property
+    def left_ratio(self) -> float | None:
+        """Stated over true, where more than a fifth of the noise is left."""
+        if self.left is None or self.left_true is None or not self.left_true > RESOLVED * self.noise:
             return None
-        return self.shrinkage_low <= self.shrinkage_true <= self.shrinkage_high
+        return self.left / self.left_true
+
+    @property
+    def left_error(self) -> float | None:
+        """Stated minus true, where less is left."""
+        if self.left is None or self.left_true is None or self.left_true > RESOLVED * self.noise:
+            return None
+        return self.left - self.left_true
+
+    @property
+    def z(self) -> float | None:
+        """Stated amplitude minus the true one, over its stated sd."""
+        if self.amplitude is None or self.amplitude_sd is None or self.amplitude_true is None:
+            return None
+        off = self.amplitude - self.amplitude_true
+        return (
+            off / self.amplitude_sd if self.amplitude_sd > 0 else math.copysign(math.inf, off) if off else 0.0
+        )
 
     @property
     def amplitude_covered(self) -> bool | None:
         """Whether the stated amplitude's 95 % interval holds the true one."""
-        if self.amplitude is None or self.amplitude_sd is None or self.amplitude_true is None:
+        return None if self.z is None else abs(self.z) <= 1.96
+
+    @property
+    def prior_covered(self) -> bool | None:
+        """Whether the prior's 95 % interval holds the true amplitude."""
+        return _holds(self.amplitude_prior_low, self.amplitude_prior_high, self.amplitude_true)
+
+    @property
+    def prior_only(self) -> bool | None:
+        """Whether the leading group's probability is what the prior alone gives it."""
+        if self.prior_probability is None:
             return None
-        return abs(self.amplitude - self.amplitude_true) <= 1.96 * self.amplitude_sd
+        return abs(self.leader_probability - self.prior_probability) <= PRIOR_ONLY
 
     def record(self) -> dict[str, Any]:
         """A row of cases.csv and of score.json."""
         values = asdict(self)
         tags: dict[str, Any] = values.pop("tags")
+        values["accepted"] = " ".join(self.accepted)
         first = {name: values.pop(name) for name in ("case", "kind", "truth")}
-        derived = ("gap_over_noise", "shrinkage_within", "shrinkage_covered", "amplitude_covered")
+        derived = ("gap_over_noise", "gap_covered", "left_covered", "z", "amplitude_covered", "prior_only")
         return first | tags | values | {name: getattr(self, name) for name in derived}
 
 
@@ -155,16 +200,13 @@ def tree_distance(parents: Mapping[Any, Any], a: Any, b: Any) -> int | None:
     return up.index(shared) + other.index(shared)
 
 
-def _scores(p: float, others: Iterable[float], share: float, parts: int) -> tuple[float, float, float, float]:
-    """Log and Brier score, and those of a uniform guess that gives `share` to what is true and the rest to
-    `parts` others alike."""
-    uniform = (share - 1) ** 2 + ((1 - share) ** 2 / parts if parts else 0.0)
-    return (
-        math.log(max(p, FLOOR)),
-        (p - 1) ** 2 + sum(x**2 for x in others),
-        math.log(share),
-        uniform,
-    )
+def _holds(low: float | None, high: float | None, x: float | None) -> bool | None:
+    return None if low is None or high is None or x is None else low <= x <= high
+
+
+def _scores(p: float, others: Iterable[float]) -> tuple[float, float]:
+    """Log and Brier score of the probability of what is true, and those of the rest."""
+    return math.log(max(p, FLOOR)), (p - 1) ** 2 + sum(x**2 for x in others)
 
 
 def score_case(key: CaseKey, answer: Answer | None) -> CaseScore:
@@ -182,7 +224,8 @@ def score_case(key: CaseKey, answer: Answer | None) -> CaseScore:
     """
     place = key.effects[0].location.part if len(key.effects) == 1 else None
     blank = CaseScore(
-        key.case, key.kind, key.label, key.before, key.noise, answer is not None, key.tags, place=place,
+        key.case, key.kind, key.label, key.before, key.noise, answer is not None, key.tags,
+        tuple(sorted(key.accepted)), place=place,
         false_alarm=False if key.kind == "none" else None,
         called_unlisted=False if key.kind == "outside" else None,
     )  # fmt: skip
@@ -195,22 +238,16 @@ def score_case(key: CaseKey, answer: Answer | None) -> CaseScore:
     accepted = [i for i, name in enumerate(names) if name in key.accepted]
     true_groups = {group_of[i] for i in accepted}
 
-    # explanations that these data cannot show have no probability, and no share in a uniform guess
-    visible = [i for i, name in enumerate(names) if name not in answer.invisible]
-    k, known = len(visible), sum(i in visible for i in accepted)
     p = sum(explanations[i].probability for i in accepted)
-    others = [e.probability for i, e in enumerate(explanations) if i not in accepted]
-    one = _scores(p, others, max(1, known) / k, k - known)
+    one = _scores(p, [e.probability for i, e in enumerate(explanations) if i not in accepted])
     p_group = sum(total[g] for g in true_groups)
-    inside = sum(group_of[i] in true_groups for i in visible)
-    outer = [total[g] for g in groups if g not in true_groups]
-    rest = len({group_of[i] for i in visible} - true_groups)
-    group = _scores(p_group, outer, max(1, inside) / k, rest)
-
+    group = _scores(p_group, [total[g] for g in groups if g not in true_groups])
+    prior = [e.prior_probability for e, own in zip(explanations, group_of, strict=True) if own == group_of[0]]
     leader_place = leader.location.part
     named = place is not None and leader_place is not None
     stated = _true_explanation(key, explanations)
-    shrinks = key.shrinkage is not None
+    blank = _with_gaps(blank, key, answer)
+    prior_interval = (key.effects[0].prior if stated else None) or (None, None)
     return replace(
         blank,
         leader=leader.name,
@@ -226,23 +263,30 @@ def score_case(key: CaseKey, answer: Answer | None) -> CaseScore:
         group_probability=min(1.0, p_group),
         log_score=one[0],
         brier=one[1],
-        uniform_log_score=one[2],
-        uniform_brier=one[3],
         group_log_score=group[0],
         group_brier=group[1],
-        uniform_group_log_score=group[2],
-        uniform_group_brier=group[3],
+        prior_probability=None if None in prior else sum(x for x in prior if x is not None),
         leader_place=leader_place,
         distance=tree_distance(answer.parents, place, leader_place) if named else None,
-        shrinkage=answer.removed if shrinks else None,
-        shrinkage_low=answer.removed_low if shrinks else None,
-        shrinkage_high=answer.removed_high if shrinks else None,
-        shrinkage_true=key.shrinkage,
         amplitude=stated.amplitude if stated else None,
         amplitude_sd=stated.amplitude_sd if stated else None,
         amplitude_true=key.effects[0].amplitude if stated else None,
+        amplitude_prior_low=prior_interval[0],
+        amplitude_prior_high=prior_interval[1],
         seconds=answer.seconds,
     )
+
+
+def _with_gaps(found: CaseScore, key: CaseKey, answer: Answer) -> CaseScore:
+    """With the stated discrepancies and the true ones, where the key has the noise-free data."""
+    before, after = answer.gap_before, answer.gap_after
+    if key.truth is None or answer.fitted is None or before is None or after is None:
+        return found
+    gap, left = answer.fitted.left(key.truth)
+    found = replace(found, gap_stated=before.mean, gap_low=before.low, gap_high=before.high, gap_true=gap)
+    if answer.explanations[0].name in (NULL, NONPARAMETRIC, CORRELATED):
+        return found
+    return replace(found, left=after.mean, left_low=after.low, left_high=after.high, left_true=left)
 
 
 def _called_unlisted(key: CaseKey, answer: Answer) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zoo.core.blindcheck.answers import Answer, as_answer
 from zoo.core.blindcheck.check_score import CheckScore, score_answers
@@ -32,8 +33,12 @@ class DrawnCase:
         Where the effect acts.
     noise : float, optional
         Standard deviation of the noise.
-    before, after : float, optional
-        Model discrepancy of the refitted baseline without and with the effect, as in `CaseKey`.
+    before : float, optional
+        Model discrepancy of the refitted baseline, as in `CaseKey`.
+    truth : array (n_series, n_times), optional
+        The data without noise; what a diagnosis states of the discrepancy is compared with it.
+    prior : (float, float), optional
+        Central 95 % interval of the prior of the amplitude.
     tags : mapping of str to str
         What else the scores should be grouped by.
     """
@@ -43,7 +48,8 @@ class DrawnCase:
     location: Location = EVERYWHERE
     noise: float = math.nan
     before: float = math.nan
-    after: float | None = None
+    truth: NDArray[np.float64] | None = None
+    prior: tuple[float, float] | None = None
     tags: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -87,9 +93,9 @@ def draw_cases(
         name = f"case-{i + 1:03d}"
         data[name] = drawn.data
         kind = "none" if label == NULL else "listed" if label in listed else "outside"
-        effects = () if kind == "none" else (TrueEffect(label, drawn.location, drawn.amplitude),)
+        effects = () if kind == "none" else (TrueEffect(label, drawn.location, drawn.amplitude, drawn.prior),)
         key.append(
-            CaseKey(name, kind, label, effects, drawn.noise, drawn.before, drawn.after, tags=drawn.tags)
+            CaseKey(name, kind, label, effects, drawn.noise, drawn.before, drawn.truth, tags=drawn.tags)
         )
     return data, key
 
@@ -169,11 +175,12 @@ def check(
     ...     found = {"drift": p, rest[0]: 0.99 - p, rest[1]: 0.01}
     ...     return Answer.ranked(found)
     >>> print(check(draw_case, diagnose, {"drift": 2, "no-gap": 1, "step": 1}, listed=["drift"]))
-    4 cases, 0 without an answer
-    true effect, or the group that holds it, ranked first          100 % (2 of 2; 34 to 100 %)
-    true effect ranked first                                       100 % (2 of 2; 34 to 100 %)
-    no-effect cases with a discrepancy found                       0 % (0 of 1; 0 to 79 %)
-    outside cases called unlisted, or no listed effect above 50 %  100 % (1 of 1; 21 to 100 %)
+    4 cases, 0 without an answer; in the last column the best constant answer
+    what is true or its group ranked first, any kind  100 % (4 of 4; 51 to 100 %)  50 % (always drift)
+    true effect or its group ranked first             100 % (2 of 2; 34 to 100 %)  100 % (always drift)
+    true effect ranked first                          100 % (2 of 2; 34 to 100 %)  100 % (always drift)
+    no-effect cases with a discrepancy found          0 % (0 of 1; 0 to 79 %)      0 % (always no-gap)
+    outside cases called unlisted or left open        100 % (1 of 1; 21 to 100 %)  100 % (always unlisted)
     """
     if cores < 1:
         raise BlindError(f"cores = {cores}: must be at least 1")

@@ -11,14 +11,18 @@ import numpy as np
 
 from zoo.core.blindcheck.answers import Answer
 from zoo.core.blindcheck.case_score import CaseScore, score_case
+from zoo.core.blindcheck.constants import best_constants, sizes, spread
 from zoo.core.blindcheck.keys import SECOND, CaseKey
 from zoo.core.blindcheck.rates import FULL_BIN, ReliabilityBin, rate, reliability
 from zoo.core.inference.record import versions
 
-FORMAT = 1
+FORMAT = 2
 CURVE_BINS = 6
 LEAST_STATED = 0.01
 """Groups of less probability are left out of the reliability of all groups."""
+SURE = 0.9999
+FAR = 5.0
+"""Stated sds from the truth that an amplitude should never be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +34,14 @@ class CheckScore:
     cases : tuple of CaseScore
     summary : dict
         Of all cases.
+    constants : dict
+        Score -> the best constant answer and its figure, as of `best_constants`.
     by : dict
         "kind", "effect", ... -> value -> summary.
+    amplitudes : dict
+        Effect -> how many sds its stated amplitudes are from the true ones.
     reliability : list of ReliabilityBin
-        Of the leading group's probability, a case each.
+        Of the leading group's probability, a case each; without those that the prior alone gives.
     reliability_all : list of ReliabilityBin
         Of every group's probability of at least 1 %.
     curve : list of dict
@@ -50,7 +58,9 @@ class CheckScore:
 
     cases: tuple[CaseScore, ...]
     summary: dict[str, Any]
+    constants: dict[str, dict[str, Any]]
     by: dict[str, dict[str, dict[str, Any]]]
+    amplitudes: dict[str, dict[str, Any]]
     reliability: list[ReliabilityBin]
     reliability_all: list[ReliabilityBin]
     curve: list[dict[str, Any]]
@@ -72,7 +82,9 @@ class CheckScore:
                 "key_checked": self.key_checked,
                 "answers_without_key": self.without_key,
                 "summary": self.summary,
+                "constants": self.constants,
                 "by": self.by,
+                "amplitudes": self.amplitudes,
                 **bins,
                 "curve": self.curve,
                 "confusion": self.confusion,
@@ -102,6 +114,39 @@ def _mean(values: Iterable[float | None]) -> float:
     return float(np.mean(given)) if given else math.nan
 
 
+def _median(values: Iterable[float | None]) -> float:
+    given = [v for v in values if v is not None]
+    return float(np.median(given)) if given else math.nan
+
+
+def _width(low: float | None, high: float | None) -> float | None:
+    return None if low is None or high is None else high - low
+
+
+def _over_prior(c: CaseScore) -> float | None:
+    """Width of the stated interval of an amplitude over that of the prior's."""
+    prior = _width(c.amplitude_prior_low, c.amplitude_prior_high)
+    return 2 * 1.96 * c.amplitude_sd / prior if c.amplitude_sd is not None and prior else None
+
+
+def amplitude_errors(cases: Sequence[CaseScore]) -> dict[str, dict[str, Any]]:
+    """For each effect, how many stated sds its stated amplitudes are from the true ones."""
+    found: dict[str, list[float]] = {}
+    for c in cases:
+        if c.z is not None:
+            found.setdefault(c.truth, []).append(c.z)
+    return {
+        name: {
+            "n": len(z),
+            "mean": float(np.mean(z)),
+            "largest": max(z, key=abs),
+            "beyond_5_sd": sum(abs(x) > FAR for x in z),
+            "held": sum(abs(x) <= 1.96 for x in z),
+        }
+        for name, z in sorted(found.items())
+    }
+
+
 def summarise(cases: Sequence[CaseScore]) -> dict[str, Any]:
     """Rates with their 95 % intervals, and mean scores, of some cases.
 
@@ -117,11 +162,9 @@ def summarise(cases: Sequence[CaseScore]) -> dict[str, Any]:
     listed = [c for c in cases if c.kind == "listed"]
     placed = [c for c in listed if c.place is not None and c.answered]
     named = [c for c in placed if c.leader_place is not None]
-    ratios = [c.amplitude / c.amplitude_true for c in cases if c.amplitude is not None and c.amplitude_true]
-    scores = (
-        "log_score", "uniform_log_score", "group_log_score", "uniform_group_log_score",
-        "brier", "uniform_brier", "group_brier", "uniform_group_brier",
-    )  # fmt: skip
+    given = [c for c in cases if c.answered]
+    sure = [c for c in given if c.leader_probability > SURE]
+    z = [abs(c.z) for c in cases if c.z is not None]
     return {
         "n": len(cases),
         "failed": sum(not c.answered for c in cases),
@@ -133,15 +176,31 @@ def summarise(cases: Sequence[CaseScore]) -> dict[str, Any]:
         "false_alarms": rate(c.false_alarm for c in cases),
         "outside_called_unlisted": rate(c.called_unlisted for c in cases),
         "second_effect_one_of_two_first": rate(c.group_first for c in cases if c.truth == SECOND),
-        "shrinkage_within_10_points": rate(c.shrinkage_within for c in cases),
-        "shrinkage_interval_holds_truth": rate(c.shrinkage_covered for c in cases),
-        "amplitude_interval_holds_truth": rate(c.amplitude_covered for c in cases),
-        "amplitude_ratio_median": float(np.median(ratios)) if ratios else math.nan,
+        "gap_interval_holds_truth": rate(c.gap_covered for c in cases)
+        | {"width": _median(_width(c.gap_low, c.gap_high) for c in cases)},
+        "left_interval_holds_truth": rate(c.left_covered for c in cases)
+        | {"width": _median(_width(c.left_low, c.left_high) for c in cases)},
+        "left_ratio": spread(c.left_ratio for c in cases if c.left_ratio is not None),
+        "left_error": sizes(c.left_error for c in cases if c.left_error is not None),
+        "amplitude_interval_holds_truth": rate(c.amplitude_covered for c in cases)
+        | {"width_over_prior": _median(_over_prior(c) for c in cases)},
+        "amplitude_ratio_median": _median(
+            c.amplitude / c.amplitude_true for c in cases if c.amplitude is not None and c.amplitude_true
+        ),
+        "amplitude_beyond_5_sd": rate(x > FAR for x in z),
+        "leader_brier": _mean((c.leader_probability - c.right) ** 2 for c in given),
+        "prior_only": rate(c.prior_only for c in given),
+        "prior_only_right": rate(c.right for c in given if c.prior_only),
+        "sure": rate(c.leader_probability > SURE for c in given),
+        "sure_right": rate(c.right for c in sure),
         "place_named": rate(c.leader_place is not None for c in placed),
         "place_exact": rate(c.distance == 0 for c in named),
         "place_within_1": rate(c.distance is not None and c.distance <= 1 for c in named),
         "place_mean_distance": _mean(c.distance for c in named),
-        **{name: _mean(getattr(c, name) for c in cases) for name in scores},
+        **{
+            name: _mean(getattr(c, name) for c in cases)
+            for name in ("log_score", "group_log_score", "brier", "group_brier")
+        },
         "screening_seconds": float(np.nansum([c.seconds for c in cases])),
     }
 
@@ -219,13 +278,15 @@ def assemble(
         row = confusion.setdefault(c.truth, {})
         said = c.leader if c.answered else "failed"
         row[said] = row.get(said, 0) + 1
-    given = [c for c in cases if c.answered]
+    told = [c for c in cases if c.answered and not c.prior_only]
     kept = [(p, right) for p, right in stated if p >= LEAST_STATED]
     return CheckScore(
         tuple(cases),
         summarise(cases),
+        best_constants(cases),
         {name: _grouped(cases, name, gap_edges) for name in by},
-        reliability([c.leader_probability for c in given], [c.right for c in given]),
+        amplitude_errors(cases),
+        reliability([c.leader_probability for c in told], [c.right for c in told]),
         reliability([p for p, _ in kept], [right for _, right in kept]),
         accuracy_curve(cases),
         confusion,

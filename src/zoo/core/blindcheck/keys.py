@@ -6,6 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
 from zoo.core.effects import EVERYWHERE, Location
 
@@ -24,11 +27,14 @@ class TrueEffect:
     location : Location
     amplitude : float, optional
         In the unit of the effect's parameter; None where there is no stated size to compare it with.
+    prior : (float, float), optional
+        Central 95 % interval of the prior that the amplitude was drawn from.
     """
 
     name: str
     location: Location = EVERYWHERE
     amplitude: float | None = None
+    prior: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -45,10 +51,11 @@ class CaseKey:
     effects : tuple of TrueEffect
     noise : float
         Standard deviation of the noise, in the unit of the data; NaN if unknown.
-    before, after : float
-        Model discrepancy of the refitted baseline without and with the true effect: rms of the noise-free
-        data minus the fit, in the unit of the data. `before` is NaN if unknown, `after` None if unknown or
-        if the effect is no part of a solve.
+    before : float
+        Model discrepancy of the refitted baseline: rms of the noise-free data minus the fit, in the unit of
+        the data; NaN if unknown.
+    truth : array (n_series, n_times), optional
+        The data without noise.
     digest : str
         Checksum of the case's data; empty where the key has none.
     tags : mapping of str to str
@@ -61,7 +68,7 @@ class CaseKey:
     effects: tuple[TrueEffect, ...] = ()
     noise: float = math.nan
     before: float = math.nan
-    after: float | None = None
+    truth: NDArray[np.float64] | None = field(default=None, compare=False)
     digest: str = ""
     tags: Mapping[str, str] = field(default_factory=dict)
 
@@ -78,10 +85,3 @@ class CaseKey:
     def accepted(self) -> frozenset[str]:
         """What a probability may stand for: of two effects, also that neither explains the data alone."""
         return self.names | {NONPARAMETRIC} if self.label == SECOND else self.names
-
-    @property
-    def shrinkage(self) -> float | None:
-        """Part of the discrepancy that the true effect removes, of listed effects whose `after` is known."""
-        if self.kind != "listed" or self.after is None or not self.before > 0:
-            return None
-        return 1 - self.after / self.before

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from zoo.core.blindcheck.sealing import KEY_DIGEST, BlindError, read_entries, read_lines, seal
+from zoo.core.blindcheck.sealing import (
+    KEY_DIGEST,
+    BlindError,
+    MadeCase,
+    read_head,
+    read_key_file,
+    read_made,
+    replace_file,
+    seal,
+    unfinished,
+)
 from zoo.core.inference.workers import each
 
 
@@ -60,27 +71,28 @@ def write_cases(
     folder: Path,
     key: Path,
     jobs: Sequence[C],
-    write: Callable[[C], dict[str, Any]],
+    make: Callable[[C], MadeCase],
     *,
-    draw: str,
-    there: Callable[[Path, dict[str, Any]], bool],
+    head: Mapping[str, Any],
+    totals: Callable[[Sequence[Mapping[str, Any]]], Mapping[str, Any]] = lambda entries: {},
     cores: int = 1,
     done: Callable[[str], None] = lambda case: None,
 ) -> None:
-    """Write the folders of cases, and the key apart; cases that an interrupted call wrote are kept.
+    """Make cases, then write all of them in one pass, and the key apart.
+
+    What an interrupted call made is kept beside the key and used again.
 
     Parameters
     ----------
     folder, key : Path
         The key lies outside the folder.
     jobs : sequence of CaseJob
-    write : callable
-        Writes the folder of a job and returns its entry of the key, which says at least "case" (the name) and
-        "draw". Importable by name if cores > 1.
-    draw : str
-        Digest of all that shapes the cases.
-    there : callable
-        Whether a folder holds the case that an entry tells of.
+    make : callable
+        Makes the case of a job. Importable by name if cores > 1.
+    head : mapping
+        All that shapes the cases, in JSON's types; the key begins with it.
+    totals : callable
+        What else the key says of all cases, from their entries.
     cores : int
     done : callable
         Told the name of each finished case.
@@ -91,31 +103,50 @@ def write_cases(
         If folder and key hold another draw, or cannot be written to.
     """
     refuse_key_inside(folder, key)
-    part = key.with_name(key.name + ".part")
-    entries = {entry["case"]: entry for entry in (*read_entries(key), *read_lines(part))}
-    if any(entry.get("draw") != draw for entry in entries.values()):
+    known = read_head(key)
+    head = json.loads(json.dumps(head))
+    if known is not None and any(known.get(name) != value for name, value in head.items()):
         raise BlindError(f"{key}: is the key of another draw; give another --key, or remove it")
     if folder.is_dir():
-        known = {job.name for job in jobs} | {KEY_DIGEST}
-        rest = sorted(p.name for p in folder.iterdir() if p.name not in known)
+        names = {job.name for job in jobs} | {KEY_DIGEST}
+        rest = sorted(p.name for p in folder.iterdir() if p.name not in names)
         if rest:
             raise BlindError(f"{folder}: holds {rest[0]}, which is none of these cases; give an empty folder")
-    if (folder / KEY_DIGEST).is_file() and not entries:
-        raise BlindError(
-            f"{folder}: holds cases whose key is not {key}; give an empty folder, or the key that is theirs"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-    waiting = []
-    for job in jobs:
-        if job.name in entries and there(folder / job.name, entries[job.name]):
+        if known is None and any(folder.iterdir()):
+            raise BlindError(
+                f"{folder}: holds cases whose key is not {key}; give an empty folder, or their key"
+            )
+    if key.exists() and all(_written(folder, entry) for entry in read_key_file(key)["cases"]):
+        for job in jobs:
             done(job.name)
-        else:
-            waiting.append(job)
+        return
+    made = read_made(key)
+    for name in made:
+        done(name)
+    part = unfinished(key)
+    lines = [head, *(vars(one) for one in made.values())]  # without a line that was cut off
+    replace_file(part, "".join(json.dumps(line) + "\n" for line in lines))
     with part.open("a", encoding="utf-8") as record:
-        for _, entry in in_processes(write, waiting, cores):
-            entries[entry["case"]] = entry
-            record.write(json.dumps(entry) + "\n")
+        for _, case in in_processes(make, [job for job in jobs if job.name not in made], cores):
+            name = case.entry["case"]
+            made[name] = MadeCase({**case.entry, "files": _digest(case.files)}, case.files)
+            record.write(json.dumps(vars(made[name])) + "\n")
             record.flush()
-            done(entry["case"])
-    seal(folder, key, [entries[job.name] for job in jobs])
+            done(name)
+    cases = [made[job.name] for job in jobs]
+    seal(folder, key, {**head, **totals([case.entry for case in cases])}, cases)
     part.unlink()
+
+
+def _digest(files: Mapping[str, str]) -> str:
+    """SHA-256 of the names and contents of files."""
+    return hashlib.sha256(json.dumps(dict(sorted(files.items()))).encode()).hexdigest()
+
+
+def _written(folder: Path, entry: Mapping[str, Any]) -> bool:
+    """Whether the case of an entry was written in full."""
+    try:
+        files = {p.name: p.read_text(encoding="utf-8") for p in (folder / entry["case"]).iterdir()}
+    except (OSError, UnicodeDecodeError):
+        return False
+    return _digest(files) == entry.get("files")

@@ -1,11 +1,13 @@
-"""A key and its cases on disk: kept apart, tied by a digest, and told by no time stamp."""
+"""A key and its cases on disk: kept apart, tied by a digest, and written so that no time tells anything."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+import random
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,22 @@ _TIME = 1577836800
 
 class BlindError(ValueError):
     """Cases, answers or a key that cannot be used; the text says why and what to change."""
+
+
+@dataclass(frozen=True)
+class MadeCase:
+    """A case that is made and not yet written.
+
+    Parameters
+    ----------
+    entry : mapping
+        What the key says about it, "case" (its name) at least.
+    files : mapping of str to str
+        Name of each file in the case's folder -> its content.
+    """
+
+    entry: Mapping[str, Any]
+    files: Mapping[str, str]
 
 
 def replace_file(path: Path, text: str) -> None:
@@ -40,27 +58,58 @@ def refuse_key_among(cases: Path) -> None:
                 )
 
 
-def read_entries(key: Path) -> list[dict[str, Any]]:
-    """Entries of a key, none if there is no such file yet.
+def read_head(key: Path) -> dict[str, Any] | None:
+    """What a key, or what an interrupted call left of it, says of all cases; None if neither is there.
 
     Raises
     ------
     BlindError
         If the file is no key.
     """
-    if not key.exists():
-        return []
+    if key.exists():
+        return {name: value for name, value in read_key_file(key).items() if name != "cases"}
+    lines = _read_lines(unfinished(key))
+    return lines[0] if lines else None
+
+
+def read_key_file(key: Path) -> dict[str, Any]:
+    """Content of a key: what it says of all cases, and "cases", a list with an entry for each.
+
+    Raises
+    ------
+    BlindError
+        If it cannot be read, or is no key.
+    """
     try:
-        found = json.loads(key.read_text(encoding="utf-8"))
-        if not isinstance(found, list) or not all(isinstance(e, dict) and "case" in e for e in found):
-            raise ValueError
-    except (OSError, ValueError):
-        raise BlindError(f"{key}: is there and is no key; give another --key") from None
-    return found
+        return _parsed(key.read_bytes())
+    except OSError as error:
+        raise BlindError(
+            f"{key}: cannot be read ({error.strerror}); give the key of `zoo blind make`"
+        ) from None
+    except ValueError:
+        raise BlindError(f"{key}: is there and is no key of this version; give another --key") from None
 
 
-def read_lines(part: Path) -> list[dict[str, Any]]:
-    """Entries of an unfinished key; a last line that was cut off is left out."""
+def _parsed(content: bytes) -> dict[str, Any]:
+    found = json.loads(content)
+    entries = found.get("cases") if isinstance(found, dict) else None
+    if not isinstance(entries, list) or not all(isinstance(e, dict) and "case" in e for e in entries):
+        raise ValueError("no key")
+    return dict(found)
+
+
+def unfinished(key: Path) -> Path:
+    """Where cases are kept until all are made: beside the key, since their order and times tell of solves."""
+    return key.with_name(key.name + ".part")
+
+
+def read_made(key: Path) -> dict[str, MadeCase]:
+    """Cases that an interrupted call made, by name."""
+    return {e["entry"]["case"]: MadeCase(e["entry"], e["files"]) for e in _read_lines(unfinished(key))[1:]}
+
+
+def _read_lines(part: Path) -> list[dict[str, Any]]:
+    """Lines of an unfinished key; a last line that was cut off is left out."""
     found = []
     for line in part.read_text(encoding="utf-8").splitlines() if part.exists() else []:
         try:
@@ -70,24 +119,37 @@ def read_lines(part: Path) -> list[dict[str, Any]]:
     return found
 
 
-def seal(folder: Path, key: Path, entries: Sequence[dict[str, Any]]) -> None:
-    """Write the key, put its SHA-256 beside the cases, and give all their files one time stamp.
+def seal(folder: Path, key: Path, head: Mapping[str, Any], made: Sequence[MadeCase]) -> None:
+    """Write all cases in one pass, the key, and the key's SHA-256 beside the cases.
+
+    Nothing is computed between two files, and the cases are written in an order that nobody knows: neither
+    times of birth nor the numbers that the file system gives tell how long a case took or when it came.
+    The times that can be set are one.
 
     Parameters
     ----------
-    folder : Path
-        With a folder for each case, named by the entry's "case".
-    key : Path
-    entries : sequence of dict
-        In the order of the cases' names, in which they are stamped too.
+    folder, key : Path
+    head : mapping
+        What the key says of all cases.
+    made : sequence of MadeCase
+        In the order of the cases' names.
     """
-    text = json.dumps(list(entries), indent=1) + "\n"
+    text = json.dumps({**head, "cases": [dict(one.entry) for one in made]}, indent=1) + "\n"
+    contents = [
+        (folder / one.entry["case"] / name, content.encode())
+        for one in made
+        for name, content in one.files.items()
+    ]
+    random.SystemRandom().shuffle(contents)
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in dict.fromkeys(path.parent for path, _ in contents):
+        path.mkdir(exist_ok=True)
+    for path, content in contents:
+        path.write_bytes(content)
     replace_file(key, text)
     replace_file(folder / KEY_DIGEST, f"{hashlib.sha256(text.encode()).hexdigest()}  key.json\n")
-    for entry in entries:
-        case = folder / entry["case"]
-        for path in (*sorted(case.iterdir()), case):
-            os.utime(path, (_TIME, _TIME))
+    for path in (*(path for path, _ in contents), *{path.parent for path, _ in contents}):
+        os.utime(path, (_TIME, _TIME))
     for path in (folder / KEY_DIGEST, folder):
         os.utime(path, (_TIME, _TIME))
 
@@ -121,4 +183,7 @@ def read_sealed(key: Path, answers: Path) -> list[dict[str, Any]]:
             f"{key}: is not the key of these cases, or was changed: its SHA-256 is not that in {digest}; "
             "give the file that `zoo blind make` wrote with them"
         )
-    return list(json.loads(content))
+    try:
+        return list(_parsed(content)["cases"])
+    except ValueError:
+        raise BlindError(f"{key}: is no key of this version; make the cases again") from None

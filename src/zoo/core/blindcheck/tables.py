@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,18 +13,34 @@ from zoo.core.blindcheck.check_score import CheckScore
 from zoo.core.blindcheck.sealing import replace_file
 
 HEADLINES = (
-    ("effect_or_group_first", "true effect, or the group that holds it, ranked first"),
+    ("right", "what is true or its group ranked first, any kind"),
+    ("effect_or_group_first", "true effect or its group ranked first"),
     ("effect_first", "true effect ranked first"),
     ("false_alarms", "no-effect cases with a discrepancy found"),
-    ("outside_called_unlisted", "outside cases called unlisted, or no listed effect above 50 %"),
+    ("outside_called_unlisted", "outside cases called unlisted or left open"),
     ("second_effect_one_of_two_first", "of two effects, one (or its group) ranked first"),
-    ("shrinkage_within_10_points", "stated shrinkage within 10 points of the true one"),
-    ("shrinkage_interval_holds_truth", "its 95 % interval holds the true one"),
+    ("gap_interval_holds_truth", "95 % interval of the baseline's discrepancy holds the true one"),
+    ("left_interval_holds_truth", "95 % interval of what the leader leaves holds what it leaves"),
     ("amplitude_interval_holds_truth", "95 % interval of the effect parameter holds the true one"),
+    ("amplitude_beyond_5_sd", "effect parameter more than 5 stated sds from the true one"),
+    ("prior_only", "leading probability within 1 % of what the prior alone gives"),
+    ("prior_only_right", "those of them that are right"),
+    ("sure", "leading probability above 0.9999"),
+    ("sure_right", "those of them that are right"),
     ("place_exact", "location named is the true one"),
     ("place_within_1", "location named is the true one or next to it"),
 )
 """Rates of a summary, in words."""
+
+
+MEANS = (
+    ("leader_brier", "Brier score of the leading group's probability"),
+    ("log_score", "log score by explanation"),
+    ("group_log_score", "log score by group"),
+    ("brier", "Brier score by explanation"),
+    ("group_brier", "Brier score by group"),
+)
+"""Mean scores of a summary, in words."""
 
 
 def rate_text(rate: Mapping[str, Any]) -> str:
@@ -35,25 +52,70 @@ def rate_text(rate: Mapping[str, Any]) -> str:
 
 
 def rates_text(score: CheckScore) -> str:
-    """The rates that count any case, a line each, with their 95 % intervals."""
-    s = score.summary
-    rows = [(words, rate_text(s[name])) for name, words in HEADLINES if s[name]["n"]]
-    width = max((len(words) for words, _ in rows), default=0)
-    lines = [f"{s['n']} cases, {s['failed']} without an answer"]
-    return "\n".join(lines + [f"{words:<{width}}  {text}" for words, text in rows])
+    """The rates that a constant answer can have, with 95 % intervals, a line each beside that answer."""
+    s, best = score.summary, score.constants
+    rows = [
+        (words, rate_text(s[name]), constant_text(best[name]))
+        for name, words in HEADLINES
+        if name in best and s[name]["n"]
+    ]
+    wide, middle = (max((len(row[i]) for row in rows), default=0) for i in (0, 1))
+    lines = [f"{s['n']} cases, {s['failed']} without an answer; in the last column the best constant answer"]
+    return "\n".join(lines + [f"{a:<{wide}}  {b:<{middle}}  {c}" for a, b, c in rows])
+
+
+def constant_text(constant: Mapping[str, Any] | None) -> str:
+    """Such as "9 % (always taper)"; a dash where no constant answer says anything."""
+    if not constant or not constant.get("n", 1):
+        return "–"
+    value = f"{100 * constant['share']:.0f} %" if "share" in constant else f"{constant['value']:.3f}"
+    return f"{value} ({constant['answer']})"
+
+
+def size_rows(score: CheckScore) -> list[tuple[str, str, str]]:
+    """What is said of sizes, in words: its figure, and that of the best constant answer."""
+    s, best = score.summary, score.constants
+    rows = []
+    if s["left_ratio"]["n"]:
+        words = "what the leader leaves, above a fifth of the noise: stated over true"
+        rows.append((words, _spread_text(s["left_ratio"]), _spread_text(best["left_ratio"], constant=True)))
+    if s["left_error"]["n"]:
+        words = "below: size of the error, median, upper quartile, largest"
+        rows.append((words, _sizes_text(s["left_error"]), _sizes_text(best["left_error"], constant=True)))
+    for name, words in (("gap", "the baseline's discrepancy"), ("left", "what the leader leaves")):
+        own, constant = s[f"{name}_interval_holds_truth"], best[f"{name}_interval_holds_truth"]
+        if own["n"]:
+            told = f"{constant['width']:.3g} (holds {100 * constant['share']:.0f} %)"
+            rows.append((f"width of the interval of {words}, median", f"{own['width']:.3g}", told))
+    own = s["amplitude_interval_holds_truth"]
+    if own["n"] and math.isfinite(own["width_over_prior"]):
+        words = "width of the effect parameter's interval over the prior's, median"
+        rows.append((words, f"{own['width_over_prior']:.3g}", "1"))
+    return rows
+
+
+def _spread_text(x: Mapping[str, Any], *, constant: bool = False) -> str:
+    text = f"{x['median']:.2f} (quartiles {x['low']:.2f} and {x['high']:.2f}, worst {x['worst']:.3g})"
+    return f"{text}, {x['answer']}" if constant else f"{text}, {x['n']} cases"
+
+
+def _sizes_text(x: Mapping[str, Any], *, constant: bool = False) -> str:
+    text = f"{x['median']:.3g}, {x['high']:.3g}, {x['worst']:.3g}"
+    return f"{text}, {x['answer']}" if constant else f"{text}, {x['n']} cases"
 
 
 def score_table(score: CheckScore) -> str:
     """A score in Markdown: rates, mean scores, reliability, and the rates of each grouping."""
-    s = score.summary
-    lines = [f"{s['n']} cases, {s['failed']} without an answer.", "", "| | |", "|---|---|"]
-    lines += [f"| {words} | {rate_text(s[name])} |" for name, words in HEADLINES]
+    s, best = score.summary, score.constants
+    lines = [f"{s['n']} cases, {s['failed']} without an answer. Sizes are in the unit of the data.", ""]
+    lines += ["| | | best constant answer |", "|---|---|---|"]
     lines += [
-        f"| log score by explanation (uniform guess) | {s['log_score']:.2f} ({s['uniform_log_score']:.2f}) |",
-        f"| log score by group | {s['group_log_score']:.2f} ({s['uniform_group_log_score']:.2f}) |",
-        f"| Brier score by explanation | {s['brier']:.3f} ({s['uniform_brier']:.3f}) |",
-        f"| Brier score by group | {s['group_brier']:.3f} ({s['uniform_group_brier']:.3f}) |",
-        f"| screening, minutes of one core | {s['screening_seconds'] / 60:.1f} |",
+        f"| {words} | {rate_text(s[name])} | {constant_text(best.get(name))} |" for name, words in HEADLINES
+    ]
+    lines += [f"| {words} | {own} | {constant} |" for words, own, constant in size_rows(score)]
+    lines += [f"| {words} | {s[name]:.3f} | {constant_text(best[name])} |" for name, words in MEANS]
+    lines += [
+        f"| screening, minutes of one core | {s['screening_seconds'] / 60:.1f} | |",
         "",
         "| stated probability of the leading group | cases | mean stated | right | 95 % range if reliable |",
         "|---|---|---|---|---|",
@@ -62,11 +124,18 @@ def score_table(score: CheckScore) -> str:
         f"| {b.low:g} to {b.high:g} | {b.n} | {b.stated:.3f} | {b.right} | {b.band[0]} to {b.band[1]} |"
         for b in score.reliability
     ]
-    for what, rows in score.by.items():
-        lines += ["", f"| {what} | cases | effect or group first | right | shrinkage within 10 points |"]
+    if score.amplitudes:
+        lines += ["", "| (stated - true)/stated sd of the parameter of | cases | mean | largest | beyond 5 |"]
         lines += ["|---|---|---|---|---|"]
+        lines += [
+            f"| {name} | {z['n']} | {z['mean']:.2f} | {z['largest']:.2f} | {z['beyond_5_sd']} |"
+            for name, z in score.amplitudes.items()
+        ]
+    rates = ("effect_or_group_first", "right", "left_interval_holds_truth", "amplitude_interval_holds_truth")
+    for what, rows in score.by.items():
+        lines += ["", f"| {what} | cases | effect or group first | right | left held | parameter held |"]
+        lines += ["|---|---|---|---|---|---|"]
         for value, part in rows.items():
-            rates = ("effect_or_group_first", "right", "shrinkage_within_10_points")
             cells = " | ".join(rate_text(part[name]) for name in rates)
             lines.append(f"| {value} | {part['n']} | {cells} |")
     return "\n".join(lines) + "\n"
