@@ -74,6 +74,8 @@ def test_scores_by_hand() -> None:
     assert found.z == pytest.approx(2.5)
     assert found.amplitude_covered is False
     assert found.prior_covered
+    told = [FOUR[0], replace(FOUR[1], amplitude_interval=(0.19, 0.3))]  # not mean ± 1.96 sd, but as stated
+    assert score_case(truth("listed", "taper", TAPER), answer(told)).amplitude_covered is True
     assert found.prior_only is None  # this answer does not say what the prior gives
     assert found.gap_over_noise == pytest.approx(10)
 

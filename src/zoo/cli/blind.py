@@ -185,7 +185,8 @@ def _score_summary(found: CheckScore) -> list[Any]:
         title += f"; {found.without_key} more answers have no key"
     table = plain_table("score", "", "best constant answer", title=title)
     for name, words in HEADLINES:
-        table.add_row(words, rate_text(s[name]), constant_text(best.get(name)))
+        if s[name]["n"]:
+            table.add_row(words, rate_text(s[name]), constant_text(best.get(name)))
     for row in size_rows(found):
         table.add_row(*row)
     for name, words in MEANS:

@@ -30,6 +30,8 @@ class Explanation:
     location : Location
     amplitude, amplitude_sd : float, optional
         Posterior mean and standard deviation of the effect's first parameter.
+    amplitude_interval : (float, float), optional
+        Its 95 % interval; mean ± 1.96 sd if None.
     prior_probability : float, optional
         What the prior alone gives, had the data said nothing.
     """
@@ -40,6 +42,7 @@ class Explanation:
     location: Location = EVERYWHERE
     amplitude: float | None = None
     amplitude_sd: float | None = None
+    amplitude_interval: tuple[float, float] | None = None
     prior_probability: float | None = None
 
 
@@ -165,6 +168,7 @@ def as_answer(found: Any, parents: Mapping[Any, Any] | None = None, fitted: Fitt
             Location(h.place, h.subtree),
             h.amplitude.mean if h.amplitude else None,
             h.amplitude.sd if h.amplitude else None,
+            getattr(h.amplitude, "interval", None),
             getattr(h, "prior_probability", None),
         )
         for h in file.hypotheses

@@ -55,8 +55,8 @@ class CaseScore:
         the fit.
     left, left_low, left_high, left_true : float or None
         The same with the leading explanation; only where that is an effect.
-    amplitude, amplitude_sd, amplitude_true : float or None
-        Of the true effect, whatever leads.
+    amplitude, amplitude_sd, amplitude_low, amplitude_high, amplitude_true : float or None
+        Of the true effect, whatever leads; low and high are the stated 95 % interval.
     amplitude_prior_low, amplitude_prior_high : float or None
         Central 95 % interval of its prior.
     """
@@ -98,6 +98,8 @@ class CaseScore:
     left_true: float | None = None
     amplitude: float | None = None
     amplitude_sd: float | None = None
+    amplitude_low: float | None = None
+    amplitude_high: float | None = None
     amplitude_true: float | None = None
     amplitude_prior_low: float | None = None
     amplitude_prior_high: float | None = None
@@ -145,7 +147,7 @@ class CaseScore:
     @property
     def amplitude_covered(self) -> bool | None:
         """Whether the stated amplitude's 95 % interval holds the true one."""
-        return None if self.z is None else abs(self.z) <= 1.96
+        return _holds(self.amplitude_low, self.amplitude_high, self.amplitude_true)
 
     @property
     def prior_covered(self) -> bool | None:
@@ -247,6 +249,7 @@ def score_case(key: CaseKey, answer: Answer | None) -> CaseScore:
     named = place is not None and leader_place is not None
     stated = _true_explanation(key, explanations)
     blank = _with_gaps(blank, key, answer)
+    interval = _interval(stated)
     prior_interval = (key.effects[0].prior if stated else None) or (None, None)
     return replace(
         blank,
@@ -270,6 +273,8 @@ def score_case(key: CaseKey, answer: Answer | None) -> CaseScore:
         distance=tree_distance(answer.parents, place, leader_place) if named else None,
         amplitude=stated.amplitude if stated else None,
         amplitude_sd=stated.amplitude_sd if stated else None,
+        amplitude_low=interval[0],
+        amplitude_high=interval[1],
         amplitude_true=key.effects[0].amplitude if stated else None,
         amplitude_prior_low=prior_interval[0],
         amplitude_prior_high=prior_interval[1],
@@ -296,6 +301,15 @@ def _called_unlisted(key: CaseKey, answer: Answer) -> bool:
     if NONPARAMETRIC in (leader.name, *answer.cause) or max(listed, default=0.0) <= MAJORITY:
         return True
     return key.label == SECOND and leader.name in key.names
+
+
+def _interval(stated: Explanation | None) -> tuple[float | None, float | None]:
+    """The 95 % interval of an explanation's amplitude."""
+    if stated is None or stated.amplitude is None or stated.amplitude_sd is None:
+        return None, None
+    if stated.amplitude_interval is not None:
+        return stated.amplitude_interval
+    return stated.amplitude - 1.96 * stated.amplitude_sd, stated.amplitude + 1.96 * stated.amplitude_sd
 
 
 def _true_explanation(key: CaseKey, explanations: tuple[Explanation, ...]) -> Explanation | None:

@@ -125,23 +125,26 @@ def _width(low: float | None, high: float | None) -> float | None:
 
 def _over_prior(c: CaseScore) -> float | None:
     """Width of the stated interval of an amplitude over that of the prior's."""
-    prior = _width(c.amplitude_prior_low, c.amplitude_prior_high)
-    return 2 * 1.96 * c.amplitude_sd / prior if c.amplitude_sd is not None and prior else None
+    own, prior = (
+        _width(*x)
+        for x in ((c.amplitude_low, c.amplitude_high), (c.amplitude_prior_low, c.amplitude_prior_high))
+    )
+    return own / prior if own is not None and prior else None
 
 
 def amplitude_errors(cases: Sequence[CaseScore]) -> dict[str, dict[str, Any]]:
     """For each effect, how many stated sds its stated amplitudes are from the true ones."""
-    found: dict[str, list[float]] = {}
+    found: dict[str, list[tuple[float, bool]]] = {}
     for c in cases:
         if c.z is not None:
-            found.setdefault(c.truth, []).append(c.z)
+            found.setdefault(c.truth, []).append((c.z, bool(c.amplitude_covered)))
     return {
         name: {
             "n": len(z),
-            "mean": float(np.mean(z)),
-            "largest": max(z, key=abs),
-            "beyond_5_sd": sum(abs(x) > FAR for x in z),
-            "held": sum(abs(x) <= 1.96 for x in z),
+            "mean": float(np.mean([x for x, _ in z])),
+            "largest": max((x for x, _ in z), key=abs),
+            "beyond_5_sd": sum(abs(x) > FAR for x, _ in z),
+            "held": sum(held for _, held in z),
         }
         for name, z in sorted(found.items())
     }

@@ -125,10 +125,11 @@ def score_table(score: CheckScore) -> str:
         for b in score.reliability
     ]
     if score.amplitudes:
-        lines += ["", "| (stated - true)/stated sd of the parameter of | cases | mean | largest | beyond 5 |"]
-        lines += ["|---|---|---|---|---|"]
+        heads = "cases | mean | largest | beyond 5 | within the 95 % interval"
+        lines += ["", f"| (stated - true)/stated sd of the parameter of | {heads} |"]
+        lines += ["|---|---|---|---|---|---|"]
         lines += [
-            f"| {name} | {z['n']} | {z['mean']:.2f} | {z['largest']:.2f} | {z['beyond_5_sd']} |"
+            f"| {name} | {z['n']} | {z['mean']:.2f} | {z['largest']:.2f} | {z['beyond_5_sd']} | {z['held']} |"
             for name, z in score.amplitudes.items()
         ]
     rates = ("effect_or_group_first", "right", "left_interval_holds_truth", "amplitude_interval_holds_truth")
