@@ -59,16 +59,21 @@ class FitDiscrepancy:
         return _over(self.rms, rows)
 
     def interval(self, rows: list[int]) -> Interval:
-        """Of that rms; from what a fit to data without noise would leave to what this fit leaves."""
-        return _interval(self.pooled(rows), _over(self.unabsorbed, rows))
+        """Of that rms; from what a fit to data without noise would leave to what this fit leaves.
+
+        Where the noise is correlated the fits weigh the series otherwise, and the first may leave more.
+        """
+        draws = self.pooled(rows)
+        both = np.stack([draws, _over(self.unabsorbed, rows)])
+        low, high = np.quantile(both.min(axis=0), 0.025), np.quantile(draws, 0.975)
+        return Interval(mean=float(np.mean(draws)), low=float(low), high=float(high))
 
     def removed(self, rows: list[int], before: FitDiscrepancy) -> Interval:
         """Part of the discrepancy that this fit removes; its interval holds both meanings of what is left."""
         size = np.maximum(before.pooled(rows), 1e-12)
-        low, high = (1.0 - _over(x, rows) / size for x in (self.rms, self.unabsorbed))
-        return Interval(
-            mean=float(low.mean()), low=float(np.quantile(low, 0.025)), high=float(np.quantile(high, 0.975))
-        )
+        fitted, free = (1.0 - _over(x, rows) / size for x in (self.rms, self.unabsorbed))
+        low, high = np.quantile(fitted, 0.025), np.quantile(np.maximum(fitted, free), 0.975)
+        return Interval(mean=float(fitted.mean()), low=float(low), high=float(high))
 
 
 def _over(rms: Array, rows: list[int]) -> Array:
@@ -106,11 +111,6 @@ def discrepancy_of(
 
 def _rms(values: Array) -> float:
     return math.sqrt(float(np.mean(values**2)))
-
-
-def _interval(draws: Array, least: Array) -> Interval:
-    low, high = np.quantile(least, 0.025), np.quantile(draws, 0.975)
-    return Interval(mean=float(np.mean(draws)), low=float(low), high=float(high))
 
 
 def _noun(scored: Scored) -> str:
