@@ -107,7 +107,7 @@ def test_yaml_values(tmp_path: Path) -> None:
         ("a: 1\nnonsense\n", "row 2: 'nonsense': not read as YAML"),
         ("", "the file is empty"),
         ("".join(" " * i + "a:\n" for i in range(MAX_DEPTH + 1)), f"nested more than {MAX_DEPTH} deep"),
-        ("- " * 5000 + "1", f"nested more than {MAX_DEPTH} deep"),
+        ("- " * 900 + "1", f"nested more than {MAX_DEPTH} deep"),
     ],
 )
 def test_yaml_that_is_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -308,8 +308,8 @@ def test_unknown_solver_settings_are_refused(tmp_path: Path) -> None:
         ("0 1e-6\n0.5 2e-6\n1 3e-6\n", "must repeat the first"),
         ("0.1 1e-6\n0.5 2e-6\n1 1e-6\n", "times must begin at 0"),
         ("0 1e-6\n0.5 2e-6\n0.4 1e-6\n", "times must begin at 0 and rise"),
-        ("0 a\n", "not two columns of numbers"),
-        ("0 1 2\n1 2 3\n2 1 2\n", "must have two columns"),
+        ("0 a\n", "row 1: not two numbers"),
+        ("0 1 2\n1 2 3\n2 1 2\n", "row 1: 3 numbers: must be two"),
     ],
 )
 def test_inflows_that_are_refused(tmp_path: Path, rows: str, said: str) -> None:

@@ -11,12 +11,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from zoo.core.words import nearest
+from zoo.core.words import OneLineError, nearest, short
 
 FRICTIONS = ("current", "rest", "fixed")
+_LEAST = 1e-30
 
 
-class ConventionsError(ValueError):
+class ConventionsError(OneLineError, ValueError):
     """A convention that does not exist, or a value that it cannot take."""
 
 
@@ -73,20 +74,28 @@ class Conventions:
             value = getattr(self, switch)
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if not number or not 0 < value < math.inf:
-                raise ConventionsError(f"conventions: {switch} = {value!r}: not a positive number; give one")
+                raise ConventionsError(
+                    f"conventions: {switch} = {short(value)}: not a positive number; give one"
+                )
+            if not _LEAST <= value <= 1 / _LEAST:
+                raise ConventionsError(
+                    f"conventions: {switch} = {short(value)}: must be between {_LEAST:g} and {1 / _LEAST:g}; "
+                    "correct it"
+                )
             object.__setattr__(self, switch, float(value))
         if not isinstance(self.sample_lag_beats, (int, float)) or not abs(self.sample_lag_beats) < 1:
             raise ConventionsError(
-                f"conventions: sample_lag_beats = {self.sample_lag_beats!r}: not a part of a beat; "
+                f"conventions: sample_lag_beats = {short(self.sample_lag_beats)}: not a part of a beat; "
                 "use a number between -1 and 1"
             )
         if self.friction not in FRICTIONS:
             raise ConventionsError(
-                f"conventions: friction = {self.friction!r}: unknown; use one of {', '.join(FRICTIONS)}"
+                f"conventions: friction = {short(self.friction)}: unknown; use one of {', '.join(FRICTIONS)}"
             )
         if not isinstance(self.truncate_lengths, bool):
             raise ConventionsError(
-                f"conventions: truncate_lengths = {self.truncate_lengths!r}: not a switch; use true or false"
+                f"conventions: truncate_lengths = {short(self.truncate_lengths)}: not a switch; use true or "
+                "false"
             )
         base = self.base
         changed = [f"{s}={getattr(self, s)}" for s in SWITCHES if getattr(self, s) != _VALUES[base][s]]
@@ -131,7 +140,7 @@ class Conventions:
 
 
 def _unknown(what: str, value: object, known: Any) -> str:
-    return f"conventions: {what} = {value!r}: {nearest(value, list(known))}"
+    return f"conventions: {what} = {short(value)}: {nearest(value, list(known))}"
 
 
 SWITCHES = tuple(f.name for f in fields(Conventions) if f.name != "name")
@@ -177,7 +186,10 @@ def get_conventions(which: str | Mapping[str, Any] | Conventions) -> Conventions
         return which
     if isinstance(which, Mapping):
         switches = dict(which)
-        return get_conventions(switches.pop("base", "printed")).replace(**switches)
+        base = switches.pop("base", "printed")
+        if not isinstance(base, str):
+            raise ConventionsError(_unknown("base", base, _VALUES))
+        return get_conventions(base).replace(**switches)
     if not isinstance(which, str) or which not in _VALUES:
         raise ConventionsError(_unknown("name", which, _VALUES))
     return Conventions(which, **_VALUES[which])

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from zoo.core.words import meant
+from zoo.core.words import OneLineError, meant
 
 DATA_DIR_VARIABLE = "ZOO_DATA_DIR"
 TIMEOUT_S = 30
 
 
-class FetchError(RuntimeError):
+class FetchError(OneLineError, RuntimeError):
     """A data file that cannot be had, or is not what it should be: one line with the remedy."""
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from zoo.core.priors import InverseGamma, LogNormal, LogUniform, Normal, ParameterError, Prior, Uniform
-from zoo.core.words import choices, meant, nearest
+from zoo.core.words import OneLineError, choices, meant, nearest, short
 
 PAPER_SET = "paun2020"
 """Table 2 of Paun et al. 2020, as it stands in the files of the models."""
@@ -37,7 +37,7 @@ LAWS: Mapping[str, tuple[type[Prior], tuple[str, ...], tuple[int, ...]]] = {
 """Law -> its class, the names of its numbers, and how many of them there may be."""
 
 
-class PriorsError(ValueError):
+class PriorsError(OneLineError, ValueError):
     """Priors that cannot be used; its text names the field, the value and what to change."""
 
 
@@ -86,7 +86,7 @@ def read_priors(table: Mapping[str, Any]) -> PriorTable:
     """
     chosen = table.get("set", STUDY_SET)
     if chosen not in SETS:
-        raise PriorsError(f"set = {chosen!r}: {nearest(chosen, SETS)}")
+        raise PriorsError(f"set = {short(chosen)}: {nearest(chosen, SETS)}")
     speeds = WAVE_SPEED_M_S
     if "wave_speed_m_s" in table:
         if chosen == PAPER_SET:
@@ -102,19 +102,24 @@ def _numbers(value: Any) -> list[float] | None:
     """The numbers of a list, if it is one of numbers; infinite bounds are allowed."""
     if not isinstance(value, list | tuple):
         return None
-    good = all(isinstance(x, int | float) and not isinstance(x, bool) and not math.isnan(x) for x in value)
-    return [float(x) for x in value] if good else None
+    try:
+        good = all(
+            isinstance(x, int | float) and not isinstance(x, bool) and not math.isnan(x) for x in value
+        )
+        return [float(x) for x in value] if good else None
+    except OverflowError:  # a whole number beyond a double
+        return None
 
 
 def _wave_speeds(value: Any) -> tuple[float, float]:
     speeds = _numbers(value)
     if speeds is None or len(speeds) != 2:
-        raise PriorsError(f"wave_speed_m_s = {value!r}: must be two numbers in m/s, such as [0.7, 20.0]")
+        raise PriorsError(f"wave_speed_m_s = {short(value)}: must be two numbers in m/s, such as [0.7, 20.0]")
     low, high = speeds
     if not _SPEEDS[0] <= low < high <= _SPEEDS[1]:
         raise PriorsError(
-            f"wave_speed_m_s = {value!r}: must ascend and lie between {_SPEEDS[0]:g} and {_SPEEDS[1]:g} m/s; "
-            "pulse waves travel at some 1 to 20 m/s, correct the numbers or their unit"
+            f"wave_speed_m_s = {short(value)}: must ascend and lie between {_SPEEDS[0]:g} and {_SPEEDS[1]:g} "
+            "m/s; pulse waves travel at some 1 to 20 m/s, correct the numbers or their unit"
         )
     return low, high
 
@@ -126,20 +131,20 @@ def _prior(name: str, value: Any) -> Prior:
     if not isinstance(value, Mapping) or len(value) != 1:
         hint = meant(name, FIELDS, 0.4, "the field ")
         raise PriorsError(
-            f"{name} = {value!r}: {hint}a parameter has one law, such as {{ log_uniform = [2e4, 4e5] }}"
+            f"{name} = {short(value)}: {hint}a parameter has one law, such as {{ log_uniform = [2e4, 4e5] }}"
         )
     ((law, given),) = value.items()
     if law not in LAWS:
-        raise PriorsError(f"{name}: {law!r}: unknown law; {choices(law, list(LAWS))}")
+        raise PriorsError(f"{name}: {short(law)}: unknown law; {choices(law, list(LAWS))}")
     made, words, counts = LAWS[law]
     numbers = _numbers(given)
     if numbers is None or len(numbers) not in counts:
         shown = " or ".join("[" + ", ".join(words[:n]) + "]" for n in counts)
-        raise PriorsError(f"{name}: {law} = {given!r}: must be {shown}")
+        raise PriorsError(f"{name}: {law} = {short(given)}: must be {shown}")
     try:
         return made(*numbers)
     except ParameterError as error:
-        raise PriorsError(f"{name}: {law} = {given!r}: {error}") from None
+        raise PriorsError(f"{name}: {law} = {short(given)}: {error}") from None
 
 
 def table_of(prior: Prior) -> dict[str, list[float]]:

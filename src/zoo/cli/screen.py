@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from zoo.core.words import one_line
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -79,12 +81,12 @@ def _longest(texts: Sequence[str]) -> int:
 
 def complain(text: str) -> None:
     """Print an error as one red line on standard error."""
-    _aside(f"error: {text}", "red")
+    _aside(f"error: {one_line(text)}", "red")
 
 
 def warn(text: str) -> None:
     """Print a warning as one yellow line on standard error."""
-    _aside(f"warning: {text}", "yellow")
+    _aside(f"warning: {one_line(text, 1000)}", "yellow")
 
 
 def _aside(line: str, colour: str) -> None:

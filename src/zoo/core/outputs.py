@@ -8,7 +8,7 @@ import stat
 from collections.abc import Iterable
 from pathlib import Path
 
-from zoo.core.words import one_line
+from zoo.core.words import OneLineError
 
 _KINDS = (
     (stat.S_ISCHR, "a device"),
@@ -18,11 +18,8 @@ _KINDS = (
 )
 
 
-class OutputFileError(ValueError):
+class OutputFileError(OneLineError, ValueError):
     """A file or folder that cannot be written to: one line with its path and what to change."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(one_line(text))
 
 
 def output_file(path: str | Path, option: str = "") -> Path:

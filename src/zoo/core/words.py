@@ -40,9 +40,25 @@ def one_line(text: str, longest: int = LONGEST) -> str:
     return text
 
 
+class OneLineError(Exception):
+    """An error whose text is one line of at most 500 characters, whatever the values that it shows."""
+
+    def __init__(self, text: object = "") -> None:
+        super().__init__(one_line(str(text)))
+
+
+def short(value: object, longest: int = 60) -> str:
+    """How a value of unknown size is shown in an error."""
+    try:
+        shown = repr(value[: longest + 1] if isinstance(value, str) else value)
+    except (RecursionError, ValueError):  # tables in tables, numbers of thousands of digits
+        return f"a {type(value).__name__} too large to show"
+    return shown if len(shown) <= longest else f"{shown[: longest - 3]}..."
+
+
 def meant(word: object, known: Sequence[str], alike: float = 0.5, what: str = "") -> str:
     """A question for the known name that is nearest, with a blank at its end; empty if none is near."""
-    close = difflib.get_close_matches(str(word), known, 1, alike)
+    close = difflib.get_close_matches(short(word, 100).strip("'"), known[:1000], 1, alike)
     return f"did you mean {what}{close[0]!r}? " if close else ""
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from zoo.blood.study import STUDY_FILES, Study, StudyError, load_study, save_study
 from zoo.core.outputs import output_folder
+from zoo.core.words import OneLineError
 
 
-class ImportedFileError(ValueError):
+class ImportedFileError(OneLineError, ValueError):
     """A file that cannot be imported: one line with the file, row, field, value and remedy."""
 
 

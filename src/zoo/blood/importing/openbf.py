@@ -27,7 +27,9 @@ from zoo.blood.conventions import PRINTED
 from zoo.blood.importing.imported import Imported, ImportedFileError
 from zoo.blood.importing.yaml import Table, read_yaml
 from zoo.blood.study import Blood, Study, Vessel, Windkessel
+from zoo.blood.study.reading import inside, read_text
 from zoo.blood.study.resampling import even_samples
+from zoo.core.words import short
 
 Array = NDArray[np.float64]
 
@@ -37,6 +39,9 @@ DEFAULT_PROFILE = 2
 """Order of the velocity profile where a file gives none, as openBF has it."""
 AVOLIO = 0.2802, -505.3, 0.1324, -11.14
 """a, b (1/m), c, d (1/m) in h0 = R0 (a exp(b R0) + c exp(d R0)), m."""
+
+MOST = 1e20
+"""Largest number of a file, and of its inverse."""
 
 _CM = 100.0  # in 1 m
 _CGS_DENSITY = 1e-3  # g/cm3 in 1 kg/m3
@@ -85,7 +90,7 @@ class _File:
             place = f", row {value.rows[key]}"
             if name in _REFUSED and inner not in (None, False, 0, 0.0):
                 raise self.fail(
-                    place, f"{what}: {key} = {inner}: {_REFUSED[name]}; remove it to import without"
+                    place, f"{what}: {key} = {short(inner)}: {_REFUSED[name]}; remove it to import without"
                 )
             if name not in known and name not in _REFUSED:
                 close = difflib.get_close_matches(name, sorted(known), 1, 0.6)
@@ -106,10 +111,16 @@ class _File:
         if value is None:
             raise self.fail(at, f"{what}: {key}: is missing; add it")
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise self.fail(at, f"{what}: {key} = {value!r}: must be a number; correct it")
+            raise self.fail(at, f"{what}: {key} = {short(value)}: must be a number; correct it")
+        if abs(value) > MOST or 0 < abs(value) < 1 / MOST:
+            raise self.fail(
+                at,
+                f"{what}: {key} = {short(value)}: its size must be between {1 / MOST:g} and {MOST:g}; "
+                "correct it",
+            )
         if value <= 0 if least is None else value < least:
             word = "positive" if least is None else "zero or positive"
-            raise self.fail(at, f"{what}: {key} = {value!r}: must be {word}; correct it")
+            raise self.fail(at, f"{what}: {key} = {short(value)}: must be {word}; correct it")
         return float(value)
 
     def name(self, table: Table, key: str, default: str) -> str:
@@ -125,7 +136,9 @@ class _File:
         value = table.get(key)
         at = f", row {table.rows[key]}" if key in table else ""
         if isinstance(value, bool) or not isinstance(value, int):
-            raise self.fail(at, f"{what}: {key} = {value!r}: must be the whole number of a node; correct it")
+            raise self.fail(
+                at, f"{what}: {key} = {short(value)}: must be the whole number of a node; correct it"
+            )
         return value
 
 
@@ -302,7 +315,7 @@ def _outlet(
     if kind is not None and kind not in _OUTLETS:
         raise file.fail(
             f", row {table.rows['outlet']}",
-            f"{what}: outlet = {kind!r}: unknown; use one of {', '.join(_OUTLETS)}",
+            f"{what}: outlet = {short(kind)}: unknown; use one of {', '.join(_OUTLETS)}",
         )
     if kind is None:
         kind = "reflection" if not table.get("R1") and table.get("Rt") is not None else "wk3"
@@ -341,7 +354,7 @@ def _reflecting(file: _File, table: Table, what: str, impedance: float) -> float
     at = f", row {table.rows['Rt']}" if "Rt" in table else ""
     if isinstance(value, bool) or not isinstance(value, int | float) or not -1 < value < 1:
         raise file.fail(
-            at, f"{what}: Rt = {value!r}: must be a number between -1 and 1, itself neither; correct it"
+            at, f"{what}: Rt = {short(value)}: must be a number between -1 and 1, itself neither; correct it"
         )
     file.notes.append(
         "reflection: Rt became the resistance Z (1 + Rt)/(1 - Rt), Z the vessel's impedance at rest"
@@ -376,17 +389,14 @@ def _inflow(file: _File, root: Table) -> tuple[Array, Array, float]:
     if kind != "Q":
         raise file.fail(
             f", row {root.rows['inlet']}",
-            f"inlet = {kind!r}: a study has a flow at its inlet; give one, with inlet: Q",
+            f"inlet = {short(kind)}: a study has a flow at its inlet; give one, with inlet: Q",
         )
     name = root.get("inlet_file") or file.top.get("inlet_file") or f"{file.top.get('project_name')}_inlet.dat"
+    if wrong := inside(file.path.parent, str(name)):
+        raise file.fail("", f"inlet_file = {short(str(name))}: {wrong}")
     path = file.path.parent / str(name)
-    if not path.is_file():
-        raise file.fail("", f"inlet_file = {str(name)!r}: no such file in {file.path.parent}; put it there")
-    try:
-        samples = np.loadtxt(path, ndmin=2)
-    except (ValueError, UnicodeDecodeError) as error:
-        raise ImportedFileError(f"{path}: not two columns of numbers ({error}); correct it") from None
-    if samples.shape[1] != 2 or len(samples) < 3 or not np.isfinite(samples).all():
+    samples = _columns(path)
+    if len(samples) < 3 or not np.all(np.abs(samples) <= MOST):
         raise ImportedFileError(
             f"{path}: must have two columns, s and m3/s, and a beat of samples; correct it"
         )
@@ -409,6 +419,20 @@ def _inflow(file: _File, root: Table) -> tuple[Array, Array, float]:
         flow = np.append(even, even[0])
     n = len(flow) - 1
     return np.asarray(np.arange(n) * (period / n), dtype=np.float64), flow[:-1], period
+
+
+def _columns(path: Path) -> Array:
+    """Numbers of a text file, a row for each line that is not a comment."""
+    rows = []
+    for row, line in enumerate(read_text(path).split("\n"), 1):
+        cells = line.partition("#")[0].split()
+        try:
+            rows += [[float(cell) for cell in cells]] if cells else []
+        except ValueError:
+            raise ImportedFileError(f"{path}, row {row}: not two numbers; correct that row") from None
+        if cells and len(cells) != 2:
+            raise ImportedFileError(f"{path}, row {row}: {len(cells)} numbers: must be two, s and m3/s")
+    return np.array(rows).reshape(-1, 2)
 
 
 def _told(study: Study) -> list[str]:

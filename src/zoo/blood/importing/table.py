@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections import Counter
 from pathlib import Path
@@ -14,8 +13,10 @@ from zoo.blood.importing.imported import Imported, ImportedFileError
 from zoo.blood.study import Blood, Series, Study, Windkessel
 from zoo.blood.study.loading import check_terminals
 from zoo.blood.study.parts import VESSEL_PHYSICS, Array
-from zoo.blood.study.samples import number, read_csv, read_inflow, read_observations
+from zoo.blood.study.reading import read_csv
+from zoo.blood.study.samples import number, read_inflow, read_observations
 from zoo.blood.study.tree import check_physics, sort_vessels, vessel_of
+from zoo.core.words import short
 
 REQUIRED = ("id", "parent", "length_cm", "radius_cm")
 OPTIONAL = ("name", "radius_out_cm", "R1", "R2", "C", *VESSEL_PHYSICS)
@@ -23,6 +24,8 @@ OPTIONAL = ("name", "radius_out_cm", "R1", "R2", "C", *VESSEL_PHYSICS)
 
 DENSITY, VISCOSITY = 1.06, 0.04
 """Of blood where none are given, g/cm3 and g/(cm s)."""
+LEAST = 1e-30
+"""Of numbers that are positive, which are at most the inverse."""
 
 
 def import_table(
@@ -73,11 +76,16 @@ def import_table(
     if velocity_profile_order is not None:
         numbers["profile order"] = velocity_profile_order
     for word, value in numbers.items():
-        if not 0 < value < math.inf:
-            raise ImportedFileError(f"{path}: {word} = {value!r}: must be positive and finite; correct it")
+        if not LEAST <= value <= 1 / LEAST:
+            raise ImportedFileError(
+                f"{path}: {word} = {value!r}: must be positive and finite, from {LEAST:g} to {1 / LEAST:g}; "
+                "correct it"
+            )
     found, places = [], []
-    for row, cells in read_csv(path, REQUIRED, OPTIONAL):
-        where = f"{path}, row {row}: vessel {cells['id']}"
+    table = read_csv(path, REQUIRED, OPTIONAL)
+    for i, row in enumerate(table.rows):
+        cells = table.cells(i)
+        where = f"{path}, row {row}: vessel {short(cells['id'], 20)[1:-1]}"
         found.append(vessel_of(_fields(where, cells), where))
         places.append(where)
     if not found:
@@ -136,7 +144,9 @@ def _fields(where: str, cells: dict[str, str]) -> dict[str, Any]:
             fields[column] = text
         elif column in ("id", "parent"):
             if not re.fullmatch(r"\d{1,10}", text):
-                raise ImportedFileError(f"{where}: {column} = {text!r}: must be a whole number; correct it")
+                raise ImportedFileError(
+                    f"{where}: {column} = {short(text)}: must be a whole number; correct it"
+                )
             fields[column] = int(text)
         elif column in Windkessel.__dataclass_fields__:
             load[column] = number(where, column, text)

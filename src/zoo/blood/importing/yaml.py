@@ -14,6 +14,7 @@ from zoo.blood.importing.imported import ImportedFileError
 
 MAX_BYTES = 10_000_000
 MAX_DEPTH = 8
+LONGEST_LINE = 2000
 
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 _WHOLE = re.compile(r"[+-]?(0|[1-9]\d{0,17})")
@@ -65,6 +66,8 @@ class _Reader:
         self.lines: list[_Line] = []
         self.at = 0
         for row, line in enumerate(text.splitlines(), 1):
+            if len(line) > LONGEST_LINE:
+                self.fail(row, f"{len(line)} characters: must be at most {LONGEST_LINE}; break the line")
             body = _without_comment(line)
             if not body.strip() or (body == "---" and not self.lines):
                 continue

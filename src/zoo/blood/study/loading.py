@@ -11,6 +11,7 @@ import numpy as np
 
 from zoo.blood.conventions import Conventions, ConventionsError, get_conventions
 from zoo.blood.study.parts import QUANTITIES, Array, Series, StudyError, Vessel
+from zoo.blood.study.reading import inside, read_toml
 from zoo.blood.study.samples import (
     fetched_inflow,
     fetched_observations,
@@ -24,13 +25,11 @@ from zoo.blood.study.tables import (
     FetchedObservationsTable,
     StudyTable,
     checked_numerics,
-    read_toml,
-    short,
     validated,
     visible_name,
 )
 from zoo.blood.study.tree import NOMINAL, read_network_file
-from zoo.core.words import choices, nearest
+from zoo.core.words import choices, nearest, short
 
 _BUILT_IN = Path(__file__).parents[2] / "data"
 
@@ -44,7 +43,12 @@ def _find(name_or_folder: str | Path) -> tuple[Path, Path | str]:
     """Folder of a study, and what to call it."""
     folder = Path(name_or_folder)
     folder = folder.parent if folder.name == "study.toml" else folder
-    here = (folder / "study.toml").is_file()
+    try:
+        here = (folder / "study.toml").is_file()
+    except OSError as error:  # a name that is too long
+        raise StudyError(f"{short(str(name_or_folder))}: cannot be read ({error.strerror})") from None
+    if here and (wrong := inside(folder, "study.toml")):
+        raise StudyError(f"{folder}: study.toml {wrong}")
     if isinstance(name_or_folder, str) and name_or_folder in list_studies():
         built_in = _BUILT_IN / name_or_folder
         if here and folder.resolve() != built_in.resolve():
@@ -67,10 +71,9 @@ def _find(name_or_folder: str | Path) -> tuple[Path, Path | str]:
 def _file(where: str, folder: Path, name: str, value: Any) -> Path:
     if not isinstance(value, str):
         raise StudyError(f"{where}: {name} = {short(value)}: must be a file name; write it in quotes")
-    path = folder / value
-    if not path.is_file():
-        raise StudyError(f"{where}: {name} = {value!r}: no such file in {folder}; add it or correct the name")
-    return path
+    if wrong := inside(folder, value):
+        raise StudyError(f"{where}: {name} = {short(value)}: {wrong}")
+    return folder / value
 
 
 def load_study(
@@ -109,7 +112,7 @@ def load_study(
     path = folder / "study.toml"
     table = validated(StudyTable, read_toml(path)[0], str(path))
     where = str(path)
-    name = visible_name(where, table.name)
+    name = visible_name(where, table.name, of_file=True)
     try:
         own = get_conventions(table.conventions)
     except ConventionsError as error:
@@ -185,7 +188,7 @@ def _checked_noise(where: str, noise_sd: Mapping[str, float], series: Sequence[S
     known = [*QUANTITIES, *(s.label for s in series)]
     for name, value in noise_sd.items():
         if name not in known:
-            raise StudyError(f"{where}: noise_sd: {name!r}: {nearest(name, known)}")
+            raise StudyError(f"{where}: noise_sd: {short(name)}: {nearest(name, known)}")
         if not value > 0:
             raise StudyError(f"{where}: noise_sd: {name} = {value!r}: must be positive; correct it")
     return {name: float(value) for name, value in noise_sd.items()}

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from zoo.core.words import OneLineError
+
 Array = NDArray[np.float64]
 
 QUANTITIES = ("pressure_mmHg", "flow_ml_s", "area_cm2")
 
 
-class StudyError(ValueError):
+class StudyError(OneLineError, ValueError):
     """A study that cannot be used: one line with the file, row, field, value and remedy."""
 
 

@@ -47,7 +47,7 @@ def even_samples(time_s: ArrayLike, value: ArrayLike, period_s: float) -> tuple[
     """
     times, values = np.asarray(time_s, dtype=np.float64), np.asarray(value, dtype=np.float64)
     at, own = np.append(times, period_s), np.append(values, values[0])
-    least = math.ceil(period_s / np.min(np.diff(at)) * (1 - 1e-6))
+    least = math.ceil(min(period_s / np.min(np.diff(at)) * (1 - 1e-6), MOST_SAMPLES))
     for n in range(max(2, least), MOST_SAMPLES // 2 + 1):
         steps = times * (n / period_s)
         if np.max(np.abs(steps - np.rint(steps))) <= n / period_s * _TIME_ROUNDING_S + 1e-9:
@@ -55,6 +55,8 @@ def even_samples(time_s: ArrayLike, value: ArrayLike, period_s: float) -> tuple[
             return np.interp(np.arange(n) * (period_s / n), at, own), 0.0
     slope = np.diff(own) / np.diff(at)
     turn = float(np.max(np.abs(slope - np.roll(slope, 1))))
+    if not turn:
+        return np.full(2, values[0]), 0.0  # a constant
     wanted = period_s * turn / (4 * _WANTED * float(np.ptp(values)))
-    n = min(MOST_SAMPLES, max(1024, 1 << math.ceil(math.log2(wanted))))
+    n = min(MOST_SAMPLES, max(1024, 1 << math.ceil(math.log2(min(wanted, MOST_SAMPLES)))))
     return np.interp(np.arange(n) * (period_s / n), at, own), turn * period_s / (4 * n)

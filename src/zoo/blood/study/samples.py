@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Sequence
@@ -15,9 +14,10 @@ from numpy.typing import NDArray
 
 from zoo.blood.fetch import fetch_file
 from zoo.blood.study.parts import QUANTITIES, Array, Series, StudyError
+from zoo.blood.study.reading import read_csv, read_text
 from zoo.blood.study.resampling import even_samples
-from zoo.blood.study.tables import FetchedInflowTable, FetchedObservationsTable, read_text
-from zoo.core.words import choices, nearest
+from zoo.blood.study.tables import FetchedInflowTable, FetchedObservationsTable
+from zoo.core.words import nearest, short
 
 INFLOW_COLUMNS = ("time_s", "flow_ml_s")
 OBSERVATION_COLUMNS = ("vessel", "position", "quantity", "time_s", "value")
@@ -28,6 +28,7 @@ MIN_SAMPLES = 16
 _STEP_TOLERANCE = 0.02  # of a step: how far two neighbouring samples may be from the usual distance
 _GRID_TOLERANCE = 0.1  # of a step: how far a sample may be from its place on the uniform grid
 _PERIOD_TOLERANCE = 0.05  # of a step: how far the samples' length may be from the period
+_SAME_TIME = 1e-12  # of all times: how far apart two are that are one
 _TIME_ROUNDING_S = 2e-8  # two times printed with 8 decimals
 
 
@@ -37,47 +38,30 @@ def number(where: str, name: str, text: str) -> float:
     except ValueError:
         value = None
     if value is None:
-        raise StudyError(f"{where}: {name} = {text!r}: not a number; correct it")
+        raise StudyError(f"{where}: {name} = {short(text)}: not a number; correct it")
     if not math.isfinite(value):
-        raise StudyError(f"{where}: {name} = {text!r}: must be finite; interpolate it or cut the series")
+        raise StudyError(f"{where}: {name} = {short(text)}: must be finite; interpolate it or cut the series")
+    if abs(value) > MOST_VALUE:
+        raise StudyError(
+            f"{where}: {name} = {short(text)}: must be at most {MOST_VALUE:g} in size; correct it"
+        )
     return value
 
 
-def read_csv(
-    path: Path, columns: Sequence[str], optional: Sequence[str] = ()
-) -> list[tuple[int, dict[str, str]]]:
-    """Rows as (row number, cells by column); row 1 is the header, blank rows are left out."""
-    reader = csv.reader(read_text(path).splitlines(), strict=True)
+MOST_VALUE = 1e30
+"""Largest size of a sample, so that no sum of squares is beyond a double."""
+
+
+def numbers(path: Path, rows: Sequence[int], name: str, texts: Sequence[str]) -> Array:
+    """A column of finite numbers, (n,)."""
     try:
-        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except csv.Error as error:
-        raise StudyError(f"{path}, row {reader.line_num}: {error}; correct that row") from None
-    lines = [(row, cells) for row, cells in rows if any(cells)]
-    if not lines:
-        raise StudyError(f"{path}: the file is empty; its first row is {','.join(columns)}")
-    row, header = lines[0]
-    for sign, words in ((";", "semicolons"), ("\t", "tabs")):
-        if any(sign in cell for cell in header):
-            raise StudyError(
-                f"{path}, row {row}: the columns are separated by {words}: must be by commas, with points in "
-                "numbers; save the file as comma-separated values"
-            )
-    for name in header:
-        if name not in (*columns, *optional):
-            known = [*columns, *optional]
-            raise StudyError(f"{path}, row {row}: {name!r}: unknown column; {choices(name, known)}")
-        if header.count(name) > 1:
-            raise StudyError(f"{path}, row {row}: {name!r}: the column occurs twice; keep one")
-    for name in columns:
-        if name not in header:
-            raise StudyError(f"{path}, row {row}: {name}: column missing; add it to {','.join(header)}")
-    for row, cells in lines[1:]:
-        if len(cells) != len(header):
-            raise StudyError(
-                f"{path}, row {row}: {len(cells)} cells where the header has {len(header)}; "
-                f"give {','.join(header)}"
-            )
-    return [(row, dict(zip(header, cells, strict=True))) for row, cells in lines[1:]]
+        found = np.fromiter(map(float, texts), np.float64, len(texts))
+        plain = not any("_" in text for text in texts) and bool(np.all(np.abs(found) <= MOST_VALUE))
+    except ValueError:
+        plain = False
+    if not plain:  # one by one, to say which
+        return np.array([number(f"{path}, row {row}", name, x) for row, x in zip(rows, texts, strict=True)])
+    return found
 
 
 @dataclass(frozen=True)
@@ -102,7 +86,7 @@ class _Samples:
 
     def refuse_twice(self) -> None:
         """Raise where two samples, ascending in time, have the same time."""
-        same = np.diff(self.times) == 0
+        same = np.diff(self.times) <= _SAME_TIME * (self.times[-1] - self.times[0])
         if np.any(same):
             i = int(np.argmax(same))
             self.fail(
@@ -220,10 +204,8 @@ def _evened(samples: _Samples, period: float) -> tuple[Array, Array, str]:
 def read_inflow(path: Path, period: float) -> tuple[Array, Array, str]:
     """Times and values of the inflow on a uniform grid, and what was done to them, in words."""
     table = read_csv(path, INFLOW_COLUMNS)
-    numbers = np.array(
-        [[number(f"{path}, row {row}", c, cells[c]) for c in INFLOW_COLUMNS] for row, cells in table]
-    ).reshape(-1, 2)
-    samples = _Samples(path, "inflow", [row for row, _ in table], numbers[:, 0], numbers[:, 1], "flow_ml_s")
+    times, flow = (numbers(path, table.rows, name, table.columns[name]) for name in INFLOW_COLUMNS)
+    samples = _Samples(path, "inflow", table.rows, times, flow, "flow_ml_s")
     if len(samples.times) >= MIN_SAMPLES and np.any(_uneven(np.sort(samples.times))):
         return _evened(samples, period)
     return *_uniform(samples, period, from_zero=True), ""
@@ -239,30 +221,41 @@ def _check_place(where: str, vessel: int, position: float, quantity: str, known:
             f"{where}: position = {position!r}: must be in [0, 1]; give the fraction of the vessel's length"
         )
     if quantity not in QUANTITIES:
-        raise StudyError(f"{where}: quantity = {quantity!r}: {nearest(quantity, QUANTITIES)}")
+        raise StudyError(f"{where}: quantity = {short(quantity)}: {nearest(quantity, QUANTITIES)}")
 
 
 def read_observations(path: Path, period: float, known: Sequence[int]) -> tuple[Array, tuple[Series, ...]]:
-    groups: dict[tuple[int, float, str], list[tuple[int, float, float]]] = {}
-    for row, cells in read_csv(path, OBSERVATION_COLUMNS):
-        where = f"{path}, row {row}"
-        if not re.fullmatch(r"[+-]?\d{1,10}", cells["vessel"]):
-            raise StudyError(f"{where}: vessel = {cells['vessel']!r}: not a whole number; use a vessel's id")
-        place = int(cells["vessel"]), number(where, "position", cells["position"]) + 0.0, cells["quantity"]
+    table = read_csv(path, OBSERVATION_COLUMNS)
+    written: dict[tuple[str, str, str], list[int]] = {}
+    for i, place in enumerate(zip(*(table.columns[name] for name in OBSERVATION_COLUMNS[:3]), strict=True)):
+        written.setdefault(place, []).append(i)
+    groups: dict[tuple[int, float, str], list[int]] = {}
+    for (vessel, position, quantity), at in written.items():
+        where = f"{path}, row {table.rows[at[0]]}"
+        if not re.fullmatch(r"[+-]?\d{1,10}", vessel):
+            raise StudyError(f"{where}: vessel = {short(vessel)}: not a whole number; use a vessel's id")
+        place = int(vessel), number(where, "position", position) + 0.0, quantity
         if place not in groups:
             _check_place(where, *place, known)
-        time, value = (number(where, name, cells[name]) for name in ("time_s", "value"))
-        if cells["quantity"] == "area_cm2" and value <= 0:
-            raise StudyError(f"{where}: value = {value!r}: an area_cm2 must be positive; correct it")
-        groups.setdefault(place, []).append((row, time, value))
+        groups.setdefault(place, []).extend(at)
     if not groups:
         raise StudyError(f"{path}: no samples; add some, or remove observations from study.toml")
+    all_times, all_values = (
+        numbers(path, table.rows, name, table.columns[name]) for name in ("time_s", "value")
+    )
 
     series: list[Series] = []
     grid = np.empty(0)
-    for place, samples in groups.items():
-        rows = [row for row, _, _ in samples]
-        times, values = np.array([sample[1:] for sample in samples]).T
+    for place, at in groups.items():
+        at.sort()
+        rows = [table.rows[i] for i in at]
+        times, values = all_times[at], all_values[at]
+        if place[2] == "area_cm2" and np.any(values <= 0):
+            i = int(np.argmax(values <= 0))
+            raise StudyError(
+                f"{path}, row {rows[i]}: value = {float(values[i])!r}: an area_cm2 must be positive; "
+                "correct it"
+            )
         label = Series(*place, np.empty(0)).label
         own, on_grid = _uniform(_Samples(path, label, rows, times, values, "value"), period, from_zero=False)
         if not series:
@@ -302,8 +295,8 @@ def fetched_observations(
     raw = _column(path)
     if len(raw) % table.average:
         raise StudyError(
-            f"{where}: average = {table.average}: does not divide the {len(raw)} samples of {table.fetch}; "
-            "use a divisor"
+            f"{where}: average = {table.average}: does not divide the {len(raw)} samples of "
+            f"{table.fetch}; use a divisor"
         )
     times = np.arange(len(raw)) * period / len(raw)
     times, values = (a.reshape(-1, table.average).mean(axis=1) for a in (times, raw))

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from zoo.blood.study.parts import StudyError
-from zoo.core.words import choices
+from zoo.core.words import choices, one_line, short
+
+LONGEST_NAME = 100
+"""Characters of a name of a study or a vessel."""
+Size = Annotated[float, Field(ge=1e-8, le=1e8)]
+"""Lengths and radii, cm: those of no vessel are beyond, in any unit."""
+Positive = Annotated[float, Field(ge=1e-30, le=1e30)]
+"""Other positive numbers: no product of a few powers of them is beyond a double."""
+Pressure = Annotated[float, Field(ge=-1e6, le=1e6)]
+Whole = Annotated[int, Field(ge=-(2**31), lt=2**31)]
 
 
 class Table(BaseModel):
@@ -22,10 +29,10 @@ class StudyTable(Table):
     network: str
     inflow: Any
     observations: Any = None
-    period_s: float = Field(gt=0)
+    period_s: Positive
     conventions: Any = "printed"
     priors: dict[str, Any] = Field(default_factory=dict)
-    noise_sd: dict[str, float] = Field(default_factory=dict)
+    noise_sd: dict[str, Positive] = Field(default_factory=dict)
     numerics: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -35,10 +42,10 @@ class FetchedInflowTable(Table):
 
 class FetchedObservationsTable(Table):
     fetch: str
-    vessel: int
+    vessel: Whole
     position: float
     quantity: str
-    average: int = Field(default=1, ge=1)
+    average: int = Field(default=1, ge=1, lt=2**31)
 
 
 class NetworkTable(Table):
@@ -49,10 +56,10 @@ class NetworkTable(Table):
 
 
 class BloodTable(Table):
-    density_g_cm3: float = Field(gt=0)
-    viscosity_g_cm_s: float = Field(gt=0)
-    velocity_profile_order: float | None = Field(default=None, gt=0)
-    momentum_correction: float = Field(default=1.0, ge=1)
+    density_g_cm3: Positive
+    viscosity_g_cm_s: Positive
+    velocity_profile_order: Positive | None = None
+    momentum_correction: float = Field(default=1.0, ge=1, le=1e6)
 
 
 class JunctionsTable(Table):
@@ -60,42 +67,42 @@ class JunctionsTable(Table):
 
 
 class SurroundingsTable(Table):
-    external_pressure_mmHg: float = 0.0
-    outflow_pressure_mmHg: float = 0.0
-    radius_pressure_mmHg: float = 0.0
+    external_pressure_mmHg: Pressure = 0.0
+    outflow_pressure_mmHg: Pressure = 0.0
+    radius_pressure_mmHg: Pressure = 0.0
 
 
 class WindkesselTable(Table):
-    R1: float = Field(gt=0)
-    R2: float = Field(gt=0)
-    C: float = Field(gt=0)
+    R1: Positive
+    R2: Positive
+    C: Positive
 
 
 class VesselTable(Table):
     id: int = Field(ge=1, lt=2**31)
     name: str = ""
-    length_cm: float = Field(gt=0)
-    radius_cm: float = Field(gt=0)
-    radius_out_cm: float | None = Field(default=None, gt=0)
-    parent: int | None = None
+    length_cm: Size
+    radius_cm: Size
+    radius_out_cm: Size | None = None
+    parent: Whole | None = None
     windkessel: WindkesselTable | None = None
-    resistance: float | None = Field(default=None, gt=0)
-    stiffness_g_cm_s2: float | None = Field(default=None, gt=0)
-    stiffness_out_g_cm_s2: float | None = Field(default=None, gt=0)
-    youngs_modulus_g_cm_s2: float | None = Field(default=None, gt=0)
-    wall_thickness_cm: float | None = Field(default=None, gt=0)
-    wall_thickness_out_cm: float | None = Field(default=None, gt=0)
-    outflow_pressure_mmHg: float | None = None
-    external_pressure_mmHg: float | None = None
-    radius_pressure_mmHg: float | None = None
+    resistance: Positive | None = None
+    stiffness_g_cm_s2: Positive | None = None
+    stiffness_out_g_cm_s2: Positive | None = None
+    youngs_modulus_g_cm_s2: Positive | None = None
+    wall_thickness_cm: Size | None = None
+    wall_thickness_out_cm: Size | None = None
+    outflow_pressure_mmHg: Pressure | None = None
+    external_pressure_mmHg: Pressure | None = None
+    radius_pressure_mmHg: Pressure | None = None
 
 
 class NumericsTable(Table):
-    accuracy_percent: float | None = Field(default=None, gt=0, lt=10)
-    dx_cm: float | None = Field(default=None, gt=0)
+    accuracy_percent: float | None = Field(default=None, ge=1e-9, lt=10)
+    dx_cm: Size | None = None
     steps_per_beat: int | None = Field(default=None, ge=32, le=65536)
-    tolerance_mmHg: float | None = Field(default=None, gt=0)
-    max_beats: int | None = Field(default=None, ge=1)
+    tolerance_mmHg: Positive | None = None
+    max_beats: int | None = Field(default=None, ge=1, lt=2**31)
 
 
 _MEANING = {
@@ -103,6 +110,7 @@ _MEANING = {
     "greater_than": "must be positive; correct it",
     "greater_than_equal": "must be at least {ge}; correct it",
     "less_than": "must be below {lt}; correct it",
+    "less_than_equal": "must be at most {le}; correct it",
     "finite_number": "must be finite; correct it",
     "float_type": "must be a number; write it without quotes",
     "int_type": "must be a whole number; correct it",
@@ -113,26 +121,32 @@ _MEANING = {
 }
 
 
-def short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
 def validated(model: type[Table], data: Any, where: str) -> Any:
     """Validate a table of a TOML file; its first fault is raised, a misspelt field before others."""
+    for name in data:
+        if name not in model.model_fields:  # here, as the model would list each of a million
+            hint = choices(name, list(model.model_fields))
+            raise StudyError(f"{where}: {one_line(str(name), 100)}: unknown field; {hint}")
     try:
         return model.model_validate(data)
     except ValidationError as error:
         faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
     loc, kind = faults[0]["loc"], faults[0]["type"]
-    name = ".".join(str(part) for part in loc)
+    name = one_line(".".join(str(part) for part in loc), 100)
     if kind == "extra_forbidden":
         fields = list((WindkesselTable if loc[0] == "windkessel" else model).model_fields)
         raise StudyError(f"{where}: {name}: unknown field; {choices(loc[-1], fields)}")
     if kind == "missing":
         raise StudyError(f"{where}: {name}: {_MEANING[kind]}")
     meaning = _MEANING.get(kind, f"{faults[0]['msg']}; correct it")
-    for limit, number in faults[0].get("ctx", {}).items():
+    limits = faults[0].get("ctx", {})
+    if (
+        kind == "greater_than_equal"
+        and isinstance(limits["ge"], float)
+        and faults[0]["input"] <= 0 < limits["ge"]
+    ):
+        meaning = _MEANING["greater_than"]
+    for limit, number in limits.items():
         meaning = meaning.replace(f"{{{limit}}}", f"{number:g}" if isinstance(number, float) else str(number))
     raise StudyError(f"{where}: {name} = {short(faults[0]['input'])}: {meaning}")
 
@@ -153,24 +167,13 @@ def checked_numerics(where: str, given: Mapping[str, Any]) -> dict[str, Any]:
     return dict(table)
 
 
-def read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise StudyError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from None
-    except OSError as error:
-        raise StudyError(f"{path}: cannot be read ({error.strerror}); correct that") from None
-
-
-def read_toml(path: Path) -> tuple[dict[str, Any], str]:
-    text = read_text(path)
-    try:
-        return tomllib.loads(text), text
-    except tomllib.TOMLDecodeError as error:
-        raise StudyError(f"{path}: not valid TOML: {error}; correct that line") from None
-
-
-def visible_name(where: str, name: str) -> str:
-    if not name.strip() or not name.isprintable():
-        raise StudyError(f"{where}: name = {name!r}: must be one line of visible text; correct it")
+def visible_name(where: str, name: str, *, of_file: bool = False) -> str:
+    """A name as it is: of visible characters; one that names files too has no separators of paths."""
+    if not name.strip() or not name.isprintable() or len(name) > LONGEST_NAME:
+        raise StudyError(
+            f"{where}: name = {short(name)}: must be one line of visible text, at most {LONGEST_NAME} "
+            "characters; correct it"
+        )
+    if of_file and (set(name) & set("/\\") or name.strip(". ") == ""):
+        raise StudyError(f"{where}: name = {short(name)}: names files too: leave out / and \\")
     return name

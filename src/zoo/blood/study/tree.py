@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, StudyError, Vessel, Windkessel
+from zoo.blood.study.reading import read_toml
 from zoo.blood.study.study import JUNCTION_PRESSURES
 from zoo.blood.study.tables import (
     BloodTable,
@@ -17,12 +19,11 @@ from zoo.blood.study.tables import (
     NetworkTable,
     SurroundingsTable,
     VesselTable,
-    read_toml,
     validated,
     visible_name,
 )
 from zoo.blood.units import MMHG
-from zoo.core.words import nearest
+from zoo.core.words import nearest, short
 
 
 def sort_vessels(vessels: Sequence[Vessel], where: Sequence[str] | None = None) -> list[int]:
@@ -75,16 +76,16 @@ def sort_vessels(vessels: Sequence[Vessel], where: Sequence[str] | None = None) 
     order: list[int] = []
     ready = roots
     while ready:
-        ready.sort(reverse=True)
-        order.append(ready.pop())
-        ready += children[order[-1]]
+        order.append(heapq.heappop(ready))
+        for child in children[order[-1]]:
+            heapq.heappush(ready, child)
     if len(order) < len(vessels):
-        placed, path = set(order), []
+        placed, path = set(order), dict[int, int]()
         i = next(i for i in range(len(vessels)) if i not in placed)
         while i not in path:
-            path.append(i)
+            path[i] = len(path)
             i = index[vessels[i].parent]  # type: ignore[index]  # only the root has no parent, and it is placed
-        circle = [str(vessels[j].id) for j in [*path[path.index(i) :], i]]
+        circle = [str(vessels[j].id) for j in [*list(path)[path[i] :], i]]
         raise StudyError(
             f"{where[i]}: parent = {vessels[i].parent}: vessels feed each other in a circle "
             f"({' <- '.join(circle)}); follow the flow from the root and correct a parent"
@@ -197,6 +198,12 @@ def vessel_of(fields: Mapping[str, Any], where: str) -> Vessel:
     return Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, load, **given)
 
 
+def _label(fields: Mapping[str, Any], i: int) -> str:
+    """What an error calls the i-th vessel of a file."""
+    given = fields.get("id", f"number {i + 1}")
+    return given if isinstance(given, str) and len(given) < 20 else short(given, 20)
+
+
 def read_network_file(path: Path) -> NetworkFile:
     """A network.toml, checked."""
     data, text = read_toml(path)
@@ -205,7 +212,7 @@ def read_network_file(path: Path) -> NetworkFile:
     junctions = validated(JunctionsTable, table.junctions, f"{path}: junctions")
     if junctions.pressure not in JUNCTION_PRESSURES:
         raise StudyError(
-            f"{path}: junctions: pressure = {junctions.pressure!r}: "
+            f"{path}: junctions: pressure = {short(junctions.pressure)}: "
             f"{nearest(junctions.pressure, JUNCTION_PRESSURES)}"
         )
     surroundings = validated(SurroundingsTable, table.surroundings, f"{path}: surroundings").model_dump()
@@ -213,7 +220,7 @@ def read_network_file(path: Path) -> NetworkFile:
     vessels, where = [], []
     for i, data in enumerate(table.vessel):
         row = f", row {heads[i]}" if len(heads) == len(table.vessel) else ""
-        place = f"{path}{row}: vessel {data.get('id', f'number {i + 1}')}"
+        place = f"{path}{row}: vessel {_label(data, i)}"
         vessels.append(vessel_of(data, place))
         where.append(place)
     if not vessels:

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from zoo.core.words import OneLineError
+
 KEY_DIGEST = "KEY.sha256"
 _TIME = 1577836800
 """Time stamp of every file of a case: when one was made tells how long its solves took."""
 
 
-class BlindError(ValueError):
+class BlindError(OneLineError, ValueError):
     """Cases, answers or a key that cannot be used; the text says why and what to change."""
 
 

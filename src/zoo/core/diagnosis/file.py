@@ -16,10 +16,12 @@ from pydantic import (
     model_validator,
 )
 
+from zoo.core.words import OneLineError
+
 FORMAT = 2
 
 
-class DiagnosisError(ValueError):
+class DiagnosisError(OneLineError, ValueError):
     """A diagnosis that cannot be made or read; its text says why and what to change."""
 
 

@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from zoo.core.words import OneLineError
+
 _RECORD_ATTR = "run_record"
 _VERSIONED = ("zoo", "pymc", "pytensor", "arviz", "numpy")
 
 
-class ResultsError(ValueError):
+class ResultsError(OneLineError, ValueError):
     """A result file or an InferenceData cannot be used: one line with the file, the fault and the remedy."""
 
 

@@ -11,6 +11,7 @@ from zoo.core.outputs import OutputFileError, output_file
 from zoo.core.posterior.belonging import mismatch
 from zoo.core.posterior.groups import sample
 from zoo.core.posterior.storage import load, save
+from zoo.core.words import OneLineError
 
 if TYPE_CHECKING:
     import arviz as az
@@ -26,7 +27,7 @@ class Observed(Protocol):
     def checksum(self) -> str: ...
 
 
-class PosteriorError(ValueError):
+class PosteriorError(OneLineError, ValueError):
     """A stored posterior that does not belong; its text says to what, and what to change."""
 
 
