@@ -6,7 +6,7 @@ STAMP := $(VENV)/.zoo-setup
 PYTEST_ARGS ?= -n auto --dist loadfile
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
-.PHONY: setup test readme check demo report bench clean
+.PHONY: setup test readme check demo report bench mutants clean
 setup: $(STAMP)
 
 # Versions come from requirements.lock, those of the build tools too.
@@ -31,6 +31,11 @@ check: setup
 	rm -rf build/imports
 	$(BIN)/python setup.py -q build_py --build-lib build/imports
 	cd build/imports && $(abspath $(BIN))/lint-imports --no-cache --no-logo --config $(CURDIR)/pyproject.toml
+
+# Which small changes of the code no test notices: one at a time in a copy, by tests/mutants/mutants.toml.
+JOBS ?= 1
+mutants: setup
+	$(BIN)/python tests/mutants/run.py --jobs $(JOBS) $(MUTANTS)
 
 # The embedded study from waves to WAIC; results in demo-output/.
 demo: setup

@@ -2,10 +2,12 @@
 
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from zoo.blood.network import Network
 from zoo.blood.solver import Physics, Solver, SolverArgumentError, SolverOptions
@@ -184,18 +186,31 @@ def test_a_failed_set_leaves_the_others_alone():
 
 
 def tube(
-    stiffness=8e4, q=0.3, length=4.0, radius=0.05, radius_out=None, cells=0.025, viscosity=MU, **physics
+    stiffness=8e4,
+    q=0.3,
+    length=4.0,
+    radius=0.05,
+    radius_out=None,
+    cells=0.025,
+    viscosity=MU,
+    pieces=1,
+    **physics,
 ):
-    """Steady flow through one vessel: positions, pressures (dyn/cm2)."""
+    """Steady flow through one vessel, or one in equal pieces: positions, pressures (dyn/cm2)."""
     load = Windkessel(R1=2e4, R2=3e4, C=2e-6)
-    one = Vessel(1, "tube", length, radius, radius_out or radius, None, load)
-    network = Network.from_vessels([one], Blood(RHO, viscosity), PERIOD)
+    chain = [
+        Vessel(i, f"piece {i}", length / pieces, radius, radius_out or radius, i - 1 or None, load)
+        for i in range(1, pieces + 1)
+    ]
+    chain = [replace(v, windkessel=None) for v in chain[:-1]] + chain[-1:]
+    network = Network.from_vessels(chain, Blood(RHO, viscosity), PERIOD)
     x = np.linspace(0, 1, 41)
+    piece = np.minimum((x * pieces).astype(int), pieces - 1)
     solution = Solver(
         network,
         np.arange(16) * PERIOD / 16,
         np.full(16, q),
-        series=[(1, v) for v in x],
+        series=[(int(i) + 1, float(v)) for i, v in zip(piece, x * pieces - piece, strict=True)],
         times_s=[0.0],
         options=SolverOptions(dx_cm=cells, tolerance_mmHg=1e-7, max_beats=500),
         physics=Physics(**physics),
@@ -229,6 +244,14 @@ def test_viscous_friction_has_the_pressure_drop_of_the_steady_equation(alpha):
     )
     poiseuille = 8 * MU * 0.3 * stiff_x[-1] / (np.pi * 0.05**4)
     assert stiff[0] - stiff[-1] == pytest.approx(poiseuille, rel=2e-3)
+
+
+@pytest.mark.parametrize("total_pressure", [0.0, 1.0])
+def test_friction_where_pieces_of_a_vessel_meet_is_that_within(total_pressure):
+    """Pieces of one width have one pressure where they meet, static or total."""
+    x, p = tube(pieces=8, stokes_friction=0.0, viscous_friction=8.0, total_pressure=total_pressure)
+    exact = steady(x, p[-1], lambda x: np.pi * 0.05**2, friction=8 * np.pi * MU / RHO)
+    np.testing.assert_allclose(p - p[-1], exact - p[-1], atol=1e-4 * (p[0] - p[-1]))
 
 
 def test_momentum_correction_scales_the_dynamic_pressure():
@@ -361,6 +384,38 @@ def test_ends_of_the_branches_obey_the_junction_s_relation(wall, tau, K):
         np.testing.assert_allclose(shared[daughter], shared[1] - lost, atol=2e-3 * np.ptp(p[1]) / 100)
     assert solution.junction_defect_ml_s < 1e-12
     assert abs(solution.outflow_ml - solution.inflow_ml) < 1e-8 * solution.inflow_ml
+
+
+@pytest.mark.parametrize("K", [0.0, 2.0])
+def test_steady_flow_through_a_step_of_width_keeps_its_total_pressure(K):
+    """The steady equation up to the step from either side, where p + rho u^2/2 falls by K rho u_0^2/2."""
+    q, radii, length, stiffness = 0.3, (0.05, 0.038), 1.0, 8e4
+    load = Windkessel(R1=2e4, R2=3e4, C=2e-6)
+    chain = [
+        Vessel(1, "wide", length, radii[0], radii[0], None, None),
+        Vessel(2, "narrow", length, radii[1], radii[1], 1, load),
+    ]
+    x = np.linspace(0.0, 1.0, 21)
+    p = Solver(
+        Network.from_vessels(chain, BLOOD, PERIOD),
+        np.arange(16) * PERIOD / 16,
+        np.full(16, q),
+        series=[(i, v) for i in (1, 2) for v in x],
+        times_s=[0.0],
+        options=SolverOptions(dx_cm=0.0125, tolerance_mmHg=1e-7, max_beats=500),
+        physics=Physics(stokes_friction=0.0, viscous_friction=8.0, total_pressure=1.0, junction_loss=K),
+    ).solve(stiffness).pressure_mmHg.reshape(2, -1) * MMHG  # fmt: skip
+
+    def dynamic(p, radius):
+        return RHO / 2 * (q / (np.pi * radius**2 * (1 + 0.75 * p / stiffness) ** 2)) ** 2
+
+    friction = 8 * np.pi * MU / RHO
+    narrow = steady(x * length, q * (load.R1 + load.R2), lambda x: np.pi * radii[1] ** 2, friction=friction)
+    total = narrow[0] + dynamic(narrow[0], radii[1])
+    end = brentq(lambda p: p + (1 - K) * dynamic(p, radii[0]) - total, 0.5 * total, 2 * total)
+    wide = steady(x * length, end, lambda x: np.pi * radii[0] ** 2, friction=friction)
+    assert narrow[0] < wide[-1] - 100.0
+    np.testing.assert_allclose(p, [wide, narrow], atol=2e-4 * (wide[0] - narrow[-1]))
 
 
 # --- leak

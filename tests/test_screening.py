@@ -1,5 +1,6 @@
 """Search, evidence, groups: on data of the solver itself, and against brute force."""
 
+import contextlib
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -50,28 +51,39 @@ def true_values(name: str) -> tuple[float, ...]:
     return TRUE_VALUES.get(name, (min(first.scale, 0.6 * first.high),))
 
 
+HARDLY_SHOWN = {"radius-dependent-viscosity", "coarse-grid"}
+"""Effects that move the demo study's waves by less than the errors of 0.01 mmHg that are assumed."""
+
+
+def mode(search: Search, start: np.ndarray) -> Point:
+    """Where a search from far away ends: with loose errors first, as a screening begins."""
+    loose = Search(search.forward, search.data, 1e4 * search.S)
+    point = search.resume(loose.descend(loose.at(start), 15, 1e-3))
+    return search.refine(search.descend(point, 15, 1e-4), 6, 15, fine=True)
+
+
 @pytest.mark.parametrize("name", [n for n, e in CATALOGUE.items() if e.apply is not None])
 def test_effect_parameter_is_recovered_from_noise_free_data(name: str) -> None:
-    """To 1 %, or the baseline alone fits as well: then it is absorbed, and its size cannot be told."""
+    """To 1 %, from the baseline's start and each of the effect's own, which know nothing of the truth."""
     locations = CATALOGUE[name].locations(baseline_of(load_study("demo")))
     location = locations[min(2, len(locations) - 1)]
     wanted = true_values(name)
     study = made([(name, wanted, location)], noise=0.0)
-    forward = hypothesis_model(study, ((name, location),))
-    H = forward.errors
-    S = H.variances({QUANTITY: GroupErrors(0.01)})
-    data = H.flat(study.values)
-    search = Search(forward, data, S)
-    start = [math.log(THETA[p]) for p in ("f3", "psi1", "psi2", "c")]
-    u = np.array([*start, *(1.3 * a for a in wanted)])
-    point = search.refine(search.descend(search.at(u), 15, 1e-4), 4)
-    found = forward.theta(point.u)[4]
-    if found == pytest.approx(wanted[0], rel=0.01):
+    forward, base = hypothesis_model(study, ((name, location),)), hypothesis_model(study)
+    S = forward.errors.variances({QUANTITY: GroupErrors(0.01)})
+    data = forward.errors.flat(study.values)
+    alone = mode(Search(base, data, S), base.start)
+    if name in HARDLY_SHOWN:
+        assert math.sqrt(float(np.mean((data - alone.computed) ** 2))) < 0.005
         return
-    base = Search(hypothesis_model(study), data, S)
-    alone = base.refine(base.descend(base.at(np.array(start)), 15, 1e-4), 3)
-    absorbed = math.sqrt(float(np.mean((data - alone.computed) ** 2)))
-    assert absorbed < 0.05, f"{found} instead of {wanted[0]}, and the baseline leaves {absorbed} mmHg"
+    first, *shapes = CATALOGUE[name].parameters
+    starts = [np.array([*alone.u, a, *(p.centre for p in shapes)]) for a in first.starts]
+    points = []
+    for u in starts:
+        with contextlib.suppress(SearchError):  # nothing solves there
+            points.append(mode(Search(forward, data, S), u))
+    found = min(points, key=lambda point: point.cost)
+    assert forward.theta(found.u)[4] == pytest.approx(wanted[0], rel=0.01)
 
 
 def test_evidence_is_the_integral_over_the_parameters() -> None:

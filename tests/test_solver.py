@@ -69,19 +69,27 @@ def mouse(wall="linear", conventions=PRINTED, n_times=256, flow=None, **options)
 # --- analytic solutions
 
 
+@pytest.mark.parametrize("pieces", [1, 8])
 @pytest.mark.parametrize("wall", ["linear", "tangent"])
-def test_steady_flow_has_the_pressure_of_the_steady_equation(wall):
-    """Constant inflow: (A/rho dp/dA - q^2/A^2) dA/dx = -f(A) q, from the outlet's R q back to the inlet."""
+def test_steady_flow_has_the_pressure_of_the_steady_equation(wall, pieces):
+    """Constant inflow: (A/rho dp/dA - q^2/A^2) dA/dx = -f(A) q, from the outlet's R q back to the inlet.
+
+    Also where the vessel is cut into pieces: the friction of the half cells that meet is that of any other.
+    """
     q, length, period = 0.3, 4.0, 0.11
     loads = Windkessel(R1=2e4, R2=3e4, C=2e-6)
-    network = Network.from_vessels([vessel(1, length, 0.05, windkessel=loads)], BLOOD, period)
+    chain = [
+        vessel(i, length / pieces, 0.05, i - 1 or None, loads if i == pieces else None)
+        for i in range(1, pieces + 1)
+    ]
+    network = Network.from_vessels(chain, BLOOD, period)
     positions = np.linspace(0, 1, 9)
     solver = Solver(
         network,
         np.arange(16) * period / 16,
         np.full(16, q),
         wall=wall,
-        series=[(1, x) for x in positions],
+        series=[(i, x * pieces - i + 1) for x in positions for i in (min(int(x * pieces) + 1, pieces),)],
         times_s=[0.0, 0.05],
     )
     stiffness, gamma = 8e4, 4.0

@@ -37,10 +37,32 @@ static void relation(int wall, int added, int coupled, int alike)
     tree_close(&one);
 }
 
+/* Of sets solved together one whose junctions, with total pressure, have no solution is blamed alone. */
+static void stuck(int wall)
+{
+    enum { BAD = 3 };
+    tree_make(&one, wall);
+    one.problem.junction = (zoo_junction){1.0, 2.0};
+    tree_open(&one, ZOO_LANES, 1600);
+    zoo_sim *s = &one.sim;
+    zoo_start(s);
+    for (int j = 0; j < s->n_nodes; j++) /* in a step more flows away from the first junction than is there */
+        s->q[j * ZOO_LANES + BAD] = j <= s->last[0] ? 0.0 : 2.0;
+    memset(s->stuck, 0, (size_t)ZOO_LANES * sizeof *s->stuck);
+    zoo_refresh_nodes(s);
+    zoo_step(s, 0);
+    CHECK(s->no_root);
+    for (int l = 0; l < ZOO_LANES; l++)
+        CHECK(s->stuck[l] == (l == BAD));
+    tree_close(&one);
+}
+
 int main(void)
 {
     for (int wall = 0; wall < ZOO_N_WALLS; wall++)
         for (int i = 0; i < 8; i++)
             relation(wall, i & 1, i >> 1 & 1, i >> 2);
+    for (int wall = 0; wall < ZOO_N_WALLS; wall++)
+        stuck(wall);
     return finish("junction");
 }

@@ -2,6 +2,7 @@
 #include "check.h"
 
 static tree one, many;
+static additions more;
 
 /* Fluid at rest at one pressure stays at rest, in tapered vessels too. */
 static void rest(int wall, const int32_t *cells)
@@ -82,6 +83,29 @@ static void lanes(int wall)
     tree_close(&many);
 }
 
+/* The speed is |u| + c, c^2 = (a/rho) dp/da by differences, at the largest stiffness of the beat and as stiff
+ * as a wall with a memory is to what comes suddenly: 1 + kappa times. */
+static void speed(int wall, int added)
+{
+    tree_make(&one, wall);
+    if (added)
+        tree_add(&one, &more);
+    tree_open(&one, 1, 1600);
+    zoo_sim *s = &one.sim;
+    zoo_start(s);
+    double worst = 0.0, h = 1e-5;
+    for (int j = 0; j < s->n_nodes; j++) {
+        int k = s->vessel_of[j];
+        double a = s->A[j] / s->A0[j], K = s->K[j] * (added ? 1.3 : 1.0); /* the largest of `wave` */
+        double up = wall_p(wall, K, zoo_shape(s, j), a + h, sqrt(a + h));
+        double slope = (up - wall_p(wall, K, zoo_shape(s, j), a - h, sqrt(a - h))) / (2.0 * h);
+        double kappa = added ? more.memory[k] / 3e-4 : 0.0, c = sqrt((1.0 + kappa) * a * slope / 1.055);
+        worst = fmax(worst, (fabs(s->q[j] / s->A[j]) + c) / s->dx[k]);
+    }
+    NEAR(zoo_speed(s, 0), worst, 1e-6 * worst);
+    tree_close(&one);
+}
+
 /* An area that is not positive is reported. */
 static void wrong(void)
 {
@@ -109,6 +133,8 @@ int main(void)
         mass(wall, tree_cells);
         mass(wall, tree_single_cells);
         lanes(wall);
+        speed(wall, 0);
+        speed(wall, 1);
     }
     wrong();
     return finish("step");

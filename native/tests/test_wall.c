@@ -57,6 +57,10 @@ int main(void)
     CHECK(zoo_wall_name(ZOO_N_WALLS) == NULL && zoo_wall_name(-1) == NULL && zoo_wall_shapes(ZOO_N_WALLS) == -1);
     CHECK(isnan(zoo_wall_pressure(ZOO_N_WALLS, 1.0, 5e4, NULL, 1.1, 1.0)));
 
+    /* a relaxing part that is half as stiff as the lasting one, and of which a fifth is left, adds a tenth */
+    NEAR(wall_stiffened(6e4, 2.0, 0.2, 0.5), 1.1 * 2.0 * 6e4, 1e-9);
+    NEAR(wall_stiffened(6e4, 1.0, 1.0, 0.0), 6e4, 0.0);
+
     /* the formulas of eq. (3.3) and (3.4) */
     double gamma = 4.5, chi = 6e4, k = 1.0 / ZOO_PI;
     for (double a = 0.6; a < 1.9; a += 0.05) {
