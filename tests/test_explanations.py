@@ -8,6 +8,7 @@ import pymc as pm
 import pytest
 
 from made import QUANTITY, made, screening_of
+from zoo.core.diagnosis.estimates import posteriors_of
 from zoo.core.diagnosis.hypothesis import NULL
 from zoo.core.diagnosis.posteriors import explanation_model, sample_explanations
 from zoo.core.diagnosis.scoring import Scored, score
@@ -66,7 +67,8 @@ def test_posteriors_agree_with_the_screening(scored: Scored) -> None:
     found = sample_explanations(scored, cores=2, seed=1, draws=250, max_draws=250)
     assert set(found.found) == {NULL, "sensor-gain"}  # the other one is ruled out
     best = found.found["sensor-gain"]
-    mean, sd = scored.best["sensor-gain"].estimate()
+    size = posteriors_of(scored.screened.screening, scored.best["sensor-gain"])[0]
+    mean, sd = size.mean, size.sd
     posterior = best.idata.posterior["sensor-gain.gain"]
     assert abs(float(posterior.mean()) - mean) < sd
     assert float(posterior.std()) == pytest.approx(sd, rel=0.4)

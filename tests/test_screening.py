@@ -15,6 +15,7 @@ from zoo import load_study
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.study import Series
 from zoo.core.diagnosis.discrepancy import model_discrepancy, possible_noise
+from zoo.core.diagnosis.estimates import posteriors_of
 from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.hypothesis import (
     CORRELATED,
@@ -135,7 +136,8 @@ def gain():  # type: ignore[no-untyped-def]
 def test_the_cause_is_found_with_its_amplitude(gain) -> None:  # type: ignore[no-untyped-def]
     assert gain.leader == "sensor-gain"
     assert gain.probability["sensor-gain"] > 0.95
-    mean, sd = gain.best["sensor-gain"].estimate()
+    size = posteriors_of(gain.screened.screening, gain.best["sensor-gain"])[0]
+    mean, sd = size.mean, size.sd
     assert abs(mean - 0.15) < 4 * sd
     assert sd < 0.03
     assert sum(gain.probability.values()) == pytest.approx(1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
@@ -219,6 +220,26 @@ class BloodFlow:
             return ""
         series = cast("tuple[Place, ...]", self.outputs.series)
         return coarse_at(self.study, configuration, series, self._times)
+
+    def refined(self) -> BloodFlow | None:
+        """The same with cells and steps of half the size.
+
+        Returns
+        -------
+        BloodFlow or None
+            None where the grid was given and not chosen from an accuracy: then it is part of the model, and
+            no error of it was estimated. Also where twice as many steps are more than the settings allow.
+        """
+        if self.resolution is None or math.isnan(self.resolution.error_percent):
+            return None
+        try:
+            options = replace(self.options, refine=2 * self.options.refine)
+        except SolverArgumentError:
+            return None
+        model = copy.copy(self)
+        model.options, model._kept = options, ()
+        model.key = model._digest()
+        return model
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_kept": ()}

@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.forward import ForwardModel, Outputs, content_key, function_text
+from zoo.core.forward import ForwardModel, Outputs, content_key, function_text, refined
 from zoo.core.parameters import Normal, Parameter, n_values
 from zoo.core.user_code import run_file
 from zoo.core.words import nearest
 
 Array = NDArray[np.float64]
 ENTRY_POINTS = "zoo.effects"
+NUMERICS = "numerics"
+"""Family of effects on the numerical solution, which mean something on one grid only."""
 
 
 class EffectError(ValueError):
@@ -376,6 +378,11 @@ class WithEffects:
     def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
         """As the model does."""
         return self.model.solve(configuration, outputs)
+
+    def refined(self) -> ForwardModel | None:
+        """The model's own with the effects; None where one of them is an error of the grid itself."""
+        finer = None if any(one.effect.family == NUMERICS for one in self.added) else refined(self.model)
+        return None if finer is None else WithEffects(finer, self.added)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "model":

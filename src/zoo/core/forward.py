@@ -72,7 +72,8 @@ class ForwardModel(Protocol):
 
     A model that may be solved in several threads at once says so with an attribute ``threads = True``. One
     that knows where its solutions are less exact than promised has a method ``warning_at(configuration)``,
-    which returns a sentence about it, or an empty text; it is asked at the mode.
+    which returns a sentence about it, or an empty text; it is asked at the mode. One that can be solved on a
+    finer grid has a method ``refined()``, which returns a model of half the cells and steps, or None.
     """
 
     @property
@@ -128,10 +129,32 @@ class WithPriors:
         """As the model does."""
         return self.model.solve(configuration, outputs)
 
+    def refined(self) -> ForwardModel | None:
+        """The model's own with these priors."""
+        finer = refined(self.model)
+        priors = {p.name: p.prior for p in self.parameters}
+        return None if finer is None else WithPriors(finer, priors)
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "model":
             raise AttributeError(name)
         return getattr(self.model, name)
+
+
+def refined(model: ForwardModel) -> ForwardModel | None:
+    """The same model solved with cells and steps of half the size, by its method ``refined()`` if it has one.
+
+    Parameters
+    ----------
+    model : ForwardModel
+
+    Returns
+    -------
+    ForwardModel or None
+        None where it has no such method, or no finer grid.
+    """
+    finer = getattr(model, "refined", None)
+    return None if finer is None else finer()
 
 
 @dataclass(frozen=True, eq=False)

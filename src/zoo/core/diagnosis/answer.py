@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from zoo.core.diagnosis.bounds import Excluded, at_bounds
 from zoo.core.diagnosis.discrepancy import model_discrepancy, smooth_part
+from zoo.core.diagnosis.estimates import linearised, posteriors_of
 from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.file import (
     AddedStep,
@@ -40,6 +41,8 @@ MAX_HARMONIC = 10
 DRAWS = 400
 POOR_FIT = 0.2
 """Discrepancy over the data's range above which input is suspected: four prior sds of a free discrepancy."""
+SCANNED = 1e-3
+"""Probability from which on the sizes of an effect come from a scan and not from the linearised model."""
 LITTLE = 0.5
 """Part of the discrepancy that an explanation should remove at least, lest a warning is given."""
 
@@ -150,12 +153,16 @@ def _where(scored: Scored, d: FitDiscrepancy, hooks: Hooks) -> Where:
     return Where(series=by_series, phase=by_phase, harmonic=by_harmonic, place=_location_posterior(scored))
 
 
-def _estimates(fit: Fit) -> list[Estimate]:
-    found = []
-    for i, p in enumerate(fit.hypothesis.effect.parameters):
-        mean, sd = fit.estimate(i)
-        found.append(Estimate(name=p.name, mean=mean, sd=sd, unit=p.unit))
-    return found
+def _estimates(scored: Scored, name: str) -> list[Estimate]:
+    """Of an effect's parameters; from a scan where the effect is not improbable."""
+    fit = scored.best[name]
+    leads = scored.group[name] == scored.group[scored.leader]
+    scanned = leads or scored.probability[name] >= SCANNED
+    found = posteriors_of(scored.screened.screening, fit) if scanned else linearised(fit)
+    return [
+        Estimate(name=p.name, mean=x.mean, sd=x.sd, interval=(x.low, x.high), unit=p.unit)
+        for p, x in zip(fit.hypothesis.effect.parameters, found, strict=True)
+    ]
 
 
 def _free_estimates(fit: Fit) -> list[Estimate]:
@@ -189,7 +196,7 @@ def _results(
             after = np.array([size.mean, size.low, size.high])
             rms = _rms(d.residual[rows])
         listed = name in scored.locations
-        estimates = [] if name == NULL else _estimates(fit) if listed else _free_estimates(fit)
+        estimates = [] if name == NULL else _estimates(scored, name) if listed else _free_estimates(fit)
         shift = {}
         if listed:
             base = screened.least
@@ -402,7 +409,7 @@ def answer(
         steps.append(
             AddedStep(
                 name=one.name, place=one.location.part, subtree=one.location.subtree, unit=unit,
-                probability=now.probability[one.name], amplitudes=_estimates(now.best[one.name]),
+                probability=now.probability[one.name], amplitudes=_estimates(now, one.name),
                 gap_before=sizes[0], gap_after=sizes[1],
             )
         )  # fmt: skip

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import truncnorm
 
 from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
 from zoo.core.diagnosis.search import as_matrix
@@ -93,13 +92,3 @@ class Fit:
     def sd(self) -> Array:
         """Of the search coordinates."""
         return np.sqrt(np.diag(self.covariance))
-
-    def estimate(self, index: int = 0) -> tuple[float, float]:
-        """Mean and sd of a parameter of the effect asked about, within its bounds."""
-        i = self.forward.asked + index
-        p, m, s = self.forward.parameters[i], self.mean[i], self.sd[i]
-        low, high = (p.low - m) / s, (p.high - m) / s
-        if low > 6 or high < -6:  # beyond a bound: all mass stands there
-            return (p.low if low > 6 else p.high), float(s / max(abs(low), abs(high)))
-        mean, variance = truncnorm.stats(low, high, loc=m, scale=s)
-        return float(mean), float(math.sqrt(variance))

@@ -156,11 +156,12 @@ class Where(_Part):
 
 
 class Estimate(_Part):
-    """A parameter of an effect."""
+    """A parameter of an effect: mean, standard deviation and 95 % interval of one distribution."""
 
     name: str
     mean: float
     sd: float
+    interval: tuple[float, float] | None = None
     unit: str
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zoo.core.data import Data
 from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, Location, with_effects
 from zoo.core.errors.spectral import Spectral
-from zoo.core.forward import ForwardModel, Outputs, SolveError
+from zoo.core.forward import ForwardModel, Outputs, SolveError, refined
 from zoo.core.parameters import LogNormal, LogUniform, Normal, Parameter, log_normal_mass, start_of, unpack
 
 Array = NDArray[np.float64]
@@ -129,6 +129,11 @@ class HypothesisModel:
         values = start_of(self.model.parameters)
         theta = np.concatenate([np.atleast_1d(values[p.name]) for p in self.model.parameters])
         return np.array([p.coordinate(float(x)) for p, x in zip(self.parameters, theta, strict=True)])
+
+    def refined(self) -> HypothesisModel | None:
+        """The same on a finer grid; None where the forward model has none."""
+        finer = None if refined(self.model) is None else refined(self.baseline)
+        return None if finer is None else HypothesisModel(finer, self.hypothesis, self.errors)
 
     def theta(self, u: Array) -> Array:
         """Search coordinates to values (n_values,) of the forward model's parameters."""
