@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import random
 from dataclasses import asdict
 
 import arviz as az
+import h5py
 import numpy as np
 import pytest
+import xarray as xr
 
 from gaussian import a_record, autoregressive, independent_draws
 from zoo.core.inference.convergence import diagnostics, verdict
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import OutputFileError
-from zoo.core.posterior.storage import load, save, slim
+from zoo.core.posterior.storage import NoDigestWarning, digest_of, load, save, slim
 from zoo.paper.convergence import geweke, mpsrf, paper_tests
 
 
@@ -120,3 +123,77 @@ def test_diagnostics_of_a_slim_posterior_keep_the_tests_that_they_were_stored_wi
 def test_slim_without_further_tests_stores_none(idata, record):
     record.attach(idata)
     assert diagnostics(slim(idata, 100)).further == {}
+
+
+@pytest.fixture
+def stored(tmp_path, idata, record):
+    """A small posterior's file, with text, truth values and numbers among its content."""
+    few = idata.posterior.isel(draw=slice(30)).assign_coords(chi_dim_0=["one", "two"])
+    small = az.InferenceData(posterior=few, sample_stats=az.from_dict({"diverging": few.c > 0}).posterior)
+    record.attach(small)
+    return save(small, tmp_path / "B.nc")
+
+
+def test_no_damage_to_a_posterior_goes_unseen(tmp_path, stored):
+    """Flipped bits one at a time, cuts, blocks of zeros: refused in one line, or without any difference."""
+    raw, whole, damaged = stored.read_bytes(), load(stored), tmp_path / "damaged.nc"
+    rng, refused = random.Random(4), []
+    for i in range(300):
+        content = bytearray(raw)
+        if i < 200:
+            content[rng.randrange(len(raw))] ^= 1 << rng.randrange(8)
+        elif i < 250:
+            content = content[: rng.randrange(len(raw))]
+        else:
+            first = rng.randrange(len(raw) - 100)
+            content[first : first + 100] = bytes(100)
+        damaged.write_bytes(content)
+        try:
+            found = load(damaged)
+        except ResultsError as error:
+            refused.append(str(error))
+        else:
+            assert i >= 200
+            assert found.groups() == whole.groups()
+            assert all(found[name].identical(whole[name]) for name in whole.groups())
+    assert len(refused) >= 230
+    assert all(text.startswith(str(damaged)) and "\n" not in text for text in refused)
+
+
+def test_a_value_changed_by_another_program_is_refused(stored):
+    """By one that knows the format and leaves a whole NetCDF file."""
+    with h5py.File(stored, "r+") as opened:
+        opened["posterior/c"][1, 7] += 1e-9
+    with pytest.raises(
+        ResultsError, match=r"B\.nc: damaged, its content does not fit its digest; sample again"
+    ):
+        load(stored)
+
+
+@pytest.mark.parametrize("what", ["seed", "units", "group"])
+def test_attributes_and_groups_are_in_the_digest(stored, what):
+    with h5py.File(stored, "r+") as opened:
+        if what == "seed":
+            text = opened.attrs["run_record"]
+            opened.attrs["run_record"] = text.replace('"seed": 7', '"seed": 8')
+        elif what == "units":
+            opened["posterior/c"].attrs["units"] = "kg"
+        else:
+            del opened["sample_stats"]
+    with pytest.raises(ResultsError, match="does not fit its digest"):
+        load(stored)
+
+
+def test_a_posterior_of_another_program_is_read_and_said_to_hold_no_digest(tmp_path, idata):
+    file = tmp_path / "other.nc"
+    idata.to_netcdf(str(file))
+    with pytest.warns(NoDigestWarning, match=r"other\.nc: holds no digest of its content"):
+        found = load(file)
+    assert digest_of(found) == digest_of(load(save(found, tmp_path / "ours.nc")))
+
+
+def test_other_programs_read_a_posterior_with_a_digest(stored, idata):
+    draws = xr.open_dataset(stored, group="posterior")
+    np.testing.assert_array_equal(draws.c, idata.posterior.c[:, :30])
+    draws.close()
+    assert len(az.from_netcdf(str(stored)).attrs["sha256"]) == 64

@@ -113,12 +113,12 @@ def sample_with_checkpoint(
 
 def _remove_checkpoint(folder: Path) -> None:
     """Delete the files of a checkpoint that no run is using, and nothing else."""
-    from zoo.core.inference.checkpoint import Folder
+    from zoo.core.inference.checkpoint import FILES, Folder
 
     if not folder.is_dir():
         return
     Folder(folder).close()  # refused while another run holds it
-    for pattern in ("run.json", "start.pkl", "chain-*.pkl", "*.part", "lock"):
+    for pattern in FILES:
         for file in folder.glob(pattern):
             file.unlink()
     try:

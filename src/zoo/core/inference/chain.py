@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import pickle
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +13,15 @@ import numpy as np
 from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import floatX
 
-from zoo.core.inference.checkpoint import unpickle, write
 from zoo.core.inference.logposterior import Array, Point, count, counting_ops, outputs
 from zoo.core.inference.spaces import Gaussian
+from zoo.core.inference.states import of_chain, read_state, write_state
 from zoo.core.inference.steps import DEMetropolisZ, Metropolis
 
 
 @dataclass(frozen=True)
 class Task:
-    """Everything a chain needs, sent to its process."""
+    """Everything a chain needs, sent to its process; its checkpoint belongs to `run`."""
 
     model: Any
     chain: int
@@ -36,6 +35,7 @@ class Task:
     thin: int
     checkpoint: Path | None
     checkpoint_seconds: float
+    run: str = ""
 
 
 _SUMS = ("accept", "accepted", "solves", "solver_failures")
@@ -175,7 +175,7 @@ class Chain:
         content = {
             "steps": self.steps,
             "point": self.point,
-            "sampling_state": self.step.sampling_state,
+            "step": self._step_state(),
             "draws": {name: np.array(rows) for name, rows in self.draws.items()},
             "stats": {name: np.array(rows) for name, rows in self.stats.items()},
             "sums": self._sums,
@@ -186,22 +186,30 @@ class Chain:
             "seconds": self.seconds,
         }
         began = time.monotonic()
-        write(path, pickle.dumps(content, protocol=5))
+        write_state(path, of_chain(self.task.run, self.task.chain), content)
         took = time.monotonic() - began
         self._saved_at = time.monotonic() + 20 * took  # never more than a twentieth of the time
 
+    def _step_state(self) -> dict[str, Any]:
+        """What changes in the step method; the rest follows from the task."""
+        state = self.step.sampling_state
+        return {f.name: getattr(state, f.name) for f in fields(state) if not f.metadata.get("frozen")}
+
     def _restore(self, path: Path) -> None:
-        content = unpickle(path)
+        content = read_state(path, of_chain(self.task.run, self.task.chain))
         self.steps = content["steps"]
         self.point = content["point"]
-        self.step.sampling_state = content["sampling_state"]
+        fresh = self.step.sampling_state
+        for name in self._step_state():
+            setattr(fresh, name, content["step"][name])
+        self.step.sampling_state = fresh
         self.draws = {name: list(rows) for name, rows in content["draws"].items()}
         self.stats = {name: list(rows) for name, rows in content["stats"].items()}
         self._sums = content["sums"]
         self._current = content["current"]
         self.solves = content["solves"]
         self.accepted = content["accepted"]
-        self.failures = content["failures"]
+        self.failures = Counter(content["failures"])
         self.seconds = content["seconds"]
 
 

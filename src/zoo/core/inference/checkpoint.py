@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import pickle
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -12,41 +10,26 @@ from typing import IO, Any
 import numpy as np
 import pymc as pm
 
-from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
+from zoo.core import digests
+from zoo.core.inference.logposterior import LogPosterior, model_name
 from zoo.core.inference.starts import Start
+from zoo.core.inference.states import REMEDY, CheckpointError, of_chain, read_state, write_state
+from zoo.core.outputs import write_file
 
-CHECKPOINT_FORMAT = 2
-
-
-class CheckpointError(SamplingError):
-    """A checkpoint folder belongs to another run, is in use, or cannot be read."""
+CHECKPOINT_FORMAT = 3
+FILES = ("run.json", "start.*", "chain-*.*", "*.part", "lock")
+"""Patterns of the files that a checkpoint folder holds, or held in earlier formats."""
 
 
 class CheckpointInUseError(CheckpointError):
     """Another run holds the checkpoint folder."""
 
 
-def write(path: Path, content: bytes) -> None:
-    """Replace a file in one go."""
-    temporary = path.with_name(path.name + f".{os.getpid()}.part")
-    with open(temporary, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
-
-
-def unpickle(path: Path) -> Any:
-    try:
-        return pickle.loads(path.read_bytes())
-    except (pickle.UnpicklingError, EOFError, AttributeError, ImportError, IndexError) as error:
-        raise CheckpointError(
-            f"{path}: cannot be read ({type(error).__name__}: {error}); remove the folder to start afresh"
-        ) from None
-
-
 class Folder:
-    """A checkpoint folder: run.json (what is being run), start.pkl, chain-K.pkl; locked while in use."""
+    """A checkpoint folder: run.json (what is being run), start.state, chain-K.state; locked while in use.
+
+    All of them are data, of which nothing is run, and hold a digest; states also that of what is being run.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -69,13 +52,28 @@ class Folder:
                 f"{path}: another run is using this checkpoint folder; wait for it or choose another"
             ) from None
 
+        for left in path.glob("*.part"):  # of a run that was killed while it wrote
+            left.unlink(missing_ok=True)
+
     def close(self) -> None:
         """Give the folder free."""
         self._lock.close()
 
     def chain(self, chain: int) -> Path:
         """File of one chain."""
-        return self.path / f"chain-{chain}.pkl"
+        return self.path / f"chain-{chain}.state"
+
+    def check_chains(self, run: str, chains: int) -> None:
+        """Read the states of a run's chains, so that a damaged one is refused before any work.
+
+        Raises
+        ------
+        CheckpointError
+            Naming the first file that cannot be used.
+        """
+        for chain in range(chains):
+            if self.chain(chain).exists():
+                read_state(self.chain(chain), of_chain(run, chain))
 
     def run(self) -> dict[str, Any] | None:
         """What is stored in run.json, or None.
@@ -89,10 +87,10 @@ class Folder:
         if not file.exists():
             return None
         try:
-            content = json.loads(file.read_text())
+            content = json.loads(file.read_bytes())
             assert isinstance(content["identity"], dict)
-        except (json.JSONDecodeError, KeyError, TypeError, AssertionError):
-            raise CheckpointError(f"{file}: cannot be read; remove the folder to start afresh") from None
+        except (OSError, ValueError, KeyError, TypeError, AssertionError, RecursionError):
+            raise CheckpointError(f"{file}: cannot be read; {REMEDY}") from None
         written = content["identity"].get("format")
         if written != CHECKPOINT_FORMAT:
             version = "a later" if isinstance(written, int) and written > CHECKPOINT_FORMAT else "an earlier"
@@ -101,26 +99,28 @@ class Folder:
                 f"this one goes on from format {CHECKPOINT_FORMAT}); remove it to start afresh, or use "
                 "another"
             )
+        if not digests.fits(content):
+            raise CheckpointError(f"{file}: damaged, its content does not fit its digest; {REMEDY}")
         return dict(content)
 
     def write_run(self, content: Mapping[str, Any]) -> None:
         """Store run.json."""
-        text = json.dumps(content, indent=1, sort_keys=True, default=str)
-        write(self.path / "run.json", text.encode())
+        plain = json.loads(json.dumps(content, default=str))
+        write_file(self.path / "run.json", json.dumps(digests.stamped(plain), indent=1, sort_keys=True))
 
-    def start(self) -> Start | None:
-        """Stored mode and starts, or None."""
-        file = self.path / "start.pkl"
+    def start(self, run: str) -> Start | None:
+        """Stored mode and starts of a run, or None."""
+        file = self.path / "start.state"
         if not file.exists():
             return None
-        found = unpickle(file)
+        found = read_state(file, {"run": run, "part": "start"}).get("start")
         if not isinstance(found, Start):
-            raise CheckpointError(f"{file}: not a start; remove the folder to start afresh")
+            raise CheckpointError(f"{file}: is no start; {REMEDY}")
         return found
 
-    def write_start(self, start: Start) -> None:
-        """Store mode and starts."""
-        write(self.path / "start.pkl", pickle.dumps(start, protocol=5))
+    def write_start(self, run: str, start: Start) -> None:
+        """Store mode and starts of a run."""
+        write_state(self.path / "start.state", {"run": run, "part": "start"}, {"start": start})
 
 
 def identity_of(logp: LogPosterior, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from zoo.core.digests import of_json
 from zoo.core.inference.chain import Task
 from zoo.core.inference.checkpoint import (
     CheckpointError,
@@ -168,6 +169,9 @@ def sample(
             stored["wall_seconds"] = 0.0
         elif folder is not None:
             check_identity(folder.path, stored["identity"], identity)
+        run = of_json(stored["identity"])
+        if folder is not None:
+            folder.check_chains(run, chains)
         stored["sittings"] += 1
         earlier = float(stored["wall_seconds"])
         with Display(progress, tune=tune, thin=thin, cores=cores, ess=until_ess) as show:
@@ -176,7 +180,7 @@ def sample(
                 show.say(identity["solver options"]["grid"])
             if folder is not None:
                 folder.write_run(stored)
-            beginning = None if folder is None else folder.start()
+            beginning = None if folder is None else folder.start(run)
             if beginning is None:
                 with show.during("finding the mode", lambda: f"{logp.evaluations} evaluations"):
                     mode = start if isinstance(start, Mode) else search_mode(logp, start, seed=int(seed))
@@ -185,7 +189,7 @@ def sample(
                         beginning = _improve(logp, beginning, chains, cores, int(seed), step, options, show)
                         mode = beginning.mode
                 if folder is not None:
-                    folder.write_start(beginning)
+                    folder.write_start(run, beginning)
                 show.say(f"mode: log-posterior {mode.logp:.2f} after {mode.evaluations} evaluations")
             parameters, effects = priors_of(model)
             at_mode = modes_at_bounds(parameters, beginning.mode.values, effects=effects)
@@ -205,6 +209,7 @@ def sample(
                 show,
                 checkpoint=None if folder is None else folder.chain,
                 checkpoint_seconds=checkpoint_seconds,
+                run=run,
             )
             try:
                 kept = _run(model, pool, draws, until_ess, max_draws or 40 * draws)
@@ -243,6 +248,7 @@ def _pool(
     *,
     checkpoint: Callable[[int], Path] | None = None,
     checkpoint_seconds: float = np.inf,
+    run: str = "",
 ) -> ChainPool:
     """Chains from the starts of a beginning: in processes, or in this one if `cores` is 0."""
     tasks = [
@@ -259,6 +265,7 @@ def _pool(
             thin=thin,
             checkpoint=None if checkpoint is None else checkpoint(chain).resolve(),
             checkpoint_seconds=checkpoint_seconds,
+            run=run,
         )
         for chain, start in enumerate(beginning.starts)
     ]

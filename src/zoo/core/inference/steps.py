@@ -103,7 +103,7 @@ def _uncompiled() -> dict[str, Any]:
 
 
 @dataclass
-class _Walk:
+class Walk:
     """A Crank-Nicolson walk: coordinates, the Gaussian it is around, its step, how often that was tuned."""
 
     space: ConstrainedSpace
@@ -115,7 +115,7 @@ class _Walk:
 @dataclass_state
 class _DEState(DEMetropolisZState):
     _memory: dict[bytes, float]
-    _walks: list[_Walk]
+    _walks: list[Walk]
     _seen: int
     _next_refit: int
 
@@ -216,8 +216,8 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         self._seen = len(self._history)  # of the history, what is not this chain's own
         self._next_refit = _FIRST_REFIT
 
-    def _walks_around(self, first: Gaussian) -> list[_Walk]:
-        return [_Walk(space, _seen_in(space, first)) for space in self._spaces]
+    def _walks_around(self, first: Gaussian) -> list[Walk]:
+        return [Walk(space, _seen_in(space, first)) for space in self._spaces]
 
     def reset_tuning(self) -> None:
         """Forget the history and all that was tuned."""
@@ -256,7 +256,7 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         q = floatX(space.vector(space.values(q0.data) + self.lamb * (one - other)))
         return self._select(q0, q, space, 0.0)
 
-    def _crank_nicolson(self, q0: RaveledVars, walk: _Walk) -> StepResult:
+    def _crank_nicolson(self, q0: RaveledVars, walk: Walk) -> StepResult:
         d = len(q0.data)
         u = walk.reference.whiten(walk.space.values(q0.data))
         scale = np.sqrt((T_DOF + u @ u) / self.rng.chisquare(T_DOF + d))

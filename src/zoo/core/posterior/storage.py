@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from zoo.core.digests import FIELD, of_bytes
 from zoo.core.inference.convergence import DIAGNOSTICS_ATTR, FurtherTests, diagnostics
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import output_file, write_file
 
+_MARK = b"zoo-sha256:"
+_DIGITS = 64
+
+
+class NoDigestWarning(UserWarning):
+    """A posterior's file that holds no digest, so that damage to it is not seen."""
+
 
 def save(idata: Any, path: str | Path) -> Path:
-    """Write an InferenceData as one NetCDF file, whole or not at all.
+    """Write an InferenceData as one NetCDF file with the digest of its content, whole or not at all.
 
     The file is made in memory first: HDF5 itself ends the process where a disk is full.
 
@@ -35,7 +47,82 @@ def save(idata: Any, path: str | Path) -> Path:
         If it cannot be written; what was there before stays as it was.
     """
     output_file(path)
-    return write_file(path, netcdf_bytes(idata))
+    return write_file(path, _with_digest(netcdf_bytes(idata)))
+
+
+def _with_digest(netcdf: memoryview) -> memoryview:
+    """The bytes of a NetCDF file with the digest of what is read back from them, then that of all bytes.
+
+    The first is there for every reader and survives other programs; the second, behind the end of what HDF5
+    reads, is checked before HDF5 sees the file: a damaged one may keep it busy for ever.
+    """
+    import h5py  # type: ignore[import-untyped]
+
+    content = _read(io.BytesIO(netcdf))
+    file = io.BytesIO(netcdf)
+    with h5py.File(file, "r+") as opened:
+        opened.attrs[FIELD] = digest_of(content)
+    file.seek(0, io.SEEK_END)
+    file.write(_MARK + of_bytes(file.getvalue()).encode())
+    return file.getbuffer()
+
+
+def _whole(raw: bytes) -> bool:
+    """Whether the bytes of a file are as they were written, if that can be said."""
+    end = len(raw) - _DIGITS
+    if raw[end - len(_MARK) : end] != _MARK:
+        return True
+    return raw[end:] == of_bytes(raw[: end - len(_MARK)]).encode()
+
+
+def _read(source: str | io.BytesIO) -> Any:
+    """An InferenceData in memory."""
+    import arviz as az
+
+    with az.rc_context({"data.load": "eager"}), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return az.from_netcdf(source, engine="h5netcdf")
+
+
+def digest_of(idata: Any) -> str:
+    """SHA-256 of all that an InferenceData holds: groups, dimensions, values, attributes.
+
+    Parameters
+    ----------
+    idata : arviz.InferenceData
+        As read from a file; the digest that it holds itself does not count.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    found = hashlib.sha256()
+
+    def add(*words: Any) -> None:
+        found.update(json.dumps(words, sort_keys=True, default=str).encode() + b"\n")
+
+    add({name: _as_json(value) for name, value in idata.attrs.items() if name != FIELD})
+    for group in sorted(idata.groups()):
+        content = idata[group]
+        add("group", group, {name: _as_json(value) for name, value in content.attrs.items()})
+        for name in sorted(content.variables):
+            values = content.variables[name]
+            raw, text = np.asarray(values.values), values.dtype.kind in "OTUS"
+            kind = "text" if text else raw.dtype.newbyteorder("<").str
+            attributes = {name: _as_json(value) for name, value in values.attrs.items()}
+            add("variable", name, name in content.coords, values.dims, values.shape, kind, attributes)
+            if text:
+                add(raw.astype(str).tolist())
+            else:
+                found.update(raw.astype(kind, copy=False).tobytes())
+    return found.hexdigest()
+
+
+def _as_json(attribute: Any) -> Any:
+    """The same for an attribute's value whether it is read as a number or as an array of one."""
+    values = np.asarray(attribute)
+    return values.item() if values.size == 1 else values.tolist()
 
 
 def netcdf_bytes(idata: Any) -> memoryview:
@@ -64,28 +151,35 @@ def load(path: str | Path) -> Any:
     Returns
     -------
     arviz.InferenceData
-        With a posterior group; the file is closed.
+        With a posterior group; the file is closed. A file of another program, which holds no digest, gives a
+        `NoDigestWarning`.
 
     Raises
     ------
     ResultsError
-        If the file is missing, is not NetCDF, or has no posterior.
+        If the file is missing, is not NetCDF, does not fit its digest, or has no posterior.
     """
-    import arviz as az
-
     path = Path(path)
     if not path.is_file():
         raise ResultsError(f"{path}: no such file; `zoo sample MODEL STUDY -o {path.name}` writes one")
     try:
-        with az.rc_context({"data.load": "eager"}):
-            idata = az.from_netcdf(str(path), engine="h5netcdf")
-    except (OSError, ValueError, KeyError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        fits, digest = _whole(path.read_bytes()), None
+        if fits:
+            idata = _read(str(path))
+            digest = idata.attrs.pop(FIELD, None)
+            fits = digest is None or digest == digest_of(idata)
+    except Exception as error:  # of a damaged file, the libraries that read it raise anything
+        reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise ResultsError(f"{path}: not a readable NetCDF file ({reason}); sample again") from None
+    if not fits:
+        raise ResultsError(f"{path}: damaged, its content does not fit its digest; sample again")
     if "posterior" not in idata.groups():
         raise ResultsError(
             f"{path}: no group 'posterior'; `zoo sample MODEL STUDY -o {path.name}` writes one"
         )
+    if digest is None:
+        text = f"{path}: holds no digest of its content, so that damage to it would not be seen"
+        warnings.warn(text, NoDigestWarning, stacklevel=2)
     return idata
 
 

@@ -1,0 +1,48 @@
+"""Digests of contents: a file that was damaged or changed is not read as if it were whole."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+FIELD = "sha256"
+"""Where a file's content holds its own digest."""
+
+
+def of_bytes(content: bytes) -> str:
+    """SHA-256 in hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def of_json(content: Mapping[str, Any]) -> str:
+    """SHA-256 of a JSON object as compact text in ASCII with sorted keys, without its own digest."""
+    rest = {name: value for name, value in content.items() if name != FIELD}
+    return of_bytes(json.dumps(rest, sort_keys=True, separators=(",", ":")).encode())
+
+
+def stamped(content: Mapping[str, Any]) -> dict[str, Any]:
+    """A JSON object with its digest.
+
+    Parameters
+    ----------
+    content : mapping
+        As `json.loads` gives it: with names that are texts, and lists instead of tuples.
+
+    Returns
+    -------
+    dict
+
+    Examples
+    --------
+    >>> found = stamped({"a": 1.5})
+    >>> fits(found), fits({**found, "a": 1.25}), fits({"a": 1.5})
+    (True, False, None)
+    """
+    return {**content, FIELD: of_json(content)}
+
+
+def fits(content: Mapping[str, Any]) -> bool | None:
+    """Whether a JSON object is what its digest says; None if it holds no digest."""
+    return None if FIELD not in content else content[FIELD] == of_json(content)
