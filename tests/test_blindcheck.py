@@ -234,6 +234,8 @@ def test_reliability_by_hand() -> None:
         (0.75, 0.9, 4, 3),
         (0.97, 1.0, 1, 1),
     ]
+    low = reliability([0.0, 0.05, 0.1], [False, True, True])  # a bin begins at its lower edge
+    assert [(b.low, b.high, b.n, b.right) for b in low] == [(0.0, 0.1, 2, 1), (0.1, 0.25, 1, 1)]
     # P(0 right of 4) = 0.0016, P(at most 1) = 0.0272: the lower 2.5 % end at 1
     assert bins[1].band == (1, 4)
     assert all(b.inside for b in bins)

@@ -12,6 +12,8 @@ from made import made
 from zoo import load_study
 from zoo.blood.diagnosis import PHASES, StudyDiagnosis, diagnose, phases
 from zoo.core.diagnosis import DiagnosisError, DiagnosisFile, read_diagnosis
+from zoo.core.diagnosis.answer import _warnings
+from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
 from zoo.core.effects import EVERYWHERE, EffectError
 from zoo.report import total_seconds
@@ -198,8 +200,15 @@ def test_units_that_cannot_be_are_warned_of() -> None:
     assert "kPa would fit" in file.warnings[0]
     assert any("check the units in observations.csv" in text for text in file.warnings)
     assert file.excluded is not None
-    if file.cause[0] not in (NULL, NONPARAMETRIC) and file.gap.removed < 0.5:
-        assert any("most has another cause" in text for text in file.warnings)
+
+
+@pytest.mark.parametrize(("removed", "warned"), [(-0.1, True), (0.3, True), (0.7, False)])
+def test_an_explanation_that_leaves_most_is_warned_of(
+    removed: float, warned: bool, jitter: StudyDiagnosis
+) -> None:
+    gap = jitter.file.gap.model_copy(update={"removed": removed})
+    text = f"only {max(removed, 0.0):.0%} of the discrepancy goes with it: most has another cause"
+    assert any(text in found for found in _warnings(gap, jitter.rounds[0], Hooks())) is warned
 
 
 def test_an_effect_parameter_at_its_bound_is_told() -> None:

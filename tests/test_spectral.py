@@ -57,6 +57,16 @@ def test_transforms_are_orthonormal_and_invertible(n: int, kind: type[Spectral])
     np.testing.assert_allclose(H.flat(np.stack([y, 2 * y])), np.stack([z, 2 * z]), atol=1e-12)
 
 
+@pytest.mark.parametrize("kind", [Harmonics, Cosines])
+def test_each_coefficient_is_a_wave_of_its_frequency(kind: type[Spectral]) -> None:
+    """y(t - dt) - 2 y(t) + y(t + dt) = -4 sin^2(omega dt/2) y(t), of any sine or cosine."""
+    H = bound(np.zeros((1, 24)), kind)
+    dt = PERIOD / 24
+    waves = H.inverse(np.eye(24)[:, None])[:, 0]
+    bent = waves[:, :-2] - 2 * waves[:, 1:-1] + waves[:, 2:]
+    np.testing.assert_allclose(bent, -4 * np.sin(H.omega * dt / 2)[:, None] ** 2 * waves[:, 1:-1], atol=1e-12)
+
+
 @pytest.mark.parametrize("n", [16, 17])
 def test_density_is_that_of_the_dense_covariance(n: int) -> None:
     rng = np.random.default_rng(2)

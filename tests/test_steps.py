@@ -65,6 +65,37 @@ def test_metropolis_solves_once_a_proposal(joint, evaluations):
     assert [r["solves"] for r in records] == [evaluations + 1] + [evaluations] * 49
 
 
+def test_joint_proposals_have_the_scale_that_is_best_for_a_normal_law():
+    """2.38^2/d times its covariance (doi 10.1214/aoap/1034625254), the first guess's and the chain's own."""
+    model = gaussian_model()
+    guess = Gaussian(np.zeros(3), np.diag([2.0, 1.0, 0.5]))
+    step = Metropolis(model=model, reference=guess, adapt=True)
+
+    def proposed() -> np.ndarray:
+        factor = step.proposal_dist.chol
+        return factor @ factor.T
+
+    np.testing.assert_allclose(proposed(), guess.covariance * 2.38**2 / 3, rtol=1e-10)
+    draws, _ = steps_of(step, model.initial_point(), 901, tune=900)
+    own = draws[300:900]  # a third is forgotten
+    weight = 600 / (4 * 3)  # correlated draws; the guess counts as three
+    blend = (np.cov(own.T) * weight + guess.covariance * 3) / (weight + 3)
+    np.testing.assert_allclose(proposed(), blend * 2.38**2 / 3, rtol=1e-10)
+    assert step.scaling == 1.0
+
+
+def test_a_log_posterior_that_is_no_number_is_refused_and_counts_so():
+    with pm.Model() as model:
+        a = pm.Normal("a", 0.5, 1.0)
+        pm.Potential("half", pt.switch(a > 0.0, 0.0, np.nan))
+    step = DEMetropolisZ(model=model, crank_nicolson=0.9, reference=Gaussian(np.zeros(1), np.eye(1)))
+    draws, records = steps_of(step, {"a": np.array(0.5)}, 400, tune=200)
+    assert np.all(draws > 0.0)
+    sure = [r["accepted"] for r in records if r["accept"] >= 1.0]
+    assert len(sure) > 50
+    assert all(sure)
+
+
 def test_demetropolisz_solves_once_a_step_and_reports_the_log_posterior():
     model = gaussian_model()
     step = DEMetropolisZ(model=model, scaling=0.1)
