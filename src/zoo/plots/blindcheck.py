@@ -117,7 +117,7 @@ def plot_accuracy(score: CheckScore) -> Figure:
         )
         right.set_ylim(len(rates) - 0.4, -0.6)
         right.set_xlim(-3, 103)
-        right.set_xlabel("% of cases (line: 95 % interval, cross: best constant answer)")
+        right.set_xlabel("% of cases (lines: 95 %, crosses: best constant answer)")
         right.grid(axis="x", color="#DDDDDD", lw=0.7)
         right.set_axisbelow(True)
     return figure
