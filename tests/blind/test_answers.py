@@ -14,7 +14,9 @@ from typer.testing import CliRunner
 import zoo.blood.blind.run as running
 from zoo.blood.blind import BlindError, diagnose_cases, score_cases
 from zoo.blood.blind.keys import read_key
+from zoo.blood.blind.run import read_fitted
 from zoo.blood.diagnosis import diagnose
+from zoo.blood.study import load_study
 from zoo.cli import app
 from zoo.core.blindcheck.sealing import KEY_DIGEST
 from zoo.core.effects import Location
@@ -90,6 +92,30 @@ def test_run_refuses_what_is_no_folder_of_cases(made: tuple[Path, Path], tmp_pat
         diagnose_cases(tmp_path, tmp_path.parent / "answers")
     with pytest.raises(BlindError, match="lies inside"):
         diagnose_cases(made[0], made[0] / "answers")
+
+
+def test_fitted_series_are_read_back_or_refused(
+    made: tuple[Path, Path], answered: Path, tmp_path: Path
+) -> None:
+    """Against the data they leave the residuals that diagnosis.json states; damaged they are refused."""
+    answers = tmp_path / "answers"
+    shutil.copytree(answered, answers)
+    for folder in sorted(answers.glob("case-*")):
+        fitted, told = read_fitted(folder), json.loads((folder / "diagnosis.json").read_text())["gap"]
+        assert fitted is not None
+        study = load_study(made[0] / folder.name)
+        base, leader = fitted.left(study.values)
+        assert base == pytest.approx(told["residual_rms_before_mmHg"], rel=1e-3)
+        assert leader == pytest.approx(told["residual_rms_after_mmHg"], rel=1e-3)
+    path = answers / "case-001" / "fitted.json"
+    text = path.read_text()
+    digit = next(i for i, c in enumerate(text) if c == "." and text[i + 1] in "12345678") + 1
+    for wrong in (text[:-30], text[:digit] + "9" + text[digit + 1 :], "[]", "{}"):
+        path.write_text(wrong)
+        with pytest.raises(BlindError, match=r"fitted\.json: is broken"):
+            read_fitted(answers / "case-001")
+    path.unlink()
+    assert read_fitted(answers / "case-001") is None
 
 
 def test_score_writes_and_checks_the_key(made: tuple[Path, Path], answered: Path, tmp_path: Path) -> None:
@@ -203,8 +229,9 @@ def test_commands_end_to_end(made: tuple[Path, Path], answered: Path, tmp_path: 
     assert {p.name for p in out.iterdir()} == {
         "score.json", "score.md", "cases.csv", "reliability.png", "accuracy.png", "confusion.png", "sizes.png"
     }  # fmt: skip
-    assert "no-effect cases" in result.output
-    assert "always no-gap" in " ".join(result.output.split())
+    shown = " ".join(result.output.split())
+    assert "best constant answer" in shown
+    assert "100 % (always" in shown  # of two listed cases and one outside, which is always unlisted
 
 
 def test_commands_complain_in_one_line(made: tuple[Path, Path], tmp_path: Path) -> None:

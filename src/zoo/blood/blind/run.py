@@ -16,6 +16,7 @@ from zoo.blood.blind.bench import BASELINE
 from zoo.blood.diagnosis import diagnose, prior_words
 from zoo.blood.plugins import add_effects
 from zoo.blood.study import Study, StudyError, load_study
+from zoo.core import digests
 from zoo.core.blindcheck.answers import Fitted, fitted_series
 from zoo.core.blindcheck.running import Ran, run_folders
 from zoo.core.blindcheck.sealing import BlindError
@@ -97,7 +98,7 @@ def write_fitted(answer: Path, fitted: Fitted) -> None:
         "base": np.round(fitted.base, FITTED_DIGITS).tolist(),
         "leader": np.round(fitted.leader, FITTED_DIGITS).tolist(),
     }
-    (answer / FITTED).write_text(json.dumps(content) + "\n", encoding="utf-8")
+    (answer / FITTED).write_text(json.dumps(digests.stamped(content)) + "\n", encoding="utf-8")
 
 
 def read_fitted(answer: Path) -> Fitted | None:
@@ -106,13 +107,15 @@ def read_fitted(answer: Path) -> Fitted | None:
     Raises
     ------
     BlindError
-        If it is broken.
+        If it is broken, or is not what its digest says.
     """
     path = answer / FITTED
     if not path.exists():
         return None
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
+        if not digests.fits(found):
+            raise ValueError
         base, leader = (np.array(found[name], dtype=float) for name in ("base", "leader"))
         rows = tuple(int(i) for i in found["about"])
         if base.ndim != 2 or base.shape != leader.shape or not set(rows) <= set(range(len(base))) or not rows:
