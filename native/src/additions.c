@@ -3,14 +3,14 @@
 #include "values.h"
 
 /* Other frictions and a throat's narrower radius need no further loops: they change the grid. */
-int zoo_has_additions(const zoo_problem *pr)
+int zoo_has_additions(const zoo_problem *pr, const int *children)
 {
     int nv = pr->network.n_vessels;
     return pr->numerics.additions || pr->junction.total_pressure != 0.0 || pr->junction.loss != 0.0 ||
            values_differ(pr->wall.offset_in, nv, 0.0) || values_differ(pr->wall.offset_out, nv, 0.0) ||
            values_differ(pr->wall.viscoelastic_time, nv, 0.0) || values_differ(pr->fluid.leak, nv, 0.0) ||
            (pr->throat.loss != 0.0 && values_differ(pr->throat.severity, nv, 0.0)) ||
-           values_differ(pr->wall.stiffness_wave, pr->wall.n_wave, 1.0) || outlet_adds(pr);
+           values_differ(pr->wall.stiffness_wave, pr->wall.n_wave, 1.0) || outlet_adds(pr, children);
 }
 
 /* At the nodes of vessel k. */

@@ -1,11 +1,18 @@
-/* Which problems can be solved at all: every argument in its range, whatever the parameters. */
+/* Which problems can be solved at all: every argument in its range, whatever the parameters.
+ *
+ * Counts are refused above ZOO_MOST, and so are those whose products ints would not hold, which index the arrays of
+ * a run. */
+#include <limits.h>
+#include <stdlib.h>
+
 #include "inlet.h"
 #include "outlet.h"
 #include "values.h"
 
 static int bad_network(const zoo_network *net)
 {
-    if (net->n_vessels < 1 || net->parent[0] != -1)
+    if (net->n_vessels < 1 || net->n_vessels > ZOO_MOST || !net->parent || !net->n_cells || !net->length ||
+        !net->radius_in || !net->radius_out || net->parent[0] != -1)
         return 1;
     for (int k = 0; k < net->n_vessels; k++) {
         if (k > 0 && (net->parent[k] < 0 || net->parent[k] >= k))
@@ -23,8 +30,9 @@ static int bad_fluid(const zoo_fluid *fluid, int nv)
         return 1;
     if (fluid->friction == ZOO_FRICTION_FIXED && value_bad(fluid->friction_radius))
         return 1;
-    return value_bad(fluid->density) || value_bad(fluid->viscosity) || !(fluid->momentum_correction >= 0.0) ||
-           !(fluid->stokes_friction >= 0.0) || !(fluid->viscous_friction >= 0.0) ||
+    return value_bad(fluid->density) || value_bad(fluid->viscosity) || values_outside(&fluid->momentum_correction, 1, 0.0, INFINITY) ||
+           values_outside(&fluid->stokes_friction, 1, 0.0, INFINITY) ||
+           values_outside(&fluid->viscous_friction, 1, 0.0, INFINITY) ||
            values_outside(fluid->viscosity_factor, nv, 1e-300, INFINITY) ||
            values_outside(fluid->leak, nv, 0.0, INFINITY);
 }
@@ -42,7 +50,7 @@ static int bad_wall(const zoo_wall *wall, int nv)
     if (values_outside(wall->viscoelastic_time, nv, 0.0, INFINITY) ||
         (wall->viscoelastic_time && value_bad(wall->relaxation_time)))
         return 1;
-    return wall->n_wave < 0 || (wall->n_wave > 0 && !wall->stiffness_wave) ||
+    return wall->n_wave < 0 || wall->n_wave > ZOO_MOST || (wall->n_wave > 0 && !wall->stiffness_wave) ||
            values_outside(wall->stiffness_wave, wall->n_wave, 1e-300, INFINITY);
 }
 
@@ -56,7 +64,8 @@ static int bad_throat(const zoo_throat *throat, int nv)
 
 static int bad_outputs(const zoo_outputs *out, int nv, double period)
 {
-    if (out->n_series < 0 || out->n_times < 0)
+    if (out->n_series < 0 || out->n_times < 0 || out->n_times > ZOO_MOST ||
+        (out->n_series > 0 && (!out->vessel || !out->position)) || (out->n_times > 0 && !out->times))
         return 1;
     for (int i = 0; i < out->n_series; i++)
         if (out->vessel[i] < 0 || out->vessel[i] >= nv || !(out->position[i] >= 0.0) || !(out->position[i] <= 1.0))
@@ -69,17 +78,52 @@ static int bad_outputs(const zoo_outputs *out, int nv, double period)
 
 static int bad_numerics(const zoo_numerics *num)
 {
-    return !(num->cfl > 0.0) || !(num->cfl < 1.0) || num->max_steps < ZOO_STEP_UNIT || num->max_beats < 1 ||
+    return !(num->cfl > 0.0) || !(num->cfl < 1.0) || num->max_steps < ZOO_STEP_UNIT || num->max_steps > ZOO_MOST ||
+           num->max_beats < 1 || num->max_beats > ZOO_MOST ||
            value_bad(num->tolerance) || num->steps_per_beat < 0 || num->least_steps < 0 || num->least_steps > num->max_steps ||
            num->steps_per_beat > num->max_steps ||
            (num->steps_per_beat != 0 && num->steps_per_beat < ZOO_CHECKS);
 }
 
-int zoo_check_problem(const zoo_problem *pr)
+/* Whether a step, or the time between two samples, is too short for its inverse to be a number. */
+static int bad_clock(const zoo_problem *pr)
+{
+    const double most = fmax(pr->numerics.max_steps, fmax(pr->inlet.n_samples, pr->wall.n_wave));
+    return pr->inlet.n_samples > ZOO_MOST || !(pr->inlet.period / most > 1e-300);
+}
+
+/* Whether the largest arrays of a run, [rows][nodes or terminals][lanes], have more elements than an int holds. */
+static int too_large(const zoo_problem *pr)
+{
+    const int64_t nv = pr->network.n_vessels, sections = pr->outlet.n_sections;
+    int64_t nodes = 0;
+    for (int64_t k = 0; k < nv; k++)
+        nodes += (int64_t)pr->network.n_cells[k] + 1;
+    if (nodes > ZOO_MOST || sections > ZOO_MOST || pr->outputs.n_series > ZOO_MOST)
+        return 1;
+    /* the state; the outlets' coefficients, of which no kind has more beside its sections'; the samples of a step */
+    enum { COEFFICIENTS = 16, STATE = 4, SAMPLES = 4 * 3 };
+    const int64_t rows[] = {(STATE + ZOO_MOST_SHAPES) * nodes + (sections + 2) * nv, (COEFFICIENTS + 2 * sections) * nv,
+                            (int64_t)SAMPLES * pr->outputs.n_series};
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
+        if (rows[i] > INT_MAX / ZOO_LANES)
+            return 1;
+    return 0;
+}
+
+int32_t zoo_check_problem(const zoo_problem *pr)
 {
     int nv = pr->network.n_vessels;
-    return bad_network(&pr->network) || bad_fluid(&pr->fluid, nv) || bad_wall(&pr->wall, nv) ||
-           bad_throat(&pr->throat, nv) || values_outside(&pr->junction.total_pressure, 1, 0.0, INFINITY) ||
-           values_outside(&pr->junction.loss, 1, 0.0, INFINITY) || inlet_bad(pr) || outlet_bad(pr) ||
-           bad_outputs(&pr->outputs, nv, pr->inlet.period) || bad_numerics(&pr->numerics);
+    if (bad_network(&pr->network) || bad_fluid(&pr->fluid, nv) || bad_wall(&pr->wall, nv) ||
+        bad_throat(&pr->throat, nv) || values_outside(&pr->junction.total_pressure, 1, 0.0, INFINITY) ||
+        values_outside(&pr->junction.loss, 1, 0.0, INFINITY) || inlet_bad(pr) ||
+        bad_outputs(&pr->outputs, nv, pr->inlet.period) || bad_numerics(&pr->numerics) || bad_clock(pr) ||
+        too_large(pr))
+        return ZOO_BAD_ARGUMENT;
+    int *children = zoo_count_children(&pr->network);
+    if (!children)
+        return ZOO_WORKSPACE;
+    int bad = outlet_bad(pr, children);
+    free(children);
+    return bad ? ZOO_BAD_ARGUMENT : ZOO_OK;
 }

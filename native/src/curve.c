@@ -1,6 +1,7 @@
 /* The inlet's curve: samples over one period, linear between, periodic; at the steps, and its exact mean
  * over each of them. */
 #include "internal.h"
+#include "values.h"
 
 /* The running integral of the samples. */
 void zoo_curve_sum(zoo_sim *s)
@@ -17,7 +18,7 @@ static double integral(const zoo_sim *s, double t)
 {
     const zoo_inlet *in = &s->problem->inlet;
     double h = in->period / in->n_samples, x = t / h;
-    int i = (int)x;
+    int i = whole(x, in->n_samples);
     if (i >= in->n_samples)
         return s->curve_sum[in->n_samples];
     double f = x - i, a = in->curve[i], b = in->curve[(i + 1) % in->n_samples];
@@ -30,7 +31,7 @@ void zoo_curve_step(zoo_sim *s)
     double before = 0.0;
     for (int i = 0; i <= s->n_steps; i++) {
         double t = i == s->n_steps ? in->period : i * s->dt, x = t / in->period * in->n_samples;
-        int m = (int)x;
+        int m = whole(x, in->n_samples);
         double f = x - m, now = integral(s, t);
         s->curve_node[i] = (1.0 - f) * in->curve[m % in->n_samples] + f * in->curve[(m + 1) % in->n_samples];
         if (i > 0)

@@ -10,18 +10,19 @@ static void set_junctions(zoo_sim *s, zoo_junction_group *ju)
     const zoo_network *net = &s->problem->network;
     int i = 0;
     for (int k = 0; k < s->n_vessels; k++) {
-        if (zoo_children(net, k) + 1 != ju->branches)
+        if (s->children[k] + 1 != ju->branches)
             continue;
         ju->node[i] = s->last[k];
         ju->mid[i] = s->last[k] - 1;
-        int b = 1;
-        for (int d = k + 1; d < s->n_vessels; d++)
-            if (net->parent[d] == k) {
-                ju->node[b * ju->count + i] = s->first[d];
-                ju->mid[b * ju->count + i] = s->first[d];
-                b++;
-            }
-        i++;
+        s->place[k] = i++;
+    }
+    for (int d = 1; d < s->n_vessels; d++) {
+        int k = net->parent[d];
+        if (s->children[k] + 1 != ju->branches)
+            continue;
+        s->place[k] += ju->count; /* the next branch */
+        ju->node[s->place[k]] = s->first[d];
+        ju->mid[s->place[k]] = s->first[d];
     }
     for (int x = 0; x < ju->branches * ju->count; x++) {
         int node = ju->node[x];
@@ -70,7 +71,7 @@ void zoo_set_grid(zoo_sim *s)
         }
         if (s->extra)
             zoo_set_additions(s, k);
-        if (zoo_children(net, k) == 0)
+        if (s->children[k] == 0)
             s->outlets.vessel[nt++] = k;
     }
     for (int t = 0; t < s->outlets.count; t++) {

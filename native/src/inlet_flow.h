@@ -10,7 +10,7 @@ static inline int flow_bad(const zoo_problem *pr)
     double mean = 0.0;
     for (int i = 0; i < pr->inlet.n_samples; i++)
         mean += pr->inlet.curve[i];
-    return !(mean > 0.0);
+    return value_bad(mean);
 }
 
 static inline double flow_mean(const zoo_sim *s)

@@ -22,7 +22,8 @@ enum {
     ZOO_LANES = 16,
     ZOO_HISTORY = 4,   /* beats kept for the extrapolation */
     ZOO_CHECKS = 32,   /* times in a beat at which the state is checked */
-    ZOO_STEP_UNIT = 32 /* steps per beat are a multiple of this when chosen from cfl */
+    ZOO_STEP_UNIT = 32, /* steps per beat are a multiple of this when chosen from cfl */
+    ZOO_MOST = 1 << 28 /* of anything that is counted, so that sums of a few counts are ints */
 };
 
 /* Junctions with the same number of branches; branch 0 is the parent, and
@@ -78,6 +79,8 @@ typedef struct {
     /* grid, per vessel and per node */
     int *first, *last;                   /* [n_vessels] */
     int *vessel_of;                      /* [n_nodes] */
+    int *children;                       /* [n_vessels] how many each vessel has; a terminal has none */
+    int *place;                          /* [n_vessels] scratch: the last branch of the junction at its outlet */
     double *dx;                          /* [n_vessels] */
     double *A0, *inv_A0;                 /* [n_nodes] rest area, and its inverse */
     double *inv_A0_mid;                  /* [n_nodes] at midpoints */
@@ -179,19 +182,14 @@ ZOO_INLINE wall_shape zoo_shape(const zoo_sim *s, ptrdiff_t i)
     return (wall_shape){s->coefficient + i, (ptrdiff_t)s->n_nodes * s->lanes};
 }
 
-/* Children of a vessel; a terminal has none. */
-static inline int zoo_children(const zoo_network *net, int vessel)
-{
-    int n = 0;
-    for (int k = vessel + 1; k < net->n_vessels; k++)
-        n += net->parent[k] == vessel;
-    return n;
-}
+/* check.c: ZOO_OK when the problem can be solved at all; ZOO_BAD_ARGUMENT, or ZOO_WORKSPACE without memory to look. */
+int32_t zoo_check_problem(const zoo_problem *problem);
 
-/* check.c: 0 when the problem can be solved at all, else 1. */
-int zoo_check_problem(const zoo_problem *problem);
+/* memory.c: how many children each vessel has, [n_vessels], 0 for a terminal; to be freed, NULL without memory. */
+int *zoo_count_children(const zoo_network *network);
 
-/* memory.c: carve the arrays out of the workspace; with base NULL only count the bytes. */
+/* memory.c: carve the arrays out of the workspace; with base NULL only count the bytes.  Returns the bytes, or -1
+ * where they are more than memory can have, or nothing is left to count with. */
 int64_t zoo_layout(const zoo_problem *problem, int lanes, zoo_sim *sim, void *base);
 
 /* grid.c: nodes, ends of vessels, and where outputs are taken. */
@@ -206,7 +204,7 @@ double zoo_narrowed(const zoo_sim *sim, int vessel, double x, double r);
 double zoo_throat_loss(const zoo_sim *sim, int vessel, double x, double r);
 
 /* additions.c: what only the loops with additions have. */
-int zoo_has_additions(const zoo_problem *problem);
+int zoo_has_additions(const zoo_problem *problem, const int *children);
 void zoo_set_additions(zoo_sim *sim, int vessel);
 
 /* parameters.c: spread the parameters of each lane's set over the nodes; returns the number of good lanes. */
@@ -234,6 +232,7 @@ double zoo_junction_defect(const zoo_sim *sim, int lane);
 void zoo_output_weights(zoo_sim *sim, int series);
 void zoo_output_begin(zoo_sim *sim);
 void zoo_output_step(zoo_sim *sim, int step);
+int zoo_output_finite(const zoo_sim *sim, int lane);
 void zoo_output_store(const zoo_sim *sim, int lane, double *pressure, double *flow, double *area);
 
 /* periodic.c: beats until the solution repeats itself, for all lanes of sim. */

@@ -1,37 +1,49 @@
 /* Memory: where each array of a run stands in the workspace. */
+#include <stdlib.h>
 #include <string.h>
 
 #include "outlet.h"
 
-/* Takes `count` elements off the workspace, aligned to a cache line. */
-static void *carve(char **at, int64_t *used, int64_t count, int64_t size)
+/* Takes `count` elements off the workspace, aligned to a cache line.  `used` becomes and stays -1 when the bytes
+ * are more than a pointer can tell apart. */
+static void *carve(char *at, int64_t *used, int64_t count, int64_t size)
 {
-    void *here = *at ? *at + *used : NULL;
-    *used += (count * size + 63) / 64 * 64;
-    return here;
+    int64_t from = *used, bytes, to;
+    if (from < 0 || __builtin_mul_overflow(count, size, &bytes) || __builtin_add_overflow(from, bytes, &to) ||
+        to > PTRDIFF_MAX - 127) { /* 63 to round up, 64 to align the first */
+        *used = -1;
+        return NULL;
+    }
+    *used = (to + 63) / 64 * 64;
+    return at ? at + from : NULL;
 }
 
-/* The fewest children above `least` that a vessel has; 0 if none has more. */
-static int next_size(const zoo_network *net, int least)
+int *zoo_count_children(const zoo_network *net)
 {
-    int next = 0;
-    for (int k = 0; k < net->n_vessels; k++) {
-        int n = zoo_children(net, k);
-        if (n > least && (next == 0 || n < next))
-            next = n;
-    }
-    return next;
+    int *children = calloc((size_t)net->n_vessels, sizeof *children);
+    for (int k = 1; k < net->n_vessels && children; k++)
+        children[net->parent[k]]++;
+    return children;
 }
 
 int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
 {
     const zoo_network *net = &pr->network;
+    int *children = zoo_count_children(net), *junctions = calloc((size_t)net->n_vessels, sizeof *junctions);
+    memset(s, 0, sizeof *s);
+    if (!children || !junctions) {
+        free(children);
+        free(junctions);
+        return -1;
+    }
     char *at = base;
     int64_t used = 0, nv = net->n_vessels, n = 0, nt = 0, W = lanes;
     int64_t ns = pr->outputs.n_series, ntime = pr->outputs.n_times;
-    memset(s, 0, sizeof *s);
-    for (int k = 0; k < nv; k++)
-        n += net->n_cells[k] + 1;
+    for (int k = 0; k < nv; k++) {
+        n += (int64_t)net->n_cells[k] + 1;
+        nt += children[k] == 0;
+        junctions[children[k]]++;
+    }
 
     s->problem = pr;
     s->lanes = lanes;
@@ -40,15 +52,15 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     s->n_nodes = (int)n;
     s->momentum = pr->fluid.momentum_correction;
     s->inv_density = 1.0 / pr->fluid.density;
-    s->extra = zoo_has_additions(pr);
+    s->extra = zoo_has_additions(pr, children);
     s->stiff = s->stiff_half = s->stiffest = 1.0;
     s->varying = zoo_stiffness_varies(pr);
     s->coupled = pr->junction.total_pressure != 0.0 || pr->junction.loss != 0.0;
     int64_t x = s->extra ? 1 : 0; /* no memory for what is not added */
     int64_t wave = s->extra && pr->wall.n_wave > 0 ? pr->numerics.max_steps : 0;
 
-#define INTS(name, count) name = carve(&at, &used, count, sizeof(int))
-#define REALS(name, count) name = carve(&at, &used, count, sizeof(double))
+#define INTS(name, count) name = carve(at, &used, count, sizeof(int))
+#define REALS(name, count) name = carve(at, &used, count, sizeof(double))
 /* midpoints have one more in front of node 0, so that no loop needs a special case for it */
 #define MIDS(name)                \
     do {                          \
@@ -57,12 +69,12 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
             name += W;            \
     } while (0)
     /* how many junctions there are of each size */
-    s->groups = carve(&at, &used, nv, sizeof *s->groups);
+    s->groups = carve(at, &used, nv, sizeof *s->groups);
     int n_groups = 0;
-    for (int b = next_size(net, 0); b > 0; b = next_size(net, b)) { /* b children */
-        int count = 0;
-        for (int k = 0; k < nv; k++)
-            count += zoo_children(net, k) == b;
+    for (int b = 1; b < nv; b++) { /* b children */
+        const int count = junctions[b];
+        if (count == 0)
+            continue;
         int64_t size = (int64_t)(b + 1) * count;
         zoo_junction_group g = {.count = count, .branches = b + 1};
         INTS(g.node, size);
@@ -95,8 +107,6 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
             s->groups[n_groups] = g;
         n_groups++;
     }
-    for (int k = 0; k < nv; k++)
-        nt += zoo_children(net, k) == 0;
     s->n_groups = n_groups;
 
     zoo_terminals *ou = &s->outlets;
@@ -121,6 +131,8 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     INTS(s->first, nv);
     INTS(s->last, nv);
     INTS(s->vessel_of, n);
+    INTS(s->children, nv);
+    INTS(s->place, nv);
     INTS(s->out_node, 4 * ns);
     INTS(s->live, W);
     INTS(s->stuck, W);
@@ -171,16 +183,21 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(s->out_weight, 4 * ns);
     REALS(s->ring, 4 * ns * 3 * W);
     REALS(s->sample, ntime * ns * 3 * W);
-    REALS(s->start, s->n_state * W);
-    REALS(s->states, ZOO_HISTORY * s->n_state * W);
-    REALS(s->ends, ZOO_HISTORY * s->n_state * W);
-    REALS(s->weight, s->n_state * W);
+    const int64_t state = s->n_state * W;
+    REALS(s->start, state);
+    REALS(s->states, ZOO_HISTORY * state);
+    REALS(s->ends, ZOO_HISTORY * state);
+    REALS(s->weight, state);
     REALS(s->slow, W);
     REALS(s->fastest, nv * W);
 #undef INTS
 #undef REALS
 #undef MIDS
-    s->report = carve(&at, &used, W, sizeof *s->report);
-    s->set_of = carve(&at, &used, W, sizeof *s->set_of);
+    s->report = carve(at, &used, W, sizeof *s->report);
+    s->set_of = carve(at, &used, W, sizeof *s->set_of);
+    if (base && used > 0)
+        memcpy(s->children, children, (size_t)nv * sizeof *children);
+    free(children);
+    free(junctions);
     return used;
 }

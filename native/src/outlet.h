@@ -4,8 +4,8 @@
  * there.  The header holds, for a kind called `windkessel`,
  *
  *   windkessel_loops                 in which loops of step.c it can run: OUTLET_PLAIN, OUTLET_ADDED, or both
- *   windkessel_bad(pr)               1 if an argument is out of range (R1 is positive already, R2 and C positive or R2 zero)
- *   windkessel_adds(pr)              1 if it needs the loops with additions
+ *   windkessel_bad(pr, children)     1 if an argument is out of range (R1 is positive already, R2 and C positive or R2 zero)
+ *   windkessel_adds(pr, children)    1 if it needs the loops with additions
  *   windkessel_rows(pr)              how many rows of [count*lanes] it has of coefficients, of pressures and flows
  *                                    in its state, and of scratch
  *   windkessel_set_step(s)           the coefficients, for a time step
@@ -61,20 +61,22 @@ enum { ZOO_OUTLETS(OUTLET_NUMBER, ) ZOO_N_OUTLETS };
         ZOO_OUTLETS(OUTLET_CASE_DO, __VA_ARGS__) \
     }
 
-static inline int outlet_bad(const zoo_problem *pr)
+static inline int outlet_bad(const zoo_problem *pr, const int *children)
 {
     const zoo_outlet *out = &pr->outlet;
+    if (!out->R1 || !out->R2 || !out->C)
+        return 1;
     for (int k = 0; k < pr->network.n_vessels; k++)
-        if (zoo_children(&pr->network, k) == 0 &&
+        if (children[k] == 0 &&
             (value_bad(out->R1[k]) || (out->R2[k] != 0.0 && (value_bad(out->R2[k]) || value_bad(out->C[k]))) ||
              !isfinite(value_or_zero(out->pressure, k))))
             return 1;
-    OUTLET_RETURN(pr->outlet.kind, 1, bad, pr)
+    OUTLET_RETURN(pr->outlet.kind, 1, bad, pr, children)
 }
 
-static inline int outlet_adds(const zoo_problem *pr)
+static inline int outlet_adds(const zoo_problem *pr, const int *children)
 {
-    OUTLET_RETURN(pr->outlet.kind, 0, adds, pr)
+    OUTLET_RETURN(pr->outlet.kind, 0, adds, pr, children)
 }
 
 /* The kind whose loops are run.  A circuit without inertance and with one section is the Windkessel, whose

@@ -68,25 +68,25 @@ static inline double circuit_R(const zoo_sim *s, int m, int t, int l)
 {
     const int n = circuit_given(s->problem);
     const double R2 = s->outlets.R2[t * s->lanes + l];
-    return n ? R2 * s->problem->outlet.section_resistance[s->outlets.vessel[t] * n + m] : R2;
+    return n ? R2 * s->problem->outlet.section_resistance[(ptrdiff_t)s->outlets.vessel[t] * n + m] : R2;
 }
 
 static inline double circuit_C(const zoo_sim *s, int m, int t, int l)
 {
     const int n = circuit_given(s->problem);
     const double C = s->outlets.C[t * s->lanes + l];
-    return n ? C * s->problem->outlet.section_compliance[s->outlets.vessel[t] * n + m] : C;
+    return n ? C * s->problem->outlet.section_compliance[(ptrdiff_t)s->outlets.vessel[t] * n + m] : C;
 }
 
-static inline int circuit_bad(const zoo_problem *pr)
+static inline int circuit_bad(const zoo_problem *pr, const int *children)
 {
     const zoo_outlet *out = &pr->outlet;
     int64_t nv = pr->network.n_vessels, ns = out->n_sections;
     if (values_outside(out->inertance, nv, 0.0, INFINITY) || ns < 0 ||
         (ns > 0 && (!out->section_resistance || !out->section_compliance)))
         return 1;
-    for (int k = 0; k < nv && ns > 0; k++) {
-        if (zoo_children(&pr->network, k) > 0)
+    for (int64_t k = 0; k < nv && ns > 0; k++) {
+        if (children[k] > 0)
             continue;
         double sum = 0.0;
         for (int64_t i = k * ns; i < (k + 1) * ns; i++) {
@@ -102,15 +102,15 @@ static inline int circuit_bad(const zoo_problem *pr)
 }
 
 /* Unless every terminal is a Windkessel. */
-static inline int circuit_adds(const zoo_problem *pr)
+static inline int circuit_adds(const zoo_problem *pr, const int *children)
 {
     const zoo_outlet *out = &pr->outlet;
-    int ns = out->n_sections;
+    const int64_t ns = out->n_sections;
     for (int k = 0; k < pr->network.n_vessels; k++) {
-        if (zoo_children(&pr->network, k) > 0)
+        if (children[k] > 0)
             continue;
         int there = 0;
-        for (int i = k * ns; i < (k + 1) * ns; i++) {
+        for (int64_t i = k * ns; i < (k + 1) * ns; i++) {
             double rho = out->section_resistance[i];
             there += rho != 0.0;
             if (rho != 0.0 && (rho != 1.0 || out->section_compliance[i] != 1.0))

@@ -19,15 +19,15 @@ enum { windkessel_loops = OUTLET_PLAIN };
 /* e, R2 (1 - e), 2 R1 + R2 (1 - e), 1/R1, (1 - e) p_out */
 enum { WINDKESSEL_DECAY, WINDKESSEL_FILL, WINDKESSEL_E, WINDKESSEL_INV_R1, WINDKESSEL_REST, WINDKESSEL_COEFFICIENTS };
 
-static inline int windkessel_bad(const zoo_problem *pr)
+static inline int windkessel_bad(const zoo_problem *pr, const int *children)
 {
-    (void)pr;
+    (void)pr, (void)children;
     return 0;
 }
 
-static inline int windkessel_adds(const zoo_problem *pr)
+static inline int windkessel_adds(const zoo_problem *pr, const int *children)
 {
-    (void)pr;
+    (void)pr, (void)children;
     return 0;
 }
 

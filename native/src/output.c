@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "internal.h"
+#include "values.h"
 
 /* Weights of the cubic through four neighbouring nodes (fewer, where a vessel has no four). */
 void zoo_output_weights(zoo_sim *s, int series)
@@ -18,7 +19,7 @@ void zoo_output_weights(zoo_sim *s, int series)
     int k = out->vessel[series], n = s->last[k] - s->first[k]; /* n cells */
     double x = out->position[series] * n;
     int points = n >= 3 ? 4 : n + 1;
-    int j0 = (int)floor(x) - 1;
+    int j0 = whole(x, n) - 1;
     j0 = j0 < 0 ? 0 : j0 > n + 1 - points ? n + 1 - points : j0;
     for (int i = 0; i < 4; i++) {
         double w = i < points ? 1.0 : 0.0;
@@ -92,6 +93,17 @@ void zoo_output_step(zoo_sim *s, int step)
     record(s, step);
     if (step >= 3)
         emit(s, step - 3, step == s->n_steps ? step * (1.0 + 1e-9) : step - 1.0);
+}
+
+/* Whether the samples of a lane that was solved are numbers; from finite states they may still overflow. */
+int zoo_output_finite(const zoo_sim *s, int lane)
+{
+    const zoo_outputs *out = &s->problem->outputs;
+    const size_t n = (size_t)out->n_series * 3 * (size_t)out->n_times;
+    for (size_t i = 0; i < n; i++)
+        if (!isfinite(s->sample[i * s->lanes + lane]))
+            return 0;
+    return 1;
 }
 
 void zoo_output_store(const zoo_sim *s, int lane, double *pressure, double *flow, double *area)

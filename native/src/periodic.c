@@ -75,10 +75,23 @@ static double largest_change(const zoo_sim *s, int lane, const double *end)
     double worst = 0.0;
     for (int i = lane; i < s->n_state * s->lanes; i += s->lanes) {
         double d = fabs(end[i] - s->start[i]) * s->weight[i];
-        if (!(d <= worst))
+        if (isnan(d))
+            return d;
+        if (d > worst)
             worst = d;
     }
     return worst;
+}
+
+/* Whether all that is told of a lane is a number. */
+static int told_finite(const zoo_sim *s, int lane)
+{
+    const zoo_report *r = &s->report[lane];
+    int good = isfinite(r->distance) && isfinite(r->max_cfl) && isfinite(r->inflow) && isfinite(r->outflow) &&
+               isfinite(r->junction_defect) && zoo_output_finite(s, lane);
+    for (int k = 0; k < s->n_vessels; k++)
+        good &= isfinite(s->fastest[k * s->lanes + lane]) != 0;
+    return good;
 }
 
 /* Replaces the state of one lane by Anderson's combination of the n_past
@@ -353,10 +366,11 @@ void zoo_periodic(zoo_sim *s, double *pressure, double *flow, double *area)
             r->outflow = 0.0;
             for (int t = 0; t < s->outlets.count; t++)
                 r->outflow += s->outlets.volume[t * s->lanes + l];
-            if (r->distance <= num->tolerance) {
+            const int close = r->distance <= num->tolerance;
+            if (close && told_finite(s, l)) {
                 s->live[l] = 0;
                 zoo_output_store(s, l, pressure, flow, area);
-            } else if (!isfinite(r->change)) {
+            } else if (close || !isfinite(r->change)) {
                 retire(s, l, ZOO_COLLAPSE, -1, 0.0);
             }
         }

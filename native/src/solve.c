@@ -11,13 +11,39 @@ static int lanes_for(int64_t n_sets)
     return n_sets >= FEWEST_FOR_LANES ? ZOO_LANES : 1;
 }
 
+/* Whether the caller's arrays of n_sets rows, of parameters or of samples, are longer than memory can be. */
+static int rows_too_long(const zoo_problem *pr, int64_t n_sets)
+{
+    const int64_t nv = pr->network.n_vessels, samples = (int64_t)pr->outputs.n_series * pr->outputs.n_times;
+    const int64_t row = nv * ZOO_MOST_SHAPES > samples ? nv * ZOO_MOST_SHAPES : samples;
+    return n_sets > (int64_t)(PTRDIFF_MAX / sizeof(double)) / row || n_sets > (int64_t)(PTRDIFF_MAX / sizeof(zoo_report));
+}
+
 int32_t zoo_workspace_size(const zoo_problem *problem, int64_t n_sets, int64_t *bytes)
 {
     zoo_sim sim;
-    if (!problem || !bytes || n_sets < 1 || zoo_check_problem(problem))
+    if (!problem || !bytes || n_sets < 1)
         return ZOO_BAD_ARGUMENT;
-    *bytes = zoo_layout(problem, lanes_for(n_sets), &sim, NULL) + 64;
+    const int32_t status = zoo_check_problem(problem);
+    if (status != ZOO_OK)
+        return status;
+    if (rows_too_long(problem, n_sets))
+        return ZOO_BAD_ARGUMENT;
+    const int64_t used = zoo_layout(problem, lanes_for(n_sets), &sim, NULL);
+    if (used < 0)
+        return ZOO_WORKSPACE;
+    *bytes = used + 64;
     return ZOO_OK;
+}
+
+/* Whether an array that will be read or written is not there. */
+static int pointer_missing(const zoo_problem *problem, const zoo_parameters *parameters, const double *pressure,
+                           const double *flow, const double *area, const zoo_report *reports)
+{
+    const int samples = problem->outputs.n_series > 0 && problem->outputs.n_times > 0;
+    return !parameters || !reports || !parameters->stiffness || !parameters->psi1 || !parameters->psi2 ||
+           !parameters->c || (wall_shapes(problem->wall.law) > 0 && !parameters->shape) ||
+           (samples && (!pressure || !flow || !area));
 }
 
 int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_parameters *parameters,
@@ -25,9 +51,10 @@ int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_paramete
                   double *area, double *fastest, zoo_report *reports)
 {
     int64_t bytes;
-    if (zoo_workspace_size(problem, n_sets, &bytes) != ZOO_OK)
-        return ZOO_BAD_ARGUMENT;
-    if (!parameters || !reports || (wall_shapes(problem->wall.law) > 0 && !parameters->shape))
+    const int32_t status = zoo_workspace_size(problem, n_sets, &bytes);
+    if (status != ZOO_OK)
+        return status;
+    if (pointer_missing(problem, parameters, pressure, flow, area, reports))
         return ZOO_BAD_ARGUMENT;
     if (workspace == NULL || workspace_bytes < bytes)
         return ZOO_WORKSPACE;
@@ -38,7 +65,8 @@ int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_paramete
     while (done < n_sets) {
         int lanes = lanes_for(n_sets - done);
         if (lanes != built) {
-            zoo_layout(problem, lanes, &sim, base);
+            if (zoo_layout(problem, lanes, &sim, base) < 0)
+                return ZOO_WORKSPACE;
             zoo_set_grid(&sim);
             built = lanes;
         }
@@ -83,7 +111,7 @@ const char *zoo_status_text(int32_t status)
     case ZOO_NOT_PERIODIC:
         return "the beats did not become periodic within the limit";
     case ZOO_WORKSPACE:
-        return "the workspace is too small";
+        return "the workspace is too small, or memory is lacking";
     default:
         return "unknown status";
     }

@@ -1,13 +1,14 @@
 /* What depends on the time step: factors of the scheme at nodes, junctions and outlets, walls that change
  * in time, and the inlet's curve. */
 #include "outlet.h"
+#include "values.h"
 
 /* Factor of the stiffness at time t, 0 <= t <= period. */
 static double stiffness_at(const zoo_sim *s, double t)
 {
     const zoo_wall *wall = &s->problem->wall;
     double x = t / s->problem->inlet.period * wall->n_wave;
-    int m = (int)x;
+    int m = whole(x, wall->n_wave);
     double f = x - m;
     return (1.0 - f) * wall->stiffness_wave[m % wall->n_wave] + f * wall->stiffness_wave[(m + 1) % wall->n_wave];
 }

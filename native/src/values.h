@@ -29,6 +29,12 @@ static inline int values_differ(const double *values, int64_t n, double from)
     return 0;
 }
 
+/* The whole number below x, cut to 0 .. most; 0 for NaN.  A conversion out of the range of int is undefined. */
+static inline int whole(double x, int most)
+{
+    return x >= most ? most : x > 0.0 ? (int)x : 0;
+}
+
 static inline double value_or_zero(const double *values, int k)
 {
     return values ? values[k] : 0.0;

@@ -1,4 +1,5 @@
 /* The wall laws for callers outside the solver: their names, plots, prior checks and tests. */
+#include "values.h"
 #include "wall.h"
 
 #define WALL_NAME(NAME, name, ...) \
@@ -33,7 +34,7 @@ static int point_of(point *x, int law, double factor, double stiffness, const do
                     double rest_area)
 {
     const wall_shape given = {shape, 1}, g = {x->coefficient, 1};
-    if (law < 0 || law >= ZOO_N_WALLS || (wall_shapes(law) > 0 && shape == NULL) || !wall_usable(law, given))
+    if (value_bad(stiffness) || value_bad(factor) || value_bad(rest_area) || law < 0 || law >= ZOO_N_WALLS || (wall_shapes(law) > 0 && shape == NULL) || !wall_usable(law, given))
         return 0;
     x->K = wall_scale(law, factor, stiffness, given);
     x->a = area / rest_area;

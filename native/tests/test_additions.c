@@ -1,6 +1,13 @@
 /* The loops with additions: nothing added, everything added at rest and in motion, lanes, and the state. */
 #include "check.h"
 
+static int adds(const zoo_problem *pr)
+{
+    int *children = zoo_count_children(&pr->network), found = zoo_has_additions(pr, children);
+    free(children);
+    return found;
+}
+
 static tree one, many;
 static additions x;
 
@@ -197,15 +204,15 @@ static void no_further_loops(void)
     pr->outlet.inertance = zero;
     pr->outlet.n_sections = 1;
     pr->outlet.section_resistance = pr->outlet.section_compliance = single;
-    CHECK(zoo_check_problem(pr) == 0 && zoo_has_additions(pr) == 0);
+    CHECK(zoo_check_problem(pr) == 0 && adds(pr) == 0);
     severity[0] = 0.3;
-    CHECK(zoo_has_additions(pr) == 1);
+    CHECK(adds(pr) == 1);
     pr->throat.loss = 0.0;
-    CHECK(zoo_has_additions(pr) == 0);
+    CHECK(adds(pr) == 0);
     pr->outlet.section_compliance = half;
-    CHECK(zoo_has_additions(pr) == 1);
+    CHECK(adds(pr) == 1);
     pr->outlet.kind = ZOO_OUTLET_WINDKESSEL; /* which does not read them */
-    CHECK(zoo_has_additions(pr) == 0);
+    CHECK(adds(pr) == 0);
 }
 
 int main(void)

@@ -1,4 +1,6 @@
 /* Every argument out of its range is refused, alone and among additions. */
+#include <limits.h>
+
 #include "check.h"
 
 static tree t;
@@ -80,10 +82,80 @@ static void addition(int added)
     REJECTS(t.problem.fluid.viscous_friction = NAN);
 }
 
+/* Sizes that ints, pointers or memory do not hold, and times that have no inverse. */
+static void sizes(int added)
+{
+    int32_t huge[NV], many[NV];
+    for (int k = 0; k < NV; k++)
+        huge[k] = INT_MAX, many[k] = 1;
+    many[0] = 30000000; /* 16 lanes of the state alone: more than INT_MAX */
+    REJECTS(t.problem.network.n_cells = huge);
+    REJECTS(t.problem.network.n_cells = many);
+    REJECTS(t.problem.network.n_vessels = INT_MAX);
+    REJECTS(t.problem.network.n_vessels = INT_MIN);
+    REJECTS(t.problem.outputs.n_times = INT_MAX);
+    REJECTS(t.problem.numerics.max_steps = INT_MAX);
+    REJECTS(t.problem.numerics.max_beats = INT_MAX);
+    REJECTS(t.problem.inlet.period = 5e-324);
+    REJECTS(t.problem.inlet.period = 1e-300);
+    REJECTS(t.problem.fluid.momentum_correction = INFINITY);
+    REJECTS((t.flow[0] = 1e308, t.flow[1] = 1e308)); /* the mean is not a number */
+    REJECTS(t.problem.network.parent = NULL);
+    REJECTS(t.problem.network.n_cells = NULL);
+    REJECTS(t.problem.network.length = NULL);
+    REJECTS(t.problem.network.radius_in = NULL);
+    REJECTS(t.problem.network.radius_out = NULL);
+    REJECTS(t.problem.inlet.curve = NULL);
+    REJECTS(t.problem.outlet.R1 = NULL);
+    REJECTS(t.problem.outlet.R2 = NULL);
+    REJECTS(t.problem.outlet.C = NULL);
+    REJECTS(t.problem.outputs.vessel = NULL);
+    REJECTS(t.problem.outputs.position = NULL);
+    REJECTS(t.problem.outputs.times = NULL);
+    if (added)
+        REJECTS(t.problem.outlet.n_sections = INT_MAX);
+
+    /* more sets than memory can have rows of; arrays that are not there */
+    static double waves[3][NSERIES * NTIMES];
+    zoo_report report;
+    int64_t bytes;
+    tree_make(&t, ZOO_WALL_TANGENT);
+    CHECK(zoo_workspace_size(&t.problem, INT64_MAX, &bytes) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_workspace_size(&t.problem, -1, &bytes) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_workspace_size(NULL, 1, &bytes) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_workspace_size(&t.problem, 1, NULL) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_workspace_size(&t.problem, 1, &bytes) == ZOO_OK);
+    char *memory = malloc((size_t)bytes);
+    const double **array[] = {&t.parameters.stiffness, &t.parameters.shape, &t.parameters.psi1, &t.parameters.psi2,
+                              &t.parameters.c};
+#define SOLVE(p, q, a, r, pa) zoo_solve(&t.problem, 1, pa, memory, bytes, p, q, a, NULL, r)
+    CHECK(SOLVE(waves[0], waves[1], waves[2], &report, &t.parameters) == ZOO_OK);
+    for (size_t i = 0; i < sizeof array / sizeof *array; i++) {
+        const double *there = *array[i];
+        *array[i] = NULL;
+        CHECK(SOLVE(waves[0], waves[1], waves[2], &report, &t.parameters) == ZOO_BAD_ARGUMENT);
+        *array[i] = there;
+    }
+    CHECK(SOLVE(NULL, waves[1], waves[2], &report, &t.parameters) == ZOO_BAD_ARGUMENT);
+    CHECK(SOLVE(waves[0], NULL, waves[2], &report, &t.parameters) == ZOO_BAD_ARGUMENT);
+    CHECK(SOLVE(waves[0], waves[1], NULL, &report, &t.parameters) == ZOO_BAD_ARGUMENT);
+    CHECK(SOLVE(waves[0], waves[1], waves[2], NULL, &t.parameters) == ZOO_BAD_ARGUMENT);
+    CHECK(SOLVE(waves[0], waves[1], waves[2], &report, NULL) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_solve(&t.problem, 1, &t.parameters, NULL, bytes, waves[0], waves[1], waves[2], NULL, &report) ==
+          ZOO_WORKSPACE);
+    CHECK(zoo_solve(&t.problem, 1, &t.parameters, memory, bytes - 1, waves[0], waves[1], waves[2], NULL, &report) ==
+          ZOO_WORKSPACE);
+    t.problem.outputs.n_times = 0; /* without samples there is nothing to write */
+    CHECK(SOLVE(NULL, NULL, NULL, &report, &t.parameters) == ZOO_OK && report.status == ZOO_OK);
+    free(memory);
+}
+
 int main(void)
 {
     problem(0);
     problem(1);
     addition(1);
+    sizes(0);
+    sizes(1);
     return finish("check");
 }

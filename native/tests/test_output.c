@@ -44,6 +44,9 @@ int main(void)
             NEAR(q[i * NTIMES + m], cubic(y) * x, 1e-12);
             NEAR(A[i * NTIMES + m], 1.0 + x, 1e-12);
         }
+    CHECK(zoo_output_finite(s, 0) == 1);
+    s->sample[5 * NTIMES * 3 - 1] = INFINITY;
+    CHECK(zoo_output_finite(s, 0) == 0);
     s->report[0].status = ZOO_COLLAPSE;
     zoo_output_store(s, 0, p, q, A);
     CHECK(isnan(p[0]) && isnan(q[5 * NTIMES - 1]));

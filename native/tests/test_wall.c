@@ -73,6 +73,11 @@ int main(void)
     CHECK(isnan(zoo_wall_pressure(ZOO_WALL_TANGENT, 1.0, 5e4, &two, 2.01, 1.0))); /* limit: 1 + gamma/2 */
     CHECK(isnan(zoo_wall_pressure(ZOO_WALL_TANGENT, 1.0, 5e4, &one, 0.4, 1.0))); /* floor: 1 - gamma/2 */
     CHECK(zoo_wall_pressure(ZOO_WALL_TANGENT, 1.0, 5e4, &one, 0.6, 1.0) < 0.0);
+    CHECK(isnan(zoo_wall_pressure(ZOO_WALL_LINEAR, 1.0, -5e4, NULL, 1.1, 1.0)));
+    CHECK(isnan(zoo_wall_pressure(ZOO_WALL_LINEAR, 0.0, 5e4, NULL, 1.1, 1.0)));
+    CHECK(isnan(zoo_wall_pressure(ZOO_WALL_LINEAR, 1.0, 5e4, NULL, -1.1, -1.0)));
+    CHECK(isnan(zoo_wave_speed(ZOO_WALL_LINEAR, 1.0, 5e4, NULL, 1.1, 1.0, -1.0)));
+    CHECK(isnan(zoo_wave_speed(ZOO_N_WALLS, 1.0, 5e4, NULL, 1.1, 1.0, 1.0)));
     CHECK(strcmp(zoo_wall_name(ZOO_WALL_TANGENT), "tangent") == 0);
     CHECK(strcmp(zoo_wall_shape_name(ZOO_WALL_TANGENT, 0), "gamma") == 0);
     return finish("wall");
