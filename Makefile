@@ -6,7 +6,7 @@ STAMP := $(VENV)/.zoo-setup
 PYTEST_ARGS ?= -n auto --dist loadfile
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
-.PHONY: setup test readme check demo report bench mutants clean
+.PHONY: setup test readme check fuzz demo report bench mutants clean
 setup: $(STAMP)
 
 # Versions come from requirements.lock, those of the build tools too.
@@ -36,6 +36,15 @@ check: setup
 JOBS ?= 1
 mutants: setup
 	$(BIN)/python tests/mutants/run.py --jobs $(JOBS) $(MUTANTS)
+
+# Hostile arguments to the C entry points, then hostile studies and files to their readers: half of the time each.
+FUZZ_SECONDS ?= 60
+FUZZ_SEED ?= 1
+FUZZ_HALF := $(shell expr $(FUZZ_SECONDS) / 2)
+
+fuzz: setup
+	$(MAKE) --no-print-directory -C native fuzz FUZZ_SECONDS=$(FUZZ_HALF) FUZZ_SEED=$(FUZZ_SEED)
+	if test -f tests/fuzz/run.py; then $(BIN)/python tests/fuzz/run.py --seconds $(FUZZ_HALF); fi
 
 # The embedded study from waves to WAIC; results in demo-output/.
 demo: setup

@@ -36,7 +36,7 @@ typedef struct {
     const int32_t *parent;    /* [n_vessels] index of the parent, -1 for the root */
     const int32_t *n_cells;   /* [n_vessels] grid cells, at least 1 */
     const double *length;     /* [n_vessels] cm */
-    const double *radius_in;  /* [n_vessels] cm, at rest, at the inlet */
+    const double *radius_in;  /* [n_vessels] cm, at rest, at the inlet; 1e-15 to 1e15 */
     const double *radius_out; /* [n_vessels] cm, at rest, at the outlet; linear between */
 } zoo_network;
 
@@ -138,7 +138,7 @@ typedef struct {
 
 /* One set of parameters is a row of each array. */
 typedef struct {
-    const double *stiffness; /* [n_sets][n_vessels] chi at the inlet, dyn/cm^2 */
+    const double *stiffness; /* [n_sets][n_vessels] chi at the inlet, dyn/cm^2; the law's scale of it, 1e-30 to 1e30 */
     const double *shape;     /* [n_sets][zoo_wall_shapes][n_vessels] further parameters of the wall law, or NULL if none */
     const double *psi1;      /* [n_sets][n_vessels] factor of R1 */
     const double *psi2;      /* [n_sets][n_vessels] factor of R2 */

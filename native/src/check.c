@@ -9,6 +9,11 @@
 #include "outlet.h"
 #include "values.h"
 
+static int bad_radius(double r)
+{
+    return !(r > 0.0) || value_extreme(r * r);
+}
+
 static int bad_network(const zoo_network *net)
 {
     if (net->n_vessels < 1 || net->n_vessels > ZOO_MOST || !net->parent || !net->n_cells || !net->length ||
@@ -17,8 +22,8 @@ static int bad_network(const zoo_network *net)
     for (int k = 0; k < net->n_vessels; k++) {
         if (k > 0 && (net->parent[k] < 0 || net->parent[k] >= k))
             return 1;
-        if (net->n_cells[k] < 1 || value_bad(net->length[k]) || value_bad(net->radius_in[k]) ||
-            value_bad(net->radius_out[k]))
+        if (net->n_cells[k] < 1 || value_bad(net->length[k]) || bad_radius(net->radius_in[k]) ||
+            bad_radius(net->radius_out[k]))
             return 1;
     }
     return 0;
@@ -64,7 +69,7 @@ static int bad_throat(const zoo_throat *throat, int nv)
 
 static int bad_outputs(const zoo_outputs *out, int nv, double period)
 {
-    if (out->n_series < 0 || out->n_times < 0 || out->n_times > ZOO_MOST ||
+    if (out->n_series < 0 || out->n_series > ZOO_MOST || out->n_times < 0 || out->n_times > ZOO_MOST ||
         (out->n_series > 0 && (!out->vessel || !out->position)) || (out->n_times > 0 && !out->times))
         return 1;
     for (int i = 0; i < out->n_series; i++)
@@ -89,7 +94,7 @@ static int bad_numerics(const zoo_numerics *num)
 static int bad_clock(const zoo_problem *pr)
 {
     const double most = fmax(pr->numerics.max_steps, fmax(pr->inlet.n_samples, pr->wall.n_wave));
-    return pr->inlet.n_samples > ZOO_MOST || !(pr->inlet.period / most > 1e-300);
+    return !(pr->inlet.period / most > 1e-300);
 }
 
 /* Whether the largest arrays of a run, [rows][nodes or terminals][lanes], have more elements than an int holds. */
@@ -99,7 +104,7 @@ static int too_large(const zoo_problem *pr)
     int64_t nodes = 0;
     for (int64_t k = 0; k < nv; k++)
         nodes += (int64_t)pr->network.n_cells[k] + 1;
-    if (nodes > ZOO_MOST || sections > ZOO_MOST || pr->outputs.n_series > ZOO_MOST)
+    if (nodes > ZOO_MOST || sections > ZOO_MOST)
         return 1;
     /* the state; the outlets' coefficients, of which no kind has more beside its sections'; the samples of a step */
     enum { COEFFICIENTS = 16, STATE = 4, SAMPLES = 4 * 3 };

@@ -35,7 +35,7 @@ enum { ZOO_INLETS(INLET_NUMBER, ) ZOO_N_INLETS };
 
 static inline int inlet_bad(const zoo_problem *pr)
 {
-    if (value_bad(pr->inlet.period) || pr->inlet.n_samples < 4 || !pr->inlet.curve ||
+    if (value_bad(pr->inlet.period) || pr->inlet.n_samples < 4 || pr->inlet.n_samples > ZOO_MOST || !pr->inlet.curve ||
         values_outside(pr->inlet.curve, pr->inlet.n_samples, -INFINITY, INFINITY))
         return 1;
     INLET_RETURN(pr->inlet.kind, 1, bad, pr)

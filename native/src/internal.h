@@ -150,7 +150,11 @@ typedef struct {
  * i = j*W + l that the compiler may vectorise: over j when there is one lane,
  * else over the lanes.  The iterations must not depend on each other.  The
  * empty asm keeps the compiler from vectorising over j instead of l. */
+#ifdef __clang__ /* has other pragmas, and warns of loops that it cannot vectorise */
+#define ZOO_SIMD
+#else
 #define ZOO_SIMD _Pragma("GCC ivdep") _Pragma("GCC unroll 1")
+#endif
 #define ZOO_LOOP(W, i, j, l, from, to, ...)                  \
     do {                                                     \
         if ((W) == 1) {                                      \

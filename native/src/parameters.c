@@ -67,7 +67,8 @@ int zoo_set_parameters(zoo_sim *s, const zoo_parameters *pa)
         int64_t row = s->set_of[l] * nv;
         int wrong = -1;
         for (int k = 0; k < nv && wrong < 0; k++)
-            if (value_bad(pa->stiffness[row + k]) || !wall_usable(s->wall, given_shape(s, pa, l, k)))
+            if (value_bad(pa->stiffness[row + k]) || !wall_usable(s->wall, given_shape(s, pa, l, k)) ||
+                value_extreme(wall_scale(s->wall, s->problem->wall.factor, pa->stiffness[row + k], given_shape(s, pa, l, k))))
                 wrong = k;
         for (int t = 0; t < s->outlets.count && wrong < 0; t++) {
             int k = s->outlets.vessel[t];

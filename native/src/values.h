@@ -11,6 +11,12 @@ static inline int value_bad(double x)
     return !(x > 0.0) || isinf(x);
 }
 
+/* 1 unless x is positive and far from the ends of single precision, in which arithmetic.h starts. */
+static inline int value_extreme(double x)
+{
+    return !(x > 1e-30 && x < 1e30);
+}
+
 /* 1 when the array is there and a value lies outside [low, high] or is not finite. */
 static inline int values_outside(const double *values, int64_t n, double low, double high)
 {

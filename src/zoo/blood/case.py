@@ -285,7 +285,8 @@ def members(network: Network, location: Location) -> NDArray[np.bool_]:
     if location.part is None:
         return np.ones(len(network.ids), dtype=bool)
     inside = np.zeros(len(network.ids), dtype=bool)
-    inside[network.index(int(location.part))] = True
+    part = location.part
+    inside[network.index(int(part) if isinstance(part, str) else part)] = True
     if location.subtree:
         for i, parent in enumerate(network.parent):
             inside[i] |= parent >= 0 and inside[parent]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from zoo.blood.solve_errors import ArgumentError
 from zoo.blood.study import (
     Blood,
     ReadOnlyArrays,
@@ -23,6 +24,7 @@ from zoo.blood.study import (
 )
 from zoo.blood.study import sort_vessels as _sort_vessels
 from zoo.blood.units import MMHG, mmhg_to_cgs
+from zoo.core.arrays import real_array, real_number, refuse_where, whole_array, whole_number
 
 Array = NDArray[np.float64]
 
@@ -31,7 +33,12 @@ R1_SHARE = 0.2
 QUIET_SHARE = 0.05
 """Diastole is where the inflow stays below this share of its peak."""
 MIN_DIASTOLE_SAMPLES = 8
+_LARGEST = 2**31 - 1
 _INTEGERS = ("ids", "parent")
+_SIZES = ("length_cm", "radius_in_cm", "radius_out_cm")
+_LOADS = ("R1", "R2", "C")
+_STIFFNESSES = ("stiffness_in", "stiffness_out")
+_NUMBERS = ("density", "viscosity", "period_s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +66,13 @@ class Network(ReadOnlyArrays):
         s.
     stiffness_in, stiffness_out : array (n,) or None
         Stiffness chi that the study gives, at the vessels' ends, g/(cm s2); None where it gives none.
+
+    Raises
+    ------
+    StudyError
+        If the arrays do not have one length, are not made of numbers, or are no tree.
+    zoo.blood.solve_errors.ArgumentError
+        A StudyError and a SolverArgumentError: if a value is out of range.
     """
 
     ids: NDArray[np.int32]
@@ -76,10 +90,60 @@ class Network(ReadOnlyArrays):
     stiffness_out: Array | None = None
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if isinstance(value, (np.ndarray, list, tuple)):
-                dtype = np.int32 if name in _INTEGERS else np.float64
-                object.__setattr__(self, name, read_only(value, dtype))
+        for name in (*_INTEGERS, *_SIZES, *_LOADS, *_STIFFNESSES):
+            value = getattr(self, name)
+            if name in _INTEGERS:
+                array: Any = whole_array(f"network: {name}", value, error=StudyError)
+            elif value is None and name in _STIFFNESSES:
+                continue
+            else:
+                array = real_array(f"network: {name}", value, ndim=1, error=StudyError)
+            object.__setattr__(self, name, read_only(array, array.dtype))
+            if len(array) != len(self.ids):
+                raise StudyError(
+                    f"network: {name} has {len(array)} values for {len(self.ids)} ids: give one for each "
+                    "vessel"
+                )
+        for name in _NUMBERS:
+            words = "a positive and finite number"
+            value = real_number(
+                f"network: {name}", getattr(self, name), words, above=0.0, error=ArgumentError
+            )
+            object.__setattr__(self, name, value)
+        self._check_tree()
+        self._check_values()
+
+    def _check_tree(self) -> None:
+        n = len(self.ids)
+        if n == 0:
+            raise StudyError("network: ids = []: must hold a vessel; add the root")
+        values, counts = np.unique(self.ids, return_counts=True)
+        if len(values) < n:
+            raise StudyError(f"network: ids: {values[counts > 1][0]} stands twice; give each vessel its own")
+        wrong = (self.parent < 0) | (self.parent >= np.arange(n))
+        wrong[0] = self.parent[0] != -1
+        if wrong.any():
+            at = int(np.argmax(wrong))
+            words = (
+                "the index of a vessel that stands before it" if at else "-1, the first vessel is the root"
+            )
+            raise StudyError(
+                f"network: parent[{at}] = {self.parent[at]}: must be {words}; order the vessels so"
+            )
+
+    def _check_values(self) -> None:
+        def positive(name: str, where: NDArray[np.bool_] | bool = True) -> None:
+            values = getattr(self, name)
+            bad = where & ~((values > 0) & (values < np.inf))
+            refuse_where(f"network: {name}", values, bad, "positive and finite", error=ArgumentError)
+
+        for name in (*_SIZES, *(name for name in _STIFFNESSES if getattr(self, name) is not None)):
+            positive(name)
+        terminal = np.ones(len(self.ids), dtype=bool)
+        terminal[self.parent[1:]] = False
+        positive("R1", terminal)
+        positive("R2", terminal & (self.R2 != 0))
+        positive("C", terminal & (self.R2 != 0))
 
     @classmethod
     def from_vessels(cls, vessels: Sequence[Vessel], blood: Blood, period_s: float) -> Network:
@@ -171,6 +235,9 @@ class Network(ReadOnlyArrays):
         StudyError
             If there is no such vessel.
         """
+        whole_number(
+            "vessel", vessel_id, -_LARGEST, _LARGEST, words="a whole number, a vessel's id", error=StudyError
+        )
         found = np.flatnonzero(self.ids == vessel_id)
         if len(found) == 0:
             known = ", ".join(str(i) for i in sorted(self.ids.tolist()))

@@ -13,6 +13,7 @@ from zoo.blood.network import Network
 from zoo.blood.solve_errors import SolverArgumentError
 from zoo.blood.study import ReadOnlyArrays, Study, read_only
 from zoo.blood.units import mmhg_to_cgs
+from zoo.core.arrays import real_array, real_number
 
 Array = NDArray[np.float64]
 
@@ -149,14 +150,14 @@ class Physics(ReadOnlyArrays):
 
     def __post_init__(self) -> None:
         for name, (low, closed, words) in _NUMBERS.items():
-            value = getattr(self, name)
-            if not np.isfinite(value) or value < low or (value == low and not closed):
+            value = real_number(f"physics: {name}", getattr(self, name), words, error=SolverArgumentError)
+            if value < low or (value == low and not closed):
                 raise SolverArgumentError(f"physics: {name} = {value}: must be {words}")
-            object.__setattr__(self, name, float(value))
+            object.__setattr__(self, name, value)
         for name, (low, closed, words) in (_PER_VESSEL | _PER_TIME).items():
             if getattr(self, name) is None:
                 continue
-            values = read_only(getattr(self, name))
+            values = read_only(real_array(f"physics: {name}", getattr(self, name), error=SolverArgumentError))
             object.__setattr__(self, name, values)
             wanted = 2 if name in _SECTIONS else 1
             if values.ndim != wanted or not values.size:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from zoo.blood.study import StudyError
 from zoo.core.forward import SolveError
 
 
@@ -21,6 +22,10 @@ class SolverArgumentError(SolverError, ValueError):
     """An input of the solver is out of range."""
 
     status = "bad-argument"
+
+
+class ArgumentError(SolverArgumentError, StudyError):
+    """The same for a value of a network, which effects may have changed."""
 
 
 class CFLError(SolverError):

@@ -25,7 +25,15 @@ from zoo.blood.solve_errors import (
     SolverError,
     WallLimitError,
 )
+from zoo.blood.solver_input import SolverOptions as SolverOptions
+from zoo.blood.solver_input import checked_inflow, checked_places
 from zoo.blood.units import cgs_to_mmhg
+from zoo.core.arrays import (
+    MOST_COUNT,
+    finite_array,
+    real_array,
+    shown,
+)
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
@@ -88,69 +96,6 @@ _ERRORS: dict[int, tuple[type[SolverError], str]] = {
         "raise max_beats or tolerance_mmHg, or shorten the decay: lower psi2 or c, or raise the stiffness",
     ),
 }
-
-
-@dataclass(frozen=True)
-class SolverOptions:
-    """Numerical settings of a solve.
-
-    Parameters
-    ----------
-    dx_cm : float
-        Target cell length; each vessel has the nearest whole number of cells, at least two.
-        The convention ``truncate_lengths`` has its own grid, 40 cells per cm.
-    cells : tuple of int
-        Cells of each vessel, in the order of ``Network.ids``, instead of those of `dx_cm`; one is enough.
-    refine : int
-        Divides the cells and, with them, the time step.
-    cfl : float
-        Wanted largest (abs(u) + c) dt/dx, between 0 and 1.
-    steps_per_beat : int
-        Time steps in a beat before refinement; 0 chooses them from `cfl`, in multiples of 32.
-    least_steps : int
-        At least so many, before refinement, where they are chosen; so that their number does not change from
-        one set of parameters to the next as long as these are enough.
-    max_steps, max_beats : int
-        Limits beyond which a solve fails.
-    tolerance_mmHg : float
-        Largest accepted distance from the periodic state, estimated from the last beat's change.
-    accelerate : bool
-        Extrapolate from beat to beat.
-    """
-
-    dx_cm: float = 0.025
-    cells: tuple[int, ...] = ()
-    refine: int = 1
-    cfl: float = 0.95
-    steps_per_beat: int = 0
-    least_steps: int = 0
-    max_steps: int = 65536
-    max_beats: int = 60
-    tolerance_mmHg: float = 2e-3
-    accelerate: bool = True
-
-    def __post_init__(self) -> None:
-        positive = ("dx_cm", "refine", "cfl", "max_steps", "max_beats", "tolerance_mmHg")
-        for name in positive:
-            if not getattr(self, name) > 0:
-                raise SolverArgumentError(f"{name} = {getattr(self, name)}: must be positive")
-        if not self.cfl < 1:
-            raise SolverArgumentError(f"cfl = {self.cfl}: must be below 1, the scheme's stability limit")
-        if self.steps_per_beat and not 32 <= self.steps_per_beat * self.refine <= self.max_steps:
-            raise SolverArgumentError(
-                f"steps_per_beat = {self.steps_per_beat}: must be 0 (chosen from cfl) or, times refine, "
-                f"between 32 and max_steps = {self.max_steps}"
-            )
-        if not 0 <= self.least_steps * self.refine <= self.max_steps:
-            raise SolverArgumentError(
-                f"least_steps = {self.least_steps}: must, times refine, be between 0 and max_steps = "
-                f"{self.max_steps}"
-            )
-        if any(n < 1 for n in self.cells):
-            raise SolverArgumentError(f"cells = {self.cells}: must be at least 1 in every vessel")
-
-
-# field of Physics: least value, whether that value itself is allowed, and what is allowed in words
 
 
 @dataclass(frozen=True)
@@ -223,7 +168,8 @@ class Solver:
     network : Network
         Vessels, blood and nominal Windkessels.
     inflow_time_s, inflow_ml_s : array (n,)
-        Flow into the root over one period, uniform in time from 0, without the repeated last sample.
+        Flow into the root over one period, uniform in time from 0, without the repeated last sample: sample m
+        at m period/n, to a hundredth of a step.
     wall : {"linear", "tangent"}
         Eq. (3.3) or (3.4).
     conventions : Conventions
@@ -262,13 +208,16 @@ class Solver:
     ) -> None:
         if wall not in WALLS:
             raise SolverArgumentError(f"wall = {wall!r}: must be one of {', '.join(WALLS)}")
+        if not isinstance(network, Network):
+            raise SolverArgumentError(
+                f"network = {shown(network)}: must be a Network; see Network.from_study"
+            )
         self.network = network
-        self.inflow_time_s = np.array(inflow_time_s, dtype=np.float64)
-        self.inflow_ml_s = np.array(inflow_ml_s, dtype=np.float64)
+        self.inflow_time_s, self.inflow_ml_s = checked_inflow(inflow_time_s, inflow_ml_s, network.period_s)
         self.wall = wall
         self.conventions = conventions
-        self.series = tuple((int(vessel), float(position)) for vessel, position in series)
-        self.times_s = np.array(times_s, dtype=np.float64)
+        self.series = checked_places(series)
+        self.times_s = finite_array("times_s", times_s, error=SolverArgumentError).copy()
         self.options = options or SolverOptions()
         self.physics = physics or NO_PHYSICS
         self._build()
@@ -331,7 +280,7 @@ class Solver:
         """Cells and length (cm) of each vessel on the grid, each of shape (n_vessels,)."""
         length = self.network.length_cm
         if self.conventions.truncate_lengths:
-            cells = np.floor(PUBLISHED_CELLS_PER_CM * length + 1e-9).astype(np.int32)
+            cells = np.floor(PUBLISHED_CELLS_PER_CM * length + 1e-9)
             if np.any(cells < 1):
                 vessel = self.network.ids[int(np.argmin(cells))]
                 raise SolverArgumentError(
@@ -343,12 +292,20 @@ class Solver:
         elif self.options.cells:
             cells = self._given_cells()
         else:
-            cells = np.maximum(2, np.rint(length / self.options.dx_cm)).astype(np.int32)
-        return (cells * self.options.refine).astype(np.int32), np.asarray(length, dtype=np.float64)
+            with np.errstate(over="ignore"):
+                cells = np.maximum(2, np.rint(length / self.options.dx_cm))
+        cells = cells * float(self.options.refine)
+        if cells.sum() > MOST_COUNT:
+            vessel = int(np.argmax(cells))
+            raise SolverArgumentError(
+                f"cells: {cells[vessel]:.4g} in vessel {self.network.ids[vessel]}, {cells.sum():.4g} in all: "
+                f"must be at most {MOST_COUNT}; raise dx_cm, or give fewer"
+            )
+        return cells.astype(np.int32), np.asarray(length, dtype=np.float64)
 
-    def _given_cells(self) -> NDArray[np.int32]:
+    def _given_cells(self) -> Array:
         """The options' cells, with more where a throat is shorter than they show."""
-        cells = np.array(self.options.cells, dtype=np.int32)
+        cells = np.array(self.options.cells, dtype=np.float64)
         if cells.shape != self.network.ids.shape:
             raise SolverArgumentError(
                 f"cells: {len(cells)} values for {len(self.network.ids)} vessels; give one for each vessel"
@@ -357,9 +314,10 @@ class Solver:
             return cells
         throat = self.physics.throat_length
         length = self.network.length_cm
-        fine = np.ceil(THROAT_CELLS * length / (THROAT_LENGTH_CM if throat is None else throat))
+        with np.errstate(over="ignore"):
+            fine = np.ceil(THROAT_CELLS * length / (THROAT_LENGTH_CM if throat is None else throat))
         narrow = self.physics.throat_severity > 0
-        return np.where(narrow, np.maximum(cells, fine), cells).astype(np.int32)
+        return np.where(narrow, np.maximum(cells, fine), cells)
 
     def _build(self) -> None:
         net, options, conventions = self.network, self.options, self.conventions
@@ -367,19 +325,24 @@ class Solver:
         self._workspaces: dict[int, Any] = {}
         problem = ffi.new("zoo_problem *")
 
-        def reals(values: ArrayLike) -> Any:
-            data = np.ascontiguousarray(values, dtype=np.float64)
-            self._kept.append(data)
-            return ffi.from_buffer("double[]", data)
+        n_vessels = len(net.ids)
 
-        def ints(values: ArrayLike) -> Any:
-            data = np.ascontiguousarray(values, dtype=np.int32)
+        # C trusts these sizes: an array is of the length that is told, or it is not handed over
+        def kept(ctype: str, field: str, data: NDArray[Any], size: int) -> Any:
+            if data.size != size:
+                raise SolverArgumentError(f"{field} has shape {data.shape}: needs {size} values; correct it")
             self._kept.append(data)
-            return ffi.from_buffer("int32_t[]", data)
+            return ffi.from_buffer(ctype, data)
+
+        def reals(values: ArrayLike, field: str = "network", size: int = n_vessels) -> Any:
+            return kept("double[]", field, np.ascontiguousarray(values, dtype=np.float64), size)
+
+        def ints(values: ArrayLike, field: str = "network", size: int = n_vessels) -> Any:
+            return kept("int32_t[]", field, np.ascontiguousarray(values, dtype=np.int32), size)
 
         cells, length = self.grid()
         n = problem.network
-        n.n_vessels = len(net.ids)
+        n.n_vessels = n_vessels
         n.parent, n.n_cells, n.length = ints(net.parent), ints(cells), reals(length)
         n.radius_in, n.radius_out = reals(net.radius_in_cm), reals(net.radius_out_cm)
 
@@ -396,10 +359,8 @@ class Solver:
         self._set_physics(problem, reals)
 
         flow = self.inflow_ml_s
-        if flow.ndim != 1 or len(flow) < 4 or not np.all(np.isfinite(flow)) or not flow.mean() > 0:
-            raise SolverArgumentError("inflow: needs at least 4 finite samples with a positive mean")
         problem.inlet.kind, problem.inlet.period = INLETS["flow"], net.period_s
-        problem.inlet.n_samples, problem.inlet.curve = len(flow), reals(flow)
+        problem.inlet.n_samples, problem.inlet.curve = len(flow), reals(flow, "inflow_ml_s", len(flow))
 
         known = {int(v) for v in net.ids}
         for vessel, position in self.series:
@@ -414,9 +375,9 @@ class Solver:
         self._order = np.argsort(times, kind="stable")
         out = problem.outputs
         out.n_series, out.n_times = len(self.series), len(times)
-        out.vessel = ints([net.index(vessel) for vessel, _ in self.series])
-        out.position = reals([position for _, position in self.series])
-        out.times = reals(times[self._order])
+        out.vessel = ints([net.index(vessel) for vessel, _ in self.series], "series", len(self.series))
+        out.position = reals([position for _, position in self.series], "series", len(self.series))
+        out.times = reals(times[self._order], "times_s", len(times))
 
         num = problem.numerics
         num.cfl = options.cfl
@@ -427,7 +388,7 @@ class Solver:
         num.accelerate = options.accelerate
         self._problem = problem
 
-    def _set_physics(self, problem: Any, reals: Callable[[ArrayLike], Any]) -> None:
+    def _set_physics(self, problem: Any, reals: Callable[..., Any]) -> None:
         """Hand the physics to the native structs; an array that is None stays a null pointer."""
         added = self.physics
         added.fit(self.network)
@@ -436,7 +397,9 @@ class Solver:
 
         def give(struct: Any, field: str, values: Array | None) -> None:
             if values is not None:
-                setattr(struct, field, reals(values))
+                setattr(
+                    struct, field, reals(values, f"physics: {field}", values.size // len(values) * len(zero))
+                )
 
         def filled(values: Array | None, value: float = 0.0) -> Array:
             return zero + value if values is None else values
@@ -462,7 +425,8 @@ class Solver:
         give(wall, "viscoelastic_time", added.viscoelastic_time)
         wall.relaxation_time = added.relaxation_time
         if added.stiffness_wave is not None:
-            wall.n_wave, wall.stiffness_wave = len(added.stiffness_wave), reals(added.stiffness_wave)
+            wall.n_wave = len(added.stiffness_wave)
+            wall.stiffness_wave = reals(added.stiffness_wave, "physics: stiffness_wave", wall.n_wave)
 
         if added.throat_severity is not None:
             throat.severity = reals(added.throat_severity)
@@ -485,7 +449,7 @@ class Solver:
         n_vessels, n_shapes = len(self.network.ids), len(SHAPES[self.wall])
         rows = {}
         for name, value in values.items():
-            data = np.asarray(value, dtype=np.float64)
+            data = real_array(name, value, error=SolverArgumentError)
             several = (n_shapes,) if name == "gamma" and n_shapes > 1 else ()
             try:
                 rows[name] = np.ascontiguousarray(np.broadcast_to(data, (n_sets, *several, n_vessels)))
@@ -497,13 +461,26 @@ class Solver:
 
     def _run(self, rows: dict[str, Array]) -> tuple[list[Array], Array, Any]:
         n_sets = len(rows["stiffness"])
+        if n_sets == 0:
+            raise SolverArgumentError("stiffness: no set of parameters; give at least one")
         size = ffi.new("int64_t *")
-        if lib.zoo_workspace_size(self._problem, n_sets, size) != lib.ZOO_OK:
+        code = lib.zoo_workspace_size(self._problem, n_sets, size)
+        if code == lib.ZOO_WORKSPACE:
+            raise SolverArgumentError(
+                "memory is lacking for a network of this size; give fewer vessels or cells"
+            )
+        if code != lib.ZOO_OK:
             raise SolverArgumentError("the network, the inflow or the options are out of range")
         # taken out while in use, so that two threads never share one
         workspace = self._workspaces.pop(size[0], None)
         if workspace is None:
-            workspace = np.empty(size[0], dtype=np.uint8)
+            try:
+                workspace = np.empty(size[0], dtype=np.uint8)
+            except (MemoryError, ValueError):
+                raise SolverArgumentError(
+                    f"a solve needs {size[0] / 2**30:.3g} GB, more than there are: lower max_steps, the "
+                    "cells, the series and times, or the sets of a batch"
+                ) from None
         parameters = ffi.new("zoo_parameters *")
         for name in PARAMETERS:
             field = "shape" if name == "gamma" else name
@@ -532,11 +509,18 @@ class Solver:
         ordered[0] = cgs_to_mmhg(ordered[0] + self._shift, self.conventions.mmhg)
         return ordered, fastest, reports
 
-    def _reason(self, report: Any) -> str:
+    def _reason(self, report: Any, values: dict[str, Array]) -> str:
+        """Why a solve failed, in words; `values` are its parameters, (1, n_vessels)."""
         text: str = ffi.string(lib.zoo_status_text(report.status)).decode()
         if report.status == lib.ZOO_OK:
             return text
         where = f" in vessel {self.network.ids[report.vessel]}" if report.vessel >= 0 else ""
+        if report.status == lib.ZOO_BAD_ARGUMENT and report.vessel >= 0:
+            given = {name: value[..., report.vessel].ravel() for name, value in values.items()}
+            wrong = [(n, x) for n, v in given.items() for x in v.tolist() if not 0 < x < np.inf]
+            name, value = wrong[0] if wrong else ("stiffness", given["stiffness"][0])
+            words = "must be positive and finite" if wrong else "is far out of range"
+            return f"{name} = {value}{where}: {words}; correct it"
         when = f" at {report.time:.4g} s of the beat" if report.time > 0 else ""
         if report.status == lib.ZOO_NOT_PERIODIC:
             when = (
@@ -584,17 +568,18 @@ class Solver:
             One of its subclasses, when the solve fails and `check` is true.
         """
         values = dict(zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True))
-        waves, fastest, reports = self._run(self._broadcast(values, 1))
+        rows = self._broadcast(values, 1)
+        waves, fastest, reports = self._run(rows)
         report = reports[0]
         if check and report.status != lib.ZOO_OK:
-            raise _ERRORS[report.status][0](self._reason(report))
+            raise _ERRORS[report.status][0](self._reason(report, rows))
         mmhg = self.conventions.mmhg
         return Solution(
             pressure_mmHg=waves[0][0],
             flow_ml_s=waves[1][0],
             area_cm2=waves[2][0],
             status=report.status,
-            reason=self._reason(report),
+            reason=self._reason(report, rows),
             vessel=int(self.network.ids[report.vessel]) if report.vessel >= 0 else None,
             time_s=report.time,
             beats=report.beats,
@@ -633,7 +618,7 @@ class Solver:
             set and the tolerance is met in the same beat.
         """
         values = {
-            name: np.asarray(value, dtype=np.float64)
+            name: real_array(name, value, error=SolverArgumentError)
             for name, value in zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True)
         }
         values = {name: v[:, None] if v.ndim == 1 else v for name, v in values.items()}
@@ -683,8 +668,15 @@ def wall_pressure_mmHg(
 
     `gamma` is the law's shape parameter, or the array of those in ``SHAPES[wall]``.
     """
-    ratio = np.asarray(area_ratio, dtype=np.float64)
-    given = np.broadcast_to(np.asarray(gamma, dtype=np.float64), (max(1, len(SHAPES[wall])),))
+    if wall not in WALLS:
+        raise SolverArgumentError(f"wall = {wall!r}: must be one of {', '.join(WALLS)}")
+    ratio = real_array("area_ratio", area_ratio, error=SolverArgumentError)
+    stiffness = float(real_array("stiffness", stiffness, ndim=0, error=SolverArgumentError))
+    n_shapes = max(1, len(SHAPES[wall]))
+    shapes = real_array("gamma", gamma, error=SolverArgumentError)
+    if shapes.shape not in ((), (1,), (n_shapes,)):
+        raise SolverArgumentError(f"gamma has shape {shapes.shape}: must be one value, or ({n_shapes},)")
+    given = np.broadcast_to(shapes, (n_shapes,))
     shape = ffi.from_buffer("double[]", np.ascontiguousarray(given))
     pressure = np.array(
         [

@@ -18,6 +18,7 @@ from pytensor.graph.op import Op
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.variable import TensorVariable
 
+from zoo.core.arrays import real_array
 from zoo.core.forward import ForwardModel, SolveError, content_key
 from zoo.core.parameters import n_values
 
@@ -181,9 +182,9 @@ class ForwardOp(Op):
         Raises
         ------
         ValueError
-            If theta has another length.
+            If theta has another length, or is not made of real numbers.
         """
-        theta = np.ascontiguousarray(theta, dtype=np.float64)
+        theta = real_array(f"{self.model.name}: theta", theta)
         if theta.shape != (n_values(self.model.parameters),):
             names = ", ".join(p.name for p in self.model.parameters)
             raise ValueError(f"{theta.size} values for {n_values(self.model.parameters)}: give {names}")
