@@ -1,0 +1,2 @@
+from outcome import Outcome
+def case(number, seed, work): return Outcome("ok")
