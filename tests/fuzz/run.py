@@ -24,7 +24,7 @@ from collections import Counter
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-BATCH = {"study": 250, "file": 100}
+BATCH = {"study": 250, "file": 500}
 """Inputs that one child reads."""
 BATCH_SECONDS = 600
 
