@@ -19,7 +19,7 @@ LONGEST = 500
 
 @dataclass(frozen=True)
 class Outcome:
-    """"ok", "refused" or "FAILED", and why it failed."""
+    """ "ok", "refused" or "FAILED", and why it failed."""
 
     kind: str
     text: str = ""

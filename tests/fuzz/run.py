@@ -3,7 +3,8 @@
 Each input is read in a child process, so that a crash of a library is seen; the child takes a batch of them.
 A failure is a crash, an exception that is not one of zoo's own, an error longer than a line of 500
 characters, a read that takes too long, and damaged data that are read as other data. It prints the counts
-of each kind and how to have each failure again, keeps the inputs that failed, and ends with 1 if there is any.
+of each kind and how to have each failure again, keeps the inputs that failed, and ends with 1
+if there is any.
 
     python tests/fuzz/run.py --seconds 60
     python tests/fuzz/run.py --studies 20000 --files 5000 --seed 7
@@ -67,8 +68,11 @@ def batch(kind: str, first: int, count: int, seed: str, keep: Path) -> tuple[Cou
         try:
             ended = subprocess.run(
                 [*words, "--child", task, "--work", work],
-                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, timeout=BATCH_SECONDS, check=False,
-            )  # fmt: skip
+                capture_output=True,
+                text=True,
+                timeout=BATCH_SECONDS,
+                check=False,
+            )
             code, shown, said = ended.returncode, ended.stdout, ended.stderr
         except subprocess.TimeoutExpired as error:
             code, shown, said = -9, (error.stdout or b"").decode(), "too long"  # type: ignore[union-attr]
@@ -117,7 +121,9 @@ def fuzz(kind: str, total: int | None, until: float | None, seed: str, keep: Pat
 
 def main() -> int:
     """Read the options, and fuzz."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=float, help="for this long, half of it for each kind")
     parser.add_argument("--studies", type=int, help="so many studies")
     parser.add_argument("--files", type=int, help="so many damaged files")

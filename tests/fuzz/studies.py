@@ -1,4 +1,4 @@
-"""Mutated studies and files to import: each is loaded as something that holds together, or refused in one line."""
+"""Mutated studies and files to import: each is loaded as what holds together, or refused in one line."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def case(number: int, seed: str, work: Path) -> Outcome:
 
 
 def whole(folder: Path, again: Path) -> None:
-    """Read a study; what is read can be written, and read back as the same, and its arrays made or refused."""
+    """Read a study; what is read can be written, is read back as the same, and has arrays or is refused."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         study = read(folder)

@@ -162,8 +162,9 @@ def score(
 ) -> None:
     """Score answers against their key: score.json, score.md, cases.csv and figures."""
     from zoo.blood.blind import score_cases
+    from zoo.core.blindcheck.tables import SCORE_FILES
 
-    output_folder(output, ("score.json", "score.md", "cases.csv"), "--output")
+    output_folder(output, SCORE_FILES, "--output")
     found = score_cases(answers, key, output)
 
     from zoo.plots import save_figure, score_figures

@@ -22,6 +22,7 @@ from zoo.core.blindcheck.running import Ran, run_folders
 from zoo.core.blindcheck.sealing import BlindError
 from zoo.core.diagnosis import DiagnosisError, read_diagnosis
 from zoo.core.inference.record import versions
+from zoo.core.outputs import write_file
 
 FITTED = "fitted.json"
 FITTED_DIGITS = 7
@@ -98,7 +99,8 @@ def write_fitted(answer: Path, fitted: Fitted) -> None:
         "base": np.round(fitted.base, FITTED_DIGITS).tolist(),
         "leader": np.round(fitted.leader, FITTED_DIGITS).tolist(),
     }
-    (answer / FITTED).write_text(json.dumps(digests.stamped(content)) + "\n", encoding="utf-8")
+    write_file(answer / FITTED, json.dumps(digests.stamped(content)) + "
+")
 
 
 def read_fitted(answer: Path) -> Fitted | None:
@@ -138,7 +140,7 @@ def _write_case_facts(answer: Path, study: Study, effects_from: list[str]) -> No
     }
     if effects_from:
         facts["effects_from"] = effects_from
-    (answer / "case.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    write_file(answer / "case.json", json.dumps(facts, indent=1) + "\n")
 
 
 def read_case_facts(answer: Path) -> dict[str, Any]:

@@ -11,8 +11,9 @@ from zoo.core.blindcheck.answers import Answer, as_answer
 from zoo.core.blindcheck.check_score import CheckScore, score_answers
 from zoo.core.blindcheck.running import read_answers
 from zoo.core.blindcheck.sealing import BlindError
-from zoo.core.blindcheck.tables import write_score
+from zoo.core.blindcheck.tables import SCORE_FILES, write_score
 from zoo.core.diagnosis import read_diagnosis
+from zoo.core.outputs import output_folder
 
 BY = ("kind", "layout", "effect", "gap", "network")
 GAP_EDGES = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, math.inf)
@@ -49,8 +50,7 @@ def score_cases(answers: str | Path, key: str | Path, out: str | Path) -> CheckS
     if not answers.is_dir():
         raise BlindError(f"{answers}: no such folder; give the answers of `zoo blind run`")
     keys, checked = read_key(key, answers)
-    if out.exists() and not out.is_dir():
-        raise BlindError(f"{out}: is a file; give a folder")
+    output_folder(out, SCORE_FILES, deep=True)
     found, without_key = read_answers(answers, keys, read_answer, result="diagnosis.json")
     score = score_answers(
         keys, found, by=BY, gap_edges=GAP_EDGES, key_checked=checked, without_key=without_key

@@ -16,11 +16,11 @@ from zoo.core.blindcheck.sealing import (
     read_head,
     read_key_file,
     read_made,
-    replace_file,
     seal,
     unfinished,
 )
 from zoo.core.inference.workers import each
+from zoo.core.outputs import output_file, output_folder, write_file
 
 
 class CaseJob(Protocol):
@@ -58,13 +58,12 @@ def refuse_key_inside(folder: Path, key: Path) -> None:
     Raises
     ------
     BlindError
+    zoo.core.outputs.OutputFileError
     """
     if folder.resolve() in key.resolve().parents:
         raise BlindError(f"{key}: lies inside {folder}, where the cases are; put the key elsewhere")
-    if not key.resolve().parent.is_dir():
-        raise BlindError(f"{key}: folder {key.parent} does not exist; create it or choose another path")
-    if folder.exists() and not folder.is_dir():
-        raise BlindError(f"{folder}: is a file; give a folder")
+    output_file(key)
+    output_folder(folder, deep=True)
 
 
 def write_cases(
@@ -125,7 +124,7 @@ def write_cases(
         done(name)
     part = unfinished(key)
     lines = [head, *(vars(one) for one in made.values())]  # without a line that was cut off
-    replace_file(part, "".join(json.dumps(line) + "\n" for line in lines))
+    write_file(part, "".join(json.dumps(line) + "\n" for line in lines))
     with part.open("a", encoding="utf-8") as record:
         for _, case in in_processes(make, [job for job in jobs if job.name not in made], cores):
             name = case.entry["case"]

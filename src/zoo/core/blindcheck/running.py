@@ -12,6 +12,7 @@ from zoo.core.blindcheck.answers import Answer
 from zoo.core.blindcheck.keys import CaseKey
 from zoo.core.blindcheck.making import in_processes
 from zoo.core.blindcheck.sealing import BlindError, copy_digest, refuse_key_among
+from zoo.core.outputs import output_folder, write_file
 
 FAILED = "failed.txt"
 
@@ -75,7 +76,7 @@ def _diagnose(task: _Task) -> str:
     except Exception as error:
         (task.answer / task.diagnosis.result).unlink(missing_ok=True)
         reason = " ".join(str(error).split()) or type(error).__name__
-        failed.write_text(f"{reason}\n\n{traceback.format_exc()}", encoding="utf-8")
+        write_file(failed, f"{reason}\n\n{traceback.format_exc()}")
         return reason
     return ""
 
@@ -121,8 +122,7 @@ def run_folders(
     refuse_key_among(cases)
     if cases.resolve() in (answers.resolve(), *answers.resolve().parents):
         raise BlindError(f"{answers}: lies inside {cases}, the cases; give another folder for the answers")
-    if answers.exists() and not answers.is_dir():
-        raise BlindError(f"{answers}: is a file; give a folder")
+    output_folder(answers, deep=True)
     found = sorted(p for p in cases.iterdir() if (p / diagnosis.marker).is_file())
     if not found:
         raise BlindError(f"{cases}: holds no folder with a {diagnosis.marker}; give one of `zoo blind make`")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from zoo.core.outputs import write_file
 from zoo.core.words import OneLineError
 
 KEY_DIGEST = "KEY.sha256"
@@ -36,13 +37,6 @@ class MadeCase:
 
     entry: Mapping[str, Any]
     files: Mapping[str, str]
-
-
-def replace_file(path: Path, text: str) -> None:
-    """Write a file so that a kill leaves the old one or the new one."""
-    new = path.with_name(path.name + ".new")
-    new.write_text(text, encoding="utf-8")
-    new.replace(path)
 
 
 def refuse_key_among(cases: Path) -> None:
@@ -148,8 +142,8 @@ def seal(folder: Path, key: Path, head: Mapping[str, Any], made: Sequence[MadeCa
         path.mkdir(exist_ok=True)
     for path, content in contents:
         path.write_bytes(content)
-    replace_file(key, text)
-    replace_file(folder / KEY_DIGEST, f"{hashlib.sha256(text.encode()).hexdigest()}  key.json\n")
+    write_file(key, text)
+    write_file(folder / KEY_DIGEST, f"{hashlib.sha256(text.encode()).hexdigest()}  key.json\n")
     for path in (*(path for path, _ in contents), *{path.parent for path, _ in contents}):
         os.utime(path, (_TIME, _TIME))
     for path in (folder / KEY_DIGEST, folder):
@@ -159,7 +153,7 @@ def seal(folder: Path, key: Path, head: Mapping[str, Any], made: Sequence[MadeCa
 def copy_digest(cases: Path, answers: Path) -> None:
     """Put the digest that lies beside the cases beside their answers."""
     if (cases / KEY_DIGEST).is_file():
-        replace_file(answers / KEY_DIGEST, (cases / KEY_DIGEST).read_text(encoding="utf-8"))
+        write_file(answers / KEY_DIGEST, (cases / KEY_DIGEST).read_text(encoding="utf-8"))
 
 
 def read_sealed(key: Path, answers: Path) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 from collections.abc import Mapping
@@ -10,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from zoo.core.blindcheck.check_score import CheckScore
-from zoo.core.blindcheck.sealing import replace_file
+from zoo.core.outputs import write_file
 
+SCORE_FILES = "score.json", "score.md", "cases.csv"
+"""What `write_score` writes."""
 HEADLINES = (
     ("right", "what is true or its group ranked first, any kind"),
     ("effect_or_group_first", "true effect or its group ranked first"),
@@ -146,9 +149,10 @@ def write_score(score: CheckScore, out: Path) -> None:
     """Write score.json, score.md and cases.csv into a folder, which is made if it is not there."""
     out.mkdir(parents=True, exist_ok=True)
     record = score.record()
-    replace_file(out / "score.json", json.dumps(record, indent=1, ensure_ascii=False) + "\n")
-    replace_file(out / "score.md", score_table(score))
-    with (out / "cases.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(record["cases"][0]))
-        writer.writeheader()
-        writer.writerows(record["cases"])
+    write_file(out / "score.json", json.dumps(record, indent=1, ensure_ascii=False) + "\n")
+    write_file(out / "score.md", score_table(score))
+    table = io.StringIO(newline="")
+    writer = csv.DictWriter(table, list(record["cases"][0]))
+    writer.writeheader()
+    writer.writerows(record["cases"])
+    write_file(out / "cases.csv", table.getvalue())
