@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import os
 import random
 import shutil
 import sys
@@ -28,6 +29,8 @@ class Kind(NamedTuple):
     read: Callable[[Path], Any]
     refused: tuple[type[Exception], ...]
     names: list[str]
+    parts: bool = False
+    """Whether what is whole of a damaged file may be read, without the rest."""
 
 
 def plain(value: Any) -> Any:
@@ -92,35 +95,42 @@ def read_key(folder: Path) -> Any:
     return read_sealed(folder / "key.json", folder)
 
 
+def read_unfinished(folder: Path) -> Any:
+    """Cases that an interrupted call made."""
+    from zoo.core.blindcheck.sealing import read_head, read_made
+
+    key = folder / "made.json"
+    made = {name: (dict(one.entry), dict(one.files)) for name, one in read_made(key).items()}
+    return {"": read_head(key)} | made if made else {}
+
+
 def all_kinds() -> dict[str, Kind]:
     """Kinds of files that zoo writes and reads again."""
     from zoo.core.blindcheck.sealing import BlindError
-    from zoo.core.diagnosis import DiagnosisError
     from zoo.core.inference.checkpoint import CheckpointError
     from zoo.core.inference.record import ResultsError
 
     return {
         "posterior": Kind(read_posterior, (ResultsError,), ["A.nc"]),
         "checkpoint": Kind(read_checkpoint, (CheckpointError,), ["A.checkpoint"]),
-        "answer": Kind(read_answer, (DiagnosisError,), ["diagnosis.json"]),
+        # answer
         "key": Kind(read_key, (BlindError,), ["key.json", "KEY.sha256"]),
+        "unfinished": Kind(read_unfinished, (BlindError,), ["made.json"], parts=True),
     }
 
 
 def make(folder: Path) -> None:
     """Write undamaged files of each kind."""
     import arviz as az
-    import pymc as pm
 
-    from zoo.core.blindcheck.sealing import MadeCase, seal
+    from zoo.core.blindcheck.sealing import MadeCase, line_of, seal, unfinished
     from zoo.core.diagnosis import Diagnosis, read_diagnosis
-    from zoo.core.inference.sampling import sample
     from zoo.core.posterior.storage import save
 
     sys.path.insert(0, str(ROOT / "tests"))
     from gaussian import a_record
 
-    for name in ("posterior", "checkpoint", "answer", "key"):
+    for name in ("posterior", "checkpoint", "answer", "key", "unfinished"):
         (folder / name).mkdir(parents=True)
     rng = np.random.default_rng(SEED)
     idata = az.from_dict(
@@ -133,14 +143,49 @@ def make(folder: Path) -> None:
     a_record().attach(idata)
     save(idata, folder / "posterior" / "A.nc")
     for seed, where in ((1, folder / "checkpoint" / "A.checkpoint"), (2, folder / "another")):
-        with pm.Model() as model:
-            mean = pm.Normal("mean", 0.0, 1.0, shape=2)
-            pm.Normal("y", mean.sum(), 1.0, observed=np.zeros(3))
-        sample(model, draws=8, tune=8, chains=2, cores=1, seed=seed, checkpoint=where, progress=False)
+        make_checkpoint(where, seed)
     content = types.SimpleNamespace(file=read_diagnosis(ANSWER / "diagnosis.json"))
     Diagnosis.save(content, folder / "answer")  # type: ignore[arg-type]
     made = [MadeCase({"case": f"case-{i:03d}", "noise": 0.1 + i, "label": "leak"}, {}) for i in range(4)]
+    lines = [{"secret": "2f"}, *({"entry": dict(one.entry), "files": {"a": "1\n"}} for one in made)]
+    unfinished(folder / "unfinished" / "made.json").write_text("".join(map(line_of, lines)))
     seal(folder / "key", folder / "key" / "key.json", {"seed": 7}, made)
+
+
+def make_checkpoint(folder: Path, seed: int) -> None:
+    """What a run of two chains leaves: the types that its files hold, with few draws."""
+    from pymc.util import RandomGeneratorState, get_state_from_generator
+
+    from zoo.core import digests
+    from zoo.core.inference.checkpoint import CHECKPOINT_FORMAT, Folder
+    from zoo.core.inference.mode import Mode
+    from zoo.core.inference.spaces import Archive, Gaussian
+    from zoo.core.inference.starts import Start
+    from zoo.core.inference.states import of_chain, write_state
+
+    rng = np.random.default_rng(seed)
+    state: RandomGeneratorState = get_state_from_generator(rng)
+    points = rng.normal(size=(12, 2))
+    space = Gaussian(points.mean(axis=0), np.cov(points.T))
+    mode = Mode(points[0], {"mean": points[0]}, -3.25, space.covariance, 40)
+    opened = Folder(folder)
+    identity = {"format": CHECKPOINT_FORMAT, "model": "gaussian", "seed": seed, "study": "demo"}
+    run = digests.of_json(identity)
+    opened.write_run({"identity": identity, "sittings": 1, "wall_seconds": 1.5, "started": "2020-01-01"})
+    opened.write_start(run, Start(points[:2], space, points, mode))
+    for chain in range(2):
+        content = {
+            "steps": 8,
+            "point": {"mean": points[chain]},
+            "step": {"rng": state, "scaling": 0.7, "archive": Archive(points), "tuned": True},
+            "draws": {"mean": points},
+            "stats": {"accepted": points[:, 0] > 0},
+            "sums": {"accept": 0.25 * chain},
+            "solves": 16,
+            "failures": {"cfl": 1},
+        }
+        write_state(opened.chain(chain), of_chain(run, chain), content)
+    opened.close()
 
 
 @functools.cache
@@ -149,7 +194,9 @@ def originals(folder: Path) -> dict[str, Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if not folder.exists():
-            make(folder)
+            half = folder.with_name(f"{folder.name}-{os.getpid()}")
+            make(half)
+            half.rename(folder)
         return {name: kind.read(folder / name) for name, kind in all_kinds().items()}
 
 
@@ -170,18 +217,21 @@ def damage(rng: random.Random, folder: Path, others: list[Path]) -> None:
 def case(number: int, seed: str, work: Path) -> Outcome:
     """One damaged file."""
     rng = random.Random(f"{seed}/file/{number}")
-    whole = originals(work / "originals")
+    made = work.parent / "originals"  # those of all batches
+    whole = originals(made)
     name = rng.choice(sorted(whole))
     kind = all_kinds()[name]
     folder = work / "case"
     shutil.rmtree(folder, ignore_errors=True)
-    shutil.copytree(work / "originals" / name, folder)
-    damage(rng, folder, sorted((work / "originals" / "another").iterdir()))
+    shutil.copytree(made / name, folder)
+    damage(rng, folder, sorted((made / "another").iterdir()))
 
     def read() -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = kind.read(folder)
+        if kind.parts:
+            found = {**whole[name], **found}
         assert repr(found) == repr(whole[name]), "other data were read, and nothing was said"
 
     return judged(read, kind.refused, folder, kind.names)

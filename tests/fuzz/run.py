@@ -58,12 +58,14 @@ def kept(work: Path, to: Path, text: str) -> None:
     (to / "FAILURE.txt").write_text(text)
 
 
-def batch(kind: str, first: int, count: int, seed: str, keep: Path) -> tuple[Counter[str], list[str], int]:
+def batch(
+    kind: str, first: int, count: int, seed: str, keep: Path, base: Path
+) -> tuple[Counter[str], list[str], int]:
     """Counts, failures and the number of inputs that a child has read."""
     counts: Counter[str] = Counter()
     failures = []
     words = [sys.executable, str(HERE / "run.py"), "--seed", seed, "--save", str(keep)]
-    with tempfile.TemporaryDirectory() as work:
+    with tempfile.TemporaryDirectory(dir=base) as work:
         task = f"{kind}:{first}:{count}"
         try:
             ended = subprocess.run(
@@ -96,15 +98,17 @@ def fuzz(kind: str, total: int | None, until: float | None, seed: str, keep: Pat
     began, done = time.monotonic(), 0
     counts: Counter[str] = Counter()
     failures: list[str] = []
+    base = Path(tempfile.mkdtemp(prefix="zoo-fuzz-"))
     while (total is None or done < total) and (until is None or time.monotonic() < until):
         left = BATCH[kind] if total is None else min(BATCH[kind], total - done)
         if until is not None and done:  # as many as there is time for
             speed = done / (time.monotonic() - began)
             left = max(1, min(left, int(speed * (until - time.monotonic()))))
-        found, failed, read = batch(kind, done, left, seed, keep)
+        found, failed, read = batch(kind, done, left, seed, keep, base)
         counts += found
         failures += failed
         done += read
+    shutil.rmtree(base, ignore_errors=True)
     words = {"study": "studies and files to import", "file": "damaged files"}[kind]
     print(
         f"{done} {words}: {counts['ok']} read as what they are, {counts['refused']} refused in one line, "

@@ -13,6 +13,7 @@ from zoo.core.blindcheck.sealing import (
     KEY_DIGEST,
     BlindError,
     MadeCase,
+    line_of,
     read_head,
     read_key_file,
     read_made,
@@ -124,12 +125,12 @@ def write_cases(
         done(name)
     part = unfinished(key)
     lines = [head, *(vars(one) for one in made.values())]  # without a line that was cut off
-    write_file(part, "".join(json.dumps(line) + "\n" for line in lines))
+    write_file(part, "".join(map(line_of, lines)))
     with part.open("a", encoding="utf-8") as record:
         for _, case in in_processes(make, [job for job in jobs if job.name not in made], cores):
             name = case.entry["case"]
             made[name] = MadeCase({**case.entry, "files": _digest(case.files)}, case.files)
-            record.write(json.dumps(vars(made[name])) + "\n")
+            record.write(line_of(vars(made[name])))
             record.flush()
             done(name)
     cases = [made[job.name] for job in jobs]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from zoo.core import digests
 from zoo.core.outputs import write_file
 from zoo.core.words import OneLineError
 
@@ -104,14 +105,22 @@ def read_made(key: Path) -> dict[str, MadeCase]:
     return {e["entry"]["case"]: MadeCase(e["entry"], e["files"]) for e in _read_lines(unfinished(key))[1:]}
 
 
+def line_of(content: Mapping[str, Any]) -> str:
+    """A line of an unfinished key, with its digest."""
+    return json.dumps(digests.stamped(content)) + "\n"
+
+
 def _read_lines(part: Path) -> list[dict[str, Any]]:
-    """Lines of an unfinished key; a last line that was cut off is left out."""
+    """Lines of an unfinished key up to the first that was cut off or damaged."""
     found = []
-    for line in part.read_text(encoding="utf-8").splitlines() if part.exists() else []:
+    for line in part.read_bytes().split(b"\n")[:-1] if part.exists() else []:
         try:
-            found.append(json.loads(line))
-        except ValueError:
+            content = json.loads(line)
+        except (ValueError, RecursionError):
             break
+        if not isinstance(content, dict) or not digests.fits(content):
+            break
+        found.append({name: value for name, value in content.items() if name != digests.FIELD})
     return found
 
 
@@ -153,7 +162,7 @@ def seal(folder: Path, key: Path, head: Mapping[str, Any], made: Sequence[MadeCa
 def copy_digest(cases: Path, answers: Path) -> None:
     """Put the digest that lies beside the cases beside their answers."""
     if (cases / KEY_DIGEST).is_file():
-        write_file(answers / KEY_DIGEST, (cases / KEY_DIGEST).read_text(encoding="utf-8"))
+        write_file(answers / KEY_DIGEST, (cases / KEY_DIGEST).read_bytes())
 
 
 def read_sealed(key: Path, answers: Path) -> list[dict[str, Any]]:
@@ -173,8 +182,8 @@ def read_sealed(key: Path, answers: Path) -> list[dict[str, Any]]:
         ) from None
     if not digest.is_file():
         raise BlindError(f"{digest}: is missing, the key cannot be checked; make it with `zoo blind run`")
-    wanted = digest.read_text(encoding="utf-8").split()[:1]
-    if [hashlib.sha256(content).hexdigest()] != wanted:
+    wanted = digest.read_bytes().split()[:1]
+    if [hashlib.sha256(content).hexdigest().encode()] != wanted:
         raise BlindError(
             f"{key}: is not the key of these cases, or was changed: its SHA-256 is not that in {digest}; "
             "give the file that `zoo blind make` wrote with them"
