@@ -113,7 +113,6 @@ def all_kinds() -> dict[str, Kind]:
     return {
         "posterior": Kind(read_posterior, (ResultsError,), ["A.nc"]),
         "checkpoint": Kind(read_checkpoint, (CheckpointError,), ["A.checkpoint"]),
-        # answer
         "key": Kind(read_key, (BlindError,), ["key.json", "KEY.sha256"]),
         "unfinished": Kind(read_unfinished, (BlindError,), ["made.json"], parts=True),
     }

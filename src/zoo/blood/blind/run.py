@@ -99,8 +99,7 @@ def write_fitted(answer: Path, fitted: Fitted) -> None:
         "base": np.round(fitted.base, FITTED_DIGITS).tolist(),
         "leader": np.round(fitted.leader, FITTED_DIGITS).tolist(),
     }
-    write_file(answer / FITTED, json.dumps(digests.stamped(content)) + "
-")
+    write_file(answer / FITTED, json.dumps(digests.stamped(content)) + "\n")
 
 
 def read_fitted(answer: Path) -> Fitted | None:
