@@ -110,16 +110,16 @@ def test_what_is_left_is_that_of_the_leaders_own_fit() -> None:
 
 
 def test_a_probability_that_the_prior_alone_gives_is_told() -> None:
-    """By group: 0.8 of both members together, against what their priors give together."""
-    for priors, flagged in (((0.4, 0.395), True), ((0.4, 0.38), False), ((0.4, None), None)):
-        stated = [replace(e, prior_probability=p) for e, p in zip(FOUR, (*priors, 0.1, 0.1), strict=True)]
-        assert score_case(truth("listed", "taper", TAPER), answer(stated)).prior_only is flagged
-    stated = [replace(e, prior_probability=p) for e, p in zip(FOUR, (0.4, 0.4, 0.1, 0.1), strict=True)]
-    cases = [score_case(truth("listed", "taper", TAPER), answer(one)) for one in (stated, FOUR)]
-    found = assemble(cases)
-    assert (found.summary["prior_only"]["count"], found.summary["prior_only"]["n"]) == (1, 1)
+    key = truth("listed", "taper", TAPER)
+    for prior, flagged in ((0.495, True), (0.511, False), (None, False)):
+        stated = [replace(FOUR[0], prior_probability=prior), *FOUR[1:]]
+        assert score_case(key, answer(stated, states_prior=True)).prior_only is flagged
+    stated = [replace(FOUR[0], prior_probability=0.5), *FOUR[1:]]
+    given = (answer(stated, states_prior=True), answer(FOUR, states_prior=True), answer(FOUR))
+    found = assemble([score_case(key, one) for one in given])
+    assert (found.summary["prior_only"]["count"], found.summary["prior_only"]["n"]) == (1, 2)
     assert found.summary["prior_only_right"]["count"] == 1
-    assert sum(b.n for b in found.reliability) == 1  # the other one says nothing of the data
+    assert sum(b.n for b in found.reliability) == 2  # the first says nothing of the data
 
 
 def test_sds_that_are_too_small_are_counted_by_effect() -> None:

@@ -33,7 +33,7 @@ class Explanation:
     amplitude_interval : (float, float), optional
         Its 95 % interval; mean ± 1.96 sd if None.
     prior_probability : float, optional
-        What the prior alone gives, had the data said nothing.
+        What the prior alone gives it beside others of the same evidence; None where there are none.
     """
 
     name: str
@@ -107,6 +107,8 @@ class Answer:
         What the diagnosis took.
     checksum : str
         Of the data.
+    states_prior : bool
+        Whether it says of its explanations what the prior alone gives.
     """
 
     explanations: tuple[Explanation, ...]
@@ -118,6 +120,7 @@ class Answer:
     parents: Mapping[Any, Any] = field(default_factory=dict)
     seconds: float = math.nan
     checksum: str = ""
+    states_prior: bool = False
 
     @classmethod
     def ranked(cls, probabilities: Mapping[str, float]) -> Answer:
@@ -183,6 +186,7 @@ def as_answer(found: Any, parents: Mapping[Any, Any] | None = None, fitted: Fitt
         parents or {},
         float(file.record.get("screening_seconds", math.nan)),
         file.study_checksum,
+        any(getattr(h, "log10_bayes_factor", None) is not None for h in file.hypotheses),
     )
 
 

@@ -44,8 +44,9 @@ class CaseScore:
         Of what is true; with all that the data cannot tell from it.
     log_score, brier : float
         log p, and the sum over explanations of (p - 1[true])^2; `group_`: a group counts as one explanation.
-    prior_probability : float or None
-        What the prior alone gives the leading group.
+    prior_probability, prior_only : float or None, bool or None
+        What the prior alone gives the leading explanation beside others of the same evidence, and whether its
+        probability is within 1 % of that.
     place, leader_place : int, str or None
         Part of the true location and of the leader's.
     distance : int or None
@@ -85,6 +86,7 @@ class CaseScore:
     brier: float | None = None
     group_brier: float | None = None
     prior_probability: float | None = None
+    prior_only: bool | None = None
     place: int | str | None = None
     leader_place: int | str | None = None
     distance: int | None = None
@@ -154,20 +156,13 @@ class CaseScore:
         """Whether the prior's 95 % interval holds the true amplitude."""
         return _holds(self.amplitude_prior_low, self.amplitude_prior_high, self.amplitude_true)
 
-    @property
-    def prior_only(self) -> bool | None:
-        """Whether the leading group's probability is what the prior alone gives it."""
-        if self.prior_probability is None:
-            return None
-        return abs(self.leader_probability - self.prior_probability) <= PRIOR_ONLY
-
     def record(self) -> dict[str, Any]:
         """A row of cases.csv and of score.json."""
         values = asdict(self)
         tags: dict[str, Any] = values.pop("tags")
         values["accepted"] = " ".join(self.accepted)
         first = {name: values.pop(name) for name in ("case", "kind", "truth")}
-        derived = ("gap_over_noise", "gap_covered", "left_covered", "z", "amplitude_covered", "prior_only")
+        derived = ("gap_over_noise", "gap_covered", "left_covered", "z", "amplitude_covered")
         return first | tags | values | {name: getattr(self, name) for name in derived}
 
 
@@ -244,7 +239,6 @@ def score_case(key: CaseKey, answer: Answer | None) -> CaseScore:
     one = _scores(p, [e.probability for i, e in enumerate(explanations) if i not in accepted])
     p_group = sum(total[g] for g in true_groups)
     group = _scores(p_group, [total[g] for g in groups if g not in true_groups])
-    prior = [e.prior_probability for e, own in zip(explanations, group_of, strict=True) if own == group_of[0]]
     leader_place = leader.location.part
     named = place is not None and leader_place is not None
     stated = _true_explanation(key, explanations)
@@ -268,7 +262,8 @@ def score_case(key: CaseKey, answer: Answer | None) -> CaseScore:
         brier=one[1],
         group_log_score=group[0],
         group_brier=group[1],
-        prior_probability=None if None in prior else sum(x for x in prior if x is not None),
+        prior_probability=leader.prior_probability,
+        prior_only=_prior_only(leader) if answer.states_prior else None,
         leader_place=leader_place,
         distance=tree_distance(answer.parents, place, leader_place) if named else None,
         amplitude=stated.amplitude if stated else None,
@@ -301,6 +296,12 @@ def _called_unlisted(key: CaseKey, answer: Answer) -> bool:
     if NONPARAMETRIC in (leader.name, *answer.cause) or max(listed, default=0.0) <= MAJORITY:
         return True
     return key.label == SECOND and leader.name in key.names
+
+
+def _prior_only(leader: Explanation) -> bool:
+    """Whether its probability is what the prior alone gives."""
+    prior = leader.prior_probability
+    return prior is not None and abs(leader.probability - prior) <= PRIOR_ONLY
 
 
 def _interval(stated: Explanation | None) -> tuple[float | None, float | None]:
