@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import re
 from dataclasses import replace
 from importlib import import_module
@@ -31,7 +32,9 @@ def test_the_file_comes_back_as_it_was(three: Diagnosis, one: Diagnosis, tmp_pat
         path = d.save(tmp_path / "x")
         assert path == tmp_path / "x" / "diagnosis.json"
         for again in (read_diagnosis(path), zoo.read_diagnosis(path.parent)):
-            assert json.loads(again.model_dump_json()) == json.loads(path.read_text("utf-8"))
+            content = json.loads(path.read_text("utf-8"))
+            assert len(content.pop("sha256")) == 64
+            assert json.loads(again.model_dump_json()) == content
             assert again.hypotheses == d.file.hypotheses
             assert again.gap == d.file.gap
 
@@ -39,6 +42,7 @@ def test_the_file_comes_back_as_it_was(three: Diagnosis, one: Diagnosis, tmp_pat
 def test_a_file_that_does_not_fit_is_refused(one: Diagnosis, tmp_path: Path) -> None:
     path = one.save(tmp_path)
     content = json.loads(path.read_text("utf-8"))
+    del content["sha256"]
     with pytest.raises(DiagnosisError, match="cannot be read"):
         read_diagnosis(tmp_path / "no.json")
     for change, field in (({"format": 3}, "format"), ({"gapp": 1}, "gapp"), ({"verdict": None}, "verdict")):
@@ -49,6 +53,37 @@ def test_a_file_that_does_not_fit_is_refused(one: Diagnosis, tmp_path: Path) -> 
     path.write_text("{", "utf-8")
     with pytest.raises(DiagnosisError, match="make it again"):
         read_diagnosis(path)
+
+
+def test_no_damage_to_an_answer_goes_unseen(one: Diagnosis, tmp_path: Path) -> None:
+    """Bits flipped one at a time, and cuts: refused in one line by name, but for 1e-5 as 1E-5 and such."""
+    path = one.save(tmp_path)
+    raw = path.read_bytes()
+    rng, refused, whole = random.Random(6), [], read_diagnosis(path)
+    for i in range(250):
+        damaged = bytearray(raw)
+        if i < 200:
+            damaged[rng.randrange(len(raw))] ^= 1 << rng.randrange(8)
+        else:
+            damaged = damaged[: rng.randrange(len(raw) - 2)]
+        path.write_bytes(damaged)
+        try:
+            assert read_diagnosis(path) == whole
+        except DiagnosisError as error:
+            refused.append(str(error))
+    assert len(refused) >= 240
+    assert all(e.startswith(str(path)) and "make it again" in e and "\n" not in e for e in refused)
+    content = json.loads(raw)
+    path.write_text(json.dumps(content, indent=3, sort_keys=True), "utf-8")
+    assert read_diagnosis(path) == whole  # how it is set does not matter
+    content["hypotheses"][0]["probability"] = 0.999
+    path.write_text(json.dumps(content), "utf-8")
+    with pytest.raises(DiagnosisError, match="damaged, its content does not fit its digest"):
+        read_diagnosis(path)
+    for deep in ("[" * 100_000, '{"a":' * 100_000, '{"format": ' + "1" * 5000 + "}"):
+        path.write_text(deep, "utf-8")
+        with pytest.raises(DiagnosisError, match="make it again"):
+            read_diagnosis(path)
 
 
 def fields(model: type[BaseModel]) -> set[str]:

@@ -43,6 +43,30 @@ def stamped(content: Mapping[str, Any]) -> dict[str, Any]:
     return {**content, FIELD: of_json(content)}
 
 
+def to_text(content: Mapping[str, Any], indent: int | None = 1) -> str:
+    """A JSON object with its digest, as the text of a file."""
+    return json.dumps(stamped(content), indent=indent) + "\n"
+
+
+def from_text(text: str | bytes) -> dict[str, Any]:
+    """A JSON object without its digest, which it must fit if it holds one.
+
+    Raises
+    ------
+    ValueError
+        If it is no JSON object, or does not fit its digest.
+    """
+    try:
+        found = json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    if not isinstance(found, dict):
+        raise ValueError("not a JSON object")
+    if fits(found) is False:
+        raise ValueError("damaged, its content does not fit its digest")
+    return {name: value for name, value in found.items() if name != FIELD}
+
+
 def fits(content: Mapping[str, Any]) -> bool | None:
     """Whether a JSON object is what its digest says; None if it holds no digest."""
     return None if FIELD not in content else content[FIELD] == of_json(content)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,7 +98,7 @@ def write_fitted(answer: Path, fitted: Fitted) -> None:
         "base": np.round(fitted.base, FITTED_DIGITS).tolist(),
         "leader": np.round(fitted.leader, FITTED_DIGITS).tolist(),
     }
-    write_file(answer / FITTED, json.dumps(digests.stamped(content)) + "\n")
+    write_file(answer / FITTED, digests.to_text(content, indent=None))
 
 
 def read_fitted(answer: Path) -> Fitted | None:
@@ -108,15 +107,13 @@ def read_fitted(answer: Path) -> Fitted | None:
     Raises
     ------
     BlindError
-        If it is broken, or is not what its digest says.
+        If it is broken or damaged.
     """
     path = answer / FITTED
     if not path.exists():
         return None
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if not digests.fits(found):
-            raise ValueError
+        found = digests.from_text(path.read_bytes())
         base, leader = (np.array(found[name], dtype=float) for name in ("base", "leader"))
         rows = tuple(int(i) for i in found["about"])
         if base.ndim != 2 or base.shape != leader.shape or not set(rows) <= set(range(len(base))) or not rows:
@@ -139,7 +136,7 @@ def _write_case_facts(answer: Path, study: Study, effects_from: list[str]) -> No
     }
     if effects_from:
         facts["effects_from"] = effects_from
-    write_file(answer / "case.json", json.dumps(facts, indent=1) + "\n")
+    write_file(answer / "case.json", digests.to_text(facts))
 
 
 def read_case_facts(answer: Path) -> dict[str, Any]:
@@ -148,11 +145,11 @@ def read_case_facts(answer: Path) -> dict[str, Any]:
     Raises
     ------
     BlindError
-        If case.json is missing or broken.
+        If case.json is missing, broken or damaged.
     """
     path = answer / "case.json"
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = digests.from_text(path.read_bytes())
         found["parents"] = {int(i): parent for i, parent in found["parents"].items()}
     except (OSError, ValueError, KeyError, AttributeError):
         raise BlindError(f"{path}: is missing or broken; make it again with `zoo blind run`") from None

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core import digests
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import FitDiscrepancy, answer
 from zoo.core.diagnosis.bounds import Excluded, freed
@@ -130,11 +131,10 @@ class Diagnosis:
     """The former name of `with_posteriors`."""
 
     def save(self, folder: str | Path) -> Path:
-        """Write diagnosis.json into a folder; returns its path."""
+        """Write diagnosis.json, with the digest of its content, into a folder; returns its path."""
         folder = output_folder(folder, ["diagnosis.json"], deep=True)
         folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(json.loads(self.file.model_dump_json()), indent=1) + "\n"
-        return write_file(folder / "diagnosis.json", text)
+        return write_file(folder / "diagnosis.json", digests.to_text(json.loads(self.file.model_dump_json())))
 
 
 def _stronger(scored: Scored, exhaust: bool) -> AddedEffect | None:

@@ -16,6 +16,7 @@ from pydantic import (
     model_validator,
 )
 
+from zoo.core import digests
 from zoo.core.words import OneLineError
 
 FORMAT = 2
@@ -287,23 +288,20 @@ def read_diagnosis(path: str | Path) -> DiagnosisFile:
     Raises
     ------
     DiagnosisError
-        If it is missing, not JSON, or a field is wrong.
+        If it is missing, not JSON, does not fit its digest, or a field is wrong.
     """
     path = Path(path)
     path = path / "diagnosis.json" if path.is_dir() else path
+    again = "make it again with `zoo diagnose` or `zoo blind run`"
     try:
-        return DiagnosisFile.model_validate_json(path.read_text(encoding="utf-8"))
+        return DiagnosisFile.model_validate(digests.from_text(path.read_bytes()))
     except OSError as error:
         raise DiagnosisError(
             f"{path}: cannot be read ({error.strerror}); give a file of `zoo diagnose`"
         ) from None
-    except (UnicodeDecodeError, ValueError) as error:
-        if not isinstance(error, ValidationError):
-            raise DiagnosisError(
-                f"{path!s:.200}: cannot be read ({error}); give a file of `zoo diagnose`"
-            ) from None
+    except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(x) for x in first["loc"]) or "the file"
-        raise DiagnosisError(
-            f"{path}: {where}: {first['msg']}; make it again with `zoo diagnose` or `zoo blind run`"
-        ) from None
+        raise DiagnosisError(f"{path}: {where}: {first['msg']}; {again}") from None
+    except ValueError as error:
+        raise DiagnosisError(f"{path}: cannot be read ({error}); {again}") from None
