@@ -104,6 +104,7 @@ def test_they_survive_a_file_and_a_slim_copy_does_without(whole, tmp_path):
     az.plot_ppc(back, num_pp_samples=5)
 
 
+@pytest.mark.filterwarnings("ignore:For one or more samples the posterior variance")  # ours is a column
 def test_waic_of_arviz_is_that_of_the_comparison(whole, model):
     ours = compare({"line": whole}, {"line": model}).loc["line"]
     arviz = az.waic(whole, scale="deviance")

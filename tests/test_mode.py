@@ -27,8 +27,6 @@ from zoo.core.inference.sampling import SamplingError, find_mode
 from zoo.core.inference.starts import disperse
 from zoo.paper.cheap import cheap_options, cheap_study
 
-pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
-
 
 def test_mode_of_a_gaussian_with_scales_far_apart():
     scale = np.array([1e4, 50.0, 1e3])

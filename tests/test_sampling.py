@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import textwrap
 import time
 from pathlib import Path
@@ -27,12 +28,13 @@ from gaussian import (
     gaussian_model,
     gaussian_posterior,
 )
+from zoo.core import digests
 from zoo.core.inference.checkpoint import CheckpointError, Folder
+from zoo.core.inference.processes import Worker
 from zoo.core.inference.progress import ChainState, Display
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.sampling import SamplingError, sample
-
-pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
+from zoo.core.inference.states import of_chain, read_state
 
 
 @pytest.fixture(scope="module")
@@ -251,6 +253,29 @@ def test_chain_error_reaches_the_caller():
     with pytest.raises(SamplingError, match="chain 0: FloatingPointError: the bath ran over") as caught:
         sample(model, draws=2000, tune=0, chains=1, thin=1, cores=1, seed=1, progress=False)
     assert any("Traceback" in note for note in caught.value.__notes__)
+
+
+def test_a_chain_counts_its_own_seconds(tmp_path):
+    """A solve takes 3 ms here, and each step has one."""
+    settings = {**SETTINGS, "draws": 20, "tune": 60, "cores": 0, "checkpoint": tmp_path / "c"}
+    began = time.monotonic()
+    idata = sample(gaussian_model(seconds=0.003), **settings)
+    whole = time.monotonic() - began
+    opened = Folder(tmp_path / "c")
+    run = digests.of_json(opened.run()["identity"])
+    seconds = [read_state(opened.chain(k), of_chain(run, k))["seconds"] for k in range(2)]
+    opened.close()
+    assert RunRecord.of(idata).steps == 2 * (60 + 2 * 20)
+    assert min(seconds) >= 0.003 * (60 + 2 * 20)
+    assert sum(seconds) < whole
+
+
+def test_the_last_words_of_a_process_are_read_from_its_beginning():
+    worker = Worker.__new__(Worker)
+    with tempfile.TemporaryFile() as worker.errors:
+        assert worker.last_words() == ""
+        worker.errors.write(b"Traceback\nMemoryError: none left\n")
+        assert worker.last_words() == "MemoryError: none left"
 
 
 def test_chains_in_turns_draw_what_processes_draw(tmp_path, uninterrupted):

@@ -21,7 +21,6 @@ from zoo.core.inference.progress import ChainState, Display
 from zoo.core.inference.sampling import SamplingError, sample
 from zoo.core.inference.states import read_state, write_state
 
-pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 FEW = {**SETTINGS, "cores": 0, "draws": 20, "tune": 250}
 
 

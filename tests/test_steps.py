@@ -11,13 +11,12 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import pytest
+from pymc.blocking import RaveledVars
 from scipy import stats
 
 from gaussian import Doubling, gaussian_model, gaussian_posterior
 from zoo.core.inference.sampling import DEMetropolisZ, Metropolis
 from zoo.core.inference.spaces import Archive, ConstrainedSpace, Gaussian
-
-pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
 
 
 def steps_of(step, point, n, seed=3, tune=0):
@@ -276,6 +275,25 @@ def test_moves_in_the_constrained_space_leave_the_posterior_as_it_is(crank_nicol
     beyond = sum(r["accept"] == 0 for r in records)
     assert (beyond > 1000) == (constrained > 0)
     assert sum(r["solves"] for r in records) <= len(records) + 1 - 0.9 * beyond * (constrained > 0)
+
+
+def test_a_jump_is_along_the_difference_of_two_past_points(monkeypatch):
+    """2.38/sqrt(2 d) of it (ter Braak and Vrugt 2008), here in the values of the constrained variables."""
+    past = np.array([[0.3, -0.2, 0.1], [0.1, 0.4, -0.3]])
+    step = DEMetropolisZ(model=leaning_model(), constrained=0.999, archive=past)
+    space, here, jumps = step._spaces[1], np.array([0.2, 0.1, -0.5]), []
+
+    def take(q0, q, space, log_proposals):
+        jumps.append(space.values(q) - space.values(q0.data))
+        return q0, [{}]
+
+    monkeypatch.setattr(step, "_select", take)
+    for _ in range(20):
+        step.astep(RaveledVars(here, ()))
+    wanted = 2.38 / np.sqrt(6) * (space.values(past[0]) - space.values(past[1]))
+    signs = [float(np.sign(jump @ wanted)) for jump in jumps]
+    assert set(signs) == {1.0, -1.0}
+    np.testing.assert_allclose(jumps, np.outer(signs, wanted), rtol=1e-9)
 
 
 def test_a_ridge_at_a_bound_mixes_better_in_the_constrained_space():

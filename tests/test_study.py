@@ -155,6 +155,7 @@ def test_forms_that_mean_the_same(tmp_path: Path) -> None:
             assert again.checksum == plain.checksum, what
 
 
+@pytest.mark.filterwarnings("ignore::zoo.blood.study.UnitWarning")  # a ramp is no flow
 def test_observations_may_begin_later_or_be_absent(tmp_path: Path) -> None:
     content = files()
     offset = [f"1,1,flow_ml_s,{(m + 0.5) * PERIOD / 20:.8f},{m}" for m in range(20)]
@@ -591,6 +592,7 @@ def test_names_and_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert load_study(Path("mouse-c6")).name == "three vessels"
 
 
+@pytest.mark.filterwarnings("ignore::zoo.blood.study.UnitWarning")  # a ramp is no flow
 def test_a_built_in_copy_reads_the_same_checks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fetched columns: numbers of one file, averaged in groups that must fit."""
     column = tmp_path / "column.dat"

@@ -21,6 +21,9 @@ from zoo.cli import app
 from zoo.core.blindcheck.sealing import KEY_DIGEST
 from zoo.core.effects import Location
 
+# loads and stiffness of a case are drawn, some of them beyond what is usual
+pytestmark = pytest.mark.filterwarnings("ignore::zoo.blood.study.UnitWarning")
+
 
 def test_run_answers_and_goes_on(
     made: tuple[Path, Path],

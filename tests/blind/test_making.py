@@ -33,6 +33,9 @@ from zoo.core.blindcheck.sealing import KEY_DIGEST, unfinished
 from zoo.core.effects import Effect
 from zoo.core.parameters import pack, start_of
 
+# loads and stiffness of a case are drawn, some of them beyond what is usual
+pytestmark = pytest.mark.filterwarnings("ignore::zoo.blood.study.UnitWarning")
+
 
 def read_entries(key: Path) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = json.loads(key.read_text())["cases"]

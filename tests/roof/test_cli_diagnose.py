@@ -19,8 +19,6 @@ from zoo.core.diagnosis import (
 )
 from zoo.core.diagnosis.file import NextMeasurement
 
-pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
-
 
 @pytest.fixture(scope="module")
 def commanded(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:

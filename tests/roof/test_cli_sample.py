@@ -16,8 +16,6 @@ from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import find
 from zoo.core.posterior.storage import load
 
-pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
-
 """The commands, run as a user runs them, on a tree of three vessels."""
 
 QUICK = ("--draws", 60, "--tune", 150, "--chains", 2, "--cores", 2, "--seed", 3)

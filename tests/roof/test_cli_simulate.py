@@ -17,8 +17,6 @@ from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import load_study, save_study
 
-pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
-
 SIMULATE = ("--stiffness", "5e4", "--psi1", "0.9", "--psi2", "1.1", "--c", "0.8")
 
 

@@ -14,8 +14,6 @@ from typer.testing import CliRunner
 import zoo
 from zoo.cli import app
 
-pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
-
 
 def test_help_is_quick_and_lists_the_commands() -> None:
     command = [sys.executable, "-c", "from zoo.cli import app; app()", "--help"]

@@ -19,8 +19,6 @@ from zoo.core.diagnosis.file import LocationShare
 from zoo.plots import diagnosis as figures
 from zoo.plots import tree
 
-pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
-
 
 def words_of(figure: mpl.figure.Figure) -> str:
     figure.canvas.draw()

@@ -22,8 +22,6 @@ from zoo.core.diagnosis import Diagnosis, DiagnosisError, DiagnosisFile, read_di
 from zoo.core.errors.spectral import Harmonics
 from zoo.core.outputs import OutputFileError
 
-pytestmark = pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning")
-
 DOC = Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md"
 
 

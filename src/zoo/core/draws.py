@@ -15,4 +15,5 @@ def inverse_gamma_draws(
     rng: np.random.Generator, shape: Any, scale: Any, size: Any = None
 ) -> NDArray[np.float64]:
     """The scale over gamma draws, at most `LARGEST_DRAW`."""
+    scale = np.asarray(scale, dtype=np.float64)  # PyTensor hands on small constants as single precision
     return np.asarray(scale / np.maximum(rng.gamma(shape, size=size), scale / LARGEST_DRAW))
