@@ -88,6 +88,14 @@ def read_answer(folder: Path) -> Any:
     return read_diagnosis(folder / "diagnosis.json").model_dump()
 
 
+def read_facts(folder: Path) -> Any:
+    """What an answer says of its case, and the series that it fitted."""
+    from zoo.blood.blind.run import read_case_facts, read_fitted
+
+    facts = read_case_facts(folder)
+    return [facts[name] for name in ("checksum", "parents", "series")], plain(read_fitted(folder))
+
+
 def read_key(folder: Path) -> Any:
     """Entries of a key, checked by the digest beside the answers."""
     from zoo.core.blindcheck.sealing import read_sealed
@@ -107,12 +115,15 @@ def read_unfinished(folder: Path) -> Any:
 def all_kinds() -> dict[str, Kind]:
     """Kinds of files that zoo writes and reads again."""
     from zoo.core.blindcheck.sealing import BlindError
+    from zoo.core.diagnosis import DiagnosisError
     from zoo.core.inference.checkpoint import CheckpointError
     from zoo.core.inference.record import ResultsError
 
     return {
         "posterior": Kind(read_posterior, (ResultsError,), ["A.nc"]),
         "checkpoint": Kind(read_checkpoint, (CheckpointError,), ["A.checkpoint"]),
+        "answer": Kind(read_answer, (DiagnosisError,), ["diagnosis.json"]),
+        "facts": Kind(read_facts, (BlindError,), ["case.json", "fitted.json"]),
         "key": Kind(read_key, (BlindError,), ["key.json", "KEY.sha256"]),
         "unfinished": Kind(read_unfinished, (BlindError,), ["made.json"], parts=True),
     }
@@ -122,14 +133,18 @@ def make(folder: Path) -> None:
     """Write undamaged files of each kind."""
     import arviz as az
 
+    from zoo.blood.blind.run import write_fitted
+    from zoo.core import digests
+    from zoo.core.blindcheck.answers import Fitted
     from zoo.core.blindcheck.sealing import MadeCase, line_of, seal, unfinished
     from zoo.core.diagnosis import Diagnosis, read_diagnosis
+    from zoo.core.outputs import write_file
     from zoo.core.posterior.storage import save
 
     sys.path.insert(0, str(ROOT / "tests"))
     from gaussian import a_record
 
-    for name in ("posterior", "checkpoint", "answer", "key", "unfinished"):
+    for name in ("posterior", "checkpoint", "answer", "facts", "key", "unfinished"):
         (folder / name).mkdir(parents=True)
     rng = np.random.default_rng(SEED)
     idata = az.from_dict(
@@ -145,6 +160,10 @@ def make(folder: Path) -> None:
         make_checkpoint(where, seed)
     content = types.SimpleNamespace(file=read_diagnosis(ANSWER / "diagnosis.json"))
     Diagnosis.save(content, folder / "answer")  # type: ignore[arg-type]
+    facts = {"checksum": "ab12", "parents": {"1": None, "2": 1, "3": 1}, "series": ["v1@0 pressure_mmHg"]}
+    write_file(folder / "facts" / "case.json", digests.to_text(facts))
+    series = rng.normal(size=(2, 3, 8)).round(4)
+    write_fitted(folder / "facts", Fitted(series[0], series[1], (0, 2)))
     made = [MadeCase({"case": f"case-{i:03d}", "noise": 0.1 + i, "label": "leak"}, {}) for i in range(4)]
     lines = [{"secret": "2f"}, *({"entry": dict(one.entry), "files": {"a": "1\n"}} for one in made)]
     unfinished(folder / "unfinished" / "made.json").write_text("".join(map(line_of, lines)))
