@@ -9,11 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.special import logsumexp
-from scipy.stats import halfnorm, multivariate_normal, norm
+from scipy.stats import halfnorm, kstest, multivariate_normal, norm, truncnorm
 
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import FitDiscrepancy
-from zoo.core.diagnosis.discrepancy import SIZE_PART
+from zoo.core.diagnosis.discrepancy import SIZE_PART, _truncated
+from zoo.core.diagnosis.hooks import Candidate, Hooks, next_measurement
 from zoo.core.diagnosis.hypothesis import NONPARAMETRIC
 from zoo.core.diagnosis.scoring import _groups, score
 from zoo.core.diagnosis.screening import Screening
@@ -129,3 +130,50 @@ def test_the_removed_part_ends_where_a_fit_without_noise_would() -> None:
 
     found = left(0.5, 0.1).removed([0], left(2.0, 2.0))
     assert (found.mean, found.low, found.high) == pytest.approx((0.75, 0.75, 0.95))
+
+
+def test_draws_within_bounds_have_the_truncated_normal_law() -> None:
+    """Of two independent parameters SciPy has it; of two that go together above 0 the mean is known."""
+    rng = np.random.default_rng(5)
+    mean, sd = np.array([1.0, -2.0]), np.array([2.0, 0.5])
+    low, high = np.array([2.0, -2.2]), np.array([7.0, -1.0])
+    start = np.tile([3.0, -1.5], (2000, 1))
+    draws = _truncated(start, mean, np.diag(sd**2), low, high, rng)
+    for i in range(2):
+        law = truncnorm((low[i] - mean[i]) / sd[i], (high[i] - mean[i]) / sd[i], mean[i], sd[i])
+        assert kstest(draws[:, i], law.cdf).pvalue > 1e-3
+    rho = 0.8
+    draws = _truncated(
+        np.full((2000, 2), 0.5), np.zeros(2), np.array([[1.0, rho], [rho, 1.0]]), np.zeros(2),
+        np.full(2, np.inf), rng,
+    )  # fmt: skip
+    # E x of the quadrant where both are above 0 is (1 + rho) phi(0)/2 over its probability
+    part = 0.25 + math.asin(rho) / (2 * math.pi)
+    wanted = (1 + rho) / (2 * math.sqrt(2 * math.pi) * part)
+    np.testing.assert_allclose(draws.mean(axis=0), wanted, rtol=0.06)
+
+
+@pytest.mark.parametrize(("probability", "asked"), [(0.004, False), (0.02, True)])
+def test_a_measurement_separates_only_what_is_in_doubt(probability: float, asked: bool) -> None:
+    """Below a hundredth nothing is a rival; the gain is half the squared distance over the noise."""
+    model = SimpleNamespace(outputs=Outputs(("one",), TIMES))
+    data = SimpleNamespace(outputs=("one",))
+    screening = SimpleNamespace(data=data, baseline=model)
+    series = {"first": np.zeros((1, 64)), "second": np.full((1, 64), 0.1)}
+    scored = SimpleNamespace(
+        leader="first",
+        names=("first", "second"),
+        locations={"first": [], "second": []},
+        probability={"first": 1.0 - probability, "second": probability},
+        members=lambda name: [name],
+        best={
+            name: SimpleNamespace(u=None, forward=SimpleNamespace(series=lambda u, wanted, y=y: y))
+            for name, y in series.items()
+        },
+        screened=SimpleNamespace(screening=screening, noise={"U": SimpleNamespace(noise=NOISE)}),
+    )
+    hooks = Hooks(candidates=lambda data, model: [Candidate("other", {"vessel": 3}, "U")])
+    found = next_measurement(scored, hooks)  # type: ignore[arg-type]
+    gains = [] if found is None else [(found.separates, found.expected_log_odds)]
+    wanted = (("first", "second"), pytest.approx(0.5 * 64 * 0.1**2 / NOISE**2))
+    assert gains == ([wanted] if asked else [])
