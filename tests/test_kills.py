@@ -23,7 +23,7 @@ pytestmark = [
     pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc"),
     pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning"),
 ]
-SETTINGS = {"draws": 1500, "tune": 1200, "chains": 2, "thin": 2, "seed": 31, "progress": False}
+SETTINGS = {"draws": 3000, "tune": 1200, "chains": 2, "thin": 2, "seed": 31, "progress": False}
 KILLS = {"run": 16, "chain": 2, "group": 2, "parent": 2}
 """Of a run that draws all chains in its own process, of a chain's process, of all together, of the parent."""
 
@@ -117,7 +117,7 @@ def test_killed_again_and_again_the_draws_are_the_same(tmp_path: Path) -> None:
             kill(how, run, rng)
             status = int(driver.stdout.readline())
             assert status == (7 if how == "chain" else -signal.SIGKILL), errors.read_text()
-            wait_for(lambda run=run: not alive(run), 60.0)  # also of a parent that is gone
+            wait_for(lambda run=run: not alive(run))  # also chains whose parent is gone
             survived[how] += 1
         driver.stdin.close()
     assert survived == KILLS
