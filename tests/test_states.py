@@ -150,11 +150,11 @@ def _body(file: Path) -> bytes:
         ("demetropolisz", {"crank_nicolson": 0.0, "constrained": 0.0, "tune": "lambda"}),
     ],
 )
-@pytest.mark.parametrize("steps", [230, 460])
+@pytest.mark.parametrize("steps", [230, 461])
 def test_every_step_method_resumes_with_identical_draws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, options: dict, steps: int
 ) -> None:
-    """Cut in the tuning, after its first refit at 200 steps, and after it."""
+    """Cut in the tuning, after its first refit at 200 steps, and after it, between the two steps of a draw."""
     settings = {**FEW, "step": step, "step_options": options, "draws": 40, "tune": 450}
     whole = sample(gaussian_model(), **settings)
 

@@ -15,7 +15,7 @@ from zoo.core.data import Data
 from zoo.core.diagnosis.answer import FitDiscrepancy
 from zoo.core.diagnosis.discrepancy import SIZE_PART, _truncated
 from zoo.core.diagnosis.hooks import Candidate, Hooks, next_measurement
-from zoo.core.diagnosis.hypothesis import NONPARAMETRIC
+from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
 from zoo.core.diagnosis.scoring import _groups, score
 from zoo.core.diagnosis.screening import Screening
 from zoo.core.effects import EffectParameter, Location, effect
@@ -66,6 +66,12 @@ def test_places_that_do_the_same_count_as_one() -> None:
         for n in (1, 8)
     ]
     assert found[0].log_z["bump"] == pytest.approx(found[1].log_z["bump"], abs=0.1)
+    for (
+        one
+    ) in found:  # odds: Bayes factor times 0.5 for no gap over 0.2, half of what is left for listed ones
+        factor = one.log_z[NULL] - one.log_z["bump"]
+        odds = one.probability[NULL] / one.probability["bump"]
+        assert math.log(odds) == pytest.approx(factor + math.log(0.5 / 0.2))
     shares = [share for _, share in found[1].locations["bump"]]
     np.testing.assert_allclose(shares, 1 / 8, rtol=0.1)
 
