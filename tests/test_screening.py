@@ -208,11 +208,14 @@ def linear():  # type: ignore[no-untyped-def]
 
 
 def test_what_a_fit_leaves_has_calibrated_intervals(linear) -> None:  # type: ignore[no-untyped-def]
-    """True rms of truth minus fit in 60 data sets whose noise is correlated, half with a discrepancy."""
+    """True rms of truth minus fit in 60 data sets whose noise is correlated, half with a discrepancy.
+
+    It lies below and above them no more often than it should, and they are no wider than it is large.
+    """
     screening, J, fitted = linear
     H, rng = screening.errors, np.random.default_rng(1)
     T = screening.data.duration
-    inside, total = 0, 60
+    below, above, widths, total = 0, 0, [], 60
     for i in range(total):
         noise = {
             QUANTITY: GroupErrors(
@@ -227,8 +230,12 @@ def test_what_a_fit_leaves_has_calibrated_intervals(linear) -> None:  # type: ig
         sizes = np.sqrt(np.mean(draws**2, axis=1))
         wanted = math.sqrt(float(np.mean((truth - fit.computed) ** 2)))
         low, high = np.quantile(sizes, [0.025, 0.975])
-        inside += bool(low <= wanted <= high)
-    assert binom.cdf(inside, total, 0.95) > 0.005, f"{inside} of {total}"
+        below, above = below + bool(wanted < low), above + bool(wanted > high)
+        widths.append((high - low) / wanted)
+    assert binom.cdf(total - below - above, total, 0.95) > 0.005, f"{below} below, {above} above"
+    for outside in (below, above):
+        assert binom.sf(outside - 1, total, 0.025) > 0.005, f"{below} below, {above} above"
+    assert float(np.median(widths)) < 1.1
 
 
 def test_without_a_discrepancy_the_parameters_error_is_left(linear) -> None:  # type: ignore[no-untyped-def]

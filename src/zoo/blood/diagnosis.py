@@ -20,14 +20,22 @@ from zoo.blood.study import Study, suspect_units
 from zoo.core.data import Data
 from zoo.core.diagnosis import Candidate, Diagnosis, DiagnosisError, Hooks
 from zoo.core.diagnosis import diagnose as diagnose_data
+from zoo.core.diagnosis.hooks import NOISE_PART
 from zoo.core.effects import Effect, EffectError
 from zoo.core.forward import ForwardModel
 
 Array = NDArray[np.float64]
 
 PHASES = ("upstroke", "peak", "late-systole", "incisura", "diastole")
+UPSTROKE, PEAK, LATE_SYSTOLE, INCISURA, DIASTOLE = range(5)
 PEAK_BEATS = 0.03
 """Half the width of the peak and of the incisura, in beats."""
+SMOOTHED = 12.0
+"""Harmonic at which the wave is damped to exp(-1/2) before its features are looked for."""
+PEAK_WITHIN, INCISURA_WITHIN = 0.6, 0.45
+"""Beats after the foot within which the peak is, and after the peak within which the incisura is."""
+MIDWAY = 0.5
+"""Place of a candidate measurement in its vessel, in parts of the length."""
 FLOW_NOISE_PART = 0.02
 """Noise of a flow measurement that is only planned, as a part of its peak."""
 SEARCH_SHARE = 0.1
@@ -54,27 +62,27 @@ def phases(wave: Array, period_s: float) -> NDArray[np.int_]:
     n = len(wave)
     c = np.fft.rfft(wave)
     k = np.arange(len(c))
-    smooth = np.fft.irfft(c * np.exp(-0.5 * (k / 12.0) ** 2), n=n)
+    smooth = np.fft.irfft(c * np.exp(-0.5 * (k / SMOOTHED) ** 2), n=n)
     slope = np.roll(smooth, -1) - np.roll(smooth, 1)
     steepest = int(np.argmax(slope))
     back = [(steepest - i) % n for i in range(n // 2)]
     foot = back[int(np.argmin(smooth[back]))]
     ahead = [(foot + i) % n for i in range(n)]
-    peak_after = int(np.argmax(smooth[ahead[: int(0.6 * n)]]))
+    peak_after = int(np.argmax(smooth[ahead[: int(PEAK_WITHIN * n)]]))
     bend = np.roll(smooth, -1) - 2.0 * smooth + np.roll(smooth, 1)
     half = max(1, round(PEAK_BEATS * n))
-    first, last = peak_after + 2 * half, min(n - half, peak_after + int(0.45 * n))
+    first, last = peak_after + 2 * half, min(n - half, peak_after + int(INCISURA_WITHIN * n))
     incisura_after = first + int(np.argmax(bend[[ahead[i] for i in range(first, last)]]))
     found = np.empty(n, int)
     for i, at in enumerate(ahead):
         if abs(i - peak_after) <= half:
-            phase = 1
+            phase = PEAK
         elif i < peak_after:
-            phase = 0
+            phase = UPSTROKE
         elif abs(i - incisura_after) <= half:
-            phase = 3
+            phase = INCISURA
         else:
-            phase = 2 if i < incisura_after else 4
+            phase = LATE_SYSTOLE if i < incisura_after else DIASTOLE
         found[at] = phase
     return found
 
@@ -87,14 +95,14 @@ def _candidates(data: Data, baseline: ForwardModel) -> list[Candidate]:
     """Pressure and flow midway in every vessel."""
     return [
         Candidate(
-            (int(vessel), 0.5, quantity),
-            {"vessel": int(vessel), "position": 0.5, "quantity": quantity},
+            (int(vessel), MIDWAY, quantity),
+            {"vessel": int(vessel), "position": MIDWAY, "quantity": quantity},
             group,
             noise_part,
         )
         for vessel in baseline.network.ids  # type: ignore[attr-defined]
         for quantity, group, noise_part in (
-            ("pressure_mmHg", "pressure_mmHg", 0.01),
+            ("pressure_mmHg", "pressure_mmHg", NOISE_PART),
             ("flow_ml_s", "", FLOW_NOISE_PART),
         )
     ]

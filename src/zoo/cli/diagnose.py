@@ -174,7 +174,7 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     """What the screen shows of a diagnosis."""
     from rich.text import Text
 
-    from zoo.plots.subject import location_of
+    from zoo.plots.subject import at_most, location_of
     from zoo.report import diagnosis_summary, next_measurement_words, total_seconds
     from zoo.report.words import maybe
 
@@ -207,7 +207,7 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
             "invisible" if h.name in file.invisible else _share(h.probability),
             str(h.group),
             size,
-            "" if free else f"{h.gap_after:.2g}",
+            "" if free else f"{at_most(h)}{h.gap_after:.2g}",
             style="bold" if h.name in file.cause else None,
         )
     lines: list[Any] = [Text(verdict, style="bold"), *(Text(line) for line in rest), ""]
@@ -216,6 +216,8 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
         lines.append(
             f"and {len(file.hypotheses) - len(rows)} more; explanations of one group look alike here"
         )
+    if not all(h.searched_twice for h in rows):
+        lines.append("≤: found by one search only, and not to be compared")
     if file.invisible:
         lines.append(f"these data cannot show: {', '.join(file.invisible)}")
     if file.next_measurement is not None:

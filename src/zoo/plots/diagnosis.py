@@ -30,7 +30,7 @@ from zoo.plots.style import (
     new_figure,
     parts,
 )
-from zoo.plots.subject import location_of, phases_of, study_of, unit_words
+from zoo.plots.subject import at_most, location_of, phases_of, study_of, unit_words
 from zoo.plots.tree import draw_locations, draw_tree
 
 if TYPE_CHECKING:
@@ -199,7 +199,7 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
         if hidden:
             words = "invisible here"
         elif h.name not in (NONPARAMETRIC, CORRELATED):
-            words += f", discrepancy {h.gap_after:.2g}{unit}"
+            words += f", discrepancy {at_most(h)}{h.gap_after:.2g}{unit}"
         axes.annotate(
             words,
             (1.0, row),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.diagnosis import Diagnosis, DiagnosisFile
+from zoo.core.diagnosis.file import HypothesisResult
 from zoo.core.effects import Location
 
 
@@ -21,6 +22,11 @@ def location_of(file: DiagnosisFile, part: int | str | None, subtree: bool) -> s
     shares = [*file.where.place, *(share for h in file.hypotheses for share in h.places)]
     noun = next((share.noun for share in shares if share.noun), "vessel")
     return str(Location(part, subtree, noun))
+
+
+def at_most(h: HypothesisResult) -> str:
+    """What stands before the discrepancy that an explanation leaves: "≤" where it was searched once."""
+    return "" if h.searched_twice else "≤"
 
 
 def unit_words(unit: str) -> str:

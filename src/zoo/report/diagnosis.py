@@ -15,7 +15,7 @@ from zoo.core.diagnosis.file import AddedStep, HypothesisResult, SeriesGap
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.core.outputs import output_folder
 from zoo.plots import plot_diagnosis, plot_discrepancy, plot_hypotheses, plot_where, save_figure
-from zoo.plots.subject import location_of, study_of, unit_words
+from zoo.plots.subject import at_most, location_of, study_of, unit_words
 from zoo.report.page import picture_of, write_page
 from zoo.report.parameters import MEANINGS
 from zoo.report.words import estimate, listed, maybe, percent, settings_text, span, value_text
@@ -32,7 +32,7 @@ DIAGNOSIS_FIGURES = {
     "hypotheses": (
         plot_hypotheses,
         "Log evidence of each explanation below that of the best, its probability, and the discrepancy it "
-        "leaves.",
+        "leaves; ≤: found by one search only, and not to be compared.",
     ),
     "where": (
         plot_where,
@@ -286,10 +286,11 @@ def _hypothesis_row(h: HypothesisResult, file: DiagnosisFile) -> dict[str, Any]:
         "cells": [
             "" if h.place is None else location_of(file, h.place, h.subtree),
             "invisible" if h.name in file.invisible else percent(h.probability),
+            "" if h.prior_probability is None else "= " * h.prior_made + percent(h.prior_probability),
             str(h.group),
-            f"{h.log_evidence - zero:+.1f}",
+            f"{(h.log_evidence - zero) / math.log(10.0):+.1f}",
             size,
-            "" if free else span(h.gap_after, h.gap_after_interval),
+            "" if free else at_most(h) + span(h.gap_after, h.gap_after_interval),
             f"{h.residual_rms:.3g}",
         ],
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from zoo.core.diagnosis.bounds import Excluded, at_bounds
 from zoo.core.diagnosis.discrepancy import model_discrepancy, smooth_part
-from zoo.core.diagnosis.estimates import linearised, posteriors_of
+from zoo.core.diagnosis.estimates import INTERVAL, linearised, posteriors_of
 from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.file import (
     AddedStep,
@@ -38,11 +39,17 @@ from zoo.core.inference.record import versions
 Array = NDArray[np.float64]
 
 MAX_HARMONIC = 10
+"""Harmonics whose shares are told one by one."""
 DRAWS = 400
+"""Draws of a discrepancy from which its interval is made."""
+TOLD = 1e-3
+"""Least probability of a location that is told, and nearness of a probability to a simple fraction."""
 POOR_FIT = 0.2
 """Discrepancy over the data's range above which input is suspected: four prior sds of a free discrepancy."""
 SCANNED = 1e-3
 """Probability from which on the sizes of an effect come from a scan and not from the linearised model."""
+SIMPLE_FRACTION = 20
+"""Largest denominator of a fraction in a verdict."""
 LITTLE = 0.5
 """Part of the discrepancy that an explanation should remove at least, lest a warning is given."""
 
@@ -68,14 +75,14 @@ class FitDiscrepancy:
         """
         draws = self.pooled(rows)
         both = np.stack([draws, _over(self.unabsorbed, rows)])
-        low, high = np.quantile(both.min(axis=0), 0.025), np.quantile(draws, 0.975)
+        low, high = np.quantile(both.min(axis=0), INTERVAL[0]), np.quantile(draws, INTERVAL[1])
         return Interval(mean=float(np.mean(draws)), low=float(low), high=float(high))
 
     def removed(self, rows: list[int], before: FitDiscrepancy) -> Interval:
         """Part of the discrepancy that this fit removes; its interval holds both meanings of what is left."""
         size = np.maximum(before.pooled(rows), 1e-12)
         fitted, free = (1.0 - _over(x, rows) / size for x in (self.rms, self.unabsorbed))
-        low, high = np.quantile(fitted, 0.025), np.quantile(np.maximum(fitted, free), 0.975)
+        low, high = np.quantile(fitted, INTERVAL[0]), np.quantile(np.maximum(fitted, free), INTERVAL[1])
         return Interval(mean=float(fitted.mean()), low=float(low), high=float(high))
 
 
@@ -132,7 +139,7 @@ def _location_posterior(scored: Scored) -> list[LocationShare]:
         LocationShare(part=at.part, subtree=at.subtree, probability=w, noun=_noun(scored))
         for at, w in sorted(shares.items(), key=lambda x: -x[1])
     ]
-    return [p for p in found if p.probability >= 0.001]
+    return [p for p in found if p.probability >= TOLD]
 
 
 def _where(scored: Scored, d: FitDiscrepancy, hooks: Hooks) -> Where:
@@ -180,6 +187,7 @@ def _results(
     data = screened.screening.data
     rows = hooks.rows(data)
     found = []
+    top = max(z for name, z in scored.log_z.items() if name not in scored.invisible)
     for name in scored.names:
         fit = scored.best[name]
         if name in (NONPARAMETRIC, CORRELATED):
@@ -209,23 +217,42 @@ def _results(
                 place=fit.hypothesis.location.part if listed else None,
                 subtree=fit.hypothesis.location.subtree if listed else False,
                 probability=scored.probability[name],
+                prior_probability=scored.prior_share[name],
+                prior_made=scored.prior_made(name),
                 group=scored.group[name],
                 log_evidence=scored.log_z[name],
+                log10_bayes_factor=(scored.log_z[name] - scored.log_z[NULL]) / math.log(10.0),
+                log10_bayes_factor_to_best=(scored.log_z[name] - top) / math.log(10.0),
                 amplitude=estimates[0] if estimates else None,
                 other_amplitudes=estimates[1:],
                 gap_after=float(after[0]),
                 gap_after_interval=(float(after[1]), float(after[2])),
+                searched_twice=not listed or fit.hypothesis in screened.twice,
                 residual_rms=rms,
                 unit=data.units[rows[0]],
                 shift_of_base=shift,
                 places=[
                     LocationShare(part=at.part, subtree=at.subtree, probability=w, noun=at.noun or "part")
                     for at, w in locations
-                    if w >= 0.001 and len(locations) > 1
+                    if w >= TOLD and len(locations) > 1
                 ],
             )
         )
     return found
+
+
+def _prior_words(scored: Scored) -> str:
+    """The beginning of a verdict whose probability the prior made."""
+    share = scored.prior_share[scored.leader]
+    if share is None or not scored.prior_made(scored.leader):
+        return ""
+    simple = Fraction(share).limit_denominator(SIMPLE_FRACTION)
+    own = f" {simple}" if abs(share - simple) < TOLD and simple.denominator > 1 else ""
+    others = scored.tied(scored.leader) or ["others of the same evidence"]
+    return (
+        f"these data do not tell {scored.leader} from {' or '.join(others)}: "
+        f"{scored.probability[scored.leader]:.0%} is the prior's own{own}; "
+    )
 
 
 def _verdict(scored: Scored, gap: Gap) -> str:
@@ -235,7 +262,8 @@ def _verdict(scored: Scored, gap: Gap) -> str:
         return f"no gap: noise of {gap.noise_floor:.3g}{unit} explains what the baseline leaves ({p:.0%})"
     if leader in (NONPARAMETRIC, CORRELATED):
         text = "none of the listed effects" if leader == NONPARAMETRIC else "correlated noise"
-        twin = [n for n in scored.members(leader) if n != leader]
+        told = set() if _prior_words(scored) == "" else {leader, *scored.tied(leader)}
+        twin = [n for n in scored.members(leader) if n not in {leader, *told}]
         return f"{text} ({p:.0%}): a smooth discrepancy of {gap.before:.2g}{unit}" + (
             f"; these data cannot tell it from {' or '.join(twin)}" if twin else ""
         )
@@ -429,7 +457,7 @@ def answer(
         gap=gap,
         where=_where(first, before, hooks),
         cause=members,
-        verdict=_beyond(excluded, gap) + _verdict(first, gap),
+        verdict=_prior_words(first) + _beyond(excluded, gap) + _verdict(first, gap),
         warnings=[*hooks.warnings, *_lifted_warnings(excluded, hooks), *_warnings(gap, first, hooks)],
         excluded=_excluded(excluded, screenings[0], rows, unit),
         hypotheses=_results(first, seed, {NULL: before} | ({first.leader: after} if listed else {}), hooks),

@@ -20,7 +20,9 @@ from zoo.core.parameters import LogNormal, LogUniform, Normal, Prior, Uniform
 AT_BOUND = 0.01
 """How near to a bound a mode stands at it, in units of the search: some thousandth of the prior's width."""
 WIDENING = 10.0
-"""Factor by which a positive bound is moved; others are moved by twice the prior's width."""
+"""Factor by which a positive bound is moved."""
+WIDTHS = 2.0
+"""Widths of its prior by which another bound is moved."""
 WIDENINGS = 3
 """How often at most."""
 
@@ -64,8 +66,8 @@ def widened(prior: Prior, side: str) -> Prior | None:
     if not isinstance(prior, Uniform | LogUniform):
         return None
     if side == "lower":
-        return replace(prior, low=low / WIDENING if low > 0.0 else low - 2.0 * (high - low))
-    return replace(prior, high=high * WIDENING if high > 0.0 and low >= 0.0 else high + 2.0 * (high - low))
+        return replace(prior, low=low / WIDENING if low > 0.0 else low - WIDTHS * (high - low))
+    return replace(prior, high=high * WIDENING if high > 0.0 and low >= 0.0 else high + WIDTHS * (high - low))
 
 
 def lifted(model: ForwardModel, bounds: Sequence[tuple[Coordinate, AtBound]]) -> ForwardModel | None:

@@ -28,6 +28,10 @@ RATIO_GRID = np.linspace(0.0, 1.0, 7)
 """Sizes of the correlated noise, in parts of the largest."""
 CORRELATION_TIME_GRID = np.linspace(-2.0, 2.0, 5)
 """Of the noise's correlation time: in sds of the logarithm from the median."""
+SIGMA_RANGE = (-1.0, 0.5)
+"""Of the white noise around the fitted one, in the logarithm."""
+PRIOR_SMOOTH = 0.5
+"""Prior probability that a fit leaves a smooth discrepancy at all."""
 TRIES = 20
 """Draws of the parameters among which one inside the bounds is taken."""
 SWEEPS = 20
@@ -81,7 +85,9 @@ def possible_noise(fit: Fit) -> dict[str, list[tuple[float, GroupErrors]]]:
                 return 0.5 * float(np.sum(power / S + np.log(S)))
 
             centre = math.log(errors.sigma)
-            best = minimize_scalar(cost, bounds=(centre - 1.0, centre + 0.5), method="bounded")
+            best = minimize_scalar(
+                cost, bounds=(centre + SIGMA_RANGE[0], centre + SIGMA_RANGE[1]), method="bounded"
+            )
             log_prior = H.noise_log_prior(e)
             ranked.append((log_prior - best.fun, log_prior, replace(e, sigma=math.exp(best.x))))
         ranked.sort(key=lambda x: -x[0])
@@ -117,9 +123,9 @@ def model_discrepancy(
     _, precision, pull = fit.forward.prior(fit.u)
     shape = (H.on.n_series, H.n)
     # no size is preferred: the grid is even in its logarithm
-    kinds = [(math.log(0.5), 0.0, H.typical_length)]
+    kinds = [(math.log(1.0 - PRIOR_SMOOTH), 0.0, H.typical_length)]
     lengths = np.array([H.length_log_prior(length) for length in H.length_grid])
-    lengths += math.log(0.5 / len(SIZE_GRID)) - logsumexp(lengths)
+    lengths += math.log(PRIOR_SMOOTH / len(SIZE_GRID)) - logsumexp(lengths)
     for length, log_w in zip(H.length_grid, lengths, strict=True):
         kinds += [(float(log_w), float(size), float(length)) for size in SIZE_GRID]
     own = np.zeros((len(kinds), *shape))

@@ -20,14 +20,15 @@ from zoo.core.diagnosis.discrepancy import possible_noise
 from zoo.core.diagnosis.evidence import Fit, marginal
 from zoo.core.diagnosis.hypothesis import HypothesisModel
 from zoo.core.diagnosis.screening import DELTA_GRID, Screening
-from zoo.core.diagnosis.search import Point, Search, SearchError, as_matrix
+from zoo.core.diagnosis.search import NO_DAMPING, Point, Search, SearchError, as_matrix
 from zoo.core.priors import log_normal_mass, log_normal_tails
 
 Array = NDArray[np.float64]
 
 NEXT_ORDER = 1 / 3
-"""Error that a grid of half the cells still has, in parts of what it changed: 1/(2^2 - 1) at second order. It
-is taken off, and is as large as the doubt about it: none is left, or as much as at first order and more."""
+"""Error of a grid of half the cells, in parts of what halving them changed: 1/(2^2 - 1) at second order. It
+is taken off, and is the standard deviation of the doubt about what is left: it may be none, or, at first
+order, three times as much."""
 STRIDE = 0.8
 """First step of a scan, in standard deviations of the linearised posterior."""
 FALL = 9.0
@@ -153,7 +154,9 @@ class Scan:
         """The others fitted beside a value of the first parameter, from v with their Jacobian."""
         held = _Slice(self.forward, value, self.correction)
         search = Search(held, self.data, self.best)
-        point = search.descend(search.at(np.clip(v, held.low, held.high), jacobian), STEPS, damping=1e-9)
+        point = search.descend(
+            search.at(np.clip(v, held.low, held.high), jacobian), STEPS, damping=NO_DAMPING
+        )
         log_prior, precision, pull = held.prior(point.u)
         log_z, step, C = marginal(self.data - point.computed, point.jacobian, self.S, precision, pull)
         mean, sd = point.u + step, np.sqrt(np.einsum("...dd->...d", C))

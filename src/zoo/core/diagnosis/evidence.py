@@ -68,7 +68,8 @@ class Fit:
 
     `values` are in the parameters' own units; `computed` and `residual` are flat coefficients; `mean` and
     `sd` are those of the parameters' posterior, in search coordinates; `log_z` is the log marginal
-    likelihood.
+    likelihood, and `kinds` what it is made of where the hypothesis has several kinds: the logarithms of their
+    prior weights and of their marginal likelihoods.
     """
 
     hypothesis: Hypothesis
@@ -82,6 +83,7 @@ class Fit:
     log_z: float
     mean: Array
     covariance: Array = field(repr=False)
+    kinds: tuple[tuple[float, float], ...] = ()
 
     @property
     def values(self) -> Array:

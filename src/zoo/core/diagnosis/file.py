@@ -174,12 +174,17 @@ class HypothesisResult(_Amounts):
     place: int | str | None
     subtree: bool = False
     probability: float
+    prior_probability: float | None = None
+    prior_made: bool = False
     group: int
     log_evidence: float
+    log10_bayes_factor: float | None = None
+    log10_bayes_factor_to_best: float | None = None
     amplitude: Estimate | None
     other_amplitudes: list[Estimate] = []
     gap_after: float
     gap_after_interval: tuple[float, float]
+    searched_twice: bool = True
     residual_rms: float
     shift_of_base: dict[str, float] = {}
     places: list[LocationShare] = []

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 BLOCKS = 5
 """Of one series, held out in turn."""
+STEPS = 8
+"""Steps of a refit to what is not held out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,5 +106,5 @@ def _refit(screening: Screening, start: Fit, kept: NDArray[np.bool_], noise: Arr
         point = search.at(start.u, jacobian)
     except SearchError:
         return None
-    point = search.descend(point, 8)
+    point = search.descend(point, STEPS)
     return forward.all[point.u.tobytes()]

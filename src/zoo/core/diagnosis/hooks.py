@@ -16,6 +16,8 @@ from zoo.core.diagnosis.scoring import DOUBT, Scored
 from zoo.core.forward import ForwardModel, Outputs
 
 Array = NDArray[np.float64]
+NOISE_PART = 0.01
+"""Noise of a measurement that is only planned, as a part of its peak."""
 QUARTERS = ("first quarter", "second quarter", "third quarter", "fourth quarter")
 
 
@@ -38,7 +40,7 @@ class Candidate:
     output: Hashable
     words: Mapping[str, Any]
     group: str = ""
-    noise_part: float = 0.01
+    noise_part: float = NOISE_PART
 
 
 @dataclass(frozen=True)

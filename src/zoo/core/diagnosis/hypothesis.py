@@ -18,6 +18,8 @@ from zoo.core.parameters import LogNormal, LogUniform, Normal, Parameter, log_no
 
 Array = NDArray[np.float64]
 
+UNIT = 0.1
+"""Unit of a search: of a logarithm, and in parts of a flat prior's width; a normal one's is its sd."""
 NULL, NONPARAMETRIC, CORRELATED = "no-gap", "unlisted", "correlated-noise"
 """Labels of the null hypothesis (noise is enough), a nonparametric discrepancy, and correlated noise."""
 
@@ -48,9 +50,9 @@ class Coordinate:
     def unit_step(self) -> float:
         """What one unit of the search stands for."""
         if self.log:
-            return 0.1
+            return UNIT
         prior = self.parameter.prior
-        return prior.sd if isinstance(prior, Normal) else 0.1 * (self.high - self.low)
+        return prior.sd if isinstance(prior, Normal) else UNIT * (self.high - self.low)
 
     def value(self, u: Array | float) -> Any:
         """Search coordinate to value."""

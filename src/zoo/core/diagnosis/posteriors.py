@@ -34,6 +34,13 @@ LEADING = 2
 WEIGHED = 600
 """Solves spent on a marginal likelihood."""
 SCORED_DRAWS = 500
+"""Draws that WAIC and PSIS-LOO are made of."""
+SAMPLED, ENOUGH = (1000, 6000), 400
+"""Draws of a chain at first and at most, and the effective sample size that is enough."""
+WIDER, DEGREES = 1.2, 5
+"""Factor of the posterior's covariance, and degrees of freedom, of the t distribution that is drawn from."""
+INSIDE = 1e-3
+"""How far inside its bounds a start is, in parts of their distance."""
 
 
 def explanation_model(screened: Screened, fit: Fit) -> tuple[pm.Model, dict[str, Any]]:
@@ -69,7 +76,7 @@ def explanation_model(screened: Screened, fit: Fit) -> tuple[pm.Model, dict[str,
     values = fit.values.copy()
     for i, p in enumerate(fit.forward.parameters):
         if math.isfinite(p.low) and math.isfinite(p.high):
-            span = 1e-3 * (p.high - p.low)
+            span = INSIDE * (p.high - p.low)
             values[i] = np.clip(values[i], p.low + span, p.high - span)
     start = {variable_name(name): value for name, value in unpack(forward.parameters, values).items()}
     return model, start | errors.suggested(fit.errors)
@@ -149,7 +156,7 @@ def log_marginal_likelihood(
     names = list(idata.posterior.data_vars)
     stacked = idata.posterior.stack(sample=("chain", "draw"))
     q = logp.from_draws({n: np.moveaxis(stacked[n].values, -1, 0) for n in names})
-    proposal = multivariate_t(loc=q.mean(axis=0), shape=1.2 * np.cov(q.T), df=5, seed=seed)
+    proposal = multivariate_t(loc=q.mean(axis=0), shape=WIDER * np.cov(q.T), df=DEGREES, seed=seed)
     points = proposal.rvs(draws)
     log_w = np.array([logp(x) for x in points]) - proposal.logpdf(points)
     log_w[~np.isfinite(log_w)] = -np.inf
@@ -174,8 +181,8 @@ def sample_explanations(
     cores: int = 2,
     seed: int = 1,
     folder: str | Path | None = None,
-    draws: int = 1000,
-    max_draws: int = 6000,
+    draws: int = SAMPLED[0],
+    max_draws: int = SAMPLED[1],
     progress: bool = False,
     tick: Callable[[str, float], None] | None = None,
 ) -> SampledExplanations:
@@ -216,7 +223,7 @@ def sample_explanations(
             tick(f"posterior of {name}", (done + 0.01) / len(chosen))
         model, start = explanation_model(screened, fit)
         settings: dict[str, Any] = {
-            "draws": draws, "max_draws": max_draws, "until_ess": 400, "cores": cores, "seed": seed,
+            "draws": draws, "max_draws": max_draws, "until_ess": ENOUGH, "cores": cores, "seed": seed,
             "start": start, "progress": progress,
         }  # fmt: skip
         if folder is None:

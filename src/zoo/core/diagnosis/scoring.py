@@ -19,8 +19,15 @@ Array = NDArray[np.float64]
 
 VISIBLE = 3.0
 """Expected log-likelihood ratio, e^3 = 20 to 1, below which two hypotheses are the same to these data."""
+SHOWN_AT = 2.0
+"""Size, in its prior's scale, at which an effect is asked whether the data could show it."""
 DOUBT = 0.01
 """Probability above which an explanation outside the leader's group deserves a posterior or a measurement."""
+EQUAL_EVIDENCE = 1.0
+"""Difference of log evidence below which the data prefer neither: "not worth more than a bare mention" (Kass
+and Raftery 1995, doi 10.1080/01621459.1995.10476572)."""
+PRIOR_MADE = 0.01
+"""A probability nearer to what the prior alone gives among explanations of equal evidence is the prior's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +43,21 @@ class Scored:
     group: Mapping[str, int]
     invisible: tuple[str, ...]
     failed: tuple[str, ...]
+    prior_share: Mapping[str, float | None]
 
     @property
     def leader(self) -> str:
         """The most probable explanation."""
         return self.names[0]
+
+    def prior_made(self, name: str) -> bool:
+        """Whether its probability is what the prior alone gives it beside others of the same evidence."""
+        share, p = self.prior_share[name], self.probability[name]
+        return share is not None and p >= DOUBT and abs(p - share) <= PRIOR_MADE
+
+    def tied(self, name: str) -> list[str]:
+        """Others that are as probable as the prior alone makes them beside it."""
+        return [n for n in self.names if n != name and self.prior_made(n)] if self.prior_made(name) else []
 
     def members(self, name: str) -> list[str]:
         """What these data cannot tell from it, itself included, most probable first."""
@@ -91,6 +108,39 @@ def _groups(
     return group
 
 
+def prior_shares(
+    prior: Mapping[str, float], kinds: Mapping[str, Sequence[tuple[float, float]]]
+) -> dict[str, float | None]:
+    """What the prior alone gives each explanation beside others of the same evidence.
+
+    share_i = p_i w_i / sum_j p_j w_j, p the prior probabilities of the explanations and w_j the prior weight
+    of those kinds of j (locations of an effect, kinds of a free discrepancy) whose log evidence is within
+    `EQUAL_EVIDENCE` of the largest one of i.
+
+    Parameters
+    ----------
+    prior : mapping of name to float
+        Prior probabilities.
+    kinds : mapping of name to sequence of (float, float)
+        Logarithms of the prior weight and of the evidence of each kind.
+
+    Returns
+    -------
+    dict of name to float or None
+        None where no other explanation has such evidence: there the data have told it from all others.
+    """
+    found: dict[str, float | None] = {}
+    for name in prior:
+        top = max(z for _, z in kinds[name])
+        shares = {
+            other: prior[other] * sum(math.exp(w) for w, z in kinds[other] if abs(z - top) < EQUAL_EVIDENCE)
+            for other in prior
+        }
+        others = sum(share for other, share in shares.items() if other != name)
+        found[name] = shares[name] / (shares[name] + others) if others > 0.0 else None
+    return found
+
+
 def score(screened: Screened) -> Scored:
     """Probabilities, groups and what the data cannot show."""
     screening = screened.screening
@@ -101,6 +151,9 @@ def score(screened: Screened) -> Scored:
         CORRELATED: screened.correlated.log_z,
     }
     best = {NULL: screened.base, NONPARAMETRIC: screened.nonparametric, CORRELATED: screened.correlated}
+    kinds: dict[str, Sequence[tuple[float, float]]] = {
+        name: fit.kinds or ((0.0, fit.log_z),) for name, fit in best.items()
+    }
     locations: dict[str, list[tuple[Location, float]]] = {}
     invisible, failed = [], []
     for name, hypotheses in screening.hypotheses.items():
@@ -110,6 +163,7 @@ def score(screened: Screened) -> Scored:
             continue
         total = np.array([f.log_z for f in fits.values()])
         log_z[name] = float(logsumexp(total)) - math.log(len(hypotheses))
+        kinds[name] = [(-math.log(len(hypotheses)), float(z)) for z in total]
         leader = max(fits.values(), key=lambda f: f.log_z)
         best[name] = leader
         weight = np.exp(total - logsumexp(total))
@@ -119,7 +173,7 @@ def score(screened: Screened) -> Scored:
         first = screening.effects[name].parameters[0]
         shown = 0.0
         for fit in fits.values():
-            reach = min(2.0 * first.scale, max(abs(first.high), abs(first.low)))
+            reach = min(SHOWN_AT * first.scale, max(abs(first.high), abs(first.low)))
             shown = max(shown, _projected(fit, fit.jacobian[:, fit.forward.asked] * reach, S))
             if fit.log_z - screened.base.log_z > VISIBLE:
                 shown = math.inf
@@ -145,4 +199,5 @@ def score(screened: Screened) -> Scored:
         group,
         tuple(sorted(invisible)),
         tuple(sorted(failed)),
+        dict.fromkeys(names) | prior_shares(prior, kinds),
     )

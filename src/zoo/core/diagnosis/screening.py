@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from zoo.core.data import Data
+from zoo.core.diagnosis import effort
 from zoo.core.diagnosis.discrepancy import SIZE_GRID, SIZE_PART, model_discrepancy, possible_noise
 from zoo.core.diagnosis.evidence import Fit, marginal
 from zoo.core.diagnosis.file import DiagnosisError
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, Hypothesis, HypothesisModel, ranges
-from zoo.core.diagnosis.search import Point, Search, SearchError
+from zoo.core.diagnosis.search import SETTLED, Point, Search, SearchError
 from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, EffectParameter
 from zoo.core.errors.spectral import LARGEST_DELTA, GroupErrors, Spectral
 from zoo.core.forward import ForwardModel
@@ -38,10 +39,12 @@ NUMERICS_PART = 1e-3
 PRIOR_NULL, PRIOR_NONPARAMETRIC = 0.5, 0.1
 """Prior probabilities; the rest is shared equally by the effects that the data can show."""
 DELTA_GRID = LARGEST_DELTA * np.array([0.0, 0.125, 0.25, 0.5, 0.75, 1.0])
+"""Sizes of the allowance that are integrated over, in units of its sd."""
 SEARCHED_LOCATIONS = 8
 """Locations of an effect that are searched: those where the linearised evidence is largest."""
 MULTISTARTED = 4
-"""How many of the best explanations are searched again beside the noise alone, with all that have a shape."""
+"""How many of the best explanations are searched again beside the noise alone, with all that have a shape;
+where nothing listed leads, every effect is, at its best location."""
 
 
 def _silent(text: str, share: float) -> None:
@@ -248,7 +251,7 @@ class Screening:
                 f"{'it' if len(unused) == 1 else 'them'} out of the model's parameters, or correct the model"
             )
         weak = np.linalg.svd(J / np.linalg.norm(J, axis=0))[2][-1]
-        alike = [name for name, part in zip(names, weak, strict=True) if abs(part) > 0.1]
+        alike = [name for name, part in zip(names, weak, strict=True) if abs(part) > effort.ALIKE]
         return (
             f"{self.baseline.name}: its series do not tell {' from '.join(alike)}: fix one of them, or give "
             "it a normal prior"
@@ -259,17 +262,19 @@ class Screening:
         self.tick("baseline", 0.0)
         forward = self.forward(Hypothesis(self.added))
         # loose errors first: far from the mode a tenth of the range is what the linearisation is good for
-        S = self.errors.variances({q: GroupErrors(0.1 * size) for q, size in self.range.items()})
+        S = self.errors.variances({q: GroupErrors(effort.FAR * size) for q, size in self.range.items()})
         search = Search(forward, self.coefficients, S)
         start = forward.start if self.start is None else self.start
-        point = search.refine(search.descend(search.at(start), 10, 1e-3), 4)
-        for _ in range(3):
+        point = search.refine(
+            search.descend(search.at(start), effort.FAR_STEPS, effort.FAR_GAIN), effort.FAR_ROUNDS
+        )
+        for _ in range(effort.BASE_TURNS):
             errors = self._noise(self.coefficients - point.computed, self.numerics())
             search = Search(forward, self.coefficients, self.errors.variances(errors))
             point = replace(point, cost=search.cost(point.u, point.computed))
             before = point.cost
             point = search.refine(point, 2, fine=self.smooth)
-            if before - point.cost < 0.1:
+            if before - point.cost < SETTLED:
                 break
         return self.evidence(forward, point, self.numerics())
 
@@ -278,7 +283,7 @@ class Screening:
         search = Search(base.forward, self.coefficients, self.beside(noise, self.numerics()))
         return self.evidence(
             base.forward,
-            search.refine(search.descend(search.resume(base), 8), 2, fine=self.smooth),
+            search.refine(search.descend(search.resume(base), effort.BASE_STEPS), 2, fine=self.smooth),
             self.numerics(),
         )
 
@@ -295,10 +300,11 @@ class Screening:
         noise = {q: replace(e, delta=0.0, rough=False) for q, e in base.errors.items()}
         point = Point(base.u, base.computed, base.jacobian)
         found: Fit | None = None
-        for round_ in range(3):
+        for round_ in range(effort.FREE_ROUNDS):
             residual = self.coefficients - point.computed
             log_prior, precision, pull = base.forward.prior(point.u)
             best, terms, best_at = -math.inf, [], noise
+            kind_of: list[tuple[float, bool]] = []
             for length, size, rho, rough, where in product(
                 self.errors.length_grid, SIZE_GRID, shared, kinds, wheres
             ):
@@ -319,11 +325,13 @@ class Screening:
                 log_z += base.forward.log_mass(point.u + step, C)
                 log_w = math.log(size) - 0.5 * size**2 + self.errors.length_log_prior(length)
                 terms.append((log_w, log_z))
+                kind_of.append((float(rho), rough))
                 if log_w + log_z > best:
                     best, best_at, best_step, best_C = log_w + log_z, at, step, C
             weights = np.array([w for w, _ in terms])
             weights -= logsumexp(weights)
-            log_z = float(logsumexp(weights + np.array([z for _, z in terms])))
+            each = weights + np.array([z for _, z in terms])
+            log_z = float(logsumexp(each))
             # where the data say little, the linearised mode may lie far outside the bounds
             best_step = np.clip(point.u + best_step, base.forward.low, base.forward.high) - point.u
             # the noise beside this discrepancy
@@ -331,17 +339,21 @@ class Screening:
             refit = {q: self.errors.fit_noise(part, q, best_at[q]) for q in self.errors.groups}
             noise = {q: replace(e, delta=0.0) for q, e in refit.items()}
             log_noise = sum(self.errors.noise_log_prior(e) for e in noise.values())
+            parts = [[i for i, one in enumerate(kind_of) if one == kind] for kind in dict.fromkeys(kind_of)]
+            shares = [float(logsumexp(weights[part])) for part in parts]
+            tops = [float(logsumexp(each[part])) + log_prior + log_noise for part in parts]
             found = Fit(
                 Hypothesis(self.added), base.forward, point.u, point.computed, point.jacobian, residual,
                 {q: replace(best_at[q], sigma=e.sigma, ratio=e.ratio, tau=e.tau) for q, e in refit.items()},
                 {q: best_at[q].delta for q in best_at}, log_z + log_prior + log_noise,
                 point.u + best_step, best_C,
+                tuple((w, top - w) for w, top in zip(shares, tops, strict=True)),
             )  # fmt: skip
-            if round_ == 2:
+            if round_ == effort.FREE_ROUNDS - 1:
                 break
             search = Search(base.forward, self.coefficients, self.errors.variances(found.errors))
             point.cost = search.cost(point.u, point.computed)
-            point = search.descend(point, 4)
+            point = search.descend(point, effort.FREE_STEPS)
         assert found is not None
         return found
 
@@ -368,7 +380,9 @@ class Screening:
                 pass
         for first in starts:
             try:
-                point = search.descend(self._secant(search, base, self._start(parameters, first)), 12)
+                point = search.descend(
+                    self._secant(search, base, self._start(parameters, first)), effort.START_STEPS
+                )
             except SearchError:
                 continue
             best = point if best is None or point.cost < best.cost else best
@@ -389,23 +403,29 @@ class Screening:
         parameters = fit.hypothesis.effect.parameters
         shapes = [
             [float(np.clip(a.centre + move * a.scale, a.low, a.high)) for a in parameters[1:]]
-            for move in ((0.0, -0.7, 1.5) if len(parameters) > 1 else (0.0,))
+            for move in (effort.SHAPES if len(parameters) > 1 else effort.SHAPES[:1])
         ]
         for first, shape in product(parameters[0].starts, shapes):
             try:
-                point = search.descend(self._secant(search, base, np.array([first, *shape])), 15)
+                point = search.descend(
+                    self._secant(search, base, np.array([first, *shape])), effort.AGAIN_STEPS
+                )
             except SearchError:
                 continue
             if point.cost < best.cost:
                 best = point
-        found = self.evidence(fit.forward, search.refine(best, 6, 15, fine=self.smooth), allowances)
-        for _ in range(3):  # a free discrepancy leaves other noise than a cause
+        found = self.evidence(
+            fit.forward,
+            search.refine(best, effort.AGAIN_ROUNDS, effort.AGAIN_STEPS, fine=self.smooth),
+            allowances,
+        )
+        for _ in range(effort.AGAIN_TURNS):  # a free discrepancy leaves other noise than a cause
             search = Search(fit.forward, self.coefficients, self.beside(found.errors, self.numerics()))
             best = search.resume(found)
             before = best.cost
-            best = search.refine(best, 6, 15, fine=self.smooth)
+            best = search.refine(best, effort.AGAIN_ROUNDS, effort.AGAIN_STEPS, fine=self.smooth)
             found = self.evidence(fit.forward, best, allowances)
-            if before - best.cost < 0.1:
+            if before - best.cost < SETTLED:
                 break
         # both linearise one posterior, and what lies off the mode may promise more than is there
         return replace(found, log_z=max(found.log_z, fit.log_z))
@@ -423,7 +443,7 @@ class Screening:
         u = np.concatenate([base.u, start])
         computed = search.forward(u)
         if computed is None:
-            u = np.concatenate([base.u, 0.3 * start])
+            u = np.concatenate([base.u, effort.RETREAT * start])
             computed = search.forward(u)
         if computed is None:
             raise SearchError(search.forward.last_failure)
@@ -434,7 +454,7 @@ class Screening:
         point = Point(u, computed, jacobian, search.cost(u, computed))
         for i in range(n + 1, len(u)):  # a shape parameter has no signature at its first parameter's 0
             moved = u.copy()
-            step = 0.3 * search.forward.units[i]
+            step = effort.RETREAT * search.forward.units[i]
             moved[i] += step if u[i] + step <= search.forward.high[i] else -step
             other = search.forward(moved)
             if other is not None:
@@ -515,13 +535,17 @@ class Screening:
             leading = []
             for locations in self.hypotheses.values():
                 ranked = sorted((h for h in locations if h in fits), key=lambda h: -fits[h].log_z)
-                leading += ranked[:2]
+                leading += ranked[: effort.REFINED]
             for done, (h, fit) in enumerate(pool.map(again, leading), 1):
                 self.tick(h.name, 0.7 + 0.25 * done / len(leading))
                 fits[h] = fit
             ranked = sorted(fits, key=lambda h: -fits[h].log_z)
-            shaped = {h.name: h for h in reversed(ranked) if len(h.effect.parameters) > 1}
-            again_from_all = list(dict.fromkeys([*ranked[:MULTISTARTED], *shaped.values()]))
+            best_of = {h.name: h for h in reversed(ranked)}
+            # where nothing listed leads, what each effect leaves is the answer, and has to be comparable
+            leads = ranked and fits[ranked[0]].log_z > max(unlisted.log_z, correlated.log_z)
+            everyone = not leads and not self.added
+            shaped = [h for h in best_of.values() if everyone or len(h.effect.parameters) > 1]
+            again_from_all = list(dict.fromkeys([*ranked[:MULTISTARTED], *shaped]))
             for done, (h, fit) in enumerate(pool.map(from_all_starts, again_from_all), 1):
                 self.tick(h.name, 0.95 + 0.05 * done / len(again_from_all))
                 fits[h] = fit
@@ -533,7 +557,10 @@ class Screening:
         possible = possible_noise(best)
         # with the noise of another explanation a few harmonics may count for all: the best fit misses least
         least = min((refitted, self.base.fit, self.base.alone), key=self.missed)
-        return Screened(self, base, least, unlisted, correlated, fits, best.errors, possible, gap, allowances)
+        twice = frozenset(again_from_all)
+        return Screened(
+            self, base, least, unlisted, correlated, fits, best.errors, possible, gap, allowances, twice
+        )
 
     def missed(self, fit: Fit) -> float:
         """Mean square residual, in parts of each group's range."""
@@ -543,7 +570,7 @@ class Screening:
     def discrepancy_size(self, fit: Fit, noise: Mapping[str, GroupErrors], group: str) -> float:
         """Rms of truth minus fit, in the group's unit."""
         known = {g: [(0.0, e)] for g, e in noise.items()}
-        left = model_discrepancy(fit, known, np.random.default_rng(0), 50)
+        left = model_discrepancy(fit, known, np.random.default_rng(0), effort.SIZE_DRAWS)
         return math.sqrt(float(np.mean(self.errors.part(left.draws, group) ** 2)))
 
 
@@ -552,7 +579,8 @@ class Screened:
     """What a screening found.
 
     `base` is the baseline beside the noise of the best explanation, as all of them are fitted; `least` is the
-    fit of the baseline that leaves the smallest residual.
+    fit of the baseline that leaves the smallest residual; `twice` are the hypotheses that were searched again
+    from all starts beside the noise alone, so that what they leave is the least that was found.
     """
 
     screening: Screening
@@ -565,3 +593,4 @@ class Screened:
     possible_noise: Mapping[str, Sequence[tuple[float, GroupErrors]]]
     gap: Mapping[str, float]
     allowances: Mapping[str, float]
+    twice: frozenset[Hypothesis] = frozenset()

@@ -11,6 +11,27 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+CHANGE = 2.0
+"""Change of the series by the step of a difference, in units of the noise: of each sample, or, if it is fine,
+of all together."""
+FIRST_STEP, LEAST_STEP, LEAST_FINE_STEP, LARGEST_STEP = 0.05, 0.01, 1e-4, 0.3
+"""Steps of differences in units of the search: where nothing is known, at least, at least of fine ones, at
+most."""
+TURNED, TURNS = 0.4, 3
+"""Part of a step that failed which is tried the other way, and how many steps are tried."""
+REACH = 8.0
+"""Units of the search that one step moves at most: the linearisation is not trusted further."""
+GAIN, STANDSTILL = 0.02, 1e-5
+"""Gain of the log posterior, and step in units of the search, below which a descent ends."""
+SETTLED = 0.1
+"""Gain below which a search with fresh differences ends."""
+ROUNDS, ITERATIONS = 3, 6
+"""Rounds of fresh differences, and steps in each, where no other number is given."""
+DAMPING, NO_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e4
+"""Damping of a descent: at first, on a ridge where damping would stop it, and where it gives up."""
+LESS, MORE, MUCH_MORE = 0.2, 8.0, 10.0
+"""Factors of the damping after a step that gained, one that did not, and one that could not be solved."""
+
 
 class Searched(Protocol):
     """What a search needs of a hypothesis: coefficients and prior as functions of its coordinates."""
@@ -94,25 +115,26 @@ class Search(Generic[F]):
         Fine steps change the log-likelihood by about 2: where there are many samples, the posterior is much
         narrower than the noise of one.
         """
-        forward, wanted = self.forward, 2.0 if fine else 2.0 * math.sqrt(float(len(self.S)))
-        least = 1e-4 if fine else 0.01
+        forward, wanted = self.forward, CHANGE if fine else CHANGE * math.sqrt(float(len(self.S)))
+        least = LEAST_FINE_STEP if fine else LEAST_STEP
         columns = []
         for i, unit in enumerate(forward.units):
-            step = 0.05 * unit
+            step = FIRST_STEP * unit
             if guess is not None:
                 size = math.sqrt(float(np.sum(guess[:, i] ** 2 / self.S)))
-                step = float(np.clip(wanted / size, least * unit, 0.3 * unit)) if size > 0 else 0.3 * unit
+                most = LARGEST_STEP * unit
+                step = float(np.clip(wanted / size, least * unit, most)) if size > 0 else most
             room = (forward.low[i] - point.u[i], forward.high[i] - point.u[i])
             if step > room[1]:
                 step = max(-step, room[0])
             moved = None
-            for _ in range(3):
+            for _ in range(TURNS):
                 u = point.u.copy()
                 u[i] += step
                 if (moved := forward(u)) is not None:
                     break
-                turned = float(np.clip(-0.4 * step, *room))
-                step = turned if turned else 0.4 * step
+                turned = float(np.clip(-TURNED * step, *room))
+                step = turned if turned else TURNED * step
             if moved is None:
                 columns.append(np.zeros_like(point.computed) if guess is None else guess[:, i])
             else:
@@ -126,7 +148,7 @@ class Search(Generic[F]):
         scaled = point.jacobian / self.S[:, None]
         H = point.jacobian.T @ scaled + as_matrix(precision)
         b = scaled.T @ (self.data - point.computed) - pull
-        H += np.diag(damping * np.diag(H) + 1e-9 / forward.units**2)
+        H += np.diag(damping * np.diag(H) + NO_DAMPING / forward.units**2)
         fixed = np.zeros(len(b), bool)
         step = np.zeros(len(b))
         for _ in range(len(b) + 1):
@@ -144,54 +166,56 @@ class Search(Generic[F]):
             fixed |= out
         # the linearisation is not trusted far away
         reach = float(np.max(np.abs(step) / forward.units))
-        return step * min(1.0, 8.0 / reach) if reach > 0 else step
+        return step * min(1.0, REACH / reach) if reach > 0 else step
 
-    def descend(self, point: Point, iterations: int, gain: float = 0.02, damping: float = 1e-3) -> Point:
+    def descend(self, point: Point, iterations: int, gain: float = GAIN, damping: float = DAMPING) -> Point:
         """Damped steps with Broyden's updates until one gains less than `gain`."""
         for _ in range(iterations):
             step = self._step(point, damping)
-            if float(np.max(np.abs(step) / self.forward.units)) < 1e-5:
+            if float(np.max(np.abs(step) / self.forward.units)) < STANDSTILL:
                 break
             u = point.u + step
             computed = self.forward(u)
             if computed is None:
-                damping = max(10.0 * damping, 0.01)
+                damping = max(MUCH_MORE * damping, MUCH_MORE * DAMPING)
                 continue
             cost = self.cost(u, computed)
             linear = point.computed + point.jacobian @ step
             hoped = point.cost - self.cost(u, linear)
             if cost - point.cost > hoped:  # so far from linear that a secant would mislead
-                damping = max(8.0 * damping, 1e-3)
+                damping = max(MORE * damping, DAMPING)
                 continue
             t = step / self.forward.units
             jacobian = point.jacobian + np.outer(computed - linear, t / self.forward.units) / float(t @ t)
             if cost < point.cost:
                 small = point.cost - cost < gain
                 point = Point(u, computed, jacobian, cost)
-                damping *= 0.2
+                damping *= LESS
                 if small:
                     break
             else:
                 point = replace(point, jacobian=jacobian)
                 if hoped < gain:
                     break
-                damping = max(8.0 * damping, 1e-3)
-                if damping > 1e4:
+                damping = max(MORE * damping, DAMPING)
+                if damping > MOST_DAMPING:
                     break
         return point
 
-    def refine(self, point: Point, rounds: int = 3, iterations: int = 6, *, fine: bool = False) -> Point:
+    def refine(
+        self, point: Point, rounds: int = ROUNDS, iterations: int = ITERATIONS, *, fine: bool = False
+    ) -> Point:
         """Fresh Jacobians and descents until one gains nothing; then, if `fine`, the same with fine steps."""
         for _ in range(rounds):
             before = point.cost
             point = replace(point, jacobian=self.differences(point, point.jacobian))
-            point = self.descend(point, iterations, damping=1e-9)  # damping would stop it on a ridge
-            if before - point.cost < 0.1:
+            point = self.descend(point, iterations, damping=NO_DAMPING)  # damping would stop it on a ridge
+            if before - point.cost < SETTLED:
                 break
         for _ in range(rounds if fine else 0):
             jacobian = self.differences(point, point.jacobian, fine=True)
-            moved = self.descend(replace(point, jacobian=jacobian), iterations, damping=1e-9)
-            if point.cost - moved.cost < 0.1:
+            moved = self.descend(replace(point, jacobian=jacobian), iterations, damping=NO_DAMPING)
+            if point.cost - moved.cost < SETTLED:
                 break
             point = moved
         return point
