@@ -457,7 +457,7 @@ def answer(
         gap=gap,
         where=_where(first, before, hooks),
         cause=members,
-        verdict=_prior_words(first) + _beyond(excluded, gap) + _verdict(first, gap),
+        verdict=_beyond(excluded, gap) + _prior_words(first) + _verdict(first, gap),
         warnings=[*hooks.warnings, *_lifted_warnings(excluded, hooks), *_warnings(gap, first, hooks)],
         excluded=_excluded(excluded, screenings[0], rows, unit),
         hypotheses=_results(first, seed, {NULL: before} | ({first.leader: after} if listed else {}), hooks),
