@@ -104,8 +104,6 @@ static int too_large(const zoo_problem *pr)
     int64_t nodes = 0;
     for (int64_t k = 0; k < nv; k++)
         nodes += (int64_t)pr->network.n_cells[k] + 1;
-    if (nodes > ZOO_MOST || sections > ZOO_MOST)
-        return 1;
     /* the state; the outlets' coefficients, of which no kind has more beside its sections'; the samples of a step */
     enum { COEFFICIENTS = 16, STATE = 4, SAMPLES = 4 * 3 };
     const int64_t rows[] = {(STATE + ZOO_MOST_SHAPES) * nodes + (sections + 2) * nv, (COEFFICIENTS + 2 * sections) * nv,
