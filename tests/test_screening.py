@@ -269,6 +269,9 @@ def test_what_is_left_does_not_depend_on_a_parameter_without_a_say(linear) -> No
         for f in (fit, more)
     ]
     np.testing.assert_allclose(*(np.quantile(x, [0.1, 0.5, 0.9]) for x in sizes), rtol=0.15)
+    found = model_discrepancy(fit, noise, np.random.default_rng(4), 400)
+    errors = (found.draws.mean(axis=0) - found.mean) / (found.draws.std(axis=0) / math.sqrt(400))
+    assert math.sqrt(float(np.mean(errors**2))) < 1.3  # the mean is that of the draws
 
 
 @pytest.mark.parametrize("name", [NONPARAMETRIC, CORRELATED])

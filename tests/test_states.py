@@ -154,7 +154,7 @@ def _body(file: Path) -> bytes:
 def test_every_step_method_resumes_with_identical_draws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, options: dict, steps: int
 ) -> None:
-    """Cut in the tuning, after its first refit at 200 steps, and after it, between the two steps of a draw."""
+    """Cut in the tuning, after its first refit at 200 steps, and after it, between two steps of a draw."""
     settings = {**FEW, "step": step, "step_options": options, "draws": 40, "tune": 450}
     whole = sample(gaussian_model(), **settings)
 
