@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 from dataclasses import replace
 from typing import Any
@@ -242,6 +243,19 @@ def test_a_parameter_out_of_range_names_itself(solver: Solver, name: str, value:
     with pytest.raises(SolverArgumentError, match=rf"{name} = {value} in vessel {vessel}") as caught:
         solver.solve(**values)
     one_line(caught)
+
+
+def test_what_c_was_told_the_size_of_cannot_be_changed() -> None:
+    made = Solver.for_study(load_study("demo"))
+    for name, value in {"series": made.series * 4, "times_s": made.times_s[:3], "wall": "tangent"}.items():
+        with pytest.raises(AttributeError, match=f"Solver: {name} cannot be changed"):
+            setattr(made, name, value)
+    for array in (made.times_s, made.inflow_time_s, made.inflow_ml_s):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = np.nan
+    copied = pickle.loads(pickle.dumps(made))
+    with pytest.raises(AttributeError, match="Solver: series"):
+        copied.series = ()
 
 
 def test_a_batch_of_nothing_is_refused(solver: Solver) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import pickle
 import random
 import shutil
@@ -20,6 +21,7 @@ from zoo.core.inference.pool import InlineChainPool
 from zoo.core.inference.progress import ChainState, Display
 from zoo.core.inference.sampling import SamplingError, sample
 from zoo.core.inference.states import read_state, write_state
+from zoo.core.outputs import OutputFileError
 
 FEW = {**SETTINGS, "cores": 0, "draws": 20, "tune": 250}
 
@@ -136,6 +138,31 @@ def test_a_crafted_checkpoint_runs_nothing(folder: Path, tmp_path: Path) -> None
         (mine / old).write_bytes(bomb)
     sample(gaussian_model(), checkpoint=mine, **FEW)
     assert not marker.exists()
+
+
+@pytest.mark.parametrize("name", ["lock", "run.json", "start.state", "chain-0.state"])
+@pytest.mark.parametrize("there", [True, False])
+def test_a_link_in_a_checkpoint_is_not_written_through(tmp_path: Path, name: str, there: bool) -> None:
+    elsewhere, checkpoint = tmp_path / "thesis.tex", tmp_path / "checkpoint"
+    checkpoint.mkdir()
+    (checkpoint / name).symlink_to(elsewhere)
+    if there:
+        elsewhere.write_text("years of work")
+    with pytest.raises(OutputFileError, match=f"{name}: is a link") as caught:
+        Folder(checkpoint)
+    assert "\n" not in str(caught.value)
+    assert elsewhere.exists() == there
+    assert not there or elsewhere.read_text() == "years of work"
+
+
+def test_a_folder_or_a_pipe_in_a_checkpoint_is_named(tmp_path: Path) -> None:
+    (tmp_path / "x.part").mkdir()
+    with pytest.raises(OutputFileError, match=r"x\.part: is a link, or no file"):
+        Folder(tmp_path)
+    (tmp_path / "x.part").rmdir()
+    os.mkfifo(tmp_path / "lock")  # opened for writing, it waits for ever
+    with pytest.raises(OutputFileError, match="lock: is a link, or no file"):
+        Folder(tmp_path)
 
 
 def _body(file: Path) -> bytes:

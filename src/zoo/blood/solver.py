@@ -220,7 +220,15 @@ class Solver:
         self.times_s = finite_array("times_s", times_s, error=SolverArgumentError).copy()
         self.options = options or SolverOptions()
         self.physics = physics or NO_PHYSICS
+        for array in (self.inflow_time_s, self.inflow_ml_s, self.times_s):
+            array.setflags(write=False)
         self._build()
+
+    # C was told the sizes of these; with others it would write past the end of what it is given
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not name.startswith("_") and "_problem" in self.__dict__:
+            raise AttributeError(f"Solver: {name} cannot be changed; make another Solver with it")
+        super().__setattr__(name, value)
 
     @classmethod
     def for_study(

@@ -14,7 +14,7 @@ from zoo.core import digests
 from zoo.core.inference.logposterior import LogPosterior, model_name
 from zoo.core.inference.starts import Start
 from zoo.core.inference.states import REMEDY, CheckpointError, of_chain, read_state, write_state
-from zoo.core.outputs import write_file
+from zoo.core.outputs import OutputFileError, write_file
 
 CHECKPOINT_FORMAT = 3
 FILES = ("run.json", "start.*", "chain-*.*", "*.part", "lock")
@@ -35,6 +35,7 @@ class Folder:
         self.path = path
         try:
             path.mkdir(parents=True, exist_ok=True)
+            _refuse_links(path)
             self._lock: IO[str] = open(path / "lock", "w")  # noqa: SIM115 (closed by close)
         except OSError as error:
             raise CheckpointError(
@@ -121,6 +122,15 @@ class Folder:
     def write_start(self, run: str, start: Start) -> None:
         """Store mode and starts of a run."""
         write_state(self.path / "start.state", {"run": run, "part": "start"}, {"start": start})
+
+
+def _refuse_links(folder: Path) -> None:
+    """What is written through a link that came with a checkpoint would replace a file somewhere else."""
+    for file in sorted(folder.iterdir()):
+        if any(map(file.match, FILES)) and (file.is_symlink() or not file.is_file()):
+            raise OutputFileError(
+                f"{file}: is a link, or no file; a checkpoint holds nothing but files: remove it"
+            )
 
 
 def identity_of(logp: LogPosterior, settings: Mapping[str, Any]) -> dict[str, Any]:
