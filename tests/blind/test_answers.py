@@ -14,10 +14,11 @@ from typer.testing import CliRunner
 import zoo.blood.blind.run as running
 from zoo.blood.blind import BlindError, diagnose_cases, score_cases
 from zoo.blood.blind.keys import read_key
-from zoo.blood.blind.run import read_fitted
+from zoo.blood.blind.run import read_case_facts, read_fitted
 from zoo.blood.diagnosis import diagnose
 from zoo.blood.study import load_study
 from zoo.cli import app
+from zoo.core import digests
 from zoo.core.blindcheck.sealing import KEY_DIGEST
 from zoo.core.effects import Location
 
@@ -250,3 +251,13 @@ def test_commands_complain_in_one_line(made: tuple[Path, Path], tmp_path: Path) 
         assert result.exit_code == 2, words
         errors = [line for line in result.stderr.splitlines() if line.startswith("error:")]
         assert len(errors) == 1, result.output
+
+
+def test_a_damaged_name_of_the_digest_is_not_taken_for_an_answer_without_one(tmp_path: Path) -> None:
+    facts = {"checksum": "ab12", "parents": {"1": None}, "series": []}
+    path = tmp_path / "case.json"
+    path.write_text(json.dumps(facts))
+    assert read_case_facts(tmp_path)["parents"] == {1: None}  # of a version without digests
+    path.write_text(digests.to_text(facts).replace("sha256", "sha257").replace("ab12", "ab13"))
+    with pytest.raises(BlindError, match=r"case\.json: is missing or broken"):
+        read_case_facts(tmp_path)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
+
+from zoo.core.words import short
 
 FIELD = "sha256"
 """Where a file's content holds its own digest."""
@@ -48,13 +50,20 @@ def to_text(content: Mapping[str, Any], indent: int | None = 1) -> str:
     return json.dumps(stamped(content), indent=indent) + "\n"
 
 
-def from_text(text: str | bytes) -> dict[str, Any]:
+def from_text(text: str | bytes, known: Iterable[str] | None = None) -> dict[str, Any]:
     """A JSON object without its digest, which it must fit if it holds one.
+
+    Parameters
+    ----------
+    text : str or bytes
+    known : iterable of str, optional
+        All names that the object may have; an unknown one in an object without a digest may be the digest's,
+        damaged.
 
     Raises
     ------
     ValueError
-        If it is no JSON object, or does not fit its digest.
+        If it is no JSON object, does not fit its digest, or holds none and an unknown name.
     """
     try:
         found = json.loads(text)
@@ -64,6 +73,8 @@ def from_text(text: str | bytes) -> dict[str, Any]:
         raise ValueError("not a JSON object")
     if fits(found) is False:
         raise ValueError("damaged, its content does not fit its digest")
+    if known is not None and FIELD not in found and (other := set(found) - set(known)):
+        raise ValueError(f"no digest, and {short(min(other))} is unknown")
     return {name: value for name, value in found.items() if name != FIELD}
 
 

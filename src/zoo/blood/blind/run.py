@@ -113,7 +113,7 @@ def read_fitted(answer: Path) -> Fitted | None:
     if not path.exists():
         return None
     try:
-        found = digests.from_text(path.read_bytes())
+        found = digests.from_text(path.read_bytes(), ("about", "base", "leader"))
         base, leader = (np.array(found[name], dtype=float) for name in ("base", "leader"))
         rows = tuple(int(i) for i in found["about"])
         if base.ndim != 2 or base.shape != leader.shape or not set(rows) <= set(range(len(base))) or not rows:
@@ -149,7 +149,7 @@ def read_case_facts(answer: Path) -> dict[str, Any]:
     """
     path = answer / "case.json"
     try:
-        found = digests.from_text(path.read_bytes())
+        found = digests.from_text(path.read_bytes(), ("checksum", "parents", "series", "effects_from"))
         found["parents"] = {int(i): parent for i, parent in found["parents"].items()}
     except (OSError, ValueError, KeyError, AttributeError):
         raise BlindError(f"{path}: is missing or broken; make it again with `zoo blind run`") from None
