@@ -188,6 +188,18 @@ def test_one_factorisation_for_repeated_w_and_b() -> None:
     assert gaussian_process._factor.cache_info().misses == 2
 
 
+def test_the_noise_of_the_error_model_is_that_of_the_published_code() -> None:
+    """2.44e-6 and a jitter of 1e-6 on the diagonal, in the density too."""
+    t = np.linspace(0.0, 0.1, 12)
+    bound = GaussianProcess(LogUniform(1e4, 9e4), LogUniform(1, 500)).bind(Data(t, np.zeros((1, 12))))
+    at = {"w": 5e4, "b": 100.0}
+    K = neural_network_kernel(t, 5e4, 100.0)
+    np.testing.assert_allclose(bound.variance(at)[0] - np.diag(K), 3.44e-6, rtol=1e-6)
+    residual = 1e-3 * np.random.default_rng(1).standard_normal(12)
+    wanted = stats.multivariate_normal(np.zeros(12), K + 3.44e-6 * np.eye(12)).logpdf(residual)
+    assert bound.log_density(residual[None], at) == pytest.approx(wanted, rel=1e-6)
+
+
 def test_iid_terms() -> None:
     residual = draw_residual()
     np.testing.assert_allclose(iid_terms(residual, 0.13), stats.norm.logpdf(residual, 0, math.sqrt(0.13)))

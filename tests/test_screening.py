@@ -309,7 +309,7 @@ def test_a_search_without_a_solve_says_why() -> None:
     search = Search(forward, forward.errors.flat(study.values), np.ones(forward.errors.size))
     with pytest.raises(SearchError, match="periodic"):
         search.at(np.array([math.log(THETA[p]) for p in ("f3", "psi1", "psi2", "c")]))
-    assert forward.failures == 1
+    assert (forward.failures, forward.solves) == (1, 1)
 
 
 def test_priors_integrate_to_one_in_the_coordinates_of_a_search() -> None:
@@ -326,6 +326,26 @@ def test_priors_integrate_to_one_in_the_coordinates_of_a_search() -> None:
         u = np.linspace(low, high, 20001)
         density = [math.exp(p.prior.log_density(c.value(x), {}) + (x if c.log else 0.0)) for x in u]
         assert np.trapezoid(density, u) == pytest.approx(1.0, rel=1e-4)
+
+
+def test_precision_and_pull_of_independent_priors_are_those_of_differences() -> None:
+    """In the search's coordinates, of which some are logarithms; a density that is not concave has none."""
+    parameters = (
+        Parameter("v", InverseGamma(3, 7.78), log=True),
+        Parameter("z", Normal(0.3, 0.2)),
+        Parameter("k", Normal(2.0, 0.5), log=True),
+    )
+    model = SimpleNamespace(
+        parameters=parameters, outputs=Outputs(("y",), np.arange(8.0)), families=(), name="x"
+    )
+    forward = HypothesisModel(model, Hypothesis(), None)  # type: ignore[arg-type]
+    u, h = np.array([math.log(2.5), 0.45, math.log(2.2)]), 1e-4
+    _, precision, pull = forward.prior(u)
+    for i, step in enumerate(h * np.eye(3)):
+        below, at, above = (forward.prior(u + move)[0] for move in (-step, 0.0 * step, step))
+        assert pull[i] == pytest.approx(-(above - below) / (2 * h), rel=1e-5)
+        assert precision[i] == pytest.approx(max(0.0, -(above - 2 * at + below) / h**2), rel=1e-4)
+        assert precision[i] > 0.0
 
 
 def test_slopes_and_curvatures_of_priors_are_those_of_differences() -> None:

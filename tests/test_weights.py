@@ -72,6 +72,13 @@ def test_places_that_do_the_same_count_as_one() -> None:
         factor = one.log_z[NULL] - one.log_z["bump"]
         odds = one.probability[NULL] / one.probability["bump"]
         assert math.log(odds) == pytest.approx(factor + math.log(0.5 / 0.2))
+    left = 0.2 * (BUMP - WAVE * (WAVE @ BUMP) / (WAVE @ WAVE))
+    for one in found:  # a cause may leave a tenth of the gap, beside the numerics' thousandth of the range
+        gap = one.screened.gap["U"]
+        assert gap == pytest.approx(math.sqrt(float(np.mean(left**2))), rel=0.35)
+        assert one.screened.allowances["U"] == pytest.approx(
+            math.hypot(0.1 * gap, 1e-3 * float(np.ptp(data.values)))
+        )
     shares = [share for _, share in found[1].locations["bump"]]
     np.testing.assert_allclose(shares, 1 / 8, rtol=0.1)
 
