@@ -122,6 +122,21 @@ def test_fitted_series_are_read_back_or_refused(
     assert read_fitted(answers / "case-001") is None
 
 
+def test_what_scoring_refuses_is_made_again(made: tuple[Path, Path], answered: Path, tmp_path: Path) -> None:
+    """A broken fitted.json says that `zoo blind run` makes it again: it is no answer there."""
+    answer, case = tmp_path / "case-001", made[0] / "case-001"
+    shutil.copytree(answered / "case-001", answer)
+    seed = json.loads((answer / "diagnosis.json").read_text())["record"]["seed"]
+    diagnosis = running.CaseDiagnosis(running.BASELINE, False, 1, seed)
+    assert diagnosis.answered(case, answer)
+    whole = (answer / "fitted.json").read_text()
+    (answer / "fitted.json").write_text(whole[:-30])
+    assert not diagnosis.answered(case, answer)
+    (answer / "fitted.json").write_text(whole)
+    shutil.copy(answered / "case-002" / "case.json", answer)
+    assert not diagnosis.answered(case, answer)
+
+
 def test_score_writes_and_checks_the_key(made: tuple[Path, Path], answered: Path, tmp_path: Path) -> None:
     found = score_cases(answered, made[1], tmp_path / "score")
     assert found.key_checked

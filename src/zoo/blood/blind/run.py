@@ -57,6 +57,7 @@ class CaseDiagnosis:
             study = load_study(case)
             found = read_diagnosis(answer)
             facts = read_case_facts(answer)
+            fitted = read_fitted(answer)
         except (StudyError, DiagnosisError, BlindError):
             return False
         return bool(
@@ -67,7 +68,8 @@ class CaseDiagnosis:
             and found.record.get("seed") == self.seed
             and found.record.get("priors") == prior_words(study, self.base, self.priors)
             and (found.posteriors is not None or not self.posteriors)
-            and (answer / FITTED).is_file()
+            and fitted is not None
+            and facts.get("checksum") == study.checksum
         )
 
     def diagnose(self, case: Path, answer: Path) -> None:
