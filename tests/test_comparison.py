@@ -241,6 +241,10 @@ def test_table_ranked_by_loo_with_given_verdicts(models, idatas) -> None:
     assert not table.loc["B", "converged"]
     difference = table["loo"].iloc[1] - table["loo"].iloc[0]
     assert table["difference"].iloc[1] == pytest.approx(difference)
+    for name in models:  # only terms given all other points have weights that leave a point out
+        scored = add_log_likelihood(idatas[name], models[name], "leave-one-out", n_draws=20)
+        wanted = az.loo(scored, scale="deviance").elpd_loo
+        assert table.loc[name, "loo"] == pytest.approx(wanted, rel=1e-9)
 
 
 def test_table_of_one_model(models, idatas) -> None:
