@@ -92,8 +92,10 @@ class Network(ReadOnlyArrays):
     def __post_init__(self) -> None:
         for name in (*_INTEGERS, *_SIZES, *_LOADS, *_STIFFNESSES):
             value = getattr(self, name)
-            if name in _INTEGERS:
-                array: Any = whole_array(f"network: {name}", value, error=StudyError)
+            if name in _INTEGERS and getattr(value, "dtype", None) == np.int32 and value.ndim == 1:
+                array: Any = value
+            elif name in _INTEGERS:
+                array = whole_array(f"network: {name}", value, error=StudyError)
             elif value is None and name in _STIFFNESSES:
                 continue
             else:
@@ -117,8 +119,8 @@ class Network(ReadOnlyArrays):
         n = len(self.ids)
         if n == 0:
             raise StudyError("network: ids = []: must hold a vessel; add the root")
-        values, counts = np.unique(self.ids, return_counts=True)
-        if len(values) < n:
+        if len(set(self.ids.tolist())) < n:
+            values, counts = np.unique(self.ids, return_counts=True)
             raise StudyError(f"network: ids: {values[counts > 1][0]} stands twice; give each vessel its own")
         wrong = (self.parent < 0) | (self.parent >= np.arange(n))
         wrong[0] = self.parent[0] != -1
@@ -134,7 +136,10 @@ class Network(ReadOnlyArrays):
     def _check_values(self) -> None:
         def positive(name: str, where: NDArray[np.bool_] | bool = True) -> None:
             values = getattr(self, name)
-            bad = where & ~((values > 0) & (values < np.inf))
+            good = (values > 0) & (values < np.inf)
+            if good.all():
+                return
+            bad = where & ~good
             refuse_where(f"network: {name}", values, bad, "positive and finite", error=ArgumentError)
 
         for name in (*_SIZES, *(name for name in _STIFFNESSES if getattr(self, name) is not None)):

@@ -54,6 +54,9 @@ def real_array(
         ...
     ValueError: R2 = ['1.5', '2']: must be an array of real numbers; convert it to one
     """
+    if type(values) is np.ndarray and values.dtype == np.float64 and values.flags.c_contiguous:
+        if ndim in (None, values.ndim):
+            return values  # most are, and a solve should not wait for more
     try:
         found = np.asarray(values)
     except (ValueError, TypeError, OverflowError):
@@ -79,7 +82,7 @@ def refuse_where(
     ValueError
         Or the error given, that names its place and says what it must be.
     """
-    if np.any(bad):
+    if bad.any():
         at = tuple(int(i) for i in np.argwhere(bad)[0])
         place = f"[{', '.join(map(str, at))}]" if at else ""
         raise error(f"{field}{place} = {float(values[at])!r}: must be {words}; correct it")
@@ -118,6 +121,8 @@ def real_number(
         Or the error given, in one line, if it is no number, or another one.
     """
     one: Any = value
+    if type(value) in (float, int) and above < one < math.inf and abs(one) < 1e300:
+        return float(one)
     try:
         one = np.asarray(value)
         good = one.dtype.kind in "fiu" and one.ndim == 0 and above < float(one) < math.inf
