@@ -54,9 +54,14 @@ def real_array(
         ...
     ValueError: R2 = ['1.5', '2']: must be an array of real numbers; convert it to one
     """
-    if type(values) is np.ndarray and values.dtype == np.float64 and values.flags.c_contiguous:
-        if ndim in (None, values.ndim):
-            return values  # most are, and a solve should not wait for more
+    # most are as they must be, and a solve should not wait for more
+    if (
+        type(values) is np.ndarray
+        and values.dtype == np.float64
+        and values.flags.c_contiguous
+        and (ndim in (None, values.ndim))
+    ):
+        return values
     try:
         found = np.asarray(values)
     except (ValueError, TypeError, OverflowError):
