@@ -83,6 +83,17 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
     assert sorted(os.listdir(tmp_path / "disk")) == ["a.csv", "b.csv"]
 
 
+def test_what_is_read_is_not_replaced_and_what_is_private_is_the_owner_s(tmp_path):
+    (tmp_path / "inflow.csv").write_text("flow")
+    (tmp_path / "same.csv").symlink_to(tmp_path / "inflow.csv")
+    for name in ("inflow.csv", "same.csv"):
+        with pytest.raises(OutputFileError, match=rf"-o .*{name}: is a file that is read here"):
+            output_file(tmp_path / name, "-o", [tmp_path / "gone.csv", tmp_path / "inflow.csv"])
+    output_file(tmp_path / "waves.csv", "-o", [tmp_path / "inflow.csv"])
+    write_file(tmp_path / "key.json", "secret", private=True)
+    assert (tmp_path / "key.json").stat().st_mode & 0o777 == 0o600
+
+
 def test_a_name_too_long_and_a_folder_that_is_a_file(tmp_path):
     with pytest.raises(OutputFileError, match=r"cannot be written \(File name too long\)") as error:
         output_file(tmp_path / f"{'x' * 300}.nc")

@@ -156,10 +156,10 @@ def test_a_link_in_a_checkpoint_is_not_written_through(tmp_path: Path, name: str
 
 
 def test_a_folder_or_a_pipe_in_a_checkpoint_is_named(tmp_path: Path) -> None:
-    (tmp_path / "x.part").mkdir()
-    with pytest.raises(OutputFileError, match=r"x\.part: is a link, or no file"):
+    (tmp_path / ".zoo-x.part").mkdir()
+    with pytest.raises(OutputFileError, match=r"\.zoo-x\.part: is a link, or no file"):
         Folder(tmp_path)
-    (tmp_path / "x.part").rmdir()
+    (tmp_path / ".zoo-x.part").rmdir()
     os.mkfifo(tmp_path / "lock")  # opened for writing, it waits for ever
     with pytest.raises(OutputFileError, match="lock: is a link, or no file"):
         Folder(tmp_path)

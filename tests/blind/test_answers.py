@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -105,9 +106,12 @@ def test_fitted_series_are_read_back_or_refused(
     answers = tmp_path / "answers"
     shutil.copytree(answered, answers)
     for folder in sorted(answers.glob("case-*")):
-        fitted, told = read_fitted(folder), json.loads((folder / "diagnosis.json").read_text())["gap"]
-        assert fitted is not None
+        told = json.loads((folder / "diagnosis.json").read_text())["gap"]
         study = load_study(made[0] / folder.name)
+        fitted = read_fitted(folder, study.checksum)
+        assert fitted is not None
+        with pytest.raises(BlindError, match=r"fitted\.json: is of another case"):
+            read_fitted(folder, "another")
         base, leader = fitted.left(study.values)
         assert base == pytest.approx(told["residual_rms_before_mmHg"], rel=1e-3)
         assert leader == pytest.approx(told["residual_rms_after_mmHg"], rel=1e-3)
@@ -117,9 +121,9 @@ def test_fitted_series_are_read_back_or_refused(
     for wrong in (text[:-30], text[:digit] + "9" + text[digit + 1 :], "[]", "{}"):
         path.write_text(wrong)
         with pytest.raises(BlindError, match=r"fitted\.json: is broken"):
-            read_fitted(answers / "case-001")
+            read_fitted(answers / "case-001", "any")
     path.unlink()
-    assert read_fitted(answers / "case-001") is None
+    assert read_fitted(answers / "case-001", "any") is None
 
 
 def test_what_scoring_refuses_is_made_again(made: tuple[Path, Path], answered: Path, tmp_path: Path) -> None:
@@ -127,8 +131,10 @@ def test_what_scoring_refuses_is_made_again(made: tuple[Path, Path], answered: P
     answer, case = tmp_path / "case-001", made[0] / "case-001"
     shutil.copytree(answered / "case-001", answer)
     seed = json.loads((answer / "diagnosis.json").read_text())["record"]["seed"]
-    diagnosis = running.CaseDiagnosis(running.BASELINE, False, 1, seed)
+    diagnosis = running.CaseDiagnosis(running.BASELINE, False, 1, seed, tuple(CHEAP))
     assert diagnosis.answered(case, answer)
+    assert not replace(diagnosis, max_effects=2).answered(case, answer)
+    assert not replace(diagnosis, effects=None).answered(case, answer)
     whole = (answer / "fitted.json").read_text()
     (answer / "fitted.json").write_text(whole[:-30])
     assert not diagnosis.answered(case, answer)

@@ -93,7 +93,7 @@ def read_facts(folder: Path) -> Any:
     from zoo.blood.blind.run import read_case_facts, read_fitted
 
     facts = read_case_facts(folder)
-    return [facts[name] for name in ("checksum", "parents", "series")], plain(read_fitted(folder))
+    return [facts[name] for name in ("checksum", "parents", "series")], plain(read_fitted(folder, "ab12"))
 
 
 def read_key(folder: Path) -> Any:
@@ -163,7 +163,7 @@ def make(folder: Path) -> None:
     facts = {"checksum": "ab12", "parents": {"1": None, "2": 1, "3": 1}, "series": ["v1@0 pressure_mmHg"]}
     write_file(folder / "facts" / "case.json", digests.to_text(facts))
     series = rng.normal(size=(2, 3, 8)).round(4)
-    write_fitted(folder / "facts", Fitted(series[0], series[1], (0, 2)))
+    write_fitted(folder / "facts", Fitted(series[0], series[1], (0, 2)), "ab12")
     made = [MadeCase({"case": f"case-{i:03d}", "noise": 0.1 + i, "label": "leak"}, {}) for i in range(4)]
     lines = [{"secret": "2f"}, *({"entry": dict(one.entry), "files": {"a": "1\n"}} for one in made)]
     unfinished(folder / "unfinished" / "made.json").write_text("".join(map(line_of, lines)))

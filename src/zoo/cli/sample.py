@@ -60,8 +60,12 @@ def sample(
     added = [part.strip() for part in (effects or "").split(",") if part.strip()]
     name = model_name("+".join([model, *added]))
     settings = sampling.settings()
+    from zoo.blood.study import study_files
+
     loaded = numerical.on(priors.into(conventions.load(study)))
-    path = output_file(Path(f"{name}-{loaded.name}.nc") if output is None else output, "--output")
+    path = output_file(
+        Path(f"{name}-{loaded.name}.nc") if output is None else output, "--output", study_files(study)
+    )
     idata = sample_with_checkpoint(
         name, loaded, path, settings, resume=sampling.resume, progress=not sampling.quiet
     )

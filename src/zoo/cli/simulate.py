@@ -64,14 +64,16 @@ def simulate(
     from zoo.blood.physics import physics_words
     from zoo.blood.resolution import resolve_solver
     from zoo.blood.solver import Solver
+    from zoo.blood.study import study_files
 
     loaded = numerical.on(conventions.load(study))
-    if output is not None and output_file(output, "--output").suffix not in (".nc", ".csv"):
+    read = study_files(study)
+    if output is not None and output_file(output, "--output", read).suffix not in (".nc", ".csv"):
         raise UsageError(f"--output {output}: unknown ending {output.suffix!r}; use .nc or .csv")
     if plot is not None:
         from zoo.plots import figure_path
 
-        figure_path(output_file(plot, "--plot"))
+        figure_path(output_file(plot, "--plot", read))
     if times < 2:
         raise UsageError(f"--times {times}: give at least 2 times in the beat")
     if wall == "tangent" and gamma is None:

@@ -22,7 +22,7 @@ class OutputFileError(OneLineError, ValueError):
     """A file or folder that cannot be written to: one line with its path and what to change."""
 
 
-def output_file(path: str | Path, option: str = "") -> Path:
+def output_file(path: str | Path, option: str = "", inputs: Iterable[Path] = ()) -> Path:
     """Check before any work that a file can be written.
 
     The target may be new, or a regular file that may be replaced; its folder is there and takes new files,
@@ -33,6 +33,8 @@ def output_file(path: str | Path, option: str = "") -> Path:
     path : str or Path
     option : str
         Of the command line, which the error names before the path.
+    inputs : iterable of Path
+        Files that are read, none of which may be replaced.
 
     Returns
     -------
@@ -42,10 +44,12 @@ def output_file(path: str | Path, option: str = "") -> Path:
     Raises
     ------
     OutputFileError
-        If it is a folder, a device, a pipe, a socket or a circle of links, or cannot be written.
+        If it is a folder, a device, a pipe, a socket, a circle of links or an input, or cannot be written.
     """
     path, named = Path(path), _named(path, option)
     real = _target(path, named)
+    if real.exists() and any(one.exists() and real.samefile(one) for one in inputs):
+        raise OutputFileError(f"{named}: is a file that is read here; choose another path")
     try:
         file, temporary = _open_beside(real)
         os.close(file)
@@ -101,7 +105,7 @@ def output_folder(
     return path
 
 
-def write_file(path: str | Path, content: str | bytes | memoryview) -> Path:
+def write_file(path: str | Path, content: str | bytes | memoryview, *, private: bool = False) -> Path:
     """Write a file whole or not at all: beside its target under another name, to the disk, then renamed.
 
     Parameters
@@ -110,6 +114,8 @@ def write_file(path: str | Path, content: str | bytes | memoryview) -> Path:
         As `output_file` allows.
     content : str or bytes
         Text is written as UTF-8.
+    private : bool
+        A new file is for its owner alone to read.
 
     Returns
     -------
@@ -125,7 +131,7 @@ def write_file(path: str | Path, content: str | bytes | memoryview) -> Path:
     real = _target(path, named)
     raw = content.encode() if isinstance(content, str) else content
     try:
-        file, temporary = _open_beside(real)
+        file, temporary = _open_beside(real, 0o600 if private else 0o666)
         try:
             with open(file, "wb") as opened:
                 opened.write(raw)
@@ -179,11 +185,11 @@ def _target(path: Path, named: str) -> Path:
     return real
 
 
-def _open_beside(real: Path) -> tuple[int, Path]:
+def _open_beside(real: Path, mode: int = 0o666) -> tuple[int, Path]:
     """A new file in the folder of another, under a name that nothing has; and its path."""
     temporary = real.with_name(f".zoo-{secrets.token_hex(8)}.part")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
-    return os.open(temporary, flags, 0o666), temporary
+    return os.open(temporary, flags, mode), temporary
 
 
 def _try_in(folder: Path, named: str) -> None:

@@ -25,6 +25,8 @@ from zoo.core.outputs import write_file
 
 FITTED = "fitted.json"
 FITTED_DIGITS = 7
+FACTS = ("checksum", "parents", "series", "max_effects", "effects", "effects_from")
+"""Names in case.json."""
 
 
 @dataclass(frozen=True)
@@ -57,19 +59,18 @@ class CaseDiagnosis:
             study = load_study(case)
             found = read_diagnosis(answer)
             facts = read_case_facts(answer)
-            fitted = read_fitted(answer)
+            fitted = read_fitted(answer, study.checksum)
         except (StudyError, DiagnosisError, BlindError):
             return False
         return bool(
             found.study_checksum == study.checksum
-            and facts.get("effects_from", []) == _digests(self.effects_from)
+            and facts == _case_facts(study, self)
             and found.base == self.base
             and found.record.get("versions", {}).get("zoo") == versions()["zoo"]
             and found.record.get("seed") == self.seed
             and found.record.get("priors") == prior_words(study, self.base, self.priors)
             and (found.posteriors is not None or not self.posteriors)
             and fitted is not None
-            and facts.get("checksum") == study.checksum
         )
 
     def diagnose(self, case: Path, answer: Path) -> None:
@@ -77,7 +78,9 @@ class CaseDiagnosis:
         for path in self.effects_from:
             add_effects(path)
         study = load_study(case)
-        _write_case_facts(answer, study, _digests(self.effects_from))
+        facts = _case_facts(study, self)
+        facts["parents"] = {str(vessel): parent for vessel, parent in facts["parents"].items()}
+        write_file(answer / "case.json", digests.to_text(facts))
         found = diagnose(
             study,
             self.base,
@@ -89,13 +92,14 @@ class CaseDiagnosis:
             seed=self.seed,
             folder=answer / "posteriors" if self.posteriors else None,
         )
-        write_fitted(answer, fitted_series(found))
+        write_fitted(answer, fitted_series(found), study.checksum)
         found.save(answer)
 
 
-def write_fitted(answer: Path, fitted: Fitted) -> None:
+def write_fitted(answer: Path, fitted: Fitted, checksum: str) -> None:
     """Write the series that a diagnosis fitted, which what it states of the discrepancy is about."""
     content = {
+        "checksum": checksum,
         "about": list(fitted.rows),
         "base": np.round(fitted.base, FITTED_DIGITS).tolist(),
         "leader": np.round(fitted.leader, FITTED_DIGITS).tolist(),
@@ -103,25 +107,33 @@ def write_fitted(answer: Path, fitted: Fitted) -> None:
     write_file(answer / FITTED, digests.to_text(content, indent=None))
 
 
-def read_fitted(answer: Path) -> Fitted | None:
+def read_fitted(answer: Path, checksum: str) -> Fitted | None:
     """What `write_fitted` wrote; None where answers are of a version that did not.
+
+    Parameters
+    ----------
+    answer : Path
+    checksum : str
+        Of the study that the answer is about.
 
     Raises
     ------
     BlindError
-        If it is broken or damaged.
+        If it is broken or damaged, or of another study.
     """
     path = answer / FITTED
     if not path.exists():
         return None
     try:
-        found = digests.from_text(path.read_bytes(), ("about", "base", "leader"))
+        found = digests.from_text(path.read_bytes(), ("checksum", "about", "base", "leader"))
         base, leader = (np.array(found[name], dtype=float) for name in ("base", "leader"))
         rows = tuple(int(i) for i in found["about"])
         if base.ndim != 2 or base.shape != leader.shape or not set(rows) <= set(range(len(base))) or not rows:
             raise ValueError
     except (OSError, ValueError, KeyError, TypeError):
         raise BlindError(f"{path}: is broken; make it again with `zoo blind run`") from None
+    if found.get("checksum", checksum) != checksum:
+        raise BlindError(f"{path}: is of another case; make it again with `zoo blind run`")
     return Fitted(base, leader, rows)
 
 
@@ -130,15 +142,16 @@ def _digests(paths: Sequence[str]) -> list[str]:
     return [hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths]
 
 
-def _write_case_facts(answer: Path, study: Study, effects_from: list[str]) -> None:
-    facts = {
+def _case_facts(study: Study, asked: CaseDiagnosis) -> dict[str, Any]:
+    """What case.json tells: the study's tree and series, and what was asked of its diagnosis."""
+    return {
         "checksum": study.checksum,
-        "parents": {str(v.id): v.parent for v in study.vessels},
+        "parents": {v.id: v.parent for v in study.vessels},
         "series": [s.label for s in study.series],
+        "max_effects": asked.max_effects,
+        "effects": None if asked.effects is None else list(asked.effects),
+        "effects_from": _digests(asked.effects_from),
     }
-    if effects_from:
-        facts["effects_from"] = effects_from
-    write_file(answer / "case.json", digests.to_text(facts))
 
 
 def read_case_facts(answer: Path) -> dict[str, Any]:
@@ -151,7 +164,7 @@ def read_case_facts(answer: Path) -> dict[str, Any]:
     """
     path = answer / "case.json"
     try:
-        found = digests.from_text(path.read_bytes(), ("checksum", "parents", "series", "effects_from"))
+        found = digests.from_text(path.read_bytes(), FACTS)
         found["parents"] = {int(i): parent for i, parent in found["parents"].items()}
     except (OSError, ValueError, KeyError, AttributeError):
         raise BlindError(f"{path}: is missing or broken; make it again with `zoo blind run`") from None

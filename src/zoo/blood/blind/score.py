@@ -22,7 +22,10 @@ GAP_EDGES = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, math.inf)
 
 def read_answer(folder: Path) -> Answer:
     """The answer that a folder of `diagnose_cases` holds, with the tree of its vessels."""
-    return as_answer(read_diagnosis(folder), read_case_facts(folder)["parents"], read_fitted(folder))
+    found, facts = read_diagnosis(folder), read_case_facts(folder)
+    if facts["checksum"] != found.study_checksum:
+        raise BlindError(f"{folder / 'case.json'}: is of another case; make it again with `zoo blind run`")
+    return as_answer(found, facts["parents"], read_fitted(folder, found.study_checksum))
 
 
 def score_cases(answers: str | Path, key: str | Path, out: str | Path) -> CheckScore:

@@ -5,7 +5,7 @@
 row and field is wrong, what it holds, and what to do.
 """
 
-from zoo.blood.study.loading import LoadWarning, list_studies, load_study, root_pressure
+from zoo.blood.study.loading import LoadWarning, list_studies, load_study, root_pressure, study_files
 from zoo.blood.study.parts import (
     QUANTITIES,
     Blood,
@@ -49,5 +49,6 @@ __all__ = [
     "root_pressure",
     "save_study",
     "sort_vessels",
+    "study_files",
     "suspect_units",
 ]

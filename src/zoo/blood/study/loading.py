@@ -76,6 +76,22 @@ def _file(where: str, folder: Path, name: str, value: Any) -> Path:
     return folder / value
 
 
+def study_files(name_or_folder: str | Path) -> list[Path]:
+    """The files that a study is read from; none of a built-in one.
+
+    Parameters
+    ----------
+    name_or_folder : str or Path
+        As `load_study` takes it.
+    """
+    folder, source = _find(name_or_folder)
+    if source != folder:
+        return []
+    table = validated(StudyTable, read_toml(folder / "study.toml")[0], str(folder / "study.toml"))
+    named = (table.network, table.inflow, table.observations)
+    return [folder / name for name in ("study.toml", *named) if isinstance(name, str)]
+
+
 def load_study(
     name_or_folder: str | Path, conventions: str | Mapping[str, Any] | Conventions | None = None
 ) -> Study:

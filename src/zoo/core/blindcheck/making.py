@@ -125,7 +125,7 @@ def write_cases(
         done(name)
     part = unfinished(key)
     lines = [head, *(vars(one) for one in made.values())]  # without a line that was cut off
-    write_file(part, "".join(map(line_of, lines)))
+    write_file(part, "".join(map(line_of, lines)), private=True)
     with part.open("a", encoding="utf-8") as record:
         for _, case in in_processes(make, [job for job in jobs if job.name not in made], cores):
             name = case.entry["case"]

@@ -151,7 +151,7 @@ def seal(folder: Path, key: Path, head: Mapping[str, Any], made: Sequence[MadeCa
         path.mkdir(exist_ok=True)
     for path, content in contents:
         path.write_bytes(content)
-    write_file(key, text)
+    write_file(key, text, private=True)
     write_file(folder / KEY_DIGEST, f"{hashlib.sha256(text.encode()).hexdigest()}  key.json\n")
     for path in (*(path for path, _ in contents), *{path.parent for path, _ in contents}):
         os.utime(path, (_TIME, _TIME))

@@ -17,7 +17,7 @@ from zoo.core.inference.states import REMEDY, CheckpointError, of_chain, read_st
 from zoo.core.outputs import OutputFileError, write_file
 
 CHECKPOINT_FORMAT = 3
-FILES = ("run.json", "start.*", "chain-*.*", "*.part", "lock")
+FILES = ("run.json", "start.*", "chain-*.*", ".zoo-*.part", "lock")
 """Patterns of the files that a checkpoint folder holds, or held in earlier formats."""
 
 
@@ -53,7 +53,7 @@ class Folder:
                 f"{path}: another run is using this checkpoint folder; wait for it or choose another"
             ) from None
 
-        for left in path.glob("*.part"):  # of a run that was killed while it wrote
+        for left in path.glob(".zoo-*.part"):  # of a run that was killed while it wrote
             left.unlink(missing_ok=True)
 
     def close(self) -> None:
