@@ -131,7 +131,8 @@ def test_what_scoring_refuses_is_made_again(made: tuple[Path, Path], answered: P
     answer, case = tmp_path / "case-001", made[0] / "case-001"
     shutil.copytree(answered / "case-001", answer)
     seed = json.loads((answer / "diagnosis.json").read_text())["record"]["seed"]
-    diagnosis = running.CaseDiagnosis(running.BASELINE, False, 1, seed, tuple(CHEAP))
+    asked = read_case_facts(answer)["effects"]
+    diagnosis = running.CaseDiagnosis(running.BASELINE, False, 1, seed, tuple(asked))
     assert diagnosis.answered(case, answer)
     assert not replace(diagnosis, max_effects=2).answered(case, answer)
     assert not replace(diagnosis, effects=None).answered(case, answer)
@@ -167,6 +168,9 @@ def test_answers_about_other_data_or_unfinished_are_refused(
     shutil.copytree(answered, tmp_path / "answers")
     one, two = (tmp_path / "answers" / f"case-00{i}" for i in (1, 2))
     shutil.copy(two / "diagnosis.json", one / "diagnosis.json")
+    with pytest.raises(BlindError, match=r"case\.json: is of another case"):
+        score_cases(tmp_path / "answers", made[1], tmp_path / "score")
+    shutil.copytree(two, one, dirs_exist_ok=True)
     with pytest.raises(BlindError, match="other data"):
         score_cases(tmp_path / "answers", made[1], tmp_path / "score")
     (one / "diagnosis.json").unlink()
