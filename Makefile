@@ -44,7 +44,7 @@ FUZZ_HALF := $(shell expr $(FUZZ_SECONDS) / 2)
 
 fuzz: setup
 	$(MAKE) --no-print-directory -C native fuzz FUZZ_SECONDS=$(FUZZ_HALF) FUZZ_SEED=$(FUZZ_SEED)
-	if test -f tests/fuzz/run.py; then $(BIN)/python tests/fuzz/run.py --seconds $(FUZZ_HALF); fi
+	if test -f tests/fuzz/run.py; then $(BIN)/python tests/fuzz/run.py --seconds $(FUZZ_HALF) --seed $(FUZZ_SEED); fi
 
 # The embedded study from waves to WAIC; results in demo-output/.
 demo: setup

@@ -278,11 +278,18 @@ def test_commands_complain_in_one_line(made: tuple[Path, Path], tmp_path: Path) 
         assert len(errors) == 1, result.output
 
 
-def test_a_damaged_name_of_the_digest_is_not_taken_for_an_answer_without_one(tmp_path: Path) -> None:
+def test_facts_without_their_digest_or_with_a_name_twice_are_refused(tmp_path: Path) -> None:
     facts = {"checksum": "ab12", "parents": {"1": None}, "series": []}
-    path = tmp_path / "case.json"
-    path.write_text(json.dumps(facts))
-    assert read_case_facts(tmp_path)["parents"] == {1: None}  # of a version without digests
-    path.write_text(digests.to_text(facts).replace("sha256", "sha257").replace("ab12", "ab13"))
-    with pytest.raises(BlindError, match=r"case\.json: is missing or broken"):
-        read_case_facts(tmp_path)
+    path, whole = tmp_path / "case.json", digests.to_text(facts)
+    path.write_text(whole)
+    assert read_case_facts(tmp_path)["parents"] == {1: None}
+    twice = '{"checksum": "cd34", ' + whole[1:]  # the digest is that of the last value
+    for wrong in (
+        json.dumps(facts),
+        whole.replace("sha256", "sha257"),
+        whole.replace("sha256", "series"),
+        twice,
+    ):
+        path.write_text(wrong)
+        with pytest.raises(BlindError, match=r"case\.json: is missing or broken"):
+            read_case_facts(tmp_path)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
-
-from zoo.core.words import short
 
 FIELD = "sha256"
 """Where a file's content holds its own digest."""
@@ -50,32 +48,39 @@ def to_text(content: Mapping[str, Any], indent: int | None = 1) -> str:
     return json.dumps(stamped(content), indent=indent) + "\n"
 
 
-def from_text(text: str | bytes, known: Iterable[str] | None = None) -> dict[str, Any]:
+def from_text(text: str | bytes, *, required: bool = False) -> dict[str, Any]:
     """A JSON object without its digest, which it must fit if it holds one.
 
     Parameters
     ----------
     text : str or bytes
-    known : iterable of str, optional
-        All names that the object may have; an unknown one in an object without a digest may be the digest's,
-        damaged.
+    required : bool
+        Whether it must hold one.
 
     Raises
     ------
     ValueError
-        If it is no JSON object, does not fit its digest, or holds none and an unknown name.
+        If it is no JSON object, holds a name twice, does not fit its digest, or lacks one that is required.
     """
     try:
-        found = json.loads(text)
+        found = json.loads(text, object_pairs_hook=_unique)
     except RecursionError:
         raise ValueError("nested too deeply") from None
     if not isinstance(found, dict):
         raise ValueError("not a JSON object")
     if fits(found) is False:
         raise ValueError("damaged, its content does not fit its digest")
-    if known is not None and FIELD not in found and (other := set(found) - set(known)):
-        raise ValueError(f"no digest, and {short(min(other))} is unknown")
+    if required and FIELD not in found:
+        raise ValueError("no digest")
     return {name: value for name, value in found.items() if name != FIELD}
+
+
+def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    """An object, none of whose names occurs twice: of two values one would be lost without a word."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a name occurs twice")
+    return found
 
 
 def fits(content: Mapping[str, Any]) -> bool | None:

@@ -25,8 +25,6 @@ from zoo.core.outputs import write_file
 
 FITTED = "fitted.json"
 FITTED_DIGITS = 7
-FACTS = ("checksum", "parents", "series", "max_effects", "effects", "effects_from")
-"""Names in case.json."""
 
 
 @dataclass(frozen=True)
@@ -125,14 +123,14 @@ def read_fitted(answer: Path, checksum: str) -> Fitted | None:
     if not path.exists():
         return None
     try:
-        found = digests.from_text(path.read_bytes(), ("checksum", "about", "base", "leader"))
+        found = digests.from_text(path.read_bytes(), required=True)
         base, leader = (np.array(found[name], dtype=float) for name in ("base", "leader"))
-        rows = tuple(int(i) for i in found["about"])
+        rows, study = tuple(int(i) for i in found["about"]), str(found["checksum"])
         if base.ndim != 2 or base.shape != leader.shape or not set(rows) <= set(range(len(base))) or not rows:
             raise ValueError
     except (OSError, ValueError, KeyError, TypeError):
         raise BlindError(f"{path}: is broken; make it again with `zoo blind run`") from None
-    if found.get("checksum", checksum) != checksum:
+    if study != checksum:
         raise BlindError(f"{path}: is of another case; make it again with `zoo blind run`")
     return Fitted(base, leader, rows)
 
@@ -164,7 +162,7 @@ def read_case_facts(answer: Path) -> dict[str, Any]:
     """
     path = answer / "case.json"
     try:
-        found = digests.from_text(path.read_bytes(), FACTS)
+        found = digests.from_text(path.read_bytes(), required=True)
         found["parents"] = {int(i): parent for i, parent in found["parents"].items()}
     except (OSError, ValueError, KeyError, AttributeError):
         raise BlindError(f"{path}: is missing or broken; make it again with `zoo blind run`") from None
