@@ -41,6 +41,10 @@ FAMILIES = (
 )
 """In this order effects are applied: first what others read, such as lengths and radii."""
 KEPT_SOLVERS = 4
+STEP_UNIT = 32
+"""Steps of a beat are a multiple of this."""
+PINNED_MARGIN = 0.25
+"""Steps to spare where their number is kept while the parameters move, as a part of them."""
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -238,6 +242,37 @@ class BloodFlow:
             return None
         model = copy.copy(self)
         model.options, model._kept = options, ()
+        model.key = model._digest()
+        return model
+
+    def pinned(self, configuration: Case, *, margin: float = PINNED_MARGIN) -> BloodFlow:
+        """The same with as many steps a beat, whatever the parameters, as this solve takes and some more.
+
+        Its solutions are then smooth functions of the parameters; one whose waves outrun the steps is a
+        `SolveError` of the kind "cfl".
+
+        Parameters
+        ----------
+        configuration : Case
+            At which steps are counted.
+        margin : float
+            Steps to spare, as a part of them.
+
+        Raises
+        ------
+        SolveError
+            If it cannot be solved.
+        """
+        places = tuple(dict.fromkeys((v, x) for v, x, _ in cast("tuple[Place, ...]", self.outputs.series)))
+        case = configuration
+        solved = self._solver(case, places, self._times).solve(
+            case.stiffness, case.gamma, case.psi1, case.psi2, case.c
+        )
+        refine = case.options.refine
+        taken = math.ceil((1.0 + margin) * solved.steps_per_beat / (STEP_UNIT * refine)) * STEP_UNIT
+        model = copy.copy(self)
+        model.options = replace(self.options, steps_per_beat=min(taken, self.options.max_steps // refine))
+        model._kept = ()
         model.key = model._digest()
         return model
 

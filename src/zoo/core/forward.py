@@ -73,7 +73,9 @@ class ForwardModel(Protocol):
     A model that may be solved in several threads at once says so with an attribute ``threads = True``. One
     that knows where its solutions are less exact than promised has a method ``warning_at(configuration)``,
     which returns a sentence about it, or an empty text; it is asked at the mode. One that can be solved on a
-    finer grid has a method ``refined()``, which returns a model of half the cells and steps, or None.
+    finer grid has a method ``refined()``, which returns a model of half the cells and steps, or None. One
+    whose discretisation follows its parameters has a method ``pinned(configuration)``, which returns the same
+    model with the discretisation that this solve takes, so that its solutions are smooth functions of them.
     """
 
     @property
@@ -139,6 +141,24 @@ class WithPriors:
         if name.startswith("__") or name == "model":
             raise AttributeError(name)
         return getattr(self.model, name)
+
+
+def pinned(model: ForwardModel, configuration: Any) -> ForwardModel:
+    """The same model at the discretisation of one solve, by its method ``pinned()`` if it has one.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    configuration
+        Of the solve.
+
+    Raises
+    ------
+    SolveError
+        If it cannot be solved.
+    """
+    fix = getattr(model, "pinned", None)
+    return model if fix is None else fix(configuration)
 
 
 def refined(model: ForwardModel) -> ForwardModel | None:
