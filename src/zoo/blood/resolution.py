@@ -265,15 +265,8 @@ def _chosen(wanted: _Wanted) -> Resolution:
             if fixed or trial == TRIALS or steps > GIVEN_UP:
                 raise
             continue
-        worst = int(np.argmax(errors / limits))
-        over = float(errors[worst] / limits[worst])
-        found = Resolution(
-            now,
-            now.cells,
-            100 * float(errors[worst] / ranges[worst]),
-            100 * float(limits[worst] / ranges[worst]),
-            _words(series[worst]),
-        )
+        over, worst, error, limit = _worst(errors, limits, ranges)
+        found = Resolution(now, now.cells, error, limit, _words(series[worst]))
         if over <= 1 or fixed or trial == TRIALS:
             return found
         before, steps = steps, steps * min(max(1.05 * math.sqrt(over), 1.15), 3.0)
@@ -282,6 +275,13 @@ def _chosen(wanted: _Wanted) -> Resolution:
         if steps < 1.1 * before:
             return found
     raise AssertionError("the last trial returns")
+
+
+def _worst(errors: Array, limits: Array, ranges: Array) -> tuple[float, int, float, float]:
+    """The largest error over its limit, of which series; error and limit in per cent of its range."""
+    worst = int(np.argmax(errors / limits))
+    error, limit = (100 * float(x[worst] / ranges[worst]) for x in (errors, limits))
+    return float(errors[worst] / limits[worst]), worst, error, limit
 
 
 def _work(options: SolverOptions) -> float:
@@ -359,11 +359,9 @@ def coarse_at(study: Study, case: Case, series: Sequence[Place], times_s: Array)
         return ""
     asked = given.get("accuracy_percent", ACCURACY_PERCENT)
     limits, ranges = _limits(places, waves, asked, study.noise_sd)
-    worst = int(np.argmax(errors / limits))
-    over = float(errors[worst] / limits[worst])
+    over, worst, error, limit = _worst(errors, limits, ranges)
     if over <= TOO_COARSE:
         return ""
-    error, limit = 100 * float(errors[worst] / ranges[worst]), 100 * float(limits[worst] / ranges[worst])
     return (
         f"cells and steps were chosen at the medians of the priors; here the discretisation error is "
         f"{error:.2g} % of the pulse ({_words(places[worst])}), not the {limit:.2g} % asked for: "

@@ -56,12 +56,12 @@ def sample(
     plugins: PluginOptions,
 ) -> None:
     """Sample a model's posterior on a study, until converged; an interrupted run goes on where it was."""
+    from zoo.blood.study import study_files
+
     plugins.load()
     added = [part.strip() for part in (effects or "").split(",") if part.strip()]
     name = model_name("+".join([model, *added]))
     settings = sampling.settings()
-    from zoo.blood.study import study_files
-
     loaded = numerical.on(priors.into(conventions.load(study)))
     path = output_file(
         Path(f"{name}-{loaded.name}.nc") if output is None else output, "--output", study_files(study)

@@ -50,12 +50,7 @@ def output_file(path: str | Path, option: str = "", inputs: Iterable[Path] = ())
     real = _target(path, named)
     if real.exists() and any(one.exists() and real.samefile(one) for one in inputs):
         raise OutputFileError(f"{named}: is a file that is read here; choose another path")
-    try:
-        file, temporary = _open_beside(real)
-        os.close(file)
-        temporary.unlink()
-    except OSError as error:
-        raise _unwritable(named, error) from None
+    _try_in(real.parent, named)
     return path
 
 

@@ -75,7 +75,7 @@ def _whole(raw: bytes) -> bool:
     return raw[end:] == of_bytes(raw[: end - len(_MARK)]).encode()
 
 
-def _read(source: str | io.BytesIO) -> Any:
+def _read(source: io.BytesIO) -> Any:
     """An InferenceData in memory."""
     import arviz as az
 
@@ -163,9 +163,10 @@ def load(path: str | Path) -> Any:
     if not path.is_file():
         raise ResultsError(f"{path}: no such file; `zoo sample MODEL STUDY -o {path.name}` writes one")
     try:
-        fits, digest = _whole(path.read_bytes()), None
+        raw = path.read_bytes()
+        fits, digest = _whole(raw), None
         if fits:
-            idata = _read(str(path))
+            idata = _read(io.BytesIO(raw))
             digest = idata.attrs.pop(FIELD, None)
             fits = digest is None or digest == digest_of(idata)
     except Exception as error:  # of a damaged file, the libraries that read it raise anything
