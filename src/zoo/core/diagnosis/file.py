@@ -176,6 +176,7 @@ class HypothesisResult(_Amounts):
     probability: float
     prior_probability: float | None = None
     prior_made: bool = False
+    and_more: float | None = None
     group: int
     log_evidence: float
     log10_bayes_factor: float | None = None
@@ -188,6 +189,81 @@ class HypothesisResult(_Amounts):
     residual_rms: float
     shift_of_base: dict[str, float] = {}
     places: list[LocationShare] = []
+
+
+class LearnedFunction(_Part):
+    """A function that a component lacks, as learned: values of its argument, mean and 95 % band there.
+
+    `narrowed` are directions in which the data halve the prior's standard deviation: for each the values of
+    the function along it, of norm 1. `bent` is by how much, in parts, the response to one prior sd of its
+    strongest direction differs from that to the opposite.
+    """
+
+    name: str
+    argument: str
+    argument_unit: str
+    unit: str
+    values: list[float]
+    labels: list[str] = []
+    mean: list[float]
+    low: list[float]
+    high: list[float]
+    prior_sd: list[float] = []
+    location: int | str | None = None
+    equation: str = ""
+    size: float | None = None
+    prior_size: float | None = None
+    length: float | None = None
+    probability: float | None = None
+    narrowed: list[list[float]] = []
+    bent: float | None = None
+
+
+class NearestEffect(_Part):
+    """A listed effect and the part of a learned signal's energy that its own explains."""
+
+    name: str
+    share: float
+    opposite_sign: bool = False
+
+
+class Plausible(_Part):
+    """Whether what was learned is of a size that the component's error can have."""
+
+    value: bool
+    why: str = ""
+
+
+class HeldOutComponentResult(_Amounts):
+    """Rms of residuals in data that were held out: baseline, free discrepancy at the sensor, component."""
+
+    amounts = ("baseline", "sensor", "component")
+    baseline: Interval
+    sensor: Interval
+    component: Interval
+    found: bool
+    what: str = ""
+
+
+class ComponentResult(_Amounts):
+    """One component of the simulator: how probable an error in it is, and what was learned of it."""
+
+    amounts = ("gap_after", "gap_after_interval")
+    name: str
+    probability: float
+    own_probability: float | None = None
+    log_evidence: float | None
+    log10_bayes_factor: float | None = None
+    group: int
+    share: Interval | None = None
+    gap_after: float | None = None
+    gap_after_interval: tuple[float, float] | None = None
+    plausible: Plausible | None = None
+    functions: list[LearnedFunction] = []
+    nearest_effects: list[NearestEffect] = []
+    angles: dict[str, float] = {}
+    refined: bool = False
+    held_out: HeldOutComponentResult | None = None
 
 
 class NextMeasurement(BaseModel):
@@ -249,6 +325,7 @@ class DiagnosisFile(_Part):
     warnings: list[str] = []
     excluded: ExcludedFit | None = None
     hypotheses: list[HypothesisResult]
+    components: list[ComponentResult] = []
     steps: list[AddedStep]
     invisible: list[str]
     failed: list[str]

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.components import FreeFunction
 from zoo.core.data import Data
 from zoo.core.diagnosis.file import NextMeasurement
 from zoo.core.diagnosis.scoring import DOUBT, Scored
+from zoo.core.effects import Effect
 from zoo.core.forward import ForwardModel, Outputs
 
 Array = NDArray[np.float64]
@@ -63,6 +66,12 @@ class Hooks:
     smooth : bool
         Whether solutions are smooth in the parameters down to rounding, so that a fit may end with
         differences as fine as its posterior; false for a solver whose time step follows its parameters.
+    components : callable
+        ``components(baseline, theta (n_values,), data) -> sequence of FreeFunction``: functions that
+        components of the simulator may lack, for the baseline at those values of its parameters; none if
+        absent.
+    component_of : callable
+        ``component_of(effect) -> str``: the component that a listed effect belongs to; its family if absent.
     """
 
     about: str = ""
@@ -71,6 +80,8 @@ class Hooks:
     advice: str = "check units, inputs and parameters"
     warnings: tuple[str, ...] = ()
     smooth: bool = True
+    components: Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]] | None = None
+    component_of: Callable[[Effect], str] = attrgetter("family")
 
     def rows(self, data: Data) -> list[int]:
         """Series that the verdict is about."""
