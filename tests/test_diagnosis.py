@@ -10,7 +10,8 @@ import pytest
 
 from made import made
 from zoo import load_study
-from zoo.blood.diagnosis import PHASES, StudyDiagnosis, diagnose, phases
+from zoo.blood.diagnosis import PHASES, StudyDiagnosis, diagnose, errors_of, phases
+from zoo.blood.forward import study_data
 from zoo.core.diagnosis import DiagnosisError, DiagnosisFile, read_diagnosis
 from zoo.core.diagnosis.answer import _warnings
 from zoo.core.diagnosis.hooks import Hooks
@@ -263,3 +264,15 @@ def test_the_papers_prior_excludes_the_hypoxic_mouse() -> None:
     assert 0.2 < file.gap.before < 0.25
     assert file.verdict.startswith("the baseline's prior excludes what fits best: f3 at 100000")
     assert "--prior f3=... lifts it" in file.warnings[0]
+
+
+def test_a_study_whose_noise_is_given_is_diagnosed_with_it(jitter: StudyDiagnosis) -> None:
+    study = jitter.study
+    data = study_data(study)
+    assert errors_of(study, data).known == {}
+    assert errors_of(replace(study, noise_sd={"pressure_mmHg": 0.4}), data).known == {"pressure_mmHg": 0.4}
+    # twice the true noise leaves half the precision, and is what the answer calls noise
+    file = diagnose(replace(study, noise_sd={"pressure_mmHg": 0.1}), effects=["beat-jitter"]).file
+    assert file.record["noise"]["pressure_mmHg"]["sigma"] == pytest.approx(0.1)
+    with pytest.raises(DiagnosisError, match="noise_sd: differs between the series"):
+        errors_of(replace(study, noise_sd={study.series[0].label: 0.4}), data)

@@ -13,6 +13,7 @@ from zoo.core.diagnosis.discrepancy import smooth_part
 from zoo.core.diagnosis.evidence import marginal
 from zoo.core.errors.base import ErrorModelError
 from zoo.core.errors.spectral import Cosines, GroupErrors, Harmonics, Spectral, log_density, spectral_errors
+from zoo.core.parameters import variable_name
 
 GROUP, PERIOD = "pressure", 0.11
 
@@ -152,3 +153,20 @@ def test_too_short_a_record_is_refused() -> None:
     t = np.arange(5) * PERIOD / 5
     with pytest.raises(ErrorModelError, match="1 series of 5 samples: give at least one series of 8"):
         Harmonics().bind(Data(t, np.sin(t)[None], period=PERIOD))
+
+
+def test_noise_that_is_known_is_not_fitted():
+    rng = np.random.default_rng(3)
+    time = np.arange(256) / 256
+    data = Data(time, rng.normal(0.0, 0.5, (2, 256)), groups=["p", "q"], period=1.0)
+    errors = Harmonics(known={"p": 0.8}).bind(data)
+    flat = errors.flat(data.values)
+    start = GroupErrors(1.0)
+    assert errors.fit_noise(flat, "p", start).sigma == pytest.approx(0.8)
+    assert errors.fit_noise(flat, "q", start).sigma == pytest.approx(0.5, rel=0.2)
+    names = [p.name for p in errors.parameters]
+    assert "sigma_p" not in names
+    assert "sigma_q" in names
+    values = {p.name: np.asarray(0.0 if "ratio" in p.name else 0.5) for p in errors.parameters}
+    np.testing.assert_allclose(errors.variance(values), [[0.64] * 256, [0.25] * 256])
+    assert set(errors.suggested({"p": GroupErrors(0.8), "q": start})) == set(map(variable_name, names))

@@ -328,6 +328,15 @@ def test_a_posterior_of_other_priors_is_named_as_such(example: Study) -> None:
     assert mismatch(idata, other) is None
 
 
+def test_a_posterior_of_another_grid_is_named_as_such(example: Study) -> None:
+    models = [zoo.model_A(replace(example, numerics=n)) for n in ({"dx_cm": 0.5}, {"dx_cm": 0.25})]
+    idata = zoo.sample(models[0], draws=4, tune=8, chains=1, cores=1, progress=False, until_ess=None, seed=1)
+    assert mismatch(idata, models[0]) is None
+    assert mismatch(idata, models[1]) == "dx_cm is 0.5, here it is 0.25"
+    more = zoo.model_A(replace(example, numerics={"dx_cm": 0.5, "max_beats": 99}))
+    assert mismatch(idata, more) is None  # a limit shapes no solution
+
+
 def test_a_posterior_of_another_noise_is_named_as_such(example: Study) -> None:
     models = [zoo.model_A(replace(example, noise_sd=sd)) for sd in ({}, {"pressure_mmHg": 0.5})]
     other = zoo.model_A(replace(example, noise_sd={"pressure_mmHg": 3.0}))

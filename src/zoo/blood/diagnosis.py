@@ -22,6 +22,7 @@ from zoo.core.diagnosis import Candidate, Diagnosis, DiagnosisError, Hooks
 from zoo.core.diagnosis import diagnose as diagnose_data
 from zoo.core.diagnosis.hooks import NOISE_PART
 from zoo.core.effects import Effect, EffectError
+from zoo.core.errors.spectral import Spectral, spectral_errors
 from zoo.core.forward import ForwardModel
 
 Array = NDArray[np.float64]
@@ -150,6 +151,27 @@ def effects_for(baseline: str, given: Iterable[str | Effect] | None = None) -> t
     return found
 
 
+def errors_of(study: Study, data: Data) -> Spectral:
+    """The errors of a diagnosis: the white noise of the study's `noise_sd`, fitted where it gives none.
+
+    Raises
+    ------
+    DiagnosisError
+        If series of one quantity have different noise, or some of them have none.
+    """
+    known = {}
+    for group, rows in data.rows.items():
+        sds = {study.noise_sd.get(data.labels[i], study.noise_sd.get(group)) for i in rows}
+        if len(sds) > 1:
+            raise DiagnosisError(
+                f"{study.source}: noise_sd: differs between the series of {group}, which a diagnosis takes "
+                f"as equally noisy; give one for {group}, or leave it out to have it fitted"
+            )
+        if (sd := sds.pop()) is not None:
+            known[group] = sd
+    return replace(spectral_errors(data), known=known)
+
+
 def diagnose(
     study: Study,
     base: str = "linear-constant",
@@ -216,10 +238,12 @@ def diagnose(
     chosen = get_baseline(base)
     study = with_priors(study, priors)
     forward = chosen.forward(study, conventions=conventions, options=options, share=SEARCH_SHARE)
+    data = study_data(study)
     found = diagnose_data(
-        study_data(study),
+        data,
         forward,
         effects_for(forward.name, effects),
+        errors=errors_of(study, data),
         hooks=replace(HOOKS, warnings=tuple(map(str, suspect_units(study)))),
         max_effects=max_effects,
         exhaust=exhaust,

@@ -49,7 +49,7 @@ class SolverOptions:
     steps_per_beat: int = 0
     least_steps: int = 0
     max_steps: int = 65536
-    max_beats: int = 60
+    max_beats: int = 500
     tolerance_mmHg: float = 2e-3
     accelerate: bool = True
 

@@ -54,7 +54,7 @@ class ModelDiscrepancy:
 def possible_noise(fit: Fit) -> dict[str, list[tuple[float, GroupErrors]]]:
     """Log-priors and values of the noise on a grid of the correlated noise's size and time.
 
-    The white noise's sd, which the high harmonics determine, is fitted at each point.
+    The white noise's sd, which the high harmonics determine, is fitted at each point where it is not known.
 
     Parameters
     ----------
@@ -84,11 +84,13 @@ def possible_noise(fit: Fit) -> dict[str, list[tuple[float, GroupErrors]]]:
                 S = math.exp(2.0 * x) * unit + own
                 return 0.5 * float(np.sum(power / S + np.log(S)))
 
-            centre = math.log(errors.sigma)
+            centre, log_prior = math.log(errors.sigma), H.noise_log_prior(e)
+            if q in H.known:
+                ranked.append((log_prior - cost(centre), log_prior, replace(e, sigma=errors.sigma)))
+                continue
             best = minimize_scalar(
                 cost, bounds=(centre + SIGMA_RANGE[0], centre + SIGMA_RANGE[1]), method="bounded"
             )
-            log_prior = H.noise_log_prior(e)
             ranked.append((log_prior - best.fun, log_prior, replace(e, sigma=math.exp(best.x))))
         ranked.sort(key=lambda x: -x[0])
         found[q] = [(log_prior, e) for _, log_prior, e in ranked]

@@ -103,6 +103,8 @@ class Spectral(ErrorModel):
         is wrong in its neighbours too, but the baseline's parameters may have taken the common part away.
     priors : mapping of group to GroupPriors
         For sampling; without them the noise is log-normal around a hundredth of the series' range.
+    known : mapping of group to float
+        Sd of the white noise where a data sheet gives it, in the group's unit; elsewhere it is fitted.
     """
 
     largest_ratio: float = 1.0
@@ -110,6 +112,7 @@ class Spectral(ErrorModel):
     length: tuple[float, float] = (0.05, 0.5)
     shared: tuple[float, ...] = (0.0, 0.4, 0.7, 0.9)
     priors: Mapping[str, GroupPriors] = field(default_factory=dict)
+    known: Mapping[str, float] = field(default_factory=dict)
 
     def bind(self, data: Data) -> Self:
         """The same for given data.
@@ -294,9 +297,12 @@ class Spectral(ErrorModel):
             value = 0.5 * float(np.sum(power / S + np.log(S))) - self.noise_log_prior(e)
             return value + (0.5 * float(x[3]) ** 2 if free_delta else 0.0)
 
-        bounds = [(math.log(floor) - 2.0, math.log(floor) + 3.0), (0.0, self.largest_ratio)]
+        size, below, above = math.log(self.known.get(group, floor)), 2.0, 3.0
+        if group in self.known:
+            below = above = 0.0
+        bounds = [(size - below, size + above), (0.0, self.largest_ratio)]
         bounds += [(math.log(0.1 * median * T), math.log(top * T))]
-        x0 = [math.log(floor), 0.5, math.log(median * T)]
+        x0 = [size, 0.5, math.log(median * T)]
         if free_delta:
             bounds.append((0.0, LARGEST_DELTA))
             x0.append(1.0)
@@ -307,14 +313,15 @@ class Spectral(ErrorModel):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """For each group sigma, ratio, tau, and delta where its prior is given."""
+        """For each group sigma where it is not known, ratio, tau, and delta where its prior is given."""
         median, spread, top = self.correlation_time
         T, found = self.on.duration, []
         for group, rows in self.rows.items():
             unit, given = self.on.unit(group), self.priors.get(group)
             typical = 0.01 * float(np.ptp(self.on.values[rows])) or 1.0
             sigma = given.sigma if given else LogNormal(typical, 2.0)
-            found.append(Parameter(f"sigma_{group}", sigma, unit, log=True))
+            if group not in self.known:
+                found.append(Parameter(f"sigma_{group}", sigma, unit, log=True))
             ratio = Normal(0.0, self.largest_ratio, 0.0, self.largest_ratio)
             found.append(Parameter(f"ratio_{group}", ratio, start=0.5 * self.largest_ratio))
             tau = LogNormal(median * T, spread, 1e-3 * T, top * T)
@@ -323,11 +330,16 @@ class Spectral(ErrorModel):
                 found.append(Parameter(f"delta_{group}", given.delta, unit))
         return tuple(found)
 
+    def _sigma(self, values: Mapping[str, Any], group: str) -> Any:
+        """Sd of one group's white noise: known, or among the values."""
+        return self.known[group] if group in self.known else values[f"sigma_{group}"]
+
     def _at(self, values: Mapping[str, ArrayLike]) -> Array:
         """Variances (n_series, n_times) of the coefficients at parameters."""
         errors = {}
         for group in self.groups:
-            sigma, ratio, tau = (float(np.asarray(values[f"{n}_{group}"])) for n in ("sigma", "ratio", "tau"))
+            ratio, tau = (float(np.asarray(values[f"{n}_{group}"])) for n in ("ratio", "tau"))
+            sigma = float(np.asarray(self._sigma(values, group)))
             delta = float(np.asarray(values.get(f"delta_{group}", 0.0)))
             errors[group] = GroupErrors(sigma, ratio, tau, delta, self.typical_length)
         return self.variances(errors).reshape(self.on.n_series, self.n)
@@ -370,7 +382,10 @@ class Spectral(ErrorModel):
 
         S = pt.zeros((self.on.n_series, self.n))
         for group, rows in self.rows.items():
-            sigma, ratio, tau = (variables[f"{n}_{group}"] for n in ("sigma", "ratio", "tau"))
+            sigma, ratio, tau = (
+                self._sigma(variables, group),
+                *(variables[f"{n}_{group}"] for n in ("ratio", "tau")),
+            )
             row = sigma**2 * (1.0 + ratio**2 * self.rough(tau))
             if f"delta_{group}" in variables:
                 row = row + variables[f"delta_{group}"] ** 2 * self.smooth(self.typical_length)
@@ -382,7 +397,8 @@ class Spectral(ErrorModel):
         """Values of the sampled parameters at a fit's errors, moved inside their bounds."""
         T, found = self.on.duration, {}
         for group, e in errors.items():
-            found[f"sigma_{group}"] = e.sigma
+            if group not in self.known:
+                found[f"sigma_{group}"] = e.sigma
             found[f"ratio_{group}"] = min(max(e.ratio, 0.05 * self.largest_ratio), 0.95 * self.largest_ratio)
             found[f"tau_{group}"] = min(e.tau, 0.95 * self.correlation_time[2] * T)
             if group in self.priors:

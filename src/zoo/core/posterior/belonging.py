@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from zoo.core.inference.record import RunRecord
+from zoo.core.words import short
 
 if TYPE_CHECKING:
     import arviz as az
@@ -24,8 +25,9 @@ def mismatch(idata: az.InferenceData, model: Any) -> str | None:
     -------
     str or None
         The first of: the model's name, the study, the checksum of its data, a switch of the conventions, a
-        prior or known noise, also one that only one of them has. A run so old that it has recorded no
-        priors at all passes in these.
+        numerical setting of the solver that is no mere limit (its name does not begin with "max_"), a prior
+        or known noise, also one that only one of them has. A run so old that it has recorded no priors at
+        all passes in these, and one without a numerical setting in that setting.
 
     Raises
     ------
@@ -41,10 +43,17 @@ def mismatch(idata: az.InferenceData, model: Any) -> str | None:
         ("checksum of the study", record.study_checksum, source.checksum),
         ("conventions", record.conventions.get("name", ""), conventions.get("name", "")),
     ]
+    mine = ours.settings.get("solver options", {})
+    shaping = [n for n in mine if n in record.solver and n != "grid" and not n.startswith("max_")]
+    pairs += [(n, _setting(record.solver[n]), _setting(mine[n])) for n in shaping]
     if record.priors is not None:
         both = dict.fromkeys([*ours.priors, *record.priors])
         pairs += [(_of_prior(n), record.priors.get(n, "none"), ours.priors.get(n, "none")) for n in both]
     return next((f"{what} is {a}, here it is {b}" for what, a, b in pairs if a != b), None)
+
+
+def _setting(value: Any) -> str:
+    return short(list(value) if isinstance(value, tuple) else value)
 
 
 def _of_prior(name: str) -> str:
