@@ -71,7 +71,11 @@ class Hooks:
         components of the simulator may lack, for the baseline at those values of its parameters; none if
         absent.
     component_of : callable
-        ``component_of(effect) -> str``: the component that a listed effect belongs to; its family if absent.
+        ``component_of(effect) -> str``: the component that a listed effect belongs to, empty if none; its
+        family if absent.
+    plausible : callable
+        ``plausible(function, values (n_points,)) -> bool, sentence``: whether what was learned of a function
+        can be believed, and why.
     """
 
     about: str = ""
@@ -82,6 +86,7 @@ class Hooks:
     smooth: bool = True
     components: Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]] | None = None
     component_of: Callable[[Effect], str] = attrgetter("family")
+    plausible: Callable[[FreeFunction, Array], tuple[bool, str]] | None = None
 
     def rows(self, data: Data) -> list[int]:
         """Series that the verdict is about."""

@@ -1,0 +1,321 @@
+"""The free functions of the blood simulator's components, against changes made by other means."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from zoo.blood.baseline import get_baseline
+from zoo.blood.components import COMPONENTS, component_of, components, plausible
+from zoo.blood.components.curves import curve, delay_response, gain_response, minimum_phase
+from zoo.blood.components.plausibility import LIMITS
+from zoo.blood.effects import CATALOGUE
+from zoo.blood.forward import study_data
+from zoo.blood.solver import SolverOptions
+from zoo.blood.study import load_study
+from zoo.core.effects import Location
+from zoo.core.forward import SolveError, pinned
+from zoo.core.parameters import pack
+
+THETA = {"f3": 4.6e4, "psi1": 0.35, "psi2": 0.9, "c": 1.2}
+STEPS = 0.05
+"""Of a difference, in prior sizes."""
+
+
+class Bench:
+    """A study's model with its number of steps kept, its solve at `THETA` and its free functions."""
+
+    def __init__(self, name, base="linear-constant", theta=THETA):
+        study = load_study(name)
+        self.data = study_data(study)
+        self.free = get_baseline(base).forward(study, options=SolverOptions(tolerance_mmHg=2e-4))
+        self.theta = pack(self.free.parameters, theta)
+        self.model = pinned(self.free, self.free.configure(self.theta))
+        self.case = self.model.configure(self.theta)
+        self.series = self.model.solve(self.case)
+        self.functions = {f.name: f for f in components(self.free, self.theta, self.data)}
+
+    def solved(self, name, values):
+        return self.model.solve(self.functions[name].apply(self.case, np.asarray(values, dtype=float)))
+
+    def changed(self, **given):
+        return self.model.solve(replace(self.case, **given))
+
+    def columns(self, name):
+        function = self.functions[name]
+        steps = STEPS * function.size * np.eye(len(function.at))
+        return np.array([self.solved(name, step) - self.solved(name, -step) for step in steps]) / (2 * STEPS)
+
+
+@pytest.fixture(scope="module")
+def demo():
+    return Bench("demo")
+
+
+@pytest.fixture(scope="module", params=["demo", pytest.param("mouse-c6", marks=pytest.mark.needs_data)])
+def bench(request):
+    return Bench(request.param)
+
+
+NAMES = tuple(Bench("demo").functions)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_zero_values_give_the_baselines_bits(bench, name):
+    assert np.array_equal(bench.solved(name, np.zeros(len(bench.functions[name].at))), bench.series)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_value_moves_the_series_and_by_a_plausible_amount(bench, name):
+    rms = np.sqrt(np.mean(bench.columns(name) ** 2, axis=(1, 2)))
+    assert np.all(np.isfinite(rms))
+    assert np.all(rms > 1e-4), "mmHg for one prior size"
+    assert 0.02 < rms.max() < 5.0
+
+
+def test_draws_from_twice_the_prior_size_are_solved(bench):
+    """All but one in fifty; steps are chosen for each, as a solve outside a search does."""
+    random, case = np.random.default_rng(3), bench.free.configure(bench.theta)
+    solved = []
+    for function in bench.functions.values():
+        for k in range(4):
+            root = function.root(function.lengths[k % len(function.lengths)] if function.lengths else None)
+            values = 2 * function.size * root @ random.standard_normal(root.shape[1])
+            try:
+                bench.free.solve(function.apply(case, values))
+                solved.append(True)
+            except SolveError:
+                solved.append(False)
+    assert np.mean(solved) >= 0.98
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_values_beyond_reason_are_a_solve_error_or_a_solve(demo, name):
+    function = demo.functions[name]
+    for far in (100.0, -100.0):
+        try:
+            series = demo.free.solve(
+                function.apply(demo.case, np.full(len(function.at), far * function.size))
+            )
+        except SolveError:
+            continue
+        assert np.all(np.isfinite(series))
+
+
+def test_functions_have_unique_names_known_components_reasons_and_limits(demo):
+    functions = components(demo.free, demo.theta, demo.data)
+    assert len({f.name for f in functions}) == len(functions)
+    assert [c for c in COMPONENTS if c in {f.component for f in functions}] == list(
+        dict.fromkeys(f.component for f in functions)
+    )
+    for function in functions:
+        assert function.why
+        assert function.equation
+        assert function.argument
+        assert function.name in LIMITS
+
+
+def test_every_listed_effect_of_a_solve_belongs_to_a_component():
+    for effect in CATALOGUE.values():
+        assert (component_of(effect) in COMPONENTS) == (effect.family not in ("noise", "numerics"))
+    assert component_of(CATALOGUE["external-pressure"]) == "wall"
+    assert component_of(CATALOGUE["structured-tree"]) == "outlets"
+    assert component_of(CATALOGUE["correlated-noise"]) == ""
+
+
+# ---------------------------------------------------------------------------------------------------
+# inflow
+
+
+def test_an_added_flow_is_the_inflow_with_its_samples_changed(demo):
+    function = demo.functions["flow-record"]
+    n = len(demo.case.inflow_ml_s)
+    added = 0.03 * np.sin(2 * np.pi * np.arange(n) / n) + 0.01
+    values = 0.03 * np.sin(2 * np.pi * function.at / function.period) + 0.01
+    other = demo.changed(inflow_ml_s=demo.case.inflow_ml_s + added)
+    np.testing.assert_allclose(demo.solved("flow-record", values), other, atol=2e-4)
+
+
+def test_the_timing_of_all_harmonics_by_whole_samples_is_a_rolled_inflow(demo):
+    n, period = len(demo.case.inflow_ml_s), demo.case.network.period_s
+    other = demo.changed(inflow_ml_s=np.roll(demo.case.inflow_ml_s, 12))
+    values = np.full(len(demo.functions["flow-timing"].at), 12 * period / n)
+    np.testing.assert_allclose(demo.solved("flow-timing", values), other, atol=1e-6)
+
+
+def test_a_filter_of_one_gain_for_all_harmonics_scales_the_flow_about_its_mean(demo):
+    flow = demo.case.inflow_ml_s
+    other = demo.changed(inflow_ml_s=flow.mean() + 1.1 * (flow - flow.mean()))
+    values = np.full(len(demo.functions["flow-filter"].at), math.log(1.1))
+    np.testing.assert_allclose(demo.solved("flow-filter", values), other, atol=1e-6)
+
+
+def test_a_causal_filters_phase_is_that_of_a_low_pass_and_of_a_resonance():
+    """Bode's relation, where the closed forms of two causal filters are known."""
+    knots = np.linspace(math.log(1e-4), math.log(1e4), 400)
+    x = np.linspace(math.log(0.1), math.log(10.0), 9)
+    ratio = np.exp(x)
+    low = -0.5 * np.log1p(np.exp(2 * knots))
+    np.testing.assert_allclose(minimum_phase(knots, x) @ low, -np.arctan(ratio), atol=2e-3)
+    made = 1 / (1 - np.exp(2 * knots) + 0.6j * np.exp(knots))
+    phase = np.angle(1 / (1 - ratio**2 + 0.6j * ratio))
+    np.testing.assert_allclose(minimum_phase(knots, x) @ np.log(np.abs(made)), phase, atol=4e-3)
+
+
+def test_curves_go_through_their_knots_and_round_the_period():
+    at, values = np.array([0.0, 0.3, 0.5, 0.9]), np.array([1.0, -1.0, 2.0, 0.5])
+    np.testing.assert_allclose(curve(at, at) @ values, values)
+    np.testing.assert_allclose(curve(at, at + 3.0, period=1.0) @ values, values)
+    np.testing.assert_allclose(curve(at, [-5.0, 7.0]) @ values, values[[0, -1]])
+    beyond = curve(at, [1.0, 1.1, 1.2], linear=True) @ values
+    assert beyond[2] - beyond[1] == pytest.approx(beyond[1] - beyond[0])
+    np.testing.assert_allclose(curve(at[:1], at) @ values[:1], 1.0)
+
+
+# ---------------------------------------------------------------------------------------------------
+# geometry, wall, outlets, fluid
+
+
+def test_scattered_radii_and_lengths_are_a_network_of_others(demo):
+    values = 0.1 * np.random.default_rng(1).standard_normal(len(demo.case.network.ids))
+    net, scale = demo.case.network, np.exp(values)
+    wider = replace(net, radius_in_cm=net.radius_in_cm * scale, radius_out_cm=net.radius_out_cm * scale)
+    assert np.array_equal(demo.solved("radius-scatter", values), demo.changed(network=wider))
+    longer = replace(net, length_cm=net.length_cm * scale)
+    as_many = np.maximum(2, np.rint(net.length_cm / demo.case.options.dx_cm)).astype(int)
+    options = replace(demo.case.options, cells=tuple(as_many.tolist()))
+    other = demo.model.solve(replace(demo.case, network=longer, options=options))
+    # a vessel that would have cells too short for the steps has fewer
+    np.testing.assert_allclose(demo.solved("length-scatter", values), other, atol=5e-3)
+    change = np.abs(other - demo.series).max()
+    assert change > 0.02
+
+
+def test_a_length_far_shorter_keeps_its_cells_long_enough_for_the_steps(demo):
+    values = np.zeros(len(demo.case.network.ids))
+    values[np.argmax(demo.case.network.length_cm)] = -1.5
+    assert np.all(np.isfinite(demo.solved("length-scatter", values)))
+
+
+def test_a_radius_by_size_is_a_scatter_that_follows_the_radius(demo):
+    knots = demo.functions["radius-by-size"].at
+    log_radius = np.log(demo.case.network.radius_in_cm)
+    scatter = 0.05 + 0.1 * (log_radius - log_radius.mean())
+    values = 0.05 + 0.1 * (knots - log_radius.mean())
+    np.testing.assert_allclose(
+        demo.solved("radius-by-size", values), demo.solved("radius-scatter", scatter), atol=1e-6
+    )
+
+
+def test_scattered_stiffness_and_loads_are_parameters_of_others(demo):
+    random, net = np.random.default_rng(2), demo.case.network
+    values = 0.2 * random.standard_normal(len(net.ids))
+    other = demo.changed(stiffness=demo.case.stiffness * np.exp(values))
+    assert np.array_equal(demo.solved("stiffness-scatter", values), other)
+
+    values = 0.3 * random.standard_normal(len(net.terminals))
+    scale = np.ones(len(net.ids))
+    scale[net.terminals] = np.exp(values)
+    both = demo.changed(psi1=demo.case.psi1 * scale, psi2=demo.case.psi2 * scale)
+    assert np.array_equal(demo.solved("outlet-resistance", values), both)
+    assert np.array_equal(
+        demo.solved("outlet-first-resistance", values), demo.changed(psi1=demo.case.psi1 * scale)
+    )
+    assert np.array_equal(demo.solved("outlet-compliance", values), demo.changed(c=demo.case.c * scale))
+
+
+def test_one_viscosity_for_all_radii_is_the_networks(demo):
+    values = np.full(len(demo.functions["viscosity-by-radius"].at), 0.3)
+    # the Stokes layer's thickness and friction both have the viscosity of the blood
+    thicker = replace(demo.case.network, viscosity=demo.case.network.viscosity * math.exp(0.3))
+    np.testing.assert_allclose(
+        demo.solved("viscosity-by-radius", values), demo.changed(network=thicker), atol=1e-6
+    )
+
+
+def test_stiffness_that_is_constant_in_time_is_a_stiffness(demo):
+    values = np.full(len(demo.functions["wall-in-time"].at), 0.1)
+    other = demo.changed(stiffness=demo.case.stiffness * math.exp(0.1))
+    np.testing.assert_allclose(demo.solved("wall-in-time", values), other, atol=1e-4)
+
+
+def test_what_the_model_has_as_parameters_is_no_component():
+    theta = {"m_chi": 4.6e4, "v_chi": 1e8, "chi": np.full(21, 4.6e4), "psi1": 0.35, "psi2": 0.9, "c": 1.2}
+    names = set(Bench("demo", "linear-vessels", theta).functions)
+    assert not names & {"stiffness-scatter", "stiffness-by-radius"}
+    assert {"wall-in-time", "radius-scatter"} <= names
+
+
+def test_functions_act_on_top_of_the_models_effects(demo):
+    effect, location = CATALOGUE["vessel-radius"], Location(2, noun="vessel")
+    changed = effect.apply(demo.case, (0.2,), location)
+    values = np.zeros(21)
+    values[1] = 0.2
+    twice = np.zeros(21)
+    twice[1] = 0.4
+    radius = demo.functions["radius-scatter"]
+    np.testing.assert_allclose(
+        demo.model.solve(radius.apply(changed, values)), demo.solved("radius-scatter", twice), atol=1e-6
+    )
+
+
+# ---------------------------------------------------------------------------------------------------
+# sensor
+
+
+def test_the_sensors_filter_is_the_transfer_function_times_the_series_harmonics(demo):
+    function = demo.functions["sensor-filter"]
+    values = 0.2 * np.sin(np.arange(len(function.at)))
+    n, period = demo.data.n_times, demo.case.network.period_s
+    omega = 2 * np.pi / period * np.arange(n // 2 + 1)
+    response = gain_response(omega, function.at, values)
+    expected = np.fft.irfft(np.fft.rfft(demo.series) * response, n)
+    np.testing.assert_allclose(demo.solved("sensor-filter", values), expected, atol=2e-3)
+    # |H| goes through the values at the knots, and H(0) = 1
+    at = np.exp(function.at[0])
+    assert abs(response[1]) == pytest.approx(np.exp(values[0]))
+    assert at == pytest.approx(1 / period)
+    np.testing.assert_allclose(expected.mean(axis=1), demo.series.mean(axis=1))
+
+
+def test_a_delay_of_all_harmonics_moves_the_series(demo):
+    function, n = demo.functions["sensor-timing"], demo.data.n_times
+    values = np.full(len(function.at), 3 * demo.case.network.period_s / n)
+    np.testing.assert_allclose(
+        demo.solved("sensor-timing", values), np.roll(demo.series, 3, axis=1), atol=2e-3
+    )
+    omega = np.arange(5.0)
+    np.testing.assert_allclose(delay_response(omega, function.at, values * 0), 1.0)
+
+
+def test_a_bent_reading_is_the_series_plus_a_curve_of_it(demo):
+    function = demo.functions["sensor-curve"]
+    values = -0.02 * (function.at - function.at.mean()) ** 2
+    y = demo.series
+    inside = (y > function.at[1]) & (y < function.at[-2])
+    difference = demo.solved("sensor-curve", values) - (y - 0.02 * (y - function.at.mean()) ** 2)
+    assert np.abs(difference[inside]).max() < 0.02
+    # values on a line: exact, also beyond the knots
+    line = 0.1 + 0.05 * function.at
+    np.testing.assert_allclose(demo.solved("sensor-curve", line), 0.1 + 1.05 * y, atol=1e-4)
+
+
+# ---------------------------------------------------------------------------------------------------
+# plausibility
+
+
+def test_what_is_believed_is_said_with_its_size_and_reason(demo):
+    radius = demo.functions["radius-scatter"]
+    believed, why = plausible(radius, np.full(21, math.log(1.1)))
+    assert believed
+    assert why.startswith("the radii would have to be off by 10 %: micro-CT of an excised lung can be")
+    believed, why = plausible(radius, np.full(21, math.log(1.5)))
+    assert not believed
+    assert "by 50 %" in why
+    assert "not believed" in why
+    assert plausible(demo.functions["flow-timing"], [0.1] * 6)[0] is False
+    assert "100 ms" in plausible(demo.functions["flow-timing"], [0.1] * 6)[1]
+    assert "a factor of 3" in plausible(demo.functions["outlet-resistance"], [math.log(3.0)] * 11)[1]
