@@ -12,6 +12,7 @@ from zoo.blood.baseline import get_baseline
 from zoo.blood.components import COMPONENTS, component_of, components, plausible
 from zoo.blood.components.curves import curve, delay_response, gain_response, minimum_phase
 from zoo.blood.components.plausibility import LIMITS
+from zoo.blood.diagnosis import HOOKS
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.forward import study_data
 from zoo.blood.solver import SolverOptions
@@ -122,6 +123,7 @@ def test_every_listed_effect_of_a_solve_belongs_to_a_component():
     for effect in CATALOGUE.values():
         assert (component_of(effect) in COMPONENTS) == (effect.family not in ("noise", "numerics"))
     assert component_of(CATALOGUE["external-pressure"]) == "wall"
+    assert HOOKS.component_of is component_of
     assert component_of(CATALOGUE["structured-tree"]) == "outlets"
     assert component_of(CATALOGUE["correlated-noise"]) == ""
 

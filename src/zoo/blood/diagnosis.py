@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.blood.baseline import get_baseline
+from zoo.blood.components import component_of, components, plausible
 from zoo.blood.conventions import Conventions
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.forward import study_data
@@ -115,6 +116,9 @@ HOOKS = Hooks(
     candidates=_candidates,
     advice="check the units in observations.csv, the inflow and the conventions",
     smooth=False,
+    components=components,
+    component_of=component_of,
+    plausible=plausible,
 )
 """What a diagnosis is told about blood flow."""
 
