@@ -53,6 +53,15 @@ def make(
     key: Annotated[Path, typer.Option("--key", help="File for what is withheld, outside the folder.")] = Path(
         "key.json"
     ),
+    kind: Annotated[
+        str,
+        typer.Option(
+            "--kind",
+            help="catalogue: listed effects, some outside, some none; component: a cause in a known "
+            "component that no catalogue lists; pair: two of these; small: small ones of all; coloured: "
+            "noise alone.",
+        ),
+    ] = "catalogue",
     secret: Annotated[
         str | None,
         typer.Option(
@@ -72,15 +81,22 @@ def make(
         ),
     ] = None,
     layouts: Annotated[
-        str, typer.Option("--layouts", help="Where sensors are, with commas.", metavar="NAMES")
-    ] = "MPA,MPA+daughters,MPA+distal,MPA+flow",
+        str | None,
+        typer.Option(
+            "--layouts",
+            help="Where sensors are, with commas: MPA, MPA+daughters, MPA+distal, MPA+flow (one daughter), "
+            "MPA+flows (both); of the flows MPA+flow for a catalogue, MPA+flows for other kinds if absent.",
+            metavar="NAMES",
+            show_default=False,
+        ),
+    ] = None,
     networks: Annotated[
         str, typer.Option("--networks", help="mouse, tree (generated), or both.", metavar="NAMES")
     ] = "mouse,tree",
     cores: Annotated[int, typer.Option("--cores", help="Processes at a time.")] = 2,
     quiet: QuietOption = False,
 ) -> None:
-    """Write studies with a withheld effect each, and the key apart; goes on where it was interrupted."""
+    """Write studies with a withheld cause each, and the key apart; goes on where it was interrupted."""
     from zoo.blood.blind import make_cases
 
     output_folder(folder, option="CASES", deep=True)
@@ -90,9 +106,10 @@ def make(
             folder,
             n,
             key,
+            kind=kind,
             secret=secret,
             effects=_name_list("--effects", effects),
-            layouts=_name_list("--layouts", layouts) or [],
+            layouts=_name_list("--layouts", layouts),
             networks=_name_list("--networks", networks) or [],
             cores=cores,
             done=counting,

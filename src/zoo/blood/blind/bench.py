@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from zoo.blood.baseline import get_baseline
 from zoo.blood.blind.networks import Sensor
+from zoo.blood.blind.truths import PLACES
+from zoo.blood.case import WAVE_SAMPLES, Case
 from zoo.blood.forward import study_data
 from zoo.blood.solver import SolverArgumentError, SolverOptions
 from zoo.blood.study import Series, Study
@@ -28,6 +30,7 @@ BASELINE = "linear-constant"
 GENERATOR = SolverOptions(dx_cm=0.019, refine=2, cfl=0.8, tolerance_mmHg=2e-4)
 """Not the diagnosis' grid and time step: half and less of its cells, and another number of steps."""
 SAMPLES = 512
+STATES = ("area_cm2", "flow_ml_s")
 WHITE_MMHG = 0.05
 FLOW_NOISE = 0.01
 """Noise of a flow, as a part of its peak."""
@@ -85,15 +88,19 @@ class Bench:
         """Waveforms with these effects, or None where the solve fails."""
         if not added:
             return self.clean
-        order = in_order(self.flow, [effect.at(location) for effect, _, location in added])
         try:
-            case = self.flow.configure(self.values)
-            for effect, values, location in (added[i] for i in order):
-                assert effect.apply is not None
-                case = effect.apply(case, values, location)
-            return self.flow.solve(case)
+            return self.flow.solve(self.case(added))
         except (EffectError, SolveError, SolverArgumentError):
             return None
+
+    def case(self, added: Added = ()) -> Case:
+        """The solve of the baseline's true parameters with these effects."""
+        case = self.flow.configure(self.values)
+        for i in in_order(self.flow, [effect.at(location) for effect, _, location in added]):
+            effect, values, location = added[i]
+            assert effect.apply is not None
+            case = effect.apply(case, values, location)
+        return case
 
     def change(self, waves: Array) -> float:
         """Rms over the pressures of waveforms minus the baseline's own, before any refit, mmHg."""
@@ -104,9 +111,13 @@ class Bench:
         return {k: float(np.sqrt(np.mean(row**2))) for k, row in zip(self.labels, difference, strict=True)}
 
     def refit(
-        self, data: Array, against: Array, noise: Mapping[str, GroupErrors] | None = None
+        self,
+        data: Array,
+        against: Array,
+        noise: Mapping[str, GroupErrors] | None = None,
+        added: Added = (),
     ) -> tuple[dict[str, float], dict[str, float]] | None:
-        """Fit the baseline to data.
+        """Fit the baseline to data, or the baseline with effects, from their true values on.
 
         Parameters
         ----------
@@ -114,6 +125,8 @@ class Bench:
             What is fitted, and what the fit is compared with.
         noise : mapping of quantity to GroupErrors
             Of the data; white if absent.
+        added : Added
+            Effects whose parameters are fitted too.
 
         Returns
         -------
@@ -122,21 +135,46 @@ class Bench:
         values : dict
             Parameters.
         """
-        forward = HypothesisModel(self.flow, Hypothesis(), self.errors)
-        start = np.array(
-            [p.coordinate(float(x)) for p, x in zip(forward.parameters, self.values, strict=True)]
-        )
+        hypothesis = Hypothesis(tuple(effect.at(location) for effect, _, location in added))
+        forward = HypothesisModel(self.flow, hypothesis, self.errors)
+        values = [*self.values, *(x for _, own, _ in added for x in own)]
+        start = np.array([p.coordinate(float(x)) for p, x in zip(forward.parameters, values, strict=True)])
         S = self.errors.variances(noise or {q: GroupErrors(sigma) for q, sigma in self.sigma.items()})
         search = Search(forward, self.errors.flat(data), S)
         try:
-            point = search.at(start, self._jacobian)
+            point = search.at(start, None if added else self._jacobian)
         except SearchError:
             return None
-        if self._jacobian is None:
+        if self._jacobian is None and not added:
             self._jacobian = point.jacobian
         point = search.refine(search.descend(point, 12), 4)
         found = zip(forward.parameters, forward.theta(point.u), strict=True)
         return self._rms(against - self.errors.unflat(point.computed)), {p.name: float(x) for p, x in found}
+
+    def states(self, added: Added) -> Array:
+        """Area (cm2) and flow (ml/s) at three places of every vessel, (n_vessels, 3, 2, n_times)."""
+        places = [(int(i), x, q) for i in self.flow.network.ids for x in PLACES for q in STATES]
+        case = self.case(added)
+        found = self.flow.solve(replace(case, waves=()), Outputs(tuple(places), self.times))
+        return found.reshape(len(self.flow.network.ids), len(PLACES), len(STATES), -1)
+
+    def pressures(self, added: Added) -> Array:
+        """The series before any sensor, (n_series, n)."""
+        case = replace(self.case(added), waves=())
+        times = np.arange(WAVE_SAMPLES) * (self.study.period_s / WAVE_SAMPLES)
+        return self.flow.solve(case, Outputs(tuple(self.sensors), np.asarray(times)))
+
+    def linear_discrepancy(self, waves: Array) -> float:
+        """What `discrepancy` is where the baseline is linear in its parameters, mmHg; costs no solve."""
+        if self._jacobian is None:
+            self.refit(self.clean, self.clean)
+        S = self.errors.variances({q: GroupErrors(sigma) for q, sigma in self.sigma.items()})
+        scaled = 1 / np.sqrt(S)
+        J, r = self._jacobian, self.errors.flat(waves) - self.errors.flat(self.clean)
+        if J is None:
+            return math.inf
+        step, *_ = np.linalg.lstsq(J * scaled[:, None], r * scaled, rcond=None)
+        return over_pressures(self._rms(self.errors.unflat(r - J @ step)))
 
     def discrepancy(self, waves: Array | None) -> float:
         """Rms over the pressures of noise-free waveforms minus the refitted baseline, mmHg."""

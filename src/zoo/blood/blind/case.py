@@ -10,26 +10,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.blood.blind.bench import BASELINE, SAMPLES, WHITE_MMHG, Added, Bench, over_pressures
-from zoo.blood.blind.draw import GAP_OVER_NOISE, Draw
-from zoo.blood.blind.effect_draw import TRIES, EffectDraw, location_fields
+from zoo.blood.blind.causes import CAUSES
+from zoo.blood.blind.draw import Draw
+from zoo.blood.blind.effect_draw import TRIES, EffectDraw, another, location_fields
 from zoo.blood.blind.files import DIGITS, case_files
 from zoo.blood.blind.networks import Sensor, inflow, loaded, rounded, sensors, tree
 from zoo.blood.blind.noise import autoregressive
+from zoo.blood.blind.truths import Visited, true_functions
 from zoo.blood.case import UNITS
 from zoo.blood.network import with_nominal_loads
 from zoo.blood.study import Blood, Study, load_study
 from zoo.blood.units import MMHG, mmhg_to_cgs
+from zoo.core.blindcheck.keys import PAIR
 from zoo.core.blindcheck.sealing import BlindError, MadeCase
 from zoo.core.diagnosis.hypothesis import NULL
-from zoo.core.effects import EffectError
+from zoo.core.effects import Effect, EffectError, Location
 from zoo.core.errors.spectral import GroupErrors
 
 Array = NDArray[np.float64]
 
 CORRELATED_MMHG, CORRELATED_S = 0.04, (2e-3, 6e-3)
+COLOURED, COLOURED_S = (0.3, 2.0), (1e-3, 8e-3)
+"""Of strongly coloured noise: its size over that of the white part, and its time."""
 THETA = {"f3": (3.5e4, 7e4), "psi1": (0.2, 0.5), "psi2": (0.7, 1.1), "c": (0.8, 1.8)}
 """The baseline's parameters are drawn around the published ones."""
 CENTRAL = (0.025, 0.975)
+BENCHES = 20
+"""Networks and layouts to be tried where the component of the cause is given."""
+PATIENCE = 5
+"""Those of them after which another component (pair) is tried."""
 
 
 @dataclass(frozen=True)
@@ -93,25 +102,78 @@ def _bench(rng: np.random.Generator, job: CaseDraw) -> tuple[Bench, dict[str, An
     raise BlindError(f"{job.name}: {TRIES} networks could not be solved; make another set")
 
 
+def _correlation(rng: np.random.Generator, kind: str) -> tuple[float, float]:
+    """Size (mmHg) and time (s) of the correlated part of a case's noise; 0 where there is none."""
+    if kind == "coloured":
+        size, tau = (math.exp(rng.uniform(*np.log(limits))) for limits in (COLOURED, COLOURED_S))
+        return float(f"{WHITE_MMHG * size:.6g}"), float(f"{tau:.6g}")
+    correlated = CORRELATED_MMHG if rng.random() < 0.5 else 0.0
+    return correlated, float(f"{rng.uniform(*CORRELATED_S):.6g}") if correlated else 0.0
+
+
+def _effect(effect: Effect, values: tuple[float, ...], place: Location) -> dict[str, Any]:
+    """An effect as the key tells it; of a cause, the limits of its size instead of a prior's interval."""
+    cause = CAUSES.get(effect.name)
+    found = {
+        "effect": effect.name,
+        **location_fields(place),
+        "amplitudes": {a.name: x for a, x in zip(effect.parameters, values, strict=True)},
+        "units": {a.name: a.unit for a in effect.parameters},
+    }
+    if cause is None:
+        intervals = {a.name: [float(x) for x in a.prior.quantile(CENTRAL)] for a in effect.parameters}
+        return found | {"priors_95": intervals}
+    told = {"component": cause.component, "equation": cause.equation, "limits": [cause.low, cause.high]}
+    return found | told
+
+
+def _causes(
+    bench: Bench,
+    drawn: EffectDraw,
+    added: Added,
+    data: Array,
+    waves: Array,
+    errors: dict[str, GroupErrors],
+) -> dict[str, Any]:
+    """What the key says of causes in known components: their functions, and the gap with them refitted."""
+    if not added or any(effect.name not in CAUSES for effect, _, _ in added):
+        return {}
+    before, after = bench.case(), bench.case(added)
+    visited = Visited(after, bench.states(added))
+    found = bench.refit(data, waves, errors, added)
+    quantities = [q for _, _, q in bench.sensors]
+    tables = true_functions(before, after, visited, bench.pressures(added), quantities, bench.labels)
+    return {
+        "components": list(dict.fromkeys(CAUSES[effect.name].component for effect, _, _ in added)),
+        "shapes": {effect.name: drawn.shapes[effect.name] for effect, _, _ in added},
+        "functions": tables,
+        "visited": visited.record(),
+        "refit_with_true_effects": found
+        and {"gap_mmHg": over_pressures(found[0]), "gap_per_series": found[0], "parameters": found[1]},
+    }
+
+
 def draw_case(job: CaseDraw) -> MadeCase:
     """Draw a case: its files, and its entry of the key."""
     network, effects, noises = (job.draw.rng(what, job.index) for what in ("network", "effect", "noise"))
-    correlated = CORRELATED_MMHG if noises.random() < 0.5 else 0.0
-    tau = float(f"{noises.uniform(*CORRELATED_S):.6g}") if correlated else 0.0
-    for _ in range(4):
+    correlated, tau = _correlation(noises, job.draw.kind)
+    first = job.first
+    for tried in range(BENCHES if job.kind in ("component", PAIR) else 4):
+        if tried and not tried % PATIENCE:
+            first = another(effects, job.kind)
         bench, entry = _bench(network, job)
-        drawn = EffectDraw(effects, bench, math.hypot(WHITE_MMHG, correlated))
+        drawn = EffectDraw(effects, bench, math.hypot(WHITE_MMHG, correlated), job.draw.limits)
         found: tuple[str, Added, Array] | None = (NULL, (), bench.clean)
         if job.kind != "none":
-            found = drawn.draw(job.first, job.kind, job.draw.effects)
+            found = drawn.draw(first, job.kind, job.draw.effects)
         if found is not None:
             name, added, waves = found
             break
     else:
-        low, high = GAP_OVER_NOISE
+        low, high = job.draw.limits
         raise BlindError(
-            f"{job.name}: none of {TRIES} effects that were drawn has a model discrepancy of {low:g} to "
-            f"{high:g} times the noise; give other effects"
+            f"{job.name}: no effect that was drawn has a model discrepancy of {low:g} to {high:g} times the "
+            "noise; give other effects, layouts or networks"
         )
     pressure = np.array([q == "pressure_mmHg" for _, _, q in bench.sensors])[:, None]
     noise = noises.standard_normal(waves.shape) * np.array([[bench.sigma[q]] for _, _, q in bench.sensors])
@@ -129,26 +191,16 @@ def draw_case(job: CaseDraw) -> MadeCase:
         raise BlindError(f"{job.name}: the baseline could not be fitted; make another set")
     # errors that are the effect are no part of what an answer should fit
     truth = bench.clean if any(effect.apply is None for effect, _, _ in added) else waves
-    first = added[0] if added else None
+    leading = added[0] if added else None
     return MadeCase(
         {
             "case": job.name,
             "kind": job.kind,
             "effect": name,
-            "amplitude": first[1][0] if first else None,
-            "place": first[2].part if first else None,
-            "effects": [
-                {
-                    "effect": effect.name,
-                    **location_fields(place),
-                    "amplitudes": {a.name: x for a, x in zip(effect.parameters, values, strict=True)},
-                    "units": {a.name: a.unit for a in effect.parameters},
-                    "priors_95": {
-                        a.name: [float(x) for x in a.prior.quantile(CENTRAL)] for a in effect.parameters
-                    },
-                }
-                for effect, values, place in added
-            ],
+            "amplitude": leading[1][0] if leading else None,
+            "place": leading[2].part if leading else None,
+            **_causes(bench, drawn, added, data, waves, errors),
+            "effects": [_effect(*one) for one in added],
             "base": BASELINE,
             **entry,
             "noise": {

@@ -10,10 +10,11 @@ from typing import Any
 
 from zoo.blood.blind.bench import BASELINE
 from zoo.blood.blind.case import CaseDraw, draw_case
-from zoo.blood.blind.draw import LAYOUTS, NETWORKS, SECRET, Draw
+from zoo.blood.blind.draw import CATALOGUE_SET, LAYOUTS, NETWORKS, SECRET, SETS, Draw, default_layouts
 from zoo.blood.diagnosis import effects_for
 from zoo.core.blindcheck.making import write_cases
 from zoo.core.blindcheck.sealing import BlindError, read_head
+from zoo.core.words import nearest
 
 
 def make_cases(
@@ -21,10 +22,11 @@ def make_cases(
     n: int = 40,
     key: str | Path = "key.json",
     *,
+    kind: str = CATALOGUE_SET,
     secret: str | None = None,
     effects: Sequence[str] | None = None,
     networks: Sequence[str] = NETWORKS,
-    layouts: Sequence[str] = LAYOUTS,
+    layouts: Sequence[str] | None = None,
     vessels: tuple[int, int] = (5, 15),
     cores: int = 2,
     done: Callable[[str], None] = lambda case: None,
@@ -40,9 +42,14 @@ def make_cases(
     folder : path
         For the cases, and the key's SHA-256.
     n : int
-        Cases: an eighth without an effect, a fifth with one that the catalogue does not hold.
+        Cases.
     key : path
         JSON file outside the folder.
+    kind : str
+        Of `zoo.blood.blind.draw.SETS`: "catalogue" has an eighth of the cases without an effect and a fifth
+        with one that the catalogue does not hold; "component" a cause that no catalogue lists in a known
+        component, "pair" two of these, "small" small ones of all these, "coloured" none but strongly
+        coloured noise.
     secret : str, optional
         That of an older key, 32 hexadecimal digits, to make its cases again with the same `n` and settings; a
         new one is drawn if absent.
@@ -51,7 +58,7 @@ def make_cases(
     networks : sequence of str
         "mouse", "tree".
     layouts : sequence of str
-        Of `LAYOUTS`.
+        Of `LAYOUTS`; those of the kind if absent.
     vessels : (int, int)
         Least and largest number of vessels of a generated tree.
     cores : int
@@ -74,6 +81,9 @@ def make_cases(
         raise BlindError(f"n = {n}, cores = {cores}: give n from 1 to 999, cores >= 1")
     if secret is not None and not SECRET.fullmatch(secret):
         raise BlindError('secret: give the 32 hexadecimal digits of a key\'s "secret", or leave it out')
+    if kind not in SETS:
+        raise BlindError(f"kind = {kind!r}: {nearest(kind, SETS)}")
+    layouts = default_layouts(kind) if layouts is None else layouts
     for what, given, some in (("networks", networks, NETWORKS), ("layouts", layouts, LAYOUTS)):
         if not given or set(given) - set(some):
             raise BlindError(f"{what} = {', '.join(given)}: give some of {', '.join(some)}")
@@ -85,8 +95,8 @@ def make_cases(
             f"vessels = {vessels[0]}, {vessels[1]}: give limits of at least 3 with an odd number between them"
         )
     secret = secret or (read_head(key) or {}).get("secret") or secrets.token_hex(16)
-    draw = Draw(n, secret, names, tuple(networks), tuple(layouts), (vessels[0], vessels[1]))
-    jobs = [CaseDraw(draw, i, *kind) for i, kind in enumerate(draw.plan())]
+    draw = Draw(n, secret, names, tuple(networks), tuple(layouts), (vessels[0], vessels[1]), kind)
+    jobs = [CaseDraw(draw, i, *one) for i, one in enumerate(draw.plan())]
     write_cases(folder, key, jobs, draw_case, head=draw.head, totals=_redrawn, cores=cores, done=done)
     return key
 

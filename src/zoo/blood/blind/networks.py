@@ -112,4 +112,6 @@ def sensors(rng: np.random.Generator, vessels: Sequence[Vessel], layout: str) ->
             found.append((int(rng.choice(sorted(ends))), 0.5, pressure))
     elif layout == "MPA+flow":
         found.append((int(rng.choice(daughters)), 0.5, "flow_ml_s"))
+    elif layout == "MPA+flows":
+        found += [(daughter, 0.5, "flow_ml_s") for daughter in daughters]
     return found

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
 from zoo.core.effects import EVERYWHERE, Location
 
-KINDS = ("none", "outside", "listed")
+KINDS = ("none", "outside", "listed", "component", "pair")
 SECOND = "second-effect"
 """Label of a case of kind "outside" that has two listed effects at once."""
+PAIR = "pair"
+"""Kind, and label of what was drawn again, of a case with causes in two components at once."""
 
 
 @dataclass(frozen=True)
