@@ -11,7 +11,7 @@
 #include <stdint.h>
 
 /* cffi:begin */
-enum { ZOO_ABI = 4 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
+enum { ZOO_ABI = 5 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
 
 enum zoo_status {
     ZOO_OK = 0,
@@ -21,7 +21,8 @@ enum zoo_status {
     ZOO_WALL_LIMIT = 4,   /* a cross-section passed the largest area of its wall law */
     ZOO_NO_ROOT = 5,      /* a junction or an outlet had no solution */
     ZOO_NOT_PERIODIC = 6, /* max_beats passed before the beat repeated itself */
-    ZOO_WORKSPACE = 7     /* the workspace handed in is too small */
+    ZOO_WORKSPACE = 7,    /* the workspace handed in is too small */
+    ZOO_WALL_FALLS = 8    /* with the function added to it the wall's pressure falls where its area grows */
 };
 
 enum zoo_friction {
@@ -40,6 +41,14 @@ typedef struct {
     const double *radius_out; /* [n_vessels] cm, at rest, at the outlet; linear between */
 } zoo_network;
 
+/* A function of one argument, given by its values at evenly spaced knots from `low` to `high`: between them a cubic
+ * spline with a continuous second derivative. */
+typedef struct {
+    int32_t n_knots;      /* at least 4, at most 4096; 0: there is no such function, and nothing of it is read */
+    double low, high;     /* first and last knot, low < high, within +-1e30 */
+    const double *values; /* [n_knots] within +-1e30 */
+} zoo_function;
+
 /* Zero, or NULL where an array may be absent, stands for no addition to eq. (3.1) to (3.7). */
 
 /* The blood in the vessels: inertia, friction, and what leaks through the walls. */
@@ -53,6 +62,7 @@ typedef struct {
     double viscous_friction;    /* k in a further -k pi nu q/A; 0 as eq. (3.1) is printed, 8 Poiseuille's */
     const double *viscosity_factor; /* [n_vessels] factor of the viscosity, or NULL for 1 */
     const double *leak;         /* [n_vessels] cm^4 s/g, A_t + q_x = -leak p, or NULL */
+    zoo_function friction_function; /* factor of the friction at |u| (cm/s, low at least 0), not negative; constant beyond */
 } zoo_fluid;
 
 /* The wall: its law, and what makes its pressure differ from the law's. */
@@ -67,6 +77,8 @@ typedef struct {
     double relaxation_time;          /* s, tau_r; must be positive where viscoelastic_time is given */
     int32_t n_wave;                  /* samples of stiffness_wave; 0: none */
     const double *stiffness_wave;    /* [n_wave] factor s of the stiffness at m period/n_wave, linear between, periodic */
+    zoo_function function;           /* delta(s) in p = K (law(a) + delta(s)), s = sqrt(a), a = A/A0, K the law's scale of
+                                      * the stiffness; low at least 1e-3; goes on below linearly in a, above in s */
 } zoo_wall;
 
 /* A narrow stretch of a vessel (a stenosis). */
@@ -81,6 +93,7 @@ typedef struct {
 typedef struct {
     double total_pressure; /* tau: branches share p + tau rho u^2/2 */
     double loss;           /* K: daughters' inlets lack K rho/2 u|u| of the parent's end */
+    zoo_function function; /* and D(u), dyn/cm^2, of that velocity u (cm/s) beside it; goes on linearly */
 } zoo_junction;
 
 /* At the root: samples at m period/n_samples, linear between, periodic. */

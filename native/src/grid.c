@@ -40,6 +40,12 @@ void zoo_set_grid(zoo_sim *s)
 {
     const zoo_network *net = &s->problem->network;
     int node = 0, nt = 0;
+    const zoo_problem *pr = s->problem;
+    s->wall_function = zoo_function_spline(&pr->wall.function, ZOO_BEYOND_WALL, 0.0, s->wall_piece);
+    s->friction_function =
+        zoo_function_spline(&pr->fluid.friction_function, ZOO_BEYOND_CONSTANT, 1.0, s->friction_piece);
+    s->junction_function = zoo_function_spline(&pr->junction.function, ZOO_BEYOND_LINEAR, 0.0, s->junction_piece);
+    s->junction_curvature = zoo_function_curvature(s->junction_function);
     double *mids[] = {s->Ah, s->qh, s->Ph, s->Mh, s->Gh};
     for (int a = 0; a < 5; a++)
         memset(mids[a] - s->lanes, 0, (size_t)(s->n_nodes + 1) * s->lanes * sizeof(double));

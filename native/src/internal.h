@@ -16,6 +16,7 @@
 #include <stddef.h>
 
 #include "../include/zoo.h"
+#include "function.h"
 #include "wall.h"
 
 enum {
@@ -70,10 +71,12 @@ typedef struct {
 
 typedef struct {
     const zoo_problem *problem;
-    int lanes, wall, n_vessels, n_nodes, n_groups;
+    int lanes, n_vessels, n_nodes, n_groups;
+    int wall;    /* the law, or wall_with_function of it */
     double dt, momentum, inv_density;
     int extra;   /* 1: something is added that the plain loops do not have, see zoo_has_additions */
     int coupled; /* 1: pressures at junctions depend on flows there (total pressure, losses) */
+    int tables;  /* 1: friction's factor or the junctions' loss is given as a function */
     int uniform; /* 1: all vessels of each lane share one stiffness and one shape */
 
     /* grid, per vessel and per node */
@@ -94,6 +97,11 @@ typedef struct {
     double *stiffening;                  /* [n_nodes] chi over that at the inlet, where it varies */
     int varying;                         /* 1: stiffness varies along a vessel */
     double *coefficient;                 /* [wall_shapes][n_nodes*lanes] of the law, zoo_shape */
+
+    /* functions that are given by their values: without them 0, 1 and 0 everywhere */
+    double *wall_piece, *friction_piece, *junction_piece;
+    zoo_spline wall_function, friction_function, junction_function;
+    double junction_curvature;           /* largest |D''| */
 
     /* state at nodes: area, flow, pressure, momentum flux, friction force */
     double *A, *q, *P, *M, *G;           /* [n_nodes*lanes] */
@@ -183,7 +191,7 @@ ZOO_INLINE double zoo_K(const zoo_sim *s, ptrdiff_t i)
 /* Coefficients of the wall law there. */
 ZOO_INLINE wall_shape zoo_shape(const zoo_sim *s, ptrdiff_t i)
 {
-    return (wall_shape){s->coefficient + i, (ptrdiff_t)s->n_nodes * s->lanes};
+    return (wall_shape){s->coefficient + i, (ptrdiff_t)s->n_nodes * s->lanes, s->wall_function};
 }
 
 /* check.c: ZOO_OK when the problem can be solved at all; ZOO_BAD_ARGUMENT, or ZOO_WORKSPACE without memory to look. */

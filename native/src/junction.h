@@ -17,7 +17,7 @@
  * x = b*count + j, so that each loop runs over all junctions of the group.
  *
  * With `extra` (see scheme.h) A_b(P') is that of the stiffer wall at P' - off, and
- * the half cells leak w leak p_mid.  Total pressure and losses: junction_total_pressure.h.
+ * the half cells leak w leak p_mid; with `tables` friction has a factor that is given as a function.  Total pressure and losses: junction_total_pressure.h.
  */
 #ifndef ZOO_JUNCTION_H
 #define ZOO_JUNCTION_H
@@ -34,6 +34,7 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
     const double *restrict A = s->A, *restrict P = s->P, *restrict K = s->K;
     const double *restrict th = s->coefficient;
     const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const zoo_spline added = s->wall_function;
     double *restrict a = ju->area, *restrict p = ju->c, *restrict slope = ju->beta;
     double *restrict have = ju->sum_c, *restrict soft = ju->sum_beta;
     const double *restrict kappa = s->kappa, *restrict off = s->off;
@@ -44,15 +45,15 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
         a[i] = A[o] / A0[x];
         p[i] = P[o];
         if (extra) /* but not that of the wall with a memory, or of another stiffness: see scheme.h */
-            p[i] = wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), (wall_shape){th + o, stride}, a[i], sqrt(a[i])) + off[o];
+            p[i] = wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), (wall_shape){th + o, stride, added}, a[i], sqrt(a[i])) + off[o];
     });
     for (int iteration = 0; iteration < 30; iteration++) {
         int unfinished = 0;
         ZOO_LOOP(W, i, x, l, 0, n * nb, {
             const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
-            slope[i] = extra ? wall_slope(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), (wall_shape){th + o, stride},
+            slope[i] = extra ? wall_slope(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), (wall_shape){th + o, stride, added},
                                           p[i] - off[o], a[i], sqrt(a[i]))
-                             : wall_slope(wall, K[o], (wall_shape){th + o, stride}, p[i], a[i], sqrt(a[i]));
+                             : wall_slope(wall, K[o], (wall_shape){th + o, stride, added}, p[i], a[i], sqrt(a[i]));
         });
         ZOO_LOOP(W, i, j, l, 0, n, {
             have[i] = volume[i];
@@ -72,13 +73,13 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
             ZOO_LOOP(W, i, j, l, 0, n, {
                 const ptrdiff_t y = from * W + i, o = (ptrdiff_t)node[from + j] * W + l;
                 /* never more than halfway to the wall's limits */
-                const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride}) - a[y]);
+                const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride, added}) - a[y]);
                 double move = (have[i] / soft[i] - p[y]) / slope[y];
-                const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride}) - a[y]);
+                const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride, added}) - a[y]);
                 move = move > room ? room : move < fall ? fall : move;
                 a[y] += move;
-                p[y] = extra ? wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[from + j]]), (wall_shape){th + o, stride}, a[y], sqrt(a[y])) + off[o]
-                             : wall_p(wall, K[o], (wall_shape){th + o, stride}, a[y], sqrt(a[y]));
+                p[y] = extra ? wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[from + j]]), (wall_shape){th + o, stride, added}, a[y], sqrt(a[y])) + off[o]
+                             : wall_p(wall, K[o], (wall_shape){th + o, stride, added}, a[y], sqrt(a[y]));
                 unfinished |= fabs(move) > 1e-8; /* quadratic: the next move would be below rounding */
             });
         }
@@ -94,7 +95,8 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
         }
 }
 
-ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_sim *s, zoo_junction_group *ju)
+ZOO_INLINE void junction_body(const int wall, const int W, const int extra, const int tables, zoo_sim *s,
+                              zoo_junction_group *ju)
 {
     const int n = ju->count, nb = ju->branches;
     const int newton = !wall_in_root(wall) && (extra || !s->uniform);
@@ -113,6 +115,7 @@ ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_
                  *restrict loss = s->loss, *restrict K = s->K;
     double *restrict k0 = ju->m0, *restrict e1 = ju->mP, *restrict e2 = ju->mH, *restrict per_K = ju->a0;
     const double later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
+    const zoo_spline factor = s->friction_function;
 
     ZOO_LOOP(W, i, j, l, 0, n, {
         volume[i] = w[j] * A[(ptrdiff_t)node[j] * W + l] + dt * qh[(ptrdiff_t)mid[j] * W + l];
@@ -165,7 +168,8 @@ ZOO_INLINE void junction_body(const int wall, const int W, const int extra, zoo_
         const double now = A[o], then = a * A0[x], half = 0.5 * (now + then);
         const double lost = extra ? w[x] * leak[node[x]] * Ph[m] : 0.0;
         const double flux = qh[m] - sign[x] * (extra ? (then - now) / per_w[x] + lost : (then - now) / per_w[x]);
-        const double u = flux / half, stick = f_s[x] * sqrt(half / A0[x]) + f_c[x];
+        const double u = flux / half, plain = f_s[x] * sqrt(half / A0[x]) + f_c[x];
+        const double stick = tables ? spline_value(factor, fabs(u)) * plain : plain;
         const double drag = (extra ? stick + leak[node[x]] * Ph[m] + loss[node[x]] * half * half * fabs(flux) : stick) * u;
         const double push = 0.5 * per_w[x] * (half + Ah[m]) * inv_rho;
         area[i] = then;

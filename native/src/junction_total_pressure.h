@@ -1,6 +1,6 @@
 /* Where vessels meet, with total pressure or losses: the balances of junction.h, but
  *
- *   p_b + tau rho u_b^2/2 = P - [b a daughter] D,     D = K rho/2 u_0 |u_0|,     u_b = q_b/A_b,
+ *   p_b + tau rho u_b^2/2 = P - [b a daughter] D,     D = K rho/2 u_0 |u_0| + f(u_0),     u_b = q_b/A_b,
  *
  * at the new time.  Pressure and flow of the branches' ends then depend on each
  * other, and strongly so: a step changes p through u by K u/c times what it
@@ -10,25 +10,28 @@
  *
  *   F1_b = p(A_b') + tau rho u_b'^2/2 - P + [daughter] D = 0
  *   F2_b = momentum of the half cell, with H and the mean of d_b = p_b - P = 0
- *   sum_b w_b A_b' = volume,     sum_b s_b q_b' = 0,     D = K rho/2 u_0' |u_0'|.
+ *   sum_b w_b A_b' = volume,     sum_b s_b q_b' = 0,     D = K rho/2 u_0' |u_0'| + f(u_0').
  *
  * Each branch's two equations are eliminated, dA_b = a0 + aP dP_b + aH dH_b and
  * dq_b alike with dP_b = dP, dH_b = dH at the parent and dP - dD, dH - dD/2 at
  * daughters; two equations for dP and dH remain.  It starts from the old time,
- * which is near: two or three rounds.
+ * which is near: two or three rounds.  f, and a factor of the friction, are only there with `tables`.
  */
 #ifndef ZOO_JUNCTION_TOTAL_PRESSURE_H
 #define ZOO_JUNCTION_TOTAL_PRESSURE_H
 
 #include "internal.h"
 
-ZOO_INLINE void junction_total_pressure(const int wall, const int W, zoo_sim *s, zoo_junction_group *ju)
+ZOO_INLINE void junction_total_pressure(const int wall, const int W, const int tables, zoo_sim *s,
+                                        zoo_junction_group *ju)
 {
     enum { ROUNDS = 30 };
     const int n = ju->count, nb = ju->branches;
     const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum, rho = 1.0 / inv_rho, per_dt = 1.0 / dt;
     const double dynamic = rho * s->problem->junction.total_pressure, lossy = rho * s->problem->junction.loss;
     const double later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
+    const zoo_spline given = s->junction_function, factor = s->friction_function;
+    const double bent = tables ? dynamic + lossy + s->junction_curvature : dynamic + lossy;
     const int *restrict node = ju->node, *restrict mid = ju->mid, *restrict junction = ju->junction;
     const double *restrict w = ju->w, *restrict per_w = ju->per_w, *restrict A0 = ju->A0,
                            *restrict f_s = ju->f_s, *restrict f_c = ju->f_c, *restrict sign = ju->sign;
@@ -36,6 +39,7 @@ ZOO_INLINE void junction_total_pressure(const int wall, const int W, zoo_sim *s,
                            *restrict off = s->off, *restrict inv_A0 = s->inv_A0, *restrict K = s->K;
     const double *restrict th = s->coefficient;
     const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const zoo_spline added = s->wall_function;
     const double *restrict Ah = s->Ah, *restrict qh = s->qh, *restrict Ph = s->Ph, *restrict Mh = s->Mh,
                            *restrict Gh = s->Gh;
     double *restrict A = s->A, *restrict q = s->q;
@@ -53,6 +57,8 @@ ZOO_INLINE void junction_total_pressure(const int wall, const int W, zoo_sim *s,
         const double u = q[o] / A[o];
         volume[i] = 0.0;
         D[i] = 0.5 * lossy * u * fabs(u);
+        if (tables)
+            D[i] += spline_value(given, u);
         P[i] = H[i] = s->P[o] + 0.5 * dynamic * u * u;
     });
     ZOO_LOOP(W, i, x, l, 0, n * nb, {
@@ -80,8 +86,8 @@ ZOO_INLINE void junction_total_pressure(const int wall, const int W, zoo_sim *s,
             const double is = sign[x], below = 0.5 * (1.0 - is) * D[y];
             const double K1 = wall_stiffened(K[o], stiff, later, kappa[v]), a = area[i] * inv_A0[v];
             const double root = a * fast_rsqrt(a), per_area = fast_reciprocal(area[i]);
-            const double elastic = wall_p(wall, K1, (wall_shape){th + o, stride}, a, root);
-            const double slope = wall_slope_area(wall, K1, (wall_shape){th + o, stride}, elastic, root, per_area, inv_A0[v]);
+            const double elastic = wall_p(wall, K1, (wall_shape){th + o, stride, added}, a, root);
+            const double slope = wall_slope_area(wall, K1, (wall_shape){th + o, stride, added}, elastic, root, per_area, inv_A0[v]);
             const double u = flow[i] * per_area, at_u = dynamic * u * per_area;
             const double F1 = elastic + off[o] + 0.5 * dynamic * u * u + below - P[y];
             const double F1_a = slope - at_u * u, F1_q = at_u;
@@ -90,8 +96,16 @@ ZOO_INLINE void junction_total_pressure(const int wall, const int W, zoo_sim *s,
             const double half_root = ratio * fast_rsqrt(ratio), per_half = fast_reciprocal(half);
             const double flux = qh[m] - is * w[x] * ((area[i] - A[o]) * per_dt + leak[v] * Ph[m]);
             const double flux_a = -is * w[x] * per_dt, mean_u = flux * per_half;
-            const double drag = (f_s[x] * half_root + f_c[x] + leak[v] * Ph[m]) * per_half, sink = loss[v] * half;
-            const double drag_a = -0.5 * (drag - 0.5 * f_s[x] * half_root * per_half) * per_half;
+            double drag = (f_s[x] * half_root + f_c[x] + leak[v] * Ph[m]) * per_half;
+            double drag_a = -0.5 * (drag - 0.5 * f_s[x] * half_root * per_half) * per_half;
+            const double sink = loss[v] * half;
+            if (tables) {
+                double faster; /* how the friction's factor changes with |u| */
+                const double by = spline_at(factor, fabs(mean_u), &faster), stick = f_s[x] * half_root + f_c[x];
+                drag = (by * stick + leak[v] * Ph[m]) * per_half;
+                drag_a = -0.5 * (drag - 0.5 * by * f_s[x] * half_root * per_half) * per_half +
+                         faster * stick * per_half * copysign(per_half, mean_u) * (flux_a - 0.5 * mean_u);
+            }
             const double push = 0.5 * per_w[x] * (half + Ah[m]) * inv_rho, push_a = 0.25 * per_w[x] * inv_rho;
             /* mean over the step of how far the branch's pressure lies below the shared one */
             const double under = 0.5 * (old[i] + 0.5 * dynamic * u * u + below), over = H[y] - under - Ph[m];
@@ -112,8 +126,14 @@ ZOO_INLINE void junction_total_pressure(const int wall, const int W, zoo_sim *s,
         });
         /* dD = g0 + gP dP + gH dH, from the parent */
         ZOO_LOOP(W, i, j, l, 0, n, {
-            const double u = flow[i] / area[i], slope = lossy * fabs(u) / area[i];
-            g0[i] = 0.5 * lossy * u * fabs(u) - D[i] + slope * (q0[i] - u * a0[i]);
+            const double u = flow[i] / area[i];
+            double slope = lossy * fabs(u) / area[i], less = 0.5 * lossy * u * fabs(u) - D[i];
+            if (tables) {
+                double rise;
+                less += spline_at(given, u, &rise);
+                slope += rise / area[i];
+            }
+            g0[i] = less + slope * (q0[i] - u * a0[i]);
             gP[i] = slope * (qP[i] - u * aP[i]);
             gH[i] = slope * (qH[i] - u * aH[i]);
             m0[i] = w[j] * (area[i] + a0[i]) - volume[i];
@@ -151,8 +171,8 @@ ZOO_INLINE void junction_total_pressure(const int wall, const int W, zoo_sim *s,
             const ptrdiff_t o = (ptrdiff_t)node[x] * W + l, y = (ptrdiff_t)junction[x] * W + l;
             const double dD = 0.5 * (1.0 - sign[x]) * g0[y], dP = m0[y] - dD, dH = mH[y] - 0.5 * dD;
             /* never more than halfway to the wall's limits */
-            const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride}) * A0[x] - area[i]);
-            const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride}) * A0[x] - area[i]);
+            const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride, added}) * A0[x] - area[i]);
+            const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride, added}) * A0[x] - area[i]);
             double move = a0[i] + aP[i] * dP + aH[i] * dH;
             move = move > room ? room : move < fall ? fall : move;
             const double turn = q0[i] + qP[i] * dP + qH[i] * dH;
@@ -160,7 +180,7 @@ ZOO_INLINE void junction_total_pressure(const int wall, const int W, zoo_sim *s,
             flow[i] += turn;
             /* what is left after this round is of the order of these squares: below rounding */
             const double per_area = fast_reciprocal(area[i]), da = move * per_area, du = turn * per_area;
-            unfinished |= K[o] * da * da + (dynamic + lossy) * du * du > 1e-11 * K[o];
+            unfinished |= K[o] * da * da + bent * du * du > 1e-11 * K[o];
         });
         if (!unfinished)
             break;

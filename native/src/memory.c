@@ -47,7 +47,7 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
 
     s->problem = pr;
     s->lanes = lanes;
-    s->wall = pr->wall.law;
+    s->wall = pr->wall.function.n_knots ? wall_with_function(pr->wall.law) : pr->wall.law;
     s->n_vessels = (int)nv;
     s->n_nodes = (int)n;
     s->momentum = pr->fluid.momentum_correction;
@@ -55,7 +55,9 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     s->extra = zoo_has_additions(pr, children);
     s->stiff = s->stiff_half = s->stiffest = 1.0;
     s->varying = zoo_stiffness_varies(pr);
-    s->coupled = pr->junction.total_pressure != 0.0 || pr->junction.loss != 0.0;
+    s->coupled = pr->junction.total_pressure != 0.0 || pr->junction.loss != 0.0 ||
+                 pr->junction.function.n_knots != 0;
+    s->tables = pr->fluid.friction_function.n_knots != 0 || pr->junction.function.n_knots != 0;
     int64_t x = s->extra ? 1 : 0; /* no memory for what is not added */
     int64_t wave = s->extra && pr->wall.n_wave > 0 ? pr->numerics.max_steps : 0;
 
@@ -154,6 +156,9 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
         REALS(s->K_mid, n * W);
     REALS(s->stiffening, s->varying ? n : 0);
     REALS(s->coefficient, wall_shapes(s->wall) * n * W);
+    REALS(s->wall_piece, zoo_function_size(&pr->wall.function));
+    REALS(s->friction_piece, zoo_function_size(&pr->fluid.friction_function));
+    REALS(s->junction_piece, zoo_function_size(&pr->junction.function));
     REALS(s->A, n * W);
     REALS(s->q, n * W);
     REALS(s->P, n * W);

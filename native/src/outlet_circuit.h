@@ -131,7 +131,8 @@ static inline zoo_rows circuit_rows(const zoo_problem *pr)
 static inline double circuit_parallel(const zoo_sim *s, int t, int l)
 {
     int j = s->outlets.node[t], i = j * s->lanes + l;
-    double slope = wall_slope(s->wall, s->K[i], zoo_shape(s, i), 0.0, 1.0, 1.0); /* rho c^2 at rest */
+    double p = wall_p(s->wall, s->K[i], zoo_shape(s, i), 1.0, 1.0);
+    double slope = wall_slope(s->wall, s->K[i], zoo_shape(s, i), p, 1.0, 1.0); /* rho c^2 at rest */
     return CIRCUIT_PARALLEL * sqrt(slope / s->inv_density) / s->A0[j];
 }
 
@@ -228,6 +229,7 @@ ZOO_INLINE void circuit_advance(const int wall, const int W, const int extra, zo
                            *restrict off = s->off, *restrict kappa = s->kappa, *restrict leak = s->leak;
     const double *restrict th = s->coefficient;
     const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const zoo_spline added = s->wall_function;
     double *restrict A = s->A, *restrict q = s->q, *restrict v = ou->v, *restrict volume = ou->volume,
                      *restrict carry = ou->carry, *restrict base = outlet_row(s, ou->scratch, CIRCUIT_BASE),
                      *restrict q_mid = outlet_row(s, ou->scratch, CIRCUIT_Q_MID),
@@ -265,11 +267,11 @@ ZOO_INLINE void circuit_advance(const int wall, const int W, const int extra, zo
             ZOO_LOOP(W, i, t, l, 0, n, {
                 const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
                 const double K1 = wall_stiffened(K[o], stiff, later, kappa[node[t]]), root = sqrt(a[i]);
-                const double elastic = wall_p(wall, K1, (wall_shape){th + o, stride}, a[i], root);
+                const double elastic = wall_p(wall, K1, (wall_shape){th + o, stride, added}, a[i], root);
                 const double Q = q_mid[i] - (a[i] * A0[t] - A[o]) / per_w[t];
-                const double slope = wall_slope(wall, K1, (wall_shape){th + o, stride}, elastic, a[i], root) + E[i] * A0[t] / per_w[t];
-                const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride}) - a[i]);
-                const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride}) - a[i]);
+                const double slope = wall_slope(wall, K1, (wall_shape){th + o, stride, added}, elastic, a[i], root) + E[i] * A0[t] / per_w[t];
+                const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride, added}) - a[i]);
+                const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride, added}) - a[i]);
                 double move = -(elastic + off[o] - base[i] - E[i] * Q) / slope;
                 move = move > room ? room : move < fall ? fall : move;
                 a[i] += move;

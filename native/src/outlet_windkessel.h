@@ -85,6 +85,7 @@ ZOO_INLINE void windkessel_newton(const int wall, const int W, zoo_sim *s)
     const double *restrict A = s->A, *restrict P = s->P, *restrict K = s->K, *restrict qh = s->qh;
     const double *restrict th = s->coefficient;
     const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const zoo_spline added = s->wall_function;
     double *restrict a = ou->scratch, *restrict p = outlet_row(s, ou->scratch, 1);
     ZOO_LOOP(W, i, t, l, 0, n, {
         const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
@@ -97,13 +98,13 @@ ZOO_INLINE void windkessel_newton(const int wall, const int W, zoo_sim *s)
             const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
             const double Q = qh[o - W] - (a[i] * A0[t] - A[o]) / per_w[t];
             const double miss = p[i] + P[o] - (1.0 + decay[i]) * v[i] - E[i] * Q - rest[i];
-            const double slope = wall_slope(wall, K[o], (wall_shape){th + o, stride}, p[i], a[i], sqrt(a[i])) + E[i] * A0[t] / per_w[t];
-            const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride}) - a[i]);
+            const double slope = wall_slope(wall, K[o], (wall_shape){th + o, stride, added}, p[i], a[i], sqrt(a[i])) + E[i] * A0[t] / per_w[t];
+            const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride, added}) - a[i]);
             double move = -miss / slope;
-            const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride}) - a[i]);
+            const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride, added}) - a[i]);
             move = move > room ? room : move < fall ? fall : move;
             a[i] += move;
-            p[i] = wall_p(wall, K[o], (wall_shape){th + o, stride}, a[i], sqrt(a[i]));
+            p[i] = wall_p(wall, K[o], (wall_shape){th + o, stride, added}, a[i], sqrt(a[i]));
             unfinished |= fabs(move) > 1e-8;
         });
         if (!unfinished)

@@ -22,7 +22,25 @@ void zoo_set_softness(zoo_sim *s, zoo_junction_group *ju, int l)
 static wall_shape given_shape(const zoo_sim *s, const zoo_parameters *pa, int l, int k)
 {
     ptrdiff_t nv = s->n_vessels, per_set = wall_shapes(s->wall) * nv;
-    return (wall_shape){per_set ? pa->shape + s->set_of[l] * per_set + k : NULL, nv};
+    return (wall_shape){.at = per_set ? pa->shape + s->set_of[l] * per_set + k : NULL, .stride = nv, .function = s->wall_function};
+}
+
+/* The first vessel whose pressure, with a function added to the law, does not rise with its area, or -1. */
+static int first_falling(const zoo_sim *s, const zoo_parameters *pa, int l)
+{
+    const int n = wall_shapes(s->wall);
+    for (int k = 0; k < s->n_vessels && wall_has_function(s->wall); k++) {
+        const wall_shape given = given_shape(s, pa, l, k), last = given_shape(s, pa, l, k ? k - 1 : 0);
+        double made[ZOO_MOST_SHAPES] = {0.0};
+        int same = k > 0; /* as the vessel before */
+        for (int m = 0; m < n; m++) {
+            made[m] = wall_coefficient(s->wall, given, m);
+            same &= shape(given, m) == shape(last, m);
+        }
+        if (!same && !wall_rises(s->wall, (wall_shape){made, 1, s->wall_function}))
+            return k;
+    }
+    return -1;
 }
 
 int zoo_stiffness_varies(const zoo_problem *pr)
@@ -76,8 +94,12 @@ int zoo_set_parameters(zoo_sim *s, const zoo_parameters *pa)
                 wrong = k;
         }
         memset(&s->report[l], 0, sizeof s->report[l]);
-        s->report[l].vessel = wrong;
         s->report[l].status = wrong < 0 ? ZOO_OK : ZOO_BAD_ARGUMENT;
+        if (wrong < 0) {
+            wrong = first_falling(s, pa, l);
+            s->report[l].status = wrong < 0 ? ZOO_OK : ZOO_WALL_FALLS;
+        }
+        s->report[l].vessel = wrong;
         s->live[l] = wrong < 0;
         good += wrong < 0;
         if (wrong < 0 && any < 0)

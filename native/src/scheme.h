@@ -28,6 +28,7 @@ ZOO_INLINE void scheme_half(const int wall, const int W, const int extra, zoo_si
     const double *restrict A = s->A, *restrict q = s->q, *restrict K = s->K_mid;
     const double *restrict th = s->coefficient;
     const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const zoo_spline added = s->wall_function;
     const double *restrict P = s->P, *restrict M = s->M, *restrict G = s->G;
     const double *restrict lam = s->lam_mid, *restrict inv_A0 = s->inv_A0_mid;
     const double *restrict f_s = s->f_s_mid, *restrict f_c = s->f_c_mid;
@@ -50,13 +51,26 @@ ZOO_INLINE void scheme_half(const int wall, const int W, const int extra, zoo_si
         double a = Am * inv_A0[j], y = fast_rsqrt(a), r = a * y, u = qm * inv_A0[j] * y * y;
         Ah[i] = Am;
         qh[i] = qm;
-        Ph[i] = wall_p(wall, extra ? stiff * K[i] : K[i], (wall_shape){th + i, stride}, a, r);
+        Ph[i] = wall_p(wall, extra ? stiff * K[i] : K[i], (wall_shape){th + i, stride, added}, a, r);
         Mh[i] = alpha * qm * u;
         Gh[i] = (f_s[j] * r + f_c[j]) * u;
         if (extra) {
             Ph[i] = (1.0 + later * kappa[j]) * Ph[i] + 0.5 * (off[i] + off[k]);
             Gh[i] += (leak[j] * Ph[i] + loss[j] * Am * Am * fabs(qm)) * u;
         }
+    });
+}
+
+/* Friction whose factor is a function of the velocity, over that of the loops, G += (f(|u|) - 1) (f_s r + f_c) q/A, at n
+ * nodes or midpoints.  A loop of its own: most trees have none. */
+ZOO_INLINE void scheme_friction(const int W, const zoo_sim *s, int n, const double *restrict A, const double *restrict q,
+                                const double *restrict inv_A0, const double *restrict f_s, const double *restrict f_c,
+                                double *restrict G)
+{
+    const zoo_spline factor = s->friction_function;
+    ZOO_LOOP(W, i, j, l, 0, n, {
+        const double a = A[i] * inv_A0[j], y = fast_rsqrt(a), u = q[i] * inv_A0[j] * y * y;
+        G[i] += (spline_value(factor, fabs(u)) - 1.0) * (f_s[j] * a * y + f_c[j]) * u;
     });
 }
 
@@ -73,6 +87,7 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const i
     const double *restrict K = s->K;
     const double *restrict th = s->coefficient;
     const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const zoo_spline added = s->wall_function;
     double *restrict A = s->A, *restrict q = s->q, *restrict P = s->P, *restrict M = s->M,
                      *restrict G = s->G;
     const double half_inv_rho = 0.5 * s->inv_density, alpha = s->momentum;
@@ -96,7 +111,7 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const i
             q[i] = qn;
         }
         double a = An * inv_A0[j], y = fast_rsqrt(a), r = a * y, u = qn * inv_A0[j] * y * y;
-        P[i] = wall_p(wall, extra ? stiff * K[i] : K[i], (wall_shape){th + i, stride}, a, r);
+        P[i] = wall_p(wall, extra ? stiff * K[i] : K[i], (wall_shape){th + i, stride, added}, a, r);
         M[i] = alpha * qn * u;
         G[i] = (f_s[j] * r + f_c[j]) * u;
         if (extra) {
@@ -112,7 +127,7 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const i
             off_half[i] = offset[j] + e_half * memory - 0.5 * kappa[j] * (1.0 - e_half) * elastic;
         }
         double good = An > 0.0 ? 1.0 : 0.0;
-        good = wall_inside(wall, (wall_shape){th + i, stride}, a) ? good : 0.0;
+        good = wall_inside(wall, (wall_shape){th + i, stride, added}, a) ? good : 0.0;
         wrong |= good != 1.0;
     });
     return wrong;

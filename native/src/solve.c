@@ -112,6 +112,8 @@ const char *zoo_status_text(int32_t status)
         return "the beats did not become periodic within the limit";
     case ZOO_WORKSPACE:
         return "the workspace is too small, or memory is lacking";
+    case ZOO_WALL_FALLS:
+        return "with the function added to its wall a vessel's pressure does not rise with its area";
     default:
         return "unknown status";
     }

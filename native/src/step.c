@@ -18,21 +18,36 @@
 
 /* The parts of a step with law, lanes W and additions known to the compiler. */
 #define PARTS_OF_STEP(name, law, W, extra)                                                                   \
-    ZOO_CLONES static void half_##name(zoo_sim *s) { scheme_half(law, W, extra, s); }                        \
+    ZOO_CLONES static void half_##name(zoo_sim *s)                                                           \
+    {                                                                                                        \
+        scheme_half(law, W, extra, s);                                                                       \
+        if (extra && s->problem->fluid.friction_function.n_knots)                                            \
+            scheme_friction(W, s, s->n_nodes - 1, s->Ah, s->qh, s->inv_A0_mid, s->f_s_mid, s->f_c_mid, s->Gh); \
+    }                                                                                                        \
     ZOO_CLONES static void junctions_##name(zoo_sim *s)                                                      \
     {                                                                                                        \
         for (int g = 0; g < s->n_groups; g++)                                                                \
-            if (extra && s->coupled)                                                                         \
-                junction_total_pressure(law, W, s, &s->groups[g]);                                           \
+            if (extra && s->coupled && s->tables)                                                            \
+                junction_total_pressure(law, W, 1, s, &s->groups[g]);                                        \
+            else if (extra && s->coupled)                                                                    \
+                junction_total_pressure(law, W, 0, s, &s->groups[g]);                                        \
+            else if (extra && s->tables)                                                                     \
+                junction_body(law, W, extra, 1, s, &s->groups[g]);                                           \
             else                                                                                             \
-                junction_body(law, W, extra, s, &s->groups[g]);                                              \
+                junction_body(law, W, extra, 0, s, &s->groups[g]);                                           \
     }                                                                                                        \
     ZOO_CLONES static void ends_##name(zoo_sim *s, int step)                                                 \
     {                                                                                                        \
         outlet_advance(law, W, extra, s);                                                                    \
         inlet_advance(law, W, extra, s, step);                                                               \
     }                                                                                                        \
-    ZOO_CLONES static int full_##name(zoo_sim *s) { return scheme_full(law, W, extra, 1, s); }               \
+    ZOO_CLONES static int full_##name(zoo_sim *s)                                                            \
+    {                                                                                                        \
+        const int wrong = scheme_full(law, W, extra, 1, s);                                                  \
+        if (extra && s->problem->fluid.friction_function.n_knots)                                            \
+            scheme_friction(W, s, s->n_nodes, s->A, s->q, s->inv_A0, s->f_s, s->f_c, s->G);                  \
+        return wrong;                                                                                        \
+    }                                                                                                        \
     static int name(zoo_sim *s, int step)                                                                    \
     {                                                                                                        \
         half_##name(s);                                                                                      \
@@ -44,14 +59,21 @@
     PARTS_OF_STEP(plain_##name##_1, ZOO_WALL_##NAME, 1, 0)         \
     PARTS_OF_STEP(plain_##name##_n, ZOO_WALL_##NAME, ZOO_LANES, 0) \
     PARTS_OF_STEP(added_##name##_1, ZOO_WALL_##NAME, 1, 1)         \
-    PARTS_OF_STEP(added_##name##_n, ZOO_WALL_##NAME, ZOO_LANES, 1)
+    PARTS_OF_STEP(added_##name##_n, ZOO_WALL_##NAME, ZOO_LANES, 1) \
+    PARTS_OF_STEP(plain_##name##_function_1, ZOO_WALL_##NAME + ZOO_N_WALLS, 1, 0)         \
+    PARTS_OF_STEP(plain_##name##_function_n, ZOO_WALL_##NAME + ZOO_N_WALLS, ZOO_LANES, 0) \
+    PARTS_OF_STEP(added_##name##_function_1, ZOO_WALL_##NAME + ZOO_N_WALLS, 1, 1)         \
+    PARTS_OF_STEP(added_##name##_function_n, ZOO_WALL_##NAME + ZOO_N_WALLS, ZOO_LANES, 1)
 ZOO_WALLS(STEPS_OF_LAW, )
 
-#define STEP_OF_LAW(NAME, name, ...)                                                            \
-    case ZOO_WALL_##NAME:                                                                       \
-        if (s->extra)                                                                           \
-            return s->lanes == 1 ? added_##name##_1(s, step) : added_##name##_n(s, step);       \
+#define STEP_OF(number, name)                                                             \
+    case number:                                                                          \
+        if (s->extra)                                                                     \
+            return s->lanes == 1 ? added_##name##_1(s, step) : added_##name##_n(s, step); \
         return s->lanes == 1 ? plain_##name##_1(s, step) : plain_##name##_n(s, step);
+#define STEP_OF_LAW(NAME, name, ...) \
+    STEP_OF(ZOO_WALL_##NAME, name)   \
+    STEP_OF(ZOO_WALL_##NAME + ZOO_N_WALLS, name##_function)
 
 int zoo_step(zoo_sim *s, int step)
 {
@@ -73,6 +95,8 @@ void zoo_refresh_nodes(zoo_sim *s)
     if (s->extra && s->problem->wall.n_wave > 0)
         s->stiff = s->wave_node[0];
     (void)scheme_full(s->wall, s->lanes, s->extra, 0, s);
+    if (s->problem->fluid.friction_function.n_knots)
+        scheme_friction(s->lanes, s, s->n_nodes, s->A, s->q, s->inv_A0, s->f_s, s->f_c, s->G);
 }
 
 /* Largest (|u| + c)/dx of one lane, 1/s, c at the wall's largest stiffness of the beat; NaN when the

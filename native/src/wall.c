@@ -8,7 +8,7 @@
 
 const char *zoo_wall_name(int32_t law)
 {
-    switch (law) {
+    switch (law) { /* of a law alone */
         ZOO_WALLS(WALL_NAME, )
     default:
         return NULL;
@@ -17,12 +17,12 @@ const char *zoo_wall_name(int32_t law)
 
 int32_t zoo_wall_shapes(int32_t law)
 {
-    return wall_shapes(law);
+    return law < ZOO_N_WALLS ? wall_shapes(law) : -1;
 }
 
 const char *zoo_wall_shape_name(int32_t law, int32_t shape)
 {
-    return shape >= 0 && shape < wall_shapes(law) ? wall_shape_parameter(law, shape).name : NULL;
+    return shape >= 0 && shape < zoo_wall_shapes(law) ? wall_shape_parameter(law, shape).name : NULL;
 }
 
 /* A point of a wall: scale and coefficients from the parameters, area ratio; 0 where the law has no pressure. */
@@ -33,7 +33,7 @@ typedef struct {
 static int point_of(point *x, int law, double factor, double stiffness, const double *shape, double area,
                     double rest_area)
 {
-    const wall_shape given = {shape, 1}, g = {x->coefficient, 1};
+    const wall_shape given = {.at = shape, .stride = 1}, g = {.at = x->coefficient, .stride = 1};
     if (value_bad(stiffness) || value_bad(factor) || value_bad(rest_area) || law < 0 || law >= ZOO_N_WALLS || (wall_shapes(law) > 0 && shape == NULL) || !wall_usable(law, given))
         return 0;
     x->K = wall_scale(law, factor, stiffness, given);
@@ -49,7 +49,7 @@ double zoo_wall_pressure(int32_t law, double factor, double stiffness, const dou
     point x;
     if (!point_of(&x, law, factor, stiffness, shape, area, rest_area))
         return NAN;
-    return wall_p(law, x.K, (wall_shape){x.coefficient, 1}, x.a, sqrt(x.a));
+    return wall_p(law, x.K, (wall_shape){.at = x.coefficient, .stride = 1}, x.a, sqrt(x.a));
 }
 
 double zoo_wave_speed(int32_t law, double factor, double stiffness, const double *shape, double area,
@@ -58,7 +58,7 @@ double zoo_wave_speed(int32_t law, double factor, double stiffness, const double
     point x;
     if (!point_of(&x, law, factor, stiffness, shape, area, rest_area))
         return NAN;
-    const wall_shape g = {x.coefficient, 1};
+    const wall_shape g = {.at = x.coefficient, .stride = 1};
     double root = sqrt(x.a), p = wall_p(law, x.K, g, x.a, root);
     return sqrt(x.a * wall_slope(law, x.K, g, p, x.a, root) / density);
 }

@@ -137,7 +137,7 @@ static inline void tree_add(tree *t, additions *x)
     t->problem.wall.n_wave = 5;
     t->problem.wall.stiffness_wave = x->wave;
     t->problem.throat = (zoo_throat){x->severity, x->position, x->length, 1.52};
-    t->problem.junction = (zoo_junction){1.0, 2.0};
+    t->problem.junction = (zoo_junction){.total_pressure = 1.0, .loss = 2.0};
     t->problem.outlet.kind = ZOO_OUTLET_CIRCUIT;
     t->problem.outlet.inertance = x->inertance;
     t->problem.outlet.n_sections = 3;

@@ -56,7 +56,7 @@ static void rest(int wall, int falls, int coupled)
     one.problem.fluid.leak = NULL;
     one.problem.wall.n_wave = 0;
     if (!coupled)
-        one.problem.junction = (zoo_junction){0.0, 0.0};
+        one.problem.junction = (zoo_junction){.total_pressure = 0.0, .loss = 0.0};
     tree_open(&one, 1, 4096);
     zoo_sim *s = &one.sim;
     for (int j = 0; j < s->n_nodes; j++) {
@@ -91,7 +91,7 @@ static void balance(int wall, int coupled)
     tree_make(&one, wall);
     tree_add(&one, &x);
     if (!coupled)
-        one.problem.junction = (zoo_junction){0.0, 0.0};
+        one.problem.junction = (zoo_junction){.total_pressure = 0.0, .loss = 0.0};
     tree_open(&one, 1, 4096);
     zoo_sim *s = &one.sim;
     zoo_start(s);

@@ -15,7 +15,7 @@ static void relation(int wall, int added, int coupled, int alike)
     }
     if (added)
         tree_add(&one, &x);
-    one.problem.junction = (zoo_junction){coupled, 2.0 * coupled};
+    one.problem.junction = (zoo_junction){.total_pressure = coupled, .loss = 2.0 * coupled};
     tree_open(&one, 1, 4096);
     zoo_sim *s = &one.sim;
     CHECK(s->uniform == alike && s->coupled == coupled);
@@ -42,7 +42,7 @@ static void stuck(int wall)
 {
     enum { BAD = 3 };
     tree_make(&one, wall);
-    one.problem.junction = (zoo_junction){1.0, 2.0};
+    one.problem.junction = (zoo_junction){.total_pressure = 1.0, .loss = 2.0};
     tree_open(&one, ZOO_LANES, 1600);
     zoo_sim *s = &one.sim;
     zoo_start(s);

@@ -12,7 +12,7 @@ static void spread(int law)
     CHECK(!s->uniform);
     for (int l = 0; l < W; l++)
         for (int k = 0; k < NV; k++) {
-            const wall_shape given = {t.shape + l * n * NV + k, NV};
+            const wall_shape given = {.at = t.shape + l * n * NV + k, .stride = NV};
             for (int j = s->first[k]; j <= s->last[k]; j++) {
                 NEAR(s->K[j * W + l], wall_scale(law, 1.0, t.stiffness[l * NV + k], given), 0.0);
                 for (int m = 0; m < n; m++)

@@ -6,7 +6,7 @@ static void any_law(int law)
 {
     const double chi = 6e4, A0 = 0.3, rho = 1.055, k = 1.0 / ZOO_PI;
     double given[ZOO_MOST_SHAPES], made[ZOO_MOST_SHAPES];
-    const wall_shape typical = {given, 1}, g = {made, 1};
+    const wall_shape typical = {.at = given, .stride = 1}, g = {.at = made, .stride = 1};
     for (int m = 0; m < wall_shapes(law); m++)
         given[m] = wall_shape_parameter(law, m).typical;
     for (int m = 0; m < wall_shapes(law); m++)

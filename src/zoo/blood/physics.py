@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.blood.functions import FrictionFunction, JunctionFunction, KnotFunction, WallFunction
 from zoo.blood.network import Network
 from zoo.blood.solve_errors import SolverArgumentError
 from zoo.blood.study import ReadOnlyArrays, Study, read_only
 from zoo.blood.units import mmhg_to_cgs
-from zoo.core.arrays import real_array, real_number
+from zoo.core.arrays import real_array, real_number, shown
 
 Array = NDArray[np.float64]
 
@@ -56,6 +57,11 @@ _ZERO = (
 _PER_TIME = {"stiffness_wave": (0.0, False, "positive")}
 _LIMITS = {"throat_severity": 1.0 - 1e-9, "throat_position": 1.0}
 _SECTIONS = ("section_resistance", "section_compliance")
+_FUNCTIONS: dict[str, type[KnotFunction]] = {
+    "wall_function": WallFunction,
+    "friction_function": FrictionFunction,
+    "junction_function": JunctionFunction,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +120,14 @@ class Physics(ReadOnlyArrays):
     throat_loss : float
         K_t: over the throat, pressure falls by a further K_t rho/2 (A0/A0_throat - 1)^2 (q/A0)^2, A0 the
         area at rest without the throat, A0_throat at its narrowest.
+    wall_function : WallFunction
+        delta(s) in p = K (law(A/A0) + delta(sqrt(A/A0))), one function for all vessels, K each vessel's own.
+    friction_function : FrictionFunction
+        phi(abs(u)), factor of both frictions, one function for all vessels.
+    junction_function : JunctionFunction
+        D(u): each daughter's inlet has D(u) less pressure than the parent's end, u the parent's, beside what
+        `junction_loss` takes. Functions whose values are all nothing (0, or 1 as the factor of friction) are
+        as if not given.
 
     Raises
     ------
@@ -147,6 +161,9 @@ class Physics(ReadOnlyArrays):
     throat_position: Array | None = None
     throat_length: Array | None = None
     throat_loss: float = 1.52
+    wall_function: WallFunction | None = None
+    friction_function: FrictionFunction | None = None
+    junction_function: JunctionFunction | None = None
 
     def __post_init__(self) -> None:
         for name, (low, closed, words) in _NUMBERS.items():
@@ -170,6 +187,12 @@ class Physics(ReadOnlyArrays):
                 where = np.unravel_index(int(np.argmin(good)), good.shape)
                 at = ", ".join(str(int(i)) for i in where)
                 raise SolverArgumentError(f"physics: {name}[{at}] = {values[where]}: must be {words}")
+        for name, kind in _FUNCTIONS.items():
+            given = getattr(self, name)
+            if given is not None and not isinstance(given, kind):
+                raise SolverArgumentError(
+                    f"physics: {name} = {shown(given)}: must be a {kind.__name__}(low, high, values)"
+                )
         if (self.section_resistance is None) != (self.section_compliance is None):
             raise SolverArgumentError(
                 "physics: section_resistance and section_compliance must be given together"
@@ -201,6 +224,8 @@ class Physics(ReadOnlyArrays):
             self.total_pressure != 0,
             self.junction_loss != 0,
         ]
+        for name in _FUNCTIONS:
+            away.append(getattr(self, name) is not None and getattr(self, name).changes)
         for name in _ZERO:
             away.append(getattr(self, name) is not None and np.any(getattr(self, name) != 0))
         if self.section_resistance is not None and self.section_compliance is not None:
@@ -216,6 +241,8 @@ class Physics(ReadOnlyArrays):
             value = getattr(self, field.name)
             if isinstance(value, np.ndarray):
                 given[field.name] = value.tolist()
+            elif isinstance(value, KnotFunction):
+                given[field.name] = asdict(value)
             elif value != field.default:
                 given[field.name] = value
         return given

@@ -46,6 +46,12 @@ class WallLimitError(SolverError):
     status = "wall-limit"
 
 
+class WallFallsError(SolverError):
+    """With a function added to its wall a vessel's pressure does not rise with its area."""
+
+    status = "wall-falls"
+
+
 class RootError(SolverError):
     """A junction or an outlet has no pressure that satisfies its equations."""
 

@@ -23,6 +23,7 @@ from zoo.blood.solve_errors import (
     RootError,
     SolverArgumentError,
     SolverError,
+    WallFallsError,
     WallLimitError,
 )
 from zoo.blood.solver_input import SolverOptions as SolverOptions
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ABI = 4
+ABI = 5
 if getattr(lib, "ZOO_ABI", 1) != ABI:
     raise ImportError(
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
@@ -74,6 +75,7 @@ STATUS_NAMES: dict[int, str] = {
     lib.ZOO_NO_ROOT: "no-root",
     lib.ZOO_NOT_PERIODIC: "not-periodic",
     lib.ZOO_WORKSPACE: "workspace",
+    lib.ZOO_WALL_FALLS: "wall-falls",
 }
 PARAMETERS = ("stiffness", "gamma", "psi1", "psi2", "c")
 PUBLISHED_CELLS_PER_CM = 40
@@ -95,6 +97,7 @@ _ERRORS: dict[int, tuple[type[SolverError], str]] = {
         NotPeriodicError,
         "raise max_beats or tolerance_mmHg, or shorten the decay: lower psi2 or c, or raise the stiffness",
     ),
+    lib.ZOO_WALL_FALLS: (WallFallsError, "lower the slope of wall_function where it falls"),
 }
 
 
@@ -443,6 +446,15 @@ class Solver:
         throat.loss = added.throat_loss
 
         problem.junction.total_pressure, problem.junction.loss = added.total_pressure, added.junction_loss
+
+        for struct, function in (
+            (wall.function, added.wall_function),
+            (fluid.friction_function, added.friction_function),
+            (problem.junction.function, added.junction_function),
+        ):
+            if function is not None and function.changes:
+                struct.n_knots, struct.low, struct.high = len(function.values), function.low, function.high
+                struct.values = reals(function.values, "values", len(function.values))
 
         circuit = added.inertance is not None or added.section_resistance is not None
         outlet.kind = OUTLETS["circuit" if circuit else "windkessel"]
