@@ -8,6 +8,7 @@ from zoo.plots.blindcheck import plot_accuracy, plot_confusion, plot_reliability
 from zoo.plots.calibration import calibration_figure, truth_figure
 from zoo.plots.chains import pair_figure, rank_figure, trace_figure
 from zoo.plots.comparison import comparison_figure
+from zoo.plots.components import plot_components, plot_functions
 from zoo.plots.diagnosis import plot_diagnosis, plot_discrepancy, plot_hypotheses, plot_where
 from zoo.plots.fit import fit_figure
 from zoo.plots.posteriors import forest_figure, intervals_figure, posteriors_figure
@@ -41,9 +42,11 @@ __all__ = [
     "models_figure",
     "pair_figure",
     "plot_accuracy",
+    "plot_components",
     "plot_confusion",
     "plot_diagnosis",
     "plot_discrepancy",
+    "plot_functions",
     "plot_hypotheses",
     "plot_reliability",
     "plot_sizes",

@@ -14,8 +14,17 @@ from zoo.core.diagnosis import DiagnosisFile
 from zoo.core.diagnosis.file import AddedStep, HypothesisResult, SeriesGap
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.core.outputs import output_folder
-from zoo.plots import plot_diagnosis, plot_discrepancy, plot_hypotheses, plot_where, save_figure
+from zoo.plots import (
+    plot_components,
+    plot_diagnosis,
+    plot_discrepancy,
+    plot_functions,
+    plot_hypotheses,
+    plot_where,
+    save_figure,
+)
 from zoo.plots.subject import at_most, location_of, study_of, unit_words
+from zoo.report.components import component_rows, component_sentences, function_rows
 from zoo.report.page import picture_of, write_page
 from zoo.report.parameters import MEANINGS
 from zoo.report.words import estimate, listed, maybe, percent, settings_text, span, value_text
@@ -41,6 +50,20 @@ DIAGNOSIS_FIGURES = {
     ),
 }
 """Figure -> what draws it, and its caption."""
+COMPONENT_FIGURES = {
+    "components": (
+        plot_components,
+        "Probability that a component holds the main cause, the share of the discrepancy's energy that it "
+        "holds beside all others, and the discrepancy that it would leave, with 95 % intervals; hollow: "
+        "held-out data do not confirm it.",
+    ),
+    "functions": (
+        plot_functions,
+        "What was learned of the most probable components beside the baseline (0), with 95 % bands; grey: "
+        "95 % of the prior.",
+    ),
+}
+"""The same where components of the simulator were weighed."""
 MADE_UP = {
     NULL: "Null hypothesis: noise explains what the baseline leaves.",
     NONPARAMETRIC: "Nonparametric discrepancy: something smooth that is not listed.",
@@ -49,8 +72,9 @@ MADE_UP = {
 
 
 def diagnosis_files() -> tuple[str, ...]:
-    """Names of the files that `write_diagnosis` writes."""
-    return "diagnosis.json", "report.html", *(f"{name}.png" for name in DIAGNOSIS_FIGURES), "diagnosis.png"
+    """Names of the files that `write_diagnosis` writes, those on components included."""
+    figures = (*DIAGNOSIS_FIGURES, *COMPONENT_FIGURES, "diagnosis")
+    return "diagnosis.json", "report.html", *(f"{name}.png" for name in figures)
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = "") -> list[Path]:
@@ -77,7 +101,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
     folder = output_folder(folder, diagnosis_files())
     written = [diagnosis.save(folder), folder / "report.html"]
     pictures = {}
-    for name, (draw, caption) in DIAGNOSIS_FIGURES.items():
+    figures = DIAGNOSIS_FIGURES | (COMPONENT_FIGURES if diagnosis.file.components else {})
+    for name, (draw, caption) in figures.items():
         if name == "where" and study_of(diagnosis) is None:
             caption = (
                 "Shares of the discrepancy's energy, and the probability of each location of a listed cause."
@@ -99,6 +124,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
         where=_where_sentences(file),
         hypotheses=[_hypothesis_row(h, file) for h in file.hypotheses],
         groups=_groups(file),
+        components=component_rows(file),
+        component_sentences=component_sentences(file),
+        functions=function_rows(file),
         moved=_moved(file),
         steps=[_step_row(step, file) for step in file.steps],
         posteriors=_posterior_rows(file),
