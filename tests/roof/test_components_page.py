@@ -11,8 +11,10 @@ from drawn import texts
 from pages import read
 
 from zoo import plots, report
+from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis
 from zoo.core.diagnosis.file import ComponentResult
+from zoo.plots.impedance import impedance_figure, impedances_of
 
 
 def interval(mean: float) -> dict[str, float]:
@@ -72,7 +74,7 @@ def found(one: Diagnosis) -> Diagnosis:
 
 def test_rows_are_those_of_the_file_most_probable_first(found: Diagnosis, tmp_path: Path) -> None:
     written = report.write_diagnosis(found, tmp_path)
-    assert {p.name for p in written} == set(report.diagnosis_files())
+    assert {p.name for p in written} | {"impedance.png"} == set(report.diagnosis_files())
     text = read(tmp_path / "report.html").text
     rows = report.components.component_rows(found.file)
     assert [row["name"] for row in rows] == ["wall", "geometry"]
@@ -92,7 +94,7 @@ def test_rows_are_those_of_the_file_most_probable_first(found: Diagnosis, tmp_pa
 def test_without_components_the_page_has_no_such_chapter(one: Diagnosis, tmp_path: Path) -> None:
     none = replace(one, file=one.file.model_copy(update={"components": []}))
     written = {p.name for p in report.write_diagnosis(none, tmp_path)}
-    assert {"components.png", "functions.png"} == set(report.diagnosis_files()) - written
+    assert {"components.png", "functions.png"} == set(report.diagnosis_files()) - written - {"impedance.png"}
     assert "Which component" not in read(tmp_path / "report.html").text
 
 
@@ -110,3 +112,29 @@ def test_the_figures_carry_the_numbers(found: Diagnosis) -> None:
     np.testing.assert_array_equal(line.get_ydata(), [0.0, 0.25, 0.5])
     assert curve.get_ylabel() == "tube law (mmHg)"
     assert [t.get_text() for t in places.get_xticklabels()] == ["1", "2", "7"]
+
+
+def test_the_impedance_is_drawn_where_the_roots_pressure_is_observed(one: Diagnosis, tmp_path: Path) -> None:
+    found = impedances_of(one)
+    assert list(found) == ["measured", "baseline", "baseline + viscoelastic-wall"]
+    own = found["measured"]
+    # the cause that is true is nearer than the baseline where the flow is not weak
+    told = ~own.weak & (np.arange(len(own.value)) > 0) & (np.arange(len(own.value)) < 6)
+    misses = [
+        np.abs(found[name].value - own.value)[told].sum()
+        for name in ("baseline + viscoelastic-wall", "baseline")
+    ]
+    assert misses[0] < misses[1]
+    modulus, phase = impedance_figure(found).axes
+    np.testing.assert_array_equal(modulus.get_lines()[2].get_ydata(), found["baseline"].modulus)
+    np.testing.assert_array_equal(phase.get_lines()[2].get_ydata(), found["baseline"].phase)
+    assert "impedance.png" in {p.name for p in report.write_diagnosis(one, tmp_path)}
+    nowhere = replace(one, data=replace_outputs(one))
+    assert impedances_of(nowhere) == {}
+
+
+def replace_outputs(d: Diagnosis) -> Data:
+    data = d.data
+    return Data(
+        data.times, data.values, groups=data.groups, period=data.period, outputs=[(1, 1.0, "flow_ml_s")]
+    )

@@ -23,6 +23,7 @@ from zoo.plots import (
     plot_where,
     save_figure,
 )
+from zoo.plots.impedance import impedance_figure, impedances_of
 from zoo.plots.subject import at_most, location_of, study_of, unit_words
 from zoo.report.components import component_rows, component_sentences, function_rows
 from zoo.report.page import picture_of, write_page
@@ -72,8 +73,8 @@ MADE_UP = {
 
 
 def diagnosis_files() -> tuple[str, ...]:
-    """Names of the files that `write_diagnosis` writes, those on components included."""
-    figures = (*DIAGNOSIS_FIGURES, *COMPONENT_FIGURES, "diagnosis")
+    """Names of the files that `write_diagnosis` may write; components and impedance are not always there."""
+    figures = (*DIAGNOSIS_FIGURES, *COMPONENT_FIGURES, "impedance", "diagnosis")
     return "diagnosis.json", "report.html", *(f"{name}.png" for name in figures)
 
 
@@ -109,6 +110,14 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
             )
         written.append(save_figure(draw(diagnosis), folder / f"{name}.png"))
         pictures[name] = picture_of(written[-1], f"{caption} The tables have the numbers.", caption)
+    impedances = impedances_of(diagnosis)
+    if impedances:
+        caption = (
+            "Input impedance at the root, by harmonic: observed pressure over the recorded inflow, with 95 % "
+            "intervals, and as modelled; hollow: the flow's harmonic is nearly zero."
+        )
+        written.append(save_figure(impedance_figure(impedances), folder / "impedance.png"))
+        pictures["impedance"] = picture_of(written[-1], caption, caption)
     written.append(save_figure(plot_diagnosis(diagnosis), folder / "diagnosis.png"))
     file = diagnosis.file
     write_page(
@@ -127,6 +136,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
         components=component_rows(file),
         component_sentences=component_sentences(file),
         functions=function_rows(file),
+        spikes=impedances["measured"].sentences() if impedances else [],
         moved=_moved(file),
         steps=[_step_row(step, file) for step in file.steps],
         posteriors=_posterior_rows(file),
