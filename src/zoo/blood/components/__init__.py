@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from zoo.blood.components import fluid, geometry, inflow, outlets, sensor, wall
+from zoo.blood.components import fluid, geometry, inflow, junctions, outlets, sensor, wall
 from zoo.blood.components.plausibility import plausible
 from zoo.blood.components.setting import Setting
 from zoo.core.components import FreeFunction
@@ -59,7 +59,7 @@ def components(model: Any, theta: ArrayLike, data: Data) -> tuple[FreeFunction, 
         If the model has no solution at these parameters.
     """
     setting = Setting(model, model.configure(np.asarray(theta, dtype=np.float64)), data)
-    modules = (inflow, wall, outlets, fluid, geometry, sensor)
+    modules = (inflow, wall, outlets, fluid, junctions, geometry, sensor)
     return tuple(function for module in modules for function in module.functions(setting))
 
 

@@ -51,8 +51,8 @@ LIMITS = {
     ),
     "wall-law": Limit(
         2.0,
-        "the wall's pressure would have to differ from the law's",
-        "arteries stiffen as they are stretched, to about twice the linear law's slope at these pressures",
+        "the slope of the wall's law would have to differ",
+        "arteries stiffen as they are stretched, to about twice the linear law's slope at these stretches",
     ),
     "wall-in-time": Limit(
         2.0,
@@ -173,4 +173,6 @@ def amount(size: float, unit: str) -> str:
     if unit.startswith("log "):
         factor = float(factors(size))
         return f"{100 * (factor - 1):.3g} %" if factor < 2 else f"a factor of {factor:.3g}"
+    if unit == "dynamic pressure":
+        return f"{size:.3g} times the dynamic pressure"
     return f"{1e3 * size:.3g} ms" if unit == "s" else f"{size:.3g} {unit}".removesuffix(" 1")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.blood.case import Case
+from zoo.blood.case import Case, simulate
 from zoo.core.data import Data
 
 Array = NDArray[np.float64]
@@ -19,6 +20,12 @@ GAIN_KNOTS, DELAY_KNOTS, RADIUS_KNOTS = 10, 6, 6
 GAIN_LENGTHS = (0.35, 0.7, 1.4)
 DELAY_LENGTHS = (0.7, 1.4, 2.8)
 RADIUS_LENGTHS = (0.3, 0.6, 1.2)
+SAMPLES = 256
+"""Of a beat, where the ranges are read off that a function's argument has."""
+RANGE_MARGIN = 0.15
+"""Part of such a range by which knots go beyond it."""
+RANGE_LENGTHS = (0.25, 0.5, 1.0)
+"""Correlation lengths over a range, as parts of it."""
 FREQUENCY, FREQUENCY_UNIT = "log frequency", "log Hz"
 RADIUS, RADIUS_UNIT = "log radius", "log cm"
 
@@ -71,3 +78,36 @@ class Setting:
         """Observed pressures, mmHg, all in one; None without any."""
         rows = self.data.rows.get("pressure_mmHg")
         return None if not rows else np.asarray(self.data.values[rows]).ravel()
+
+    @cached_property
+    def beat(self) -> dict[str, Array]:
+        """Stretch sqrt(A/A0) and velocity (cm/s) over the beat, (n_vessels, 2, n_times).
+
+        At the inlets and outlets of the vessels; what sensors do to the waves is left out.
+
+        Raises
+        ------
+        SolveError
+            If the solve fails.
+        """
+        network = self.case.network
+        names = ("flow_ml_s", "area_cm2")
+        places = [(int(v), end, name) for name in names for v in network.ids for end in (0.0, 1.0)]
+        times = np.arange(SAMPLES) * (self.period_s / SAMPLES)
+        plain = replace(self.case, waves=(), coarse_blend=0.0)
+        flow, area = simulate(plain, places, times).reshape(2, len(network.ids), 2, SAMPLES)
+        radius = np.stack([network.radius_in_cm, network.radius_out_cm], axis=1)
+        stretch = np.sqrt(area / (math.pi * radius[..., None] ** 2))
+        return {"stretch": stretch, "velocity": flow / area}
+
+
+def range_knots(values: Array, n: int) -> Array:
+    """n knots over the range of values and `RANGE_MARGIN` beyond on both sides."""
+    low, high = float(np.min(values)), float(np.max(values))
+    margin = RANGE_MARGIN * (high - low)
+    return np.linspace(low - margin, high + margin, n)
+
+
+def range_lengths(at: Array) -> tuple[float, ...]:
+    """`RANGE_LENGTHS` of the range of knots."""
+    return tuple(part * float(at[-1] - at[0]) for part in RANGE_LENGTHS)

@@ -1,0 +1,59 @@
+"""What the junctions may lack."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.blood.case import Case, with_physics
+from zoo.blood.components.curves import curve
+from zoo.blood.components.setting import Setting, range_knots, range_lengths
+from zoo.blood.functions import JunctionFunction
+from zoo.core.components import FreeFunction
+
+Array = NDArray[np.float64]
+LOSS_KNOTS = 8
+LOSS_SIZE = 0.5
+FINE_KNOTS = 33
+"""Of the solver's function."""
+
+
+def lost_pressure(case: Case, values: Array, at: Array) -> Case:
+    """D(u) = k(u) (u/U) rho U^2/2, k a curve through values at velocities (cm/s), U the largest of these."""
+    velocities = np.linspace(at[0], at[-1], FINE_KNOTS)
+    largest = float(np.max(np.abs(at)))
+    loss = curve(at, velocities) @ values * velocities * (0.5 * case.network.density * largest)
+    made = JunctionFunction(float(at[0]), float(at[-1]), tuple(loss))
+    old = case.physics.junction_function
+    if old is not None and old.changes:
+        knots = np.linspace(min(old.low, made.low), max(old.high, made.high), 2 * FINE_KNOTS)
+        made = JunctionFunction(float(knots[0]), float(knots[-1]), tuple(old(knots) + made(knots)))
+    return with_physics(case, junction_function=made)
+
+
+def functions(setting: Setting) -> tuple[FreeFunction, ...]:
+    """The loss by velocity; nothing in a tree without junctions."""
+    network = setting.case.network
+    parents = np.unique(network.parent[network.parent >= 0])
+    if not len(parents):
+        return ()
+    velocities = range_knots(np.append(setting.beat["velocity"][parents, 1], 0.0), LOSS_KNOTS)
+    return (
+        FreeFunction(
+            "junction-loss",
+            "junctions",
+            velocities,
+            LOSS_SIZE,
+            functools.partial(lost_pressure, at=velocities),
+            "velocity",
+            "cm/s",
+            "dynamic pressure",
+            why="half of the dynamic pressure at the largest velocity: losses at a branching are of the "
+            "order of the dynamic pressure (Mynard & Valen-Sendstad 2015, doi 10.1002/cnm.2717)",
+            lengths=range_lengths(velocities),
+            equation="p(daughter) = p(parent) - k(u) (u/U) rho U^2/2, u the parent's, U its largest; a "
+            "constant k is a loss in proportion to u, k as u one as u^2",
+        ),
+    )
