@@ -105,6 +105,14 @@ def pair_of(shares: Shares) -> tuple[str, ...]:
     return tuple(name for _, name in sorted(certain, reverse=True))
 
 
+def visible(block: Block, length: float | None, S: Array) -> Array:
+    """Responses (n, m) to the weights of a function of sd 1, of those that may rise above the noise."""
+    response = block.columns @ block.function.root(length)
+    seen = LARGEST_SCALE * block.function.size * response / np.sqrt(S)[:, None]
+    _, sizes, directions = np.linalg.svd(seen, full_matrices=False)
+    return np.asarray(response @ directions[sizes > UNSEEN].T)
+
+
 class _Function:
     """The responses to a function's visible weights, standard normal ones times its scale, by length."""
 
@@ -112,12 +120,7 @@ class _Function:
         function = block.function
         self.name, self.component, self.size = function.name, function.component, function.size
         self.lengths = function.lengths or (None,)
-        self.responses = []
-        for length in self.lengths:
-            response = block.columns @ function.root(length)
-            seen = LARGEST_SCALE * self.size * response / np.sqrt(S)[:, None]
-            _, sizes, directions = np.linalg.svd(seen, full_matrices=False)
-            self.responses.append(response @ directions[sizes > UNSEEN].T)
+        self.responses = [visible(block, length, S) for length in self.lengths]
         self.log_scale, self.at = math.log(self.size), 0
 
     @property
