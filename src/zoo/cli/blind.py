@@ -195,7 +195,14 @@ def score(
 
 def _score_summary(found: CheckScore) -> list[Any]:
     from zoo.core.blindcheck.rates import FULL_BIN
-    from zoo.core.blindcheck.tables import HEADLINES, MEANS, constant_text, rate_text, size_rows
+    from zoo.core.blindcheck.tables import (
+        HEADLINES,
+        MEANS,
+        component_rows,
+        constant_text,
+        rate_text,
+        size_rows,
+    )
 
     s, best = found.summary, found.constants
     title = f"{s['n']} cases, {s['failed']} without an answer"
@@ -209,6 +216,8 @@ def _score_summary(found: CheckScore) -> list[Any]:
         table.add_row(*row)
     for name, words in MEANS:
         table.add_row(words, f"{s[name]:.3f}", constant_text(best[name]))
+    for row in component_rows(found.components):
+        table.add_row(*row)
     full = [b for b in found.reliability if b.n >= FULL_BIN]
     table.add_row(
         f"bins of stated probability with {FULL_BIN} cases or more that lie within their band",

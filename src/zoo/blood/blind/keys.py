@@ -10,8 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from zoo.blood.blind.causes import CAUSES
+from zoo.blood.blind.learned import Truth
+from zoo.blood.blind.other_tables import other_tables
+from zoo.blood.blind.outside import OUTSIDE
+from zoo.blood.components import component_of
 from zoo.blood.effects import CATALOGUE
-from zoo.core.blindcheck.keys import CaseKey, TrueEffect
+from zoo.core.blindcheck.keys import PAIR, CaseKey, TrueEffect
 from zoo.core.blindcheck.sealing import KEY_DIGEST, BlindError, read_sealed
 from zoo.core.diagnosis.hypothesis import CORRELATED, NULL
 from zoo.core.effects import Location
@@ -55,11 +60,12 @@ def own_key(entry: Mapping[str, Any]) -> CaseKey:
             e["vessel"],
             e["subtree"],
             next(iter(e["amplitudes"].values())),
-            next(iter(e["priors_95"].values())),
+            next(iter(e.get("priors_95", {}).values()), None),
         )
         for e in entry["effects"]
     )
     noise = entry["noise"]
+    layout = {"layout": entry["layout"], "network": entry["network"]["kind"]}
     return CaseKey(
         entry["case"],
         entry["kind"],
@@ -69,12 +75,32 @@ def own_key(entry: Mapping[str, Any]) -> CaseKey:
         entry["gap_mmHg"]["before"],
         np.array([[float(x) for x in row.split()] for row in entry["truth"].values()]),
         entry["digest"],
-        {"layout": entry["layout"], "network": entry["network"]["kind"]},
+        {**layout, "series": series_words(len(entry["truth"]))},
+        tuple(dict.fromkeys(filter(None, (_component(e["effect"]) for e in entry["effects"])))),
+        _truth(entry.get("functions"), [e["effect"] for e in entry["effects"]]),
     )
+
+
+def series_words(many: int) -> str:
+    """How many series a case has, for the tables of a score."""
+    return {1: "one", 2: "two"}.get(many, "three or more")
+
+
+def _component(effect: str) -> str:
+    """Component of a cause or an effect; empty where it has none."""
+    if effect in CAUSES:
+        return CAUSES[effect].component
+    return component_of(OUTSIDE[effect] if effect in OUTSIDE else CATALOGUE[effect])
+
+
+def _truth(tables: Sequence[Mapping[str, Any]] | None, causes: Sequence[str]) -> Truth | None:
+    return Truth(tables, tuple(causes)) if tables else None
 
 
 def other_key(entry: Mapping[str, Any]) -> CaseKey:
     """From a key that was made elsewhere: a file for each case, names with underscores."""
+    if "components" in entry:
+        return _other_component_key(entry)
     name = (entry["effect"] or NULL).replace("_", "-")
     kind = "none" if name == NULL else "listed" if entry["in_library"] else "outside"
     name = OTHER_NAMES.get(name, name) if kind == "listed" else name
@@ -94,8 +120,33 @@ def other_key(entry: Mapping[str, Any]) -> CaseKey:
         return float(np.mean(np.square(values)))
 
     before = math.sqrt(mean_square(entry["base_fit"]["rms_noisefree_mmHg"]))
-    tags = {"layout": entry["layout"], "network": "mouse"}
-    return CaseKey(entry["case"], kind, name, effects, noise, before, tags=tags)
+    many = 1 if entry["layout"] == "MPA" else 3
+    tags = {"layout": entry["layout"], "network": "mouse", "series": series_words(many)}
+    components = (_component(name),) if kind == "listed" and _component(name) else ()
+    return CaseKey(entry["case"], kind, name, effects, noise, before, tags=tags, components=components)
+
+
+def _other_component_key(entry: Mapping[str, Any]) -> CaseKey:
+    """From a key made elsewhere of a cause that is known by its component."""
+    names = [e["effect"].replace("_", "-") for e in entry["effects"]]
+    components = tuple(entry["components"])
+    kind = "none" if not names else "component" if len(components) == 1 else PAIR
+    pressures = [i for i, (_, _, q) in enumerate(entry["observed"]) if q == "pressure_mmHg"]
+    white, correlated = (entry["noise"][name][pressures[0]] for name in ("white_sd", "ar1_sd"))
+    rms = [entry["base_fit"]["rms_noisefree"][i] for i in pressures]
+    many = series_words(len(entry["observed"]))
+    return CaseKey(
+        entry["case"],
+        kind,
+        "+".join(names) or NULL,
+        tuple(TrueEffect(name) for name in names),
+        math.hypot(white, correlated),
+        math.sqrt(float(np.mean(np.square(rms)))),
+        np.array([one["values"] for one in entry["noise_free"]]),
+        tags={"layout": entry["layout"], "network": entry["tree"]["kind"], "series": many},
+        components=components,
+        functions=_truth(other_tables(entry), names),
+    )
 
 
 def read_key(key: str | Path, answers: str | Path) -> tuple[list[CaseKey], bool]:

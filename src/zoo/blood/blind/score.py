@@ -7,6 +7,8 @@ from pathlib import Path
 
 from zoo.blood.blind.keys import read_key
 from zoo.blood.blind.run import read_case_facts, read_fitted
+from zoo.blood.components import component_of
+from zoo.blood.effects import CATALOGUE
 from zoo.core.blindcheck.answers import Answer, as_answer
 from zoo.core.blindcheck.check_score import CheckScore, score_answers
 from zoo.core.blindcheck.running import read_answers
@@ -15,7 +17,7 @@ from zoo.core.blindcheck.tables import SCORE_FILES, write_score
 from zoo.core.diagnosis import read_diagnosis
 from zoo.core.outputs import output_folder
 
-BY = ("kind", "layout", "effect", "gap", "network")
+BY = ("kind", "layout", "series", "effect", "gap", "network")
 GAP_EDGES = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, math.inf)
 """Of the bins of model discrepancy, mmHg."""
 
@@ -25,7 +27,9 @@ def read_answer(folder: Path) -> Answer:
     found, facts = read_diagnosis(folder), read_case_facts(folder)
     if facts["checksum"] != found.study_checksum:
         raise BlindError(f"{folder / 'case.json'}: is of another case; make it again with `zoo blind run`")
-    return as_answer(found, facts["parents"], read_fitted(folder, found.study_checksum))
+    fitted = read_fitted(folder, found.study_checksum)
+    belongs = {name: component_of(effect) for name, effect in CATALOGUE.items()}
+    return as_answer(found, facts["parents"], fitted, belongs)
 
 
 def score_cases(answers: str | Path, key: str | Path, out: str | Path) -> CheckScore:

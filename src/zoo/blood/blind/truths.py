@@ -117,13 +117,17 @@ def true_functions(
     net, old = after.network, before.network
     ids = [str(int(i)) for i in net.ids]
 
-    def of_vessels(component: str, name: str, values: Array, which: Array | None = None) -> None:
+    def of_vessels(component: str, name: str, values: Array, which: NDArray[Any] | None = None) -> None:
         some = np.arange(len(ids)) if which is None else which
         if np.any(np.abs(values[some]) > 1e-12):
+            radius = numbers(0.5 * (old.radius_in_cm + old.radius_out_cm)[some])
             names = [ids[i] for i in some]
             found.append(
-                table(component, name, "vessel", "1", "1", net.ids[some], values[some], labels=names)
-            )
+                table(
+                    component, name, "vessel", "1", "1", net.ids[some], values[some], labels=names,
+                    radius_cm=radius,
+                )
+            )  # fmt: skip
 
     if np.any(after.inflow_ml_s != before.inflow_ml_s):
         change = after.inflow_ml_s - before.inflow_ml_s
@@ -148,6 +152,10 @@ def true_functions(
             x = _grid(limits)
             values = function(x) - (1.0 if component == "fluid" else 0.0)
             found.append(table(component, name, *words, x, values))
+    at = net.terminals
+    of_vessels("outlets", "log-first-resistance", np.log(after.psi1 / before.psi1), at)
+    of_vessels("outlets", "log-resistance", np.log(after.psi2 / before.psi2), at)
+    of_vessels("outlets", "log-compliance", np.log(after.c / before.c), at)
     omega: Array = np.asarray(2 * math.pi / net.period_s * np.arange(HARMONICS + 1), dtype=np.float64)
     true, nominal = impedance(after, omega), impedance(before, omega)
     if not np.allclose(true, nominal, rtol=1e-12):

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.diagnosis.diagnosis import Diagnosis
+from zoo.core.diagnosis.file import ComponentResult
+from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.core.effects import EVERYWHERE, Location
 
 Array = NDArray[np.float64]
@@ -53,6 +55,60 @@ class Size:
     mean: float
     low: float
     high: float
+
+
+@dataclass(frozen=True, eq=False)
+class StatedFunction:
+    """A function that a component lacks, as a diagnosis states it.
+
+    Parameters
+    ----------
+    name, unit : str
+    at : array (n,)
+        Its points.
+    mean, low, high : array (n,)
+        Its values with their 95 % band.
+    labels : tuple of str
+        Names of the points where they are places.
+    prior_sd : float, optional
+        Scale of its values before the data.
+    narrowed : int
+        Directions in which the data halve the prior's sd.
+    """
+
+    name: str
+    at: Array
+    mean: Array
+    low: Array
+    high: Array
+    unit: str = "1"
+    labels: tuple[str, ...] = ()
+    prior_sd: float | None = None
+    narrowed: int = 0
+
+
+@dataclass(frozen=True)
+class StatedComponent:
+    """A component of the simulator as a diagnosis states it.
+
+    Parameters
+    ----------
+    name : str
+    probability : float
+        Of a cause in it, listed effects included.
+    group : hashable
+        The same for components that the data cannot tell apart.
+    share : float, optional
+        Of the discrepancy's energy.
+    functions : tuple of StatedFunction
+        The most probable first.
+    """
+
+    name: str
+    probability: float
+    group: Hashable
+    share: float | None = None
+    functions: tuple[StatedFunction, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -109,6 +165,10 @@ class Answer:
         Of the data.
     states_prior : bool
         Whether it says of its explanations what the prior alone gives.
+    components : tuple of StatedComponent
+        The most probable first; empty where a diagnosis knows none.
+    belongs : mapping
+        Listed effect -> its component.
     """
 
     explanations: tuple[Explanation, ...]
@@ -121,6 +181,8 @@ class Answer:
     seconds: float = math.nan
     checksum: str = ""
     states_prior: bool = False
+    components: tuple[StatedComponent, ...] = field(default=(), compare=False)
+    belongs: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def ranked(cls, probabilities: Mapping[str, float]) -> Answer:
@@ -142,7 +204,12 @@ class Answer:
         return total
 
 
-def as_answer(found: Any, parents: Mapping[Any, Any] | None = None, fitted: Fitted | None = None) -> Answer:
+def as_answer(
+    found: Any,
+    parents: Mapping[Any, Any] | None = None,
+    fitted: Fitted | None = None,
+    belongs: Mapping[str, str] | None = None,
+) -> Answer:
     """The answer that a diagnosis gives.
 
     Parameters
@@ -153,6 +220,8 @@ def as_answer(found: Any, parents: Mapping[Any, Any] | None = None, fitted: Fitt
         As in `Answer`.
     fitted : Fitted, optional
         That of a file, which has no series; a `Diagnosis` has its own.
+    belongs : mapping, optional
+        As in `Answer`.
 
     Returns
     -------
@@ -187,13 +256,35 @@ def as_answer(found: Any, parents: Mapping[Any, Any] | None = None, fitted: Fitt
         float(file.record.get("screening_seconds", math.nan)),
         file.study_checksum,
         any(getattr(h, "log10_bayes_factor", None) is not None for h in file.hypotheses),
+        tuple(_component(c) for c in file.components),
+        belongs or {},
     )
+
+
+def _component(found: ComponentResult) -> StatedComponent:
+    functions = tuple(
+        StatedFunction(
+            f.name,
+            np.array(f.values),
+            np.array(f.mean),
+            np.array(f.low),
+            np.array(f.high),
+            f.unit,
+            tuple(f.labels),
+            f.prior_size,
+            len(f.narrowed),
+        )
+        for f in found.functions
+    )
+    share = found.share.mean if found.share else None
+    return StatedComponent(found.name, found.probability, found.group, share, functions)
 
 
 def fitted_series(found: Diagnosis) -> Fitted:
     """The series that a diagnosis fitted with the baseline, and with its leading explanation alone."""
     first = found.rounds[0]
-    fits = (first.screened.least, first.best[first.leader] if first.leader in first.locations else None)
+    caused = first.leader in first.best and first.leader not in (NULL, NONPARAMETRIC, CORRELATED)
+    fits = (first.screened.least, first.best[first.leader] if caused else None)
     errors = first.screened.screening.errors
     base, leader = (errors.unflat((fit or fits[0]).computed) for fit in fits)
     return Fitted(base, leader, tuple(found.hooks.rows(found.data)))

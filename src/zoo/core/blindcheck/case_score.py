@@ -206,6 +206,13 @@ def _scores(p: float, others: Iterable[float]) -> tuple[float, float]:
     return math.log(max(p, FLOOR)), (p - 1) ** 2 + sum(x**2 for x in others)
 
 
+def as_asked(key: CaseKey, answer: Answer | None) -> CaseKey:
+    """The key as a diagnosis can be asked about it: one that knows no components is asked for "unlisted"."""
+    if answer is None or answer.components or not key.components or key.kind == "listed":
+        return key
+    return replace(key, kind="outside" if key.by_component else key.kind, components=())
+
+
 def score_case(key: CaseKey, answer: Answer | None) -> CaseScore:
     """Score one answer.
 
@@ -219,6 +226,7 @@ def score_case(key: CaseKey, answer: Answer | None) -> CaseScore:
     -------
     CaseScore
     """
+    key = as_asked(key, answer)
     place = key.effects[0].location.part if len(key.effects) == 1 else None
     blank = CaseScore(
         key.case, key.kind, key.label, key.before, key.noise, answer is not None, key.tags,
@@ -292,7 +300,8 @@ def _with_gaps(found: CaseScore, key: CaseKey, answer: Answer) -> CaseScore:
 def _called_unlisted(key: CaseKey, answer: Answer) -> bool:
     """Whether the answer says, or leaves open, that no listed effect alone is the cause."""
     leader = answer.explanations[0]
-    listed = [e.probability for e in answer.explanations if e.name not in (NULL, NONPARAMETRIC)]
+    others = {NULL, NONPARAMETRIC, *(c.name for c in answer.components)}
+    listed = [e.probability for e in answer.explanations if e.name not in others]
     if NONPARAMETRIC in (leader.name, *answer.cause) or max(listed, default=0.0) <= MAJORITY:
         return True
     return key.label == SECOND and leader.name in key.names

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from zoo.core.blindcheck.answers import Answer
-from zoo.core.blindcheck.case_score import CaseScore, score_case
+from zoo.core.blindcheck.case_score import CaseScore, as_asked, score_case
+from zoo.core.blindcheck.component_rates import component_summary
+from zoo.core.blindcheck.component_score import ComponentScore, score_components
 from zoo.core.blindcheck.constants import best_constants, sizes, spread
 from zoo.core.blindcheck.keys import SECOND, CaseKey
 from zoo.core.blindcheck.rates import FULL_BIN, ReliabilityBin, rate, reliability
@@ -54,6 +56,8 @@ class CheckScore:
         Answers that the key says nothing about.
     failed : mapping
         Case without an answer -> reason, where it is known.
+    components : dict
+        Scores by component, as of `component_summary`; empty where keys or answers know none.
     """
 
     cases: tuple[CaseScore, ...]
@@ -68,6 +72,7 @@ class CheckScore:
     key_checked: bool = False
     without_key: int = 0
     failed: Mapping[str, str] = field(default_factory=dict)
+    components: dict[str, Any] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
         """Content of score.json, without NaN."""
@@ -88,6 +93,7 @@ class CheckScore:
                 **bins,
                 "curve": self.curve,
                 "confusion": self.confusion,
+                "components": self.components,
                 "cases": [c.record() for c in self.cases],
             }
         )
@@ -257,6 +263,7 @@ def assemble(
     key_checked: bool = False,
     without_key: int = 0,
     failed: Mapping[str, str] | None = None,
+    by_component: Sequence[ComponentScore] = (),
 ) -> CheckScore:
     """Put the scores of cases together.
 
@@ -271,6 +278,8 @@ def assemble(
         Of the bins of "gap", the size of the model discrepancy; the last is infinite.
     key_checked, without_key, failed
         As in `CheckScore`.
+    by_component : sequence of ComponentScore
+        Of the cases whose key and answer know components.
 
     Returns
     -------
@@ -296,6 +305,7 @@ def assemble(
         key_checked,
         without_key,
         failed or {},
+        component_summary(by_component),
     )
 
 
@@ -316,10 +326,13 @@ def score_answers(
     -------
     CheckScore
     """
-    cases, stated = [], []
-    for key in keys:
-        answer = answers.get(key.case)
+    cases, stated, by_component = [], [], []
+    for one in keys:
+        answer = answers.get(one.case)
+        key = as_asked(one, answer)
         cases.append(score_case(key, answer))
+        if (found := score_components(key, answer, cases[-1])) is not None:
+            by_component.append(found)
         if answer is None:
             continue
         right = {
@@ -328,4 +341,4 @@ def score_answers(
             if e.name in key.accepted
         }
         stated += [(p, group in right) for group, p in answer.group_probabilities.items()]
-    return assemble(cases, stated, **settings)
+    return assemble(cases, stated, by_component=by_component, **settings)

@@ -62,7 +62,7 @@ def best_constants(cases: Sequence[CaseScore]) -> dict[str, dict[str, Any]]:
     }
     share = float(np.mean([c.right for c in given])) if given else math.nan
     found["leader_brier"] = {"answer": f"always {share:.3f}", "value": share * (1 - share)}
-    log_score, brier = _frequencies([c.accepted for c in given])
+    log_score, brier = frequencies([c.accepted for c in given])
     words = "the frequencies of what is true"
     for name, value in (("log_score", log_score), ("brier", brier)):
         found[name] = found["group_" + name] = {"answer": words, "value": value}
@@ -125,7 +125,7 @@ def _shortest(values: Sequence[float]) -> tuple[float, float]:
     return float(x[i]), float(x[i + held - 1])
 
 
-def _frequencies(accepted: Sequence[Sequence[str]]) -> tuple[float, float]:
+def frequencies(accepted: Sequence[Sequence[str]]) -> tuple[float, float]:
     """Log and Brier score of the constant probabilities whose log score is best.
 
     They are the frequencies of what is true; where two names are right, they share the case as they share the

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ SECOND = "second-effect"
 """Label of a case of kind "outside" that has two listed effects at once."""
 PAIR = "pair"
 """Kind, and label of what was drawn again, of a case with causes in two components at once."""
+
+
+TrueFunctions = Callable[[str, Any], NDArray[np.float64] | None]
 
 
 @dataclass(frozen=True)
@@ -46,8 +50,9 @@ class CaseKey:
     Parameters
     ----------
     case : str
-    kind : {"none", "outside", "listed"}
-        Whether the case has no effect, one that no diagnosis lists, or a listed one.
+    kind : {"none", "outside", "listed", "component", "pair"}
+        Whether the case has no effect, one that no diagnosis lists, a listed one, one that is known by its
+        component alone, or two of these.
     label : str
         "no-gap", the effect's name, or "second-effect".
     effects : tuple of TrueEffect
@@ -62,6 +67,11 @@ class CaseKey:
         Checksum of the case's data; empty where the key has none.
     tags : mapping of str to str
         What else tells cases apart, such as the layout of the sensors; scores can be grouped by it.
+    components : tuple of str
+        Of the simulator, that the effects belong to.
+    functions : function, optional
+        From a component's name and a stated function to the true values at its points (n,), NaN where the
+        true function was not visited, or None where the truth is no such function.
     """
 
     case: str
@@ -73,6 +83,13 @@ class CaseKey:
     truth: NDArray[np.float64] | None = field(default=None, compare=False)
     digest: str = ""
     tags: Mapping[str, str] = field(default_factory=dict)
+    components: tuple[str, ...] = ()
+    functions: TrueFunctions | None = field(default=None, compare=False)
+
+    @property
+    def by_component(self) -> bool:
+        """Whether the cause is known by its component alone."""
+        return self.kind in ("component", PAIR)
 
     @property
     def names(self) -> frozenset[str]:
@@ -80,7 +97,9 @@ class CaseKey:
         if self.kind == "none":
             return frozenset((NULL,))
         if self.kind == "outside" and self.label != SECOND:
-            return frozenset((NONPARAMETRIC,))
+            return frozenset((NONPARAMETRIC, *self.components))
+        if self.by_component:
+            return frozenset(self.components)
         return frozenset(e.name for e in self.effects)
 
     @property

@@ -107,6 +107,73 @@ def _sizes_text(x: Mapping[str, Any], *, constant: bool = False) -> str:
     return f"{text}, {x['answer']}" if constant else f"{text}, {x['n']} cases"
 
 
+COMPONENT_HEADLINES = (
+    ("component_or_pair_of_them_first", "true component, or a group of at most two that holds it, first"),
+    ("component_first", "true component itself first"),
+    ("wrong_and_sure", "listed effect or component first with more than 90 %, and wrong"),
+    ("both_found", "of two components, both found"),
+    ("one_found", "of two components, one found"),
+    ("noise_recognised", "no cause: no-gap, or correlated-noise in the leading group"),
+)
+"""Rates of a summary by component, in words."""
+
+
+def component_rows(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Scores by component in words: each with its figure, and that of the best constant answer."""
+    if not summary:
+        return []
+    best = summary["constants"]
+    rows = [
+        (words, rate_text(summary[name]), constant_text(best[name]))
+        for name, words in COMPONENT_HEADLINES
+        if summary[name]["n"]
+    ]
+    rows += [
+        (words, f"{summary[name]:.3f}", constant_text(best[name]))
+        for name, words in (("log_score", "log score by component"), ("brier", "Brier score by component"))
+        if math.isfinite(summary[name])
+    ]
+    if summary["group_sizes"]:
+        sizes = ", ".join(f"{many} of {size}" for size, many in summary["group_sizes"].items())
+        rows.append(("leading groups of so many components", sizes, ""))
+    if summary["functions"]:
+        for name, words in (
+            ("points_held", "95 % band of the learned function holds the true one, points"),
+            ("narrow_points_held", "those of them where the band is half the prior's or less"),
+        ):
+            x = summary[name]
+            told = f"{100 * x['share']:.0f} % ({x['count']} of {x['n']})" if x["n"] else "–"
+            rows.append((words, told, constant_text(best.get(name))))
+        words = "functions with a direction in which the data halve the prior's sd; of these directions, mean"
+        narrowed = rate_text(summary["functions_with_narrowed_directions"])
+        rows.append((words, f"{narrowed}; {summary['narrowed_directions']:.1f}", ""))
+        rows.append(("width of the band over the prior's, median", f"{summary['width_over_prior']:.2f}", "1"))
+    return rows
+
+
+def _component_table(found: Mapping[str, Any]) -> list[str]:
+    """Scores by component in Markdown, all and by kind and number of series."""
+    if not found:
+        return []
+    lines = []
+    for name, summary in {"all": found, **found["by"]}.items():
+        lines += ["", f"| by component: {name}, {summary['n']} cases | | best constant answer |"]
+        lines += ["|---|---|---|"]
+        lines += [f"| {words} | {own} | {constant} |" for words, own, constant in component_rows(summary)]
+    heads = "cases | mean stated | right | 95 % range if reliable"
+    for name, words in (
+        ("reliability", "stated probability of the leading component"),
+        ("reliability_all", "of every component and of none"),
+    ):
+        lines += ["", f"| {words} | {heads} |", "|---|---|---|---|---|"]
+        lines += [
+            f"| {b['low']:g} to {b['high']:g} | {b['n']} | {b['stated']:.3f} | {b['right']} "
+            f"| {b['band'][0]} to {b['band'][1]} |"
+            for b in found[name]
+        ]
+    return lines
+
+
 def score_table(score: CheckScore) -> str:
     """A score in Markdown: rates, mean scores, reliability, and the rates of each grouping."""
     s, best = score.summary, score.constants
@@ -142,7 +209,7 @@ def score_table(score: CheckScore) -> str:
         for value, part in rows.items():
             cells = " | ".join(rate_text(part[name]) for name in rates)
             lines.append(f"| {value} | {part['n']} | {cells} |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines + _component_table(score.components)) + "\n"
 
 
 def write_score(score: CheckScore, out: Path) -> None:

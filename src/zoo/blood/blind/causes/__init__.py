@@ -6,13 +6,15 @@ spline of a few knots.
 
 from __future__ import annotations
 
-from zoo.blood.blind.causes import fluid, geometry, inflow, outlets, sensor, wall
+from zoo.blood.blind.causes import fluid, geometry, inflow, junctions, outlets, sensor, wall
 from zoo.blood.blind.causes.cause import Cause
 
 __all__ = ["CAUSES", "COMPONENTS", "Cause", "of_component"]
 
 CAUSES: dict[str, Cause] = {
-    one.name: one for part in (inflow, wall, outlets, fluid, geometry, sensor) for one in part.CAUSES
+    one.name: one
+    for part in (inflow, wall, outlets, fluid, junctions, geometry, sensor)
+    for one in part.CAUSES
 }
 """By name; none of these is in `zoo.blood.effects.CATALOGUE`."""
 COMPONENTS = tuple(dict.fromkeys(one.component for one in CAUSES.values()))
