@@ -148,6 +148,11 @@ class Screening:
         """Solves that failed so far."""
         return sum(f.failures for f in self.forwards)
 
+    @property
+    def secants(self) -> Mapping[tuple[Hypothesis, bytes], Point]:
+        """Starts that were solved; each has the secant from the baseline as its first derivative."""
+        return self._secants
+
     # -- errors ----------------------------------------------------------------------------------
 
     def _noise(self, residual: Array, allowances: Mapping[str, float]) -> dict[str, GroupErrors]:
