@@ -69,7 +69,7 @@ CATALOGUE = [
     adds("first", ASKED + HIDDEN, low=0.0),
     adds("second", -HIDDEN, low=0.0),
     adds("decoy", wave(3), low=0.0),
-    adds("other", {p: wave(9 + i) for i, p in enumerate(PARTS)}, places=PARTS),
+    adds("other", {p: wave(9 + i) + 0.7 * wave(1) for i, p in enumerate(PARTS)}, places=PARTS),
 ]
 
 
@@ -161,6 +161,8 @@ def test_the_sign_that_an_effect_cannot_have_is_asked_too() -> None:
     wrong, right = (weigh_subsets(screened(sign)) for sign in (-1.0, 1.0))
     assert wrong.opposite_sign("decoy")
     assert not right.opposite_sign("decoy")
-    assert not wrong.opposite_sign("other")  # which may have both
+    both = Screening(data_of(0.8 * ASKED), MODEL, [adds("both", wave(3))], errors=Harmonics()).run()
+    assert not weigh_subsets(both).opposite_sign("both")  # it may have either
+    assert wrong.leader == ()
     assert wrong.inclusion["decoy"] < 0.01
     assert right.probability[("decoy",)] > 1e3 * right.probability[()]
