@@ -24,7 +24,7 @@
 enum { MOST_VESSELS = 6, MOST_SETS = 20, MOST_BYTES = 1 << 25, UNKNOWN = -1 };
 
 static uint64_t case_seed;
-static int64_t failures, sets_given, sets_solved, sets_by_status[8], refused, twice;
+static int64_t failures, sets_given, sets_solved, sets_by_status[ZOO_WALL_FALLS + 1], refused, twice;
 static int64_t calls_size, calls_solve, calls_name, calls_wall;
 
 static void fail(const char *what)
@@ -112,8 +112,24 @@ static void count_of(int32_t *field, int32_t value, int kind)
     counts[n_counts++].n = 1;
 }
 
+static void function_of(zoo_function *f, double low, double high, double least, double most)
+{
+    count_of(&f->n_knots, 4 + below(12), SIZE_OF_ARRAY);
+    real_of(&f->low, low);
+    real_of(&f->high, high);
+    double *values = reals_of(&f->values, f->n_knots, 1.0, 2.0);
+    for (int i = 0; i < f->n_knots; i++)
+        values[i] = between(least, most);
+}
+
 static void make_additions(zoo_problem *pr, int nv)
 {
+    if (one_in(3))
+        function_of(&pr->wall.function, 0.9, 1.4, -0.005, 0.005);
+    if (one_in(3))
+        function_of(&pr->fluid.friction_function, 0.0, 60.0, 0.5, 2.0);
+    if (one_in(3))
+        function_of(&pr->junction.function, -40.0, 60.0, -200.0, 500.0);
     if (one_in(3))
         reals_of(&pr->fluid.viscosity_factor, nv, 0.5, 2.0);
     if (one_in(3))
@@ -298,6 +314,17 @@ static int positive_all(const double *x, int64_t n, int *unknown)
     return 1;
 }
 
+static int function_bad(const zoo_function *f, double lowest, double least, int *unknown)
+{
+    if (f->n_knots == 0)
+        return 0;
+    if (f->n_knots < 4 || f->n_knots > 4096 || !f->values || !in_range(f->low, lowest, 1e30) || !in_range(f->high, -1e30, 1e30) ||
+        !(f->low < f->high))
+        return 1;
+    *unknown |= f->high - f->low < 1e-8 * (fabs(f->low) + fabs(f->high)) || f->high - f->low < 1e-29;
+    return !finite_all(f->values, f->n_knots, least, 1e30);
+}
+
 static int count_in(int32_t x, int32_t low)
 {
     return x >= low && x <= 1 << 28;
@@ -331,20 +358,22 @@ static int verdict(const trial *t)
     if (!positive(fl->density) || !positive(fl->viscosity) || !in_range(fl->momentum_correction, 0.0, DBL_MAX) ||
         fl->friction < 0 || fl->friction > 2 || (fl->friction == ZOO_FRICTION_FIXED && !positive(fl->friction_radius)) ||
         !in_range(fl->stokes_friction, 0.0, DBL_MAX) || !in_range(fl->viscous_friction, 0.0, DBL_MAX) ||
-        !positive_all(fl->viscosity_factor, nv, &unknown) || !finite_all(fl->leak, nv, 0.0, DBL_MAX))
+        !positive_all(fl->viscosity_factor, nv, &unknown) || !finite_all(fl->leak, nv, 0.0, DBL_MAX) ||
+        function_bad(&fl->friction_function, 0.0, 0.0, &unknown))
         return 1;
     const zoo_wall *wa = &pr->wall;
     if (wa->law < 0 || !zoo_wall_name(wa->law) || !positive(wa->factor) || !wa->offset_in != !wa->offset_out ||
         !finite_all(wa->offset_in, nv, -DBL_MAX, DBL_MAX) || !finite_all(wa->offset_out, nv, -DBL_MAX, DBL_MAX) ||
         !positive_all(wa->stiffness_ratio, nv, &unknown) || !finite_all(wa->stiffness_exponent, nv, -DBL_MAX, DBL_MAX) ||
         !finite_all(wa->viscoelastic_time, nv, 0.0, DBL_MAX) || (wa->viscoelastic_time && !positive(wa->relaxation_time)) ||
-        !count_in(wa->n_wave, 0) || (wa->n_wave && !wa->stiffness_wave) || !positive_all(wa->stiffness_wave, wa->n_wave, &unknown))
+        !count_in(wa->n_wave, 0) || (wa->n_wave && !wa->stiffness_wave) || !positive_all(wa->stiffness_wave, wa->n_wave, &unknown) ||
+        function_bad(&wa->function, 1e-3, -1e30, &unknown))
         return 1;
     const zoo_throat *th = &pr->throat;
     if ((th->severity && (!th->position || !th->length)) || !finite_all(th->severity, nv, 0.0, 1.0 - 1e-9) ||
         !finite_all(th->position, nv, 0.0, 1.0) || !positive_all(th->length, nv, &unknown) ||
         !in_range(th->loss, 0.0, DBL_MAX) || !in_range(pr->junction.total_pressure, 0.0, DBL_MAX) ||
-        !in_range(pr->junction.loss, 0.0, DBL_MAX))
+        !in_range(pr->junction.loss, 0.0, DBL_MAX) || function_bad(&pr->junction.function, -1e30, -1e30, &unknown))
         return 1;
     const zoo_inlet *in = &pr->inlet;
     double sum = 0.0;
@@ -487,11 +516,11 @@ static void look_at_set(const trial *t, const answer *a, int64_t i)
     const zoo_report *r = &a->report[i];
     const int nv = t->problem.network.n_vessels, expected = set_verdict(t, i);
     const int64_t n = (int64_t)t->problem.outputs.n_series * t->problem.outputs.n_times;
-    EXPECT(r->status >= ZOO_OK && r->status <= ZOO_NOT_PERIODIC, "a set has a status that does not exist");
+    EXPECT(r->status >= ZOO_OK && (r->status <= ZOO_NOT_PERIODIC || (r->status == ZOO_WALL_FALLS && t->problem.wall.function.n_knots)), "a set has a status that does not exist");
     EXPECT(expected == UNKNOWN || (r->status == ZOO_BAD_ARGUMENT) == (expected == 1),
            "parameters are refused that are in range, or the other way round");
     EXPECT(r->vessel >= -1 && r->vessel < nv, "a report names a vessel that does not exist");
-    if (r->status >= 0 && r->status < 8)
+    if (r->status >= 0 && r->status <= ZOO_WALL_FALLS)
         sets_by_status[r->status]++;
     for (int part = 0; part < 3; part++) {
         const double *x = a->wave[part] + i * n;
@@ -685,7 +714,7 @@ int main(int argc, char **argv)
     printf("  calls: zoo_solve %lld (%lld of them a second time), zoo_workspace_size %lld, names %lld, walls %lld\n",
            (long long)calls_solve, (long long)twice, (long long)calls_size, (long long)calls_name, (long long)calls_wall);
     printf("  refused %lld; sets: solved %lld", (long long)refused, (long long)sets_by_status[ZOO_OK]);
-    for (int s = 1; s < ZOO_WORKSPACE; s++)
+    for (int s = 1; s <= ZOO_WALL_FALLS; s++)
         printf(", status %d %lld", s, (long long)sets_by_status[s]);
     printf("\n  %.1f %% of %lld sets solved; %lld failures\n", 100.0 * share, (long long)sets_given, (long long)failures);
     if (!single && cases > 100 && !(share > 1.0 / 3.0)) {

@@ -53,8 +53,12 @@ static const double tree_C[NV] = {0, 0, 0, 0, 1.3e-7, 1.8e-7, 2.7e-7, 5e-7};
 static const int32_t tree_vessel[NSERIES] = {0, 4, 7};
 static const double tree_position[NSERIES] = {0.0, 0.5, 1.0};
 
+/* Of the laws a test runs over: each alone, and with a function added to it. */
+enum { N_WALLS_IN_TESTS = 2 * ZOO_N_WALLS, NKNOTS = 7 };
+
 typedef struct {
     zoo_problem problem;
+    double knots[NKNOTS];
     double flow[NSAMPLES], times[NTIMES];
     double stiffness[64 * NV], shape[64 * NV * ZOO_MOST_SHAPES], psi1[64 * NV], psi2[64 * NV], c[64 * NV];
     zoo_parameters parameters;
@@ -78,7 +82,11 @@ static inline void tree_make(tree *t, int wall)
                                    .friction = ZOO_FRICTION_CURRENT,
                                    .friction_radius = 0.07,
                                    .stokes_friction = 1.0};
-    t->problem.wall = (zoo_wall){.law = wall, .factor = 1.0};
+    t->problem.wall = (zoo_wall){.law = wall_base(wall), .factor = 1.0};
+    for (int i = 0; i < NKNOTS; i++)
+        t->knots[i] = 0.04 * sin(6.0 * i / (NKNOTS - 1)) - 0.02;
+    if (wall_has_function(wall))
+        t->problem.wall.function = (zoo_function){NKNOTS, 0.8, 1.6, t->knots};
     t->problem.inlet = (zoo_inlet){ZOO_INLET_FLOW, 0.11, NSAMPLES, t->flow};
     t->problem.outlet = (zoo_outlet){.kind = ZOO_OUTLET_WINDKESSEL, .R1 = tree_R1, .R2 = tree_R2, .C = tree_C};
     t->problem.outputs = (zoo_outputs){NSERIES, tree_vessel, tree_position, NTIMES, t->times};
@@ -106,7 +114,7 @@ static inline zoo_parameters tree_from(const tree *t, int i)
 /* Everything that can be added, different in every vessel. */
 typedef struct {
     double viscosity[NV], offset_in[NV], offset_out[NV], memory[NV], leak[NV], inertance[NV];
-    double severity[NV], position[NV], length[NV], rho[3 * NV], kappa[3 * NV], wave[5];
+    double severity[NV], position[NV], length[NV], rho[3 * NV], kappa[3 * NV], wave[5], factor[4], lost[5];
 } additions;
 
 static inline void tree_add(tree *t, additions *x)
@@ -128,6 +136,11 @@ static inline void tree_add(tree *t, additions *x)
     }
     for (int i = 0; i < 5; i++)
         x->wave[i] = 0.9 + 0.1 * i;
+    for (int i = 0; i < 4; i++)
+        x->factor[i] = 1.0 + 0.5 * cos(2.0 * i);
+    for (int i = 0; i < 5; i++)
+        x->lost[i] = 40.0 * (i - 1) * (i - 1) + 25.0 * (i - 1); /* none at rest */
+    t->problem.fluid.friction_function = (zoo_function){4, 0.0, 40.0, x->factor};
     t->problem.fluid.viscosity_factor = x->viscosity;
     t->problem.fluid.leak = x->leak;
     t->problem.wall.offset_in = x->offset_in;
@@ -137,7 +150,7 @@ static inline void tree_add(tree *t, additions *x)
     t->problem.wall.n_wave = 5;
     t->problem.wall.stiffness_wave = x->wave;
     t->problem.throat = (zoo_throat){x->severity, x->position, x->length, 1.52};
-    t->problem.junction = (zoo_junction){.total_pressure = 1.0, .loss = 2.0};
+    t->problem.junction = (zoo_junction){1.0, 2.0, {5, -20.0, 60.0, x->lost}};
     t->problem.outlet.kind = ZOO_OUTLET_CIRCUIT;
     t->problem.outlet.inertance = x->inertance;
     t->problem.outlet.n_sections = 3;

@@ -217,7 +217,7 @@ static void no_further_loops(void)
 
 int main(void)
 {
-    for (int wall = 0; wall < ZOO_N_WALLS; wall++) {
+    for (int wall = 0; wall < N_WALLS_IN_TESTS; wall++) {
         nothing(wall, 1);
         nothing(wall, ZOO_LANES);
         for (int i = 0; i < 4; i++)

@@ -35,7 +35,7 @@ static void problem(int added)
     REJECTS(t.problem.network.n_cells = bad_cells);
     REJECTS(t.problem.network.n_vessels = 0);
     REJECTS(t.problem.fluid.density = 0.0);
-    REJECTS(t.problem.wall.law = ZOO_N_WALLS);
+    REJECTS(t.problem.wall.law = ZOO_N_WALLS); /* that of a law with a function is no number of the caller's */
     REJECTS(t.problem.fluid.friction = -1);
     REJECTS(t.problem.inlet.period = INFINITY);
     REJECTS(t.flow[9] = NAN);
@@ -64,6 +64,15 @@ static void addition(int added)
     REJECTS(x.length[0] = 0.0);
     REJECTS(x.rho[3 * 7] = -0.1);
     REJECTS(x.kappa[3 * 7] = 0.0);
+    REJECTS(x.factor[3] = -0.1);
+    REJECTS(x.factor[0] = NAN);
+    REJECTS(t.problem.fluid.friction_function.low = -0.1);
+    REJECTS(t.problem.fluid.friction_function.n_knots = 3);
+    REJECTS(x.lost[4] = INFINITY);
+    REJECTS(t.problem.junction.function.high = t.problem.junction.function.low);
+    REJECTS(t.problem.junction.function.values = NULL);
+    REJECTS((t.problem.wall.function = (zoo_function){NKNOTS, 0.0, 1.5, t.knots}));
+    REJECTS((t.knots[2] = NAN, t.problem.wall.function = (zoo_function){NKNOTS, 0.8, 1.5, t.knots}));
     REJECTS(x.wave[4] = 0.0);
     REJECTS(x.wave[0] = NAN);
     REJECTS(t.problem.wall.n_wave = -1);

@@ -112,7 +112,7 @@ static void shifted(int wall)
 
 int main(void)
 {
-    for (int wall = 0; wall < ZOO_N_WALLS; wall++) {
+    for (int wall = 0; wall < N_WALLS_IN_TESTS; wall++) {
         for (int pressure = 0; pressure < 2; pressure++) {
             relation(wall, 0, pressure);
             relation(wall, 1, pressure);

@@ -114,7 +114,7 @@ static void speeds(void)
 
 int main(void)
 {
-    for (int wall = 0; wall < ZOO_N_WALLS; wall++)
+    for (int wall = 0; wall < N_WALLS_IN_TESTS; wall++)
         batch(wall);
     statuses();
     speeds();

@@ -5,7 +5,7 @@ static tree t;
 
 int main(void)
 {
-    for (int wall = 0; wall < ZOO_N_WALLS; wall++) {
+    for (int wall = 0; wall < N_WALLS_IN_TESTS; wall++) {
         tree_make(&t, wall);
         tree_open(&t, 1, 1024);
         zoo_sim *s = &t.sim;

@@ -128,7 +128,7 @@ static void wrong(void)
 
 int main(void)
 {
-    for (int wall = 0; wall < ZOO_N_WALLS; wall++) {
+    for (int wall = 0; wall < N_WALLS_IN_TESTS; wall++) {
         rest(wall, tree_cells);
         rest(wall, tree_single_cells);
         mass(wall, tree_cells);

@@ -50,10 +50,52 @@ static void any_law(int law)
     CHECK(zoo_wall_shape_name(law, wall_shapes(law)) == NULL && zoo_wall_shape_name(law, -1) == NULL);
 }
 
+/* With a function added: the derivative of the sum, its inverse, and whether it rises. */
+static void with_function(int law)
+{
+    double values[9], piece[4 * 10], given[ZOO_MOST_SHAPES], made[ZOO_MOST_SHAPES];
+    const zoo_function added = {9, 0.85, 1.25, values};
+    const int both = wall_with_function(law);
+    const double A0 = 0.3, K = 5e4;
+    for (int i = 0; i < 9; i++)
+        values[i] = 0.03 * sin(1.1 * i) + 0.01;
+    wall_shape g = {made, 1, zoo_function_spline(&added, ZOO_BEYOND_WALL, 0.0, piece)};
+    for (int m = 0; m < wall_shapes(law); m++) {
+        given[m] = wall_shape_parameter(law, m).typical;
+        made[m] = wall_coefficient(law, (wall_shape){.at = given, .stride = 1}, m);
+    }
+    CHECK(wall_base(both) == law && wall_shapes(both) == wall_shapes(law) && !wall_in_root(both));
+    CHECK(zoo_wall_name(both) == NULL && zoo_wall_shapes(both) == -1 && wall_limit(both, g) == wall_limit(law, g));
+    for (double a = 0.4; a < 1.9; a += 0.01) {
+        double h = 1e-6, s = sqrt(a), p = wall_p(both, K, g, a, s), slope = wall_slope(both, K, g, p, a, s);
+        double up = wall_p(both, K, g, a + h, sqrt(a + h)), down = wall_p(both, K, g, a - h, sqrt(a - h));
+        NEAR(p, wall_p(law, K, g, a, s) + K * spline_value(g.function, s), 1e-9);
+        NEAR(slope, (up - down) / (2.0 * h), 1e-5 * K);
+        NEAR(wall_slope_area(both, K, g, p, s, 1.0 / (a * A0), 1.0 / A0), slope / A0, 1e-10 * K);
+        if (wall_rises(both, g))
+            NEAR(wall_area_ratio(both, K, g, p), a, 1e-11);
+    }
+    CHECK(wall_rises(both, g));
+    NEAR(wall_p(both, K, g, wall_area_ratio(both, K, g, 3.0 * K), sqrt(wall_area_ratio(both, K, g, 3.0 * K))), 3.0 * K, 1e-6 * K);
+    /* a slope of -0.98 of the linear wall's is none too little, -1 is */
+    for (int i = 0; i < 9; i++)
+        values[i] = -0.98 * 0.05 * i;
+    g.function = zoo_function_spline(&added, ZOO_BEYOND_WALL, 0.0, piece);
+    CHECK(wall_rises(ZOO_WALL_LINEAR + ZOO_N_WALLS, g));
+    for (int i = 0; i < 9; i++)
+        values[i] = -0.05 * i;
+    g.function = zoo_function_spline(&added, ZOO_BEYOND_WALL, 0.0, piece);
+    CHECK(!wall_rises(ZOO_WALL_LINEAR + ZOO_N_WALLS, g));
+    for (int i = 0; i < 9; i++)
+        values[i] *= 10.0;
+    g.function = zoo_function_spline(&added, ZOO_BEYOND_WALL, 0.0, piece);
+    CHECK(!wall_rises(both, g) && wall_rises(law, g));
+}
+
 int main(void)
 {
     for (int law = 0; law < ZOO_N_WALLS; law++)
-        any_law(law);
+        any_law(law), with_function(law);
     CHECK(zoo_wall_name(ZOO_N_WALLS) == NULL && zoo_wall_name(-1) == NULL && zoo_wall_shapes(ZOO_N_WALLS) == -1);
     CHECK(isnan(zoo_wall_pressure(ZOO_N_WALLS, 1.0, 5e4, NULL, 1.1, 1.0)));
 

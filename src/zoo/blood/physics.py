@@ -242,7 +242,7 @@ class Physics(ReadOnlyArrays):
             if isinstance(value, np.ndarray):
                 given[field.name] = value.tolist()
             elif isinstance(value, KnotFunction):
-                given[field.name] = asdict(value)
+                given[field.name] = {**asdict(value), "values": list(value.values)}
             elif value != field.default:
                 given[field.name] = value
         return given
