@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from zoo.blood.baseline import get_baseline
 from zoo.blood.components import COMPONENTS, component_of, components, plausible
 from zoo.blood.components.curves import curve, delay_response, gain_response, minimum_phase
 from zoo.blood.components.plausibility import LIMITS
+from zoo.blood.components.tables import demo_table
 from zoo.blood.components.wall import added_law, added_pressure
 from zoo.blood.diagnosis import HOOKS
 from zoo.blood.effects import CATALOGUE
@@ -376,3 +378,8 @@ def test_what_is_believed_is_said_with_its_size_and_reason(demo):
     assert plausible(demo.functions["flow-timing"], [0.1] * 6)[0] is False
     assert "100 ms" in plausible(demo.functions["flow-timing"], [0.1] * 6)[1]
     assert "a factor of 3" in plausible(demo.functions["outlet-resistance"], [math.log(3.0)] * 11)[1]
+
+
+def test_the_document_has_the_table_that_the_functions_make():
+    text = (Path(__file__).resolve().parents[1] / "docs" / "components.md").read_text(encoding="utf-8")
+    assert demo_table() in text

@@ -23,7 +23,7 @@ WEAK_PART = 0.5
 WEAK_SDS = 3.0
 """It is weak, too, below so many standard deviations of its noise."""
 SPIKE = 1.5
-"""An impedance is a spike where it is so many times the geometric mean of its neighbours."""
+"""An impedance is a spike where all its interval is above so many times its neighbours' geometric mean."""
 SAMPLES = 512
 """Of a beat, in a solve."""
 
@@ -73,8 +73,8 @@ class Impedance:
 
     @property
     def spike(self) -> NDArray[np.bool_]:
-        """Where a weak harmonic's impedance is far above its neighbours', (m,): a doubt about the flow."""
-        return np.asarray(self.weak & (self.modulus > SPIKE * _neighbours(self.modulus)))
+        """Where a weak harmonic's impedance is far above its neighbours', with its interval, (m,)."""
+        return np.asarray(self.weak & (self.modulus_low > SPIKE * _neighbours(self.modulus)))
 
     def sentences(self) -> list[str]:
         """What each spike points to, in words."""

@@ -131,8 +131,8 @@ def functions(setting: Setting) -> tuple[FreeFunction, ...]:
             "1",
             "log stiffness",
             why="assumed: 0.4 in the logarithm of the law's slope; the tangent wall with the published "
-            "1/gamma of 0.2 (Paun et al. 2020, doi 10.1098/rsif.2020.0886) is 0.3 to 0.9 above the linear one of "
-            "the same stiffness at rest where arteries are stretched by 20 to 45 %",
+            "1/gamma of 0.2 (Paun et al. 2020, doi 10.1098/rsif.2020.0886) is 0.3 to 0.9 above the linear "
+            "one of the same stiffness at rest where arteries are stretched by 20 to 45 %",
             lengths=range_lengths(stretches),
             equation="dp/ds -> exp(v(s)) dp/ds, s = sqrt(A/A0), p = 0 at s = 1; one v for all vessels",
         ),

@@ -1,0 +1,63 @@
+"""The free functions of a study's components as a table in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from zoo.blood.components.plausibility import LIMITS, amount
+from zoo.core.components import FreeFunction
+
+
+def component_table(functions: Iterable[FreeFunction]) -> str:
+    """A row for each function: its equation, argument, prior size and source, and what is believed.
+
+    Parameters
+    ----------
+    functions : iterable of FreeFunction
+        Such as ``components(model, theta, data)``.
+
+    Returns
+    -------
+    str
+    """
+    lines = [
+        "| component | function | equation | argument | values | prior size | lengths | why this size "
+        "| believed up to |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    component = ""
+    for one in functions:
+        unit = "" if one.argument_unit == "1" else f", {one.argument_unit}"
+        where = f"each {one.argument}" if one.labels else f"{one.argument}{unit}"
+        lengths = ", ".join(f"{length:.2g}" for length in one.lengths) or "none: independent"
+        cells = (
+            one.component if one.component != component else "",
+            f"`{one.name}`",
+            f"`{one.equation}`".replace("|", "\\|"),
+            where,
+            f"{len(one.at)}, {one.unit}",
+            f"{one.size:.2g} ({amount(one.size, one.unit)})"
+            if one.unit.startswith("log ")
+            else amount(one.size, one.unit),
+            lengths,
+            one.why.replace("|", "\\|"),
+            amount(LIMITS[one.name].sizes * one.size, one.unit),
+        )
+        component = one.component
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def demo_table() -> str:
+    """`component_table` of the study `demo` with the baseline linear-constant, at its start."""
+    from zoo.blood.baseline import get_baseline
+    from zoo.blood.components import components
+    from zoo.blood.forward import study_data
+    from zoo.blood.study import load_study
+    from zoo.core.parameters import pack, start_of
+
+    study = load_study("demo")
+    model = get_baseline("linear-constant").forward(study)
+    return component_table(
+        components(model, pack(model.parameters, start_of(model.parameters)), study_data(study))
+    )
