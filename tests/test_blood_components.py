@@ -13,7 +13,7 @@ from zoo.blood.baseline import get_baseline
 from zoo.blood.components import COMPONENTS, component_of, components, plausible
 from zoo.blood.components.curves import curve, delay_response, gain_response, minimum_phase
 from zoo.blood.components.plausibility import LIMITS
-from zoo.blood.components.tables import demo_table
+from zoo.blood.components.tables import component_table
 from zoo.blood.components.wall import added_law, added_pressure
 from zoo.blood.diagnosis import HOOKS
 from zoo.blood.effects import CATALOGUE
@@ -22,7 +22,7 @@ from zoo.blood.solver import SolverOptions
 from zoo.blood.study import load_study
 from zoo.core.effects import Location
 from zoo.core.forward import SolveError, pinned
-from zoo.core.parameters import pack
+from zoo.core.parameters import pack, start_of
 
 THETA = {"f3": 4.6e4, "psi1": 0.35, "psi2": 0.9, "c": 1.2}
 STEPS = 0.05
@@ -381,5 +381,9 @@ def test_what_is_believed_is_said_with_its_size_and_reason(demo):
 
 
 def test_the_document_has_the_table_that_the_functions_make():
+    """Of `demo` at the start of the parameters, as the document says."""
+    study = load_study("demo")
+    model = get_baseline("linear-constant").forward(study)
+    start = pack(model.parameters, start_of(model.parameters))
     text = (Path(__file__).resolve().parents[1] / "docs" / "components.md").read_text(encoding="utf-8")
-    assert demo_table() in text
+    assert component_table(components(model, start, study_data(study))) in text

@@ -46,18 +46,3 @@ def component_table(functions: Iterable[FreeFunction]) -> str:
         component = one.component
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
-
-
-def demo_table() -> str:
-    """`component_table` of the study `demo` with the baseline linear-constant, at its start."""
-    from zoo.blood.baseline import get_baseline
-    from zoo.blood.components import components
-    from zoo.blood.forward import study_data
-    from zoo.blood.study import load_study
-    from zoo.core.parameters import pack, start_of
-
-    study = load_study("demo")
-    model = get_baseline("linear-constant").forward(study)
-    return component_table(
-        components(model, pack(model.parameters, start_of(model.parameters)), study_data(study))
-    )
