@@ -182,6 +182,9 @@ def test_a_measurement_separates_only_what_is_in_doubt(probability: float, asked
         locations={"first": [], "second": []},
         probability={"first": 1.0 - probability, "second": probability},
         members=lambda name: [name],
+        is_cause=lambda name: True,
+        standing={"first": 1.0 - probability, "second": probability}.__getitem__,
+        belongs={},
         best={
             name: SimpleNamespace(u=None, forward=SimpleNamespace(series=lambda u, wanted, y=y: y))
             for name, y in series.items()

@@ -137,7 +137,7 @@ def test_the_document_has_every_field(one: Diagnosis, sampled: Diagnosis) -> Non
         assert [float(x) for x in value.split(",")] == pytest.approx(list(expected)), name
 
 
-SOURCES = [*sorted((ROOT / "src/zoo/core/diagnosis").glob("*.py")), ROOT / "src/zoo/blood/diagnosis.py"]
+SOURCES = [*sorted((ROOT / "src/zoo/core/diagnosis").rglob("*.py")), ROOT / "src/zoo/blood/diagnosis.py"]
 
 
 def stated(value: object) -> str:
@@ -164,13 +164,14 @@ def constants(path: Path) -> dict[tuple[str, str], str]:
             value = getattr(module, name, None)
             numbers = value if isinstance(value, tuple | np.ndarray) else (value,)
             if name.isupper() and name != "FORMAT" and all(isinstance(x, int | float) for x in numbers):
-                found[name, path.stem] = stated(value)
+                inside = "components." * (path.parent.name == "components")
+                found[name, inside + path.stem] = stated(value)
     return found
 
 
 def test_the_document_has_every_constant_with_its_value() -> None:
     rows = re.findall(
-        r"^\| (`[A-Z_]+`(?:, `[A-Z_]+`)*) \| ([^|]+) \| `(\w+)` \| (.+) \|$", DOC.read_text("utf-8"), re.M
+        r"^\| (`[A-Z_]+`(?:, `[A-Z_]+`)*) \| ([^|]+) \| `([\w.]+)` \| (.+) \|$", DOC.read_text("utf-8"), re.M
     )
     told = {}
     for names, values, module, reason in rows:

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.diagnosis.bounds import Excluded, at_bounds
+from zoo.core.diagnosis.component_answer import component_results
+from zoo.core.diagnosis.components.learned import plausible
 from zoo.core.diagnosis.discrepancy import model_discrepancy, smooth_part
 from zoo.core.diagnosis.estimates import INTERVAL, linearised, posteriors_of
 from zoo.core.diagnosis.evidence import Fit
@@ -189,6 +191,8 @@ def _results(
     found = []
     top = max(z for name, z in scored.log_z.items() if name not in scored.invisible)
     for name in scored.names:
+        if name in scored.components:
+            continue
         fit = scored.best[name]
         if name in (NONPARAMETRIC, CORRELATED):
             mean, _ = smooth_part(fit)
@@ -196,7 +200,7 @@ def _results(
             after = np.array([0.0, 0.0, 0.0])
             rms = _rms(noise_left[rows])
         else:
-            improbable = scored.probability[name] < DOUBT
+            improbable = scored.standing(name) < DOUBT
             d = known.get(name) or discrepancy_of(screened, fit, seed, known_noise=improbable)
             if name in scored.locations and d.pooled(rows).mean() > known[NULL].pooled(rows).mean():
                 d = known[NULL]  # an effect can be 0: none leaves more than the baseline
@@ -219,6 +223,7 @@ def _results(
                 probability=scored.probability[name],
                 prior_probability=scored.prior_share[name],
                 prior_made=scored.prior_made(name),
+                and_more=scored.more.get(name),
                 group=scored.group[name],
                 log_evidence=scored.log_z[name],
                 log10_bayes_factor=(scored.log_z[name] - scored.log_z[NULL]) / math.log(10.0),
@@ -238,6 +243,20 @@ def _results(
                 ],
             )
         )
+    return found
+
+
+def _left(
+    scored: Scored, seed: int, known: Mapping[str, FitDiscrepancy], rows: list[int]
+) -> dict[str, Interval]:
+    """What the best function of each component leaves; none leaves more than the baseline."""
+    found = {}
+    for name, component in scored.components.items():
+        fit = component.best.fit
+        d = known.get(name) or discrepancy_of(scored.screened, fit, seed, known_noise=True)
+        if d.pooled(rows).mean() > known[NULL].pooled(rows).mean():
+            d = known[NULL]
+        found[name] = d.interval(rows)
     return found
 
 
@@ -269,14 +288,27 @@ def _verdict(scored: Scored, gap: Gap) -> str:
         )
     members = scored.members(leader)
     twins = f", which these data cannot tell from {', '.join(members[1:])}" if len(members) > 1 else ""
+    grouped = " with its group" if twins else ""
+    shrinks = f"the discrepancy of {gap.before:.2g}{unit} shrinks to {gap.after:.2g}{unit}"
+    if leader in scored.components:
+        function = scored.components[leader].best.function
+        beside = scored.more.get(leader, 0.0) > scored.probability[leader]
+        rest = ", and something else remains" if beside else ""
+        total = scored.of_component[leader] + sum(scored.probability[m] for m in members[1:])
+        return (
+            f"the {leader} is not as the baseline has it, and no listed effect is what it lacks "
+            f"({total:.0%}{grouped}){twins}: with a {function.name} learned from the data {shrinks}{rest}"
+        )
     fit = scored.best[leader]
     at = fit.hypothesis.location
     where = f" in {at}" if at.part is not None else ""
     total = sum(scored.probability[m] for m in members)
-    return (
-        f"{leader}{where} ({total:.0%}{' with its group' if twins else ''}){twins}: "
-        f"the discrepancy of {gap.before:.2g}{unit} shrinks to {gap.after:.2g}{unit}"
-    )
+    more = scored.more.get(leader, 0.0)
+    if more > scored.probability[leader]:
+        return (
+            f"{leader}{where} and something else ({more:.0%}; alone {total:.0%}{grouped}){twins}: {shrinks}"
+        )
+    return f"{leader}{where} ({total:.0%}{grouped}){twins}: {shrinks}"
 
 
 def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
@@ -293,13 +325,19 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
     leader = scored.leader
     stuck = {p.name for p, _ in at_bounds(scored.screened.least)}
     found += [one.text for _, one in at_bounds(scored.screened.least)]
-    if leader not in scored.locations:
+    if leader in scored.components:
+        told = plausible(scored.components[leader].best, hooks.plausible)
+        if not told.value:
+            found.append(f"{leader}: what was learned can hardly be: {told.why}")
+    if not scored.is_cause(leader):
         return found
     if gap.removed < LITTLE:
         found.append(
             f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
             "discrepancy goes with it: most has another cause"
         )
+    if leader in scored.components:
+        return found
     effect = {p.name for p in scored.best[leader].forward.parameters[scored.best[leader].forward.asked :]}
     for p, one in at_bounds(scored.best[leader]):
         if p.name in effect:
@@ -397,9 +435,9 @@ def answer(
     unit = data.units[rows[0]]
     screened = first.screened
     before = discrepancy_of(screened, screened.least, seed)
-    listed = first.leader in first.locations
-    after = discrepancy_of(screened, single, seed) if listed else before
-    held = hold_out(first, single, rows) if listed else None
+    caused = first.is_cause(first.leader)
+    after = discrepancy_of(screened, single, seed) if caused else before
+    held = hold_out(first, single, rows) if caused else None
     b, a, removed = before.interval(rows), after.interval(rows), after.removed(rows, before)
     gap = Gap(
         unit=unit,
@@ -410,8 +448,8 @@ def answer(
         after_interval=(a.low, a.high),
         residual_rms_before=_rms(before.residual[rows]),
         residual_rms_after=_rms(after.residual[rows]),
-        removed=removed.mean if listed else 0.0,
-        removed_interval=(removed.low, removed.high) if listed else (0.0, 0.0),
+        removed=removed.mean if caused else 0.0,
+        removed_interval=(removed.low, removed.high) if caused else (0.0, 0.0),
         held_out_before=held.before if held else None,
         held_out_after=held.after if held else None,
         held_out_removed=held.removed if held else None,
@@ -445,10 +483,12 @@ def answer(
     for label, fit in (("base", screened.least), ("with cause", single)):
         values = fit.values
         sds = fit.sd
-        parameters[label] = {p.name: float(values[i]) for i, p in enumerate(fit.forward.parameters)} | {
-            f"{p.name} sd": float(sds[i] * (values[i] if p.log else 1.0))
-            for i, p in enumerate(fit.forward.parameters)
+        # weights of a free function mean nothing one by one
+        shown = fit.forward.parameters[: fit.forward.asked if first.leader in first.components else None]
+        parameters[label] = {p.name: float(values[i]) for i, p in enumerate(shown)} | {
+            f"{p.name} sd": float(sds[i] * (values[i] if p.log else 1.0)) for i, p in enumerate(shown)
         }
+    known = {NULL: before} | ({first.leader: after} if caused else {})
     members = first.members(first.leader)
     file = DiagnosisFile(
         study=data.name,
@@ -460,7 +500,10 @@ def answer(
         verdict=_beyond(excluded, gap) + _prior_words(first) + _verdict(first, gap),
         warnings=[*hooks.warnings, *_lifted_warnings(excluded, hooks), *_warnings(gap, first, hooks)],
         excluded=_excluded(excluded, screenings[0], rows, unit),
-        hypotheses=_results(first, seed, {NULL: before} | ({first.leader: after} if listed else {}), hooks),
+        hypotheses=_results(first, seed, known, hooks),
+        components=component_results(
+            first, _left(first, seed, known, rows), unit, data.groups[rows[0]], hooks.plausible, seed
+        ),
         steps=steps,
         invisible=list(first.invisible),
         failed=list(first.failed),

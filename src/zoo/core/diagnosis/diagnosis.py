@@ -17,11 +17,13 @@ from zoo.core import digests
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import FitDiscrepancy, answer
 from zoo.core.diagnosis.bounds import Excluded, freed
+from zoo.core.diagnosis.components.refining import explain
+from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.file import DiagnosisError, DiagnosisFile, HypothesisResult, Where
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC
-from zoo.core.diagnosis.scoring import Scored, score
-from zoo.core.diagnosis.screening import Screening
+from zoo.core.diagnosis.scoring import SENSOR, Scored, score
+from zoo.core.diagnosis.screening import MORE, Screened, Screening
 from zoo.core.diagnosis.search import SearchError
 from zoo.core.effects import AddedEffect, Effect, EffectError
 from zoo.core.errors.base import ErrorModel
@@ -135,6 +137,29 @@ class Diagnosis:
         folder = output_folder(folder, ["diagnosis.json"], deep=True)
         folder.mkdir(parents=True, exist_ok=True)
         return write_file(folder / "diagnosis.json", digests.to_text(json.loads(self.file.model_dump_json())))
+
+
+def _scored(
+    screened: Screened,
+    hooks: Hooks,
+    cores: int,
+    tick: Callable[[str, float], None] | None,
+    first: bool,
+) -> Scored:
+    """Probabilities of all explanations; in the first round of the components of the simulator too."""
+    screening = screened.screening
+    best: dict[str, Fit] = {}
+    for fit in sorted(screened.fits.values(), key=lambda f: -f.log_z):
+        best.setdefault(fit.hypothesis.name, fit)
+    leading = list(best)[:MORE]
+    more = dict(zip(leading, screening.and_more([best[n] for n in leading]), strict=True))
+    if hooks.components is None or not first:
+        return score(screened, more=more)
+    theta = screened.base.values
+    functions = hooks.components(screening.baseline, theta, screening.data)
+    belongs = {name: hooks.component_of(one) for name, one in screening.effects.items()}
+    explained = explain(screened, functions, cores=cores, tick=tick) if functions else None
+    return score(screened, explained, more, belongs | {NONPARAMETRIC: SENSOR})
 
 
 def _stronger(scored: Scored, exhaust: bool) -> AddedEffect | None:
@@ -276,7 +301,7 @@ def diagnose(
             if not rounds:
                 screening, excluded = freed(screening)
                 model = screening.baseline
-            scored = score(screening.run(stop_at_noise=bool(rounds)))
+            scored = _scored(screening.run(stop_at_noise=bool(rounds)), hooks, cores, tick, not rounds)
         except SearchError as error:
             if rounds:
                 break

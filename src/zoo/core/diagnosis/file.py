@@ -261,7 +261,7 @@ class ComponentResult(_Amounts):
     plausible: Plausible | None = None
     functions: list[LearnedFunction] = []
     nearest_effects: list[NearestEffect] = []
-    angles: dict[str, float] = {}
+    angles: dict[str, tuple[float, float]] = {}
     refined: bool = False
     held_out: HeldOutComponentResult | None = None
 

@@ -110,12 +110,16 @@ def next_measurement(scored: Scored, hooks: Hooks) -> NextMeasurement | None:
     """
     screened = scored.screened
     first = scored.leader
-    if first not in scored.locations or hooks.candidates is None:
+    if not scored.is_cause(first) or hooks.candidates is None:
         return None
-    rivals = [n for n in scored.members(first)[1:] if n in scored.locations]
+    own = scored.belongs.get(first, first)
+    rivals = [n for n in scored.members(first)[1:] if scored.is_cause(n)]
     rivals += [
-        n for n in scored.names if n in scored.locations and scored.probability[n] > DOUBT and n != first
+        n
+        for n in scored.names
+        if scored.is_cause(n) and scored.standing(n) > DOUBT and scored.belongs.get(n, n) != own
     ]
+    rivals += [n for n in scored.names if n in scored.locations and scored.standing(n) > DOUBT and n != first]
     data = screened.screening.data
     seen = set(data.outputs)
     candidates = [c for c in hooks.candidates(data, screened.screening.baseline) if c.output not in seen]

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from zoo.core.diagnosis.components.likeness import left_of
+from zoo.core.diagnosis.components.refining import Component, Explained
 from zoo.core.diagnosis.evidence import Fit
+from zoo.core.diagnosis.file import DiagnosisError
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.core.diagnosis.screening import PRIOR_NONPARAMETRIC, PRIOR_NULL, Screened
 from zoo.core.effects import Location
@@ -19,6 +22,10 @@ Array = NDArray[np.float64]
 
 VISIBLE = 3.0
 """Expected log-likelihood ratio, e^3 = 20 to 1, below which two hypotheses are the same to these data."""
+MOSTLY = 0.5
+"""Part of the discrepancy that an explanation with something else beside it may leave and be a cause."""
+TOO_FAR = 6.0
+"""Difference of log evidence above which a component, which may draw any signal, is in no other's group."""
 SHOWN_AT = 2.0
 """Size, in its prior's scale, at which an effect is asked whether the data could show it."""
 DOUBT = 0.01
@@ -30,9 +37,20 @@ PRIOR_MADE = 0.01
 """A probability nearer to what the prior alone gives among explanations of equal evidence is the prior's."""
 
 
+SENSOR = "sensor"
+"""Component that a free discrepancy belongs to."""
+COMPONENTS_SHARE = 0.5
+"""Part that the free functions of components have of what is left beforehand for listed causes."""
+
+
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """A screening's hypotheses with their probabilities, best first."""
+    """A screening's hypotheses with their probabilities, best first.
+
+    `more` are the probabilities of listed effects with something else beside them, which are no part of their
+    own `probability`; `explained` are the components, whose free functions are hypotheses by the component's
+    name; `belongs` is the component of each listed effect.
+    """
 
     screened: Screened
     names: tuple[str, ...]
@@ -44,6 +62,31 @@ class Scored:
     invisible: tuple[str, ...]
     failed: tuple[str, ...]
     prior_share: Mapping[str, float | None]
+    more: Mapping[str, float] = field(default_factory=dict)
+    explained: Explained | None = None
+    belongs: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def components(self) -> Mapping[str, Component]:
+        """Those whose free functions were weighed."""
+        return self.explained.components if self.explained else {}
+
+    def standing(self, name: str) -> float:
+        """Probability of an explanation, alone or with something else beside it."""
+        return self.probability[name] + self.more.get(name, 0.0)
+
+    def is_cause(self, name: str) -> bool:
+        """Whether it is a listed effect or a component, which a simulator can be mended by."""
+        return name in self.locations or name in self.components
+
+    @property
+    def of_component(self) -> dict[str, float]:
+        """Probability of each component: of its free functions, and of listed effects that belong to it."""
+        found = {name: self.standing(name) for name in self.components}
+        for name, component in self.belongs.items():
+            if name in self.probability:
+                found[component] = found.get(component, 0.0) + self.standing(name)
+        return found
 
     @property
     def leader(self) -> str:
@@ -61,7 +104,8 @@ class Scored:
 
     def members(self, name: str) -> list[str]:
         """What these data cannot tell from it, itself included, most probable first."""
-        return [n for n in self.names if self.group[n] == self.group[name]]
+        same = [n for n in self.names if self.group[n] == self.group[name]]
+        return [name, *(n for n in same if n != name)]
 
 
 def _projected(fit: Fit, signature: Array, S: Array, n_columns: int | None = None) -> float:
@@ -82,24 +126,39 @@ def _groups(
     log_z: Mapping[str, float],
     invisible: Sequence[str],
     S: Array,
+    explained: Explained | None = None,
+    belongs: Mapping[str, str] | None = None,
 ) -> dict[str, int]:
-    """Explanations that these data cannot tell apart have one number; the most probable gives it."""
+    """Explanations that these data cannot tell apart have one number; the most probable gives it.
+
+    A component and the listed effects that belong to it are no rivals.
+    """
+    components = explained.components if explained else {}
     group: dict[str, int] = {}
     leaders: list[str] = []
     free = (NONPARAMETRIC, CORRELATED)
+
+    def alike(name: str, other: str) -> bool:
+        if (name in free) != (other in free) or other in invisible or other == NULL:
+            return False
+        if name in free:
+            return abs(log_z[name] - log_z[other]) < VISIBLE
+        drawn = name in components or other in components
+        family = {(belongs or {}).get(n, n) for n in (name, other)}
+        if drawn and (len(family) == 1 or abs(log_z[name] - log_z[other]) > TOO_FAR):
+            return False
+        # were the other one true, this one would be fitted to its waves
+        fit, signal = best[name], best[other].computed
+        if explained and name in components:
+            signal = signal - screened.base.computed
+            return left_of(signal, components[name], explained.linearised, S) < VISIBLE
+        return _projected(fit, signal - fit.computed, S, fit.jacobian.shape[1]) < VISIBLE
+
     for name in names:
         own = best[name].computed
         moved = name in free or 0.5 * float(np.sum((own - screened.base.computed) ** 2 / S)) > VISIBLE
         for other in leaders if moved and name not in invisible else []:
-            if (name in free) != (other in free) or other in invisible or other == NULL:
-                continue
-            if name in free:
-                same = abs(log_z[name] - log_z[other]) < VISIBLE
-            else:
-                # were the other one true, this one would be fitted to its waves
-                fit = best[name]
-                same = _projected(fit, best[other].computed - own, S, fit.jacobian.shape[1]) < VISIBLE
-            if same:
+            if alike(name, other):
                 group[name] = group[other]
                 break
         else:
@@ -141,8 +200,46 @@ def prior_shares(
     return found
 
 
-def score(screened: Screened) -> Scored:
-    """Probabilities, groups and what the data cannot show."""
+def _priors(listed: Sequence[str], components: Sequence[str]) -> dict[str, float]:
+    """Prior probabilities: half of what is left for listed causes is that of components, if there are any."""
+    left = (1.0 - PRIOR_NULL - PRIOR_NONPARAMETRIC) / max(1, len(listed))
+    part = (1.0 - COMPONENTS_SHARE) if components else 1.0
+    prior = {NULL: PRIOR_NULL, NONPARAMETRIC: PRIOR_NONPARAMETRIC, CORRELATED: left}
+    effects = [n for n in listed if n != CORRELATED]
+    prior |= dict.fromkeys(effects, part * left)
+    if components and not effects:  # correlated noise has its part, components the other
+        prior[CORRELATED] *= 1.0 - COMPONENTS_SHARE
+    rest = 1.0 - sum(prior.values())
+    return prior | {n: rest / len(components) for n in components}
+
+
+def score(
+    screened: Screened,
+    explained: Explained | None = None,
+    more: Mapping[str, float] | None = None,
+    belongs: Mapping[str, str] | None = None,
+) -> Scored:
+    """Probabilities, groups and what the data cannot show.
+
+    Parameters
+    ----------
+    screened : Screened
+    explained : Explained, optional
+        Components whose free functions are weighed too.
+    more : mapping of name to float, optional
+        Log evidence of listed effects with something else beside them.
+    belongs : mapping of name to str, optional
+        Component of each listed effect, and of the free discrepancy.
+
+    Returns
+    -------
+    Scored
+
+    Raises
+    ------
+    DiagnosisError
+        If a component has the name of an effect.
+    """
     screening = screened.screening
     S = screening.beside(screened.noise, screening.numerics())
     log_z = {
@@ -179,16 +276,35 @@ def score(screened: Screened) -> Scored:
                 shown = math.inf
         if shown < VISIBLE:
             invisible.append(name)
+    components = explained.components if explained else {}
+    for name, component in components.items():
+        if name in log_z:
+            raise DiagnosisError(f"component {name}: is the name of an effect too; give another")
+        log_z[name], best[name] = component.log_evidence, component.best.fit
+        kinds[name] = [(-math.log(len(component.kinds)), k.weighed.log_z) for k in component.kinds]
     visible = [n for n in log_z if n not in invisible]
-    listed = [n for n in visible if n not in (NULL, NONPARAMETRIC)]
-    prior = {NULL: PRIOR_NULL, NONPARAMETRIC: PRIOR_NONPARAMETRIC}
-    prior |= {n: (1.0 - PRIOR_NULL - PRIOR_NONPARAMETRIC) / max(1, len(listed)) for n in listed}
-    log_p = {n: math.log(prior[n]) + log_z[n] for n in visible}
-    norm = float(logsumexp(list(log_p.values())))
+    prior = _priors([n for n in visible if n not in (NULL, NONPARAMETRIC, *components)], list(components))
+    alone = log_z | {n: c.log_z for n, c in components.items()}
+    log_p = {n: math.log(prior[n]) + alone[n] for n in visible}
+    with_more = {n: z for n, z in (more or {}).items() if n in log_p}
+    with_more |= {n: c.log_more for n, c in components.items() if math.isfinite(c.log_more)}
+    floor = sum(
+        screening.errors.part(screened.base.residual, q).size * (e.noise / screening.range[q]) ** 2
+        for q, e in screened.noise.items()
+    )
+    # what leaves most of the discrepancy to something else is no cause of it: that is unlisted
+    most = MOSTLY**2 * max(0.0, screening.missed(screened.base) - floor)
+    log_more = {
+        n: math.log(prior[n] * PRIOR_NONPARAMETRIC) + z
+        for n, z in with_more.items()
+        if screening.missed(best[n]) - floor < most
+    }
+    norm = float(logsumexp([*log_p.values(), *log_more.values()]))
     probability = {n: math.exp(log_p[n] - norm) if n in log_p else 0.0 for n in log_z}
-    names = sorted(log_z, key=lambda n: (-probability[n], -log_z[n]))
+    and_more = {n: math.exp(z - norm) for n, z in log_more.items()}
+    names = sorted(log_z, key=lambda n: (-probability[n] - and_more.get(n, 0.0), -log_z[n]))
 
-    group = _groups(screened, names, best, log_z, invisible, S)
+    group = _groups(screened, names, best, log_z, invisible, S, explained, belongs)
     return Scored(
         screened,
         tuple(names),
@@ -200,4 +316,7 @@ def score(screened: Screened) -> Scored:
         tuple(sorted(invisible)),
         tuple(sorted(failed)),
         dict.fromkeys(names) | prior_shares(prior, kinds),
+        and_more,
+        explained,
+        dict(belongs or {}),
     )

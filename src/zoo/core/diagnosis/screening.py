@@ -42,6 +42,10 @@ DELTA_GRID = LARGEST_DELTA * np.array([0.0, 0.125, 0.25, 0.5, 0.75, 1.0])
 """Sizes of the allowance that are integrated over, in units of its sd."""
 SEARCHED_LOCATIONS = 8
 """Locations of an effect that are searched: those where the linearised evidence is largest."""
+MORE, MORE_ROUNDS = 8, 2
+"""The best effects that are weighed with something else beside them too, and turns of their fit and noise."""
+BATCH = 128
+"""Errors beside which evidence is computed at once."""
 MULTISTARTED = 4
 """How many of the best explanations are searched again beside the noise alone, with all that have a shape;
 where nothing listed leads, every effect is, at its best location."""
@@ -292,8 +296,26 @@ class Screening:
             self.numerics(),
         )
 
-    def fit_free(self, base: Fit, name: str) -> Fit:
-        """The baseline with a discrepancy: smooth and shared by the series, or noise of its own in each."""
+    def _integrated(
+        self,
+        forward: HypothesisModel,
+        point: Point,
+        residual: Array,
+        options: Sequence[Mapping[str, GroupErrors]],
+        precision: Array,
+        pull: Array,
+    ) -> tuple[Array, Array, Array]:
+        """Log evidence (n,), steps (n, d) and covariances (n, d, d) beside each of n errors."""
+        found = []
+        for i in range(0, len(options), BATCH):
+            S = np.stack([self.errors.variances(at) for at in options[i : i + BATCH]])
+            log_z, step, C = marginal(residual, point.jacobian, S, precision, pull)
+            found.append((log_z + forward.log_mass(point.u + step, C), step, C))
+        log_z, steps, spreads = (np.concatenate(x) for x in zip(*found, strict=True))
+        return log_z, steps, spreads
+
+    def fit_free(self, base: Fit, name: str, rounds: int = effort.FREE_ROUNDS) -> Fit:
+        """A fit with a discrepancy: smooth and shared by the series, or noise of its own in each."""
         alone = all(len(rows) == 1 for rows in self.errors.rows.values())
         shared = np.zeros(1) if alone or name == CORRELATED else np.array(self.errors.shared)
         # a discrepancy with a physical cause is smooth; noise may be either
@@ -305,15 +327,12 @@ class Screening:
         noise = {q: replace(e, delta=0.0, rough=False) for q, e in base.errors.items()}
         point = Point(base.u, base.computed, base.jacobian)
         found: Fit | None = None
-        for round_ in range(effort.FREE_ROUNDS):
+        for round_ in range(rounds):
             residual = self.coefficients - point.computed
             log_prior, precision, pull = base.forward.prior(point.u)
-            best, terms, best_at = -math.inf, [], noise
-            kind_of: list[tuple[float, bool]] = []
-            for length, size, rho, rough, where in product(
-                self.errors.length_grid, SIZE_GRID, shared, kinds, wheres
-            ):
-                at = {
+            cells = list(product(self.errors.length_grid, SIZE_GRID, shared, kinds, wheres))
+            options = [
+                {
                     q: replace(
                         e,
                         delta=size * scales[q] if q in where else 0.0,
@@ -323,19 +342,19 @@ class Screening:
                     )
                     for q, e in noise.items()
                 }
-                log_z, step, C = marginal(
-                    residual, point.jacobian, self.errors.variances(at), precision, pull
-                )
-                # weights of the grid: log-spaced sizes of a half-normal, a log-normal length
-                log_z += base.forward.log_mass(point.u + step, C)
-                log_w = math.log(size) - 0.5 * size**2 + self.errors.length_log_prior(length)
-                terms.append((log_w, log_z))
-                kind_of.append((float(rho), rough))
-                if log_w + log_z > best:
-                    best, best_at, best_step, best_C = log_w + log_z, at, step, C
-            weights = np.array([w for w, _ in terms])
+                for length, size, rho, rough, where in cells
+            ]
+            # weights of the grid: log-spaced sizes of a half-normal, a log-normal length
+            weights = np.array(
+                [math.log(size) - 0.5 * size**2 + self.errors.length_log_prior(length)
+                 for length, size, *_ in cells]
+            )  # fmt: skip
+            kind_of = [(float(rho), rough) for _, _, rho, rough, _ in cells]
+            each, steps, spreads = self._integrated(base.forward, point, residual, options, precision, pull)
+            best = int(np.argmax(weights + each))
+            best_at, best_step, best_C = options[best], steps[best], spreads[best]
             weights -= logsumexp(weights)
-            each = weights + np.array([z for _, z in terms])
+            each = each + weights
             log_z = float(logsumexp(each))
             # where the data say little, the linearised mode may lie far outside the bounds
             best_step = np.clip(point.u + best_step, base.forward.low, base.forward.high) - point.u
@@ -348,19 +367,25 @@ class Screening:
             shares = [float(logsumexp(weights[part])) for part in parts]
             tops = [float(logsumexp(each[part])) + log_prior + log_noise for part in parts]
             found = Fit(
-                Hypothesis(self.added), base.forward, point.u, point.computed, point.jacobian, residual,
+                base.hypothesis, base.forward, point.u, point.computed, point.jacobian, residual,
                 {q: replace(best_at[q], sigma=e.sigma, ratio=e.ratio, tau=e.tau) for q, e in refit.items()},
                 {q: best_at[q].delta for q in best_at}, log_z + log_prior + log_noise,
                 point.u + best_step, best_C,
                 tuple((w, top - w) for w, top in zip(shares, tops, strict=True)),
             )  # fmt: skip
-            if round_ == effort.FREE_ROUNDS - 1:
+            if round_ == rounds - 1:
                 break
             search = Search(base.forward, self.coefficients, self.errors.variances(found.errors))
             point.cost = search.cost(point.u, point.computed)
             point = search.descend(point, effort.FREE_STEPS)
         assert found is not None
         return found
+
+    def and_more(self, fits: Sequence[Fit]) -> list[float]:
+        """Log evidence of effects with something else, a free discrepancy, beside them."""
+        with ThreadPoolExecutor(max(1, self.cores)) as pool:
+            found = pool.map(lambda fit: self.fit_free(fit, NONPARAMETRIC, MORE_ROUNDS).log_z, fits)
+            return list(found)
 
     # -- the effects -----------------------------------------------------------------------------
 
