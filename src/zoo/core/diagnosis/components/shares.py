@@ -29,13 +29,13 @@ LARGEST_SCALE, SMALLEST_SCALE = 4.0, 1e-3
 """Limits of a function's scale, in units of its prior's: a half-normal one is hardly ever outside."""
 LATTICE = (0.1, 0.3)
 """Distance between the logarithms of the scales among which one is drawn; a new one is taken every time."""
-UNSEEN = 0.03
+UNSEEN = 0.1
 """Size, in sds of the noise, below which a direction of a function at its largest scale is left out."""
 SILENT = 1e-4
 """Part of the noise's variance below which the largest discrepancy leaves a coefficient as it is."""
-SWEEPS, SETTLING = 600, 100
+SWEEPS, SETTLING = 240, 60
 """Sweeps over all scales that are kept, and those before."""
-MOVES, STRIDES = 4, (-1.5, 0.5)
+MOVES, STRIDES = 3, (-1.5, 0.5)
 """Steps of the free discrepancy's size, length and correlation in each sweep, for each group; the decadic
 logarithms between which the sd of a step of the size's logarithm is drawn."""
 FIRST_FREE = 0.3
