@@ -279,7 +279,17 @@ class SamplingOptions:
         int | None,
         typer.Option("--cores", help="Processes at a time; all cores by default.", show_default=False),
     ] = None
-    step: Annotated[str, typer.Option("--step", help="demetropolisz or metropolis.")] = "demetropolisz"
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method",
+            help="exact: chains with the solver itself; surrogate: NUTS on a surrogate of it, each stored "
+            "draw corrected with it; nuts: NUTS with the solver's derivatives; auto chooses by model.",
+        ),
+    ] = "auto"
+    step: Annotated[str, typer.Option("--step", help="Of exact: demetropolisz or metropolis.")] = (
+        "demetropolisz"
+    )
     thin: Annotated[
         int | None,
         typer.Option(
@@ -324,6 +334,7 @@ class SamplingOptions:
             if value is not None and value < 1:
                 raise UsageError(f"{option} {value}: must be at least 1")
         return {
+            "method": self.method,
             "draws": FIRST_CHECK if self.draws is None else self.draws,
             "tune": self.tune,
             "chains": self.chains,

@@ -124,7 +124,11 @@ def reproduce(
     from zoo.paper.reproduce import reproduce as run
     from zoo.paper.table4 import WAIC_LIMIT, WAIC_LIMITS, table4_lines
 
-    settings |= {"seed": 1 if sampling.seed is None else sampling.seed, "progress": not sampling.quiet}
+    settings |= {
+        "method": sampling.method,
+        "seed": 1 if sampling.seed is None else sampling.seed,
+        "progress": not sampling.quiet,
+    }
     try:
         found = run(loaded, folder, names, figures=figures, say=say, **settings)
     except CheckpointError as error:

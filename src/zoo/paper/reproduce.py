@@ -14,6 +14,7 @@ from zoo.blood.prior_tables import PAPER_SET
 from zoo.core.inference.convergence import judged
 from zoo.core.outputs import write_file
 from zoo.core.posterior.files import matching, refuse_other_settings, sample_to
+from zoo.core.surrogate.library import Library
 from zoo.models import PAPER, get_model
 from zoo.paper.table4 import (
     REFERENCE,
@@ -66,6 +67,7 @@ def nine_posteriors(
     """
     folder.mkdir(parents=True, exist_ok=True)
     posteriors, models = {}, {}
+    libraries: dict[str, Library] = {}
     for name in names:
         models[name] = get_model(name)(study)
         path = folder / f"{name}.nc"
@@ -77,7 +79,9 @@ def nine_posteriors(
             lacks = "" if found.passes else f", not converged (R-hat {found.max_rhat:.3f})"
             say(f"model {name}: posterior of {path}, {found.chains} chains of {found.draws} draws{lacks}")
         else:
-            posteriors[name] = sample_to(path, models[name], **settings)
+            forward = models[name].zoo.forward  # models of one forward model share its solves
+            shared = libraries.setdefault(forward.key, Library(forward))
+            posteriors[name] = sample_to(path, models[name], library=shared, **settings)
             say(f"model {name}: sampled, wrote {path}")
     return posteriors, models
 

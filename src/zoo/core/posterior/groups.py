@@ -13,7 +13,7 @@ import pymc as pm
 import xarray as xr
 
 from zoo.core.errors.base import ErrorModel
-from zoo.core.inference import sampling
+from zoo.core.inference import methods, sampling
 from zoo.core.inference.progress import bar
 from zoo.core.inference.record import RunRecord
 from zoo.core.model import ModelRecord, record_of
@@ -186,7 +186,8 @@ def sample(model: Any, *, groups: bool = True, progress: bool = True, **settings
         Show progress on standard error.
     **settings
         Of `zoo.core.inference.sampling.sample`: draws, tune, chains, cores, step, thin, seed, checkpoint,
-        until_ess, max_draws, start and so on.
+        until_ess, max_draws, start and so on. And `method`, "exact" if absent: "nuts", "surrogate" or "auto"
+        of `zoo.core.inference.methods.choose`, with `library`, solves that a surrogate may take.
 
     Returns
     -------
@@ -202,8 +203,9 @@ def sample(model: Any, *, groups: bool = True, progress: bool = True, **settings
     TypeError
         For a setting that does not exist.
     """
-    refuse_unknown("sample", settings, [*inspect.signature(sampling.sample).parameters, "groups"][1:])
-    idata = sampling.sample(model, progress=progress, **settings)
+    own = [*inspect.signature(sampling.sample).parameters, "groups", "method", "library"][1:]
+    refuse_unknown("sample", settings, own)
+    idata = methods.sample(model, progress=progress, **settings)
     if groups and isinstance(getattr(model, "zoo", None), ModelRecord):
         return add_groups(idata, model, progress=progress)
     return idata

@@ -1,0 +1,182 @@
+"""Draws of an approximate posterior made exact: weights, resampling along the chains, delayed acceptance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+K_LIMIT = 0.7
+"""Largest Pareto k-hat with which importance weights are taken (Vehtari et al. 2024)."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Importance weights of draws.
+
+    Parameters
+    ----------
+    smoothed : array (n_chains, n_draws)
+        Pareto-smoothed weights, which add up to 1.
+    k_hat : float
+        Shape of the weights' tail: up to 0.7 they can be trusted.
+    effective : float
+        Kish's effective share of the draws, (sum w)^2 / (n sum w^2).
+    """
+
+    smoothed: Array
+    k_hat: float
+    effective: float
+
+    @property
+    def trusted(self) -> bool:
+        """Whether k-hat is small enough."""
+        return bool(self.k_hat <= K_LIMIT)
+
+
+def pareto_weights(log_weights: Array) -> Weights:
+    """Pareto-smoothed importance weights of draws.
+
+    Parameters
+    ----------
+    log_weights : array (n_chains, n_draws)
+        Logarithm of the posterior over the approximate one, up to a constant; -inf where a solve failed.
+
+    Returns
+    -------
+    Weights
+
+    References
+    ----------
+    Vehtari, Simpson, Gelman, Yao, Gabry (2024), Journal of Machine Learning Research 25(72).
+    """
+    import arviz as az
+
+    flat = np.asarray(log_weights, dtype=np.float64).ravel()
+    possible = np.isfinite(flat)
+    if possible.sum() < 5:
+        return Weights(np.full(np.shape(log_weights), 1.0 / flat.size), np.inf, 0.0)
+    w = np.zeros(flat.size)
+    if np.ptp(flat[possible]) < 1e-9:  # no tail to fit
+        w[possible], k = 1.0 / possible.sum(), -np.inf
+    else:
+        smooth, k = az.psislw(flat[possible].copy())
+        w[possible], k = np.exp(smooth), float(k)
+    w /= w.sum()
+    return Weights(w.reshape(np.shape(log_weights)), k, float(1.0 / (flat.size * (w**2).sum())))
+
+
+def along_chains(weights: Array, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Indices (n_chains, n_draws) of draws resampled within each chain, in its order.
+
+    Systematic resampling: a draw of weight w stands n w times, rounded up or down. Copies of a draw stand
+    beside each other, so that they count as what they are, autocorrelation, in effective sample sizes; and
+    chains keep apart, so that R-hat can tell when they do not agree.
+
+    Parameters
+    ----------
+    weights : array (n_chains, n_draws)
+    rng : Generator
+
+    References
+    ----------
+    Kitagawa (1996), doi 10.1080/10618600.1996.10474692.
+    """
+    n = weights.shape[1]
+    found = []
+    for w in weights:
+        ends = np.cumsum(w) / w.sum()
+        found.append(np.minimum(np.searchsorted(ends, (np.arange(n) + rng.uniform()) / n), n - 1))
+    return np.array(found)
+
+
+def delayed_acceptance(
+    move: Callable[[Array, np.random.Generator], Array],
+    log_weight: Callable[[Array], float],
+    start: Array,
+    n: int,
+    rng: np.random.Generator,
+) -> tuple[Array, Array, Array]:
+    """A chain of the exact posterior from moves that leave the approximate one as it is.
+
+    A move from q to q' that is reversible for the approximate density p* is accepted with probability
+    min(1, w(q') / w(q)), w = p/p*, so only where the approximate density would go is solved. Moves of several
+    steps of one kernel are reversible, too.
+
+    Parameters
+    ----------
+    move : callable
+        A reversible move for p*: from a point (n_dim,) to another, or the same.
+    log_weight : callable
+        log w, with one solve; -inf where it fails.
+    start : array (n_dim,)
+    n : int
+        Draws.
+    rng : Generator
+
+    Returns
+    -------
+    draws : array (n, n_dim)
+    log_weights : array (n,)
+    accepted : array (n,)
+
+    References
+    ----------
+    Christen, Fox (2005), doi 10.1198/106186005X76983; Liu (2001), Monte Carlo Strategies in Scientific
+    Computing, section 9.4.3 (surrogate transitions).
+    """
+    q, w = np.array(start, dtype=np.float64), log_weight(start)
+    draws, weights, accepted = np.empty((n, len(q))), np.empty(n), np.zeros(n, dtype=bool)
+    for i in range(n):
+        proposal = move(q, rng)
+        if not np.array_equal(proposal, q):
+            there = log_weight(proposal)
+            if np.log(rng.uniform()) < there - w or not np.isfinite(w):
+                q, w, accepted[i] = proposal, there, True
+        draws[i], weights[i] = q, w
+    return draws, weights, accepted
+
+
+@dataclass
+class HamiltonianMoves:
+    """Several Hamiltonian steps in a density with a gradient: a reversible move.
+
+    Parameters
+    ----------
+    logp_dlogp : callable
+        Log-density and its gradient at a point (n_dim,).
+    cholesky : array (n_dim, n_dim)
+        Of the covariance of the density, about.
+    step : float
+        Of the leapfrog, in standard deviations.
+    leapfrogs, times : int
+        Leapfrog steps of each Hamiltonian step, and how many of these make a move.
+    """
+
+    logp_dlogp: Callable[[Array], tuple[float, Array]]
+    cholesky: Array
+    step: float = 0.3
+    leapfrogs: int = 6
+    times: int = 4
+
+    def __call__(self, q: Array, rng: np.random.Generator) -> Array:
+        """A point that the chain may go to."""
+        value, slope = self.logp_dlogp(q)
+        for _ in range(self.times):
+            p = rng.standard_normal(len(q))
+            x, there, gradient, momentum = q, value, slope, p
+            for _ in range(self.leapfrogs):
+                momentum = momentum + 0.5 * self.step * (self.cholesky.T @ gradient)
+                x = x + self.step * (self.cholesky @ momentum)
+                there, gradient = self.logp_dlogp(x)
+                if not np.isfinite(there):
+                    break
+                momentum = momentum + 0.5 * self.step * (self.cholesky.T @ gradient)
+            gain = there - value - 0.5 * (momentum @ momentum - p @ p)
+            if np.isfinite(there) and np.log(rng.uniform()) < gain:
+                q, value, slope = x, there, gradient
+        return q

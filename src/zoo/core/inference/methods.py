@@ -1,0 +1,133 @@
+"""Which way a posterior is sampled: with the forward model alone, with its derivatives, or by a surrogate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
+from zoo.core.inference.mode import has_many
+from zoo.core.inference.sampling import sample as sample_exact
+from zoo.core.inference.surrogate import sample_surrogate
+from zoo.core.inference.with_gradient import has_gradient, sample_nuts
+from zoo.core.model import ModelError, ModelRecord, record_of
+from zoo.core.surrogate.likelihood import no_table
+from zoo.core.surrogate.model import errors_have_gradient
+
+if TYPE_CHECKING:
+    import arviz as az
+
+METHODS = ("auto", "exact", "nuts", "surrogate")
+FEW = 6
+"""Dimensions up to which chains with the forward model itself are as quick as a surrogate."""
+MOST = 60
+"""Coordinates of the solves above which a polynomial surrogate needs too many of them."""
+ONLY_EXACT: dict[str, tuple[Any, ...]] = {
+    "step": (None, "demetropolisz"),
+    "thin": (None,),
+    "step_options": (None, {}),
+}
+"""Settings that other methods have no use for, with the values that ask for nothing."""
+
+
+def choose(model: Any, method: str = "auto", *, checkpoint: str | Path | None = None) -> tuple[str, str]:
+    """The method of a model, and why.
+
+    Parameters
+    ----------
+    model : pm.Model
+    method : {"auto", "exact", "nuts", "surrogate"}
+        "exact": DEMetropolisZ with the forward model, no derivatives. "nuts": NUTS with the forward model's
+        own derivatives. "surrogate": NUTS on a surrogate, corrected with the forward model.
+    checkpoint : path, optional
+        A run that is there goes on as it began, with "exact".
+
+    Returns
+    -------
+    method, reason : str
+
+    Raises
+    ------
+    SamplingError
+        If there is no such method, or it cannot be had.
+    """
+    if method not in METHODS:
+        raise SamplingError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
+    if method != "auto":
+        if method == "nuts" and not has_gradient(model):
+            raise SamplingError(
+                f"method = 'nuts': model {model_name(model)} has no gradient, for its forward model or its "
+                "errors offer none; use method surrogate or exact"
+            )
+        if method == "surrogate" and (why := _no_surrogate(model)):
+            raise SamplingError(f"method = 'surrogate': {why}; use method exact")
+        return method, "as asked"
+    if checkpoint is not None and (Path(checkpoint) / "run.json").exists():
+        return "exact", "a checkpoint of such a run is there"
+    if why := _no_surrogate(model):
+        return "exact", why
+    logp = LogPosterior(model)
+    d = len(logp.template.data)
+    if d <= FEW:
+        return "exact", f"with {d} dimensions it is as quick as a surrogate"
+    if has_many(logp) and errors_have_gradient(record_of(model)):
+        return "exact", "with independent errors and this many parameters a posterior may have several modes"
+    return "surrogate", f"{d} dimensions; each stored draw is corrected with the forward model"
+
+
+def _no_surrogate(model: Any) -> str:
+    """Why a model cannot have a surrogate; empty if it can."""
+    try:
+        record: ModelRecord = record_of(model)
+    except ModelError as error:
+        return str(error)
+    n = sum(p.size for p in record.forward.parameters if not p.hyper)
+    if n > MOST:
+        return f"{n} parameters of the solves are more than a surrogate takes ({MOST})"
+    return "" if errors_have_gradient(record) else no_table(record.errors)
+
+
+def sample(
+    model: Any, *, method: str = "exact", checkpoint: str | Path | None = None, **settings: Any
+) -> az.InferenceData:
+    """Sample a posterior by one of `METHODS`.
+
+    Parameters
+    ----------
+    model : pm.Model
+    method : str
+        Of `choose`; what "auto" takes is printed with the reason.
+    checkpoint : path, optional
+        Of "exact" alone: the others take minutes, and have none.
+    **settings
+        Of `zoo.core.inference.sampling.sample`, `zoo.core.inference.surrogate.sample_surrogate` or
+        `zoo.core.inference.with_gradient.sample_nuts`.
+
+    Raises
+    ------
+    SamplingError
+        If the method cannot be had, or has no use for a setting.
+    """
+    asked = {n: v for n, v in settings.items() if n in ONLY_EXACT and v not in ONLY_EXACT[n]}
+    taken, reason = choose(model, method, checkpoint=checkpoint)
+    if method == "auto" and asked:
+        taken, reason = "exact", f"{next(iter(asked))} is a setting of it"
+    if method == "auto" and settings.get("progress", True):
+        import sys
+
+        print(f"model {model_name(model)}: method {taken}: {reason}", file=sys.stderr)
+    if taken == "exact":
+        return sample_exact(model, checkpoint=checkpoint, **_without(settings, "library"))
+    for name, value in asked.items():
+        raise SamplingError(
+            f"{name} = {value}: method {taken} has no use for it; leave it out, or use method exact"
+        )
+    settings = _without(settings, *ONLY_EXACT, "checkpoint_seconds")
+    if taken == "nuts":
+        return sample_nuts(model, **_without(settings, "library"))
+    return sample_surrogate(model, **settings)
+
+
+def _without(settings: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: value for name, value in settings.items() if name not in names}

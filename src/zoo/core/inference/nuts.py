@@ -1,0 +1,86 @@
+"""PyMC's NUTS in a model with a gradient, from given points and with a given metric."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Draws = dict[str, Array]
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """PyMC tells what it samples, for its users and not for ours."""
+    logger = logging.getLogger("pymc")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+def nuts(
+    model: Any,
+    names: Sequence[str],
+    covariance: Array,
+    starts: Array,
+    values: Draws,
+    *,
+    draws: int,
+    tune: int,
+    cores: int,
+    seed: int,
+) -> tuple[Draws, int]:
+    """NUTS in a model with a gradient, a chain from each start: draws, and evaluations of the gradient.
+
+    Parameters
+    ----------
+    model : pm.Model
+    names : sequence of str
+        Of the variables whose draws are wanted.
+    covariance : array (n_dim, n_dim)
+        Of the posterior, about: the metric begins with it.
+    starts : array (n_chains, n_dim)
+        In the unconstrained space.
+    values : dict
+        The same points, each variable in its own unit.
+    draws, tune, cores, seed : int
+
+    Returns
+    -------
+    draws : dict
+        Variable -> (n_chains, n_draws, ...).
+    gradients : int
+
+    References
+    ----------
+    Hoffman, Gelman (2014), Journal of Machine Learning Research 15.
+    """
+    import pymc as pm
+    from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
+
+    d = len(covariance)
+    metric = QuadPotentialFullAdapt(d, np.mean(starts, axis=0), covariance, 10.0, adaptation_window=50)
+    with _quiet(), model:
+        step = pm.NUTS(potential=metric, target_accept=0.85)
+        found = pm.sample(
+            draws=draws,
+            tune=tune,
+            chains=len(starts),
+            cores=max(1, min(cores, len(starts))),
+            step=step,
+            initvals=[{name: column[i] for name, column in values.items()} for i in range(len(starts))],
+            random_seed=seed,
+            progressbar=False,
+            compute_convergence_checks=False,
+        )
+    posterior = found["posterior"]
+    kept = {name: posterior[name].transpose("chain", "draw", ...).to_numpy() for name in names}
+    return kept, int(found["sample_stats"]["n_steps"].sum()) + 10 * tune * len(starts)

@@ -1,0 +1,96 @@
+"""The InferenceData and run record of draws that were made without checkpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from zoo.core.inference.checkpoint import identity_of
+from zoo.core.inference.convergence import check_convergence, ess_to_count
+from zoo.core.inference.elements import arrays
+from zoo.core.inference.logposterior import LogPosterior, model_name
+from zoo.core.inference.prior_check import check_priors, exactness_at, priors_of
+from zoo.core.inference.record import RunRecord
+from zoo.core.model import ModelRecord
+
+if TYPE_CHECKING:
+    import arviz as az
+
+
+def inference_data(
+    model: Any, draws: Mapping[str, np.ndarray], stats: Mapping[str, np.ndarray]
+) -> az.InferenceData:
+    """Draws and statistics (n_chains, n_draws, ...) with the model's dimensions and observed data."""
+    import arviz as az
+    from pymc.backends.arviz import find_observations
+
+    found: az.InferenceData = az.from_dict(
+        posterior=dict(draws),
+        sample_stats=dict(stats) or None,
+        observed_data=find_observations(model) or None,
+        coords={name: np.asarray(values) for name, values in model.coords.items() if values is not None},
+        dims={name: list(names) for name, names in model.named_vars_to_dims.items()},
+    )
+    return found
+
+
+def attach_record(
+    idata: az.InferenceData,
+    model: Any,
+    logp: LogPosterior,
+    settings: Mapping[str, Any],
+    *,
+    seed: int,
+    solves: int,
+    steps: int,
+    mode_evaluations: int,
+    failures: Mapping[str, int],
+    wall_seconds: float,
+    started: str,
+    say: Callable[[str], None],
+) -> None:
+    """Write the run record into an InferenceData, and tell whether its draws have converged.
+
+    Parameters
+    ----------
+    idata : InferenceData
+        With a posterior.
+    model : pm.Model
+    logp : LogPosterior
+        Of it.
+    settings : mapping
+        With "chains", "draws" and "until_ess".
+    seed, solves, steps, mode_evaluations, failures, wall_seconds, started
+        As of `zoo.core.inference.record.RunRecord`.
+    say : callable
+    """
+    identity = identity_of(logp, {})
+    made = arrays(idata)
+    parameters, effects = priors_of(model)
+    middle = {name: values.mean((0, 1)) for name, values in made.items()}
+    priors = replace(check_priors(parameters, made, effects=effects), numerical=exactness_at(model, middle))
+    record = RunRecord(
+        model=model_name(model),
+        study=identity["study"],
+        study_checksum=identity["study checksum"],
+        conventions=identity["conventions"],
+        solver=identity["solver options"],
+        settings=dict(settings),
+        seed=seed,
+        solves=solves,
+        steps=steps,
+        mode_evaluations=mode_evaluations,
+        failures=dict(sorted(failures.items())),
+        solves_per_draw=solves / (settings["draws"] * settings["chains"]),
+        solves_per_step=solves / max(1, steps),
+        wall_seconds=wall_seconds,
+        sittings=1,
+        started=started,
+        prior_check=priors.as_dict() if parameters else None,
+        priors=model.zoo.priors if isinstance(getattr(model, "zoo", None), ModelRecord) else None,
+    )
+    record.attach(idata)
+    say(check_convergence(made, ess=ess_to_count(settings["until_ess"]), priors=priors).text)

@@ -1,0 +1,494 @@
+"""Posteriors by NUTS on a surrogate of the forward model, made exact by the forward model itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.inference.convergence import check_convergence, ess_to_count
+from zoo.core.inference.correction import (
+    HamiltonianMoves,
+    Weights,
+    along_chains,
+    delayed_acceptance,
+    pareto_weights,
+)
+from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name, outputs
+from zoo.core.inference.newton import gauss_newton
+from zoo.core.inference.nuts import Draws, nuts
+from zoo.core.inference.record_of_run import attach_record, inference_data
+from zoo.core.model import ModelRecord, record_of
+from zoo.core.parameters import variable_name
+from zoo.core.surrogate.coordinates import Coordinates
+from zoo.core.surrogate.library import Library
+from zoo.core.surrogate.model import SurrogateModel, log_likelihood, surrogate_model
+from zoo.core.surrogate.polynomial import term_count
+from zoo.core.surrogate.waveform import Surrogate
+
+if TYPE_CHECKING:
+    import arviz as az
+
+Array = NDArray[np.float64]
+
+FIRST_POINTS = 1.6
+"""Points of the first design for each term of a quadratic."""
+LEAST_POINTS = 150
+WIDER = 1.3
+"""Standard deviations of a design, in those of the posterior that is known of."""
+CHECKED = 160
+"""Draws of each round that are solved, to see what the surrogate is worth."""
+ENOUGH = 0.6
+"""Effective share of the weighted draws with which the building ends."""
+ROUNDS = 8
+IDLE = 2
+"""Rounds without a better surrogate after which the building ends."""
+ROUND_TUNE, ROUND_DRAWS = 400, 150
+FINAL_TUNE = 600
+THIN = 2
+"""Draws of NUTS for each one that is solved and stored."""
+FLATTEST = 0.05
+"""Least power of a surrogate's posterior that delayed acceptance moves in."""
+MOST_DRAWS = 8
+"""Limit of the stored draws of each chain, in those of the first check."""
+
+
+@dataclass
+class Built:
+    """A surrogate with its posterior.
+
+    Parameters
+    ----------
+    made : SurrogateModel
+    draws : dict
+        Of its posterior, variable -> (n_chains, n_draws, ...).
+    weights : Weights
+        Of draws that were solved.
+    rounds : int
+    covariance : array (n_dim, n_dim)
+    starts : array (n_chains, n_dim)
+    log : list of dict
+        What each round found: points, degree, error, k-hat and effective share.
+    """
+
+    made: SurrogateModel
+    draws: Draws
+    weights: Weights
+    rounds: int
+    covariance: Array
+    starts: Array
+    log: list[dict[str, Any]] = field(default_factory=list)
+
+
+def theta_of(record: ModelRecord, draws: Mapping[str, Array]) -> Array:
+    """Forward parameters (n, n_values) of draws, variable -> (n_chains, n_draws, ...) or (n, ...)."""
+    parts = []
+    for p in record.forward.parameters:
+        parts.append(np.asarray(draws[variable_name(p.name)], dtype=np.float64).reshape(-1, p.size))
+    return np.concatenate(parts, axis=1)
+
+
+def errors_of(record: ModelRecord, draws: Mapping[str, Array]) -> dict[str, Array]:
+    """Parameters of the errors, name -> (n, ...)."""
+    found = {}
+    for p in record.errors.parameters:
+        values = np.asarray(draws[variable_name(p.name)], dtype=np.float64)
+        found[p.name] = values.reshape(-1, p.size) if p.dims else values.ravel()
+    return found
+
+
+class Builder:
+    """Builds a surrogate around a model's posterior: solves, fits, samples, looks, and solves where it lacks.
+
+    Parameters
+    ----------
+    logp : LogPosterior
+        Of the model with the forward model.
+    library : Library
+        Solves that are there already, of any model with the same forward model.
+    seed, cores : int
+    say : callable
+        Told what each round finds.
+    """
+
+    def __init__(
+        self, logp: LogPosterior, library: Library, *, seed: int, cores: int, say: Callable[[str], None]
+    ) -> None:
+        self.logp, self.library, self.cores, self.say, self.seed = logp, library, cores, say, seed
+        self.record = record_of(logp.model)
+        self.coordinates = Coordinates(self.record.forward.parameters)
+        self.rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(5,)))
+        self.gradients = 0
+        self.names, self._values = outputs(logp.model, [rv.name for rv in logp.model.free_RVs])
+
+    def values(self, vectors: Array) -> Draws:
+        """Free variables in their own units, (n, ...), of vectors (n, n_dim)."""
+        rows = [self._values(self.logp.point(q)) for q in vectors]
+        return {
+            name: np.array(column) for name, column in zip(self.names, zip(*rows, strict=True), strict=True)
+        }
+
+    def begin(self, start: Mapping[str, Any] | None = None) -> tuple[Array, Array]:
+        """Where the posterior is, about: a point (n_dim,) and a covariance, by Gauss-Newton steps."""
+        logp, d = self.logp, len(self.logp.template.data)
+        points = [logp.vector(logp.initial)]
+        if start is not None:
+            points = [logp.from_values(start)]
+        elif self.record.suggested:
+            points.append(logp.from_values(self.record.suggested))
+        heights = [logp(q) for q in points]
+        best = int(np.argmax(heights))
+        if not np.isfinite(heights[best]):
+            raise SamplingError(
+                f"model {model_name(logp.model)}: neither its initial nor its suggested values can be "
+                "solved; pass start={name: value} with values that can"
+            )
+        q, _, frame = gauss_newton(logp, points[best], heights[best], limit=6 * (d + 2))
+        return q, frame @ frame.T
+
+    def design(self, mean: Array, covariance: Array, n: int) -> Array:
+        """Points (n, n_values) of a normal design in the coordinates, within the priors' bounds."""
+        from scipy.stats import norm, qmc
+
+        d = self.coordinates.n
+        sobol = qmc.Sobol(d, seed=int(self.rng.integers(1 << 31)))
+        u = norm.ppf(np.clip(sobol.random(1 << int(np.ceil(np.log2(2 * n)))), 1e-6, 1 - 1e-6))
+        x = mean + WIDER * u @ np.linalg.cholesky(covariance).T
+        low, high = self.coordinates.bounds()
+        x = x[np.all((x > low) & (x < high), axis=1)]
+        if len(x) < n:  # a posterior that leans on bounds: what lies outside is drawn to them
+            more = mean + WIDER * self.rng.standard_normal((n, d)) @ np.linalg.cholesky(covariance).T
+            x = np.concatenate([x, np.clip(more, *_inside(low, high, mean))])
+        return self.coordinates.theta(x[:n])
+
+    def solve(self, theta: Array) -> Array:
+        series = self.library.solve(theta, self.cores)
+        self.library.add(theta, series)
+        return series
+
+    def build(self, start: Mapping[str, Any] | None = None) -> Built:
+        """The surrogate and its posterior, after as many rounds as it needs."""
+        q, covariance = self.begin(start)
+        d = self.coordinates.n
+        drawn = q + self.rng.standard_normal((max(400, 20 * d), len(q))) @ np.linalg.cholesky(covariance).T
+        draws = self.values(drawn)
+        known = errors_of(self.record, self.values(q[None]))
+        x = self.coordinates.of(theta_of(self.record, draws))
+        near = x.mean(0), np.cov(x.T).reshape(d, d)
+        first = max(LEAST_POINTS, int(FIRST_POINTS * term_count(d, 2)))
+        self.solve(self.design(*near, first))
+        weighed, log, best, idle = _first(known), [], None, 0
+        starts = self._starts(q, covariance)
+        for turn in range(1, ROUNDS + 1):
+            within = 3.0 * np.sqrt(d) + 3.0
+            surrogate = Surrogate.fit(self.library, self.record.errors, weighed, near=near, within=within)
+            made = surrogate_model(
+                self.logp.model, self.record, surrogate, theta_of(self.record, draws)[:100]
+            )
+            draws, gradients = nuts(
+                made.model,
+                self.names,
+                covariance,
+                starts,
+                self.values(starts),
+                draws=ROUND_DRAWS,
+                tune=ROUND_TUNE,
+                cores=self.cores,
+                seed=int(self.rng.integers(1 << 31)),
+            )
+            self.gradients += gradients
+            flat = {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
+            theta = theta_of(self.record, flat)
+            some = np.unique(np.linspace(0, len(theta) - 1, CHECKED).astype(int))
+            weights = pareto_weights(
+                self.log_weights(made, {n: v[some] for n, v in flat.items()}, keep=True)[None]
+            )
+            x = self.coordinates.of(theta)
+            log.append(
+                {
+                    "points": len(surrogate.map.residuals),
+                    "terms": len(surrogate.map.terms),
+                    "basis": len(surrogate.basis),
+                    "error": float(np.median(surrogate.error(theta))),
+                    "k_hat": weights.k_hat,
+                    "effective": weights.effective,
+                }
+            )
+            self.say(
+                f"surrogate {turn}: {log[-1]['points']} solves, {log[-1]['terms']} terms for each of "
+                f"{log[-1]['basis']} components, expected error {log[-1]['error']:.2g} of the noise; of its "
+                f"draws {100 * weights.effective:.0f} % are effective, k-hat {weights.k_hat:.2f}"
+            )
+            vectors = self.logp.from_draws({n: v[::2] for n, v in flat.items()})
+            covariance = np.cov(vectors.T).reshape(len(q), len(q)) + 1e-9 * np.eye(len(q))
+            starts = vectors[self.rng.choice(len(vectors), len(starts), replace=False)]
+            built = Built(made, draws, weights, turn, covariance, starts, log)
+            if best is None or weights.effective > 1.15 * best.weights.effective:
+                best, idle = built, 0
+            else:
+                idle += 1
+            if (weights.effective >= ENOUGH and weights.trusted) or idle > IDLE:
+                break
+            near = x.mean(0), np.cov(x.T).reshape(d, d)
+            self.solve(self.design(*near, max(CHECKED, term_count(d, 2) // 2)))
+            weighed = {name: np.median(v, axis=0) for name, v in errors_of(self.record, flat).items()}
+        assert best is not None
+        return best
+
+    def _starts(self, q: Array, covariance: Array, chains: int = 4) -> Array:
+        return q + 0.7 * self.rng.standard_normal((chains, len(q))) @ np.linalg.cholesky(covariance).T
+
+    def log_weights(self, made: SurrogateModel, draws: Mapping[str, Array], keep: bool = False) -> Array:
+        """Logarithm of the exact likelihood over the surrogate's (n,), a solve for each draw (n, ...)."""
+        theta, errors = theta_of(self.record, draws), errors_of(self.record, draws)
+        series = self.library.solve(theta, self.cores)
+        if keep:
+            self.library.add(theta, series)
+        with np.errstate(invalid="ignore"):
+            found = log_likelihood(self.record, series, errors) - made.log_likelihood(theta, errors)
+        return np.where(np.isnan(found), -np.inf, found)
+
+
+def _first(known: Mapping[str, Array]) -> dict[str, Any]:
+    return {name: np.asarray(value)[0] for name, value in known.items()}
+
+
+def _inside(low: Array, high: Array, mean: Array) -> tuple[Array, Array]:
+    """Bounds drawn in a little, so that a density is not zero there."""
+    return (
+        np.where(np.isfinite(low), low + 1e-3 * (mean - low), low),
+        np.where(np.isfinite(high), high - 1e-3 * (high - mean), high),
+    )
+
+
+def sample_surrogate(
+    model: Any,
+    *,
+    draws: int = 1000,
+    tune: int | None = None,
+    chains: int = 4,
+    cores: int = 2,
+    seed: int | None = None,
+    progress: bool = True,
+    until_ess: float | None = None,
+    max_draws: int | None = None,
+    start: Mapping[str, Any] | None = None,
+    library: Library | None = None,
+) -> az.InferenceData:
+    """Sample a posterior by NUTS on a surrogate of the forward model, and make its draws exact.
+
+    A surrogate is built around the posterior (`Builder`). Every stored draw of NUTS is then solved with the
+    forward model itself, and weighed by the exact likelihood over the surrogate's. With k-hat up to 0.7 the
+    draws are resampled by their smoothed weights, along each chain; else chains of delayed acceptance are
+    made, in which every step is accepted by the forward model. Effective sample sizes and R-hat are those of
+    the draws after that.
+
+    Parameters
+    ----------
+    model : pm.Model
+        With a record (`zoo.core.model.bayesian_model`).
+    draws, tune, chains, cores, seed, progress, until_ess, max_draws
+        As of `zoo.core.inference.sampling.sample`; `max_draws` is 8 `draws` if absent.
+    start : mapping, optional
+        Values where the search for the posterior begins.
+    library : Library, optional
+        Solves of the same forward model that are there already; those of this run are added to it.
+
+    Returns
+    -------
+    arviz.InferenceData
+        As of `sample`; sample_stats also has log_weight of each stored draw. The run record's settings tell
+        how many solves the building and the correction took, k-hat, the effective share and each round.
+
+    Raises
+    ------
+    SamplingError
+        If the posterior cannot be found.
+    zoo.core.surrogate.waveform.SurrogateError
+        If the error model or the forward model does not allow a surrogate.
+
+    References
+    ----------
+    Vehtari et al. (2024), Journal of Machine Learning Research 25(72); Christen, Fox (2005), doi
+    10.1198/106186005X76983.
+    """
+    from zoo.core.inference.progress import Display
+
+    began, used = time.monotonic(), time.process_time()
+    started = datetime.now(UTC).isoformat(timespec="seconds")
+    record = record_of(model)
+    seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else int(seed)
+    logp = LogPosterior(model)
+    library = Library(record.forward) if library is None else library
+    if library.model.key != record.forward.key:
+        raise SamplingError(
+            f"library: is of {library.model.name} with other settings; give one of this model"
+        )
+    before, goal = library.solves, ess_to_count(until_ess)
+    tune = FINAL_TUNE if tune is None else tune
+    with Display(progress, tune=tune, thin=THIN, cores=cores, ess=until_ess) as show:
+        show.say(
+            f"model {model_name(model)}: {len(logp.template.data)} dimensions, {chains} chains of NUTS on a "
+            f"surrogate of {record.forward.name}, seed {seed}"
+        )
+        builder = Builder(logp, library, seed=seed, cores=cores, say=show.say)
+        built = builder.build(start)
+        building = library.solves - before
+        limit = max_draws or MOST_DRAWS * draws
+        kept = draws
+        while True:
+            result = _corrected(builder, built, kept, tune, chains, cores)
+            verdict = check_convergence(result.draws, ess=goal)
+            if until_ess is None or verdict.passes or kept >= limit:
+                break
+            least = max(verdict.min_ess, 1.0)
+            kept = min(limit, int(np.ceil(kept * float(np.clip(1.2 * goal / least, 1.3, 3.0)))))
+            show.say(f"effective sample size {least:.0f} of {goal:.0f}: {kept} draws of each chain")
+        show.say(result.words)
+        shape = result.log_weights.shape
+        stats = {
+            "log_weight": result.log_weights,
+            "accepted": np.ones(shape) if result.accepted is None else result.accepted.astype(float),
+            "solves": np.ones(shape, dtype=np.int64),
+        }
+        idata = inference_data(model, result.draws, stats)
+        solves = library.solves - before
+        wall = time.monotonic() - began
+        settings = {
+            "method": "surrogate",
+            "step": "nuts",
+            "tune": tune,
+            "thin": THIN,
+            "chains": chains,
+            "draws": kept,
+            "first check": draws,
+            "until_ess": until_ess,
+            "cores": cores,
+            "surrogate": {
+                "building solves": building,
+                "correction solves": solves - building,
+                "correction": result.correction,
+                "k_hat": result.weights.k_hat,
+                "effective share": result.weights.effective,
+                "gradients of the surrogate": builder.gradients,
+                "processor seconds": time.process_time() - used,
+                "rounds": built.log,
+            },
+        }
+        attach_record(
+            idata,
+            model,
+            logp,
+            settings,
+            seed=seed,
+            solves=solves,
+            steps=chains * kept,
+            mode_evaluations=logp.evaluations,
+            failures=dict(library.failures),
+            wall_seconds=wall,
+            started=started,
+            say=show.say,
+        )
+    return idata
+
+
+@dataclass(frozen=True)
+class _Corrected:
+    """Draws that count: variable -> (n_chains, n_draws, ...), their weights before, and what was done."""
+
+    draws: Draws
+    log_weights: Array
+    weights: Weights
+    correction: str
+    words: str
+    accepted: Array | None = None
+
+
+def _corrected(builder: Builder, built: Built, kept: int, tune: int, chains: int, cores: int) -> _Corrected:
+    """Chains of NUTS on the surrogate, each stored draw solved and weighed, resampled or accepted."""
+    rng = builder.rng
+    starts = built.starts[np.arange(chains) % len(built.starts)]
+    long, gradients = nuts(
+        built.made.model,
+        builder.names,
+        built.covariance,
+        starts,
+        builder.values(starts),
+        draws=kept * THIN,
+        tune=tune,
+        cores=cores,
+        seed=int(rng.integers(1 << 31)),
+    )
+    builder.gradients += gradients
+    draws = {name: value[:, ::THIN] for name, value in long.items()}
+    flat = {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
+    log_weights = builder.log_weights(built.made, flat, keep=True).reshape(chains, kept)
+    weights = pareto_weights(log_weights)
+    if weights.trusted:
+        index = along_chains(weights.smoothed, rng)
+        chain = np.arange(chains)[:, None]
+        return _Corrected(
+            {name: value[chain, index] for name, value in draws.items()},
+            log_weights[chain, index],
+            weights,
+            "importance resampling",
+            f"corrected by importance resampling: k-hat {weights.k_hat:.2f}, "
+            f"{100 * weights.effective:.0f} % of {chains * kept} draws effective",
+        )
+    return _by_delayed_acceptance(builder, built, draws, log_weights, weights)
+
+
+def _by_delayed_acceptance(
+    builder: Builder, built: Built, draws: Draws, log_weights: Array, weights: Weights
+) -> _Corrected:
+    """Chains that begin at resampled draws, each step a move of the surrogate that a solve accepts.
+
+    Moves are made in the surrogate's posterior to the power by which the exact one falls with it, so that a
+    surrogate that is too narrow still goes where the exact posterior is.
+    """
+    chains, kept = log_weights.shape
+    logp, rng = builder.logp, builder.rng
+    flat = {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
+    function = built.made.model.logp_dlogp_function(ravel_inputs=True)
+    function.set_extra_values({})
+
+    def surrogate(q: Array) -> tuple[float, Array]:
+        value, gradient = function._pytensor_function(q)
+        return float(value), np.asarray(gradient)
+
+    some = np.flatnonzero(np.isfinite(log_weights.ravel()))[:: max(1, log_weights.size // 400)]
+    vectors = logp.from_draws({n: v[some] for n, v in flat.items()})
+    heights = np.array([surrogate(q)[0] for q in vectors])
+    share = 1.0 + float(np.polyfit(heights, log_weights.ravel()[some], 1)[0])
+    share = float(np.clip(share, FLATTEST, 1.0))
+
+    def slopes(q: Array) -> tuple[float, Array]:
+        value, gradient = surrogate(q)
+        return share * value, share * gradient
+
+    def weigh(q: Array) -> float:
+        exact = float(builder.log_weights(built.made, builder.values(q[None]))[0])
+        return exact + (1.0 - share) * surrogate(q)[0]
+
+    d = vectors.shape[1]
+    lower = np.linalg.cholesky((np.cov(vectors.T).reshape(d, d) + 1e-9 * np.eye(d)) / share)
+    moves = HamiltonianMoves(slopes, np.asarray(lower, dtype=np.float64))
+    begin = rng.choice(log_weights.size, chains, p=weights.smoothed.ravel())
+    first = logp.from_draws({n: v[begin] for n, v in flat.items()})
+    found = [delayed_acceptance(moves, weigh, q, kept, rng) for q in first]
+    made = [builder.values(each[0]) for each in found]
+    accepted = np.array([each[2] for each in found])
+    return _Corrected(
+        {name: np.array([one[name] for one in made]) for name in builder.names},
+        np.array([each[1] for each in found]),
+        weights,
+        "delayed acceptance",
+        f"corrected by delayed acceptance, for k-hat is {weights.k_hat:.2f}: {100 * accepted.mean():.0f} % "
+        "of the steps accepted",
+        accepted,
+    )

@@ -1,0 +1,78 @@
+"""Solves that a surrogate is made from: points, their series, and how many there were."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.forward import ForwardModel, SolveError
+
+Array = NDArray[np.float64]
+
+
+class Library:
+    """All solves of a forward model that were made for a surrogate, which every error model may use.
+
+    Parameters
+    ----------
+    model : ForwardModel
+
+    Attributes
+    ----------
+    theta : array (n, n_values)
+        Points that could be solved.
+    series : array (n, n_series, n_times)
+    solves : int
+        Solves, those that failed included.
+    failures : Counter
+        Failed solves by kind.
+    processor_seconds : float
+        Time that they took on all cores.
+    """
+
+    def __init__(self, model: ForwardModel) -> None:
+        self.model = model
+        self.theta: Array = np.empty((0, sum(p.size for p in model.parameters)))
+        self.series: Array = np.empty((0, *model.outputs.shape))
+        self.solves = 0
+        self.failures: Counter[str] = Counter()
+        self.processor_seconds = 0.0
+
+    def __len__(self) -> int:
+        return len(self.theta)
+
+    def solve(self, points: Array, cores: int = 1) -> Array:
+        """Series (n, n_series, n_times) at points (n, n_values), NaN where a solve fails; not kept."""
+        began = time.process_time()
+
+        def one(theta: Array) -> Any:
+            try:
+                series = np.asarray(self.model.solve(self.model.configure(theta)), dtype=np.float64)
+            except SolveError as error:
+                return error.kind
+            return series if np.all(np.isfinite(series)) else "not-finite"
+
+        if cores > 1 and getattr(self.model, "threads", False):
+            with ThreadPoolExecutor(cores) as pool:
+                found: Sequence[Any] = list(pool.map(one, points))
+        else:
+            found = [one(theta) for theta in points]
+        self.solves += len(found)
+        self.failures.update(item for item in found if isinstance(item, str))
+        self.processor_seconds += time.process_time() - began
+        blank = np.full(self.model.outputs.shape, np.nan)
+        return np.array([blank if isinstance(item, str) else item for item in found]).reshape(
+            -1, *self.model.outputs.shape
+        )
+
+    def add(self, points: Array, series: Array) -> None:
+        """Keep solved points (n, n_values); those with NaN in their series are left out."""
+        good = np.isfinite(series).all((1, 2))
+        self.theta = np.concatenate([self.theta, points[good]])
+        self.series = np.concatenate([self.series, series[good]])

@@ -1,0 +1,102 @@
+"""A PyMC model with a surrogate where the forward model was, and a gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pymc as pm
+import pytensor.tensor as pt
+from numpy.typing import ArrayLike, NDArray
+
+from zoo.core.model import ModelRecord
+from zoo.core.op import MissingGradientError
+from zoo.core.parameters import random_variables
+from zoo.core.surrogate.likelihood import Table
+from zoo.core.surrogate.waveform import Surrogate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SurrogateModel:
+    """A PyMC model of the same variables, and its log-likelihood as a function of many draws.
+
+    Parameters
+    ----------
+    model : pm.Model
+        With the potential "likelihood".
+    surrogate : Surrogate
+    record : ModelRecord
+        Of the model whose forward model it stands for.
+    table : Table, optional
+        Of errors that have no gradient of their own.
+    """
+
+    model: pm.Model
+    surrogate: Surrogate
+    record: ModelRecord
+    table: Table | None = None
+
+    def log_likelihood(self, theta: Array, errors: Mapping[str, ArrayLike]) -> Array:
+        """What its draws are weighed with, (n,): of parameters (n, n_values) and those of errors (n, ...)."""
+        inside = -self.surrogate.fence(theta)
+        if self.table is not None:
+            return inside + self.table(self.surrogate.coefficients(theta), errors)
+        return inside + log_likelihood(self.record, self.surrogate.series(theta), errors)
+
+
+def log_likelihood(record: ModelRecord, series: Array, errors: Mapping[str, ArrayLike]) -> Array:
+    """Log-likelihood (n,) of a model's data at series (n, n_series, n_times), -inf where these are NaN."""
+    draws = {name: np.asarray(errors[name]) for name in record.errors.parameter_names}
+    return record.errors.pointwise(series, draws, ["joint"])["joint"]
+
+
+def surrogate_model(
+    original: pm.Model, record: ModelRecord, surrogate: Surrogate, points: Array
+) -> SurrogateModel:
+    """The model with its series from a surrogate.
+
+    Parameters
+    ----------
+    original : pm.Model
+        Whose dimensions are taken.
+    record : ModelRecord
+        Of it.
+    surrogate : Surrogate
+    points : array (n, n_values)
+        Of the posterior, where a table of the errors is tried.
+
+    Raises
+    ------
+    SurrogateError
+        If the errors have no gradient and no table.
+    """
+    bound = record.errors
+    table = None if errors_have_gradient(record) else Table.of(surrogate, bound, points)
+    with pm.Model(coords=dict(original.coords)) as model:
+        variables = random_variables(record.forward.parameters)
+        of_errors = random_variables(bound.parameters)
+        mean = surrogate.symbolic_series(variables)
+        pm.Potential("inside", -surrogate.symbolic_fence(variables))
+        if table is None:
+            bound.observe("y", mean, pt.constant(np.int8(1)), of_errors)
+        else:
+            a = surrogate.symbolic_coefficients(variables)
+            pm.Potential("likelihood", table.symbolic(a, of_errors))
+    return SurrogateModel(model, surrogate, record, table)
+
+
+def errors_have_gradient(record: ModelRecord) -> bool:
+    """Whether the log-density of the errors can be differentiated."""
+    bound = record.errors
+    with pm.Model(coords={"series": list(bound.on.labels), "time": bound.on.times}) as trial:
+        shift = pm.Normal("shift")
+        mean, ok = pt.constant(bound.on.values) + shift, pt.constant(np.int8(1))
+        bound.observe("y", mean, ok, random_variables(bound.parameters))
+    try:
+        trial.dlogp()
+    except (MissingGradientError, NotImplementedError):
+        return False
+    return True

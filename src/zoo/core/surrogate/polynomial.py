@@ -1,0 +1,152 @@
+"""Polynomials of several variables by least squares, chosen by the error at points left out."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytensor.tensor as pt
+from numpy.typing import NDArray
+from scipy import linalg
+
+Array = NDArray[np.float64]
+
+POINTS_A_TERM = 1.5
+"""Fewest points for each term of a polynomial that is tried."""
+
+
+def total_degree(n: int, degree: int) -> set[tuple[int, ...]]:
+    """Monomials of n variables up to a degree: sorted tuples of variables from 1 on, without a constant's."""
+    return {
+        term
+        for d in range(degree + 1)
+        for term in itertools.combinations_with_replacement(range(1, n + 1), d)
+    }
+
+
+def term_count(n: int, degree: int) -> int:
+    """Number of monomials of n variables up to a degree."""
+    return math.comb(n + degree, degree)
+
+
+def _candidates(n: int, most: int) -> list[list[tuple[int, ...]]]:
+    """Sets of monomials of at most so many terms: of all variables, and of a higher degree in the first."""
+    found: list[list[tuple[int, ...]]] = []
+    base: set[tuple[int, ...]] = set()
+    for degree in range(8):
+        if term_count(n, degree) > most:
+            break
+        base = total_degree(n, degree)
+        found.append(sorted(base, key=lambda term: (len(term), term)))
+    for first in range(2, n):
+        for more in (1, 2):
+            if term_count(first, degree + more - 1) + len(base) > 2 * most:
+                continue
+            both = base | total_degree(first, degree + more - 1)
+            if len(both) <= most:
+                found.append(sorted(both, key=lambda term: (len(term), term)))
+    return found
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """Values (n_values,) as a polynomial of v = rotation (x - centre).
+
+    Parameters
+    ----------
+    centre : array (n_x,)
+    rotation : array (n_x, n_x)
+        Variables in the order of how much they matter.
+    terms : array of int (n_terms, degree)
+        Factors of each monomial: variables from 1 on, 0 for a factor of 1.
+    weights : array (n_terms, n_values)
+    spread : array (n_terms, n_terms)
+        Inverse of the features' second moments, for the leverage.
+    residuals : array (n_points, n_values)
+        Errors at each point of a fit without it.
+    """
+
+    centre: Array
+    rotation: Array
+    terms: NDArray[np.int64]
+    weights: Array
+    spread: Array
+    residuals: Array
+
+    @classmethod
+    def fit(cls, x: Array, values: Array, centre: Array, cholesky: Array) -> Polynomial:
+        """The one of the least error at points left out one at a time (by the leverage, in closed form).
+
+        Parameters
+        ----------
+        x : array (n_points, n_x)
+        values : array (n_points, n_values)
+            In units that make their errors alike.
+        centre : array (n_x,)
+        cholesky : array (n_x, n_x)
+            Of a covariance: where it is whitened.
+        """
+        u = linalg.solve_triangular(cholesky, (x - centre).T, lower=True).T
+        linear = np.concatenate([np.ones((len(u), 1)), u], axis=1)
+        slopes = linalg.lstsq(linear, values)[0][1:]
+        directions, _, _ = linalg.svd(slopes, full_matrices=True)
+        rotation = directions.T @ linalg.solve_triangular(cholesky, np.eye(len(centre)), lower=True)
+        v = (x - centre) @ rotation.T
+        best: tuple[float, Any] = (np.inf, None)
+        most = max(1, int(len(x) / POINTS_A_TERM))
+        worse = 0
+        for chosen in _candidates(len(centre), most):
+            terms = _table(chosen)
+            features = _features(v, terms)
+            q, r = linalg.qr(features, mode="economic")
+            diagonal = np.abs(np.diag(r))
+            if diagonal.min() < 1e-10 * diagonal.max():
+                continue
+            kept = 1.0 - np.einsum("ij,ij->i", q, q)
+            errors = (values - q @ (q.T @ values)) / np.maximum(kept, 1e-6)[:, None]
+            score = float((errors**2).sum(1).mean())
+            if score < best[0]:
+                best, worse = (score, (terms, q, r, errors)), 0
+            else:
+                worse += 1
+        terms, q, r, errors = best[1]
+        inverse = linalg.solve_triangular(r, np.eye(len(r)))
+        return cls(centre, rotation, terms, inverse @ (q.T @ values), inverse @ inverse.T, errors)
+
+    def __call__(self, x: Array) -> Array:
+        """Values (n, n_values) at points (n, n_x)."""
+        return np.asarray(_features((x - self.centre) @ self.rotation.T, self.terms) @ self.weights)
+
+    def leverage(self, x: Array) -> Array:
+        """phi' (Phi' Phi)^-1 phi (n,) at points (n, n_x): how far from the fitted ones they lie."""
+        features = _features((x - self.centre) @ self.rotation.T, self.terms)
+        return np.asarray(((features @ self.spread) * features).sum(1))
+
+    def symbolic(self, x: Any) -> Any:
+        """Values (n_values,) as a graph of a vector x (n_x,)."""
+        v = pt.concatenate([np.ones(1), pt.dot(self.rotation, x - self.centre)])
+        features = v[self.terms[:, 0]]
+        for column in self.terms.T[1:]:
+            some = np.flatnonzero(column)
+            if len(some) == len(column):
+                features = features * v[column]
+            else:
+                features = pt.set_subtensor(features[some], features[some] * v[column[some]])
+        return pt.dot(features, self.weights)
+
+
+def _table(terms: list[tuple[int, ...]]) -> NDArray[np.int64]:
+    degree = max(1, *(len(term) for term in terms))
+    return np.array([(*term, *(0,) * (degree - len(term))) for term in terms], dtype=np.int64)
+
+
+def _features(v: Array, terms: NDArray[np.int64]) -> Array:
+    """Monomials (n, n_terms) of points (n, n_x)."""
+    padded = np.concatenate([np.ones((len(v), 1)), v], axis=1)
+    found = padded[:, terms[:, 0]]
+    for column in terms.T[1:]:
+        found *= padded[:, column]
+    return found

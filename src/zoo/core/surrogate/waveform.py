@@ -1,0 +1,164 @@
+"""A surrogate of a forward model's series: a basis of the series, and a polynomial for each coefficient."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytensor.tensor as pt
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
+
+from zoo.core.errors.base import ErrorModel
+from zoo.core.surrogate.coordinates import Coordinates
+from zoo.core.surrogate.library import Library
+from zoo.core.surrogate.polynomial import Polynomial
+
+Array = NDArray[np.float64]
+
+LEFT_OUT = 0.03
+"""Mean squared norm of what a basis may leave of the design's series, in units of the noise."""
+STEEPEST = 4
+"""Largest power of the distance that an expected error grows with beyond the design."""
+MOST = 60
+"""Most components of a basis."""
+
+
+class SurrogateError(RuntimeError):
+    """A surrogate that cannot be made, or is not good enough; its text says why and what to change."""
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """Series y(x) = middle + sum_k a_k(x) b_k, a_k polynomials and b_k the basis.
+
+    The basis is that of the design's series as the errors weigh them, so that coefficients are in units of
+    the noise: b_k = U v_k with U U' the covariance of the errors and v_k the principal components.
+
+    Parameters
+    ----------
+    coordinates : Coordinates
+    middle : array (n_series, n_times)
+    basis : array (n_basis, n_series, n_times)
+    map : Polynomial
+    covariance : array (n_basis, n_basis)
+        Of the coefficients' errors, from points left out.
+    remainder : float
+        Mean squared norm, in units of the noise, of what the basis leaves of the design's series.
+    radius : float
+        Distance from the centre, in whitened coordinates, within which the design lies.
+    spread : float
+        Root mean square of the design's whitened coordinates.
+    """
+
+    coordinates: Coordinates
+    middle: Array
+    basis: Array
+    map: Polynomial
+    covariance: Array
+    remainder: float
+    radius: float
+    spread: float
+
+    @classmethod
+    def fit(
+        cls,
+        library: Library,
+        errors: ErrorModel,
+        values: Mapping[str, ArrayLike],
+        *,
+        near: tuple[Array, Array] | None = None,
+        within: float = np.inf,
+    ) -> Surrogate:
+        """From solved points, the errors weighed by their law at given parameters.
+
+        Parameters
+        ----------
+        library : Library
+        errors : ErrorModel
+            Bound to data, with a linear `whiten`.
+        values : mapping
+            The errors' parameters.
+        near : (mean (n_x,), covariance (n_x, n_x)), optional
+            Of a posterior; that of the points if absent.
+        within : float
+            Only points at most so far from the mean, in whitened coordinates, count.
+
+        Raises
+        ------
+        SurrogateError
+            If there are too few points.
+        """
+        coordinates = Coordinates(library.model.parameters)
+        x = coordinates.of(library.theta)
+        mean, covariance = near or (x.mean(0), np.cov(x.T).reshape(len(x.T), -1))
+        cholesky = linalg.cholesky(covariance, lower=True)
+        distance = np.linalg.norm(linalg.solve_triangular(cholesky, (x - mean).T, lower=True), axis=0)
+        some = distance <= within
+        x, series, distance = x[some], library.series[some], distance[some]
+        if len(x) < 2 * coordinates.n + 2:
+            raise SurrogateError(
+                f"{library.model.name}: {len(x)} solved points for {coordinates.n} coordinates: a surrogate "
+                f"needs {2 * coordinates.n + 2}; more than {library.solves} solves are needed there"
+            )
+        middle = series.mean(0)
+        z = errors.whiten(series - middle, values)
+        if z is None:
+            raise SurrogateError(f"error model {errors.name}: no law at {dict(values)}")
+        flat = z.reshape(len(z), -1)
+        _, size, components = linalg.svd(flat, full_matrices=False)
+        rest = np.cumsum((size**2)[::-1])[::-1] / len(flat)
+        k = int(np.clip(np.sum(rest > LEFT_OUT), 1, MOST))
+        a = flat @ components[:k].T
+        basis = errors.unwhiten(components[:k].reshape(k, *middle.shape), values)
+        assert basis is not None
+        polynomial = Polynomial.fit(x, a, mean, cholesky)
+        scatter = polynomial.residuals.T @ polynomial.residuals / len(x)
+        remainder = float(rest[k]) if k < len(rest) else 0.0
+        spread = float(np.sqrt((distance**2).mean() / coordinates.n))
+        reach = float(distance.max())
+        return cls(coordinates, middle, basis, polynomial, scatter, remainder, reach, spread)
+
+    def coefficients(self, theta: ArrayLike) -> Array:
+        """Coefficients (n, n_basis) at parameters (n, n_values)."""
+        return self.map(self.coordinates.of(theta))
+
+    def series(self, theta: ArrayLike) -> Array:
+        """Series (n, n_series, n_times) at parameters (n, n_values)."""
+        return np.asarray(self.middle + np.tensordot(self.coefficients(theta), self.basis, 1))
+
+    def error(self, theta: ArrayLike) -> Array:
+        """Root mean square of the expected error's norm, in units of the noise, (n,).
+
+        That of points left out, sqrt((1 + h) tr C + remainder) with h the leverage, grown beyond the design
+        as what a Taylor polynomial of that degree leaves: with the power degree + 1, at most `STEEPEST`, of
+        the distance over its root mean square in the design.
+        """
+        x = self.coordinates.of(theta)
+        within = (1.0 + self.map.leverage(x)) * np.trace(self.covariance) + self.remainder
+        v = (x - self.map.centre) @ self.map.rotation.T
+        beyond = np.maximum(np.sqrt((v**2).mean(-1)) / self.spread, 1.0)
+        return np.asarray(np.sqrt(within) * beyond ** min(self.map.terms.shape[1] + 1, STEEPEST))
+
+    def symbolic_coefficients(self, variables: Mapping[str, Any]) -> Any:
+        """Coefficients (n_basis,) as a graph of variables by the parameters' names."""
+        return self.map.symbolic(self.coordinates.symbolic(variables))
+
+    def symbolic_series(self, variables: Mapping[str, Any]) -> Any:
+        """Series (n_series, n_times) as a graph."""
+        a = self.symbolic_coefficients(variables)
+        flat = self.basis.reshape(len(self.basis), -1)
+        return pt.constant(self.middle) + pt.dot(a, flat).reshape(self.middle.shape)
+
+    def symbolic_fence(self, variables: Mapping[str, Any]) -> Any:
+        """What is taken from the log-density outside the design, where polynomials fail, as a graph."""
+        v = pt.dot(self.map.rotation, self.coordinates.symbolic(variables) - self.map.centre)
+        outside = pt.maximum(pt.sqrt(pt.sum(v**2) + 1e-12) - self.radius, 0.0)
+        return 5.0 * outside**2
+
+    def fence(self, theta: ArrayLike) -> Array:
+        """The same at parameters (n, n_values), (n,)."""
+        v = (self.coordinates.of(theta) - self.map.centre) @ self.map.rotation.T
+        return np.asarray(5.0 * np.maximum(np.sqrt((v**2).sum(-1) + 1e-12) - self.radius, 0.0) ** 2)

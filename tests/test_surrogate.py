@@ -1,0 +1,282 @@
+"""Surrogates of a forward model against the model itself, and corrected draws against known posteriors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytensor
+import pytest
+from scipy import stats
+
+from zoo.core.data import Data
+from zoo.core.errors.gaussian_process import GaussianProcess
+from zoo.core.errors.independent import Independent
+from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.inference import surrogate as building
+from zoo.core.inference.convergence import verdict
+from zoo.core.inference.correction import along_chains, delayed_acceptance, pareto_weights
+from zoo.core.inference.logposterior import LogPosterior, SamplingError
+from zoo.core.inference.methods import choose, sample
+from zoo.core.inference.record import RunRecord
+from zoo.core.inference.surrogate import Builder, sample_surrogate
+from zoo.core.model import bayesian_model
+from zoo.core.parameters import InverseGamma, LogUniform, Parameter, Uniform
+from zoo.core.surrogate.coordinates import Coordinates
+from zoo.core.surrogate.library import Library
+from zoo.core.surrogate.likelihood import Table
+from zoo.core.surrogate.model import log_likelihood, surrogate_model
+from zoo.core.surrogate.polynomial import Polynomial, total_degree
+from zoo.core.surrogate.waveform import Surrogate, SurrogateError
+
+T = np.linspace(0.0, 2.0, 40)
+RATE = Parameter("rate", Uniform(0.2, 5.0), start=1.0, log=True)
+LEVEL = Parameter("level", Uniform(-3.0, 3.0), start=0.5)
+SD = 0.05
+DATA = Data(T, 0.6 + np.exp(-1.3 * T) + SD * np.random.default_rng(7).standard_normal(T.size), units=["mmHg"])
+
+
+def decay(configuration, times):
+    return configuration["level"] + np.exp(-configuration["rate"] * times)
+
+
+FORWARD = FunctionModel(decay, (RATE, LEVEL), Outputs(("y0",), T), name="decay")
+KNOWN = Independent(Uniform(0.9 * SD**2, 1.1 * SD**2), start=SD**2)
+PROCESS = GaussianProcess(LogUniform(0.1, 10.0), LogUniform(0.1, 10.0), noise_variance=SD**2)
+
+
+def library_of(n: int, seed: int = 0, width: float = 0.15) -> Library:
+    rng = np.random.default_rng(seed)
+    theta = np.stack([1.3 * np.exp(width * rng.standard_normal(n)), 0.6 + width * rng.standard_normal(n)], 1)
+    library = Library(FORWARD)
+    library.add(theta, library.solve(theta))
+    return library
+
+
+def exact_moments() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Means, sds and 97.5 % points of rate and level by integration over a grid, also over sigma2."""
+    rate, level = np.linspace(0.8, 2.0, 400), np.linspace(0.4, 0.8, 401)
+    squares = ((DATA.values[0] - level[None, :, None] - np.exp(-rate[:, None] * T)[:, None]) ** 2).sum(-1)
+    s2 = np.linspace(0.9, 1.1, 41) * SD**2
+    ll = -0.5 * squares[..., None] / s2 - 0.5 * T.size * np.log(s2)
+    p = np.exp(ll - ll.max()).sum(-1)
+    p /= p.sum()
+    margins = (p.sum(1), p.sum(0))
+    means = np.array([(x * m).sum() for x, m in zip((rate, level), margins, strict=True)])
+    pairs = list(zip((rate, level), margins, means, strict=True))
+    sds = np.array([np.sqrt(((x - mean) ** 2 * m).sum()) for x, m, mean in pairs])
+    tops = np.array([np.interp(0.975, np.cumsum(m), x) for x, m, _ in pairs])
+    return means, sds, tops
+
+
+def test_polynomials_are_found_again_and_choose_their_degree():
+    rng = np.random.default_rng(1)
+    x = rng.standard_normal((200, 3))
+
+    def truth(x):
+        return np.stack([1 + x[:, 0] - 2 * x[:, 1] * x[:, 2], 3 * x[:, 0] ** 3 - x[:, 2]], axis=1)
+
+    fitted = Polynomial.fit(x, truth(x), np.zeros(3), np.eye(3))
+    assert len(total_degree(3, 3)) == 20
+    new = 2 * rng.standard_normal((50, 3))
+    np.testing.assert_allclose(fitted(new), truth(new), atol=1e-8)
+    noisy = x[:, :1] + 0.1 * rng.standard_normal((200, 1))
+    assert len(Polynomial.fit(x, noisy, np.zeros(3), np.eye(3)).terms) == 4  # a plane: no more than is there
+
+
+def test_left_out_errors_are_those_of_fits_without_the_point():
+    rng = np.random.default_rng(2)
+    x, values = rng.standard_normal((12, 1)), rng.standard_normal((12, 1))
+    fitted = Polynomial.fit(x, values, np.zeros(1), np.eye(1))
+    degree = len(fitted.terms) - 1
+    for i in range(12):
+        others = np.delete(np.arange(12), i)
+        again = np.polyfit(x[others, 0], values[others, 0], degree)
+        assert fitted.residuals[i, 0] == pytest.approx(values[i, 0] - np.polyval(again, x[i, 0]), rel=1e-6)
+
+
+@pytest.mark.parametrize("errors", [KNOWN, PROCESS])
+def test_the_error_estimate_covers_held_out_points(errors):
+    bound = errors.bind(DATA)
+    values = {p.name: p.first for p in bound.parameters}
+    surrogate = Surrogate.fit(library_of(60), bound, values)
+    new = library_of(200, seed=5, width=0.2)
+    z = bound.whiten(surrogate.series(new.theta) - new.series, values)
+    found, expected = np.sqrt((z**2).sum((1, 2))), surrogate.error(new.theta)
+    assert np.sqrt((found**2).mean()) < 1.5 * np.sqrt((expected**2).mean())
+    assert np.sqrt((found**2).mean()) > 0.1 * np.sqrt((expected**2).mean())
+    assert np.mean(found < 3 * expected) > 0.95
+    far = np.array([[4.5, 2.5]])
+    assert surrogate.error(far)[0] > 30 * np.median(expected)  # it knows where it knows nothing
+
+
+def test_the_table_of_a_process_is_its_log_density_and_its_gradient_that_of_differences():
+    bound = PROCESS.bind(DATA)
+    surrogate = Surrogate.fit(library_of(60), bound, {"w": 1.0, "b": 1.0})
+    model = bayesian_model("toy", FORWARD, DATA, PROCESS)
+    theta = library_of(20, seed=3, width=0.1).theta
+    made = surrogate_model(model, model.zoo, surrogate, theta)
+    assert isinstance(made.table, Table)
+    rng = np.random.default_rng(4)
+    errors = {"w": np.exp(rng.uniform(-1, 1, 20)), "b": np.exp(rng.uniform(-1, 1, 20))}
+    ours = made.log_likelihood(theta, errors) + surrogate.fence(theta)
+    np.testing.assert_allclose(ours, log_likelihood(model.zoo, surrogate.series(theta), errors), atol=2e-3)
+    logp = made.model.compile_logp()
+    slope = made.model.compile_dlogp()
+    point = made.model.initial_point()
+    gradient = slope(point)
+    for i, (name, value) in enumerate(point.items()):
+        h = 1e-5
+        up, down = ({**point, name: value + s * h} for s in (1, -1))
+        assert gradient[i] == pytest.approx((logp(up) - logp(down)) / (2 * h), rel=1e-5, abs=1e-5)
+
+
+def test_the_graph_of_the_series_is_the_array_of_it():
+    surrogate = Surrogate.fit(library_of(60), KNOWN.bind(DATA), {"sigma2": SD**2})
+    model = bayesian_model("toy", FORWARD, DATA, KNOWN)
+    made = surrogate_model(model, model.zoo, surrogate, library_of(5).theta)
+    variables = {name: made.model[name] for name in ("rate", "level")}
+    function = pytensor.function(list(variables.values()), surrogate.symbolic_series(variables))
+    np.testing.assert_allclose(function(1.2, 0.5), surrogate.series([[1.2, 0.5]])[0], rtol=1e-9)
+
+
+def test_a_corrected_posterior_is_the_exact_one():
+    model = bayesian_model("toy", FORWARD, DATA, KNOWN)
+    idata = sample_surrogate(model, draws=400, seed=3, progress=False, cores=1)
+    means, sds, tops = exact_moments()
+    for name, mean, sd, top in zip(("rate", "level"), means, sds, tops, strict=True):
+        draws = idata.posterior[name].to_numpy()
+        assert draws.mean() == pytest.approx(mean, abs=0.12 * sd)
+        assert draws.std() == pytest.approx(sd, rel=0.1)
+        assert np.quantile(draws, 0.975) == pytest.approx(top, abs=0.25 * sd)
+    record = RunRecord.of(idata)
+    made = record.settings["surrogate"]
+    assert record.solves == made["building solves"] + made["correction solves"]
+    assert made["correction solves"] == 1600
+    assert made["k_hat"] < 0.7
+
+
+@pytest.mark.parametrize(
+    ("spoil", "correction"),
+    [
+        (lambda weights: weights + 0.9 * np.eye(*weights.shape), "importance resampling"),
+        (lambda weights: 3.0 * weights, "delayed acceptance"),
+    ],
+    ids=["beside", "too narrow"],
+)
+def test_a_bad_surrogate_is_corrected_or_refused(monkeypatch, spoil, correction):
+    """One whose own posterior lies beside the exact one, and one whose posterior is far too narrow."""
+    fit = Polynomial.fit.__func__
+
+    def wrong(cls, *arguments):
+        fitted = fit(cls, *arguments)
+        return replace(fitted, weights=spoil(fitted.weights))
+
+    monkeypatch.setattr(Polynomial, "fit", classmethod(wrong))
+    monkeypatch.setattr(building, "ROUNDS", 1)
+    model = bayesian_model("toy", FORWARD, DATA, KNOWN)
+    idata = sample_surrogate(model, draws=600, seed=3, progress=False, cores=1)
+    made = RunRecord.of(idata).settings["surrogate"]
+    assert made["effective share"] < 0.8
+    assert (made["k_hat"] <= 0.7) == (correction == "importance resampling")
+    assert made["correction"] == correction
+    means, sds, _ = exact_moments()
+    pairs = zip(("rate", "level"), means, sds, strict=True)
+    right = [
+        abs(idata.posterior[name].to_numpy().mean() - mean) < 0.3 * sd
+        and abs(idata.posterior[name].to_numpy().std() / sd - 1.0) < 0.2
+        for name, mean, sd in pairs
+    ]
+    assert all(right) or not verdict(idata).passes
+    assert all(right) or correction == "delayed acceptance"
+
+
+def test_weights_tell_an_approximation_that_is_too_narrow():
+    rng = np.random.default_rng(0)
+    draws = rng.standard_normal((4, 1000))
+    wide = stats.norm.logpdf(draws, 0, 0.7) - stats.norm.logpdf(draws)
+    narrow = stats.norm.logpdf(draws, 0, 3.0) - stats.norm.logpdf(draws)
+    assert pareto_weights(wide).trusted
+    assert not pareto_weights(narrow).trusted
+    shifted = pareto_weights(stats.norm.logpdf(draws, 0.4, 0.9) - stats.norm.logpdf(draws))
+    assert float((shifted.smoothed * draws).sum()) == pytest.approx(0.4, abs=0.06)
+    none = np.full((4, 100), -np.inf)
+    assert not pareto_weights(none).trusted
+
+
+def test_resampling_keeps_chains_and_the_order_of_their_draws():
+    weights = np.random.default_rng(1).uniform(size=(3, 500))
+    index = along_chains(weights, np.random.default_rng(2))
+    assert np.all(np.diff(index, axis=1) >= 0)
+    for w, i in zip(weights, index, strict=True):
+        times = np.bincount(i, minlength=500)
+        assert np.all(np.abs(times - 500 * w / w.sum()) < 1.0)  # rounded up or down
+
+
+def test_delayed_acceptance_makes_an_approximate_density_exact():
+    """Moves of N(0, 1.5^2), a target N(0.5, 1)."""
+
+    def move(q, rng):
+        other = q + 1.5 * rng.standard_normal(1)
+        gain = stats.norm.logpdf(other, 0, 1.5) - stats.norm.logpdf(q, 0, 1.5)
+        return other if np.log(rng.uniform()) < gain[0] else q
+
+    def log_weight(q):
+        return float((stats.norm.logpdf(q, 0.5, 1.0) - stats.norm.logpdf(q, 0, 1.5))[0])
+
+    draws, weights, accepted = delayed_acceptance(
+        move, log_weight, np.zeros(1), 8000, np.random.default_rng(3)
+    )
+    assert draws.mean() == pytest.approx(0.5, abs=0.12)
+    assert draws.std() == pytest.approx(1.0, abs=0.08)
+    assert 0.3 < accepted.mean() < 0.95
+    assert weights[5] == pytest.approx(log_weight(draws[5]))
+
+
+def test_one_library_serves_another_error_model():
+    first = bayesian_model("toy", FORWARD, DATA, KNOWN)
+    library = Library(FORWARD)
+    Builder(LogPosterior(first), library, seed=1, cores=1, say=lambda text: None).build()
+    there = len(library)
+    idata = sample_surrogate(
+        bayesian_model("other", FORWARD, DATA, PROCESS), draws=60, seed=1, progress=False, library=library
+    )
+    assert RunRecord.of(idata).settings["surrogate"]["rounds"][0]["points"] > there
+    other = FunctionModel(decay, (RATE, LEVEL), Outputs(("y0",), T), name="another")
+    with pytest.raises(SamplingError, match="library: is of"):
+        sample_surrogate(first, library=Library(other), progress=False)
+
+
+def test_coordinates_are_logarithms_without_hyperparameters():
+    mean = Parameter("mean", Uniform(0.0, 9.0), hyper=True)
+    each = Parameter("each", LogUniform(1.0, 10.0), log=True, dims="part", size=2)
+    coordinates = Coordinates((mean, each, LEVEL))
+    theta = np.array([[5.0, np.e, 1.0, -2.0]])
+    np.testing.assert_allclose(coordinates.of(theta), [[1.0, 0.0, -2.0]])
+    np.testing.assert_allclose(coordinates.theta(coordinates.of(theta))[0, 1:], theta[0, 1:])
+    np.testing.assert_allclose(coordinates.bounds()[0], [0.0, 0.0, -3.0])
+    np.testing.assert_allclose(coordinates.bounds()[1], [np.log(10), np.log(10), 3.0])
+
+
+def test_methods_are_chosen_with_a_reason_and_refused_in_one_line(tmp_path):
+    model = bayesian_model("toy", FORWARD, DATA, KNOWN)
+    method, reason = choose(model)
+    assert (method, "3 dimensions" in reason) == ("exact", True)
+    with pytest.raises(SamplingError, match=r"method = 'nuts'.*no gradient"):
+        choose(model, "nuts")
+    with pytest.raises(SamplingError, match="one of auto, exact, nuts, surrogate"):
+        choose(model, "hmc")
+    with pytest.raises(SamplingError, match="thin = 3: method surrogate has no use for it"):
+        sample(model, method="surrogate", thin=3)
+    unbounded = GaussianProcess(InverseGamma(2.0, 1.0), LogUniform(0.1, 10.0), noise_variance=SD**2)
+    other = bayesian_model("unbounded", FORWARD, DATA, unbounded)
+    assert choose(other)[0] == "exact"
+    with pytest.raises(SamplingError, match="no positive bounds; use method exact"):
+        choose(other, "surrogate")
+    (tmp_path / "run.json").write_text("{}")
+    assert choose(model, checkpoint=tmp_path)[1] == "a checkpoint of such a run is there"
+
+
+def test_too_few_points_are_refused():
+    with pytest.raises(SurrogateError, match="3 solved points for 2 coordinates"):
+        Surrogate.fit(library_of(3), KNOWN.bind(DATA), {"sigma2": SD**2})
