@@ -21,9 +21,10 @@ from scipy.special import logsumexp
 
 from zoo.core.data import Data
 from zoo.core.diagnosis import effort
-from zoo.core.diagnosis.discrepancy import SIZE_GRID, SIZE_PART, model_discrepancy, possible_noise
+from zoo.core.diagnosis.discrepancy import model_discrepancy, possible_noise
 from zoo.core.diagnosis.evidence import Fit, marginal
 from zoo.core.diagnosis.file import DiagnosisError
+from zoo.core.diagnosis.free import free_discrepancies
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, Hypothesis, HypothesisModel, ranges
 from zoo.core.diagnosis.search import SETTLED, Point, Search, SearchError
 from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, EffectParameter
@@ -316,44 +317,16 @@ class Screening:
 
     def fit_free(self, base: Fit, name: str, rounds: int = effort.FREE_ROUNDS) -> Fit:
         """A fit with a discrepancy: smooth and shared by the series, or noise of its own in each."""
-        alone = all(len(rows) == 1 for rows in self.errors.rows.values())
-        shared = np.zeros(1) if alone or name == CORRELATED else np.array(self.errors.shared)
-        # a discrepancy with a physical cause is smooth; noise may be either
-        kinds = (False, True) if name == CORRELATED else (False,)
-        scales = {q: SIZE_PART * size for q, size in self.range.items()}
-        # what is wrong with the sensors of one quantity does not show in the other
-        quantities = tuple(self.errors.groups)
-        wheres = [quantities, *([(q,) for q in quantities] if len(quantities) > 1 else [])]
         noise = {q: replace(e, delta=0.0, rough=False) for q, e in base.errors.items()}
         point = Point(base.u, base.computed, base.jacobian)
         found: Fit | None = None
         for round_ in range(rounds):
             residual = self.coefficients - point.computed
             log_prior, precision, pull = base.forward.prior(point.u)
-            cells = list(product(self.errors.length_grid, SIZE_GRID, shared, kinds, wheres))
-            options = [
-                {
-                    q: replace(
-                        e,
-                        delta=size * scales[q] if q in where else 0.0,
-                        length=length,
-                        shared=float(rho),
-                        rough=rough,
-                    )
-                    for q, e in noise.items()
-                }
-                for length, size, rho, rough, where in cells
-            ]
-            # weights of the grid: log-spaced sizes of a half-normal, a log-normal length
-            weights = np.array(
-                [math.log(size) - 0.5 * size**2 + self.errors.length_log_prior(length)
-                 for length, size, *_ in cells]
-            )  # fmt: skip
-            kind_of = [(float(rho), rough) for _, _, rho, rough, _ in cells]
+            options, weights, kind_of = free_discrepancies(self.errors, noise, correlated=name == CORRELATED)
             each, steps, spreads = self._integrated(base.forward, point, residual, options, precision, pull)
             best = int(np.argmax(weights + each))
             best_at, best_step, best_C = options[best], steps[best], spreads[best]
-            weights -= logsumexp(weights)
             each = each + weights
             log_z = float(logsumexp(each))
             # where the data say little, the linearised mode may lie far outside the bounds

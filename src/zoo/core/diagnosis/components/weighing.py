@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +23,9 @@ from scipy.special import logsumexp
 
 from zoo.core.components import FreeFunction
 from zoo.core.diagnosis.components.response import Block, Linearised
-from zoo.core.diagnosis.discrepancy import SIZE_GRID, SIZE_PART
 from zoo.core.diagnosis.evidence import marginal
-from zoo.core.diagnosis.hypothesis import HypothesisModel, ranges
+from zoo.core.diagnosis.free import free_discrepancies
+from zoo.core.diagnosis.hypothesis import HypothesisModel
 from zoo.core.diagnosis.screening import DELTA_GRID
 from zoo.core.errors.spectral import GroupErrors, Spectral
 
@@ -138,25 +137,10 @@ def allowance(allowances: Mapping[str, float]) -> Options:
 
 def something_else(errors: Spectral) -> Options:
     """Errors beside a function with a free discrepancy, alike in all series to some degree."""
-    scales = {q: SIZE_PART * size for q, size in ranges(errors.on).items()}
-    alone = all(len(rows) == 1 for rows in errors.rows.values())
-    grid = list(product(errors.length_grid[::SPARSE], SIZE_GRID[::SPARSE], (0.0,) if alone else MORE_SHARED))
-    weights = np.array(
-        [math.log(size) - 0.5 * size**2 + errors.length_log_prior(length) for length, size, _ in grid]
-    )
-    weights -= logsumexp(weights)
 
     def options(clean: Mapping[str, GroupErrors]) -> list[Option]:
-        return [
-            (
-                float(w),
-                {
-                    q: replace(e, delta=size * scales[q], length=float(length), shared=shared)
-                    for q, e in clean.items()
-                },
-            )
-            for w, (length, size, shared) in zip(weights, grid, strict=True)
-        ]
+        found, log_weights, _ = free_discrepancies(errors, clean, every=SPARSE, shared=MORE_SHARED)
+        return list(zip(map(float, log_weights), found, strict=True))
 
     return options
 
