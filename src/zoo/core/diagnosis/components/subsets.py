@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import combinations, islice
 
@@ -43,8 +44,9 @@ AT_ONCE = 20000
 """Subsets that are weighed at once."""
 SMALLEST_SECANT = 0.05
 """Size of a fitted first parameter, in its prior's scale, below which its derivative is its signature."""
-SEARCHED_SUBSETS = 3
-"""Subsets of several effects that are searched with the solver."""
+SEARCHED_SUBSETS, SEARCHED_ROUNDS = 2, 2
+"""Subsets of several effects that are searched with the solver, where they are more probable than one effect
+alone; rounds of fresh differences."""
 OTHER_SIGN = 3.0
 """Log-likelihood ratio, 20 to 1, by which the sign that an effect cannot have must explain more."""
 
@@ -369,15 +371,18 @@ def several_effects(
     Several
     """
     subsets = weigh_subsets(screened, largest=largest, price=price)
-    candidates = [s for s in subsets.best if len(s.signatures) > 1][:searched]
     best = max(screened.fits.values(), key=lambda f: f.log_z, default=None)
-    if best is None or not candidates:
+    if best is None:
         return Several(subsets, (), 0.0, -math.inf)
-    single = best.log_z
-    alone = next(s.log_odds - s.log_z for s in subsets.best if s.names == (best.hypothesis.name,))
+    singles = [s for s in subsets.best if len(s.signatures) == 1]
+    own = next(s for s in singles if s.names == (best.hypothesis.name,))
+    to_beat = max(s.log_odds for s in singles)
+    candidates = [s for s in subsets.best if len(s.signatures) > 1 and s.log_odds > to_beat][:searched]
+    single, alone = best.log_z, own.log_odds - own.log_z
+    with ThreadPoolExecutor(max(1, screened.screening.cores)) as pool:
+        fits = list(pool.map(lambda one: search_subset(screened, one), candidates))
     ranked: list[tuple[float, float, Fit]] = []
-    for one in candidates:
-        fit = search_subset(screened, one)
+    for one, fit in zip(candidates, fits, strict=True):
         if fit is not None:
             ranked.append((fit.log_z + one.log_odds - one.log_z - single - alone, fit.log_z - single, fit))
     ranked.sort(key=lambda x: -x[0])
