@@ -19,6 +19,7 @@ from zoo.core.diagnosis.estimates import INTERVAL, linearised, posteriors_of
 from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.file import (
     AddedStep,
+    ComponentResult,
     DiagnosisFile,
     Estimate,
     ExcludedFit,
@@ -311,6 +312,14 @@ def _verdict(scored: Scored, gap: Gap) -> str:
     return f"{leader}{where} ({total:.0%}{grouped}){twins}: {shrinks}"
 
 
+def _several(components: Sequence[ComponentResult]) -> str:
+    """The end of a verdict where more than one component holds part of the gap for certain."""
+    found = [one for one in components if one.one_of_several and one.share is not None]
+    found.sort(key=lambda one: -one.share.mean if one.share else 0.0)
+    held = [f"{x.name} ({x.share.low:.0%} to {x.share.high:.0%})" for x in found if x.share]
+    return f"; of its energy {' and '.join(held)} each hold a part" if held else ""
+
+
 def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
     """What should be looked at before the answer is believed."""
     data = scored.screened.screening.data
@@ -490,6 +499,9 @@ def answer(
         }
     known = {NULL: before} | ({first.leader: after} if caused else {})
     members = first.members(first.leader)
+    components = component_results(
+        first, _left(first, seed, known, rows), unit, data.groups[rows[0]], hooks.plausible, seed
+    )
     file = DiagnosisFile(
         study=data.name,
         study_checksum=data.checksum,
@@ -497,13 +509,11 @@ def answer(
         gap=gap,
         where=_where(first, before, hooks),
         cause=members,
-        verdict=_beyond(excluded, gap) + _prior_words(first) + _verdict(first, gap),
+        verdict=_beyond(excluded, gap) + _prior_words(first) + _verdict(first, gap) + _several(components),
         warnings=[*hooks.warnings, *_lifted_warnings(excluded, hooks), *_warnings(gap, first, hooks)],
         excluded=_excluded(excluded, screenings[0], rows, unit),
         hypotheses=_results(first, seed, known, hooks),
-        components=component_results(
-            first, _left(first, seed, known, rows), unit, data.groups[rows[0]], hooks.plausible, seed
-        ),
+        components=components,
         steps=steps,
         invisible=list(first.invisible),
         failed=list(first.failed),

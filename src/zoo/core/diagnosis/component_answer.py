@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from zoo.core.diagnosis.components.heldout import predict_held_out
 from zoo.core.diagnosis.components.learned import Judge, functions_of, plausible
 from zoo.core.diagnosis.components.likeness import left_of, nearest_effects, principal_angles
-from zoo.core.diagnosis.components.shares import shares_of
+from zoo.core.diagnosis.components.shares import pair_of, shares_of
 from zoo.core.diagnosis.estimates import INTERVAL
 from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.file import ComponentResult, HeldOutComponentResult, Interval, NearestEffect
@@ -71,11 +71,11 @@ def groups(scored: Scored, S: Array) -> dict[str, int]:
 
 def _beside_each_other(
     scored: Scored, group: str, unit: str, seed: int
-) -> tuple[dict[str, Interval], dict[str, HeldOutComponentResult]]:
-    """Shares of the gap, all components together, and what the leading ones predict of data held out."""
+) -> tuple[dict[str, Interval], dict[str, HeldOutComponentResult], tuple[str, ...]]:
+    """Shares of the gap, all together, what the leading ones predict of data held out, and several causes."""
     explained = scored.explained
     if explained is None or scored.leader in (NULL, CORRELATED):
-        return {}, {}
+        return {}, {}, ()
     order = ranked(scored)
     clean = {q: replace(e, delta=0.0) for q, e in scored.components[order[0]].best.learned.noise.items()}
     noise = clean if scored.leader in scored.components else dict(scored.screened.noise)
@@ -102,7 +102,8 @@ def _beside_each_other(
         )
         for (name,) in asked
     }
-    return shares, held
+    several = pair_of(found)
+    return shares, held, several if len(several) > 1 else ()
 
 
 def component_results(
@@ -141,7 +142,7 @@ def component_results(
     S = screened.screening.beside(screened.noise, screened.screening.numerics())
     group, total = groups(scored, S), scored.of_component
     angles = principal_angles(explained, S)
-    shares, held = _beside_each_other(scored, group_asked, unit, seed)
+    shares, held, several = _beside_each_other(scored, group_asked, unit, seed)
     effects = {
         name: [screened.fits[h] for h in hypotheses if h in screened.fits]
         for name, hypotheses in screened.screening.hypotheses.items()
@@ -160,6 +161,7 @@ def component_results(
                 log10_bayes_factor=(component.log_evidence - scored.log_z[NULL]) / math.log(10.0),
                 group=group[name],
                 share=shares.get(name),
+                one_of_several=name in several,
                 held_out=held.get(name),
                 gap_after=after.mean,
                 gap_after_interval=(after.low, after.high),

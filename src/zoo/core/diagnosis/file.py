@@ -256,6 +256,7 @@ class ComponentResult(_Amounts):
     log10_bayes_factor: float | None = None
     group: int
     share: Interval | None = None
+    one_of_several: bool = False
     gap_after: float | None = None
     gap_after_interval: tuple[float, float] | None = None
     plausible: Plausible | None = None
