@@ -151,9 +151,8 @@ def test_small_and_coloured_sets_hold_their_limits(sets: dict[str, tuple[Path, P
         assert 1e-3 <= e["noise"]["correlation_time_s"] <= 8e-3
 
 
-def test_the_key_s_functions_are_those_of_the_data(sets: dict[str, tuple[Path, Path]]) -> None:
-    """The baseline with the key's own table in its place, solved here, gives the key's noise-free data."""
-    seen = set()
+def test_the_key_s_causes_make_the_data(sets: dict[str, tuple[Path, Path]]) -> None:
+    """The baseline with the key's causes, solved here, gives the key's noise-free data."""
     for e in [*entries(sets, "component"), *entries(sets, "pair")]:
         study = load_study(sets[e["kind"]][0] / e["case"])
         flow = get_baseline(e["base"]).forward(study, options=GENERATOR)
@@ -166,15 +165,6 @@ def test_the_key_s_functions_are_those_of_the_data(sets: dict[str, tuple[Path, P
         waves = simulate(case, [(s.vessel, s.position, s.quantity) for s in study.series], study.time_s)
         truth = np.array([[float(x) for x in row.split()] for row in e["truth"].values()])
         assert np.allclose(truth, waves, atol=2e-4)
-        for table in e["functions"]:
-            values = np.array(table["values"])
-            seen.add(table["component"])
-            if table["name"] == "flow":
-                changed = case.inflow_ml_s - study.inflow_ml_s
-                assert np.allclose(values, changed, atol=2e-6 * np.abs(changed).max() + 1e-9)
-            if table["name"] == "reading":
-                assert np.array(table["pressure"]).shape == values.shape == (1, 1024)
-    assert seen
 
 
 def test_nothing_but_the_values_tells_the_kind(sets: dict[str, tuple[Path, Path]]) -> None:
