@@ -120,7 +120,7 @@ def test_noise_is_recognised_as_none_or_in_the_leading_group() -> None:
     none = key("none")
     p = {"inflow": 0.01}
     assert scored(none, answer(p, no_gap=0.8, correlated_noise=0.1)).noise_recognised
-    leading = answer(p, unlisted=0.7, correlated_noise=0.2)
+    leading = answer({"sensor": 0.7, **p}, unlisted=0.7, correlated_noise=0.2)
     assert not scored(none, leading).noise_recognised
     assert scored(none, replace(leading, cause=("unlisted", "correlated-noise"))).noise_recognised
     found = scored(none, leading)
@@ -193,6 +193,17 @@ def test_components_of_a_diagnosis_are_read(answered: Path) -> None:
     assert (component.name, component.probability, component.share) == ("wall", 0.7, None)
     assert (learned.prior_sd, learned.narrowed, learned.at.tolist()) == (0.4, 1, [1.1, 1.2])
     assert learned.high.tolist() == [0.2, 0.3]
+    # its own function is an explanation, the first one where the verdict says so
+    given |= {"own_probability": 0.6}
+    other = {"name": "outlets", "probability": 0.1, "log_evidence": 1.0, "group": 1}
+    parts = [ComponentResult.model_validate(x) for x in (given, other)]
+    listed = file.hypotheses[1].name
+    told = as_answer(file.model_copy(update={"components": parts, "cause": ["wall", listed]}))
+    first = told.explanations[0]
+    assert (first.name, first.probability) == ("wall", 0.6)
+    group = {e.name: g for e, g in zip(told.explanations, told.groups, strict=True)}
+    assert group["wall"] == group[listed] == file.hypotheses[1].group
+    assert group["outlets"] not in {h.group for h in file.hypotheses}
 
 
 # -- true functions ------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from zoo.core.diagnosis.diagnosis import Diagnosis
 from zoo.core.diagnosis.file import ComponentResult
-from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.core.effects import EVERYWHERE, Location
 
 Array = NDArray[np.float64]
@@ -246,7 +245,7 @@ def as_answer(
         for h in file.hypotheses
     )
     return Answer(
-        explanations,
+        _with_components(explanations, file),
         frozenset(file.invisible),
         tuple(file.cause),
         Size(file.gap.before, *file.gap.before_interval),
@@ -259,6 +258,27 @@ def as_answer(
         tuple(_component(c) for c in file.components),
         belongs or {},
     )
+
+
+def _with_components(explanations: tuple[Explanation, ...], file: Any) -> tuple[Explanation, ...]:
+    """Explanations with what components lack by themselves, the leading one first.
+
+    Those in the file's `cause` are of one group; another component's is one of its own.
+    """
+    if not file.components:
+        return explanations
+    cause = set(file.cause)
+    group = next((e.group for e in explanations if e.name in cause), "cause")
+    own = [
+        Explanation(
+            c.name,
+            c.probability if c.own_probability is None else c.own_probability,
+            group if c.name in cause else f"component {c.name}",
+        )
+        for c in file.components
+    ]
+    first = file.cause[0] if file.cause else ""
+    return tuple(sorted([*explanations, *own], key=lambda e: (e.name != first, -e.probability)))
 
 
 def _component(found: ComponentResult) -> StatedComponent:
@@ -283,8 +303,7 @@ def _component(found: ComponentResult) -> StatedComponent:
 def fitted_series(found: Diagnosis) -> Fitted:
     """The series that a diagnosis fitted with the baseline, and with its leading explanation alone."""
     first = found.rounds[0]
-    caused = first.leader in first.best and first.leader not in (NULL, NONPARAMETRIC, CORRELATED)
-    fits = (first.screened.least, first.best[first.leader] if caused else None)
+    fits = (first.screened.least, first.best[first.leader] if first.is_cause(first.leader) else None)
     errors = first.screened.screening.errors
     base, leader = (errors.unflat((fit or fits[0]).computed) for fit in fits)
     return Fitted(base, leader, tuple(found.hooks.rows(found.data)))

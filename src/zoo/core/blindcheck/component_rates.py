@@ -93,7 +93,7 @@ def _summary(cases: Sequence[ComponentScore]) -> dict[str, Any]:
                 **rate(commonest in c.true for c in placed),
             },
             "component_first": {"answer": f"always {commonest}", **rate(commonest in c.true for c in placed)},
-            "wrong_and_sure": {"answer": f"always {REST[1]}", **rate(False for _ in cases)},
+            "wrong_and_sure": {"answer": f"always {REST[0]}", **rate(False for _ in cases)},
             "log_score": {"answer": "the frequencies of what is true", "value": log_score},
             "brier": {"answer": "the frequencies of what is true", "value": brier},
             "both_found": {

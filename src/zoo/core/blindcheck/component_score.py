@@ -14,8 +14,8 @@ from zoo.core.blindcheck.case_score import FLOOR, CaseScore
 from zoo.core.blindcheck.keys import PAIR, CaseKey
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 
-REST = (NULL, NONPARAMETRIC, CORRELATED)
-"""What an answer gives probability to besides components."""
+REST = (NULL, CORRELATED)
+"""What an answer gives probability to besides components; "unlisted" is the free function of one of these."""
 SMALL_GROUP = 2
 """Components that a group may have to count as an answer."""
 SURE = 0.9
@@ -196,7 +196,8 @@ def _wrong_and_sure(
     if leader not in REST and p > SURE and not set(group) & set(true):
         return True
     first = answer.explanations[0]
-    if first.name in REST or first.name in {c.name for c in answer.components} or first.probability <= SURE:
+    named = {*REST, NONPARAMETRIC, *(c.name for c in answer.components)}
+    if first.name in named or first.probability <= SURE:
         return False
     if answer.belongs.get(first.name) not in true:
         return True
