@@ -190,8 +190,7 @@ def weigh(
             break
         # what a function took of the noise is given back, on the average
         left = linearised.residual - linearised.jacobian @ best.step - block.columns @ best.mean
-        spread = np.einsum("np,pq,nq->n", block.columns, best.covariance, block.columns, optimize=True)
-        power = np.sqrt(left**2 + np.maximum(spread, 0.0))
+        power = np.sqrt(left**2 + _taken(linearised, block, best))
         fitted = {q: errors.fit_noise(power, q, best.errors[q]) for q in errors.groups}
         clean = {q: replace(e, delta=0.0, length=errors.typical_length) for q, e in fitted.items()}
     weights = np.exp([c.log_weight for c in cells] - logsumexp([c.log_weight for c in cells]))
@@ -202,6 +201,15 @@ def weigh(
     )
     size = float(sum(w * c.sd for w, c in kept))
     return Weighed(block, log_z, best, mean, covariance, size)
+
+
+def _taken(linearised: Linearised, block: Block, cell: Cell) -> Array:
+    """Posterior variance of J d + X v, (n,): what both together take of the noise, and not each alone."""
+    J, S = linearised.jacobian, linearised.errors.variances(cell.errors)
+    C = marginal(linearised.residual, J, S, linearised.precision, linearised.pull)[2]
+    along = block.columns @ cell.axes
+    along -= J @ (C @ (J.T @ (along / S[:, None])))
+    return np.asarray(along**2 @ cell.spread + np.einsum("nd,de,ne->n", J, C, J))
 
 
 def _cells(
