@@ -11,7 +11,7 @@
 #include <stdint.h>
 
 /* cffi:begin */
-enum { ZOO_ABI = 5 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
+enum { ZOO_ABI = 6 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
 
 enum zoo_status {
     ZOO_OK = 0,
@@ -22,7 +22,8 @@ enum zoo_status {
     ZOO_NO_ROOT = 5,      /* a junction or an outlet had no solution */
     ZOO_NOT_PERIODIC = 6, /* max_beats passed before the beat repeated itself */
     ZOO_WORKSPACE = 7,    /* the workspace handed in is too small */
-    ZOO_WALL_FALLS = 8    /* with the function added to it the wall's pressure falls where its area grows */
+    ZOO_WALL_FALLS = 8,   /* with the function added to it the wall's pressure falls where its area grows */
+    ZOO_NO_DERIVATIVE = 9 /* the changed arguments of a direction cannot be solved beside the given ones */
 };
 
 enum zoo_friction {
@@ -184,6 +185,36 @@ int32_t zoo_workspace_size(const zoo_problem *problem, int64_t n_sets, int64_t *
 int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_parameters *parameters,
                   void *workspace, int64_t workspace_bytes, double *pressure, double *flow,
                   double *area, double *fastest, zoo_report *reports);
+
+/* A direction in which the solution is differentiated: the change of all arguments is sum_i weight_i x_i over points
+ * x_i, sets of arguments near those of the solve, with weights whose sum is 0: 1/(2 h) and -1/(2 h) for arguments
+ * a step h of some parameter to either side, or any other stencil of differences. */
+typedef struct {
+    int32_t n_points;
+    const zoo_problem *const *problem;       /* [n_points] with the sizes, the tree, the period and the kinds of the
+                                                solve's; its outputs and numerics are not read.  NULL: the solve's */
+    const zoo_parameters *const *parameters; /* [n_points] one set each */
+    const double *weight;                    /* [n_points] */
+} zoo_direction;
+
+typedef struct {
+    int32_t status;    /* enum zoo_status; ZOO_OK: the derivatives are there */
+    int32_t direction; /* that is at fault, or -1 */
+    int32_t beats;     /* linearised beats */
+    int32_t vectors;   /* that went through a beat beside the directions themselves */
+    int32_t stepped;   /* points whose steps were computed one by one, which is slower: geometry, blood and walls */
+    double residual;   /* estimated largest error that is left, over a direction's largest derivative */
+} zoo_tangent_report;
+
+/* Solve as zoo_solve does for one set of parameters, and differentiate the discrete periodic solution, at the steps
+ * that the solve chose, in n_directions directions.
+ * tolerance: accepted residual.  d_pressure, d_flow, d_area: [n_directions][n_series][n_times], NaN where the report's
+ * or the derivatives' status is not ZOO_OK.  Memory is taken and freed within the call.  A solve for which a point has
+ * additions runs the loops with additions, which changes its rounding. */
+int32_t zoo_jacobian(const zoo_problem *problem, const zoo_parameters *parameters, int32_t n_directions,
+                     const zoo_direction *directions, double tolerance, double *pressure, double *flow, double *area,
+                     double *fastest, double *d_pressure, double *d_flow, double *d_area, zoo_report *report,
+                     zoo_tangent_report *tangent);
 
 /* Name of a wall law, an inlet or an outlet, by its number from 0 on; NULL past the last. */
 const char *zoo_wall_name(int32_t law);

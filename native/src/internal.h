@@ -237,6 +237,7 @@ double zoo_start_speed(const zoo_sim *sim);
 /* step.c: advance by one step; returns 1 if some node left the wall's range. */
 int zoo_step(zoo_sim *sim, int step);
 void zoo_refresh_nodes(zoo_sim *sim);
+void zoo_refresh_at(zoo_sim *sim, int step);
 double zoo_speed(zoo_sim *sim, int lane);
 double zoo_junction_defect(const zoo_sim *sim, int lane);
 
@@ -244,6 +245,7 @@ double zoo_junction_defect(const zoo_sim *sim, int lane);
 void zoo_output_weights(zoo_sim *sim, int series);
 void zoo_output_begin(zoo_sim *sim);
 void zoo_output_step(zoo_sim *sim, int step);
+void zoo_output_emit(zoo_sim *sim, int step);
 int zoo_output_finite(const zoo_sim *sim, int lane);
 void zoo_output_store(const zoo_sim *sim, int lane, double *pressure, double *flow, double *area);
 

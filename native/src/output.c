@@ -91,6 +91,12 @@ void zoo_output_step(zoo_sim *s, int step)
     if (s->problem->outputs.n_series == 0)
         return;
     record(s, step);
+    zoo_output_emit(s, step);
+}
+
+/* Samples that the last four steps in the ring give. */
+void zoo_output_emit(zoo_sim *s, int step)
+{
     if (step >= 3)
         emit(s, step - 3, step == s->n_steps ? step * (1.0 + 1e-9) : step - 1.0);
 }

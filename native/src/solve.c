@@ -114,6 +114,8 @@ const char *zoo_status_text(int32_t status)
         return "the workspace is too small, or memory is lacking";
     case ZOO_WALL_FALLS:
         return "with the function added to its wall a vessel's pressure does not rise with its area";
+    case ZOO_NO_DERIVATIVE:
+        return "no derivative: the changed arguments cannot be solved beside the given ones";
     default:
         return "unknown status";
     }

@@ -88,15 +88,20 @@ int zoo_step(zoo_sim *s, int step)
     }
 }
 
-/* Pressure, momentum flux and friction at the nodes, from areas and flows that were just set for the
- * start of a beat. */
-void zoo_refresh_nodes(zoo_sim *s)
+/* Pressure, momentum flux and friction at the nodes, from areas and flows that were just set for a time in the beat. */
+void zoo_refresh_at(zoo_sim *s, int step)
 {
     if (s->extra && s->problem->wall.n_wave > 0)
-        s->stiff = s->wave_node[0];
+        s->stiff = s->wave_node[step];
     (void)scheme_full(s->wall, s->lanes, s->extra, 0, s);
     if (s->problem->fluid.friction_function.n_knots)
         scheme_friction(s->lanes, s, s->n_nodes, s->A, s->q, s->inv_A0, s->f_s, s->f_c, s->G);
+}
+
+/* The same for the start of a beat. */
+void zoo_refresh_nodes(zoo_sim *s)
+{
+    zoo_refresh_at(s, 0);
 }
 
 /* Largest (|u| + c)/dx of one lane, 1/s, c at the wall's largest stiffness of the beat; NaN when the

@@ -62,3 +62,9 @@ class NotPeriodicError(SolverError):
     """The beats did not repeat themselves within the limit."""
 
     status = "not-periodic"
+
+
+class NoDerivativeError(SolverError):
+    """A solve has no derivative in a direction that was asked for."""
+
+    status = "no-derivative"

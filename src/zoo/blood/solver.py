@@ -13,12 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from zoo._native import ffi, lib
 from zoo.blood.conventions import PRINTED, Conventions
+from zoo.blood.directions import Derivatives, Direction, share_arrays
 from zoo.blood.network import Network
 from zoo.blood.physics import NO_PHYSICS as NO_PHYSICS
 from zoo.blood.physics import Physics, study_physics
 from zoo.blood.solve_errors import (
     CFLError,
     CollapseError,
+    NoDerivativeError,
     NotPeriodicError,
     RootError,
     SolverArgumentError,
@@ -33,6 +35,7 @@ from zoo.core.arrays import (
     MOST_COUNT,
     finite_array,
     real_array,
+    real_number,
     shown,
 )
 
@@ -41,7 +44,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ABI = 5
+ABI = 6
 if getattr(lib, "ZOO_ABI", 1) != ABI:
     raise ImportError(
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
@@ -76,6 +79,7 @@ STATUS_NAMES: dict[int, str] = {
     lib.ZOO_NOT_PERIODIC: "not-periodic",
     lib.ZOO_WORKSPACE: "workspace",
     lib.ZOO_WALL_FALLS: "wall-falls",
+    lib.ZOO_NO_DERIVATIVE: "no-derivative",
 }
 PARAMETERS = ("stiffness", "gamma", "psi1", "psi2", "c")
 PUBLISHED_CELLS_PER_CM = 40
@@ -98,6 +102,7 @@ _ERRORS: dict[int, tuple[type[SolverError], str]] = {
         "raise max_beats or tolerance_mmHg, or shorten the decay: lower psi2 or c, or raise the stiffness",
     ),
     lib.ZOO_WALL_FALLS: (WallFallsError, "lower the slope of wall_function where it falls"),
+    lib.ZOO_NO_DERIVATIVE: (NoDerivativeError, "sample without gradients, or leave that parameter fixed"),
 }
 
 
@@ -521,11 +526,7 @@ class Solver:
         self._workspaces[size[0]] = workspace
         if code != lib.ZOO_OK:
             raise SolverArgumentError(ffi.string(lib.zoo_status_text(code)).decode())
-        ordered = []
-        for wave in waves:
-            back = np.empty(shape)
-            back[..., self._order] = wave
-            ordered.append(back)
+        ordered = [self._at_times(wave) for wave in waves]
         ordered[0] = cgs_to_mmhg(ordered[0] + self._shift, self.conventions.mmhg)
         return ordered, fastest, reports
 
@@ -593,6 +594,9 @@ class Solver:
         report = reports[0]
         if check and report.status != lib.ZOO_OK:
             raise _ERRORS[report.status][0](self._reason(report, rows))
+        return self._solution(waves, fastest, report, rows)
+
+    def _solution(self, waves: list[Array], fastest: Array, report: Any, rows: dict[str, Array]) -> Solution:
         mmhg = self.conventions.mmhg
         return Solution(
             pressure_mmHg=waves[0][0],
@@ -613,6 +617,143 @@ class Solver:
             junction_defect_ml_s=report.junction_defect,
             fastest_cm_s=fastest[0],
         )
+
+    def jacobian(
+        self,
+        stiffness: ArrayLike,
+        gamma: ArrayLike = 2.0,
+        psi1: ArrayLike = 1.0,
+        psi2: ArrayLike = 1.0,
+        c: ArrayLike = 1.0,
+        *,
+        directions: Sequence[Direction],
+        tolerance: float = 1e-8,
+        check: bool = True,
+    ) -> Derivatives:
+        """Solve to the periodic state, and differentiate it in several directions.
+
+        The derivatives are those of the discrete solution at the time steps that the solve chose: the time loop
+        is linearised, and dx = J dx + b is solved for the state at the start of the beat, where J is the
+        derivative of one beat's end by its start.
+
+        Parameters
+        ----------
+        stiffness, gamma, psi1, psi2, c
+            As in `solve`.
+        directions : sequence of sequences of Point
+            In each, how all arguments change, as differences between points near the solve's.
+        tolerance : float
+            Accepted error of the linear equations, over each direction's largest derivative of the pressure.
+        check : bool
+            Raise when the solve or its derivatives fail; otherwise the status says so.
+
+        Returns
+        -------
+        Derivatives
+
+        Raises
+        ------
+        SolverError
+            One of its subclasses, when `check` is true.
+
+        Examples
+        --------
+        >>> from zoo import load_study
+        >>> from zoo.blood.directions import Point
+        >>> solver = Solver.for_study(load_study("demo"))
+        >>> h = 1.0
+        >>> stiffer = [Point(1 / (2 * h), 5e4 + h), Point(-1 / (2 * h), 5e4 - h)]
+        >>> solver.jacobian(5e4, directions=[stiffer]).pressure_mmHg.shape[0]
+        1
+        """
+        values = dict(zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True))
+        rows = self._broadcast(values, 1)
+        n, shape = len(directions), (len(self.series), len(self.times_s))
+        if n == 0:
+            raise SolverArgumentError("directions: there is none; give at least one")
+        tolerance = real_number("tolerance", tolerance, above=0.0, error=SolverArgumentError)
+        kept: list[Any] = []
+
+        def native(given: dict[str, Array]) -> Any:
+            parameters = ffi.new("zoo_parameters *")
+            for name in PARAMETERS:
+                field = "shape" if name == "gamma" else name
+                setattr(parameters, field, ffi.from_buffer("double[]", given[name]))
+            kept.extend((parameters, given))
+            return parameters
+
+        own, built = native(rows), ffi.new("zoo_direction[]", n)
+        sizes = self._sizes()
+        shift = np.zeros(n)
+        for i, points in enumerate(directions):
+            problems = ffi.new("zoo_problem *[]", len(points))
+            sets = ffi.new("zoo_parameters *[]", len(points))
+            weights = ffi.new("double[]", [float(point.weight) for point in points])
+            for m, point in enumerate(points):
+                solver = point.solver or self
+                if not np.array_equal(solver.network.parent, self.network.parent):
+                    raise SolverArgumentError(f"directions[{i}][{m}]: its solver has another tree")
+                if solver.wall != self.wall:
+                    raise SolverArgumentError(f"directions[{i}][{m}]: its solver has another wall")
+                near = (point.stiffness, point.gamma, point.psi1, point.psi2, point.c)
+                sets[m] = native(self._broadcast(dict(zip(PARAMETERS, near, strict=True)), 1))
+                if point.solver is not None:
+                    copied = ffi.new("zoo_problem *", solver._problem[0])
+                    share_arrays(ffi, copied, self._problem, sizes | solver._sizes())
+                    problems[m] = copied
+                    kept.extend((copied, solver))
+                    shift[i] += point.weight * (solver._shift - self._shift)
+            built[i].n_points, built[i].problem = len(points), problems
+            built[i].parameters, built[i].weight = sets, weights
+            kept.extend((problems, sets, weights))
+        waves = [np.empty((1, *shape)) for _ in range(3)]
+        slopes = [np.empty((n, *shape)) for _ in range(3)]
+        fastest = np.empty((1, len(self.network.ids)))
+        report, tangent = ffi.new("zoo_report *"), ffi.new("zoo_tangent_report *")
+        code = lib.zoo_jacobian(
+            self._problem,
+            own,
+            n,
+            built,
+            tolerance,
+            *(ffi.from_buffer("double[]", array) for array in (*waves, fastest, *slopes)),
+            report,
+            tangent,
+        )
+        if code != lib.ZOO_OK:
+            where = f"directions[{tangent.direction}]: " if tangent.direction >= 0 else ""
+            raise SolverArgumentError(where + ffi.string(lib.zoo_status_text(code)).decode())
+        text = ffi.string(lib.zoo_status_text(tangent.status)).decode()
+        if tangent.status != lib.ZOO_OK:
+            where = f" in direction {tangent.direction}" if tangent.direction >= 0 else ""
+            text = f"{text}{where}; {_ERRORS.get(tangent.status, (None, 'give fewer directions'))[1]}"
+        if check and report.status != lib.ZOO_OK:
+            raise _ERRORS[report.status][0](self._reason(report, rows))
+        if check and tangent.status != lib.ZOO_OK:
+            raise _ERRORS.get(tangent.status, (SolverArgumentError, ""))[0](text)
+        waves, slopes = ([self._at_times(x) for x in arrays] for arrays in (waves, slopes))
+        waves[0] = cgs_to_mmhg(waves[0] + self._shift, self.conventions.mmhg)
+        slopes[0] = cgs_to_mmhg(slopes[0] + shift[:, None, None], self.conventions.mmhg)
+        return Derivatives(
+            self._solution(waves, fastest, report, rows),
+            *slopes,
+            status=tangent.status,
+            reason=text,
+            beats=tangent.beats,
+            vectors=tangent.vectors,
+            stepped=tangent.stepped,
+            residual=tangent.residual,
+        )
+
+    def _sizes(self) -> dict[int, int]:
+        """Bytes of the arrays that were handed over, by their addresses."""
+        return {int(array.ctypes.data): int(array.nbytes) for array in self._kept}
+
+    def _at_times(self, wave: Array) -> Array:
+        """From the order of time, in which C has them, to that of `times_s`."""
+        back = np.empty_like(wave)
+        back[..., self._order] = wave
+        return back
 
     def solve_batch(
         self,

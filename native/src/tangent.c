@@ -1,0 +1,209 @@
+/* Entry point of the derivatives: the solve, what changes in each direction, and what follows from it. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "outlet.h"
+#include "tangent.h"
+#include "values.h"
+
+enum { D = ZOO_DIRECTIONS };
+
+static int parameters_missing(const zoo_problem *problem, const zoo_parameters *pa)
+{
+    return !pa || !pa->stiffness || !pa->psi1 || !pa->psi2 || !pa->c || (wall_shapes(problem->wall.law) > 0 && !pa->shape);
+}
+
+/* Checks the directions; the solve has additions when a point has. */
+static int32_t check_directions(zoo_problem *problem, int n, const zoo_direction *directions, int *n_points, zoo_tangent_report *report)
+{
+    *n_points = 0;
+    for (int i = 0; i < n; i++) {
+        const zoo_direction *d = &directions[i];
+        report->direction = i;
+        if (d->n_points < 1 || d->n_points > 64 || !d->weight || !d->parameters)
+            return ZOO_BAD_ARGUMENT;
+        for (int m = 0; m < d->n_points; m++) {
+            const zoo_problem *given = d->problem ? d->problem[m] : NULL;
+            if (parameters_missing(problem, d->parameters[m]) || !isfinite(d->weight[m]))
+                return ZOO_BAD_ARGUMENT;
+            if (!given)
+                continue;
+            const int32_t status = zoo_check_problem(given);
+            if (status != ZOO_OK)
+                return status;
+            if (given->wall.law != problem->wall.law || given->network.n_vessels != problem->network.n_vessels)
+                return ZOO_NO_DERIVATIVE;
+            int *children = zoo_count_children(&given->network);
+            if (!children)
+                return ZOO_WORKSPACE;
+            problem->numerics.additions |= zoo_has_additions(given, children);
+            free(children);
+            (*n_points)++;
+        }
+    }
+    report->direction = -1;
+    return ZOO_OK;
+}
+
+/* Arrays one after the other; with `at` NULL only counted. */
+static double *reals(char *at, size_t *used, size_t count)
+{
+    const size_t from = *used;
+    *used = from + (count * sizeof(double) + 63) / 64 * 64;
+    return at ? (double *)(at + from) : NULL;
+}
+
+static void set_partials(zoo_partials *p, char *at, size_t *used, size_t n, size_t shapes)
+{
+    double **arrays[] = {&p->elastic, &p->slope, &p->M_A, &p->M_q, &p->G_A, &p->G_q, &p->G_P};
+    for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++)
+        *arrays[i] = reals(at, used, n);
+    p->shape = reals(at, used, n * shapes);
+}
+
+size_t zoo_tangent_layout(zoo_tangent *t, char *at)
+{
+    const zoo_sim *s = t->s;
+    const zoo_outputs *out = &s->problem->outputs;
+    const size_t n = (size_t)s->n_nodes, nt = (size_t)s->outlets.count, shapes = (size_t)wall_shapes(s->wall);
+    size_t used = 0, branches = 2;
+    for (int g = 0; g < s->n_groups; g++)
+        branches = (size_t)s->groups[g].branches > branches ? (size_t)s->groups[g].branches : branches;
+    set_partials(&t->now, at, &used, n, shapes);
+    set_partials(&t->next, at, &used, n, shapes);
+    set_partials(&t->mid, at, &used, n, shapes);
+    double **nodes[] = {&t->old_A, &t->old_q, &t->old_P, &t->old_off, &t->hA0, &t->hA1, &t->hq0, &t->hq1,
+                        &t->hP0,   &t->hP1,   &t->fA0,   &t->fA1,     &t->fq0, &t->fq1, &t->fP0, &t->fP1};
+    for (size_t i = 0; i < sizeof nodes / sizeof *nodes; i++)
+        *nodes[i] = reals(at, &used, n);
+    t->old_v = reals(at, &used, (size_t)s->outlets.rows.pressures * nt);
+    t->old_carry = reals(at, &used, (size_t)s->outlets.rows.flows * nt);
+    const size_t rows = (size_t)s->outlets.rows.coefficients * nt;
+    t->zero = reals(at, &used, (rows > n ? rows : n) * D);
+    t->branch = reals(at, &used, 4 * branches * D);
+    t->part = reals(at, &used, 8 * branches);
+    for (int k = 0; k < t->n_blocks; k++) {
+        zoo_block x = {0};
+        x.state = reals(at, &used, (size_t)s->n_state * D);
+        x.pe = reals(at, &used, n * D);
+        x.Ah = reals(at, &used, (n + 1) * D);
+        x.qh = reals(at, &used, (n + 1) * D);
+        x.Ph = reals(at, &used, (n + 1) * D);
+        x.K = reals(at, &used, n * D);
+        x.K_mid = reals(at, &used, n * D);
+        x.coefficient = reals(at, &used, shapes * n * D);
+        x.row = reals(at, &used, (size_t)s->outlets.rows.coefficients * nt * D);
+        x.behind = reals(at, &used, nt * D);
+        x.curve_node = reals(at, &used, ((size_t)s->n_steps + 1) * D);
+        x.curve_mean = reals(at, &used, (size_t)s->n_steps * D);
+        x.node_source = reals(at, &used, n * D);
+        x.mid_source = reals(at, &used, n * D);
+        x.out_P = reals(at, &used, n * D);
+        x.ring = reals(at, &used, 4 * (size_t)out->n_series * 3 * D);
+        x.sample = reals(at, &used, (size_t)out->n_times * out->n_series * 3 * D);
+        if (!at)
+            continue;
+        x.Ah += D, x.qh += D, x.Ph += D;
+        x.A = x.state;
+        x.q = x.A + n * D;
+        x.v = x.q + n * D;
+        x.z = x.v + (size_t)s->outlets.rows.pressures * nt * D;
+        x.carry = x.z + (s->extra ? n * D : 0);
+        t->block[k] = x;
+    }
+    return used;
+}
+
+static void fill(double *to, int64_t n, double value)
+{
+    for (int64_t i = 0; i < n; i++)
+        to[i] = value;
+}
+
+/* Derivatives of a run that is solved. */
+static int32_t differentiate(zoo_sim *s, const zoo_parameters *parameters, int n_directions, const zoo_direction *directions,
+                             int n_points, double tolerance, double *d_pressure, double *d_flow, double *d_area,
+                             zoo_tangent_report *report)
+{
+    const zoo_outputs *out = &s->problem->outputs;
+    const int64_t n_out = (int64_t)out->n_series * out->n_times;
+    zoo_tangent t = {.s = s, .n_blocks = (n_directions + D - 1) / D};
+    int32_t status = ZOO_OK;
+    t.block = calloc((size_t)t.n_blocks, sizeof *t.block);
+    const size_t bytes = zoo_tangent_layout(&t, NULL) + 64;
+    char *memory = calloc(1, bytes);
+    zoo_point *points = calloc((size_t)n_points + 1, sizeof *points);
+    double *samples = malloc((size_t)(n_directions * n_out * 3 + 1) * sizeof *samples);
+    int stepped = 0;
+    if (!t.block || !memory || !points || !samples)
+        status = ZOO_WORKSPACE;
+    if (status == ZOO_OK) {
+        zoo_tangent_layout(&t, memory + (64 - (uintptr_t)memory % 64) % 64);
+        status = zoo_tangent_directions(&t, parameters, n_directions, directions, points, &stepped, report);
+    }
+    if (status == ZOO_OK)
+        status = zoo_tangent_periodic(&t, n_directions, points, stepped, tolerance, samples, report);
+    for (int64_t d = 0; d < n_directions && status == ZOO_OK; d++)
+        for (int64_t i = 0; i < out->n_series; i++)
+            for (int64_t m = 0; m < out->n_times; m++) {
+                const double *from = samples + d * n_out * 3 + (m * out->n_series + i) * 3;
+                const int64_t at = d * n_out + i * out->n_times + m;
+                d_pressure[at] = from[0];
+                d_flow[at] = from[1];
+                d_area[at] = from[2];
+            }
+    for (int i = 0; i < stepped && points; i++)
+        free(points[i].memory);
+    free(points);
+    free(samples);
+    free(memory);
+    free(t.block);
+    return status;
+}
+
+int32_t zoo_jacobian(const zoo_problem *problem, const zoo_parameters *parameters, int32_t n_directions,
+                     const zoo_direction *directions, double tolerance, double *pressure, double *flow, double *area,
+                     double *fastest, double *d_pressure, double *d_flow, double *d_area, zoo_report *report,
+                     zoo_tangent_report *tangent)
+{
+    if (!problem || !report || !tangent || !directions || n_directions < 1 || n_directions > 1 << 20 || !(tolerance > 0.0))
+        return ZOO_BAD_ARGUMENT;
+    zoo_problem own = *problem;
+    int n_points;
+    *tangent = (zoo_tangent_report){.direction = -1};
+    int32_t status = zoo_check_problem(&own);
+    const int64_t n_out = status == ZOO_OK ? (int64_t)own.outputs.n_series * own.outputs.n_times : 0;
+    if (status == ZOO_OK && (parameters_missing(&own, parameters) ||
+                             n_out > (int64_t)(PTRDIFF_MAX / sizeof(double)) / 4 / n_directions ||
+                             (n_out > 0 && (!pressure || !flow || !area || !d_pressure || !d_flow || !d_area))))
+        status = ZOO_BAD_ARGUMENT;
+    if (status != ZOO_OK)
+        return status;
+    status = check_directions(&own, n_directions, directions, &n_points, tangent);
+    if (status != ZOO_OK && status != ZOO_NO_DERIVATIVE)
+        return status;
+    zoo_sim s;
+    const int64_t bytes = zoo_layout(&own, 1, &s, NULL);
+    void *memory = bytes < 0 ? NULL : aligned_alloc(64, (size_t)(bytes + 63) / 64 * 64);
+    if (!memory)
+        return ZOO_WORKSPACE;
+    zoo_layout(&own, 1, &s, memory);
+    zoo_set_grid(&s);
+    s.set_of[0] = 0;
+    if (zoo_set_parameters(&s, parameters) > 0)
+        zoo_periodic(&s, pressure, flow, area);
+    *report = s.report[0];
+    if (report->status != ZOO_OK)
+        zoo_output_store(&s, 0, pressure, flow, area);
+    for (int k = 0; k < s.n_vessels && fastest; k++)
+        fastest[k] = report->status == ZOO_OK ? s.fastest[k] : NAN;
+    tangent->status = status;
+    if (report->status == ZOO_OK && status == ZOO_OK)
+        tangent->status = differentiate(&s, parameters, n_directions, directions, n_points, tolerance, d_pressure, d_flow, d_area, tangent);
+    if (report->status != ZOO_OK || tangent->status != ZOO_OK)
+        for (int part = 0; part < 3; part++)
+            fill((double *[]){d_pressure, d_flow, d_area}[part], n_out * n_directions, NAN);
+    free(memory);
+    return ZOO_OK;
+}

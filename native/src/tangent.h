@@ -1,0 +1,84 @@
+/* Derivatives of a run: what tangent.c, tangent_step.c and tangent_periodic.c share.
+ *
+ * A direction is a change of the arguments.  ZOO_DIRECTIONS of them make a block and stand side by side, innermost,
+ * so that the coefficients of a node, which all directions share, are computed once and multiply vectors:
+ * element [i*ZOO_DIRECTIONS + d] of an array. */
+#ifndef ZOO_TANGENT_H
+#define ZOO_TANGENT_H
+
+#include "internal.h"
+
+enum { ZOO_DIRECTIONS = 8 };
+
+/* Derivatives of what nodes, or midpoints, make of their area A and flow q: the wall's pressure by area and by the
+ * law's coefficients, momentum flux and friction by area, flow and (with a leak) pressure. */
+typedef struct {
+    double *elastic, *slope, *shape;  /* [n_nodes], [n_nodes], [wall_shapes][n_nodes] */
+    double *M_A, *M_q, *G_A, *G_q, *G_P; /* [n_nodes] */
+} zoo_partials;
+
+/* A block of directions. */
+typedef struct {
+    int walls, outlets, inlet;     /* 1: some direction changes walls (K, coefficients), outlets, the inlet's curve */
+    double *state;                 /* [n_state][D] in the order of zoo_pack */
+    double *A, *q, *v, *z, *carry; /* its parts */
+    double *pe;                    /* [n_nodes][D] pressure of the wall; where it is not slope A alone */
+    double *Ah, *qh, *Ph;          /* [n_nodes][D] at midpoints, one more in front */
+    double *K, *K_mid, *coefficient; /* [n_nodes][D], [wall_shapes][n_nodes][D] changes of the arguments' arrays */
+    double *row, *behind;          /* [rows.coefficients][count][D], [count][D] */
+    double *curve_node, *curve_mean; /* [n_steps+1][D], [n_steps][D] */
+    double *node_source, *mid_source; /* [n_nodes][D] change of the walls' pressure with the areas left alone */
+    double *out_P;                 /* [n_nodes][D] change of P with the state left alone, of directions by differences */
+    double *ring, *sample;         /* as in zoo_sim, D lanes */
+    int next_time;
+} zoo_block;
+
+typedef struct {
+    zoo_sim *s;
+    int forced;   /* 1: the arguments change, 0: only the state */
+    int whole;    /* 1: pressures are carried, 0: they are slope times area everywhere */
+    int n_blocks;
+    zoo_block *block;
+    zoo_partials now, next, mid; /* nodes at the start and end of the step, midpoints */
+    double *old_A, *old_q, *old_P, *old_off; /* [n_nodes] at the start of the step; old_off at half a step */
+    double *old_v, *old_carry;   /* [rows][count] */
+    /* [n_nodes] how a midpoint follows from the nodes before and after it, and a node from the midpoints */
+    double *hA0, *hA1, *hq0, *hq1, *hP0, *hP1, *fA0, *fA1, *fq0, *fq1, *fP0, *fP1;
+    double *zero;                /* [n_nodes or outlets' coefficients][D] zeros */
+    double *branch;              /* [4][branches][D] scratch of one junction */
+    double *part;                /* [8][branches] */
+    int64_t beats;               /* linearised beats so far */
+} zoo_tangent;
+
+/* tangent.c: the arrays at `at`, a multiple of 64 bytes that hold zeros, for s, n_blocks and block as they are set;
+ * with NULL only how many bytes. */
+size_t zoo_tangent_layout(zoo_tangent *t, char *at);
+
+/* tangent_step.c: partials of the nodes at the start of a beat, and all blocks by one step with the run itself;
+ * returns what zoo_step returns.  `change` holds what is added to the state of block b, or NULL. */
+void zoo_tangent_begin(zoo_tangent *t);
+int zoo_tangent_step(zoo_tangent *t, int step);
+void zoo_tangent_add(zoo_tangent *t, int block, const double *change);
+void zoo_tangent_record(zoo_tangent *t, int step);
+
+/* Arguments near those of the run whose steps are computed one by one, from the run's own state, and compared: for
+ * what no coefficient array of a block holds. */
+typedef struct {
+    int direction;
+    double weight;
+    zoo_problem problem;
+    zoo_sim sim;
+    void *memory;
+} zoo_point;
+
+/* tangent_directions.c: the changes of all directions into the blocks; points that must be stepped are kept in
+ * points[*n_points].  Returns a status, with the direction at fault in the report. */
+int32_t zoo_tangent_directions(zoo_tangent *t, const zoo_parameters *parameters, int n_directions,
+                               const zoo_direction *directions, zoo_point *points, int *n_points, zoo_tangent_report *report);
+
+/* tangent_periodic.c: derivatives of the periodic state's samples, [n_directions][n_times][n_series][3], in every
+ * direction.  Returns a status. */
+int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points, int n_points, double tolerance,
+                             double *samples, zoo_tangent_report *report);
+
+#endif

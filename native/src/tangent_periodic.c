@@ -1,0 +1,298 @@
+/* Derivatives of the periodic state.
+ *
+ * With J the derivative of one beat's end by its start, and b that of the end by the arguments, the derivative x of the
+ * periodic state solves (I - J) x = b; samples depend on x and the arguments linearly.  One beat with changed arguments
+ * and an unchanged start gives b and the arguments' own part of the samples.  Each further beat takes vectors v through
+ * the beat: w = v - J v, and the samples c of v.  What is left of all b is made least by combinations of all w (GCR, with
+ * the directions' vectors pooled), and the samples follow by the same combinations of c: x itself is not needed.
+ * New vectors are what is left of the b's, as far as they differ.  Norms weight the state as pressures (periodic.c). */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "tangent.h"
+
+enum { D = ZOO_DIRECTIONS };
+
+/* The run's state into that of a point. */
+static void copy_state(zoo_sim *to, const zoo_sim *from)
+{
+    const size_t n = (size_t)from->n_nodes * sizeof(double), nt = (size_t)from->outlets.count * sizeof(double);
+    memcpy(to->A, from->A, n);
+    memcpy(to->q, from->q, n);
+    if (from->extra)
+        memcpy(to->z, from->z, n);
+    memcpy(to->outlets.v, from->outlets.v, nt * (size_t)from->outlets.rows.pressures);
+    memcpy(to->outlets.carry, from->outlets.carry, nt * (size_t)from->outlets.rows.flows);
+}
+
+/* What the walls' pressure changes while the state is left alone, of all points. */
+static void set_points(zoo_tangent *t, zoo_point *points, int n_points, int step)
+{
+    const zoo_sim *s = t->s;
+    for (int i = 0; i < n_points; i++)
+        memset(t->block[points[i].direction / D].out_P, 0, (size_t)s->n_nodes * D * sizeof(double));
+    for (int i = 0; i < n_points; i++) {
+        zoo_point *p = &points[i];
+        copy_state(&p->sim, s);
+        zoo_refresh_at(&p->sim, step);
+        double *P = t->block[p->direction / D].out_P + p->direction % D;
+        for (ptrdiff_t j = 0; j < s->n_nodes; j++)
+            P[j * D] += p->weight * (p->sim.P[j] - s->P[j]);
+    }
+}
+
+/* What a step of the points adds to the blocks; `change` [n_blocks][n_state][D], x and own [n_state] are scratch. */
+static int step_points(zoo_tangent *t, zoo_point *points, int n_points, int step, double *change, double *x, double *own)
+{
+    const zoo_sim *s = t->s;
+    const ptrdiff_t size = (ptrdiff_t)s->n_state * D;
+    memset(change, 0, (size_t)(t->n_blocks * size) * sizeof *change);
+    zoo_pack(s, own);
+    for (int i = 0; i < n_points; i++) {
+        zoo_point *p = &points[i];
+        if (zoo_step(&p->sim, step) || p->sim.no_root)
+            return p->direction;
+        zoo_pack(&p->sim, x);
+        double *to = change + p->direction / D * size + p->direction % D;
+        for (ptrdiff_t j = 0; j < s->n_state; j++)
+            to[j * D] += p->weight * (x[j] - own[j]);
+    }
+    for (int b = 0; b < t->n_blocks; b++)
+        zoo_tangent_add(t, b, change + b * size);
+    return -1;
+}
+
+static void emit(zoo_tangent *t, int step)
+{
+    for (int k = 0; k < t->n_blocks; k++) {
+        zoo_block *b = &t->block[k];
+        zoo_sim lanes = *t->s;
+        lanes.lanes = D;
+        lanes.ring = b->ring;
+        lanes.sample = b->sample;
+        lanes.next_time = b->next_time;
+        zoo_output_emit(&lanes, step);
+        b->next_time = lanes.next_time;
+    }
+}
+
+/* One beat from `start`, which is the run's state, and from what stands in the blocks. */
+static int32_t beat(zoo_tangent *t, const double *start, zoo_point *points, int n_points, double *scratch, zoo_tangent_report *report)
+{
+    zoo_sim *s = t->s;
+    const ptrdiff_t all = (ptrdiff_t)t->n_blocks * s->n_state * D;
+    const int several = t->forced && n_points > 0, sampled = s->problem->outputs.n_series > 0;
+    zoo_unpack(s, start);
+    s->no_root = 0;
+    for (int k = 0; k < t->n_blocks; k++)
+        t->block[k].next_time = 0;
+    zoo_tangent_begin(t);
+    if (several)
+        set_points(t, points, n_points, 0);
+    if (sampled)
+        zoo_tangent_record(t, 0);
+    for (int step = 0; step < s->n_steps; step++) {
+        if (zoo_tangent_step(t, step) || s->no_root)
+            return ZOO_COLLAPSE;
+        if (several) {
+            const int failed = step_points(t, points, n_points, step, scratch, scratch + all, scratch + all + s->n_state);
+            if (failed >= 0) {
+                report->direction = failed;
+                return ZOO_NO_DERIVATIVE;
+            }
+            set_points(t, points, n_points, step + 1);
+        }
+        if (sampled) {
+            zoo_tangent_record(t, step + 1);
+            emit(t, step + 1);
+        }
+    }
+    report->beats++;
+    return ZOO_OK;
+}
+
+static double dot(const double *weight, const double *a, const double *b, ptrdiff_t n)
+{
+    double sum = 0.0;
+    for (ptrdiff_t i = 0; i < n; i++)
+        sum += weight[i] * weight[i] * a[i] * b[i];
+    return sum;
+}
+
+static void add(double *to, double factor, const double *from, ptrdiff_t n)
+{
+    for (ptrdiff_t i = 0; i < n; i++)
+        to[i] += factor * from[i];
+}
+
+/* State or samples of direction d: from a block's lanes, or into them. */
+static void take(const double *block, int d, double *to, ptrdiff_t n)
+{
+    for (ptrdiff_t i = 0; i < n; i++)
+        to[i] = block[i * D + d];
+}
+
+static void put(double *block, int d, const double *from, ptrdiff_t n)
+{
+    for (ptrdiff_t i = 0; i < n; i++)
+        block[i * D + d] = from ? from[i] : 0.0;
+}
+
+/* Largest weighted element; NaN if there is one. */
+static double largest(const double *weight, const double *a, ptrdiff_t n)
+{
+    double most = 0.0;
+    for (ptrdiff_t i = 0; i < n; i++) {
+        const double x = fabs(weight[i] * a[i]);
+        if (isnan(x))
+            return x;
+        if (x > most)
+            most = x;
+    }
+    return most;
+}
+
+/* Orthogonal directions of what is left, as far as it counts: `left` [m][n] is copied to `to` [m][n], with the largest
+ * one first.  Returns how many. */
+static int new_vectors(const double *weight, const double *left, const double *scale, const int *open, int m, ptrdiff_t n,
+                       double least, double *to, double *size)
+{
+    int found = 0;
+    for (int d = 0; d < m; d++) {
+        memcpy(to + d * n, left + d * n, (size_t)n * sizeof *to);
+        size[d] = open[d] ? sqrt(dot(weight, to + d * n, to + d * n, n)) / scale[d] : 0.0;
+    }
+    for (; found < m; found++) {
+        int best = found;
+        for (int d = found; d < m; d++)
+            best = size[d] > size[best] ? d : best;
+        if (!(size[best] > least))
+            break;
+        double *a = to + found * n, *b = to + best * n, norm;
+        for (ptrdiff_t i = 0; i < n && best != found; i++) {
+            const double x = a[i];
+            a[i] = b[i];
+            b[i] = x;
+        }
+        const double s = size[found];
+        size[found] = size[best];
+        size[best] = s;
+        norm = sqrt(dot(weight, a, a, n));
+        for (ptrdiff_t i = 0; i < n; i++)
+            a[i] /= norm;
+        for (int d = found + 1; d < m; d++) {
+            if (size[d] == 0.0)
+                continue;
+            double *c = to + d * n, before = sqrt(dot(weight, c, c, n));
+            add(c, -dot(weight, a, c, n), a, n);
+            size[d] = before > 0.0 ? size[d] * sqrt(dot(weight, c, c, n)) / before : 0.0;
+        }
+    }
+    return found;
+}
+
+int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points, int n_points, double tolerance,
+                             double *samples, zoo_tangent_report *report)
+{
+    zoo_sim *s = t->s;
+    const zoo_outputs *out = &s->problem->outputs;
+    const ptrdiff_t n = s->n_state, n_out = (ptrdiff_t)out->n_series * 3 * out->n_times, m = n_directions;
+    const int n_blocks = t->n_blocks, max_beats = s->problem->numerics.max_beats;
+    double *start = malloc((size_t)n * sizeof *start), *left = malloc((size_t)(m * n) * sizeof *left),
+           *vectors = malloc((size_t)(m * n) * sizeof *vectors), *size = malloc((size_t)m * sizeof *size),
+           *scale = malloc((size_t)m * sizeof *scale),
+           *scratch = malloc((size_t)((n_points > 0 ? (ptrdiff_t)n_blocks * n * D : 0) + 2 * n) * sizeof *scratch);
+    int *open = malloc((size_t)m * sizeof *open);
+    double **kept = calloc((size_t)max_beats, sizeof *kept); /* of each beat, [found][n + n_out] */
+    int *count = calloc((size_t)max_beats, sizeof *count);
+    int32_t status = start && left && vectors && size && scale && open && scratch && kept && count ? ZOO_OK : ZOO_WORKSPACE;
+    if (status == ZOO_OK) {
+        zoo_pack(s, start);
+        t->forced = 1;
+        t->whole = s->extra;
+        for (int k = 0; k < n_blocks; k++) {
+            t->whole |= t->block[k].walls;
+            memset(t->block[k].state, 0, (size_t)(n * D) * sizeof(double));
+        }
+        status = beat(t, start, points, n_points, scratch, report);
+    }
+    for (int d = 0; d < m && status == ZOO_OK; d++) {
+        take(t->block[d / D].state, d % D, left + d * n, n);
+        take(t->block[d / D].sample, d % D, samples + d * n_out, n_out);
+    }
+    t->forced = 0;
+    t->whole = s->extra;
+    for (int round = 0; status == ZOO_OK; round++) {
+        int unfinished = 0;
+        report->residual = 0.0;
+        for (int d = 0; d < m; d++) {
+            double most = n_out > 0 ? 0.0 : largest(s->weight, left + d * n, n);
+            for (ptrdiff_t i = 0; i < n_out && !isnan(most); i += 3) {
+                const double p = fabs(samples[d * n_out + i]);
+                most = p > most || isnan(p) ? p : most;
+            }
+            const double error = largest(s->weight, left + d * n, n) / (1.0 - s->slow[0]);
+            if (!isfinite(error) || !isfinite(most)) {
+                status = ZOO_NO_DERIVATIVE;
+                report->direction = d;
+                break;
+            }
+            scale[d] = most > 0.0 ? most : 1.0;
+            open[d] = error > tolerance * scale[d];
+            unfinished |= open[d];
+            report->residual = fmax(report->residual, error / scale[d]);
+        }
+        if (status != ZOO_OK || !unfinished)
+            break;
+        if (round == max_beats) {
+            status = ZOO_NOT_PERIODIC;
+            break;
+        }
+        const int found = new_vectors(s->weight, left, scale, open, n_directions, n, 0.1 * tolerance * (1.0 - s->slow[0]), vectors, size);
+        double *w = kept[round] = malloc((size_t)(found * (n + n_out)) * sizeof *w);
+        if (!w) {
+            status = ZOO_WORKSPACE;
+            break;
+        }
+        t->n_blocks = (found + D - 1) / D;
+        for (int v = 0; v < t->n_blocks * D; v++)
+            put(t->block[v / D].state, v % D, v < found ? vectors + v * n : NULL, n);
+        status = beat(t, start, NULL, 0, NULL, report);
+        if (status != ZOO_OK)
+            break;
+        report->vectors += found;
+        count[round] = found;
+        for (int v = 0; v < found; v++) {
+            double *a = w + v * (n + n_out);
+            take(t->block[v / D].state, v % D, a, n);
+            take(t->block[v / D].sample, v % D, a + n, n_out);
+            for (ptrdiff_t i = 0; i < n; i++)
+                a[i] = vectors[v * n + i] - a[i];
+            for (int again = 0; again < 2; again++)
+                for (int r = 0; r <= round; r++)
+                    for (int u = 0; u < (r < round ? count[r] : v); u++) {
+                        const double *b = kept[r] + u * (n + n_out);
+                        add(a, -dot(s->weight, a, b, n), b, n + n_out);
+                    }
+            const double norm = sqrt(dot(s->weight, a, a, n));
+            for (ptrdiff_t i = 0; i < n + n_out; i++)
+                a[i] = norm > 1e-12 ? a[i] / norm : 0.0;
+            for (int d = 0; d < m; d++) {
+                const double part = dot(s->weight, a, left + d * n, n);
+                add(left + d * n, -part, a, n);
+                add(samples + d * n_out, part, a + n, n_out);
+            }
+        }
+    }
+    t->n_blocks = n_blocks;
+    for (int r = 0; r < max_beats && kept; r++)
+        free(kept[r]);
+    double *reals[] = {start, left, vectors, size, scale, scratch};
+    for (size_t i = 0; i < sizeof reals / sizeof *reals; i++)
+        free(reals[i]);
+    free(open);
+    free(kept);
+    free(count);
+    return status;
+}

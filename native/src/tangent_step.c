@@ -1,0 +1,785 @@
+/* One step of the run and of its directional derivatives.
+ *
+ * Everything here is scheme.h, junction.h, junction_total_pressure.h and the outlets differentiated by hand.  What a
+ * step makes of a small change of the state is linear; its coefficients at a node or midpoint are the same for all
+ * directions and computed once, then every direction costs 14 multiplications and additions at a node. Junctions
+ * and outlets are differentiated at the root that the step found (implicit function), whatever way led to it.
+ *
+ * Where pressures depend on more than the area (walls with a memory, leaks) or the arguments of the walls
+ * change, the pressures' own changes are carried (`whole`); else they are slope times area. */
+#include <math.h>
+#include <string.h>
+
+#include "outlet.h"
+#include "inlet.h"
+#include "tangent.h"
+
+enum { D = ZOO_DIRECTIONS };
+
+#if defined(__x86_64__) && defined(__GLIBC__) && (defined(__GNUC__) || defined(__clang__)) && !defined(ZOO_NO_CLONES)
+#define ZOO_CLONES __attribute__((target_clones("default", "arch=x86-64-v3", "arch=x86-64-v4")))
+#else
+#define ZOO_CLONES
+#endif
+#define EACH_DIRECTION ZOO_SIMD for (int d = 0; d < D; d++)
+
+/* Slope of the wall's pressure with the area; by central differences of fourth order how it changes with the
+ * law's coefficients. */
+ZOO_INLINE void wall_partials(const int wall, const zoo_sim *s, const double *restrict A, const double *restrict K,
+                              const double *restrict inv_A0, double stiff, int n, int shapes, zoo_partials *p)
+{
+    const ptrdiff_t stride = s->n_nodes;
+    const double *restrict th = s->coefficient;
+    const double *restrict elastic = p->elastic;
+    double *restrict slope = p->slope;
+    ZOO_SIMD for (int j = 0; j < n; j++) {
+        const double a = A[j] * inv_A0[j], y = fast_rsqrt(a);
+        slope[j] = wall_slope_area(wall, stiff * K[j], (wall_shape){th + j, stride, s->wall_function}, elastic[j], a * y, inv_A0[j] * y * y, inv_A0[j]);
+    }
+    for (int m = 0; m < shapes; m++) {
+        double *restrict by = p->shape + m * stride;
+        ZOO_SIMD for (int j = 0; j < n; j++) {
+            double g[ZOO_MOST_SHAPES > 4 ? ZOO_MOST_SHAPES : 4], sum = 0.0;
+            for (int i = 0; i < wall_shapes(wall); i++)
+                g[i] = th[i * stride + j];
+            const double at = g[m], h = 1e-3 * at, a = A[j] * inv_A0[j], root = a * fast_rsqrt(a);
+            g[m] = at + h;
+            sum += 8.0 * wall_p(wall, stiff * K[j], (wall_shape){g, 1, s->wall_function}, a, root);
+            g[m] = at - h;
+            sum -= 8.0 * wall_p(wall, stiff * K[j], (wall_shape){g, 1, s->wall_function}, a, root);
+            g[m] = at + 2.0 * h;
+            sum -= wall_p(wall, stiff * K[j], (wall_shape){g, 1, s->wall_function}, a, root);
+            g[m] = at - 2.0 * h;
+            sum += wall_p(wall, stiff * K[j], (wall_shape){g, 1, s->wall_function}, a, root);
+            by[j] = sum / (12.0 * h);
+        }
+    }
+}
+
+#define PARTIALS_OF(number, name)                                                                        \
+    ZOO_CLONES static void partials_##name(const zoo_sim *s, const double *A, const double *K, const double *inv_A0, \
+                                           double stiff, int n, int shapes, zoo_partials *p)                    \
+    {                                                                                                            \
+        wall_partials(number, s, A, K, inv_A0, stiff, n, shapes, p);                                    \
+    }
+#define PARTIALS_OF_LAW(NAME, name, ...)  \
+    PARTIALS_OF(ZOO_WALL_##NAME, name) \
+    PARTIALS_OF(ZOO_WALL_##NAME + ZOO_N_WALLS, name##_function)
+ZOO_WALLS(PARTIALS_OF_LAW, )
+#define PARTIALS_CASE(NAME, name, ...)  \
+    case ZOO_WALL_##NAME:               \
+        partials_##name(__VA_ARGS__);   \
+        break;                          \
+    case ZOO_WALL_##NAME + ZOO_N_WALLS: \
+        partials_##name##_function(__VA_ARGS__); \
+        break;
+
+/* Of M = alpha q^2/A and G = (f_s sqrt(A/A0) + f_c + leak P + loss A^2 |q|) q/A. */
+ZOO_CLONES static void flux_partials(int n, int extra, double alpha, const double *restrict A, const double *restrict q,
+                                     const double *restrict P, const double *restrict inv_A0,
+                                     const double *restrict f_s, const double *restrict f_c,
+                                     const double *restrict leak, const double *restrict loss, zoo_partials *p)
+{
+    double *restrict M_A = p->M_A, *restrict M_q = p->M_q, *restrict G_A = p->G_A, *restrict G_q = p->G_q,
+                     *restrict G_P = p->G_P;
+    ZOO_SIMD for (int j = 0; j < n; j++) {
+        const double a = A[j] * inv_A0[j], y = fast_rsqrt(a), per = inv_A0[j] * y * y, u = q[j] * per;
+        const double stick = f_s[j] * a * y;
+        M_A[j] = -alpha * u * u;
+        M_q[j] = 2.0 * alpha * u;
+        G_A[j] = -(0.5 * stick + f_c[j]) * u * per;
+        G_q[j] = (stick + f_c[j]) * per;
+    }
+    if (extra)
+        ZOO_SIMD for (int j = 0; j < n; j++) {
+            const double per = 1.0 / A[j], u = q[j] * per;
+            G_A[j] += loss[j] * fabs(q[j]) * q[j] - leak[j] * P[j] * u * per;
+            G_q[j] += leak[j] * P[j] * per + 2.0 * loss[j] * A[j] * fabs(q[j]);
+            G_P[j] = leak[j] * u;
+        }
+}
+
+/* More of G where friction has a factor that is a function of the velocity. */
+static void friction_partials(const zoo_sim *s, int n, const double *A, const double *q, const double *inv_A0,
+                              const double *f_s, const double *f_c, zoo_partials *p)
+{
+    for (int j = 0; j < n && s->problem->fluid.friction_function.n_knots > 0; j++) {
+        double faster;
+        const double per = 1.0 / A[j], u = q[j] * per, root = sqrt(A[j] * inv_A0[j]), hold = f_s[j] * root + f_c[j];
+        const double by = spline_at(s->friction_function, fabs(u), &faster) - 1.0;
+        p->G_A[j] -= (by * (0.5 * f_s[j] * root + f_c[j]) + faster * fabs(u) * hold) * u * per;
+        p->G_q[j] += (by + faster * fabs(u)) * hold * per;
+    }
+}
+
+static int shapes_of(const zoo_tangent *t)
+{
+    int walls = 0;
+    for (int b = 0; b < t->n_blocks && t->forced; b++)
+        walls |= t->block[b].walls;
+    return walls ? wall_shapes(t->s->wall) : 0;
+}
+
+static void node_partials(zoo_tangent *t, zoo_partials *p)
+{
+    const zoo_sim *s = t->s;
+    const int shapes = shapes_of(t);
+    memcpy(p->elastic, s->extra ? s->pe : s->P, (size_t)s->n_nodes * sizeof(double));
+    switch (s->wall) {
+        ZOO_WALLS(PARTIALS_CASE, s, s->A, s->K, s->inv_A0, s->stiff, s->n_nodes, shapes, p)
+    }
+    flux_partials(s->n_nodes, s->extra, s->momentum, s->A, s->q, s->P, s->inv_A0, s->f_s, s->f_c, s->leak, s->loss, p);
+    friction_partials(s, s->n_nodes, s->A, s->q, s->inv_A0, s->f_s, s->f_c, p);
+}
+
+/* How the midpoints follow from the nodes. */
+ZOO_CLONES static void half_coefficients(zoo_tangent *t)
+{
+    const zoo_sim *s = t->s;
+    const zoo_partials *p = &t->now;
+    const int n = s->n_nodes - 1, extra = s->extra;
+    const double quarter_dt = 0.25 * s->dt, inv_rho = s->inv_density;
+    const double *restrict A = s->A, *restrict P = s->P, *restrict lam = s->lam_mid, *restrict M_A = p->M_A,
+                           *restrict M_q = p->M_q, *restrict G_A = p->G_A, *restrict G_q = p->G_q,
+                           *restrict G_P = p->G_P, *restrict slope = p->slope;
+    double *restrict hA0 = t->hA0, *restrict hA1 = t->hA1, *restrict hq0 = t->hq0, *restrict hq1 = t->hq1,
+                     *restrict hP0 = t->hP0, *restrict hP1 = t->hP1;
+    ZOO_SIMD for (int j = 0; j < n; j++) {
+        const double l = 0.5 * lam[j], m = 0.5 * l * inv_rho * (A[j] + A[j + 1]), tilt = 0.5 * l * inv_rho * (P[j + 1] - P[j]);
+        hA0[j] = l * M_A[j] - tilt - quarter_dt * G_A[j];
+        hA1[j] = -l * M_A[j + 1] - tilt - quarter_dt * G_A[j + 1];
+        hq0[j] = 0.5 + l * M_q[j] - quarter_dt * G_q[j];
+        hq1[j] = 0.5 - l * M_q[j + 1] - quarter_dt * G_q[j + 1];
+        hP0[j] = m;
+        hP1[j] = -m;
+    }
+    if (extra)
+        ZOO_SIMD for (int j = 0; j < n; j++) {
+            hP0[j] -= quarter_dt * G_P[j];
+            hP1[j] -= quarter_dt * G_P[j + 1];
+        }
+    if (!t->whole)
+        ZOO_SIMD for (int j = 0; j < n; j++) {
+            hA0[j] += hP0[j] * slope[j];
+            hA1[j] += hP1[j] * slope[j + 1];
+        }
+}
+
+/* How the nodes follow from the midpoints; midpoint -1 exists. */
+ZOO_CLONES static void full_coefficients(zoo_tangent *t)
+{
+    const zoo_sim *s = t->s;
+    const zoo_partials *p = &t->mid;
+    const int n = s->n_nodes, extra = s->extra;
+    const double half_inv_rho = 0.5 * s->inv_density;
+    const double *restrict Ah = s->Ah, *restrict Ph = s->Ph, *restrict lam = s->lam, *restrict half_dt = s->half_dt,
+                           *restrict M_A = p->M_A, *restrict M_q = p->M_q, *restrict G_A = p->G_A,
+                           *restrict G_q = p->G_q, *restrict G_P = p->G_P, *restrict slope = p->slope;
+    double *restrict fA0 = t->fA0, *restrict fA1 = t->fA1, *restrict fq0 = t->fq0, *restrict fq1 = t->fq1,
+                     *restrict fP0 = t->fP0, *restrict fP1 = t->fP1;
+    ZOO_SIMD for (int j = 1; j < n; j++) {
+        const double m = half_inv_rho * lam[j] * (Ah[j] + Ah[j - 1]), tilt = half_inv_rho * lam[j] * (Ph[j] - Ph[j - 1]);
+        fA0[j] = lam[j] * M_A[j - 1] - tilt - half_dt[j] * G_A[j - 1];
+        fA1[j] = -lam[j] * M_A[j] - tilt - half_dt[j] * G_A[j];
+        fq0[j] = lam[j] * M_q[j - 1] - half_dt[j] * G_q[j - 1];
+        fq1[j] = -lam[j] * M_q[j] - half_dt[j] * G_q[j];
+        fP0[j] = m;
+        fP1[j] = -m;
+    }
+    if (extra)
+        ZOO_SIMD for (int j = 1; j < n; j++) {
+            fP0[j] -= half_dt[j] * G_P[j - 1];
+            fP1[j] -= half_dt[j] * G_P[j];
+        }
+    if (!t->whole)
+        ZOO_SIMD for (int j = 1; j < n; j++) {
+            fA0[j] += fP0[j] * slope[j - 1];
+            fA1[j] += fP1[j] * slope[j];
+        }
+}
+
+/* The wall's pressure at n nodes or midpoints with their areas left alone. */
+ZOO_CLONES static void wall_source(const zoo_tangent *t, const zoo_block *b, const zoo_partials *p, const double *restrict K,
+                                   const double *restrict dK, int n, double *restrict to)
+{
+    const ptrdiff_t stride = t->s->n_nodes;
+    const int shapes = wall_shapes(t->s->wall);
+    for (ptrdiff_t j = 0; j < n; j++) {
+        const double by = p->elastic[j] / K[j];
+        EACH_DIRECTION to[j * D + d] = by * dK[j * D + d];
+    }
+    for (int m = 0; m < shapes; m++) {
+        const double *restrict change = b->coefficient + m * stride * D, *restrict slope = p->shape + m * stride;
+        for (ptrdiff_t j = 0; j < n; j++) {
+            const double by = slope[j];
+            EACH_DIRECTION to[j * D + d] += by * change[j * D + d];
+        }
+    }
+}
+
+/* The same, or zeros where no direction changes the walls. */
+static const double *node_source(const zoo_tangent *t, const zoo_block *b)
+{
+    return t->forced && b->walls ? b->node_source : t->zero;
+}
+
+static const double *mid_source(const zoo_tangent *t, const zoo_block *b)
+{
+    return t->forced && b->walls ? b->mid_source : t->zero;
+}
+
+/* Without carried pressures: all of a midpoint and a node. */
+ZOO_CLONES static void half_of(const zoo_tangent *t, zoo_block *b)
+{
+    const int n = t->s->n_nodes - 1;
+    const double *restrict lam = t->s->lam_mid, *restrict hA0 = t->hA0, *restrict hA1 = t->hA1, *restrict hq0 = t->hq0,
+                 *restrict hq1 = t->hq1;
+    const double *restrict A = b->A, *restrict q = b->q;
+    double *restrict Ah = b->Ah, *restrict qh = b->qh;
+    for (ptrdiff_t j = 0; j < n; j++) {
+        const double l = 0.5 * lam[j], cA0 = hA0[j], cA1 = hA1[j], cq0 = hq0[j], cq1 = hq1[j];
+        const double *restrict A0 = A + j * D, *restrict A1 = A0 + D, *restrict q0 = q + j * D, *restrict q1 = q0 + D;
+        double *restrict to_A = Ah + j * D, *restrict to_q = qh + j * D;
+        EACH_DIRECTION {
+            to_A[d] = 0.5 * (A0[d] + A1[d]) - l * (q1[d] - q0[d]);
+            to_q[d] = cA0 * A0[d] + cA1 * A1[d] + cq0 * q0[d] + cq1 * q1[d];
+        }
+    }
+}
+
+ZOO_CLONES static void full_of(const zoo_tangent *t, zoo_block *b)
+{
+    const int n = t->s->n_nodes;
+    const double *restrict lam = t->s->lam, *restrict fA0 = t->fA0, *restrict fA1 = t->fA1, *restrict fq0 = t->fq0,
+                 *restrict fq1 = t->fq1;
+    const double *restrict Ah = b->Ah, *restrict qh = b->qh;
+    double *restrict A = b->A, *restrict q = b->q;
+    for (ptrdiff_t j = 1; j < n; j++) {
+        const double l = lam[j], cA0 = fA0[j], cA1 = fA1[j], cq0 = fq0[j], cq1 = fq1[j];
+        const double *restrict A1 = Ah + j * D, *restrict A0 = A1 - D, *restrict q1 = qh + j * D, *restrict q0 = q1 - D;
+        double *restrict to_A = A + j * D, *restrict to_q = q + j * D;
+        EACH_DIRECTION {
+            to_A[d] -= l * (q1[d] - q0[d]);
+            to_q[d] += cA0 * A0[d] + cA1 * A1[d] + cq0 * q0[d] + cq1 * q1[d];
+        }
+    }
+}
+
+/* With carried pressures: P = (1 + kappa) pe + z at a node. */
+ZOO_INLINE void whole_half(const zoo_tangent *t, zoo_block *b, const int extra)
+{
+    const zoo_sim *s = t->s;
+    const int n = s->n_nodes - 1;
+    const double quarter_dt = 0.25 * s->dt, later = 0.5 * (1.0 + s->relax_half), keep = s->relax_half;
+    const double *restrict sources = mid_source(t, b);
+    for (ptrdiff_t j = 0; j < n; j++) {
+        const double l = 0.5 * s->lam_mid[j], cA0 = t->hA0[j], cA1 = t->hA1[j], cq0 = t->hq0[j], cq1 = t->hq1[j],
+                     cP0 = t->hP0[j], cP1 = t->hP1[j], slope = t->mid.slope[j];
+        const double *restrict A0 = b->A + j * D, *restrict A1 = A0 + D, *restrict q0 = b->q + j * D,
+                     *restrict q1 = q0 + D, *restrict e0 = b->pe + j * D, *restrict e1 = e0 + D;
+        double *restrict to_A = b->Ah + j * D, *restrict to_q = b->qh + j * D, *restrict to_P = b->Ph + j * D;
+        const double *restrict source = sources + j * D;
+        if (!extra) {
+            EACH_DIRECTION {
+                to_A[d] = 0.5 * (A0[d] + A1[d]) - l * (q1[d] - q0[d]);
+                to_q[d] = cA0 * A0[d] + cA1 * A1[d] + cq0 * q0[d] + cq1 * q1[d] + cP0 * e0[d] + cP1 * e1[d];
+                to_P[d] = slope * to_A[d] + source[d];
+            }
+            continue;
+        }
+        const double k0 = s->kappa[j], k1 = s->kappa[j + 1], leak = quarter_dt * s->leak_mid[j];
+        const double f0 = 0.5 * k0 * (1.0 - keep), f1 = 0.5 * k1 * (1.0 - keep), stiffer = 1.0 + later * k0;
+        const double *restrict z0 = b->z + j * D, *restrict z1 = z0 + D;
+        EACH_DIRECTION {
+            const double P0 = (1.0 + k0) * e0[d] + z0[d], P1 = (1.0 + k1) * e1[d] + z1[d];
+            to_A[d] = 0.5 * (A0[d] + A1[d]) - l * (q1[d] - q0[d]) - leak * (P0 + P1);
+            to_q[d] = cA0 * A0[d] + cA1 * A1[d] + cq0 * q0[d] + cq1 * q1[d] + cP0 * P0 + cP1 * P1;
+            to_P[d] = stiffer * (slope * to_A[d] + source[d]) +
+                      0.5 * (keep * (z0[d] + z1[d]) - f0 * e0[d] - f1 * e1[d]);
+        }
+    }
+}
+
+ZOO_INLINE void whole_full(const zoo_tangent *t, zoo_block *b, const int extra)
+{
+    const zoo_sim *s = t->s;
+    const int n = s->n_nodes;
+    const double *restrict sources = node_source(t, b);
+    for (ptrdiff_t j = 0; j < n; j++) {
+        const double *restrict source = sources + j * D;
+        const double l = s->lam[j], cA0 = t->fA0[j], cA1 = t->fA1[j], cq0 = t->fq0[j], cq1 = t->fq1[j],
+                     cP0 = t->fP0[j], cP1 = t->fP1[j], slope = t->next.slope[j];
+        const double leak = extra ? s->half_dt[j] * s->leak[j] : 0.0, e = s->relax;
+        const double g = extra ? 0.5 * s->kappa[j] * (1.0 - e) : 0.0;
+        const double *restrict A1 = b->Ah + j * D, *restrict A0 = A1 - D, *restrict q1 = b->qh + j * D,
+                     *restrict q0 = q1 - D, *restrict P1 = b->Ph + j * D, *restrict P0 = P1 - D;
+        double *restrict to_A = b->A + j * D, *restrict to_q = b->q + j * D, *restrict pe = b->pe + j * D;
+        double *restrict z = extra ? b->z + j * D : NULL;
+        EACH_DIRECTION {
+            double now = to_A[d] - l * (q1[d] - q0[d]);
+            if (extra)
+                now -= leak * (P0[d] + P1[d]);
+            to_A[d] = now;
+            to_q[d] += cA0 * A0[d] + cA1 * A1[d] + cq0 * q0[d] + cq1 * q1[d] + cP0 * P0[d] + cP1 * P1[d];
+            now = slope * now + source[d];
+            if (extra)
+                z[d] = e * z[d] - g * (pe[d] + now);
+            pe[d] = now;
+        }
+    }
+}
+
+ZOO_CLONES static void whole_half_plain(const zoo_tangent *t, zoo_block *b) { whole_half(t, b, 0); }
+ZOO_CLONES static void whole_half_added(const zoo_tangent *t, zoo_block *b) { whole_half(t, b, 1); }
+ZOO_CLONES static void whole_full_plain(const zoo_tangent *t, zoo_block *b) { whole_full(t, b, 0); }
+ZOO_CLONES static void whole_full_added(const zoo_tangent *t, zoo_block *b) { whole_full(t, b, 1); }
+
+/* Pressures at a midpoint. */
+ZOO_INLINE void mid_P(const zoo_tangent *t, const zoo_block *b, ptrdiff_t m, double *restrict to)
+{
+    const double *restrict from = (t->whole ? b->Ph : b->Ah) + m * D;
+    const double by = t->whole ? 1.0 : t->mid.slope[m];
+    EACH_DIRECTION to[d] = by * from[d];
+}
+
+/* Part of a boundary node's new pressure that its new area does not make: what is known, and what the wall's own
+ * arguments add. */
+ZOO_INLINE void known_P(const zoo_tangent *t, const zoo_block *b, ptrdiff_t o, double stiffer, double *restrict to)
+{
+    const zoo_sim *s = t->s;
+    const double *restrict source = node_source(t, b) + o * D;
+    EACH_DIRECTION to[d] = stiffer * source[d];
+    if (s->extra) {
+        const double keep = s->relax, g = 0.5 * s->kappa[o] * (1.0 - keep);
+        const double *restrict z = b->z + o * D, *restrict pe = b->pe + o * D;
+        EACH_DIRECTION to[d] += keep * z[d] - g * pe[d];
+    }
+}
+
+ZOO_INLINE double stiffer_at(const zoo_sim *s, ptrdiff_t o)
+{
+    return s->extra ? 1.0 + 0.5 * (1.0 + s->relax) * s->kappa[o] : 1.0;
+}
+
+/* junction.h: one pressure P' for all branches, H at mid-step. */
+ZOO_INLINE void junction_of(const zoo_tangent *t, zoo_block *b, const zoo_junction_group *ju, int j)
+{
+    const zoo_sim *s = t->s;
+    const int nb = ju->branches, extra = s->extra;
+    const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum, H = ju->sum_c[j];
+    double *restrict known = t->branch, *restrict c = known + nb * D, *restrict push_of = c + nb * D,
+                     *restrict area = push_of + nb * D;
+    double P[D] = {0.0}, dH[D] = {0.0}, soft = 0.0, stiff = 0.0;
+    for (int k = 0; k < nb; k++) {
+        const int x = k * ju->count + j;
+        const ptrdiff_t o = ju->node[x], m = ju->mid[x];
+        const double w = ju->w[x], more = stiffer_at(s, o), part = w / (more * t->next.slope[o]), is = ju->sign[x] * dt;
+        const double leak = extra ? dt * w * s->leak[o] : 0.0;
+        const double *restrict A = b->A + o * D, *restrict qh = b->qh + m * D;
+        double *restrict own = known + k * D, Ph[D];
+        soft += part;
+        known_P(t, b, o, more, own);
+        EACH_DIRECTION P[d] += w * A[d] + is * qh[d] + part * own[d];
+        if (extra) {
+            mid_P(t, b, m, Ph);
+            EACH_DIRECTION P[d] -= leak * Ph[d];
+        }
+    }
+    EACH_DIRECTION P[d] /= soft;
+    for (int k = 0; k < nb; k++) {
+        const int x = k * ju->count + j;
+        const ptrdiff_t o = ju->node[x], m = ju->mid[x];
+        const double w = ju->w[x], is = ju->sign[x], per_w = ju->per_w[x], slope = stiffer_at(s, o) * t->next.slope[o];
+        const double leak = extra ? s->leak[o] : 0.0, loss = extra ? s->loss[o] : 0.0, Ph = s->Ph[m];
+        const double half = 0.5 * (t->old_A[o] + s->A[o]);
+        const double flux = s->qh[m] - is * ((s->A[o] - t->old_A[o]) / per_w + w * leak * Ph), u = flux / half;
+        double faster;
+        const double by = spline_at(s->friction_function, fabs(u), &faster), root = sqrt(half / ju->A0[x]);
+        const double stick = by * ju->f_s[x] * root, all = ju->f_s[x] * root + ju->f_c[x];
+        const double hold = (by + faster * fabs(u)) * all + leak * Ph + loss * half * half * fabs(flux);
+        const double push = 0.5 * per_w * (half + s->Ah[m]) * inv_rho;
+        const double M_A = t->mid.M_A[m], M_q = t->mid.M_q[m], G_A = t->mid.G_A[m], G_q = t->mid.G_q[m],
+                     G_P = extra ? t->mid.G_P[m] : 0.0;
+        const double sunk = loss * half * half * (flux < 0.0 ? -1.0 : 1.0), wet = w * leak, per_slope = 1.0 / slope;
+        const double per_half = 1.0 / half, back = 1.0 / per_w, hang = (0.5 * stick * per_half + 2.0 * loss * half * fabs(flux)) * u;
+        const double *restrict A = b->A + o * D, *restrict q = b->q + o * D, *restrict Ah = b->Ah + m * D,
+                     *restrict qh = b->qh + m * D, *restrict own = known + k * D;
+        double *restrict then = area + k * D, *restrict pushed = push_of + k * D, *restrict to = c + k * D, Pm[D];
+        mid_P(t, b, m, Pm);
+        stiff += push;
+        EACH_DIRECTION {
+            const double after = (P[d] - own[d]) * per_slope, mean = 0.5 * (A[d] + after);
+            const double through = qh[d] - is * ((after - A[d]) * back + wet * Pm[d]), du = (through - u * mean) * per_half;
+            const double drag = hang * mean + (leak * Pm[d] + sunk * through) * u + hold * du;
+            const double more = 0.5 * per_w * inv_rho * (mean + Ah[d]);
+            const double moved = M_A * Ah[d] + M_q * qh[d], held = G_A * Ah[d] + G_q * qh[d] + G_P * Pm[d];
+            const double sum = q[d] - is * (per_w * (alpha * (through * u + flux * du) - moved) - more * Ph - push * Pm[d]) -
+                               0.5 * dt * (drag + held);
+            then[d] = after;
+            pushed[d] = more;
+            to[d] = sum;
+            dH[d] += is * sum - H * more;
+        }
+    }
+    EACH_DIRECTION dH[d] /= stiff;
+    for (int k = 0; k < nb; k++) {
+        const int x = k * ju->count + j;
+        const ptrdiff_t o = ju->node[x], m = ju->mid[x];
+        const double is = ju->sign[x], push = 0.5 * ju->per_w[x] * (0.5 * (t->old_A[o] + s->A[o]) + s->Ah[m]) * inv_rho;
+        const double *restrict from = c + k * D, *restrict pushed = push_of + k * D, *restrict then = area + k * D;
+        double *restrict A = b->A + o * D, *restrict q = b->q + o * D;
+        EACH_DIRECTION {
+            q[d] = from[d] - is * (pushed[d] * H + push * dH[d]);
+            A[d] = then[d];
+        }
+    }
+}
+
+/* junction_total_pressure.h: the last round of its Newton's method, with what changes on the right. */
+ZOO_INLINE void coupled_of(const zoo_tangent *t, zoo_block *b, const zoo_junction_group *ju, int j)
+{
+    const zoo_sim *s = t->s;
+    const int nb = ju->branches, count = ju->count;
+    const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum, rho = 1.0 / inv_rho, per_dt = 1.0 / dt;
+    const double dynamic = rho * s->problem->junction.total_pressure, lossy = rho * s->problem->junction.loss;
+    const double H = ju->H[j];
+    double *restrict a0 = t->branch, *restrict q0 = a0 + nb * D;
+    double *restrict aP = t->part, *restrict aH = aP + nb, *restrict qP = aH + nb, *restrict qH = qP + nb;
+    double g0[D] = {0.0}, m0[D] = {0.0}, f0[D] = {0.0}, dP[D], dH[D], dD[D], old_D[D];
+    double gP = 0.0, gH = 0.0, mP = 0.0, mH = 0.0, fP = 0.0, fH = 0.0;
+    {
+        const ptrdiff_t o = ju->node[j];
+        const double u = t->old_q[o] / t->old_A[o];
+        double rise;
+        (void)spline_at(s->junction_function, u, &rise);
+        EACH_DIRECTION old_D[d] = (lossy * fabs(u) + rise) * (b->q[o * D + d] - u * b->A[o * D + d]) / t->old_A[o];
+    }
+    for (int k = 0; k < nb; k++) {
+        const int x = k * count + j;
+        const ptrdiff_t o = ju->node[x], m = ju->mid[x];
+        const double is = ju->sign[x], w = ju->w[x], per_w = ju->per_w[x], more = stiffer_at(s, o), down = 0.5 * (1.0 - is);
+        const double leak = s->leak[o], loss = s->loss[o], Ph = s->Ph[m], A = s->A[o], q = s->q[o];
+        const double was_A = t->old_A[o], was_u = t->old_q[o] / was_A;
+        const double per_area = 1.0 / A, u = q * per_area, at_u = dynamic * u * per_area;
+        const double F1_a = more * t->next.slope[o] - at_u * u, F1_q = at_u;
+        const double half = 0.5 * (was_A + A), per_half = 1.0 / half, root = sqrt(half * s->inv_A0[o]);
+        const double flux = s->qh[m] - is * w * ((A - was_A) * per_dt + leak * Ph), flux_a = -is * w * per_dt;
+        const double mean_u = flux * per_half, sink = loss * half;
+        double faster, rise;
+        const double by = spline_at(s->friction_function, fabs(mean_u), &faster), all = ju->f_s[x] * root + ju->f_c[x];
+        const double drag = (by * all + leak * Ph) * per_half, drag_flux = faster * all * per_half * copysign(per_half, mean_u);
+        const double drag_half = -(drag - 0.5 * by * ju->f_s[x] * root * per_half) * per_half - drag_flux * mean_u;
+        const double push = 0.5 * per_w * (half + s->Ah[m]) * inv_rho, push_a = 0.25 * per_w * inv_rho;
+        const double under = 0.5 * (ju->old[x] + 0.5 * dynamic * u * u + down * ju->D[j]), over = H - under - Ph;
+        const double F2_a = is * (per_w * alpha * mean_u * (2.0 * flux_a - 0.5 * mean_u) + push_a * over + 0.5 * push * at_u * u) +
+                            0.5 * dt * ((0.5 * drag_half + drag_flux * flux_a) * flux + drag * flux_a + (0.5 * loss * flux + 2.0 * sink * flux_a) * fabs(flux));
+        const double F2_q = 1.0 - 0.5 * is * push * at_u, inv = 1.0 / (F1_a * F2_q - F1_q * F2_a);
+        aP[k] = F2_q * inv;
+        qP[k] = -F2_a * inv;
+        aH[k] = F1_q * is * push * inv;
+        qH[k] = -F1_a * is * push * inv;
+        const double aD = aP[k] + 0.5 * aH[k], qD = qP[k] + 0.5 * qH[k];
+        (void)spline_at(s->junction_function, u, &rise);
+        const double slope = (lossy * fabs(u) + rise) * per_area;
+        if (k == 0) {
+            gP = slope * (qP[0] - u * aP[0]);
+            gH = slope * (qH[0] - u * aH[0]);
+            mP = w * aP[0], mH = w * aH[0], fP = qP[0], fH = qH[0];
+        } else {
+            mP += w * (aP[k] - aD * gP), mH += w * (aH[k] - aD * gH);
+            fP -= qP[k] - qD * gP, fH -= qH[k] - qD * gH;
+        }
+        double Pm[D], own[D];
+        mid_P(t, b, m, Pm);
+        known_P(t, b, o, more, own);
+        EACH_DIRECTION {
+            const double dA = b->A[o * D + d], dq = b->q[o * D + d], Ahm = b->Ah[m * D + d], qhm = b->qh[m * D + d],
+                         Phm = Pm[d];
+            const double old = dynamic * was_u * (dq - was_u * dA) / was_A + down * old_D[d];
+            const double through = qhm - is * w * (leak * Phm - dA * per_dt), mean = 0.5 * dA;
+            const double moved = t->mid.M_A[m] * Ahm + t->mid.M_q[m] * qhm;
+            const double held = t->mid.G_A[m] * Ahm + t->mid.G_q[m] * qhm + t->mid.G_P[m] * Phm;
+            const double r1 = own[d];
+            const double r2 =
+                -dq + is * (per_w * (alpha * mean_u * (2.0 * through - mean_u * mean) - moved) +
+                            0.5 * per_w * inv_rho * (mean + Ahm) * over - push * (Phm + 0.5 * old)) +
+                0.5 * dt * ((drag_half * mean + drag_flux * through + leak * per_half * Phm) * flux + drag * through +
+                            (loss * mean * flux + 2.0 * sink * through) * fabs(flux) + held);
+            a0[k * D + d] = (F1_q * r2 - F2_q * r1) * inv;
+            q0[k * D + d] = (F2_a * r1 - F1_a * r2) * inv;
+            m0[d] -= w * dA + dt * (is * qhm - w * leak * Phm); /* the change of the volume */
+            if (k == 0) {
+                g0[d] = slope * (q0[d] - u * a0[d]);
+                m0[d] += w * a0[d];
+                f0[d] = q0[d];
+            } else {
+                m0[d] += w * (a0[k * D + d] - aD * g0[d]);
+                f0[d] -= q0[k * D + d] - qD * g0[d];
+            }
+        }
+    }
+    const double inv = 1.0 / (mP * fH - mH * fP);
+    EACH_DIRECTION {
+        dP[d] = (mH * f0[d] - fH * m0[d]) * inv;
+        dH[d] = (fP * m0[d] - mP * f0[d]) * inv;
+        dD[d] = g0[d] + gP * dP[d] + gH * dH[d];
+    }
+    for (int k = 0; k < nb; k++) {
+        const ptrdiff_t o = ju->node[k * count + j];
+        const double down = k == 0 ? 0.0 : 1.0;
+        EACH_DIRECTION {
+            const double P = dP[d] - down * dD[d], half = dH[d] - 0.5 * down * dD[d];
+            b->A[o * D + d] = a0[k * D + d] + aP[k] * P + aH[k] * half;
+            b->q[o * D + d] = q0[k * D + d] + qP[k] * P + qH[k] * half;
+        }
+    }
+}
+
+ZOO_CLONES static void junctions_of(const zoo_tangent *t, zoo_block *b)
+{
+    const zoo_sim *s = t->s;
+    for (int g = 0; g < s->n_groups; g++)
+        for (int j = 0; j < s->groups[g].count; j++)
+            if (s->extra && s->coupled)
+                coupled_of(t, b, &s->groups[g], j);
+            else
+                junction_of(t, b, &s->groups[g], j);
+}
+
+/* Changes of row m of the outlets' coefficients at terminal i. */
+ZOO_INLINE const double *row_of(const zoo_tangent *t, const zoo_block *b, int m, int i)
+{
+    return (t->forced && b->outlets ? b->row : t->zero) + ((ptrdiff_t)m * t->s->outlets.count + i) * D;
+}
+
+/* outlet_windkessel.h */
+ZOO_CLONES static void windkessel_of(const zoo_tangent *t, zoo_block *b)
+{
+    const zoo_sim *s = t->s;
+    const zoo_terminals *ou = &s->outlets;
+    const int n = ou->count;
+    for (int i = 0; i < n; i++) {
+        const ptrdiff_t o = ou->node[i];
+        const double decay = outlet_row(s, ou->coefficient, WINDKESSEL_DECAY)[i], fill = outlet_row(s, ou->coefficient, WINDKESSEL_FILL)[i],
+                     E = outlet_row(s, ou->coefficient, WINDKESSEL_E)[i], inv_R1 = outlet_row(s, ou->coefficient, WINDKESSEL_INV_R1)[i],
+                     rest = outlet_row(s, ou->coefficient, WINDKESSEL_REST)[i];
+        const double was = t->old_v[i], Q = s->qh[o - 1] - (s->A[o] - t->old_A[o]) / ou->per_w[i];
+        const double base = (1.0 + decay) * was - t->old_P[o] + rest, slope = t->next.slope[o];
+        const double inv = 1.0 / (slope + E / ou->per_w[i]), raised = base + E * Q - ou->v[i];
+        double own[D];
+        known_P(t, b, o, 1.0, own);
+        EACH_DIRECTION {
+            const double dA = b->A[o * D + d], dv = b->v[i * D + d];
+            const double old_P = t->whole ? b->pe[o * D + d] : t->now.slope[o] * dA;
+            const double d_decay = row_of(t, b, WINDKESSEL_DECAY, i)[d], d_rest = row_of(t, b, WINDKESSEL_REST, i)[d],
+                         d_E = row_of(t, b, WINDKESSEL_E, i)[d];
+            const double d_base = (1.0 + decay) * dv + d_decay * was - old_P + d_rest;
+            const double come = b->qh[(o - 1) * D + d] + dA / ou->per_w[i];
+            const double then = (d_base + E * come + d_E * Q - own[d]) * inv;
+            const double dQ = come - then / ou->per_w[i];
+            const double v = decay * dv + d_decay * was + fill * dQ + row_of(t, b, WINDKESSEL_FILL, i)[d] * Q + d_rest;
+            b->A[o * D + d] = then;
+            b->v[i * D + d] = v;
+            b->q[o * D + d] = (d_base + E * dQ + d_E * Q - v) * inv_R1 + row_of(t, b, WINDKESSEL_INV_R1, i)[d] * raised;
+        }
+    }
+}
+
+/* outlet_circuit.h */
+ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
+{
+    const zoo_sim *s = t->s;
+    const zoo_terminals *ou = &s->outlets;
+    const int n = ou->count, sections = ou->rows.pressures, forced = t->forced && b->outlets;
+#define ROW(name) const double name = outlet_row(s, ou->coefficient, row_##name)[i]
+    enum {
+        row_E = CIRCUIT_E, row_inertia = CIRCUIT_INERTIA, row_gain = CIRCUIT_GAIN, row_keep = CIRCUIT_KEEP,
+        row_after = CIRCUIT_NOW, row_before = CIRCUIT_BEFORE, row_share = CIRCUIT_SHARE, row_direct = CIRCUIT_DIRECT
+    };
+    for (int i = 0; i < n; i++) {
+        const ptrdiff_t o = ou->node[i];
+        const double p_out = ou->behind[i], per_w = ou->per_w[i], leak = s->dt / per_w * s->leak[o];
+        ROW(E);
+        ROW(inertia);
+        ROW(gain);
+        ROW(keep);
+        ROW(after);
+        ROW(before);
+        ROW(share);
+        ROW(direct);
+        double y = t->old_P[o] - p_out, base = 2.0 * p_out - t->old_P[o] - inertia * t->old_carry[i], then_v = 0.0;
+        for (int m = 0; m < sections; m++) {
+            y -= t->old_v[m * n + i];
+            base += (1.0 + outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i]) * t->old_v[m * n + i];
+            then_v += outlet_row(s, ou->v, m)[i];
+        }
+        const double Q = s->qh[o - 1] - leak * s->Ph[o - 1] - (s->A[o] - t->old_A[o]) / per_w;
+        const double y_new = base + E * Q - p_out - then_v;
+        const double more = stiffer_at(s, o), inv = 1.0 / (more * t->next.slope[o] + E / per_w);
+        double own[D], Pm[D];
+        known_P(t, b, o, more, own);
+        mid_P(t, b, o - 1, Pm);
+        EACH_DIRECTION {
+            const double dA = b->A[o * D + d], d_out = forced ? b->behind[i * D + d] : 0.0;
+            const double old_P = (1.0 + s->kappa[o]) * b->pe[o * D + d] + b->z[o * D + d], d_E = row_of(t, b, CIRCUIT_E, i)[d];
+            const double carry = b->carry[i * D + d];
+            double dy = old_P - d_out, d_base = 2.0 * d_out - old_P - inertia * carry - row_of(t, b, CIRCUIT_INERTIA, i)[d] * t->old_carry[i];
+            for (int m = 0; m < sections; m++) {
+                const double dv = b->v[(m * n + i) * D + d];
+                dy -= dv;
+                d_base += (1.0 + outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i]) * dv +
+                          row_of(t, b, CIRCUIT_DECAY + m, i)[d] * t->old_v[m * n + i];
+            }
+            const double come = b->qh[(o - 1) * D + d] - leak * Pm[d] + dA / per_w;
+            const double then = (d_base + E * come + d_E * Q - own[d]) * inv, dQ = come - then / per_w;
+            double q = keep * (b->q[o * D + d] - direct * dy - row_of(t, b, CIRCUIT_DIRECT, i)[d] * y) +
+                       row_of(t, b, CIRCUIT_KEEP, i)[d] * (t->old_q[o] - direct * y) + share * before * dy +
+                       (row_of(t, b, CIRCUIT_SHARE, i)[d] * before + share * row_of(t, b, CIRCUIT_BEFORE, i)[d]) * y;
+            double dy_new = d_base + E * dQ + d_E * Q - d_out;
+            for (int m = 0; m < sections; m++) {
+                double *v = &b->v[(m * n + i) * D + d];
+                *v = outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i] * *v + row_of(t, b, CIRCUIT_DECAY + m, i)[d] * t->old_v[m * n + i] +
+                     outlet_row(s, ou->coefficient, CIRCUIT_DECAY + sections + m)[i] * dQ +
+                     row_of(t, b, CIRCUIT_DECAY + sections + m, i)[d] * Q;
+                dy_new -= *v;
+            }
+            q += (share * after + direct) * dy_new + (row_of(t, b, CIRCUIT_SHARE, i)[d] * after +
+                  share * row_of(t, b, CIRCUIT_NOW, i)[d] + row_of(t, b, CIRCUIT_DIRECT, i)[d]) * y_new;
+            b->A[o * D + d] = then;
+            b->q[o * D + d] = q;
+            b->carry[i * D + d] = carry + gain * (dQ - carry) + row_of(t, b, CIRCUIT_GAIN, i)[d] * (Q - t->old_carry[i]);
+        }
+    }
+#undef ROW
+}
+
+/* inlet_flow.h */
+static void inlet_of(const zoo_tangent *t, zoo_block *b, int step)
+{
+    const zoo_sim *s = t->s;
+    const double per_w = 2.0 * s->dt / s->dx[0], leak = s->extra ? s->dt * s->leak[0] : 0.0;
+    const int forced = t->forced && b->inlet;
+    double Pm[D];
+    mid_P(t, b, 0, Pm);
+    for (int d = 0; d < D; d++) {
+        b->A[d] -= per_w * (b->qh[d] - (forced ? b->curve_mean[(ptrdiff_t)step * D + d] : 0.0)) + leak * Pm[d];
+        b->q[d] = forced ? b->curve_node[((ptrdiff_t)step + 1) * D + d] : 0.0;
+    }
+}
+
+/* The wall's pressures at the start of a beat, of what stands in the blocks. */
+void zoo_tangent_begin(zoo_tangent *t)
+{
+    const zoo_sim *s = t->s;
+    node_partials(t, &t->now);
+    for (int k = 0; k < t->n_blocks; k++) {
+        zoo_block *b = &t->block[k];
+        if (t->forced && b->walls)
+            wall_source(t, b, &t->now, s->K, b->K, s->n_nodes, b->node_source);
+        const double *source = node_source(t, b);
+        for (ptrdiff_t j = 0; j < s->n_nodes && t->whole; j++)
+            for (int d = 0; d < D; d++)
+                b->pe[j * D + d] = t->now.slope[j] * b->A[j * D + d] + source[j * D + d];
+    }
+}
+
+int zoo_tangent_step(zoo_tangent *t, int step)
+{
+    zoo_sim *s = t->s;
+    const zoo_terminals *ou = &s->outlets;
+    const size_t n = (size_t)s->n_nodes;
+    memcpy(t->old_A, s->A, n * sizeof(double));
+    memcpy(t->old_q, s->q, n * sizeof(double));
+    memcpy(t->old_P, s->P, n * sizeof(double));
+    if (s->extra)
+        memcpy(t->old_off, s->off_half, n * sizeof(double));
+    memcpy(t->old_v, ou->v, (size_t)ou->rows.pressures * ou->count * sizeof(double));
+    memcpy(t->old_carry, ou->carry, (size_t)ou->rows.flows * ou->count * sizeof(double));
+    half_coefficients(t);
+    const int wrong = zoo_step(s, step);
+    /* the wall's own pressure at the midpoints */
+    memcpy(t->mid.elastic, s->Ph, n * sizeof(double));
+    for (size_t j = 0; j + 1 < n && s->extra; j++)
+        t->mid.elastic[j] = (s->Ph[j] - 0.5 * (t->old_off[j] + t->old_off[j + 1])) /
+                            (1.0 + 0.5 * (1.0 + s->relax_half) * s->kappa[j]);
+    switch (s->wall) {
+        ZOO_WALLS(PARTIALS_CASE, s, s->Ah, s->K_mid, s->inv_A0_mid, s->extra ? s->stiff_half : 1.0, s->n_nodes - 1,
+                  shapes_of(t), &t->mid)
+    }
+    flux_partials(s->n_nodes - 1, s->extra, s->momentum, s->Ah, s->qh, s->Ph, s->inv_A0_mid, s->f_s_mid, s->f_c_mid,
+                  s->leak_mid, s->loss_mid, &t->mid);
+    friction_partials(s, s->n_nodes - 1, s->Ah, s->qh, s->inv_A0_mid, s->f_s_mid, s->f_c_mid, &t->mid);
+    full_coefficients(t);
+    node_partials(t, &t->next);
+    for (int k = 0; k < t->n_blocks; k++) {
+        zoo_block *b = &t->block[k];
+        if (t->forced && b->walls) {
+            wall_source(t, b, &t->mid, s->K_mid, b->K_mid, s->n_nodes - 1, b->mid_source);
+            wall_source(t, b, &t->next, s->K, b->K, s->n_nodes, b->node_source);
+        }
+        if (!t->whole)
+            half_of(t, b);
+        else if (s->extra)
+            whole_half_added(t, b);
+        else
+            whole_half_plain(t, b);
+        junctions_of(t, b);
+        if (ou->kind == ZOO_OUTLET_CIRCUIT)
+            circuit_of(t, b);
+        else
+            windkessel_of(t, b);
+        inlet_of(t, b, step);
+        if (!t->whole)
+            full_of(t, b);
+        else if (s->extra)
+            whole_full_added(t, b);
+        else
+            whole_full_plain(t, b);
+    }
+    const zoo_partials swap = t->now;
+    t->now = t->next;
+    t->next = swap;
+    return wrong;
+}
+
+/* Adds a change of the state, [n_state][D], to block k after a step. */
+void zoo_tangent_add(zoo_tangent *t, int k, const double *change)
+{
+    const zoo_sim *s = t->s;
+    zoo_block *b = &t->block[k];
+    for (ptrdiff_t i = 0; i < (ptrdiff_t)s->n_state * D; i++)
+        b->state[i] += change[i];
+    for (ptrdiff_t j = 0; j < s->n_nodes && t->whole; j++)
+        for (int d = 0; d < D; d++)
+            b->pe[j * D + d] += t->now.slope[j] * change[j * D + d];
+}
+
+/* Into the ring of the outputs, as output.c does. */
+void zoo_tangent_record(zoo_tangent *t, int step)
+{
+    const zoo_sim *s = t->s;
+    const int n = s->problem->outputs.n_series;
+    for (int k = 0; k < t->n_blocks; k++) {
+        zoo_block *b = &t->block[k];
+        double *to = b->ring + (ptrdiff_t)(step & 3) * n * 3 * D;
+        for (int i = 0; i < n; i++) {
+            double P[D] = {0.0}, q[D] = {0.0}, A[D] = {0.0};
+            for (int m = 0; m < 4; m++) {
+                const ptrdiff_t o = s->out_node[4 * i + m];
+                const double w = s->out_weight[4 * i + m];
+                for (int d = 0; d < D; d++) {
+                    const ptrdiff_t x = o * D + d;
+                    double p = t->whole ? b->pe[x] : t->now.slope[o] * b->A[x];
+                    if (s->extra)
+                        p = (1.0 + s->kappa[o]) * p + b->z[x];
+                    P[d] += w * (p + (t->forced ? b->out_P[x] : 0.0));
+                    q[d] += w * b->q[x];
+                    A[d] += w * b->A[x];
+                }
+            }
+            memcpy(to + (i * 3 + 0) * D, P, sizeof P);
+            memcpy(to + (i * 3 + 1) * D, q, sizeof q);
+            memcpy(to + (i * 3 + 2) * D, A, sizeof A);
+        }
+    }
+}

@@ -1,0 +1,93 @@
+"""Directions in which a solve is differentiated, and what its derivatives are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from zoo.blood.solver import Solution, Solver
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Arguments near those of a solve, and their weight in a direction.
+
+    Parameters
+    ----------
+    weight : float
+        w_i in the change sum_i w_i x_i of all arguments x; those of a direction sum to zero: 1/(2 h) and
+        -1/(2 h) for arguments a step h to either side.
+    stiffness, gamma, psi1, psi2, c : float or array (n_vessels,)
+        As `Solver.solve` takes them.
+    solver : Solver
+        With other geometry, blood, inflow, loads or additions; None for the solver that is differentiated.
+    """
+
+    weight: float
+    stiffness: ArrayLike
+    gamma: ArrayLike = 2.0
+    psi1: ArrayLike = 1.0
+    psi2: ArrayLike = 1.0
+    c: ArrayLike = 1.0
+    solver: Solver | None = None
+
+
+Direction = Sequence[Point]
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """A solve and its derivatives in several directions.
+
+    `pressure_mmHg`, `flow_ml_s` and `area_cm2` have shape (n_directions, n_series, n_times) and are NaN where
+    the solve, or its derivatives, failed. `beats` counts linearised beats, `vectors` the starts that went
+    through one beside the directions themselves, `stepped` the points whose steps were computed one by one
+    (geometry, blood, additions). `residual` is the estimated error that is left, over a direction's largest
+    derivative of the pressure.
+    """
+
+    solution: Solution
+    pressure_mmHg: Array
+    flow_ml_s: Array
+    area_cm2: Array
+    status: int
+    reason: str
+    beats: int
+    vectors: int
+    stepped: int
+    residual: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether solve and derivatives are there."""
+        return self.solution.ok and self.status == 0
+
+
+def share_arrays(ffi: Any, problem: Any, own: Any, sizes: dict[int, int]) -> None:
+    """Give a problem another's arrays where they hold the same, so that the library sees what is the same.
+
+    Parameters
+    ----------
+    ffi : FFI
+    problem, own : zoo_problem *
+    sizes : mapping of address to bytes
+        Of the arrays of both; others are left alone.
+    """
+    for part in ("network", "fluid", "wall", "throat"):
+        mine, theirs = getattr(problem, part), getattr(own, part)
+        for name, field in ffi.typeof(mine).fields:
+            if field.type.kind != "pointer":
+                continue
+            a, b = getattr(mine, name), getattr(theirs, name)
+            n = sizes.get(int(ffi.cast("intptr_t", a)), -1)
+            if n < 0 or n != sizes.get(int(ffi.cast("intptr_t", b)), -2):
+                continue
+            if ffi.buffer(a, n)[:] == ffi.buffer(b, n)[:]:
+                setattr(mine, name, b)
