@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zoo.blood.case import UNITS, Case, Place, check_series, simulate, solver_of
 from zoo.blood.conventions import Conventions
+from zoo.blood.derivatives import simulate_derivatives, stencil_of
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.physics import NO_PHYSICS, study_physics
 from zoo.blood.resolution import Resolution, coarse_at, resolve
@@ -332,6 +333,50 @@ class BloodFlow:
         if wanted is not self.outputs:
             check_series(configuration, series)
         return simulate(configuration, series, self._clock(wanted), solver=self._solver)
+
+    def solve_derivatives(
+        self,
+        configure: Callable[[Array], Case],
+        theta: Array,
+        scales: Array,
+        outputs: Outputs | None = None,
+    ) -> tuple[Array, Array]:
+        """Series of ``configure(theta)`` and their derivatives, as `zoo.core.derivatives` asks for them.
+
+        The solver differentiates the discrete solution at the time steps that the solve chooses; how the
+        solve's arguments follow from theta is differenced.
+
+        Parameters
+        ----------
+        configure : function
+            From theta to a `Case`; of this model, or with effects.
+        theta : array (n_values,)
+        scales : array (n_values,)
+            Over what a change of each element is small; zero for those that no solve reads.
+        outputs : Outputs
+            As in `solve`.
+
+        Returns
+        -------
+        values : array (n_series, n_times)
+        slopes : array (n_values, n_series, n_times)
+
+        Raises
+        ------
+        SolveError
+            If the solve or its derivatives fail.
+        """
+        wanted = outputs or self.outputs
+        series = cast("tuple[Place, ...]", wanted.series)
+        case = configure(theta)
+        if wanted is not self.outputs:
+            check_series(case, series)
+        read = np.flatnonzero(scales)
+        stencils = [stencil_of(configure, case, theta, int(i), float(scales[i])) for i in read]
+        values, found = simulate_derivatives(case, stencils, series, self._clock(wanted), self._solver)
+        slopes = np.zeros((len(theta), *values.shape))
+        slopes[read] = found
+        return values, slopes
 
     def _clock(self, outputs: Outputs) -> Array:
         """When the solution is sampled: the samples' times, with the conventions' lag."""

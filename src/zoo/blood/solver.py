@@ -632,8 +632,8 @@ class Solver:
     ) -> Derivatives:
         """Solve to the periodic state, and differentiate it in several directions.
 
-        The derivatives are those of the discrete solution at the time steps that the solve chose: the time loop
-        is linearised, and dx = J dx + b is solved for the state at the start of the beat, where J is the
+        The derivatives are those of the discrete solution at the time steps that the solve chose: the time
+        loop is linearised, and dx = J dx + b is solved for the state at the start of the beat, where J is the
         derivative of one beat's end by its start.
 
         Parameters
@@ -735,8 +735,10 @@ class Solver:
         waves[0] = cgs_to_mmhg(waves[0] + self._shift, self.conventions.mmhg)
         slopes[0] = cgs_to_mmhg(slopes[0] + shift[:, None, None], self.conventions.mmhg)
         return Derivatives(
-            self._solution(waves, fastest, report, rows),
-            *slopes,
+            solution=self._solution(waves, fastest, report, rows),
+            pressure_mmHg=slopes[0],
+            flow_ml_s=slopes[1],
+            area_cm2=slopes[2],
             status=tangent.status,
             reason=text,
             beats=tangent.beats,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pymc as pm
 from pytensor.tensor.variable import TensorVariable
 
 from zoo.core.data import Data
+from zoo.core.derivatives import has_jacobian
 from zoo.core.errors.base import ErrorModel
 from zoo.core.forward import ForwardModel
 from zoo.core.op import ForwardOp, observed_series
@@ -23,14 +24,16 @@ class ModelError(ValueError):
     """A PyMC model that cannot be made or used; its text says what to change."""
 
 
-class GradientFreeModel(pm.Model):
-    """A PyMC model whose forward model has no gradient, and which says so to ``pm.find_MAP``.
+class ForwardPyMCModel(pm.Model):
+    """A PyMC model which says to ``pm.find_MAP`` where its forward model gives no derivatives.
 
-    Without one PyMC minimizes each variable in turn, and may end far from the mode without a warning.
+    Without them PyMC minimizes each variable in turn, and may end far from the mode without a warning.
     """
 
-    def dlogp(self, vars: Any = None, jacobian: bool = True) -> NoReturn:
-        """Raise ModelError."""
+    def dlogp(self, vars: Any = None, jacobian: bool = True) -> Any:
+        """As any model's, or raise ModelError."""
+        if has_jacobian(record_of(self).forward):
+            return super().dlogp(vars, jacobian)
         raise ModelError(
             f"model {record_of(self).name}: has no gradient, and pm.find_MAP without one may end far from "
             "the mode; use zoo.find_mode(model)"
@@ -151,7 +154,7 @@ def bayesian_model(
     bound = errors.bind(data)
     counted = {p.dims: np.arange(p.size) for p in (*forward.parameters, *bound.parameters) if p.dims}
     own = {"series": list(data.labels), "time": np.asarray(data.times)}
-    with GradientFreeModel(coords={**counted, **own, **dict(coords or {})}) as model:
+    with ForwardPyMCModel(coords={**counted, **own, **dict(coords or {})}) as model:
         variables = random_variables(forward.parameters)
         mean, ok = observed_series(forward, variables)
         bound.observe("y", mean, ok, random_variables(bound.parameters))

@@ -13,12 +13,14 @@ from typing import Any, NamedTuple, NoReturn, cast
 import numpy as np
 import pytensor.tensor as pt
 from numpy.typing import NDArray
+from pytensor.gradient import DisconnectedType
 from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
 from pytensor.graph.traversal import ancestors
 from pytensor.tensor.variable import TensorVariable
 
 from zoo.core.arrays import real_array
+from zoo.core.derivatives import has_jacobian, jacobian
 from zoo.core.forward import ForwardModel, SolveError, content_key
 from zoo.core.parameters import n_values
 
@@ -69,12 +71,16 @@ class _State:
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.cache: OrderedDict[bytes, tuple[Array, bool]] = OrderedDict()
+        self.slopes: OrderedDict[bytes, Array] = OrderedDict()
+        self.asked = False  # whether slopes were asked at the last point that was solved
         self.counts: Counter[str] = Counter()
         self.failures: Counter[str] = Counter()
 
     def clear(self) -> None:
         self.lock = threading.Lock()
         self.cache.clear()
+        self.slopes.clear()
+        self.asked = False
         self.counts.clear()
         self.failures.clear()
 
@@ -93,7 +99,10 @@ if hasattr(os, "register_at_fork"):
 
 
 class ForwardOp(Op):
-    """A forward model's observed series as a PyTensor operation without a gradient.
+    """A forward model's observed series as a PyTensor operation.
+
+    It has a gradient where the forward model gives derivatives (`zoo.core.derivatives`): vector-Jacobian
+    products by `L_op`, Jacobian-vector products by `R_op`. Where a solve fails the gradient is zero.
 
     Takes one float64 input for each parameter, a scalar or a vector of its size, in the model's order.
     Returns `mean`, float64 (n_series, n_times), each series in its own unit, and `ok`, an int8 scalar: 1, or
@@ -155,6 +164,11 @@ class ForwardOp(Op):
             "failures": dict(state.failures),
         }
 
+    @property
+    def gradients(self) -> int:
+        """How many of the solves were differentiated too."""
+        return self._state.counts["gradients"]
+
     def reset_counts(self) -> None:
         """Set the counts of this process to zero; the kept points stay."""
         self._state.counts.clear()
@@ -164,6 +178,7 @@ class ForwardOp(Op):
         """Forget the solved points, so that the next evaluation solves."""
         with self._state.lock:
             self._state.cache.clear()
+            self._state.slopes.clear()
 
     def evaluate(self, theta: Array) -> tuple[Array, bool]:
         """Mean and ok at one point, from the kept points or by a solve.
@@ -195,19 +210,35 @@ class ForwardOp(Op):
             if point in state.cache:
                 state.cache.move_to_end(point)
                 return state.cache[point]
-        failure = None
+            # where slopes were asked at the last point they will be here: then one run gives both
+            both, state.asked = state.asked and self.differentiable, False
+        mean, ok, _ = self._solve(theta, point, slopes=both)
+        return mean, ok
+
+    def _solve(self, theta: Array, point: bytes, *, slopes: bool) -> tuple[Array, bool, Array | None]:
+        """Solve and keep; slopes (n_values, n_series, n_times), zero where the solve failed, or None."""
+        failure, found = None, None
         mean = np.zeros(self.shape)
         try:
-            mean = np.array(self.model.solve(self.model.configure(theta)), dtype=np.float64)
+            if slopes:
+                both = jacobian(self.model, theta)
+                assert both is not None
+                mean, found = np.array(both.values), np.array(both.slopes)
+            else:
+                mean = np.array(self.model.solve(self.model.configure(theta)), dtype=np.float64)
             if mean.shape != self.shape:
                 raise ValueError(f"{self.model.name}: series of shape {mean.shape}, wanted {self.shape}")
             if not np.all(np.isfinite(mean)):
                 failure = "not-finite"
         except SolveError as error:
             failure = error.kind
+            if slopes and failure == "no-derivative":
+                raise
         if failure:
             mean = np.zeros(self.shape)
+            found = np.zeros((len(theta), *self.shape)) if slopes else None
         mean.flags.writeable = False
+        state = self._state
         with state.lock:
             state.counts["solves"] += 1
             if failure:
@@ -215,7 +246,51 @@ class ForwardOp(Op):
             state.cache[point] = mean, failure is None
             while len(state.cache) > CACHE_SIZE:
                 state.cache.popitem(last=False)
-        return mean, failure is None
+            if found is not None:
+                found.flags.writeable = False
+                state.counts["gradients"] += 1
+                state.slopes[point] = found
+                while len(state.slopes) > CACHE_SIZE:
+                    state.slopes.popitem(last=False)
+        return mean, failure is None, found
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether the forward model gives derivatives."""
+        return has_jacobian(self.model)
+
+    def slopes(self, theta: Array) -> Array:
+        """Derivatives of the mean by each element of theta, from the kept points or by a solve.
+
+        Parameters
+        ----------
+        theta : array (n_values,)
+
+        Returns
+        -------
+        array (n_values, n_series, n_times)
+            Read-only; zeros when the solve failed.
+
+        Raises
+        ------
+        MissingGradientError
+            If the forward model gives no derivatives.
+        SolveError
+            Of the kind "no-derivative", if this point has none.
+        """
+        if not self.differentiable:
+            raise missing_gradient(f"the forward model {self.model.name}")
+        theta = np.asarray(theta, dtype=np.float64)
+        point = theta[self._read].tobytes()
+        with self._state.lock:
+            self._state.asked = True
+            if point in self._state.slopes:
+                self._state.slopes.move_to_end(point)
+                return self._state.slopes[point]
+        found = self._solve(theta, point, slopes=True)[2]
+        self._state.asked = True
+        assert found is not None
+        return found
 
     def make_node(self, *inputs: Any) -> Apply:
         """One input for each parameter; mean and ok out."""
@@ -245,13 +320,97 @@ class ForwardOp(Op):
         """Known before any solve."""
         return [self.shape, ()]
 
+    def connection_pattern(self, node: Apply) -> list[list[bool]]:
+        """Every parameter moves the mean; none moves ok."""
+        return [[True, False] for _ in node.inputs]
+
+    def L_op(
+        self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
+    ) -> list[Variable]:
+        """Vector-Jacobian product: the derivative of what depends on the mean, by each parameter.
+
+        Raises
+        ------
+        MissingGradientError
+            If the forward model gives no derivatives.
+        """
+        if isinstance(output_grads[0].type, DisconnectedType):
+            return [DisconnectedType()() for _ in inputs]
+        slopes = self._symbolic_slopes(inputs)
+        by_value = pt.tensordot(slopes, output_grads[0], axes=[[1, 2], [0, 1]])
+        at, gradients = 0, []
+        for p in self.model.parameters:
+            gradients.append(by_value[at : at + p.size] if p.dims else by_value[at])
+            at += p.size
+        return gradients
+
+    pullback = L_op  # its name in PyTensor 3
+
+    def R_op(self, inputs: Sequence[Variable], eval_points: Any) -> list[Any]:
+        """Jacobian-vector product: the change of the mean where parameters change by `eval_points`.
+
+        Raises
+        ------
+        MissingGradientError
+            If the forward model gives no derivatives.
+        """
+        if all(point is None for point in eval_points):
+            return [None, None]
+        changes = [
+            pt.zeros((p.size,)) if point is None else pt.reshape(pt.as_tensor_variable(point), (p.size,))
+            for p, point in zip(self.model.parameters, eval_points, strict=True)
+        ]
+        slopes = self._symbolic_slopes(inputs)
+        return [pt.tensordot(pt.concatenate(changes), slopes, axes=[[0], [0]]), None]
+
+    pushforward = R_op
+
+    def _symbolic_slopes(self, inputs: Sequence[Variable]) -> TensorVariable:
+        if not self.differentiable:
+            raise missing_gradient(f"the forward model {self.model.name}")
+        return cast("TensorVariable", SlopesOp(self)(*inputs))
+
+
+class SlopesOp(Op):
+    """Derivatives of a forward model's series, (n_values, n_series, n_times), zero where a solve fails.
+
+    Parameters
+    ----------
+    forward : ForwardOp
+    """
+
+    __props__ = ("forward",)
+
+    def __init__(self, forward: ForwardOp) -> None:
+        self.forward = forward
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(n_values, n_series, n_times)."""
+        return (n_values(self.forward.model.parameters), *self.forward.shape)
+
+    def make_node(self, *inputs: Any) -> Apply:
+        """The inputs of the forward operation."""
+        tensors = self.forward.make_node(*inputs).inputs
+        return Apply(self, tensors, [pt.tensor("slopes", dtype="float64", shape=self.shape)])
+
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[Any]]) -> None:
+        """Evaluate."""
+        output_storage[0][0] = self.forward.slopes(np.concatenate([np.ravel(x) for x in inputs])).copy()
+
+    def infer_shape(
+        self, fgraph: Any, node: Apply, input_shapes: list[tuple[Variable, ...]]
+    ) -> list[tuple[Any, ...]]:
+        """Known before any solve."""
+        return [self.shape]
+
     def L_op(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
     ) -> NoReturn:
-        """Raise MissingGradientError."""
-        raise missing_gradient(f"the forward model {self.model.name}")
+        """Raise MissingGradientError: there are no second derivatives."""
+        raise missing_gradient(f"the derivative of the forward model {self.forward.model.name}")
 
-    pullback = L_op  # its name in PyTensor 3
+    pullback = L_op
 
 
 class Series(NamedTuple):
