@@ -83,6 +83,10 @@ size_t zoo_tangent_layout(zoo_tangent *t, char *at)
     t->zero = reals(at, &used, (rows > n ? rows : n) * D);
     t->branch = reals(at, &used, 4 * branches * D);
     t->part = reals(at, &used, 8 * branches);
+    size_t ends = 0;
+    for (int g = 0; g < s->n_groups; g++)
+        ends += (size_t)s->groups[g].count * s->groups[g].branches;
+    t->row = reals(at, &used, 16 * ends);
     for (int k = 0; k < t->n_blocks; k++) {
         zoo_block x = {0};
         x.state = reals(at, &used, (size_t)s->n_state * D);

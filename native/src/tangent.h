@@ -46,6 +46,7 @@ typedef struct {
     double *hA0, *hA1, *hq0, *hq1, *hP0, *hP1, *fA0, *fA1, *fq0, *fq1, *fP0, *fP1;
     double *zero;                /* [n_nodes or outlets' coefficients][D] zeros */
     double *branch;              /* [4][branches][D] scratch of one junction */
+    double *row;                 /* [branches of all junctions][16] what the directions have in common there */
     double *part;                /* [8][branches] */
     int64_t beats;               /* linearised beats so far */
 } zoo_tangent;

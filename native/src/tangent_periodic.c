@@ -5,7 +5,8 @@
  * and an unchanged start gives b and the arguments' own part of the samples.  Each further beat takes vectors v through
  * the beat: w = v - J v, and the samples c of v.  What is left of all b is made least by combinations of all w (GCR, with
  * the directions' vectors pooled), and the samples follow by the same combinations of c: x itself is not needed.
- * New vectors are what is left of the b's, as far as they differ.  Norms weight the state as pressures (periodic.c). */
+ * New vectors are what is left of the b's, as far as they differ; lanes that the
+ * directions leave empty in the first beat take the changes of the run's own last beats, in which the slowest decays are.  Norms weight the state as pressures (periodic.c). */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -192,6 +193,63 @@ static int new_vectors(const double *weight, const double *left, const double *s
     return found;
 }
 
+/* Changes of the run over its last beats, orthogonal and of length 1, at most `most`; how many. */
+static int run_changes(const zoo_sim *s, int most, double *to)
+{
+    const ptrdiff_t n = s->n_state;
+    const int past = s->report[0].beats < ZOO_HISTORY ? s->report[0].beats : ZOO_HISTORY;
+    int found = 0;
+    for (int k = past - 1; k >= 0 && found < most; k--) { /* the oldest first: of the newest, rounding is a larger part */
+        double *v = to + found * n;
+        for (ptrdiff_t i = 0; i < n; i++)
+            v[i] = s->ends[k * n + i] - s->states[k * n + i];
+        const double before = sqrt(dot(s->weight, v, v, n));
+        for (int again = 0; again < 2; again++)
+            for (int u = 0; u < found; u++)
+                add(v, -dot(s->weight, v, to + u * n, n), to + u * n, n);
+        const double norm = sqrt(dot(s->weight, v, v, n));
+        if (!(norm > 1e-6 * before))
+            continue;
+        for (ptrdiff_t i = 0; i < n; i++)
+            v[i] /= norm;
+        found++;
+    }
+    return found;
+}
+
+/* After a beat in which `found` vectors stood in the lanes from `lane` on: w = v - J v orthogonal to all that are kept,
+ * and of length 1, with the samples that belong to it; and what is left of the directions without its part. */
+static double *absorb(const zoo_tangent *t, const double *vectors, int lane, int found, double *const *kept, const int *count,
+                      int round, ptrdiff_t m, double *left, double *samples)
+{
+    const zoo_sim *s = t->s;
+    const zoo_outputs *out = &s->problem->outputs;
+    const ptrdiff_t n = s->n_state, n_out = (ptrdiff_t)out->n_series * 3 * out->n_times;
+    double *w = malloc((size_t)(found * (n + n_out) + 1) * sizeof *w);
+    for (int v = 0; v < found && w; v++) {
+        double *a = w + v * (n + n_out);
+        take(t->block[(lane + v) / D].state, (lane + v) % D, a, n);
+        take(t->block[(lane + v) / D].sample, (lane + v) % D, a + n, n_out);
+        for (ptrdiff_t i = 0; i < n; i++)
+            a[i] = vectors[v * n + i] - a[i];
+        for (int again = 0; again < 2; again++)
+            for (int r = 0; r <= round; r++)
+                for (int u = 0; u < (r < round ? count[r] : v); u++) {
+                    const double *b = (r < round ? kept[r] : w) + u * (n + n_out);
+                    add(a, -dot(s->weight, a, b, n), b, n + n_out);
+                }
+        const double norm = sqrt(dot(s->weight, a, a, n));
+        for (ptrdiff_t i = 0; i < n + n_out; i++)
+            a[i] = norm > 1e-12 ? a[i] / norm : 0.0;
+        for (ptrdiff_t d = 0; d < m; d++) {
+            const double part = dot(s->weight, a, left + d * n, n);
+            add(left + d * n, -part, a, n);
+            add(samples + d * n_out, part, a + n, n_out);
+        }
+    }
+    return w;
+}
+
 int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points, int n_points, double tolerance,
                              double *samples, zoo_tangent_report *report)
 {
@@ -199,13 +257,14 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points
     const zoo_outputs *out = &s->problem->outputs;
     const ptrdiff_t n = s->n_state, n_out = (ptrdiff_t)out->n_series * 3 * out->n_times, m = n_directions;
     const int n_blocks = t->n_blocks, max_beats = s->problem->numerics.max_beats;
+    int seeds = 0;
     double *start = malloc((size_t)n * sizeof *start), *left = malloc((size_t)(m * n) * sizeof *left),
-           *vectors = malloc((size_t)(m * n) * sizeof *vectors), *size = malloc((size_t)m * sizeof *size),
+           *vectors = malloc((size_t)((m + ZOO_HISTORY) * n) * sizeof *vectors), *size = malloc((size_t)m * sizeof *size),
            *scale = malloc((size_t)m * sizeof *scale),
            *scratch = malloc((size_t)((n_points > 0 ? (ptrdiff_t)n_blocks * n * D : 0) + 2 * n) * sizeof *scratch);
     int *open = malloc((size_t)m * sizeof *open);
-    double **kept = calloc((size_t)max_beats, sizeof *kept); /* of each beat, [found][n + n_out] */
-    int *count = calloc((size_t)max_beats, sizeof *count);
+    double **kept = calloc((size_t)max_beats + 1, sizeof *kept); /* of each beat, [found][n + n_out] */
+    int *count = calloc((size_t)max_beats + 1, sizeof *count);
     int32_t status = start && left && vectors && size && scale && open && scratch && kept && count ? ZOO_OK : ZOO_WORKSPACE;
     if (status == ZOO_OK) {
         zoo_pack(s, start);
@@ -215,15 +274,23 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points
             t->whole |= t->block[k].walls;
             memset(t->block[k].state, 0, (size_t)(n * D) * sizeof(double));
         }
+        seeds = run_changes(s, n_blocks * D - n_directions, vectors);
+        for (int v = 0; v < seeds; v++)
+            put(t->block[(m + v) / D].state, (m + v) % D, vectors + v * n, n);
         status = beat(t, start, points, n_points, scratch, report);
     }
     for (int d = 0; d < m && status == ZOO_OK; d++) {
         take(t->block[d / D].state, d % D, left + d * n, n);
         take(t->block[d / D].sample, d % D, samples + d * n_out, n_out);
     }
+    if (status == ZOO_OK && seeds > 0) {
+        count[0] = seeds;
+        kept[0] = absorb(t, vectors, n_directions, seeds, kept, count, 0, m, left, samples);
+        status = kept[0] ? ZOO_OK : ZOO_WORKSPACE;
+    }
     t->forced = 0;
     t->whole = s->extra;
-    for (int round = 0; status == ZOO_OK; round++) {
+    for (int round = 1; status == ZOO_OK; round++) {
         int unfinished = 0;
         report->residual = 0.0;
         for (int d = 0; d < m; d++) {
@@ -245,16 +312,11 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points
         }
         if (status != ZOO_OK || !unfinished)
             break;
-        if (round == max_beats) {
+        if (round > max_beats) {
             status = ZOO_NOT_PERIODIC;
             break;
         }
         const int found = new_vectors(s->weight, left, scale, open, n_directions, n, 0.1 * tolerance * (1.0 - s->slow[0]), vectors, size);
-        double *w = kept[round] = malloc((size_t)(found * (n + n_out)) * sizeof *w);
-        if (!w) {
-            status = ZOO_WORKSPACE;
-            break;
-        }
         t->n_blocks = (found + D - 1) / D;
         for (int v = 0; v < t->n_blocks * D; v++)
             put(t->block[v / D].state, v % D, v < found ? vectors + v * n : NULL, n);
@@ -263,30 +325,11 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points
             break;
         report->vectors += found;
         count[round] = found;
-        for (int v = 0; v < found; v++) {
-            double *a = w + v * (n + n_out);
-            take(t->block[v / D].state, v % D, a, n);
-            take(t->block[v / D].sample, v % D, a + n, n_out);
-            for (ptrdiff_t i = 0; i < n; i++)
-                a[i] = vectors[v * n + i] - a[i];
-            for (int again = 0; again < 2; again++)
-                for (int r = 0; r <= round; r++)
-                    for (int u = 0; u < (r < round ? count[r] : v); u++) {
-                        const double *b = kept[r] + u * (n + n_out);
-                        add(a, -dot(s->weight, a, b, n), b, n + n_out);
-                    }
-            const double norm = sqrt(dot(s->weight, a, a, n));
-            for (ptrdiff_t i = 0; i < n + n_out; i++)
-                a[i] = norm > 1e-12 ? a[i] / norm : 0.0;
-            for (int d = 0; d < m; d++) {
-                const double part = dot(s->weight, a, left + d * n, n);
-                add(left + d * n, -part, a, n);
-                add(samples + d * n_out, part, a + n, n_out);
-            }
-        }
+        if (!(kept[round] = absorb(t, vectors, 0, found, kept, count, round, m, left, samples)))
+            status = ZOO_WORKSPACE;
     }
     t->n_blocks = n_blocks;
-    for (int r = 0; r < max_beats && kept; r++)
+    for (int r = 0; r <= max_beats && kept; r++)
         free(kept[r]);
     double *reals[] = {start, left, vectors, size, scale, scratch};
     for (size_t i = 0; i < sizeof reals / sizeof *reals; i++)

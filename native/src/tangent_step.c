@@ -361,11 +361,52 @@ ZOO_INLINE double stiffer_at(const zoo_sim *s, ptrdiff_t o)
     return s->extra ? 1.0 + 0.5 * (1.0 + s->relax) * s->kappa[o] : 1.0;
 }
 
-/* junction.h: one pressure P' for all branches, H at mid-step. */
-ZOO_INLINE void junction_of(const zoo_tangent *t, zoo_block *b, const zoo_junction_group *ju, int j)
+/* What the directions at a branch of a junction have in common. */
+enum {
+    BRANCH_PER_SLOPE, BRANCH_PART, BRANCH_STIFFER, BRANCH_U, BRANCH_FLUX, BRANCH_PER_HALF, BRANCH_HANG, BRANCH_HOLD,
+    BRANCH_SUNK, BRANCH_PUSH, BRANCH_BACK, BRANCH_ROWS
+};
+
+ZOO_CLONES static void branches_of(const zoo_tangent *t, const zoo_junction_group *ju, double *restrict row)
 {
     const zoo_sim *s = t->s;
-    const int nb = ju->branches, extra = s->extra;
+    const int n = ju->count * ju->branches, extra = s->extra;
+    const double inv_rho = s->inv_density;
+    const zoo_spline factor = s->friction_function;
+    const int *restrict node = ju->node, *restrict mid = ju->mid;
+    const double *restrict old_A = t->old_A, *restrict A = s->A, *restrict qh = s->qh, *restrict Ph = s->Ph,
+                           *restrict Ah = s->Ah, *restrict slopes = t->next.slope, *restrict leaks = s->leak,
+                           *restrict losses = s->loss, *restrict kappa = s->kappa;
+    const double more = extra ? 0.5 * (1.0 + s->relax) : 0.0;
+    ZOO_SIMD for (ptrdiff_t x = 0; x < n; x++) {
+        const ptrdiff_t o = node[x], m = mid[x];
+        const double w = ju->w[x], is = ju->sign[x], back = 1.0 / ju->per_w[x], stiffer = extra ? 1.0 + more * kappa[o] : 1.0;
+        const double per_slope = 1.0 / (stiffer * slopes[o]);
+        const double leak = extra ? leaks[o] : 0.0, loss = extra ? losses[o] : 0.0;
+        const double half = 0.5 * (old_A[o] + A[o]), per_half = 1.0 / half, ratio = half / ju->A0[x];
+        const double flux = qh[m] - is * ((A[o] - old_A[o]) * back + w * leak * Ph[m]), u = flux * per_half;
+        double faster;
+        const double by = spline_at(factor, fabs(u), &faster), all = ju->f_s[x] * sqrt(ratio) + ju->f_c[x];
+        const double stick = by * (all - ju->f_c[x]);
+        row[BRANCH_PER_SLOPE * n + x] = per_slope;
+        row[BRANCH_PART * n + x] = w * per_slope;
+        row[BRANCH_STIFFER * n + x] = stiffer;
+        row[BRANCH_U * n + x] = u;
+        row[BRANCH_FLUX * n + x] = flux;
+        row[BRANCH_PER_HALF * n + x] = per_half;
+        row[BRANCH_HANG * n + x] = (0.5 * stick * per_half + 2.0 * loss * half * fabs(flux)) * u;
+        row[BRANCH_HOLD * n + x] = (by + faster * fabs(u)) * all + leak * Ph[m] + loss * half * half * fabs(flux);
+        row[BRANCH_SUNK * n + x] = loss * half * half * (flux < 0.0 ? -1.0 : 1.0);
+        row[BRANCH_PUSH * n + x] = 0.5 * ju->per_w[x] * (half + Ah[m]) * inv_rho;
+        row[BRANCH_BACK * n + x] = back;
+    }
+}
+
+/* junction.h: one pressure P' for all branches, H at mid-step. */
+ZOO_INLINE void junction_of(const zoo_tangent *t, zoo_block *b, const zoo_junction_group *ju, const double *restrict row, int j)
+{
+    const zoo_sim *s = t->s;
+    const int nb = ju->branches, extra = s->extra, n = ju->count * nb;
     const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum, H = ju->sum_c[j];
     double *restrict known = t->branch, *restrict c = known + nb * D, *restrict push_of = c + nb * D,
                      *restrict area = push_of + nb * D;
@@ -373,35 +414,30 @@ ZOO_INLINE void junction_of(const zoo_tangent *t, zoo_block *b, const zoo_juncti
     for (int k = 0; k < nb; k++) {
         const int x = k * ju->count + j;
         const ptrdiff_t o = ju->node[x], m = ju->mid[x];
-        const double w = ju->w[x], more = stiffer_at(s, o), part = w / (more * t->next.slope[o]), is = ju->sign[x] * dt;
+        const double w = ju->w[x], part = row[BRANCH_PART * n + x], is = ju->sign[x] * dt;
         const double leak = extra ? dt * w * s->leak[o] : 0.0;
         const double *restrict A = b->A + o * D, *restrict qh = b->qh + m * D;
         double *restrict own = known + k * D, Ph[D];
         soft += part;
-        known_P(t, b, o, more, own);
+        known_P(t, b, o, row[BRANCH_STIFFER * n + x], own);
         EACH_DIRECTION P[d] += w * A[d] + is * qh[d] + part * own[d];
         if (extra) {
             mid_P(t, b, m, Ph);
             EACH_DIRECTION P[d] -= leak * Ph[d];
         }
     }
-    EACH_DIRECTION P[d] /= soft;
+    const double per_soft = 1.0 / soft;
+    EACH_DIRECTION P[d] *= per_soft;
     for (int k = 0; k < nb; k++) {
         const int x = k * ju->count + j;
         const ptrdiff_t o = ju->node[x], m = ju->mid[x];
-        const double w = ju->w[x], is = ju->sign[x], per_w = ju->per_w[x], slope = stiffer_at(s, o) * t->next.slope[o];
-        const double leak = extra ? s->leak[o] : 0.0, loss = extra ? s->loss[o] : 0.0, Ph = s->Ph[m];
-        const double half = 0.5 * (t->old_A[o] + s->A[o]);
-        const double flux = s->qh[m] - is * ((s->A[o] - t->old_A[o]) / per_w + w * leak * Ph), u = flux / half;
-        double faster;
-        const double by = spline_at(s->friction_function, fabs(u), &faster), root = sqrt(half / ju->A0[x]);
-        const double stick = by * ju->f_s[x] * root, all = ju->f_s[x] * root + ju->f_c[x];
-        const double hold = (by + faster * fabs(u)) * all + leak * Ph + loss * half * half * fabs(flux);
-        const double push = 0.5 * per_w * (half + s->Ah[m]) * inv_rho;
+        const double w = ju->w[x], is = ju->sign[x], per_w = ju->per_w[x], per_slope = row[BRANCH_PER_SLOPE * n + x];
+        const double leak = extra ? s->leak[o] : 0.0, Ph = s->Ph[m], wet = w * leak, back = row[BRANCH_BACK * n + x];
+        const double flux = row[BRANCH_FLUX * n + x], u = row[BRANCH_U * n + x], per_half = row[BRANCH_PER_HALF * n + x];
+        const double hang = row[BRANCH_HANG * n + x], hold = row[BRANCH_HOLD * n + x], sunk = row[BRANCH_SUNK * n + x],
+                     push = row[BRANCH_PUSH * n + x];
         const double M_A = t->mid.M_A[m], M_q = t->mid.M_q[m], G_A = t->mid.G_A[m], G_q = t->mid.G_q[m],
                      G_P = extra ? t->mid.G_P[m] : 0.0;
-        const double sunk = loss * half * half * (flux < 0.0 ? -1.0 : 1.0), wet = w * leak, per_slope = 1.0 / slope;
-        const double per_half = 1.0 / half, back = 1.0 / per_w, hang = (0.5 * stick * per_half + 2.0 * loss * half * fabs(flux)) * u;
         const double *restrict A = b->A + o * D, *restrict q = b->q + o * D, *restrict Ah = b->Ah + m * D,
                      *restrict qh = b->qh + m * D, *restrict own = known + k * D;
         double *restrict then = area + k * D, *restrict pushed = push_of + k * D, *restrict to = c + k * D, Pm[D];
@@ -421,11 +457,12 @@ ZOO_INLINE void junction_of(const zoo_tangent *t, zoo_block *b, const zoo_juncti
             dH[d] += is * sum - H * more;
         }
     }
-    EACH_DIRECTION dH[d] /= stiff;
+    const double per_stiff = 1.0 / stiff;
+    EACH_DIRECTION dH[d] *= per_stiff;
     for (int k = 0; k < nb; k++) {
         const int x = k * ju->count + j;
-        const ptrdiff_t o = ju->node[x], m = ju->mid[x];
-        const double is = ju->sign[x], push = 0.5 * ju->per_w[x] * (0.5 * (t->old_A[o] + s->A[o]) + s->Ah[m]) * inv_rho;
+        const ptrdiff_t o = ju->node[x];
+        const double is = ju->sign[x], push = row[BRANCH_PUSH * n + x];
         const double *restrict from = c + k * D, *restrict pushed = push_of + k * D, *restrict then = area + k * D;
         double *restrict A = b->A + o * D, *restrict q = b->q + o * D;
         EACH_DIRECTION {
@@ -538,12 +575,15 @@ ZOO_INLINE void coupled_of(const zoo_tangent *t, zoo_block *b, const zoo_junctio
 ZOO_CLONES static void junctions_of(const zoo_tangent *t, zoo_block *b)
 {
     const zoo_sim *s = t->s;
-    for (int g = 0; g < s->n_groups; g++)
+    const double *row = t->row;
+    for (int g = 0; g < s->n_groups; g++) {
         for (int j = 0; j < s->groups[g].count; j++)
             if (s->extra && s->coupled)
                 coupled_of(t, b, &s->groups[g], j);
             else
-                junction_of(t, b, &s->groups[g], j);
+                junction_of(t, b, &s->groups[g], row, j);
+        row += BRANCH_ROWS * s->groups[g].count * s->groups[g].branches;
+    }
 }
 
 /* Changes of row m of the outlets' coefficients at terminal i. */
@@ -566,21 +606,23 @@ ZOO_CLONES static void windkessel_of(const zoo_tangent *t, zoo_block *b)
         const double was = t->old_v[i], Q = s->qh[o - 1] - (s->A[o] - t->old_A[o]) / ou->per_w[i];
         const double base = (1.0 + decay) * was - t->old_P[o] + rest, slope = t->next.slope[o];
         const double inv = 1.0 / (slope + E / ou->per_w[i]), raised = base + E * Q - ou->v[i];
-        double own[D];
+        double own[D], old_P[D];
         known_P(t, b, o, 1.0, own);
+        const double *restrict d_decay = row_of(t, b, WINDKESSEL_DECAY, i), *restrict d_rest = row_of(t, b, WINDKESSEL_REST, i),
+                     *restrict d_E = row_of(t, b, WINDKESSEL_E, i), *restrict d_fill = row_of(t, b, WINDKESSEL_FILL, i),
+                     *restrict d_inv = row_of(t, b, WINDKESSEL_INV_R1, i), *restrict come_q = b->qh + (o - 1) * D;
+        const double *restrict from = (t->whole ? b->pe : b->A) + o * D;
+        double *restrict A = b->A + o * D, *restrict q = b->q + o * D, *restrict v = b->v + (ptrdiff_t)i * D;
+        const double by = t->whole ? 1.0 : t->now.slope[o], back = 1.0 / ou->per_w[i];
+        EACH_DIRECTION old_P[d] = by * from[d];
         EACH_DIRECTION {
-            const double dA = b->A[o * D + d], dv = b->v[i * D + d];
-            const double old_P = t->whole ? b->pe[o * D + d] : t->now.slope[o] * dA;
-            const double d_decay = row_of(t, b, WINDKESSEL_DECAY, i)[d], d_rest = row_of(t, b, WINDKESSEL_REST, i)[d],
-                         d_E = row_of(t, b, WINDKESSEL_E, i)[d];
-            const double d_base = (1.0 + decay) * dv + d_decay * was - old_P + d_rest;
-            const double come = b->qh[(o - 1) * D + d] + dA / ou->per_w[i];
-            const double then = (d_base + E * come + d_E * Q - own[d]) * inv;
-            const double dQ = come - then / ou->per_w[i];
-            const double v = decay * dv + d_decay * was + fill * dQ + row_of(t, b, WINDKESSEL_FILL, i)[d] * Q + d_rest;
-            b->A[o * D + d] = then;
-            b->v[i * D + d] = v;
-            b->q[o * D + d] = (d_base + E * dQ + d_E * Q - v) * inv_R1 + row_of(t, b, WINDKESSEL_INV_R1, i)[d] * raised;
+            const double d_base = (1.0 + decay) * v[d] + d_decay[d] * was - old_P[d] + d_rest[d];
+            const double come = come_q[d] + A[d] * back;
+            const double then = (d_base + E * come + d_E[d] * Q - own[d]) * inv, dQ = come - then * back;
+            const double after = decay * v[d] + d_decay[d] * was + fill * dQ + d_fill[d] * Q + d_rest[d];
+            A[d] = then;
+            v[d] = after;
+            q[d] = (d_base + E * dQ + d_E[d] * Q - after) * inv_R1 + d_inv[d] * raised;
         }
     }
 }
@@ -711,6 +753,11 @@ int zoo_tangent_step(zoo_tangent *t, int step)
     friction_partials(s, s->n_nodes - 1, s->Ah, s->qh, s->inv_A0_mid, s->f_s_mid, s->f_c_mid, &t->mid);
     full_coefficients(t);
     node_partials(t, &t->next);
+    double *row = t->row;
+    for (int g = 0; g < s->n_groups && !(s->extra && s->coupled); g++) {
+        branches_of(t, &s->groups[g], row);
+        row += BRANCH_ROWS * s->groups[g].count * s->groups[g].branches;
+    }
     for (int k = 0; k < t->n_blocks; k++) {
         zoo_block *b = &t->block[k];
         if (t->forced && b->walls) {

@@ -18,18 +18,12 @@ static double larger(double a, double b)
     return isnan(a) || a > b ? a : b;
 }
 
-static const double wall_values[5] = {0.05, -0.02, 0.0, 0.03, 0.01}, friction_values[4] = {1.0, 1.4, 1.2, 2.0},
+static const double wall_values[5] = {0.01, -0.005, 0.0, 0.01, 0.03}, friction_values[4] = {1.0, 1.4, 1.2, 2.0},
                     loss_values[4] = {-300.0, 100.0, 0.0, 500.0};
 
 static void step(int wall, int added, int coupled, int windkessel, int functions, const int32_t *cells)
 {
     tree_make(&one, wall);
-    if (functions) {
-        one.problem.wall.function = (zoo_function){5, 0.8, 1.3, wall_values};
-        one.problem.fluid.friction_function = (zoo_function){4, 0.0, 60.0, friction_values};
-        if (coupled)
-            one.problem.junction.function = (zoo_function){4, -20.0, 80.0, loss_values};
-    }
     one.problem.network.n_cells = cells;
     if (added) {
         tree_add(&one, &x);
@@ -37,6 +31,12 @@ static void step(int wall, int added, int coupled, int windkessel, int functions
             one.problem.junction.total_pressure = one.problem.junction.loss = 0.0;
         if (windkessel)
             one.problem.outlet.kind = ZOO_OUTLET_WINDKESSEL;
+    }
+    if (functions) {
+        one.problem.wall.function = (zoo_function){5, 0.8, 1.3, wall_values};
+        one.problem.fluid.friction_function = (zoo_function){4, 0.0, 60.0, friction_values};
+        if (coupled)
+            one.problem.junction.function = (zoo_function){4, -20.0, 80.0, loss_values};
     }
     tree_open(&one, 1, 4096);
     zoo_sim *s = &one.sim;

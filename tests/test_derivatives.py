@@ -1,0 +1,197 @@
+"""Derivatives of blood flow by its parameters, and gradients of the operations made of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pymc as pm
+import pytensor
+import pytensor.tensor as pt
+import pytest
+from pytensor.gradient import verify_grad
+
+from test_op import POINT, at, flow, small_study
+from zoo.blood.baseline import get_baseline
+from zoo.blood.directions import Point
+from zoo.blood.effects.given import added_effects
+from zoo.blood.solve_errors import NoDerivativeError, SolverArgumentError
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.study import Study
+from zoo.core.derivatives import jacobian
+from zoo.core.effects import with_effects
+from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.op import ForwardOp, MissingGradientError, observed_series
+from zoo.core.parameters import Parameter, Uniform
+
+EXACT = SolverOptions(dx_cm=0.05, steps_per_beat=2048, tolerance_mmHg=1e-10, max_beats=300)
+"""Fixed steps, and so near the periodic state that differences are of the discrete solution's rounding."""
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return small_study()
+
+
+def differences(solve: Any, theta: np.ndarray, i: int, h: float) -> np.ndarray:
+    """By element i, of fourth order."""
+
+    def f(step: float) -> np.ndarray:
+        moved = theta.copy()
+        moved[i] += step
+        return np.asarray(solve(moved))
+
+    return (8 * (f(h) - f(-h)) - (f(2 * h) - f(-2 * h))) / (12 * h)
+
+
+@pytest.mark.parametrize("wall", ["linear", "tangent"])
+def test_parameters(study: Study, wall: str) -> None:
+    model = flow(study, wall, options=EXACT)
+    theta = at((9e4, 4.0, *POINT[2:]))
+    found = jacobian(model, theta)
+    assert found is not None
+    np.testing.assert_allclose(found.values, model.solve(model.configure(theta)), rtol=1e-12)
+    for i in range(len(theta)):
+        expected = differences(lambda x: model.solve(model.configure(x)), theta, i, 1e-3 * theta[i])
+        most = np.abs(expected).max(axis=1, keepdims=True)
+        assert np.all(np.abs(found.slopes[i] - expected) <= 1e-6 * most)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"viscoelastic-wall": 0.002, "minor-losses": 1.0},
+        {"vessel-length@2": 0.1, "hydrostatic": 0.1},
+        {"local-stiffness@2": 0.2, "stenosis@3": 0.3},
+    ],
+)
+def test_effects(study: Study, effects: dict[str, float]) -> None:
+    base = get_baseline("B").forward(study, options=EXACT)
+    model = with_effects(base, added_effects(list(effects), base))
+    theta = np.concatenate([[5e4, 0.3, 0.9, 1.2], list(effects.values())])
+    found = jacobian(model, theta)
+    assert found is not None
+    for i in range(len(theta)):
+        step = 1e-3 * abs(theta[i])
+        expected = differences(lambda x: model.solve(model.configure(x)), theta, i, step)
+        most = np.abs(expected).max(axis=1, keepdims=True)
+        assert np.all(np.abs(found.slopes[i] - expected) <= 2e-6 * most), model.parameters[i].name
+
+
+def test_inflow_samples_and_geometry(study: Study) -> None:
+    base = Solver.for_study(study, options=EXACT)
+
+    def changed(inflow: float = 0.0, radius: float = 0.0) -> Solver:
+        flow_ml_s = base.inflow_ml_s.copy()
+        flow_ml_s[20] += inflow
+        network = replace(base.network, radius_in_cm=base.network.radius_in_cm * (1 + radius))
+        return Solver(
+            network, base.inflow_time_s, flow_ml_s, series=base.series, times_s=base.times_s, options=EXACT
+        )
+
+    arguments = dict(zip(("stiffness", "gamma", "psi1", "psi2", "c"), POINT, strict=True))
+    ways = [("inflow", 1e-3), ("radius", 1e-4)]
+    directions = [
+        [Point(side / (2 * h), **arguments, solver=changed(**{way: side * h})) for side in (1, -1)]
+        for way, h in ways
+    ]
+    found = base.jacobian(**arguments, directions=directions)
+    assert found.ok
+    assert found.residual <= 1e-8
+    assert found.stepped == 2  # the points of the radius
+    for i, (way, h) in enumerate(ways):
+        expected = (
+            changed(**{way: h}).solve(**arguments).pressure_mmHg
+            - changed(**{way: -h}).solve(**arguments).pressure_mmHg
+        ) / (2 * h)
+        assert np.abs(found.pressure_mmHg[i] - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+def test_what_has_no_derivative(study: Study) -> None:
+    base = Solver.for_study(study)
+    other = Solver.for_study(study, options=SolverOptions(dx_cm=0.06))
+    direction = [Point(1.0, 5e4, solver=other), Point(-1.0, 5e4)]
+    with pytest.raises(NoDerivativeError, match="in direction 0"):
+        base.jacobian(5e4, directions=[direction])
+    unchecked = base.jacobian(5e4, directions=[direction], check=False)
+    assert unchecked.solution.ok
+    assert not unchecked.ok
+    assert np.all(np.isnan(unchecked.pressure_mmHg))
+    with pytest.raises(SolverArgumentError, match="directions: there is none"):
+        base.jacobian(5e4, directions=[])
+    line = FunctionModel(
+        lambda c, t: c["a"] * t, (Parameter("a", Uniform(0, 1)),), Outputs(("y",), np.arange(3.0))
+    )
+    assert jacobian(line, [0.5]) is None
+    with pytest.raises(MissingGradientError):
+        ForwardOp(line).slopes(np.array([0.5]))
+
+
+def scalar_mean(study: Study) -> Any:
+    model = flow(study, options=EXACT)
+
+    def mean(stiffness: Any, psi2: Any, c: Any) -> Any:
+        values = (stiffness * 1e5, 2.0, 0.3, psi2, c)
+        return observed_series(
+            model, dict(zip(("chi", "gamma", "psi1", "psi2", "c"), values, strict=True))
+        ).mean
+
+    return mean
+
+
+def test_vector_jacobian_product(study: Study) -> None:
+    point = [np.array(x) for x in (0.5, 0.9, 1.2)]
+    verify_grad(scalar_mean(study), point, rng=np.random.default_rng(0), eps=1e-5, rel_tol=1e-5, abs_tol=1e-4)
+
+
+def test_jacobian_vector_product(study: Study) -> None:
+    inputs = [pt.dscalar() for _ in range(3)]
+    mean = scalar_mean(study)(*inputs)
+    change = [np.array(x) for x in (0.3, -0.2, 0.1)]
+    pushed = pytensor.gradient.Rop(mean, inputs, [pt.constant(x) for x in change])
+    run = pytensor.function(inputs, [mean, pushed])
+    point, h = np.array([0.5, 0.9, 1.2]), 1e-4
+    up, down = (run(*(point + side * h * np.array(change)))[0] for side in (1, -1))
+    expected = (up - down) / (2 * h)
+    assert np.abs(run(*point)[1] - expected).max() <= 1e-5 * np.abs(expected).max()
+
+
+def test_one_run_gives_value_and_gradient_and_a_failed_one_zero(study: Study) -> None:
+    op = ForwardOp(flow(study))
+    first, second = at(POINT), at((6e4, *POINT[1:]))
+    op.evaluate(first)
+    op.slopes(first)
+    op.reset_counts()
+    op.evaluate(second)  # slopes were asked at the last point
+    slopes = op.slopes(second)
+    assert (op.counts["solves"], op.gradients) == (1, 1)
+    assert slopes.shape == (7, *op.shape)
+    assert np.all(slopes[3] == 0)  # gamma, which the linear wall does not read
+    failed = at((1e-3, *POINT[1:]))
+    assert not op.evaluate(failed)[1]
+    assert np.all(op.slopes(failed) == 0)
+
+
+def test_nuts_and_find_map(study: Study) -> None:
+    with pm.Model() as model:
+        psi2 = pm.Uniform("psi2", 0.5, 1.5)
+        c = pm.Uniform("c", 0.8, 1.8)
+        given = dict(zip(("chi", "gamma", "psi1", "psi2", "c"), (5e4, 2.0, 0.3, psi2, c), strict=True))
+        coarse = flow(study, options=SolverOptions(dx_cm=0.1))
+        pm.Normal("y", observed_series(coarse, given).mean, 0.05, observed=study.values)
+        best = pm.find_MAP(progressbar=False)
+        trace = pm.sample(
+            draws=60,
+            tune=60,
+            chains=1,
+            step=pm.NUTS(),
+            random_seed=3,
+            progressbar=False,
+            compute_convergence_checks=False,
+        )
+    assert model is not None
+    assert abs(best["psi2"] - 0.9) < 0.01
+    assert abs(best["c"] - 1.2) < 0.02
+    assert abs(float(trace.posterior["psi2"].mean()) - 0.9) < 0.01
+    assert float(trace.sample_stats["diverging"].mean()) < 0.05
