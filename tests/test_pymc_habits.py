@@ -100,7 +100,15 @@ def test_a_variable_added_to_the_model_gets_pymcs_own_step(mode_a):
     np.testing.assert_allclose(ours._around.mean, mode_a.vector, atol=0.02)
 
 
-def test_find_map_says_what_to_do(model_a):
+def test_find_map_with_the_solvers_gradient_finds_the_mode(model_a, mode_a):
+    with model_a:
+        best = pm.find_MAP(progressbar=False)
+    for name in ("f3", "psi1", "psi2", "c"):
+        assert float(best[name]) == pytest.approx(float(mode_a.values[name]), rel=0.05)
+
+
+def test_find_map_says_what_to_do_without_a_gradient(model_a, monkeypatch):
+    monkeypatch.setattr("zoo.core.model.has_jacobian", lambda forward: False)
     with model_a, pytest.raises(ModelError, match=r"model A: .* use zoo\.find_mode\(model\)"):
         pm.find_MAP(progressbar=False)
 

@@ -592,6 +592,14 @@ ZOO_INLINE const double *row_of(const zoo_tangent *t, const zoo_block *b, int m,
     return (t->forced && b->outlets ? b->row : t->zero) + ((ptrdiff_t)m * t->s->outlets.count + i) * D;
 }
 
+/* Pressures at a node without additions. */
+ZOO_INLINE void node_P(const zoo_tangent *t, const zoo_block *b, ptrdiff_t o, double *to)
+{
+    const double *from = (t->whole ? b->pe : b->A) + o * D;
+    const double by = t->whole ? 1.0 : t->now.slope[o];
+    EACH_DIRECTION to[d] = by * from[d];
+}
+
 /* outlet_windkessel.h */
 ZOO_CLONES static void windkessel_of(const zoo_tangent *t, zoo_block *b)
 {
@@ -608,13 +616,13 @@ ZOO_CLONES static void windkessel_of(const zoo_tangent *t, zoo_block *b)
         const double inv = 1.0 / (slope + E / ou->per_w[i]), raised = base + E * Q - ou->v[i];
         double own[D], old_P[D];
         known_P(t, b, o, 1.0, own);
+        node_P(t, b, o, old_P);
         const double *restrict d_decay = row_of(t, b, WINDKESSEL_DECAY, i), *restrict d_rest = row_of(t, b, WINDKESSEL_REST, i),
                      *restrict d_E = row_of(t, b, WINDKESSEL_E, i), *restrict d_fill = row_of(t, b, WINDKESSEL_FILL, i),
-                     *restrict d_inv = row_of(t, b, WINDKESSEL_INV_R1, i), *restrict come_q = b->qh + (o - 1) * D;
-        const double *restrict from = (t->whole ? b->pe : b->A) + o * D;
-        double *restrict A = b->A + o * D, *restrict q = b->q + o * D, *restrict v = b->v + (ptrdiff_t)i * D;
-        const double by = t->whole ? 1.0 : t->now.slope[o], back = 1.0 / ou->per_w[i];
-        EACH_DIRECTION old_P[d] = by * from[d];
+                     *restrict d_inv = row_of(t, b, WINDKESSEL_INV_R1, i);
+        const double *come_q = b->qh + (o - 1) * D;
+        const double back = 1.0 / ou->per_w[i];
+        double *A = b->A + o * D, *q = b->q + o * D, *v = b->v + (ptrdiff_t)i * D;
         EACH_DIRECTION {
             const double d_base = (1.0 + decay) * v[d] + d_decay[d] * was - old_P[d] + d_rest[d];
             const double come = come_q[d] + A[d] * back;

@@ -77,7 +77,10 @@ def jacobian(model: ForwardModel, theta: ArrayLike, outputs: Outputs | None = No
 
 
 def scales_of(parameters: tuple[Parameter, ...], theta: Array) -> Array:
-    """Over what a change of each element of theta is small: its size, or a part of its prior's width.
+    """Over what a change of each element of theta is small.
+
+    It is the element's size; a part of its prior's width, if that is more, where the prior goes below zero or
+    the element is zero.
 
     Parameters
     ----------
@@ -89,14 +92,17 @@ def scales_of(parameters: tuple[Parameter, ...], theta: Array) -> Array:
     array (n_values,)
         Zero for those that only priors read.
     """
-    scales = []
+    scales: list[float] = []
     for p in parameters:
         try:
             low, high = p.prior.quantile([0.16, 0.84])
             width = SHARE_OF_PRIOR * float(high - low) / 2
+            about_zero = p.prior.support[0] < 0
         except (KeyError, NotImplementedError, TypeError):  # a prior that depends on other parameters
-            width = 0.0
-        scales += [0.0 if p.hyper else width if np.isfinite(width) else 0.0] * p.size
+            width, about_zero = 0.0, False
+        least = width if np.isfinite(width) else 0.0
+        at = theta[len(scales) : len(scales) + p.size]
+        scales += [least if about_zero or x == 0 else 0.0 for x in at]
     read = np.concatenate([np.full(p.size, not p.hyper) for p in parameters])
     found = np.where(read, np.maximum(np.array(scales), np.abs(theta)), 0.0)
     return np.where(read & (found == 0), 1.0, found)

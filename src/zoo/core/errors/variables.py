@@ -66,10 +66,7 @@ def _values(errors: ErrorModel, parameters: Sequence[Any]) -> dict[str, Any]:
 
 
 class ErrorTermsOp(Op):
-    """Sequential terms of an error model: residual (n_series, n_times), parameters.
-
-    The gradient by the residual is that of whitening, which is linear in it, and by the parameters from
-    differences of fourth order.
+    """Sequential terms of an error model without a gradient: residual (n_series, n_times), parameters.
 
     Parameters
     ----------
@@ -104,74 +101,11 @@ class ErrorTermsOp(Op):
 
     def L_op(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
-    ) -> list[Variable]:
-        """Vector-Jacobian product of the terms."""
-        return ErrorGradientOp(self.errors)(*inputs, output_grads[0], return_list=True)
+    ) -> NoReturn:
+        """Raise MissingGradientError."""
+        raise missing_gradient(f"the log-likelihood of the error model {self.errors.name}")
 
     pullback = L_op  # its name in PyTensor 3
-
-
-class ErrorGradientOp(Op):
-    """Gradient of sum_i g_i term_i by the residual and each parameter; zero where there is no law.
-
-    Parameters
-    ----------
-    errors : ErrorModel
-        Bound to data.
-    """
-
-    __props__ = ("errors",)
-
-    def __init__(self, errors: ErrorModel) -> None:
-        self.errors = errors
-
-    def make_node(self, *inputs: Any) -> Apply:
-        """The inputs of `ErrorTermsOp` and g (n_series, n_times) in, as many gradients as inputs out."""
-        tensors = [pt.as_tensor_variable(x, dtype="float64") for x in inputs]
-        return Apply(self, tensors, [x.type() for x in tensors[:-1]])
-
-    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[Any]]) -> None:
-        """Evaluate."""
-        residual, *parameters, weight = (np.asarray(x, dtype=np.float64) for x in inputs)
-        values = _values(self.errors, parameters)
-        z = self.errors.whiten(residual, values)
-        for storage, x in zip(output_storage, inputs, strict=False):
-            storage[0] = np.zeros(np.shape(x))
-        if z is None:
-            return
-        # the gradient below is that of errors that are normal and whitened linearly; of others there is none
-        gaussian = self.errors.terms(np.zeros_like(residual), values) - 0.5 * z * z
-        if not np.allclose(self.errors.terms(residual, values), gaussian, rtol=1e-9, atol=1e-9 * np.max(z * z)):
-            raise missing_gradient(f"the log-likelihood of the error model {self.errors.name}")
-        n_series, n_times = residual.shape
-        unit = np.broadcast_to(np.eye(n_times)[:, None, :], (n_times, n_series, n_times))
-        rows = self.errors.whiten(unit, values)
-        assert rows is not None
-        output_storage[0][0] = -np.einsum("kst,st->sk", rows, weight * z)
-        for i, parameter in enumerate(parameters):
-            slope = np.zeros(parameter.size)
-            for j, at in enumerate(parameter.ravel()):
-                h = 1e-3 * (abs(at) or 1.0)
-                sides = []
-                for step in (h, -h, 2 * h, -2 * h):
-                    moved = parameter.copy()
-                    moved.reshape(-1)[j] += step
-                    near = _values(self.errors, [*parameters[:i], moved, *parameters[i + 1 :]])
-                    sides.append(float(np.sum(weight * self.errors.terms(residual, near))))
-                slope[j] = (8 * (sides[0] - sides[1]) - (sides[2] - sides[3])) / (12 * h)
-            output_storage[i + 1][0] = slope.reshape(parameter.shape)
-
-    def infer_shape(self, fgraph: Any, node: Apply, input_shapes: list[tuple[Variable, ...]]) -> list[Any]:
-        """Those of the inputs."""
-        return list(input_shapes[:-1])
-
-    def L_op(
-        self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
-    ) -> NoReturn:
-        """Raise MissingGradientError: there are no second derivatives."""
-        raise missing_gradient(f"the gradient of the error model {self.errors.name}")
-
-    pullback = L_op
 
 
 class ErrorsRV(RandomVariable):
