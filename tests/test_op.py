@@ -290,14 +290,14 @@ def test_gradient_says_what_to_do(study: Study) -> None:
         pytensor.grad(mean.sum(), stiffness)
 
 
-def linear_model(study: Study, model: Any = None) -> pm.Model:
+def linear_model(study: Study, forward: Any = None) -> pm.Model:
     """Three parameters, errors of known size."""
     with pm.Model() as model:
         f3 = pm.Uniform("f3", 2e4, 1e5)
         psi2 = pm.Uniform("psi2", 0.05, 2.5)
         c = pm.Uniform("c", 0.05, 2.5)
         given = {"chi": f3, "gamma": 2.0, "psi1": 0.3, "psi2": psi2, "c": c}
-        mean, _ = observed_series(model or flow(study), given)
+        mean, _ = observed_series(forward or flow(study), given)
         pm.Normal("y", mean, 0.5, observed=study.values)
     return model
 

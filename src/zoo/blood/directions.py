@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-if TYPE_CHECKING:
-    from zoo.blood.solver import Solution, Solver
 
 Array = NDArray[np.float64]
 
@@ -36,7 +33,7 @@ class Point:
     psi1: ArrayLike = 1.0
     psi2: ArrayLike = 1.0
     c: ArrayLike = 1.0
-    solver: Solver | None = None
+    solver: Any = None
 
 
 Direction = Sequence[Point]
@@ -46,14 +43,14 @@ Direction = Sequence[Point]
 class Derivatives:
     """A solve and its derivatives in several directions.
 
-    `pressure_mmHg`, `flow_ml_s` and `area_cm2` have shape (n_directions, n_series, n_times) and are NaN where
-    the solve, or its derivatives, failed. `beats` counts linearised beats, `vectors` the starts that went
-    through one beside the directions themselves, `stepped` the points whose steps were computed one by one
-    (geometry, blood, additions). `residual` is the estimated error that is left, over a direction's largest
-    derivative of the pressure.
+    `solution` is the solve's `Solution`. `pressure_mmHg`, `flow_ml_s` and `area_cm2` have shape (n_directions,
+    n_series, n_times) and are NaN where the solve, or its derivatives, failed. `beats` counts linearised
+    beats, `vectors` the starts that went through one beside the directions themselves, `stepped` the points
+    whose steps were computed one by one (geometry, blood, additions). `residual` is the estimated error that is
+    left, over a direction's largest derivative of the pressure.
     """
 
-    solution: Solution
+    solution: Any
     pressure_mmHg: Array
     flow_ml_s: Array
     area_cm2: Array
