@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.diagnosis.bounds import Excluded, at_bounds
-from zoo.core.diagnosis.component_answer import component_results
+from zoo.core.diagnosis.component_answer import component_results, several_result
 from zoo.core.diagnosis.components.learned import plausible
 from zoo.core.diagnosis.discrepancy import model_discrepancy, smooth_part
 from zoo.core.diagnosis.estimates import INTERVAL, linearised, posteriors_of
@@ -34,7 +34,7 @@ from zoo.core.diagnosis.file import (
 from zoo.core.diagnosis.heldout import hold_out
 from zoo.core.diagnosis.hooks import Hooks, next_measurement
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
-from zoo.core.diagnosis.scoring import DOUBT, Scored
+from zoo.core.diagnosis.scoring import DOUBT, VISIBLE, Scored
 from zoo.core.diagnosis.screening import Screened, Screening
 from zoo.core.effects import Location
 from zoo.core.inference.record import versions
@@ -297,7 +297,7 @@ def _verdict(scored: Scored, gap: Gap) -> str:
         rest = ", and something else remains" if beside else ""
         total = scored.of_component[leader] + sum(scored.probability[m] for m in members[1:])
         return (
-            f"the {leader} is not as the baseline has it, and no listed effect is what it lacks "
+            f"the component {leader} is not as the baseline has it, and no listed effect is what it lacks "
             f"({total:.0%}{grouped}){twins}: with a {function.name} learned from the data {shrinks}{rest}"
         )
     fit = scored.best[leader]
@@ -331,6 +331,7 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
             f"the baseline misses the data by {gap.before:.2g}{unit}, {gap.before / spread:.0%} of "
             f"their range, more than any effect of the catalogue should: {hooks.advice}"
         )
+    found += _together(scored)
     leader = scored.leader
     stuck = {p.name for p, _ in at_bounds(scored.screened.least)}
     found += [one.text for _, one in at_bounds(scored.screened.least)]
@@ -357,6 +358,17 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
         elif p.name not in stuck:
             found.append(f"with {leader}, {one.text}")
     return found
+
+
+def _together(scored: Scored) -> list[str]:
+    """That several listed effects together explain what none does alone."""
+    several = scored.several
+    if several is None or several.gain < VISIBLE:
+        return []
+    return [
+        f"{' and '.join(several.names)} together are more probable than any effect alone, by "
+        f"{several.gain:.1f} in log odds: there may be more than one cause"
+    ]
 
 
 def _beyond(excluded: Excluded | None, gap: Gap) -> str:
@@ -515,6 +527,7 @@ def answer(
         hypotheses=_results(first, seed, known, hooks),
         components=components,
         steps=steps,
+        several=several_result(first.several),
         invisible=list(first.invisible),
         failed=list(first.failed),
         next_measurement=next_measurement(first, hooks),

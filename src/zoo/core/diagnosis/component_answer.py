@@ -13,9 +13,16 @@ from zoo.core.diagnosis.components.heldout import predict_held_out
 from zoo.core.diagnosis.components.learned import Judge, functions_of, plausible
 from zoo.core.diagnosis.components.likeness import left_of, nearest_effects, principal_angles
 from zoo.core.diagnosis.components.shares import pair_of, shares_of
+from zoo.core.diagnosis.components.subsets import Several
 from zoo.core.diagnosis.estimates import INTERVAL
 from zoo.core.diagnosis.evidence import Fit
-from zoo.core.diagnosis.file import ComponentResult, HeldOutComponentResult, Interval, NearestEffect
+from zoo.core.diagnosis.file import (
+    ComponentResult,
+    HeldOutComponentResult,
+    Interval,
+    NearestEffect,
+    SeveralResult,
+)
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.core.diagnosis.scoring import SENSOR, TOO_FAR, VISIBLE, Scored
 
@@ -174,3 +181,15 @@ def component_results(
             )
         )
     return found
+
+
+def several_result(several: Several | None) -> SeveralResult | None:
+    """The best set of several listed effects as diagnosis.json has it; None where none was searched."""
+    if several is None or not several.fits:
+        return None
+    return SeveralResult(
+        names=[one.name for one in several.fits[0].hypothesis.added],
+        log_odds=several.gain,
+        log_bayes_factor=several.log_bayes_factor,
+        weighed=several.subsets.weighed,
+    )

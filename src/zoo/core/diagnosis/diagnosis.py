@@ -18,6 +18,7 @@ from zoo.core.data import Data
 from zoo.core.diagnosis.answer import FitDiscrepancy, answer
 from zoo.core.diagnosis.bounds import Excluded, freed
 from zoo.core.diagnosis.components.refining import explain
+from zoo.core.diagnosis.components.subsets import several_effects
 from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.file import DiagnosisError, DiagnosisFile, HypothesisResult, Where
 from zoo.core.diagnosis.hooks import Hooks
@@ -153,13 +154,17 @@ def _scored(
         best.setdefault(fit.hypothesis.name, fit)
     leading = list(best)[:MORE]
     more = dict(zip(leading, screening.and_more([best[n] for n in leading]), strict=True))
-    if hooks.components is None or not first:
+    if not first:
         return score(screened, more=more)
+    several = several_effects(screened)
+    if hooks.components is None:
+        return replace(score(screened, more=more), several=several)
     theta = screened.base.values
     functions = hooks.components(screening.baseline, theta, screening.data)
     belongs = {name: hooks.component_of(one) for name, one in screening.effects.items()}
     explained = explain(screened, functions, cores=cores, tick=tick) if functions else None
-    return score(screened, explained, more, belongs | {NONPARAMETRIC: SENSOR})
+    scored = score(screened, explained, more, belongs | {NONPARAMETRIC: SENSOR})
+    return replace(scored, several=several)
 
 
 def _stronger(scored: Scored, exhaust: bool) -> AddedEffect | None:

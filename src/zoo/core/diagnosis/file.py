@@ -267,6 +267,15 @@ class ComponentResult(_Amounts):
     held_out: HeldOutComponentResult | None = None
 
 
+class SeveralResult(_Part):
+    """The best set of several listed effects: log odds and log Bayes factor over the best one alone."""
+
+    names: list[str]
+    log_odds: float
+    log_bayes_factor: float
+    weighed: int
+
+
 class NextMeasurement(BaseModel):
     """The measurement that would best tell the leading explanations apart; further fields say what it is."""
 
@@ -327,6 +336,7 @@ class DiagnosisFile(_Part):
     excluded: ExcludedFit | None = None
     hypotheses: list[HypothesisResult]
     components: list[ComponentResult] = []
+    several: SeveralResult | None = None
     steps: list[AddedStep]
     invisible: list[str]
     failed: list[str]

@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 
 from zoo.core.diagnosis.components.likeness import left_of
 from zoo.core.diagnosis.components.refining import Component, Explained
+from zoo.core.diagnosis.components.subsets import Several
 from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.file import DiagnosisError
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
@@ -49,7 +50,7 @@ class Scored:
 
     `more` are the probabilities of listed effects with something else beside them, which are no part of their
     own `probability`; `explained` are the components, whose free functions are hypotheses by the component's
-    name; `belongs` is the component of each listed effect.
+    name; `belongs` is the component of each listed effect; `several` are sets of listed effects together.
     """
 
     screened: Screened
@@ -65,6 +66,7 @@ class Scored:
     more: Mapping[str, float] = field(default_factory=dict)
     explained: Explained | None = None
     belongs: Mapping[str, str] = field(default_factory=dict)
+    several: Several | None = None
 
     @property
     def components(self) -> Mapping[str, Component]:
