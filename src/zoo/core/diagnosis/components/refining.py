@@ -27,7 +27,7 @@ LEADING = 10.0
 WITH_MORE, MORE_TURNS = 2, 2
 """Functions of a component that are weighed with something else beside them, and turns of their noise."""
 MOST_REFINED = 6
-"""Functions that are at most."""
+"""Functions that are at most, besides the best one of each component."""
 STEPS_LINEAR, STEPS_FRESH = 6, 5
 """Steps of a descent with the baseline's derivatives, and of one with fresh ones."""
 NEARER = (1.0, 0.5, 0.2)
@@ -266,6 +266,16 @@ def explain(
                 found[i] = kind
         others = [screened.nonparametric.log_z, screened.correlated.log_z, screened.base.log_z]
         others += [fit.log_z for fit in screened.fits.values()]
+        # a linear model tells little of what bends: the best function of each component is taken to its mode
+        first = [
+            max(
+                (i for i, k in enumerate(found) if k.function.component == name), key=lambda i: found[i].log_z
+            )
+            for name in names
+        ]
+        first = [i for i in first if found[i].log_z > screened.base.log_z + LEADING]
+        for i, kind in zip(first, pool.map(refining.refine, [found[i] for i in first]), strict=True):
+            found[i] = kind
         done = 0
         while done < MOST_REFINED:
             top = max([*others, *(k.log_z for k in found)])
