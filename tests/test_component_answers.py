@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from test_component_weighing import EFFECTS, FUNCTIONS, KNOTS, MODEL, TIMES, data_of, hooks, of
 
+from test_component_weighing import EFFECTS, FUNCTIONS, KNOTS, MODEL, TIMES, data_of, hooks, of
 from zoo.core.diagnosis import diagnose
 
 
