@@ -174,6 +174,7 @@ def test_a_bad_surrogate_is_corrected_or_refused(monkeypatch, spoil, correction)
 
     monkeypatch.setattr(Polynomial, "fit", classmethod(wrong))
     monkeypatch.setattr(building, "ROUNDS", 1)
+    monkeypatch.setattr(building, "REFITS", 0)
     model = bayesian_model("toy", FORWARD, DATA, KNOWN)
     idata = sample_surrogate(model, draws=600, seed=3, progress=False, cores=1)
     made = RunRecord.of(idata).settings["surrogate"]
@@ -189,6 +190,28 @@ def test_a_bad_surrogate_is_corrected_or_refused(monkeypatch, spoil, correction)
     ]
     assert all(right) or not verdict(idata).passes
     assert all(right) or correction == "delayed acceptance"
+
+
+def test_draws_whose_weights_are_not_trusted_join_the_surrogate(monkeypatch):
+    """A surrogate that is far too narrow the first time, and after its draws joined as good as any."""
+    fit, calls = Polynomial.fit.__func__, []
+
+    def wrong_once(cls, *arguments):
+        fitted = fit(cls, *arguments)
+        calls.append(1)
+        return replace(fitted, weights=3.0 * fitted.weights) if len(calls) == 1 else fitted
+
+    monkeypatch.setattr(Polynomial, "fit", classmethod(wrong_once))
+    monkeypatch.setattr(building, "ROUNDS", 1)
+    model = bayesian_model("toy", FORWARD, DATA, KNOWN)
+    idata = sample_surrogate(model, draws=200, seed=3, progress=False, cores=1)
+    made = RunRecord.of(idata).settings["surrogate"]
+    assert len(made["rounds"]) == 2
+    assert made["rounds"][1]["k_hat"] > 0.7
+    assert made["correction"] == "importance resampling"
+    assert made["effective share"] > 0.9
+    means, sds, _ = exact_moments()
+    assert idata.posterior["rate"].to_numpy().mean() == pytest.approx(means[0], abs=0.2 * sds[0])
 
 
 def test_weights_tell_an_approximation_that_is_too_narrow():

@@ -50,6 +50,8 @@ IDLE = 2
 """Rounds without a better surrogate after which the building ends."""
 ROUND_TUNE, ROUND_DRAWS = 400, 150
 FINAL_TUNE = 600
+REFITS = 2
+"""How often draws whose weights are not trusted join the surrogate's design, before delayed acceptance."""
 THIN = 2
 """Draws of NUTS for each one that is solved and stored."""
 FLATTEST = 0.05
@@ -240,6 +242,29 @@ class Builder:
         assert best is not None
         return best
 
+    def again(self, built: Built, draws: Draws, weights: Weights) -> Built:
+        """A surrogate of all that was solved since, with points beyond the draws of the last one."""
+        flat = {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
+        d, theta = self.coordinates.n, theta_of(self.record, flat)
+        x = self.coordinates.of(theta)
+        near = x.mean(0), np.cov(x.T).reshape(d, d)
+        self.solve(self.design(*near, max(LEAST_POINTS, term_count(d, 2) // 2)))
+        medians = {name: np.median(v, axis=0) for name, v in errors_of(self.record, flat).items()}
+        within = 3.0 * np.sqrt(d) + 3.0
+        surrogate = Surrogate.fit(self.library, self.record.errors, medians, near=near, within=within)
+        some = theta[:: max(1, len(theta) // 100)]
+        made = surrogate_model(self.logp.model, self.record, surrogate, some)
+        tried = {
+            "points": len(surrogate.map.residuals),
+            "terms": len(surrogate.map.terms),
+            "basis": len(surrogate.basis),
+            "error": float(np.median(surrogate.error(some))),
+            "k_hat": weights.k_hat,
+            "effective": weights.effective,
+        }
+        log = [*built.log, tried]
+        return Built(made, draws, weights, built.rounds + 1, built.covariance, built.starts, log)
+
     def _starts(self, q: Array, covariance: Array, chains: int = 4) -> Array:
         return q + 0.7 * self.rng.standard_normal((chains, len(q))) @ np.linalg.cholesky(covariance).T
 
@@ -340,9 +365,15 @@ def sample_surrogate(
         built = builder.build(start)
         building = library.solves - before
         limit = max_draws or MOST_DRAWS * draws
-        kept = draws
+        kept, again = draws, 0
         while True:
-            result = _corrected(builder, built, kept, tune, chains, cores)
+            drawn, log_weights, weights = _weighed(builder, built, kept, tune, chains, cores)
+            if not weights.trusted and again < REFITS:
+                again += 1
+                show.say(f"k-hat {weights.k_hat:.2f} of {log_weights.size} draws: they join the surrogate's")
+                built = builder.again(built, drawn, weights)
+                continue
+            result = _corrected(builder, built, drawn, log_weights, weights)
             verdict = check_convergence(result.draws, ess=goal)
             if until_ess is None or verdict.passes or kept >= limit:
                 break
@@ -409,9 +440,10 @@ class _Corrected:
     accepted: Array | None = None
 
 
-def _corrected(builder: Builder, built: Built, kept: int, tune: int, chains: int, cores: int) -> _Corrected:
-    """Chains of NUTS on the surrogate, each stored draw solved and weighed, resampled or accepted."""
-    rng = builder.rng
+def _weighed(
+    builder: Builder, built: Built, kept: int, tune: int, chains: int, cores: int
+) -> tuple[Draws, Array, Weights]:
+    """Chains of NUTS on the surrogate, each stored draw solved and weighed."""
     starts = built.starts[np.arange(chains) % len(built.starts)]
     long, gradients = nuts(
         built.made.model,
@@ -422,25 +454,31 @@ def _corrected(builder: Builder, built: Built, kept: int, tune: int, chains: int
         draws=kept * THIN,
         tune=tune,
         cores=cores,
-        seed=int(rng.integers(1 << 31)),
+        seed=int(builder.rng.integers(1 << 31)),
     )
     builder.gradients += gradients
     draws = {name: value[:, ::THIN] for name, value in long.items()}
     flat = {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
     log_weights = builder.log_weights(built.made, flat, keep=True).reshape(chains, kept)
-    weights = pareto_weights(log_weights)
-    if weights.trusted:
-        index = along_chains(weights.smoothed, rng)
-        chain = np.arange(chains)[:, None]
-        return _Corrected(
-            {name: value[chain, index] for name, value in draws.items()},
-            log_weights[chain, index],
-            weights,
-            "importance resampling",
-            f"corrected by importance resampling: k-hat {weights.k_hat:.2f}, "
-            f"{100 * weights.effective:.0f} % of {chains * kept} draws effective",
-        )
-    return _by_delayed_acceptance(builder, built, draws, log_weights, weights)
+    return draws, log_weights, pareto_weights(log_weights)
+
+
+def _corrected(
+    builder: Builder, built: Built, draws: Draws, log_weights: Array, weights: Weights
+) -> _Corrected:
+    """Weighed draws resampled along their chains, or where k-hat says no chains of delayed acceptance."""
+    if not weights.trusted:
+        return _by_delayed_acceptance(builder, built, draws, log_weights, weights)
+    index = along_chains(weights.smoothed, builder.rng)
+    chain = np.arange(len(index))[:, None]
+    return _Corrected(
+        {name: value[chain, index] for name, value in draws.items()},
+        log_weights[chain, index],
+        weights,
+        "importance resampling",
+        f"corrected by importance resampling: k-hat {weights.k_hat:.2f}, "
+        f"{100 * weights.effective:.0f} % of {log_weights.size} draws effective",
+    )
 
 
 def _by_delayed_acceptance(

@@ -18,6 +18,10 @@ POINTS_A_TERM = 1.5
 """Fewest points for each term of a polynomial that is tried."""
 
 
+MOST_TERMS = 700
+"""Most terms of a polynomial that is tried."""
+
+
 def total_degree(n: int, degree: int) -> set[tuple[int, ...]]:
     """Monomials of n variables up to a degree: sorted tuples of variables from 1 on, without a constant's."""
     return {
@@ -96,8 +100,7 @@ class Polynomial:
         rotation = directions.T @ linalg.solve_triangular(cholesky, np.eye(len(centre)), lower=True)
         v = (x - centre) @ rotation.T
         best: tuple[float, Any] = (np.inf, None)
-        most = max(1, int(len(x) / POINTS_A_TERM))
-        worse = 0
+        most = max(1, min(MOST_TERMS, int(len(x) / POINTS_A_TERM)))
         for chosen in _candidates(len(centre), most):
             terms = _table(chosen)
             features = _features(v, terms)
@@ -109,9 +112,7 @@ class Polynomial:
             errors = (values - q @ (q.T @ values)) / np.maximum(kept, 1e-6)[:, None]
             score = float((errors**2).sum(1).mean())
             if score < best[0]:
-                best, worse = (score, (terms, q, r, errors)), 0
-            else:
-                worse += 1
+                best = score, (terms, q, r, errors)
         terms, q, r, errors = best[1]
         inverse = linalg.solve_triangular(r, np.eye(len(r)))
         return cls(centre, rotation, terms, inverse @ (q.T @ values), inverse @ inverse.T, errors)
