@@ -346,11 +346,10 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
             f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
             "discrepancy goes with it: most has another cause"
         )
-    if leader in scored.components:  # its best listed effect may be held back by a bound
-        own = [n for n in scored.names if scored.belongs.get(n) == leader and n in scored.locations]
-        if not own:
+    if leader in scored.components:  # the best listed effect may be held back by a bound
+        if not scored.locations:
             return found
-        leader = max(own, key=lambda n: scored.log_z[n])
+        leader = max(scored.locations, key=lambda n: scored.log_z[n])
     effect = {p.name for p in scored.best[leader].forward.parameters[scored.best[leader].forward.asked :]}
     for p, one in at_bounds(scored.best[leader]):
         if p.name in effect:
