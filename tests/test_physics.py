@@ -83,7 +83,7 @@ ADDED = {
         "section_compliance": np.array([[0, 0, 0], [1.0, 0.2, 0.05], [0.0, 0.7, 0.1]]),
     },
     "throat": {"throat_severity": np.array([0.3, 0.0, 0.2]), "throat_length": np.array([0.3, 0.15, 0.2])},
-    "wall function": {"wall_function": WallFunction(0.9, 1.5, 0.05 * np.sin(np.arange(12)))},
+    "wall function": {"wall_function": WallFunction(0.9, 1.5, 0.03 * np.sin(np.arange(12) / 2))},
     "friction function": {"friction_function": FrictionFunction(0.0, 80.0, 1 + 0.5 * np.arange(6))},
     "junction function": {
         "junction_function": JunctionFunction(-50.0, 150.0, 80.0 * (np.arange(9) - 2) ** 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -48,7 +49,7 @@ class KnotFunction:
 
     low: float
     high: float
-    values: tuple[float, ...]
+    values: Sequence[float] | Array
 
     least_low: ClassVar[float] = -_MOST
     least: ClassVar[float] = -_MOST
