@@ -274,15 +274,19 @@ def weigh_subsets(
                 if key not in best or log_odds[i] > best[key][1]:
                     best[key] = float(log_z[i]), float(log_odds[i]), tuple(int(j) for j in part[i])
         among = sorted(among, key=lambda j: -top[j])
-    sums = {key: float(logsumexp(x)) for key, x in odds.items()}
-    total = float(logsumexp(list(sums.values())))
-    probability = {key: math.exp(x - total) for key, x in sums.items()}
+    highest = max(max(x) for x in odds.values())
+    parts = {key: sum(math.exp(one - highest) for one in x) for key, x in odds.items()}
+    total = sum(parts.values())
+    probability = {key: part / total for key, part in parts.items()}
     found = []
     ranked = sorted(best.values(), key=lambda x: -x[1])
     for z, with_odds, subset in [x for i, x in enumerate(ranked) if i < KEPT or len(x[2]) == 1]:
         amplitudes, step = linear.at(subset)
         found.append(Subset(tuple(signatures[j] for j in subset), z, with_odds, amplitudes, step))
-    inclusion = {name: float(sum(p for key, p in probability.items() if name in key)) for name in effects}
+    inclusion = dict.fromkeys(effects, 0.0)
+    for key, p in probability.items():
+        for name in key:
+            inclusion[name] += p
     return Subsets(tuple(found), probability, inclusion, _opposite(linear, names), weighed)
 
 
