@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import arviz as az
 
 METHODS = ("auto", "exact", "nuts", "surrogate")
-FEW = 6
+FEW = 12
 """Dimensions up to which chains with the forward model itself are as quick as a surrogate."""
 MOST = 60
 """Coordinates of the solves above which a polynomial surrogate needs too many of them."""
