@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from zoo.core.diagnosis.bounds import Excluded, at_bounds
 from zoo.core.diagnosis.component_answer import component_results, several_result
 from zoo.core.diagnosis.components.learned import plausible
-from zoo.core.diagnosis.components.subsets import several_effects
 from zoo.core.diagnosis.discrepancy import model_discrepancy, smooth_part
 from zoo.core.diagnosis.estimates import INTERVAL, linearised, posteriors_of
 from zoo.core.diagnosis.evidence import Fit
@@ -321,28 +320,6 @@ def _several(components: Sequence[ComponentResult]) -> str:
     return f"; of its energy {' and '.join(held)} each hold a part" if held else ""
 
 
-def _together(scored: Scored, added: Sequence[str]) -> list[str]:
-    """A warning where several listed effects, which the rounds may miss, explain more than anything else."""
-    if scored.leader in (NULL, CORRELATED):
-        return []
-    found = several_effects(scored.screened)
-    if not found.names or set(found.names) <= set(added):
-        return []
-    fit, others = found.fits[0], max(scored.log_z[n] for n in scored.names if n not in scored.invisible)
-    gain = found.gain - found.log_bayes_factor + fit.log_z - others
-    if gain < VISIBLE:
-        return []
-    places = " and ".join(
-        one.name + (f" in {one.location}" if one.location.part is not None else "")
-        for one in fit.hypothesis.added
-    )
-    factor, price = ((x / math.log(10.0)) for x in (fit.log_z - others, fit.log_z - others - gain))
-    return [
-        f"{places} together explain more than any one cause: log10 Bayes factor {factor:.1f}, of which "
-        f"{price:.1f} pay for the further effects"
-    ]
-
-
 def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
     """What should be looked at before the answer is believed."""
     data = scored.screened.screening.data
@@ -551,7 +528,6 @@ def answer(
             *hooks.warnings,
             *_lifted_warnings(excluded, hooks),
             *_warnings(gap, first, hooks),
-            *_together(first, [x.name for x in screenings[-1].added]),
         ],
         excluded=_excluded(excluded, screenings[0], rows, unit),
         hypotheses=_results(first, seed, known, hooks),
