@@ -57,7 +57,7 @@ LIMITS = {
     "wall-in-time": Limit(
         2.0,
         "the walls' stiffness would have to change within the beat",
-        "passive walls creep by some per cent in a beat, and muscle is slower than a beat",
+        "viscous stress is some per cent of the elastic one, and muscle is slower than a mouse's beat",
     ),
     "stiffness-scatter": Limit(
         2.5,

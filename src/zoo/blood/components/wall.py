@@ -36,7 +36,7 @@ TIME_KNOTS = 24
 TIME_SAMPLES = 256
 """Times of the beat at which the solver is told the stiffness, linear between."""
 TIME_LENGTHS_BEATS = (0.05, 0.1, 0.2)
-TIME_SIZE = 0.05
+TIME_SIZE = 0.025
 SCATTER_SIZE = 0.2
 
 
@@ -145,7 +145,9 @@ def functions(setting: Setting) -> tuple[FreeFunction, ...]:
             "time",
             "s",
             "log stiffness",
-            why="assumed: 5 %; walls creep and relax, and muscle may pull within a beat",
+            why="2.5 %: a wall's radius lags little behind the pressure (Bergel 1961, "
+            "doi 10.1113/jphysiol.1961.sp006687); assumed a viscous stress of a tenth of the pulsatile one, "
+            "whose root mean square is a fourth of the mean; muscle is slower than a mouse's beat",
             lengths=tuple(part * period for part in TIME_LENGTHS_BEATS),
             period=period,
             equation="p = exp(v(t)) wall(A), v periodic, one for all vessels",
