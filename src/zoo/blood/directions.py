@@ -43,11 +43,11 @@ Direction = Sequence[Point]
 class Derivatives:
     """A solve and its derivatives in several directions.
 
-    `solution` is the solve's `Solution`. `pressure_mmHg`, `flow_ml_s` and `area_cm2` have shape (n_directions,
-    n_series, n_times) and are NaN where the solve, or its derivatives, failed. `beats` counts linearised
-    beats, `vectors` the starts that went through one beside the directions themselves, `stepped` the points
-    whose steps were computed one by one (geometry, blood, additions). `residual` is the estimated error that is
-    left, over a direction's largest derivative of the pressure.
+    `solution` is the solve's `Solution`. `pressure_mmHg`, `flow_ml_s` and `area_cm2` have shape
+    (n_directions, n_series, n_times) and are NaN where the solve, or its derivatives, failed. `beats` counts
+    linearised beats, `vectors` the starts that went through one beside the directions themselves, `stepped`
+    the points whose steps were computed one by one (geometry, blood, additions). `residual` is the estimated
+    error that is left, over a direction's largest derivative of the pressure.
     """
 
     solution: Any
