@@ -68,9 +68,9 @@ def main() -> None:
             )
             if size == 5 or wall == "linear":
                 result[f"gradient_{size}_over_primal_{wall}"] = both / primal
+            beats = f"{found.beats} linearised beats beside the solve's {found.solution.beats}"
             print(
-                f"{wall}, {len(chosen)} directions: {both / primal:.2f} times the solve's {1e3 * primal:.1f} ms, "
-                f"{found.beats} linearised beats beside the solve's {found.solution.beats}"
+                f"{wall}, {len(chosen)} directions: {both / primal:.2f} times {1e3 * primal:.1f} ms, {beats}"
             )
     options.output.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
 
