@@ -295,7 +295,7 @@ def score(
         for q, e in screened.noise.items()
     )
     # what leaves most of the discrepancy to something else is no cause of it: that is unlisted
-    most = MOSTLY**2 * max(0.0, screening.missed(screened.base) - floor)
+    most = MOSTLY**2 * max(0.0, screening.missed(screened.least) - floor)
     log_more = {
         n: math.log(prior[n] * PRIOR_NONPARAMETRIC) + z
         for n, z in with_more.items()
