@@ -29,6 +29,7 @@ static void make(arguments *a, int wall, int added, int coupled, int windkessel)
     p->outlet.C = a->C;
     if (added) {
         tree_add(&a->t, &a->x);
+        p->fluid.friction_function = (zoo_function){0}; /* has kinks at its ends, where differences are of no use */
         a->x.length[3] = 0.73 * tree_length[3]; /* whose ends are no nodes or midpoints: there its slope has a kink */
         for (int k = 0; k < NV; k++) {
             a->behind[k] = 300.0 * k;
@@ -39,7 +40,7 @@ static void make(arguments *a, int wall, int added, int coupled, int windkessel)
         p->wall.stiffness_ratio = a->ratio;
         p->wall.stiffness_exponent = a->exponent;
         if (!coupled)
-            p->junction = (zoo_junction){0.0, 0.0};
+            p->junction.total_pressure = p->junction.loss = 0.0;
         if (windkessel)
             p->outlet.kind = ZOO_OUTLET_WINDKESSEL;
     }
@@ -96,7 +97,7 @@ static double larger(double x, double y)
     return isnan(x) || x > y ? x : y;
 }
 
-static arguments given, point[2], shifted;
+static arguments given, shifted;
 static double wave[4][3][SAMPLES];
 
 static void solve(arguments *a, double to[3][SAMPLES])
