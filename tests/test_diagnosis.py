@@ -10,7 +10,7 @@ import pytest
 
 from made import made
 from zoo import load_study
-from zoo.blood.diagnosis import PHASES, StudyDiagnosis, diagnose, errors_of, phases
+from zoo.blood.diagnosis import PHASES, StudyDiagnosis, _of_size, diagnose, errors_of, phases
 from zoo.blood.forward import study_data
 from zoo.core.diagnosis import DiagnosisError, DiagnosisFile, read_diagnosis
 from zoo.core.diagnosis.answer import _warnings
@@ -276,3 +276,13 @@ def test_a_study_whose_noise_is_given_is_diagnosed_with_it(jitter: StudyDiagnosi
     assert file.record["noise"]["pressure_mmHg"]["sigma"] == pytest.approx(0.1)
     with pytest.raises(DiagnosisError, match="noise_sd: differs between the series"):
         errors_of(replace(study, noise_sd={study.series[0].label: 0.4}), data)
+
+
+def test_prior_sizes_of_components_have_a_factor(jitter: StudyDiagnosis) -> None:
+    with pytest.raises(DiagnosisError, match="component_sizes = 0"):
+        diagnose(jitter.study, component_sizes=0.0)
+    screening = jitter.rounds[0].screened.screening
+    theta = jitter.rounds[0].screened.least.values
+    plain, twice = (_of_size(k)(screening.baseline, theta, jitter.data) for k in (1.0, 2.0))
+    assert [one.size for one in twice] == [2.0 * one.size for one in plain]
+    assert jitter.file.record["component_sizes"] == 1.0

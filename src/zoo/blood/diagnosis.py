@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from zoo.blood.forward import study_data
 from zoo.blood.priors import with_priors
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study, suspect_units
+from zoo.core.components import FreeFunction
 from zoo.core.data import Data
 from zoo.core.diagnosis import Candidate, Diagnosis, DiagnosisError, Hooks
 from zoo.core.diagnosis import diagnose as diagnose_data
@@ -155,6 +157,15 @@ def effects_for(baseline: str, given: Iterable[str | Effect] | None = None) -> t
     return found
 
 
+def _of_size(factor: float) -> Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]]:
+    """The components' functions with prior sizes a factor larger."""
+
+    def scaled(model: ForwardModel, theta: Array, data: Data) -> list[FreeFunction]:
+        return [replace(one, size=factor * one.size) for one in components(model, theta, data)]
+
+    return components if factor == 1.0 else scaled
+
+
 def errors_of(study: Study, data: Data) -> Spectral:
     """The errors of a diagnosis: the white noise of the study's `noise_sd`, fitted where it gives none.
 
@@ -188,6 +199,7 @@ def diagnose(
     conventions: Conventions | None = None,
     options: SolverOptions | None = None,
     priors: Mapping[str, Any] | None = None,
+    component_sizes: float = 1.0,
     cores: int = 2,
     seed: int = 1,
     tick: Callable[[str, float], None] | None = None,
@@ -212,6 +224,9 @@ def diagnose(
         Numerical settings; those of the study, with a tighter tolerance than for sampling, if absent.
     priors : mapping, optional
         Instead of some of the study's own, as in `zoo.blood.baseline.Settings`.
+    component_sizes : float
+        Factor of the prior sizes of what components may lack (docs/components.md): half and double tell how
+        much of an answer they made.
     max_effects, exhaust, cores, seed, tick, folder
         As in `zoo.core.diagnosis.diagnose`.
 
@@ -239,6 +254,8 @@ def diagnose(
             f"{study.source}: study {study.name!r} has no observations: a diagnosis needs at least one "
             "series of eight samples; add observations.csv"
         )
+    if not (component_sizes > 0.0 and math.isfinite(component_sizes)):
+        raise DiagnosisError(f"component_sizes = {component_sizes}: must be positive and finite")
     chosen = get_baseline(base)
     study = with_priors(study, priors)
     forward = chosen.forward(study, conventions=conventions, options=options, share=SEARCH_SHARE)
@@ -248,7 +265,9 @@ def diagnose(
         forward,
         effects_for(forward.name, effects),
         errors=errors_of(study, data),
-        hooks=replace(HOOKS, warnings=tuple(map(str, suspect_units(study)))),
+        hooks=replace(
+            HOOKS, warnings=tuple(map(str, suspect_units(study))), components=_of_size(component_sizes)
+        ),
         max_effects=max_effects,
         exhaust=exhaust,
         posteriors=posteriors or confirm,
@@ -257,6 +276,7 @@ def diagnose(
         tick=tick,
         folder=folder,
     )
+    found.file.record["component_sizes"] = component_sizes
     return of_study(found, study, {p.name: p.prior.text for p in forward.parameters})
 
 

@@ -65,6 +65,14 @@ def diagnose(
             help="Add the best listed effects even where a nonparametric discrepancy explains more.",
         ),
     ] = False,
+    component_sizes: Annotated[
+        float,
+        typer.Option(
+            "--component-sizes",
+            help="Factor of the prior sizes of what components may lack: try 0.5 and 2.",
+            metavar="FACTOR",
+        ),
+    ] = 1.0,
     cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time.")] = 2,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     quiet: QuietOption = False,
@@ -110,6 +118,7 @@ def diagnose(
         words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]
         words += ["--posteriors"] if posteriors else []
         words += ["--max-effects", str(max_effects)]
+        words += [] if component_sizes == 1.0 else ["--component-sizes", f"{component_sizes:g}"]
         words += ["--exhaust"] if exhaust else []
         words += ["--effects", ",".join(names)] if names else []
         words += plugins.words()
@@ -126,6 +135,7 @@ def diagnose(
             loaded,
             chosen.name,
             max_effects=max_effects,
+            component_sizes=component_sizes,
             exhaust=exhaust,
             effects=names,
             conventions=own,
