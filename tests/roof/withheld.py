@@ -47,7 +47,8 @@ def made(*series: tuple[int, float, str]) -> Study:
     return replace(study, series=tuple(Series(*s, w) for s, w in zip(series, noisy, strict=True)))
 
 
-FILES = ["diagnosis.json", "report.html", "gap.png", "hypotheses.png", "where.png", "diagnosis.png"]
+FIGURES = ["gap", "hypotheses", "where", "components", "functions", "impedance", "diagnosis"]
+FILES = ["diagnosis.json", "report.html", *(f"{name}.png" for name in FIGURES)]
 
 POSTERIORS = {
     name: {

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
 from zoo.core.inference.mode import has_many
+from zoo.core.inference.sampling import check_settings
 from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.inference.surrogate import sample_surrogate
 from zoo.core.inference.with_gradient import has_gradient, sample_nuts
@@ -109,6 +111,8 @@ def sample(
     SamplingError
         If the method cannot be had, or has no use for a setting.
     """
+    known = inspect.signature(check_settings).parameters
+    check_settings(**{name: value for name, value in settings.items() if name in known})
     asked = {n: v for n, v in settings.items() if n in ONLY_EXACT and v not in ONLY_EXACT[n]}
     taken, reason = choose(model, method, checkpoint=checkpoint)
     if method == "auto" and asked:

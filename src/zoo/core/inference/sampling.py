@@ -134,7 +134,7 @@ def sample(
     ter Braak, Vrugt (2008), doi 10.1007/s11222-008-9104-9; Vehtari et al. (2021), doi 10.1214/20-BA1221.
     """
     _check_model(model)
-    _check_settings(draws, tune, chains, cores, step, thin, seed, until_ess, max_draws)
+    check_settings(draws, tune, chains, cores, step, thin, seed, until_ess, max_draws)
     began = time.monotonic()
     folder = None if checkpoint is None else Folder(Path(checkpoint))
     try:
@@ -321,17 +321,24 @@ def _check_model(model: Any) -> None:
         )
 
 
-def _check_settings(
-    draws: int,
-    tune: int | None,
-    chains: int,
-    cores: int,
-    step: str,
-    thin: int | None,
-    seed: int | None,
-    until_ess: float | None,
-    max_draws: int | None,
+def check_settings(
+    draws: int = 1,
+    tune: int | None = None,
+    chains: int = 1,
+    cores: int = 1,
+    step: str = STEPS[0],
+    thin: int | None = None,
+    seed: int | None = None,
+    until_ess: float | None = None,
+    max_draws: int | None = None,
 ) -> None:
+    """Refuse settings of `sample` that cannot be.
+
+    Raises
+    ------
+    SamplingError
+        That names the setting and its value.
+    """
     least = {
         "draws": (draws, 1),
         "tune": (tune, 0),
