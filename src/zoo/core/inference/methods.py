@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -117,12 +118,11 @@ def sample(
     taken, reason = choose(model, method, checkpoint=checkpoint)
     if method == "auto" and asked:
         taken, reason = "exact", f"{next(iter(asked))} is a setting of it"
-    if method == "auto" and settings.get("progress", True):
-        import sys
-
-        print(f"model {model_name(model)}: method {taken}: {reason}", file=sys.stderr)
+    words = f"model {model_name(model)}: method {taken}: {reason}" if method == "auto" else ""
     if taken == "exact":
-        return sample_exact(model, checkpoint=checkpoint, **_without(settings, "library"))
+        return sample_exact(model, checkpoint=checkpoint, preface=words, **_without(settings, "library"))
+    if words and settings.get("progress", True):
+        print(words, file=sys.stderr)
     for name, value in asked.items():
         raise SamplingError(
             f"{name} = {value}: method {taken} has no use for it; leave it out, or use method exact"

@@ -72,6 +72,7 @@ def sample(
     max_draws: int | None = None,
     start: Mapping[str, ArrayLike] | Mode | None = None,
     step_options: Mapping[str, Any] | None = None,
+    preface: str = "",
 ) -> az.InferenceData:
     """Sample a model's posterior, resumably, with a process for each chain.
 
@@ -115,6 +116,9 @@ def sample(
         Values to search the mode from, or the result of `find_mode`.
     step_options : mapping, optional
         Arguments of the step method instead of the defaults, such as `crank_nicolson=0`.
+
+    preface : str
+        A line that is shown first, once nothing speaks against the run.
 
     Returns
     -------
@@ -175,6 +179,8 @@ def sample(
         stored["sittings"] += 1
         earlier = float(stored["wall_seconds"])
         with Display(progress, tune=tune, thin=thin, cores=cores, ess=until_ess) as show:
+            if preface:
+                show.say(preface)
             show.say(_opening(model, d, settings, stored))
             if "grid" in identity["solver options"]:
                 show.say(identity["solver options"]["grid"])
