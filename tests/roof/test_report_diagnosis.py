@@ -213,7 +213,7 @@ def page(three: Diagnosis, tmp_path_factory: pytest.TempPathFactory) -> Element:
 
 
 def test_the_page_is_whole_and_loads_nothing(page: Element) -> None:
-    assert [i.attributes["src"].startswith("data:image/png;base64,") for i in page.all("img")] == [True] * 3
+    assert [i.attributes["src"].startswith("data:image/png;base64,") for i in page.all("img")] == [True] * 6
     assert page.all("script") == []
     assert "url(" not in page.all("style")[0].text
     assert ".summary" in page.all("style")[0].text
