@@ -7,7 +7,7 @@ int zoo_has_additions(const zoo_problem *pr, const int *children)
 {
     int nv = pr->network.n_vessels;
     return pr->numerics.additions || pr->junction.total_pressure != 0.0 || pr->junction.loss != 0.0 ||
-           pr->junction.function.n_knots || pr->fluid.friction_function.n_knots ||
+           pr->wall.function.n_knots || pr->junction.function.n_knots || pr->fluid.friction_function.n_knots ||
            values_differ(pr->wall.offset_in, nv, 0.0) || values_differ(pr->wall.offset_out, nv, 0.0) ||
            values_differ(pr->wall.viscoelastic_time, nv, 0.0) || values_differ(pr->fluid.leak, nv, 0.0) ||
            (pr->throat.loss != 0.0 && values_differ(pr->throat.severity, nv, 0.0)) ||

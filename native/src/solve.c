@@ -6,9 +6,12 @@
 
 enum { FEWEST_FOR_LANES = 3 }; /* below this the lanes would mostly be empty */
 
-static int lanes_for(int64_t n_sets)
+/* No loops over lanes are made for functions (step.c). */
+static int lanes_for(const zoo_problem *pr, int64_t n_sets)
 {
-    return n_sets >= FEWEST_FOR_LANES ? ZOO_LANES : 1;
+    const int functions =
+        pr->wall.function.n_knots || pr->fluid.friction_function.n_knots || pr->junction.function.n_knots;
+    return n_sets >= FEWEST_FOR_LANES && !functions ? ZOO_LANES : 1;
 }
 
 /* Whether the caller's arrays of n_sets rows, of parameters or of samples, are longer than memory can be. */
@@ -29,7 +32,7 @@ int32_t zoo_workspace_size(const zoo_problem *problem, int64_t n_sets, int64_t *
         return status;
     if (rows_too_long(problem, n_sets))
         return ZOO_BAD_ARGUMENT;
-    const int64_t used = zoo_layout(problem, lanes_for(n_sets), &sim, NULL);
+    const int64_t used = zoo_layout(problem, lanes_for(problem, n_sets), &sim, NULL);
     if (used < 0)
         return ZOO_WORKSPACE;
     *bytes = used + 64;
@@ -63,7 +66,7 @@ int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_paramete
     zoo_sim sim;
     int built = 0;
     while (done < n_sets) {
-        int lanes = lanes_for(n_sets - done);
+        int lanes = lanes_for(problem, n_sets - done);
         if (lanes != built) {
             if (zoo_layout(problem, lanes, &sim, base) < 0)
                 return ZOO_WORKSPACE;

@@ -17,63 +17,91 @@
 #endif
 
 /* The parts of a step with law, lanes W and additions known to the compiler. */
-#define PARTS_OF_STEP(name, law, W, extra)                                                                   \
-    ZOO_CLONES static void half_##name(zoo_sim *s)                                                           \
-    {                                                                                                        \
-        scheme_half(law, W, extra, s);                                                                       \
-        if (extra && s->problem->fluid.friction_function.n_knots)                                            \
-            scheme_friction(W, s, s->n_nodes - 1, s->Ah, s->qh, s->inv_A0_mid, s->f_s_mid, s->f_c_mid, s->Gh); \
-    }                                                                                                        \
-    ZOO_CLONES static void junctions_##name(zoo_sim *s)                                                      \
-    {                                                                                                        \
-        for (int g = 0; g < s->n_groups; g++)                                                                \
-            if (extra && s->coupled && s->tables)                                                            \
-                junction_total_pressure(law, W, 1, s, &s->groups[g]);                                        \
-            else if (extra && s->coupled)                                                                    \
-                junction_total_pressure(law, W, 0, s, &s->groups[g]);                                        \
-            else if (extra && s->tables)                                                                     \
-                junction_body(law, W, extra, 1, s, &s->groups[g]);                                           \
-            else                                                                                             \
-                junction_body(law, W, extra, 0, s, &s->groups[g]);                                           \
-    }                                                                                                        \
-    ZOO_CLONES static void ends_##name(zoo_sim *s, int step)                                                 \
-    {                                                                                                        \
-        outlet_advance(law, W, extra, s);                                                                    \
-        inlet_advance(law, W, extra, s, step);                                                               \
-    }                                                                                                        \
-    ZOO_CLONES static int full_##name(zoo_sim *s)                                                            \
-    {                                                                                                        \
-        const int wrong = scheme_full(law, W, extra, 1, s);                                                  \
-        if (extra && s->problem->fluid.friction_function.n_knots)                                            \
-            scheme_friction(W, s, s->n_nodes, s->A, s->q, s->inv_A0, s->f_s, s->f_c, s->G);                  \
-        return wrong;                                                                                        \
-    }                                                                                                        \
-    static int name(zoo_sim *s, int step)                                                                    \
-    {                                                                                                        \
-        half_##name(s);                                                                                      \
-        junctions_##name(s);                                                                                 \
-        ends_##name(s, step);                                                                                \
-        return full_##name(s);                                                                               \
+#define PARTS_OF_STEP(name, law, W, extra)                                              \
+    ZOO_CLONES static void half_##name(zoo_sim *s)                                      \
+    {                                                                                   \
+        scheme_half(law, W, extra, s);                                                  \
+    }                                                                                   \
+    ZOO_CLONES static void junctions_##name(zoo_sim *s)                                 \
+    {                                                                                   \
+        for (int g = 0; g < s->n_groups; g++)                                           \
+            if (extra && s->coupled)                                                    \
+                junction_total_pressure(law, W, 0, s, &s->groups[g]);                   \
+            else                                                                        \
+                junction_body(law, W, extra, 0, s, &s->groups[g]);                      \
+    }                                                                                   \
+    ZOO_CLONES static void ends_##name(zoo_sim *s, int step)                            \
+    {                                                                                   \
+        outlet_advance(law, W, extra, s);                                               \
+        inlet_advance(law, W, extra, s, step);                                          \
+    }                                                                                   \
+    ZOO_CLONES static int full_##name(zoo_sim *s)                                       \
+    {                                                                                   \
+        return scheme_full(law, W, extra, 1, s);                                        \
+    }                                                                                   \
+    static int name(zoo_sim *s, int step)                                               \
+    {                                                                                   \
+        half_##name(s);                                                                 \
+        junctions_##name(s);                                                            \
+        ends_##name(s, step);                                                           \
+        return full_##name(s);                                                          \
     }
-#define STEPS_OF_LAW(NAME, name, ...)                              \
-    PARTS_OF_STEP(plain_##name##_1, ZOO_WALL_##NAME, 1, 0)         \
-    PARTS_OF_STEP(plain_##name##_n, ZOO_WALL_##NAME, ZOO_LANES, 0) \
-    PARTS_OF_STEP(added_##name##_1, ZOO_WALL_##NAME, 1, 1)         \
-    PARTS_OF_STEP(added_##name##_n, ZOO_WALL_##NAME, ZOO_LANES, 1) \
-    PARTS_OF_STEP(plain_##name##_function_1, ZOO_WALL_##NAME + ZOO_N_WALLS, 1, 0)         \
-    PARTS_OF_STEP(plain_##name##_function_n, ZOO_WALL_##NAME + ZOO_N_WALLS, ZOO_LANES, 0) \
-    PARTS_OF_STEP(added_##name##_function_1, ZOO_WALL_##NAME + ZOO_N_WALLS, 1, 1)         \
-    PARTS_OF_STEP(added_##name##_function_n, ZOO_WALL_##NAME + ZOO_N_WALLS, ZOO_LANES, 1)
+
+/* The same for one set at a time with functions of the friction or the junctions (s->tables), which stand apart, so
+ * that the loops without them are compiled as if there were none. */
+#define PARTS_WITH_TABLES(name, law)                                                    \
+    ZOO_CLONES static void junctions_tables_##name(zoo_sim *s)                          \
+    {                                                                                   \
+        for (int g = 0; g < s->n_groups; g++)                                           \
+            if (s->coupled)                                                             \
+                junction_total_pressure(law, 1, 1, s, &s->groups[g]);                   \
+            else                                                                        \
+                junction_body(law, 1, 1, 1, s, &s->groups[g]);                          \
+    }                                                                                   \
+    static int tables_##name(zoo_sim *s, int step)                                      \
+    {                                                                                   \
+        half_##name(s);                                                                 \
+        friction_half(s);                                                               \
+        junctions_tables_##name(s);                                                     \
+        ends_##name(s, step);                                                           \
+        const int wrong = full_##name(s);                                               \
+        friction_full(s);                                                               \
+        return wrong;                                                                   \
+    }
+
+/* What a function of the friction adds at midpoints and nodes. */
+ZOO_CLONES static void friction_half(zoo_sim *s)
+{
+    if (s->problem->fluid.friction_function.n_knots)
+        scheme_friction(1, s, s->n_nodes - 1, s->Ah, s->qh, s->inv_A0_mid, s->f_s_mid, s->f_c_mid, s->Gh);
+}
+
+ZOO_CLONES static void friction_full(zoo_sim *s)
+{
+    if (s->problem->fluid.friction_function.n_knots)
+        scheme_friction(1, s, s->n_nodes, s->A, s->q, s->inv_A0, s->f_s, s->f_c, s->G);
+}
+
+/* Functions are taken for one set at a time, in the loops with additions: a law with a function is compiled once. */
+#define STEPS_OF_LAW(NAME, name, ...)                                        \
+    PARTS_OF_STEP(plain_##name##_1, ZOO_WALL_##NAME, 1, 0)                   \
+    PARTS_OF_STEP(plain_##name##_n, ZOO_WALL_##NAME, ZOO_LANES, 0)           \
+    PARTS_OF_STEP(added_##name##_1, ZOO_WALL_##NAME, 1, 1)                   \
+    PARTS_OF_STEP(added_##name##_n, ZOO_WALL_##NAME, ZOO_LANES, 1)           \
+    PARTS_OF_STEP(added_##name##_function, ZOO_WALL_##NAME + ZOO_N_WALLS, 1, 1) \
+    PARTS_WITH_TABLES(added_##name##_1, ZOO_WALL_##NAME)                     \
+    PARTS_WITH_TABLES(added_##name##_function, ZOO_WALL_##NAME + ZOO_N_WALLS)
 ZOO_WALLS(STEPS_OF_LAW, )
 
-#define STEP_OF(number, name)                                                             \
-    case number:                                                                          \
-        if (s->extra)                                                                     \
-            return s->lanes == 1 ? added_##name##_1(s, step) : added_##name##_n(s, step); \
-        return s->lanes == 1 ? plain_##name##_1(s, step) : plain_##name##_n(s, step);
-#define STEP_OF_LAW(NAME, name, ...) \
-    STEP_OF(ZOO_WALL_##NAME, name)   \
-    STEP_OF(ZOO_WALL_##NAME + ZOO_N_WALLS, name##_function)
+#define STEP_OF_LAW(NAME, name, ...)                                                                    \
+    case ZOO_WALL_##NAME:                                                                               \
+        if (s->tables)                                                                                  \
+            return tables_added_##name##_1(s, step);                                                    \
+        if (s->extra)                                                                                   \
+            return s->lanes == 1 ? added_##name##_1(s, step) : added_##name##_n(s, step);               \
+        return s->lanes == 1 ? plain_##name##_1(s, step) : plain_##name##_n(s, step);                   \
+    case ZOO_WALL_##NAME + ZOO_N_WALLS:                                                                 \
+        return s->tables ? tables_added_##name##_function(s, step) : added_##name##_function(s, step);
 
 int zoo_step(zoo_sim *s, int step)
 {

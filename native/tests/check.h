@@ -180,6 +180,13 @@ static inline void tree_close(tree *t)
     t->memory = NULL;
 }
 
+/* What only loops with additions have, of walls without a memory and outlets at rest: a law with a function has them. */
+static inline void tree_without_memory(zoo_sim *s)
+{
+    memset(s->z, 0, s->extra ? (size_t)s->n_nodes * sizeof(double) : 0);
+    memset(s->outlets.carry, 0, (size_t)s->outlets.rows.flows * s->outlets.count * sizeof(double));
+}
+
 /* Blood in all vessels of one lane, ml: whole cells inside, half cells at the ends. */
 static inline double tree_volume(const zoo_sim *s, int lane)
 {

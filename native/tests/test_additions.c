@@ -111,10 +111,17 @@ static void balance(int wall, int coupled)
     tree_close(&one);
 }
 
+/* Functions are taken for one set at a time: lanes have no loops for them. */
+static void without_functions(tree *t)
+{
+    t->problem.wall.function = t->problem.fluid.friction_function = t->problem.junction.function = (zoo_function){0};
+}
+
 static void lanes(int wall)
 {
     tree_make(&many, wall);
     tree_add(&many, &x);
+    without_functions(&many);
     tree_open(&many, ZOO_LANES, 4096);
     zoo_start(&many.sim);
     for (int i = 0; i < 800; i++)
@@ -122,6 +129,7 @@ static void lanes(int wall)
     for (int lane = 0; lane < ZOO_LANES; lane += 5) {
         tree_make(&one, wall);
         tree_add(&one, &x);
+        without_functions(&one);
         one.parameters = tree_from(&one, lane);
         tree_open(&one, 1, 4096);
         zoo_start(&one.sim);
@@ -218,8 +226,10 @@ static void no_further_loops(void)
 int main(void)
 {
     for (int wall = 0; wall < N_WALLS_IN_TESTS; wall++) {
-        nothing(wall, 1);
-        nothing(wall, ZOO_LANES);
+        if (wall < ZOO_N_WALLS) { /* a law with a function has no plain loops */
+            nothing(wall, 1);
+            nothing(wall, ZOO_LANES);
+        }
         for (int i = 0; i < 4; i++)
             rest(wall, i & 1, i >> 1);
         balance(wall, 0);

@@ -24,7 +24,7 @@ static void values(int wall, int lanes)
     vary(wall, 1);
     tree_open(&one, lanes, 4096);
     const zoo_sim *s = &one.sim;
-    CHECK(s->varying && !s->uniform && s->K_mid != s->K && !s->extra);
+    CHECK(s->varying && !s->uniform && s->K_mid != s->K && s->extra == wall_has_function(wall));
     for (int k = 0; k < NV; k++)
         for (int j = s->first[k]; j <= s->last[k]; j++)
             for (int l = 0; l < lanes; l++) {
@@ -53,6 +53,7 @@ static double stirred(int wall, int finer, double p)
     }
     for (int t = 0; t < s->outlets.count; t++)
         outlet_start(s, t, 0);
+    tree_without_memory(s);
     zoo_refresh_nodes(s);
     for (int j = 0; j < s->n_nodes; j++)
         NEAR(s->P[j], p, 1e-9 * p);
