@@ -101,6 +101,8 @@ class StatedComponent:
         Of the discrepancy's energy.
     functions : tuple of StatedFunction
         The most probable first.
+    one_of_several : bool
+        It is said that others hold part of the discrepancy too.
     """
 
     name: str
@@ -108,6 +110,7 @@ class StatedComponent:
     group: Hashable
     share: float | None = None
     functions: tuple[StatedFunction, ...] = ()
+    one_of_several: bool = False
 
 
 @dataclass(frozen=True)
@@ -297,7 +300,7 @@ def _component(found: ComponentResult) -> StatedComponent:
         for f in found.functions
     )
     share = found.share.mean if found.share else None
-    return StatedComponent(found.name, found.probability, found.group, share, functions)
+    return StatedComponent(found.name, found.probability, found.group, share, functions, found.one_of_several)
 
 
 def fitted_series(found: Diagnosis) -> Fitted:

@@ -74,8 +74,9 @@ class ComponentScore:
     log_score, brier : float
         Of the probability of what is right.
     both, one : bool or None
-        Of a pair: both (or one) of its components are among the two with the largest shares of the
-        discrepancy, or share a group of two with one of them.
+        Of a pair: both (or one) of its components are among the two that are named as holding the discrepancy
+        together (where none are, that have the largest shares of it), or share a group of two with one of
+        them.
     noise_recognised : bool or None
         Without a cause: the leading explanation is "no-gap", or "correlated-noise" is in its group.
     learned : Learned or None
@@ -207,14 +208,14 @@ def _wrong_and_sure(
 
 
 def _of_two(key: CaseKey, answer: Answer) -> tuple[bool, bool]:
-    """Whether both components, and one of them, are among the first two."""
+    """Whether both components, and one of them, are among the two that are named or hold most."""
     shares = [c.share for c in answer.components]
     size = [c.probability if None in shares else float(c.share or 0.0) for c in answer.components]
-    order = np.argsort(-np.array(size), kind="stable")[:2]
+    order = sorted(range(len(size)), key=lambda i: (-answer.components[i].one_of_several, -size[i]))
     said: set[str] = set()
-    for i in order:
-        group = _group(answer, answer.components[int(i)].name)
-        said |= set(group) if len(group) <= SMALL_GROUP else {answer.components[int(i)].name}
+    for i in order[:2]:
+        group = _group(answer, answer.components[i].name)
+        said |= set(group) if len(group) <= SMALL_GROUP else {answer.components[i].name}
     hits = sum(name in said for name in key.components)
     return hits == len(key.components), hits > 0
 

@@ -254,7 +254,8 @@ def _left(
     found = {}
     for name, component in scored.components.items():
         fit = component.best.fit
-        d = known.get(name) or discrepancy_of(scored.screened, fit, seed, known_noise=True)
+        d = known.get(name) if scored.best[name] is fit else None
+        d = d or discrepancy_of(scored.screened, fit, seed, known_noise=True)
         if d.pooled(rows).mean() > known[NULL].pooled(rows).mean():
             d = known[NULL]
         found[name] = d.interval(rows)
@@ -291,6 +292,12 @@ def _verdict(scored: Scored, gap: Gap) -> str:
     twins = f", which these data cannot tell from {', '.join(members[1:])}" if len(members) > 1 else ""
     grouped = " with its group" if twins else ""
     shrinks = f"the discrepancy of {gap.before:.2g}{unit} shrinks to {gap.after:.2g}{unit}"
+    if scored.pair:
+        return (
+            f"the components {' and '.join(scored.pair.names)} are not as the baseline has them, and no "
+            f"listed effect is what they lack ({dict(scored.pairs)[scored.pair]:.0%}{grouped}): with "
+            f"{' and '.join(scored.pair.functions)} learned from the data {shrinks}"
+        )
     if leader in scored.components:
         function = scored.components[leader].best.function
         beside = scored.more.get(leader, 0.0) > scored.probability[leader]
@@ -507,12 +514,14 @@ def answer(
         values = fit.values
         sds = fit.sd
         # weights of a free function mean nothing one by one
-        shown = fit.forward.parameters[: fit.forward.asked if first.leader in first.components else None]
+        shown = fit.forward.parameters[: fit.forward.n_base if first.leader in first.components else None]
         parameters[label] = {p.name: float(values[i]) for i, p in enumerate(shown)} | {
             f"{p.name} sd": float(sds[i] * (values[i] if p.log else 1.0)) for i, p in enumerate(shown)
         }
     known = {NULL: before} | ({first.leader: after} if caused else {})
     members = first.members(first.leader)
+    if first.pair:
+        members = [*first.pair.names, *(m for m in members[1:] if m not in first.pair.names)]
     components = component_results(
         first, _left(first, seed, known, rows), unit, data.groups[rows[0]], hooks.plausible, seed
     )

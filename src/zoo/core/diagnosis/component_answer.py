@@ -86,7 +86,8 @@ def _beside_each_other(
     order = ranked(scored)
     clean = {q: replace(e, delta=0.0) for q, e in scored.components[order[0]].best.learned.noise.items()}
     noise = clean if scored.leader in scored.components else dict(scored.screened.noise)
-    problem = replace(explained.linearised, noise=noise)
+    around = scored.pair.around if scored.pair else explained.linearised
+    problem = replace(around, noise=noise)
     found = shares_of(problem, group=group, seed=seed)
     draws = dict(zip(found.names, found.draws.T, strict=True))
     if SENSOR in draws:
@@ -109,7 +110,7 @@ def _beside_each_other(
         )
         for (name,) in asked
     }
-    several = pair_of(found)
+    several = scored.pair.names if scored.pair else pair_of(found)
     return shares, held, several if len(several) > 1 else ()
 
 
@@ -157,18 +158,26 @@ def component_results(
     found = []
     for name in ranked(scored):
         component = scored.components[name]
-        best, after = component.best, gap_after[name]
+        after = gap_after[name]
+        if scored.pair and name == scored.pair.second.name:
+            component = scored.pair.second  # what it is beside the other
+        best = component.best
         near = nearest_effects(best, effects, explained.linearised, S)
         found.append(
             ComponentResult(
                 name=name,
                 probability=total[name],
                 own_probability=scored.standing(name),
-                log_evidence=component.log_evidence,
-                log10_bayes_factor=(component.log_evidence - scored.log_z[NULL]) / math.log(10.0),
+                log_evidence=scored.log_z[name],
+                log10_bayes_factor=(scored.log_z[name] - scored.log_z[NULL]) / math.log(10.0),
                 group=group[name],
                 share=shares.get(name),
                 one_of_several=name in several,
+                together={
+                    next(n for n in pair.names if n != name): p
+                    for pair, p in scored.pairs
+                    if name in pair.names
+                },
                 held_out=held.get(name),
                 gap_after=after.mean,
                 gap_after_interval=(after.low, after.high),

@@ -17,6 +17,7 @@ from zoo.core import digests
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import FitDiscrepancy, answer
 from zoo.core.diagnosis.bounds import Excluded, freed
+from zoo.core.diagnosis.components.pairs import pairs_of
 from zoo.core.diagnosis.components.refining import explain
 from zoo.core.diagnosis.components.subsets import several_effects
 from zoo.core.diagnosis.evidence import Fit
@@ -162,8 +163,11 @@ def _scored(
     theta = screened.base.values
     functions = hooks.components(screening.baseline, theta, screening.data)
     belongs = {name: hooks.component_of(one) for name, one in screening.effects.items()}
-    explained = explain(screened, functions, cores=cores, tick=tick) if functions else None
-    scored = score(screened, explained, more, belongs | {NONPARAMETRIC: SENSOR})
+    if not functions:
+        return replace(score(screened, None, more, belongs | {NONPARAMETRIC: SENSOR}), several=several)
+    explained = explain(screened, functions, cores=cores, tick=tick)
+    pairs = pairs_of(screened, explained, functions, cores=cores, tick=tick)
+    scored = score(screened, explained, more, belongs | {NONPARAMETRIC: SENSOR}, pairs)
     return replace(scored, several=several)
 
 

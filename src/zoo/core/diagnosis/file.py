@@ -257,6 +257,7 @@ class ComponentResult(_Amounts):
     group: int
     share: Interval | None = None
     one_of_several: bool = False
+    together: dict[str, float] = {}
     gap_after: float | None = None
     gap_after_interval: tuple[float, float] | None = None
     plausible: Plausible | None = None

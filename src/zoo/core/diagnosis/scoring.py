@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from zoo.core.diagnosis.components.likeness import left_of
+from zoo.core.diagnosis.components.pairs import Pair
 from zoo.core.diagnosis.components.refining import Component, Explained
 from zoo.core.diagnosis.components.subsets import Several
 from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.file import DiagnosisError
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
-from zoo.core.diagnosis.screening import PRIOR_NONPARAMETRIC, PRIOR_NULL, Screened
+from zoo.core.diagnosis.screening import PRIOR_NONPARAMETRIC, PRIOR_NULL, Screened, Screening
 from zoo.core.effects import Location
 
 Array = NDArray[np.float64]
@@ -50,7 +51,9 @@ class Scored:
 
     `more` are the probabilities of listed effects with something else beside them, which are no part of their
     own `probability`; `explained` are the components, whose free functions are hypotheses by the component's
-    name; `belongs` is the component of each listed effect; `several` are sets of listed effects together.
+    name; `pairs` are two of them together with their probability, which counts for the one with more
+    evidence by itself; `belongs` is the component of each listed effect; `several` are sets of listed effects
+    together.
     """
 
     screened: Screened
@@ -67,6 +70,7 @@ class Scored:
     explained: Explained | None = None
     belongs: Mapping[str, str] = field(default_factory=dict)
     several: Several | None = None
+    pairs: tuple[tuple[Pair, float], ...] = ()
 
     @property
     def components(self) -> Mapping[str, Component]:
@@ -74,8 +78,18 @@ class Scored:
         return self.explained.components if self.explained else {}
 
     def standing(self, name: str) -> float:
-        """Probability of an explanation, alone or with something else beside it."""
-        return self.probability[name] + self.more.get(name, 0.0)
+        """Probability of an explanation, alone, with something else or with another component beside it."""
+        together = sum(p for pair, p in self.pairs if pair.names[0] == name)
+        return self.probability[name] + self.more.get(name, 0.0) + together
+
+    @property
+    def pair(self) -> Pair | None:
+        """Two components together, if that is more probable than any explanation alone."""
+        if not self.pairs:
+            return None
+        pair, p = max(self.pairs, key=lambda one: one[1])
+        rivals = [*self.probability.values(), *self.more.values()]
+        return pair if pair.names[0] == self.leader and p > max(rivals) else None
 
     def is_cause(self, name: str) -> bool:
         """Whether it is a listed effect or a component, which a simulator can be mended by."""
@@ -215,11 +229,23 @@ def _priors(listed: Sequence[str], components: Sequence[str]) -> dict[str, float
     return prior | {n: rest / len(components) for n in components}
 
 
+def log_prior_of_a_pair(prior: Mapping[str, float], components: Collection[str]) -> float:
+    """Two components have, beside one alone, the prior of something else beside it; all pairs alike."""
+    n = len(components)
+    return math.log(PRIOR_NONPARAMETRIC * sum(prior[name] for name in components) / (n * (n - 1) / 2))
+
+
+def _of_pair(pair: Pair, screening: Screening, floor: float, most: float) -> float:
+    """Its log evidence, with something else beside it unless most of the discrepancy is left to that."""
+    return pair.log_evidence if screening.missed(pair.fit) - floor < most else pair.log_z
+
+
 def score(
     screened: Screened,
     explained: Explained | None = None,
     more: Mapping[str, float] | None = None,
     belongs: Mapping[str, str] | None = None,
+    pairs: Sequence[Pair] = (),
 ) -> Scored:
     """Probabilities, groups and what the data cannot show.
 
@@ -232,6 +258,8 @@ def score(
         Log evidence of listed effects with something else beside them.
     belongs : mapping of name to str, optional
         Component of each listed effect, and of the free discrepancy.
+    pairs : sequence of Pair
+        Two components together.
 
     Returns
     -------
@@ -301,11 +329,20 @@ def score(
         for n, z in with_more.items()
         if screening.missed(best[n]) - floor < most
     }
-    norm = float(logsumexp([*log_p.values(), *log_more.values()]))
+    log_pairs = [
+        log_prior_of_a_pair(prior, components) + _of_pair(pair, screening, floor, most) for pair in pairs
+    ]
+    norm = float(logsumexp([*log_p.values(), *log_more.values(), *log_pairs]))
     probability = {n: math.exp(log_p[n] - norm) if n in log_p else 0.0 for n in log_z}
     and_more = {n: math.exp(z - norm) for n, z in log_more.items()}
-    names = sorted(log_z, key=lambda n: (-probability[n] - and_more.get(n, 0.0), -log_z[n]))
-
+    together = tuple((pair, math.exp(z - norm)) for pair, z in zip(pairs, log_pairs, strict=True))
+    standing = {n: probability[n] + and_more.get(n, 0.0) for n in log_z}
+    for pair, p in together:
+        name = pair.names[0]
+        if p > max(probability[name], and_more.get(name, 0.0)):
+            best[name] = pair.fit
+        standing[name] += p
+    names = sorted(log_z, key=lambda n: (-standing[n], -log_z[n]))
     group = _groups(screened, names, best, log_z, invisible, S, explained, belongs)
     return Scored(
         screened,
@@ -321,4 +358,5 @@ def score(
         and_more,
         explained,
         dict(belongs or {}),
+        pairs=together,
     )

@@ -113,6 +113,8 @@ class Refining:
     screened : Screened
     functions : sequence of FreeFunction
     cores : int
+    base : Fit, optional
+        What they stand beside: the fit of another function on a grid that is kept; the baseline's if absent.
     tick : callable, optional
         Called with a text and the share done.
     """
@@ -123,10 +125,12 @@ class Refining:
         functions: Sequence[FreeFunction],
         *,
         cores: int = 2,
+        base: Fit | None = None,
         tick: Callable[[str, float], None] | None = None,
     ) -> None:
-        self.screened, self.screening, self.base = screened, screened.screening, screened.base
-        self.grid = on_a_grid(self.screening, self.base)
+        self.screened, self.screening = screened, screened.screening
+        self.base = base or screened.base
+        self.grid = base.forward if base else on_a_grid(self.screening, self.base)
         self.linearised = linearise(
             self.screening, self.base, functions, screened.noise, cores=cores, tick=tick, forward=self.grid
         )
@@ -155,7 +159,7 @@ class Refining:
         effect = weighed.function.effect(cell.sd, cell.length)
         root = cell.sd * weighed.function.root(cell.length)
         forward = HypothesisModel(
-            self.grid.baseline, Hypothesis((*self.screening.added, effect)), self.screening.errors
+            self.grid.baseline, Hypothesis((*self.base.hypothesis.added, effect)), self.screening.errors
         )
         z = np.linalg.pinv(root) @ cell.mean
         u = np.clip(np.concatenate([base.u + cell.step, z]), forward.low, forward.high)

@@ -1,0 +1,206 @@
+"""Two components at once: beside the best function of one, the functions of all others are weighed.
+
+The weights z of the first function, of its most probable size and length, are coordinates like those of the
+baseline, so that what is weighed beside them is weighed as beside the baseline, with
+
+    log Z(a, b) = log Z(a) + log Z(b beside a) - log Z(nothing beside a).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+from zoo.core.components import FreeFunction
+from zoo.core.diagnosis.components.refining import Component, Explained, Kind, Refining
+from zoo.core.diagnosis.components.response import Block, Linearised
+from zoo.core.diagnosis.components.weighing import Weighed, allowance, weigh
+from zoo.core.diagnosis.evidence import Fit
+from zoo.core.diagnosis.screening import PRIOR_NONPARAMETRIC, Screened
+from zoo.core.diagnosis.search import as_matrix
+
+FIRST = 2
+"""Components beside whose function the others are linearised again."""
+WORTH = 1.0
+"""Log evidence that another function must add, by the linear model, for its pair to be looked at."""
+REFINED = 2
+"""Components beside one of these whose best function is taken to its mode."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Functions of two components together as an explanation.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Both components, the one with more evidence by itself first.
+    first : Component
+        The one beside whose function the other's were weighed.
+    second : Component
+        Its functions beside the first one's; their fits are of both.
+    nothing : Weighed
+        Nothing beside the first one's function, of its most probable size and length.
+    linearised : Linearised
+        Around the first one's mode.
+    """
+
+    names: tuple[str, str]
+    first: Component
+    second: Component
+    nothing: Weighed
+    linearised: Linearised = field(repr=False)
+
+    @property
+    def log_z(self) -> float:
+        """Log evidence of both."""
+        return self.first.log_z + self.second.log_z - self.nothing.log_z
+
+    @property
+    def log_more(self) -> float:
+        """The same with something else beside them."""
+        return self.first.log_z + self.second.log_more - self.nothing.log_z
+
+    @property
+    def log_evidence(self) -> float:
+        """Alone or with something else, by the prior of that."""
+        return float(np.logaddexp(self.log_z, self.log_more + math.log(PRIOR_NONPARAMETRIC)))
+
+    @property
+    def functions(self) -> tuple[str, str]:
+        """Names of both functions."""
+        return self.first.best.function.name, self.second.best.function.name
+
+    @property
+    def fit(self) -> Fit:
+        """Of both, with the second one's best function."""
+        return self.second.best.fit
+
+    @property
+    def around(self) -> Linearised:
+        """The linear model around the first one's mode, with its function among the others, seen from 0."""
+        kind = self.first.best
+        weighed, fit, n = kind.weighed, kind.fit, kind.fit.forward.asked
+        root = weighed.best.sd * weighed.function.root(weighed.best.length)
+        known, old = np.linalg.pinv(root), weighed.block.columns
+        v = root @ fit.u[n:]
+        columns = fit.jacobian[:, n:] @ known + old @ (np.eye(len(v)) - root @ known)
+        return replace(
+            self.linearised,
+            residual=fit.residual + columns @ v,
+            jacobian=self.linearised.jacobian[:, :n],
+            precision=as_matrix(self.linearised.precision)[:n, :n],
+            pull=self.linearised.pull[:n],
+            blocks=(*self.linearised.blocks, replace(weighed.block, columns=columns)),
+        )
+
+
+def _beside(fit: Fit, linearised: Linearised, blocks: Sequence[Block]) -> Linearised:
+    """The linear model around a function's mode, with responses to others as they are at the baseline's."""
+    _, precision, pull = fit.forward.prior(fit.u)
+    return replace(
+        linearised, residual=fit.residual, jacobian=fit.jacobian, precision=precision, pull=pull,
+        blocks=tuple(blocks),
+    )  # fmt: skip
+
+
+def _nothing(block: Block) -> Block:
+    return replace(block, columns=np.zeros_like(block.columns))
+
+
+def _promise(screened: Screened, component: Component, linearised: Linearised) -> float:
+    """Log evidence of a component and the best function of another, by responses at the baseline."""
+    kind, options = component.best, allowance(screened.allowances)
+    blocks = [b for b in linearised.blocks if b.function.component != component.name]
+    linear = _beside(kind.fit, linearised, blocks)
+
+    def evidence(block: Block) -> float:
+        return weigh(linear, block, kind.fit.forward, kind.fit.u, kind.weighed.noise, options, 1).log_z
+
+    if not blocks:
+        return -math.inf
+    return component.log_z + max(map(evidence, blocks)) - evidence(_nothing(blocks[0]))
+
+
+def pairs_of(
+    screened: Screened,
+    explained: Explained,
+    functions: Sequence[FreeFunction],
+    *,
+    cores: int = 2,
+    tick: Callable[[str, float], None] | None = None,
+) -> list[Pair]:
+    """Pairs of components, of those whose functions promise most together.
+
+    Parameters
+    ----------
+    screened : Screened
+    explained : Explained
+        The components one by one.
+    functions : sequence of FreeFunction
+    cores : int
+        Threads.
+    tick : callable, optional
+        Called with a text and the share done.
+
+    Returns
+    -------
+    list of Pair
+        Each pair once, the most probable first.
+    """
+    ready = [c for c in explained.components.values() if c.best.refined]
+    with ThreadPoolExecutor(max(1, cores)) as pool, threadpool_limits(1, user_api="blas"):
+        promises = list(pool.map(lambda c: _promise(screened, c, explained.linearised), ready))
+    order = sorted(range(len(ready)), key=lambda i: -promises[i])[:FIRST]
+    found: dict[frozenset[str], Pair] = {}
+    for i in order:
+        if promises[i] < ready[i].log_z + WORTH:
+            continue
+        for pair in _with_each(screened, explained, ready[i], functions, cores, tick):
+            key = frozenset(pair.names)
+            if key not in found or pair.log_evidence > found[key].log_evidence:
+                found[key] = pair
+    return sorted(found.values(), key=lambda pair: -pair.log_evidence)
+
+
+def _with_each(
+    screened: Screened,
+    explained: Explained,
+    first: Component,
+    functions: Sequence[FreeFunction],
+    cores: int,
+    tick: Callable[[str, float], None] | None,
+) -> list[Pair]:
+    """A component's best function with every other component beside it."""
+    others = [f for f in functions if f.component != first.name]
+    refining = Refining(screened, others, base=first.best.fit, cores=cores, tick=tick)
+    linear = refining.linearised
+    nothing = refining.kind(_nothing(linear.blocks[0])).weighed
+    with ThreadPoolExecutor(max(1, cores)) as pool, threadpool_limits(1, user_api="blas"):
+        kinds = list(pool.map(refining.kind, linear.blocks))
+        best: Mapping[str, int] = {
+            name: max(
+                (i for i, k in enumerate(kinds) if k.function.component == name),
+                key=lambda i: kinds[i].log_z,
+            )
+            for name in dict.fromkeys(f.component for f in others)
+        }
+        leading = sorted(best.values(), key=lambda i: -kinds[i].log_z)[:REFINED]
+
+        def refined(i: int) -> Kind:
+            return refining.refine(refining.with_more(kinds[i]))
+
+        for i, kind in zip(leading, pool.map(refined, leading), strict=True):
+            kinds[i] = kind
+    evidence = {name: c.log_evidence for name, c in explained.components.items()}
+    found = []
+    for name in best:
+        second = Component(name, tuple(k for k in kinds if k.function.component == name))
+        one, other = sorted((first.name, name), key=lambda n: -evidence[n])
+        found.append(Pair((one, other), first, second, nothing, linear))
+    return found

@@ -1,0 +1,100 @@
+"""Two components at once: their evidence, and what an answer says of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from test_component_weighing import (
+    KNOTS,
+    LAW,
+    MODEL,
+    NOISE,
+    OWN,
+    PUSH,
+    TIMES,
+    data_of,
+    hooks,
+    of,
+)
+from zoo.core.diagnosis import diagnose
+from zoo.core.diagnosis.components.pairs import pairs_of
+from zoo.core.diagnosis.components.refining import explain
+from zoo.core.diagnosis.components.weighing import SIZES
+from zoo.core.diagnosis.screening import DELTA_GRID, Screening
+from zoo.core.errors.spectral import Harmonics
+
+PUSHED = 0.15 * np.sin(4 * np.pi * TIMES + 0.5)
+
+
+def test_the_evidence_of_two_is_that_of_a_normal_distribution() -> None:
+    """r ~ N(J m, S + J P^-1 J' + s_a^2 X_a R X_a' + s^2 X R X'), each by a dense covariance."""
+    echo = 0.1 * np.cos(6 * np.pi * TIMES)
+    screened = Screening(data_of({"push": PUSHED, "own": echo}), MODEL, [], errors=Harmonics()).run()
+    explained = explain(screened, [PUSH, OWN], cores=1)
+    pair = next(p for p in pairs_of(screened, explained, [PUSH, OWN], cores=1))
+    assert set(pair.names) == {"inflow", "sensor"}
+    first, second = pair.first.best, pair.second.best
+    errors, X = screened.screening.errors, second.weighed.block.columns
+    noise = second.weighed.noise["y"]
+    assert noise.noise == pytest.approx(NOISE, rel=0.3)
+    around = pair.around
+    J, r = around.jacobian, around.residual
+    own = next(b for b in around.blocks if b.function is first.function)
+    fixed = first.weighed.best
+    A = own.columns @ (fixed.sd**2 * first.function.correlation(fixed.length)) @ own.columns.T
+    centre = 1.0 - first.fit.values[0]
+
+    def dense(C: np.ndarray) -> float:
+        at = r - J[:, 0] * centre
+        return float(-0.5 * (at @ np.linalg.solve(C, at) + np.linalg.slogdet(2 * np.pi * C)[1]))
+
+    factors, sizes = np.exp(-0.5 * DELTA_GRID**2), SIZES * np.exp(-0.5 * SIZES**2)
+    f = second.function
+    both, alone = [], []
+    for factor, w in zip(DELTA_GRID, factors / factors.sum(), strict=True):
+        delta = factor * screened.allowances["y"]
+        more = 0.3**2 * J @ J.T + A
+        C = np.diag(errors.variances({"y": replace(pair.nothing.noise["y"], delta=delta)})) + more
+        alone.append(np.log(w) + dense(C))
+        C = np.diag(errors.variances({"y": replace(noise, delta=delta)})) + more
+        for length in f.lengths:
+            R = X @ f.correlation(length) @ X.T
+            for size, v in zip(SIZES, sizes / sizes.sum(), strict=True):
+                both.append(np.log(w * v / len(f.lengths)) + dense(C + (f.size * size) ** 2 * R))
+    # the noise beside either is its own
+    for terms, weighed in ((both, second.weighed), (alone, pair.nothing)):
+        wanted = logsumexp(terms) + errors.noise_log_prior(weighed.noise["y"])
+        assert weighed.log_z == pytest.approx(wanted, abs=0.3)
+
+
+def test_two_components_are_the_cause_where_neither_alone_is() -> None:
+    data = data_of({"push": PUSHED, "law": 0.1 * np.cos(2.0 * KNOTS)})
+    found = diagnose(data, MODEL, [], hooks=hooks([LAW, PUSH, OWN]), max_effects=1)
+    assert set(found.cause[:2]) == {"wall", "inflow"}
+    assert of(found, "wall").together["inflow"] > 0.9
+    assert of(found, "inflow").together == pytest.approx({"wall": of(found, "wall").together["inflow"]} | {
+        name: p for name, p in of(found, "inflow").together.items() if name != "wall"
+    })  # fmt: skip
+    assert {c.name for c in found.file.components if c.one_of_several} == {"wall", "inflow"}
+    assert found.file.gap.after < 0.5 * min(of(found, n).gap_after for n in ("wall", "inflow"))
+    assert "law and push" in found.file.verdict or "push and law" in found.file.verdict
+    wall = of(found, "wall").functions[0]
+    inside = np.abs(KNOTS) < 1.2
+    inside[[0, -1]] = False
+    true = 0.1 * np.cos(2.0 * KNOTS)
+    held = (np.array(wall.low) <= true) & (true <= np.array(wall.high))
+    assert held[inside].mean() >= 0.8
+
+
+def test_one_cause_is_no_pair() -> None:
+    found = diagnose(data_of({"push": PUSHED}), MODEL, [], hooks=hooks([LAW, PUSH, OWN]), max_effects=1)
+    assert found.cause[0] == "inflow"
+    together = [p for c in found.file.components for p in c.together.values()]
+    assert max(together, default=0.0) < 0.5
+    assert not any(c.one_of_several for c in found.file.components)
+    total = sum(c.probability for c in found.file.components)
+    assert total <= 1.0 + 1e-9
