@@ -21,7 +21,7 @@ from test_component_weighing import (
     of,
 )
 from zoo.core.diagnosis import diagnose
-from zoo.core.diagnosis.components.pairs import pairs_of
+from zoo.core.diagnosis.components.pairs import _with_each, pairs_of
 from zoo.core.diagnosis.components.refining import explain
 from zoo.core.diagnosis.components.weighing import SIZES
 from zoo.core.diagnosis.screening import DELTA_GRID, Screening
@@ -69,6 +69,20 @@ def test_the_evidence_of_two_is_that_of_a_normal_distribution() -> None:
     for terms, weighed in ((both, second.weighed), (alone, pair.nothing)):
         wanted = logsumexp(terms) + errors.noise_log_prior(weighed.noise["y"])
         assert weighed.log_z == pytest.approx(wanted, abs=0.3)
+
+
+def test_either_component_first_gives_the_evidence_of_both() -> None:
+    echo = 0.1 * np.cos(6 * np.pi * TIMES)
+    screened = Screening(data_of({"push": PUSHED, "own": echo}), MODEL, [], errors=Harmonics()).run()
+    explained = explain(screened, [PUSH, OWN], cores=1)
+    one, other = (
+        _with_each(screened, explained, explained.components[name], [PUSH, OWN], 1, None)[0]
+        for name in ("inflow", "sensor")
+    )
+    assert one.names == other.names
+    best = max(c.log_z for c in explained.components.values())
+    assert one.log_z > best + 10.0
+    assert one.log_z == pytest.approx(other.log_z, abs=3.0)
 
 
 def test_two_components_are_the_cause_where_neither_alone_is() -> None:

@@ -30,7 +30,7 @@ from zoo.core.diagnosis.search import SearchError
 from zoo.core.effects import AddedEffect, Effect, EffectError
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.spectral import Spectral, spectral_errors
-from zoo.core.forward import ForwardModel
+from zoo.core.forward import ForwardModel, SolveError
 from zoo.core.outputs import output_folder, write_file
 
 if TYPE_CHECKING:
@@ -311,7 +311,7 @@ def diagnose(
                 screening, excluded = freed(screening)
                 model = screening.baseline
             scored = _scored(screening.run(stop_at_noise=bool(rounds)), hooks, cores, tick, not rounds)
-        except SearchError as error:
+        except (SearchError, SolveError) as error:
             if rounds:
                 break
             raise DiagnosisError(

@@ -21,11 +21,10 @@ LEAST_SHARE = 0.02
 """Part of a learned signal's energy below which an effect is not told."""
 
 
-def _whitened(linearised: Linearised, S: Array) -> tuple[Array, Array]:
-    """The baseline's derivatives in units of the noise, and an orthonormal basis of them."""
-    J = linearised.jacobian / np.sqrt(S)[:, None]
-    basis, _ = np.linalg.qr(J)
-    return J, basis
+def _absorbed(linearised: Linearised, S: Array) -> Array:
+    """An orthonormal basis of what the baseline's parameters absorb, in units of the noise."""
+    basis, _ = np.linalg.qr(linearised.jacobian / np.sqrt(S)[:, None])
+    return np.asarray(basis)
 
 
 def _response(kind: Kind, S: Array) -> Array:
@@ -49,7 +48,7 @@ def left_of(signal: Array, component: Component, linearised: Linearised, S: Arra
     S : array (n,)
         Variances of the noise.
     """
-    J, _ = _whitened(linearised, S)
+    J = linearised.jacobian / np.sqrt(S)[:, None]
     z = signal / np.sqrt(S)
     found = []
     for kind in component.kinds:
@@ -65,7 +64,7 @@ def left_of(signal: Array, component: Component, linearised: Linearised, S: Arra
 
 def space(component: Component, linearised: Linearised, S: Array) -> Array:
     """Orthonormal basis (n, m) of a component's signals that are seen, without what the baseline absorbs."""
-    _, Q = _whitened(linearised, S)
+    Q = _absorbed(linearised, S)
     X = np.concatenate([_response(kind, S) for kind in component.kinds], axis=1)
     left, values, _ = np.linalg.svd(X - Q @ (Q.T @ X), full_matrices=False)
     return np.asarray(left[:, values > SEEN])
@@ -106,7 +105,7 @@ def nearest_effects(
     list of (name, share, whether of the opposite sign)
         The largest share first.
     """
-    _, Q = _whitened(linearised, S)
+    Q = _absorbed(linearised, S)
 
     def apart(signal: Array) -> Array:
         z = signal / np.sqrt(S)

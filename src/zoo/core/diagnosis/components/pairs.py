@@ -23,6 +23,7 @@ from zoo.core.diagnosis.components.weighing import Weighed, allowance, weigh
 from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.screening import PRIOR_NONPARAMETRIC, Screened
 from zoo.core.diagnosis.search import as_matrix
+from zoo.core.forward import SolveError
 
 FIRST = 2
 """Components beside whose function the others are linearised again."""
@@ -161,7 +162,11 @@ def pairs_of(
     for i in order:
         if promises[i] < ready[i].log_z + WORTH:
             continue
-        for pair in _with_each(screened, explained, ready[i], functions, cores, tick):
+        try:
+            pairs = _with_each(screened, explained, ready[i], functions, cores, tick)
+        except SolveError:
+            continue  # at its own mode, on the grid of the baseline's
+        for pair in pairs:
             key = frozenset(pair.names)
             if key not in found or pair.log_evidence > found[key].log_evidence:
                 found[key] = pair
