@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -137,7 +136,7 @@ def read_fitted(answer: Path, checksum: str) -> Fitted | None:
 
 def _digests(paths: Sequence[str]) -> list[str]:
     """SHA-256 of files."""
-    return [hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths]
+    return [digests.of_bytes(Path(path).read_bytes()) for path in paths]
 
 
 def _case_facts(study: Study, asked: CaseDiagnosis) -> dict[str, Any]:

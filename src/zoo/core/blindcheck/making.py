@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+from zoo.core import digests
 from zoo.core.blindcheck.sealing import (
     KEY_DIGEST,
     BlindError,
@@ -140,7 +140,7 @@ def write_cases(
 
 def _digest(files: Mapping[str, str]) -> str:
     """SHA-256 of the names and contents of files."""
-    return hashlib.sha256(json.dumps(dict(sorted(files.items()))).encode()).hexdigest()
+    return digests.of_bytes(json.dumps(dict(sorted(files.items()))).encode())
 
 
 def _written(folder: Path, entry: Mapping[str, Any]) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import random
@@ -152,7 +151,7 @@ def seal(folder: Path, key: Path, head: Mapping[str, Any], made: Sequence[MadeCa
     for path, content in contents:
         path.write_bytes(content)
     write_file(key, text, private=True)
-    write_file(folder / KEY_DIGEST, f"{hashlib.sha256(text.encode()).hexdigest()}  key.json\n")
+    write_file(folder / KEY_DIGEST, f"{digests.of_bytes(text.encode())}  key.json\n")
     for path in (*(path for path, _ in contents), *{path.parent for path, _ in contents}):
         os.utime(path, (_TIME, _TIME))
     for path in (folder / KEY_DIGEST, folder):
@@ -183,7 +182,7 @@ def read_sealed(key: Path, answers: Path) -> list[dict[str, Any]]:
     if not digest.is_file():
         raise BlindError(f"{digest}: is missing, the key cannot be checked; make it with `zoo blind run`")
     wanted = digest.read_bytes().split()[:1]
-    if [hashlib.sha256(content).hexdigest().encode()] != wanted:
+    if [digests.of_bytes(content).encode()] != wanted:
         raise BlindError(
             f"{key}: is not the key of these cases, or was changed: its SHA-256 is not that in {digest}; "
             "give the file that `zoo blind make` wrote with them"

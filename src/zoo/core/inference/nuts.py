@@ -3,27 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.inference.messages import without_messages
+
 Array = NDArray[np.float64]
 Draws = dict[str, Array]
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """PyMC tells what it samples, for its users and not for ours."""
-    logger = logging.getLogger("pymc")
-    before = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
 
 
 def nuts(
@@ -68,7 +57,7 @@ def nuts(
 
     d = len(covariance)
     metric = QuadPotentialFullAdapt(d, np.mean(starts, axis=0), covariance, 10.0, adaptation_window=50)
-    with _quiet(), model:
+    with without_messages("pymc", logging.ERROR), model:
         step = pm.NUTS(potential=metric, target_accept=0.85)
         found = pm.sample(
             draws=draws,

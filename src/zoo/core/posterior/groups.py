@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import inspect
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import xarray as xr
 
 from zoo.core.errors.base import ErrorModel
 from zoo.core.inference import methods, sampling
+from zoo.core.inference.messages import without_messages
 from zoo.core.inference.progress import bar
 from zoo.core.inference.record import RunRecord
 from zoo.core.model import ModelRecord, record_of
@@ -92,7 +92,7 @@ def add_groups(
             coords={d: np.asarray(c) for d, c in model.coords.items() if d in used and c is not None},
         )
     if n_prior:
-        with _without_messages():
+        with without_messages("pymc.sampling.forward", logging.WARNING):
             prior = pm.sample_prior_predictive(n_prior, model=model, random_seed=seed)
         groups["prior"] = prior["prior"]
         groups["prior_predictive"] = _described(prior["prior_predictive"], record)
@@ -110,18 +110,6 @@ def with_units(draws: xr.Dataset, record: ModelRecord) -> xr.Dataset:
         if (name := variable_name(p.name)) in found:
             found[name].attrs["units"] = p.unit
     return found
-
-
-@contextlib.contextmanager
-def _without_messages() -> Iterator[None]:
-    """PyMC names the variables that it draws, for its users and not for ours."""
-    logger = logging.getLogger("pymc.sampling.forward")
-    before = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
 
 
 def _seed_of(idata: az.InferenceData) -> int:
