@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -56,8 +57,10 @@ def nuts(
     from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
     d = len(covariance)
-    metric = QuadPotentialFullAdapt(d, np.mean(starts, axis=0), covariance, 10.0, adaptation_window=50)
-    with without_messages("pymc", logging.ERROR), model:
+    with without_messages("pymc", logging.ERROR), warnings.catch_warnings(), model:
+        for known in ("QuadPotentialFullAdapt is", "PyTensor could not link to a BLAS"):
+            warnings.filterwarnings("ignore", known, UserWarning)
+        metric = QuadPotentialFullAdapt(d, np.mean(starts, axis=0), covariance, 10.0, adaptation_window=50)
         step = pm.NUTS(potential=metric, target_accept=0.85)
         found = pm.sample(
             draws=draws,
