@@ -44,8 +44,7 @@ def test_the_evidence_of_two_is_that_of_a_normal_distribution() -> None:
     around = pair.around
     J, r = around.jacobian, around.residual
     own = next(b for b in around.blocks if b.function is first.function)
-    fixed = first.weighed.best
-    A = own.columns @ (fixed.sd**2 * first.function.correlation(fixed.length)) @ own.columns.T
+    A = own.columns @ first.root @ first.root.T @ own.columns.T
     centre = 1.0 - first.fit.values[0]
 
     def dense(C: np.ndarray) -> float:
@@ -69,6 +68,25 @@ def test_the_evidence_of_two_is_that_of_a_normal_distribution() -> None:
     for terms, weighed in ((both, second.weighed), (alone, pair.nothing)):
         wanted = logsumexp(terms) + errors.noise_log_prior(weighed.noise["y"])
         assert weighed.log_z == pytest.approx(wanted, abs=0.3)
+
+
+def test_around_a_mode_the_function_is_that_of_its_fit() -> None:
+    """Whatever size and length are the most probable after it."""
+    screened = Screening(data_of({"push": PUSHED}), MODEL, [], errors=Harmonics()).run()
+    explained = explain(screened, [PUSH, OWN], cores=1)
+    found = _with_each(screened, explained, explained.components["inflow"], [PUSH, OWN], 1, None)[0]
+    kind = found.first.best
+    other = next(x for x in PUSH.lengths if x != kind.weighed.best.length)
+    cell = replace(kind.weighed.best, length=other, sd=2.0 * kind.weighed.best.sd)
+    kind = replace(kind, weighed=replace(kind.weighed, best=cell))
+    around = replace(found, first=replace(found.first, kinds=(kind,))).around
+    values = kind.root @ kind.fit.u[1:]
+    own = next(b for b in around.blocks if b.function is PUSH)
+    computed = MODEL.solve({"level": kind.fit.values[0], "push": values})
+    assert around.residual - own.columns @ values == pytest.approx(
+        screened.screening.coefficients - screened.screening.errors.flat(computed), abs=1e-8
+    )
+    assert own.columns @ values == pytest.approx(found.around.blocks[-1].columns @ values)
 
 
 def test_either_component_first_gives_the_evidence_of_both() -> None:

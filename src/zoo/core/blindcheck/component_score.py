@@ -210,7 +210,8 @@ def _wrong_and_sure(
 def _of_two(key: CaseKey, answer: Answer) -> tuple[bool, bool]:
     """Whether both components, and one of them, are among the two that are named or hold most."""
     shares = [c.share for c in answer.components]
-    size = [c.probability if None in shares else float(c.share or 0.0) for c in answer.components]
+    p = [c.probability for c in answer.components]
+    size = p if None in shares else [float(x or 0.0) for x in shares]
     order = sorted(range(len(size)), key=lambda i: (-answer.components[i].one_of_several, -size[i]))
     said: set[str] = set()
     for i in order[:2]:

@@ -87,7 +87,7 @@ class Pair:
         """The linear model around the first one's mode, with its function among the others, seen from 0."""
         kind = self.first.best
         weighed, fit, n = kind.weighed, kind.fit, kind.fit.forward.asked
-        root = weighed.best.sd * weighed.function.root(weighed.best.length)
+        root = kind.root
         known, old = np.linalg.pinv(root), weighed.block.columns
         v = root @ fit.u[n:]
         columns = fit.jacobian[:, n:] @ known + old @ (np.eye(len(v)) - root @ known)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,11 +39,13 @@ class Kind:
     """One free function as an explanation: its evidence, and the fit at its best size and length.
 
     `weighed` is the function beside the allowance, `more` beside something else, a free discrepancy; `fit` is
-    of the first, which leaves as little as it can.
+    of the first, which leaves as little as it can. Its last coordinates are standard normal, and `root` makes
+    the function's values of them: of the size and length from which the fit began.
     """
 
     weighed: Weighed
     fit: Fit
+    root: Array = field(repr=False)
     more: Weighed | None = None
     refined: bool = False
 
@@ -61,6 +63,11 @@ class Kind:
     def function(self) -> FreeFunction:
         """What is free."""
         return self.weighed.function
+
+
+def _root(weighed: Weighed) -> Array:
+    """From standard normal weights to values, of the most probable size and length."""
+    return weighed.best.sd * weighed.function.root(weighed.best.length)
 
 
 def _beside(more: Weighed | None) -> float:
@@ -144,7 +151,7 @@ class Refining:
         s = self.screened
         alone = allowance(s.allowances)
         weighed = weigh(self.linearised, block, self.base.forward, self.base.u, s.noise, alone)
-        return Kind(weighed, self.fit(weighed))
+        return Kind(weighed, self.fit(weighed), _root(weighed))
 
     def with_more(self, kind: Kind) -> Kind:
         """The same with something else beside it weighed too."""
@@ -157,7 +164,7 @@ class Refining:
         """A function's best size and length as a fit of the linear model."""
         cell, block, linear, base = weighed.best, weighed.block, self.linearised, self.base
         effect = weighed.function.effect(cell.sd, cell.length)
-        root = cell.sd * weighed.function.root(cell.length)
+        root = _root(weighed)
         forward = HypothesisModel(
             self.grid.baseline, Hypothesis((*self.base.hypothesis.added, effect)), self.screening.errors
         )
@@ -206,7 +213,7 @@ class Refining:
         point = search.descend(point, STEPS_FRESH)
         # around the mode the series are linear again, with v seen from 0
         n = len(self.base.u)
-        root = weighed.best.sd * weighed.function.root(weighed.best.length)
+        root = kind.root
         v = root @ point.u[n:]
         known = np.linalg.pinv(root)
         old = weighed.block.columns
@@ -227,7 +234,7 @@ class Refining:
             linear, block, baseline, point.u[:n], kind.more.noise, something_else(self.screening.errors),
             MORE_TURNS,
         )  # fmt: skip
-        found = Kind(alone, kind.fit, more, refined=True)
+        found = replace(kind, weighed=alone, more=more, refined=True)
         return replace(found, fit=self._as_fit(forward, point.u, computed, point.jacobian, alone))
 
 
