@@ -56,7 +56,7 @@ static double *reals(char *at, size_t *used, size_t count)
 
 static void set_partials(zoo_partials *p, char *at, size_t *used, size_t n, size_t shapes)
 {
-    double **arrays[] = {&p->elastic, &p->slope, &p->M_A, &p->M_q, &p->G_A, &p->G_q, &p->G_P};
+    double **arrays[] = {&p->elastic, &p->slope, &p->M_A, &p->M_q, &p->G_A, &p->G_q, &p->G_P, &p->by_K};
     for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++)
         *arrays[i] = reals(at, used, n);
     p->shape = reals(at, used, n * shapes);
@@ -73,8 +73,7 @@ size_t zoo_tangent_layout(zoo_tangent *t, char *at)
     set_partials(&t->now, at, &used, n, shapes);
     set_partials(&t->next, at, &used, n, shapes);
     set_partials(&t->mid, at, &used, n, shapes);
-    double **nodes[] = {&t->old_A, &t->old_q, &t->old_P, &t->old_off, &t->hA0, &t->hA1, &t->hq0, &t->hq1,
-                        &t->hP0,   &t->hP1,   &t->fA0,   &t->fA1,     &t->fq0, &t->fq1, &t->fP0, &t->fP1};
+    double **nodes[] = {&t->old_A, &t->old_q, &t->old_P, &t->old_off, &t->hP0, &t->hP1, &t->fP0, &t->fP1};
     for (size_t i = 0; i < sizeof nodes / sizeof *nodes; i++)
         *nodes[i] = reals(at, &used, n);
     t->old_v = reals(at, &used, (size_t)s->outlets.rows.pressures * nt);
@@ -83,10 +82,11 @@ size_t zoo_tangent_layout(zoo_tangent *t, char *at)
     t->zero = reals(at, &used, (rows > n ? rows : n) * D);
     t->branch = reals(at, &used, 4 * branches * D);
     t->part = reals(at, &used, 8 * branches);
-    size_t ends = 0;
-    for (int g = 0; g < s->n_groups; g++)
-        ends += (size_t)s->groups[g].count * s->groups[g].branches;
-    t->row = reals(at, &used, 16 * ends);
+    t->size = zoo_tangent_place(t, NULL);
+    t->one = reals(at, &used, t->size);
+    t->seen_first = reals(at, &used, 4 * (size_t)out->n_series);
+    if (at)
+        zoo_tangent_place(t, t->one);
     for (int k = 0; k < t->n_blocks; k++) {
         zoo_block x = {0};
         x.state = reals(at, &used, (size_t)s->n_state * D);
@@ -119,6 +119,13 @@ size_t zoo_tangent_layout(zoo_tangent *t, char *at)
     return used;
 }
 
+/* Room for the coefficients of all steps of a beat, if that is not too much; NULL otherwise. */
+static double *room(const zoo_tangent *t)
+{
+    const size_t bytes = (size_t)t->s->n_steps * zoo_tangent_kept(t) * sizeof(double);
+    return t->s->extra || bytes > ZOO_MOST_KEPT ? NULL : malloc(bytes);
+}
+
 static void fill(double *to, int64_t n, double value)
 {
     for (int64_t i = 0; i < n; i++)
@@ -144,6 +151,7 @@ static int32_t differentiate(zoo_sim *s, const zoo_parameters *parameters, int n
         status = ZOO_WORKSPACE;
     if (status == ZOO_OK) {
         zoo_tangent_layout(&t, memory + (64 - (uintptr_t)memory % 64) % 64);
+        t.kept = room(&t);
         status = zoo_tangent_directions(&t, parameters, n_directions, directions, points, &stepped, report);
     }
     if (status == ZOO_OK)
@@ -161,6 +169,7 @@ static int32_t differentiate(zoo_sim *s, const zoo_parameters *parameters, int n
         free(points[i].memory);
     free(points);
     free(samples);
+    free(t.kept);
     free(memory);
     free(t.block);
     return status;

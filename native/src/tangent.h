@@ -8,12 +8,27 @@
 
 #include "internal.h"
 
-enum { ZOO_DIRECTIONS = 8 };
+enum {
+    ZOO_DIRECTIONS = 8,
+    ZOO_NODE_ROWS = 8,      /* of coefficients of a step at nodes and midpoints, */
+    ZOO_ADDED_ROWS = 11,    /* at a branch of a junction with additions, */
+    ZOO_PLAIN_ROWS = 9,     /* without, */
+    ZOO_OUTLET_ROWS = 2,    /* and at an outlet without */
+    ZOO_MOST_KEPT = 1 << 28 /* bytes of coefficients that are kept for other beats */
+};
+
+/* As step.c: a version for each instruction set. */
+#if defined(__x86_64__) && defined(__GLIBC__) && (defined(__GNUC__) || defined(__clang__)) && !defined(ZOO_NO_CLONES)
+#define ZOO_CLONES __attribute__((target_clones("default", "arch=x86-64-v3", "arch=x86-64-v4")))
+#else
+#define ZOO_CLONES
+#endif
 
 /* Derivatives of what nodes, or midpoints, make of their area A and flow q: the wall's pressure by area and by the
  * law's coefficients, momentum flux and friction by area, flow and (with a leak) pressure. */
 typedef struct {
     double *elastic, *slope, *shape;  /* [n_nodes], [n_nodes], [wall_shapes][n_nodes] */
+    double *by_K;                     /* [n_nodes] where a direction changes the walls */
     double *M_A, *M_q, *G_A, *G_q, *G_P; /* [n_nodes] */
 } zoo_partials;
 
@@ -36,7 +51,7 @@ typedef struct {
 typedef struct {
     zoo_sim *s;
     int forced;   /* 1: the arguments change, 0: only the state */
-    int whole;    /* 1: pressures are carried, 0: they are slope times area everywhere */
+    int shapes;   /* coefficients of the wall's law that may change now */
     int n_blocks;
     zoo_block *block;
     zoo_partials now, next, mid; /* nodes at the start and end of the step, midpoints */
@@ -44,9 +59,18 @@ typedef struct {
     double *old_v, *old_carry;   /* [rows][count] */
     /* [n_nodes] how a midpoint follows from the nodes before and after it, and a node from the midpoints */
     double *hA0, *hA1, *hq0, *hq1, *hP0, *hP1, *fA0, *fA1, *fq0, *fq1, *fP0, *fP1;
+    double *row;                 /* [ZOO_ADDED_ROWS or ZOO_PLAIN_ROWS][branches] of each group: what the directions have in common there */
+    double *outlet;              /* [ZOO_OUTLET_ROWS][outlets] */
+    double *seen;                /* [n_series][4] the walls' slope where outputs are taken, at the end of the step */
+    double *seen_first;          /* the same at the start of the beat */
+    double *one;                 /* [size] what hA0 to hq1, fA0 to fq1, seen, outlet and row hold in one step */
+    double *kept;                /* [n_steps][zoo_tangent_kept] that of all steps, or NULL */
+    size_t size;
+    const char *ahead;           /* what the next step will need: fetch `ahead_by` bytes for each node */
+    size_t ahead_by;
+    int done;                    /* 1: `kept` is filled */
     double *zero;                /* [n_nodes or outlets' coefficients][D] zeros */
     double *branch;              /* [4][branches][D] scratch of one junction */
-    double *row;                 /* [branches of all junctions][16] what the directions have in common there */
     double *part;                /* [8][branches] */
     int64_t beats;               /* linearised beats so far */
 } zoo_tangent;
@@ -55,12 +79,25 @@ typedef struct {
  * with NULL only how many bytes. */
 size_t zoo_tangent_layout(zoo_tangent *t, char *at);
 
-/* tangent_step.c: partials of the nodes at the start of a beat, and all blocks by one step with the run itself;
- * returns what zoo_step returns.  `change` holds what is added to the state of block b, or NULL. */
+/* tangent_kept.c: place a step's coefficients at `at` and return how many they are (with NULL only count); how many
+ * numbers a step takes when it is kept; keep those of a step, and have them back. */
+size_t zoo_tangent_place(zoo_tangent *t, double *at);
+size_t zoo_tangent_kept(const zoo_tangent *t);
+void zoo_tangent_keep(zoo_tangent *t, int step);
+void zoo_tangent_recall(zoo_tangent *t, int step);
+
+/* tangent_step.c: partials of the nodes at the start of a beat, and all blocks by one step; with the run itself, unless
+ * its coefficients are `done`.  Returns what zoo_step returns.  `change` holds what is added to the state of block b. */
 void zoo_tangent_begin(zoo_tangent *t);
 int zoo_tangent_step(zoo_tangent *t, int step);
 void zoo_tangent_add(zoo_tangent *t, int block, const double *change);
 void zoo_tangent_record(zoo_tangent *t, int step);
+
+/* tangent_plain.c, without additions: the coefficients of the step that was just made, a block through such a step, and
+ * its pressures at a node. */
+void zoo_plain_keep(zoo_tangent *t);
+void zoo_plain_step(const zoo_tangent *t, zoo_block *b, int step);
+void zoo_plain_pressure(const zoo_tangent *t, zoo_block *b, ptrdiff_t node, double slope, double *to);
 
 /* Arguments near those of the run whose steps are computed one by one, from the run's own state, and compared: for
  * what no coefficient array of a block holds. */

@@ -5,8 +5,9 @@
  * and an unchanged start gives b and the arguments' own part of the samples.  Each further beat takes vectors v through
  * the beat: w = v - J v, and the samples c of v.  What is left of all b is made least by combinations of all w (GCR, with
  * the directions' vectors pooled), and the samples follow by the same combinations of c: x itself is not needed.
- * New vectors are what is left of the b's, as far as they differ; lanes that the
- * directions leave empty in the first beat take the changes of the run's own last beats, in which the slowest decays are.  Norms weight the state as pressures (periodic.c). */
+ * New vectors are what is left of the b's, as far as they differ; lanes that the directions leave empty in the first beat
+ * take the changes of the run's own last beats, in which the slowest decays are, and later what a beat made of these.
+ * Norms weight the state as pressures (periodic.c). */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -84,7 +85,8 @@ static int32_t beat(zoo_tangent *t, const double *start, zoo_point *points, int 
     zoo_sim *s = t->s;
     const ptrdiff_t all = (ptrdiff_t)t->n_blocks * s->n_state * D;
     const int several = t->forced && n_points > 0, sampled = s->problem->outputs.n_series > 0;
-    zoo_unpack(s, start);
+    if (!t->done)
+        zoo_unpack(s, start);
     s->no_root = 0;
     for (int k = 0; k < t->n_blocks; k++)
         t->block[k].next_time = 0;
@@ -109,15 +111,18 @@ static int32_t beat(zoo_tangent *t, const double *start, zoo_point *points, int 
             emit(t, step + 1);
         }
     }
+    t->done = t->kept != NULL;
     report->beats++;
     return ZOO_OK;
 }
 
 static double dot(const double *weight, const double *a, const double *b, ptrdiff_t n)
 {
-    double sum = 0.0;
+    double part[8] = {0.0}, sum = 0.0; /* apart, so that they need not wait for each other */
     for (ptrdiff_t i = 0; i < n; i++)
-        sum += weight[i] * weight[i] * a[i] * b[i];
+        part[i % 8] += weight[i] * weight[i] * a[i] * b[i];
+    for (int k = 0; k < 8; k++)
+        sum += part[k];
     return sum;
 }
 
@@ -193,6 +198,23 @@ static int new_vectors(const double *weight, const double *left, const double *s
     return found;
 }
 
+/* Vector number `found` of `to`, made orthogonal to those before it and of length 1.  Returns how many there are then: as
+ * many as before where next to nothing is left of it. */
+static int join(const double *weight, double *to, int found, ptrdiff_t n)
+{
+    double *v = to + found * n;
+    const double before = sqrt(dot(weight, v, v, n));
+    for (int again = 0; again < 2; again++)
+        for (int u = 0; u < found; u++)
+            add(v, -dot(weight, v, to + u * n, n), to + u * n, n);
+    const double norm = sqrt(dot(weight, v, v, n));
+    if (!(norm > 1e-6 * before))
+        return found;
+    for (ptrdiff_t i = 0; i < n; i++)
+        v[i] /= norm;
+    return found + 1;
+}
+
 /* Changes of the run over its last beats, orthogonal and of length 1, at most `most`; how many. */
 static int run_changes(const zoo_sim *s, int most, double *to)
 {
@@ -200,19 +222,20 @@ static int run_changes(const zoo_sim *s, int most, double *to)
     const int past = s->report[0].beats < ZOO_HISTORY ? s->report[0].beats : ZOO_HISTORY;
     int found = 0;
     for (int k = past - 1; k >= 0 && found < most; k--) { /* the oldest first: of the newest, rounding is a larger part */
-        double *v = to + found * n;
         for (ptrdiff_t i = 0; i < n; i++)
-            v[i] = s->ends[k * n + i] - s->states[k * n + i];
-        const double before = sqrt(dot(s->weight, v, v, n));
-        for (int again = 0; again < 2; again++)
-            for (int u = 0; u < found; u++)
-                add(v, -dot(s->weight, v, to + u * n, n), to + u * n, n);
-        const double norm = sqrt(dot(s->weight, v, v, n));
-        if (!(norm > 1e-6 * before))
-            continue;
-        for (ptrdiff_t i = 0; i < n; i++)
-            v[i] /= norm;
-        found++;
+            to[found * n + i] = s->ends[k * n + i] - s->states[k * n + i];
+        found = join(s->weight, to, found, n);
+    }
+    return found;
+}
+
+/* More vectors for lanes that would stand empty: what a beat made of those that filled such lanes before, up to `most`
+ * with the `found` that are there.  Returns how many there are then. */
+static int fill_vectors(const double *weight, const double *spare, int n_spare, int found, int most, ptrdiff_t n, double *to)
+{
+    for (int k = 0; k < n_spare && found < most; k++) {
+        memcpy(to + found * n, spare + k * n, (size_t)n * sizeof *to);
+        found = join(weight, to, found, n);
     }
     return found;
 }
@@ -257,23 +280,20 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points
     const zoo_outputs *out = &s->problem->outputs;
     const ptrdiff_t n = s->n_state, n_out = (ptrdiff_t)out->n_series * 3 * out->n_times, m = n_directions;
     const int n_blocks = t->n_blocks, max_beats = s->problem->numerics.max_beats;
-    int seeds = 0;
+    int seeds = 0, n_spare = 0;
     double *start = malloc((size_t)n * sizeof *start), *left = malloc((size_t)(m * n) * sizeof *left),
-           *vectors = malloc((size_t)((m + ZOO_HISTORY) * n) * sizeof *vectors), *size = malloc((size_t)m * sizeof *size),
+           *vectors = malloc((size_t)((m + D) * n) * sizeof *vectors), *spare = malloc((size_t)(D * n) * sizeof *spare), *size = malloc((size_t)m * sizeof *size),
            *scale = malloc((size_t)m * sizeof *scale),
            *scratch = malloc((size_t)((n_points > 0 ? (ptrdiff_t)n_blocks * n * D : 0) + 2 * n) * sizeof *scratch);
     int *open = malloc((size_t)m * sizeof *open);
     double **kept = calloc((size_t)max_beats + 1, sizeof *kept); /* of each beat, [found][n + n_out] */
     int *count = calloc((size_t)max_beats + 1, sizeof *count);
-    int32_t status = start && left && vectors && size && scale && open && scratch && kept && count ? ZOO_OK : ZOO_WORKSPACE;
+    int32_t status = start && left && vectors && spare && size && scale && open && scratch && kept && count ? ZOO_OK : ZOO_WORKSPACE;
     if (status == ZOO_OK) {
         zoo_pack(s, start);
         t->forced = 1;
-        t->whole = s->extra;
-        for (int k = 0; k < n_blocks; k++) {
-            t->whole |= t->block[k].walls;
+        for (int k = 0; k < n_blocks; k++)
             memset(t->block[k].state, 0, (size_t)(n * D) * sizeof(double));
-        }
         seeds = run_changes(s, n_blocks * D - n_directions, vectors);
         for (int v = 0; v < seeds; v++)
             put(t->block[(m + v) / D].state, (m + v) % D, vectors + v * n, n);
@@ -287,9 +307,11 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points
         count[0] = seeds;
         kept[0] = absorb(t, vectors, n_directions, seeds, kept, count, 0, m, left, samples);
         status = kept[0] ? ZOO_OK : ZOO_WORKSPACE;
+        n_spare = seeds;
+        for (int v = 0; v < seeds; v++)
+            take(t->block[(m + v) / D].state, (m + v) % D, spare + v * n, n);
     }
     t->forced = 0;
-    t->whole = s->extra;
     for (int round = 1; status == ZOO_OK; round++) {
         int unfinished = 0;
         report->residual = 0.0;
@@ -316,14 +338,19 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points
             status = ZOO_NOT_PERIODIC;
             break;
         }
-        const int found = new_vectors(s->weight, left, scale, open, n_directions, n, 0.1 * tolerance * (1.0 - s->slow[0]), vectors, size);
+        int found = new_vectors(s->weight, left, scale, open, n_directions, n, 0.1 * tolerance * (1.0 - s->slow[0]), vectors, size);
+        const int filled = found;
         t->n_blocks = (found + D - 1) / D;
+        found = fill_vectors(s->weight, spare, n_spare, found, t->n_blocks * D, n, vectors);
         for (int v = 0; v < t->n_blocks * D; v++)
             put(t->block[v / D].state, v % D, v < found ? vectors + v * n : NULL, n);
         status = beat(t, start, NULL, 0, NULL, report);
         if (status != ZOO_OK)
             break;
-        report->vectors += found;
+        n_spare = found - filled;
+        for (int v = 0; v < n_spare; v++)
+            take(t->block[(filled + v) / D].state, (filled + v) % D, spare + v * n, n);
+        report->vectors += filled;
         count[round] = found;
         if (!(kept[round] = absorb(t, vectors, 0, found, kept, count, round, m, left, samples)))
             status = ZOO_WORKSPACE;
@@ -331,7 +358,7 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points
     t->n_blocks = n_blocks;
     for (int r = 0; r <= max_beats && kept; r++)
         free(kept[r]);
-    double *reals[] = {start, left, vectors, size, scale, scratch};
+    double *reals[] = {start, left, vectors, spare, size, scale, scratch};
     for (size_t i = 0; i < sizeof reals / sizeof *reals; i++)
         free(reals[i]);
     free(open);

@@ -1,12 +1,12 @@
 /* One step of the run and of its directional derivatives.
  *
- * Everything here is scheme.h, junction.h, junction_total_pressure.h and the outlets differentiated by hand.  What a
- * step makes of a small change of the state is linear; its coefficients at a node or midpoint are the same for all
- * directions and computed once, then every direction costs 14 multiplications and additions at a node. Junctions
- * and outlets are differentiated at the root that the step found (implicit function), whatever way led to it.
+ * Everything here and in tangent_plain.c is scheme.h, junction.h, junction_total_pressure.h and the outlets
+ * differentiated by hand.  What a step makes of a small change of the state is linear; its coefficients are the same
+ * for all directions and computed once.  Junctions and outlets are differentiated at the root that the step found
+ * (implicit function), whatever way led to it.
  *
- * Where pressures depend on more than the area (walls with a memory, leaks) or the arguments of the walls
- * change, the pressures' own changes are carried (`whole`); else they are slope times area. */
+ * Without additions the coefficients of a beat's steps are kept and serve every further beat (tangent_plain.c).  With
+ * them pressures depend on more than the area: their own changes are carried, and each beat computes the run again. */
 #include <math.h>
 #include <string.h>
 
@@ -16,51 +16,43 @@
 
 enum { D = ZOO_DIRECTIONS };
 
-#if defined(__x86_64__) && defined(__GLIBC__) && (defined(__GNUC__) || defined(__clang__)) && !defined(ZOO_NO_CLONES)
-#define ZOO_CLONES __attribute__((target_clones("default", "arch=x86-64-v3", "arch=x86-64-v4")))
-#else
-#define ZOO_CLONES
-#endif
 #define EACH_DIRECTION ZOO_SIMD for (int d = 0; d < D; d++)
 
-/* Slope of the wall's pressure with the area; by central differences of fourth order how it changes with the
- * law's coefficients. */
-ZOO_INLINE void wall_partials(const int wall, const zoo_sim *s, const double *restrict A, const double *restrict K,
-                              const double *restrict inv_A0, double stiff, int n, int shapes, zoo_partials *p)
+/* Slope of the wall's pressure with the area, and how it changes with the law's coefficients; derivatives of
+ * M = alpha q^2/A and, without additions, G = (f_s sqrt(A/A0) + f_c) q/A. */
+ZOO_INLINE void partials_of(const int wall, const zoo_sim *s, const double *restrict A, const double *restrict q,
+                            const double *restrict K, const double *restrict inv_A0, const double *restrict f_s,
+                            const double *restrict f_c, double stiff, int n, int shapes, zoo_partials *p)
 {
     const ptrdiff_t stride = s->n_nodes;
-    const double *restrict th = s->coefficient;
-    const double *restrict elastic = p->elastic;
-    double *restrict slope = p->slope;
+    const double alpha = s->momentum;
+    const double *restrict th = s->coefficient, *restrict elastic = p->elastic;
+    double *restrict slope = p->slope, *restrict M_A = p->M_A, *restrict M_q = p->M_q, *restrict G_A = p->G_A,
+                     *restrict G_q = p->G_q;
     ZOO_SIMD for (int j = 0; j < n; j++) {
-        const double a = A[j] * inv_A0[j], y = fast_rsqrt(a);
-        slope[j] = wall_slope_area(wall, stiff * K[j], (wall_shape){th + j, stride, s->wall_function}, elastic[j], a * y, inv_A0[j] * y * y, inv_A0[j]);
+        const double a = A[j] * inv_A0[j], y = fast_rsqrt(a), root = a * y, per = inv_A0[j] * y * y, u = q[j] * per;
+        const double stick = f_s[j] * root, drift = alpha * u;
+        slope[j] = wall_slope_area(wall, stiff * K[j], (wall_shape){th + j, stride, s->wall_function}, elastic[j], root, per, inv_A0[j]);
+        M_A[j] = -drift * u;
+        M_q[j] = 2.0 * drift;
+        G_A[j] = -(0.5 * stick + f_c[j]) * u * per;
+        G_q[j] = (stick + f_c[j]) * per;
     }
     for (int m = 0; m < shapes; m++) {
         double *restrict by = p->shape + m * stride;
         ZOO_SIMD for (int j = 0; j < n; j++) {
-            double g[ZOO_MOST_SHAPES > 4 ? ZOO_MOST_SHAPES : 4], sum = 0.0;
-            for (int i = 0; i < wall_shapes(wall); i++)
-                g[i] = th[i * stride + j];
-            const double at = g[m], h = 1e-3 * at, a = A[j] * inv_A0[j], root = a * fast_rsqrt(a);
-            g[m] = at + h;
-            sum += 8.0 * wall_p(wall, stiff * K[j], (wall_shape){g, 1, s->wall_function}, a, root);
-            g[m] = at - h;
-            sum -= 8.0 * wall_p(wall, stiff * K[j], (wall_shape){g, 1, s->wall_function}, a, root);
-            g[m] = at + 2.0 * h;
-            sum -= wall_p(wall, stiff * K[j], (wall_shape){g, 1, s->wall_function}, a, root);
-            g[m] = at - 2.0 * h;
-            sum += wall_p(wall, stiff * K[j], (wall_shape){g, 1, s->wall_function}, a, root);
-            by[j] = sum / (12.0 * h);
+            const double a = A[j] * inv_A0[j];
+            by[j] = wall_by(wall, stiff * K[j], (wall_shape){th + j, stride, s->wall_function}, elastic[j], a, sqrt(a), m);
         }
     }
 }
 
-#define PARTIALS_OF(number, name)                                                                        \
-    ZOO_CLONES static void partials_##name(const zoo_sim *s, const double *A, const double *K, const double *inv_A0, \
-                                           double stiff, int n, int shapes, zoo_partials *p)                    \
-    {                                                                                                            \
-        wall_partials(number, s, A, K, inv_A0, stiff, n, shapes, p);                                    \
+#define PARTIALS_OF(number, name)                                                                                    \
+    ZOO_CLONES static void partials_##name(const zoo_sim *s, const double *A, const double *q, const double *K,      \
+                                           const double *inv_A0, const double *f_s, const double *f_c, double stiff, \
+                                           int n, int shapes, zoo_partials *p)                                       \
+    {                                                                                                                \
+        partials_of(number, s, A, q, K, inv_A0, f_s, f_c, stiff, n, shapes, p);                                      \
     }
 #define PARTIALS_OF_LAW(NAME, name, ...)  \
     PARTIALS_OF(ZOO_WALL_##NAME, name) \
@@ -74,29 +66,17 @@ ZOO_WALLS(PARTIALS_OF_LAW, )
         partials_##name##_function(__VA_ARGS__); \
         break;
 
-/* Of M = alpha q^2/A and G = (f_s sqrt(A/A0) + f_c + leak P + loss A^2 |q|) q/A. */
-ZOO_CLONES static void flux_partials(int n, int extra, double alpha, const double *restrict A, const double *restrict q,
-                                     const double *restrict P, const double *restrict inv_A0,
-                                     const double *restrict f_s, const double *restrict f_c,
-                                     const double *restrict leak, const double *restrict loss, zoo_partials *p)
+/* More of G, (leak P + loss A^2 |q|) q/A. */
+ZOO_CLONES static void added_partials(int n, const double *restrict A, const double *restrict q, const double *restrict P,
+                                      const double *restrict leak, const double *restrict loss, zoo_partials *p)
 {
-    double *restrict M_A = p->M_A, *restrict M_q = p->M_q, *restrict G_A = p->G_A, *restrict G_q = p->G_q,
-                     *restrict G_P = p->G_P;
+    double *restrict G_A = p->G_A, *restrict G_q = p->G_q, *restrict G_P = p->G_P;
     ZOO_SIMD for (int j = 0; j < n; j++) {
-        const double a = A[j] * inv_A0[j], y = fast_rsqrt(a), per = inv_A0[j] * y * y, u = q[j] * per;
-        const double stick = f_s[j] * a * y;
-        M_A[j] = -alpha * u * u;
-        M_q[j] = 2.0 * alpha * u;
-        G_A[j] = -(0.5 * stick + f_c[j]) * u * per;
-        G_q[j] = (stick + f_c[j]) * per;
+        const double per = 1.0 / A[j], u = q[j] * per;
+        G_A[j] += loss[j] * fabs(q[j]) * q[j] - leak[j] * P[j] * u * per;
+        G_q[j] += leak[j] * P[j] * per + 2.0 * loss[j] * A[j] * fabs(q[j]);
+        G_P[j] = leak[j] * u;
     }
-    if (extra)
-        ZOO_SIMD for (int j = 0; j < n; j++) {
-            const double per = 1.0 / A[j], u = q[j] * per;
-            G_A[j] += loss[j] * fabs(q[j]) * q[j] - leak[j] * P[j] * u * per;
-            G_q[j] += leak[j] * P[j] * per + 2.0 * loss[j] * A[j] * fabs(q[j]);
-            G_P[j] = leak[j] * u;
-        }
 }
 
 /* More of G where friction has a factor that is a function of the velocity. */
@@ -112,23 +92,33 @@ static void friction_partials(const zoo_sim *s, int n, const double *A, const do
     }
 }
 
-static int shapes_of(const zoo_tangent *t)
+/* Whether a direction changes the walls. */
+static int walls_change(const zoo_tangent *t)
 {
     int walls = 0;
     for (int b = 0; b < t->n_blocks && t->forced; b++)
         walls |= t->block[b].walls;
-    return walls ? wall_shapes(t->s->wall) : 0;
+    return walls;
+}
+
+/* How the walls' pressures change with K at n nodes or midpoints. */
+static void scale_partials(const double *restrict K, int n, zoo_partials *p)
+{
+    ZOO_SIMD for (int j = 0; j < n; j++)
+        p->by_K[j] = p->elastic[j] / K[j];
 }
 
 static void node_partials(zoo_tangent *t, zoo_partials *p)
 {
     const zoo_sim *s = t->s;
-    const int shapes = shapes_of(t);
     memcpy(p->elastic, s->extra ? s->pe : s->P, (size_t)s->n_nodes * sizeof(double));
     switch (s->wall) {
-        ZOO_WALLS(PARTIALS_CASE, s, s->A, s->K, s->inv_A0, s->stiff, s->n_nodes, shapes, p)
+        ZOO_WALLS(PARTIALS_CASE, s, s->A, s->q, s->K, s->inv_A0, s->f_s, s->f_c, s->stiff, s->n_nodes, t->shapes, p)
     }
-    flux_partials(s->n_nodes, s->extra, s->momentum, s->A, s->q, s->P, s->inv_A0, s->f_s, s->f_c, s->leak, s->loss, p);
+    if (walls_change(t))
+        scale_partials(s->K, s->n_nodes, p);
+    if (s->extra)
+        added_partials(s->n_nodes, s->A, s->q, s->P, s->leak, s->loss, p);
     friction_partials(s, s->n_nodes, s->A, s->q, s->inv_A0, s->f_s, s->f_c, p);
 }
 
@@ -138,6 +128,7 @@ ZOO_CLONES static void half_coefficients(zoo_tangent *t)
     const zoo_sim *s = t->s;
     const zoo_partials *p = &t->now;
     const int n = s->n_nodes - 1, extra = s->extra;
+    const double alone = extra ? 0.0 : 1.0; /* then pressures are slope times area */
     const double quarter_dt = 0.25 * s->dt, inv_rho = s->inv_density;
     const double *restrict A = s->A, *restrict P = s->P, *restrict lam = s->lam_mid, *restrict M_A = p->M_A,
                            *restrict M_q = p->M_q, *restrict G_A = p->G_A, *restrict G_q = p->G_q,
@@ -146,8 +137,8 @@ ZOO_CLONES static void half_coefficients(zoo_tangent *t)
                      *restrict hP0 = t->hP0, *restrict hP1 = t->hP1;
     ZOO_SIMD for (int j = 0; j < n; j++) {
         const double l = 0.5 * lam[j], m = 0.5 * l * inv_rho * (A[j] + A[j + 1]), tilt = 0.5 * l * inv_rho * (P[j + 1] - P[j]);
-        hA0[j] = l * M_A[j] - tilt - quarter_dt * G_A[j];
-        hA1[j] = -l * M_A[j + 1] - tilt - quarter_dt * G_A[j + 1];
+        hA0[j] = l * M_A[j] - tilt - quarter_dt * G_A[j] + alone * m * slope[j];
+        hA1[j] = -l * M_A[j + 1] - tilt - quarter_dt * G_A[j + 1] - alone * m * slope[j + 1];
         hq0[j] = 0.5 + l * M_q[j] - quarter_dt * G_q[j];
         hq1[j] = 0.5 - l * M_q[j + 1] - quarter_dt * G_q[j + 1];
         hP0[j] = m;
@@ -158,11 +149,6 @@ ZOO_CLONES static void half_coefficients(zoo_tangent *t)
             hP0[j] -= quarter_dt * G_P[j];
             hP1[j] -= quarter_dt * G_P[j + 1];
         }
-    if (!t->whole)
-        ZOO_SIMD for (int j = 0; j < n; j++) {
-            hA0[j] += hP0[j] * slope[j];
-            hA1[j] += hP1[j] * slope[j + 1];
-        }
 }
 
 /* How the nodes follow from the midpoints; midpoint -1 exists. */
@@ -171,6 +157,7 @@ ZOO_CLONES static void full_coefficients(zoo_tangent *t)
     const zoo_sim *s = t->s;
     const zoo_partials *p = &t->mid;
     const int n = s->n_nodes, extra = s->extra;
+    const double alone = extra ? 0.0 : 1.0;
     const double half_inv_rho = 0.5 * s->inv_density;
     const double *restrict Ah = s->Ah, *restrict Ph = s->Ph, *restrict lam = s->lam, *restrict half_dt = s->half_dt,
                            *restrict M_A = p->M_A, *restrict M_q = p->M_q, *restrict G_A = p->G_A,
@@ -179,8 +166,8 @@ ZOO_CLONES static void full_coefficients(zoo_tangent *t)
                      *restrict fP0 = t->fP0, *restrict fP1 = t->fP1;
     ZOO_SIMD for (int j = 1; j < n; j++) {
         const double m = half_inv_rho * lam[j] * (Ah[j] + Ah[j - 1]), tilt = half_inv_rho * lam[j] * (Ph[j] - Ph[j - 1]);
-        fA0[j] = lam[j] * M_A[j - 1] - tilt - half_dt[j] * G_A[j - 1];
-        fA1[j] = -lam[j] * M_A[j] - tilt - half_dt[j] * G_A[j];
+        fA0[j] = lam[j] * M_A[j - 1] - tilt - half_dt[j] * G_A[j - 1] + alone * m * slope[j - 1];
+        fA1[j] = -lam[j] * M_A[j] - tilt - half_dt[j] * G_A[j] - alone * m * slope[j];
         fq0[j] = lam[j] * M_q[j - 1] - half_dt[j] * G_q[j - 1];
         fq1[j] = -lam[j] * M_q[j] - half_dt[j] * G_q[j];
         fP0[j] = m;
@@ -191,24 +178,18 @@ ZOO_CLONES static void full_coefficients(zoo_tangent *t)
             fP0[j] -= half_dt[j] * G_P[j - 1];
             fP1[j] -= half_dt[j] * G_P[j];
         }
-    if (!t->whole)
-        ZOO_SIMD for (int j = 1; j < n; j++) {
-            fA0[j] += fP0[j] * slope[j - 1];
-            fA1[j] += fP1[j] * slope[j];
-        }
 }
 
 /* The wall's pressure at n nodes or midpoints with their areas left alone. */
-ZOO_CLONES static void wall_source(const zoo_tangent *t, const zoo_block *b, const zoo_partials *p, const double *restrict K,
-                                   const double *restrict dK, int n, double *restrict to)
+ZOO_CLONES static void wall_source(const zoo_tangent *t, const zoo_block *b, const zoo_partials *p, const double *restrict dK,
+                                   int n, double *restrict to)
 {
     const ptrdiff_t stride = t->s->n_nodes;
-    const int shapes = wall_shapes(t->s->wall);
     for (ptrdiff_t j = 0; j < n; j++) {
-        const double by = p->elastic[j] / K[j];
+        const double by = p->by_K[j];
         EACH_DIRECTION to[j * D + d] = by * dK[j * D + d];
     }
-    for (int m = 0; m < shapes; m++) {
+    for (int m = 0; m < t->shapes; m++) {
         const double *restrict change = b->coefficient + m * stride * D, *restrict slope = p->shape + m * stride;
         for (ptrdiff_t j = 0; j < n; j++) {
             const double by = slope[j];
@@ -228,45 +209,8 @@ static const double *mid_source(const zoo_tangent *t, const zoo_block *b)
     return t->forced && b->walls ? b->mid_source : t->zero;
 }
 
-/* Without carried pressures: all of a midpoint and a node. */
+/* P = (1 + kappa) pe + z at a node. */
 ZOO_CLONES static void half_of(const zoo_tangent *t, zoo_block *b)
-{
-    const int n = t->s->n_nodes - 1;
-    const double *restrict lam = t->s->lam_mid, *restrict hA0 = t->hA0, *restrict hA1 = t->hA1, *restrict hq0 = t->hq0,
-                 *restrict hq1 = t->hq1;
-    const double *restrict A = b->A, *restrict q = b->q;
-    double *restrict Ah = b->Ah, *restrict qh = b->qh;
-    for (ptrdiff_t j = 0; j < n; j++) {
-        const double l = 0.5 * lam[j], cA0 = hA0[j], cA1 = hA1[j], cq0 = hq0[j], cq1 = hq1[j];
-        const double *restrict A0 = A + j * D, *restrict A1 = A0 + D, *restrict q0 = q + j * D, *restrict q1 = q0 + D;
-        double *restrict to_A = Ah + j * D, *restrict to_q = qh + j * D;
-        EACH_DIRECTION {
-            to_A[d] = 0.5 * (A0[d] + A1[d]) - l * (q1[d] - q0[d]);
-            to_q[d] = cA0 * A0[d] + cA1 * A1[d] + cq0 * q0[d] + cq1 * q1[d];
-        }
-    }
-}
-
-ZOO_CLONES static void full_of(const zoo_tangent *t, zoo_block *b)
-{
-    const int n = t->s->n_nodes;
-    const double *restrict lam = t->s->lam, *restrict fA0 = t->fA0, *restrict fA1 = t->fA1, *restrict fq0 = t->fq0,
-                 *restrict fq1 = t->fq1;
-    const double *restrict Ah = b->Ah, *restrict qh = b->qh;
-    double *restrict A = b->A, *restrict q = b->q;
-    for (ptrdiff_t j = 1; j < n; j++) {
-        const double l = lam[j], cA0 = fA0[j], cA1 = fA1[j], cq0 = fq0[j], cq1 = fq1[j];
-        const double *restrict A1 = Ah + j * D, *restrict A0 = A1 - D, *restrict q1 = qh + j * D, *restrict q0 = q1 - D;
-        double *restrict to_A = A + j * D, *restrict to_q = q + j * D;
-        EACH_DIRECTION {
-            to_A[d] -= l * (q1[d] - q0[d]);
-            to_q[d] += cA0 * A0[d] + cA1 * A1[d] + cq0 * q0[d] + cq1 * q1[d];
-        }
-    }
-}
-
-/* With carried pressures: P = (1 + kappa) pe + z at a node. */
-ZOO_INLINE void whole_half(const zoo_tangent *t, zoo_block *b, const int extra)
 {
     const zoo_sim *s = t->s;
     const int n = s->n_nodes - 1;
@@ -278,18 +222,9 @@ ZOO_INLINE void whole_half(const zoo_tangent *t, zoo_block *b, const int extra)
         const double *restrict A0 = b->A + j * D, *restrict A1 = A0 + D, *restrict q0 = b->q + j * D,
                      *restrict q1 = q0 + D, *restrict e0 = b->pe + j * D, *restrict e1 = e0 + D;
         double *restrict to_A = b->Ah + j * D, *restrict to_q = b->qh + j * D, *restrict to_P = b->Ph + j * D;
-        const double *restrict source = sources + j * D;
-        if (!extra) {
-            EACH_DIRECTION {
-                to_A[d] = 0.5 * (A0[d] + A1[d]) - l * (q1[d] - q0[d]);
-                to_q[d] = cA0 * A0[d] + cA1 * A1[d] + cq0 * q0[d] + cq1 * q1[d] + cP0 * e0[d] + cP1 * e1[d];
-                to_P[d] = slope * to_A[d] + source[d];
-            }
-            continue;
-        }
+        const double *restrict source = sources + j * D, *restrict z0 = b->z + j * D, *restrict z1 = z0 + D;
         const double k0 = s->kappa[j], k1 = s->kappa[j + 1], leak = quarter_dt * s->leak_mid[j];
         const double f0 = 0.5 * k0 * (1.0 - keep), f1 = 0.5 * k1 * (1.0 - keep), stiffer = 1.0 + later * k0;
-        const double *restrict z0 = b->z + j * D, *restrict z1 = z0 + D;
         EACH_DIRECTION {
             const double P0 = (1.0 + k0) * e0[d] + z0[d], P1 = (1.0 + k1) * e1[d] + z1[d];
             to_A[d] = 0.5 * (A0[d] + A1[d]) - l * (q1[d] - q0[d]) - leak * (P0 + P1);
@@ -300,7 +235,7 @@ ZOO_INLINE void whole_half(const zoo_tangent *t, zoo_block *b, const int extra)
     }
 }
 
-ZOO_INLINE void whole_full(const zoo_tangent *t, zoo_block *b, const int extra)
+ZOO_CLONES static void full_of(const zoo_tangent *t, zoo_block *b)
 {
     const zoo_sim *s = t->s;
     const int n = s->n_nodes;
@@ -309,37 +244,19 @@ ZOO_INLINE void whole_full(const zoo_tangent *t, zoo_block *b, const int extra)
         const double *restrict source = sources + j * D;
         const double l = s->lam[j], cA0 = t->fA0[j], cA1 = t->fA1[j], cq0 = t->fq0[j], cq1 = t->fq1[j],
                      cP0 = t->fP0[j], cP1 = t->fP1[j], slope = t->next.slope[j];
-        const double leak = extra ? s->half_dt[j] * s->leak[j] : 0.0, e = s->relax;
-        const double g = extra ? 0.5 * s->kappa[j] * (1.0 - e) : 0.0;
+        const double leak = s->half_dt[j] * s->leak[j], e = s->relax, g = 0.5 * s->kappa[j] * (1.0 - e);
         const double *restrict A1 = b->Ah + j * D, *restrict A0 = A1 - D, *restrict q1 = b->qh + j * D,
                      *restrict q0 = q1 - D, *restrict P1 = b->Ph + j * D, *restrict P0 = P1 - D;
-        double *restrict to_A = b->A + j * D, *restrict to_q = b->q + j * D, *restrict pe = b->pe + j * D;
-        double *restrict z = extra ? b->z + j * D : NULL;
+        double *restrict to_A = b->A + j * D, *restrict to_q = b->q + j * D, *restrict pe = b->pe + j * D, *restrict z = b->z + j * D;
         EACH_DIRECTION {
-            double now = to_A[d] - l * (q1[d] - q0[d]);
-            if (extra)
-                now -= leak * (P0[d] + P1[d]);
+            double now = to_A[d] - l * (q1[d] - q0[d]) - leak * (P0[d] + P1[d]);
             to_A[d] = now;
             to_q[d] += cA0 * A0[d] + cA1 * A1[d] + cq0 * q0[d] + cq1 * q1[d] + cP0 * P0[d] + cP1 * P1[d];
             now = slope * now + source[d];
-            if (extra)
-                z[d] = e * z[d] - g * (pe[d] + now);
+            z[d] = e * z[d] - g * (pe[d] + now);
             pe[d] = now;
         }
     }
-}
-
-ZOO_CLONES static void whole_half_plain(const zoo_tangent *t, zoo_block *b) { whole_half(t, b, 0); }
-ZOO_CLONES static void whole_half_added(const zoo_tangent *t, zoo_block *b) { whole_half(t, b, 1); }
-ZOO_CLONES static void whole_full_plain(const zoo_tangent *t, zoo_block *b) { whole_full(t, b, 0); }
-ZOO_CLONES static void whole_full_added(const zoo_tangent *t, zoo_block *b) { whole_full(t, b, 1); }
-
-/* Pressures at a midpoint. */
-ZOO_INLINE void mid_P(const zoo_tangent *t, const zoo_block *b, ptrdiff_t m, double *restrict to)
-{
-    const double *restrict from = (t->whole ? b->Ph : b->Ah) + m * D;
-    const double by = t->whole ? 1.0 : t->mid.slope[m];
-    EACH_DIRECTION to[d] = by * from[d];
 }
 
 /* Part of a boundary node's new pressure that its new area does not make: what is known, and what the wall's own
@@ -347,42 +264,38 @@ ZOO_INLINE void mid_P(const zoo_tangent *t, const zoo_block *b, ptrdiff_t m, dou
 ZOO_INLINE void known_P(const zoo_tangent *t, const zoo_block *b, ptrdiff_t o, double stiffer, double *restrict to)
 {
     const zoo_sim *s = t->s;
-    const double *restrict source = node_source(t, b) + o * D;
-    EACH_DIRECTION to[d] = stiffer * source[d];
-    if (s->extra) {
-        const double keep = s->relax, g = 0.5 * s->kappa[o] * (1.0 - keep);
-        const double *restrict z = b->z + o * D, *restrict pe = b->pe + o * D;
-        EACH_DIRECTION to[d] += keep * z[d] - g * pe[d];
-    }
+    const double keep = s->relax, g = 0.5 * s->kappa[o] * (1.0 - keep);
+    const double *restrict source = node_source(t, b) + o * D, *restrict z = b->z + o * D, *restrict pe = b->pe + o * D;
+    EACH_DIRECTION to[d] = stiffer * source[d] + keep * z[d] - g * pe[d];
 }
 
 ZOO_INLINE double stiffer_at(const zoo_sim *s, ptrdiff_t o)
 {
-    return s->extra ? 1.0 + 0.5 * (1.0 + s->relax) * s->kappa[o] : 1.0;
+    return 1.0 + 0.5 * (1.0 + s->relax) * s->kappa[o];
 }
 
 /* What the directions at a branch of a junction have in common. */
 enum {
     BRANCH_PER_SLOPE, BRANCH_PART, BRANCH_STIFFER, BRANCH_U, BRANCH_FLUX, BRANCH_PER_HALF, BRANCH_HANG, BRANCH_HOLD,
-    BRANCH_SUNK, BRANCH_PUSH, BRANCH_BACK, BRANCH_ROWS
+    BRANCH_SUNK, BRANCH_PUSH, BRANCH_BACK
 };
 
 ZOO_CLONES static void branches_of(const zoo_tangent *t, const zoo_junction_group *ju, double *restrict row)
 {
     const zoo_sim *s = t->s;
-    const int n = ju->count * ju->branches, extra = s->extra;
+    const int n = ju->count * ju->branches;
     const double inv_rho = s->inv_density;
     const zoo_spline factor = s->friction_function;
     const int *restrict node = ju->node, *restrict mid = ju->mid;
     const double *restrict old_A = t->old_A, *restrict A = s->A, *restrict qh = s->qh, *restrict Ph = s->Ph,
                            *restrict Ah = s->Ah, *restrict slopes = t->next.slope, *restrict leaks = s->leak,
                            *restrict losses = s->loss, *restrict kappa = s->kappa;
-    const double more = extra ? 0.5 * (1.0 + s->relax) : 0.0;
+    const double more = 0.5 * (1.0 + s->relax);
     ZOO_SIMD for (ptrdiff_t x = 0; x < n; x++) {
         const ptrdiff_t o = node[x], m = mid[x];
-        const double w = ju->w[x], is = ju->sign[x], back = 1.0 / ju->per_w[x], stiffer = extra ? 1.0 + more * kappa[o] : 1.0;
+        const double w = ju->w[x], is = ju->sign[x], back = 1.0 / ju->per_w[x], stiffer = 1.0 + more * kappa[o];
         const double per_slope = 1.0 / (stiffer * slopes[o]);
-        const double leak = extra ? leaks[o] : 0.0, loss = extra ? losses[o] : 0.0;
+        const double leak = leaks[o], loss = losses[o];
         const double half = 0.5 * (old_A[o] + A[o]), per_half = 1.0 / half, ratio = half / ju->A0[x];
         const double flux = qh[m] - is * ((A[o] - old_A[o]) * back + w * leak * Ph[m]), u = flux * per_half;
         double faster;
@@ -406,7 +319,7 @@ ZOO_CLONES static void branches_of(const zoo_tangent *t, const zoo_junction_grou
 ZOO_INLINE void junction_of(const zoo_tangent *t, zoo_block *b, const zoo_junction_group *ju, const double *restrict row, int j)
 {
     const zoo_sim *s = t->s;
-    const int nb = ju->branches, extra = s->extra, n = ju->count * nb;
+    const int nb = ju->branches, n = ju->count * nb;
     const double dt = s->dt, inv_rho = s->inv_density, alpha = s->momentum, H = ju->sum_c[j];
     double *restrict known = t->branch, *restrict c = known + nb * D, *restrict push_of = c + nb * D,
                      *restrict area = push_of + nb * D;
@@ -415,16 +328,12 @@ ZOO_INLINE void junction_of(const zoo_tangent *t, zoo_block *b, const zoo_juncti
         const int x = k * ju->count + j;
         const ptrdiff_t o = ju->node[x], m = ju->mid[x];
         const double w = ju->w[x], part = row[BRANCH_PART * n + x], is = ju->sign[x] * dt;
-        const double leak = extra ? dt * w * s->leak[o] : 0.0;
-        const double *restrict A = b->A + o * D, *restrict qh = b->qh + m * D;
-        double *restrict own = known + k * D, Ph[D];
+        const double leak = dt * w * s->leak[o];
+        const double *restrict A = b->A + o * D, *restrict qh = b->qh + m * D, *restrict Ph = b->Ph + m * D;
+        double *restrict own = known + k * D;
         soft += part;
         known_P(t, b, o, row[BRANCH_STIFFER * n + x], own);
-        EACH_DIRECTION P[d] += w * A[d] + is * qh[d] + part * own[d];
-        if (extra) {
-            mid_P(t, b, m, Ph);
-            EACH_DIRECTION P[d] -= leak * Ph[d];
-        }
+        EACH_DIRECTION P[d] += w * A[d] + is * qh[d] + part * own[d] - leak * Ph[d];
     }
     const double per_soft = 1.0 / soft;
     EACH_DIRECTION P[d] *= per_soft;
@@ -432,16 +341,15 @@ ZOO_INLINE void junction_of(const zoo_tangent *t, zoo_block *b, const zoo_juncti
         const int x = k * ju->count + j;
         const ptrdiff_t o = ju->node[x], m = ju->mid[x];
         const double w = ju->w[x], is = ju->sign[x], per_w = ju->per_w[x], per_slope = row[BRANCH_PER_SLOPE * n + x];
-        const double leak = extra ? s->leak[o] : 0.0, Ph = s->Ph[m], wet = w * leak, back = row[BRANCH_BACK * n + x];
+        const double leak = s->leak[o], Ph = s->Ph[m], wet = w * leak, back = row[BRANCH_BACK * n + x];
         const double flux = row[BRANCH_FLUX * n + x], u = row[BRANCH_U * n + x], per_half = row[BRANCH_PER_HALF * n + x];
         const double hang = row[BRANCH_HANG * n + x], hold = row[BRANCH_HOLD * n + x], sunk = row[BRANCH_SUNK * n + x],
                      push = row[BRANCH_PUSH * n + x];
         const double M_A = t->mid.M_A[m], M_q = t->mid.M_q[m], G_A = t->mid.G_A[m], G_q = t->mid.G_q[m],
-                     G_P = extra ? t->mid.G_P[m] : 0.0;
+                     G_P = t->mid.G_P[m];
         const double *restrict A = b->A + o * D, *restrict q = b->q + o * D, *restrict Ah = b->Ah + m * D,
-                     *restrict qh = b->qh + m * D, *restrict own = known + k * D;
-        double *restrict then = area + k * D, *restrict pushed = push_of + k * D, *restrict to = c + k * D, Pm[D];
-        mid_P(t, b, m, Pm);
+                     *restrict qh = b->qh + m * D, *restrict Pm = b->Ph + m * D, *restrict own = known + k * D;
+        double *restrict then = area + k * D, *restrict pushed = push_of + k * D, *restrict to = c + k * D;
         stiff += push;
         EACH_DIRECTION {
             const double after = (P[d] - own[d]) * per_slope, mean = 0.5 * (A[d] + after);
@@ -526,8 +434,8 @@ ZOO_INLINE void coupled_of(const zoo_tangent *t, zoo_block *b, const zoo_junctio
             mP += w * (aP[k] - aD * gP), mH += w * (aH[k] - aD * gH);
             fP -= qP[k] - qD * gP, fH -= qH[k] - qD * gH;
         }
-        double Pm[D], own[D];
-        mid_P(t, b, m, Pm);
+        const double *restrict Pm = b->Ph + m * D;
+        double own[D];
         known_P(t, b, o, more, own);
         EACH_DIRECTION {
             const double dA = b->A[o * D + d], dq = b->q[o * D + d], Ahm = b->Ah[m * D + d], qhm = b->qh[m * D + d],
@@ -578,11 +486,11 @@ ZOO_CLONES static void junctions_of(const zoo_tangent *t, zoo_block *b)
     const double *row = t->row;
     for (int g = 0; g < s->n_groups; g++) {
         for (int j = 0; j < s->groups[g].count; j++)
-            if (s->extra && s->coupled)
+            if (s->coupled)
                 coupled_of(t, b, &s->groups[g], j);
             else
                 junction_of(t, b, &s->groups[g], row, j);
-        row += BRANCH_ROWS * s->groups[g].count * s->groups[g].branches;
+        row += ZOO_ADDED_ROWS * s->groups[g].count * s->groups[g].branches;
     }
 }
 
@@ -590,49 +498,6 @@ ZOO_CLONES static void junctions_of(const zoo_tangent *t, zoo_block *b)
 ZOO_INLINE const double *row_of(const zoo_tangent *t, const zoo_block *b, int m, int i)
 {
     return (t->forced && b->outlets ? b->row : t->zero) + ((ptrdiff_t)m * t->s->outlets.count + i) * D;
-}
-
-/* Pressures at a node without additions. */
-ZOO_INLINE void node_P(const zoo_tangent *t, const zoo_block *b, ptrdiff_t o, double *to)
-{
-    const double *from = (t->whole ? b->pe : b->A) + o * D;
-    const double by = t->whole ? 1.0 : t->now.slope[o];
-    EACH_DIRECTION to[d] = by * from[d];
-}
-
-/* outlet_windkessel.h */
-ZOO_CLONES static void windkessel_of(const zoo_tangent *t, zoo_block *b)
-{
-    const zoo_sim *s = t->s;
-    const zoo_terminals *ou = &s->outlets;
-    const int n = ou->count;
-    for (int i = 0; i < n; i++) {
-        const ptrdiff_t o = ou->node[i];
-        const double decay = outlet_row(s, ou->coefficient, WINDKESSEL_DECAY)[i], fill = outlet_row(s, ou->coefficient, WINDKESSEL_FILL)[i],
-                     E = outlet_row(s, ou->coefficient, WINDKESSEL_E)[i], inv_R1 = outlet_row(s, ou->coefficient, WINDKESSEL_INV_R1)[i],
-                     rest = outlet_row(s, ou->coefficient, WINDKESSEL_REST)[i];
-        const double was = t->old_v[i], Q = s->qh[o - 1] - (s->A[o] - t->old_A[o]) / ou->per_w[i];
-        const double base = (1.0 + decay) * was - t->old_P[o] + rest, slope = t->next.slope[o];
-        const double inv = 1.0 / (slope + E / ou->per_w[i]), raised = base + E * Q - ou->v[i];
-        double own[D], old_P[D];
-        known_P(t, b, o, 1.0, own);
-        node_P(t, b, o, old_P);
-        const double *restrict d_decay = row_of(t, b, WINDKESSEL_DECAY, i), *restrict d_rest = row_of(t, b, WINDKESSEL_REST, i),
-                     *restrict d_E = row_of(t, b, WINDKESSEL_E, i), *restrict d_fill = row_of(t, b, WINDKESSEL_FILL, i),
-                     *restrict d_inv = row_of(t, b, WINDKESSEL_INV_R1, i);
-        const double *come_q = b->qh + (o - 1) * D;
-        const double back = 1.0 / ou->per_w[i];
-        double *A = b->A + o * D, *q = b->q + o * D, *v = b->v + (ptrdiff_t)i * D;
-        EACH_DIRECTION {
-            const double d_base = (1.0 + decay) * v[d] + d_decay[d] * was - old_P[d] + d_rest[d];
-            const double come = come_q[d] + A[d] * back;
-            const double then = (d_base + E * come + d_E[d] * Q - own[d]) * inv, dQ = come - then * back;
-            const double after = decay * v[d] + d_decay[d] * was + fill * dQ + d_fill[d] * Q + d_rest[d];
-            A[d] = then;
-            v[d] = after;
-            q[d] = (d_base + E * dQ + d_E[d] * Q - after) * inv_R1 + d_inv[d] * raised;
-        }
-    }
 }
 
 /* outlet_circuit.h */
@@ -666,9 +531,9 @@ ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
         const double Q = s->qh[o - 1] - leak * s->Ph[o - 1] - (s->A[o] - t->old_A[o]) / per_w;
         const double y_new = base + E * Q - p_out - then_v;
         const double more = stiffer_at(s, o), inv = 1.0 / (more * t->next.slope[o] + E / per_w);
-        double own[D], Pm[D];
+        const double *restrict Pm = b->Ph + (o - 1) * D;
+        double own[D];
         known_P(t, b, o, more, own);
-        mid_P(t, b, o - 1, Pm);
         EACH_DIRECTION {
             const double dA = b->A[o * D + d], d_out = forced ? b->behind[i * D + d] : 0.0;
             const double old_P = (1.0 + s->kappa[o]) * b->pe[o * D + d] + b->z[o * D + d], d_E = row_of(t, b, CIRCUIT_E, i)[d];
@@ -707,30 +572,57 @@ ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
 static void inlet_of(const zoo_tangent *t, zoo_block *b, int step)
 {
     const zoo_sim *s = t->s;
-    const double per_w = 2.0 * s->dt / s->dx[0], leak = s->extra ? s->dt * s->leak[0] : 0.0;
+    const double per_w = 2.0 * s->dt / s->dx[0], leak = s->dt * s->leak[0];
     const int forced = t->forced && b->inlet;
-    double Pm[D];
-    mid_P(t, b, 0, Pm);
     for (int d = 0; d < D; d++) {
-        b->A[d] -= per_w * (b->qh[d] - (forced ? b->curve_mean[(ptrdiff_t)step * D + d] : 0.0)) + leak * Pm[d];
+        b->A[d] -= per_w * (b->qh[d] - (forced ? b->curve_mean[(ptrdiff_t)step * D + d] : 0.0)) + leak * b->Ph[d];
         b->q[d] = forced ? b->curve_node[((ptrdiff_t)step + 1) * D + d] : 0.0;
     }
+}
+
+/* The walls' slope where outputs are taken. */
+static void see(const zoo_tangent *t, double *to)
+{
+    for (int i = 0; i < 4 * t->s->problem->outputs.n_series; i++)
+        to[i] = t->now.slope[t->s->out_node[i]];
 }
 
 /* The wall's pressures at the start of a beat, of what stands in the blocks. */
 void zoo_tangent_begin(zoo_tangent *t)
 {
     const zoo_sim *s = t->s;
+    if (t->done) {
+        memcpy(t->seen, t->seen_first, 4 * (size_t)s->problem->outputs.n_series * sizeof(double));
+        return;
+    }
+    t->shapes = walls_change(t) ? wall_shapes(s->wall) : 0;
     node_partials(t, &t->now);
-    for (int k = 0; k < t->n_blocks; k++) {
+    see(t, t->seen);
+    see(t, t->seen_first);
+    for (int k = 0; k < t->n_blocks && s->extra; k++) {
         zoo_block *b = &t->block[k];
         if (t->forced && b->walls)
-            wall_source(t, b, &t->now, s->K, b->K, s->n_nodes, b->node_source);
+            wall_source(t, b, &t->now, b->K, s->n_nodes, b->node_source);
         const double *source = node_source(t, b);
-        for (ptrdiff_t j = 0; j < s->n_nodes && t->whole; j++)
+        for (ptrdiff_t j = 0; j < s->n_nodes; j++)
             for (int d = 0; d < D; d++)
                 b->pe[j * D + d] = t->now.slope[j] * b->A[j * D + d] + source[j * D + d];
     }
+}
+
+/* A block through the step, with additions. */
+static void added_step(const zoo_tangent *t, zoo_block *b, int step)
+{
+    const zoo_sim *s = t->s;
+    if (t->forced && b->walls) {
+        wall_source(t, b, &t->mid, b->K_mid, s->n_nodes - 1, b->mid_source);
+        wall_source(t, b, &t->next, b->K, s->n_nodes, b->node_source);
+    }
+    half_of(t, b);
+    junctions_of(t, b);
+    circuit_of(t, b);
+    inlet_of(t, b, step);
+    full_of(t, b);
 }
 
 int zoo_tangent_step(zoo_tangent *t, int step)
@@ -738,6 +630,12 @@ int zoo_tangent_step(zoo_tangent *t, int step)
     zoo_sim *s = t->s;
     const zoo_terminals *ou = &s->outlets;
     const size_t n = (size_t)s->n_nodes;
+    if (t->done) {
+        zoo_tangent_recall(t, step);
+        for (int k = 0; k < t->n_blocks; k++)
+            zoo_plain_step(t, &t->block[k], step);
+        return 0;
+    }
     memcpy(t->old_A, s->A, n * sizeof(double));
     memcpy(t->old_q, s->q, n * sizeof(double));
     memcpy(t->old_P, s->P, n * sizeof(double));
@@ -753,47 +651,34 @@ int zoo_tangent_step(zoo_tangent *t, int step)
         t->mid.elastic[j] = (s->Ph[j] - 0.5 * (t->old_off[j] + t->old_off[j + 1])) /
                             (1.0 + 0.5 * (1.0 + s->relax_half) * s->kappa[j]);
     switch (s->wall) {
-        ZOO_WALLS(PARTIALS_CASE, s, s->Ah, s->K_mid, s->inv_A0_mid, s->extra ? s->stiff_half : 1.0, s->n_nodes - 1,
-                  shapes_of(t), &t->mid)
+        ZOO_WALLS(PARTIALS_CASE, s, s->Ah, s->qh, s->K_mid, s->inv_A0_mid, s->f_s_mid, s->f_c_mid,
+                  s->extra ? s->stiff_half : 1.0, s->n_nodes - 1, t->shapes, &t->mid)
     }
-    flux_partials(s->n_nodes - 1, s->extra, s->momentum, s->Ah, s->qh, s->Ph, s->inv_A0_mid, s->f_s_mid, s->f_c_mid,
-                  s->leak_mid, s->loss_mid, &t->mid);
+    if (walls_change(t))
+        scale_partials(s->K_mid, s->n_nodes - 1, &t->mid);
+    if (s->extra)
+        added_partials(s->n_nodes - 1, s->Ah, s->qh, s->Ph, s->leak_mid, s->loss_mid, &t->mid);
     friction_partials(s, s->n_nodes - 1, s->Ah, s->qh, s->inv_A0_mid, s->f_s_mid, s->f_c_mid, &t->mid);
     full_coefficients(t);
     node_partials(t, &t->next);
     double *row = t->row;
-    for (int g = 0; g < s->n_groups && !(s->extra && s->coupled); g++) {
+    for (int g = 0; g < s->n_groups && s->extra && !s->coupled; g++) {
         branches_of(t, &s->groups[g], row);
-        row += BRANCH_ROWS * s->groups[g].count * s->groups[g].branches;
+        row += ZOO_ADDED_ROWS * s->groups[g].count * s->groups[g].branches;
     }
-    for (int k = 0; k < t->n_blocks; k++) {
-        zoo_block *b = &t->block[k];
-        if (t->forced && b->walls) {
-            wall_source(t, b, &t->mid, s->K_mid, b->K_mid, s->n_nodes - 1, b->mid_source);
-            wall_source(t, b, &t->next, s->K, b->K, s->n_nodes, b->node_source);
-        }
-        if (!t->whole)
-            half_of(t, b);
-        else if (s->extra)
-            whole_half_added(t, b);
+    if (!s->extra)
+        zoo_plain_keep(t);
+    for (int k = 0; k < t->n_blocks; k++)
+        if (s->extra)
+            added_step(t, &t->block[k], step);
         else
-            whole_half_plain(t, b);
-        junctions_of(t, b);
-        if (ou->kind == ZOO_OUTLET_CIRCUIT)
-            circuit_of(t, b);
-        else
-            windkessel_of(t, b);
-        inlet_of(t, b, step);
-        if (!t->whole)
-            full_of(t, b);
-        else if (s->extra)
-            whole_full_added(t, b);
-        else
-            whole_full_plain(t, b);
-    }
+            zoo_plain_step(t, &t->block[k], step);
     const zoo_partials swap = t->now;
     t->now = t->next;
     t->next = swap;
+    see(t, t->seen);
+    if (t->kept && !wrong)
+        zoo_tangent_keep(t, step);
     return wrong;
 }
 
@@ -804,7 +689,7 @@ void zoo_tangent_add(zoo_tangent *t, int k, const double *change)
     zoo_block *b = &t->block[k];
     for (ptrdiff_t i = 0; i < (ptrdiff_t)s->n_state * D; i++)
         b->state[i] += change[i];
-    for (ptrdiff_t j = 0; j < s->n_nodes && t->whole; j++)
+    for (ptrdiff_t j = 0; j < s->n_nodes && s->extra; j++)
         for (int d = 0; d < D; d++)
             b->pe[j * D + d] += t->now.slope[j] * change[j * D + d];
 }
@@ -818,16 +703,17 @@ void zoo_tangent_record(zoo_tangent *t, int step)
         zoo_block *b = &t->block[k];
         double *to = b->ring + (ptrdiff_t)(step & 3) * n * 3 * D;
         for (int i = 0; i < n; i++) {
-            double P[D] = {0.0}, q[D] = {0.0}, A[D] = {0.0};
+            double P[D] = {0.0}, q[D] = {0.0}, A[D] = {0.0}, p[D];
             for (int m = 0; m < 4; m++) {
                 const ptrdiff_t o = s->out_node[4 * i + m];
                 const double w = s->out_weight[4 * i + m];
+                for (int d = 0; d < D && s->extra; d++)
+                    p[d] = (1.0 + s->kappa[o]) * b->pe[o * D + d] + b->z[o * D + d];
+                if (!s->extra)
+                    zoo_plain_pressure(t, b, o, t->seen[4 * i + m], p);
                 for (int d = 0; d < D; d++) {
                     const ptrdiff_t x = o * D + d;
-                    double p = t->whole ? b->pe[x] : t->now.slope[o] * b->A[x];
-                    if (s->extra)
-                        p = (1.0 + s->kappa[o]) * p + b->z[x];
-                    P[d] += w * (p + (t->forced ? b->out_P[x] : 0.0));
+                    P[d] += w * (p[d] + (t->forced ? b->out_P[x] : 0.0));
                     q[d] += w * b->q[x];
                     A[d] += w * b->A[x];
                 }

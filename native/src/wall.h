@@ -15,6 +15,7 @@
  *   power_p(K, g, a, root)             pressure; root = sqrt(a)
  *   power_slope(K, g, p, a, root)      dp/da where the pressure p is known already
  *   power_slope_area(K, g, p, root, per_area, inv_A0)   dp/dA from 1/A and 1/A0: without a division
+ *   power_by(K, g, p, a, root, m)      dp/d(coefficient m), for the derivatives of a run
  *   power_area_ratio(K, g, p)          a at pressure p, the inverse of power_p; used to set a run up
  *   power_limit(g), power_floor(g)     largest and smallest a that the law allows
  *   power_inside(g, a)                 whether a lies between them, in the loops: cheap, without a branch
@@ -214,6 +215,13 @@ ZOO_INLINE double wall_slope_area(int law, double K, wall_shape g, double p, dou
     double rise;
     const double more = K * spline_at(g.function, root, &rise);
     return wall_base_slope_area(law, K, g, p - more, root, per_area, inv_A0) + 0.5 * K * rise * root * per_area;
+}
+
+/* dp/d(coefficient m) where the pressure p is already known; root = sqrt(a). */
+ZOO_INLINE double wall_by(int law, double K, wall_shape g, double p, double a, double root, int m)
+{
+    const double alone = wall_has_function(law) ? p - K * spline_value(g.function, root) : p;
+    WALL_RETURN(law, NAN, by, K, g, alone, a, root, m)
 }
 
 /* Largest a the law allows. */

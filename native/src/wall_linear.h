@@ -45,6 +45,12 @@ ZOO_INLINE double linear_slope_area(double K, wall_shape g, double p, double roo
     return 0.5 * K * root * per_area;
 }
 
+ZOO_INLINE double linear_by(double K, wall_shape g, double p, double a, double root, int m)
+{
+    (void)K, (void)g, (void)p, (void)a, (void)root, (void)m;
+    return 0.0;
+}
+
 ZOO_INLINE double linear_area_ratio(double K, wall_shape g, double p)
 {
     (void)g;

@@ -46,6 +46,13 @@ ZOO_INLINE double tangent_slope_area(double K, wall_shape g, double p, double ro
     return K * shape(g, 0) * (1.0 + t * t) * inv_A0;
 }
 
+ZOO_INLINE double tangent_by(double K, wall_shape g, double p, double a, double root, int m)
+{
+    (void)g, (void)root, (void)m;
+    double t = p / K;
+    return K * (a - 1.0) * (1.0 + t * t);
+}
+
 ZOO_INLINE double tangent_area_ratio(double K, wall_shape g, double p)
 {
     return 1.0 + atan(p / K) / shape(g, 0);

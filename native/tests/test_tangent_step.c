@@ -1,4 +1,5 @@
-/* One step of the derivatives against differences of one step of the run, for every wall, outlet and junction. */
+/* One step of the derivatives against differences of one step of the run, for every wall, outlet and junction, and
+ * without additions once more by the coefficients that were kept. */
 #include "check.h"
 #include "../src/tangent.h"
 
@@ -46,7 +47,7 @@ static void step(int wall, int added, int coupled, int windkessel, int functions
     const int before = 700, n = s->n_state;
     for (int i = 0; i < before; i++)
         CHECK(zoo_step(s, i) == 0);
-    zoo_tangent t = {.s = s, .n_blocks = 1, .whole = s->extra};
+    zoo_tangent t = {.s = s, .n_blocks = 1};
     zoo_block block;
     t.block = &block;
     const size_t bytes = zoo_tangent_layout(&t, NULL);
@@ -61,8 +62,10 @@ static void step(int wall, int added, int coupled, int windkessel, int functions
         block.state[i] = any(i) * (fabs(at[i / D]) + 1e-3 * (i / D >= s->n_nodes));
     double *start = malloc((size_t)n * D * sizeof *start);
     memcpy(start, block.state, (size_t)n * D * sizeof *start);
-    for (int whole = s->extra; whole < 2; whole++) {
-        t.whole = whole;
+    double *kept = malloc((size_t)(before + 1) * zoo_tangent_kept(&t) * sizeof *kept);
+    t.kept = s->extra ? NULL : kept;
+    for (int again = s->extra; again < 2; again++) { /* with the run, and by what was kept of it */
+        t.done = again && !s->extra;
         memcpy(block.state, start, (size_t)n * D * sizeof *start);
         zoo_unpack(s, at);
         zoo_refresh_at(s, before);
@@ -90,7 +93,7 @@ static void step(int wall, int added, int coupled, int windkessel, int functions
                     worst = larger(worst, fabs(found - block.state[i * D + d]));
                 }
                 if (!(worst <= 1e-7 * most))
-                    printf("wall %d added %d coupled %d windkessel %d functions %d whole %d direction %d part %d: %g of %g\n", wall, added, coupled, windkessel, functions, whole, d, part, worst, most);
+                    printf("wall %d added %d coupled %d windkessel %d functions %d again %d direction %d part %d: %g of %g\n", wall, added, coupled, windkessel, functions, again, d, part, worst, most);
                 CHECK(worst <= 1e-7 * most);
             }
         }
@@ -99,6 +102,7 @@ static void step(int wall, int added, int coupled, int windkessel, int functions
         free(end[k]);
     free(start);
     free(moved);
+    free(kept);
     free(at);
     free(memory);
     tree_close(&one);

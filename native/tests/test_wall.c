@@ -15,6 +15,16 @@ static void any_law(int law)
     const double K = wall_scale(law, k, chi, typical), from = fmax(0.6, 1.01 * wall_floor(law, g));
     const double to = fmin(1.9, 0.99 * wall_limit(law, g));
     CHECK(K > 0.0 && from < 1.0 && to > 1.0);
+    for (int m = 0; m < wall_shapes(law); m++)
+        for (double a = 0.9; a < 1.15; a += 0.05) {
+            const double s = sqrt(a), p = wall_p(law, K, g, a, s), at = made[m], h = 1e-4 * at;
+            made[m] = at + h;
+            const double up = wall_p(law, K, g, a, s);
+            made[m] = at - h;
+            const double down = wall_p(law, K, g, a, s);
+            made[m] = at;
+            NEAR(wall_by(law, K, g, p, a, s, m), (up - down) / (2.0 * h), 1e-6 * K);
+        }
     NEAR(wall_p(law, K, g, 1.0, 1.0), 0.0, 1e-9 * K); /* A0 is the area at rest */
     for (double a = from; a < to; a += 0.01) {
         double h = 1e-6, s = sqrt(a), p = wall_p(law, K, g, a, s), slope = wall_slope(law, K, g, p, a, s);

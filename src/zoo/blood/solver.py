@@ -627,7 +627,7 @@ class Solver:
         c: ArrayLike = 1.0,
         *,
         directions: Sequence[Direction],
-        tolerance: float = 1e-8,
+        tolerance: float = 1e-7,
         check: bool = True,
     ) -> Derivatives:
         """Solve to the periodic state, and differentiate it in several directions.

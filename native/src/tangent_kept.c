@@ -1,0 +1,92 @@
+/* The coefficients of a beat's steps, kept for the beats after it.
+ *
+ * What a step's coefficients cost is their way through the memory. So those of the nodes are kept as 32-bit integers over
+ * the largest of each array, which is within 3e-10 of that; those of junctions, outlets and outputs as they are. */
+#include <math.h>
+#include <string.h>
+
+#include "tangent.h"
+
+static const double most_kept = 2147483647.0;
+
+/* Elements of an array of the nodes with its padding, and of all that is not at nodes. */
+static size_t stride_of(const zoo_tangent *t)
+{
+    return ((size_t)t->s->n_nodes + 7) / 8 * 8;
+}
+
+static size_t rest_of(const zoo_tangent *t)
+{
+    return t->size - ZOO_NODE_ROWS * stride_of(t);
+}
+
+size_t zoo_tangent_kept(const zoo_tangent *t)
+{
+    return (ZOO_NODE_ROWS + ZOO_NODE_ROWS * stride_of(t) / 2 + rest_of(t) + 7) / 8 * 8;
+}
+
+size_t zoo_tangent_place(zoo_tangent *t, double *at)
+{
+    const zoo_sim *s = t->s;
+    const size_t series = 4 * (size_t)s->problem->outputs.n_series, outlets = ZOO_OUTLET_ROWS * (size_t)s->outlets.count;
+    size_t ends = 0, used = 0;
+    for (int g = 0; g < s->n_groups; g++)
+        ends += (size_t)s->groups[g].count * s->groups[g].branches;
+    double **rows[] = {&t->hA0, &t->hA1, &t->hq0, &t->hq1, &t->fA0, &t->fA1, &t->fq0, &t->fq1, &t->seen, &t->outlet, &t->row};
+    const size_t sizes[] = {series, outlets, (s->extra ? ZOO_ADDED_ROWS : ZOO_PLAIN_ROWS) * ends};
+    for (int i = 0; i < ZOO_NODE_ROWS + 3; i++) {
+        if (at)
+            *rows[i] = at + used;
+        used += i < ZOO_NODE_ROWS ? stride_of(t) : sizes[i - ZOO_NODE_ROWS];
+    }
+    return (used + 7) / 8 * 8;
+}
+
+ZOO_CLONES static void to_integers(const double *restrict from, size_t n, int32_t *restrict to, double *scale)
+{
+    double part[8] = {0.0}, most = 0.0;
+    for (size_t i = 0; i < n; i += 8)
+        ZOO_SIMD for (int k = 0; k < 8; k++) {
+            const double x = fabs(from[i + k]);
+            part[k] = x > part[k] ? x : part[k];
+        }
+    for (int k = 0; k < 8; k++)
+        most = fmax(most, part[k]);
+    const double by = most > 0.0 && most < INFINITY ? most_kept / most : 0.0;
+    ZOO_SIMD for (size_t i = 0; i < n; i++) {
+        double x = from[i] * by;
+        x += copysign(0.5, x);
+        x = x > -most_kept ? x : -most_kept; /* what is not a number, too */
+        x = x < most_kept ? x : most_kept;
+        to[i] = (int32_t)x;
+    }
+    *scale = most / most_kept;
+}
+
+ZOO_CLONES static void to_reals(const int32_t *restrict from, size_t n, double scale, double *restrict to)
+{
+    ZOO_SIMD for (size_t i = 0; i < n; i++)
+        to[i] = scale * from[i];
+}
+
+void zoo_tangent_keep(zoo_tangent *t, int step)
+{
+    const size_t stride = stride_of(t);
+    double *at = t->kept + (size_t)step * zoo_tangent_kept(t);
+    int32_t *integers = (int32_t *)(at + ZOO_NODE_ROWS);
+    for (int i = 0; i < ZOO_NODE_ROWS; i++)
+        to_integers(t->one + i * stride, stride, integers + i * stride, at + i);
+    memcpy(integers + ZOO_NODE_ROWS * stride, t->one + ZOO_NODE_ROWS * stride, rest_of(t) * sizeof(double));
+}
+
+void zoo_tangent_recall(zoo_tangent *t, int step)
+{
+    const size_t stride = stride_of(t), kept = zoo_tangent_kept(t);
+    const double *at = t->kept + (size_t)step * kept;
+    const int32_t *integers = (const int32_t *)(at + ZOO_NODE_ROWS);
+    for (int i = 0; i < ZOO_NODE_ROWS; i++)
+        to_reals(integers + i * stride, stride, at[i], t->one + i * stride);
+    memcpy(t->one + ZOO_NODE_ROWS * stride, integers + ZOO_NODE_ROWS * stride, rest_of(t) * sizeof(double));
+    t->ahead = (const char *)(at + kept);
+    t->ahead_by = (kept * sizeof(double) + t->s->n_nodes - 1) / t->s->n_nodes;
+}
