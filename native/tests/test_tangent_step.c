@@ -66,6 +66,7 @@ static void step(int wall, int added, int coupled, int windkessel, int functions
     t.kept = s->extra ? NULL : kept;
     for (int again = s->extra; again < 2; again++) { /* with the run, and by what was kept of it */
         t.done = again && !s->extra;
+        memset(t.one, 0, t.size * sizeof *t.one);
         memcpy(block.state, start, (size_t)n * D * sizeof *start);
         zoo_unpack(s, at);
         zoo_refresh_at(s, before);
