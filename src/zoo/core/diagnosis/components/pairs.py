@@ -74,8 +74,10 @@ class Pair:
 
     @property
     def functions(self) -> tuple[str, str]:
-        """Names of both functions."""
-        return self.first.best.function.name, self.second.best.function.name
+        """Names of their best functions, in the order of `names`."""
+        found = {c.name: c.best.function.name for c in (self.first, self.second)}
+        one, other = self.names
+        return found[one], found[other]
 
     @property
     def fit(self) -> Fit:
