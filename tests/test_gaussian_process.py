@@ -30,7 +30,6 @@ from zoo.core.errors.gaussian_process import (
 )
 from zoo.core.errors.independent import Independent, iid_terms
 from zoo.core.errors.variables import Errors, ErrorTermsOp, IidErrors
-from zoo.core.op import MissingGradientError
 from zoo.core.parameters import InverseGamma, LogUniform, random_variables
 
 pytestmark = pytest.mark.filterwarnings(
@@ -278,12 +277,6 @@ def test_op_checks_dimensions_and_knows_its_shape() -> None:
     shape = pytensor.function([residual], gp_terms(residual, W, B).shape)
     assert not any(isinstance(node.op, ErrorTermsOp) for node in shape.maker.fgraph.apply_nodes)
     assert tuple(shape(np.zeros((3, 40)))) == (3, 40)
-
-
-def test_op_says_that_it_has_no_gradient() -> None:
-    w = pt.dscalar()
-    with pytest.raises(MissingGradientError, match=r"pm.sample\(step=zoo.step\(model\)\)"):
-        pytensor.grad(ErrorTermsOp(process(np.zeros((1, 40))))(np.zeros((1, 40)), w, B).sum(), w)
 
 
 def model_of(errors: GaussianProcess | Independent, ok: int) -> pm.Model:

@@ -79,6 +79,39 @@ class ErrorModel(ABC):
             coefficients, which are the data themselves unless there is a `transform`.
         """
 
+    def gradient(
+        self, residual: Array, values: Mapping[str, ArrayLike], weight: Array
+    ) -> tuple[Array, Mapping[str, ArrayLike]]:
+        """Gradient of sum_i g_i term_i of the sequential terms, for an error model that gives it.
+
+        A law whose `observe` is written in PyTensor needs none. With it NUTS and other methods that follow a
+        gradient take a law whose terms are computed in NumPy.
+
+        Parameters
+        ----------
+        residual, weight : array (n_series, n_times)
+            Of one point, and g.
+        values : mapping of name to number
+            Of the parameters, each a scalar or a vector of its size.
+
+        Returns
+        -------
+        by_residual : array (n_series, n_times)
+        by_parameter : mapping of name to number
+            For each parameter what has its shape; zeros, all of it, where there is no law.
+
+        Raises
+        ------
+        ErrorModelError
+            If the law has no gradient.
+        """
+        raise ErrorModelError(f"error model {self.name}: has no gradient; sample with method exact")
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether it gives a `gradient`."""
+        return type(self).gradient is not ErrorModel.gradient
+
     def bind(self, data: Data) -> Self:
         """The same for given data.
 

@@ -15,6 +15,7 @@ from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel, ErrorModelError
 from zoo.core.errors.gaussian_process import (
     colour_by_process,
+    gp_gradient,
     gp_leave_one_out,
     gp_sequential,
     whiten_by_process,
@@ -253,9 +254,10 @@ class GroupProcess(GroupNoise):
         sd = self._noise(values).ravel()
         for group, rows in self.on.rows.items():
             a, w, b = (float(np.asarray(values[f"{name}_{group}"])) for name in ("amplitude", "w", "b"))
-            for one in dict.fromkeys(sd[rows]):
+            for one, inferred in dict.fromkeys((sd[i], self._given[i] is None) for i in rows):
                 ratio = one / a if a > 0 else math.inf
-                yield [i for i in rows if sd[i] == one], a, (w, b, ratio * ratio)
+                same = [i for i in rows if (sd[i], self._given[i] is None) == (one, inferred)]
+                yield same, a, (w, b, ratio * ratio)
 
     def variance(self, values: Mapping[str, ArrayLike]) -> Array:
         """amplitude^2 k(t, t) + noise^2, (n_series, n_times)."""
@@ -292,6 +294,23 @@ class GroupProcess(GroupNoise):
             found[rows] = function(residual[rows] / a, self.cycles, *law) - math.log(a)
         return found
 
+    def gradient(
+        self, residual: Array, values: Mapping[str, ArrayLike], weight: Array
+    ) -> tuple[Array, dict[str, float]]:
+        """That of a process of amplitude 1 for r/a, whose noise has the variance (noise/a)^2."""
+        by_residual, found = np.empty(residual.shape), dict.fromkeys(self.parameter_names, 0.0)
+        for rows, a, (w, b, ratio) in self._parts(values):
+            group, part = self.on.groups[rows[0]], residual[rows]
+            scaled, by_w, by_b, by_ratio = gp_gradient(part / a, weight[rows], self.cycles, w, b, ratio)
+            by_residual[rows] = scaled / a
+            by_a = np.vdot(scaled, part / a) + np.sum(weight[rows]) + 2.0 * ratio * by_ratio
+            found[f"amplitude_{group}"] -= float(by_a) / a
+            found[f"w_{group}"] += by_w
+            found[f"b_{group}"] += by_b
+            if self._given[rows[0]] is None:
+                found[f"noise_{group}"] += 2.0 * math.sqrt(ratio) / a * by_ratio
+        return by_residual, found
+
     def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
-        """Add the observed variable, with the terms as an operation without a gradient."""
+        """Add the observed variable, with the terms as an operation with their `gradient`."""
         return ErrorModel.observe(self, name, mean, ok, variables)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import numpy as np
 import pytensor.tensor as pt
@@ -66,7 +66,9 @@ def _values(errors: ErrorModel, parameters: Sequence[Any]) -> dict[str, Any]:
 
 
 class ErrorTermsOp(Op):
-    """Sequential terms of an error model without a gradient: residual (n_series, n_times), parameters.
+    """Sequential terms of an error model: residual (n_series, n_times), parameters.
+
+    It has a gradient where the error model gives one (`ErrorModel.gradient`).
 
     Parameters
     ----------
@@ -101,11 +103,63 @@ class ErrorTermsOp(Op):
 
     def L_op(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
-    ) -> NoReturn:
-        """Raise MissingGradientError."""
-        raise missing_gradient(f"the log-likelihood of the error model {self.errors.name}")
+    ) -> list[Variable]:
+        """Vector-Jacobian product of the terms.
+
+        Raises
+        ------
+        MissingGradientError
+            If the error model gives no gradient.
+        """
+        if not self.errors.differentiable:
+            raise missing_gradient(f"the log-likelihood of the error model {self.errors.name}")
+        return cast(
+            "list[Variable]", ErrorGradientOp(self.errors)(*inputs, output_grads[0], return_list=True)
+        )
 
     pullback = L_op  # its name in PyTensor 3
+
+
+class ErrorGradientOp(Op):
+    """Gradient of sum_i g_i term_i of an error model, by the residual and by each parameter.
+
+    Takes the inputs of `ErrorTermsOp` and g (n_series, n_times); gives one output for each of the former.
+
+    Parameters
+    ----------
+    errors : ErrorModel
+        Bound to data, with a gradient.
+    """
+
+    __props__ = ("errors",)
+
+    def __init__(self, errors: ErrorModel) -> None:
+        self.errors = errors
+
+    def make_node(self, *inputs: Any) -> Apply:
+        """As many gradients out as there are inputs but for the last."""
+        tensors = [pt.as_tensor_variable(x, dtype="float64") for x in inputs]
+        return Apply(self, tensors, [pt.tensor(dtype="float64", shape=x.type.shape) for x in tensors[:-1]])
+
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[Any]]) -> None:
+        """Evaluate."""
+        residual, *parameters, weight = inputs
+        by_residual, found = self.errors.gradient(residual, _values(self.errors, parameters), weight)
+        gradients = [by_residual, *(found[name] for name in self.errors.parameter_names)]
+        for storage, gradient in zip(output_storage, gradients, strict=True):
+            storage[0] = np.asarray(gradient, dtype=np.float64)
+
+    def infer_shape(self, fgraph: Any, node: Apply, input_shapes: list[tuple[Variable, ...]]) -> list[Any]:
+        """Those of the inputs."""
+        return list(input_shapes[:-1])
+
+    def L_op(
+        self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
+    ) -> NoReturn:
+        """Raise MissingGradientError: there are no second derivatives."""
+        raise missing_gradient(f"the gradient of the error model {self.errors.name}")
+
+    pullback = L_op
 
 
 class ErrorsRV(RandomVariable):

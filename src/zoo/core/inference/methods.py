@@ -16,7 +16,7 @@ from zoo.core.inference.surrogate import sample_surrogate
 from zoo.core.inference.with_gradient import has_gradient, sample_nuts
 from zoo.core.model import ModelError, ModelRecord, record_of
 from zoo.core.surrogate.likelihood import no_table
-from zoo.core.surrogate.model import errors_have_gradient
+from zoo.core.surrogate.model import errors_in_graph
 
 if TYPE_CHECKING:
     import arviz as az
@@ -74,7 +74,7 @@ def choose(model: Any, method: str = "auto", *, checkpoint: str | Path | None = 
     d = len(logp.template.data)
     if d <= FEW:
         return "exact", f"with {d} dimensions it is as quick as a surrogate"
-    if has_many(logp) and errors_have_gradient(record_of(model)):
+    if has_many(logp) and errors_in_graph(record_of(model)):
         return "exact", "with independent errors and this many parameters a posterior may have several modes"
     return "surrogate", f"{d} dimensions; each stored draw is corrected with the forward model"
 
@@ -88,7 +88,7 @@ def _no_surrogate(model: Any) -> str:
     n = sum(p.size for p in record.forward.parameters if not p.hyper)
     if n > MOST:
         return f"{n} parameters of the solves are more than a surrogate takes ({MOST})"
-    return "" if errors_have_gradient(record) else no_table(record.errors)
+    return "" if errors_in_graph(record) else no_table(record.errors)
 
 
 def sample(

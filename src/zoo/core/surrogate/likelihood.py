@@ -182,13 +182,15 @@ def no_table(errors: ErrorModel) -> str:
     parameters = errors.parameters
     if len(parameters) > MOST_PARAMETERS or any(p.dims for p in parameters):
         return (
-            f"error model {errors.name} has no gradient and {sum(p.size for p in parameters)} parameters, a "
+            f"error model {errors.name} is not written in PyTensor and has "
+            f"{sum(p.size for p in parameters)} parameters, a "
             f"surrogate takes at most {MOST_PARAMETERS} of these"
         )
     ends = np.array([p.prior.support for p in parameters])
     if not (np.all(np.isfinite(ends)) and np.all(ends > 0)):
         return (
-            f"error model {errors.name} has no gradient, and the priors of its parameters no positive bounds"
+            f"error model {errors.name} is not written in PyTensor, and the priors of its parameters have no "
+            "positive bounds"
         )
     return "" if _linear(errors) else f"the errors of {errors.name} are not normal"
 

@@ -9,7 +9,9 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 from numpy.typing import ArrayLike, NDArray
+from pytensor.graph.traversal import applys_between
 
+from zoo.core.errors.variables import ErrorTermsOp
 from zoo.core.model import ModelRecord
 from zoo.core.op import MissingGradientError
 from zoo.core.parameters import random_variables
@@ -31,7 +33,7 @@ class SurrogateModel:
     record : ModelRecord
         Of the model whose forward model it stands for.
     table : Table, optional
-        Of errors that have no gradient of their own.
+        Of errors whose log-density is not written in PyTensor.
     """
 
     model: pm.Model
@@ -71,10 +73,10 @@ def surrogate_model(
     Raises
     ------
     SurrogateError
-        If the errors have no gradient and no table.
+        If the errors are not written in PyTensor and have no table.
     """
     bound = record.errors
-    table = None if errors_have_gradient(record) else Table.of(surrogate, bound, points)
+    table = None if errors_in_graph(record) else Table.of(surrogate, bound, points)
     with pm.Model(coords=dict(original.coords)) as model:
         variables = random_variables(record.forward.parameters)
         of_errors = random_variables(bound.parameters)
@@ -88,13 +90,15 @@ def surrogate_model(
     return SurrogateModel(model, surrogate, record, table)
 
 
-def errors_have_gradient(record: ModelRecord) -> bool:
-    """Whether the log-density of the errors can be differentiated."""
+def errors_in_graph(record: ModelRecord) -> bool:
+    """Whether the log-density of the errors is written in PyTensor, which is quick and has a gradient."""
     bound = record.errors
     with pm.Model(coords={"series": list(bound.on.labels), "time": bound.on.times}) as trial:
         shift = pm.Normal("shift")
         mean, ok = pt.constant(bound.on.values) + shift, pt.constant(np.int8(1))
         bound.observe("y", mean, ok, random_variables(bound.parameters))
+    if any(isinstance(node.op, ErrorTermsOp) for node in applys_between([], [trial.logp()])):
+        return False
     try:
         trial.dlogp()
     except (MissingGradientError, NotImplementedError):
