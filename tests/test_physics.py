@@ -602,7 +602,7 @@ def test_vessels_may_stand_below_their_rest_state():
         ({"section_resistance": np.ones((3, 1)), "section_compliance": np.ones((3, 2))}, "must be that of"),
         (
             {"section_resistance": np.ones((3, 1)), "section_compliance": np.zeros((3, 1))},
-            "must be positive where",
+            "must be of the resistance.s sign",
         ),
         ({"section_resistance": np.eye(3), "section_compliance": np.ones((3, 3)) * [[1], [1], [1]]}, None),
         (

@@ -165,6 +165,15 @@ static void make_additions(zoo_problem *pr, int nv)
         count_of(&pr->outlet.n_sections, 1 + below(3), SIZE_OF_ARRAY);
         reals_of(&pr->outlet.section_resistance, nv * pr->outlet.n_sections, 0.1, 1.0);
         reals_of(&pr->outlet.section_compliance, nv * pr->outlet.n_sections, 0.5, 1.5);
+        if (pr->outlet.n_sections > 1 && one_in(3)) /* a small negative section at each terminal */
+            for (int k = 0; k < nv; k++) {
+                ((double *)pr->outlet.section_resistance)[k * pr->outlet.n_sections] = -0.02;
+                ((double *)pr->outlet.section_compliance)[k * pr->outlet.n_sections] = -1.0;
+            }
+    }
+    for (int i = 0; i < 2; i++) {
+        if (one_in(4))
+            function_of(i ? &pr->outlet.resistance_function : &pr->outlet.compliance_function, 0.0, 4e4, -0.4, 0.4);
     }
 }
 
@@ -314,7 +323,7 @@ static int positive_all(const double *x, int64_t n, int *unknown)
     return 1;
 }
 
-static int function_bad(const zoo_function *f, double lowest, double least, int *unknown)
+static int function_bad(const zoo_function *f, double lowest, double least, double most, int *unknown)
 {
     if (f->n_knots == 0)
         return 0;
@@ -322,7 +331,7 @@ static int function_bad(const zoo_function *f, double lowest, double least, int 
         !(f->low < f->high))
         return 1;
     *unknown |= f->high - f->low < 1e-8 * (fabs(f->low) + fabs(f->high)) || f->high - f->low < 1e-29;
-    return !finite_all(f->values, f->n_knots, least, 1e30);
+    return !finite_all(f->values, f->n_knots, least, most);
 }
 
 static int count_in(int32_t x, int32_t low)
@@ -359,7 +368,7 @@ static int verdict(const trial *t)
         fl->friction < 0 || fl->friction > 2 || (fl->friction == ZOO_FRICTION_FIXED && !positive(fl->friction_radius)) ||
         !in_range(fl->stokes_friction, 0.0, DBL_MAX) || !in_range(fl->viscous_friction, 0.0, DBL_MAX) ||
         !positive_all(fl->viscosity_factor, nv, &unknown) || !finite_all(fl->leak, nv, 0.0, DBL_MAX) ||
-        function_bad(&fl->friction_function, 0.0, 0.0, &unknown))
+        function_bad(&fl->friction_function, 0.0, 0.0, 1e30, &unknown))
         return 1;
     const zoo_wall *wa = &pr->wall;
     if (wa->law < 0 || !zoo_wall_name(wa->law) || !positive(wa->factor) || !wa->offset_in != !wa->offset_out ||
@@ -367,13 +376,13 @@ static int verdict(const trial *t)
         !positive_all(wa->stiffness_ratio, nv, &unknown) || !finite_all(wa->stiffness_exponent, nv, -DBL_MAX, DBL_MAX) ||
         !finite_all(wa->viscoelastic_time, nv, 0.0, DBL_MAX) || (wa->viscoelastic_time && !positive(wa->relaxation_time)) ||
         !count_in(wa->n_wave, 0) || (wa->n_wave && !wa->stiffness_wave) || !positive_all(wa->stiffness_wave, wa->n_wave, &unknown) ||
-        function_bad(&wa->function, 1e-3, -1e30, &unknown))
+        function_bad(&wa->function, 1e-3, -1e30, 1e30, &unknown))
         return 1;
     const zoo_throat *th = &pr->throat;
     if ((th->severity && (!th->position || !th->length)) || !finite_all(th->severity, nv, 0.0, 1.0 - 1e-9) ||
         !finite_all(th->position, nv, 0.0, 1.0) || !positive_all(th->length, nv, &unknown) ||
         !in_range(th->loss, 0.0, DBL_MAX) || !in_range(pr->junction.total_pressure, 0.0, DBL_MAX) ||
-        !in_range(pr->junction.loss, 0.0, DBL_MAX) || function_bad(&pr->junction.function, -1e30, -1e30, &unknown))
+        !in_range(pr->junction.loss, 0.0, DBL_MAX) || function_bad(&pr->junction.function, -1e30, -1e30, 1e30, &unknown))
         return 1;
     const zoo_inlet *in = &pr->inlet;
     double sum = 0.0;
@@ -405,7 +414,9 @@ static int verdict(const trial *t)
     if (nodes > 1 << 24) /* sizes that an int does not hold are refused, and nobody solves those in between here */
         return nodes > 1 << 28 ? 1 : UNKNOWN;
     const zoo_outlet *ou = &pr->outlet;
-    if (!zoo_outlet_name(ou->kind) || !ou->R1 || !ou->R2 || !ou->C)
+    if (!zoo_outlet_name(ou->kind) || !ou->R1 || !ou->R2 || !ou->C ||
+        function_bad(&ou->resistance_function, -1e30, -30.0, 30.0, &unknown) ||
+        function_bad(&ou->compliance_function, -1e30, -30.0, 30.0, &unknown))
         return 1;
     if (ou->n_sections < 0 || ou->n_sections > 1 << 20)
         return ou->kind == ZOO_OUTLET_CIRCUIT || ou->n_sections > 1 << 28 ? 1 : UNKNOWN;
@@ -418,15 +429,17 @@ static int verdict(const trial *t)
         if (!positive(ou->R1[k]) || !(ou->R2[k] == 0.0 || (positive(ou->R2[k]) && positive(ou->C[k]))) ||
             (ou->pressure && !in_range(ou->pressure[k], -DBL_MAX, DBL_MAX)))
             return 1;
-        double shares = 0.0;
+        double shares = 0.0, time = 0.0;
         for (int m = k * ns; circuit && m < (k + 1) * ns; m++) {
             const double rho = ou->section_resistance[m];
-            if (!in_range(rho, 0.0, DBL_MAX) || (rho > 0.0 && !positive(ou->section_compliance[m])))
+            if (!in_range(rho, -DBL_MAX, DBL_MAX) || (rho != 0.0 && !positive(rho < 0.0 ? -ou->section_compliance[m] : ou->section_compliance[m])))
                 return 1;
             shares += rho;
+            unknown |= rho != 0.0 && (fabs(rho) < 1e-100 || fabs(rho) > 1e100 || fabs(ou->section_compliance[m]) > 1e100 || fabs(ou->section_compliance[m]) < 1e-100);
+            time += rho != 0.0 ? rho * rho * ou->section_compliance[m] : 0.0;
         }
-        if (circuit && ns && !(shares > 0.0))
-            return 1;
+        if (circuit && ns && (!(shares > 0.0) || !(time > 0.0)))
+            return unknown ? UNKNOWN : 1;
     }
     return unknown ? UNKNOWN : 0;
 }
@@ -449,6 +462,16 @@ static int set_verdict(const trial *t, int64_t i)
         for (int m = 0; m < shapes; m++)
             if (!positive(pa->shape[(i * shapes + m) * nv + k]))
                 return 1;
+        const zoo_outlet *ou = &pr->outlet;
+        double against = 0.0;
+        for (int m = k * ou->n_sections; !fed[k] && ou->kind == ZOO_OUTLET_CIRCUIT && m < (k + 1) * ou->n_sections; m++)
+            against -= fmin(ou->section_resistance[m], 0.0);
+        if (!fed[k] && positive(pa->psi1[at]) && positive(pa->psi2[at]) && against > 0.0) {
+            const double first = ou->R1[k] * pa->psi1[at], less = against * (ou->R2[k] * pa->psi2[at]);
+            unknown |= fabs(first - less) <= 1e-9 * first || !isfinite(less);
+            if (!(first > less) && !unknown)
+                return 1;
+        }
         if (!fed[k] && (!positive(pa->psi1[at]) || !positive(pa->psi2[at]) || !positive(pa->c[at])))
             return 1;
     }

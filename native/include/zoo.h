@@ -11,7 +11,7 @@
 #include <stdint.h>
 
 /* cffi:begin */
-enum { ZOO_ABI = 6 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
+enum { ZOO_ABI = 7 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
 
 enum zoo_status {
     ZOO_OK = 0,
@@ -114,8 +114,13 @@ typedef struct {
     const double *pressure;           /* [n_vessels] dyn/cm^2 behind the outlet, or NULL for 0 */
     const double *inertance;          /* [n_vessels] g/cm^4, or NULL */
     int32_t n_sections;               /* parallel RC pairs at each terminal; 0: one of R2 and C */
-    const double *section_resistance; /* [n_vessels][n_sections] shares of R2; 0: the section is absent */
-    const double *section_compliance; /* [n_vessels][n_sections] shares of C */
+    const double *section_resistance; /* [n_vessels][n_sections] shares of R2; 0: the section is absent; their sum is
+                                       * positive, single ones may be negative as long as R1 outweighs these: the
+                                       * terminal takes energy at every frequency then */
+    const double *section_compliance; /* [n_vessels][n_sections] shares of C, of the resistance's sign */
+    zoo_function resistance_function; /* f(v) in R exp(f(v)) of every section, v the pressure behind R1 (dyn/cm^2), within
+                                       * +-30; constant beyond */
+    zoo_function compliance_function; /* and the same for C */
 } zoo_outlet;
 
 /* Where and when the solution is wanted. */

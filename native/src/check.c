@@ -39,7 +39,7 @@ static int bad_fluid(const zoo_fluid *fluid, int nv)
            values_outside(&fluid->stokes_friction, 1, 0.0, INFINITY) ||
            values_outside(&fluid->viscous_friction, 1, 0.0, INFINITY) ||
            values_outside(fluid->viscosity_factor, nv, 1e-300, INFINITY) ||
-           values_outside(fluid->leak, nv, 0.0, INFINITY) || zoo_function_bad(&fluid->friction_function, 0.0, 0.0);
+           values_outside(fluid->leak, nv, 0.0, INFINITY) || zoo_function_bad(&fluid->friction_function, 0.0, 0.0, ZOO_MOST_VALUE);
 }
 
 static int bad_wall(const zoo_wall *wall, int nv)
@@ -49,7 +49,7 @@ static int bad_wall(const zoo_wall *wall, int nv)
     if (!wall->offset_in != !wall->offset_out || values_outside(wall->offset_in, nv, -INFINITY, INFINITY) ||
         values_outside(wall->offset_out, nv, -INFINITY, INFINITY))
         return 1;
-    if (zoo_function_bad(&wall->function, ZOO_LEAST_STRETCH, -INFINITY))
+    if (zoo_function_bad(&wall->function, ZOO_LEAST_STRETCH, -ZOO_MOST_VALUE, ZOO_MOST_VALUE))
         return 1;
     if (values_outside(wall->stiffness_ratio, nv, 1e-300, INFINITY) ||
         values_outside(wall->stiffness_exponent, nv, -INFINITY, INFINITY))
@@ -122,7 +122,7 @@ int32_t zoo_check_problem(const zoo_problem *pr)
     if (bad_network(&pr->network) || bad_fluid(&pr->fluid, nv) || bad_wall(&pr->wall, nv) ||
         bad_throat(&pr->throat, nv) || values_outside(&pr->junction.total_pressure, 1, 0.0, INFINITY) ||
         values_outside(&pr->junction.loss, 1, 0.0, INFINITY) ||
-        zoo_function_bad(&pr->junction.function, -INFINITY, -INFINITY) || inlet_bad(pr) ||
+        zoo_function_bad(&pr->junction.function, -ZOO_MOST_VALUE, -ZOO_MOST_VALUE, ZOO_MOST_VALUE) || inlet_bad(pr) ||
         bad_outputs(&pr->outputs, nv, pr->inlet.period) || bad_numerics(&pr->numerics) || bad_clock(pr) ||
         too_large(pr))
         return ZOO_BAD_ARGUMENT;

@@ -12,17 +12,14 @@
 #include "function.h"
 #include "values.h"
 
-/* Values are far from the ends of the range of doubles, so that the cubics are numbers. */
-#define MOST_VALUE 1e30
-
-int zoo_function_bad(const zoo_function *f, double lowest, double least)
+int zoo_function_bad(const zoo_function *f, double lowest, double least, double most)
 {
     if (f->n_knots == 0)
         return 0;
     return f->n_knots < ZOO_FEWEST_KNOTS || f->n_knots > ZOO_MOST_KNOTS || !f->values ||
-           !(f->low >= lowest && f->low >= -MOST_VALUE) || !(f->high <= MOST_VALUE) ||
+           !(f->low >= lowest) || !(f->high <= ZOO_MOST_VALUE) ||
            !(f->high - f->low > 1e-9 * (fabs(f->low) + fabs(f->high)) && f->high - f->low > 1e-30) ||
-           values_outside(f->values, f->n_knots, least > -MOST_VALUE ? least : -MOST_VALUE, MOST_VALUE);
+           values_outside(f->values, f->n_knots, least, most);
 }
 
 int64_t zoo_function_size(const zoo_function *f)

@@ -10,6 +10,9 @@
 #include "../include/zoo.h"
 #include "arithmetic.h"
 
+/* Knots and values are far from the ends of the range of doubles, so that the cubics are numbers. */
+#define ZOO_MOST_VALUE 1e30
+
 enum { ZOO_FEWEST_KNOTS = 4, ZOO_MOST_KNOTS = 4096 };
 
 /* A copy of it in a loop's function, not a pointer to it, lets the compiler keep it in registers. */
@@ -42,8 +45,8 @@ ZOO_INLINE double spline_value(zoo_spline f, double x)
     return spline_at(f, x, &slope);
 }
 
-/* function.c: 1 where a function that is there has an argument or a value out of range. */
-int zoo_function_bad(const zoo_function *function, double lowest, double least);
+/* function.c: 1 where a function that is there has a knot below lowest or a value outside least .. most. */
+int zoo_function_bad(const zoo_function *function, double lowest, double least, double most);
 
 /* function.c: the cubics of a function into piece, which has room for zoo_function_size numbers; that of one that is
  * not there (no knots) is `otherwise` everywhere. */

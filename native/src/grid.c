@@ -45,6 +45,10 @@ void zoo_set_grid(zoo_sim *s)
     s->friction_function =
         zoo_function_spline(&pr->fluid.friction_function, ZOO_BEYOND_CONSTANT, 1.0, s->friction_piece);
     s->junction_function = zoo_function_spline(&pr->junction.function, ZOO_BEYOND_LINEAR, 0.0, s->junction_piece);
+    s->resistance_function =
+        zoo_function_spline(&pr->outlet.resistance_function, ZOO_BEYOND_CONSTANT, 0.0, s->resistance_piece);
+    s->compliance_function =
+        zoo_function_spline(&pr->outlet.compliance_function, ZOO_BEYOND_CONSTANT, 0.0, s->compliance_piece);
     s->junction_curvature = zoo_function_curvature(s->junction_function);
     double *mids[] = {s->Ah, s->qh, s->Ph, s->Mh, s->Gh};
     for (int a = 0; a < 5; a++)

@@ -98,9 +98,9 @@ typedef struct {
     int varying;                         /* 1: stiffness varies along a vessel */
     double *coefficient;                 /* [wall_shapes][n_nodes*lanes] of the law, zoo_shape */
 
-    /* functions that are given by their values: without them 0, 1 and 0 everywhere */
-    double *wall_piece, *friction_piece, *junction_piece;
-    zoo_spline wall_function, friction_function, junction_function;
+    /* functions that are given by their values: without them 0 everywhere, 1 as the friction's factor */
+    double *wall_piece, *friction_piece, *junction_piece, *resistance_piece, *compliance_piece;
+    zoo_spline wall_function, friction_function, junction_function, resistance_function, compliance_function;
     double junction_curvature;           /* largest |D''| */
 
     /* state at nodes: area, flow, pressure, momentum flux, friction force */

@@ -159,6 +159,8 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(s->wall_piece, zoo_function_size(&pr->wall.function));
     REALS(s->friction_piece, zoo_function_size(&pr->fluid.friction_function));
     REALS(s->junction_piece, zoo_function_size(&pr->junction.function));
+    REALS(s->resistance_piece, zoo_function_size(&pr->outlet.resistance_function));
+    REALS(s->compliance_piece, zoo_function_size(&pr->outlet.compliance_function));
     REALS(s->A, n * W);
     REALS(s->q, n * W);
     REALS(s->P, n * W);

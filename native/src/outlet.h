@@ -24,6 +24,7 @@
 #include "values.h"
 
 enum { OUTLET_PLAIN = 1, OUTLET_ADDED = 2 };
+#define OUTLET_MOST_LOG 30.0 /* of the logarithm of a factor */
 
 /* Row m of a block, [count*lanes]. */
 ZOO_INLINE double *outlet_row(const zoo_sim *s, double *block, int m)
@@ -64,7 +65,9 @@ enum { ZOO_OUTLETS(OUTLET_NUMBER, ) ZOO_N_OUTLETS };
 static inline int outlet_bad(const zoo_problem *pr, const int *children)
 {
     const zoo_outlet *out = &pr->outlet;
-    if (!out->R1 || !out->R2 || !out->C)
+    if (!out->R1 || !out->R2 || !out->C ||
+        zoo_function_bad(&out->resistance_function, -ZOO_MOST_VALUE, -OUTLET_MOST_LOG, OUTLET_MOST_LOG) ||
+        zoo_function_bad(&out->compliance_function, -ZOO_MOST_VALUE, -OUTLET_MOST_LOG, OUTLET_MOST_LOG))
         return 1;
     for (int k = 0; k < pr->network.n_vessels; k++)
         if (children[k] == 0 &&
@@ -74,8 +77,16 @@ static inline int outlet_bad(const zoo_problem *pr, const int *children)
     OUTLET_RETURN(pr->outlet.kind, 1, bad, pr, children)
 }
 
+/* Whether resistances or compliances depend on the pressure behind R1; then they have the loops of circuits. */
+ZOO_INLINE int outlet_depends(const zoo_problem *pr)
+{
+    return pr->outlet.resistance_function.n_knots || pr->outlet.compliance_function.n_knots;
+}
+
 static inline int outlet_adds(const zoo_problem *pr, const int *children)
 {
+    if (outlet_depends(pr))
+        return 1;
     OUTLET_RETURN(pr->outlet.kind, 0, adds, pr, children)
 }
 

@@ -21,6 +21,13 @@
  * q = (R_p q_L + y)/(R1 + R_p) = share q_L + direct y.  Unlike c this has no memory of a
  * sawtooth when L is small, and without L it is y'/R1 as in outlet_windkessel.h.
  *
+ * Resistances and compliances may depend on the pressure v = p_out + sum_k v_k behind R1, R_k exp(f(v)) and C_k exp(g(v)),
+ * with dv_k/dt as above, so that C is dV/dv: e_k, their resistances and E are then made anew for each step, with v half
+ * a step on.
+ *
+ * A section may be negative, R_k < 0 and C_k < 0: its pressure decays as that of a positive one.  R1 larger than all of
+ * these together keeps the real part of the impedance positive, since that of R_k/(1 + i w R_k C_k) is at least R_k.
+ *
  * A Windkessel in a tree with additions runs these loops too, with one section and no
  * inertance; then neither is read.  outlet.h says what each function is for.
  */
@@ -88,17 +95,28 @@ static inline int circuit_bad(const zoo_problem *pr, const int *children)
     for (int64_t k = 0; k < nv && ns > 0; k++) {
         if (children[k] > 0)
             continue;
-        double sum = 0.0;
+        double sum = 0.0, time = 0.0;
         for (int64_t i = k * ns; i < (k + 1) * ns; i++) {
-            double rho = out->section_resistance[i];
-            if (!(rho >= 0.0) || isinf(rho) || (rho > 0.0 && value_bad(out->section_compliance[i])))
+            double rho = out->section_resistance[i], along = rho < 0.0 ? -1.0 : 1.0;
+            if (!isfinite(rho) || (rho != 0.0 && value_bad(along * out->section_compliance[i])))
                 return 1;
             sum += rho;
+            time += rho != 0.0 ? rho * (rho * out->section_compliance[i]) : 0.0;
         }
-        if (!(sum > 0.0))
+        if (value_bad(sum) || !(time > 0.0)) /* the mean time is positive, from which a first beat starts */
             return 1;
     }
     return 0;
+}
+
+/* Whether a terminal's R1 outweighs its negative sections of R2. */
+static inline int circuit_passive(const zoo_problem *pr, int k, double R1, double R2)
+{
+    const int64_t ns = pr->outlet.kind == ZOO_OUTLET_CIRCUIT ? pr->outlet.n_sections : 0;
+    double below = 0.0;
+    for (int64_t i = k * ns; i < (k + 1) * ns; i++)
+        below -= fmin(pr->outlet.section_resistance[i], 0.0);
+    return below == 0.0 || R1 > below * R2;
 }
 
 /* Unless every terminal is a Windkessel. */
@@ -151,8 +169,8 @@ static inline void circuit_set_step(zoo_sim *s)
             for (int m = 0; m < ns; m++) {
                 int o = (m * ou->count + t) * W + l;
                 double R = circuit_R(s, m, t, l), RC = R * circuit_C(s, m, t, l);
-                decay[o] = R > 0.0 ? exp(-s->dt / RC) : 0.0;
-                fill[o] = R > 0.0 ? -R * expm1(-s->dt / RC) : 0.0;
+                decay[o] = R != 0.0 ? exp(-s->dt / RC) : 0.0;
+                fill[o] = R != 0.0 ? -R * expm1(-s->dt / RC) : 0.0;
                 filled += fill[o];
             }
             /* the inertance's pressure in the mean over the step is inertia/2 (Q - c) */
@@ -192,7 +210,7 @@ static inline double circuit_capacity(const zoo_sim *s, int t, int l)
     double sum = 0.0, all = circuit_behind(s, t, l);
     for (int m = 0; m < circuit_sections(s->problem); m++) {
         double part = all > 0.0 ? circuit_R(s, m, t, l) / all : 0.0;
-        sum += part > 0.0 ? part * part * circuit_C(s, m, t, l) : 0.0;
+        sum += part != 0.0 ? part * part * circuit_C(s, m, t, l) : 0.0;
     }
     return sum;
 }
@@ -204,6 +222,42 @@ static inline void circuit_start(zoo_sim *s, int t, int l)
     for (int m = 0; m < circuit_sections(s->problem); m++)
         outlet_row(s, s->outlets.v, m)[o] = R > 0.0 ? v * circuit_R(s, m, t, l) / R : 0.0;
     s->outlets.carry[o] = s->q[i];
+}
+
+/* Coefficients of the step that begins, where they depend on the pressure behind R1. */
+static inline void circuit_set_pressure(zoo_sim *s)
+{
+    zoo_terminals *ou = &s->outlets;
+    const int W = s->lanes, ns = ou->rows.pressures;
+    double *decay = outlet_row(s, ou->coefficient, CIRCUIT_DECAY), *fill = outlet_row(s, decay, ns);
+    double *E = outlet_row(s, ou->coefficient, CIRCUIT_E);
+    const double *inertia = outlet_row(s, ou->coefficient, CIRCUIT_INERTIA);
+    for (int t = 0; t < ou->count; t++)
+        for (int l = 0; l < W; l++) {
+            const int i = t * W + l;
+            const double q = s->q[ou->node[t] * W + l];
+            double v = ou->behind[t], rate = 0.0, all = 0.0;
+            for (int m = 0; m < ns; m++)
+                v += outlet_row(s, ou->v, m)[i];
+            for (int half = 0; half < 2; half++) {
+                const double now = half ? v + 0.5 * s->dt * rate : v;
+                const double more_R = exp(spline_value(s->resistance_function, now)),
+                             more_C = exp(spline_value(s->compliance_function, now));
+                for (int m = 0; m < ns; m++) {
+                    const double R = more_R * circuit_R(s, m, t, l), C = more_C * circuit_C(s, m, t, l);
+                    const int o = m * ou->count * W + i;
+                    if (R == 0.0)
+                        continue;
+                    if (half) {
+                        decay[o] = exp(-s->dt / (R * C));
+                        fill[o] = -R * expm1(-s->dt / (R * C));
+                        all += fill[o];
+                    } else
+                        rate += (q - ou->v[o] / R) / C;
+                }
+            }
+            E[i] = 2.0 * ou->R1[i] + all + inertia[i];
+        }
 }
 
 ZOO_INLINE void circuit_advance(const int wall, const int W, const int extra, zoo_sim *s)

@@ -1,7 +1,7 @@
 /* The parameters of each lane's set, at the nodes. */
 #include <string.h>
 
-#include "internal.h"
+#include "outlet.h"
 #include "values.h"
 
 /* What a junction needs of its walls' K. */
@@ -90,7 +90,8 @@ int zoo_set_parameters(zoo_sim *s, const zoo_parameters *pa)
                 wrong = k;
         for (int t = 0; t < s->outlets.count && wrong < 0; t++) {
             int k = s->outlets.vessel[t];
-            if (value_bad(pa->psi1[row + k]) || value_bad(pa->psi2[row + k]) || value_bad(pa->c[row + k]))
+            if (value_bad(pa->psi1[row + k]) || value_bad(pa->psi2[row + k]) || value_bad(pa->c[row + k]) ||
+                !circuit_passive(s->problem, k, out->R1[k] * pa->psi1[row + k], out->R2[k] * pa->psi2[row + k]))
                 wrong = k;
         }
         memset(&s->report[l], 0, sizeof s->report[l]);

@@ -109,6 +109,8 @@ int zoo_step(zoo_sim *s, int step)
         s->stiff_half = s->wave_half[step];
         s->stiff = s->wave_node[step + 1];
     }
+    if (outlet_depends(s->problem))
+        circuit_set_pressure(s);
     switch (s->wall) {
         ZOO_WALLS(STEP_OF_LAW, )
     default:

@@ -27,6 +27,7 @@ static int32_t check_directions(zoo_problem *problem, int n, const zoo_direction
             const zoo_problem *given = d->problem ? d->problem[m] : NULL;
             if (parameters_missing(problem, d->parameters[m]) || !isfinite(d->weight[m]))
                 return ZOO_BAD_ARGUMENT;
+            (*n_points)++;
             if (!given)
                 continue;
             const int32_t status = zoo_check_problem(given);
@@ -39,7 +40,6 @@ static int32_t check_directions(zoo_problem *problem, int n, const zoo_direction
                 return ZOO_WORKSPACE;
             problem->numerics.additions |= zoo_has_additions(given, children);
             free(children);
-            (*n_points)++;
         }
     }
     report->direction = -1;
@@ -82,6 +82,7 @@ size_t zoo_tangent_layout(zoo_tangent *t, char *at)
     t->zero = reals(at, &used, (rows > n ? rows : n) * D);
     t->branch = reals(at, &used, 4 * branches * D);
     t->part = reals(at, &used, 8 * branches);
+    t->rows = reals(at, &used, (size_t)s->outlets.rows.coefficients * D);
     t->size = zoo_tangent_place(t, NULL);
     t->one = reals(at, &used, t->size);
     t->seen_first = reals(at, &used, 4 * (size_t)out->n_series);

@@ -72,6 +72,7 @@ typedef struct {
     double *zero;                /* [n_nodes or outlets' coefficients][D] zeros */
     double *branch;              /* [4][branches][D] scratch of one junction */
     double *part;                /* [8][branches] */
+    double *rows;                /* [rows.coefficients][D] changes of one outlet's coefficients with the state */
     int64_t beats;               /* linearised beats so far */
 } zoo_tangent;
 

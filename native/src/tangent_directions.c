@@ -2,7 +2,8 @@
  * compared with the run's own.
  *
  * Walls' scales and coefficients, outlets' coefficients and the inlet's curve have places in the blocks.  A point that
- * differs in anything else (geometry, blood, additions) is kept, and its steps are compared with the run's. */
+ * differs in anything else (geometry, blood, additions) is kept, and its steps are compared with the run's; so is one
+ * that differs in outlets whose coefficients depend on the pressure. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -28,6 +29,8 @@ static void compare_parameters(const zoo_sim *s, const zoo_sim *x, zoo_block *b,
     b->walls |= differ(b->K, d, n, weight, x->K, s->K);
     b->walls |= differ(b->K_mid, d, n - 1, weight, x->K_mid, s->K_mid);
     b->walls |= differ(b->coefficient, d, wall_shapes(s->wall) * n, weight, x->coefficient, s->coefficient);
+    if (outlet_depends(s->problem))
+        return;
     b->outlets |= differ(b->row, d, s->outlets.rows.coefficients * nt, weight, x->outlets.coefficient, s->outlets.coefficient);
     b->outlets |= differ(b->behind, d, nt, weight, x->outlets.behind, s->outlets.behind);
 }
@@ -37,7 +40,16 @@ static int same_tree(const zoo_problem *a, const zoo_problem *b)
 {
     return memcmp(&a->network, &b->network, sizeof a->network) == 0 && memcmp(&a->fluid, &b->fluid, sizeof a->fluid) == 0 &&
            memcmp(&a->wall, &b->wall, sizeof a->wall) == 0 && memcmp(&a->throat, &b->throat, sizeof a->throat) == 0 &&
-           memcmp(&a->junction, &b->junction, sizeof a->junction) == 0;
+           memcmp(&a->junction, &b->junction, sizeof a->junction) == 0 && !outlet_depends(a) && !outlet_depends(b);
+}
+
+/* Whether outlets whose coefficients depend on the pressure are the same, walls being part of them beside an inertance. */
+static int same_loads(const zoo_sim *a, const zoo_sim *b)
+{
+    const zoo_terminals *x = &a->outlets, *y = &b->outlets;
+    const size_t bytes = (size_t)x->count * sizeof(double), rows = CIRCUIT_DECAY - CIRCUIT_INERTIA;
+    return memcmp(x->R1, y->R1, bytes) == 0 && memcmp(x->R2, y->R2, bytes) == 0 && memcmp(x->C, y->C, bytes) == 0 &&
+           memcmp(outlet_row(a, x->coefficient, CIRCUIT_INERTIA), outlet_row(b, y->coefficient, CIRCUIT_INERTIA), rows * bytes) == 0;
 }
 
 /* A run of the point's arguments, set up for the steps of the run itself. */
@@ -94,9 +106,13 @@ int32_t zoo_tangent_directions(zoo_tangent *t, const zoo_parameters *parameters,
             if (!given) {
                 status = zoo_set_parameters(&scratch.sim, direction->parameters[m]) < 1 ? ZOO_NO_DERIVATIVE : ZOO_OK;
                 outlet_set_step(&scratch.sim);
-                if (status == ZOO_OK)
+                if (status != ZOO_OK)
+                    continue;
+                if (!outlet_depends(s->problem) || same_loads(&scratch.sim, s)) {
                     compare_parameters(s, &scratch.sim, b, d, weight);
-                continue;
+                    continue;
+                }
+                given = s->problem;
             }
             zoo_point *p = &points[*n_points];
             *p = (zoo_point){.direction = i, .weight = weight};

@@ -500,6 +500,50 @@ ZOO_INLINE const double *row_of(const zoo_tangent *t, const zoo_block *b, int m,
     return (t->forced && b->outlets ? b->row : t->zero) + ((ptrdiff_t)m * t->s->outlets.count + i) * D;
 }
 
+/* How decays, fills and E of terminal i, rows [coefficients][D], change with the state: with the pressure behind R1 half
+ * a step on, as circuit_set_pressure has it. */
+static void pressure_rows(const zoo_tangent *t, const zoo_block *b, int i, double *rows)
+{
+    const zoo_sim *s = t->s;
+    const zoo_terminals *ou = &s->outlets;
+    const int n = ou->count, ns = ou->rows.pressures;
+    const double q = t->old_q[ou->node[i]], half_dt = 0.5 * s->dt;
+    double v = ou->behind[i], rate = 0.0, all = 0.0, flow = 0.0, faster_R, faster_C, dv[D] = {0.0}, now[D];
+    for (int m = 0; m < ns; m++)
+        v += t->old_v[m * n + i];
+    double more_R = exp(spline_at(s->resistance_function, v, &faster_R)),
+           more_C = exp(spline_at(s->compliance_function, v, &faster_C));
+    EACH_DIRECTION now[d] = 0.0;
+    for (int m = 0; m < ns; m++) {
+        const double R = more_R * circuit_R(s, m, i, 0), C = more_C * circuit_C(s, m, i, 0);
+        const double leaves = R != 0.0 ? t->old_v[m * n + i] / R : 0.0;
+        EACH_DIRECTION dv[d] += b->v[(m * n + i) * D + d];
+        if (R == 0.0)
+            continue;
+        rate += (q - leaves) / C;
+        flow += 1.0 / C;
+        all += (leaves * faster_R - (q - leaves) * faster_C) / C;
+        EACH_DIRECTION now[d] -= half_dt / (R * C) * b->v[(m * n + i) * D + d];
+    }
+    EACH_DIRECTION now[d] += (1.0 + half_dt * all) * dv[d] + half_dt * flow * b->q[(ptrdiff_t)ou->node[i] * D + d];
+    more_R = exp(spline_at(s->resistance_function, v + half_dt * rate, &faster_R));
+    more_C = exp(spline_at(s->compliance_function, v + half_dt * rate, &faster_C));
+    double *restrict E = rows + CIRCUIT_E * D;
+    for (int m = 0; m < ns; m++) {
+        const double R = more_R * circuit_R(s, m, i, 0), C = more_C * circuit_C(s, m, i, 0);
+        if (R == 0.0)
+            continue;
+        const double keep = exp(-s->dt / (R * C)), by = keep * s->dt / (R * C) * (faster_R + faster_C);
+        const double filled = -R * expm1(-s->dt / (R * C)) * faster_R - R * by;
+        double *restrict decay = rows + (CIRCUIT_DECAY + m) * D, *restrict fill = decay + ns * D;
+        EACH_DIRECTION {
+            decay[d] += by * now[d];
+            fill[d] += filled * now[d];
+            E[d] += filled * now[d];
+        }
+    }
+}
+
 /* outlet_circuit.h */
 ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
 {
@@ -533,36 +577,44 @@ ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
         const double more = stiffer_at(s, o), inv = 1.0 / (more * t->next.slope[o] + E / per_w);
         const double *restrict Pm = b->Ph + (o - 1) * D;
         double own[D];
+        const double *change = row_of(t, b, 0, i); /* of all coefficients */
+        ptrdiff_t stride = (ptrdiff_t)n * D;
+        if (outlet_depends(s->problem)) {
+            memset(t->rows, 0, (size_t)ou->rows.coefficients * D * sizeof(double));
+            pressure_rows(t, b, i, t->rows);
+            change = t->rows;
+            stride = D;
+        }
         known_P(t, b, o, more, own);
         EACH_DIRECTION {
             const double dA = b->A[o * D + d], d_out = forced ? b->behind[i * D + d] : 0.0;
-            const double old_P = (1.0 + s->kappa[o]) * b->pe[o * D + d] + b->z[o * D + d], d_E = row_of(t, b, CIRCUIT_E, i)[d];
+            const double old_P = (1.0 + s->kappa[o]) * b->pe[o * D + d] + b->z[o * D + d], d_E = change[CIRCUIT_E * stride + d];
             const double carry = b->carry[i * D + d];
-            double dy = old_P - d_out, d_base = 2.0 * d_out - old_P - inertia * carry - row_of(t, b, CIRCUIT_INERTIA, i)[d] * t->old_carry[i];
+            double dy = old_P - d_out, d_base = 2.0 * d_out - old_P - inertia * carry - change[CIRCUIT_INERTIA * stride + d] * t->old_carry[i];
             for (int m = 0; m < sections; m++) {
                 const double dv = b->v[(m * n + i) * D + d];
                 dy -= dv;
                 d_base += (1.0 + outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i]) * dv +
-                          row_of(t, b, CIRCUIT_DECAY + m, i)[d] * t->old_v[m * n + i];
+                          change[(CIRCUIT_DECAY + m) * stride + d] * t->old_v[m * n + i];
             }
             const double come = b->qh[(o - 1) * D + d] - leak * Pm[d] + dA / per_w;
             const double then = (d_base + E * come + d_E * Q - own[d]) * inv, dQ = come - then / per_w;
-            double q = keep * (b->q[o * D + d] - direct * dy - row_of(t, b, CIRCUIT_DIRECT, i)[d] * y) +
-                       row_of(t, b, CIRCUIT_KEEP, i)[d] * (t->old_q[o] - direct * y) + share * before * dy +
-                       (row_of(t, b, CIRCUIT_SHARE, i)[d] * before + share * row_of(t, b, CIRCUIT_BEFORE, i)[d]) * y;
+            double q = keep * (b->q[o * D + d] - direct * dy - change[CIRCUIT_DIRECT * stride + d] * y) +
+                       change[CIRCUIT_KEEP * stride + d] * (t->old_q[o] - direct * y) + share * before * dy +
+                       (change[CIRCUIT_SHARE * stride + d] * before + share * change[CIRCUIT_BEFORE * stride + d]) * y;
             double dy_new = d_base + E * dQ + d_E * Q - d_out;
             for (int m = 0; m < sections; m++) {
                 double *v = &b->v[(m * n + i) * D + d];
-                *v = outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i] * *v + row_of(t, b, CIRCUIT_DECAY + m, i)[d] * t->old_v[m * n + i] +
+                *v = outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i] * *v + change[(CIRCUIT_DECAY + m) * stride + d] * t->old_v[m * n + i] +
                      outlet_row(s, ou->coefficient, CIRCUIT_DECAY + sections + m)[i] * dQ +
-                     row_of(t, b, CIRCUIT_DECAY + sections + m, i)[d] * Q;
+                     change[(CIRCUIT_DECAY + sections + m) * stride + d] * Q;
                 dy_new -= *v;
             }
-            q += (share * after + direct) * dy_new + (row_of(t, b, CIRCUIT_SHARE, i)[d] * after +
-                  share * row_of(t, b, CIRCUIT_NOW, i)[d] + row_of(t, b, CIRCUIT_DIRECT, i)[d]) * y_new;
+            q += (share * after + direct) * dy_new + (change[CIRCUIT_SHARE * stride + d] * after +
+                  share * change[CIRCUIT_NOW * stride + d] + change[CIRCUIT_DIRECT * stride + d]) * y_new;
             b->A[o * D + d] = then;
             b->q[o * D + d] = q;
-            b->carry[i * D + d] = carry + gain * (dQ - carry) + row_of(t, b, CIRCUIT_GAIN, i)[d] * (Q - t->old_carry[i]);
+            b->carry[i * D + d] = carry + gain * (dQ - carry) + change[CIRCUIT_GAIN * stride + d] * (Q - t->old_carry[i]);
         }
     }
 #undef ROW

@@ -114,7 +114,7 @@ static inline zoo_parameters tree_from(const tree *t, int i)
 /* Everything that can be added, different in every vessel. */
 typedef struct {
     double viscosity[NV], offset_in[NV], offset_out[NV], memory[NV], leak[NV], inertance[NV];
-    double severity[NV], position[NV], length[NV], rho[3 * NV], kappa[3 * NV], wave[5], factor[4], lost[5];
+    double severity[NV], position[NV], length[NV], rho[3 * NV], kappa[3 * NV], wave[5], factor[4], lost[5], larger[4], softer[5];
 } additions;
 
 static inline void tree_add(tree *t, additions *x)
@@ -138,6 +138,10 @@ static inline void tree_add(tree *t, additions *x)
         x->wave[i] = 0.9 + 0.1 * i;
     for (int i = 0; i < 4; i++)
         x->factor[i] = 1.0 + 0.5 * cos(2.0 * i);
+    for (int i = 0; i < 4; i++)
+        x->larger[i] = 0.3 * sin(2.0 * i);
+    for (int i = 0; i < 5; i++)
+        x->softer[i] = 0.4 - 0.2 * i;
     for (int i = 0; i < 5; i++)
         x->lost[i] = 40.0 * (i - 1) * (i - 1) + 25.0 * (i - 1); /* none at rest */
     t->problem.fluid.friction_function = (zoo_function){4, 0.0, 40.0, x->factor};
@@ -156,6 +160,8 @@ static inline void tree_add(tree *t, additions *x)
     t->problem.outlet.n_sections = 3;
     t->problem.outlet.section_resistance = x->rho;
     t->problem.outlet.section_compliance = x->kappa;
+    t->problem.outlet.resistance_function = (zoo_function){4, 0.0, 3e4, x->larger};
+    t->problem.outlet.compliance_function = (zoo_function){5, 0.0, 3e4, x->softer};
 }
 
 /* A run set up as zoo_solve does it, for looking inside. */

@@ -62,7 +62,10 @@ static void addition(int added)
     REJECTS(x.severity[0] = 1.0);
     REJECTS(x.position[0] = 1.1);
     REJECTS(x.length[0] = 0.0);
-    REJECTS(x.rho[3 * 7] = -0.1);
+    REJECTS(x.rho[3 * 7] = -0.1); /* its compliance is positive */
+    REJECTS((x.rho[3 * 7] = -9.0, x.kappa[3 * 7] = -1.0)); /* the sum is negative */
+    REJECTS((t.problem.outlet.resistance_function = (zoo_function){4, 0.0, 1e4, (double[]){0.0, 31.0, 0.0, 0.0}}));
+    REJECTS((t.problem.outlet.compliance_function = (zoo_function){4, 1e4, 0.0, x.factor}));
     REJECTS(x.kappa[3 * 7] = 0.0);
     REJECTS(x.factor[3] = -0.1);
     REJECTS(x.factor[0] = NAN);

@@ -14,7 +14,7 @@ static zoo_spline through(double (*f)(double), int n, double low, double high, z
     for (int i = 0; i < n; i++)
         values[i] = f(low + (high - low) * i / (n - 1));
     const zoo_function given = {n, low, high, values};
-    CHECK(zoo_function_bad(&given, -INFINITY, -INFINITY) == 0 && zoo_function_size(&given) == 4 * (n + 1));
+    CHECK(zoo_function_bad(&given, -ZOO_MOST_VALUE, -ZOO_MOST_VALUE, ZOO_MOST_VALUE) == 0 && zoo_function_size(&given) == 4 * (n + 1));
     return zoo_function_spline(&given, beyond, 0.0, piece);
 }
 
@@ -76,18 +76,18 @@ static void beyond(void)
     }
     const zoo_function absent = {0};
     const zoo_spline f = zoo_function_spline(&absent, ZOO_BEYOND_LINEAR, 0.75, piece);
-    CHECK(zoo_function_bad(&absent, 0.0, 0.0) == 0 && zoo_function_size(&absent) == 4);
+    CHECK(zoo_function_bad(&absent, 0.0, 0.0, 1.0) == 0 && zoo_function_size(&absent) == 4);
     double slope;
     CHECK(spline_at(f, 1e9, &slope) == 0.75 && slope == 0.0 && spline_value(f, -3.0) == 0.75);
     CHECK(zoo_function_curvature(f) == 0.0);
 }
 
-#define BAD(...) CHECK(zoo_function_bad(&(zoo_function)__VA_ARGS__, 0.5, -2.0) == 1)
+#define BAD(...) CHECK(zoo_function_bad(&(zoo_function)__VA_ARGS__, 0.5, -2.0, 9.0) == 1)
 
 static void arguments(void)
 {
     double v[5] = {0.0, 1.0, 2.0, 3.0, 4.0}, low[4] = {0.0, -2.1, 0.0, 0.0}, none[4] = {0.0, 0.0, NAN, 0.0};
-    CHECK(zoo_function_bad(&(zoo_function){5, 0.5, 1.0, v}, 0.5, -2.0) == 0);
+    CHECK(zoo_function_bad(&(zoo_function){5, 0.5, 1.0, v}, 0.5, -2.0, 9.0) == 0);
     BAD({3, 0.5, 1.0, v});
     BAD({-1, 0.5, 1.0, v});
     BAD({ZOO_MOST_KNOTS + 1, 0.5, 1.0, v});
@@ -100,7 +100,7 @@ static void arguments(void)
     BAD({5, 1.0, 0.9, v});
     BAD({4, 0.5, 1.0, low});
     BAD({4, 0.5, 1.0, none});
-    v[4] = 1e31;
+    v[4] = 9.1;
     BAD({5, 0.5, 1.0, v});
 }
 

@@ -87,6 +87,8 @@ static const char *change(arguments *a, int which, double by, int *plain)
     case 30: a->x.kappa[3 * 5] *= f; return "section compliance";
     case 31: p->junction.total_pressure *= f; return "total pressure";
     case 32: p->junction.loss *= f; return "junction loss";
+    case 33: a->x.larger[1] += by; return "an outlet's resistance at a pressure";
+    case 34: a->x.softer[2] += by; return "an outlet's compliance at a pressure";
     default: return NULL;
     }
 }

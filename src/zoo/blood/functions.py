@@ -1,4 +1,4 @@
-"""Functions inside the solver that are given by their values: of a wall's stretch, of velocities."""
+"""Functions inside the solver that are given by their values: of stretch, velocity, pressure."""
 
 from __future__ import annotations
 
@@ -53,6 +53,7 @@ class KnotFunction:
 
     least_low: ClassVar[float] = -_MOST
     least: ClassVar[float] = -_MOST
+    most: ClassVar[float] = _MOST
     nothing_is: ClassVar[float] = 0.0
 
     def __post_init__(self) -> None:
@@ -70,8 +71,9 @@ class KnotFunction:
                 f"{name}: {len(values)} values: must be {FEWEST_KNOTS} to {MOST_KNOTS}, one for each knot; "
                 "give others"
             )
-        words = f"between {self.least:g} and {_MOST:g}"
-        refuse_where(f"{name}: values", values, (values < self.least) | (values > _MOST), words, error=error)
+        words = f"between {self.least:g} and {self.most:g}"
+        outside = (values < self.least) | (values > self.most)
+        refuse_where(f"{name}: values", values, outside, words, error=error)
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
         object.__setattr__(self, "values", tuple(values.tolist()))
@@ -154,8 +156,21 @@ class WallFunction(KnotFunction):
         return np.asarray(slope * x / self.low)
 
 
+class _Constant(KnotFunction):
+    """One that goes on as a constant beyond its knots."""
+
+    def _below(self, x: Array, slope: float) -> Array:
+        return np.zeros_like(x)
+
+    def _slope_below(self, x: Array, slope: float) -> Array:
+        return np.zeros_like(x)
+
+    def _slope_above(self, slope: float) -> float:
+        return 0.0
+
+
 @dataclass(frozen=True)
-class FrictionFunction(KnotFunction):
+class FrictionFunction(_Constant):
     """Factor of the friction in all vessels, as a function of the blood's speed.
 
         -f q/A becomes -phi(abs(u)) f q/A,   u = q/A,   f = 2 pi nu r/delta + k pi nu,
@@ -179,15 +194,6 @@ class FrictionFunction(KnotFunction):
     least: ClassVar[float] = 0.0
     nothing_is: ClassVar[float] = 1.0
 
-    def _below(self, x: Array, slope: float) -> Array:
-        return np.zeros_like(x)
-
-    def _slope_below(self, x: Array, slope: float) -> Array:
-        return np.zeros_like(x)
-
-    def _slope_above(self, slope: float) -> float:
-        return 0.0
-
 
 @dataclass(frozen=True)
 class JunctionFunction(KnotFunction):
@@ -208,3 +214,28 @@ class JunctionFunction(KnotFunction):
     SolverArgumentError
         If a value is out of range.
     """
+
+
+@dataclass(frozen=True)
+class OutletFunction(_Constant):
+    """Change of all outlets' resistances, or compliances, with the pressure behind R1.
+
+        R2 becomes R2 exp(f(v)),   or C becomes C exp(f(v)),   C dv/dt = q - (v - p_out)/R2,
+
+    v the pressure (behind outlets of several sections that of all together); constant beyond the knots.
+
+    Parameters
+    ----------
+    low, high : float
+        First and last knot, dyn/cm2.
+    values : array (n_knots,)
+        f, the logarithm of a factor, between -30 and 30.
+
+    Raises
+    ------
+    SolverArgumentError
+        If a value is out of range.
+    """
+
+    least: ClassVar[float] = -30.0
+    most: ClassVar[float] = 30.0

@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.blood.functions import FrictionFunction, JunctionFunction, KnotFunction, WallFunction
+from zoo.blood.functions import (
+    FrictionFunction,
+    JunctionFunction,
+    KnotFunction,
+    OutletFunction,
+    WallFunction,
+)
 from zoo.blood.network import Network
 from zoo.blood.solve_errors import SolverArgumentError
 from zoo.blood.study import ReadOnlyArrays, Study, read_only
@@ -37,8 +43,8 @@ _PER_VESSEL = {
     "stiffness_exponent": (-np.inf, False, "finite"),
     "outflow_pressure": (-np.inf, False, "finite, dyn/cm2"),
     "inertance": (0.0, True, "zero or positive, g/cm4; any value, say 0, where a vessel is no terminal"),
-    "section_resistance": (0.0, True, "zero or positive"),
-    "section_compliance": (0.0, True, "zero or positive"),
+    "section_resistance": (-np.inf, False, "finite"),
+    "section_compliance": (-np.inf, False, "finite"),
     "throat_severity": (0.0, True, "at least 0 and below 1"),
     "throat_position": (0.0, True, "between 0 (inlet) and 1 (outlet)"),
     "throat_length": (0.0, False, "positive, cm"),
@@ -61,6 +67,8 @@ _FUNCTIONS: dict[str, type[KnotFunction]] = {
     "wall_function": WallFunction,
     "friction_function": FrictionFunction,
     "junction_function": JunctionFunction,
+    "outlet_resistance_function": OutletFunction,
+    "outlet_compliance_function": OutletFunction,
 }
 
 
@@ -109,7 +117,10 @@ class Physics(ReadOnlyArrays):
     section_resistance, section_compliance : array (n_vessels, n_sections)
         Shares rho_k and kappa_k, read at terminals: R1 in series with parallel pairs R_k, C_k (Foster's
         form), R_k = rho_k psi2 R2, C_k = kappa_k c C, C_k dv_k/dt = q - v_k/R_k, p = R1 q + sum_k v_k.
-        One section of (1, 1) is the Windkessel; one with rho_k = 0 is absent. Given together.
+        One section of (1, 1) is the Windkessel; one with rho_k = 0 is absent. Given together. The sum of a
+        terminal's rho_k is positive; single sections may be negative, rho_k < 0 with kappa_k < 0, as long as
+        R1 is larger than all of these together: then the impedance's real part is positive at every
+        frequency.
     throat_severity : array (n_vessels,)
         s in [0, 1): the radius at rest is multiplied by 1 - s (1 + cos(2 pi (x - x0)/l))/2 for
         abs(x - x0) < l/2.
@@ -126,8 +137,11 @@ class Physics(ReadOnlyArrays):
         phi(abs(u)), factor of both frictions, one function for all vessels.
     junction_function : JunctionFunction
         D(u): each daughter's inlet has D(u) less pressure than the parent's end, u the parent's, beside what
-        `junction_loss` takes. Functions whose values are all nothing (0, or 1 as the factor of friction) are
-        as if not given.
+        `junction_loss` takes.
+    outlet_resistance_function, outlet_compliance_function : OutletFunction
+        Logarithm of a factor of the resistances and compliances of all outlets' sections at the pressure v
+        (dyn/cm2) behind R1; C is dV/dv. Functions whose values are all nothing (0, or 1 as the factor of
+        friction) are as if not given.
 
     Raises
     ------
@@ -164,6 +178,8 @@ class Physics(ReadOnlyArrays):
     wall_function: WallFunction | None = None
     friction_function: FrictionFunction | None = None
     junction_function: JunctionFunction | None = None
+    outlet_resistance_function: OutletFunction | None = None
+    outlet_compliance_function: OutletFunction | None = None
 
     def __post_init__(self) -> None:
         for name, (low, closed, words) in _NUMBERS.items():
@@ -203,12 +219,14 @@ class Physics(ReadOnlyArrays):
                     f"physics: section_compliance has shape {self.section_compliance.shape}: must be that of "
                     f"section_resistance, {self.section_resistance.shape}"
                 )
-            lacking = (self.section_resistance > 0) & ~(self.section_compliance > 0)
+            there = self.section_resistance != 0
+            lacking = there & ~(np.sign(self.section_resistance) == np.sign(self.section_compliance))
             if lacking.any():
                 vessel, section = (int(i) for i in np.argwhere(lacking)[0])
                 raise SolverArgumentError(
                     f"physics: section_compliance[{vessel}, {section}] = "
-                    f"{self.section_compliance[vessel, section]}: must be positive where the resistance is"
+                    f"{self.section_compliance[vessel, section]}: must be of the resistance's sign, "
+                    f"{self.section_resistance[vessel, section]}"
                 )
 
     @property
@@ -229,7 +247,7 @@ class Physics(ReadOnlyArrays):
         for name in _ZERO:
             away.append(getattr(self, name) is not None and np.any(getattr(self, name) != 0))
         if self.section_resistance is not None and self.section_compliance is not None:
-            there = self.section_resistance > 0
+            there = self.section_resistance != 0
             one = np.where(there, (self.section_resistance == 1) & (self.section_compliance == 1), True)
             away.append(not (one.all() and np.all(there.sum(axis=1) <= 1)))
         return bool(any(away))
@@ -258,10 +276,10 @@ class Physics(ReadOnlyArrays):
                 )
         if self.section_resistance is not None:
             for k in network.terminals:
-                if not np.any(self.section_resistance[k] > 0):
+                if not self.section_resistance[k].sum() > 0:
                     raise SolverArgumentError(
                         f"physics: section_resistance[{int(k)}] = {self.section_resistance[k].tolist()}: "
-                        f"vessel {int(network.ids[k])} is a terminal and needs at least one positive share"
+                        f"vessel {int(network.ids[k])} is a terminal and needs shares whose sum is positive"
                     )
 
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ABI = 6
+ABI = 7
 if getattr(lib, "ZOO_ABI", 1) != ABI:
     raise ImportError(
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
@@ -452,13 +452,20 @@ class Solver:
 
         problem.junction.total_pressure, problem.junction.loss = added.total_pressure, added.junction_loss
 
-        for struct, function in (
-            (wall.function, added.wall_function),
-            (fluid.friction_function, added.friction_function),
-            (problem.junction.function, added.junction_function),
+        # a pressure is told less that outside, where that is the same everywhere
+        for struct, function, less in (
+            (wall.function, added.wall_function, 0.0),
+            (fluid.friction_function, added.friction_function, 0.0),
+            (problem.junction.function, added.junction_function, 0.0),
+            (outlet.resistance_function, added.outlet_resistance_function, self._shift),
+            (outlet.compliance_function, added.outlet_compliance_function, self._shift),
         ):
             if function is not None and function.changes:
-                struct.n_knots, struct.low, struct.high = len(function.values), function.low, function.high
+                struct.n_knots, struct.low, struct.high = (
+                    len(function.values),
+                    function.low - less,
+                    function.high - less,
+                )
                 struct.values = reals(function.values, "values", len(function.values))
 
         circuit = added.inertance is not None or added.section_resistance is not None
@@ -539,6 +546,12 @@ class Solver:
         if report.status == lib.ZOO_BAD_ARGUMENT and report.vessel >= 0:
             given = {name: value[..., report.vessel].ravel() for name, value in values.items()}
             wrong = [(n, x) for n, v in given.items() for x in v.tolist() if not 0 < x < np.inf]
+            shares = self.physics.section_resistance
+            if not wrong and shares is not None and np.any(shares[report.vessel] < 0):
+                return (
+                    f"section_resistance = {shares[report.vessel].tolist()}{where}: the negative sections, "
+                    "times psi2 R2, must together be smaller than psi1 R1; lower them"
+                )
             name, value = wrong[0] if wrong else ("stiffness", given["stiffness"][0])
             words = "must be positive and finite" if wrong else "is far out of range"
             return f"{name} = {value}{where}: {words}; correct it"
