@@ -56,7 +56,7 @@ static double *reals(char *at, size_t *used, size_t count)
 
 static void set_partials(zoo_partials *p, char *at, size_t *used, size_t n, size_t shapes)
 {
-    double **arrays[] = {&p->elastic, &p->slope, &p->M_A, &p->M_q, &p->G_A, &p->G_q, &p->G_P, &p->by_K};
+    double **arrays[] = {&p->slope, &p->M_A, &p->M_q, &p->G_A, &p->G_q, &p->G_P, &p->by_K};
     for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++)
         *arrays[i] = reals(at, used, n);
     p->shape = reals(at, used, n * shapes);
@@ -73,7 +73,7 @@ size_t zoo_tangent_layout(zoo_tangent *t, char *at)
     set_partials(&t->now, at, &used, n, shapes);
     set_partials(&t->next, at, &used, n, shapes);
     set_partials(&t->mid, at, &used, n, shapes);
-    double **nodes[] = {&t->old_A, &t->old_q, &t->old_P, &t->old_off, &t->hP0, &t->hP1, &t->fP0, &t->fP1};
+    double **nodes[] = {&t->mid_elastic, &t->old_A, &t->old_q, &t->old_P, &t->old_off, &t->hP0, &t->hP1, &t->fP0, &t->fP1};
     for (size_t i = 0; i < sizeof nodes / sizeof *nodes; i++)
         *nodes[i] = reals(at, &used, n);
     t->old_v = reals(at, &used, (size_t)s->outlets.rows.pressures * nt);

@@ -27,7 +27,8 @@ enum {
 /* Derivatives of what nodes, or midpoints, make of their area A and flow q: the wall's pressure by area and by the
  * law's coefficients, momentum flux and friction by area, flow and (with a leak) pressure. */
 typedef struct {
-    double *elastic, *slope, *shape;  /* [n_nodes], [n_nodes], [wall_shapes][n_nodes] */
+    const double *elastic;            /* [n_nodes] the wall's own pressure */
+    double *slope, *shape;            /* [n_nodes], [wall_shapes][n_nodes] */
     double *by_K;                     /* [n_nodes] where a direction changes the walls */
     double *M_A, *M_q, *G_A, *G_q, *G_P; /* [n_nodes] */
 } zoo_partials;
@@ -55,6 +56,7 @@ typedef struct {
     int n_blocks;
     zoo_block *block;
     zoo_partials now, next, mid; /* nodes at the start and end of the step, midpoints */
+    double *mid_elastic;         /* [n_nodes] with additions */
     double *old_A, *old_q, *old_P, *old_off; /* [n_nodes] at the start of the step; old_off at half a step */
     double *old_v, *old_carry;   /* [rows][count] */
     /* [n_nodes] how a midpoint follows from the nodes before and after it, and a node from the midpoints */
@@ -95,10 +97,10 @@ void zoo_tangent_add(zoo_tangent *t, int block, const double *change);
 void zoo_tangent_record(zoo_tangent *t, int step);
 
 /* tangent_plain.c, without additions: the coefficients of the step that was just made, a block through such a step, and
- * its pressures at a node. */
+ * what changed walls add to its pressures at a node. */
 void zoo_plain_keep(zoo_tangent *t);
 void zoo_plain_step(const zoo_tangent *t, zoo_block *b, int step);
-void zoo_plain_pressure(const zoo_tangent *t, zoo_block *b, ptrdiff_t node, double slope, double *to);
+void zoo_plain_source(const zoo_tangent *t, const zoo_block *b, ptrdiff_t node, double *P);
 
 /* Arguments near those of the run whose steps are computed one by one, from the run's own state, and compared: for
  * what no coefficient array of a block holds. */

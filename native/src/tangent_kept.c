@@ -8,6 +8,8 @@
 #include "tangent.h"
 
 static const double most_kept = 2147483647.0;
+/* 1.5 2^52: the last bits of a sum with it are the other number as an integer, rounded, whatever the number was. */
+static const double to_last_bits = 6755399441055744.0;
 
 /* Elements of an array of the nodes with its padding, and of all that is not at nodes. */
 static size_t stride_of(const zoo_tangent *t)
@@ -42,7 +44,7 @@ size_t zoo_tangent_place(zoo_tangent *t, double *at)
     return (used + 7) / 8 * 8;
 }
 
-ZOO_CLONES static void to_integers(const double *restrict from, size_t n, int32_t *restrict to, double *scale)
+ZOO_CLONES static void to_integers(const double *restrict from, size_t n, uint32_t *restrict to, double *scale)
 {
     double part[8] = {0.0}, most = 0.0;
     for (size_t i = 0; i < n; i += 8)
@@ -51,14 +53,13 @@ ZOO_CLONES static void to_integers(const double *restrict from, size_t n, int32_
             part[k] = x > part[k] ? x : part[k];
         }
     for (int k = 0; k < 8; k++)
-        most = fmax(most, part[k]);
+        most = part[k] > most ? part[k] : most;
     const double by = most > 0.0 && most < INFINITY ? most_kept / most : 0.0;
     ZOO_SIMD for (size_t i = 0; i < n; i++) {
-        double x = from[i] * by;
-        x += copysign(0.5, x);
-        x = x > -most_kept ? x : -most_kept; /* what is not a number, too */
-        x = x < most_kept ? x : most_kept;
-        to[i] = (int32_t)x;
+        const double x = from[i] * by + to_last_bits;
+        uint64_t bits;
+        memcpy(&bits, &x, sizeof bits);
+        to[i] = (uint32_t)bits;
     }
     *scale = most / most_kept;
 }
@@ -73,7 +74,7 @@ void zoo_tangent_keep(zoo_tangent *t, int step)
 {
     const size_t stride = stride_of(t);
     double *at = t->kept + (size_t)step * zoo_tangent_kept(t);
-    int32_t *integers = (int32_t *)(at + ZOO_NODE_ROWS);
+    uint32_t *integers = (uint32_t *)(at + ZOO_NODE_ROWS);
     for (int i = 0; i < ZOO_NODE_ROWS; i++)
         to_integers(t->one + i * stride, stride, integers + i * stride, at + i);
     memcpy(integers + ZOO_NODE_ROWS * stride, t->one + ZOO_NODE_ROWS * stride, rest_of(t) * sizeof(double));

@@ -116,19 +116,22 @@ static int32_t beat(zoo_tangent *t, const double *start, zoo_point *points, int 
     return ZOO_OK;
 }
 
-static double dot(const double *weight, const double *a, const double *b, ptrdiff_t n)
+ZOO_CLONES static double dot(const double *weight, const double *a, const double *b, ptrdiff_t n)
 {
     double part[8] = {0.0}, sum = 0.0; /* apart, so that they need not wait for each other */
-    for (ptrdiff_t i = 0; i < n; i++)
-        part[i % 8] += weight[i] * weight[i] * a[i] * b[i];
+    for (ptrdiff_t i = n / 8 * 8; i < n; i++)
+        sum += weight[i] * weight[i] * a[i] * b[i];
+    for (ptrdiff_t i = 0; i + 8 <= n; i += 8)
+        ZOO_SIMD for (int k = 0; k < 8; k++)
+            part[k] += weight[i + k] * weight[i + k] * a[i + k] * b[i + k];
     for (int k = 0; k < 8; k++)
         sum += part[k];
     return sum;
 }
 
-static void add(double *to, double factor, const double *from, ptrdiff_t n)
+ZOO_CLONES static void add(double *restrict to, double factor, const double *restrict from, ptrdiff_t n)
 {
-    for (ptrdiff_t i = 0; i < n; i++)
+    ZOO_SIMD for (ptrdiff_t i = 0; i < n; i++)
         to[i] += factor * from[i];
 }
 

@@ -30,13 +30,25 @@ ZOO_INLINE lanes *of(double *array, ptrdiff_t j)
     return (lanes *)array + j;
 }
 
-/* What the walls' arguments add to the pressure at a node, or a midpoint. */
-ZOO_INLINE lanes source(const zoo_tangent *t, const zoo_block *b, const zoo_partials *p, double *K, ptrdiff_t j)
+/* What makes the walls' arguments add to the pressures at nodes, or midpoints: all by value, since the compiler must
+ * take it that the lanes' stores change whatever is behind a pointer. */
+typedef struct {
+    const double *by_K, *shape;
+    double *K, *coefficient;
+    ptrdiff_t stride;
+    int shapes;
+} walls_change;
+
+ZOO_INLINE walls_change change_of(const zoo_tangent *t, const zoo_block *b, const zoo_partials *p, double *K)
 {
-    const ptrdiff_t stride = t->s->n_nodes;
-    lanes sum = p->by_K[j] * *of(K, j);
-    for (int m = 0; m < t->shapes; m++)
-        sum += p->shape[m * stride + j] * *of(b->coefficient, m * stride + j);
+    return (walls_change){p->by_K, p->shape, K, b->coefficient, t->s->n_nodes, t->shapes};
+}
+
+ZOO_INLINE lanes source(const walls_change c, ptrdiff_t j)
+{
+    lanes sum = c.by_K[j] * *of(c.K, j);
+    for (int m = 0; m < c.shapes; m++)
+        sum += c.shape[m * c.stride + j] * *of(c.coefficient, m * c.stride + j);
     return sum;
 }
 
@@ -45,31 +57,36 @@ ZOO_INLINE void vessels(const zoo_tangent *t, zoo_block *b, const int forced)
 {
     const zoo_sim *s = t->s;
     const double *restrict hA0 = t->hA0, *restrict hA1 = t->hA1, *restrict hq0 = t->hq0, *restrict hq1 = t->hq1,
-                 *restrict fA0 = t->fA0, *restrict fA1 = t->fA1, *restrict fq0 = t->fq0, *restrict fq1 = t->fq1;
+                 *restrict fA0 = t->fA0, *restrict fA1 = t->fA1, *restrict fq0 = t->fq0, *restrict fq1 = t->fq1,
+                 *restrict hP0 = t->hP0, *restrict fP0 = t->fP0; /* of the pressure after, the same with the other sign */
+    const walls_change now = change_of(t, b, &t->now, b->K), mid = change_of(t, b, &t->mid, b->K_mid);
+    const char *ahead = t->ahead;
+    const size_t ahead_by = t->ahead_by;
+    double *A = b->A, *q = b->q;
     for (int k = 0; k < s->n_vessels; k++) {
         const ptrdiff_t first = s->first[k], last = s->last[k];
         const double lam = s->lam_mid[first], l = 0.5 * lam;
-        lanes A0 = *of(b->A, first), q0 = *of(b->q, first), before_A = {0}, before_q = {0}, P0 = {0}, before_P = {0};
+        lanes A0 = *of(A, first), q0 = *of(q, first), before_A = {0}, before_q = {0}, P0 = {0}, before_P = {0};
         if (forced)
-            P0 = source(t, b, &t->now, b->K, first);
+            P0 = source(now, first);
         for (ptrdiff_t j = first; j < last; j++) {
             if (!forced)
-                __builtin_prefetch(t->ahead + t->ahead_by * j);
-            const lanes A1 = *of(b->A, j + 1), q1 = *of(b->q, j + 1);
+                __builtin_prefetch(ahead + ahead_by * j);
+            const lanes A1 = *of(A, j + 1), q1 = *of(q, j + 1);
             const lanes Ah = 0.5 * (A0 + A1) - l * (q1 - q0);
             lanes qh = hA0[j] * A0 + hA1[j] * A1 + hq0[j] * q0 + hq1[j] * q1, Ph = {0};
             if (forced) {
-                const lanes P1 = source(t, b, &t->now, b->K, j + 1);
-                qh += t->hP0[j] * P0 + t->hP1[j] * P1;
-                Ph = source(t, b, &t->mid, b->K_mid, j);
+                const lanes P1 = source(now, j + 1);
+                qh += hP0[j] * (P0 - P1);
+                Ph = source(mid, j);
                 P0 = P1;
             }
             if (j > first) {
-                *of(b->A, j) = A0 - lam * (qh - before_q);
+                *of(A, j) = A0 - lam * (qh - before_q);
                 q0 += fA0[j] * before_A + fA1[j] * Ah + fq0[j] * before_q + fq1[j] * qh;
                 if (forced)
-                    q0 += t->fP0[j] * before_P + t->fP1[j] * Ph;
-                *of(b->q, j) = q0;
+                    q0 += fP0[j] * (before_P - Ph);
+                *of(q, j) = q0;
             } else {
                 *of(b->Ah, j) = Ah;
                 *of(b->qh, j) = qh;
@@ -85,31 +102,33 @@ ZOO_INLINE void junctions(const zoo_tangent *t, zoo_block *b, const int forced)
 {
     const zoo_sim *s = t->s;
     const double *row = t->row;
+    const walls_change next = change_of(t, b, &t->next, b->K), mid = change_of(t, b, &t->mid, b->K_mid);
+    double *A = b->A, *q = b->q, *Ah = b->Ah, *qh = b->qh;
     for (int g = 0; g < s->n_groups; g++) {
         const zoo_junction_group *ju = &s->groups[g];
-        const int count = ju->count, nb = ju->branches, n = count * nb;
+        const int count = ju->count, n = count * ju->branches, *restrict nodes = ju->node, *restrict mids = ju->mid;
         for (int j = 0; j < count; j++) {
             lanes P = {0}, half = {0};
             for (int x = j; x < n; x += count) {
-                P += row[VOLUME * n + x] * *of(b->A, ju->node[x]) + row[INFLOW * n + x] * *of(b->qh, ju->mid[x]);
+                P += row[VOLUME * n + x] * *of(A, nodes[x]) + row[INFLOW * n + x] * *of(qh, mids[x]);
                 if (forced)
-                    P += row[VOLUME * n + x] * row[SOFTNESS * n + x] * source(t, b, &t->next, b->K, ju->node[x]);
+                    P += row[VOLUME * n + x] * row[SOFTNESS * n + x] * source(next, nodes[x]);
             }
             for (int x = j; x < n; x += count) {
-                const ptrdiff_t o = ju->node[x], m = ju->mid[x];
+                const ptrdiff_t o = nodes[x], m = mids[x];
                 lanes then = row[SOFTNESS * n + x] * P;
                 if (forced)
-                    then -= row[SOFTNESS * n + x] * source(t, b, &t->next, b->K, o);
-                lanes sum = *of(b->q, o) + row[WAS * n + x] * *of(b->A, o) + row[IS * n + x] * then +
-                            row[AREA_H * n + x] * *of(b->Ah, m) + row[FLOW_H * n + x] * *of(b->qh, m);
+                    then -= row[SOFTNESS * n + x] * source(next, o);
+                lanes sum = *of(q, o) + row[WAS * n + x] * *of(A, o) + row[IS * n + x] * then +
+                            row[AREA_H * n + x] * *of(Ah, m) + row[FLOW_H * n + x] * *of(qh, m);
                 if (forced)
-                    sum += row[PUSH * n + x] * source(t, b, &t->mid, b->K_mid, m);
+                    sum += row[PUSH * n + x] * source(mid, m);
                 half += row[BALANCE * n + x] * sum;
-                *of(b->A, o) = then;
-                *of(b->q, o) = sum;
+                *of(A, o) = then;
+                *of(q, o) = sum;
             }
             for (int x = j; x < n; x += count)
-                *of(b->q, ju->node[x]) -= row[PUSH * n + x] * half;
+                *of(q, nodes[x]) -= row[PUSH * n + x] * half;
         }
         row += ZOO_PLAIN_ROWS * n;
     }
@@ -129,8 +148,8 @@ ZOO_INLINE void ends(const zoo_tangent *t, zoo_block *b, int step, const int wal
         lanes base = (1.0 + decay) * *of(b->v, i) - t->outlet[OUTLET_BEFORE * n + i] * *of(b->A, o);
         lanes after = decay * *of(b->v, i), own = {0}, raised = {0}, driven = {0};
         if (walls) {
-            base -= source(t, b, &t->now, b->K, o);
-            own = source(t, b, &t->next, b->K, o);
+            base -= source(change_of(t, b, &t->now, b->K), o);
+            own = source(change_of(t, b, &t->next, b->K), o);
         }
         if (outlets) {
             const double was = t->old_v[i], Q = s->qh[o - 1] - (s->A[o] - t->old_A[o]) * back;
@@ -236,12 +255,10 @@ void zoo_plain_keep(zoo_tangent *t)
     }
 }
 
-/* Pressures of a block at a node whose slope is given. */
-void zoo_plain_pressure(const zoo_tangent *t, zoo_block *b, ptrdiff_t o, double slope, double *to)
+/* Adds what the walls' arguments make of the pressures at a node, at the end of a step. */
+void zoo_plain_source(const zoo_tangent *t, const zoo_block *b, ptrdiff_t o, double *P)
 {
-    lanes P = slope * *of(b->A, o);
-    if (t->forced && b->walls)
-        P += source(t, b, &t->now, b->K, o);
+    const lanes more = source(change_of(t, b, &t->now, b->K), o);
     for (int d = 0; d < D; d++)
-        to[d] = P[d];
+        P[d] += more[d];
 }

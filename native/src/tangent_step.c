@@ -111,7 +111,7 @@ static void scale_partials(const double *restrict K, int n, zoo_partials *p)
 static void node_partials(zoo_tangent *t, zoo_partials *p)
 {
     const zoo_sim *s = t->s;
-    memcpy(p->elastic, s->extra ? s->pe : s->P, (size_t)s->n_nodes * sizeof(double));
+    p->elastic = s->extra ? s->pe : s->P;
     switch (s->wall) {
         ZOO_WALLS(PARTIALS_CASE, s, s->A, s->q, s->K, s->inv_A0, s->f_s, s->f_c, s->stiff, s->n_nodes, t->shapes, p)
     }
@@ -689,18 +689,19 @@ int zoo_tangent_step(zoo_tangent *t, int step)
         return 0;
     }
     memcpy(t->old_A, s->A, n * sizeof(double));
-    memcpy(t->old_q, s->q, n * sizeof(double));
     memcpy(t->old_P, s->P, n * sizeof(double));
-    if (s->extra)
+    if (s->extra) {
+        memcpy(t->old_q, s->q, n * sizeof(double));
         memcpy(t->old_off, s->off_half, n * sizeof(double));
+    }
     memcpy(t->old_v, ou->v, (size_t)ou->rows.pressures * ou->count * sizeof(double));
     memcpy(t->old_carry, ou->carry, (size_t)ou->rows.flows * ou->count * sizeof(double));
     half_coefficients(t);
     const int wrong = zoo_step(s, step);
     /* the wall's own pressure at the midpoints */
-    memcpy(t->mid.elastic, s->Ph, n * sizeof(double));
+    t->mid.elastic = s->extra ? t->mid_elastic : s->Ph;
     for (size_t j = 0; j + 1 < n && s->extra; j++)
-        t->mid.elastic[j] = (s->Ph[j] - 0.5 * (t->old_off[j] + t->old_off[j + 1])) /
+        t->mid_elastic[j] = (s->Ph[j] - 0.5 * (t->old_off[j] + t->old_off[j + 1])) /
                             (1.0 + 0.5 * (1.0 + s->relax_half) * s->kappa[j]);
     switch (s->wall) {
         ZOO_WALLS(PARTIALS_CASE, s, s->Ah, s->qh, s->K_mid, s->inv_A0_mid, s->f_s_mid, s->f_c_mid,
@@ -747,32 +748,39 @@ void zoo_tangent_add(zoo_tangent *t, int k, const double *change)
 }
 
 /* Into the ring of the outputs, as output.c does. */
-void zoo_tangent_record(zoo_tangent *t, int step)
+ZOO_CLONES static void record_of(const zoo_tangent *t, const zoo_block *b, int step)
 {
     const zoo_sim *s = t->s;
     const int n = s->problem->outputs.n_series;
-    for (int k = 0; k < t->n_blocks; k++) {
-        zoo_block *b = &t->block[k];
-        double *to = b->ring + (ptrdiff_t)(step & 3) * n * 3 * D;
-        for (int i = 0; i < n; i++) {
-            double P[D] = {0.0}, q[D] = {0.0}, A[D] = {0.0}, p[D];
-            for (int m = 0; m < 4; m++) {
-                const ptrdiff_t o = s->out_node[4 * i + m];
-                const double w = s->out_weight[4 * i + m];
-                for (int d = 0; d < D && s->extra; d++)
-                    p[d] = (1.0 + s->kappa[o]) * b->pe[o * D + d] + b->z[o * D + d];
-                if (!s->extra)
-                    zoo_plain_pressure(t, b, o, t->seen[4 * i + m], p);
-                for (int d = 0; d < D; d++) {
-                    const ptrdiff_t x = o * D + d;
-                    P[d] += w * (p[d] + (t->forced ? b->out_P[x] : 0.0));
-                    q[d] += w * b->q[x];
-                    A[d] += w * b->A[x];
-                }
+    double *to = b->ring + (ptrdiff_t)(step & 3) * n * 3 * D;
+    for (int i = 0; i < n; i++) {
+        double P[D] = {0.0}, q[D] = {0.0}, A[D] = {0.0}, p[D];
+        for (int m = 0; m < 4; m++) {
+            const ptrdiff_t o = s->out_node[4 * i + m];
+            const double w = s->out_weight[4 * i + m], slope = t->seen[4 * i + m], stiffer = s->extra ? 1.0 + s->kappa[o] : 1.0;
+            const double *restrict A_of = b->A + o * D, *restrict q_of = b->q + o * D, *restrict out = b->out_P + o * D;
+            if (s->extra)
+                EACH_DIRECTION p[d] = stiffer * b->pe[o * D + d] + b->z[o * D + d];
+            else
+                EACH_DIRECTION p[d] = slope * A_of[d];
+            if (!s->extra && t->forced && b->walls)
+                zoo_plain_source(t, b, o, p);
+            if (t->forced)
+                EACH_DIRECTION p[d] += out[d];
+            EACH_DIRECTION {
+                P[d] += w * p[d];
+                q[d] += w * q_of[d];
+                A[d] += w * A_of[d];
             }
-            memcpy(to + (i * 3 + 0) * D, P, sizeof P);
-            memcpy(to + (i * 3 + 1) * D, q, sizeof q);
-            memcpy(to + (i * 3 + 2) * D, A, sizeof A);
         }
+        memcpy(to + (i * 3 + 0) * D, P, sizeof P);
+        memcpy(to + (i * 3 + 1) * D, q, sizeof q);
+        memcpy(to + (i * 3 + 2) * D, A, sizeof A);
     }
+}
+
+void zoo_tangent_record(zoo_tangent *t, int step)
+{
+    for (int k = 0; k < t->n_blocks; k++)
+        record_of(t, &t->block[k], step);
 }
