@@ -4,7 +4,7 @@ Prints the tables that docs/calibration.md quotes and draws its figures. Finishe
 file for each model, so an interrupted run goes on.
 
 Usage: python benchmarks/calibration.py [--models A,B] [--replicates 200] [--folder runs/calibration]
-       [--figures docs/figures] [--cores 1] [--seed 1]
+       [--figures docs/figures] [--cores 1] [--seed 1] [--scheduler tcp://HOST:8786] [--shard I/N]
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from zoo.core.inference.cluster import connect
 from zoo.core.posterior.ranks import RankTest
 from zoo.models import get_model
 from zoo.paper.calibration import simulate_and_rank
@@ -34,25 +35,38 @@ def main() -> None:
     parser.add_argument("--figures", type=Path, default=FIGURES)
     parser.add_argument("--cores", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--scheduler", help="of dask.distributed, whose workers do the replicates")
+    parser.add_argument("--shard", type=shard, help="a part of the replicates; once without shows all")
     args = parser.parse_args()
     args.folder.mkdir(parents=True, exist_ok=True)
     study = cheap_study()
     for name in args.models.split(","):
         wall = "tangent" if name in ("H", "I") else "linear"
         independent = name in ("A", "D", "F")
-        test = simulate_and_rank(
-            partial(get_model(name), options=cheap_options(wall)),
-            study,
-            args.replicates,
-            seed=args.seed,
-            settings=Settings(),
-            limits={"sigma2": SIGMA2} if independent else None,
-            path=args.folder / f"{name}.jsonl",
-            cores=args.cores,
-            progress=True,
-        )
+        with connect(args.scheduler) as executor:
+            test = simulate_and_rank(
+                partial(get_model(name), options=cheap_options(wall)),
+                study,
+                args.replicates,
+                seed=args.seed,
+                settings=Settings(),
+                limits={"sigma2": SIGMA2} if independent else None,
+                path=args.folder / f"{name}.jsonl",
+                cores=args.cores,
+                executor=executor,
+                shard=args.shard,
+                progress=True,
+            )
+        if test is None:
+            continue
         report(name, test)
         save_figure(calibration_figure(test, title=f"model {name}"), args.figures / f"calibration-{name}.svg")
+
+
+def shard(text: str) -> tuple[int, int]:
+    """Read "2/8"."""
+    part, parts = text.split("/")
+    return int(part), int(parts)
 
 
 def report(name: str, test: RankTest) -> None:

@@ -20,17 +20,6 @@ def fail(x: int) -> int:
     raise ValueError(f"job {x}")
 
 
-kept: list[int] = []
-
-
-def keep(x: int) -> None:
-    kept.append(x)
-
-
-def add_kept(x: int) -> int:
-    return x + sum(kept)
-
-
 def sleep(folder: str) -> None:
     Path(folder, str(os.getpid())).touch()
     time.sleep(600)
@@ -40,13 +29,6 @@ def sleep(folder: str) -> None:
 def test_every_job_is_done_once(cores: int) -> None:
     assert sorted(each(square, [3, 1, 2], cores)) == [(1, 1), (2, 4), (3, 9)]
     assert list(each(square, [], cores)) == []
-
-
-@pytest.mark.parametrize("cores", [1, 2])
-def test_each_process_is_prepared(cores: int) -> None:
-    kept.clear()
-    assert sorted(each(add_kept, [1, 2], cores, prepare=keep, arguments=(10,))) == [(1, 11), (2, 12)]
-    kept.clear()
 
 
 @pytest.mark.parametrize("cores", [1, 2])

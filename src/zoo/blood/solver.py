@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import count, takewhile
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from zoo import _native
 from zoo._native import ffi, lib
 from zoo.blood.conventions import PRINTED, Conventions
 from zoo.blood.directions import Derivatives, Direction, share_arrays
@@ -31,6 +33,7 @@ from zoo.blood.solve_errors import (
 from zoo.blood.solver_input import SolverOptions as SolverOptions
 from zoo.blood.solver_input import checked_inflow, checked_places
 from zoo.blood.units import cgs_to_mmhg
+from zoo.core import digests
 from zoo.core.arrays import (
     MOST_COUNT,
     finite_array,
@@ -50,6 +53,12 @@ if getattr(lib, "ZOO_ABI", 1) != ABI:
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
         "run `make setup` to build it again"
     )
+
+
+@cache
+def library_digest() -> str:
+    """SHA-256 of the compiled library, which stored results are kept by."""
+    return digests.of_bytes(Path(_native.__file__).read_bytes())
 
 
 def _names(name_of: Callable[[int], Any]) -> tuple[str, ...]:

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import PluginOptions, PriorOptions, QuietOption
+from zoo.cli.options import (
+    PluginOptions,
+    PriorOptions,
+    QuietOption,
+    SchedulerOption,
+    ShardOption,
+    read_shard,
+)
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file, output_folder
 
@@ -129,6 +136,8 @@ def run(
     max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each.")] = 2,
+    scheduler: SchedulerOption = None,
+    shard: ShardOption = None,
     quiet: QuietOption = False,
     *,
     priors: PriorOptions,
@@ -138,12 +147,15 @@ def run(
     import time
 
     from zoo.blood.blind import diagnose_cases
+    from zoo.core.inference.cluster import connect
+    from zoo.core.inference.workers import shard_of
 
+    part = read_shard(shard)
     output_folder(output, option="--output", deep=True)
     plugins.load()
     began = time.monotonic()
-    total = sum((p / "study.toml").is_file() for p in cases.iterdir()) if cases.is_dir() else 0
-    with _Counting(not quiet, total) as counting:
+    studies = [p for p in cases.iterdir() if (p / "study.toml").is_file()] if cases.is_dir() else []
+    with connect(scheduler) as executor, _Counting(not quiet, len(shard_of(studies, part))) as counting:
         found = diagnose_cases(
             cases,
             output,
@@ -154,6 +166,8 @@ def run(
             seed=seed,
             priors=priors.table(),
             cores=cores,
+            executor=executor,
+            shard=part,
             done=counting,
         )
     words = f", {len(found.kept)} of them before" if found.kept else ""

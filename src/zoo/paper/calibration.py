@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from zoo.blood.solver import library_digest
 from zoo.blood.study import Study
+from zoo.core import digests
 from zoo.core.inference.progress import bar
+from zoo.core.inference.record import versions
 from zoo.core.inference.sampling import DEMETROPOLISZ
-from zoo.core.inference.workers import each
+from zoo.core.inference.workers import each, shard_of
 from zoo.core.posterior.ranks import CalibrationError, RankTest, Replicate
 from zoo.paper.replicator import Builder, Replicator, Settings
 
@@ -34,14 +38,16 @@ def simulate_and_rank(
     truth: Builder | None = None,
     path: str | Path | None = None,
     cores: int = 1,
+    executor: Executor | None = None,
+    shard: tuple[int, int] | None = None,
     progress: bool = False,
-) -> RankTest:
+) -> RankTest | None:
     """Rank many truths from the prior among draws of their posteriors.
 
     Parameters
     ----------
     model_builder : callable
-        ``model_builder(study) -> pm.Model``; with `cores` above 1 it has to be picklable.
+        ``model_builder(study) -> pm.Model``; for other processes it is importable by name.
     study : Study
         Network, inflow, times and places of the observations.
     n_replicates : int
@@ -58,17 +64,24 @@ def simulate_and_rank(
         File of finished replicates, one JSON object a line; what it holds already is not done again.
     cores : int
         Processes, each with its own compiled model; 1 works in this process.
+    executor : concurrent.futures.Executor, optional
+        Does the replicates instead, as in `zoo.core.inference.workers.each`.
+    shard : (i, n), optional
+        Do part i of n of the replicates only, i from 1, into a file of its own beside `path`; a call without
+        takes what the parts' files hold, and does the rest.
     progress : bool
         A bar on standard error.
 
     Returns
     -------
-    RankTest
+    RankTest, or None of a shard
 
     Raises
     ------
     CalibrationError
         For a setting out of range, or a file of another calibration.
+    zoo.core.inference.workers.LostTaskError
+        If the worker of a replicate died as often as it may.
 
     References
     ----------
@@ -77,7 +90,15 @@ def simulate_and_rank(
     settings = settings or Settings()
     if n_replicates < 1 or cores < 1:
         raise CalibrationError(f"n_replicates = {n_replicates}, cores = {cores}: must be at least 1")
-    arguments = (model_builder, study, dict(limits or {}), truth)
+    if shard is not None and path is None:
+        raise CalibrationError(
+            "path = None: a shard needs a file that a later call finds its replicates beside"
+        )
+    try:
+        mine = shard_of(range(n_replicates), shard)
+    except ValueError as error:
+        raise CalibrationError(str(error)) from None
+    asked = _Calibration(model_builder, study, tuple(sorted((limits or {}).items())), truth)
     header = {
         "model": _builder_name(model_builder),
         "truth": _builder_name(truth or model_builder),
@@ -86,27 +107,50 @@ def simulate_and_rank(
         "steps": dict(DEMETROPOLISZ),
         "limits": {name: list(map(float, pair)) for name, pair in (limits or {}).items()},
         "settings": asdict(settings),
+        "program": {**versions(), "solver": library_digest()},
     }
-    store = _Store(None if path is None else Path(path), header)
-    waiting = [k for k in range(n_replicates) if k not in store.found]
+    store = _Store(None if path is None else Path(path), header, shard)
+    waiting = [k for k in mine if k not in store.found]
     with bar(progress) as show:
-        task = show.add_task("replicates", total=n_replicates, completed=n_replicates - len(waiting))
-        jobs = [(seed, number, settings) for number in waiting]
-        for _, replicate in each(_replicate, jobs, cores, prepare=_begin, arguments=arguments):
+        task = show.add_task("replicates", total=len(mine), completed=len(mine) - len(waiting))
+        jobs = [(asked, seed, number, settings) for number in waiting]
+        for _, replicate in each(_replicate, jobs, cores, executor=executor, name=_replicate_name):
             store.add(replicate)
             show.advance(task)
+    if shard is not None:
+        return None
     return RankTest.of([store.found[k] for k in range(n_replicates)], settings.ranked)
 
 
-_worker: dict[str, Replicator] = {}
+@dataclass(frozen=True)
+class _Calibration:
+    """What a worker makes its model from: names of functions, and a study; compiled in the worker, once."""
+
+    builder: Builder
+    study: Study
+    limits: tuple[tuple[str, tuple[float, float]], ...]
+    truth: Builder | None
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What tells it from another."""
+        return _builder_name(self.builder), self.study, self.limits, self.truth and _builder_name(self.truth)
 
 
-def _begin(builder: Builder, study: Study, limits: Any, truth: Builder | None) -> None:
-    _worker["replicator"] = Replicator(builder, study, limits=limits, truth=truth)
+_Job = tuple[_Calibration, int, int, Settings]
+_compiled: list[tuple[tuple[Any, ...], Replicator]] = []  # the last one of this process
 
 
-def _replicate(job: tuple[int, int, Settings]) -> Replicate:
-    return _worker["replicator"].replicate(*job)
+def _replicate(job: _Job) -> Replicate:
+    asked, *settings = job
+    if not _compiled or _compiled[0][0] != asked.key:
+        model = Replicator(asked.builder, asked.study, limits=dict(asked.limits), truth=asked.truth)
+        _compiled[:] = [(asked.key, model)]
+    return _compiled[0][1].replicate(*settings)
+
+
+def _replicate_name(job: _Job) -> str:
+    return f"replicate {job[2]} of seed {job[1]}"
 
 
 def _builder_name(builder: Any) -> str:
@@ -120,27 +164,43 @@ def _builder_name(builder: Any) -> str:
 class _Store:
     """Finished replicates by number, and the file that they are kept in."""
 
-    def __init__(self, path: Path | None, header: Mapping[str, Any]) -> None:
+    def __init__(
+        self, path: Path | None, header: Mapping[str, Any], shard: tuple[int, int] | None = None
+    ) -> None:
         self.path = path
         self.found: dict[int, Replicate] = {}
         if path is None:
             return
-        whole = b""
-        if path.exists():
-            content = path.read_bytes()
-            whole = content[: content.rfind(b"\n") + 1]  # the last line may have been cut by a kill
-            if len(whole) < len(content):
-                path.write_bytes(whole)
+        parts = sorted(path.parent.glob(f"{path.name}.*-of-*"))
+        if shard is not None:
+            self.path = path.with_name(f"{path.name}.{shard[0]}-of-{shard[1]}")
+        for part in (path, *parts):
+            if part != self.path and part.exists():
+                self._read(part, self._whole(part).decode().splitlines(), header)
+        self._begin(self.path, header)
+
+    def _begin(self, path: Path, header: Mapping[str, Any]) -> None:
+        whole = self._whole(path) if path.exists() else b""
+        if whole and len(whole) < path.stat().st_size:
+            path.write_bytes(whole)
         if not whole:
             path.write_text(json.dumps(dict(header)) + "\n", encoding="utf-8")
             return
         self._read(path, whole.decode().splitlines(), header)
 
+    @staticmethod
+    def _whole(path: Path) -> bytes:
+        """The lines of a file, without a last one that a kill has cut, or that is being written."""
+        content = path.read_bytes()
+        return content[: content.rfind(b"\n") + 1]
+
     def _read(self, path: Path, lines: Sequence[str], header: Mapping[str, Any]) -> None:
+        if not lines:  # just begun by another process
+            return
         try:
             stored = json.loads(lines[0])
-            rows = [Replicate(**json.loads(line)) for line in lines[1:]]
-        except (json.JSONDecodeError, TypeError) as error:
+            rows = [Replicate(**digests.from_text(line)) for line in lines[1:]]
+        except (ValueError, TypeError) as error:
             raise CalibrationError(f"{path}: no file of replicates ({error}); choose another") from None
         if isinstance(stored, dict) and isinstance(stored.get("steps"), dict):
             stored["steps"] = {FORMER_OPTIONS.get(key, key): value for key, value in stored["steps"].items()}
@@ -152,10 +212,10 @@ class _Store:
                     f"{path}: replicates of another calibration: {name} is {theirs} there and {value} here; "
                     "choose another file"
                 )
-        self.found = {row.number: row for row in rows}
+        self.found |= {row.number: row for row in rows}
 
     def add(self, replicate: Replicate) -> None:
         self.found[replicate.number] = replicate
         if self.path is not None:
             with self.path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(asdict(replicate)) + "\n")
+                file.write(digests.to_text(json.loads(json.dumps(asdict(replicate))), indent=None))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from zoo.blood.baseline import get_baseline
 from zoo.blood.blind.bench import BASELINE
 from zoo.blood.diagnosis import diagnose, prior_words
 from zoo.blood.plugins import add_effects
+from zoo.blood.solver import library_digest
 from zoo.blood.study import Study, StudyError, load_study
 from zoo.core import digests
 from zoo.core.blindcheck.answers import Fitted, fitted_series
@@ -63,7 +65,6 @@ class CaseDiagnosis:
             found.study_checksum == study.checksum
             and facts == _case_facts(study, self)
             and found.base == self.base
-            and found.record.get("versions", {}).get("zoo") == versions()["zoo"]
             and found.record.get("seed") == self.seed
             and found.record.get("priors") == prior_words(study, self.base, self.priors)
             and (found.posteriors is not None or not self.posteriors)
@@ -140,7 +141,7 @@ def _digests(paths: Sequence[str]) -> list[str]:
 
 
 def _case_facts(study: Study, asked: CaseDiagnosis) -> dict[str, Any]:
-    """What case.json tells: the study's tree and series, and what was asked of its diagnosis."""
+    """What case.json tells: the study's tree and series, what was asked of its diagnosis, and of whom."""
     return {
         "checksum": study.checksum,
         "parents": {v.id: v.parent for v in study.vessels},
@@ -148,6 +149,7 @@ def _case_facts(study: Study, asked: CaseDiagnosis) -> dict[str, Any]:
         "max_effects": asked.max_effects,
         "effects": None if asked.effects is None else list(asked.effects),
         "effects_from": _digests(asked.effects_from),
+        "program": {**versions(), "solver": library_digest()},
     }
 
 
@@ -180,11 +182,13 @@ def diagnose_cases(
     seed: int = 1,
     priors: Mapping[str, Any] | None = None,
     cores: int = 2,
+    executor: Executor | None = None,
+    shard: tuple[int, int] | None = None,
     done: Callable[[str], None] = lambda case: None,
 ) -> Ran:
     """Diagnose every case of a folder, each in a process of its own; no key is read or looked for.
 
-    A case whose diagnosis.json is of the same data, base, seed and version is left as it is, so that an
+    A case whose answer is of the same data, settings, versions and solver is left as it is, so that an
     interrupted run goes on. One that fails has failed.txt instead.
 
     Parameters
@@ -199,9 +203,13 @@ def diagnose_cases(
     max_effects, effects, seed, priors
         As in `zoo.blood.diagnosis.diagnose`.
     effects_from : sequence of path
-        Python files that define effects, which every process runs.
+        Python files that define effects, which every process runs; on every machine in the same place.
     cores : int
         Processes.
+    executor : concurrent.futures.Executor, optional
+        Diagnoses the cases instead, see `zoo.core.inference.workers.each`.
+    shard : (i, n), optional
+        Diagnose part i of n only, i from 1.
     done : callable
         Told the name of each case that is finished.
 
@@ -212,7 +220,10 @@ def diagnose_cases(
     Raises
     ------
     BlindError
-        If the folder holds a key or no study, or answers and cases are one folder.
+        If the folder holds a key or no study, or answers and cases are one folder; if a worker has other
+        versions than this program.
+    zoo.core.inference.workers.LostTaskError
+        If the worker of a case died as often as it may.
     """
     cases, answers = Path(cases), Path(answers)
     if not cases.is_dir():
@@ -221,8 +232,8 @@ def diagnose_cases(
         if count < least:
             raise BlindError(f"{what} = {count}: must be at least {least}")
     chosen = None if effects is None else tuple(effects)
-    files = tuple(map(str, effects_from))
+    files = tuple(str(Path(path).resolve()) for path in effects_from)  # workers have a folder of their own
     diagnosis = CaseDiagnosis(
         get_baseline(base).name, posteriors, max_effects, seed, chosen, priors, effects_from=files
     )
-    return run_folders(cases, answers, diagnosis, cores=cores, done=done)
+    return run_folders(cases, answers, diagnosis, cores=cores, executor=executor, shard=shard, done=done)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,10 +14,10 @@ from numpy.typing import NDArray
 from zoo.core.blindcheck.answers import Answer, as_answer
 from zoo.core.blindcheck.check_score import CheckScore, score_answers
 from zoo.core.blindcheck.keys import CaseKey, TrueEffect
-from zoo.core.blindcheck.making import in_processes
 from zoo.core.blindcheck.sealing import BlindError
 from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
 from zoo.core.effects import EVERYWHERE, Location
+from zoo.core.inference.workers import each
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,7 @@ def check(
     listed: Sequence[str],
     seed: int = 1,
     cores: int = 1,
+    executor: Executor | None = None,
     by: Sequence[str] = ("kind", "effect"),
     gap_edges: Sequence[float] = (0.0, math.inf),
     done: Callable[[str], None] = lambda case: None,
@@ -147,6 +149,8 @@ def check(
         The same seed gives the same cases.
     cores : int
         Processes; with more than one, `diagnose` and the data must be picklable.
+    executor : concurrent.futures.Executor, optional
+        Runs the cases instead, as in `zoo.core.inference.workers.each`.
     by, gap_edges
         What to group the scores by, as in `assemble`.
     done : callable
@@ -187,7 +191,9 @@ def check(
     data, key = draw_cases(draw_case, counts, listed, seed)
     answers: dict[str, Answer | None] = {}
     failed: dict[str, str] = {}
-    for (name, _), found in in_processes(_Diagnosing(diagnose), list(data.items()), cores):
+    for (name, _), found in each(
+        _Diagnosing(diagnose), list(data.items()), cores, executor=executor, name=lambda case: case[0]
+    ):
         if isinstance(found, str):
             failed[name] = found
         answers[name] = None if isinstance(found, str) else found

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -32,25 +31,7 @@ class CaseJob(Protocol):
         """Of its folder."""
 
 
-J = TypeVar("J")
 C = TypeVar("C", bound=CaseJob)
-R = TypeVar("R")
-
-
-def in_processes(work: Callable[[J], R], jobs: Sequence[J], cores: int) -> Iterable[tuple[J, R]]:
-    """Jobs and what they gave, as they finish.
-
-    Raises
-    ------
-    BlindError
-        If a process is killed.
-    """
-    try:
-        yield from each(work, jobs, cores)
-    except BrokenProcessPool:
-        raise BlindError(
-            "a process ended before its case was done; the same command goes on with the rest"
-        ) from None
 
 
 def refuse_key_inside(folder: Path, key: Path) -> None:
@@ -127,7 +108,8 @@ def write_cases(
     lines = [head, *(vars(one) for one in made.values())]  # without a line that was cut off
     write_file(part, "".join(map(line_of, lines)), private=True)
     with part.open("a", encoding="utf-8") as record:
-        for _, case in in_processes(make, [job for job in jobs if job.name not in made], cores):
+        left = [job for job in jobs if job.name not in made]
+        for _, case in each(make, left, cores, name=lambda job: job.name):
             name = case.entry["case"]
             made[name] = MadeCase({**case.entry, "files": _digest(case.files)}, case.files)
             record.write(line_of(vars(made[name])))

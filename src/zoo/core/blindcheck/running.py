@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import tempfile
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from zoo.core.blindcheck.answers import Answer
 from zoo.core.blindcheck.keys import CaseKey
-from zoo.core.blindcheck.making import in_processes
 from zoo.core.blindcheck.sealing import BlindError, copy_digest, refuse_key_among
+from zoo.core.inference.workers import each, shard_of
 from zoo.core.outputs import output_folder, write_file
 
 FAILED = "failed.txt"
@@ -44,6 +46,8 @@ class FolderDiagnosis(Protocol):
 @dataclass(frozen=True)
 class Ran:
     """What `run_folders` did: cases that are diagnosed (before or now), and those that failed.
+
+    Of a shard these are the cases of the shard.
 
     Parameters
     ----------
@@ -81,12 +85,65 @@ def _diagnose(task: _Task) -> str:
     return ""
 
 
+@dataclass(frozen=True)
+class _Parcel:
+    """A case as it travels to a worker that may not see our folders: its files, and how it is diagnosed."""
+
+    diagnosis: FolderDiagnosis
+    name: str
+    files: Mapping[str, bytes]
+
+
+def _diagnose_elsewhere(parcel: _Parcel) -> tuple[str, dict[str, bytes]]:
+    """Diagnose a case in a folder of the worker; why it failed, and the files of the answer."""
+    with tempfile.TemporaryDirectory(prefix="zoo-") as folder:
+        case, answer = Path(folder, "case", parcel.name), Path(folder, "answer", parcel.name)
+        _write_files(case, parcel.files)
+        reason = _diagnose(_Task(parcel.diagnosis, case, answer))
+        return reason, _read_files(answer)
+
+
+def _read_files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def _write_files(folder: Path, files: Mapping[str, bytes], last: str = "") -> None:
+    for name in sorted(files, key=lambda name: (name == last, name)):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, files[name])
+
+
+def _run(waiting: Sequence[_Task], cores: int, executor: Executor | None) -> Iterator[tuple[_Task, str]]:
+    """Tasks with why they failed, or with an empty text; their answers are written."""
+    if executor is None:
+        yield from each(_diagnose, waiting, cores, name=lambda task: task.case.name)
+        return
+    task_of = {task.case.name: task for task in waiting}
+    parcels = [_Parcel(task.diagnosis, name, _read_files(task.case)) for name, task in task_of.items()]
+    for parcel, (reason, files) in each(
+        _diagnose_elsewhere, parcels, executor=executor, name=lambda parcel: parcel.name
+    ):
+        task = task_of[parcel.name]
+        for old in (FAILED, task.diagnosis.result):
+            (task.answer / old).unlink(missing_ok=True)
+        _write_files(task.answer, files, last=task.diagnosis.result)
+        if not reason and not task.diagnosis.answered(task.case, task.answer):
+            raise BlindError(
+                f"{parcel.name}: was diagnosed by a worker with other versions than this program's, see "
+                f"{task.answer}; install the same on all machines, and start the workers again"
+            )
+        yield task, reason
+
+
 def run_folders(
     cases: Path,
     answers: Path,
     diagnosis: FolderDiagnosis,
     *,
     cores: int = 1,
+    executor: Executor | None = None,
+    shard: tuple[int, int] | None = None,
     done: Callable[[str], None] = lambda case: None,
 ) -> Ran:
     """Diagnose every case of a folder, each in a process of its own; no key is read or looked for.
@@ -103,6 +160,11 @@ def run_folders(
     diagnosis : FolderDiagnosis
     cores : int
         Processes.
+    executor : concurrent.futures.Executor, optional
+        Diagnoses the cases instead, on machines that need not see these folders: a task is the case's files,
+        and what comes back are the answer's.
+    shard : (i, n), optional
+        Diagnose part i of n, every n-th case, i from 1; a call without goes on with the rest.
     done : callable
         Told the name of each case that is finished.
 
@@ -113,7 +175,10 @@ def run_folders(
     Raises
     ------
     BlindError
-        If the folder holds a key or no case, or answers and cases are one folder.
+        If the folder holds a key or no case, or answers and cases are one folder; if a worker has other
+        versions than this program.
+    zoo.core.inference.workers.LostTaskError
+        If the worker of a case died as often as it may.
     """
     if not cases.is_dir():
         raise BlindError(f"{cases}: no such folder; give one of `zoo blind make`")
@@ -126,6 +191,10 @@ def run_folders(
     found = sorted(p for p in cases.iterdir() if (p / diagnosis.marker).is_file())
     if not found:
         raise BlindError(f"{cases}: holds no folder with a {diagnosis.marker}; give one of `zoo blind make`")
+    try:
+        found = shard_of(found, shard)
+    except ValueError as error:
+        raise BlindError(str(error)) from None
     answers.mkdir(parents=True, exist_ok=True)
     copy_digest(cases, answers)
     kept, waiting = [], []
@@ -136,7 +205,7 @@ def run_folders(
         else:
             waiting.append(_Task(diagnosis, case, answers / case.name))
     failed = {}
-    for task, reason in in_processes(_diagnose, waiting, cores):
+    for task, reason in _run(waiting, cores, executor):
         if reason:
             failed[task.case.name] = reason
         done(task.case.name)

@@ -1,0 +1,211 @@
+"""Tasks on executors: threads, processes, and a local cluster whose workers are killed."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing as mp
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from dying import Sum, add, expected, name_of
+from zoo.blood.blind import BlindError, diagnose_cases, make_cases
+from zoo.cli import app
+from zoo.core.inference.cluster import SchedulerError, connect
+from zoo.core.inference.workers import TRIES, LostTaskError, each, shard_of
+
+CHEAP = ("sensor-offset", "inflow-shift", "inflow-bandwidth", "beat-jitter")
+SECRET = "5" * 32
+
+pytestmark = [
+    # loads and stiffness of a case are drawn, some of them beyond what is usual
+    pytest.mark.filterwarnings("ignore::zoo.blood.study.UnitWarning"),
+]
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """A scheduler and two workers, each a process with one thread that its nanny starts again."""
+    distributed = pytest.importorskip("distributed")
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("PYTHONSAFEPATH", "1")
+        with distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            worker_dashboard_address=None,
+        ) as local:
+            yield local
+
+
+@pytest.fixture(scope="module")
+def cases(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four cases that are solved in a second."""
+    folder = tmp_path_factory.mktemp("cluster")
+    make_cases(
+        folder / "cases", 4, folder / "key.json", secret=SECRET, effects=CHEAP,
+        networks=("tree",), layouts=("MPA",), vessels=(3, 3), cores=1,
+    )  # fmt: skip
+    return folder / "cases"
+
+
+@pytest.fixture(scope="module")
+def alone(cases: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Their answers, one after the other in this process."""
+    answers = tmp_path_factory.mktemp("alone") / "answers"
+    assert diagnose_cases(cases, answers, effects=CHEAP, max_effects=1, cores=1).failed == {}
+    return answers
+
+
+def content(answers: Path) -> dict[str, Any]:
+    """All that the answers say, without how long it took."""
+
+    def timeless(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {
+                k: timeless(v)
+                for k, v in value.items()
+                if k not in ("sha256", "record") and "seconds" not in k
+            }
+        return [timeless(v) for v in value] if isinstance(value, list) else value
+
+    return {str(p.relative_to(answers)): timeless(json.loads(p.read_text())) for p in answers.rglob("*.json")}
+
+
+# -- tasks -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_any_executor_gives_what_a_loop_gives(kind: type[Executor], tmp_path: Path) -> None:
+    tasks = [Sum(seed, str(tmp_path)) for seed in range(4)]
+    settings = {"mp_context": mp.get_context("spawn")} if kind is ProcessPoolExecutor else {}
+    with kind(2, **settings) as executor:  # type: ignore[call-arg]
+        found = {task.seed: value for task, value in each(add, tasks, executor=executor)}
+        assert executor.submit(max, 1, 2).result() == 2  # it is left open
+    assert found == {seed: expected(seed) for seed in range(4)}
+
+
+def test_a_process_that_dies_is_replaced(tmp_path: Path) -> None:
+    """Two of six die once: every task has its result, and only those that were running run again."""
+    tasks = [Sum(seed, str(tmp_path), deaths=seed in (1, 4)) for seed in range(6)]
+    found = [(task.seed, value) for task, value in each(add, tasks, 2)]
+    assert sorted(found) == [(seed, expected(seed)) for seed in range(6)]
+    assert tasks[4].runs == 2
+
+
+def test_a_task_that_always_dies_is_named(tmp_path: Path) -> None:
+    tasks = [Sum(seed, str(tmp_path), deaths=99 if seed == 1 else 0) for seed in range(4)]
+    with pytest.raises(
+        LostTaskError, match=f"task 1: its process died {TRIES} times; what is finished is kept"
+    ):
+        list(each(add, tasks, 2, name=name_of))
+    assert tasks[1].runs == TRIES
+
+
+def test_shards_are_disjoint_and_complete() -> None:
+    jobs = list(range(11))
+    parts = [shard_of(jobs, (i, 4)) for i in (1, 2, 3, 4)]
+    assert sorted(job for part in parts for job in part) == jobs
+    assert {len(part) for part in parts} == {2, 3}
+    assert shard_of(jobs, None) == jobs
+    for wrong in ((0, 4), (5, 4)):
+        with pytest.raises(ValueError, match="i/n with i from 1 to n"):
+            shard_of(jobs, wrong)
+
+
+# -- a cluster ---------------------------------------------------------------------------------------
+
+
+def test_tasks_whose_workers_are_killed(cluster: Any, tmp_path: Path) -> None:
+    """Three tasks kill their worker once, the scheduler gives them to another: nothing is lost."""
+    tasks = [Sum(seed, str(tmp_path), deaths=seed in (0, 5, 9)) for seed in range(12)]
+    with connect(cluster.scheduler_address) as executor:
+        found = [(task.seed, value) for task, value in each(add, tasks, executor=executor, name=name_of)]
+    assert sorted(found) == [(seed, expected(seed)) for seed in range(12)]
+    assert all(tasks[seed].runs == 2 for seed in (0, 5, 9))
+
+
+def test_blind_check_with_a_worker_killed_twice(
+    cluster: Any, cases: Path, alone: Path, tmp_path: Path
+) -> None:
+    """A worker is killed as soon as it works, two times: the same answers to the last digit, none lost."""
+    answers = tmp_path / "answers"
+    killed: list[int] = []
+    done = threading.Event()
+
+    def kill() -> None:
+        while len(killed) < 2 and not done.is_set():
+            for worker in list(cluster.scheduler.workers.values()):
+                pid = next(
+                    (n.process.pid for n in cluster.workers.values() if n.worker_address == worker.address), 0
+                )
+                if worker.processing and pid and pid not in killed:
+                    killed.append(pid)
+                    os.kill(pid, signal.SIGKILL)
+                    break
+            time.sleep(0.3)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        with connect(cluster.scheduler_address) as executor:
+            found = diagnose_cases(cases, answers, effects=CHEAP, max_effects=1, executor=executor)
+    finally:
+        done.set()
+        killer.join()
+    assert len(killed) == 2
+    assert (len(found.diagnosed), found.kept, found.failed) == (4, (), {})
+    assert content(answers) == content(alone)
+
+
+def test_what_cannot_be_reached_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("zoo.core.inference.cluster.PATIENCE_S", 1)
+    with pytest.raises(SchedulerError, match="no scheduler answers"), connect("tcp://127.0.0.1:9"):
+        pass
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with (
+        pytest.raises(SchedulerError, match=r"install it with: pip install 'zoo\[cluster\]'"),
+        connect("tcp://h:1"),
+    ):
+        pass
+
+
+# -- shards and what is kept -------------------------------------------------------------------------
+
+
+def test_shards_of_a_blind_check(cases: Path, alone: Path, tmp_path: Path) -> None:
+    answers = tmp_path / "answers"
+    settings: dict[str, Any] = {"effects": CHEAP, "max_effects": 1, "cores": 1}
+    first = diagnose_cases(cases, answers, shard=(1, 2), **settings)
+    assert first.diagnosed == ("case-001", "case-003")
+    assert not (answers / "case-002").exists()
+    assert diagnose_cases(cases, answers, shard=(2, 2), **settings).diagnosed == ("case-002", "case-004")
+    whole = diagnose_cases(cases, answers, **settings)
+    assert whole.kept == whole.diagnosed == tuple(f"case-00{i}" for i in (1, 2, 3, 4))
+    assert content(answers) == content(alone)
+    with pytest.raises(BlindError, match="shard 3/2: must be i/n"):
+        diagnose_cases(cases, answers, shard=(3, 2), **settings)
+    result = CliRunner().invoke(app, ["blind", "run", str(cases), "-o", str(answers), "--shard", "3/2"])
+    assert result.exit_code == 2
+    assert "--shard 3/2: write i/n" in result.output
+
+
+def test_another_solver_does_not_keep_answers(
+    cases: Path, alone: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from zoo.blood.blind import run
+
+    diagnosis = run.CaseDiagnosis(run.BASELINE, False, 1, 1, CHEAP)
+    assert diagnosis.answered(cases / "case-001", alone / "case-001")
+    monkeypatch.setattr(run, "library_digest", lambda: "another")
+    assert not diagnosis.answered(cases / "case-001", alone / "case-001")
