@@ -36,7 +36,9 @@ pytestmark = [
 def cluster() -> Iterator[Any]:
     """A scheduler and two workers, each a process with one thread that its nanny starts again."""
     distributed = pytest.importorskip("distributed")
-    with pytest.MonkeyPatch.context() as environment:
+    dask = pytest.importorskip("dask")
+    patient = {"distributed.deploy.lost-worker-timeout": "10 minutes"}  # a busy machine starts workers slowly
+    with pytest.MonkeyPatch.context() as environment, dask.config.set(patient):
         environment.setenv("PYTHONSAFEPATH", "1")
         with distributed.LocalCluster(
             n_workers=2,

@@ -142,11 +142,11 @@ _compiled: list[tuple[tuple[Any, ...], Replicator]] = []  # the last one of this
 
 
 def _replicate(job: _Job) -> Replicate:
-    asked, *settings = job
+    asked, seed, number, settings = job
     if not _compiled or _compiled[0][0] != asked.key:
         model = Replicator(asked.builder, asked.study, limits=dict(asked.limits), truth=asked.truth)
         _compiled[:] = [(asked.key, model)]
-    return _compiled[0][1].replicate(*settings)
+    return _compiled[0][1].replicate(seed, number, settings)
 
 
 def _replicate_name(job: _Job) -> str:
@@ -171,13 +171,14 @@ class _Store:
         self.found: dict[int, Replicate] = {}
         if path is None:
             return
-        parts = sorted(path.parent.glob(f"{path.name}.*-of-*"))
+        mine, parts = path, sorted(path.parent.glob(f"{path.name}.*-of-*"))
         if shard is not None:
-            self.path = path.with_name(f"{path.name}.{shard[0]}-of-{shard[1]}")
+            mine = path.with_name(f"{path.name}.{shard[0]}-of-{shard[1]}")
         for part in (path, *parts):
-            if part != self.path and part.exists():
+            if part != mine and part.exists():
                 self._read(part, self._whole(part).decode().splitlines(), header)
-        self._begin(self.path, header)
+        self.path = mine
+        self._begin(mine, header)
 
     def _begin(self, path: Path, header: Mapping[str, Any]) -> None:
         whole = self._whole(path) if path.exists() else b""
