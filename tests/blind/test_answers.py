@@ -86,6 +86,7 @@ def test_run_opens_nothing_outside_the_cases(
     monkeypatch.setattr(running, "diagnose", fail)
     answers = tmp_path / "answers"
     diagnose_cases(made[0], answers, cores=1)
+    opened = [p for p in opened if p.parent.suffix != ".dist-info"]  # versions of packages
     assert opened
     assert all({made[0], answers} & set(path.parents) for path in opened)
 
