@@ -37,7 +37,7 @@ def test_the_evidence_of_two_is_that_of_a_normal_distribution() -> None:
     explained = explain(screened, [PUSH, OWN], cores=1)
     pair = next(p for p in pairs_of(screened, explained, [PUSH, OWN], cores=1))
     assert set(pair.names) == {"inflow", "sensor"}
-    first, second = pair.first.best, pair.second.best
+    first, second = pair.first, pair.second.best
     errors, X = screened.screening.errors, second.weighed.block.columns
     noise = second.weighed.noise["y"]
     assert noise.noise == pytest.approx(NOISE, rel=0.3)
@@ -74,12 +74,12 @@ def test_around_a_mode_the_function_is_that_of_its_fit() -> None:
     """Whatever size and length are the most probable after it."""
     screened = Screening(data_of({"push": PUSHED}), MODEL, [], errors=Harmonics()).run()
     explained = explain(screened, [PUSH, OWN], cores=1)
-    found = _with_each(screened, explained, explained.components["inflow"], [PUSH, OWN], 1, None)[0]
-    kind = found.first.best
+    found = _with_each(screened, explained, explained.components["inflow"].best, [PUSH, OWN], 1, None)[0]
+    kind = found.first
     other = next(x for x in PUSH.lengths if x != kind.weighed.best.length)
     cell = replace(kind.weighed.best, length=other, sd=2.0 * kind.weighed.best.sd)
     kind = replace(kind, weighed=replace(kind.weighed, best=cell))
-    around = replace(found, first=replace(found.first, kinds=(kind,))).around
+    around = replace(found, first=kind).around
     values = kind.root @ kind.fit.u[1:]
     own = next(b for b in around.blocks if b.function is PUSH)
     computed = MODEL.solve({"level": kind.fit.values[0], "push": values})
@@ -94,7 +94,7 @@ def test_either_component_first_gives_the_evidence_of_both() -> None:
     screened = Screening(data_of({"push": PUSHED, "own": echo}), MODEL, [], errors=Harmonics()).run()
     explained = explain(screened, [PUSH, OWN], cores=1)
     one, other = (
-        _with_each(screened, explained, explained.components[name], [PUSH, OWN], 1, None)[0]
+        _with_each(screened, explained, explained.components[name].best, [PUSH, OWN], 1, None)[0]
         for name in ("inflow", "sensor")
     )
     assert one.names == other.names

@@ -3,7 +3,7 @@
 The weights z of the first function, of its most probable size and length, are coordinates like those of the
 baseline, so that what is weighed beside them is weighed as beside the baseline, with
 
-    log Z(a, b) = log Z(a) + log Z(b beside a) - log Z(nothing beside a).
+    log Z(a, b) = log Z(b beside a) + min(0, log Z(a) - log Z(nothing beside a)).
 """
 
 from __future__ import annotations
@@ -41,8 +41,10 @@ class Pair:
     ----------
     names : tuple of str
         Both components, the one with more evidence by itself first.
-    first : Component
-        The one beside whose function the other's were weighed.
+    first : Kind
+        The function of one beside which the other's were weighed.
+    log_prior : float
+        Of that function among those of its component.
     second : Component
         Its functions beside the first one's; their fits are of both.
     nothing : Weighed
@@ -52,20 +54,30 @@ class Pair:
     """
 
     names: tuple[str, str]
-    first: Component
+    first: Kind
+    log_prior: float
     second: Component
     nothing: Weighed
     linearised: Linearised = field(repr=False)
 
     @property
+    def _first(self) -> float:
+        """What integrating over the first one's sizes and lengths takes off, and its function's prior.
+
+        Where another size than that of its fit explains more, nothing is added for it: the second one makes
+        up for what the fit leaves.
+        """
+        return min(0.0, self.first.weighed.log_z - self.nothing.log_z) + self.log_prior
+
+    @property
     def log_z(self) -> float:
         """Log evidence of both."""
-        return self.first.log_z + self.second.log_z - self.nothing.log_z
+        return self.second.log_z + self._first
 
     @property
     def log_more(self) -> float:
         """The same with something else beside them."""
-        return self.first.log_z + self.second.log_more - self.nothing.log_z
+        return self.second.log_more + self._first
 
     @property
     def log_evidence(self) -> float:
@@ -75,7 +87,8 @@ class Pair:
     @property
     def functions(self) -> tuple[str, str]:
         """Names of their best functions, in the order of `names`."""
-        found = {c.name: c.best.function.name for c in (self.first, self.second)}
+        kinds = (self.first, self.second.best)
+        found = {k.function.component: k.function.name for k in kinds}
         one, other = self.names
         return found[one], found[other]
 
@@ -87,7 +100,7 @@ class Pair:
     @property
     def around(self) -> Linearised:
         """The linear model around the first one's mode, with its function among the others, seen from 0."""
-        kind = self.first.best
+        kind = self.first
         weighed, fit, n = kind.weighed, kind.fit, kind.fit.forward.asked
         root = kind.root
         known, old = np.linalg.pinv(root), weighed.block.columns
@@ -116,10 +129,10 @@ def _nothing(block: Block) -> Block:
     return replace(block, columns=np.zeros_like(block.columns))
 
 
-def _promise(screened: Screened, component: Component, linearised: Linearised) -> float:
-    """Log evidence of a component and the best function of another, by responses at the baseline."""
-    kind, options = component.best, allowance(screened.allowances)
-    blocks = [b for b in linearised.blocks if b.function.component != component.name]
+def _promise(screened: Screened, kind: Kind, linearised: Linearised) -> float:
+    """Log evidence that the best function of another component adds, by responses at the baseline."""
+    options = allowance(screened.allowances)
+    blocks = [b for b in linearised.blocks if b.function.component != kind.function.component]
     linear = _beside(kind.fit, linearised, blocks)
 
     def evidence(block: Block) -> float:
@@ -127,7 +140,7 @@ def _promise(screened: Screened, component: Component, linearised: Linearised) -
 
     if not blocks:
         return -math.inf
-    return component.log_z + max(map(evidence, blocks)) - evidence(_nothing(blocks[0]))
+    return max(map(evidence, blocks)) - evidence(_nothing(blocks[0]))
 
 
 def pairs_of(
@@ -156,13 +169,13 @@ def pairs_of(
     list of Pair
         Each pair once, the most probable first.
     """
-    ready = [c for c in explained.components.values() if c.best.refined]
+    ready = [kind for c in explained.components.values() if (kind := _alone(c))]
     with ThreadPoolExecutor(max(1, cores)) as pool, threadpool_limits(1, user_api="blas"):
-        promises = list(pool.map(lambda c: _promise(screened, c, explained.linearised), ready))
-    order = sorted(range(len(ready)), key=lambda i: -promises[i])[:FIRST]
+        more = list(pool.map(lambda kind: _promise(screened, kind, explained.linearised), ready))
+    order = sorted(range(len(ready)), key=lambda i: -ready[i].weighed.log_z - more[i])[:FIRST]
     found: dict[frozenset[str], Pair] = {}
     for i in order:
-        if promises[i] < ready[i].log_z + WORTH:
+        if more[i] < WORTH:
             continue
         try:
             pairs = _with_each(screened, explained, ready[i], functions, cores, tick)
@@ -175,19 +188,29 @@ def pairs_of(
     return sorted(found.values(), key=lambda pair: -pair.log_evidence)
 
 
+def _alone(component: Component) -> Kind | None:
+    """The refined function of a component that explains most with nothing else beside it."""
+    return max((k for k in component.kinds if k.refined), key=lambda k: k.weighed.log_z, default=None)
+
+
 def _with_each(
     screened: Screened,
     explained: Explained,
-    first: Component,
+    first: Kind,
     functions: Sequence[FreeFunction],
     cores: int,
     tick: Callable[[str, float], None] | None,
 ) -> list[Pair]:
-    """A component's best function with every other component beside it."""
-    others = [f for f in functions if f.component != first.name]
-    refining = Refining(screened, others, base=first.best.fit, cores=cores, tick=tick)
+    """A function with every other component beside it."""
+    component = first.function.component
+    others = [f for f in functions if f.component != component]
+    refining = Refining(screened, others, base=first.fit, cores=cores, tick=tick)
     linear = refining.linearised
-    nothing = refining.kind(_nothing(linear.blocks[0])).weighed
+    # from the noise that its own evidence has: where much is left, that is far from the baseline's
+    nothing = weigh(
+        linear, _nothing(linear.blocks[0]), first.fit.forward, first.fit.u, first.weighed.noise,
+        allowance(screened.allowances),
+    )  # fmt: skip
     with ThreadPoolExecutor(max(1, cores)) as pool, threadpool_limits(1, user_api="blas"):
         kinds = list(pool.map(refining.kind, linear.blocks))
         best: Mapping[str, int] = {
@@ -205,9 +228,10 @@ def _with_each(
         for i, kind in zip(leading, pool.map(refined, leading), strict=True):
             kinds[i] = kind
     evidence = {name: c.log_evidence for name, c in explained.components.items()}
+    log_prior = -math.log(len(explained.components[component].kinds))
     found = []
     for name in best:
         second = Component(name, tuple(k for k in kinds if k.function.component == name))
-        one, other = sorted((first.name, name), key=lambda n: -evidence[n])
-        found.append(Pair((one, other), first, second, nothing, linear))
+        one, other = sorted((component, name), key=lambda n: -evidence[n])
+        found.append(Pair((one, other), first, log_prior, second, nothing, linear))
     return found
