@@ -21,8 +21,8 @@ from test_component_weighing import (
     of,
 )
 from zoo.core.diagnosis import diagnose
-from zoo.core.diagnosis.components.pairs import _with_each, pairs_of
-from zoo.core.diagnosis.components.refining import explain
+from zoo.core.diagnosis.components.pairs import _alone, _with_each, pairs_of
+from zoo.core.diagnosis.components.refining import Component, explain
 from zoo.core.diagnosis.components.weighing import SIZES
 from zoo.core.diagnosis.screening import DELTA_GRID, Screening
 from zoo.core.errors.spectral import Harmonics
@@ -87,6 +87,23 @@ def test_around_a_mode_the_function_is_that_of_its_fit() -> None:
         screened.screening.coefficients - screened.screening.errors.flat(computed), abs=1e-8
     )
     assert own.columns @ values == pytest.approx(found.around.blocks[-1].columns @ values)
+
+
+def test_the_evidence_is_that_of_the_function_beside_which_the_second_stands() -> None:
+    """Not of one that explains more with something else, nor of a size that its fit has not."""
+    screened = Screening(data_of({"push": PUSHED}), MODEL, [], errors=Harmonics()).run()
+    explained = explain(screened, [PUSH, OWN], cores=1)
+    kind = explained.components["inflow"].best
+    poor, rich = (replace(kind.weighed, log_z=kind.weighed.log_z + x) for x in (-50.0, 50.0))
+    component = Component("inflow", (replace(kind, weighed=poor, more=rich), kind))
+    assert component.best is not kind
+    assert _alone(component) is kind
+    found = _with_each(screened, explained, kind, [PUSH, OWN], 1, None)[0]
+    assert found.log_z <= found.second.log_z
+    larger = replace(found, first=replace(kind, weighed=rich))
+    assert larger.log_z == pytest.approx(found.second.log_z)
+    smaller = replace(found, first=replace(kind, weighed=poor))
+    assert smaller.log_z < found.log_z - 40.0
 
 
 def test_either_component_first_gives_the_evidence_of_both() -> None:
