@@ -37,7 +37,7 @@ def test_the_evidence_of_two_is_that_of_a_normal_distribution() -> None:
     explained = explain(screened, [PUSH, OWN], cores=1)
     pair = next(p for p in pairs_of(screened, explained, [PUSH, OWN], cores=1))
     assert set(pair.names) == {"inflow", "sensor"}
-    first, second = pair.first, pair.second.best
+    first, second = pair.first, pair.second
     errors, X = screened.screening.errors, second.weighed.block.columns
     noise = second.weighed.noise["y"]
     assert noise.noise == pytest.approx(NOISE, rel=0.3)
@@ -99,9 +99,9 @@ def test_the_evidence_is_that_of_the_function_beside_which_the_second_stands() -
     assert component.best is not kind
     assert _alone(component) is kind
     found = _with_each(screened, explained, kind, [PUSH, OWN], 1, None)[0]
-    assert found.log_z <= found.second.log_z
+    assert found.log_z <= found.second.weighed.log_z
     larger = replace(found, first=replace(kind, weighed=rich))
-    assert larger.log_z == pytest.approx(found.second.log_z)
+    assert larger.log_z == pytest.approx(found.second.weighed.log_z)
     smaller = replace(found, first=replace(kind, weighed=poor))
     assert smaller.log_z < found.log_z - 40.0
 

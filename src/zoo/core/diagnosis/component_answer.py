@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from zoo.core.diagnosis.components.heldout import predict_held_out
 from zoo.core.diagnosis.components.learned import Judge, functions_of, plausible
 from zoo.core.diagnosis.components.likeness import left_of, nearest_effects, principal_angles
+from zoo.core.diagnosis.components.refining import Component
 from zoo.core.diagnosis.components.shares import pair_of, shares_of
 from zoo.core.diagnosis.components.subsets import Several
 from zoo.core.diagnosis.estimates import INTERVAL
@@ -159,8 +160,8 @@ def component_results(
     for name in ranked(scored):
         component = scored.components[name]
         after = gap_after[name]
-        if scored.pair and name == scored.pair.second.name:
-            component = scored.pair.second  # what it is beside the other
+        if scored.pair and name == scored.pair.second.function.component:
+            component = Component(name, (scored.pair.second,))  # what it is beside the other
         best = component.best
         near = nearest_effects(best, effects, explained.linearised, S)
         found.append(

@@ -17,7 +17,7 @@ from zoo.core.diagnosis.components.subsets import Several
 from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.file import DiagnosisError
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
-from zoo.core.diagnosis.screening import PRIOR_NONPARAMETRIC, PRIOR_NULL, Screened, Screening
+from zoo.core.diagnosis.screening import PRIOR_NONPARAMETRIC, PRIOR_NULL, Screened
 from zoo.core.effects import Location
 
 Array = NDArray[np.float64]
@@ -235,11 +235,6 @@ def log_prior_of_a_pair(prior: Mapping[str, float], components: Collection[str])
     return math.log(PRIOR_NONPARAMETRIC * sum(prior[name] for name in components) / (n * (n - 1) / 2))
 
 
-def _of_pair(pair: Pair, screening: Screening, floor: float, most: float) -> float:
-    """Its log evidence, with something else beside it unless most of the discrepancy is left to that."""
-    return pair.log_evidence if screening.missed(pair.fit) - floor < most else pair.log_z
-
-
 def score(
     screened: Screened,
     explained: Explained | None = None,
@@ -329,9 +324,9 @@ def score(
         for n, z in with_more.items()
         if screening.missed(best[n]) - floor < most
     }
-    log_pairs = [
-        log_prior_of_a_pair(prior, components) + _of_pair(pair, screening, floor, most) for pair in pairs
-    ]
+    # nor are two functions, which may draw a great deal, the cause of what they leave half of
+    pairs = [pair for pair in pairs if screening.missed(pair.fit) - floor < most]
+    log_pairs = [log_prior_of_a_pair(prior, components) + pair.log_evidence for pair in pairs]
     norm = float(logsumexp([*log_p.values(), *log_more.values(), *log_pairs]))
     probability = {n: math.exp(log_p[n] - norm) if n in log_p else 0.0 for n in log_z}
     and_more = {n: math.exp(z - norm) for n, z in log_more.items()}

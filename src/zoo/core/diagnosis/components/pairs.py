@@ -29,6 +29,8 @@ FIRST = 2
 """Components beside whose function the others are linearised again."""
 WORTH = 1.0
 """Log evidence that another function must add, by the linear model, for its pair to be looked at."""
+SERIES = 2
+"""Series that are needed at least: any two flexible functions draw a single one."""
 REFINED = 2
 """Components beside one of these whose best function is taken to its mode."""
 
@@ -41,12 +43,11 @@ class Pair:
     ----------
     names : tuple of str
         Both components, the one with more evidence by itself first.
-    first : Kind
-        The function of one beside which the other's were weighed.
+    first, second : Kind
+        A function of one, and the best function of the other beside it, at the mode of both; the fit of the
+        second is of both.
     log_prior : float
-        Of that function among those of its component.
-    second : Component
-        Its functions beside the first one's; their fits are of both.
+        Of both functions among those of their components.
     nothing : Weighed
         Nothing beside the first one's function, of its most probable size and length.
     linearised : Linearised
@@ -55,14 +56,14 @@ class Pair:
 
     names: tuple[str, str]
     first: Kind
+    second: Kind
     log_prior: float
-    second: Component
     nothing: Weighed
     linearised: Linearised = field(repr=False)
 
     @property
-    def _first(self) -> float:
-        """What integrating over the first one's sizes and lengths takes off, and its function's prior.
+    def _more(self) -> float:
+        """What integrating over the first one's sizes and lengths takes off, and the prior of both functions.
 
         Where another size than that of its fit explains more, nothing is added for it: the second one makes
         up for what the fit leaves.
@@ -72,12 +73,12 @@ class Pair:
     @property
     def log_z(self) -> float:
         """Log evidence of both."""
-        return self.second.log_z + self._first
+        return self.second.weighed.log_z + self._more
 
     @property
     def log_more(self) -> float:
         """The same with something else beside them."""
-        return self.second.log_more + self._first
+        return self.second.more.log_z + self._more if self.second.more else -math.inf
 
     @property
     def log_evidence(self) -> float:
@@ -87,15 +88,14 @@ class Pair:
     @property
     def functions(self) -> tuple[str, str]:
         """Names of their best functions, in the order of `names`."""
-        kinds = (self.first, self.second.best)
-        found = {k.function.component: k.function.name for k in kinds}
+        found = {k.function.component: k.function.name for k in (self.first, self.second)}
         one, other = self.names
         return found[one], found[other]
 
     @property
     def fit(self) -> Fit:
-        """Of both, with the second one's best function."""
-        return self.second.best.fit
+        """Of both."""
+        return self.second.fit
 
     @property
     def around(self) -> Linearised:
@@ -167,8 +167,10 @@ def pairs_of(
     Returns
     -------
     list of Pair
-        Each pair once, the most probable first.
+        Each pair once, the most probable first; none of a single series.
     """
+    if screened.screening.data.n_series < SERIES:
+        return []
     ready = [kind for c in explained.components.values() if (kind := _alone(c))]
     with ThreadPoolExecutor(max(1, cores)) as pool, threadpool_limits(1, user_api="blas"):
         more = list(pool.map(lambda kind: _promise(screened, kind, explained.linearised), ready))
@@ -228,10 +230,12 @@ def _with_each(
         for i, kind in zip(leading, pool.map(refined, leading), strict=True):
             kinds[i] = kind
     evidence = {name: c.log_evidence for name, c in explained.components.items()}
-    log_prior = -math.log(len(explained.components[component].kinds))
+    number = {name: len(c.kinds) for name, c in explained.components.items()}
     found = []
-    for name in best:
-        second = Component(name, tuple(k for k in kinds if k.function.component == name))
-        one, other = sorted((component, name), key=lambda n: -evidence[n])
-        found.append(Pair((one, other), first, log_prior, second, nothing, linear))
+    for second in kinds:
+        name = second.function.component
+        if second.refined:  # far from its mode the linear model tells little
+            one, other = sorted((component, name), key=lambda n: -evidence[n])
+            log_prior = -math.log(number[component] * number[name])
+            found.append(Pair((one, other), first, second, log_prior, nothing, linear))
     return found
