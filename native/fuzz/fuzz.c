@@ -464,8 +464,9 @@ static int set_verdict(const trial *t, int64_t i)
                 return 1;
         const zoo_outlet *ou = &pr->outlet;
         double against = 0.0;
-        for (int m = k * ou->n_sections; !fed[k] && ou->kind == ZOO_OUTLET_CIRCUIT && m < (k + 1) * ou->n_sections; m++)
-            against -= fmin(ou->section_resistance[m], 0.0);
+        const int sections = !fed[k] && ou->kind == ZOO_OUTLET_CIRCUIT ? ou->n_sections : 0; /* else not read: any number */
+        for (int m = 0; m < sections; m++)
+            against -= fmin(ou->section_resistance[k * sections + m], 0.0);
         if (!fed[k] && positive(pa->psi1[at]) && positive(pa->psi2[at]) && against > 0.0) {
             const double first = ou->R1[k] * pa->psi1[at], less = against * (ou->R2[k] * pa->psi2[at]);
             unknown |= fabs(first - less) <= 1e-9 * first || !isfinite(less);
