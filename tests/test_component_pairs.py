@@ -24,6 +24,7 @@ from zoo.core.diagnosis import diagnose
 from zoo.core.diagnosis.components.pairs import _alone, _with_each, pairs_of
 from zoo.core.diagnosis.components.refining import Component, explain
 from zoo.core.diagnosis.components.weighing import SIZES
+from zoo.core.diagnosis.scoring import score
 from zoo.core.diagnosis.screening import DELTA_GRID, Screening
 from zoo.core.errors.spectral import Harmonics
 
@@ -137,6 +138,25 @@ def test_two_components_are_the_cause_where_neither_alone_is() -> None:
     true = 0.1 * np.cos(2.0 * KNOTS)
     held = (np.array(wall.low) <= true) & (true <= np.array(wall.high))
     assert held[inside].mean() >= 0.8
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_of_two_pairs_the_more_probable_is_what_is_told(order: tuple[int, int]) -> None:
+    data = data_of({"push": PUSHED, "law": 0.1 * np.cos(2.0 * KNOTS)})
+    screened = Screening(data, MODEL, [], errors=Harmonics()).run()
+    explained = explain(screened, [LAW, PUSH, OWN], cores=1)
+    pair = pairs_of(screened, explained, [LAW, PUSH, OWN], cores=1)[0]
+    fit = replace(pair.fit, u=pair.fit.u + 1e-6)
+    less = replace(
+        pair, names=(pair.names[0], "sensor"), second=replace(pair.second, fit=fit),
+        log_prior=pair.log_prior - 1.0,
+    )  # fmt: skip
+    both = [pair, less]
+    scored = score(screened, explained, pairs=[both[i] for i in order])
+    assert scored.pair is pair
+    assert scored.best[scored.leader] is pair.fit
+    assert scored.members(scored.leader)[:2] == list(pair.names)
+    assert not set(scored.twins(scored.leader)) & set(pair.names)
 
 
 def test_one_cause_is_no_pair() -> None:

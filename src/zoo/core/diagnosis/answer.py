@@ -284,18 +284,18 @@ def _verdict(scored: Scored, gap: Gap) -> str:
     if leader in (NONPARAMETRIC, CORRELATED):
         text = "none of the listed effects" if leader == NONPARAMETRIC else "correlated noise"
         told = set() if _prior_words(scored) == "" else {leader, *scored.tied(leader)}
-        twin = [n for n in scored.members(leader) if n not in {leader, *told}]
+        twin = [n for n in scored.twins(leader) if n not in told]
         return f"{text} ({p:.0%}): a smooth discrepancy of {gap.before:.2g}{unit}" + (
             f"; these data cannot tell it from {' or '.join(twin)}" if twin else ""
         )
-    members = scored.members(leader)
+    members = [leader, *scored.twins(leader)]
     twins = f", which these data cannot tell from {', '.join(members[1:])}" if len(members) > 1 else ""
     grouped = " with its group" if twins else ""
     shrinks = f"the discrepancy of {gap.before:.2g}{unit} shrinks to {gap.after:.2g}{unit}"
     if scored.pair:
         return (
             f"the components {' and '.join(scored.pair.names)} are not as the baseline has them, and no "
-            f"listed effect is what they lack ({dict(scored.pairs)[scored.pair]:.0%}{grouped}): with "
+            f"listed effect is what they lack ({dict(scored.pairs)[scored.pair]:.0%}){twins}: with "
             f"{' and '.join(scored.pair.functions)} learned from the data {shrinks}"
         )
     if leader in scored.components:
@@ -519,9 +519,6 @@ def answer(
             f"{p.name} sd": float(sds[i] * (values[i] if p.log else 1.0)) for i, p in enumerate(shown)
         }
     known = {NULL: before} | ({first.leader: after} if caused else {})
-    members = first.members(first.leader)
-    if first.pair:
-        members = [*first.pair.names, *(m for m in members[1:] if m not in first.pair.names)]
     components = component_results(
         first, _left(first, seed, known, rows), unit, data.groups[rows[0]], hooks.plausible, seed
     )
@@ -531,7 +528,7 @@ def answer(
         base=screenings[0].baseline.name,
         gap=gap,
         where=_where(first, before, hooks),
-        cause=members,
+        cause=first.members(first.leader),
         verdict=_beyond(excluded, gap) + _prior_words(first) + _verdict(first, gap) + _several(components),
         warnings=[
             *hooks.warnings,

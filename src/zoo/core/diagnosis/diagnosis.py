@@ -17,7 +17,7 @@ from zoo.core import digests
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import FitDiscrepancy, answer
 from zoo.core.diagnosis.bounds import Excluded, freed
-from zoo.core.diagnosis.components.pairs import pairs_of
+from zoo.core.diagnosis.components.pairs import Pair, pairs_of
 from zoo.core.diagnosis.components.refining import explain
 from zoo.core.diagnosis.components.subsets import several_effects
 from zoo.core.diagnosis.evidence import Fit
@@ -160,15 +160,14 @@ def _scored(
     several = several_effects(screened)
     if hooks.components is None:
         return replace(score(screened, more=more), several=several)
-    theta = screened.base.values
-    functions = hooks.components(screening.baseline, theta, screening.data)
+    functions = hooks.components(screening.baseline, screened.base.values, screening.data)
     belongs = {name: hooks.component_of(one) for name, one in screening.effects.items()}
-    if not functions:
-        return replace(score(screened, None, more, belongs | {NONPARAMETRIC: SENSOR}), several=several)
-    explained = explain(screened, functions, cores=cores, tick=tick)
-    pairs = pairs_of(screened, explained, functions, cores=cores, tick=tick)
-    scored = score(screened, explained, more, belongs | {NONPARAMETRIC: SENSOR}, pairs)
-    return replace(scored, several=several)
+    belongs[NONPARAMETRIC] = SENSOR
+    explained, pairs = None, list[Pair]()
+    if functions:
+        explained = explain(screened, functions, cores=cores, tick=tick)
+        pairs = pairs_of(screened, explained, functions, cores=cores, tick=tick)
+    return replace(score(screened, explained, more, belongs, pairs), several=several)
 
 
 def _stronger(scored: Scored, exhaust: bool) -> AddedEffect | None:

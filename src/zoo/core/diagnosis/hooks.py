@@ -113,7 +113,7 @@ def next_measurement(scored: Scored, hooks: Hooks) -> NextMeasurement | None:
     if not scored.is_cause(first) or hooks.candidates is None:
         return None
     own = scored.belongs.get(first, first)
-    rivals = [n for n in scored.members(first)[1:] if scored.is_cause(n)]
+    rivals = [n for n in scored.twins(first) if scored.is_cause(n)]
     rivals += [
         n
         for n in scored.names

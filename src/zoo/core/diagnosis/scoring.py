@@ -118,10 +118,18 @@ class Scored:
         """Others that are as probable as the prior alone makes them beside it."""
         return [n for n in self.names if n != name and self.prior_made(n)] if self.prior_made(name) else []
 
+    def own(self, name: str) -> tuple[str, ...]:
+        """It, or both components where it leads with another beside it."""
+        return self.pair.names if self.pair and name == self.leader else (name,)
+
+    def twins(self, name: str) -> list[str]:
+        """Others that these data cannot tell from it, most probable first."""
+        same = (n for n in self.names if self.group[n] == self.group[name])
+        return [n for n in same if n not in self.own(name)]
+
     def members(self, name: str) -> list[str]:
-        """What these data cannot tell from it, itself included, most probable first."""
-        same = [n for n in self.names if self.group[n] == self.group[name]]
-        return [name, *(n for n in same if n != name)]
+        """It and what is beside it, then what these data cannot tell from it."""
+        return [*self.own(name), *self.twins(name)]
 
 
 def _projected(fit: Fit, signature: Array, S: Array, n_columns: int | None = None) -> float:
@@ -332,7 +340,7 @@ def score(
     and_more = {n: math.exp(z - norm) for n, z in log_more.items()}
     together = tuple((pair, math.exp(z - norm)) for pair, z in zip(pairs, log_pairs, strict=True))
     standing = {n: probability[n] + and_more.get(n, 0.0) for n in log_z}
-    for pair, p in together:
+    for pair, p in sorted(together, key=lambda one: one[1]):  # of two with the same name the more probable
         name = pair.names[0]
         if p > max(probability[name], and_more.get(name, 0.0)):
             best[name] = pair.fit

@@ -9,7 +9,7 @@ baseline, so that what is weighed beside them is weighed as beside the baseline,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -17,7 +17,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.components import FreeFunction
-from zoo.core.diagnosis.components.refining import Component, Explained, Kind, Refining
+from zoo.core.diagnosis.components.refining import (
+    Component,
+    Explained,
+    Kind,
+    Refining,
+    around_mode,
+    best_of_each,
+)
 from zoo.core.diagnosis.components.response import Block, Linearised
 from zoo.core.diagnosis.components.weighing import Weighed, allowance, weigh
 from zoo.core.diagnosis.evidence import Fit
@@ -102,17 +109,14 @@ class Pair:
         """The linear model around the first one's mode, with its function among the others, seen from 0."""
         kind = self.first
         weighed, fit, n = kind.weighed, kind.fit, kind.fit.forward.asked
-        root = kind.root
-        known, old = np.linalg.pinv(root), weighed.block.columns
-        v = root @ fit.u[n:]
-        columns = fit.jacobian[:, n:] @ known + old @ (np.eye(len(v)) - root @ known)
+        block, drawn = around_mode(weighed.block, kind.root, fit.jacobian[:, n:], fit.u[n:])
         return replace(
             self.linearised,
-            residual=fit.residual + columns @ v,
+            residual=fit.residual + drawn,
             jacobian=self.linearised.jacobian[:, :n],
             precision=as_matrix(self.linearised.precision)[:n, :n],
             pull=self.linearised.pull[:n],
-            blocks=(*self.linearised.blocks, replace(weighed.block, columns=columns)),
+            blocks=(*self.linearised.blocks, block),
         )
 
 
@@ -215,14 +219,7 @@ def _with_each(
     )  # fmt: skip
     with ThreadPoolExecutor(max(1, cores)) as pool, threadpool_limits(1, user_api="blas"):
         kinds = list(pool.map(refining.kind, linear.blocks))
-        best: Mapping[str, int] = {
-            name: max(
-                (i for i, k in enumerate(kinds) if k.function.component == name),
-                key=lambda i: kinds[i].log_z,
-            )
-            for name in dict.fromkeys(f.component for f in others)
-        }
-        leading = sorted(best.values(), key=lambda i: -kinds[i].log_z)[:REFINED]
+        leading = sorted(best_of_each(kinds).values(), key=lambda i: -kinds[i].log_z)[:REFINED]
 
         def refined(i: int) -> Kind:
             return refining.refine(refining.with_more(kinds[i]))

@@ -70,6 +70,26 @@ def _root(weighed: Weighed) -> Array:
     return weighed.best.sd * weighed.function.root(weighed.best.length)
 
 
+def around_mode(block: Block, root: Array, jacobian: Array, z: Array) -> tuple[Block, Array]:
+    """Responses around a function's mode z (n_z,), and what its values v, seen from 0, give there, (n,).
+
+    Where the root spans v they are those of the fit's `jacobian` (n, n_z), elsewhere as they were.
+    """
+    known, v = np.linalg.pinv(root), root @ z
+    columns = jacobian @ known + block.columns @ (np.eye(len(v)) - root @ known)
+    return replace(block, columns=columns), columns @ v
+
+
+def best_of_each(kinds: Sequence[Kind]) -> dict[str, int]:
+    """Where the function with the largest evidence of each component is, by the component's name."""
+    found: dict[str, int] = {}
+    for i, kind in enumerate(kinds):
+        name = kind.function.component
+        if name not in found or kind.log_z > kinds[found[name]].log_z:
+            found[name] = i
+    return found
+
+
 def _beside(more: Weighed | None) -> float:
     return -math.inf if more is None else more.log_z + math.log(PRIOR_NONPARAMETRIC)
 
@@ -213,21 +233,17 @@ class Refining:
         point = search.descend(point, STEPS_FRESH)
         # around the mode the series are linear again, with v seen from 0
         n = len(self.base.u)
-        root = kind.root
-        v = root @ point.u[n:]
-        known = np.linalg.pinv(root)
-        old = weighed.block.columns
-        columns = point.jacobian[:, n:] @ known + old @ (np.eye(len(v)) - root @ known)
+        block, drawn = around_mode(weighed.block, kind.root, point.jacobian[:, n:], point.u[n:])
         computed = point.computed + self.shift
         _, precision, pull = self.base.forward.prior(point.u[:n])
         linear = replace(
             self.linearised,
-            residual=self.screening.coefficients - computed + columns @ v,
+            residual=self.screening.coefficients - computed + drawn,
             jacobian=point.jacobian[:, :n],
             precision=precision,
             pull=pull,
         )
-        block, baseline = replace(weighed.block, columns=columns), self.base.forward
+        baseline = self.base.forward
         options = allowance(self.screened.allowances)
         alone = weigh(linear, block, baseline, point.u[:n], kind.weighed.noise, options)
         more = kind.more and weigh(
@@ -278,13 +294,7 @@ def explain(
         others = [screened.nonparametric.log_z, screened.correlated.log_z, screened.base.log_z]
         others += [fit.log_z for fit in screened.fits.values()]
         # a linear model tells little of what bends: the best function of each component is taken to its mode
-        first = [
-            max(
-                (i for i, k in enumerate(found) if k.function.component == name), key=lambda i: found[i].log_z
-            )
-            for name in names
-        ]
-        first = [i for i in first if found[i].log_z > screened.base.log_z + LEADING]
+        first = [i for i in best_of_each(found).values() if found[i].log_z > screened.base.log_z + LEADING]
         for i, kind in zip(first, pool.map(refining.refine, [found[i] for i in first]), strict=True):
             found[i] = kind
         done = 0
