@@ -11,14 +11,16 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from zoo.blood.baseline import get_baseline
-from zoo.blood.case import with_physics
+from zoo.blood.case import simulate, with_physics
 from zoo.blood.components import COMPONENTS, component_of, components, plausible
 from zoo.blood.components.curves import curve, delay_response, gain_response, minimum_phase
+from zoo.blood.components.outlets import log_impedance_change
 from zoo.blood.components.plausibility import LIMITS
 from zoo.blood.components.tables import component_table
 from zoo.blood.components.wall import added_law, added_pressure
 from zoo.blood.diagnosis import HOOKS
 from zoo.blood.effects import CATALOGUE
+from zoo.blood.effects.outflow import sections_of
 from zoo.blood.forward import study_data
 from zoo.blood.functions import FrictionFunction
 from zoo.blood.solver import SolverOptions
@@ -292,6 +294,59 @@ def test_a_loss_by_velocity_squared_is_the_listed_one(demo):
     found = demo.solved("junction-loss", 0.8 * np.abs(function.at) / largest)
     assert np.abs(other - demo.series).max() > 0.2
     np.testing.assert_allclose(found, other, atol=0.02 * np.abs(other - demo.series).max())
+
+
+def circuit_of(case, i):
+    """Impedance of a terminal as a function of angular frequency, and its R1 and pairs' resistances."""
+    rho, kappa = sections_of(case)
+    first = case.psi1[i] * case.network.R1[i]
+    pairs = rho[i] * case.psi2[i] * case.network.R2[i]
+    tau = pairs * kappa[i] * case.c[i] * case.network.C[i]
+    return lambda omega: first + (pairs / (1 + 1j * omega[:, None] * tau)).sum(axis=1), first, pairs
+
+
+@pytest.mark.parametrize("length", [1.0, 2.8])
+def test_the_outlets_impedance_follows_a_smooth_change_and_stays_passive(demo, length):
+    """At all harmonics of the beat, for twice the prior size, against Z exp(v) with Bode's phase."""
+    function, random = demo.functions["outlet-impedance"], np.random.default_rng(5)
+    omega = 2 * np.pi / demo.case.network.period_s * np.concatenate([[1e-4], np.arange(1, 21)])
+    root, i = function.root(length), demo.case.network.terminals[3]
+    before = circuit_of(demo.case, i)[0](omega)
+    for _ in range(5):
+        values = 2 * function.size * root @ random.standard_normal(root.shape[1])
+        after, first, pairs = circuit_of(function.apply(demo.case, values), i)
+        wanted = before * np.exp(log_impedance_change(function.at, values, omega))
+        off = np.abs(after(omega) / wanted - 1)
+        assert np.sqrt(np.mean(off**2)) < (0.15 if length < 2 else 0.03)
+        assert off[0] < 2e-3
+        assert first > -pairs[pairs < 0].sum()
+        assert np.all(after(np.geomspace(1e-2, 1e6, 200)).real > 0)
+
+
+def test_an_impedance_times_a_number_is_resistances_and_a_compliance(demo):
+    values = np.full(len(demo.functions["outlet-impedance"].at), 0.1)
+    scale = math.exp(0.1)
+    other = demo.changed(psi1=demo.case.psi1 * scale, psi2=demo.case.psi2 * scale, c=demo.case.c / scale)
+    np.testing.assert_allclose(demo.solved("outlet-impedance", values), other, atol=5e-3)
+
+
+def test_a_resistance_that_does_not_follow_the_pressure_is_a_resistance(demo):
+    values = np.full(len(demo.functions["outlet-state"].at), 0.1)
+    other = demo.changed(psi2=demo.case.psi2 * math.exp(0.1))
+    np.testing.assert_allclose(demo.solved("outlet-state", values), other, atol=2e-3)
+
+
+def test_a_resistance_at_pressures_that_are_not_visited_says_nothing(demo):
+    function, case = demo.functions["outlet-state"], demo.case
+    at = case.network.terminals
+    places = [(int(v), 1.0, q) for q in ("pressure_mmHg", "flow_ml_s") for v in case.network.ids[at]]
+    pressure, flow = simulate(case, places, demo.data.times).reshape(2, len(at), -1)
+    behind = pressure - (case.psi1 * case.network.R1)[at, None] * flow / case.conventions.mmhg
+    size = np.sqrt(np.mean(demo.columns("outlet-state") ** 2, axis=(1, 2)))
+    assert function.at[0] < behind.min()
+    assert behind.max() < function.at[-1]
+    assert max(size[0], size[-1]) < 0.05 * size.max()
+    assert abs(function.at[np.argmax(size)] - behind.mean()) < np.diff(function.at)[0]
 
 
 def test_one_viscosity_for_all_radii_is_the_networks(demo):

@@ -3,17 +3,43 @@
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.blood.case import Case
-from zoo.blood.components.curves import factors
-from zoo.blood.components.setting import Setting
+from zoo.blood.case import Case, with_physics
+from zoo.blood.components.curves import curve, factors, minimum_phase
+from zoo.blood.components.setting import (
+    FREQUENCY,
+    FREQUENCY_UNIT,
+    MOST_HARMONICS,
+    Setting,
+    range_knots,
+    range_lengths,
+)
+from zoo.blood.effects.outflow import sections_of
+from zoo.blood.functions import OutletFunction
 from zoo.core.components import FreeFunction
 
 Array = NDArray[np.float64]
+IMPEDANCE_KNOTS = 10
+IMPEDANCE_SIZE = 0.2
+IMPEDANCE_LENGTHS = (1.0, 1.6, 2.8)
+LOWEST_HARMONIC = 0.1
+"""Below this part of the beat's frequency an outlet's impedance is steady."""
+POLES = 8
+"""Parallel pairs that are added to an outlet's circuit, their time constants evenly spaced in the log."""
+FITTED = 60
+"""Frequencies at which a circuit is fitted to an impedance."""
+NEGATIVE_PART = 0.9
+"""Of R1: what the added pairs of negative resistance may sum up to."""
+RIDGE, STEADY_WEIGHT, BUDGET_WEIGHT = 1e-2, 1e2, 1e3
+"""Of the fit: keeps pairs small that the impedance does not tell; exactness for steady flow; of the sum."""
+STATE_KNOTS, STATE_TABLE = 8, 33
+STATE_PER_MMHG = 0.08
+"""Change of a resistance's logarithm: four times the distensibility of a radius."""
 SCATTER_SIZE = 0.4
 FIRST_SIZE = 0.3
 
@@ -31,8 +57,120 @@ def scaled_loads(case: Case, values: Array, of: tuple[str, ...]) -> Case:
     return replace(case, **{name: getattr(case, name) * scale for name in of})
 
 
+def log_impedance_change(at: Array, values: Array, omega: Array) -> NDArray[np.complex128]:
+    """Change of log Z at angular frequencies (rad/s): v through the knots, and the phase that goes with it.
+
+    A passive circuit's impedance has no zeros or poles of positive real part, so that its modulus gives its
+    phase (`zoo.blood.components.curves.minimum_phase`).
+    """
+    x = np.log(omega / (2 * math.pi))
+    return np.asarray((curve(at, x) + 1j * minimum_phase(at, x)) @ values)
+
+
+def fitted_circuit(
+    first: float,
+    own: Array,
+    own_tau: Array,
+    tau: Array,
+    steady: float,
+    wanted: NDArray[np.complex128],
+    omega: Array,
+) -> tuple[float, Array]:
+    """Circuit whose impedance is nearest, in the relative error, to a given one; passive at any frequency.
+
+    Z(w) = R1 + sum of R_k/(1 + i w tau_k), exact for steady flow, by non-negative least squares: R1 and the
+    pairs that were there stay positive, added ones may be negative as long as R1 outweighs their sum.
+
+    Parameters
+    ----------
+    first : float
+        R1 of the circuit from which is started.
+    own, own_tau : array (n,)
+        Its pairs' resistances and time constants.
+    tau : array (m,)
+        Time constants of the pairs that are added.
+    steady : float
+        Impedance for steady flow.
+    wanted : complex array (k,)
+        Impedance at `omega`.
+    omega : array (k,)
+        rad/s.
+
+    Returns
+    -------
+    float
+        R1.
+    array (n + m,)
+        R_k of its own pairs and of the added ones.
+    """
+    from scipy.optimize import nnls
+
+    n, m, scale = len(own), len(tau), first + float(np.sum(own))
+    pairs = 1 / (1 + 1j * omega[:, None] * np.append(own_tau, tau))
+    base = first + pairs[:, :n] @ own
+    columns = np.concatenate(
+        [np.ones((len(omega), 1)), pairs, -pairs[:, n:], np.zeros((len(omega), 1))], axis=1
+    )
+    rows = columns * (scale / np.abs(base))[:, None]
+    target = wanted / np.abs(base)
+    whole = STEADY_WEIGHT * np.concatenate([np.ones(1 + n + m), -np.ones(m), [0.0]])
+    budget = BUDGET_WEIGHT * np.concatenate([[-NEGATIVE_PART], np.zeros(n + m), np.ones(m + 1)])
+    start = np.concatenate([[first], own, np.zeros(2 * m + 1)]) / scale
+    ridge = math.sqrt(RIDGE) * np.eye(len(start))
+    ridge[-1] = 0.0
+    found, _ = nnls(
+        np.concatenate([rows.real, rows.imag, [whole, budget], ridge]),
+        np.concatenate([target.real, target.imag, [STEADY_WEIGHT * steady / scale, 0.0], ridge @ start]),
+        maxiter=100 * len(start),
+    )
+    found = scale * found
+    return float(found[0]), np.append(found[1 : 1 + n], found[1 + n : 1 + n + m] - found[1 + n + m : -1])
+
+
+def changed_impedance(case: Case, values: Array, at: Array) -> Case:
+    """Z(f) -> Z(f) exp(v(f)) at every terminal, by the circuit of `fitted_circuit`, of `POLES` more pairs."""
+    if not np.any(values):
+        return case
+    network, terminals = case.network, case.network.terminals
+    omega = 2 * math.pi * np.exp(np.linspace(at[0] - 1.0, at[-1] + 1.0, FITTED))
+    log_change = log_impedance_change(at, values, omega)
+    change = factors(log_change.real) * np.exp(1j * log_change.imag)
+    tau = np.exp(-np.linspace(at[0], at[-1], POLES)) / (2 * math.pi)
+    rho, kappa = sections_of(case)
+    added = np.zeros((len(rho), POLES))
+    psi1, rho = case.psi1.copy(), np.concatenate([rho, added], axis=1)
+    kappa = np.concatenate([kappa, added + 1], axis=1)
+    for i in terminals:
+        second, stored = case.psi2[i] * network.R2[i], case.c[i] * network.C[i]
+        there = np.flatnonzero(rho[i])
+        own, own_tau = rho[i, there] * second, rho[i, there] * kappa[i, there] * second * stored
+        first = float(psi1[i] * network.R1[i])
+        wanted = change * (first + (own / (1 + 1j * omega[:, None] * own_tau)).sum(axis=1))
+        steady = float(factors(values[0])) * (first + float(np.sum(own)))
+        first, resistance = fitted_circuit(first, own, own_tau, tau, steady, wanted, omega)
+        psi1[i] = first / network.R1[i]
+        where = np.append(there, np.arange(rho.shape[1] - POLES, rho.shape[1]))
+        rho[i, where] = resistance / second
+        held = resistance != 0
+        constants = np.append(own_tau, tau)
+        kappa[i, where] = np.where(held, constants / np.where(held, resistance, 1.0) / stored, 1.0)
+    changed = with_physics(case, section_resistance=rho, section_compliance=kappa)
+    return replace(changed, psi1=psi1)
+
+
+def changed_state(case: Case, values: Array, at: Array) -> Case:
+    """R2 -> R2 exp(v(p)) of all outlets, v a spline through values at pressures (mmHg) behind R1."""
+    unit = case.conventions.mmhg
+    made = OutletFunction(float(at[0]) * unit, float(at[-1]) * unit, tuple(values))
+    old = case.physics.outlet_resistance_function
+    if old is not None and old.changes:
+        knots = np.linspace(min(old.low, made.low), max(old.high, made.high), STATE_TABLE)
+        made = OutletFunction(float(knots[0]), float(knots[-1]), tuple(old(knots) + made(knots)))
+    return with_physics(case, outlet_resistance_function=made)
+
+
 def functions(setting: Setting) -> tuple[FreeFunction, ...]:
-    """The scatter of resistances and compliances over the terminals; of single resistances, theirs alone."""
+    """Impedance, state, and the scatter over terminals; of single resistances, that of these alone."""
     network = setting.case.network
     terminals = network.terminals
     labels = tuple(setting.vessels[i] for i in terminals)
@@ -83,4 +221,41 @@ def functions(setting: Setting) -> tuple[FreeFunction, ...]:
                 "assumed: 0.4, as for resistances: nominal compliances are one time constant over them",
             ),
         ]
-    return tuple(found)
+    if not np.all(network.R2[terminals] > 0):
+        return tuple(found)
+    frequencies = np.linspace(math.log(LOWEST_HARMONIC), math.log(MOST_HARMONICS), IMPEDANCE_KNOTS)
+    frequencies -= math.log(setting.period_s)
+    pressure, flow = (setting.beat[name][terminals, 1] for name in ("pressure", "flow"))
+    first = (setting.case.psi1 * network.R1)[terminals, None] / setting.case.conventions.mmhg
+    behind = range_knots(pressure - first * flow, STATE_KNOTS)
+    whole = (
+        FreeFunction(
+            "outlet-impedance",
+            "outlets",
+            frequencies,
+            IMPEDANCE_SIZE,
+            functools.partial(changed_impedance, at=frequencies),
+            FREQUENCY,
+            FREQUENCY_UNIT,
+            "log impedance",
+            why="0.2; a tree of small arteries (Olufsen et al. 2000, doi 10.1114/1.1326031, as the effect "
+            "structured-tree has it) differs from the nearest three-element circuit by up to 0.27",
+            lengths=IMPEDANCE_LENGTHS,
+            equation="Z(f) -> Z(f) exp(v(f)), v real, with the phase that goes with it; at all terminals",
+        ),
+        FreeFunction(
+            "outlet-state",
+            "outlets",
+            behind,
+            STATE_PER_MMHG * 0.5 * float(np.ptp(behind)),
+            functools.partial(changed_state, at=behind),
+            "pressure behind R1",
+            "mmHg",
+            "log resistance",
+            why="8 % for each mmHg, over half of the range: resistance goes with r^-4, at a "
+            "distensibility of 2 % for each mmHg (Krenz & Dawson 2003, doi 10.1152/ajpheart.00762.2002)",
+            lengths=range_lengths(behind),
+            equation="R2 -> R2 exp(v(p)), p the pressure behind R1; one v for all terminals",
+        ),
+    )
+    return (*whole, *found)

@@ -81,9 +81,9 @@ class Setting:
 
     @cached_property
     def beat(self) -> dict[str, Array]:
-        """Stretch sqrt(A/A0) and velocity (cm/s) over the beat, (n_vessels, 2, n_times).
+        """Pressure (mmHg), flow (ml/s), stretch sqrt(A/A0) and velocity (cm/s), (n_vessels, 2, n_times).
 
-        At the inlets and outlets of the vessels; what sensors do to the waves is left out.
+        Over the beat, at the inlets and outlets of the vessels; what sensors do to the waves is left out.
 
         Raises
         ------
@@ -91,14 +91,14 @@ class Setting:
             If the solve fails.
         """
         network = self.case.network
-        names = ("flow_ml_s", "area_cm2")
+        names = ("pressure_mmHg", "flow_ml_s", "area_cm2")
         places = [(int(v), end, name) for name in names for v in network.ids for end in (0.0, 1.0)]
         times = np.arange(SAMPLES) * (self.period_s / SAMPLES)
         plain = replace(self.case, waves=(), coarse_blend=0.0)
-        flow, area = simulate(plain, places, times).reshape(2, len(network.ids), 2, SAMPLES)
+        pressure, flow, area = simulate(plain, places, times).reshape(3, len(network.ids), 2, SAMPLES)
         radius = np.stack([network.radius_in_cm, network.radius_out_cm], axis=1)
         stretch = np.sqrt(area / (math.pi * radius[..., None] ** 2))
-        return {"stretch": stretch, "velocity": flow / area}
+        return {"pressure": pressure, "flow": flow, "stretch": stretch, "velocity": flow / area}
 
 
 def range_knots(values: Array, n: int) -> Array:
