@@ -168,6 +168,13 @@ def test_what_cannot_be_changed_is_named() -> None:
         with_impedance_change(case(), OMEGA, np.zeros(13), times_s=[0.0])
     with pytest.raises(SolverArgumentError, match="must have a positive one"):
         with_impedance_change(case(), [0.0], [0.1])
-    tiny = with_physics(case(), **NEGATIVE)
-    with pytest.raises(SolverArgumentError, match="larger than R1; make it smaller"):
-        with_impedance_change(tiny, OMEGA, np.where(OMEGA > 0, -4.0, 0.0))
+
+
+@pytest.mark.parametrize("size", [-4.0, 2.0])
+def test_an_outlet_stays_passive_whatever_is_asked(size: float) -> None:
+    """Also where no passive circuit has such an impedance."""
+    base = with_physics(case(), **NEGATIVE)
+    changed = with_impedance_change(base, OMEGA, np.where(OMEGA > 0, size, 0.0))
+    assert (outlet_impedance(changed, np.geomspace(1e-2, 1e6, 400)).real > 0).all()
+    steady = outlet_impedance(changed, [0.0]) / outlet_impedance(base, [0.0])
+    np.testing.assert_allclose(steady, 1.0, atol=0.01)

@@ -17,11 +17,12 @@ Complex = NDArray[np.complex128]
 PARALLEL = 6.0
 """R_p of an outlet with an inertance, in rho c/A0 of the vessel's end at rest."""
 SECTIONS = 10
-_SMALL = 1e-9
-_RIDGES = (1e-3, 3e-3, 1e-2, 3e-2)
-"""Price of a section as large as R1, beside the relative miss of an impedance, the least that serves."""
-_NEGATIVE = 10.0
-"""How many times a negative section costs a positive one."""
+_RIDGE = 1e-2
+"""Keeps sections small that the impedance does not tell, beside the squared relative miss of it."""
+_NEGATIVE, _BUDGET = 0.9, 1e3
+"""Part of R1 that negative sections may sum up to, and the weight of that."""
+_STEADY = 1e2
+"""Weight of the impedance for steady flow."""
 
 
 def outlet_impedance(case: Case, omega: ArrayLike) -> Complex:
@@ -91,17 +92,17 @@ def with_impedance_change(
 
         Z'(w) = Z(w) + dR1 + sum_m r_m/(1 + i w tau_m)
 
-    in which tau_m are the times R_k C_k of the sections that there are, and of new ones, and r_m of either
-    sign, by least squares of what is left of Z'/Z at the frequencies and a little of r_m/R1. A change that no
-    circuit has (one that is not causal, or an impedance with a negative real part) is not met;
-    `outlet_impedance` of the case that comes back says how near it is.
+    in which tau_m are the times R_k C_k of the sections that there are, and of new ones. Sections keep their
+    signs, those of new ones are free, and R1 outweighs the negative ones, so that the outlets stay passive at
+    every frequency. A change that no circuit has (one that is not causal, or an impedance with a negative
+    real part) is not met; `outlet_impedance` of the case that comes back says how near it is.
 
     Parameters
     ----------
     case : Case
         Whose terminals all have a Windkessel or sections.
     omega : array (n,)
-        Angular frequencies, rad/s, such as those of the first harmonics; 0 for the steady resistance.
+        Angular frequencies, rad/s, such as those of the first harmonics; at 0 the change is met exactly.
     change : array (n,) or (n_terminals, n)
         Complex change of log Z, of all terminals or of each.
     times_s : array (m,)
@@ -116,7 +117,7 @@ def with_impedance_change(
     Raises
     ------
     SolverArgumentError
-        If a value is out of range, or the negative sections together are no smaller than R1.
+        If a value is out of range.
     """
     w = finite_array("omega", omega, error=SolverArgumentError)
     network, ends = case.network, case.network.terminals
@@ -132,52 +133,54 @@ def with_impedance_change(
         if not np.all(times > 0):
             raise SolverArgumentError(f"times_s = {times.tolist()}: must be positive; correct them")
     wanted = np.broadcast_to(np.asarray(change, dtype=np.complex128), (len(ends), len(w)))
+    if not np.any(wanted):
+        return case
     Z = outlet_impedance(case, w)
     R1, resistance, compliance = _parts(case)
     n = resistance.shape[1]
-    first = np.empty(len(ends))
     rho, kappa = np.zeros((2, len(network.ids), n + len(times)))
+    psi1 = case.psi1.copy()
     for i, k in enumerate(ends):
         tau = np.concatenate([resistance[i] * compliance[i], times])
-        parts = np.concatenate([np.ones((1, len(w))), 1 / (1 + 1j * w * tau[:, None])])
-        already = np.abs(resistance[i]) / R1[i]
-        found = _passive(Z[i], np.expm1(wanted[i]), parts, R1[i], resistance[i], already)
-        if found is None:
-            raise SolverArgumentError(
-                f"change: at the outlet of vessel {int(network.ids[k])} negative sections would be larger "
-                "than R1; make it smaller"
-            )
-        first[i], R = found[0], found[1:]
-        R[:n] += resistance[i]
+        first, R = _passive(Z[i], wanted[i], w, R1[i], resistance[i], tau)
         there = (R != 0) & (tau > 0)
         rho[k, there] = R[there] / (case.psi2[k] * network.R2[k])
         kappa[k, there] = tau[there] / (R[there] * case.c[k] * network.C[k])
-    psi1 = case.psi1.copy()
-    psi1[ends] += first / network.R1[ends]
+        psi1[k] = first / network.R1[k]
     return with_physics(replace(case, psi1=psi1), section_resistance=rho, section_compliance=kappa)
 
 
 def _passive(
-    Z: Complex, change: Complex, parts: Complex, R1: float, there: Array, already: Array
-) -> Array | None:
-    """Changes of R1 and of all sections, dyn s/cm5; None where none keeps R1 above the negative sections."""
+    Z: Complex, change: Complex, omega: Array, R1: float, own: Array, tau: Array
+) -> tuple[float, Array]:
+    """R1 and the resistances of sections with times tau (n,), of which the first are there (own), by the
+    non-negative least squares of what is left of Z exp(change) over Z."""
     from scipy.optimize import nnls
 
-    n, size = len(already), np.abs(Z)
-    relative = parts * R1 / size
-    columns = np.concatenate([relative.real, relative.imag], axis=1).T
-    target = np.concatenate([(Z * change / size).real, (Z * change / size).imag])
-    for ridge in _RIDGES:
-        # positive and negative parts apart: no two sections that cancel each other
-        price = np.full((2, len(parts)), ridge)
-        price[1] *= _NEGATIVE
-        price[:, 1 : 1 + n] /= np.maximum(already, _SMALL)
-        rows = np.concatenate([np.concatenate([columns, -columns], axis=1), np.diag(price.ravel())])
-        both, _ = nnls(rows, np.concatenate([target, np.zeros(price.size)]), maxiter=1000)
-        found = R1 * (both[: len(parts)] - both[len(parts) :])
-        found[np.abs(found) < _SMALL * R1] = 0.0
-        after = found[1:].copy()
-        after[:n] += there
-        if R1 + found[0] + np.minimum(after, 0.0).sum() > 0:
-            return np.asarray(found)
-    return None
+    n, m, scale = len(own), len(tau) - len(own), R1 + float(np.abs(own).sum())
+    pairs = 1 / (1 + 1j * omega[:, None] * tau)
+    signs = np.where(own < 0, -1.0, 1.0)
+    # what may be: R1, own sections with their sign, new ones, new ones with the other sign, and what R1 has
+    # more than it must
+    columns = np.concatenate(
+        [
+            np.ones((len(omega), 1)), pairs[:, :n] * signs, pairs[:, n:], -pairs[:, n:],
+            np.zeros((len(omega), 1)),
+        ],
+        axis=1,
+    )  # fmt: skip
+    target = Z * np.exp(change) - Z + R1 + pairs[:, :n] @ own
+    weights = np.where(omega == 0, _STEADY, 1.0) / np.abs(Z)
+    rows, target = columns * (scale * weights)[:, None], target * weights
+    negative = np.concatenate([signs < 0, np.zeros(m), np.ones(m)])
+    budget = _BUDGET * np.concatenate([[-_NEGATIVE], negative, [1.0]])
+    start = np.concatenate([[R1], np.abs(own), np.zeros(2 * m + 1)]) / scale
+    ridge = np.sqrt(_RIDGE) * np.eye(len(start))
+    ridge[-1] = 0.0
+    found, _ = nnls(
+        np.concatenate([rows.real, rows.imag, [budget], ridge]),
+        np.concatenate([target.real, target.imag, [0.0], ridge @ start]),
+        maxiter=100 * len(start),
+    )
+    first, kept, added, taken = np.split(scale * found[:-1], [1, 1 + n, 1 + n + m])
+    return float(first[0]), np.concatenate([signs * kept, added - taken])

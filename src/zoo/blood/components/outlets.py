@@ -19,8 +19,8 @@ from zoo.blood.components.setting import (
     range_knots,
     range_lengths,
 )
-from zoo.blood.effects.outflow import sections_of
 from zoo.blood.functions import OutletFunction
+from zoo.blood.loads import with_impedance_change
 from zoo.core.components import FreeFunction
 
 Array = NDArray[np.float64]
@@ -33,10 +33,6 @@ POLES = 8
 """Parallel pairs that are added to an outlet's circuit, their time constants evenly spaced in the log."""
 FITTED = 60
 """Frequencies at which a circuit is fitted to an impedance."""
-NEGATIVE_PART = 0.9
-"""Of R1: what the added pairs of negative resistance may sum up to."""
-RIDGE, STEADY_WEIGHT, BUDGET_WEIGHT = 1e-2, 1e2, 1e3
-"""Of the fit: keeps pairs small that the impedance does not tell; exactness for steady flow; of the sum."""
 STATE_KNOTS, STATE_TABLE = 8, 33
 STATE_PER_MMHG = 0.08
 """Change of a resistance's logarithm: four times the distensibility of a radius."""
@@ -67,95 +63,15 @@ def log_impedance_change(at: Array, values: Array, omega: Array) -> NDArray[np.c
     return np.asarray((curve(at, x) + 1j * minimum_phase(at, x)) @ values)
 
 
-def fitted_circuit(
-    first: float,
-    own: Array,
-    own_tau: Array,
-    tau: Array,
-    steady: float,
-    wanted: NDArray[np.complex128],
-    omega: Array,
-) -> tuple[float, Array]:
-    """Circuit whose impedance is nearest, in the relative error, to a given one; passive at any frequency.
-
-    Z(w) = R1 + sum of R_k/(1 + i w tau_k), exact for steady flow, by non-negative least squares: R1 and the
-    pairs that were there stay positive, added ones may be negative as long as R1 outweighs their sum.
-
-    Parameters
-    ----------
-    first : float
-        R1 of the circuit from which is started.
-    own, own_tau : array (n,)
-        Its pairs' resistances and time constants.
-    tau : array (m,)
-        Time constants of the pairs that are added.
-    steady : float
-        Impedance for steady flow.
-    wanted : complex array (k,)
-        Impedance at `omega`.
-    omega : array (k,)
-        rad/s.
-
-    Returns
-    -------
-    float
-        R1.
-    array (n + m,)
-        R_k of its own pairs and of the added ones.
-    """
-    from scipy.optimize import nnls
-
-    n, m, scale = len(own), len(tau), first + float(np.sum(own))
-    pairs = 1 / (1 + 1j * omega[:, None] * np.append(own_tau, tau))
-    base = first + pairs[:, :n] @ own
-    columns = np.concatenate(
-        [np.ones((len(omega), 1)), pairs, -pairs[:, n:], np.zeros((len(omega), 1))], axis=1
-    )
-    rows = columns * (scale / np.abs(base))[:, None]
-    target = wanted / np.abs(base)
-    whole = STEADY_WEIGHT * np.concatenate([np.ones(1 + n + m), -np.ones(m), [0.0]])
-    budget = BUDGET_WEIGHT * np.concatenate([[-NEGATIVE_PART], np.zeros(n + m), np.ones(m + 1)])
-    start = np.concatenate([[first], own, np.zeros(2 * m + 1)]) / scale
-    ridge = math.sqrt(RIDGE) * np.eye(len(start))
-    ridge[-1] = 0.0
-    found, _ = nnls(
-        np.concatenate([rows.real, rows.imag, [whole, budget], ridge]),
-        np.concatenate([target.real, target.imag, [STEADY_WEIGHT * steady / scale, 0.0], ridge @ start]),
-        maxiter=100 * len(start),
-    )
-    found = scale * found
-    return float(found[0]), np.append(found[1 : 1 + n], found[1 + n : 1 + n + m] - found[1 + n + m : -1])
-
-
 def changed_impedance(case: Case, values: Array, at: Array) -> Case:
-    """Z(f) -> Z(f) exp(v(f)) at every terminal, by the circuit of `fitted_circuit`, of `POLES` more pairs."""
+    """Z(f) -> Z(f) exp(v(f)) at every terminal, by a circuit of `POLES` more pairs."""
     if not np.any(values):
         return case
-    network, terminals = case.network, case.network.terminals
     omega = 2 * math.pi * np.exp(np.linspace(at[0] - 1.0, at[-1] + 1.0, FITTED))
     log_change = log_impedance_change(at, values, omega)
-    change = factors(log_change.real) * np.exp(1j * log_change.imag)
+    change = np.log(factors(np.append(values[0], log_change.real))) + 1j * np.append(0.0, log_change.imag)
     tau = np.exp(-np.linspace(at[0], at[-1], POLES)) / (2 * math.pi)
-    rho, kappa = sections_of(case)
-    added = np.zeros((len(rho), POLES))
-    psi1, rho = case.psi1.copy(), np.concatenate([rho, added], axis=1)
-    kappa = np.concatenate([kappa, added + 1], axis=1)
-    for i in terminals:
-        second, stored = case.psi2[i] * network.R2[i], case.c[i] * network.C[i]
-        there = np.flatnonzero(rho[i])
-        own, own_tau = rho[i, there] * second, rho[i, there] * kappa[i, there] * second * stored
-        first = float(psi1[i] * network.R1[i])
-        wanted = change * (first + (own / (1 + 1j * omega[:, None] * own_tau)).sum(axis=1))
-        steady = float(factors(values[0])) * (first + float(np.sum(own)))
-        first, resistance = fitted_circuit(first, own, own_tau, tau, steady, wanted, omega)
-        psi1[i] = first / network.R1[i]
-        where = np.append(there, np.arange(rho.shape[1] - POLES, rho.shape[1]))
-        rho[i, where] = resistance / second
-        held = resistance != 0
-        constants = np.append(own_tau, tau)
-        kappa[i, where] = np.where(held, constants / np.where(held, resistance, 1.0) / stored, 1.0)
-    changed = with_physics(case, section_resistance=rho, section_compliance=kappa)
-    return replace(changed, psi1=psi1)
+    return with_impedance_change(case, np.append(0.0, omega), change, times_s=tau)
 
 
 def changed_state(case: Case, values: Array, at: Array) -> Case:
