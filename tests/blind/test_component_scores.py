@@ -185,6 +185,7 @@ def test_components_of_a_diagnosis_are_read(answered: Path) -> None:
         "name": "wall-law", "argument": "stretch", "argument_unit": "1", "unit": "log stiffness",
         "values": [1.1, 1.2], "mean": [0.1, 0.2], "low": [0.0, 0.1], "high": [0.2, 0.3], "prior_size": 0.4,
         "narrowed": [[0.7, 0.7]],
+        "beside": {"f3": 4e4},
     }  # fmt: skip
     given = {"name": "wall", "probability": 0.7, "log_evidence": 3.0, "group": 0, "functions": [function]}
     file = file.model_copy(update={"components": [ComponentResult.model_validate(given)]})
@@ -192,6 +193,7 @@ def test_components_of_a_diagnosis_are_read(answered: Path) -> None:
     [learned] = component.functions
     assert (component.name, component.probability, component.share) == ("wall", 0.7, None)
     assert (learned.prior_sd, learned.narrowed, learned.at.tolist()) == (0.4, 1, [1.1, 1.2])
+    assert learned.beside == {"f3": 4e4}
     assert learned.high.tolist() == [0.2, 0.3]
     # its own function is an explanation, the first one where the verdict says so
     given |= {"own_probability": 0.6}
@@ -273,6 +275,25 @@ def test_vessels_and_curves_over_the_radius(before: Case) -> None:
     found = blocked("outlets", learned("outlet-compliance", np.arange(len(outlets)), outlets))
     assert found is not None
     assert sorted(set(found.round(6))) == [-0.4, 0.0]
+
+
+def test_an_impedance_is_compared_together_with_the_loads_beside_it(before: Case) -> None:
+    """Z = R1 + R2/(1 + (i w R2 C)^(1 - a)), over Windkessels of other stated factors."""
+    net, size = before.network, 0.3
+    found = truth(before, "constant-phase", size, {})
+    hz = np.array([1.1, 2.5, 6.0]) / net.period_s
+    stated = learned("outlet-impedance", np.log(hz))
+    assert found("outlets", stated) is None  # nothing is stated of the loads
+    i, w = net.terminals[0], 2j * np.pi * hz
+
+    def modulus(psi1: float, psi2: float, c: float, order: float) -> Array:
+        R2 = psi2 * net.R2[i]
+        return np.log(np.abs(psi1 * net.R1[i] + R2 / (1 + (w * R2 * c * net.C[i]) ** order)))
+
+    for beside in ({"psi1": 1.0, "psi2": 1.0, "c": 1.0}, {"psi1": 3.0, "psi2": 0.7, "c": 1.8}):
+        values = found("outlets", replace(stated, beside=beside))
+        expected = modulus(before.psi1[i], before.psi2[i], before.c[i], 1 - size) - modulus(**beside, order=1)
+        assert values == pytest.approx(expected, abs=0.02)
 
 
 def test_records_and_sensors(before: Case) -> None:

@@ -71,6 +71,8 @@ class Truth:
             return None
         name, how = read
         found = mine.get(name)
+        if found is not None and stated.name == "outlet-impedance" and "loads" in found:
+            found = _over_stated_base(found, stated.beside)
         return None if found is None else how(self, found, stated.at)
 
 
@@ -126,6 +128,22 @@ def _log_impedance(truth: Truth, table: Table, at: Array) -> Array | None:
         return None
     omega = np.asarray(table["at"])[1:]
     return _curve(np.log(omega / (2 * math.pi)), values.mean(axis=0)[1:], at)
+
+
+def _over_stated_base(table: Table, beside: Mapping[str, float]) -> Table | None:
+    """The table with what the outlets have more than the stated Windkessels; None where these are not told.
+
+    A Windkessel's parameters stand in for part of any change of the impedance, so that only both together,
+    the total impedance, can be compared.
+    """
+    if not {"psi1", "psi2", "c"} <= set(beside):
+        return None
+    R1, R2, C = (
+        np.asarray(table["loads"][name])[:, None] * beside[psi]
+        for name, psi in (("R1", "psi1"), ("R2", "psi2"), ("C", "c"))
+    )
+    stated = R1 + R2 / (1 + 1j * np.asarray(table["at"]) * R2 * C)
+    return {**table, "values": np.asarray(table["log_modulus"]) - np.log(np.abs(stated))}
 
 
 def _gain(truth: Truth, table: Table, at: Array) -> Array | None:

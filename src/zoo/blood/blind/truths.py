@@ -165,6 +165,8 @@ def true_functions(
                 np.log(np.abs(true / nominal)),
                 phase=numbers(np.angle(true / nominal)),
                 labels=[ids[i] for i in net.terminals],
+                log_modulus=numbers(np.log(np.abs(true))),
+                loads={name: numbers(getattr(net, name)[net.terminals]) for name in ("R1", "R2", "C")},
             )
         )  # fmt: skip
     acts = after.waves[len(before.waves) :]

@@ -73,6 +73,8 @@ class StatedFunction:
         Scale of its values before the data.
     narrowed : int
         Directions in which the data halve the prior's sd.
+    beside : mapping
+        The baseline's parameters with it.
     """
 
     name: str
@@ -84,6 +86,7 @@ class StatedFunction:
     labels: tuple[str, ...] = ()
     prior_sd: float | None = None
     narrowed: int = 0
+    beside: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -296,6 +299,7 @@ def _component(found: ComponentResult) -> StatedComponent:
             tuple(f.labels),
             f.prior_size,
             len(f.narrowed),
+            dict(f.beside),
         )
         for f in found.functions
     )

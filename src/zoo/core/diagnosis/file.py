@@ -196,7 +196,8 @@ class LearnedFunction(_Part):
 
     `narrowed` are directions in which the data halve the prior's standard deviation: for each the values of
     the function along it, of norm 1. `bent` is by how much, in parts, the response to one prior sd of its
-    strongest direction differs from that to the opposite.
+    strongest direction differs from that to the opposite. `beside` are the baseline's parameters with it: a
+    function that they can partly stand in for is one only together with them.
     """
 
     name: str
@@ -217,6 +218,7 @@ class LearnedFunction(_Part):
     probability: float | None = None
     narrowed: list[list[float]] = []
     bent: float | None = None
+    beside: dict[str, float] = {}
 
 
 class NearestEffect(_Part):

@@ -52,7 +52,13 @@ def learned_function(kind: Kind, probability: float) -> LearnedFunction:
         probability=probability,
         narrowed=[_list(one) for one in w.narrowed()[:TOLD_DIRECTIONS]],
         bent=w.block.bent if math.isfinite(w.block.bent) else None,
+        beside=dict(zip(_names(kind), map(float, kind.fit.values), strict=False)),
     )
+
+
+def _names(kind: Kind) -> list[str]:
+    forward = kind.fit.forward
+    return [p.name for p in forward.parameters[: forward.n_base]]
 
 
 def _list(values: Array) -> list[float]:
