@@ -159,6 +159,19 @@ def test_of_two_pairs_the_more_probable_is_what_is_told(order: tuple[int, int]) 
     assert not set(scored.twins(scored.leader)) & set(pair.names)
 
 
+def test_two_components_that_leave_more_than_noise_are_no_cause() -> None:
+    """Flexible functions may draw much of what each series has as an error of its own."""
+    data = data_of({"push": PUSHED, "law": 0.1 * np.cos(2.0 * KNOTS)})
+    screened = Screening(data, MODEL, [], errors=Harmonics()).run()
+    explained = explain(screened, [LAW, PUSH, OWN], cores=1)
+    pair = pairs_of(screened, explained, [LAW, PUSH, OWN], cores=1)[0]
+    for more, kept in ((0.5, True), (1.5, False)):
+        size = np.abs(pair.fit.residual) * (1.0 + more)
+        fit = replace(pair.fit, residual=np.sign(pair.fit.residual) * size)
+        scored = score(screened, explained, pairs=[replace(pair, second=replace(pair.second, fit=fit))])
+        assert (len(scored.pairs) == 1) == kept == (scored.pair is not None)
+
+
 def test_one_cause_is_no_pair() -> None:
     found = diagnose(data_of({"push": PUSHED}), MODEL, [], hooks=hooks([LAW, PUSH, OWN]), max_effects=1)
     assert found.cause[0] == "inflow"

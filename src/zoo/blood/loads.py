@@ -21,6 +21,8 @@ _RIDGE = 1e-2
 """Keeps sections small that the impedance does not tell, beside the squared relative miss of it."""
 _NEGATIVE, _BUDGET = 0.9, 1e3
 """Part of R1 that negative sections may sum up to, and the weight of that."""
+_LEAST = 1e-9
+"""R1 at least, in all resistances of an outlet: none is refused by the solver."""
 _STEADY = 1e2
 """Weight of the impedance for steady flow."""
 
@@ -137,13 +139,13 @@ def with_impedance_change(
         return case
     Z = outlet_impedance(case, w)
     R1, resistance, compliance = _parts(case)
-    n = resistance.shape[1]
-    rho, kappa = np.zeros((2, len(network.ids), n + len(times)))
+    rho, kappa = np.zeros((2, len(network.ids), resistance.shape[1] + len(times)))
     psi1 = case.psi1.copy()
     for i, k in enumerate(ends):
-        tau = np.concatenate([resistance[i] * compliance[i], times])
-        first, R = _passive(Z[i], wanted[i], w, R1[i], resistance[i], tau)
-        there = (R != 0) & (tau > 0)
+        own = resistance[i] != 0
+        tau = np.concatenate([resistance[i, own] * compliance[i, own], times])
+        first, R = _passive(Z[i], wanted[i], w, R1[i], resistance[i, own], tau)
+        there = np.flatnonzero(R)
         rho[k, there] = R[there] / (case.psi2[k] * network.R2[k])
         kappa[k, there] = tau[there] / (R[there] * case.c[k] * network.C[k])
         psi1[k] = first / network.R1[k]
@@ -173,7 +175,10 @@ def _passive(
     weights = np.where(omega == 0, _STEADY, 1.0) / np.abs(Z)
     rows, target = columns * (scale * weights)[:, None], target * weights
     negative = np.concatenate([signs < 0, np.zeros(m), np.ones(m)])
-    budget = _BUDGET * np.concatenate([[-_NEGATIVE], negative, [1.0]])
+    most = max(
+        _NEGATIVE, float(-own[own < 0].sum() / R1)
+    )  # those there are stay as they are without a change
+    budget = _BUDGET * np.concatenate([[-most], negative, [1.0]])
     start = np.concatenate([[R1], np.abs(own), np.zeros(2 * m + 1)]) / scale
     ridge = np.sqrt(_RIDGE) * np.eye(len(start))
     ridge[-1] = 0.0
@@ -183,4 +188,4 @@ def _passive(
         maxiter=100 * len(start),
     )
     first, kept, added, taken = np.split(scale * found[:-1], [1, 1 + n, 1 + n + m])
-    return float(first[0]), np.concatenate([signs * kept, added - taken])
+    return max(float(first[0]), _LEAST * scale), np.concatenate([signs * kept, added - taken])

@@ -221,7 +221,9 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
             style="bold" if h.name in file.cause else None,
         )
     lines: list[Any] = [Text(verdict, style="bold"), *(Text(line) for line in rest), ""]
-    lines += [table] if file.hypotheses[0].name == "no-gap" else [where, "", table]  # nothing to locate
+    if file.hypotheses[0].name != "no-gap":  # else there is nothing to locate
+        lines += [where, ""]
+    lines += [_components(file), "", table] if file.components else [table]
     if len(file.hypotheses) > len(rows):
         lines.append(
             f"and {len(file.hypotheses) - len(rows)} more; explanations of one group look alike here"
@@ -247,6 +249,27 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     seconds = total_seconds(record)
     lines.append(f"{record.get('solves', 0)} solves of the screening, {seconds:.0f} s in all")
     return [Text(line) if isinstance(line, str) else line for line in lines]
+
+
+def _components(file: DiagnosisFile) -> Any:
+    """Each component with what it is worth, and its most probable free function."""
+    table = plain_table(title="components of the simulator, listed effects included")
+    after = f"left ({file.gap.unit})"
+    for heading in ("component", "prob.", "share of the energy", after, "most probable function"):
+        table.add_column(heading, justify="left" if heading.endswith(("nt", "on")) else "right")
+    for c in sorted(file.components, key=lambda c: -c.probability):
+        share = "" if c.share is None else f"{c.share.low:.0%} to {c.share.high:.0%}"
+        left = "" if c.gap_after is None else f"{c.gap_after:.2g}"
+        style = "bold" if c.name in file.cause else None
+        table.add_row(
+            c.name,
+            _share(c.probability),
+            share,
+            left,
+            c.functions[0].name if c.functions else "",
+            style=style,
+        )
+    return table
 
 
 def _share(share: float) -> str:

@@ -293,9 +293,10 @@ def _verdict(scored: Scored, gap: Gap) -> str:
     grouped = " with its group" if twins else ""
     shrinks = f"the discrepancy of {gap.before:.2g}{unit} shrinks to {gap.after:.2g}{unit}"
     if scored.pair:
-        return (
+        p = dict(scored.pairs)[scored.pair]
+        return _undecided(p) + (
             f"the components {' and '.join(scored.pair.names)} are not as the baseline has them, and no "
-            f"listed effect is what they lack ({dict(scored.pairs)[scored.pair]:.0%}){twins}: with "
+            f"listed effect is what they lack ({p:.0%}){twins}: with "
             f"{' and '.join(scored.pair.functions)} learned from the data {shrinks}"
         )
     if leader in scored.components:
@@ -303,7 +304,7 @@ def _verdict(scored: Scored, gap: Gap) -> str:
         beside = scored.more.get(leader, 0.0) > scored.probability[leader]
         rest = ", and something else remains" if beside else ""
         total = scored.of_component[leader] + sum(scored.probability[m] for m in members[1:])
-        return (
+        return _undecided(total) + (
             f"the component {leader} is not as the baseline has it, and no listed effect is what it lacks "
             f"({total:.0%}{grouped}){twins}: with a {function.name} learned from the data {shrinks}{rest}"
         )
@@ -319,9 +320,16 @@ def _verdict(scored: Scored, gap: Gap) -> str:
     return f"{leader}{where} ({total:.0%}{grouped}){twins}: {shrinks}"
 
 
+def _undecided(p: float) -> str:
+    """The beginning of a verdict that is less probable than not."""
+    return "these data do not decide; most probable is that " if p < 0.5 else ""
+
+
 def _several(components: Sequence[ComponentResult]) -> str:
     """The end of a verdict where more than one component holds part of the gap for certain."""
     found = [one for one in components if one.one_of_several and one.share is not None]
+    if any(one.share.low <= 0.0 for one in found if one.share):
+        return ""
     found.sort(key=lambda one: -one.share.mean if one.share else 0.0)
     held = [f"{x.name} ({x.share.low:.0%} to {x.share.high:.0%})" for x in found if x.share]
     return f"; of its energy {' and '.join(held)} each hold a part" if held else ""
@@ -341,11 +349,15 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
     found += _together(scored)
     leader = scored.leader
     stuck = {p.name for p, _ in at_bounds(scored.screened.least)}
+    base = {p.name for p in scored.screened.least.forward.parameters}
     found += [one.text for _, one in at_bounds(scored.screened.least)]
+    learned = (scored.pair.first, scored.pair.second) if scored.pair else ()
     if leader in scored.components:
-        told = plausible(scored.components[leader].best, hooks.plausible)
-        if not told.value:
-            found.append(f"{leader}: what was learned can hardly be: {told.why}")
+        for kind in learned or (scored.components[leader].best,):
+            told = plausible(kind, hooks.plausible)
+            if not told.value:
+                name = kind.function.component
+                found.append(f"{name}: what was learned can hardly be: {told.why}")
     if not scored.is_cause(leader):
         return found
     if gap.removed < LITTLE:
@@ -353,10 +365,16 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
             f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
             "discrepancy goes with it: most has another cause"
         )
-    if leader in scored.components:  # the best listed effect may be held back by a bound
+    component = leader in scored.components
+    if component:
+        found += [
+            f"with {leader}, {one.text}"
+            for p, one in at_bounds(scored.best[leader])
+            if p.name in base - stuck
+        ]
         if not scored.locations:
             return found
-        leader = max(scored.locations, key=lambda n: scored.log_z[n])
+        leader = max(scored.locations, key=lambda n: scored.log_z[n])  # a bound may hold it back
     effect = {p.name for p in scored.best[leader].forward.parameters[scored.best[leader].forward.asked :]}
     for p, one in at_bounds(scored.best[leader]):
         if p.name in effect:
@@ -364,7 +382,7 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
                 f"{p.name} of {leader} stands at the {one.side} bound of its prior, {one.bound:g} {p.unit}: "
                 "the data ask for more than the catalogue allows"
             )
-        elif p.name not in stuck:
+        elif p.name not in stuck and not component:
             found.append(f"with {leader}, {one.text}")
     return found
 
@@ -467,6 +485,8 @@ def answer(
     before = discrepancy_of(screened, screened.least, seed)
     caused = first.is_cause(first.leader)
     after = discrepancy_of(screened, single, seed) if caused else before
+    if after.pooled(rows).mean() > before.pooled(rows).mean():  # none leaves more than the baseline
+        after = before
     held = hold_out(first, single, rows) if caused else None
     b, a, removed = before.interval(rows), after.interval(rows), after.removed(rows, before)
     gap = Gap(

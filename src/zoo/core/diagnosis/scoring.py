@@ -26,6 +26,8 @@ VISIBLE = 3.0
 """Expected log-likelihood ratio, e^3 = 20 to 1, below which two hypotheses are the same to these data."""
 MOSTLY = 0.5
 """Part of the discrepancy that an explanation with something else beside it may leave and be a cause."""
+LEFT_BY_TWO = 1.0
+"""Energy, in that of the noise, that two components may leave and be the cause together."""
 TOO_FAR = 6.0
 """Difference of log evidence above which a component, which may draw any signal, is in no other's group."""
 SHOWN_AT = 2.0
@@ -84,12 +86,9 @@ class Scored:
 
     @property
     def pair(self) -> Pair | None:
-        """Two components together, if that is more probable than any explanation alone."""
-        if not self.pairs:
-            return None
-        pair, p = max(self.pairs, key=lambda one: one[1])
-        rivals = [*self.probability.values(), *self.more.values()]
-        return pair if pair.names[0] == self.leader and p > max(rivals) else None
+        """Two components together, where the leader's fit is that of both."""
+        fit = self.best[self.leader]
+        return next((pair for pair, _ in self.pairs if pair.fit is fit), None)
 
     def is_cause(self, name: str) -> bool:
         """Whether it is a listed effect or a component, which a simulator can be mended by."""
@@ -119,7 +118,7 @@ class Scored:
         return [n for n in self.names if n != name and self.prior_made(n)] if self.prior_made(name) else []
 
     def own(self, name: str) -> tuple[str, ...]:
-        """It, or both components where it leads with another beside it."""
+        """It, or both components where it leads and is more probable with the other beside it."""
         return self.pair.names if self.pair and name == self.leader else (name,)
 
     def twins(self, name: str) -> list[str]:
@@ -332,8 +331,9 @@ def score(
         for n, z in with_more.items()
         if screening.missed(best[n]) - floor < most
     }
-    # nor are two functions, which may draw a great deal, the cause of what they leave half of
-    pairs = [pair for pair in pairs if screening.missed(pair.fit) - floor < most]
+    # nor are two functions, which may draw a great deal, the cause where they leave more than noise
+    little = min(most, LEFT_BY_TWO * floor)
+    pairs = [pair for pair in pairs if screening.missed(pair.fit) - floor < little]
     log_pairs = [log_prior_of_a_pair(prior, components) + pair.log_evidence for pair in pairs]
     norm = float(logsumexp([*log_p.values(), *log_more.values(), *log_pairs]))
     probability = {n: math.exp(log_p[n] - norm) if n in log_p else 0.0 for n in log_z}

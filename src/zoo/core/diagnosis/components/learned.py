@@ -32,7 +32,7 @@ def learned_function(kind: Kind, probability: float) -> LearnedFunction:
     """
     f, w = kind.function, kind.learned
     low, high = w.band()
-    prior = w.best.sd * np.sqrt(np.diag(f.correlation(w.best.length)))
+    prior = f.size * np.sqrt(np.diag(f.correlation(w.best.length)))
     return LearnedFunction(
         name=f.name,
         argument=f.argument,
