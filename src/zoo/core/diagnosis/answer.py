@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,10 @@ POOR_FIT = 0.2
 """Discrepancy over the data's range above which input is suspected: four prior sds of a free discrepancy."""
 SCANNED = 1e-3
 """Probability from which on the sizes of an effect come from a scan and not from the linearised model."""
+WRONG_NOISE = 2.0
+"""Factor between the noise that is stated and the fine scatter of the series above which that is said."""
+SAME_NOISE, LEAST_FINE = 0.95, 8
+"""Correlation of two series' fine scatter above which they are copies, and coefficients that tell it."""
 SIMPLE_FRACTION = 20
 """Largest denominator of a fraction in a verdict."""
 LITTLE = 0.5
@@ -346,6 +350,7 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
             f"the baseline misses the data by {gap.before:.2g}{unit}, {gap.before / spread:.0%} of "
             f"their range, more than any effect of the catalogue should: {hooks.advice}"
         )
+    found += _noise(scored)
     found += _together(scored)
     leader = scored.leader
     stuck = {p.name for p, _ in at_bounds(scored.screened.least)}
@@ -384,6 +389,33 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
             )
         elif p.name not in stuck and not component:
             found.append(f"with {leader}, {one.text}")
+    return found
+
+
+def _noise(scored: Scored) -> list[str]:
+    """That a stated noise does not fit the fine scatter of the data, or that two series share theirs."""
+    screening, found = scored.screened.screening, list[str]()
+    data, errors, residual = screening.data, screening.errors, scored.screened.least.residual
+    for group, rows in data.rows.items():
+        fine, unit = errors.fine(residual, group), data.unit(group)
+        if fine.shape[1] < LEAST_FINE:
+            continue
+        known, scatter = errors.known.get(group), float(np.sqrt(np.mean(fine**2)))
+        if known is not None and not known / WRONG_NOISE < scatter < known * WRONG_NOISE:
+            found.append(
+                f"noise_sd of {group} is {known:.3g} {unit}, but its series scatter by {scatter:.3g} {unit} "
+                "from sample to sample: correct it, or leave it out and it is fitted; all probabilities "
+                "here hold for that noise alone"
+            )
+        waves = np.fft.rfft(errors.unflat(residual)[rows])[:, -fine.shape[1] // 2 :]
+        for i, j in combinations(range(len(rows)), 2):
+            size = float(np.linalg.norm(waves[i]) * np.linalg.norm(waves[j]))
+            if size > 0 and float(np.vdot(waves[i], waves[j]).real) > SAME_NOISE * size:
+                names = f"{data.labels[rows[i]]} and {data.labels[rows[j]]}"
+                found.append(
+                    f"{names} have the same noise, as copies of one record have: leave one out, for what "
+                    "they share looks like an effect"
+                )
     return found
 
 

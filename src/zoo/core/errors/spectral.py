@@ -26,6 +26,10 @@ from zoo.core.parameters import LogNormal, Normal, Parameter, Prior, variable_na
 Array = NDArray[np.float64]
 
 SMALLEST_SERIES = 8
+FINE = 0.6
+"""Part of the largest frequency above which a residual is taken for noise alone."""
+LEAST_NOISE = 1e-5
+"""Noise in parts of a group's range below which none is fitted: series are not told more exactly."""
 LARGEST_DELTA = 2.0
 """Largest discrepancy beside a hypothesis, in units of the sd of its half-normal prior: 95 % of it."""
 
@@ -283,8 +287,9 @@ class Spectral(ErrorModel):
         part = self.part(residual, group)
         power = part**2
         T = self.on.duration
-        high = power[:, self.k > 0.6 * self.k.max()]
-        floor = max(math.sqrt(float(high.mean())), 1e-9 * (1.0 + math.sqrt(float(power.mean()))))
+        high = self.fine(residual, group) ** 2
+        least = LEAST_NOISE * float(np.ptp(self.on.values[self.rows[group]]))
+        floor = max(math.sqrt(float(high.mean())), least, 1e-9)
         median, _, top = self.correlation_time
 
         def errors_at(x: Array) -> GroupErrors:
@@ -308,6 +313,11 @@ class Spectral(ErrorModel):
             x0.append(1.0)
         found = minimize(cost, np.array(x0), method="L-BFGS-B", bounds=bounds)
         return errors_at(found.x)
+
+    def fine(self, residual: Array, group: str) -> Array:
+        """Coefficients (n_series, n) of one group's residual whose frequencies are those of noise alone."""
+        found: Array = self.part(residual, group)[:, self.k > FINE * self.k.max()]
+        return found
 
     # -- the error model --------------------------------------------------------------------------
 
