@@ -120,13 +120,17 @@ def _draw_function(axes: Axes, component: ComponentResult, f: LearnedFunction) -
         axes.set_xlabel(f.argument)
     else:
         order = np.argsort(f.values)
-        x = np.asarray(f.values)[order]
+        x, argument, unit = np.asarray(f.values)[order], f.argument, f.argument_unit
+        if argument.startswith("log "):
+            x, argument, unit = np.exp(x), argument.removeprefix("log "), unit.removeprefix("log ")
+            axes.set_xscale("log")
         axes.fill_between(x, -prior[order], prior[order], color=PRIOR_COLOUR, alpha=0.25, lw=0)
         axes.fill_between(x, low[order], high[order], color=PROBABILITY_COLOUR, alpha=0.3, lw=0)
         axes.plot(x, mean[order], color=PROBABILITY_COLOUR, lw=1.4)
-        axes.set_xlabel(_labelled(f.argument, f.argument_unit))
+        axes.set_xlabel(_labelled(argument, unit))
     axes.set_ylabel(_labelled(f.name.replace("-", " "), f.unit))
-    axes.set_title(f"{component.name}: {100 * component.probability:.0f} %")
+    own = "" if f.probability is None else f", {100 * f.probability:.0f} % of it this"
+    axes.set_title(f"{component.name} {100 * component.probability:.0f} %{own}")
 
 
 def _labelled(text: str, unit: str) -> str:

@@ -194,7 +194,8 @@ def diagnosis_summary(file: DiagnosisFile) -> list[str]:
     if gap.held_out_before is not None and gap.held_out_after is not None:
         lines.append(
             f"In data that were not fitted ({gap.held_out}) the discrepancy goes from "
-            f"{gap.held_out_before:.2g} to {gap.held_out_after:.2g}{unit}."
+            f"{gap.held_out_before:.2g} to {gap.held_out_after:.2g}{unit}"
+            + (", what it misses there being no more than the noise." if gap.held_out_after == 0.0 else ".")
         )
     if len(file.steps) > 1:
         lines.append(
