@@ -181,7 +181,7 @@ def test_a_measurement_separates_only_what_is_in_doubt(probability: float, asked
         names=("first", "second"),
         locations={"first": [], "second": []},
         probability={"first": 1.0 - probability, "second": probability},
-        members=lambda name: [name],
+        twins=lambda name: [],
         is_cause=lambda name: True,
         standing={"first": 1.0 - probability, "second": probability}.__getitem__,
         belongs={},
