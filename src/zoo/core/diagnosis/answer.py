@@ -207,8 +207,8 @@ def _results(
         else:
             improbable = scored.standing(name) < DOUBT
             d = known.get(name) or discrepancy_of(screened, fit, seed, known_noise=improbable)
-            if name in scored.locations and d.pooled(rows).mean() > known[NULL].pooled(rows).mean():
-                d = known[NULL]  # an effect can be 0: none leaves more than the baseline
+            if name in scored.locations:
+                d = _no_more(d, known[NULL], rows)
             size = d.interval(rows)
             after = np.array([size.mean, size.low, size.high])
             rms = _rms(d.residual[rows])
@@ -251,6 +251,11 @@ def _results(
     return found
 
 
+def _no_more(d: FitDiscrepancy, baseline: FitDiscrepancy, rows: list[int]) -> FitDiscrepancy:
+    """What a cause leaves: it can be 0, so that none leaves more than the baseline."""
+    return baseline if d.pooled(rows).mean() > baseline.pooled(rows).mean() else d
+
+
 def _left(
     scored: Scored, seed: int, known: Mapping[str, FitDiscrepancy], rows: list[int]
 ) -> dict[str, Interval]:
@@ -260,8 +265,7 @@ def _left(
         fit = component.best.fit
         d = known.get(name) if scored.best[name] is fit else None
         d = d or discrepancy_of(scored.screened, fit, seed, known_noise=True)
-        if d.pooled(rows).mean() > known[NULL].pooled(rows).mean():
-            d = known[NULL]
+        d = _no_more(d, known[NULL], rows)
         found[name] = d.interval(rows)
     return found
 
@@ -516,9 +520,7 @@ def answer(
     screened = first.screened
     before = discrepancy_of(screened, screened.least, seed)
     caused = first.is_cause(first.leader)
-    after = discrepancy_of(screened, single, seed) if caused else before
-    if after.pooled(rows).mean() > before.pooled(rows).mean():  # none leaves more than the baseline
-        after = before
+    after = _no_more(discrepancy_of(screened, single, seed), before, rows) if caused else before
     held = hold_out(first, single, rows) if caused else None
     b, a, removed = before.interval(rows), after.interval(rows), after.removed(rows, before)
     gap = Gap(

@@ -123,8 +123,8 @@ class Scored:
 
     def twins(self, name: str) -> list[str]:
         """Others that these data cannot tell from it, most probable first."""
-        same = (n for n in self.names if self.group[n] == self.group[name])
-        return [n for n in same if n not in self.own(name)]
+        own = self.own(name)
+        return [n for n in self.names if self.group[n] == self.group[name] and n not in own]
 
     def members(self, name: str) -> list[str]:
         """It and what is beside it, then what these data cannot tell from it."""
