@@ -52,6 +52,28 @@ def test_diagnose_writes_everything_and_says_what_it_found(commanded: tuple[Path
     assert "--friction current" in command
 
 
+def test_another_state_is_fitted_with_what_was_learned(folder: Path, tmp_path: Path) -> None:
+    """The wall's viscosity holds at a faster beat; a tree of other vessels is refused."""
+    other, out = tmp_path / "faster", tmp_path / "gap"
+    save_study(made((1, 0.0, "pressure_mmHg"), period=0.09, more=1.2, seed=4), other)
+    options = ("--effects", "viscoelastic-wall,inflow-shift", "--max-effects", 1, "-q")
+    screen = " ".join(run("diagnose", folder, *options, "--state", other, "-o", out).split())
+    [state] = read_diagnosis(out).states
+    assert state.state == "faster"
+    held = {tuple(c.names): c for c in state.carried}
+    assert held[("viscoelastic-wall",)].holds
+    assert held[("viscoelastic-wall",)].error.mean < 0.5 * state.baseline.mean
+    assert "In faster, its parameters fitted again, the baseline misses by" in screen
+    assert "what holds there: viscoelastic-wall" in screen
+    page = read(out / "report.html")
+    assert "Other states" in page.text
+    assert f"--state {other}" in page.all("pre")[0].text
+    assert (out / "states.png").stat().st_size > 5000
+    error = fails("diagnose", folder, "--state", "demo", "-o", tmp_path / "no", "-q")
+    assert "is not the same as in" in error
+    assert not (tmp_path / "no").exists()
+
+
 def test_the_screen_tells_of_groups_rivals_and_posteriors(three: Diagnosis) -> None:
     measure = NextMeasurement(
         vessel=5,

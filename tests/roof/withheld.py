@@ -25,9 +25,10 @@ NOISE = {"pressure_mmHg": 0.05, "flow_ml_s": 0.003}
 TRIED = ("viscoelastic-wall", "inflow-shift", "vessel-radius")
 
 
-def made(*series: tuple[int, float, str]) -> Study:
-    """A tree of five vessels whose wall is viscoelastic, with white noise."""
+def made(*series: tuple[int, float, str], period: float = 0.11, more: float = 1.0, seed: int = 3) -> Study:
+    """A tree of five vessels whose wall is viscoelastic, with white noise; another beat is another state."""
     flow_time, flow = ejection(256)
+    flow_time, flow = flow_time * (period / 0.11), more * flow
     ends = [Windkessel(6e4, 1.8e5, 8e-7), Windkessel(7e4, 2e5, 7e-7), Windkessel(4e4, 1.1e5, 1.2e-6)]
     vessels = (
         Vessel(1, "trunk", 0.4, 0.047, 0.047, None, None),
@@ -36,13 +37,22 @@ def made(*series: tuple[int, float, str]) -> Study:
         Vessel(4, "upper", 0.2, 0.025, 0.025, 2, ends[0]),
         Vessel(5, "lower", 0.25, 0.022, 0.022, 2, ends[1]),
     )
-    times = np.arange(64) * 0.11 / 64
-    study = Study("soft", 0.11, Blood(1.055, 0.049), vessels, flow_time, flow, times, ())
+    times = np.arange(64) * period / 64
+    study = Study(
+        "soft" if period == 0.11 else "faster",
+        period,
+        Blood(1.055, 0.049),
+        vessels,
+        flow_time,
+        flow,
+        times,
+        (),
+    )
     flow = get_baseline("linear-constant").forward(study)
     model = with_effects(flow, [CATALOGUE["viscoelastic-wall"].at()])
     theta = np.append(pack(flow.parameters, start_of(flow.parameters)), TAU_S)
     waves = model.solve(model.configure(theta), Outputs(series, times))
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed)
     noisy = [w + NOISE[s[2]] * rng.standard_normal(64) for s, w in zip(series, waves, strict=True)]
     return replace(study, series=tuple(Series(*s, w) for s, w in zip(series, noisy, strict=True)))
 

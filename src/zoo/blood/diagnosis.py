@@ -21,7 +21,7 @@ from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study, suspect_units
 from zoo.core.components import FreeFunction
 from zoo.core.data import Data
-from zoo.core.diagnosis import Candidate, Diagnosis, DiagnosisError, Hooks
+from zoo.core.diagnosis import Candidate, Diagnosis, DiagnosisError, Hooks, OtherState
 from zoo.core.diagnosis import diagnose as diagnose_data
 from zoo.core.diagnosis.hooks import NOISE_PART
 from zoo.core.effects import Effect, EffectError
@@ -200,6 +200,7 @@ def diagnose(
     options: SolverOptions | None = None,
     priors: Mapping[str, Any] | None = None,
     component_sizes: float = 1.0,
+    states: Sequence[Study] = (),
     cores: int = 2,
     seed: int = 1,
     tick: Callable[[str, float], None] | None = None,
@@ -227,6 +228,9 @@ def diagnose(
     component_sizes : float
         Factor of the prior sizes of what components may lack (docs/components.md): half and double tell how
         much of an answer they made.
+    states : sequence of Study
+        The same vessels and sensors in other states, such as at another heart rate: what was learned is fixed
+        there, and compared with the baseline and with the discrepancy that was seen at the sensor.
     max_effects, exhaust, cores, seed, tick, folder
         As in `zoo.core.diagnosis.diagnose`.
 
@@ -260,6 +264,12 @@ def diagnose(
     study = with_priors(study, priors)
     forward = chosen.forward(study, conventions=conventions, options=options, share=SEARCH_SHARE)
     data = study_data(study)
+    others = []
+    for one in states:
+        other = with_priors(same_tree(study, one), priors)
+        model = chosen.forward(other, conventions=conventions, options=options, share=SEARCH_SHARE)
+        here = study_data(other)
+        others.append(OtherState(here, model, errors_of(other, here)))
     found = diagnose_data(
         data,
         forward,
@@ -268,6 +278,7 @@ def diagnose(
         hooks=replace(
             HOOKS, warnings=tuple(map(str, suspect_units(study))), components=_of_size(component_sizes)
         ),
+        states=others,
         max_effects=max_effects,
         exhaust=exhaust,
         posteriors=posteriors or confirm,
@@ -278,6 +289,40 @@ def diagnose(
     )
     found.file.record["component_sizes"] = component_sizes
     return of_study(found, study, {p.name: p.prior.text for p in forward.parameters})
+
+
+def same_tree(study: Study, other: Study) -> Study:
+    """The other study, which must have observations of the same tree of vessels.
+
+    Parameters
+    ----------
+    study, other : Study
+
+    Returns
+    -------
+    Study
+        The other one.
+
+    Raises
+    ------
+    DiagnosisError
+        If it has no observations, or other vessels.
+    """
+    if not isinstance(other, Study):
+        raise DiagnosisError(f"states = {other!r}: give studies, such as zoo.load_study('demo')")
+    if not other.series:
+        raise DiagnosisError(
+            f"{other.source}: study {other.name!r} has no observations, and nothing to compare with in this "
+            "state; add observations.csv"
+        )
+    trees = [{v.id: v.parent for v in one.vessels} for one in (study, other)]
+    if trees[0] != trees[1]:
+        odd = sorted(trees[0].items() ^ trees[1].items())[0][0]
+        raise DiagnosisError(
+            f"{other.source}: vessel {odd} is not the same as in {study.name!r}: another state has the same "
+            "tree of vessels; give a study of it"
+        )
+    return other
 
 
 def prior_words(study: Study, base: str, priors: Mapping[str, Any] | None = None) -> dict[str, str]:

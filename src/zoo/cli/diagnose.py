@@ -73,6 +73,16 @@ def diagnose(
             metavar="FACTOR",
         ),
     ] = 1.0,
+    states: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--state",
+            help="Study of the same tree in another state, such as at another heart rate, in which what was "
+            "learned is checked; may be given several times.",
+            metavar="STUDY",
+            show_default=False,
+        ),
+    ] = None,
     cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time.")] = 2,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     quiet: QuietOption = False,
@@ -104,22 +114,27 @@ def diagnose(
         chosen = get_baseline(base)
         names = _effect_names(effects, chosen.name)
         loaded = numerical.on(priors.into(conventions.load(study)))
+        others = [numerical.on(priors.into(conventions.load(one))) for one in states or ()]
         # a baseline has a wall factor of its own unless one is asked for
         own = loaded.conventions if conventions.wall_factor is not None else None
 
         from zoo.blood.diagnosis import diagnose as run
+        from zoo.blood.diagnosis import same_tree
         from zoo.blood.forward import study_data
         from zoo.core.errors.spectral import Harmonics
         from zoo.report import diagnosis_files, write_diagnosis
 
         output_folder(output, diagnosis_files(), "--output")
-        Harmonics().bind(study_data(loaded))  # a study without observations is refused before the work
+        # a study without observations, or of another tree, is refused before the work
+        for one in (loaded, *(same_tree(loaded, other) for other in others)):
+            Harmonics().bind(study_data(one))
         output.mkdir(exist_ok=True)
         words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]
         words += ["--posteriors"] if posteriors else []
         words += ["--max-effects", str(max_effects)]
         words += [] if component_sizes == 1.0 else ["--component-sizes", f"{component_sizes:g}"]
         words += ["--exhaust"] if exhaust else []
+        words += [word for one in states or () for word in ("--state", one)]
         words += ["--effects", ",".join(names)] if names else []
         words += plugins.words()
         words += [
@@ -136,6 +151,7 @@ def diagnose(
             chosen.name,
             max_effects=max_effects,
             component_sizes=component_sizes,
+            states=others,
             exhaust=exhaust,
             effects=names,
             conventions=own,

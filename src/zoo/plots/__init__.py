@@ -13,6 +13,7 @@ from zoo.plots.diagnosis import plot_diagnosis, plot_discrepancy, plot_hypothese
 from zoo.plots.fit import fit_figure
 from zoo.plots.posteriors import forest_figure, intervals_figure, posteriors_figure
 from zoo.plots.priors import prior_predictive_figure, priors_figure
+from zoo.plots.states import plot_states
 from zoo.plots.stiffness import pressure_stiffness_figure, stiffness_figure
 from zoo.plots.style import (
     COLOURS,
@@ -50,6 +51,7 @@ __all__ = [
     "plot_hypotheses",
     "plot_reliability",
     "plot_sizes",
+    "plot_states",
     "plot_where",
     "posteriors_figure",
     "pressure_stiffness_figure",

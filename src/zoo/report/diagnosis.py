@@ -20,6 +20,7 @@ from zoo.plots import (
     plot_discrepancy,
     plot_functions,
     plot_hypotheses,
+    plot_states,
     plot_where,
     save_figure,
 )
@@ -28,6 +29,7 @@ from zoo.plots.subject import at_most, location_of, study_of, unit_words
 from zoo.report.components import component_rows, component_sentences, function_rows
 from zoo.report.page import picture_of, write_page
 from zoo.report.parameters import MEANINGS
+from zoo.report.states import state_rows, state_sentences
 from zoo.report.words import estimate, listed, maybe, percent, settings_text, span, value_text
 
 if TYPE_CHECKING:
@@ -65,6 +67,15 @@ COMPONENT_FIGURES = {
     ),
 }
 """The same where components of the simulator were weighed."""
+STATE_FIGURES = {
+    "states": (
+        plot_states,
+        "What is left of each series in other states, the baseline's parameters fitted again: by the "
+        "baseline, with the discrepancy that was seen at the sensor, and with functions as they were "
+        "learned; grey: one standard deviation of the noise.",
+    )
+}
+"""The same where other states were given."""
 MADE_UP = {
     NULL: "Null hypothesis: noise explains what the baseline leaves.",
     NONPARAMETRIC: "Nonparametric discrepancy: something smooth that is not listed.",
@@ -73,8 +84,8 @@ MADE_UP = {
 
 
 def diagnosis_files() -> tuple[str, ...]:
-    """Names of the files that `write_diagnosis` may write; components and impedance are not always there."""
-    figures = (*DIAGNOSIS_FIGURES, *COMPONENT_FIGURES, "impedance", "diagnosis")
+    """Names of the files that `write_diagnosis` may write; not all are always there."""
+    figures = (*DIAGNOSIS_FIGURES, *COMPONENT_FIGURES, *STATE_FIGURES, "impedance", "diagnosis")
     return "diagnosis.json", "report.html", *(f"{name}.png" for name in figures)
 
 
@@ -103,6 +114,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
     written = [diagnosis.save(folder), folder / "report.html"]
     pictures = {}
     figures = DIAGNOSIS_FIGURES | (COMPONENT_FIGURES if diagnosis.file.components else {})
+    figures |= STATE_FIGURES if diagnosis.states else {}
     for name, (draw, caption) in figures.items():
         if name == "where" and study_of(diagnosis) is None:
             caption = (
@@ -136,6 +148,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
         components=component_rows(file),
         component_sentences=component_sentences(file),
         functions=function_rows(file),
+        states=state_rows(file),
+        state_sentences=state_sentences(file),
         spikes=impedances["measured"].sentences() if impedances else [],
         moved=_moved(file),
         steps=[_step_row(step, file) for step in file.steps],
@@ -197,6 +211,7 @@ def diagnosis_summary(file: DiagnosisFile) -> list[str]:
             f"{gap.held_out_before:.2g} to {gap.held_out_after:.2g}{unit}"
             + (", what it misses there being no more than the noise." if gap.held_out_after == 0.0 else ".")
         )
+    lines += state_sentences(file)
     if len(file.steps) > 1:
         lines.append(
             f"One after the other were added: {'; '.join(_step(step, file) for step in file.steps)}."

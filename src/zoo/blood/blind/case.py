@@ -153,9 +153,38 @@ def _causes(
     }
 
 
-def draw_case(job: CaseDraw) -> MadeCase:
-    """Draw a case: its files, and its entry of the key."""
-    network, effects, noises = (job.draw.rng(what, job.index) for what in ("network", "effect", "noise"))
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a case is made of, before its noise: the study to come, its effects, and the waveforms."""
+
+    bench: Bench
+    entry: dict[str, Any]
+    effects: EffectDraw
+    name: str
+    added: Added
+    waves: Array
+    correlated: tuple[float, float]
+
+
+def draw_truth(job: CaseDraw, noises: np.random.Generator) -> Truth:
+    """Draw what a case is made of.
+
+    Parameters
+    ----------
+    job : CaseDraw
+    noises : Generator
+        From which the noise's correlation is drawn first.
+
+    Returns
+    -------
+    Truth
+
+    Raises
+    ------
+    BlindError
+        If no effect that was drawn has a model discrepancy of the size that is wanted.
+    """
+    network, effects = (job.draw.rng(what, job.index) for what in ("network", "effect"))
     correlated, tau = _correlation(noises, job.draw.kind)
     first = job.first
     for tried in range(BENCHES if job.kind in ("component", PAIR) else 4):
@@ -163,18 +192,24 @@ def draw_case(job: CaseDraw) -> MadeCase:
             first = another(effects, job.kind)
         bench, entry = _bench(network, job)
         drawn = EffectDraw(effects, bench, math.hypot(WHITE_MMHG, correlated), job.draw.limits)
-        found: tuple[str, Added, Array] | None = (NULL, (), bench.clean)
-        if job.kind != "none":
-            found = drawn.draw(first, job.kind, job.draw.effects)
+        if job.kind == "none":
+            return Truth(bench, entry, drawn, NULL, (), bench.clean, (correlated, tau))
+        found = drawn.draw(first, job.kind, job.draw.effects)
         if found is not None:
-            name, added, waves = found
-            break
-    else:
-        low, high = job.draw.limits
-        raise BlindError(
-            f"{job.name}: no effect that was drawn has a model discrepancy of {low:g} to {high:g} times the "
-            "noise; give other effects, layouts or networks"
-        )
+            return Truth(bench, entry, drawn, *found, (correlated, tau))
+    low, high = job.draw.limits
+    raise BlindError(
+        f"{job.name}: no effect that was drawn has a model discrepancy of {low:g} to {high:g} times the "
+        "noise; give other effects, layouts or networks"
+    )
+
+
+def draw_case(job: CaseDraw) -> MadeCase:
+    """Draw a case: its files, and its entry of the key."""
+    noises = job.draw.rng("noise", job.index)
+    truth = draw_truth(job, noises)
+    bench, entry, drawn, added, waves = truth.bench, truth.entry, truth.effects, truth.added, truth.waves
+    name, (correlated, tau) = truth.name, truth.correlated
     pressure = np.array([q == "pressure_mmHg" for _, _, q in bench.sensors])[:, None]
     noise = noises.standard_normal(waves.shape) * np.array([[bench.sigma[q]] for _, _, q in bench.sensors])
     errors = {q: GroupErrors(sigma) for q, sigma in bench.sigma.items()}
@@ -190,7 +225,7 @@ def draw_case(job: CaseDraw) -> MadeCase:
     if before is None:
         raise BlindError(f"{job.name}: the baseline could not be fitted; make another set")
     # errors that are the effect are no part of what an answer should fit
-    truth = bench.clean if any(effect.apply is None for effect, _, _ in added) else waves
+    exact = bench.clean if any(effect.apply is None for effect, _, _ in added) else waves
     leading = added[0] if added else None
     return MadeCase(
         {
@@ -213,7 +248,7 @@ def draw_case(job: CaseDraw) -> MadeCase:
             "redrawn": {effect: dict(counts) for effect, counts in drawn.redrawn.items()},
             "truth": {
                 label: " ".join(f"{x:.{d + 1}f}" for x in row)
-                for label, row, d in zip(bench.labels, truth, digits, strict=True)
+                for label, row, d in zip(bench.labels, exact, digits, strict=True)
             },
             "digest": study.checksum,
         },

@@ -3,5 +3,15 @@
 from zoo.core.diagnosis.diagnosis import Diagnosis, diagnose
 from zoo.core.diagnosis.file import DiagnosisError, DiagnosisFile, read_diagnosis
 from zoo.core.diagnosis.hooks import Candidate, Hooks
+from zoo.core.diagnosis.states import OtherState
 
-__all__ = ["Candidate", "Diagnosis", "DiagnosisError", "DiagnosisFile", "Hooks", "diagnose", "read_diagnosis"]
+__all__ = [
+    "Candidate",
+    "Diagnosis",
+    "DiagnosisError",
+    "DiagnosisFile",
+    "Hooks",
+    "OtherState",
+    "diagnose",
+    "read_diagnosis",
+]

@@ -27,10 +27,11 @@ from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC
 from zoo.core.diagnosis.scoring import SENSOR, Scored, score
 from zoo.core.diagnosis.screening import MORE, Screened, Screening
 from zoo.core.diagnosis.search import SearchError
+from zoo.core.diagnosis.states import OtherState, StateResult, hold_in, state_warning
 from zoo.core.effects import AddedEffect, Effect, EffectError
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.spectral import Spectral, spectral_errors
-from zoo.core.forward import ForwardModel, SolveError
+from zoo.core.forward import ForwardModel, SolveError, WithPriors
 from zoo.core.outputs import output_folder, write_file
 
 if TYPE_CHECKING:
@@ -57,6 +58,8 @@ class Diagnosis:
         Posteriors of the leading explanations.
     hooks : Hooks
         What it was told about the field.
+    states : tuple of StateResult
+        What it leaves in other states.
     """
 
     plotter: ClassVar[Callable[[Diagnosis], Any] | None] = None
@@ -70,6 +73,7 @@ class Diagnosis:
     computed: tuple[Array, Array] = field(repr=False)
     sampled: SampledExplanations | None = field(default=None, repr=False)
     hooks: Hooks = field(default_factory=Hooks, repr=False)
+    states: tuple[StateResult, ...] = field(default=(), repr=False)
 
     def __repr__(self) -> str:
         return f"<Diagnosis of {self.data.name!r}, baseline {self.file.base}: {self.file.verdict}>"
@@ -218,6 +222,39 @@ def _checked(
     return chosen
 
 
+def _in_states(
+    found: Diagnosis,
+    states: Sequence[OtherState],
+    freed_model: ForwardModel | None,
+    cores: int,
+    seed: int,
+    tick: Callable[[str, float], None] | None,
+) -> Diagnosis:
+    """With what it leaves in other states; bounds that were lifted are lifted there too."""
+    first, began = found.rounds[0], time.monotonic()
+    group = found.data.groups[found.hooks.rows(found.data)[0]]
+    priors = {} if freed_model is None else {p.name: p.prior for p in freed_model.parameters}
+    results = []
+    for state in states:
+        given = replace(state, model=WithPriors(state.model, priors)) if priors else state
+        functions = found.hooks.components
+        results.append(
+            hold_in(
+                first, given, group, functions, smooth=found.hooks.smooth, cores=cores, seed=seed, tick=tick
+            )
+        )
+    leader = first.pair.names if first.pair else (first.leader,)
+    warnings = [text for one in results if (text := state_warning(one, leader))]
+    file = found.file.model_copy(
+        update={
+            "states": [one.as_file() for one in results],
+            "warnings": [*found.file.warnings, *warnings],
+            "record": found.file.record | {"states_seconds": time.monotonic() - began},
+        }
+    )
+    return replace(found, file=file, states=tuple(results))
+
+
 def diagnose(
     data: Data,
     model: ForwardModel,
@@ -225,6 +262,7 @@ def diagnose(
     *,
     errors: ErrorModel | None = None,
     hooks: Hooks | None = None,
+    states: Sequence[OtherState] = (),
     max_effects: int = 3,
     exhaust: bool = False,
     posteriors: bool = False,
@@ -252,6 +290,9 @@ def diagnose(
         `Harmonics` for periodic series, `Cosines` for others; which is chosen from the data if absent.
     hooks : Hooks, optional
         Phases of the record, candidate measurements, words.
+    states : sequence of OtherState
+        Other states of the same system, in which what was learned is fixed and compared with the baseline
+        and with the discrepancy that was seen at the sensor; they change no probability.
     max_effects : int
         Most effects to add.
     exhaust : bool
@@ -327,4 +368,6 @@ def diagnose(
     last = rounds[-1].screened.least if len(rounds) > 1 else first.best[first.leader]
     base, cause = (first.screened.screening.errors.unflat(f.computed) for f in (first.screened.least, last))
     found = Diagnosis(data, file, tuple(rounds), before, after, (base, cause), hooks=hooks)
+    if states:
+        found = _in_states(found, states, model if excluded else None, cores, seed, tick)
     return found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tick) if posteriors else found

@@ -270,6 +270,36 @@ class ComponentResult(_Amounts):
     held_out: HeldOutComponentResult | None = None
 
 
+class CarriedResult(_Amounts):
+    """A function or listed effect, fixed as learned in the study, in another state of it.
+
+    `error` is the rms of what it leaves there, the noise's part taken off; `better` the part of draws in
+    which that is less than what both the baseline and the sensor's discrepancy leave; `beyond` the part of
+    the argument's range there that the study does not visit.
+    """
+
+    amounts = ("error",)
+    names: list[str]
+    functions: list[str]
+    error: Interval
+    better: float
+    holds: bool
+    beyond: float | None = None
+
+
+class StateFile(_Amounts):
+    """Another state of the same study: what is left there, the baseline's parameters fitted again."""
+
+    amounts = ("noise", "baseline", "sensor")
+    state: str
+    checksum: str
+    noise: float
+    baseline: Interval
+    sensor: Interval | None
+    carried: list[CarriedResult]
+    failed: list[str] = []
+
+
 class SeveralResult(_Part):
     """The best set of several listed effects: log odds and log Bayes factor over the best one alone."""
 
@@ -340,6 +370,7 @@ class DiagnosisFile(_Part):
     hypotheses: list[HypothesisResult]
     components: list[ComponentResult] = []
     several: SeveralResult | None = None
+    states: list[StateFile] = []
     steps: list[AddedStep]
     invisible: list[str]
     failed: list[str]

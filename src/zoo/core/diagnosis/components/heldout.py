@@ -291,6 +291,37 @@ def folds_of(errors: Spectral, group: str) -> list[Mask]:
     return whole if len(rows) > 1 else [whole[0] & (part == j) for j in range(PARTS)]
 
 
+def intervals_of(units: Array, noise: float, seed: int = 0) -> tuple[list[Interval], Array]:
+    """Rms errors beyond the noise with their intervals, and mean squares of draws of the parts.
+
+    Parameters
+    ----------
+    units : array (n_parts, 1 + n)
+        Of each part of a series: its samples, then the sum of squared errors of each explanation.
+    noise : float
+        Variance of a sample.
+    seed : int
+        Of the draws of parts with replacement.
+
+    Returns
+    -------
+    list of Interval
+    mse : array (n_draws, n)
+    """
+    rng = np.random.default_rng(seed)
+    drawn = units[rng.integers(0, len(units), (RESAMPLED, len(units)))].sum(axis=1)
+    mse = drawn[:, 1:] / drawn[:, :1]
+    rms = np.sqrt(np.maximum(mse - noise, 0.0))
+    total = units.sum(axis=0)
+    mean = np.sqrt(np.maximum(total[1:] / total[0] - noise, 0.0))
+    low, high = np.quantile(rms, INTERVAL, axis=0)
+    intervals = [
+        Interval(mean=float(m), low=float(min(a, m)), high=float(max(b, m)))
+        for m, a, b in zip(mean, low, high, strict=True)
+    ]
+    return intervals, mse
+
+
 def predict_held_out(
     problem: Linearised,
     group: str,
@@ -337,18 +368,7 @@ def predict_held_out(
                 if here.any():
                     left = [float(np.sum((model.residual - x)[here] ** 2)) for x in found]
                     sums.append([float(here.sum()), *left])
-    units = np.array(sums)
-    rng = np.random.default_rng(seed)
-    drawn = units[rng.integers(0, len(units), (RESAMPLED, len(units)))].sum(axis=1)
-    mse = drawn[:, 1:] / drawn[:, :1]
-    rms = np.sqrt(np.maximum(mse - noise, 0.0))
-    total = units.sum(axis=0)
-    mean = np.sqrt(np.maximum(total[1:] / total[0] - noise, 0.0))
-    low, high = np.quantile(rms, INTERVAL, axis=0)
-    intervals = [
-        Interval(mean=float(m), low=float(min(a, m)), high=float(max(b, m)))
-        for m, a, b in zip(mean, low, high, strict=True)
-    ]
+    intervals, mse = intervals_of(np.array(sums), noise, seed)
     record = "beat" if errors.on.period is not None else "record"
     several = len(errors.rows[group]) > 1
     better = np.mean(mse[:, 2:] < mse[:, 1:2], axis=0)

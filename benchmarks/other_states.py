@@ -1,0 +1,119 @@
+"""Does what is learned in one state hold in another? Cases with a cause that is withheld, in two states each.
+
+Causes are those of `zoo blind make --kind component`. The second state is the same tree with another inflow,
+of a heart that beats 10 to 25 % faster and ejects 10 to 40 % more in a time. A cause in the inflow's record
+is one of the first record only, so that its function ought not to hold in the second state; all others act
+in both.
+
+Prints a row for each case: what the baseline, the discrepancy at the sensor and the leader leave in the
+second state, and whether the leader holds there; then how often it does, by whether the leader is right.
+
+Usage: python benchmarks/other_states.py [--n 14] [--secret HEX] [--cores 2]
+"""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+from dataclasses import replace
+
+import numpy as np
+
+from zoo.blood.blind.bench import SAMPLES, Bench
+from zoo.blood.blind.case import CaseDraw, Truth, draw_truth
+from zoo.blood.blind.causes import CAUSES
+from zoo.blood.blind.draw import Draw
+from zoo.blood.blind.networks import inflow
+from zoo.blood.diagnosis import diagnose, effects_for
+from zoo.blood.study import Study
+from zoo.core.diagnosis import Diagnosis
+from zoo.core.effects import EffectError
+
+FASTER, MORE = (0.8, 0.9), (1.1, 1.4)
+"""Limits of the second state's period and flow, in the first one's."""
+
+
+def measured(bench: Bench, waves: np.ndarray, rng: np.random.Generator) -> Study:
+    """Waveforms with white noise, as a study."""
+    sigma = np.array([[bench.sigma[q]] for _, _, q in bench.sensors])
+    return bench.with_series(bench.study, waves + sigma * rng.standard_normal(waves.shape))
+
+
+def second_state(truth: Truth, rng: np.random.Generator) -> tuple[Bench, np.ndarray] | None:
+    """The same tree under another inflow, and its waveforms; None where it cannot be solved."""
+    study = truth.bench.study
+    _, _phase, flow = inflow(rng)
+    period = round(study.period_s * rng.uniform(*FASTER), 4)
+    flow = flow * (rng.uniform(*MORE) * study.inflow_ml_s.mean() / flow.mean())
+    time = np.arange(len(flow)) * (period / len(flow))
+    bare = replace(
+        study, name=f"{study.name}-faster", period_s=period, inflow_time_s=time, inflow_ml_s=flow,
+        time_s=np.array([]), series=(),
+    )  # fmt: skip
+    try:
+        bench = Bench(bare, truth.bench.theta, truth.bench.sensors)
+    except EffectError:
+        return None
+    lasting = tuple(one for one in truth.added if CAUSES[one[0].name].component != "inflow")
+    waves = bench.solve(lasting)
+    return None if waves is None else (bench, waves)
+
+
+def leader_of(found: Diagnosis) -> str:
+    """The component that leads, or that the leading effect belongs to."""
+    scored = found.rounds[0]
+    return scored.belongs.get(scored.leader, scored.leader)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--n", type=int, default=14)
+    parser.add_argument("--secret", help="of an earlier run, 32 hexadecimal digits", default="")
+    parser.add_argument("--cores", type=int, default=2)
+    args = parser.parse_args()
+    secret = args.secret or secrets.token_hex(16)
+    print(f"secret {secret}, {SAMPLES} samples; errors in mmHg beyond the noise", flush=True)
+    names = tuple(one.name for one in effects_for("linear-constant"))
+    layouts = ("MPA+daughters", "MPA+distal", "MPA+flows")
+    draw = Draw(args.n, secret, names, layouts=layouts, kind="component")
+    rows = []
+    for i, one in enumerate(draw.plan()):
+        job = CaseDraw(draw, i, *one)
+        truth = draw_truth(job, draw.rng("noise", i))
+        rng = draw.rng("second state", i)
+        second = second_state(truth, rng)
+        if second is None:
+            print(f"{job.name} {truth.name}: no second state could be solved", flush=True)
+            continue
+        first = measured(truth.bench, truth.waves, rng)
+        found = diagnose(first, states=[measured(*second, rng)], cores=args.cores)
+        state, true = found.states[0], CAUSES[truth.name].component
+        leader = leader_of(found)
+        names_ = found.rounds[0].pair.names if found.rounds[0].pair else (found.rounds[0].leader,)
+        held = next((c for c in state.carried if set(c.names) == set(names_)), None)
+        holding = [" and ".join(c.names) for c in state.carried if c.holds]
+        errors = [state.baseline.mean, state.sensor.mean if state.sensor else np.nan]
+        errors.append(held.error.mean if held else np.nan)
+        right = true in names_ or leader == true
+        rows.append((true, right, bool(held and held.holds), errors))
+        print(
+            f"{job.name} true {true} ({truth.name}), leads {'+'.join(names_)} "
+            f"{found.rounds[0].probability[found.rounds[0].leader]:.2f}: baseline {errors[0]:.3f}, sensor "
+            f"{errors[1]:.3f}, leader {errors[2]:.3f}; holds: {', '.join(holding) or 'nothing'}",
+            flush=True,
+        )
+    for what, chosen in (
+        ("right, a cause of both states", [r for r in rows if r[1] and r[0] != "inflow"]),
+        ("wrong, a cause of both states", [r for r in rows if not r[1] and r[0] != "inflow"]),
+        ("a cause of the first record only", [r for r in rows if r[0] == "inflow"]),
+    ):
+        if chosen:
+            left = np.median([r[3][2] / max(min(r[3][:2]), 1e-9) for r in chosen])
+            print(
+                f"{what}: the leader holds in {sum(r[2] for r in chosen)} of {len(chosen)}; median of its "
+                f"error over the least of baseline and sensor {left:.2f}"
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,478 @@
+"""Whether what was learned in one state of a system holds in another.
+
+A constitutive function, such as a wall's law, is one for all states; an error of a record, or a discrepancy
+that a sensor draws, belongs to the state in which it was seen. So the function is fixed as it was learned,
+the baseline's own parameters are fitted again to the other state's data, and what is left is compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.components import FreeFunction
+from zoo.core.data import Data
+from zoo.core.diagnosis.component_answer import ranked
+from zoo.core.diagnosis.components.heldout import PARTS, SMALLER, SURE, intervals_of
+from zoo.core.diagnosis.evidence import Fit
+from zoo.core.diagnosis.file import CarriedResult, DiagnosisError, Interval, StateFile
+from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
+from zoo.core.diagnosis.scoring import Scored
+from zoo.core.diagnosis.screening import BaseFits, Screening
+from zoo.core.diagnosis.search import Search, SearchError
+from zoo.core.effects import AddedEffect
+from zoo.core.errors.spectral import Spectral, spectral_errors
+from zoo.core.forward import ForwardModel, Outputs, SolveError, content_key
+
+Array = NDArray[np.float64]
+Change = Callable[[Any], Any]
+Functions = Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]]
+STEPS = 8
+"""Steps of a refit of the baseline's parameters beside what is fixed."""
+
+
+@dataclass(frozen=True, eq=False)
+class OtherState:
+    """Another state of the same system: other inputs, the same simulator and sensors.
+
+    Parameters
+    ----------
+    data : Data
+        What was measured in it; its name is the state's.
+    model : ForwardModel
+        The same baseline with that state's inputs; its outputs are the data's series and times.
+    errors : Spectral, optional
+        As in `zoo.core.diagnosis.diagnose`.
+    """
+
+    data: Data
+    model: ForwardModel
+    errors: Spectral | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """One explanation, fixed as learned in the first state, in another one.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Components, or the listed effect.
+    functions : tuple of str
+        What was fixed.
+    error : Interval
+        Rms of measured minus computed, the noise's part taken off, in the unit of the group asked about.
+    better : float
+        Part of the draws in which that is less than both of the baseline and of the sensor's discrepancy.
+    holds : bool
+    beyond : float or None
+        Part of the argument's range in the other state that lies outside of the first one's; None where the
+        argument is a place or a time.
+    """
+
+    names: tuple[str, ...]
+    functions: tuple[str, ...]
+    error: Interval
+    better: float
+    holds: bool
+    beyond: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class StateResult:
+    """What a baseline, a sensor's discrepancy and learned functions leave in another state.
+
+    Parameters
+    ----------
+    data : Data
+    unit : str
+        Of all errors.
+    noise : float
+        Sd of a sample.
+    baseline : Interval
+        Its parameters fitted again.
+    sensor : Interval or None
+        With the free discrepancy that was learned at the sensor, at the same part of the period or record;
+        None where no series is observed in both states.
+    carried : tuple of Carried
+        The most probable first.
+    failed : tuple of str
+        Explanations with which nothing could be solved.
+    computed : mapping of name to array (n_series, n_times)
+        "baseline", and the first names of what was carried.
+    """
+
+    data: Data
+    unit: str
+    noise: float
+    baseline: Interval
+    sensor: Interval | None
+    carried: tuple[Carried, ...]
+    failed: tuple[str, ...] = ()
+    computed: Mapping[str, Array] = field(default_factory=dict, repr=False)
+
+    def as_file(self) -> StateFile:
+        """As diagnosis.json has it."""
+        return StateFile(
+            state=self.data.name,
+            checksum=self.data.checksum,
+            unit=self.unit,
+            noise=self.noise,
+            baseline=self.baseline,
+            sensor=self.sensor,
+            carried=[
+                CarriedResult(
+                    names=list(c.names),
+                    functions=list(c.functions),
+                    error=c.error,
+                    better=c.better,
+                    holds=c.holds,
+                    beyond=c.beyond,
+                    unit=self.unit,
+                )
+                for c in self.carried
+            ],
+            failed=list(self.failed),
+        )
+
+
+class _Changed:
+    """A forward model whose configuration is changed before each solve; itself a forward model."""
+
+    def __init__(self, model: ForwardModel, changes: Sequence[Change], text: bytes) -> None:
+        self.model, self._changes = model, tuple(changes)
+        self.key = content_key(model.key, text)
+        self.name, self.parameters = model.name, model.parameters
+        self.outputs, self.families = model.outputs, model.families
+
+    def configure(self, theta: Array) -> Any:
+        configuration = self.model.configure(theta)
+        for change in self._changes:
+            configuration = change(configuration)
+        return configuration
+
+    def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
+        return self.model.solve(configuration, outputs)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "model":
+            raise AttributeError(name)
+        return getattr(self.model, name)
+
+
+@dataclass(frozen=True, eq=False)
+class _Explanation:
+    """What is fixed: functions with their values, or a listed effect with its amplitudes."""
+
+    names: tuple[str, ...]
+    functions: tuple[tuple[FreeFunction, Array], ...] = ()
+    effects: tuple[tuple[AddedEffect, tuple[float, ...]], ...] = ()
+    shift: Array | None = None
+
+    @property
+    def text(self) -> bytes:
+        """For the key of what it is added to."""
+        values = [v.tobytes() for _, v in self.functions]
+        return repr((self.words, values, [x for _, x in self.effects])).encode()
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Names of what is fixed."""
+        return (*(f.name for f, _ in self.functions), *(one.name for one, _ in self.effects))
+
+
+def explanations(scored: Scored) -> list[_Explanation]:
+    """The leader and every component by its most probable function, the most probable first."""
+    base = scored.screened.base
+    n = base.forward.n_base
+    found: list[_Explanation] = []
+    if scored.pair is not None:
+        kinds = (scored.pair.first, scored.pair.second)
+        shift = scored.pair.fit.u[:n] - base.u[:n]
+        functions = tuple((k.function, np.asarray(k.learned.mean)) for k in kinds)
+        found.append(_Explanation(scored.pair.names, functions, shift=shift))
+    leader = scored.leader
+    if leader in scored.locations:
+        fit = scored.best[leader]
+        found.append(_Explanation((leader,), effects=_fixed_effects(fit), shift=fit.u[:n] - base.u[:n]))
+    for name in ranked(scored):
+        kind = scored.components[name].best
+        shift = kind.fit.u[:n] - base.u[:n]
+        found.append(_Explanation((name,), ((kind.function, np.asarray(kind.learned.mean)),), shift=shift))
+    return found
+
+
+def _fixed_effects(fit: Fit) -> tuple[tuple[AddedEffect, tuple[float, ...]], ...]:
+    at, found = fit.forward.n_base, []
+    for one in fit.hypothesis.added:
+        size = len(one.effect.parameters)
+        found.append((one, tuple(float(x) for x in fit.values[at : at + size])))
+        at += size
+    return tuple(found)
+
+
+def _apply(function: FreeFunction, values: Array, configuration: Any) -> Any:
+    return function.apply(configuration, values)
+
+
+def _add(one: AddedEffect, amplitudes: tuple[float, ...], configuration: Any) -> Any:
+    assert one.effect.apply is not None
+    return one.effect.apply(configuration, amplitudes, one.location)
+
+
+def _changes(
+    one: _Explanation, again: Mapping[str, FreeFunction], first: Data, here: Data
+) -> list[Change] | None:
+    """What each fixed piece does to a configuration of the other state; None where it has no counterpart.
+
+    A function of the time within a period is that of the same part of the other's period; any other is the
+    very same function of its argument.
+    """
+    found: list[Change] = []
+    for f, values in one.functions:
+        if f.period is None:
+            found.append(partial(_apply, f, values))
+            continue
+        made = again.get(f.name)
+        if made is None or made.period is None:
+            return None
+        moved = np.interp(made.at / made.period, f.at / f.period, values, period=1.0)
+        found.append(partial(_apply, made, moved))
+    for added, amplitudes in one.effects:
+        if added.effect.apply is None:
+            return None
+        found.append(partial(_add, added, amplitudes))
+    return found
+
+
+def _beyond(one: _Explanation, again: Mapping[str, FreeFunction]) -> float | None:
+    parts = []
+    for f, _ in one.functions:
+        made = again.get(f.name)
+        if made is None or f.labels or f.period is not None or len(f.at) < 2 or len(made.at) < 2:
+            continue
+        low, high = float(made.at[0]), float(made.at[-1])
+        inside = max(0.0, min(high, float(f.at[-1])) - max(low, float(f.at[0])))
+        parts.append(1.0 - inside / (high - low))
+    return max(parts, default=None)
+
+
+def seen_at_sensor(scored: Scored) -> Array:
+    """Posterior mean of the free discrepancy at the sensor, (n_series, n_times).
+
+    s = C (C + N)^-1 (r - J d), C its covariance, N that of the noise, at the mode of the parameters.
+    """
+    fit = scored.screened.nonparametric
+    errors = scored.screened.screening.errors
+    left = fit.residual - fit.jacobian @ (fit.mean - fit.u)
+    part = errors.variances(fit.errors, noise=False) / errors.variances(fit.errors)
+    return errors.unflat(part * left)
+
+
+def _at_same_part(values: Array, first: Data, here: Data) -> Array | None:
+    """Series of one state at the same part of the period or record of another, 0 for series of this only."""
+    parts = [(d.times - d.times[0]) / d.duration for d in (first, here)]
+    period = 1.0 if first.period is not None and here.period is not None else None
+    found, any_ = np.zeros(here.values.shape), False
+    for i, label in enumerate(here.labels):
+        if label in first.labels:
+            any_ = True
+            found[i] = np.interp(parts[1], parts[0], values[first.labels.index(label)], period=period)
+    return found if any_ else None
+
+
+class _Refitted:
+    """The baseline of another state, and its refits beside what is fixed."""
+
+    def __init__(self, state: OtherState, smooth: bool, cores: int) -> None:
+        errors = spectral_errors(state.data) if state.errors is None else state.errors
+        self.screening = Screening(state.data, state.model, [], errors=errors, smooth=smooth, cores=cores)
+        self.fits: BaseFits = self.screening.base
+        noise = self.fits.noise
+        self.S = self.screening.beside(noise, self.screening.numerics())
+        self.noise = {q: e.noise for q, e in noise.items()}
+
+    def computed(self, model: ForwardModel, data: Array, starts: Sequence[Array]) -> Array | None:
+        """Series (n_series, n_times) of the best refit to `data`; None where nothing can be solved."""
+        errors = self.screening.errors
+        forward = HypothesisModel(model, Hypothesis(), errors)
+        search = Search(forward, errors.flat(data), self.S)
+        points = []
+        for u in starts:
+            try:
+                point = search.at(np.clip(u, forward.low, forward.high), self.fits.fit.jacobian)
+                points.append(search.descend(point, STEPS))
+            except SearchError:
+                continue
+        if not points:
+            return None
+        best = search.refine(min(points, key=lambda p: p.cost), 2, STEPS)
+        self.screening.forwards.append(forward)
+        return errors.unflat(best.computed)
+
+
+def hold_in(
+    scored: Scored,
+    state: OtherState,
+    group: str,
+    functions: Functions | None,
+    *,
+    smooth: bool = True,
+    cores: int = 2,
+    seed: int = 0,
+    tick: Callable[[str, float], None] | None = None,
+) -> StateResult:
+    """What a baseline and what was learned leave in another state, the baseline's parameters fitted again.
+
+    A function holds there if it leaves less than nine tenths of what both the baseline and the discrepancy
+    that was learned at the sensor leave, and less than either in 97.5 % of the draws of the parts of every
+    series with replacement.
+
+    Parameters
+    ----------
+    scored : Scored
+        Of the first state.
+    state : OtherState
+    group : str
+        Whose errors are told; the other state's first group where it has none of it.
+    functions : callable or None
+        ``functions(baseline, theta, data)``, as `Hooks.components`.
+    smooth : bool
+        As in `Hooks`.
+    cores, seed : int
+    tick : callable, optional
+        Called with a text and the share done.
+
+    Returns
+    -------
+    StateResult
+
+    Raises
+    ------
+    DiagnosisError
+        If the baseline cannot be solved there, or has other parameters than the first state's.
+    """
+    first, here = scored.screened.screening, state.data
+    names = [p.name for p in first.baseline.parameters]
+    if [p.name for p in state.model.parameters] != names:
+        raise DiagnosisError(
+            f"{here.source or here.name}: its baseline has other parameters than that of {first.data.name}: "
+            "another state is one of the same system; give a study of the same network"
+        )
+    say = tick or (lambda text, share: None)
+    say(f"state {here.name}: baseline", 0.0)
+    try:
+        refitted = _Refitted(state, smooth, cores)
+    except (SearchError, SolveError) as error:
+        raise DiagnosisError(
+            f"{here.source or here.name}: the baseline cannot be solved in this state: {error}"
+        ) from None
+    group = group if group in here.rows else here.groups[0]
+    base = refitted.fits.fit
+    made = functions(state.model, base.values, here) if functions is not None else ()
+    again = {f.name: f for f in made}
+    wanted = explanations(scored)
+    results: dict[tuple[str, ...], Array] = {("baseline",): refitted.screening.errors.unflat(base.computed)}
+    drawn = _at_same_part(seen_at_sensor(scored), first.data, here)
+    if drawn is not None:
+        found = refitted.computed(state.model, here.values - drawn, [base.u])
+        if found is not None:
+            results[("sensor's discrepancy",)] = found + drawn
+    failed = []
+    for i, one in enumerate(wanted):
+        say(f"state {here.name}: {' and '.join(one.names)}", (i + 1) / (len(wanted) + 1))
+        changes = _changes(one, again, first.data, here)
+        starts = [base.u] if one.shift is None else [base.u + one.shift, base.u]
+        model = None if changes is None else _Changed(state.model, changes, one.text)
+        found = None if model is None else refitted.computed(model, here.values, starts)
+        if found is None:
+            failed.append(" and ".join(one.names))
+        else:
+            results[one.names] = found
+    return _result(state, group, refitted, results, wanted, again, tuple(failed), seed)
+
+
+def _result(
+    state: OtherState,
+    group: str,
+    refitted: _Refitted,
+    results: Mapping[tuple[str, ...], Array],
+    wanted: Sequence[_Explanation],
+    again: Mapping[str, FreeFunction],
+    failed: tuple[str, ...],
+    seed: int,
+) -> StateResult:
+    data = state.data
+    part = np.arange(data.n_times) * PARTS // data.n_times
+    left = [(data.values - x) ** 2 for x in results.values()]
+    units = np.array(
+        [
+            [float(np.sum(part == j)), *(float(np.sum(x[i, part == j])) for x in left)]
+            for i in data.rows[group]
+            for j in range(PARTS)
+            if np.any(part == j)
+        ]
+    )
+    noise = refitted.noise[group]
+    intervals, mse = intervals_of(units, noise**2, seed)
+    at = {names: i for i, names in enumerate(results)}
+    sensor = at.get(("sensor's discrepancy",))
+    others = [0] if sensor is None else [0, sensor]
+    carried = []
+    for one in wanted:
+        if one.names not in at:
+            continue
+        i = at[one.names]
+        better = float(np.mean(mse[:, i] < mse[:, others].min(axis=1)))
+        least = min(intervals[k].mean for k in others)
+        carried.append(
+            Carried(
+                one.names,
+                one.words,
+                intervals[i],
+                better,
+                better >= SURE and intervals[i].mean < SMALLER * least,
+                _beyond(one, again),
+            )
+        )
+    return StateResult(
+        data,
+        data.unit(group),
+        noise,
+        intervals[0],
+        None if sensor is None else intervals[sensor],
+        tuple(carried),
+        failed,
+        {" and ".join(names): x for names, x in results.items()},
+    )
+
+
+def state_warning(result: StateResult, leader: Sequence[str]) -> str:
+    """That what leads does not hold in another state; empty where it does, or nothing is missed there.
+
+    Parameters
+    ----------
+    result : StateResult
+    leader : sequence of str
+        The explanation that leads, as `Carried.names`.
+
+    Returns
+    -------
+    str
+    """
+    one = next((c for c in result.carried if set(c.names) == set(leader)), None)
+    if one is None or one.holds or (result.baseline.low == 0.0 and one.error.low == 0.0):
+        return ""
+    unit = "" if result.unit == "1" else f" {result.unit}"
+    sensor = "" if result.sensor is None else f", what was seen at the sensor {result.sensor.mean:.2g}"
+    holding = [" and ".join(c.names) for c in result.carried if c.holds]
+    instead = f"; {holding[0]} does" if holding else ""
+    return (
+        f"what was learned of {' and '.join(one.names)} does not hold in {result.data.name}: it leaves "
+        f"{one.error.mean:.2g}{unit} there, the baseline {result.baseline.mean:.2g}{sensor}{instead}"
+    )

@@ -1,0 +1,69 @@
+"""What a diagnosis leaves in other states of its study."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from zoo.plots.style import COLOURS, INK, new_figure
+from zoo.plots.subject import study_of
+
+if TYPE_CHECKING:
+    from zoo.core.diagnosis import Diagnosis
+
+SHOWN = 4
+"""Explanations whose residuals are drawn, besides the baseline and the sensor's discrepancy."""
+
+
+def plot_states(d: Diagnosis) -> Figure:
+    """What is left of each series in other states: by the baseline, the sensor's discrepancy, and functions.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        With states.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A row for each state, a column for each series of the group that the verdict is about; observed minus
+        computed, the noise's standard deviation in grey. The functions are those of the first study, fixed.
+    """
+    beat = study_of(d) is not None
+    rows = [(s, s.data.rows.get(d.data.groups[d.hooks.rows(d.data)[0]], [0])) for s in d.states]
+    columns = max(len(series) for _, series in rows)
+    size = (2.2 + 3.0 * columns, 0.9 + 2.3 * len(rows))
+    with new_figure(size) as figure:
+        grid = figure.subplots(len(rows), columns, squeeze=False)
+        for axes in grid.flat:
+            axes.set_axis_off()
+        for row, (state, series) in enumerate(rows):
+            data = state.data
+            times = (1e3 if beat else 1.0) * data.times
+            kept = [name for c in state.carried[:SHOWN] if (name := " and ".join(c.names)) in state.computed]
+            first = [name for name in ("baseline", "sensor's discrepancy") if name in state.computed]
+            for column, i in enumerate(series):
+                axes = grid[row, column]
+                axes.set_axis_on()
+                axes.axhspan(-state.noise, state.noise, color="#E4E7EB", lw=0)
+                for k, name in enumerate([*first, *kept]):
+                    left = data.values[i] - state.computed[name][i]
+                    colour = INK if k == 0 else COLOURS[(k - 1) % len(COLOURS)]
+                    axes.plot(times, left, color=colour, lw=1.3 if k < 3 else 0.8, label=name)
+                axes.set_xlim(times[0], times[-1])
+                axes.set_title(f"{data.name}: {data.labels[i]}", fontsize=8)
+                if row == len(rows) - 1:
+                    unit = "ms" if beat else d.data.time_unit
+                    axes.set_xlabel(f"time ({unit})" if unit else "time")
+                if column == 0:
+                    unit = data.units[i]
+                    axes.set_ylabel("observed − computed" + ("" if unit == "1" else f" ({unit})"))
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), fontsize=8)
+        lowest = min(float(np.min(a.get_ylim())) for a in grid.flat if a.axison)
+        highest = max(float(np.max(a.get_ylim())) for a in grid.flat if a.axison)
+        for axes in grid.flat:
+            axes.set_ylim(lowest, highest)
+    return figure

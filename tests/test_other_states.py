@@ -1,0 +1,139 @@
+"""What was learned in one state, in another one of the same system, where the answer is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from test_component_weighing import FUNCTIONS, KNOTS, MODEL, NOISE, TIMES, data_of, hooks
+from zoo.core.data import Data
+from zoo.core.diagnosis import DiagnosisError, OtherState, diagnose, read_diagnosis
+from zoo.core.diagnosis.states import seen_at_sensor
+from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.parameters import Normal, Parameter
+
+PERIOD = 0.7
+LATER = np.arange(80) * (PERIOD / 80)
+LAW = {"law": 0.15 * KNOTS**2}
+BUMP = 0.2 * np.exp(-0.5 * ((TIMES - 0.6) / 0.06) ** 2)
+
+
+def faster(configuration, times):  # type: ignore[no-untyped-def]
+    """The same system at another period, its drive of another shape."""
+    part = times / PERIOD
+
+    def sensor(x):  # type: ignore[no-untyped-def]
+        return x + np.interp(x, KNOTS, configuration.get("law", np.zeros(len(KNOTS))))
+
+    drive = 0.9 * (np.sin(2 * np.pi * part) + 0.4 * np.cos(4 * np.pi * part))
+    x = configuration["level"] * drive + configuration.get("push", 0.0)
+    return np.stack([sensor(x), sensor(0.6 * np.roll(x, 6)) + configuration.get("own", 0.0)])
+
+
+FASTER = FunctionModel(faster, MODEL.parameters, Outputs(("y1", "y2"), LATER), "toy")
+
+
+def in_state_two(configuration, seed: int = 2) -> OtherState:  # type: ignore[no-untyped-def]
+    exact = faster({"level": 1.05, **configuration}, LATER)
+    noisy = exact + NOISE * np.random.default_rng(seed).standard_normal(exact.shape)
+    data = Data(LATER, noisy, ["y1", "y2"], ["K", "K"], ["y", "y"], PERIOD, name="faster")
+    return OtherState(data, FASTER)
+
+
+def known(model, theta, data):  # type: ignore[no-untyped-def]
+    """The toy's functions; those of the time at the times of the data."""
+    return [f if f.period is None else replace(f, at=data.times, period=data.duration) for f in FUNCTIONS]
+
+
+def found_in(first, second):  # type: ignore[no-untyped-def]
+    found = diagnose(data_of(first), MODEL, [], hooks=replace(hooks([]), components=known), states=[second])
+    [state] = found.states
+    return found, state, {c.names: c for c in state.carried}
+
+
+@pytest.fixture(scope="module")
+def of_the_law():  # type: ignore[no-untyped-def]
+    return found_in(LAW, in_state_two(LAW))
+
+
+def test_a_law_of_the_system_holds_in_another_state(of_the_law) -> None:  # type: ignore[no-untyped-def]
+    found, state, carried = of_the_law
+    assert found.cause == ["wall"]
+    assert carried[("wall",)].holds
+    assert carried[("wall",)].better == 1.0
+    exact = faster({"level": 1.05, **LAW}, LATER)
+    left = exact - state.computed["wall"]
+    assert np.sqrt(np.mean(left**2)) < 0.5 * NOISE < 0.2 * state.baseline.mean
+    assert state.baseline.mean < 1.5 * state.sensor.mean
+    assert not carried[("inflow",)].holds
+    assert not any("does not hold" in w for w in found.file.warnings)
+
+
+def test_the_baseline_is_fitted_again_by_least_squares(of_the_law) -> None:  # type: ignore[no-untyped-def]
+    """Against a scan of its only parameter."""
+    _, state, _ = of_the_law
+    levels = np.linspace(0.5, 2.0, 3001)
+    S = [np.sum((state.data.values - faster({"level": x}, LATER)) ** 2) for x in levels]
+    best = faster({"level": levels[int(np.argmin(S))]}, LATER)
+    assert np.abs(best - state.computed["baseline"]).max() < 0.01
+    rms = np.sqrt(max(min(S) / state.data.values.size - state.noise**2, 0.0))
+    assert state.baseline.mean == pytest.approx(rms, rel=1e-3)
+    assert state.noise == pytest.approx(NOISE, rel=0.25)
+
+
+def test_an_error_of_one_record_does_not_hold_in_another_state() -> None:
+    found, state, carried = found_in({"push": BUMP}, in_state_two({}))
+    assert found.cause == ["inflow"]
+    assert not carried[("inflow",)].holds
+    assert state.baseline.mean < 0.5 * NOISE < carried[("inflow",)].error.mean
+    [warning] = [w for w in found.file.warnings if "does not hold in faster" in w]
+    assert "inflow" in warning
+
+
+def test_what_comes_at_the_same_part_of_every_beat_is_moved_to_the_other_period() -> None:
+    again = np.interp(LATER / PERIOD, TIMES, BUMP, period=1.0)
+    _, state, carried = found_in({"push": BUMP}, in_state_two({"push": again}))
+    assert carried[("inflow",)].error.mean < min(NOISE, 0.3 * state.baseline.mean)
+    assert not carried[("inflow",)].holds  # a discrepancy at the same part of the beat does as well
+
+
+def test_a_discrepancy_that_belongs_to_the_sensor_is_told_from_a_function() -> None:
+    own = 0.3 * np.sin(6 * np.pi * TIMES)
+    there = in_state_two({"own": np.interp(LATER / PERIOD, TIMES, own, period=1.0)})
+    found, state, carried = found_in({"own": own}, there)
+    drawn = seen_at_sensor(found.rounds[0])
+    assert np.sqrt(np.mean((drawn - [0 * own, own]) ** 2)) < NOISE
+    assert state.sensor.mean < 0.2 * state.baseline.mean
+    assert not carried[("wall",)].holds
+    assert not carried[("inflow",)].holds
+
+
+def test_what_was_not_visited_is_told() -> None:
+    def made(model, theta, data):  # type: ignore[no-untyped-def]
+        wide = np.linspace(-4.0, 4.0, 9) if data.name == "faster" else KNOTS
+        return [replace(f, at=wide) for f in known(model, theta, data) if f.period is None]
+
+    found = diagnose(
+        data_of(LAW), MODEL, [], hooks=replace(hooks([]), components=made), states=[in_state_two(LAW)]
+    )
+    [state] = found.file.states
+    [wall] = [c for c in state.carried if c.names == ["wall"]]
+    assert wall.beyond == pytest.approx(0.5)
+
+
+def test_states_are_in_the_file(of_the_law, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    found, state, _ = of_the_law
+    file = read_diagnosis(found.save(tmp_path))
+    assert file.states[0].state == "faster"
+    assert file.states[0].baseline.mean == pytest.approx(state.baseline.mean)
+    assert file.states[0].carried[0].holds
+    assert '"baseline_K"' in (tmp_path / "diagnosis.json").read_text()
+
+
+def test_another_system_is_no_state() -> None:
+    other = FunctionModel(faster, (Parameter("height", Normal(1.0, 0.3)),), FASTER.outputs, "toy")
+    state = replace(in_state_two({}), model=other)
+    with pytest.raises(DiagnosisError, match="other parameters"):
+        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[state])
