@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from test_component_weighing import EFFECTS, FUNCTIONS, KNOTS, MODEL, TIMES, data_of, hooks, of
 from zoo.core.diagnosis import diagnose
+from zoo.core.diagnosis.answer import FitDiscrepancy, _no_more
+from zoo.core.forward import FunctionModel
+from zoo.core.parameters import Parameter, Uniform
 
 
 def test_two_effects_that_explain_together_are_told() -> None:
@@ -28,3 +33,36 @@ def test_shares_and_held_out_data_stand_beside_the_components() -> None:
     assert held.component.mean < held.sensor.mean
     assert of(found, "inflow").gap_after < 0.3 * found.file.gap.before
     assert found.file.next_measurement is None  # no candidates are known
+
+
+def test_a_leader_that_can_hardly_be_is_told() -> None:
+    """By the field's own judgement where it has one, else by the size that the prior expects."""
+    push = 0.15 * np.exp(-0.5 * ((TIMES - 0.6) / 0.06) ** 2)
+    judged = replace(
+        hooks(FUNCTIONS), plausible=lambda f, v: (False, f"{f.name} is off by {np.abs(v).max():.1f}")
+    )
+    found = diagnose(data_of({"push": push}), MODEL, [], hooks=judged)
+    [told] = [w for w in found.file.warnings if "can hardly be" in w]
+    assert told == "inflow: what was learned can hardly be: push is off by 0.1"
+    calm = diagnose(data_of({"push": push}), MODEL, [], hooks=hooks(FUNCTIONS))
+    assert not any("can hardly be" in w for w in calm.file.warnings)
+
+
+def test_a_bound_at_which_the_baseline_stands_only_with_the_leader_is_told() -> None:
+    """With the law learned the level falls to its bound; the baseline alone stands off it."""
+    bounded = FunctionModel(MODEL.function, (Parameter("level", Uniform(1.03, 2.0)),), MODEL.outputs, "toy")
+    found = diagnose(data_of({"level": 1.0, "law": 0.15 * KNOTS**2}), bounded, [], hooks=hooks(FUNCTIONS))
+    assert found.cause == ["wall"]
+    assert found.file.base_parameters["base"]["level"] > 1.04
+    [told] = [w for w in found.file.warnings if "level" in w]
+    assert told.startswith("with wall, the mode of level stands at the lower bound of its prior, 1.03")
+
+
+def test_no_cause_leaves_more_than_the_baseline() -> None:
+    def of_size(rms: float) -> FitDiscrepancy:
+        draws = np.full((4, 2), rms)
+        return FitDiscrepancy(np.zeros((2, 3)), np.zeros((2, 3)), draws, draws, np.zeros((2, 3)))
+
+    small, large = of_size(0.1), of_size(0.3)
+    assert _no_more(large, small, [0, 1]) is small
+    assert _no_more(small, large, [0, 1]) is small

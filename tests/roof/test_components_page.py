@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from drawn import texts
 from pages import read
+from withheld import screen_of
 
 from zoo import plots, report
 from zoo.core.data import Data
@@ -89,6 +90,18 @@ def test_rows_are_those_of_the_file_most_probable_first(found: Diagnosis, tmp_pa
         "0.5 (0.3 to 0.7) mmHg",
     ):
         assert words in text
+
+
+def test_the_screen_has_the_same_rows(found: Diagnosis) -> None:
+    lines = screen_of(found.file).splitlines()
+    first = next(i for i, line in enumerate(lines) if "components of the simulator" in line)
+    wall, geometry = (
+        line.split() for line in lines[first + 2 :] if line.split()[:1] in (["wall"], ["geometry"])
+    )
+    assert wall == ["wall", "75", "%", "30%", "to", "90%", "0.031", "tube-law"]
+    assert geometry == ["geometry", "12", "%", "log-radius"]
+    none = found.file.model_copy(update={"components": []})
+    assert "components of the simulator" not in screen_of(none)
 
 
 def test_without_components_the_page_has_no_such_chapter(one: Diagnosis, tmp_path: Path) -> None:

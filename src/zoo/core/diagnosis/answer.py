@@ -358,7 +358,6 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
     found += _together(scored)
     leader = scored.leader
     stuck = {p.name for p, _ in at_bounds(scored.screened.least)}
-    base = {p.name for p in scored.screened.least.forward.parameters}
     found += [one.text for _, one in at_bounds(scored.screened.least)]
     learned = (scored.pair.first, scored.pair.second) if scored.pair else ()
     if leader in scored.components:
@@ -374,26 +373,30 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
             f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
             "discrepancy goes with it: most has another cause"
         )
-    component = leader in scored.components
-    if component:
-        found += [
-            f"with {leader}, {one.text}"
-            for p, one in at_bounds(scored.best[leader])
-            if p.name in base - stuck
-        ]
-        if not scored.locations:
-            return found
-        leader = max(scored.locations, key=lambda n: scored.log_z[n])  # a bound may hold it back
-    effect = {p.name for p in scored.best[leader].forward.parameters[scored.best[leader].forward.asked :]}
-    for p, one in at_bounds(scored.best[leader]):
-        if p.name in effect:
-            found.append(
-                f"{p.name} of {leader} stands at the {one.side} bound of its prior, {one.bound:g} {p.unit}: "
-                "the data ask for more than the catalogue allows"
-            )
-        elif p.name not in stuck and not component:
-            found.append(f"with {leader}, {one.text}")
+    found += _bounds_beside(scored, leader, stuck)
+    if leader in scored.locations:
+        found += _bounds_of_effect(scored, leader)
+    elif scored.locations:  # a bound may hold a listed effect back
+        found += _bounds_of_effect(scored, max(scored.locations, key=lambda n: scored.log_z[n]))
     return found
+
+
+def _bounds_beside(scored: Scored, name: str, stuck: set[str]) -> list[str]:
+    """Bounds at which parameters of the baseline stand with an explanation, and not without it."""
+    base = {p.name for p in scored.screened.least.forward.parameters} - stuck
+    return [f"with {name}, {one.text}" for p, one in at_bounds(scored.best[name]) if p.name in base]
+
+
+def _bounds_of_effect(scored: Scored, name: str) -> list[str]:
+    """Bounds at which parameters of a listed effect stand."""
+    forward = scored.best[name].forward
+    own = {p.name for p in forward.parameters[forward.asked :]}
+    return [
+        f"{p.name} of {name} stands at the {one.side} bound of its prior, {one.bound:g} {p.unit}: the data "
+        "ask for more than the catalogue allows"
+        for p, one in at_bounds(scored.best[name])
+        if p.name in own
+    ]
 
 
 def _noise(scored: Scored) -> list[str]:
