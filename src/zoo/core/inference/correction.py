@@ -12,8 +12,6 @@ Array = NDArray[np.float64]
 
 K_LIMIT = 0.7
 """Largest Pareto k-hat with which importance weights are taken (Vehtari et al. 2024)."""
-ALIKE = 1e-3
-"""Range of log weights below which they have no tail: the k-hat of what rounding leaves means nothing."""
 
 
 @dataclass(frozen=True)
