@@ -330,7 +330,7 @@ def _check_model(model: Any) -> None:
 def check_settings(
     draws: int = 1,
     tune: int | None = None,
-    chains: int = 1,
+    chains: int = 4,
     cores: int = 1,
     step: str = STEPS[0],
     thin: int | None = None,
