@@ -16,11 +16,12 @@ from __future__ import annotations
 import argparse
 import secrets
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from zoo.blood.blind.bench import SAMPLES, Bench
-from zoo.blood.blind.case import CaseDraw, Truth, draw_truth
+from zoo.blood.blind.case import CaseDraw, CaseTruth, draw_truth
 from zoo.blood.blind.causes import CAUSES
 from zoo.blood.blind.draw import Draw
 from zoo.blood.blind.networks import inflow
@@ -39,10 +40,10 @@ def measured(bench: Bench, waves: np.ndarray, rng: np.random.Generator) -> Study
     return bench.with_series(bench.study, waves + sigma * rng.standard_normal(waves.shape))
 
 
-def second_state(truth: Truth, rng: np.random.Generator) -> tuple[Bench, np.ndarray] | None:
+def second_state(truth: CaseTruth, rng: np.random.Generator) -> tuple[Bench, np.ndarray] | None:
     """The same tree under another inflow, and its waveforms; None where it cannot be solved."""
     study = truth.bench.study
-    _, _phase, flow = inflow(rng)
+    flow = inflow(rng)[-1]
     period = round(study.period_s * rng.uniform(*FASTER), 4)
     flow = flow * (rng.uniform(*MORE) * study.inflow_ml_s.mean() / flow.mean())
     time = np.arange(len(flow)) * (period / len(flow))
@@ -59,10 +60,22 @@ def second_state(truth: Truth, rng: np.random.Generator) -> tuple[Bench, np.ndar
     return None if waves is None else (bench, waves)
 
 
-def leader_of(found: Diagnosis) -> str:
-    """The component that leads, or that the leading effect belongs to."""
-    scored = found.rounds[0]
-    return scored.belongs.get(scored.leader, scored.leader)
+def row_of(true: str, found: Diagnosis) -> dict[str, Any]:
+    """What leads, how probable it is, what is left in the second state, and what holds there."""
+    scored, state = found.rounds[0], found.file.states[0]
+    names = scored.own(scored.leader)
+    held = next(c for c in state.carried if set(c.names) == set(names))
+    holding = [set(c.names) for c in state.carried if c.holds]
+    return {
+        "true": true,
+        "leader": "+".join(names),
+        "probability": dict(scored.pairs)[scored.pair] if scored.pair else scored.probability[scored.leader],
+        "right": true in (*names, scored.belongs.get(scored.leader)),
+        "holds": held.holds,
+        "errors": (state.baseline.mean, state.sensor.mean, held.error.mean),  # type: ignore[union-attr]
+        "holding": [" and ".join(sorted(one)) for one in holding],
+        "others hold": any(true not in (*one, *(scored.belongs.get(n) for n in one)) for one in holding),
+    }
 
 
 def main() -> None:
@@ -87,32 +100,32 @@ def main() -> None:
             continue
         first = measured(truth.bench, truth.waves, rng)
         found = diagnose(first, states=[measured(*second, rng)], cores=args.cores)
-        state, true = found.states[0], CAUSES[truth.name].component
-        leader = leader_of(found)
-        names_ = found.rounds[0].pair.names if found.rounds[0].pair else (found.rounds[0].leader,)
-        held = next((c for c in state.carried if set(c.names) == set(names_)), None)
-        holding = [" and ".join(c.names) for c in state.carried if c.holds]
-        errors = [state.baseline.mean, state.sensor.mean if state.sensor else np.nan]
-        errors.append(held.error.mean if held else np.nan)
-        right = true in names_ or leader == true
-        rows.append((true, right, bool(held and held.holds), errors))
+        row = row_of(CAUSES[truth.name].component, found)
+        rows.append(row)
+        baseline, sensor, leader = row["errors"]
         print(
-            f"{job.name} true {true} ({truth.name}), leads {'+'.join(names_)} "
-            f"{found.rounds[0].probability[found.rounds[0].leader]:.2f}: baseline {errors[0]:.3f}, sensor "
-            f"{errors[1]:.3f}, leader {errors[2]:.3f}; holds: {', '.join(holding) or 'nothing'}",
+            f"{job.name} true {row['true']} ({truth.name}), leads {row['leader']} {row['probability']:.2f}: "
+            f"baseline {baseline:.3f}, sensor {sensor:.3f}, leader {leader:.3f}; holds: "
+            f"{', '.join(row['holding']) or 'nothing'}",
             flush=True,
         )
+    lasting = [r for r in rows if r["true"] != "inflow"]
     for what, chosen in (
-        ("right, a cause of both states", [r for r in rows if r[1] and r[0] != "inflow"]),
-        ("wrong, a cause of both states", [r for r in rows if not r[1] and r[0] != "inflow"]),
-        ("a cause of the first record only", [r for r in rows if r[0] == "inflow"]),
+        ("right, a cause of both states", [r for r in lasting if r["right"]]),
+        ("wrong, a cause of both states", [r for r in lasting if not r["right"]]),
+        ("a cause of the first record only", [r for r in rows if r["true"] == "inflow"]),
     ):
         if chosen:
-            left = np.median([r[3][2] / max(min(r[3][:2]), 1e-9) for r in chosen])
+            medians = ", ".join(f"{x:.3f}" for x in np.median([r["errors"] for r in chosen], axis=0))
             print(
-                f"{what}: the leader holds in {sum(r[2] for r in chosen)} of {len(chosen)}; median of its "
-                f"error over the least of baseline and sensor {left:.2f}"
+                f"{what}: the leader holds in {sum(r['holds'] for r in chosen)} of {len(chosen)}; medians of "
+                f"what baseline, sensor and leader leave: {medians}"
             )
+    ought = [r["right"] and r["true"] != "inflow" for r in rows]
+    agree = sum(r["holds"] == x for r, x in zip(rows, ought, strict=True))
+    print(f"whether the leader ought to hold: right in {agree} of {len(rows)}; always yes: {sum(ought)}")
+    others = sum(r["others hold"] for r in lasting)
+    print(f"a cause of both states, and something of another component holds too: {others} of {len(lasting)}")
 
 
 if __name__ == "__main__":

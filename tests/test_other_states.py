@@ -50,7 +50,7 @@ def known(model, theta, data):  # type: ignore[no-untyped-def]
 def found_in(first, second):  # type: ignore[no-untyped-def]
     found = diagnose(data_of(first), MODEL, [], hooks=replace(hooks([]), components=known), states=[second])
     [state] = found.states
-    return found, state, {c.names: c for c in state.carried}
+    return found, state, {tuple(c.names): c for c in state.file.carried}
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +65,8 @@ def test_a_law_of_the_system_holds_in_another_state(of_the_law) -> None:  # type
     assert carried[("wall",)].better == 1.0
     exact = faster({"level": 1.05, **LAW}, LATER)
     left = exact - state.computed["wall"]
-    assert np.sqrt(np.mean(left**2)) < 0.5 * NOISE < 0.2 * state.baseline.mean
-    assert state.baseline.mean < 1.5 * state.sensor.mean
+    assert np.sqrt(np.mean(left**2)) < 0.5 * NOISE < 0.2 * state.file.baseline.mean
+    assert state.file.baseline.mean < 1.5 * state.file.sensor.mean
     assert not carried[("inflow",)].holds
     assert not any("does not hold" in w for w in found.file.warnings)
 
@@ -78,16 +78,16 @@ def test_the_baseline_is_fitted_again_by_least_squares(of_the_law) -> None:  # t
     S = [np.sum((state.data.values - faster({"level": x}, LATER)) ** 2) for x in levels]
     best = faster({"level": levels[int(np.argmin(S))]}, LATER)
     assert np.abs(best - state.computed["baseline"]).max() < 0.01
-    rms = np.sqrt(max(min(S) / state.data.values.size - state.noise**2, 0.0))
-    assert state.baseline.mean == pytest.approx(rms, rel=1e-3)
-    assert state.noise == pytest.approx(NOISE, rel=0.25)
+    rms = np.sqrt(max(min(S) / state.data.values.size - state.file.noise**2, 0.0))
+    assert state.file.baseline.mean == pytest.approx(rms, rel=1e-3)
+    assert state.file.noise == pytest.approx(NOISE, rel=0.25)
 
 
 def test_an_error_of_one_record_does_not_hold_in_another_state() -> None:
     found, state, carried = found_in({"push": BUMP}, in_state_two({}))
     assert found.cause == ["inflow"]
     assert not carried[("inflow",)].holds
-    assert state.baseline.mean < 0.5 * NOISE < carried[("inflow",)].error.mean
+    assert state.file.baseline.mean < 0.5 * NOISE < carried[("inflow",)].error.mean
     [warning] = [w for w in found.file.warnings if "does not hold in faster" in w]
     assert "inflow" in warning
 
@@ -95,7 +95,7 @@ def test_an_error_of_one_record_does_not_hold_in_another_state() -> None:
 def test_what_comes_at_the_same_part_of_every_beat_is_moved_to_the_other_period() -> None:
     again = np.interp(LATER / PERIOD, TIMES, BUMP, period=1.0)
     _, state, carried = found_in({"push": BUMP}, in_state_two({"push": again}))
-    assert carried[("inflow",)].error.mean < min(NOISE, 0.3 * state.baseline.mean)
+    assert carried[("inflow",)].error.mean < min(NOISE, 0.3 * state.file.baseline.mean)
     assert not carried[("inflow",)].holds  # a discrepancy at the same part of the beat does as well
 
 
@@ -105,7 +105,7 @@ def test_a_discrepancy_that_belongs_to_the_sensor_is_told_from_a_function() -> N
     found, state, carried = found_in({"own": own}, there)
     drawn = seen_at_sensor(found.rounds[0])
     assert np.sqrt(np.mean((drawn - [0 * own, own]) ** 2)) < NOISE
-    assert state.sensor.mean < 0.2 * state.baseline.mean
+    assert state.file.sensor.mean < 0.2 * state.file.baseline.mean
     assert not carried[("wall",)].holds
     assert not carried[("inflow",)].holds
 
@@ -127,7 +127,7 @@ def test_states_are_in_the_file(of_the_law, tmp_path) -> None:  # type: ignore[n
     found, state, _ = of_the_law
     file = read_diagnosis(found.save(tmp_path))
     assert file.states[0].state == "faster"
-    assert file.states[0].baseline.mean == pytest.approx(state.baseline.mean)
+    assert file.states[0].baseline.mean == pytest.approx(state.file.baseline.mean)
     assert file.states[0].carried[0].holds
     assert '"baseline_K"' in (tmp_path / "diagnosis.json").read_text()
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from zoo.core.diagnosis.states import BASELINE, SEEN
 from zoo.plots.style import COLOURS, INK, new_figure
 from zoo.plots.subject import study_of
 
@@ -32,7 +33,7 @@ def plot_states(d: Diagnosis) -> Figure:
         computed, the noise's standard deviation in grey. The functions are those of the first study, fixed.
     """
     beat = study_of(d) is not None
-    rows = [(s, s.data.rows.get(d.data.groups[d.hooks.rows(d.data)[0]], [0])) for s in d.states]
+    rows = [(s, s.data.rows[s.group]) for s in d.states]
     columns = max(len(series) for _, series in rows)
     size = (2.2 + 3.0 * columns, 0.9 + 2.3 * len(rows))
     with new_figure(size) as figure:
@@ -42,13 +43,13 @@ def plot_states(d: Diagnosis) -> Figure:
         for row, (state, series) in enumerate(rows):
             data = state.data
             times = (1e3 if beat else 1.0) * data.times
-            kept = [name for c in state.carried[:SHOWN] if (name := " and ".join(c.names)) in state.computed]
-            first = [name for name in ("baseline", "sensor's discrepancy") if name in state.computed]
+            learned = [name for name in state.computed if name not in (BASELINE, SEEN)]
+            shown = [name for name in state.computed if name in (BASELINE, SEEN, *learned[:SHOWN])]
             for column, i in enumerate(series):
                 axes = grid[row, column]
                 axes.set_axis_on()
-                axes.axhspan(-state.noise, state.noise, color="#E4E7EB", lw=0)
-                for k, name in enumerate([*first, *kept]):
+                axes.axhspan(-state.file.noise, state.file.noise, color="#E4E7EB", lw=0)
+                for k, name in enumerate(shown):
                     left = data.values[i] - state.computed[name][i]
                     colour = INK if k == 0 else COLOURS[(k - 1) % len(COLOURS)]
                     axes.plot(times, left, color=colour, lw=1.3 if k < 3 else 0.8, label=name)

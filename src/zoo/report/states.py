@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from zoo.core.diagnosis import DiagnosisFile
-from zoo.core.diagnosis.file import CarriedResult, StateFile
+from zoo.core.diagnosis.file import CarriedResult, Interval, StateFile
 from zoo.plots.subject import unit_words
 from zoo.report.words import listed, percent, span
 
@@ -46,9 +46,8 @@ def state_rows(file: DiagnosisFile) -> list[list[str]]:
     return rows
 
 
-def _error(x: object) -> str:
-    mean, low, high = (getattr(x, name) for name in ("mean", "low", "high"))
-    return span(mean, (low, high))
+def _error(x: Interval) -> str:
+    return span(x.mean, (x.low, x.high))
 
 
 def _row(state: str, c: CarriedResult) -> list[str]:

@@ -154,8 +154,26 @@ def _causes(
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
-    """What a case is made of, before its noise: the study to come, its effects, and the waveforms."""
+class CaseTruth:
+    """What a case is made of, before its noise.
+
+    Parameters
+    ----------
+    bench : Bench
+        The study to come.
+    entry : dict
+        What its key says of network, sensors and parameters.
+    effects : EffectDraw
+        What drew the effects.
+    name : str
+        Of the first effect, or "no-gap".
+    added : Added
+        All effects.
+    waves : array (n_series, n_times)
+        Without noise, in each series' unit.
+    correlated : (float, float)
+        Sd (mmHg) and time (s) of the correlated part of the pressures' noise.
+    """
 
     bench: Bench
     entry: dict[str, Any]
@@ -166,7 +184,7 @@ class Truth:
     correlated: tuple[float, float]
 
 
-def draw_truth(job: CaseDraw, noises: np.random.Generator) -> Truth:
+def draw_truth(job: CaseDraw, noises: np.random.Generator) -> CaseTruth:
     """Draw what a case is made of.
 
     Parameters
@@ -177,7 +195,7 @@ def draw_truth(job: CaseDraw, noises: np.random.Generator) -> Truth:
 
     Returns
     -------
-    Truth
+    CaseTruth
 
     Raises
     ------
@@ -193,10 +211,10 @@ def draw_truth(job: CaseDraw, noises: np.random.Generator) -> Truth:
         bench, entry = _bench(network, job)
         drawn = EffectDraw(effects, bench, math.hypot(WHITE_MMHG, correlated), job.draw.limits)
         if job.kind == "none":
-            return Truth(bench, entry, drawn, NULL, (), bench.clean, (correlated, tau))
+            return CaseTruth(bench, entry, drawn, NULL, (), bench.clean, (correlated, tau))
         found = drawn.draw(first, job.kind, job.draw.effects)
         if found is not None:
-            return Truth(bench, entry, drawn, *found, (correlated, tau))
+            return CaseTruth(bench, entry, drawn, *found, (correlated, tau))
     low, high = job.draw.limits
     raise BlindError(
         f"{job.name}: no effect that was drawn has a model discrepancy of {low:g} to {high:g} times the "

@@ -243,11 +243,11 @@ def _in_states(
                 first, given, group, functions, smooth=found.hooks.smooth, cores=cores, seed=seed, tick=tick
             )
         )
-    leader = first.pair.names if first.pair else (first.leader,)
-    warnings = [text for one in results if (text := state_warning(one, leader))]
+    leader = first.own(first.leader)
+    warnings = [text for one in results if (text := state_warning(one.file, leader))]
     file = found.file.model_copy(
         update={
-            "states": [one.as_file() for one in results],
+            "states": [one.file for one in results],
             "warnings": [*found.file.warnings, *warnings],
             "record": found.file.record | {"states_seconds": time.monotonic() - began},
         }

@@ -20,7 +20,7 @@ from zoo.core.data import Data
 from zoo.core.diagnosis.component_answer import ranked
 from zoo.core.diagnosis.components.heldout import PARTS, SMALLER, SURE, intervals_of
 from zoo.core.diagnosis.evidence import Fit
-from zoo.core.diagnosis.file import CarriedResult, DiagnosisError, Interval, StateFile
+from zoo.core.diagnosis.file import CarriedResult, DiagnosisError, StateFile
 from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
 from zoo.core.diagnosis.scoring import Scored
 from zoo.core.diagnosis.screening import BaseFits, Screening
@@ -34,6 +34,8 @@ Change = Callable[[Any], Any]
 Functions = Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]]
 STEPS = 8
 """Steps of a refit of the baseline's parameters beside what is fixed."""
+BASELINE, SEEN = "baseline", "sensor's discrepancy"
+"""Names of what learned functions are compared with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,89 +58,24 @@ class OtherState:
 
 
 @dataclass(frozen=True, eq=False)
-class Carried:
-    """One explanation, fixed as learned in the first state, in another one.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Components, or the listed effect.
-    functions : tuple of str
-        What was fixed.
-    error : Interval
-        Rms of measured minus computed, the noise's part taken off, in the unit of the group asked about.
-    better : float
-        Part of the draws in which that is less than both of the baseline and of the sensor's discrepancy.
-    holds : bool
-    beyond : float or None
-        Part of the argument's range in the other state that lies outside of the first one's; None where the
-        argument is a place or a time.
-    """
-
-    names: tuple[str, ...]
-    functions: tuple[str, ...]
-    error: Interval
-    better: float
-    holds: bool
-    beyond: float | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class StateResult:
     """What a baseline, a sensor's discrepancy and learned functions leave in another state.
 
     Parameters
     ----------
     data : Data
-    unit : str
-        Of all errors.
-    noise : float
-        Sd of a sample.
-    baseline : Interval
-        Its parameters fitted again.
-    sensor : Interval or None
-        With the free discrepancy that was learned at the sensor, at the same part of the period or record;
-        None where no series is observed in both states.
-    carried : tuple of Carried
-        The most probable first.
-    failed : tuple of str
-        Explanations with which nothing could be solved.
+    group : str
+        Whose errors are told.
+    file : StateFile
+        These errors, as diagnosis.json has them.
     computed : mapping of name to array (n_series, n_times)
-        "baseline", and the first names of what was carried.
+        By the baseline, by `SEEN` at the sensor, and by what was carried, "a and b" of two components.
     """
 
     data: Data
-    unit: str
-    noise: float
-    baseline: Interval
-    sensor: Interval | None
-    carried: tuple[Carried, ...]
-    failed: tuple[str, ...] = ()
-    computed: Mapping[str, Array] = field(default_factory=dict, repr=False)
-
-    def as_file(self) -> StateFile:
-        """As diagnosis.json has it."""
-        return StateFile(
-            state=self.data.name,
-            checksum=self.data.checksum,
-            unit=self.unit,
-            noise=self.noise,
-            baseline=self.baseline,
-            sensor=self.sensor,
-            carried=[
-                CarriedResult(
-                    names=list(c.names),
-                    functions=list(c.functions),
-                    error=c.error,
-                    better=c.better,
-                    holds=c.holds,
-                    beyond=c.beyond,
-                    unit=self.unit,
-                )
-                for c in self.carried
-            ],
-            failed=list(self.failed),
-        )
+    group: str
+    file: StateFile
+    computed: Mapping[str, Array] = field(repr=False)
 
 
 class _Changed:
@@ -173,6 +110,11 @@ class _Explanation:
     functions: tuple[tuple[FreeFunction, Array], ...] = ()
     effects: tuple[tuple[AddedEffect, tuple[float, ...]], ...] = ()
     shift: Array | None = None
+
+    @property
+    def name(self) -> str:
+        """Of all together."""
+        return " and ".join(self.names)
 
     @property
     def text(self) -> bytes:
@@ -225,9 +167,7 @@ def _add(one: AddedEffect, amplitudes: tuple[float, ...], configuration: Any) ->
     return one.effect.apply(configuration, amplitudes, one.location)
 
 
-def _changes(
-    one: _Explanation, again: Mapping[str, FreeFunction], first: Data, here: Data
-) -> list[Change] | None:
+def _changes(one: _Explanation, again: Mapping[str, FreeFunction]) -> list[Change] | None:
     """What each fixed piece does to a configuration of the other state; None where it has no counterpart.
 
     A function of the time within a period is that of the same part of the other's period; any other is the
@@ -377,39 +317,35 @@ def hold_in(
     made = functions(state.model, base.values, here) if functions is not None else ()
     again = {f.name: f for f in made}
     wanted = explanations(scored)
-    results: dict[tuple[str, ...], Array] = {("baseline",): refitted.screening.errors.unflat(base.computed)}
+    computed = {BASELINE: refitted.screening.errors.unflat(base.computed)}
     drawn = _at_same_part(seen_at_sensor(scored), first.data, here)
     if drawn is not None:
         found = refitted.computed(state.model, here.values - drawn, [base.u])
         if found is not None:
-            results[("sensor's discrepancy",)] = found + drawn
-    failed = []
+            computed[SEEN] = found + drawn
     for i, one in enumerate(wanted):
-        say(f"state {here.name}: {' and '.join(one.names)}", (i + 1) / (len(wanted) + 1))
-        changes = _changes(one, again, first.data, here)
+        say(f"state {here.name}: {one.name}", (i + 1) / (len(wanted) + 1))
+        changes = _changes(one, again)
         starts = [base.u] if one.shift is None else [base.u + one.shift, base.u]
         model = None if changes is None else _Changed(state.model, changes, one.text)
         found = None if model is None else refitted.computed(model, here.values, starts)
-        if found is None:
-            failed.append(" and ".join(one.names))
-        else:
-            results[one.names] = found
-    return _result(state, group, refitted, results, wanted, again, tuple(failed), seed)
+        if found is not None:
+            computed[one.name] = found
+    file = _compared(here, group, refitted.noise[group], computed, wanted, again, seed)
+    return StateResult(here, group, file, computed)
 
 
-def _result(
-    state: OtherState,
+def _compared(
+    data: Data,
     group: str,
-    refitted: _Refitted,
-    results: Mapping[tuple[str, ...], Array],
+    noise: float,
+    computed: Mapping[str, Array],
     wanted: Sequence[_Explanation],
     again: Mapping[str, FreeFunction],
-    failed: tuple[str, ...],
     seed: int,
-) -> StateResult:
-    data = state.data
+) -> StateFile:
     part = np.arange(data.n_times) * PARTS // data.n_times
-    left = [(data.values - x) ** 2 for x in results.values()]
+    left = [(data.values - x) ** 2 for x in computed.values()]
     units = np.array(
         [
             [float(np.sum(part == j)), *(float(np.sum(x[i, part == j])) for x in left)]
@@ -418,61 +354,60 @@ def _result(
             if np.any(part == j)
         ]
     )
-    noise = refitted.noise[group]
     intervals, mse = intervals_of(units, noise**2, seed)
-    at = {names: i for i, names in enumerate(results)}
-    sensor = at.get(("sensor's discrepancy",))
-    others = [0] if sensor is None else [0, sensor]
+    at = {name: i for i, name in enumerate(computed)}
+    others = [at[name] for name in (BASELINE, SEEN) if name in at]
+    least = min(intervals[k].mean for k in others)
     carried = []
     for one in wanted:
-        if one.names not in at:
+        if one.name not in at:
             continue
-        i = at[one.names]
+        i = at[one.name]
         better = float(np.mean(mse[:, i] < mse[:, others].min(axis=1)))
-        least = min(intervals[k].mean for k in others)
         carried.append(
-            Carried(
-                one.names,
-                one.words,
-                intervals[i],
-                better,
-                better >= SURE and intervals[i].mean < SMALLER * least,
-                _beyond(one, again),
+            CarriedResult(
+                names=list(one.names),
+                functions=list(one.words),
+                error=intervals[i],
+                better=better,
+                holds=better >= SURE and intervals[i].mean < SMALLER * least,
+                beyond=_beyond(one, again),
+                unit=data.unit(group),
             )
         )
-    return StateResult(
-        data,
-        data.unit(group),
-        noise,
-        intervals[0],
-        None if sensor is None else intervals[sensor],
-        tuple(carried),
-        failed,
-        {" and ".join(names): x for names, x in results.items()},
+    return StateFile(
+        state=data.name,
+        checksum=data.checksum,
+        unit=data.unit(group),
+        noise=noise,
+        baseline=intervals[at[BASELINE]],
+        sensor=intervals[at[SEEN]] if SEEN in at else None,
+        carried=carried,
+        failed=[one.name for one in wanted if one.name not in at],
     )
 
 
-def state_warning(result: StateResult, leader: Sequence[str]) -> str:
+def state_warning(state: StateFile, leader: Sequence[str]) -> str:
     """That what leads does not hold in another state; empty where it does, or nothing is missed there.
 
     Parameters
     ----------
-    result : StateResult
+    state : StateFile
     leader : sequence of str
-        The explanation that leads, as `Carried.names`.
+        Names of what leads, as `CarriedResult.names`.
 
     Returns
     -------
     str
     """
-    one = next((c for c in result.carried if set(c.names) == set(leader)), None)
-    if one is None or one.holds or (result.baseline.low == 0.0 and one.error.low == 0.0):
+    one = next((c for c in state.carried if set(c.names) == set(leader)), None)
+    if one is None or one.holds or (state.baseline.low == 0.0 and one.error.low == 0.0):
         return ""
-    unit = "" if result.unit == "1" else f" {result.unit}"
-    sensor = "" if result.sensor is None else f", what was seen at the sensor {result.sensor.mean:.2g}"
-    holding = [" and ".join(c.names) for c in result.carried if c.holds]
+    unit = "" if state.unit == "1" else f" {state.unit}"
+    sensor = "" if state.sensor is None else f", what was seen at the sensor {state.sensor.mean:.2g}"
+    holding = [" and ".join(c.names) for c in state.carried if c.holds]
     instead = f"; {holding[0]} does" if holding else ""
     return (
-        f"what was learned of {' and '.join(one.names)} does not hold in {result.data.name}: it leaves "
-        f"{one.error.mean:.2g}{unit} there, the baseline {result.baseline.mean:.2g}{sensor}{instead}"
+        f"what was learned of {' and '.join(one.names)} does not hold in {state.state}: it leaves "
+        f"{one.error.mean:.2g}{unit} there, the baseline {state.baseline.mean:.2g}{sensor}{instead}"
     )
