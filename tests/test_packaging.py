@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tomllib
@@ -32,3 +33,26 @@ def test_the_wheel_is_tagged_for_the_stable_interface_of_the_oldest_python() -> 
     command = [sys.executable, "-W", "ignore", "-c", TAG_OF]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.split()[-1] == wanted
+
+
+def _where_arviz_was_never_imported(folder: Path, *command: str) -> str:
+    """What a command prints where ArviZ has yet to say its words of the day; it has to end well."""
+    environment = os.environ | {"XDG_CACHE_HOME": str(folder)}
+    done = subprocess.run(
+        [sys.executable, *command], cwd=ROOT, capture_output=True, text=True, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="where a cache is found elsewhere is not looked into")
+def test_the_tests_and_the_command_run_on_a_machine_that_never_imported_arviz(tmp_path: Path) -> None:
+    """It warns of ArviZ 1 on its first import of a day, and the tests take such a warning for an error."""
+    tests = ("-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", "tests/test_groups.py")
+    first = tmp_path / "tests"
+    _where_arviz_was_never_imported(first, *tests)
+    assert (first / "arviz" / "daily_warning").is_file()
+    second = tmp_path / "command"
+    said = _where_arviz_was_never_imported(second, "-m", "zoo.cli", "priors", "demo")
+    assert (second / "arviz" / "daily_warning").is_file()
+    assert "ArviZ" not in said

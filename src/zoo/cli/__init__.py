@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from typing import Annotated
 
 import typer
@@ -59,6 +60,8 @@ def main(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
 ) -> None:
     """Options of all commands."""
+    # said by ArviZ 0.23 on its first import of a day, of a version that zoo does not use
+    warnings.filterwarnings("ignore", r"\s*ArviZ is undergoing a major refactor", FutureWarning)
     show_tracebacks(debug or bool(os.environ.get("ZOO_DEBUG")))
 
 
