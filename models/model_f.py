@@ -27,12 +27,18 @@ BASELINE = Baseline(
         Parameter("v_chi", InverseGamma(3, 7.78), start=2.0, log=True, hyper=True),
         # each vessel's own; sampled as its logarithm, no wall has a negative one
         Parameter(
-            "chi", Population("m_chi", "v_chi", unit=1e4), "g cm-1 s-2", start=5e4, log=True, dims="vessel"
+            "chi",
+            Population("m_chi", "v_chi", unit=1e4),
+            "g cm-1 s-2",
+            start=5e4,
+            log=True,
+            dims="vessel",
+            power=-0.5,
         ),
         # factors on the nominal R1, R2 and C of every outlet
-        Parameter("psi1", Uniform(0.05, 2.5), start=2.45, log=True),
-        Parameter("psi2", Uniform(0.05, 2.5), start=0.21, log=True),
-        Parameter("c", Uniform(0.05, 2.5), start=2.08, log=True),
+        Parameter("psi1", Uniform(0.05, 2.5), start=2.45, log=True, power=1.0),
+        Parameter("psi2", Uniform(0.05, 2.5), start=0.21, log=True, power=1.0),
+        Parameter("c", Uniform(0.05, 2.5), start=2.08, log=True, power=1.0),
     ),
     prior_set="paun2020",  # for mouse-c6; the priors of other studies follow from them, zoo.blood.priors
 )

@@ -19,6 +19,7 @@ from zoo.core.inference.correction import along_chains, delayed_acceptance, pare
 from zoo.core.inference.logposterior import LogPosterior, SamplingError
 from zoo.core.inference.methods import choose, sample
 from zoo.core.inference.record import RunRecord
+from zoo.core.inference.sampling import check_settings
 from zoo.core.inference.surrogate import Builder, sample_surrogate
 from zoo.core.model import bayesian_model
 from zoo.core.parameters import InverseGamma, LogUniform, Parameter, Uniform
@@ -156,6 +157,45 @@ def test_a_corrected_posterior_is_the_exact_one():
     assert made["k_hat"] < 0.7
 
 
+PARTS = 12
+
+
+def shell(configuration, times):
+    """Only the mean of the squares is seen: the posterior is a part of a spherical shell."""
+    return 2.0 * (np.asarray(configuration["parts"]) ** 2).mean() + 0.0 * times
+
+
+def quick(monkeypatch):
+    for name, value in {"JUMP_TUNE": 8000, "JUMP_THIN": 16}.items():
+        monkeypatch.setattr(building, name, value)
+
+
+def test_a_bent_posterior_of_many_parameters_is_looked_for_with_chains(monkeypatch):
+    """Against draws of the prior, uniform in a cube, of which those on the shell are kept."""
+    times, wanted = np.linspace(0.0, 1.0, 30), 2.2
+    parts = Parameter("parts", Uniform(0.5, 1.5), start=0.9, dims="part", size=PARTS)
+    forward = FunctionModel(shell, (parts,), Outputs(("y0",), times), name="shell")
+    noise = SD * np.random.default_rng(5).standard_normal(times.size)
+    data = Data(times, wanted + noise - noise.mean(), units=["mmHg"])
+    quick(monkeypatch)
+    model = bayesian_model("shell", forward, data, KNOWN)
+    idata = sample_surrogate(model, draws=300, seed=3, progress=False, cores=1)
+    made = RunRecord.of(idata).settings["surrogate"]
+    assert made["exploring solves"] > building.EXPLORE_TUNE
+    assert made["mode"] > 0.0
+    assert made["k_hat"] < 0.7
+    all_of_them = ("exploring", "building", "correction")
+    assert RunRecord.of(idata).solves == sum(made[f"{part} solves"] for part in all_of_them)
+    cube = np.random.default_rng(1).uniform(0.5, 1.5, (400_000, PARTS))
+    weights = np.exp(-0.5 * 30 * ((2.0 * (cube**2).mean(1) - wanted) / SD) ** 2)
+    kept = np.random.default_rng(2).choice(cube, 20_000, p=weights / weights.sum()).ravel()
+    found = idata.posterior["parts"].to_numpy().ravel()
+    assert found.mean() == pytest.approx(kept.mean(), abs=0.02)
+    assert found.std() == pytest.approx(kept.std(), rel=0.05)
+    quantiles = [0.025, 0.25, 0.75, 0.975]
+    assert np.quantile(found, quantiles) == pytest.approx(np.quantile(kept, quantiles), abs=0.06)
+
+
 @pytest.mark.parametrize(
     ("spoil", "correction"),
     [
@@ -227,6 +267,17 @@ def test_weights_tell_an_approximation_that_is_too_narrow():
     assert not pareto_weights(none).trusted
 
 
+def test_weights_that_are_all_but_equal_have_no_tail():
+    """Of a few draws beyond a surrogate's reach among many where it is exact; many such are not waved through."""
+    rounding = 1e-13 * np.random.default_rng(1).standard_normal((4, 300))
+    few, many = rounding.copy(), rounding.copy()
+    few[0, :6] = np.linspace(0.1, 0.4, 6)
+    many[0, :12] = np.linspace(1.0, 4.0, 12)
+    assert pareto_weights(rounding).trusted
+    assert pareto_weights(few).trusted
+    assert not pareto_weights(many).trusted
+
+
 def test_resampling_keeps_chains_and_the_order_of_their_draws():
     weights = np.random.default_rng(1).uniform(size=(3, 500))
     index = along_chains(weights, np.random.default_rng(2))
@@ -281,6 +332,20 @@ def test_coordinates_are_logarithms_without_hyperparameters():
     np.testing.assert_allclose(coordinates.bounds()[1], [np.log(10), np.log(10), 3.0])
 
 
+def test_coordinates_are_the_powers_in_which_series_are_straight():
+    speed = Parameter("speed", LogUniform(1.0, 16.0), log=True, dims="part", size=2, power=-0.5)
+    plain = Parameter("plain", Uniform(0.5, 2.0), log=True, power=1.0)
+    coordinates = Coordinates((speed, plain))
+    theta = np.array([[4.0, 16.0, 1.5]])
+    np.testing.assert_allclose(coordinates.of(theta), [[0.5, 0.25, 1.5]])
+    np.testing.assert_allclose(coordinates.theta(coordinates.of(theta)), theta)
+    np.testing.assert_allclose(coordinates.bounds(), [[0.25, 0.25, 0.5], [1.0, 1.0, 2.0]])
+    graph = coordinates.symbolic(
+        {"speed": pytensor.tensor.constant(theta[0, :2]), "plain": pytensor.tensor.constant(1.5)}
+    )
+    np.testing.assert_allclose(graph.eval(), [0.5, 0.25, 1.5])
+
+
 def test_methods_are_chosen_with_a_reason_and_refused_in_one_line(tmp_path):
     model = bayesian_model("toy", FORWARD, DATA, KNOWN)
     method, reason = choose(model)
@@ -303,3 +368,9 @@ def test_methods_are_chosen_with_a_reason_and_refused_in_one_line(tmp_path):
 def test_too_few_points_are_refused():
     with pytest.raises(SurrogateError, match="3 solved points for 2 coordinates"):
         Surrogate.fit(library_of(3), KNOWN.bind(DATA), {"sigma2": SD**2})
+
+
+def test_settings_that_are_left_out_are_those_of_sample():
+    check_settings(until_ess=400)  # of four chains
+    with pytest.raises(SamplingError, match="at least 2 chains"):
+        check_settings(until_ess=400, chains=1)

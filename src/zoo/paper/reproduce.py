@@ -16,6 +16,7 @@ from zoo.core.outputs import write_file
 from zoo.core.posterior.files import matching, refuse_other_settings, sample_to
 from zoo.core.surrogate.library import Library
 from zoo.models import PAPER, get_model
+from zoo.paper.modes_of_f import start_of
 from zoo.paper.table4 import (
     REFERENCE,
     cost_table,
@@ -81,7 +82,10 @@ def nine_posteriors(
         else:
             forward = models[name].zoo.forward  # models of one forward model share its solves
             shared = libraries.setdefault(forward.key, Library(forward))
-            posteriors[name] = sample_to(path, models[name], library=shared, **settings)
+            more: dict[str, Any] = {"library": shared, **settings}
+            if (begin := start_of(name, study)) is not None:
+                more.setdefault("start", begin)
+            posteriors[name] = sample_to(path, models[name], **more)
             say(f"model {name}: sampled, wrote {path}")
     return posteriors, models
 

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 K_LIMIT = 0.7
 """Largest Pareto k-hat with which importance weights are taken (Vehtari et al. 2024)."""
+ALL_EFFECTIVE = 0.99
+"""Effective share from which on weights have no tail: the k-hat of a few among many equal ones means nothing."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,8 @@ class Weights:
     smoothed : array (n_chains, n_draws)
         Pareto-smoothed weights, which add up to 1.
     k_hat : float
-        Shape of the weights' tail: up to 0.7 they can be trusted.
+        Shape of the weights' tail: up to 0.7 they can be trusted; minus infinity of weights so alike that
+        they have no tail.
     effective : float
         Kish's effective share of the draws, (sum w)^2 / (n sum w^2).
     """
@@ -60,14 +63,16 @@ def pareto_weights(log_weights: Array) -> Weights:
     possible = np.isfinite(flat)
     if possible.sum() < 5:
         return Weights(np.full(np.shape(log_weights), 1.0 / flat.size), np.inf, 0.0)
-    w = np.zeros(flat.size)
-    if np.ptp(flat[possible]) < 1e-9:  # no tail to fit
-        w[possible], k = 1.0 / possible.sum(), -np.inf
-    else:
+    w, k = np.exp(np.where(possible, flat - flat[possible].max(), -np.inf)), -np.inf
+    if _kish(w) < ALL_EFFECTIVE:
         smooth, k = az.psislw(flat[possible].copy())
         w[possible], k = np.exp(smooth), float(k)
     w /= w.sum()
-    return Weights(w.reshape(np.shape(log_weights)), k, float(1.0 / (flat.size * (w**2).sum())))
+    return Weights(w.reshape(np.shape(log_weights)), k, _kish(w))
+
+
+def _kish(w: Array) -> float:
+    return float(w.sum() ** 2 / (w.size * (w**2).sum()))
 
 
 def along_chains(weights: Array, rng: np.random.Generator) -> NDArray[np.int64]:

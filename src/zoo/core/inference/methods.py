@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
-from zoo.core.inference.mode import has_many
 from zoo.core.inference.sampling import check_settings
 from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.inference.surrogate import sample_surrogate
@@ -74,8 +73,6 @@ def choose(model: Any, method: str = "auto", *, checkpoint: str | Path | None = 
     d = len(logp.template.data)
     if d <= FEW:
         return "exact", f"with {d} dimensions it is as quick as a surrogate"
-    if has_many(logp) and errors_in_graph(record_of(model)):
-        return "exact", "with independent errors and this many parameters a posterior may have several modes"
     return "surrogate", f"{d} dimensions; each stored draw is corrected with the forward model"
 
 

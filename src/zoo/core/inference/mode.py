@@ -11,7 +11,7 @@ import pymc as pm
 from numpy.typing import ArrayLike
 
 from zoo.core.inference.logposterior import Array, LogPosterior, SamplingError, model_name
-from zoo.core.inference.newton import gauss_newton, least_squares, newton
+from zoo.core.inference.newton import Residuals, gauss_newton, least_squares, newton
 from zoo.core.model import ModelRecord
 
 LARGE = 100.0
@@ -213,11 +213,12 @@ def _highest(
     vectors, such as a vessel's stiffness, is lowered to a tenth, and the search goes on from there; that is
     repeated at the highest end while it leads higher.
     """
+    residuals = Residuals(logp)
     if len(begin) == 1:
         [(q, value)] = begin
-        return gauss_newton(logp, q, value, limit=limit)
-    short = [gauss_newton(logp, q, value, limit=limit // 3)[:2] for q, value in begin]
-    ends = _different(logp, short, limit, FOLLOWED)
+        return gauss_newton(logp, q, value, limit=limit, model=residuals)
+    short = [gauss_newton(logp, q, value, limit=limit // 3, model=residuals)[:2] for q, value in begin]
+    ends = _different(logp, residuals, short, limit, FOLLOWED)
     elements = np.flatnonzero(
         np.concatenate(
             [
@@ -234,20 +235,20 @@ def _highest(
                 moved = q.copy()
                 moved[k] += KICK
                 if np.isfinite(value := logp(moved)):
-                    lower.append(gauss_newton(logp, moved, value, limit=limit // 8)[:2])
-        found = _different(logp, lower, limit, 2) if lower else []
+                    lower.append(gauss_newton(logp, moved, value, limit=limit // 8, model=residuals)[:2])
+        found = _different(logp, residuals, lower, limit, 2) if lower else []
         changed = [end for end in found if end[1] > best[1] + 1.0][:1]
         best = max(best, *found, key=lambda end: end[1])
     return best
 
 
 def _different(
-    logp: LogPosterior, short: Sequence[tuple[Array, float]], limit: int, most: int
+    logp: LogPosterior, residuals: Residuals, short: Sequence[tuple[Array, float]], limit: int, most: int
 ) -> list[tuple[Array, float, Array]]:
     """Ends of the best searches that lead to different modes, highest first."""
     ends: list[tuple[Array, float, Array]] = []
     for q, value in sorted(short, key=lambda end: -end[1])[: 2 * most]:
-        end = gauss_newton(logp, q, value, limit=limit)
+        end = gauss_newton(logp, q, value, limit=limit, model=residuals)
         if all(abs(end[1] - other[1]) > 1.0 for other in ends):
             ends.append(end)
         if len(ends) == most:

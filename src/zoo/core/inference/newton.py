@@ -8,19 +8,24 @@ from typing import Any
 import numpy as np
 from pymc.pytensorf import join_nonshared_inputs
 
+from zoo.core.derivatives import has_jacobian, jacobian
+from zoo.core.forward import SolveError
 from zoo.core.inference.logposterior import Array, LogPosterior
 
 FOLLOWED = 6
 """Starts from which least squares are followed; a pulse wave has lesser fits, such as of stiff vessels."""
 LARGE_NOISE = 0.03
 """Noise of least squares in parts of the range of a group's series, so that no misfit is absurd."""
+GRADIENT = 10
+"""Solves that a solve with its derivatives counts as, measured with 24 of them."""
 
 
-class _Residuals:
+class Residuals:
     """Whitened residuals, log-prior and error parameters of one of zoo's models."""
 
     def __init__(self, logp: LogPosterior) -> None:
         import pytensor
+        import pytensor.tensor as pt
 
         model, record = logp.model, logp.model.zoo
         self.logp, self.record = logp, record
@@ -36,6 +41,27 @@ class _Residuals:
         errors = {model.rvs_to_values[model[name]].name for name in record.error_parameters}
         own = [np.full(np.size(logp.initial[v.name]), v.name in errors) for v in logp.variables]
         self.of_errors = np.concatenate(own)
+        self._theta: Any = None
+        if has_jacobian(record.forward):
+            graphs = model.replace_rvs_by_values([model[name] for name in record.forward_parameters])
+            flat = pt.concatenate([pt.flatten(graph) if graph.ndim else graph[None] for graph in graphs])
+            [flat, total], joined = join_nonshared_inputs(
+                logp.initial, [flat, pt.sum(flat)], logp.variables, {}
+            )
+            by_q: Any = pytensor.grad(total, joined)
+            self._theta = pytensor.function([joined], [flat, by_q])
+
+    def slopes(self, q: Array) -> Array | None:
+        """Derivatives (n, n_series, n_times) of the series by all but the errors' elements, or None."""
+        if self._theta is None:
+            return None
+        theta, by_q = self._theta(q)
+        self.logp.evaluations += GRADIENT
+        try:
+            found = jacobian(self.record.forward, theta)
+        except SolveError:
+            return None
+        return None if found is None else found.slopes * by_q[~self.of_errors][:, None, None]
 
     def mean(self, q: Array) -> tuple[Array | None, dict[str, Any]]:
         """The solver's series, None where it fails, and the error parameters."""
@@ -65,7 +91,7 @@ def least_squares(logp: LogPosterior, starts: Sequence[Array], *, step: float = 
     """
     from scipy import optimize
 
-    model, data = _Residuals(logp), logp.model.zoo.data
+    model, data = Residuals(logp), logp.model.zoo.data
     theta, q = np.flatnonzero(~model.of_errors), starts[0]
     curvature = np.diag(model.prior(q)[1])[theta]
     width = 1.0 / np.sqrt(np.where(curvature > 0, curvature, 1.0))
@@ -99,11 +125,18 @@ def least_squares(logp: LogPosterior, starts: Sequence[Array], *, step: float = 
 
 
 def gauss_newton(
-    logp: LogPosterior, q: Array, value: float, *, limit: int, step: float = 0.02
+    logp: LogPosterior,
+    q: Array,
+    value: float,
+    *,
+    limit: int,
+    step: float = 0.02,
+    model: Residuals | None = None,
 ) -> tuple[Array, float, Array]:
     """Damped Gauss-Newton steps on the whitened residuals, for models with many parameters.
 
-    With z the whitened residuals and J their derivatives by differences, the step solves
+    With z the whitened residuals and J their derivatives, those of the forward model where it has them, else
+    by differences, the step solves
     (J'J + P + lambda D) s = -J'z + grad log p, P the curvature of the prior and D the diagonal. The
     parameters of the errors are moved in between, which needs no solve.
 
@@ -117,6 +150,8 @@ def gauss_newton(
         Solves after which no new step is begun.
     step : float
         Of the differences, in standard deviations of the prior: far above the solver's tolerance.
+    model : Residuals, optional
+        Of `logp`, kept from another search.
 
     Returns
     -------
@@ -127,7 +162,7 @@ def gauss_newton(
     """
     from scipy.optimize import minimize
 
-    model = _Residuals(logp)
+    model = Residuals(logp) if model is None else model
     data, before = logp.model.zoo.data.values, logp.evaluations
     theta, eta = np.flatnonzero(~model.of_errors), np.flatnonzero(model.of_errors)
     curvature = np.diag(model.prior(logp.vector(logp.initial))[1])
@@ -154,7 +189,13 @@ def gauss_newton(
         if mean is None or (z := model.whiten(data - mean, errors)) is None:
             break
         columns = []
-        for k in theta:
+        slopes = model.slopes(q)
+        for i, k in enumerate(theta):
+            if slopes is not None:
+                h = step * scale[k]
+                moved_z = model.whiten(data - mean - h * slopes[i], errors)
+                columns.append(np.zeros_like(z) if moved_z is None else (moved_z - z) / h)
+                continue
             for h in (step * scale[k], -step * scale[k]):
                 moved = q.copy()
                 moved[k] += h

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
@@ -20,14 +20,17 @@ from zoo.core.inference.correction import (
     pareto_weights,
 )
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name, outputs
+from zoo.core.inference.mode import Mode, has_many, search_mode
 from zoo.core.inference.newton import gauss_newton
 from zoo.core.inference.nuts import Draws, nuts
+from zoo.core.inference.record import RunRecord
 from zoo.core.inference.record_of_run import attach_record, inference_data
+from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.model import ModelRecord, record_of
 from zoo.core.parameters import variable_name
 from zoo.core.surrogate.coordinates import Coordinates
 from zoo.core.surrogate.library import Library
-from zoo.core.surrogate.model import SurrogateModel, log_likelihood, surrogate_model
+from zoo.core.surrogate.model import SurrogateModel, errors_in_graph, log_likelihood, surrogate_model
 from zoo.core.surrogate.polynomial import term_count
 from zoo.core.surrogate.waveform import Surrogate
 
@@ -39,6 +42,12 @@ Array = NDArray[np.float64]
 FIRST_POINTS = 1.6
 """Points of the first design for each term of a quadratic."""
 LEAST_POINTS = 150
+EXPLORED, EXPLORE_TUNE, EXPLORE_THIN = 400, 1500, 4
+"""Draws of each chain with the forward model itself that look for a bent posterior."""
+OF_DRAWS = 4.5
+"""Points for each term of a quadratic, where they are such draws."""
+ENOUGH_EXPLORED = 0.3
+"""Effective share of the weighted draws with which the building ends there."""
 WIDER = 1.3
 """Standard deviations of a design, in those of the posterior that is known of."""
 CHECKED = 160
@@ -54,6 +63,11 @@ REFITS = 2
 """How often draws whose weights are not trusted join the surrogate's design, before delayed acceptance."""
 THIN = 2
 """Draws of NUTS for each one that is solved and stored."""
+JUMP_TUNE, JUMP_THIN = 60000, 60
+"""Steps of a chain of differential evolution on the surrogate of a bent posterior: thrown away, and for each
+stored draw."""
+JUMPS = 100
+"""Effective sample size of such chains below which NUTS is tried too: one jumps, the other follows a bend."""
 FLATTEST = 0.05
 """Least power of a surrogate's posterior that delayed acceptance moves in."""
 MOST_DRAWS = 8
@@ -126,6 +140,8 @@ class Builder:
         self.coordinates = Coordinates(self.record.forward.parameters)
         self.rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(5,)))
         self.gradients = 0
+        self.explored: Draws | None = None
+        self.mode: Mode | None = None
         self.names, self._values = outputs(logp.model, [rv.name for rv in logp.model.free_RVs])
 
     def values(self, vectors: Array) -> Draws:
@@ -168,6 +184,30 @@ class Builder:
             x = np.concatenate([x, np.clip(more, *_inside(low, high, mean))])
         return self.coordinates.theta(x[:n])
 
+    def explore(self, start: Mapping[str, Any] | None, chains: int) -> int:
+        """Look for the posterior with chains of the forward model itself; how often they solved it.
+
+        Where many parameters are held only together, and by independent errors closely, the posterior is
+        bent, and a normal design around its mode lies beside it.
+        """
+        mode = self.mode = search_mode(self.logp, start, None, self.seed)
+        self.say(f"mode: log-posterior {mode.logp:.1f} after {self.logp.evaluations} evaluations")
+        idata = sample_exact(
+            self.logp.model, draws=EXPLORED, tune=EXPLORE_TUNE, thin=EXPLORE_THIN, chains=chains,
+            cores=self.cores, seed=self.seed, progress=False, start=mode,
+        )  # fmt: skip
+        found = idata["posterior"]
+        self.explored = {name: np.asarray(found[name])[:, EXPLORED // 3 :] for name in self.names}
+        return int(RunRecord.of(idata).solves)
+
+    def points(self, draws: Draws, near: tuple[Array, Array], n: int) -> Array:
+        """Points (n, n_values) of a design for a posterior of which there are draws (n_draws, ...)."""
+        if self.explored is None:
+            return self.design(*near, n)
+        theta = theta_of(self.record, draws)
+        some: Array = theta[np.unique(np.linspace(0, len(theta) - 1, n).astype(int))]
+        return some
+
     def solve(self, theta: Array) -> Array:
         series = self.library.solve(theta, self.cores)
         self.library.add(theta, series)
@@ -175,36 +215,33 @@ class Builder:
 
     def build(self, start: Mapping[str, Any] | None = None) -> Built:
         """The surrogate and its posterior, after as many rounds as it needs."""
-        q, covariance = self.begin(start)
         d = self.coordinates.n
-        drawn = q + self.rng.standard_normal((max(400, 20 * d), len(q))) @ np.linalg.cholesky(covariance).T
-        draws = self.values(drawn)
-        known = errors_of(self.record, self.values(q[None]))
+        if self.explored is None:
+            q, covariance = self.begin(start)
+            normal = self.rng.standard_normal((max(400, 20 * d), len(q)))
+            draws = self.values(q + normal @ np.linalg.cholesky(covariance).T)
+            weighed = _first(errors_of(self.record, self.values(q[None])))
+        else:
+            draws = _flat(self.explored)
+            vectors = self.logp.from_draws(draws)
+            q, covariance = vectors.mean(0), np.cov(vectors.T) + 1e-9 * np.eye(vectors.shape[1])
+            weighed = _medians(errors_of(self.record, draws))
         x = self.coordinates.of(theta_of(self.record, draws))
         near = x.mean(0), np.cov(x.T).reshape(d, d)
-        first = max(LEAST_POINTS, int(FIRST_POINTS * term_count(d, 2)))
-        self.solve(self.design(*near, first))
-        weighed, log, best, idle = _first(known), [], None, 0
-        starts = self._starts(q, covariance)
+        share = FIRST_POINTS if self.explored is None else OF_DRAWS
+        self.solve(self.points(draws, near, max(LEAST_POINTS, int(share * term_count(d, 2)))))
+        starts = self._starts(q, covariance) if self.explored is None else vectors[:: -(len(vectors) // 4)][:4]
+        log: list[dict[str, Any]] = []
+        best, idle, enough = None, 0, ENOUGH if self.explored is None else ENOUGH_EXPLORED
         for turn in range(1, ROUNDS + 1):
             within = 3.0 * np.sqrt(d) + 3.0
             surrogate = Surrogate.fit(self.library, self.record.errors, weighed, near=near, within=within)
             made = surrogate_model(
                 self.logp.model, self.record, surrogate, theta_of(self.record, draws)[:100]
             )
-            draws, gradients = nuts(
-                made.model,
-                self.names,
-                covariance,
-                starts,
-                self.values(starts),
-                draws=ROUND_DRAWS,
-                tune=ROUND_TUNE,
-                cores=self.cores,
-                seed=int(self.rng.integers(1 << 31)),
-            )
+            draws, gradients = self._draws(made, covariance, starts)
             self.gradients += gradients
-            flat = {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
+            flat = _flat(draws)
             theta = theta_of(self.record, flat)
             some = np.unique(np.linspace(0, len(theta) - 1, CHECKED).astype(int))
             weights = pareto_weights(
@@ -234,22 +271,42 @@ class Builder:
                 best, idle = built, 0
             else:
                 idle += 1
-            if (weights.effective >= ENOUGH and weights.trusted) or idle > IDLE:
+            if (weights.effective >= enough and weights.trusted) or idle > IDLE:
                 break
             near = x.mean(0), np.cov(x.T).reshape(d, d)
-            self.solve(self.design(*near, max(CHECKED, term_count(d, 2) // 2)))
-            weighed = {name: np.median(v, axis=0) for name, v in errors_of(self.record, flat).items()}
+            self.solve(self.points(flat, near, max(CHECKED, term_count(d, 2) // 2)))
+            weighed = _medians(errors_of(self.record, flat))
         assert best is not None
         return best
 
+    def _draws(self, made: SurrogateModel, covariance: Array, starts: Array) -> tuple[Draws, int]:
+        """Draws of a surrogate's posterior to look at, and gradients that they took."""
+        seed = int(self.rng.integers(1 << 31))
+        if self.explored is not None:
+            steps = JUMP_TUNE // 10, JUMP_THIN // 4
+            return _jumping(
+                made.model, self.names, covariance, starts, ROUND_DRAWS, *steps, self.cores, seed
+            ), 0
+        return nuts(
+            made.model,
+            self.names,
+            covariance,
+            starts,
+            self.values(starts),
+            draws=ROUND_DRAWS,
+            tune=ROUND_TUNE,
+            cores=self.cores,
+            seed=seed,
+        )
+
     def again(self, built: Built, draws: Draws, weights: Weights) -> Built:
         """A surrogate of all that was solved since, with points beyond the draws of the last one."""
-        flat = {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
+        flat = _flat(draws)
         d, theta = self.coordinates.n, theta_of(self.record, flat)
         x = self.coordinates.of(theta)
         near = x.mean(0), np.cov(x.T).reshape(d, d)
-        self.solve(self.design(*near, max(LEAST_POINTS, term_count(d, 2) // 2)))
-        medians = {name: np.median(v, axis=0) for name, v in errors_of(self.record, flat).items()}
+        self.solve(self.points(flat, near, max(LEAST_POINTS, term_count(d, 2) // 2)))
+        medians = _medians(errors_of(self.record, flat))
         within = 3.0 * np.sqrt(d) + 3.0
         surrogate = Surrogate.fit(self.library, self.record.errors, medians, near=near, within=within)
         some = theta[:: max(1, len(theta) // 100)]
@@ -277,6 +334,15 @@ class Builder:
         with np.errstate(invalid="ignore"):
             found = log_likelihood(self.record, series, errors) - made.log_likelihood(theta, errors)
         return np.where(np.isnan(found), -np.inf, found)
+
+
+def _flat(draws: Draws) -> Draws:
+    """Draws of all chains, variable -> (n_chains n_draws, ...)."""
+    return {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
+
+
+def _medians(values: Mapping[str, Array]) -> dict[str, Any]:
+    return {name: np.median(value, axis=0) for name, value in values.items()}
 
 
 def _first(known: Mapping[str, Array]) -> dict[str, Any]:
@@ -354,14 +420,20 @@ def sample_surrogate(
         raise SamplingError(
             f"library: is of {library.model.name} with other settings; give one of this model"
         )
+    bent = has_many(logp) and errors_in_graph(record)  # such a posterior has lesser modes too
     before, goal = library.solves, ess_to_count(until_ess)
     tune = FINAL_TUNE if tune is None else tune
     with Display(progress, tune=tune, thin=THIN, cores=cores, ess=until_ess) as show:
         show.say(
-            f"model {model_name(model)}: {len(logp.template.data)} dimensions, {chains} chains of NUTS on a "
-            f"surrogate of {record.forward.name}, seed {seed}"
+            f"model {model_name(model)}: {len(logp.template.data)} dimensions, {chains} chains of "
+            f"{'differential evolution' if bent else 'NUTS'} on a surrogate of {record.forward.name}, "
+            f"seed {seed}"
         )
         builder = Builder(logp, library, seed=seed, cores=cores, say=show.say)
+        exploring = 0
+        if bent:
+            with show.during("chains look for the posterior", lambda: f"{logp.evaluations} evaluations"):
+                exploring = builder.explore(start, chains)
         built = builder.build(start)
         building = library.solves - before
         limit = max_draws or MOST_DRAWS * draws
@@ -381,6 +453,11 @@ def sample_surrogate(
             kept = min(limit, int(np.ceil(kept * float(np.clip(1.2 * goal / least, 1.3, 3.0)))))
             show.say(f"effective sample size {least:.0f} of {goal:.0f}: {kept} draws of each chain")
         show.say(result.words)
+        if builder.mode is not None:
+            show.say(
+                f"these draws are of one mode, of log-posterior {builder.mode.logp:.1f}: the posterior of so "
+                "many parameters may have others; start={name: value} begins at another"
+            )
         shape = result.log_weights.shape
         stats = {
             "log_weight": result.log_weights,
@@ -388,21 +465,23 @@ def sample_surrogate(
             "solves": np.ones(shape, dtype=np.int64),
         }
         idata = inference_data(model, result.draws, stats)
-        solves = library.solves - before
+        solves = exploring + library.solves - before
         wall = time.monotonic() - began
         settings = {
             "method": "surrogate",
-            "step": "nuts",
-            "tune": tune,
-            "thin": THIN,
+            "step": "demetropolisz" if bent else "nuts",
+            "tune": JUMP_TUNE if bent else tune,
+            "thin": JUMP_THIN if bent else THIN,
             "chains": chains,
             "draws": kept,
             "first check": draws,
             "until_ess": until_ess,
             "cores": cores,
             "surrogate": {
+                "mode": None if builder.mode is None else builder.mode.logp,
+                "exploring solves": exploring,
                 "building solves": building,
-                "correction solves": solves - building,
+                "correction solves": solves - exploring - building,
                 "correction": result.correction,
                 "k_hat": result.weights.k_hat,
                 "effective share": result.weights.effective,
@@ -443,24 +522,59 @@ class _Corrected:
 def _weighed(
     builder: Builder, built: Built, kept: int, tune: int, chains: int, cores: int
 ) -> tuple[Draws, Array, Weights]:
-    """Chains of NUTS on the surrogate, each stored draw solved and weighed."""
+    """Chains on the surrogate, each stored draw solved and weighed."""
+    seed = int(builder.rng.integers(1 << 31))
     starts = built.starts[np.arange(chains) % len(built.starts)]
-    long, gradients = nuts(
-        built.made.model,
-        builder.names,
-        built.covariance,
-        starts,
-        builder.values(starts),
-        draws=kept * THIN,
-        tune=tune,
-        cores=cores,
-        seed=int(builder.rng.integers(1 << 31)),
-    )
-    builder.gradients += gradients
-    draws = {name: value[:, ::THIN] for name, value in long.items()}
+    draws, least = None, 0.0
+    if builder.explored is not None:
+        draws = _jumping(
+            built.made.model, builder.names, built.covariance, starts, kept, JUMP_TUNE, JUMP_THIN, cores, seed
+        )
+        least = check_convergence(draws).min_ess
+    if draws is None or not least >= JUMPS:
+        long, gradients = nuts(
+            built.made.model,
+            builder.names,
+            built.covariance,
+            starts,
+            builder.values(starts),
+            draws=kept * THIN,
+            tune=tune,
+            cores=cores,
+            seed=seed,
+        )
+        builder.gradients += gradients
+        thinned = {name: value[:, ::THIN] for name, value in long.items()}
+        if draws is None or check_convergence(thinned).min_ess > least:
+            draws = thinned
     flat = {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
     log_weights = builder.log_weights(built.made, flat, keep=True).reshape(chains, kept)
     return draws, log_weights, pareto_weights(log_weights)
+
+
+def _jumping(
+    model: Any,
+    names: Sequence[str],
+    covariance: Array,
+    starts: Array,
+    draws: int,
+    tune: int,
+    thin: int,
+    cores: int,
+    seed: int,
+) -> Draws:
+    """Chains of differential evolution on a surrogate, which jump between lesser modes where NUTS stays.
+
+    Only between those that are in reach of where the forward model's own chains have been: elsewhere the
+    surrogate has no density.
+    """
+    logp = LogPosterior(model)
+    mode = Mode(starts[0], logp.to_values(starts[0]), logp(starts[0]), covariance, 0)
+    idata = sample_exact(
+        model, draws=draws, tune=tune, thin=thin, chains=len(starts), cores=0 if cores == 1 else cores,
+        seed=seed, progress=False, start=mode,
+    )  # fmt: skip
+    return {name: np.asarray(idata["posterior"][name]) for name in names}
 
 
 def _corrected(

@@ -1,4 +1,4 @@
-"""The numbers that a solution depends on, as logarithms where a search steps in these."""
+"""The numbers that a solution depends on, as powers or logarithms in which it is most nearly linear."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Coordinates x (n_x,) of a solve: its parameters but for hyperparameters, some as logarithms.
+    """Coordinates x (n_x,) of a solve: its parameters but for hyperparameters, as powers or logarithms.
 
     Parameters
     ----------
     parameters : sequence of Parameter
-        Of a forward model. Those with `log` enter as their logarithm, those with `hyper` do not enter.
+        Of a forward model. Each enters as its `response` says, those with `hyper` do not enter.
     """
 
     parameters: Sequence[Parameter]
@@ -32,8 +32,8 @@ class Coordinates:
         return np.concatenate([np.full(p.size, not p.hyper) for p in self.parameters])
 
     @property
-    def _log(self) -> Array:
-        return np.concatenate([np.full(p.size, p.log) for p in self.parameters if not p.hyper])
+    def _powers(self) -> Array:
+        return np.concatenate([np.full(p.size, p.response) for p in self.parameters if not p.hyper])
 
     @property
     def n(self) -> int:
@@ -42,30 +42,37 @@ class Coordinates:
 
     def of(self, theta: ArrayLike) -> Array:
         """Coordinates (..., n_x) of parameters (..., n_values)."""
-        x = np.array(np.asarray(theta, dtype=np.float64)[..., self._read])
-        x[..., self._log] = np.log(x[..., self._log])
-        return x
+        x, powers = np.asarray(theta, dtype=np.float64)[..., self._read], self._powers
+        some = powers == 0
+        found = np.array(x ** np.where(some, 1.0, powers))
+        found[..., some] = np.log(x[..., some])
+        return found
 
     def theta(self, x: ArrayLike) -> Array:
         """Parameters (..., n_values) with these coordinates; hyperparameters, which no solve reads, are 1."""
-        x = np.array(x, dtype=np.float64)
-        x[..., self._log] = np.exp(x[..., self._log])
+        x, powers = np.asarray(x, dtype=np.float64), self._powers
+        some = powers == 0
+        values = np.array(x ** (1.0 / np.where(some, 1.0, powers)))
+        values[..., some] = np.exp(x[..., some])
         found = np.ones((*x.shape[:-1], n_values(self.parameters)))
-        found[..., self._read] = x
+        found[..., self._read] = values
         return found
 
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest x (n_x,) of the priors' supports; infinite where there is none."""
-        ends: tuple[list[float], list[float]] = ([], [])
-        for p in self.parameters:
-            if not p.hyper:
-                for end, values in zip(p.prior.support, ends, strict=True):
-                    values += [end] * p.size
-        with np.errstate(divide="ignore"):
-            low, high = (
-                np.where(self._log, np.log(np.maximum(values, 0.0)), values) for values in map(np.array, ends)
-            )
-        return low, high
+        ends = [p.prior.support for p in self.parameters if not p.hyper for _ in range(p.size)]
+        low, high = [], []
+        for (start, end), power in zip(ends, self._powers, strict=True):
+            with np.errstate(divide="ignore"):
+                if power == 1:
+                    pair = (start, end)
+                elif power == 0:
+                    pair = (float(np.log(max(start, 0.0))), float(np.log(max(end, 0.0))))
+                else:
+                    pair = (float(np.float64(max(start, 0.0)) ** power), float(np.float64(end) ** power))
+            low.append(min(pair))
+            high.append(max(pair))
+        return np.array(low), np.array(high)
 
     def symbolic(self, variables: Mapping[str, Any]) -> Any:
         """Coordinates as a PyTensor vector of variables by the parameters' names."""
@@ -74,6 +81,7 @@ class Coordinates:
             if p.hyper:
                 continue
             value = pt.as_tensor_variable(variables[p.name], dtype="float64")
-            value = pt.log(value) if p.log else value
+            if p.response != 1:
+                value = value**p.response if p.response else pt.log(value)
             parts.append(value if p.dims else pt.shape_padleft(value))
         return pt.concatenate(parts)
