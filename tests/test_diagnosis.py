@@ -10,6 +10,7 @@ import pytest
 
 from made import made
 from zoo import load_study
+from zoo.blood import diagnosis as diagnosis_module
 from zoo.blood.diagnosis import PHASES, StudyDiagnosis, _of_size, diagnose, errors_of, phases
 from zoo.blood.forward import study_data
 from zoo.core.diagnosis import DiagnosisError, DiagnosisFile, read_diagnosis
@@ -202,6 +203,25 @@ def test_units_that_cannot_be_are_warned_of() -> None:
     assert "kPa would fit" in file.warnings[0]
     assert any("check the units in observations.csv" in text for text in file.warnings)
     assert file.excluded is not None
+
+
+def test_units_that_cannot_be_in_another_state_are_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the state's name; a study of sound units has no such warning."""
+    given: list[Hooks] = []
+
+    def stop(*arguments: object, hooks: Hooks, **settings: object) -> None:
+        given.append(hooks)
+        raise DiagnosisError("far enough")
+
+    monkeypatch.setattr(diagnosis_module, "diagnose_data", stop)
+    study, kilopascal = load_study("demo"), made([])
+    series = tuple(replace(s, value=s.value * 0.133322) for s in kilopascal.series)
+    for state in (replace(kilopascal, name="exercise", series=series), kilopascal):
+        with pytest.raises(DiagnosisError, match="far enough"):
+            diagnose(study, states=[state])
+    assert given[0].warnings[0].startswith("in exercise: ")
+    assert "kPa would fit" in given[0].warnings[0]
+    assert given[1].warnings == ()
 
 
 @pytest.mark.parametrize(("removed", "warned"), [(-0.1, True), (0.3, True), (0.7, False)])

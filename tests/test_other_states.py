@@ -11,8 +11,8 @@ from test_component_weighing import FUNCTIONS, KNOTS, MODEL, NOISE, TIMES, data_
 from zoo.core.data import Data
 from zoo.core.diagnosis import DiagnosisError, OtherState, diagnose, read_diagnosis
 from zoo.core.diagnosis.states import seen_at_sensor
-from zoo.core.forward import FunctionModel, Outputs
-from zoo.core.parameters import Normal, Parameter
+from zoo.core.forward import FunctionModel, Outputs, SolveError
+from zoo.core.parameters import Normal, Parameter, Uniform
 
 PERIOD = 0.7
 LATER = np.arange(80) * (PERIOD / 80)
@@ -136,4 +136,52 @@ def test_another_system_is_no_state() -> None:
     other = FunctionModel(faster, (Parameter("height", Normal(1.0, 0.3)),), FASTER.outputs, "toy")
     state = replace(in_state_two({}), model=other)
     with pytest.raises(DiagnosisError, match="other parameters"):
-        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[state])
+        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[state], tick=no_work)
+
+
+def no_work(text, share) -> None:  # type: ignore[no-untyped-def]
+    raise AssertionError(f"{text}: refused only after work")
+
+
+def test_the_same_data_are_no_other_state() -> None:
+    data = data_of(LAW)
+    with pytest.raises(DiagnosisError, match="same series as"):
+        diagnose(data, MODEL, [], hooks=hooks(FUNCTIONS), states=[OtherState(data, MODEL)], tick=no_work)
+
+
+def test_a_state_that_asks_for_other_series_is_refused_before_the_work() -> None:
+    state = replace(in_state_two({}), model=MODEL)
+    with pytest.raises(DiagnosisError, match="ask the forward model for the data's series"):
+        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[state], tick=no_work)
+
+
+def never(configuration, times):  # type: ignore[no-untyped-def]
+    raise SolveError("the drive is too large")
+
+
+def test_a_state_that_cannot_be_solved_costs_nothing_but_itself() -> None:
+    broken = replace(in_state_two({}), model=replace(FASTER, function=never))
+    found = diagnose(
+        data_of(LAW),
+        MODEL,
+        [],
+        hooks=replace(hooks([]), components=known),
+        states=[broken, in_state_two(LAW)],
+    )
+    assert found.cause == ["wall"]
+    assert [one.state for one in found.file.states] == ["faster"]
+    [warning] = [w for w in found.file.warnings if "cannot be solved" in w]
+    assert "in faster the baseline cannot be solved" in warning
+    assert "the drive is too large" in warning
+
+
+def test_a_bound_at_which_the_baseline_stands_in_another_state_is_told() -> None:
+    narrow = replace(FASTER, parameters=(Parameter("level", Uniform(0.5, 0.9)),))
+    _, state, _ = found_in(LAW, replace(in_state_two(LAW), model=narrow))
+    [warning] = state.warnings
+    assert "in faster" in warning
+    assert "level" in warning
+    assert "0.9" in warning
+    found, state, _ = found_in(LAW, in_state_two(LAW))
+    assert not state.warnings
+    assert not any("bound" in w for w in found.file.warnings)

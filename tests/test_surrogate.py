@@ -268,7 +268,7 @@ def test_weights_tell_an_approximation_that_is_too_narrow():
 
 
 def test_weights_that_are_all_but_equal_have_no_tail():
-    """Of a few draws beyond a surrogate's reach among many where it is exact; many such are not waved through."""
+    """Of a few draws beyond a surrogate's reach among many where it is exact; many such do not pass."""
     rounding = 1e-13 * np.random.default_rng(1).standard_normal((4, 300))
     few, many = rounding.copy(), rounding.copy()
     few[0, :6] = np.linspace(0.1, 0.4, 6)

@@ -264,20 +264,19 @@ def diagnose(
     study = with_priors(study, priors)
     forward = chosen.forward(study, conventions=conventions, options=options, share=SEARCH_SHARE)
     data = study_data(study)
-    others = []
+    others, odd = [], list(map(str, suspect_units(study)))
     for one in states:
         other = with_priors(same_tree(study, one), priors)
         model = chosen.forward(other, conventions=conventions, options=options, share=SEARCH_SHARE)
         here = study_data(other)
         others.append(OtherState(here, model, errors_of(other, here)))
+        odd += [f"in {other.name}: {text}" for text in suspect_units(other)]
     found = diagnose_data(
         data,
         forward,
         effects_for(forward.name, effects),
         errors=errors_of(study, data),
-        hooks=replace(
-            HOOKS, warnings=tuple(map(str, suspect_units(study))), components=_of_size(component_sizes)
-        ),
+        hooks=replace(HOOKS, warnings=tuple(odd), components=_of_size(component_sizes)),
         states=others,
         max_effects=max_effects,
         exhaust=exhaust,

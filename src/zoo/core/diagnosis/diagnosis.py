@@ -27,7 +27,7 @@ from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC
 from zoo.core.diagnosis.scoring import SENSOR, Scored, score
 from zoo.core.diagnosis.screening import MORE, Screened, Screening
 from zoo.core.diagnosis.search import SearchError
-from zoo.core.diagnosis.states import OtherState, StateResult, hold_in, state_warning
+from zoo.core.diagnosis.states import OtherState, StateResult, hold_in, same_system, state_warning
 from zoo.core.effects import AddedEffect, Effect, EffectError
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.spectral import Spectral, spectral_errors
@@ -230,21 +230,27 @@ def _in_states(
     seed: int,
     tick: Callable[[str, float], None] | None,
 ) -> Diagnosis:
-    """With what it leaves in other states; bounds that were lifted are lifted there too."""
+    """With what it leaves in other states; bounds that were lifted are lifted there too.
+
+    Of a state in which the baseline cannot be solved only that is said.
+    """
     first, began = found.rounds[0], time.monotonic()
     group = found.data.groups[found.hooks.rows(found.data)[0]]
     priors = {} if freed_model is None else {p.name: p.prior for p in freed_model.parameters}
-    results = []
+    leader, functions, smooth = first.own(first.leader), found.hooks.components, found.hooks.smooth
+    results, warnings = [], []
     for state in states:
         given = replace(state, model=WithPriors(state.model, priors)) if priors else state
-        functions = found.hooks.components
-        results.append(
-            hold_in(
-                first, given, group, functions, smooth=found.hooks.smooth, cores=cores, seed=seed, tick=tick
+        try:
+            one = hold_in(first, given, group, functions, smooth=smooth, cores=cores, seed=seed, tick=tick)
+        except (SearchError, SolveError) as error:
+            warnings.append(
+                f"in {state.data.name} the baseline cannot be solved ({error}), so that nothing is said of "
+                f"this state; {found.hooks.advice}"
             )
-        )
-    leader = first.own(first.leader)
-    warnings = [text for one in results if (text := state_warning(one.file, leader))]
+            continue
+        results.append(one)
+        warnings += [*one.warnings, *filter(None, [state_warning(one.file, leader)])]
     file = found.file.model_copy(
         update={
             "states": [one.file for one in results],
@@ -328,6 +334,9 @@ def diagnose(
         if count < 1:
             raise DiagnosisError(f"{what} = {count}: must be at least 1")
     chosen, hooks = _checked(data, model, effects, errors), hooks or Hooks()
+    for state in states:  # before the work
+        _checked(state.data, state.model, (), state.errors)
+        same_system(data, model, state)
     began = time.monotonic()
     started = datetime.now(UTC).isoformat(timespec="seconds")
     rounds: list[Scored] = []

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from zoo.core.components import FreeFunction
 from zoo.core.data import Data
+from zoo.core.diagnosis.bounds import at_bounds
 from zoo.core.diagnosis.component_answer import ranked
 from zoo.core.diagnosis.components.heldout import PARTS, SMALLER, SURE, intervals_of
 from zoo.core.diagnosis.evidence import Fit
@@ -27,7 +28,7 @@ from zoo.core.diagnosis.screening import BaseFits, Screening
 from zoo.core.diagnosis.search import Search, SearchError
 from zoo.core.effects import AddedEffect
 from zoo.core.errors.spectral import Spectral, spectral_errors
-from zoo.core.forward import ForwardModel, Outputs, SolveError, content_key
+from zoo.core.forward import ForwardModel, Outputs, content_key
 
 Array = NDArray[np.float64]
 Change = Callable[[Any], Any]
@@ -70,12 +71,15 @@ class StateResult:
         These errors, as diagnosis.json has them.
     computed : mapping of name to array (n_series, n_times)
         By the baseline, by `SEEN` at the sensor, and by what was carried, "a and b" of two components.
+    warnings : tuple of str
+        Bounds at which the baseline stands there.
     """
 
     data: Data
     group: str
     file: StateFile
     computed: Mapping[str, Array] = field(repr=False)
+    warnings: tuple[str, ...] = ()
 
 
 class _Changed:
@@ -256,6 +260,26 @@ class _Refitted:
         return errors.unflat(best.computed)
 
 
+def same_system(data: Data, model: ForwardModel, state: OtherState) -> None:
+    """Refuse another state that is none: that of another system, or the first one itself.
+
+    Raises
+    ------
+    DiagnosisError
+    """
+    here = state.data
+    if [p.name for p in state.model.parameters] != [p.name for p in model.parameters]:
+        raise DiagnosisError(
+            f"{here.source or here.name}: its baseline has other parameters than that of {data.name}: "
+            "another state is one of the same system; give a study of the same network"
+        )
+    if here.checksum == data.checksum:
+        raise DiagnosisError(
+            f"{here.source or here.name}: has the same series as {data.name}, in which all was learned: give "
+            "measurements of another state"
+        )
+
+
 def hold_in(
     scored: Scored,
     state: OtherState,
@@ -294,24 +318,16 @@ def hold_in(
 
     Raises
     ------
+    zoo.core.diagnosis.search.SearchError, zoo.core.forward.SolveError
+        If the baseline cannot be solved there.
     DiagnosisError
-        If the baseline cannot be solved there, or has other parameters than the first state's.
+        As of `same_system`.
     """
     first, here = scored.screened.screening, state.data
-    names = [p.name for p in first.baseline.parameters]
-    if [p.name for p in state.model.parameters] != names:
-        raise DiagnosisError(
-            f"{here.source or here.name}: its baseline has other parameters than that of {first.data.name}: "
-            "another state is one of the same system; give a study of the same network"
-        )
+    same_system(first.data, first.baseline, state)
     say = tick or (lambda text, share: None)
     say(f"state {here.name}: baseline", 0.0)
-    try:
-        refitted = _Refitted(state, smooth, cores)
-    except (SearchError, SolveError) as error:
-        raise DiagnosisError(
-            f"{here.source or here.name}: the baseline cannot be solved in this state: {error}"
-        ) from None
+    refitted = _Refitted(state, smooth, cores)
     group = group if group in here.rows else here.groups[0]
     base = refitted.fits.fit
     made = functions(state.model, base.values, here) if functions is not None else ()
@@ -332,7 +348,8 @@ def hold_in(
         if found is not None:
             computed[one.name] = found
     file = _compared(here, group, refitted.noise[group], computed, wanted, again, seed)
-    return StateResult(here, group, file, computed)
+    bounds = tuple(f"in {here.name}, {one.text}" for _, one in at_bounds(base))
+    return StateResult(here, group, file, computed, bounds)
 
 
 def _compared(

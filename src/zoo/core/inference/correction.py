@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 K_LIMIT = 0.7
 """Largest Pareto k-hat with which importance weights are taken (Vehtari et al. 2024)."""
 ALL_EFFECTIVE = 0.99
-"""Effective share from which on weights have no tail: the k-hat of a few among many equal ones means nothing."""
+"""Effective share from which on weights have no tail: k-hat means nothing of a few among many equal ones."""
 
 
 @dataclass(frozen=True)

@@ -230,7 +230,9 @@ class Builder:
         near = x.mean(0), np.cov(x.T).reshape(d, d)
         share = FIRST_POINTS if self.explored is None else OF_DRAWS
         self.solve(self.points(draws, near, max(LEAST_POINTS, int(share * term_count(d, 2)))))
-        starts = self._starts(q, covariance) if self.explored is None else vectors[:: -(len(vectors) // 4)][:4]
+        starts = (
+            self._starts(q, covariance) if self.explored is None else vectors[:: -(len(vectors) // 4)][:4]
+        )
         log: list[dict[str, Any]] = []
         best, idle, enough = None, 0, ENOUGH if self.explored is None else ENOUGH_EXPLORED
         for turn in range(1, ROUNDS + 1):
