@@ -3,13 +3,15 @@
 Prints the tables that docs/calibration.md quotes and draws its figures. Finished replicates are kept in a
 file for each model, so an interrupted run goes on.
 
-Usage: python benchmarks/calibration.py [--models A,B] [--replicates 200] [--folder runs/calibration]
-       [--figures docs/figures] [--cores 1] [--seed 1] [--scheduler tcp://HOST:8786] [--shard I/N]
+Usage: python benchmarks/calibration.py [--models A,B] [--method exact] [--replicates 200]
+       [--folder runs/calibration] [--figures docs/figures] [--cores 1] [--seed 1]
+       [--scheduler tcp://HOST:8786] [--shard I/N]
 """
 
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from functools import partial
 from pathlib import Path
 
@@ -20,16 +22,24 @@ from zoo.core.posterior.ranks import RankTest
 from zoo.models import get_model
 from zoo.paper.calibration import simulate_and_rank
 from zoo.paper.cheap import cheap_options, cheap_study
-from zoo.paper.replicator import Settings
+from zoo.paper.replicator import METHODS, Settings
 from zoo.plots import calibration_figure, save_figure
 
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 SIGMA2 = (1e-3, 1.0)  # mmHg2; InverseGamma(0.001, 0.001) has half of its mass above 1e300
 
+SETTINGS = {
+    "exact": Settings(),
+    "surrogate": Settings(method="surrogate", chains=4, steps=250, max_steps=2000),
+}
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--models", default="A,B")
+    parser.add_argument(
+        "--method", choices=METHODS, default="exact", help="of models with errors B, C, E, G to I"
+    )
     parser.add_argument("--replicates", type=int, default=200)
     parser.add_argument("--folder", type=Path, default=Path("runs/calibration"))
     parser.add_argument("--figures", type=Path, default=FIGURES)
@@ -49,9 +59,9 @@ def main() -> None:
                 study,
                 args.replicates,
                 seed=args.seed,
-                settings=Settings(),
+                settings=SETTINGS[args.method],
                 limits={"sigma2": SIGMA2} if independent else None,
-                path=args.folder / f"{name}.jsonl",
+                path=args.folder / f"{name}{'' if args.method == 'exact' else '-surrogate'}.jsonl",
                 cores=args.cores,
                 executor=executor,
                 shard=args.shard,
@@ -79,6 +89,13 @@ def report(name: str, test: RankTest) -> None:
     rhat = np.array([r.rhat for r in replicates])
     steps = np.array([r.steps for r in replicates])
     redrawn = sum(sum(r.redrawn.values()) for r in replicates)
+    by = Counter(r.correction.partition(":")[0] for r in replicates if r.correction)
+    if by:
+        surrogate = [r for r in replicates if r.k_hat is not None]
+        k_hats, shares = ([getattr(r, name) for r in surrogate] for name in ("k_hat", "accepted"))
+        print("made exact by " + ", ".join(f"{what} {n}" for what, n in by.items()))
+        print(f"k-hat: median {np.median(k_hats):.2f}, most {max(k_hats):.2f}")
+        print(f"effective share of the draws: median {np.median(shares):.2f}, least {min(shares):.2f}")
     print(f"smallest ESS of a replicate: least {ess.min():.0f}, median {np.median(ess):.0f}")
     print(f"largest R-hat of a replicate: median {np.median(rhat):.3f}, most {rhat.max():.3f}")
     print(f"steps of a chain: median {np.median(steps):.0f}, most {steps.max()}")

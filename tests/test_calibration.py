@@ -247,6 +247,26 @@ def test_processes_change_nothing(replicators: dict[str, Replicator]) -> None:
     assert [r.rank for r in test.replicates] == [replicators["A"].replicate(5, k, QUICK).rank for k in (0, 1)]
 
 
+def test_a_surrogate_samples_the_posterior_that_exact_chains_do(replicators: dict[str, Replicator]) -> None:
+    """The same data of B by both: means and widths within Monte Carlo errors, and how it was made exact."""
+    b = replicators["B"]
+    simulated = b.simulate(np.random.SeedSequence(5, spawn_key=(0, 0)))
+    b.observe(simulated.data)
+    settings = Settings(ranked=79, chains=4, steps=250, max_steps=1000, method="surrogate")
+    made = b.fit_on_surrogate(simulated.values, 1, settings)
+    exact = b.fit(simulated.values, 1, Settings(chains=4, min_ess=800))
+    assert made.correction in ("importance resampling", "delayed acceptance")
+    assert made.k_hat is not None
+    assert made.draws.shape[0] == 4
+    assert min(made.ess.values()) > 100
+    shape = (-1, made.draws.shape[2])
+    one, two = made.draws.reshape(shape), exact.draws.reshape(shape)
+    ess = [1 / made.ess[name] + 1 / exact.ess[name] for name in b.names[:-1]]
+    assert np.all(np.abs(one.mean(0) - two.mean(0)) < 4 * two.std(0) * np.sqrt(ess))
+    np.testing.assert_allclose(one.std(0), two.std(0), rtol=0.25)
+    assert made.log_posterior[2, 7] == b.logp(made.draws[2, 7])
+
+
 def test_errors_say_what_to_change(replicators: dict[str, Replicator]) -> None:
     with pytest.raises(CalibrationError, match="'chi' is no scalar parameter; it has f3, psi1"):
         Replicator(builder("A"), cheap_study(), limits={"chi": (0, 1)})
@@ -254,6 +274,10 @@ def test_errors_say_what_to_change(replicators: dict[str, Replicator]) -> None:
         Replicator(builder("A"), cheap_study(), truth=builder("B"))
     with pytest.raises(CalibrationError, match="ranked = 99: more than the 1 x 60 steps"):
         Settings(ranked=99, chains=1, steps=60)
+    with pytest.raises(CalibrationError, match="method = 'emulator': must be one of exact, surrogate"):
+        Settings(method="emulator")
+    with pytest.raises(CalibrationError, match="limits of sigma2: a surrogate samples the prior as it is"):
+        replicators["A"].replicate(5, 0, Settings(method="surrogate"))
     with pytest.raises(CalibrationError, match=r"data of shape \(2, 3\)"):
         replicators["A"].observe(np.zeros((2, 3)))
     with pytest.raises(CalibrationError, match="failed solve"):

@@ -208,9 +208,11 @@ def test_units_that_cannot_be_are_warned_of() -> None:
 def test_units_that_cannot_be_in_another_state_are_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the state's name; a study of sound units has no such warning."""
     given: list[Hooks] = []
+    tried: list[list[object]] = []
 
-    def stop(*arguments: object, hooks: Hooks, **settings: object) -> None:
+    def stop(*arguments: object, hooks: Hooks, states: list[object], **settings: object) -> None:
         given.append(hooks)
+        tried.append(states)
         raise DiagnosisError("far enough")
 
     monkeypatch.setattr(diagnosis_module, "diagnose_data", stop)
@@ -219,16 +221,38 @@ def test_units_that_cannot_be_in_another_state_are_warned_of(monkeypatch: pytest
     for state in (replace(kilopascal, name="exercise", series=series), kilopascal):
         with pytest.raises(DiagnosisError, match="far enough"):
             diagnose(study, states=[state])
+    assert [len(states) for states in tried] == [0, 1]
+    assert "exercise is not compared" in given[0].warnings[1]
     assert given[0].warnings[0].startswith("in exercise: ")
     assert "kPa would fit" in given[0].warnings[0]
     assert given[1].warnings == ()
+
+
+def test_another_state_has_the_same_vessels_and_comes_in_a_list() -> None:
+    study = load_study("demo")
+    root, *others = study.vessels
+    wider = replace(study, vessels=(replace(root, radius_cm=1.1 * root.radius_cm), *others))
+    with pytest.raises(
+        DiagnosisError, match="vessel 1 is not the same as in 'demo', whose parent, length and"
+    ):
+        diagnose(study, states=[wider])
+    with pytest.raises(DiagnosisError, match="give a list of studies"):
+        diagnose(study, states=study)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("high", [0.8, 0.95])
+def test_what_is_not_known_to_leave_most_is_not_said_to(high: float, jitter: StudyDiagnosis) -> None:
+    gap = jitter.file.gap.model_copy(update={"removed": 0.1, "removed_interval": (-1.8, high)})
+    [text] = [w for w in _warnings(gap, jitter.rounds[0], Hooks()) if "of the discrepancy goes with" in w]
+    assert ("cannot be told from these data: -180% to 95%" in text) is (high > 0.9)
+    assert ("most has another cause" in text) is (high < 0.9)
 
 
 @pytest.mark.parametrize(("removed", "warned"), [(-0.1, True), (0.3, True), (0.7, False)])
 def test_an_explanation_that_leaves_most_is_warned_of(
     removed: float, warned: bool, jitter: StudyDiagnosis
 ) -> None:
-    gap = jitter.file.gap.model_copy(update={"removed": removed})
+    gap = jitter.file.gap.model_copy(update={"removed": removed, "removed_interval": (-0.5, 0.8)})
     text = f"only {max(removed, 0.0):.0%} of the discrepancy goes with it: most has another cause"
     assert any(text in found for found in _warnings(gap, jitter.rounds[0], Hooks())) is warned
 

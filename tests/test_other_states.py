@@ -10,7 +10,7 @@ import pytest
 from test_component_weighing import FUNCTIONS, KNOTS, MODEL, NOISE, TIMES, data_of, hooks
 from zoo.core.data import Data
 from zoo.core.diagnosis import DiagnosisError, OtherState, diagnose, read_diagnosis
-from zoo.core.diagnosis.states import seen_at_sensor
+from zoo.core.diagnosis.states import seen_at_sensor, state_warning
 from zoo.core.forward import FunctionModel, Outputs, SolveError
 from zoo.core.parameters import Normal, Parameter, Uniform
 
@@ -145,14 +145,49 @@ def no_work(text, share) -> None:  # type: ignore[no-untyped-def]
 
 def test_the_same_data_are_no_other_state() -> None:
     data = data_of(LAW)
-    with pytest.raises(DiagnosisError, match="same series as"):
-        diagnose(data, MODEL, [], hooks=hooks(FUNCTIONS), states=[OtherState(data, MODEL)], tick=no_work)
+    nearly = replace(data, values=data.values * (1 + 1e-12), groups=("left", "right"))
+    for again in (data, nearly):
+        with pytest.raises(DiagnosisError, match="same series as"):
+            diagnose(data, MODEL, [], hooks=hooks(FUNCTIONS), states=[OtherState(again, MODEL)], tick=no_work)
+
+
+def test_a_state_is_given_once() -> None:
+    state = in_state_two({})
+    with pytest.raises(DiagnosisError, match="given twice"):
+        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[state, state], tick=no_work)
 
 
 def test_a_state_that_asks_for_other_series_is_refused_before_the_work() -> None:
     state = replace(in_state_two({}), model=MODEL)
     with pytest.raises(DiagnosisError, match="ask the forward model for the data's series"):
         diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[state], tick=no_work)
+
+
+def test_the_same_series_in_another_unit_are_refused() -> None:
+    """What was seen at a sensor is taken off as it is."""
+    state = in_state_two({})
+    other = replace(state, data=replace(state.data, units=("mK", "K"), groups=("one", "two")))
+    with pytest.raises(DiagnosisError, match=r"series y1 is in mK, in .* in K: give both in one unit"):
+        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[other], tick=no_work)
+
+
+def test_parameters_of_another_size_are_refused() -> None:
+    many = (Parameter("level", Normal(1.0, 0.3), dims="part", size=2),)
+    other = replace(in_state_two({}), model=replace(FASTER, parameters=many))
+    with pytest.raises(DiagnosisError, match="other parameters"):
+        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[other], tick=no_work)
+
+
+def test_a_leader_that_cannot_be_tried_is_told(of_the_law) -> None:  # type: ignore[no-untyped-def]
+    found, _, _ = of_the_law
+    state = found.file.states[0]
+    left = [c for c in state.carried if c.names != ["wall"]]
+    untried = state.model_copy(update={"carried": left, "failed": ["wall"]})
+    assert state_warning(untried, ["wall"]) == (
+        "what was learned of wall cannot be tried in faster: no solve succeeds"
+    )
+    assert state_warning(untried, ["inflow"]) != ""
+    assert state_warning(state, ["wall"]) == ""
 
 
 def never(configuration, times):  # type: ignore[no-untyped-def]

@@ -22,7 +22,7 @@ from zoo.core.inference.record import RunRecord
 from zoo.core.inference.sampling import check_settings
 from zoo.core.inference.surrogate import Builder, sample_surrogate
 from zoo.core.model import bayesian_model
-from zoo.core.parameters import InverseGamma, LogUniform, Parameter, Uniform
+from zoo.core.parameters import InverseGamma, LogUniform, Parameter, ParameterError, Uniform
 from zoo.core.surrogate.coordinates import Coordinates
 from zoo.core.surrogate.library import Library
 from zoo.core.surrogate.likelihood import Table
@@ -273,9 +273,14 @@ def test_weights_that_are_all_but_equal_have_no_tail():
     few, many = rounding.copy(), rounding.copy()
     few[0, :6] = np.linspace(0.1, 0.4, 6)
     many[0, :12] = np.linspace(1.0, 4.0, 12)
+    far = np.random.default_rng(0).standard_normal((4, 1000))
+    beyond = 0.95 * stats.norm.pdf(far) + 0.05 * stats.norm.pdf(far, 4.5, 0.5)
     assert pareto_weights(rounding).trusted
     assert pareto_weights(few).trusted
     assert not pareto_weights(many).trusted
+    rising = pareto_weights(np.log(beyond) - stats.norm.logpdf(far))
+    assert rising.effective > 0.99
+    assert not rising.trusted
 
 
 def test_resampling_keeps_chains_and_the_order_of_their_draws():
@@ -330,6 +335,45 @@ def test_coordinates_are_logarithms_without_hyperparameters():
     np.testing.assert_allclose(coordinates.theta(coordinates.of(theta))[0, 1:], theta[0, 1:])
     np.testing.assert_allclose(coordinates.bounds()[0], [0.0, 0.0, -3.0])
     np.testing.assert_allclose(coordinates.bounds()[1], [np.log(10), np.log(10), 3.0])
+
+
+def test_a_power_of_what_may_be_negative_is_refused():
+    with pytest.raises(ParameterError, match=r"parameter x: power = -0.5, but its prior .* reaches below 0"):
+        Parameter("x", Uniform(-1.0, 2.0), power=-0.5)
+    assert Parameter("x", Uniform(-1.0, 2.0), power=1.0).response == 1.0
+
+
+class Derived(FunctionModel):
+    """With derivatives, here by central differences."""
+
+    def solve_derivatives(self, configure, theta, scales, outputs=None):
+        steps = 1e-5 * np.diag(scales)
+        columns = [self.solve(configure(theta + h)) - self.solve(configure(theta - h)) for h in steps]
+        return self.solve(configure(theta)), np.array(columns) / (2e-5 * np.asarray(scales)[:, None, None])
+
+
+def test_a_start_is_followed_as_far_with_derivatives_as_without():
+    """Charged by what a solve with its derivatives costs, and not stopped after three steps for that."""
+    times = np.linspace(0.0, 1.0, 20)
+    parameters = (
+        Parameter("k", Uniform(0.05, 20.0), log=True, start=15.0),
+        Parameter("s", Uniform(-3.0, 3.0), start=-2.0),
+    )
+
+    def decay(configuration, times):
+        return np.exp(-configuration["k"] * times) + configuration["s"] * times
+
+    noise = 0.02 * np.random.default_rng(1).standard_normal(20)
+    data = Data(times, decay({"k": 0.4, "s": 0.5}, times) + noise, units=["mmHg"])
+    heights = []
+    for kind in (FunctionModel, Derived):
+        model = bayesian_model(
+            "decay", kind(decay, parameters, Outputs(("y0",), times), name="decay"), data, KNOWN
+        )
+        logp = LogPosterior(model)
+        builder = Builder(logp, Library(model.zoo.forward), seed=1, cores=1, say=lambda text: None)
+        heights.append(logp(builder.begin()[0]))
+    assert heights[1] == pytest.approx(heights[0], abs=0.1)
 
 
 def test_coordinates_are_the_powers_in_which_series_are_straight():

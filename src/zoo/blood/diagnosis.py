@@ -18,7 +18,7 @@ from zoo.blood.effects import CATALOGUE
 from zoo.blood.forward import study_data
 from zoo.blood.priors import with_priors
 from zoo.blood.solver import SolverOptions
-from zoo.blood.study import Study, suspect_units
+from zoo.blood.study import Study, Vessel, suspect_units
 from zoo.core.components import FreeFunction
 from zoo.core.data import Data
 from zoo.core.diagnosis import Candidate, Diagnosis, DiagnosisError, Hooks, OtherState
@@ -265,12 +265,19 @@ def diagnose(
     forward = chosen.forward(study, conventions=conventions, options=options, share=SEARCH_SHARE)
     data = study_data(study)
     others, odd = [], list(map(str, suspect_units(study)))
+    units = {one.unit for one in suspect_units(study)}
+    if isinstance(states, Study | str):
+        raise DiagnosisError(f"states = {states!r}: give a list of studies")
     for one in states:
         other = with_priors(same_tree(study, one), priors)
+        suspicions = suspect_units(other)
+        odd += [f"in {other.name}: {suspicion}" for suspicion in suspicions]
+        if {suspicion.unit for suspicion in suspicions} - units:
+            odd.append(f"{other.name} is not compared with what was learned before its units are mended")
+            continue
         model = chosen.forward(other, conventions=conventions, options=options, share=SEARCH_SHARE)
         here = study_data(other)
         others.append(OtherState(here, model, errors_of(other, here)))
-        odd += [f"in {other.name}: {text}" for text in suspect_units(other)]
     found = diagnose_data(
         data,
         forward,
@@ -305,7 +312,7 @@ def same_tree(study: Study, other: Study) -> Study:
     Raises
     ------
     DiagnosisError
-        If it has no observations, or other vessels.
+        If it has no observations, or vessels of other parents, lengths or radii.
     """
     if not isinstance(other, Study):
         raise DiagnosisError(f"states = {other!r}: give studies, such as zoo.load_study('demo')")
@@ -314,14 +321,19 @@ def same_tree(study: Study, other: Study) -> Study:
             f"{other.source}: study {other.name!r} has no observations, and nothing to compare with in this "
             "state; add observations.csv"
         )
-    trees = [{v.id: v.parent for v in one.vessels} for one in (study, other)]
-    if trees[0] != trees[1]:
-        odd = sorted(trees[0].items() ^ trees[1].items())[0][0]
-        raise DiagnosisError(
-            f"{other.source}: vessel {odd} is not the same as in {study.name!r}: another state has the same "
-            "tree of vessels; give a study of it"
-        )
+    trees = [{v.id: _geometry(v) for v in one.vessels} for one in (study, other)]
+    for odd in sorted(trees[0].keys() | trees[1].keys()):
+        here, there = (tree.get(odd) for tree in trees)
+        if here is None or there is None or here[0] != there[0] or not np.allclose(here[1], there[1]):
+            raise DiagnosisError(
+                f"{other.source}: vessel {odd} is not the same as in {study.name!r}, whose parent, length "
+                "and radii it needs: another state has the same tree of vessels; give a study of it"
+            )
     return other
+
+
+def _geometry(vessel: Vessel) -> tuple[int | None, list[float]]:
+    return vessel.parent, [vessel.length_cm, vessel.radius_cm, vessel.radius_out_cm]
 
 
 def prior_words(study: Study, base: str, priors: Mapping[str, Any] | None = None) -> dict[str, str]:

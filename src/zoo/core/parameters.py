@@ -65,6 +65,13 @@ class Parameter:
     hyper: bool = False
     power: float | None = None
 
+    def __post_init__(self) -> None:
+        if self.power not in (None, 1.0) and self.prior.support[0] < 0.0:
+            raise ParameterError(
+                f"parameter {self.name}: power = {self.power:g}, but its prior {self.prior.text} reaches "
+                "below 0; leave the power out"
+            )
+
     @property
     def response(self) -> float:
         """The power of it in which polynomials are written, 0 for its logarithm."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -15,11 +15,14 @@ from zoo.blood.study import Study
 from zoo.core.inference.logposterior import LogPosterior, model_name
 from zoo.core.inference.mode import Mode
 from zoo.core.inference.newton import newton
+from zoo.core.inference.record import RunRecord
 from zoo.core.inference.sampling import DEMETROPOLISZ
 from zoo.core.inference.spaces import Archive
 from zoo.core.inference.starts import Start, disperse
 from zoo.core.inference.steps import DEMetropolisZ
+from zoo.core.inference.surrogate import sample_surrogate
 from zoo.core.posterior.ranks import LOG_POSTERIOR, CalibrationError, Replicate
+from zoo.core.surrogate.waveform import SurrogateError
 
 if TYPE_CHECKING:
     import pymc as pm
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Builder = Callable[[Study], Any]
 
+METHODS = ("exact", "surrogate")
 MAX_TRIES = 1000
 BLOCK = 8192
 
@@ -49,6 +53,9 @@ class Settings:
         Limit of that.
     min_ess : float
         Twice `ranked` or more makes the ranked draws nearly independent.
+    method : {"exact", "surrogate"}
+        Chains of the forward model itself, or as `zoo.core.inference.surrogate.sample_surrogate` does: chains
+        on a surrogate, each draw corrected with the forward model. Then `steps` are stored draws.
     """
 
     ranked: int = 79
@@ -57,8 +64,11 @@ class Settings:
     steps: int = 800
     max_steps: int = 12_800
     min_ess: float = 160.0
+    method: str = "exact"
 
     def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise CalibrationError(f"method = {self.method!r}: must be one of {', '.join(METHODS)}")
         least = {"ranked": 1, "chains": 1, "tune": 0, "steps": 8, "max_steps": self.steps, "min_ess": 0}
         for name, limit in least.items():
             if getattr(self, name) < limit:
@@ -78,14 +88,18 @@ class Simulated(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """Posterior draws of a replicate, unconstrained (n_chains, n_steps, n_dim), and what they cost."""
+    """Posterior draws of a replicate, unconstrained (n_chains, n_steps, n_dim), and what they cost.
+
+    `correction` and `k_hat` are those of a surrogate's draws, `accepted` its share of effective ones.
+    """
 
     draws: Array
     log_posterior: Array
-    mode: Mode
     ess: dict[str, float]
     rhat: float
     accepted: float
+    correction: str = ""
+    k_hat: float | None = None
 
 
 class Replicator:
@@ -121,7 +135,7 @@ class Replicator:
     ) -> None:
         import pytensor
 
-        self.limits = dict(limits or {})
+        self.limits, self.study, self._builder = dict(limits or {}), study, builder
         self.model = self._restricted(builder(study))
         source = self.model if truth is None else self._restricted(truth(study))
         self._compile_source(source)
@@ -312,7 +326,54 @@ class Replicator:
             factor = 1.1 * settings.min_ess / max(1.0, min(ess.values()))
             steps = min(int(steps * np.clip(factor, 1.25, 2.0)), settings.max_steps)
         accepted = float(np.mean([c.accepted / (settings.tune + steps) for c in chains]))
-        return Fit(draws, log_posterior, mode, ess, rhat, accepted)
+        return Fit(draws, log_posterior, ess, rhat, accepted)
+
+    def fit_on_surrogate(
+        self, start: Mapping[str, ArrayLike], seed: int, settings: Settings | None = None
+    ) -> Fit:
+        """Sample the posterior of the present data on a surrogate that is built around it from `start`.
+
+        Raises
+        ------
+        CalibrationError
+            If the prior has limits, of which a surrogate knows nothing, or the observed values enter the
+            forward model.
+        """
+        settings = settings or Settings()
+        if self.limits:
+            raise CalibrationError(
+                f"limits of {', '.join(self.limits)}: a surrogate samples the prior as it is; leave them out"
+            )
+        rows = zip(self.study.series, self._data.get_value(), strict=True)
+        series = tuple(replace(one, value=np.array(row)) for one, row in rows)
+        model = self._builder(replace(self.study, series=series))
+        if _priors(model) != _priors(self.model):
+            raise CalibrationError(
+                f"model {model_name(model)}: its loads or priors follow from the observed values; give every "
+                "outlet of the study a load, and priors such as the set paun2020"
+            )
+        idata = sample_surrogate(
+            model,
+            draws=settings.steps,
+            chains=settings.chains,
+            cores=1,
+            seed=seed,
+            progress=False,
+            start={name: np.asarray(value, dtype=float) for name, value in start.items()},
+            until_ess=settings.min_ess,
+            max_draws=settings.max_steps,
+        )
+        found = idata["posterior"]
+        shape = (found.sizes["chain"], found.sizes["draw"])
+        flat = {rv.name: found[rv.name].to_numpy() for rv in self.model.free_RVs}
+        vectors = self.logp.from_draws({n: v.reshape(-1, *v.shape[2:]) for n, v in flat.items()})
+        draws = vectors.reshape(*shape, -1)
+        log_posterior = np.array([self.logp(q) for q in vectors]).reshape(shape)
+        ess, rhat = _diagnose(draws, log_posterior, self.names)
+        made = RunRecord.of(idata).settings["surrogate"]
+        return Fit(
+            draws, log_posterior, ess, rhat, made["effective share"], made["correction"], made["k_hat"]
+        )
 
     def replicate(self, seed: int, number: int, settings: Settings | None = None) -> Replicate:
         """Replicate `number` of a calibration: simulate, fit, rank.
@@ -325,7 +386,15 @@ class Replicator:
         simulated = self.simulate(np.random.SeedSequence(seed, spawn_key=(number, 0)))
         self.observe(simulated.data)
         fit_seed = int(np.random.SeedSequence(seed, spawn_key=(number, 1)).generate_state(1)[0])
-        fit = self.fit(simulated.values, fit_seed, settings)
+        fit = None
+        if settings.method == "surrogate":
+            try:
+                fit = self.fit_on_surrogate(simulated.values, fit_seed, settings)
+            except SurrogateError as error:  # leaving the replicate out would choose among the truths
+                why = f"exact chains: {error}"
+        if fit is None:
+            fit = self.fit(simulated.values, fit_seed, settings)
+            fit = fit if settings.method == "exact" else fit._replace(correction=why)
         truth = self.vector(simulated.values)
         every = np.concatenate([fit.draws, fit.log_posterior[..., None]], axis=2)
         every = every.reshape(-1, every.shape[2])
@@ -345,7 +414,16 @@ class Replicator:
             steps=fit.draws.shape[1],
             redrawn=simulated.redrawn,
             seconds=time.monotonic() - began,
+            correction=fit.correction,
+            k_hat=fit.k_hat,
         )
+
+
+def _priors(model: Any) -> tuple[str, list[tuple[str, str]]]:
+    """Of a model: its forward model, and the priors of that and of its errors."""
+    record = model.zoo
+    parameters = (*record.forward.parameters, *record.errors.parameters)
+    return record.forward.key, [(p.name, p.prior.text) for p in parameters]
 
 
 class _Step(DEMetropolisZ):

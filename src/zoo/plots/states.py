@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from zoo.core.diagnosis.states import BASELINE, SEEN
@@ -40,19 +39,23 @@ def plot_states(d: Diagnosis) -> Figure:
         grid = figure.subplots(len(rows), columns, squeeze=False)
         for axes in grid.flat:
             axes.set_axis_off()
+        names: list[str] = [BASELINE, SEEN]  # a name has one colour in all states
+        lines: dict[str, Any] = {}
         for row, (state, series) in enumerate(rows):
             data = state.data
             times = (1e3 if beat else 1.0) * data.times
             learned = [name for name in state.computed if name not in (BASELINE, SEEN)]
             shown = [name for name in state.computed if name in (BASELINE, SEEN, *learned[:SHOWN])]
+            names += [name for name in shown if name not in names]
             for column, i in enumerate(series):
                 axes = grid[row, column]
                 axes.set_axis_on()
                 axes.axhspan(-state.file.noise, state.file.noise, color="#E4E7EB", lw=0)
-                for k, name in enumerate(shown):
+                for name in shown:
+                    k = names.index(name)
                     left = data.values[i] - state.computed[name][i]
                     colour = INK if k == 0 else COLOURS[(k - 1) % len(COLOURS)]
-                    axes.plot(times, left, color=colour, lw=1.3 if k < 3 else 0.8, label=name)
+                    [lines[name]] = axes.plot(times, left, color=colour, lw=1.3 if k < 3 else 0.8)
                 axes.set_xlim(times[0], times[-1])
                 axes.set_title(f"{data.name}: {data.labels[i]}", fontsize=8)
                 if row == len(rows) - 1:
@@ -61,10 +64,16 @@ def plot_states(d: Diagnosis) -> Figure:
                 if column == 0:
                     unit = data.units[i]
                     axes.set_ylabel("observed − computed" + ("" if unit == "1" else f" ({unit})"))
-        handles, labels = grid[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), fontsize=8)
-        lowest = min(float(np.min(a.get_ylim())) for a in grid.flat if a.axison)
-        highest = max(float(np.max(a.get_ylim())) for a in grid.flat if a.axison)
-        for axes in grid.flat:
-            axes.set_ylim(lowest, highest)
+        columns = min(4, len(lines))
+        figure.legend(lines.values(), lines, loc="outside lower center", ncols=columns, fontsize=8)
+        for same in {state.file.unit for state, _ in rows}:  # one range for each unit
+            alike = [
+                a
+                for row, (state, _) in zip(grid, rows, strict=True)
+                for a in row
+                if a.axison and state.file.unit == same
+            ]
+            ends = [a.get_ylim() for a in alike]
+            for axes in alike:
+                axes.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
     return figure

@@ -59,6 +59,8 @@ SIMPLE_FRACTION = 20
 """Largest denominator of a fraction in a verdict."""
 LITTLE = 0.5
 """Part of the discrepancy that an explanation should remove at least, lest a warning is given."""
+NEARLY_ALL = 0.9
+"""Upper end of the part removed from which on it is not known whether the explanation leaves most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,7 +370,12 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
                 found.append(f"{name}: what was learned can hardly be: {told.why}")
     if not scored.is_cause(leader):
         return found
-    if gap.removed < LITTLE:
+    if gap.removed < LITTLE and gap.removed_interval[1] > NEARLY_ALL:
+        low, high = (f"{share:.0%}" for share in gap.removed_interval)
+        found.append(
+            f"how much of the discrepancy goes with {leader} cannot be told from these data: {low} to {high}"
+        )
+    elif gap.removed < LITTLE:
         found.append(
             f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
             "discrepancy goes with it: most has another cause"

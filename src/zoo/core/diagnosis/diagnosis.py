@@ -337,6 +337,9 @@ def diagnose(
     for state in states:  # before the work
         _checked(state.data, state.model, (), state.errors)
         same_system(data, model, state)
+    for i, state in enumerate(states):
+        if state.data.checksum in [one.data.checksum for one in states[:i]]:
+            raise DiagnosisError(f"{state.data.source or state.data.name}: given twice as another state")
     began = time.monotonic()
     started = datetime.now(UTC).isoformat(timespec="seconds")
     rounds: list[Scored] = []

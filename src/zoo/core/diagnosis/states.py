@@ -268,15 +268,26 @@ def same_system(data: Data, model: ForwardModel, state: OtherState) -> None:
     DiagnosisError
     """
     here = state.data
-    if [p.name for p in state.model.parameters] != [p.name for p in model.parameters]:
+    where = here.source or here.name
+    asked, given = ([(p.name, p.size) for p in m.parameters] for m in (model, state.model))
+    if given != asked:
         raise DiagnosisError(
-            f"{here.source or here.name}: its baseline has other parameters than that of {data.name}: "
-            "another state is one of the same system; give a study of the same network"
+            f"{where}: its baseline has other parameters than that of {data.name}: another state is one of "
+            "the same system; give a study of the same network"
         )
-    if here.checksum == data.checksum:
+    for label in here.labels:
+        if label not in data.labels:
+            continue
+        units = [one.units[one.labels.index(label)] for one in (data, here)]
+        if units[0] != units[1]:
+            raise DiagnosisError(
+                f"{where}: series {label} is in {units[1]}, in {data.name} in {units[0]}: give both in "
+                "one unit"
+            )
+    if here.values.shape == data.values.shape and np.allclose(here.values, data.values, rtol=1e-9, atol=0.0):
         raise DiagnosisError(
-            f"{here.source or here.name}: has the same series as {data.name}, in which all was learned: give "
-            "measurements of another state"
+            f"{where}: has the same series as {data.name}, in which all was learned: give measurements of "
+            "another state"
         )
 
 
@@ -405,7 +416,7 @@ def _compared(
 
 
 def state_warning(state: StateFile, leader: Sequence[str]) -> str:
-    """That what leads does not hold in another state; empty where it does, or nothing is missed there.
+    """That what leads does not hold in another state or cannot be tried; empty where nothing is missed there.
 
     Parameters
     ----------
@@ -418,6 +429,10 @@ def state_warning(state: StateFile, leader: Sequence[str]) -> str:
     str
     """
     one = next((c for c in state.carried if set(c.names) == set(leader)), None)
+    if one is None and any(set(name.split(" and ")) == set(leader) for name in state.failed):
+        return (
+            f"what was learned of {' and '.join(leader)} cannot be tried in {state.state}: no solve succeeds"
+        )
     if one is None or one.holds or (state.baseline.low == 0.0 and one.error.low == 0.0):
         return ""
     unit = "" if state.unit == "1" else f" {state.unit}"

@@ -12,8 +12,9 @@ Array = NDArray[np.float64]
 
 K_LIMIT = 0.7
 """Largest Pareto k-hat with which importance weights are taken (Vehtari et al. 2024)."""
-ALL_EFFECTIVE = 0.99
-"""Effective share from which on weights have no tail: k-hat means nothing of a few among many equal ones."""
+ALL_EFFECTIVE, ABOVE_MEAN = 0.99, 1.6
+"""Least effective share, and largest weight in mean ones, of weights without a tail: where most are equal,
+the k-hat of the few that are not means nothing."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def pareto_weights(log_weights: Array) -> Weights:
     if possible.sum() < 5:
         return Weights(np.full(np.shape(log_weights), 1.0 / flat.size), np.inf, 0.0)
     w, k = np.exp(np.where(possible, flat - flat[possible].max(), -np.inf)), -np.inf
-    if _kish(w) < ALL_EFFECTIVE:
+    if _kish(w) < ALL_EFFECTIVE or w.max() > ABOVE_MEAN * w.mean():
         smooth, k = az.psislw(flat[possible].copy())
         w[possible], k = np.exp(smooth), float(k)
     w /= w.sum()

@@ -21,7 +21,7 @@ from zoo.core.inference.correction import (
 )
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name, outputs
 from zoo.core.inference.mode import Mode, has_many, search_mode
-from zoo.core.inference.newton import gauss_newton
+from zoo.core.inference.newton import GRADIENT, gauss_newton
 from zoo.core.inference.nuts import Draws, nuts
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.record_of_run import attach_record, inference_data
@@ -166,7 +166,8 @@ class Builder:
                 f"model {model_name(logp.model)}: neither its initial nor its suggested values can be "
                 "solved; pass start={name: value} with values that can"
             )
-        q, _, frame = gauss_newton(logp, points[best], heights[best], limit=6 * (d + 2))
+        step = 2 + max(d, GRADIENT)  # solves, with derivatives by differences or by the solver
+        q, _, frame = gauss_newton(logp, points[best], heights[best], limit=6 * step)
         return q, frame @ frame.T
 
     def design(self, mean: Array, covariance: Array, n: int) -> Array:

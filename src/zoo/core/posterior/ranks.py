@@ -40,6 +40,8 @@ class Replicate:
     steps: int
     redrawn: dict[str, int]
     seconds: float
+    correction: str = ""
+    k_hat: float | None = None
 
 
 @dataclass(frozen=True)

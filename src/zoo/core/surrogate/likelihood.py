@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 MOST_PARAMETERS = 2
 """Most parameters of errors that a table is made over."""
-NODES = (8, 12, 18, 26)
+NODES = (8, 12, 18, 26, 38, 54)
 """Numbers of nodes of a table in each direction, until it is exact to `EXACT`."""
 EXACT = 1e-3
 """Largest error of the log-likelihood that a table may make, at coefficients as in the posterior."""
