@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
@@ -12,10 +13,12 @@ from matplotlib.patches import Rectangle
 
 from zoo import plots
 from zoo.blood.diagnosis import PHASES, phases
+from zoo.core.data import Data
 from zoo.core.diagnosis import (
     Diagnosis,
 )
-from zoo.core.diagnosis.file import LocationShare
+from zoo.core.diagnosis.file import Interval, LocationShare, StateFile
+from zoo.core.diagnosis.states import BASELINE, SEEN, StateResult
 from zoo.plots import diagnosis as figures
 from zoo.plots import tree
 
@@ -136,3 +139,40 @@ def test_a_tree_listed_daughters_first_is_laid_out_too(three: Diagnosis) -> None
     assert tree.tree_layout(three.study.vessels[::-1]).keys() == tree.tree_layout(three.study.vessels).keys()
     ends = [place[3] for v, place in tree.tree_layout(three.study.vessels).items() if v in (3, 4, 5)]
     assert sorted(ends) == [-2.0, -1.0, 0.0]
+
+
+def other_state(name: str, unit: str, computed: list[str]) -> StateResult:
+    times = np.arange(8) / 8
+    size = {"mmHg": 1.0, "ml/s": 100.0}[unit]
+    data = Data(times, size * np.sin(2 * np.pi * times), ["y"], [unit], ["y"], 1.0, name=name)
+    error = Interval(mean=0.1, low=0.0, high=0.2)
+    file = StateFile(
+        state=name,
+        checksum="0" * 64,
+        unit=unit,
+        noise=0.1,
+        baseline=error,
+        sensor=None,
+        carried=[],
+        failed=[],
+    )
+    return StateResult(data, "y", file, {one: np.zeros((1, 8)) for one in computed})
+
+
+def test_a_name_has_one_colour_in_all_states_and_a_unit_one_range() -> None:
+    """Also where the first state shares no series with the study, and has no discrepancy at the sensor."""
+    states = (
+        other_state("rest", "mmHg", [BASELINE, "wall", "inflow"]),
+        other_state("run", "mmHg", [BASELINE, SEEN, "inflow", "wall"]),
+        other_state("flow", "ml/s", [BASELINE, "wall"]),
+    )
+    figure = plots.plot_states(SimpleNamespace(states=states, data=states[0].data))  # type: ignore[arg-type]
+    [legend] = figure.legends
+    by_name = dict(zip((t.get_text() for t in legend.get_texts()), legend.get_lines(), strict=True))
+    assert set(by_name) == {BASELINE, SEEN, "wall", "inflow"}
+    assert len({line.get_color() for line in by_name.values()}) == 4
+    for axes, state in zip(figure.axes, states, strict=True):
+        colours = [line.get_color() for line in axes.get_lines()]
+        assert colours == [by_name[name].get_color() for name in state.computed]
+    first, second, third = (axes.get_ylim()[1] for axes in figure.axes)
+    assert first == second < 0.1 * third
