@@ -376,6 +376,48 @@ def test_a_start_is_followed_as_far_with_derivatives_as_without():
     assert heights[1] == pytest.approx(heights[0], abs=0.1)
 
 
+class SameSolves(FunctionModel):
+    """Whose parameters' priors and powers are no part of what is solved."""
+
+    @property
+    def key(self):
+        return "decay"
+
+
+def test_solves_of_a_model_in_other_powers_serve(monkeypatch):
+    """As those of F do for G: polynomials are in the coordinates of the model that is sampled."""
+
+    def decay(configuration, times):
+        return np.exp(-configuration["k"] * times)
+
+    times = np.linspace(0.0, 2.0, 20)
+    data = Data(times, decay({"k": 0.4}, times), units=["mmHg"])
+    models = [
+        bayesian_model(
+            "decay",
+            SameSolves(
+                decay,
+                (Parameter("k", Uniform(0.05, 5.0), start=0.5, power=power),),
+                Outputs(("y0",), times),
+                "decay",
+            ),
+            data,
+            KNOWN,
+        )
+        for power in (-0.5, None)
+    ]
+    library = Library(models[0].zoo.forward)
+    monkeypatch.setattr(building, "ROUND_TUNE", 100)
+    found = [
+        sample_surrogate(m, draws=300, tune=200, seed=1, cores=1, progress=False, library=library)
+        for m in models
+    ]
+    one, two = (f.posterior["k"].to_numpy() for f in found)
+    assert one.mean() == pytest.approx(0.4, abs=3 * one.std())
+    assert two.mean() == pytest.approx(one.mean(), abs=0.3 * one.std())
+    assert two.std() == pytest.approx(one.std(), rel=0.2)
+
+
 def test_coordinates_are_the_powers_in_which_series_are_straight():
     speed = Parameter("speed", LogUniform(1.0, 16.0), log=True, dims="part", size=2, power=-0.5)
     plain = Parameter("plain", Uniform(0.5, 2.0), log=True, power=1.0)

@@ -237,8 +237,7 @@ class Builder:
         log: list[dict[str, Any]] = []
         best, idle, enough = None, 0, ENOUGH if self.explored is None else ENOUGH_EXPLORED
         for turn in range(1, ROUNDS + 1):
-            within = 3.0 * np.sqrt(d) + 3.0
-            surrogate = Surrogate.fit(self.library, self.record.errors, weighed, near=near, within=within)
+            surrogate = self._fit(weighed, near)
             made = surrogate_model(
                 self.logp.model, self.record, surrogate, theta_of(self.record, draws)[:100]
             )
@@ -282,6 +281,18 @@ class Builder:
         assert best is not None
         return best
 
+    def _fit(self, weighed: Mapping[str, Any], near: tuple[Array, Array]) -> Surrogate:
+        """A surrogate of the solves near a posterior, in this model's coordinates."""
+        within = 3.0 * np.sqrt(self.coordinates.n) + 3.0
+        return Surrogate.fit(
+            self.library,
+            self.record.errors,
+            weighed,
+            near=near,
+            within=within,
+            coordinates=self.coordinates,
+        )
+
     def _draws(self, made: SurrogateModel, covariance: Array, starts: Array) -> tuple[Draws, int]:
         """Draws of a surrogate's posterior to look at, and gradients that they took."""
         seed = int(self.rng.integers(1 << 31))
@@ -310,8 +321,7 @@ class Builder:
         near = x.mean(0), np.cov(x.T).reshape(d, d)
         self.solve(self.points(flat, near, max(LEAST_POINTS, term_count(d, 2) // 2)))
         medians = _medians(errors_of(self.record, flat))
-        within = 3.0 * np.sqrt(d) + 3.0
-        surrogate = Surrogate.fit(self.library, self.record.errors, medians, near=near, within=within)
+        surrogate = self._fit(medians, near)
         some = theta[:: max(1, len(theta) // 100)]
         made = surrogate_model(self.logp.model, self.record, surrogate, some)
         tried = {

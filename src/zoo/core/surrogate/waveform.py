@@ -71,6 +71,7 @@ class Surrogate:
         *,
         near: tuple[Array, Array] | None = None,
         within: float = np.inf,
+        coordinates: Coordinates | None = None,
     ) -> Surrogate:
         """From solved points, the errors weighed by their law at given parameters.
 
@@ -85,13 +86,16 @@ class Surrogate:
             Of a posterior; that of the points if absent.
         within : float
             Only points at most so far from the mean, in whitened coordinates, count.
+        coordinates : Coordinates, optional
+            In which polynomials are written, and `near` is; those of the library's model if absent, which may
+            be another one with the same solves.
 
         Raises
         ------
         SurrogateError
             If there are too few points.
         """
-        coordinates = Coordinates(library.model.parameters)
+        coordinates = coordinates or Coordinates(library.model.parameters)
         x = coordinates.of(library.theta)
         mean, covariance = near or (x.mean(0), np.cov(x.T).reshape(len(x.T), -1))
         cholesky = linalg.cholesky(covariance, lower=True)
