@@ -35,6 +35,8 @@ Change = Callable[[Any], Any]
 Functions = Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]]
 STEPS = 8
 """Steps of a refit of the baseline's parameters beside what is fixed."""
+SAME = 1e-9
+"""Relative difference up to which series are the very same ones."""
 BASELINE, SEEN = "baseline", "sensor's discrepancy"
 """Names of what learned functions are compared with."""
 
@@ -284,7 +286,7 @@ def same_system(data: Data, model: ForwardModel, state: OtherState) -> None:
                 f"{where}: series {label} is in {units[1]}, in {data.name} in {units[0]}: give both in "
                 "one unit"
             )
-    if here.values.shape == data.values.shape and np.allclose(here.values, data.values, rtol=1e-9, atol=0.0):
+    if here.values.shape == data.values.shape and np.allclose(here.values, data.values, rtol=SAME, atol=0.0):
         raise DiagnosisError(
             f"{where}: has the same series as {data.name}, in which all was learned: give measurements of "
             "another state"

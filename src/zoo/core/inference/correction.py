@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 K_LIMIT = 0.7
 """Largest Pareto k-hat with which importance weights are taken (Vehtari et al. 2024)."""
-ALL_EFFECTIVE, ABOVE_MEAN = 0.99, 1.6
+ALL_EFFECTIVE, ABOVE_MEAN = 0.99, 2.5
 """Least effective share, and largest weight in mean ones, of weights without a tail: where most are equal,
 the k-hat of the few that are not means nothing."""
 
