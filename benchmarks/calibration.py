@@ -37,9 +37,7 @@ SETTINGS = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--models", default="A,B")
-    parser.add_argument(
-        "--method", choices=METHODS, default="exact", help="of models with errors B, C, E, G to I"
-    )
+    parser.add_argument("--method", choices=METHODS, default="exact", help="surrogate: of B, C, E, G, H or I")
     parser.add_argument("--replicates", type=int, default=200)
     parser.add_argument("--folder", type=Path, default=Path("runs/calibration"))
     parser.add_argument("--figures", type=Path, default=FIGURES)
@@ -91,9 +89,9 @@ def report(name: str, test: RankTest) -> None:
     redrawn = sum(sum(r.redrawn.values()) for r in replicates)
     by = Counter(r.correction.partition(":")[0] for r in replicates if r.correction)
     if by:
-        surrogate = [r for r in replicates if r.k_hat is not None]
-        k_hats, shares = ([getattr(r, name) for r in surrogate] for name in ("k_hat", "accepted"))
         print("made exact by " + ", ".join(f"{what} {n}" for what, n in by.items()))
+    if surrogate := [r for r in replicates if r.k_hat is not None]:
+        k_hats, shares = ([getattr(r, name) for r in surrogate] for name in ("k_hat", "accepted"))
         print(f"k-hat: median {np.median(k_hats):.2f}, most {max(k_hats):.2f}")
         print(f"effective share of the draws: median {np.median(shares):.2f}, least {min(shares):.2f}")
     print(f"smallest ESS of a replicate: least {ess.min():.0f}, median {np.median(ess):.0f}")

@@ -264,15 +264,15 @@ def diagnose(
     study = with_priors(study, priors)
     forward = chosen.forward(study, conventions=conventions, options=options, share=SEARCH_SHARE)
     data = study_data(study)
-    others, odd = [], list(map(str, suspect_units(study)))
-    units = {one.unit for one in suspect_units(study)}
     if isinstance(states, Study | str):
         raise DiagnosisError(f"states = {states!r}: give a list of studies")
-    for one in states:
-        other = with_priors(same_tree(study, one), priors)
+    own = suspect_units(study)
+    others, odd = [], list(map(str, own))
+    for state in states:
+        other = with_priors(same_tree(study, state), priors)
         suspicions = suspect_units(other)
         odd += [f"in {other.name}: {suspicion}" for suspicion in suspicions]
-        if {suspicion.unit for suspicion in suspicions} - units:
+        if {one.unit for one in suspicions} - {one.unit for one in own}:
             odd.append(f"{other.name} is not compared with what was learned before its units are mended")
             continue
         model = chosen.forward(other, conventions=conventions, options=options, share=SEARCH_SHARE)

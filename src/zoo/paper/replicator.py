@@ -55,7 +55,8 @@ class Settings:
         Twice `ranked` or more makes the ranked draws nearly independent.
     method : {"exact", "surrogate"}
         Chains of the forward model itself, or as `zoo.core.inference.surrogate.sample_surrogate` does: chains
-        on a surrogate, each draw corrected with the forward model. Then `steps` are stored draws.
+        on a surrogate, each draw corrected with the forward model. Then `steps` are stored draws, and `tune`
+        is not asked.
     """
 
     ranked: int = 79
@@ -375,6 +376,15 @@ class Replicator:
             draws, log_posterior, ess, rhat, made["effective share"], made["correction"], made["k_hat"]
         )
 
+    def _fit(self, start: Mapping[str, ArrayLike], seed: int, settings: Settings) -> Fit:
+        """By the method asked for; where there is no surrogate exactly, lest truths are chosen among."""
+        if settings.method == "exact":
+            return self.fit(start, seed, settings)
+        try:
+            return self.fit_on_surrogate(start, seed, settings)
+        except SurrogateError as error:
+            return self.fit(start, seed, settings)._replace(correction=f"exact chains: {error}")
+
     def replicate(self, seed: int, number: int, settings: Settings | None = None) -> Replicate:
         """Replicate `number` of a calibration: simulate, fit, rank.
 
@@ -386,15 +396,7 @@ class Replicator:
         simulated = self.simulate(np.random.SeedSequence(seed, spawn_key=(number, 0)))
         self.observe(simulated.data)
         fit_seed = int(np.random.SeedSequence(seed, spawn_key=(number, 1)).generate_state(1)[0])
-        fit = None
-        if settings.method == "surrogate":
-            try:
-                fit = self.fit_on_surrogate(simulated.values, fit_seed, settings)
-            except SurrogateError as error:  # leaving the replicate out would choose among the truths
-                why = f"exact chains: {error}"
-        if fit is None:
-            fit = self.fit(simulated.values, fit_seed, settings)
-            fit = fit if settings.method == "exact" else fit._replace(correction=why)
+        fit = self._fit(simulated.values, fit_seed, settings)
         truth = self.vector(simulated.values)
         every = np.concatenate([fit.draws, fit.log_posterior[..., None]], axis=2)
         every = every.reshape(-1, every.shape[2])

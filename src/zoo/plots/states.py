@@ -64,8 +64,8 @@ def plot_states(d: Diagnosis) -> Figure:
                 if column == 0:
                     unit = data.units[i]
                     axes.set_ylabel("observed − computed" + ("" if unit == "1" else f" ({unit})"))
-        columns = min(4, len(lines))
-        figure.legend(lines.values(), lines, loc="outside lower center", ncols=columns, fontsize=8)
+        abreast = min(4, len(lines))
+        figure.legend(lines.values(), lines, loc="outside lower center", ncols=abreast, fontsize=8)
         for same in {state.file.unit for state, _ in rows}:  # one range for each unit
             alike = [
                 a

@@ -315,6 +315,7 @@ def hold_in(
     scored : Scored
         Of the first state.
     state : OtherState
+        Of the `same_system`.
     group : str
         Whose errors are told; the other state's first group where it has none of it.
     functions : callable or None
@@ -333,11 +334,8 @@ def hold_in(
     ------
     zoo.core.diagnosis.search.SearchError, zoo.core.forward.SolveError
         If the baseline cannot be solved there.
-    DiagnosisError
-        As of `same_system`.
     """
     first, here = scored.screened.screening, state.data
-    same_system(first.data, first.baseline, state)
     say = tick or (lambda text, share: None)
     say(f"state {here.name}: baseline", 0.0)
     refitted = _Refitted(state, smooth, cores)

@@ -560,7 +560,7 @@ def _weighed(
         thinned = {name: value[:, ::THIN] for name, value in long.items()}
         if draws is None or check_convergence(thinned).min_ess > least:
             draws = thinned
-    flat = {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
+    flat = _flat(draws)
     log_weights = builder.log_weights(built.made, flat, keep=True).reshape(chains, kept)
     return draws, log_weights, pareto_weights(log_weights)
 
@@ -618,7 +618,7 @@ def _by_delayed_acceptance(
     """
     chains, kept = log_weights.shape
     logp, rng = builder.logp, builder.rng
-    flat = {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
+    flat = _flat(draws)
     function = built.made.model.logp_dlogp_function(ravel_inputs=True)
     function.set_extra_values({})
 
