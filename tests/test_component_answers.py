@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from test_component_weighing import EFFECTS, FUNCTIONS, KNOTS, MODEL, TIMES, data_of, hooks, of
+from zoo.core.data import Data
 from zoo.core.diagnosis import diagnose
 from zoo.core.diagnosis.answer import FitDiscrepancy, _no_more
-from zoo.core.forward import FunctionModel
+from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.parameters import Parameter, Uniform
 
 
@@ -33,6 +34,21 @@ def test_shares_and_held_out_data_stand_beside_the_components() -> None:
     assert held.component.mean < held.sensor.mean
     assert of(found, "inflow").gap_after < 0.3 * found.file.gap.before
     assert found.file.next_measurement is None  # no candidates are known
+
+
+def test_one_series_does_not_tell_two_causes_and_the_answer_says_so() -> None:
+    push = 0.15 * np.exp(-0.5 * ((TIMES - 0.6) / 0.06) ** 2)
+    both = data_of({"push": push})
+    single = Data(both.times, both.values[:1], ["y1"], ["K"], ["y"], period=1.0, name="toy")
+
+    def first(configuration, times):  # type: ignore[no-untyped-def]
+        return MODEL.function(configuration, times)[:1]
+
+    model = FunctionModel(first, MODEL.parameters, Outputs(("y1",), TIMES), "toy")
+    for data, of_it, said in ((single, model, True), (both, MODEL, False)):
+        found = diagnose(data, of_it, [], hooks=hooks(FUNCTIONS))
+        assert found.cause[0] == "inflow"
+        assert any("one component alone is wrong" in w for w in found.file.warnings) is said
 
 
 def test_a_leader_that_can_hardly_be_is_told() -> None:

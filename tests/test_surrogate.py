@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytensor
+import pytensor.tensor as pt
 import pytest
 from scipy import stats
 
@@ -13,6 +14,7 @@ from zoo.core.data import Data
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.inference import methods
 from zoo.core.inference import surrogate as building
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.correction import along_chains, delayed_acceptance, pareto_weights
@@ -153,7 +155,7 @@ def test_a_corrected_posterior_is_the_exact_one():
     record = RunRecord.of(idata)
     made = record.settings["surrogate"]
     assert record.solves == made["building solves"] + made["correction solves"]
-    assert made["correction solves"] == 1600
+    assert made["correction solves"] == 1600 + building.BEYOND
     assert made["k_hat"] < 0.7
 
 
@@ -196,16 +198,8 @@ def test_a_bent_posterior_of_many_parameters_is_looked_for_with_chains(monkeypat
     assert np.quantile(found, quantiles) == pytest.approx(np.quantile(kept, quantiles), abs=0.06)
 
 
-@pytest.mark.parametrize(
-    ("spoil", "correction"),
-    [
-        (lambda weights: weights + 0.9 * np.eye(*weights.shape), "importance resampling"),
-        (lambda weights: 3.0 * weights, "delayed acceptance"),
-    ],
-    ids=["beside", "too narrow"],
-)
-def test_a_bad_surrogate_is_corrected_or_refused(monkeypatch, spoil, correction):
-    """One whose own posterior lies beside the exact one, and one whose posterior is far too narrow."""
+def spoiled(monkeypatch, spoil):
+    """A model of which every surrogate is spoiled, and none is made twice."""
     fit = Polynomial.fit.__func__
 
     def wrong(cls, *arguments):
@@ -215,21 +209,95 @@ def test_a_bad_surrogate_is_corrected_or_refused(monkeypatch, spoil, correction)
     monkeypatch.setattr(Polynomial, "fit", classmethod(wrong))
     monkeypatch.setattr(building, "ROUNDS", 1)
     monkeypatch.setattr(building, "REFITS", 0)
-    model = bayesian_model("toy", FORWARD, DATA, KNOWN)
+    return bayesian_model("toy", FORWARD, DATA, KNOWN)
+
+
+def is_right(idata):
+    means, sds, _ = exact_moments()
+    return all(
+        abs(idata.posterior[name].to_numpy().mean() - mean) < 0.3 * sd
+        and abs(idata.posterior[name].to_numpy().std() / sd - 1.0) < 0.2
+        for name, mean, sd in zip(("rate", "level"), means, sds, strict=True)
+    )
+
+
+def test_a_surrogate_beside_the_posterior_is_corrected(monkeypatch):
+    model = spoiled(monkeypatch, lambda weights: weights + 0.9 * np.eye(*weights.shape))
     idata = sample_surrogate(model, draws=600, seed=3, progress=False, cores=1)
     made = RunRecord.of(idata).settings["surrogate"]
     assert made["effective share"] < 0.8
-    assert (made["k_hat"] <= 0.7) == (correction == "importance resampling")
-    assert made["correction"] == correction
+    assert made["k_hat"] <= 0.7
+    assert made["correction"] == "importance resampling"
+    assert is_right(idata)
+
+
+def test_a_surrogate_that_is_far_too_narrow_is_refused(monkeypatch):
+    """Delayed acceptance, which is made without that, never goes far and does not pass either."""
+    model = spoiled(monkeypatch, lambda weights: 3.0 * weights)
+    with pytest.raises(SurrogateError, match=r"misses \d+ % of the posterior"):
+        sample_surrogate(model, draws=600, seed=3, progress=False, cores=1)
+    monkeypatch.setattr(building, "MISSED", 1.0)
+    idata = sample_surrogate(model, draws=600, seed=3, progress=False, cores=1)
+    made = RunRecord.of(idata).settings["surrogate"]
+    assert made["k_hat"] > 0.7
+    assert made["correction"] == "delayed acceptance"
+    assert is_right(idata) or not verdict(idata).passes
+
+
+@pytest.mark.parametrize("edge", [0.5, 1.0])
+def test_what_a_surrogate_leaves_out_is_estimated_and_refused(monkeypatch, edge):
+    """Of a posterior that is normal but for its bounds, the part beyond an edge at which a surrogate ends."""
     means, sds, _ = exact_moments()
-    pairs = zip(("rate", "level"), means, sds, strict=True)
-    right = [
-        abs(idata.posterior[name].to_numpy().mean() - mean) < 0.3 * sd
-        and abs(idata.posterior[name].to_numpy().std() / sd - 1.0) < 0.2
-        for name, mean, sd in pairs
-    ]
-    assert all(right) or not verdict(idata).passes
-    assert all(right) or correction == "delayed acceptance"
+    at = means[1] + edge * sds[1]
+    fence = Surrogate.symbolic_fence, Surrogate.fence
+
+    def walled(self, variables):
+        return fence[0](self, variables) + 1e6 * pt.maximum(variables["level"] - at, 0.0) ** 2
+
+    monkeypatch.setattr(Surrogate, "symbolic_fence", walled)
+    monkeypatch.setattr(
+        Surrogate,
+        "fence",
+        lambda self, theta: fence[1](self, theta) + 1e6 * np.maximum(theta[:, 1] - at, 0) ** 2,
+    )
+    monkeypatch.setattr(building, "REFITS", 0)
+    monkeypatch.setattr(building, "ROUNDS", 1)
+    monkeypatch.setattr(building, "BEYOND", 600)
+    logp = LogPosterior(bayesian_model("toy", FORWARD, DATA, KNOWN))
+    builder = Builder(logp, Library(FORWARD), seed=1, cores=1, say=lambda text: None)
+    built = builder.build()
+    draws = {name: value.reshape(-1) for name, value in built.draws.items()}
+    assert draws["level"].max() < at + 0.3 * sds[1]
+    log_weights = builder.log_weights(built.made, draws)
+    assert builder.missed(built.made, draws, log_weights) == pytest.approx(stats.norm.sf(edge), abs=0.07)
+    with pytest.raises(SurrogateError, match=r"misses \d+ % of the posterior"):
+        sample_surrogate(logp.model, draws=200, seed=3, progress=False, cores=1)
+
+
+def test_of_a_good_surrogate_nothing_is_missed():
+    logp = LogPosterior(bayesian_model("toy", FORWARD, DATA, KNOWN))
+    builder = Builder(logp, Library(FORWARD), seed=1, cores=1, say=lambda text: None)
+    built = builder.build()
+    assert built.missed < 0.01
+    before = builder.library.solves
+    draws = {name: value.reshape(-1) for name, value in built.draws.items()}
+    assert builder.missed(built.made, draws, np.zeros(3)) < 0.01
+    assert builder.library.solves - before == building.BEYOND
+
+
+def test_where_the_surrogate_is_refused_chains_of_the_model_are_made(monkeypatch, capsys):
+    """As the method is chosen; one that was asked for says why not."""
+    monkeypatch.setattr(methods, "FEW", 1)
+    monkeypatch.setattr(building, "MISSED", -1.0)
+    monkeypatch.setattr(building, "ROUNDS", 1)
+    monkeypatch.setattr(building, "REFITS", 0)
+    model = bayesian_model("toy", FORWARD, DATA, KNOWN)
+    settings = {"draws": 50, "tune": 50, "chains": 2, "cores": 1, "seed": 1}
+    idata = sample(model, method="auto", **settings)
+    assert RunRecord.of(idata).settings["step"] == "demetropolisz"
+    assert "misses" in capsys.readouterr().err
+    with pytest.raises(SurrogateError, match="sample with method exact"):
+        sample(model, method="surrogate", progress=False, **settings)
 
 
 def test_draws_whose_weights_are_not_trusted_join_the_surrogate(monkeypatch):

@@ -380,6 +380,11 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
             f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
             "discrepancy goes with it: most has another cause"
         )
+    if data.n_series == 1 and scored.components:
+        found.append(
+            "from one series two causes at once cannot be told from one: these probabilities are for a "
+            "baseline of which one component alone is wrong, and too sure where there may be two"
+        )
     found += _bounds_beside(scored, leader, stuck)
     if leader in scored.locations:
         found += _bounds_of_effect(scored, leader)

@@ -16,6 +16,7 @@ from zoo.core.inference.with_gradient import has_gradient, sample_nuts
 from zoo.core.model import ModelError, ModelRecord, record_of
 from zoo.core.surrogate.likelihood import no_table
 from zoo.core.surrogate.model import errors_in_graph
+from zoo.core.surrogate.waveform import SurrogateError
 
 if TYPE_CHECKING:
     import arviz as az
@@ -127,7 +128,14 @@ def sample(
     settings = _without(settings, *ONLY_EXACT, "checkpoint_seconds")
     if taken == "nuts":
         return sample_nuts(model, **_without(settings, "library"))
-    return sample_surrogate(model, **settings)
+    try:
+        return sample_surrogate(model, **settings)
+    except SurrogateError as error:
+        if method != "auto":
+            raise
+        if settings.get("progress", True):
+            print(f"{error}, as is done now", file=sys.stderr)
+        return sample_exact(model, **_without(settings, "library"))
 
 
 def _without(settings: Mapping[str, Any], *names: str) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,7 @@ from zoo.core.surrogate.coordinates import Coordinates
 from zoo.core.surrogate.library import Library
 from zoo.core.surrogate.model import SurrogateModel, errors_in_graph, log_likelihood, surrogate_model
 from zoo.core.surrogate.polynomial import term_count
-from zoo.core.surrogate.waveform import Surrogate
+from zoo.core.surrogate.waveform import Surrogate, SurrogateError
 
 if TYPE_CHECKING:
     import arviz as az
@@ -54,6 +54,14 @@ CHECKED = 160
 """Draws of each round that are solved, to see what the surrogate is worth."""
 ENOUGH = 0.6
 """Effective share of the weighted draws with which the building ends."""
+BEYOND = 240
+"""Draws of each round, and of the last one, that are moved away from their mean and solved there."""
+SEEN = 0.3
+"""Effective share of the draws of a normal posterior that are moved so far."""
+TOO_LOW = 2.0
+"""Log weight above the median of the draws', and above all of them, from which on a surrogate is too low."""
+MISSED = 0.05
+"""Largest share of the exact posterior that may lie where the surrogate is too low to be drawn from."""
 ROUNDS = 8
 IDLE = 2
 """Rounds without a better surrogate after which the building ends."""
@@ -88,8 +96,10 @@ class Built:
     rounds : int
     covariance : array (n_dim, n_dim)
     starts : array (n_chains, n_dim)
+    missed : float
+        Share of the posterior that lies where the surrogate is too low.
     log : list of dict
-        What each round found: points, degree, error, k-hat and effective share.
+        What each round found: points, degree, error, k-hat, effective and missed share.
     """
 
     made: SurrogateModel
@@ -98,7 +108,13 @@ class Built:
     rounds: int
     covariance: Array
     starts: Array
+    missed: float = 0.0
     log: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def worth(self) -> float:
+        """Effective share of the draws, of the part of the posterior that they come from."""
+        return self.weights.effective * (1.0 - self.missed)
 
 
 def theta_of(record: ModelRecord, draws: Mapping[str, Array]) -> Array:
@@ -246,9 +262,9 @@ class Builder:
             flat = _flat(draws)
             theta = theta_of(self.record, flat)
             some = np.unique(np.linspace(0, len(theta) - 1, CHECKED).astype(int))
-            weights = pareto_weights(
-                self.log_weights(made, {n: v[some] for n, v in flat.items()}, keep=True)[None]
-            )
+            log_weights = self.log_weights(made, {n: v[some] for n, v in flat.items()}, keep=True)
+            weights = pareto_weights(log_weights[None])
+            missed = self.missed(made, flat, log_weights)
             x = self.coordinates.of(theta)
             log.append(
                 {
@@ -258,22 +274,24 @@ class Builder:
                     "error": float(np.median(surrogate.error(theta))),
                     "k_hat": weights.k_hat,
                     "effective": weights.effective,
+                    "missed": missed,
                 }
             )
             self.say(
                 f"surrogate {turn}: {log[-1]['points']} solves, {log[-1]['terms']} terms for each of "
                 f"{log[-1]['basis']} components, expected error {log[-1]['error']:.2g} of the noise; of its "
-                f"draws {100 * weights.effective:.0f} % are effective, k-hat {weights.k_hat:.2f}"
+                f"draws {100 * weights.effective:.0f} % are effective, k-hat {weights.k_hat:.2f}; it misses "
+                f"{100 * missed:.0f} % of the posterior"
             )
             vectors = self.logp.from_draws({n: v[::2] for n, v in flat.items()})
             covariance = np.cov(vectors.T).reshape(len(q), len(q)) + 1e-9 * np.eye(len(q))
             starts = vectors[self.rng.choice(len(vectors), len(starts), replace=False)]
-            built = Built(made, draws, weights, turn, covariance, starts, log)
-            if best is None or weights.effective > 1.15 * best.weights.effective:
+            built = Built(made, draws, weights, turn, covariance, starts, missed, log)
+            if best is None or built.worth > 1.15 * best.worth:
                 best, idle = built, 0
             else:
                 idle += 1
-            if (weights.effective >= enough and weights.trusted) or idle > IDLE:
+            if (weights.effective >= enough and weights.trusted and missed <= MISSED) or idle > IDLE:
                 break
             near = x.mean(0), np.cov(x.T).reshape(d, d)
             self.solve(self.points(flat, near, max(CHECKED, term_count(d, 2) // 2)))
@@ -333,10 +351,44 @@ class Builder:
             "effective": weights.effective,
         }
         log = [*built.log, tried]
-        return Built(made, draws, weights, built.rounds + 1, built.covariance, built.starts, log)
+        return replace(built, made=made, draws=draws, weights=weights, rounds=built.rounds + 1, log=log)
 
     def _starts(self, q: Array, covariance: Array, chains: int = 4) -> Array:
         return q + 0.7 * self.rng.standard_normal((chains, len(q))) @ np.linalg.cholesky(covariance).T
+
+    def missed(self, made: SurrogateModel, draws: Draws, log_weights: Array) -> float:
+        """Share of the exact posterior that lies where the surrogate is too low to be drawn from.
+
+        Draws cannot tell what they never reach. So some of them, q of n dimensions, are moved away from their
+        mean m, to q' = m + s (q - m), whose density is that of q over s^n, and are weighed with the exact
+        posterior over that. Not of a posterior that chains of the forward model have looked for.
+
+        Parameters
+        ----------
+        made : SurrogateModel
+        draws : dict
+            Of its posterior, variable -> (n_draws, ...).
+        log_weights : array
+            Of some of them or all, in any order.
+        """
+        if self.explored is not None:
+            return 0.0
+        vectors = self.logp.from_draws(draws)
+        total, n = vectors.shape
+        c = SEEN ** (-2.0 / n)
+        further = float(np.sqrt(c + np.sqrt(c * c - c)))
+        some = vectors[np.unique(np.linspace(0, total - 1, BEYOND).astype(int))]
+        moved = vectors.mean(0) + further * (some - vectors.mean(0))
+        height = LogPosterior(made.model)
+        here, there = (np.array([height(q) for q in each]) for each in (some, moved))
+        found = self.log_weights(made, self.values(moved), keep=True)
+        known = log_weights[np.isfinite(log_weights)]
+        log_mass = found + there - here
+        if not known.size or not np.isfinite(log_mass.max()):
+            return 1.0 if not known.size else 0.0
+        mass = np.exp(log_mass - log_mass.max())
+        too_low = found > max(float(np.median(known)) + TOO_LOW, float(known.max()))
+        return float(mass[too_low].sum() / mass.sum())
 
     def log_weights(self, made: SurrogateModel, draws: Mapping[str, Array], keep: bool = False) -> Array:
         """Logarithm of the exact likelihood over the surrogate's (n,), a solve for each draw (n, ...)."""
@@ -414,7 +466,8 @@ def sample_surrogate(
     SamplingError
         If the posterior cannot be found.
     zoo.core.surrogate.waveform.SurrogateError
-        If the error model or the forward model does not allow a surrogate.
+        If the error model or the forward model does not allow a surrogate, or it misses a part of the
+        posterior.
 
     References
     ----------
@@ -453,11 +506,20 @@ def sample_surrogate(
         kept, again = draws, 0
         while True:
             drawn, log_weights, weights = _weighed(builder, built, kept, tune, chains, cores)
-            if not weights.trusted and again < REFITS:
+            missed = builder.missed(built.made, _flat(drawn), log_weights)
+            if (not weights.trusted or missed > MISSED) and again < REFITS:
                 again += 1
-                show.say(f"k-hat {weights.k_hat:.2f} of {log_weights.size} draws: they join the surrogate's")
+                show.say(
+                    f"k-hat {weights.k_hat:.2f} of {log_weights.size} draws, which miss {100 * missed:.0f} % "
+                    "of the posterior: they join the surrogate's"
+                )
                 built = builder.again(built, drawn, weights)
                 continue
+            if missed > MISSED:
+                raise SurrogateError(
+                    f"model {model_name(model)}: the surrogate misses {100 * missed:.0f} % of the posterior, "
+                    "which no weights of its draws can mend; sample with method exact"
+                )
             result = _corrected(builder, built, drawn, log_weights, weights)
             verdict = check_convergence(result.draws, ess=goal)
             if until_ess is None or verdict.passes or kept >= limit:
@@ -498,6 +560,7 @@ def sample_surrogate(
                 "correction": result.correction,
                 "k_hat": result.weights.k_hat,
                 "effective share": result.weights.effective,
+                "missed share": missed,
                 "gradients of the surrogate": builder.gradients,
                 "processor seconds": time.process_time() - used,
                 "rounds": built.log,

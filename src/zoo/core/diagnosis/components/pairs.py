@@ -32,13 +32,13 @@ from zoo.core.diagnosis.screening import PRIOR_NONPARAMETRIC, Screened
 from zoo.core.diagnosis.search import as_matrix
 from zoo.core.forward import SolveError
 
-FIRST = 2
+FIRST = 4
 """Components beside whose function the others are linearised again."""
 WORTH = 1.0
 """Log evidence that another function must add, by the linear model, for its pair to be looked at."""
 SERIES = 2
 """Series that are needed at least: any two flexible functions draw a single one."""
-REFINED = 2
+REFINED = 3
 """Components beside one of these whose best function is taken to its mode."""
 
 
