@@ -21,6 +21,7 @@ from zoo import load_study, sample
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.record import RunRecord
 from zoo.core.surrogate.library import Library
+from zoo.core.surrogate.waveform import SurrogateError
 from zoo.models import PAPER, get_model
 from zoo.paper.modes_of_f import start_of
 
@@ -50,18 +51,22 @@ def main() -> None:
             begin = start_of(name, study)  # F's highest mode, which no search from the prior finds
             more: dict[str, Any] = {} if begin is None else {"start": begin}
             began, used = time.monotonic(), processor_seconds()
-            idata = sample(
-                model,
-                method=method,
-                groups=False,
-                draws=500,
-                until_ess=400.0,
-                seed=given.seed,
-                cores=given.cores,
-                progress=False,
-                library=libraries.setdefault(forward.key, Library(forward)),
-                **more,
-            )
+            try:
+                idata = sample(
+                    model,
+                    method=method,
+                    groups=False,
+                    draws=500,
+                    until_ess=400.0,
+                    seed=given.seed,
+                    cores=given.cores,
+                    progress=False,
+                    library=libraries.setdefault(forward.key, Library(forward)),
+                    **more,
+                )
+            except SurrogateError as error:
+                print(f"{name} {method}: {error}", flush=True)
+                continue
             wall, busy = time.monotonic() - began, processor_seconds() - used
             record, found = RunRecord.of(idata), verdict(idata)
             solves = record.solves + record.mode_evaluations

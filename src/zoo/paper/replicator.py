@@ -383,7 +383,10 @@ class Replicator:
         try:
             return self.fit_on_surrogate(start, seed, settings)
         except SurrogateError as error:
-            return self.fit(start, seed, settings)._replace(correction=f"exact chains: {error}")
+            least = Settings()  # of a surrogate steps are stored draws, of chains they are steps
+            steps, most = max(settings.steps, least.steps), max(settings.max_steps, least.max_steps)
+            longer = replace(settings, steps=steps, max_steps=most)
+            return self.fit(start, seed, longer)._replace(correction=f"exact chains: {error}")
 
     def replicate(self, seed: int, number: int, settings: Settings | None = None) -> Replicate:
         """Replicate `number` of a calibration: simulate, fit, rank.

@@ -98,7 +98,8 @@ def sample(
     ----------
     model : pm.Model
     method : str
-        Of `choose`; what "auto" takes is printed with the reason.
+        Of `choose`; what "auto" takes is printed with the reason. Where it takes a surrogate that cannot be
+        made or misses a part of the posterior, the forward model is sampled instead.
     checkpoint : path, optional
         Of "exact" alone: the others take minutes, and have none.
     **settings
@@ -125,17 +126,16 @@ def sample(
         raise SamplingError(
             f"{name} = {value}: method {taken} has no use for it; leave it out, or use method exact"
         )
-    settings = _without(settings, *ONLY_EXACT, "checkpoint_seconds")
+    own = _without(settings, *ONLY_EXACT, "checkpoint_seconds")
     if taken == "nuts":
-        return sample_nuts(model, **_without(settings, "library"))
+        return sample_nuts(model, **_without(own, "library"))
     try:
-        return sample_surrogate(model, **settings)
+        return sample_surrogate(model, **own)
     except SurrogateError as error:
         if method != "auto":
             raise
-        if settings.get("progress", True):
-            print(f"{error}, as is done now", file=sys.stderr)
-        return sample_exact(model, **_without(settings, "library"))
+        words = f"{error}\nmodel {model_name(model)}: method exact, for there is no surrogate that serves"
+        return sample_exact(model, checkpoint=checkpoint, preface=words, **_without(settings, "library"))
 
 
 def _without(settings: Mapping[str, Any], *names: str) -> dict[str, Any]:

@@ -96,8 +96,8 @@ class Built:
     rounds : int
     covariance : array (n_dim, n_dim)
     starts : array (n_chains, n_dim)
-    missed : float
-        Share of the posterior that lies where the surrogate is too low.
+    missed : float or None
+        What part of the posterior the surrogate misses at least; None where that was not asked.
     log : list of dict
         What each round found: points, degree, error, k-hat, effective and missed share.
     """
@@ -108,13 +108,13 @@ class Built:
     rounds: int
     covariance: Array
     starts: Array
-    missed: float = 0.0
+    missed: float | None = None
     log: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def worth(self) -> float:
         """Effective share of the draws, of the part of the posterior that they come from."""
-        return self.weights.effective * (1.0 - self.missed)
+        return self.weights.effective * (1.0 - (self.missed or 0.0))
 
 
 def theta_of(record: ModelRecord, draws: Mapping[str, Array]) -> Array:
@@ -280,18 +280,21 @@ class Builder:
             self.say(
                 f"surrogate {turn}: {log[-1]['points']} solves, {log[-1]['terms']} terms for each of "
                 f"{log[-1]['basis']} components, expected error {log[-1]['error']:.2g} of the noise; of its "
-                f"draws {100 * weights.effective:.0f} % are effective, k-hat {weights.k_hat:.2f}; it misses "
-                f"{100 * missed:.0f} % of the posterior"
+                f"draws {100 * weights.effective:.0f} % are effective, k-hat {weights.k_hat:.2f}"
+                + _words(missed)
             )
             vectors = self.logp.from_draws({n: v[::2] for n, v in flat.items()})
             covariance = np.cov(vectors.T).reshape(len(q), len(q)) + 1e-9 * np.eye(len(q))
             starts = vectors[self.rng.choice(len(vectors), len(starts), replace=False)]
             built = Built(made, draws, weights, turn, covariance, starts, missed, log)
+            if weights.effective >= enough and weights.trusted and (missed or 0.0) <= MISSED:
+                best = built
+                break
             if best is None or built.worth > 1.15 * best.worth:
                 best, idle = built, 0
             else:
                 idle += 1
-            if (weights.effective >= enough and weights.trusted and missed <= MISSED) or idle > IDLE:
+            if idle > IDLE:
                 break
             near = x.mean(0), np.cov(x.T).reshape(d, d)
             self.solve(self.points(flat, near, max(CHECKED, term_count(d, 2) // 2)))
@@ -331,7 +334,7 @@ class Builder:
             seed=seed,
         )
 
-    def again(self, built: Built, draws: Draws, weights: Weights) -> Built:
+    def again(self, built: Built, draws: Draws, weights: Weights, missed: float | None) -> Built:
         """A surrogate of all that was solved since, with points beyond the draws of the last one."""
         flat = _flat(draws)
         d, theta = self.coordinates.n, theta_of(self.record, flat)
@@ -349,19 +352,20 @@ class Builder:
             "error": float(np.median(surrogate.error(some))),
             "k_hat": weights.k_hat,
             "effective": weights.effective,
+            "missed": missed,
         }
-        log = [*built.log, tried]
-        return replace(built, made=made, draws=draws, weights=weights, rounds=built.rounds + 1, log=log)
+        log, rounds = [*built.log, tried], built.rounds + 1
+        return replace(built, made=made, draws=draws, weights=weights, missed=missed, rounds=rounds, log=log)
 
     def _starts(self, q: Array, covariance: Array, chains: int = 4) -> Array:
         return q + 0.7 * self.rng.standard_normal((chains, len(q))) @ np.linalg.cholesky(covariance).T
 
-    def missed(self, made: SurrogateModel, draws: Draws, log_weights: Array) -> float:
-        """Share of the exact posterior that lies where the surrogate is too low to be drawn from.
+    def missed(self, made: SurrogateModel, draws: Draws, log_weights: Array) -> float | None:
+        """What part of the exact posterior lies where the surrogate is too low to be drawn from, at least.
 
         Draws cannot tell what they never reach. So some of them, q of n dimensions, are moved away from their
         mean m, to q' = m + s (q - m), whose density is that of q over s^n, and are weighed with the exact
-        posterior over that. Not of a posterior that chains of the forward model have looked for.
+        posterior over that. What lies further out than these is not seen; with many dimensions s is near 1.
 
         Parameters
         ----------
@@ -370,9 +374,14 @@ class Builder:
             Of its posterior, variable -> (n_draws, ...).
         log_weights : array
             Of some of them or all, in any order.
+
+        Returns
+        -------
+        float or None
+            None of a posterior that chains of the forward model have looked for, which is not asked.
         """
         if self.explored is not None:
-            return 0.0
+            return None
         vectors = self.logp.from_draws(draws)
         total, n = vectors.shape
         c = SEEN ** (-2.0 / n)
@@ -384,9 +393,12 @@ class Builder:
         found = self.log_weights(made, self.values(moved), keep=True)
         known = log_weights[np.isfinite(log_weights)]
         log_mass = found + there - here
-        if not known.size or not np.isfinite(log_mass.max()):
-            return 1.0 if not known.size else 0.0
-        mass = np.exp(log_mass - log_mass.max())
+        possible = np.isfinite(log_mass)
+        if not known.size or not possible.any():
+            return 1.0
+        mass = np.where(
+            possible, np.exp(np.where(possible, log_mass, -np.inf) - log_mass[possible].max()), 0.0
+        )
         too_low = found > max(float(np.median(known)) + TOO_LOW, float(known.max()))
         return float(mass[too_low].sum() / mass.sum())
 
@@ -399,6 +411,10 @@ class Builder:
         with np.errstate(invalid="ignore"):
             found = log_likelihood(self.record, series, errors) - made.log_likelihood(theta, errors)
         return np.where(np.isnan(found), -np.inf, found)
+
+
+def _words(missed: float | None) -> str:
+    return "" if missed is None else f"; it misses at least {100 * missed:.0f} % of the posterior"
 
 
 def _flat(draws: Draws) -> Draws:
@@ -507,18 +523,19 @@ def sample_surrogate(
         while True:
             drawn, log_weights, weights = _weighed(builder, built, kept, tune, chains, cores)
             missed = builder.missed(built.made, _flat(drawn), log_weights)
-            if (not weights.trusted or missed > MISSED) and again < REFITS:
+            misses_much = missed is not None and missed > MISSED
+            if (not weights.trusted or misses_much) and again < REFITS:
                 again += 1
                 show.say(
-                    f"k-hat {weights.k_hat:.2f} of {log_weights.size} draws, which miss {100 * missed:.0f} % "
-                    "of the posterior: they join the surrogate's"
+                    f"k-hat {weights.k_hat:.2f} of {log_weights.size} draws of the surrogate{_words(missed)}"
+                    ": they join its design"
                 )
-                built = builder.again(built, drawn, weights)
+                built = builder.again(built, drawn, weights, missed)
                 continue
-            if missed > MISSED:
+            if misses_much:
                 raise SurrogateError(
-                    f"model {model_name(model)}: the surrogate misses {100 * missed:.0f} % of the posterior, "
-                    "which no weights of its draws can mend; sample with method exact"
+                    f"model {model_name(model)}: the surrogate misses at least {100 * (missed or 0.0):.0f} % "
+                    "of the posterior, which no weights of its draws can mend; sample with method exact"
                 )
             result = _corrected(builder, built, drawn, log_weights, weights)
             verdict = check_convergence(result.draws, ess=goal)
