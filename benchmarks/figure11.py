@@ -103,8 +103,8 @@ def main() -> None:
     if given.figures:
         pair = dict(zip(labels, both, strict=True))
         stem = f"figure11-{''.join(dict.fromkeys(names))}"
-        save_figure(posteriors_figure(pair), given.figures / f"{stem}-parameters.svg")
-        save_figure(uncertainty_figure(bands, study), given.figures / f"{stem}-pressure.svg")
+        save_figure(posteriors_figure(pair), given.figures / f"{stem}-parameters.png")
+        save_figure(uncertainty_figure(bands, study), given.figures / f"{stem}-pressure.png")
 
 
 if __name__ == "__main__":
