@@ -2,8 +2,9 @@
 
 The first model is sampled on a surrogate, corrected with the solver, and the second by chains of the solver
 itself until every effective sample size is large. Both are of the same equations: B and C as in the paper, or
-one model twice. Prints medians and ends of 95 % intervals with the difference in combined Monte Carlo
-standard errors, and the largest difference of the predicted pressures; `--figures` draws both.
+one model twice (`--models H --seed 2`, `--models G --ess 700`). Prints medians and ends of 95 % intervals
+with the difference in combined Monte Carlo standard errors, and the largest difference of the predicted
+pressures; `--figures` draws both.
 
 Usage: python benchmarks/figure11.py [--models BC] [--study mouse-c6] [--ess 4000] [--cores 2] [--seed 1]
        [--folder runs/figure11] [--figures docs/figures]
@@ -51,20 +52,27 @@ def posterior(
 def differences(one: az.InferenceData, other: az.InferenceData) -> pd.DataFrame:
     """Quantiles of all scalars that both have, and differences in combined Monte Carlo standard errors."""
     rows = []
-    for name in one.posterior.data_vars:
-        if name not in other.posterior or set(one.posterior[name].dims) != {"chain", "draw"}:
-            continue
+    first, second = (scalars(idata) for idata in (one, other))
+    for name in first.keys() & second.keys():
         for p in ENDS:
-            values, errors = [], []
-            for idata in (one, other):
-                draws = idata.posterior[name].to_numpy()
-                values.append(float(np.quantile(draws, p)))
-                errors.append(float(az.mcse(draws, method="quantile", prob=p)))
+            both = first[name], second[name]
+            values = [float(np.quantile(draws, p)) for draws in both]
+            errors = [float(az.mcse(draws, method="quantile", prob=p)) for draws in both]
             z = (values[0] - values[1]) / np.hypot(*errors)
             rows.append(
                 {"parameter": name, "quantile": p, "surrogate": values[0], "exact": values[1], "z": z}
             )
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows).sort_values(["parameter", "quantile"])
+
+
+def scalars(idata: az.InferenceData) -> dict[str, np.ndarray]:
+    """Draws (n_chains, n_draws) of every number, such as "chi[3]"."""
+    found = {}
+    for name, values in idata.posterior.data_vars.items():
+        draws = values.transpose("chain", "draw", ...).to_numpy()
+        for at in np.ndindex(draws.shape[2:]):
+            found[f"{name}{list(at) if at else ''}"] = draws[(..., *at)]
+    return found
 
 
 def main() -> None:

@@ -131,13 +131,13 @@ def test_shards_are_disjoint_and_complete() -> None:
 def test_tasks_whose_workers_are_killed(cluster: Any, tmp_path: Path) -> None:
     """Three tasks kill their worker once, the scheduler gives them to another: nothing is lost.
 
-    One whose value was still with a worker that another task killed is done a third time.
+    One whose value was still with a worker that another task killed is done again, for each of the two.
     """
     tasks = [Sum(seed, str(tmp_path), deaths=seed in (0, 5, 9)) for seed in range(12)]
     with connect(cluster.scheduler_address) as executor:
         found = [(task.seed, value) for task, value in each(add, tasks, executor=executor, name=name_of)]
     assert sorted(found) == [(seed, expected(seed)) for seed in range(12)]
-    assert all(tasks[seed].runs >= 2 for seed in (0, 5, 9))
+    assert all(2 <= tasks[seed].runs <= 4 for seed in (0, 5, 9))
 
 
 def test_blind_check_with_a_worker_killed_twice(

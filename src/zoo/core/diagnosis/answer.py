@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from zoo.core.diagnosis.bounds import Excluded, at_bounds
 from zoo.core.diagnosis.component_answer import component_results, several_result
 from zoo.core.diagnosis.components.learned import plausible
+from zoo.core.diagnosis.components.pairs import SERIES
 from zoo.core.diagnosis.discrepancy import model_discrepancy, smooth_part
 from zoo.core.diagnosis.estimates import INTERVAL, linearised, posteriors_of
 from zoo.core.diagnosis.evidence import Fit
@@ -380,7 +381,7 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
             f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
             "discrepancy goes with it: most has another cause"
         )
-    if data.n_series == 1 and scored.components:
+    if data.n_series < SERIES and scored.components:
         found.append(
             "from one series two causes at once cannot be told from one: these probabilities are for a "
             "baseline of which one component alone is wrong, and too sure where there may be two"

@@ -266,17 +266,7 @@ class Builder:
             weights = pareto_weights(log_weights[None])
             missed = self.missed(made, flat, log_weights)
             x = self.coordinates.of(theta)
-            log.append(
-                {
-                    "points": len(surrogate.map.residuals),
-                    "terms": len(surrogate.map.terms),
-                    "basis": len(surrogate.basis),
-                    "error": float(np.median(surrogate.error(theta))),
-                    "k_hat": weights.k_hat,
-                    "effective": weights.effective,
-                    "missed": missed,
-                }
-            )
+            log.append(_told(surrogate, theta, weights, missed))
             self.say(
                 f"surrogate {turn}: {log[-1]['points']} solves, {log[-1]['terms']} terms for each of "
                 f"{log[-1]['basis']} components, expected error {log[-1]['error']:.2g} of the noise; of its "
@@ -287,7 +277,7 @@ class Builder:
             covariance = np.cov(vectors.T).reshape(len(q), len(q)) + 1e-9 * np.eye(len(q))
             starts = vectors[self.rng.choice(len(vectors), len(starts), replace=False)]
             built = Built(made, draws, weights, turn, covariance, starts, missed, log)
-            if weights.effective >= enough and weights.trusted and (missed or 0.0) <= MISSED:
+            if weights.effective >= enough and weights.trusted and not _misses_much(missed):
                 best = built
                 break
             if best is None or built.worth > 1.15 * best.worth:
@@ -345,16 +335,7 @@ class Builder:
         surrogate = self._fit(medians, near)
         some = theta[:: max(1, len(theta) // 100)]
         made = surrogate_model(self.logp.model, self.record, surrogate, some)
-        tried = {
-            "points": len(surrogate.map.residuals),
-            "terms": len(surrogate.map.terms),
-            "basis": len(surrogate.basis),
-            "error": float(np.median(surrogate.error(some))),
-            "k_hat": weights.k_hat,
-            "effective": weights.effective,
-            "missed": missed,
-        }
-        log, rounds = [*built.log, tried], built.rounds + 1
+        log, rounds = [*built.log, _told(surrogate, some, weights, missed)], built.rounds + 1
         return replace(built, made=made, draws=draws, weights=weights, missed=missed, rounds=rounds, log=log)
 
     def _starts(self, q: Array, covariance: Array, chains: int = 4) -> Array:
@@ -396,9 +377,7 @@ class Builder:
         possible = np.isfinite(log_mass)
         if not known.size or not possible.any():
             return 1.0
-        mass = np.where(
-            possible, np.exp(np.where(possible, log_mass, -np.inf) - log_mass[possible].max()), 0.0
-        )
+        mass = np.exp(np.where(possible, log_mass, -np.inf) - log_mass[possible].max())
         too_low = found > max(float(np.median(known)) + TOO_LOW, float(known.max()))
         return float(mass[too_low].sum() / mass.sum())
 
@@ -411,6 +390,23 @@ class Builder:
         with np.errstate(invalid="ignore"):
             found = log_likelihood(self.record, series, errors) - made.log_likelihood(theta, errors)
         return np.where(np.isnan(found), -np.inf, found)
+
+
+def _told(surrogate: Surrogate, theta: Array, weights: Weights, missed: float | None) -> dict[str, Any]:
+    """What a round found, with the error expected at parameters (n, n_values)."""
+    return {
+        "points": len(surrogate.map.residuals),
+        "terms": len(surrogate.map.terms),
+        "basis": len(surrogate.basis),
+        "error": float(np.median(surrogate.error(theta))),
+        "k_hat": weights.k_hat,
+        "effective": weights.effective,
+        "missed": missed,
+    }
+
+
+def _misses_much(missed: float | None) -> bool:
+    return missed is not None and missed > MISSED
 
 
 def _words(missed: float | None) -> str:
@@ -523,8 +519,7 @@ def sample_surrogate(
         while True:
             drawn, log_weights, weights = _weighed(builder, built, kept, tune, chains, cores)
             missed = builder.missed(built.made, _flat(drawn), log_weights)
-            misses_much = missed is not None and missed > MISSED
-            if (not weights.trusted or misses_much) and again < REFITS:
+            if (not weights.trusted or _misses_much(missed)) and again < REFITS:
                 again += 1
                 show.say(
                     f"k-hat {weights.k_hat:.2f} of {log_weights.size} draws of the surrogate{_words(missed)}"
@@ -532,7 +527,7 @@ def sample_surrogate(
                 )
                 built = builder.again(built, drawn, weights, missed)
                 continue
-            if misses_much:
+            if _misses_much(missed):
                 raise SurrogateError(
                     f"model {model_name(model)}: the surrogate misses at least {100 * (missed or 0.0):.0f} % "
                     "of the posterior, which no weights of its draws can mend; sample with method exact"
