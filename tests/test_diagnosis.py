@@ -23,6 +23,12 @@ from zoo.report import total_seconds
 FEW = ["sensor-gain", "inflow-shift", "tangent-wall", "beat-jitter", "local-stiffness"]
 
 
+@pytest.fixture
+def catalogue_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the components' free functions, which take most of a diagnosis' time."""
+    monkeypatch.setattr(diagnosis_module, "_of_size", lambda factor: None)
+
+
 @pytest.fixture(scope="module")
 def jitter() -> StudyDiagnosis:
     return diagnose(made([("beat-jitter", (0.003,), EVERYWHERE)]), effects=FEW)
@@ -178,6 +184,7 @@ def test_numbers_in_the_file_are_finite(jitter: StudyDiagnosis) -> None:
     walk(json.loads(jitter.file.model_dump_json()))
 
 
+@pytest.mark.usefixtures("catalogue_alone")
 def test_the_study_may_have_fewer_samples(jitter: StudyDiagnosis) -> None:
     coarse = replace(
         jitter.study,
@@ -195,6 +202,7 @@ def test_a_good_explanation_has_no_warning(jitter: StudyDiagnosis) -> None:
     assert jitter.file.warnings == []
 
 
+@pytest.mark.usefixtures("catalogue_alone")
 def test_units_that_cannot_be_are_warned_of() -> None:
     """Pressures in kPa instead of mmHg: the paper's priors exclude what fits, and the input is suspected."""
     study = replace(made([]), priors={"set": "paun2020"})
@@ -257,6 +265,7 @@ def test_an_explanation_that_leaves_most_is_warned_of(
     assert any(text in found for found in _warnings(gap, jitter.rounds[0], Hooks())) is warned
 
 
+@pytest.mark.usefixtures("catalogue_alone")
 def test_an_effect_parameter_at_its_bound_is_told() -> None:
     """A gain beyond what the catalogue allows."""
     file = diagnose(made([("sensor-gain", (0.5,), EVERYWHERE)]), effects=["sensor-gain"], max_effects=1).file
@@ -310,6 +319,7 @@ def test_the_papers_prior_excludes_the_hypoxic_mouse() -> None:
     assert "--prior f3=... lifts it" in file.warnings[0]
 
 
+@pytest.mark.usefixtures("catalogue_alone")
 def test_a_study_whose_noise_is_given_is_diagnosed_with_it(jitter: StudyDiagnosis) -> None:
     study = jitter.study
     data = study_data(study)

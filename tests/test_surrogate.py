@@ -14,7 +14,7 @@ from zoo.core.data import Data
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs
-from zoo.core.inference import methods
+from zoo.core.inference import correction, methods
 from zoo.core.inference import surrogate as building
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.correction import along_chains, delayed_acceptance, pareto_weights
@@ -46,6 +46,12 @@ def decay(configuration, times):
 FORWARD = FunctionModel(decay, (RATE, LEVEL), Outputs(("y0",), T), name="decay")
 KNOWN = Independent(Uniform(0.9 * SD**2, 1.1 * SD**2), start=SD**2)
 PROCESS = GaussianProcess(LogUniform(0.1, 10.0), LogUniform(0.1, 10.0), noise_variance=SD**2)
+
+
+@pytest.fixture(autouse=True)
+def few_draws_between_those_that_are_solved(monkeypatch):
+    """Posteriors of these models are all but normal."""
+    monkeypatch.setattr(building, "THIN", 2)
 
 
 def library_of(n: int, seed: int = 0, width: float = 0.15) -> Library:
@@ -143,6 +149,50 @@ def test_the_graph_of_the_series_is_the_array_of_it():
     np.testing.assert_allclose(function(1.2, 0.5), surrogate.series([[1.2, 0.5]])[0], rtol=1e-9)
 
 
+@pytest.mark.parametrize("errors", [KNOWN, PROCESS])
+def test_its_draws_are_of_the_likelihood_to_a_power(errors):
+    model = bayesian_model("toy", FORWARD, DATA, errors)
+    bound = errors.bind(DATA)
+    values = {p.name: p.first for p in bound.parameters}
+    surrogate, theta = Surrogate.fit(library_of(60), bound, values), library_of(20, width=0.1).theta
+    plain, wider = (surrogate_model(model, model.zoo, surrogate, theta, power) for power in (1.0, 0.7))
+    two = {name: np.array([value, 1.05 * value]) for name, value in values.items()}
+    drawn, itself = wider.log_likelihood(theta[:2], two)
+    np.testing.assert_allclose(itself, plain.log_likelihood(theta[:2], two)[0])
+    np.testing.assert_allclose(drawn, 0.7 * itself + 0.3 * -surrogate.fence(theta[:2]), rtol=1e-9)
+    density, expected = [], []
+    for i in range(2):
+        logp, other = LogPosterior(wider.model), LogPosterior(plain.model)
+        q = logp.from_values({"rate": theta[i, 0], "level": theta[i, 1]} | {n: v[i] for n, v in two.items()})
+        density.append(logp(q) - other(q))
+        expected.append(drawn[i] - itself[i])
+    np.testing.assert_allclose(density, expected, atol=1e-6)
+
+
+def test_as_many_draws_as_asked_are_effective_of_a_normal_posterior():
+    logp = LogPosterior(bayesian_model("toy", FORWARD, DATA, KNOWN))
+    builder = Builder(logp, Library(FORWARD), seed=1, cores=1, say=lambda text: None)
+    surrogate = Surrogate.fit(library_of(60), logp.model.zoo.errors, {"sigma2": SD**2})
+    power = builder._model(surrogate, library_of(5).theta).power
+    x = np.random.default_rng(1).standard_normal((400_000, 3)) / np.sqrt(power)
+    weights = np.exp(-0.5 * (1.0 - power) * (x**2).sum(1))
+    assert weights.sum() ** 2 / (len(x) * (weights**2).sum()) == pytest.approx(building.DEFENSIVE, abs=0.003)
+    builder.explored = {}
+    assert builder._model(surrogate, library_of(5).theta).power == 1.0
+
+
+def test_more_draws_are_added_to_those_that_were_solved(monkeypatch):
+    model = bayesian_model("toy", FORWARD, DATA, KNOWN)
+    monkeypatch.setattr(building, "TAIL", 5.0)  # which of so few draws would be chance
+    idata = sample_surrogate(model, draws=60, seed=3, progress=False, cores=1, until_ess=300.0)
+    record = RunRecord.of(idata)
+    made, kept = record.settings["surrogate"], idata.posterior.sizes["draw"]
+    assert kept == record.settings["draws"] > 60
+    assert made["correction solves"] == 4 * kept + building.BEYOND
+    assert idata.sample_stats["log_weight"].shape == (4, kept)
+    assert is_right(idata)
+
+
 def test_a_corrected_posterior_is_the_exact_one():
     model = bayesian_model("toy", FORWARD, DATA, KNOWN)
     idata = sample_surrogate(model, draws=400, seed=3, progress=False, cores=1)
@@ -168,7 +218,7 @@ def shell(configuration, times):
 
 
 def quick(monkeypatch):
-    for name, value in {"JUMP_TUNE": 8000, "JUMP_THIN": 16}.items():
+    for name, value in {"JUMP_TUNE": 8000, "JUMP_THIN": 16, "FINAL_TUNE": 200}.items():
         monkeypatch.setattr(building, name, value)
 
 
@@ -262,14 +312,15 @@ def test_what_a_surrogate_leaves_out_is_estimated_and_refused(monkeypatch):
     )
     monkeypatch.setattr(building, "REFITS", 0)
     monkeypatch.setattr(building, "ROUNDS", 1)
-    monkeypatch.setattr(building, "BEYOND", 600)
+    monkeypatch.setattr(building, "BEYOND", 1200)
     logp = LogPosterior(bayesian_model("toy", FORWARD, DATA, KNOWN))
     builder = Builder(logp, Library(FORWARD), seed=1, cores=1, say=lambda text: None)
     built = builder.build()
-    draws = {name: value.reshape(-1) for name, value in built.draws.items()}
+    draws = building._flat(building._drawn(builder, built, 300, 300, 4, 1))
     assert draws["level"].max() < at + 0.3 * sds[1]
-    log_weights = builder.log_weights(built.made, draws)
-    assert builder.missed(built.made, draws, log_weights) == pytest.approx(stats.norm.sf(edge), abs=0.07)
+    _, lacks = builder.compared(built.made, draws)
+    assert builder.missed(built.made, draws, lacks) == pytest.approx(stats.norm.sf(edge), abs=0.06)
+    monkeypatch.setattr(building, "BEYOND", 600)
     with pytest.raises(SurrogateError, match=r"misses at least \d+ % of the posterior"):
         sample_surrogate(logp.model, draws=200, seed=3, progress=False, cores=1)
 
@@ -316,8 +367,11 @@ def test_where_the_surrogate_is_refused_chains_of_the_model_are_made(monkeypatch
         sample(model, method="surrogate", progress=False, **settings)
 
 
-def test_draws_whose_weights_are_not_trusted_join_the_surrogate(monkeypatch):
+@pytest.mark.parametrize(("limits", "reason"), [((1.0, 0.5), "k_hat"), ((0.05, 5.0), "missed")])
+def test_draws_whose_weights_are_not_trusted_join_the_surrogate(limits, reason, monkeypatch):
     """A surrogate that is far too narrow the first time, and after its draws joined as good as any."""
+    monkeypatch.setattr(building, "MISSED", limits[0])
+    monkeypatch.setattr(correction, "K_LIMIT", limits[1])
     fit, calls = Polynomial.fit.__func__, []
 
     def wrong_once(cls, *arguments):
@@ -331,9 +385,9 @@ def test_draws_whose_weights_are_not_trusted_join_the_surrogate(monkeypatch):
     idata = sample_surrogate(model, draws=200, seed=3, progress=False, cores=1)
     made = RunRecord.of(idata).settings["surrogate"]
     assert len(made["rounds"]) == 2
-    assert made["rounds"][1]["k_hat"] > 0.7
+    assert made["rounds"][1][reason] > limits[reason == "k_hat"]
     assert made["correction"] == "importance resampling"
-    assert made["effective share"] > 0.9
+    assert made["effective share"] > building.DEFENSIVE
     means, sds, _ = exact_moments()
     assert idata.posterior["rate"].to_numpy().mean() == pytest.approx(means[0], abs=0.2 * sds[0])
 

@@ -52,8 +52,12 @@ WIDER = 1.3
 """Standard deviations of a design, in those of the posterior that is known of."""
 CHECKED = 160
 """Draws of each round that are solved, to see what the surrogate is worth."""
-ENOUGH = 0.6
-"""Effective share of the weighted draws with which the building ends."""
+ENOUGH, TAIL = 0.6, 0.5
+"""Effective share of the weighted draws, and their k-hat, with which the building ends: few draws make both
+uncertain, and another round costs less than draws whose weights are not trusted."""
+DEFENSIVE = 0.85
+"""Effective share of the draws of a perfect surrogate, whose likelihood is taken to a power below 1: so draws
+reach beyond the posterior, where a surrogate errs most."""
 BEYOND = 240
 """Draws of each round, and of the last one, that are moved away from their mean and solved there."""
 SEEN = 0.3
@@ -67,9 +71,11 @@ IDLE = 2
 """Rounds without a better surrogate after which the building ends."""
 ROUND_TUNE, ROUND_DRAWS = 400, 150
 FINAL_TUNE = 600
+PILOT = 4
+"""One draw in so many of a posterior is solved first, and tells whether the others are worth it."""
 REFITS = 2
 """How often draws whose weights are not trusted join the surrogate's design, before delayed acceptance."""
-THIN = 2
+THIN = 8
 """Draws of NUTS for each one that is solved and stored."""
 JUMP_TUNE, JUMP_THIN = 60000, 60
 """Steps of a chain of differential evolution on the surrogate of a bent posterior: thrown away, and for each
@@ -254,30 +260,27 @@ class Builder:
         best, idle, enough = None, 0, ENOUGH if self.explored is None else ENOUGH_EXPLORED
         for turn in range(1, ROUNDS + 1):
             surrogate = self._fit(weighed, near)
-            made = surrogate_model(
-                self.logp.model, self.record, surrogate, theta_of(self.record, draws)[:100]
-            )
+            made = self._model(surrogate, theta_of(self.record, draws)[:100])
             draws, gradients = self._draws(made, covariance, starts)
             self.gradients += gradients
             flat = _flat(draws)
             theta = theta_of(self.record, flat)
             some = np.unique(np.linspace(0, len(theta) - 1, CHECKED).astype(int))
-            log_weights = self.log_weights(made, {n: v[some] for n, v in flat.items()}, keep=True)
+            log_weights, lacks = self.compared(made, {n: v[some] for n, v in flat.items()}, keep=True)
             weights = pareto_weights(log_weights[None])
-            missed = self.missed(made, flat, log_weights)
+            missed = self.missed(made, flat, lacks)
             x = self.coordinates.of(theta)
             log.append(_told(surrogate, theta, weights, missed))
             self.say(
-                f"surrogate {turn}: {log[-1]['points']} solves, {log[-1]['terms']} terms for each of "
-                f"{log[-1]['basis']} components, expected error {log[-1]['error']:.2g} of the noise; of its "
-                f"draws {100 * weights.effective:.0f} % are effective, k-hat {weights.k_hat:.2f}"
-                + _words(missed)
+                f"surrogate {turn}: {surrogate.map.text} for each of {len(surrogate.basis)} components, "
+                f"expected error {log[-1]['error']:.2g} of the noise; of its draws "
+                f"{100 * weights.effective:.0f} % are effective, k-hat {weights.k_hat:.2f}" + _words(missed)
             )
             vectors = self.logp.from_draws({n: v[::2] for n, v in flat.items()})
             covariance = np.cov(vectors.T).reshape(len(q), len(q)) + 1e-9 * np.eye(len(q))
             starts = vectors[self.rng.choice(len(vectors), len(starts), replace=False)]
             built = Built(made, draws, weights, turn, covariance, starts, missed, log)
-            if weights.effective >= enough and weights.trusted and not _misses_much(missed):
+            if weights.effective >= enough and self.sound(weights) and not _misses_much(missed):
                 best = built
                 break
             if best is None or built.worth > 1.15 * best.worth:
@@ -287,7 +290,11 @@ class Builder:
             if idle > IDLE:
                 break
             near = x.mean(0), np.cov(x.T).reshape(d, d)
-            self.solve(self.points(flat, near, max(CHECKED, term_count(d, 2) // 2)))
+            n = max(CHECKED, term_count(d, 2) // 2)
+            if self.explored is None:
+                self.solve(theta[surrogate.least_known(theta, n, list(some))])
+            else:
+                self.solve(self.points(flat, near, n))
             weighed = _medians(errors_of(self.record, flat))
         assert best is not None
         return best
@@ -303,6 +310,21 @@ class Builder:
             within=within,
             coordinates=self.coordinates,
         )
+
+    def sound(self, weights: Weights) -> bool:
+        """Whether no more solves are needed for better weights."""
+        return weights.trusted if self.explored is not None else weights.k_hat <= TAIL
+
+    def _model(self, surrogate: Surrogate, points: Array) -> SurrogateModel:
+        """With its likelihood to a power, by which a normal posterior of n dimensions is wider.
+
+        Of draws of density p^a, a p^(1 - a) weighs each, and (a (2 - a))^(n/2) of them are effective.
+        """
+        power = 1.0
+        if self.explored is None:
+            n = len(self.logp.template.data)
+            power = 1.0 - float(np.sqrt(1.0 - DEFENSIVE ** (2.0 / n)))
+        return surrogate_model(self.logp.model, self.record, surrogate, points, power)
 
     def _draws(self, made: SurrogateModel, covariance: Array, starts: Array) -> tuple[Draws, int]:
         """Draws of a surrogate's posterior to look at, and gradients that they took."""
@@ -334,14 +356,14 @@ class Builder:
         medians = _medians(errors_of(self.record, flat))
         surrogate = self._fit(medians, near)
         some = theta[:: max(1, len(theta) // 100)]
-        made = surrogate_model(self.logp.model, self.record, surrogate, some)
+        made = self._model(surrogate, some)
         log, rounds = [*built.log, _told(surrogate, some, weights, missed)], built.rounds + 1
         return replace(built, made=made, draws=draws, weights=weights, missed=missed, rounds=rounds, log=log)
 
     def _starts(self, q: Array, covariance: Array, chains: int = 4) -> Array:
         return q + 0.7 * self.rng.standard_normal((chains, len(q))) @ np.linalg.cholesky(covariance).T
 
-    def missed(self, made: SurrogateModel, draws: Draws, log_weights: Array) -> float | None:
+    def missed(self, made: SurrogateModel, draws: Draws, lacks: Array) -> float | None:
         """What part of the exact posterior lies where the surrogate is too low to be drawn from, at least.
 
         Draws cannot tell what they never reach. So some of them, q of n dimensions, are moved away from their
@@ -353,8 +375,8 @@ class Builder:
         made : SurrogateModel
         draws : dict
             Of its posterior, variable -> (n_draws, ...).
-        log_weights : array
-            Of some of them or all, in any order.
+        lacks : array
+            By how much the surrogate's log-likelihood is too low at some of them or all, in any order.
 
         Returns
         -------
@@ -371,30 +393,35 @@ class Builder:
         moved = vectors.mean(0) + further * (some - vectors.mean(0))
         height = LogPosterior(made.model)
         here, there = (np.array([height(q) for q in each]) for each in (some, moved))
-        found = self.log_weights(made, self.values(moved), keep=True)
-        known = log_weights[np.isfinite(log_weights)]
+        found, low = self.compared(made, self.values(moved), keep=True)
+        known = lacks[np.isfinite(lacks)]
         log_mass = found + there - here
         possible = np.isfinite(log_mass)
         if not known.size or not possible.any():
             return 1.0
         mass = np.exp(np.where(possible, log_mass, -np.inf) - log_mass[possible].max())
-        too_low = found > max(float(np.median(known)) + TOO_LOW, float(known.max()))
+        too_low = low > max(float(np.median(known)) + TOO_LOW, float(known.max()))
         return float(mass[too_low].sum() / mass.sum())
 
-    def log_weights(self, made: SurrogateModel, draws: Mapping[str, Array], keep: bool = False) -> Array:
-        """Logarithm of the exact likelihood over the surrogate's (n,), a solve for each draw (n, ...)."""
+    def compared(
+        self, made: SurrogateModel, draws: Mapping[str, Array], keep: bool = False
+    ) -> tuple[Array, Array]:
+        """Draws (n, ...) solved: log weights, and by how much the surrogate's log-likelihood is too low."""
         theta, errors = theta_of(self.record, draws), errors_of(self.record, draws)
         series = self.library.solve(theta, self.cores)
         if keep:
             self.library.add(theta, series)
+        exact = log_likelihood(self.record, series, errors)
         with np.errstate(invalid="ignore"):
-            found = log_likelihood(self.record, series, errors) - made.log_likelihood(theta, errors)
-        return np.where(np.isnan(found), -np.inf, found)
+            found = [exact - own for own in made.log_likelihood(theta, errors)]
+        weights, lacks = (np.where(np.isnan(one), -np.inf, one) for one in found)
+        return weights, lacks
 
 
 def _told(surrogate: Surrogate, theta: Array, weights: Weights, missed: float | None) -> dict[str, Any]:
     """What a round found, with the error expected at parameters (n, n_values)."""
     return {
+        "map": type(surrogate.map).__name__.lower(),
         "points": len(surrogate.map.residuals),
         "terms": len(surrogate.map.terms),
         "basis": len(surrogate.basis),
@@ -416,6 +443,10 @@ def _words(missed: float | None) -> str:
 def _flat(draws: Draws) -> Draws:
     """Draws of all chains, variable -> (n_chains n_draws, ...)."""
     return {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
+
+
+def _some(draws: Draws, which: Array) -> Draws:
+    return {name: value[which] for name, value in draws.items()}
 
 
 def _medians(values: Mapping[str, Array]) -> dict[str, Any]:
@@ -515,17 +546,33 @@ def sample_surrogate(
         built = builder.build(start)
         building = library.solves - before
         limit = max_draws or MOST_DRAWS * draws
-        kept, again = draws, 0
+        kept, again, missed = draws, 0, None
+        drawn: Draws = {}
+        log_weights = np.empty((chains, 0))
         while True:
-            drawn, log_weights, weights = _weighed(builder, built, kept, tune, chains, cores)
-            missed = builder.missed(built.made, _flat(drawn), log_weights)
-            if (not weights.trusted or _misses_much(missed)) and again < REFITS:
+            have = log_weights.shape[1]
+            more = _drawn(builder, built, kept - have, tune, chains, cores)
+            flat, solved = _flat(more), np.empty(chains * (kept - have))
+            first = np.arange(len(solved)) % PILOT == 0  # where these are bad, no others are solved
+            solved[first], lacks = builder.compared(built.made, _some(flat, first), keep=True)
+            weights = pareto_weights(solved[first][None])
+            if not have:
+                missed = builder.missed(built.made, flat, lacks)
+            bad = not have and (not builder.sound(weights) or _misses_much(missed))
+            if not bad or again == REFITS:
+                solved[~first], _ = builder.compared(built.made, _some(flat, ~first), keep=True)
+                drawn = {n: np.concatenate([drawn[n], v], axis=1) if have else v for n, v in more.items()}
+                log_weights = np.concatenate([log_weights, solved.reshape(chains, -1)], axis=1)
+                weights = pareto_weights(log_weights)
+                bad = not weights.trusted or _misses_much(missed)
+            if bad and again < REFITS:
                 again += 1
                 show.say(
-                    f"k-hat {weights.k_hat:.2f} of {log_weights.size} draws of the surrogate{_words(missed)}"
-                    ": they join its design"
+                    f"k-hat {weights.k_hat:.2f} of {weights.smoothed.size} draws of the surrogate"
+                    f"{_words(missed)}: they join its design"
                 )
-                built = builder.again(built, drawn, weights, missed)
+                built = builder.again(built, more, weights, missed)
+                log_weights = np.empty((chains, 0))
                 continue
             if _misses_much(missed):
                 raise SurrogateError(
@@ -607,10 +654,8 @@ class _Corrected:
     accepted: Array | None = None
 
 
-def _weighed(
-    builder: Builder, built: Built, kept: int, tune: int, chains: int, cores: int
-) -> tuple[Draws, Array, Weights]:
-    """Chains on the surrogate, each stored draw solved and weighed."""
+def _drawn(builder: Builder, built: Built, kept: int, tune: int, chains: int, cores: int) -> Draws:
+    """Chains on the surrogate."""
     seed = int(builder.rng.integers(1 << 31))
     starts = built.starts[np.arange(chains) % len(built.starts)]
     draws, least = None, 0.0
@@ -635,9 +680,7 @@ def _weighed(
         thinned = {name: value[:, ::THIN] for name, value in long.items()}
         if draws is None or check_convergence(thinned).min_ess > least:
             draws = thinned
-    flat = _flat(draws)
-    log_weights = builder.log_weights(built.made, flat, keep=True).reshape(chains, kept)
-    return draws, log_weights, pareto_weights(log_weights)
+    return draws
 
 
 def _jumping(
@@ -712,8 +755,8 @@ def _by_delayed_acceptance(
         return share * value, share * gradient
 
     def weigh(q: Array) -> float:
-        exact = float(builder.log_weights(built.made, builder.values(q[None]))[0])
-        return exact + (1.0 - share) * surrogate(q)[0]
+        weight = float(builder.compared(built.made, builder.values(q[None]))[0][0])
+        return weight + (1.0 - share) * surrogate(q)[0]
 
     d = vectors.shape[1]
     lower = np.linalg.cholesky((np.cov(vectors.T).reshape(d, d) + 1e-9 * np.eye(d)) / share)

@@ -28,25 +28,30 @@ class SurrogateModel:
     Parameters
     ----------
     model : pm.Model
-        With the potential "likelihood".
+        Prior times likelihood to a power.
     surrogate : Surrogate
     record : ModelRecord
         Of the model whose forward model it stands for.
     table : Table, optional
         Of errors whose log-density is not written in PyTensor.
+    power : float
+        Below 1 the posterior is wider than the exact one, so that draws reach all of that.
     """
 
     model: pm.Model
     surrogate: Surrogate
     record: ModelRecord
     table: Table | None = None
+    power: float = 1.0
 
-    def log_likelihood(self, theta: Array, errors: Mapping[str, ArrayLike]) -> Array:
-        """What its draws are weighed with, (n,): of parameters (n, n_values) and those of errors (n, ...)."""
-        inside = -self.surrogate.fence(theta)
+    def log_likelihood(self, theta: Array, errors: Mapping[str, ArrayLike]) -> tuple[Array, Array]:
+        """As its draws have it, and to the power 1, (n,): of parameters (n, n_values) and errors (n, ...)."""
         if self.table is not None:
-            return inside + self.table(self.surrogate.coefficients(theta), errors)
-        return inside + log_likelihood(self.record, self.surrogate.series(theta), errors)
+            found = self.table(self.surrogate.coefficients(theta), errors)
+        else:
+            found = log_likelihood(self.record, self.surrogate.series(theta), errors)
+        fence = self.surrogate.fence(theta)
+        return self.power * found - fence, found - fence
 
 
 def log_likelihood(record: ModelRecord, series: Array, errors: Mapping[str, ArrayLike]) -> Array:
@@ -56,7 +61,7 @@ def log_likelihood(record: ModelRecord, series: Array, errors: Mapping[str, Arra
 
 
 def surrogate_model(
-    original: pm.Model, record: ModelRecord, surrogate: Surrogate, points: Array
+    original: pm.Model, record: ModelRecord, surrogate: Surrogate, points: Array, power: float = 1.0
 ) -> SurrogateModel:
     """The model with its series from a surrogate.
 
@@ -69,6 +74,8 @@ def surrogate_model(
     surrogate : Surrogate
     points : array (n, n_values)
         Of the posterior, where a table of the errors is tried.
+    power : float
+        Of the likelihood.
 
     Raises
     ------
@@ -84,10 +91,12 @@ def surrogate_model(
         pm.Potential("inside", -surrogate.symbolic_fence(variables))
         if table is None:
             bound.observe("y", mean, pt.constant(np.int8(1)), of_errors)
+            if power != 1.0:
+                pm.Potential("wider", (power - 1.0) * model.observedlogp)
         else:
             a = surrogate.symbolic_coefficients(variables)
-            pm.Potential("likelihood", table.symbolic(a, of_errors))
-    return SurrogateModel(model, surrogate, record, table)
+            pm.Potential("likelihood", power * table.symbolic(a, of_errors))
+    return SurrogateModel(model, surrogate, record, table, power)
 
 
 def errors_in_graph(record: ModelRecord) -> bool:

@@ -102,9 +102,9 @@ class Polynomial:
         best: tuple[float, Any] = (np.inf, None)
         most = max(1, min(MOST_TERMS, int(len(x) / POINTS_A_TERM)))
         for chosen in _candidates(len(centre), most):
-            terms = _table(chosen)
-            features = _features(v, terms)
-            q, r = linalg.qr(features, mode="economic")
+            terms = table_of(chosen)
+            columns = features(v, terms)
+            q, r = linalg.qr(columns, mode="economic")
             diagonal = np.abs(np.diag(r))
             if diagonal.min() < 1e-10 * diagonal.max():
                 continue
@@ -117,34 +117,49 @@ class Polynomial:
         inverse = linalg.solve_triangular(r, np.eye(len(r)))
         return cls(centre, rotation, terms, inverse @ (q.T @ values), inverse @ inverse.T, errors)
 
+    @property
+    def text(self) -> str:
+        """What it is, for a line of progress."""
+        return f"a polynomial of {len(self.terms)} terms from {len(self.residuals)} solves"
+
+    @property
+    def left_out(self) -> float:
+        """Mean squared norm of the errors at points left out."""
+        return float(np.square(self.residuals).sum(1).mean())
+
     def __call__(self, x: Array) -> Array:
         """Values (n, n_values) at points (n, n_x)."""
-        return np.asarray(_features((x - self.centre) @ self.rotation.T, self.terms) @ self.weights)
+        return np.asarray(features((x - self.centre) @ self.rotation.T, self.terms) @ self.weights)
 
     def leverage(self, x: Array) -> Array:
         """phi' (Phi' Phi)^-1 phi (n,) at points (n, n_x): how far from the fitted ones they lie."""
-        features = _features((x - self.centre) @ self.rotation.T, self.terms)
-        return np.asarray(((features @ self.spread) * features).sum(1))
+        columns = features((x - self.centre) @ self.rotation.T, self.terms)
+        return np.asarray(((columns @ self.spread) * columns).sum(1))
+
+    def uncertainty(self, x: Array) -> tuple[Array, float]:
+        """Covariance (n, n) of the errors at points (n, n_x), and the variance of what solving one leaves."""
+        columns = features((x - self.centre) @ self.rotation.T, self.terms)
+        return np.asarray(columns @ self.spread @ columns.T), 1.0
 
     def symbolic(self, x: Any) -> Any:
         """Values (n_values,) as a graph of a vector x (n_x,)."""
         v = pt.concatenate([np.ones(1), pt.dot(self.rotation, x - self.centre)])
-        features = v[self.terms[:, 0]]
+        columns = v[self.terms[:, 0]]
         for column in self.terms.T[1:]:
             some = np.flatnonzero(column)
             if len(some) == len(column):
-                features = features * v[column]
+                columns = columns * v[column]
             else:
-                features = pt.set_subtensor(features[some], features[some] * v[column[some]])
-        return pt.dot(features, self.weights)
+                columns = pt.set_subtensor(columns[some], columns[some] * v[column[some]])
+        return pt.dot(columns, self.weights)
 
 
-def _table(terms: list[tuple[int, ...]]) -> NDArray[np.int64]:
+def table_of(terms: list[tuple[int, ...]]) -> NDArray[np.int64]:
     degree = max(1, *(len(term) for term in terms))
     return np.array([(*term, *(0,) * (degree - len(term))) for term in terms], dtype=np.int64)
 
 
-def _features(v: Array, terms: NDArray[np.int64]) -> Array:
+def features(v: Array, terms: NDArray[np.int64]) -> Array:
     """Monomials (n, n_terms) of points (n, n_x)."""
     padded = np.concatenate([np.ones((len(v), 1)), v], axis=1)
     found = padded[:, terms[:, 0]]

@@ -1,8 +1,8 @@
-"""A surrogate of a forward model's series: a basis of the series, and a polynomial for each coefficient."""
+"""A surrogate of a forward model's series: a basis of the series, and a function for each coefficient."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,12 +13,13 @@ from scipy import linalg
 
 from zoo.core.errors.base import ErrorModel
 from zoo.core.surrogate.coordinates import Coordinates
+from zoo.core.surrogate.kriging import Kriging
 from zoo.core.surrogate.library import Library
 from zoo.core.surrogate.polynomial import Polynomial
 
 Array = NDArray[np.float64]
 
-LEFT_OUT = 0.03
+LEFT_OUT = 0.003
 """Mean squared norm of what a basis may leave of the design's series, in units of the noise."""
 STEEPEST = 4
 """Largest power of the distance that an expected error grows with beyond the design."""
@@ -32,7 +33,7 @@ class SurrogateError(RuntimeError):
 
 @dataclass(frozen=True)
 class Surrogate:
-    """Series y(x) = middle + sum_k a_k(x) b_k, a_k polynomials and b_k the basis.
+    """Series y(x) = middle + sum_k a_k(x) b_k, a_k polynomials or kriging and b_k the basis.
 
     The basis is that of the design's series as the errors weigh them, so that coefficients are in units of
     the noise: b_k = U v_k with U U' the covariance of the errors and v_k the principal components.
@@ -42,7 +43,8 @@ class Surrogate:
     coordinates : Coordinates
     middle : array (n_series, n_times)
     basis : array (n_basis, n_series, n_times)
-    map : Polynomial
+    map : Polynomial or Kriging
+        Which has the smaller error at points left out.
     covariance : array (n_basis, n_basis)
         Of the coefficients' errors, from points left out.
     remainder : float
@@ -56,7 +58,7 @@ class Surrogate:
     coordinates: Coordinates
     middle: Array
     basis: Array
-    map: Polynomial
+    map: Polynomial | Kriging
     covariance: Array
     remainder: float
     radius: float
@@ -119,11 +121,13 @@ class Surrogate:
         basis = errors.unwhiten(components[:k].reshape(k, *middle.shape), values)
         assert basis is not None
         polynomial = Polynomial.fit(x, a, mean, cholesky)
-        scatter = polynomial.residuals.T @ polynomial.residuals / len(x)
+        process = Kriging.beside(polynomial, x, a)
+        map_ = process if process.left_out < polynomial.left_out else polynomial
+        scatter = map_.residuals.T @ map_.residuals / len(map_.residuals)
         remainder = float(rest[k]) if k < len(rest) else 0.0
         spread = float(np.sqrt((distance**2).mean() / coordinates.n))
         reach = float(distance.max())
-        return cls(coordinates, middle, basis, polynomial, scatter, remainder, reach, spread)
+        return cls(coordinates, middle, basis, map_, scatter, remainder, reach, spread)
 
     def coefficients(self, theta: ArrayLike) -> Array:
         """Coefficients (n, n_basis) at parameters (n, n_values)."""
@@ -145,6 +149,32 @@ class Surrogate:
         v = (x - self.map.centre) @ self.map.rotation.T
         beyond = np.maximum(np.sqrt((v**2).mean(-1)) / self.spread, 1.0)
         return np.asarray(np.sqrt(within) * beyond ** min(self.map.terms.shape[1] + 1, STEEPEST))
+
+    def least_known(self, theta: ArrayLike, n: int, known: Sequence[int] = ()) -> NDArray[np.int64]:
+        """Which points to solve: each where the error is largest, given those before.
+
+        Parameters
+        ----------
+        theta : array (n_points, n_values)
+        n : int
+        known : sequence of int
+            Points that were solved since.
+
+        Returns
+        -------
+        array of int (n,)
+            Others than those; fewer if there are not as many.
+        """
+        covariance, noise = self.map.uncertainty(self.coordinates.of(theta))
+        order = list(known)
+        for i in range(min(len(covariance), len(known) + n)):
+            if i == len(order):
+                variance = np.diag(covariance).copy()
+                variance[order] = -np.inf
+                order.append(int(np.argmax(variance)))
+            row = covariance[order[i]]
+            covariance = covariance - np.outer(row, row) / (row[order[i]] + noise + 1e-12)
+        return np.array(order[len(known) :], dtype=np.int64)
 
     def symbolic_coefficients(self, variables: Mapping[str, Any]) -> Any:
         """Coefficients (n_basis,) as a graph of variables by the parameters' names."""
