@@ -309,6 +309,7 @@ class Builder:
             near=near,
             within=within,
             coordinates=self.coordinates,
+            kriging=self.explored is None,  # whose chains on it take very many steps
         )
 
     def sound(self, weights: Weights) -> bool:

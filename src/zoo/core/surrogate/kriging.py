@@ -130,7 +130,7 @@ class Kriging:
         beta = linalg.solve_triangular(r, q.T @ asked)
         w = linalg.solve_triangular(lower, asked - known @ beta, lower=True, trans="T")
         inverse, _ = linalg.lapack.dtrtri(lower, lower=1)
-        precision = np.square(inverse).sum(0) - np.square(inverse.T @ q).sum(1)
+        precision = np.maximum(np.square(inverse).sum(0) - np.square(inverse.T @ q).sum(1), 1e-12)
         return cls(
             polynomial.centre,
             polynomial.rotation,

@@ -74,6 +74,7 @@ class Surrogate:
         near: tuple[Array, Array] | None = None,
         within: float = np.inf,
         coordinates: Coordinates | None = None,
+        kriging: bool = True,
     ) -> Surrogate:
         """From solved points, the errors weighed by their law at given parameters.
 
@@ -121,8 +122,10 @@ class Surrogate:
         basis = errors.unwhiten(components[:k].reshape(k, *middle.shape), values)
         assert basis is not None
         polynomial = Polynomial.fit(x, a, mean, cholesky)
-        process = Kriging.beside(polynomial, x, a)
-        map_ = process if process.left_out < polynomial.left_out else polynomial
+        tried: list[Polynomial | Kriging] = [polynomial]
+        if kriging:
+            tried.append(Kriging.beside(polynomial, x, a))
+        map_ = min(tried, key=lambda one: one.left_out)
         scatter = map_.residuals.T @ map_.residuals / len(map_.residuals)
         remainder = float(rest[k]) if k < len(rest) else 0.0
         spread = float(np.sqrt((distance**2).mean() / coordinates.n))
