@@ -79,6 +79,7 @@ def test_the_variance_is_that_of_draws_of_a_process():
     assert 0.6 < np.sqrt(np.mean((found / told) ** 2)) < 1.5
     far = np.array([[30.0, 30.0]])
     assert np.sqrt((1.0 + made.leverage(far))[0] * made.left_out) > 30 * np.median(told)
+    assert made.leverage(2 * far) > 8 * made.leverage(far)  # by the trend, whose weights are not known
 
 
 @pytest.mark.parametrize("degree", [None, 2])

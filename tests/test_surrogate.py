@@ -386,6 +386,8 @@ def test_draws_whose_weights_are_not_trusted_join_the_surrogate(limits, reason, 
     made = RunRecord.of(idata).settings["surrogate"]
     assert len(made["rounds"]) == 2
     assert made["rounds"][1][reason] > limits[reason == "k_hat"]
+    # a quarter of the first draws, all of the others, those moved away, and points around the first
+    assert made["correction solves"] == 200 + 800 + 2 * building.BEYOND + building.LEAST_POINTS
     assert made["correction"] == "importance resampling"
     assert made["effective share"] > building.DEFENSIVE
     means, sds, _ = exact_moments()
