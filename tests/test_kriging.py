@@ -114,12 +114,17 @@ def test_a_function_with_noise_is_not_drawn_through_it():
     assert np.sqrt(np.mean((made(x) - clean) ** 2)) < 0.04
 
 
-def test_more_points_than_are_allowed_are_thinned(monkeypatch):
+def test_of_more_points_than_are_allowed_the_newest_are_taken(monkeypatch):
     monkeypatch.setattr(kriging, "MOST_POINTS", 60)
     x = np.random.default_rng(5).standard_normal((300, 2))
     made = Kriging.beside(beneath(x, step(np.pad(x, ((0, 0), (0, 1))))), x, step(np.pad(x, ((0, 0), (0, 1)))))
     assert len(made.points) == len(made.residuals) == 60
-    np.testing.assert_allclose(made.points[[0, -1]], ((x - made.centre) @ made.rotation.T)[[0, -1]])
+    np.testing.assert_allclose(made.points, ((x - made.centre) @ made.rotation.T)[-60:])
+
+
+def test_points_in_too_few_directions_leave_the_polynomial():
+    x = np.random.default_rng(8).standard_normal((30, 1)) * np.ones((1, 2))
+    assert Kriging.beside(beneath(x, x), x, x) is None
 
 
 @pytest.mark.parametrize(("steep", "expected"), [(False, Polynomial), (True, Kriging)])
@@ -137,5 +142,8 @@ def test_a_surrogate_takes_which_is_nearer_at_points_left_out(steep, expected):
     errors = Independent(Uniform(0.001, 0.01)).bind(Data(times, np.zeros(20), units=["mmHg"]))
     surrogate = Surrogate.fit(library, errors, {"sigma2": 0.05**2})
     assert isinstance(surrogate.map, expected)
+    library.add(theta, library.solve(theta))
+    again = Surrogate.fit(library, errors, {"sigma2": 0.05**2})
+    assert len(again.map.residuals) == 60  # a point that was solved twice tells nothing of the error
     new = library.solve(np.array([[0.93], [2.1]]))
     np.testing.assert_allclose(surrogate.series(np.array([[0.93], [2.1]])), new, atol=0.01)

@@ -155,6 +155,8 @@ def test_its_draws_are_of_the_likelihood_to_a_power(errors):
     bound = errors.bind(DATA)
     values = {p.name: p.first for p in bound.parameters}
     surrogate, theta = Surrogate.fit(library_of(60), bound, values), library_of(20, width=0.1).theta
+    theta[1] = 2.5, 1.4
+    assert surrogate.fence(theta[:2])[1] > 1.0  # beyond the design
     plain, wider = (surrogate_model(model, model.zoo, surrogate, theta, power) for power in (1.0, 0.7))
     two = {name: np.array([value, 1.05 * value]) for name, value in values.items()}
     drawn, itself = wider.log_likelihood(theta[:2], two)
@@ -295,7 +297,10 @@ def test_a_surrogate_that_is_far_too_narrow_is_refused(monkeypatch):
 
 
 def test_what_a_surrogate_leaves_out_is_estimated_and_refused(monkeypatch):
-    """Of a posterior that is normal but for its bounds, the part beyond an edge at which a surrogate ends."""
+    """Of a posterior that is all but normal, the part beyond an edge at which a surrogate ends.
+
+    As far as moved draws reach: those of its density to a power, cut there and moved away from their mean.
+    """
     edge = 0.7
     means, sds, _ = exact_moments()
     at = means[1] + edge * sds[1]
@@ -319,7 +324,12 @@ def test_what_a_surrogate_leaves_out_is_estimated_and_refused(monkeypatch):
     draws = building._flat(building._drawn(builder, built, 300, 300, 4, 1))
     assert draws["level"].max() < at + 0.3 * sds[1]
     _, lacks = builder.compared(built.made, draws)
-    assert builder.missed(built.made, draws, lacks) == pytest.approx(stats.norm.sf(edge), abs=0.06)
+    c, power = building.SEEN ** (-2 / 3), built.made.power
+    mean = stats.truncnorm.mean(-np.inf, edge * np.sqrt(power)) / np.sqrt(power)
+    reach = mean + np.sqrt(power * (c + np.sqrt(c * c - 1))) * (edge - mean)
+    expected = (stats.norm.cdf(reach) - stats.norm.cdf(edge)) / stats.norm.cdf(reach)
+    assert expected > 0.1
+    assert builder.missed(built.made, draws, lacks) == pytest.approx(expected, abs=0.05)
     monkeypatch.setattr(building, "BEYOND", 600)
     with pytest.raises(SurrogateError, match=r"misses at least \d+ % of the posterior"):
         sample_surrogate(logp.model, draws=200, seed=3, progress=False, cores=1)
@@ -372,6 +382,7 @@ def test_draws_whose_weights_are_not_trusted_join_the_surrogate(limits, reason, 
     """A surrogate that is far too narrow the first time, and after its draws joined as good as any."""
     monkeypatch.setattr(building, "MISSED", limits[0])
     monkeypatch.setattr(correction, "K_LIMIT", limits[1])
+    monkeypatch.setattr(building, "TAIL", limits[1])
     fit, calls = Polynomial.fit.__func__, []
 
     def wrong_once(cls, *arguments):

@@ -71,8 +71,9 @@ IDLE = 2
 """Rounds without a better surrogate after which the building ends."""
 ROUND_TUNE, ROUND_DRAWS = 400, 150
 FINAL_TUNE = 600
-PILOT = 4
-"""One draw in so many of a posterior is solved first, and tells whether the others are worth it."""
+PILOT, PILOTED = 4, 400
+"""One draw in so many of a posterior is solved first, and tells whether the others are worth it; all at once
+where there are fewer than so many."""
 REFITS = 2
 """How often draws whose weights are not trusted join the surrogate's design, before delayed acceptance."""
 THIN = 8
@@ -389,7 +390,7 @@ class Builder:
         vectors = self.logp.from_draws(draws)
         total, n = vectors.shape
         c = SEEN ** (-2.0 / n)
-        further = float(np.sqrt(c + np.sqrt(c * c - c)))
+        further = float(np.sqrt(made.power * (c + np.sqrt(c * c - c))))
         some = vectors[np.unique(np.linspace(0, total - 1, BEYOND).astype(int))]
         moved = vectors.mean(0) + further * (some - vectors.mean(0))
         height = LogPosterior(made.model)
@@ -483,10 +484,10 @@ def sample_surrogate(
     """Sample a posterior by NUTS on a surrogate of the forward model, and make its draws exact.
 
     A surrogate is built around the posterior (`Builder`). Every stored draw of NUTS is then solved with the
-    forward model itself, and weighed by the exact likelihood over the surrogate's. With k-hat up to 0.7 the
-    draws are resampled by their smoothed weights, along each chain; else chains of delayed acceptance are
-    made, in which every step is accepted by the forward model. Effective sample sizes and R-hat are those of
-    the draws after that.
+    forward model itself, and weighed by the exact likelihood over the surrogate's to a power. With k-hat up
+    to 0.7 the draws are resampled by their smoothed weights, along each chain; else chains of delayed
+    acceptance are made, in which every step is accepted by the forward model. Effective sample sizes and
+    R-hat are those of the draws after that.
 
     Parameters
     ----------
@@ -555,12 +556,13 @@ def sample_surrogate(
             more = _drawn(builder, built, kept - have, tune, chains, cores)
             flat, solved = _flat(more), np.empty(chains * (kept - have))
             first = np.arange(len(solved)) % PILOT == 0  # where these are bad, no others are solved
+            first |= len(solved) < PILOTED
             solved[first], lacks = builder.compared(built.made, _some(flat, first), keep=True)
             weights = pareto_weights(solved[first][None])
             if not have:
                 missed = builder.missed(built.made, flat, lacks)
             bad = not have and (not builder.sound(weights) or _misses_much(missed))
-            if not bad or again == REFITS:
+            if not bad or (again == REFITS and not _misses_much(missed)):
                 solved[~first], _ = builder.compared(built.made, _some(flat, ~first), keep=True)
                 drawn = {n: np.concatenate([drawn[n], v], axis=1) if have else v for n, v in more.items()}
                 log_weights = np.concatenate([log_weights, solved.reshape(chains, -1)], axis=1)
@@ -572,7 +574,7 @@ def sample_surrogate(
                     f"k-hat {weights.k_hat:.2f} of {weights.smoothed.size} draws of the surrogate"
                     f"{_words(missed)}: they join its design"
                 )
-                built = builder.again(built, more, weights, missed)
+                built = builder.again(built, drawn if have else more, weights, missed)
                 log_weights = np.empty((chains, 0))
                 continue
             if _misses_much(missed):
@@ -618,6 +620,7 @@ def sample_surrogate(
                 "building solves": building,
                 "correction solves": solves - exploring - building,
                 "correction": result.correction,
+                "power": built.made.power,
                 "k_hat": result.weights.k_hat,
                 "effective share": result.weights.effective,
                 "missed share": missed,

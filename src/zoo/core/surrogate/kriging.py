@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,8 +23,8 @@ NUGGETS = (1e-9, 1e-5, 1e-3)
 TREND = 2
 """Degree of the polynomial beneath the process."""
 MOST_TRIED, MOST_POINTS = 600, 2000
-"""Most points with which lengths and nuggets are tried, and most points of a process, whose time goes with
-their number cubed: more are thinned evenly."""
+"""Most points with which lengths and nuggets are tried, evenly taken, and most points of a process, the
+newest: its time goes with their number cubed."""
 
 
 def _monomials(n: int, degree: int) -> NDArray[np.int64]:
@@ -77,14 +78,15 @@ class Kriging:
     residuals: Array
 
     @classmethod
-    def beside(cls, polynomial: Polynomial, x: Array, values: Array) -> Kriging:
-        """The one of the least error at points left out, in a polynomial's variables.
+    def beside(cls, polynomial: Polynomial, x: Array, values: Array) -> Kriging | None:
+        """The one of the least error at points left out, in a polynomial's variables; None if there is none.
 
         Parameters
         ----------
         polynomial : Polynomial
             Of the same points.
         x : array (n_points, n_x)
+            The newest last.
         values : array (n_points, n_values)
         """
         n, d = x.shape
@@ -93,18 +95,17 @@ class Kriging:
         if 2 * len(terms) > min(n, MOST_TRIED):
             terms = _monomials(d, 1)
 
-        def at(most: int, length: float, nugget: float) -> Kriging | None:
-            some = np.unique(np.linspace(0, n - 1, most).astype(int))
+        def at(some: NDArray[np.int64], length: float, nugget: float) -> Kriging | None:
             return cls._of(polynomial, terms, v[some], values[some], length, nugget)
 
-        tried = [
-            made
-            for length in LENGTHS
-            for nugget in NUGGETS
-            if (made := at(MOST_TRIED, length, nugget)) is not None
-        ]
+        evenly = np.unique(np.linspace(0, n - 1, MOST_TRIED).astype(int))
+        newest = np.arange(max(0, n - MOST_POINTS), n)
+        pairs = itertools.product(LENGTHS, NUGGETS)
+        tried = [made for pair in pairs if (made := at(evenly, *pair)) is not None]
+        if not tried:
+            return None
         best = min(tried, key=lambda made: made.left_out)
-        return at(MOST_POINTS, best.length, best.nugget) or at(MOST_POINTS, best.length, NUGGETS[1]) or best
+        return at(newest, best.length, best.nugget) or at(newest, best.length, NUGGETS[1]) or best
 
     @classmethod
     def _of(
@@ -116,7 +117,7 @@ class Kriging:
         length: float,
         nugget: float,
     ) -> Kriging | None:
-        """At one length and nugget; None where two points are too near for it."""
+        """At one length and nugget; None where points are too near for it, or lie in too few directions."""
         covariance = matern(cdist(v, v), length)
         covariance[np.diag_indices(len(v))] += nugget
         try:
@@ -127,6 +128,9 @@ class Kriging:
         z = linalg.solve_triangular(lower, both, lower=True)
         known, asked = z[:, : len(terms)], z[:, len(terms) :]
         q, r = linalg.qr(known, mode="economic")
+        diagonal = np.abs(np.diag(r))
+        if diagonal.min() < 1e-10 * diagonal.max():
+            return None
         beta = linalg.solve_triangular(r, q.T @ asked)
         w = linalg.solve_triangular(lower, asked - known @ beta, lower=True, trans="T")
         inverse, _ = linalg.lapack.dtrtri(lower, lower=1)

@@ -103,7 +103,8 @@ class Surrogate:
         mean, covariance = near or (x.mean(0), np.cov(x.T).reshape(len(x.T), -1))
         cholesky = linalg.cholesky(covariance, lower=True)
         distance = np.linalg.norm(linalg.solve_triangular(cholesky, (x - mean).T, lower=True), axis=0)
-        some = distance <= within
+        once = np.sort(np.unique(x, axis=0, return_index=True)[1])
+        some = once[distance[once] <= within]
         x, series, distance = x[some], library.series[some], distance[some]
         if len(x) < 2 * coordinates.n + 2:
             raise SurrogateError(
@@ -123,8 +124,8 @@ class Surrogate:
         assert basis is not None
         polynomial = Polynomial.fit(x, a, mean, cholesky)
         tried: list[Polynomial | Kriging] = [polynomial]
-        if kriging:
-            tried.append(Kriging.beside(polynomial, x, a))
+        if kriging and (process := Kriging.beside(polynomial, x, a)) is not None:
+            tried.append(process)
         map_ = min(tried, key=lambda one: one.left_out)
         scatter = map_.residuals.T @ map_.residuals / len(map_.residuals)
         remainder = float(rest[k]) if k < len(rest) else 0.0
