@@ -326,7 +326,7 @@ def test_what_a_surrogate_leaves_out_is_estimated_and_refused(monkeypatch):
     _, lacks = builder.compared(built.made, draws)
     c, power = building.SEEN ** (-2 / 3), built.made.power
     mean = stats.truncnorm.mean(-np.inf, edge * np.sqrt(power)) / np.sqrt(power)
-    reach = mean + np.sqrt(power * (c + np.sqrt(c * c - c))) * (edge - mean)
+    reach = mean + np.sqrt(c + np.sqrt(c * c - c)) * (edge - mean)
     expected = (stats.norm.cdf(reach) - stats.norm.cdf(edge)) / stats.norm.cdf(reach)
     assert expected > 0.1
     assert builder.missed(built.made, draws, lacks) == pytest.approx(expected, abs=0.05)

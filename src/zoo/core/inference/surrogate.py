@@ -61,7 +61,8 @@ reach beyond the posterior, where a surrogate errs most."""
 BEYOND = 240
 """Draws of each round, and of the last one, that are moved away from their mean and solved there."""
 SEEN = 0.3
-"""Effective share of the draws of a normal posterior that are moved so far."""
+"""Effective share of draws of a normal density that are moved so far; of the posterior, which is narrower by
+the power of the likelihood, it is about half of that."""
 TOO_LOW = 2.0
 """Log weight above the median of the draws', and above all of them, from which on a surrogate is too low."""
 MISSED = 0.05
@@ -390,7 +391,7 @@ class Builder:
         vectors = self.logp.from_draws(draws)
         total, n = vectors.shape
         c = SEEN ** (-2.0 / n)
-        further = float(np.sqrt(made.power * (c + np.sqrt(c * c - c))))
+        further = float(np.sqrt(c + np.sqrt(c * c - c)))
         some = vectors[np.unique(np.linspace(0, total - 1, BEYOND).astype(int))]
         moved = vectors.mean(0) + further * (some - vectors.mean(0))
         height = LogPosterior(made.model)
