@@ -23,8 +23,8 @@ NUGGETS = (1e-9, 1e-5, 1e-3)
 TREND = 2
 """Degree of the polynomial beneath the process."""
 MOST_TRIED, MOST_POINTS = 600, 2000
-"""Most points with which lengths and nuggets are tried, evenly taken, and most points of a process, the
-newest: its time goes with their number cubed."""
+"""Most points with which lengths and nuggets are tried, and most points of a process, whose time goes with
+their number cubed: of more, as many are taken evenly."""
 
 
 def _monomials(n: int, degree: int) -> NDArray[np.int64]:
@@ -86,7 +86,6 @@ class Kriging:
         polynomial : Polynomial
             Of the same points.
         x : array (n_points, n_x)
-            The newest last.
         values : array (n_points, n_values)
         """
         n, d = x.shape
@@ -95,17 +94,16 @@ class Kriging:
         if 2 * len(terms) > min(n, MOST_TRIED):
             terms = _monomials(d, 1)
 
-        def at(some: NDArray[np.int64], length: float, nugget: float) -> Kriging | None:
+        def at(most: int, length: float, nugget: float) -> Kriging | None:
+            some = np.unique(np.linspace(0, n - 1, most).astype(int))
             return cls._of(polynomial, terms, v[some], values[some], length, nugget)
 
-        evenly = np.unique(np.linspace(0, n - 1, MOST_TRIED).astype(int))
-        newest = np.arange(max(0, n - MOST_POINTS), n)
         pairs = itertools.product(LENGTHS, NUGGETS)
-        tried = [made for pair in pairs if (made := at(evenly, *pair)) is not None]
+        tried = [made for pair in pairs if (made := at(MOST_TRIED, *pair)) is not None]
         if not tried:
             return None
         best = min(tried, key=lambda made: made.left_out)
-        return at(newest, best.length, best.nugget) or at(newest, best.length, NUGGETS[1]) or best
+        return at(MOST_POINTS, best.length, best.nugget) or at(MOST_POINTS, best.length, NUGGETS[1]) or best
 
     @classmethod
     def _of(
