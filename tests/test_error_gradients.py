@@ -26,8 +26,8 @@ from zoo.core.errors.variables import ErrorTermsOp
 from zoo.core.forward import Outputs, content_key
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.mode import find_mode
+from zoo.core.inference.sampling import has_gradient
 from zoo.core.inference.sampling import sample as sample_exact
-from zoo.core.inference.with_gradient import has_gradient
 from zoo.core.model import bayesian_model
 from zoo.core.op import MissingGradientError
 from zoo.core.parameters import InverseGamma, LogUniform, Parameter, Population, Uniform, unpack

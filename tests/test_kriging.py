@@ -119,7 +119,7 @@ def test_of_more_points_than_are_allowed_as_many_are_taken_evenly(monkeypatch):
     x = np.random.default_rng(5).standard_normal((300, 2))
     made = Kriging.beside(beneath(x, step(np.pad(x, ((0, 0), (0, 1))))), x, step(np.pad(x, ((0, 0), (0, 1)))))
     assert len(made.points) == len(made.residuals) == 60
-    v, some = (x - made.centre) @ made.rotation.T, np.linspace(0, 299, 60).astype(int)
+    v, some = (x - made.centre) @ made.rotation.T, np.linspace(0, 299, 60).round().astype(int)
     np.testing.assert_allclose(made.points, v[some])
 
 

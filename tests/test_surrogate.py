@@ -14,22 +14,24 @@ from zoo.core.data import Data
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs
-from zoo.core.inference import correction, methods
-from zoo.core.inference import surrogate as building
+from zoo.core.inference import building, correction, methods
+from zoo.core.inference import surrogate as correcting
+from zoo.core.inference.building import Builder
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.correction import along_chains, delayed_acceptance, pareto_weights
 from zoo.core.inference.logposterior import LogPosterior, SamplingError
 from zoo.core.inference.methods import choose, sample
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.sampling import check_settings
-from zoo.core.inference.surrogate import Builder, sample_surrogate
+from zoo.core.inference.surrogate import sample_surrogate
 from zoo.core.model import bayesian_model
 from zoo.core.parameters import InverseGamma, LogUniform, Parameter, ParameterError, Uniform
 from zoo.core.surrogate.coordinates import Coordinates
 from zoo.core.surrogate.library import Library
 from zoo.core.surrogate.likelihood import Table
 from zoo.core.surrogate.model import log_likelihood, surrogate_model
-from zoo.core.surrogate.polynomial import Polynomial, total_degree
+from zoo.core.surrogate.monomials import total_degree
+from zoo.core.surrogate.polynomial import Polynomial
 from zoo.core.surrogate.waveform import Surrogate, SurrogateError
 
 T = np.linspace(0.0, 2.0, 40)
@@ -51,7 +53,7 @@ PROCESS = GaussianProcess(LogUniform(0.1, 10.0), LogUniform(0.1, 10.0), noise_va
 @pytest.fixture(autouse=True)
 def few_draws_between_those_that_are_solved(monkeypatch):
     """Posteriors of these models are all but normal."""
-    monkeypatch.setattr(building, "THIN", 2)
+    monkeypatch.setattr(correcting, "THIN", 2)
 
 
 def library_of(n: int, seed: int = 0, width: float = 0.15) -> Library:
@@ -260,7 +262,7 @@ def spoiled(monkeypatch, spoil):
 
     monkeypatch.setattr(Polynomial, "fit", classmethod(wrong))
     monkeypatch.setattr(building, "ROUNDS", 1)
-    monkeypatch.setattr(building, "REFITS", 0)
+    monkeypatch.setattr(correcting, "REFITS", 0)
     return bayesian_model("toy", FORWARD, DATA, KNOWN)
 
 
@@ -315,13 +317,13 @@ def test_what_a_surrogate_leaves_out_is_estimated_and_refused(monkeypatch):
         "fence",
         lambda self, theta: fence[1](self, theta) + 1e6 * np.maximum(theta[:, 1] - at, 0) ** 2,
     )
-    monkeypatch.setattr(building, "REFITS", 0)
+    monkeypatch.setattr(correcting, "REFITS", 0)
     monkeypatch.setattr(building, "ROUNDS", 1)
     monkeypatch.setattr(building, "BEYOND", 1200)
     logp = LogPosterior(bayesian_model("toy", FORWARD, DATA, KNOWN))
     builder = Builder(logp, Library(FORWARD), seed=1, cores=1, say=lambda text: None)
     built = builder.build()
-    draws = building._flat(building._drawn(builder, built, 300, 300, 4, 1))
+    draws = building.flat_draws(correcting._drawn(builder, built, 300, 300, 4))
     assert draws["level"].max() < at + 0.3 * sds[1]
     _, lacks = builder.compared(built.made, draws)
     c, power = building.SEEN ** (-2 / 3), built.made.power
@@ -366,7 +368,7 @@ def test_where_the_surrogate_is_refused_chains_of_the_model_are_made(monkeypatch
     monkeypatch.setattr(methods, "FEW", 1)
     monkeypatch.setattr(building, "MISSED", -1.0)
     monkeypatch.setattr(building, "ROUNDS", 1)
-    monkeypatch.setattr(building, "REFITS", 0)
+    monkeypatch.setattr(correcting, "REFITS", 0)
     model = bayesian_model("toy", FORWARD, DATA, KNOWN)
     settings = {"draws": 20, "tune": 20, "chains": 2, "cores": 1, "seed": 1}
     idata = sample(model, method="auto", checkpoint=tmp_path / "run", **settings)

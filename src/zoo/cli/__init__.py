@@ -62,6 +62,7 @@ def main(
     """Options of all commands."""
     # said by ArviZ 0.23 on its first import of a day, of a version that zoo does not use
     warnings.filterwarnings("ignore", r"\s*ArviZ is undergoing a major refactor", FutureWarning)
+    warnings.filterwarnings("ignore", "PyTensor could not link to a BLAS", UserWarning)  # solves cost more
     show_tracebacks(debug or bool(os.environ.get("ZOO_DEBUG")))
 
 

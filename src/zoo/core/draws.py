@@ -1,4 +1,4 @@
-"""Draws that numpy has no function for."""
+"""Draws that numpy has no function for, and some of many."""
 
 from __future__ import annotations
 
@@ -17,3 +17,8 @@ def inverse_gamma_draws(
     """The scale over gamma draws, at most `LARGEST_DRAW`."""
     scale = np.asarray(scale, dtype=np.float64)  # PyTensor hands on small constants as single precision
     return np.asarray(scale / np.maximum(rng.gamma(shape, size=size), scale / LARGEST_DRAW))
+
+
+def evenly(n: int, wanted: int) -> NDArray[np.int64]:
+    """Which of n draws to keep, evenly from the first to the last; all of them if no more than `wanted`."""
+    return np.unique(np.linspace(0, n - 1, max(1, min(n, wanted))).round().astype(np.int64))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from zoo.core.draws import evenly
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.paper.synthetic import Truth
 
@@ -88,7 +89,7 @@ def marginal_density(
     posterior = idata["posterior"]
     columns = {name: posterior[name].to_numpy().ravel() for name in names}
     total = len(next(iter(columns.values())))
-    kept = np.unique(np.linspace(0, total - 1, min(n_draws, total)).round().astype(int))
+    kept = evenly(total, n_draws)
     every = logp.from_draws({name: column[kept] for name, column in columns.items()})
     log_density = idata["sample_stats"]["lp"].to_numpy().ravel()[kept]
 

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
+from zoo.core.draws import evenly
 from zoo.plots.style import QUANTITY_LABELS, FigureError, model_style, new_figure
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def shown_vessels(
         chosen = list(usual)
     else:
         observed = [s.vessel for s in study.series if s.vessel in there] if study is not None else []
-        even = np.linspace(0, len(there) - 1, len(usual)).round().astype(int)
+        even = evenly(len(there), len(usual))
         wanted_first = dict.fromkeys([there[0], *observed, *(there[i] for i in even)])
         some = list(wanted_first)[: max(len(usual), 1 + len(set(observed)))]
         chosen = [vessel for vessel in there if vessel in some]

@@ -13,6 +13,7 @@ import numpy as np
 from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import floatX
 
+from zoo.core.inference.gradient_step import Nuts
 from zoo.core.inference.logposterior import Array, Point, count, counting_ops, outputs
 from zoo.core.inference.spaces import Gaussian
 from zoo.core.inference.states import of_chain, read_state, write_state
@@ -39,14 +40,15 @@ class Task:
 
 
 _SUMS = ("accept", "accepted", "solves", "solver_failures")
+_OF_GRADIENTS = ("gradients", "diverging")
 _LASTS = {"model_logp": "lp", "scaling": "scaling", "lambda": "lambda", "beta": "beta"}
 
 
 class Chain:
     """One chain: its step method, its draws so far, and its checkpoint.
 
-    A stored draw stands for `thin` steps: values and log-posterior are those after the last of them, solves
-    and failures are sums over them, accept and accepted are means.
+    A stored draw stands for `thin` steps: values and log-posterior are those after the last of them, solves,
+    failures, gradients and diverging trajectories are sums over them, accept and accepted are means.
     """
 
     def __init__(self, task: Task) -> None:
@@ -67,7 +69,8 @@ class Chain:
         self.steps = 0
         self.draws: dict[str, list[np.ndarray]] = {name: [] for name in self.names}
         self.stats: dict[str, list[float]] = {}
-        self._sums = dict.fromkeys(_SUMS, 0.0)
+        self._summed = _SUMS + _OF_GRADIENTS if isinstance(self.step, Nuts) else _SUMS
+        self._sums = dict.fromkeys(self._summed, 0.0)
         self.solves = 0
         self.accepted = 0.0
         self.failures: Counter[str] = Counter()
@@ -133,9 +136,8 @@ class Chain:
             return
         accept = float(stats["accept"])
         self._sums["accept"] += min(1.0, accept) if accept > 0 else 0.0
-        self._sums["accepted"] += accepted
-        self._sums["solves"] += float(stats["solves"])
-        self._sums["solver_failures"] += float(stats["solver_failures"])
+        for name in self._summed[1:]:
+            self._sums[name] += float(stats[name])
         if (self.steps - self.task.tune) % self.task.thin == 0:
             self._keep(stats)
 
@@ -143,14 +145,14 @@ class Chain:
         values = self._current if self._current is not None else self._values(self.point)
         for name, value in zip(self.names, values, strict=True):
             self.draws[name].append(np.array(value))
-        for name in _SUMS:
+        for name in self._summed:
             total = self._sums[name]
             mean = name in ("accept", "accepted")
             self.stats.setdefault(name, []).append(total / self.task.thin if mean else total)
         for source, name in _LASTS.items():
             if source in stats:
                 self.stats.setdefault(name, []).append(float(stats[source]))
-        self._sums = dict.fromkeys(_SUMS, 0.0)
+        self._sums = dict.fromkeys(self._summed, 0.0)
 
     def since(self, first: int) -> dict[str, Any]:
         """Progress, and the draws from number `first` on, as one message to the parent."""
@@ -217,4 +219,6 @@ def _make_step(task: Task, point: Point) -> Any:
     kwargs: dict[str, Any] = {"model": task.model, "initial_point": point, "reference": task.reference}
     if task.step == "demetropolisz":
         return DEMetropolisZ(archive=task.archive, **kwargs, **task.options)
+    if task.step == "nuts":
+        return Nuts(**kwargs, **task.options)
     return Metropolis(vars=list(task.model.continuous_value_vars), **kwargs, **task.options)

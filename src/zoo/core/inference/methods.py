@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
-from zoo.core.inference.sampling import check_settings
+from zoo.core.inference.sampling import check_settings, has_gradient, sample_nuts
 from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.inference.surrogate import sample_surrogate
-from zoo.core.inference.with_gradient import has_gradient, sample_nuts
 from zoo.core.model import ModelError, ModelRecord, record_of
 from zoo.core.surrogate.likelihood import no_table
 from zoo.core.surrogate.model import errors_in_graph
@@ -101,10 +100,10 @@ def sample(
         Of `choose`; what "auto" takes is printed with the reason. Where it takes a surrogate that cannot be
         made or misses a part of the posterior, the forward model is sampled instead.
     checkpoint : path, optional
-        Of "exact" alone: the others take minutes, and have none.
+        Of "exact" and "nuts": a surrogate takes minutes, and has none.
     **settings
         Of `zoo.core.inference.sampling.sample`, `zoo.core.inference.surrogate.sample_surrogate` or
-        `zoo.core.inference.with_gradient.sample_nuts`.
+        `zoo.core.inference.sampling.sample_nuts`.
 
     Raises
     ------
@@ -126,11 +125,11 @@ def sample(
         raise SamplingError(
             f"{name} = {value}: method {taken} has no use for it; leave it out, or use method exact"
         )
-    own = _without(settings, *ONLY_EXACT, "checkpoint_seconds")
+    own = _without(settings, *ONLY_EXACT)
     if taken == "nuts":
-        return sample_nuts(model, **_without(own, "library"))
+        return sample_nuts(model, checkpoint=checkpoint, **_without(own, "library"))
     try:
-        return sample_surrogate(model, **own)
+        return sample_surrogate(model, **_without(own, "checkpoint_seconds"))
     except SurrogateError as error:
         if method != "auto":
             raise

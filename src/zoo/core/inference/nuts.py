@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.inference.gradient_step import TARGET_ACCEPT, dense_metric
 from zoo.core.inference.messages import without_messages
 
 Array = NDArray[np.float64]
@@ -54,14 +55,12 @@ def nuts(
     Hoffman, Gelman (2014), Journal of Machine Learning Research 15.
     """
     import pymc as pm
-    from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
-    d = len(covariance)
     with without_messages("pymc", logging.ERROR), warnings.catch_warnings(), model:
-        for known in ("QuadPotentialFullAdapt is", "PyTensor could not link to a BLAS"):
-            warnings.filterwarnings("ignore", known, UserWarning)
-        metric = QuadPotentialFullAdapt(d, np.mean(starts, axis=0), covariance, 10.0, adaptation_window=50)
-        step = pm.NUTS(potential=metric, target_accept=0.85)
+        warnings.filterwarnings("ignore", "PyTensor could not link to a BLAS", UserWarning)
+        step = pm.NUTS(
+            potential=dense_metric(np.mean(starts, axis=0), covariance), target_accept=TARGET_ACCEPT
+        )
         found = pm.sample(
             draws=draws,
             tune=tune,

@@ -34,7 +34,8 @@ from zoo.core.inference.progress import Display
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.starts import Start, disperse
 from zoo.core.inference.steps import DEMETROPOLISZ, DEMetropolisZ, Metropolis
-from zoo.core.model import ModelRecord
+from zoo.core.model import ModelError, ModelRecord
+from zoo.core.op import MissingGradientError
 
 if TYPE_CHECKING:
     import arviz as az
@@ -48,9 +49,12 @@ __all__ = [
     "SamplingError",
     "find_mode",
     "sample",
+    "sample_nuts",
 ]
 
 STEPS = ("demetropolisz", "metropolis")
+NUTS_TUNE = 500
+"""Steps of NUTS that are thrown away while its metric and step size adapt."""
 PILOTS = 4
 """Most rounds of short chains that look for a higher mode of a model with many parameters."""
 
@@ -139,14 +143,130 @@ def sample(
     """
     _check_model(model)
     check_settings(draws, tune, chains, cores, step, thin, seed, until_ess, max_draws)
+    d = len(LogPosterior(model).template.data)
+    return _sample(
+        model,
+        step,
+        _step_options(step, step_options),
+        draws=draws,
+        tune=100 * max(d, 6) if tune is None else tune,
+        chains=chains,
+        cores=cores,
+        thin=max(1, d // 4) if thin is None else thin,
+        seed=seed,
+        checkpoint=checkpoint,
+        checkpoint_seconds=checkpoint_seconds,
+        progress=progress,
+        until_ess=until_ess,
+        max_draws=max_draws,
+        start=start,
+        preface=preface,
+    )
+
+
+def sample_nuts(
+    model: Any,
+    *,
+    draws: int = 1000,
+    tune: int | None = None,
+    chains: int = 4,
+    cores: int = 2,
+    seed: int | None = None,
+    checkpoint: str | Path | None = None,
+    checkpoint_seconds: float = 30.0,
+    progress: bool = True,
+    until_ess: float | None = None,
+    max_draws: int | None = None,
+    start: Mapping[str, ArrayLike] | Mode | None = None,
+    preface: str = "",
+) -> az.InferenceData:
+    """Sample a posterior by NUTS with the model's own gradient; the metric begins at the mode's covariance.
+
+    Parameters
+    ----------
+    model : pymc.Model
+        With a gradient.
+    draws, chains, cores, seed, checkpoint, checkpoint_seconds, progress, until_ess, start, preface
+        As of `sample`.
+    tune : int, optional
+        500 if absent.
+    max_draws : int, optional
+        8 `draws` if absent.
+
+    Returns
+    -------
+    arviz.InferenceData
+        As of `sample`; sample_stats also has the gradients of each draw, and whether its trajectory diverged.
+
+    Raises
+    ------
+    SamplingError
+        As of `sample`, and if the model has no gradient.
+    CheckpointError
+        As of `sample`.
+
+    References
+    ----------
+    Hoffman, Gelman (2014), Journal of Machine Learning Research 15.
+    """
+    _check_model(model)
+    check_settings(draws, tune, chains, cores, seed=seed, until_ess=until_ess, max_draws=max_draws)
+    if not has_gradient(model):
+        raise SamplingError(f"model {model_name(model)}: has no gradient; use method surrogate or exact")
+    return _sample(
+        model,
+        "nuts",
+        {},
+        draws=draws,
+        tune=NUTS_TUNE if tune is None else tune,
+        chains=chains,
+        cores=cores,
+        thin=1,
+        seed=seed,
+        checkpoint=checkpoint,
+        checkpoint_seconds=checkpoint_seconds,
+        progress=progress,
+        until_ess=until_ess,
+        max_draws=max_draws or 8 * draws,
+        start=start,
+        preface=preface,
+    )
+
+
+def has_gradient(model: Any) -> bool:
+    """Whether the log-posterior of a model can be differentiated."""
+    try:
+        model.dlogp()
+    except (MissingGradientError, NotImplementedError, ModelError):
+        return False
+    return True
+
+
+def _sample(
+    model: Any,
+    step: str,
+    options: dict[str, Any],
+    *,
+    draws: int,
+    tune: int,
+    chains: int,
+    cores: int,
+    thin: int,
+    seed: int | None,
+    checkpoint: str | Path | None,
+    checkpoint_seconds: float,
+    progress: bool,
+    until_ess: float | None,
+    max_draws: int | None,
+    start: Mapping[str, ArrayLike] | Mode | None,
+    preface: str,
+) -> az.InferenceData:
+    """Chains of a step method from around the mode, resumably."""
     began = time.monotonic()
     folder = None if checkpoint is None else Folder(Path(checkpoint))
     try:
         logp = LogPosterior(model)
         d = len(logp.template.data)
-        tune = 100 * max(d, 6) if tune is None else tune
-        thin = max(1, d // 4) if thin is None else thin
-        options = _step_options(step, step_options)
         stored = None if folder is None else folder.run()
         if seed is None:
             seed = (
@@ -192,7 +312,10 @@ def sample(
                     mode = start if isinstance(start, Mode) else search_mode(logp, start, seed=int(seed))
                     beginning = disperse(logp, mode, chains, int(seed))
                     if has_many(logp) and not isinstance(start, Mode):
-                        beginning = _improve(logp, beginning, chains, cores, int(seed), step, options, show)
+                        of_pilots = (
+                            ("demetropolisz", {**DEMETROPOLISZ}) if step == "nuts" else (step, options)
+                        )
+                        beginning = _improve(logp, beginning, chains, cores, int(seed), *of_pilots, show)
                         mode = beginning.mode
                 if folder is not None:
                     folder.write_start(run, beginning)
@@ -234,6 +357,11 @@ def sample(
             if parameters:
                 record = replace(record, prior_check=priors.as_dict())
             record.attach(idata)
+            if diverged := int(idata["sample_stats"].get("diverging", np.zeros(1)).sum()):
+                show.say(
+                    f"warning: {diverged} of {chains * kept} trajectories diverged: a part of the posterior "
+                    "may be out of reach of NUTS; compare with method exact"
+                )
             show.say(check_convergence(made, ess=ess_to_count(until_ess), priors=priors).text)
         return idata
     finally:
@@ -417,11 +545,11 @@ def _inference_data(model: Any, draws: Mapping[str, Array], stats: Mapping[str, 
 
     dims = {name: list(names) for name, names in model.named_vars_to_dims.items()}
     coords = {name: np.asarray(values) for name, values in model.coords.items() if values is not None}
-    whole = ("solves", "solver_failures")
+    whole = {"solves": np.int64, "solver_failures": np.int64, "gradients": np.int64, "diverging": np.bool_}
     observed = find_observations(model)
     idata: az.InferenceData = az.from_dict(
         posterior=dict(draws),
-        sample_stats={n: v.astype(np.int64) if n in whole else v for n, v in stats.items()},
+        sample_stats={n: v.astype(whole.get(n, v.dtype)) for n, v in stats.items()},
         observed_data=observed or None,
         coords=coords,
         dims=dims,

@@ -9,12 +9,14 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pymc.step_methods import metropolis as of_pymc
+from pymc.step_methods.hmc import quadpotential as metrics
+from pymc.step_methods.step_sizes import StepSizeState
 from pymc.util import RandomGeneratorState
 
 from zoo.core.digests import of_bytes
@@ -69,6 +71,7 @@ def _plain(kind: type, *names: str) -> tuple[type, _Stored]:
 
 
 _PROPOSALS = ("NormalProposal", "UniformProposal", "CauchyProposal", "LaplaceProposal", "PoissonProposal")
+_OF_NUTS = (StepSizeState, metrics.QuadPotentialFullAdaptState, metrics.WeightedCovarianceState)
 _TYPES: dict[type, _Stored] = dict(
     [
         (Archive, _Stored(_fields("points"), Archive)),
@@ -80,6 +83,7 @@ _TYPES: dict[type, _Stored] = dict(
         _plain(Start, "starts", "reference", "archive", "mode"),
         _plain(of_pymc.MultivariateNormalProposal, "n", "chol"),
         *(_plain(getattr(of_pymc, name), "s") for name in _PROPOSALS),
+        *(_plain(kind, *(field.name for field in fields(kind))) for kind in _OF_NUTS),
     ]
 )
 _BY_NAME = {kind.__name__: stored for kind, stored in _TYPES.items()}

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from zoo.core.data import squared
+from zoo.core.draws import evenly
 from zoo.core.errors.base import DECOMPOSITIONS
 from zoo.core.forward import SolveError
 from zoo.core.inference.convergence import Verdict, judged
@@ -91,8 +92,7 @@ def thin(idata: az.InferenceData, n_draws: int | None = N_DRAWS) -> xr.Dataset:
     posterior: xr.Dataset = idata["posterior"]
     available = posterior.sizes["draw"]
     wanted = available if n_draws is None else math.ceil(n_draws / posterior.sizes["chain"])
-    kept = np.unique(np.linspace(0, available - 1, max(1, min(wanted, available))).round().astype(int))
-    return posterior.isel(draw=kept)
+    return posterior.isel(draw=evenly(available, wanted))
 
 
 def _flat(posterior: xr.Dataset, name: str, record: ModelRecord) -> Array:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from zoo.core.digests import FIELD, of_bytes
+from zoo.core.draws import evenly
 from zoo.core.inference.convergence import DIAGNOSTICS_ATTR, FurtherTests, diagnostics
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import output_file, write_file
@@ -217,8 +218,7 @@ def slim(idata: Any, n_draws: int = 1000, *, further: FurtherTests | None = None
     found, record = diagnostics(idata, further), RunRecord.of(idata)
     posterior = idata.posterior
     available = posterior.sizes["draw"]
-    wanted = min(available, -(-n_draws // posterior.sizes["chain"]))
-    kept = np.linspace(0, available - 1, wanted).round().astype(int)
+    kept = evenly(available, -(-n_draws // posterior.sizes["chain"]))
     names = [name for name in posterior.data_vars if "time" not in posterior[name].dims]
     few = posterior[names].isel(draw=kept).drop_vars("time", errors="ignore").astype(np.float32)
     created = posterior.attrs.get("created_at")

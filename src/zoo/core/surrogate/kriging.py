@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.spatial.distance import cdist
 
-from zoo.core.surrogate.polynomial import Polynomial, features, table_of, total_degree
+from zoo.core.draws import evenly
+from zoo.core.surrogate.monomials import Map, features, independent, table_of, total_degree
 
 Array = NDArray[np.float64]
 
@@ -27,10 +28,6 @@ MOST_TRIED, MOST_POINTS = 600, 2000
 their number cubed: of more, as many are taken evenly."""
 
 
-def _monomials(n: int, degree: int) -> NDArray[np.int64]:
-    return table_of(sorted(total_degree(n, degree), key=lambda term: (len(term), term)))
-
-
 def matern(distance: Array, length: float) -> Array:
     """Correlation of a process with three derivatives, Matern's of order 7/2."""
     r = distance * (np.sqrt(7.0) / length)
@@ -38,18 +35,15 @@ def matern(distance: Array, length: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Kriging:
+class Kriging(Map):
     """Values (n_values,) as phi(v)' beta + k(v)' w of v = rotation (x - centre), phi monomials.
 
     k_i(v) is Matern's correlation of order 7/2 of v and point i. All values share its length and nugget.
 
     Parameters
     ----------
-    centre : array (n_x,)
-    rotation : array (n_x, n_x)
-    terms : array of int (n_terms, degree)
-        As of `Polynomial`.
-    weights : array (n_terms, n_values)
+    centre, rotation, terms, weights, residuals
+        As of `Map`.
     points : array (n_points, n_x)
         As v.
     of_points : array (n_points, n_values)
@@ -59,44 +53,43 @@ class Kriging:
         Variance of what is no function of v, over that of the process.
     lower : array (n_points, n_points)
         Cholesky factor of the points' covariance.
+    known : array (n_points, n_terms)
+        Monomials at the points, whitened by that factor.
+    upper : array (n_terms, n_terms)
+        Triangular factor of those.
     scale : float
         Mean variance of a point given the others, over that of the process.
-    residuals : array (n_points, n_values)
-        Errors at each point of a fit without it.
     """
 
-    centre: Array
-    rotation: Array
-    terms: NDArray[np.int64]
-    weights: Array
     points: Array
     of_points: Array
     length: float
     nugget: float
     lower: Array
+    known: Array
+    upper: Array
     scale: float
-    residuals: Array
 
     @classmethod
-    def beside(cls, polynomial: Polynomial, x: Array, values: Array) -> Kriging | None:
-        """The one of the least error at points left out, in a polynomial's variables; None if there is none.
+    def beside(cls, other: Map, x: Array, values: Array) -> Kriging | None:
+        """The one of the least error at points left out, in another map's variables; None if there is none.
 
         Parameters
         ----------
-        polynomial : Polynomial
+        other : Map
             Of the same points.
         x : array (n_points, n_x)
         values : array (n_points, n_values)
         """
         n, d = x.shape
-        v = (x - polynomial.centre) @ polynomial.rotation.T
-        terms = _monomials(d, TREND)
+        v = other.variables(x)
+        terms = table_of(total_degree(d, TREND))
         if 2 * len(terms) > min(n, MOST_TRIED):
-            terms = _monomials(d, 1)
+            terms = table_of(total_degree(d, 1))
 
         def at(most: int, length: float, nugget: float) -> Kriging | None:
-            some = np.unique(np.linspace(0, n - 1, most).astype(int))
-            return cls._of(polynomial, terms, v[some], values[some], length, nugget)
+            some = evenly(n, most)
+            return cls._of(other, terms, v[some], values[some], length, nugget)
 
         pairs = itertools.product(LENGTHS, NUGGETS)
         tried = [made for pair in pairs if (made := at(MOST_TRIED, *pair)) is not None]
@@ -108,7 +101,7 @@ class Kriging:
     @classmethod
     def _of(
         cls,
-        polynomial: Polynomial,
+        other: Map,
         terms: NDArray[np.int64],
         v: Array,
         values: Array,
@@ -125,26 +118,27 @@ class Kriging:
         both = np.concatenate([features(v, terms), values], axis=1)
         z = linalg.solve_triangular(lower, both, lower=True)
         known, asked = z[:, : len(terms)], z[:, len(terms) :]
-        q, r = linalg.qr(known, mode="economic")
-        diagonal = np.abs(np.diag(r))
-        if diagonal.min() < 1e-10 * diagonal.max():
+        q, upper = linalg.qr(known, mode="economic")
+        if not independent(upper):
             return None
-        beta = linalg.solve_triangular(r, q.T @ asked)
+        beta = linalg.solve_triangular(upper, q.T @ asked)
         w = linalg.solve_triangular(lower, asked - known @ beta, lower=True, trans="T")
         inverse, _ = linalg.lapack.dtrtri(lower, lower=1)
         precision = np.maximum(np.square(inverse).sum(0) - np.square(inverse.T @ q).sum(1), 1e-12)
         return cls(
-            polynomial.centre,
-            polynomial.rotation,
+            other.centre,
+            other.rotation,
             terms,
             beta,
+            w / precision[:, None],
             v,
             w,
             length,
             nugget,
             lower,
+            known,
+            upper,
             float(np.mean(1.0 / precision)),
-            w / precision[:, None],
         )
 
     @property
@@ -152,45 +146,35 @@ class Kriging:
         """What it is, for a line of progress."""
         return f"kriging of {len(self.residuals)} solves"
 
-    @property
-    def left_out(self) -> float:
-        """Mean squared norm of the errors at points left out."""
-        return float(np.square(self.residuals).sum(1).mean())
-
     def __call__(self, x: Array) -> Array:
         """Values (n, n_values) at points (n, n_x)."""
-        v = (x - self.centre) @ self.rotation.T
+        v = self.variables(x)
         near = matern(cdist(v, self.points), self.length)
         return np.asarray(features(v, self.terms) @ self.weights + near @ self.of_points)
 
     def leverage(self, x: Array) -> Array:
         """Variance (n,) at points (n, n_x) over the mean one of a point that is left out, less 1."""
-        near, trend = self._known(x)
+        near, trend = self._told(self.variables(x))
         variance = 1.0 + self.nugget - np.square(near).sum(0) + np.square(trend).sum(0)
         return np.asarray(variance / self.scale - 1.0)
 
     def uncertainty(self, x: Array) -> tuple[Array, float]:
         """Covariance (n, n) of the errors at points (n, n_x), and the variance of what solving one leaves."""
-        near, trend = self._known(x)
-        v = (x - self.centre) @ self.rotation.T
+        v = self.variables(x)
+        near, trend = self._told(v)
         covariance = matern(cdist(v, v), self.length) - near.T @ near + trend.T @ trend
         return np.asarray(covariance / self.scale), self.nugget / self.scale
 
-    def _known(self, x: Array) -> tuple[Array, Array]:
-        """What the points (n_points, n) and the trend (n_terms, n) tell of points (n, n_x), whitened."""
-        v = (x - self.centre) @ self.rotation.T
+    def _told(self, v: Array) -> tuple[Array, Array]:
+        """What the points (n_points, n) and the trend (n_terms, n) tell of variables (n, n_x), whitened."""
         near = linalg.solve_triangular(self.lower, matern(cdist(self.points, v), self.length), lower=True)
-        known = linalg.solve_triangular(self.lower, features(self.points, self.terms), lower=True)
-        r = linalg.qr(known, mode="r")[0][: known.shape[1]]
-        trend = linalg.solve_triangular(r, (features(v, self.terms) - near.T @ known).T, trans="T")
-        return near, trend
+        beneath = features(v, self.terms) - near.T @ self.known
+        return near, linalg.solve_triangular(self.upper, beneath.T, trans="T")
 
     def symbolic(self, x: Any) -> Any:
         """Values (n_values,) as a graph of a vector x (n_x,)."""
-        v = pt.dot(self.rotation, x - self.centre)
-        padded = pt.concatenate([np.ones(1), v])
-        trend = pt.prod(padded[self.terms], axis=1)
+        v = self.symbolic_variables(x)
         squared = pt.sum(pt.sqr(v - self.points), axis=1)
         r = pt.sqrt(squared + 1e-18) * (np.sqrt(7.0) / self.length)
         near = (1.0 + r * (1.0 + r * (0.4 + r / 15.0))) * pt.exp(-r)
-        return pt.dot(trend, self.weights) + pt.dot(near, self.of_points)
+        return pt.dot(self.symbolic_features(v), self.weights) + pt.dot(near, self.of_points)

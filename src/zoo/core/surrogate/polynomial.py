@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,73 +10,48 @@ import pytensor.tensor as pt
 from numpy.typing import NDArray
 from scipy import linalg
 
+from zoo.core.surrogate.monomials import Map, features, independent, table_of, term_count, total_degree
+
 Array = NDArray[np.float64]
 
 POINTS_A_TERM = 1.5
 """Fewest points for each term of a polynomial that is tried."""
-
-
 MOST_TERMS = 700
 """Most terms of a polynomial that is tried."""
 
 
-def total_degree(n: int, degree: int) -> set[tuple[int, ...]]:
-    """Monomials of n variables up to a degree: sorted tuples of variables from 1 on, without a constant's."""
-    return {
-        term
-        for d in range(degree + 1)
-        for term in itertools.combinations_with_replacement(range(1, n + 1), d)
-    }
-
-
-def term_count(n: int, degree: int) -> int:
-    """Number of monomials of n variables up to a degree."""
-    return math.comb(n + degree, degree)
-
-
-def _candidates(n: int, most: int) -> list[list[tuple[int, ...]]]:
+def _candidates(n: int, most: int) -> list[set[tuple[int, ...]]]:
     """Sets of monomials of at most so many terms: of all variables, and of a higher degree in the first."""
-    found: list[list[tuple[int, ...]]] = []
+    found: list[set[tuple[int, ...]]] = []
     base: set[tuple[int, ...]] = set()
     for degree in range(8):
         if term_count(n, degree) > most:
             break
         base = total_degree(n, degree)
-        found.append(sorted(base, key=lambda term: (len(term), term)))
+        found.append(base)
     for first in range(2, n):
         for more in (1, 2):
             if term_count(first, degree + more - 1) + len(base) > 2 * most:
                 continue
             both = base | total_degree(first, degree + more - 1)
             if len(both) <= most:
-                found.append(sorted(both, key=lambda term: (len(term), term)))
+                found.append(both)
     return found
 
 
 @dataclass(frozen=True)
-class Polynomial:
+class Polynomial(Map):
     """Values (n_values,) as a polynomial of v = rotation (x - centre).
 
     Parameters
     ----------
-    centre : array (n_x,)
-    rotation : array (n_x, n_x)
-        Variables in the order of how much they matter.
-    terms : array of int (n_terms, degree)
-        Factors of each monomial: variables from 1 on, 0 for a factor of 1.
-    weights : array (n_terms, n_values)
+    centre, rotation, terms, weights, residuals
+        As of `Map`.
     spread : array (n_terms, n_terms)
         Inverse of the features' second moments, for the leverage.
-    residuals : array (n_points, n_values)
-        Errors at each point of a fit without it.
     """
 
-    centre: Array
-    rotation: Array
-    terms: NDArray[np.int64]
-    weights: Array
     spread: Array
-    residuals: Array
 
     @classmethod
     def fit(cls, x: Array, values: Array, centre: Array, cholesky: Array) -> Polynomial:
@@ -105,8 +78,7 @@ class Polynomial:
             terms = table_of(chosen)
             columns = features(v, terms)
             q, r = linalg.qr(columns, mode="economic")
-            diagonal = np.abs(np.diag(r))
-            if diagonal.min() < 1e-10 * diagonal.max():
+            if not independent(r):
                 continue
             kept = 1.0 - np.einsum("ij,ij->i", q, q)
             errors = (values - q @ (q.T @ values)) / np.maximum(kept, 1e-6)[:, None]
@@ -115,54 +87,27 @@ class Polynomial:
                 best = score, (terms, q, r, errors)
         terms, q, r, errors = best[1]
         inverse = linalg.solve_triangular(r, np.eye(len(r)))
-        return cls(centre, rotation, terms, inverse @ (q.T @ values), inverse @ inverse.T, errors)
+        return cls(centre, rotation, terms, inverse @ (q.T @ values), errors, inverse @ inverse.T)
 
     @property
     def text(self) -> str:
         """What it is, for a line of progress."""
         return f"a polynomial of {len(self.terms)} terms from {len(self.residuals)} solves"
 
-    @property
-    def left_out(self) -> float:
-        """Mean squared norm of the errors at points left out."""
-        return float(np.square(self.residuals).sum(1).mean())
-
     def __call__(self, x: Array) -> Array:
         """Values (n, n_values) at points (n, n_x)."""
-        return np.asarray(features((x - self.centre) @ self.rotation.T, self.terms) @ self.weights)
+        return np.asarray(features(self.variables(x), self.terms) @ self.weights)
 
     def leverage(self, x: Array) -> Array:
         """phi' (Phi' Phi)^-1 phi (n,) at points (n, n_x): how far from the fitted ones they lie."""
-        columns = features((x - self.centre) @ self.rotation.T, self.terms)
+        columns = features(self.variables(x), self.terms)
         return np.asarray(((columns @ self.spread) * columns).sum(1))
 
     def uncertainty(self, x: Array) -> tuple[Array, float]:
         """Covariance (n, n) of the errors at points (n, n_x), and the variance of what solving one leaves."""
-        columns = features((x - self.centre) @ self.rotation.T, self.terms)
+        columns = features(self.variables(x), self.terms)
         return np.asarray(columns @ self.spread @ columns.T), 1.0
 
     def symbolic(self, x: Any) -> Any:
         """Values (n_values,) as a graph of a vector x (n_x,)."""
-        v = pt.concatenate([np.ones(1), pt.dot(self.rotation, x - self.centre)])
-        columns = v[self.terms[:, 0]]
-        for column in self.terms.T[1:]:
-            some = np.flatnonzero(column)
-            if len(some) == len(column):
-                columns = columns * v[column]
-            else:
-                columns = pt.set_subtensor(columns[some], columns[some] * v[column[some]])
-        return pt.dot(columns, self.weights)
-
-
-def table_of(terms: list[tuple[int, ...]]) -> NDArray[np.int64]:
-    degree = max(1, *(len(term) for term in terms))
-    return np.array([(*term, *(0,) * (degree - len(term))) for term in terms], dtype=np.int64)
-
-
-def features(v: Array, terms: NDArray[np.int64]) -> Array:
-    """Monomials (n, n_terms) of points (n, n_x)."""
-    padded = np.concatenate([np.ones((len(v), 1)), v], axis=1)
-    found = padded[:, terms[:, 0]]
-    for column in terms.T[1:]:
-        found *= padded[:, column]
-    return found
+        return pt.dot(self.symbolic_features(self.symbolic_variables(x)), self.weights)

@@ -150,7 +150,7 @@ class Surrogate:
         """
         x = self.coordinates.of(theta)
         within = (1.0 + self.map.leverage(x)) * np.trace(self.covariance) + self.remainder
-        v = (x - self.map.centre) @ self.map.rotation.T
+        v = self.map.variables(x)
         beyond = np.maximum(np.sqrt((v**2).mean(-1)) / self.spread, 1.0)
         return np.asarray(np.sqrt(within) * beyond ** min(self.map.terms.shape[1] + 1, STEEPEST))
 
@@ -192,11 +192,11 @@ class Surrogate:
 
     def symbolic_fence(self, variables: Mapping[str, Any]) -> Any:
         """What is taken from the log-density outside the design, where polynomials fail, as a graph."""
-        v = pt.dot(self.map.rotation, self.coordinates.symbolic(variables) - self.map.centre)
+        v = self.map.symbolic_variables(self.coordinates.symbolic(variables))
         outside = pt.maximum(pt.sqrt(pt.sum(v**2) + 1e-12) - self.radius, 0.0)
         return 5.0 * outside**2
 
     def fence(self, theta: ArrayLike) -> Array:
         """The same at parameters (n, n_values), (n,)."""
-        v = (self.coordinates.of(theta) - self.map.centre) @ self.map.rotation.T
+        v = self.map.variables(self.coordinates.of(theta))
         return np.asarray(5.0 * np.maximum(np.sqrt((v**2).sum(-1) + 1e-12) - self.radius, 0.0) ** 2)
