@@ -17,7 +17,7 @@ from zoo.core.inference.states import REMEDY, CheckpointError, of_chain, read_st
 from zoo.core.outputs import OutputFileError, write_file
 
 CHECKPOINT_FORMAT = 3
-FILES = ("run.json", "start.*", "chain-*.*", ".zoo-*.part", "lock")
+FILES = ("run.json", "start.*", "chain-*.*", "solves.state", ".zoo-*.part", "lock")
 """Patterns of the files that a checkpoint folder holds, or held in earlier formats."""
 
 

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import json
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from zoo.core.forward import SolveError
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
 from zoo.core.inference.sampling import check_settings, has_gradient, sample_nuts
 from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.inference.surrogate import sample_surrogate
 from zoo.core.model import ModelError, ModelRecord, record_of
+from zoo.core.parameters import variable_name
 from zoo.core.surrogate.likelihood import no_table
 from zoo.core.surrogate.model import errors_in_graph
 from zoo.core.surrogate.waveform import SurrogateError
@@ -23,6 +30,8 @@ if TYPE_CHECKING:
 METHODS = ("auto", "exact", "nuts", "surrogate")
 FEW = 12
 """Dimensions up to which chains with the forward model itself are as quick as a surrogate."""
+SLOW = 0.05
+"""Seconds of a solve from which on a surrogate is quicker with as few dimensions, too."""
 MOST = 60
 """Coordinates of the solves above which a polynomial surrogate needs too many of them."""
 ONLY_EXACT: dict[str, tuple[Any, ...]] = {
@@ -43,7 +52,7 @@ def choose(model: Any, method: str = "auto", *, checkpoint: str | Path | None = 
         "exact": DEMetropolisZ with the forward model, no derivatives. "nuts": NUTS with the forward model's
         own derivatives. "surrogate": NUTS on a surrogate, corrected with the forward model.
     checkpoint : path, optional
-        A run that is there goes on as it began, with "exact".
+        A run that is there goes on as it began.
 
     Returns
     -------
@@ -65,15 +74,45 @@ def choose(model: Any, method: str = "auto", *, checkpoint: str | Path | None = 
         if method == "surrogate" and (why := _no_surrogate(model)):
             raise SamplingError(f"method = 'surrogate': {why}; use method exact")
         return method, "as asked"
-    if checkpoint is not None and (Path(checkpoint) / "run.json").exists():
-        return "exact", "a checkpoint of such a run is there"
+    if checkpoint is not None and (there := _begun(Path(checkpoint))):
+        return there, "a checkpoint of such a run is there"
     if why := _no_surrogate(model):
         return "exact", why
     logp = LogPosterior(model)
     d = len(logp.template.data)
-    if d <= FEW:
-        return "exact", f"with {d} dimensions it is as quick as a surrogate"
-    return "surrogate", f"{d} dimensions; each stored draw is corrected with the forward model"
+    corrected = "each stored draw is corrected with the forward model"
+    if d > FEW:
+        return "surrogate", f"{d} dimensions; {corrected}"
+    if (seconds := _seconds(logp)) > SLOW:
+        return "surrogate", f"a solve takes {seconds:.2g} s; {corrected}"
+    return "exact", f"with {d} dimensions it is as quick as a surrogate"
+
+
+def _begun(folder: Path) -> str:
+    """Method of the run that a checkpoint folder holds; empty if there is none."""
+    try:
+        step = json.loads((folder / "run.json").read_bytes()).get("identity", {}).get("step")
+    except FileNotFoundError:
+        return "surrogate" if (folder / "solves.state").exists() else ""
+    except (OSError, ValueError, AttributeError, RecursionError):
+        return "exact"  # which says what is wrong with it
+    return "nuts" if step == "nuts" else "exact"
+
+
+def _seconds(logp: LogPosterior) -> float:
+    """What a solve takes where a model begins: the shorter time of two."""
+    record = record_of(logp.model)
+    forward = record.forward
+    begin = logp.from_values(record.suggested) if record.suggested else logp.vector(logp.initial)
+    values = logp.to_values(begin)
+    theta = np.concatenate([np.ravel(values[variable_name(p.name)]) for p in forward.parameters])
+    took = []
+    for _ in range(2):
+        began = time.perf_counter()
+        with contextlib.suppress(SolveError):
+            forward.solve(forward.configure(theta))
+        took.append(time.perf_counter() - began)
+    return min(took)
 
 
 def _no_surrogate(model: Any) -> str:
@@ -100,7 +139,7 @@ def sample(
         Of `choose`; what "auto" takes is printed with the reason. Where it takes a surrogate that cannot be
         made or misses a part of the posterior, the forward model is sampled instead.
     checkpoint : path, optional
-        Of "exact" and "nuts": a surrogate takes minutes, and has none.
+        Folder of the run, which goes on from there; of a surrogate it holds the solves.
     **settings
         Of `zoo.core.inference.sampling.sample`, `zoo.core.inference.surrogate.sample_surrogate` or
         `zoo.core.inference.sampling.sample_nuts`.
@@ -129,7 +168,7 @@ def sample(
     if taken == "nuts":
         return sample_nuts(model, checkpoint=checkpoint, **_without(own, "library"))
     try:
-        return sample_surrogate(model, **_without(own, "checkpoint_seconds"))
+        return sample_surrogate(model, checkpoint=checkpoint, **own)
     except SurrogateError as error:
         if method != "auto":
             raise

@@ -50,6 +50,7 @@ def attach_record(
     failures: Mapping[str, int],
     wall_seconds: float,
     started: str,
+    sittings: int = 1,
     say: Callable[[str], None],
 ) -> None:
     """Write the run record into an InferenceData, and tell whether its draws have converged.
@@ -63,7 +64,7 @@ def attach_record(
         Of it.
     settings : mapping
         With "chains", "draws" and "until_ess".
-    seed, solves, steps, mode_evaluations, failures, wall_seconds, started
+    seed, solves, steps, mode_evaluations, failures, wall_seconds, started, sittings
         As of `zoo.core.inference.record.RunRecord`.
     say : callable
     """
@@ -87,7 +88,7 @@ def attach_record(
         solves_per_draw=solves / (settings["draws"] * settings["chains"]),
         solves_per_step=solves / max(1, steps),
         wall_seconds=wall_seconds,
-        sittings=1,
+        sittings=sittings,
         started=started,
         prior_check=priors.as_dict() if parameters else None,
         priors=model.zoo.priors if isinstance(getattr(model, "zoo", None), ModelRecord) else None,

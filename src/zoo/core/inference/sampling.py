@@ -32,7 +32,7 @@ from zoo.core.inference.pool import ChainPool, InlineChainPool, ProcessChainPool
 from zoo.core.inference.prior_check import check_priors, exactness_at, modes_at_bounds, priors_of
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record import RunRecord
-from zoo.core.inference.starts import Start, disperse
+from zoo.core.inference.starts import Start, disperse, start_settings
 from zoo.core.inference.steps import DEMETROPOLISZ, DEMetropolisZ, Metropolis
 from zoo.core.model import ModelError, ModelRecord
 from zoo.core.op import MissingGradientError
@@ -281,7 +281,7 @@ def _sample(
             "thin": thin,
             "chains": chains,
             "seed": int(seed),
-            "start": _start_settings(start),
+            "start": start_settings(start),
         }
         identity = identity_of(logp, settings)
         if stored is None:
@@ -496,14 +496,6 @@ def check_settings(
 def _step_options(step: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
     options = dict(DEMETROPOLISZ) if step == "demetropolisz" else {"joint": True, "adapt": True}
     return {**options, **dict(given or {})}
-
-
-def _start_settings(start: Mapping[str, ArrayLike] | Mode | None) -> Any:
-    if start is None:
-        return None
-    if isinstance(start, Mode):
-        return [float(value) for value in start.vector]
-    return {name: np.asarray(value, dtype=float).tolist() for name, value in start.items()}
 
 
 def _opening(model: Any, d: int, settings: Mapping[str, Any], stored: Mapping[str, Any]) -> str:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from zoo.core.inference.logposterior import Array, LogPosterior
 from zoo.core.inference.mode import Mode
@@ -57,3 +59,12 @@ def first_archive(reference: Gaussian, seed: int) -> Array:
     d = len(reference.mean)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1 << 30,)))
     return reference.colour(rng.standard_normal((10 * d, d)))
+
+
+def start_settings(start: Mapping[str, ArrayLike] | Mode | None) -> Any:
+    """A start as a run's identity has it: plain numbers."""
+    if start is None:
+        return None
+    if isinstance(start, Mode):
+        return [float(value) for value in start.vector]
+    return {name: np.asarray(value, dtype=float).tolist() for name, value in start.items()}

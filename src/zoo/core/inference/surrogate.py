@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,10 +31,12 @@ from zoo.core.inference.correction import (
     delayed_acceptance,
     pareto_weights,
 )
+from zoo.core.inference.kept_solves import KeptSolves
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
 from zoo.core.inference.mode import has_many
 from zoo.core.inference.nuts import Draws, nuts
 from zoo.core.inference.record_of_run import attach_record, inference_data
+from zoo.core.inference.starts import start_settings
 from zoo.core.model import record_of
 from zoo.core.surrogate.library import Library
 from zoo.core.surrogate.model import errors_in_graph
@@ -73,6 +77,8 @@ def sample_surrogate(
     max_draws: int | None = None,
     start: Mapping[str, Any] | None = None,
     library: Library | None = None,
+    checkpoint: str | Path | None = None,
+    checkpoint_seconds: float = 30.0,
 ) -> az.InferenceData:
     """Sample a posterior by NUTS on a surrogate of the forward model, and make its draws exact.
 
@@ -92,6 +98,11 @@ def sample_surrogate(
         Values where the search for the posterior begins.
     library : Library, optional
         Solves of the same forward model that are there already; those of this run are added to it.
+    checkpoint : path, optional
+        Folder for the solves of the run: if it holds some, the run begins again with them, and none is made
+        twice. Steps that look for the posterior before the first design are made again.
+    checkpoint_seconds : float
+        How often they are written, in s.
 
     Returns
     -------
@@ -117,7 +128,6 @@ def sample_surrogate(
     began, used = time.monotonic(), time.process_time()
     started = datetime.now(UTC).isoformat(timespec="seconds")
     record = record_of(model)
-    seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else int(seed)
     logp = LogPosterior(model)
     library = Library(record.forward) if library is None else library
     if library.model.key != record.forward.key:
@@ -127,11 +137,20 @@ def sample_surrogate(
     bent = has_many(logp) and errors_in_graph(record)  # such a posterior has lesser modes too
     before, goal = library.solves, ess_to_count(until_ess)
     tune = FINAL_TUNE if tune is None else tune
-    with Display(progress, tune=tune, thin=THIN, cores=cores, ess=until_ess) as show:
+    store: KeptSolves | None = None
+    if checkpoint is not None:
+        fixed = {"step": "surrogate", "tune": tune, "chains": chains, "start": start_settings(start)}
+        store = KeptSolves(Path(checkpoint), library, logp, fixed, seed, checkpoint_seconds)
+        seed = store.seed
+    seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else int(seed)
+    with (
+        store or contextlib.nullcontext(),
+        Display(progress, tune=tune, thin=THIN, cores=cores, ess=until_ess) as show,
+    ):
         show.say(
             f"model {model_name(model)}: {len(logp.template.data)} dimensions, {chains} chains of "
             f"{'differential evolution' if bent else 'NUTS'} on a surrogate of {record.forward.name}, "
-            f"seed {seed}"
+            f"seed {seed}{'' if store is None else store.text}"
         )
         builder = Builder(logp, library, seed=seed, cores=cores, say=show.say)
         exploring = 0
@@ -182,7 +201,7 @@ def sample_surrogate(
         }
         idata = inference_data(model, result.draws, stats)
         solves = exploring + library.solves - before
-        wall = time.monotonic() - began
+        wall = time.monotonic() - began if store is None else store.seconds
         settings = {
             "method": "surrogate",
             "step": "demetropolisz" if bent else "nuts",
@@ -220,6 +239,7 @@ def sample_surrogate(
             failures=dict(library.failures),
             wall_seconds=wall,
             started=started,
+            sittings=1 if store is None else store.sittings,
             say=show.say,
         )
     return idata

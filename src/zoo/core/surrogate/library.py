@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,8 @@ from numpy.typing import NDArray
 from zoo.core.forward import ForwardModel, SolveError
 
 Array = NDArray[np.float64]
+Solved = Array | str
+"""Series (n_series, n_times), or in what way a solve failed."""
 
 
 class Library:
@@ -34,6 +35,10 @@ class Library:
         Failed solves by kind.
     processor_seconds : float
         Time that they took on all cores.
+    known : dict
+        What was found at points, by their bytes, in an earlier sitting: it is taken from there.
+    told : callable or None
+        Is called with each other point (n_values,) and what was found there.
     """
 
     def __init__(self, model: ForwardModel) -> None:
@@ -43,6 +48,8 @@ class Library:
         self.solves = 0
         self.failures: Counter[str] = Counter()
         self.processor_seconds = 0.0
+        self.known: dict[bytes, Solved] = {}
+        self.told: Callable[[Array, Solved], None] | None = None
 
     def __len__(self) -> int:
         return len(self.theta)
@@ -51,7 +58,11 @@ class Library:
         """Series (n, n_series, n_times) at points (n, n_values), NaN where a solve fails; not kept."""
         began = time.process_time()
 
-        def one(theta: Array) -> Any:
+        known = dict(self.known)
+
+        def one(theta: Array) -> Solved:
+            if (key := theta.tobytes()) in known:
+                return known[key]
             try:
                 series = np.asarray(self.model.solve(self.model.configure(theta)), dtype=np.float64)
             except SolveError as error:
@@ -60,9 +71,9 @@ class Library:
 
         if cores > 1 and getattr(self.model, "threads", False):
             with ThreadPoolExecutor(cores) as pool:
-                found: Sequence[Any] = list(pool.map(one, points))
+                found = self._collected(points, pool.map(one, points), known)
         else:
-            found = [one(theta) for theta in points]
+            found = self._collected(points, map(one, points), known)
         self.solves += len(found)
         self.failures.update(item for item in found if isinstance(item, str))
         self.processor_seconds += time.process_time() - began
@@ -70,6 +81,14 @@ class Library:
         return np.array([blank if isinstance(item, str) else item for item in found]).reshape(
             -1, *self.model.outputs.shape
         )
+
+    def _collected(self, points: Array, found: Iterable[Solved], known: dict[bytes, Solved]) -> list[Solved]:
+        every: list[Solved] = []
+        for theta, one in zip(points, found, strict=True):
+            every.append(one)
+            if self.told is not None and theta.tobytes() not in known:
+                self.told(theta, one)
+        return every
 
     def add(self, points: Array, series: Array) -> None:
         """Keep solved points (n, n_values); those with NaN in their series are left out."""
