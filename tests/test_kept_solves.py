@@ -18,6 +18,9 @@ from zoo.core.inference.methods import choose, sample
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.surrogate import sample_surrogate
 from zoo.core.model import bayesian_model
+from zoo.core.posterior.groups import N_PRIOR, add_groups
+from zoo.core.posterior.groups import sample as sample_with_groups
+from zoo.core.surrogate.library import Library
 
 SETTINGS = {"draws": 100, "tune": 100, "seed": 3, "cores": 1, "progress": False}
 
@@ -168,3 +171,16 @@ def test_slow_solves_ask_for_a_surrogate(monkeypatch):
     assert reason.startswith("a solve takes 0.03")
     assert choose(model_of(Slow(0.0)))[0] == "exact"
     assert choose(model_of(Slow(0.03, fails=True)))[0] == "surrogate"  # which says that nothing can be solved
+
+
+def test_draws_that_were_solved_are_not_solved_for_their_predictions():
+    simulator, plain = Counting(), Counting()
+    idata = sample_with_groups(model_of(simulator), method="surrogate", **SETTINGS)
+    sample(model_of(plain), method="surrogate", **SETTINGS)
+    assert simulator.n == plain.n + N_PRIOR
+    again = add_groups(idata, model_of(Counting()))
+    for group in ("log_likelihood", "posterior_predictive"):
+        np.testing.assert_array_equal(idata[group].y, again[group].y)
+    library = Library(simulator)  # empty, and taken all the same
+    sample_with_groups(model_of(simulator), method="surrogate", library=library, **SETTINGS)
+    assert len(library) > 400

@@ -26,6 +26,7 @@ from zoo.core.inference.record import ResultsError
 from zoo.core.model import ModelRecord, record_of
 from zoo.core.parameters import variable_name
 from zoo.core.posterior.belonging import mismatch
+from zoo.core.surrogate.library import Library
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -131,7 +132,13 @@ def forward_points(model: pm.Model, posterior: xr.Dataset) -> Array:
     return np.concatenate([values.reshape(len(values), -1) for values in draws], axis=1)
 
 
-def posterior_means(model: pm.Model, posterior: xr.Dataset, *, progress: Progress | None = None) -> Array:
+def posterior_means(
+    model: pm.Model,
+    posterior: xr.Dataset,
+    *,
+    progress: Progress | None = None,
+    library: Library | None = None,
+) -> Array:
     """Series of the forward model at each posterior draw, each distinct draw solved once.
 
     Parameters
@@ -142,6 +149,8 @@ def posterior_means(model: pm.Model, posterior: xr.Dataset, *, progress: Progres
         Draws, dimensions chain, draw, ...
     progress : callable
         Called with the number of solves done and to do.
+    library : Library, optional
+        Solves of the same forward model that are there already.
 
     Returns
     -------
@@ -150,8 +159,11 @@ def posterior_means(model: pm.Model, posterior: xr.Dataset, *, progress: Progres
     """
     forward = record_of(model).forward
     points, which = np.unique(forward_points(model, posterior), axis=0, return_inverse=True)
+    there = {} if library is None else {theta.tobytes(): i for i, theta in enumerate(library.theta)}
 
     def solve(point: Array) -> Array:
+        if library is not None and (i := there.get(point.tobytes())) is not None:
+            return np.asarray(library.series[i])
         try:
             return forward.solve(forward.configure(point))
         except SolveError:

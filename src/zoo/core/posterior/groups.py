@@ -19,6 +19,7 @@ from zoo.core.inference.record import RunRecord
 from zoo.core.model import ModelRecord, record_of
 from zoo.core.parameters import variable_name
 from zoo.core.posterior.comparison import posterior_means, thin
+from zoo.core.surrogate.library import Library
 from zoo.core.words import refuse_unknown
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def add_groups(
     n_prior: int = N_PRIOR,
     seed: int | None = None,
     progress: bool = False,
+    library: Library | None = None,
 ) -> az.InferenceData:
     """Add log_likelihood, posterior_predictive, prior, prior_predictive, data groups and units.
 
@@ -59,6 +61,8 @@ def add_groups(
         Of the errors that are drawn and of the prior; the run's own if absent, else 0.
     progress : bool
         Show a bar on standard error.
+    library : Library, optional
+        Solves of the model's forward model that are there already.
 
     Returns
     -------
@@ -76,7 +80,10 @@ def add_groups(
     with bar(progress) as shown:
         task = shown.add_task("log-likelihood and predictions", total=None)
         means = posterior_means(
-            model, kept, progress=lambda done, total: shown.update(task, completed=done, total=total)
+            model,
+            kept,
+            progress=lambda done, total: shown.update(task, completed=done, total=total),
+            library=library,
         )
     values = _error_parameters(record, kept)
     terms = record.errors.pointwise(means, values, ("sequential",))["sequential"]
@@ -169,7 +176,8 @@ def sample(model: Any, *, groups: bool = True, progress: bool = True, **settings
     ----------
     model : pm.Model
     groups : bool
-        Add the groups of `add_groups`; it costs a solve for each of `N_TERMS` draws.
+        Add the groups of `add_groups`; it costs a solve for each of `N_TERMS` draws, but for those that a
+        surrogate's correction has solved.
     progress : bool
         Show progress on standard error.
     **settings
@@ -193,7 +201,11 @@ def sample(model: Any, *, groups: bool = True, progress: bool = True, **settings
     """
     own = [*inspect.signature(sampling.sample).parameters, "groups", "method", "library"][1:]
     refuse_unknown("sample", settings, own)
-    idata = methods.sample(model, progress=progress, **settings)
-    if groups and isinstance(getattr(model, "zoo", None), ModelRecord):
-        return add_groups(idata, model, progress=progress)
-    return idata
+    record = getattr(model, "zoo", None)
+    if not groups or not isinstance(record, ModelRecord):
+        return methods.sample(model, progress=progress, **settings)
+    library = settings.pop("library", None)
+    if library is None:
+        library = Library(record.forward)
+    idata = methods.sample(model, progress=progress, library=library, **settings)
+    return add_groups(idata, model, progress=progress, library=library)
