@@ -34,7 +34,7 @@ class KeptSolves:
     seed : int, optional
         Drawn if absent, or that of the run which is there.
     every_s : float
-        Seconds between writes.
+        Seconds between writes, at least.
 
     Raises
     ------
@@ -123,8 +123,10 @@ class KeptSolves:
             "series": np.array([blank if isinstance(one, str) else one for one in self._found]),
             "failed": [one if isinstance(one, str) else "" for one in self._found],
         }
+        began = time.monotonic()
         write_state(self.path, self._owner, content)
-        self._written = time.monotonic()
+        took = time.monotonic() - began
+        self._written = time.monotonic() + 20 * took  # never more than a twentieth of the time
 
     @property
     def seconds(self) -> float:

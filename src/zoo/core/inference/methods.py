@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import arviz as az
 
 METHODS = ("auto", "exact", "nuts", "surrogate")
-FEW = 12
+FEW = 8
 """Dimensions up to which chains with the forward model itself are as quick as a surrogate."""
 SLOW = 0.05
 """Seconds of a solve from which on a surrogate is quicker with as few dimensions, too."""
