@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.digests import of_json
-from zoo.core.inference.checkpoint import Folder, identity_of
+from zoo.core.inference.checkpoint import Folder, check_identity, identity_of
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.states import REMEDY, CheckpointError, read_state, write_state
 from zoo.core.surrogate.library import Library, Solved
 
 Array = NDArray[np.float64]
+
+OWNER = {"run": "of a surrogate", "part": "solves"}
+"""What such a file says that it is; of which run, its content tells."""
 
 
 class KeptSolves:
@@ -59,8 +61,8 @@ class KeptSolves:
         self.known: dict[bytes, Solved] = {}
         self.sittings, self.earlier_s = 1, 0.0
         try:
-            self._owner = {"run": of_json(identity_of(logp, settings)), "part": "solves"}
-            stored = read_state(self.path, self._owner) if self.path.exists() else None
+            self._identity = identity_of(logp, settings)
+            stored = read_state(self.path, OWNER) if self.path.exists() else None
             if stored is not None:
                 seed = self._take(stored, seed)
             self.seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else int(seed)
@@ -76,12 +78,13 @@ class KeptSolves:
 
     def _take(self, stored: Mapping[str, Any], seed: int | None) -> int:
         try:
+            check_identity(self.path, stored["identity"], self._identity)
             theirs, points, series = int(stored["seed"]), stored["theta"], stored["series"]
             self.sittings, self.earlier_s = int(stored["sittings"]) + 1, float(stored["seconds"])
             found = [kind or one for kind, one in zip(stored["failed"], series, strict=True)]
             for theta, one in zip(points, found, strict=True):
                 self._keep(np.asarray(theta, dtype=np.float64), one)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CheckpointError(f"{self.path}: is no state of a run ({error}); {REMEDY}") from None
         if seed is not None and seed != theirs:
             raise CheckpointError(
@@ -116,6 +119,7 @@ class KeptSolves:
         good = [one for one in self._found if not isinstance(one, str)]
         blank = np.full(good[0].shape, np.nan) if good else np.empty(0)
         content = {
+            "identity": self._identity,
             "seed": self.seed,
             "sittings": self.sittings,
             "seconds": self.seconds,
@@ -124,7 +128,7 @@ class KeptSolves:
             "failed": [one if isinstance(one, str) else "" for one in self._found],
         }
         began = time.monotonic()
-        write_state(self.path, self._owner, content)
+        write_state(self.path, OWNER, content)
         took = time.monotonic() - began
         self._written = time.monotonic() + 20 * took  # never more than a twentieth of the time
 
