@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from dataclasses import replace
 
@@ -72,15 +73,17 @@ def few(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def whole():
+def whole(tmp_path_factory):
+    """A run, its simulator, and its checkpoint."""
+    folder = tmp_path_factory.mktemp("whole") / "c"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(correcting, "THIN", 2)
         simulator = Counting()
-        return sample_surrogate(model_of(simulator), **SETTINGS), simulator
+        return sample_surrogate(model_of(simulator), checkpoint=folder, **SETTINGS), simulator, folder
 
 
 def test_a_killed_run_draws_what_an_uninterrupted_one_does(whole, tmp_path):
-    uninterrupted, all_of_them = whole
+    uninterrupted, all_of_them, _ = whole
     checkpoint = {"checkpoint": tmp_path / "c", "checkpoint_seconds": 0.0}
     dies = Counting(last=all_of_them.n // 2)
     with pytest.raises(Killed):
@@ -98,16 +101,8 @@ def test_a_killed_run_draws_what_an_uninterrupted_one_does(whole, tmp_path):
     assert len(dies.seen & goes_on.seen) <= begins
 
 
-def test_a_finished_run_is_there_without_a_solve_of_a_draw(whole, tmp_path):
-    sample_surrogate(model_of(Counting()), checkpoint=tmp_path, **SETTINGS)
-    simulator = Counting()
-    again = sample_surrogate(model_of(simulator), checkpoint=tmp_path, **SETTINGS)
-    np.testing.assert_array_equal(again.posterior["rate"], whole[0].posterior["rate"])
-    assert simulator.n < 120 < RunRecord.of(again).settings["surrogate"]["building solves"]
-
-
-def test_other_runs_and_damaged_files_are_refused(tmp_path):
-    sample_surrogate(model_of(Counting()), checkpoint=tmp_path, **SETTINGS)
+def test_other_runs_and_damaged_files_are_refused_and_nothing_is_lost(whole, tmp_path):
+    shutil.copytree(whole[2], tmp_path, dirs_exist_ok=True)
     refused = [({"seed": 4}, "seed is 3 there and 4 here"), ({"tune": 90}, "tune is 100 there and 90 here")]
     for change, message in refused:
         with pytest.raises(CheckpointError, match=message):
@@ -126,8 +121,11 @@ def test_other_runs_and_damaged_files_are_refused(tmp_path):
     file.write_bytes(raw[:-9] + b"123456789")
     with pytest.raises(CheckpointError, match="does not fit its digest"):
         sample_surrogate(model_of(Counting()), checkpoint=tmp_path, **SETTINGS)
-    file.write_bytes(raw)  # and nothing was lost
-    sample_surrogate(model_of(Counting()), checkpoint=tmp_path, **SETTINGS)
+    file.write_bytes(raw)
+    simulator = Counting()
+    again = sample_surrogate(model_of(simulator), checkpoint=tmp_path, **SETTINGS)
+    np.testing.assert_array_equal(again.posterior["rate"], whole[0].posterior["rate"])
+    assert simulator.n < 120 < RunRecord.of(again).settings["surrogate"]["building solves"]
 
 
 def test_solves_are_written_now_and_again(tmp_path, monkeypatch):
@@ -148,11 +146,10 @@ def test_solves_are_written_now_and_again(tmp_path, monkeypatch):
     assert written == sorted(written)
 
 
-def test_a_run_goes_on_by_the_method_it_began_with(tmp_path):
+def test_a_run_goes_on_by_the_method_it_began_with(whole, tmp_path):
     model = model_of(Counting())
     assert choose(model)[0] == "exact"
-    sample(model, method="surrogate", checkpoint=tmp_path / "s", **SETTINGS)
-    assert choose(model, checkpoint=tmp_path / "s") == ("surrogate", "a checkpoint of such a run is there")
+    assert choose(model, checkpoint=whole[2]) == ("surrogate", "a checkpoint of such a run is there")
     for step, method in (("nuts", "nuts"), ("demetropolisz", "exact"), (None, "exact")):
         (tmp_path / "run.json").write_text(json.dumps({"identity": {"step": step}}))
         assert choose(model, checkpoint=tmp_path)[0] == method
@@ -173,14 +170,13 @@ def test_slow_solves_ask_for_a_surrogate(monkeypatch):
     assert choose(model_of(Slow(0.03, fails=True)))[0] == "surrogate"  # which says that nothing can be solved
 
 
-def test_draws_that_were_solved_are_not_solved_for_their_predictions():
-    simulator, plain = Counting(), Counting()
-    idata = sample_with_groups(model_of(simulator), method="surrogate", **SETTINGS)
-    sample(model_of(plain), method="surrogate", **SETTINGS)
-    assert simulator.n == plain.n + N_PRIOR
+def test_draws_that_were_solved_are_not_solved_for_their_predictions(whole):
+    simulator = Counting()
+    library = Library(simulator)  # empty, and taken all the same
+    idata = sample_with_groups(model_of(simulator), method="surrogate", library=library, **SETTINGS)
+    assert simulator.n <= whole[1].n + N_PRIOR  # 400 more without them
+    np.testing.assert_array_equal(idata.posterior["rate"], whole[0].posterior["rate"])  # no checkpoint here
+    assert len(library) > 400
     again = add_groups(idata, model_of(Counting()))
     for group in ("log_likelihood", "posterior_predictive"):
         np.testing.assert_array_equal(idata[group].y, again[group].y)
-    library = Library(simulator)  # empty, and taken all the same
-    sample_with_groups(model_of(simulator), method="surrogate", library=library, **SETTINGS)
-    assert len(library) > 400

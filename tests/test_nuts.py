@@ -53,7 +53,7 @@ def uninterrupted():
 
 
 def test_the_posterior_is_the_analytic_one():
-    idata = sample(smooth_model(), method="nuts", cores=2, **{**SETTINGS, "draws": 500, "chains": 4})
+    idata = sample(smooth_model(), method="nuts", cores=0, **{**SETTINGS, "draws": 500, "chains": 4})
     mean, covariance = gaussian_posterior()
     p = idata.posterior
     for i, draws in enumerate([p.a.to_numpy(), p.bc.to_numpy()[..., 0], p.bc.to_numpy()[..., 1]]):
