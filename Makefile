@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.zoo-setup
-PYTEST_ARGS ?= -n auto --dist loadfile
+PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
 .PHONY: setup test readme check fuzz demo report bench mutants clean

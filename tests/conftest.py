@@ -9,6 +9,17 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
+LONG = (
+    "kills",
+    "surrogate",
+    "working_folder",
+    "explanations",
+    "other_states",
+    "examples",
+    "diagnosis",
+    "docs",
+)
+"""Files of tests that take minutes: first, so that none of them is left to one core at the end."""
 
 if "ZOO_DATA_DIR" not in os.environ and (SHARED / "data").is_dir():
     os.environ["ZOO_DATA_DIR"] = str(SHARED / "data")
@@ -23,6 +34,11 @@ def _missing() -> str | None:
         if not (Path(folder) / needed).exists():
             return f"ZOO_DATA_DIR = {folder} does not hold {needed}"
     return None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    long = {f"test_{name}.py" for name in LONG}
+    items.sort(key=lambda item: item.path.name not in long)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
