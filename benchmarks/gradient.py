@@ -71,7 +71,8 @@ def main() -> None:
             found = solver.jacobian(**values, directions=each)  # type: ignore[arg-type]
             if size == 5 or wall == "linear":
                 result[f"gradient_{size}_over_primal_{wall}"] = cost / primal
-            beats = f"{found.beats} linearised beats beside the solve's {found.solution.beats}"
+            shared = ", one of them the same" if found.along else ""
+            beats = f"{found.beats} linearised beats and the solve's {found.solution.beats}{shared}"
             print(f"{wall}, {len(each)} directions: {cost / primal:.2f} times {1e3 * primal:.1f} ms, {beats}")
     options.output.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
 

@@ -74,7 +74,7 @@ def main() -> None:
     options = parser.parse_args()
     by_vessels = []
     for n in VESSELS:
-        row = row_of(study_of(n), options.repeats if n < VESSELS[-1] else 2)
+        row = row_of(study_of(n), options.repeats)
         print(", ".join(f"{k} {v:.4g}" for k, v in row.items()), flush=True)
         by_vessels.append(row)
     study, values = load_study("mouse-c6"), CASES["linear"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +16,7 @@ from pytensor.gradient import verify_grad
 
 from test_op import POINT, at, flow, small_study
 from zoo.blood.baseline import get_baseline
-from zoo.blood.directions import Point
+from zoo.blood.directions import Derivatives, Point
 from zoo.blood.effects.given import added_effects
 from zoo.blood.solve_errors import NoDerivativeError, SolverArgumentError
 from zoo.blood.solver import Solver, SolverOptions
@@ -108,6 +110,24 @@ def test_inflow_samples_and_geometry(study: Study) -> None:
             h,
         )
         assert np.abs(found.pressure_mmHg[i] - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+def test_memory_between_calls(study: Study) -> None:
+    """What a solver keeps from one call for the next changes nothing, nor in threads or a copy."""
+    solver, h = Solver.for_study(study), 1.0
+    stiffer = [Point(0.5 / h, 5e4 + h), Point(-0.5 / h, 5e4 - h)]
+
+    def run(given: Solver) -> Derivatives:
+        return given.jacobian(5e4, directions=[stiffer])
+
+    first = run(solver)
+    assert first.along
+    assert first.beats > 1
+    with ThreadPoolExecutor(4) as pool:
+        again = list(pool.map(run, [solver] * 12 + [pickle.loads(pickle.dumps(solver))]))
+    for other in again:
+        np.testing.assert_array_equal(other.pressure_mmHg, first.pressure_mmHg)
+        np.testing.assert_array_equal(other.solution.pressure_mmHg, solver.solve(5e4).pressure_mmHg)
 
 
 def test_what_has_no_derivative(study: Study) -> None:

@@ -206,20 +206,23 @@ typedef struct {
     int32_t status;    /* enum zoo_status; ZOO_OK: the derivatives are there */
     int32_t direction; /* that is at fault, or -1 */
     int32_t beats;     /* linearised beats */
+    int32_t along;     /* 1: the first of them was the solve's last beat */
     int32_t vectors;   /* that went through a beat beside the directions themselves */
     int32_t stepped;   /* points whose steps were computed one by one, which is slower: geometry, blood and walls */
     double residual;   /* estimated largest error that is left, over a direction's largest derivative */
+    int64_t room;      /* bytes that the coefficients of a beat's steps took; 0: they were not kept */
 } zoo_tangent_report;
 
 /* Solve as zoo_solve does for one set of parameters, and differentiate the discrete periodic solution, at the steps
  * that the solve chose, in n_directions directions.
  * tolerance: accepted residual.  d_pressure, d_flow, d_area: [n_directions][n_series][n_times], NaN where the report's
- * or the derivatives' status is not ZOO_OK.  Memory is taken and freed within the call.  A solve for which a point has
- * additions runs the loops with additions, which changes its rounding. */
+ * or the derivatives' status is not ZOO_OK.  Memory is taken and freed within the call; `room`, room_bytes long, at a
+ * multiple of 8 bytes, is used for most of it where that is enough, since fresh memory costs as much as a solve (NULL
+ * and 0: none).  A solve for which a point has additions runs the loops with additions, which changes its rounding. */
 int32_t zoo_jacobian(const zoo_problem *problem, const zoo_parameters *parameters, int32_t n_directions,
-                     const zoo_direction *directions, double tolerance, double *pressure, double *flow, double *area,
-                     double *fastest, double *d_pressure, double *d_flow, double *d_area, zoo_report *report,
-                     zoo_tangent_report *tangent);
+                     const zoo_direction *directions, double tolerance, void *room, int64_t room_bytes,
+                     double *pressure, double *flow, double *area, double *fastest, double *d_pressure,
+                     double *d_flow, double *d_area, zoo_report *report, zoo_tangent_report *tangent);
 
 /* Name of a wall law, an inlet or an outlet, by its number from 0 on; NULL past the last. */
 const char *zoo_wall_name(int32_t law);

@@ -249,10 +249,19 @@ void zoo_output_emit(zoo_sim *sim, int step);
 int zoo_output_finite(const zoo_sim *sim, int lane);
 void zoo_output_store(const zoo_sim *sim, int lane, double *pressure, double *flow, double *area);
 
-/* periodic.c: beats until the solution repeats itself, for all lanes of sim. */
-void zoo_periodic(zoo_sim *sim, double *pressure, double *flow, double *area);
+/* What wants to go along with the last beat: `begin` before its steps (0: stays behind), `step` in place of zoo_step.
+ * It goes along with the first beat that is expected to be the last, if it is not run again with more steps. */
+typedef struct {
+    int (*begin)(void *self), (*step)(void *self, int step);
+    void *self;
+    int beat; /* the beat that it went along with, from 1 on; 0: none so far, -1: one that was run again */
+} zoo_companion;
+
+/* periodic.c: beats until the solution repeats itself, for all lanes of sim; `with` is NULL, or goes along with one of
+ * a single lane. */
+void zoo_periodic(zoo_sim *sim, zoo_companion *with, double *pressure, double *flow, double *area);
 void zoo_pack(const zoo_sim *sim, double *state);
 void zoo_unpack(zoo_sim *sim, const double *state);
-int zoo_extrapolate(zoo_sim *sim, int lane, int n_past);
+int zoo_extrapolate(zoo_sim *sim, int lane, int n_past, double *left);
 
 #endif

@@ -10,13 +10,18 @@
  * distance, the run ends when change/(1 - exp(-T/tau)) is below the tolerance.
  * Between beats the start is extrapolated from the last few by Anderson's
  * method (Walker & Ni 2011, doi 10.1137/10078356X): past ends, combined with
- * the weights for which the combined change is least.
+ * the weights for which the combined change is least.  A beat from there would
+ * leave at most about that change, so that the last beat can be told beforehand.
  */
 #include <math.h>
 #include <string.h>
 
 #include "inlet.h"
 #include "outlet.h"
+
+/* A beat is expected to be the last when the combined change is at most so many times the tolerance: what the beat then
+ * leaves was 0.7 of it at most, and mostly a tenth. */
+static const double EXPECTED = 3.0;
 
 /* The parts of the state in their order; one that the run does not have is empty. */
 enum { PARTS = 5 };
@@ -95,9 +100,10 @@ static int told_finite(const zoo_sim *s, int lane)
 }
 
 /* Replaces the state of one lane by Anderson's combination of the n_past
- * beats in states/ends (0 the newest).  Returns 0, leaving the state alone,
- * if the combination is not usable. */
-int zoo_extrapolate(zoo_sim *s, int lane, int n_past)
+ * beats in states/ends (0 the newest); the largest combined change, as a
+ * pressure, goes to `left`.  Returns 0, leaving the state alone, if the
+ * combination is not usable. */
+int zoo_extrapolate(zoo_sim *s, int lane, int n_past, double *left)
 {
     int W = s->lanes, m = n_past - 1;
     size_t size = (size_t)s->n_state * W;
@@ -134,6 +140,14 @@ int zoo_extrapolate(zoo_sim *s, int lane, int n_past)
         x[r] /= a[r][r];
         if (!(fabs(x[r]) < 100.0))
             return 0;
+    }
+    *left = 0.0;
+    for (size_t i = (size_t)lane; i < size; i += (size_t)W) {
+        const double now = s->ends[i] - s->states[i];
+        double combined = now;
+        for (int r = 0; r < m; r++)
+            combined -= x[r] * (now - (s->ends[(r + 1) * size + i] - s->states[(r + 1) * size + i]));
+        *left = fmax(*left, s->weight[i] * fabs(combined));
     }
     double *part[PARTS];
     size_t sizes[PARTS], n = (size_t)s->n_nodes * W;
@@ -238,10 +252,11 @@ static void find_failures(zoo_sim *s, int step)
     }
 }
 
-/* One beat from the state in the nodes.  Returns the largest speed (1/s) met
- * in the live lanes, or a negative number if the beat must be run again with
- * more steps; then its size is the speed that asked for them. */
-static double beat(zoo_sim *s, double limit)
+/* One beat from the state in the nodes, with what goes along or NULL.
+ * Returns the largest speed (1/s) met in the live lanes, or a negative number
+ * if the beat must be run again with more steps; then its size is the speed
+ * that asked for them. */
+static double beat(zoo_sim *s, double limit, const zoo_companion *with)
 {
     double fastest = 0.0;
     int every = s->n_steps / ZOO_CHECKS;
@@ -261,8 +276,9 @@ static double beat(zoo_sim *s, double limit)
     if (s->extra)
         zoo_refresh_nodes(s); /* what the walls remember is known for one length of the step only */
     zoo_output_begin(s);
+    const int along = with && with->begin(with->self);
     for (int step = 0; step < s->n_steps; step++) {
-        int wrong = zoo_step(s, step);
+        int wrong = along ? with->step(with->self, step) : zoo_step(s, step);
         if (wrong || s->no_root || (step + 1) % every == 0) {
             /* too long a step shows first as a state out of range: look at the speed before blaming the state */
             double now = 0.0;
@@ -311,13 +327,13 @@ static void retire_all(zoo_sim *s, int status)
             retire(s, l, status, -1, 0.0);
 }
 
-void zoo_periodic(zoo_sim *s, double *pressure, double *flow, double *area)
+void zoo_periodic(zoo_sim *s, zoo_companion *with, double *pressure, double *flow, double *area)
 {
     const zoo_numerics *num = &s->problem->numerics;
     const int fixed = num->steps_per_beat > 0;
     const double limit = 1.0; /* the scheme's own stability limit */
     size_t size = (size_t)s->n_state * s->lanes;
-    int past = 0;
+    int past = 0, expected = 0;
     int64_t steps = 0;
     zoo_set_step(s, fixed ? num->steps_per_beat : ZOO_STEP_UNIT);
     zoo_start(s);
@@ -325,7 +341,10 @@ void zoo_periodic(zoo_sim *s, double *pressure, double *flow, double *area)
         zoo_set_step(s, steps_for(s, zoo_start_speed(s)));
     for (int n = 1; n <= num->max_beats && any_live(s); n++) {
         zoo_pack(s, s->start);
-        double fastest = beat(s, limit);
+        double fastest = beat(s, limit, expected ? with : NULL);
+        if (expected)
+            with->beat = fastest < 0.0 ? -1 : n;
+        expected = 0;
         steps += s->n_steps;
         while (fastest < 0.0) {
             int more = steps_for(s, -1.05 * fastest);
@@ -341,7 +360,7 @@ void zoo_periodic(zoo_sim *s, double *pressure, double *flow, double *area)
             if (!any_live(s))
                 return;
             zoo_unpack(s, s->start);
-            fastest = beat(s, limit);
+            fastest = beat(s, limit, NULL);
             steps += s->n_steps;
         }
         if (!any_live(s))
@@ -381,10 +400,12 @@ void zoo_periodic(zoo_sim *s, double *pressure, double *flow, double *area)
             zoo_set_step(s, wanted);
         if (num->accelerate && past > 1) {
             int moved = 0;
+            double left;
             for (int l = 0; l < s->lanes; l++)
-                moved |= s->live[l] && zoo_extrapolate(s, l, past);
+                moved |= s->live[l] && zoo_extrapolate(s, l, past, &left);
             if (moved)
                 zoo_refresh_nodes(s);
+            expected = moved && with && with->beat == 0 && left / (1.0 - s->slow[0]) <= EXPECTED * num->tolerance;
         }
     }
     retire_all(s, ZOO_NOT_PERIODIC);

@@ -82,7 +82,7 @@ int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_paramete
             sim.live[l] = 0;
         sim.no_root = 0;
         if (good > 0)
-            zoo_periodic(&sim, pressure, flow, area);
+            zoo_periodic(&sim, NULL, pressure, flow, area);
         for (int l = 0; l < used; l++) {
             reports[done + l] = sim.report[l];
             for (int k = 0; k < sim.n_vessels && fastest; k++)

@@ -120,68 +120,129 @@ size_t zoo_tangent_layout(zoo_tangent *t, char *at)
     return used;
 }
 
-/* Room for the coefficients of all steps of a beat, if that is not too much; NULL otherwise. */
-static double *room(const zoo_tangent *t)
-{
-    const size_t bytes = (size_t)t->s->n_steps * zoo_tangent_kept(t) * sizeof(double);
-    return t->s->extra || bytes > ZOO_MOST_KEPT ? NULL : malloc(bytes);
-}
-
 static void fill(double *to, int64_t n, double value)
 {
     for (int64_t i = 0; i < n; i++)
         to[i] = value;
 }
 
-/* Derivatives of a run that is solved. */
-static int32_t differentiate(zoo_sim *s, const zoo_parameters *parameters, int n_directions, const zoo_direction *directions,
-                             int n_points, double tolerance, double *d_pressure, double *d_flow, double *d_area,
-                             zoo_tangent_report *report)
+/* The derivatives of a run, from their set-up to the end of the first beat. */
+typedef struct {
+    zoo_tangent t;
+    const zoo_parameters *parameters;
+    const zoo_direction *directions;
+    int n_points; /* of all directions */
+    void *room;   /* the caller's */
+    int64_t room_bytes;
+    char *memory;
+    int32_t status;
+    zoo_tangent_report report;
+} differential;
+
+static void clear(differential *d)
 {
-    const zoo_outputs *out = &s->problem->outputs;
-    const int64_t n_out = (int64_t)out->n_series * out->n_times;
-    zoo_tangent t = {.s = s, .n_blocks = (n_directions + D - 1) / D};
-    int32_t status = ZOO_OK;
-    t.block = calloc((size_t)t.n_blocks, sizeof *t.block);
-    const size_t bytes = zoo_tangent_layout(&t, NULL) + 64;
-    char *memory = calloc(1, bytes);
-    zoo_point *points = calloc((size_t)n_points + 1, sizeof *points);
-    double *samples = malloc((size_t)(n_directions * n_out * 3 + 1) * sizeof *samples);
-    int stepped = 0;
-    if (!t.block || !memory || !points || !samples)
-        status = ZOO_WORKSPACE;
-    if (status == ZOO_OK) {
-        zoo_tangent_layout(&t, memory + (64 - (uintptr_t)memory % 64) % 64);
-        t.kept = room(&t);
-        status = zoo_tangent_directions(&t, parameters, n_directions, directions, points, &stepped, report);
+    zoo_tangent *t = &d->t;
+    for (int i = 0; i < t->n_points && t->points; i++)
+        free(t->points[i].memory);
+    double *reals[] = {t->kept == d->room ? NULL : t->kept, t->start, t->seeds, t->scratch};
+    for (size_t i = 0; i < sizeof reals / sizeof *reals; i++)
+        free(reals[i]);
+    free(t->points);
+    free(t->block);
+    free(d->memory);
+    d->memory = NULL;
+    d->t = (zoo_tangent){.s = t->s, .n_directions = t->n_directions};
+}
+
+/* Where the coefficients of all steps of a beat are kept, if that is not too much; NULL otherwise. */
+static double *place_for_kept(differential *d)
+{
+    const zoo_tangent *t = &d->t;
+    const size_t bytes = (size_t)t->s->n_steps * zoo_tangent_kept(t) * sizeof(double);
+    if (t->s->extra || bytes > ZOO_MOST_KEPT)
+        return NULL;
+    d->report.room = (int64_t)bytes;
+    return d->report.room <= d->room_bytes ? d->room : malloc(bytes);
+}
+
+/* All that the first beat needs, and its start, from the run's state. */
+static int32_t set_up(differential *d)
+{
+    zoo_tangent *t = &d->t;
+    t->n_blocks = (t->n_directions + D - 1) / D;
+    d->report = (zoo_tangent_report){.direction = -1};
+    t->block = calloc((size_t)t->n_blocks, sizeof *t->block);
+    t->points = calloc((size_t)d->n_points + 1, sizeof *t->points);
+    if (!t->block || !t->points || !(d->memory = calloc(1, zoo_tangent_layout(t, NULL) + 64)))
+        return ZOO_WORKSPACE;
+    zoo_tangent_layout(t, d->memory + (64 - (uintptr_t)d->memory % 64) % 64);
+    t->kept = place_for_kept(d);
+    const int32_t status = zoo_tangent_directions(t, d->parameters, d->directions, &d->report);
+    return status == ZOO_OK ? zoo_tangent_first(t) : status;
+}
+
+static int begin_along(void *self)
+{
+    differential *d = self;
+    d->status = set_up(d);
+    return d->status == ZOO_OK;
+}
+
+/* What happens to the derivatives is not for the run to know: it goes on alone. */
+static int step_along(void *self, int step)
+{
+    differential *d = self;
+    if (d->status != ZOO_OK)
+        return zoo_step(d->t.s, step);
+    d->status = zoo_tangent_advance(&d->t, step, &d->report);
+    return d->status == ZOO_COLLAPSE;
+}
+
+/* The first beat by itself, from the end of a run that is solved. */
+static int32_t first_beat(differential *d)
+{
+    d->t.s->no_root = 0;
+    int32_t status = set_up(d);
+    for (int step = 0; step < d->t.s->n_steps && status == ZOO_OK; step++)
+        status = zoo_tangent_advance(&d->t, step, &d->report);
+    return status;
+}
+
+/* Derivatives of a run that is solved, whose last beat they went along with if d->status says so. */
+static int32_t differentiate(differential *d, double tolerance, double *d_pressure, double *d_flow, double *d_area)
+{
+    const zoo_outputs *out = &d->t.s->problem->outputs;
+    const int64_t n_out = (int64_t)out->n_series * out->n_times, n = d->t.n_directions;
+    double *samples = malloc((size_t)(n * n_out * 3 + 1) * sizeof *samples);
+    const int along = d->status == ZOO_OK;
+    if (!along) {
+        clear(d);
+        d->status = first_beat(d);
     }
+    d->report.along = along;
+    int32_t status = samples ? d->status : ZOO_WORKSPACE;
     if (status == ZOO_OK)
-        status = zoo_tangent_periodic(&t, n_directions, points, stepped, tolerance, samples, report);
-    for (int64_t d = 0; d < n_directions && status == ZOO_OK; d++)
+        status = zoo_tangent_periodic(&d->t, tolerance, samples, &d->report);
+    for (int64_t k = 0; k < n && status == ZOO_OK; k++)
         for (int64_t i = 0; i < out->n_series; i++)
             for (int64_t m = 0; m < out->n_times; m++) {
-                const double *from = samples + d * n_out * 3 + (m * out->n_series + i) * 3;
-                const int64_t at = d * n_out + i * out->n_times + m;
+                const double *from = samples + k * n_out * 3 + (m * out->n_series + i) * 3;
+                const int64_t at = k * n_out + i * out->n_times + m;
                 d_pressure[at] = from[0];
                 d_flow[at] = from[1];
                 d_area[at] = from[2];
             }
-    for (int i = 0; i < stepped && points; i++)
-        free(points[i].memory);
-    free(points);
     free(samples);
-    free(t.kept);
-    free(memory);
-    free(t.block);
     return status;
 }
 
 int32_t zoo_jacobian(const zoo_problem *problem, const zoo_parameters *parameters, int32_t n_directions,
-                     const zoo_direction *directions, double tolerance, double *pressure, double *flow, double *area,
-                     double *fastest, double *d_pressure, double *d_flow, double *d_area, zoo_report *report,
-                     zoo_tangent_report *tangent)
+                     const zoo_direction *directions, double tolerance, void *room, int64_t room_bytes,
+                     double *pressure, double *flow, double *area, double *fastest, double *d_pressure,
+                     double *d_flow, double *d_area, zoo_report *report, zoo_tangent_report *tangent)
 {
-    if (!problem || !report || !tangent || !directions || n_directions < 1 || n_directions > 1 << 20 || !(tolerance > 0.0))
+    if (!problem || !report || !tangent || !directions || n_directions < 1 || n_directions > 1 << 20 || !(tolerance > 0.0) || room_bytes < 0 ||
+        (room_bytes > 0 && (!room || (uintptr_t)room % sizeof(double) != 0)))
         return ZOO_BAD_ARGUMENT;
     zoo_problem own = *problem;
     int n_points;
@@ -205,16 +266,25 @@ int32_t zoo_jacobian(const zoo_problem *problem, const zoo_parameters *parameter
     zoo_layout(&own, 1, &s, memory);
     zoo_set_grid(&s);
     s.set_of[0] = 0;
+    differential d = {.t = {.s = &s, .n_directions = n_directions}, .parameters = parameters, .directions = directions,
+                      .n_points = n_points, .room = room, .room_bytes = room_bytes, .status = ZOO_WORKSPACE};
+    zoo_companion with = {.begin = begin_along, .step = step_along, .self = &d};
     if (zoo_set_parameters(&s, parameters) > 0)
-        zoo_periodic(&s, pressure, flow, area);
+        zoo_periodic(&s, status == ZOO_OK ? &with : NULL, pressure, flow, area);
     *report = s.report[0];
     if (report->status != ZOO_OK)
         zoo_output_store(&s, 0, pressure, flow, area);
     for (int k = 0; k < s.n_vessels && fastest; k++)
         fastest[k] = report->status == ZOO_OK ? s.fastest[k] : NAN;
     tangent->status = status;
-    if (report->status == ZOO_OK && status == ZOO_OK)
-        tangent->status = differentiate(&s, parameters, n_directions, directions, n_points, tolerance, d_pressure, d_flow, d_area, tangent);
+    if (report->status == ZOO_OK && status == ZOO_OK) {
+        if (with.beat != report->beats)
+            d.status = ZOO_NOT_PERIODIC;
+        const int32_t found = differentiate(&d, tolerance, d_pressure, d_flow, d_area);
+        *tangent = d.report;
+        tangent->status = found;
+    }
+    clear(&d);
     if (report->status != ZOO_OK || tangent->status != ZOO_OK)
         for (int part = 0; part < 3; part++)
             fill((double *[]){d_pressure, d_flow, d_area}[part], n_out * n_directions, NAN);

@@ -67,6 +67,7 @@ typedef struct {
     double *seen_first;          /* the same at the start of the beat */
     double *one;                 /* [size] what hA0 to hq1, fA0 to fq1, seen, outlet and row hold in one step */
     double *kept;                /* [n_steps][zoo_tangent_kept] that of all steps, or NULL */
+    double over[ZOO_NODE_ROWS];  /* what the integers of the last step that was kept were over */
     size_t size;
     const char *ahead;           /* what the next step will need: fetch `ahead_by` bytes for each node */
     size_t ahead_by;
@@ -75,7 +76,12 @@ typedef struct {
     double *branch;              /* [4][branches][D] scratch of one junction */
     double *part;                /* [8][branches] */
     double *rows;                /* [rows.coefficients][D] changes of one outlet's coefficients with the state */
-    int64_t beats;               /* linearised beats so far */
+    /* of the first beat, in which the arguments change */
+    int n_directions, n_points, n_seeds;
+    struct zoo_point *points;    /* [n_points] that are stepped */
+    double *start;               /* [n_state] of the run */
+    double *seeds;               /* [n_seeds][n_state] the run's own changes, in the lanes after the directions' */
+    double *scratch;             /* [n_blocks][n_state][D] and 2 [n_state]; of points */
 } zoo_tangent;
 
 /* tangent.c: the arrays at `at`, a multiple of 64 bytes that hold zeros, for s, n_blocks and block as they are set;
@@ -104,7 +110,7 @@ void zoo_plain_source(const zoo_tangent *t, const zoo_block *b, ptrdiff_t node, 
 
 /* Arguments near those of the run whose steps are computed one by one, from the run's own state, and compared: for
  * what no coefficient array of a block holds. */
-typedef struct {
+typedef struct zoo_point {
     int direction;
     double weight;
     zoo_problem problem;
@@ -113,13 +119,17 @@ typedef struct {
 } zoo_point;
 
 /* tangent_directions.c: the changes of all directions into the blocks; points that must be stepped are kept in
- * points[*n_points].  Returns a status, with the direction at fault in the report. */
-int32_t zoo_tangent_directions(zoo_tangent *t, const zoo_parameters *parameters, int n_directions,
-                               const zoo_direction *directions, zoo_point *points, int *n_points, zoo_tangent_report *report);
+ * t->points[t->n_points].  Returns a status, with the direction at fault in the report. */
+int32_t zoo_tangent_directions(zoo_tangent *t, const zoo_parameters *parameters, const zoo_direction *directions,
+                               zoo_tangent_report *report);
 
-/* tangent_periodic.c: derivatives of the periodic state's samples, [n_directions][n_times][n_series][3], in every
- * direction.  Returns a status. */
-int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points, int n_points, double tolerance,
-                             double *samples, zoo_tangent_report *report);
+/* tangent_periodic.c, in their order.  Each returns a status.
+ * What the first beat starts from, for the run's state as it is and its last beats, and that beat's start; `start`,
+ * `seeds` and `scratch` are taken here and freed by the caller. */
+int32_t zoo_tangent_first(zoo_tangent *t);
+/* A step of the beat under way, with the run's own where its coefficients are not `done`. */
+int32_t zoo_tangent_advance(zoo_tangent *t, int step, zoo_tangent_report *report);
+/* After the last step of the first beat: derivatives of the periodic state's samples, [n_directions][n_times][n_series][3]. */
+int32_t zoo_tangent_periodic(zoo_tangent *t, double tolerance, double *samples, zoo_tangent_report *report);
 
 #endif

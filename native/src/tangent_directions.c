@@ -89,13 +89,13 @@ static int32_t build(zoo_point *p, const zoo_tangent *t, const zoo_problem *give
     return ZOO_OK;
 }
 
-int32_t zoo_tangent_directions(zoo_tangent *t, const zoo_parameters *parameters, int n_directions,
-                               const zoo_direction *directions, zoo_point *points, int *n_points, zoo_tangent_report *report)
+int32_t zoo_tangent_directions(zoo_tangent *t, const zoo_parameters *parameters, const zoo_direction *directions,
+                               zoo_tangent_report *report)
 {
     const zoo_sim *s = t->s;
     zoo_point scratch = {0}; /* a run of the same problem, whose parameters alone are changed */
     int32_t status = build(&scratch, t, s->problem, parameters);
-    for (int i = 0; i < n_directions && status == ZOO_OK; i++) {
+    for (int i = 0; i < t->n_directions && status == ZOO_OK; i++) {
         const zoo_direction *direction = &directions[i];
         zoo_block *b = &t->block[i / D];
         const int d = i % D;
@@ -114,22 +114,22 @@ int32_t zoo_tangent_directions(zoo_tangent *t, const zoo_parameters *parameters,
                 }
                 given = s->problem;
             }
-            zoo_point *p = &points[*n_points];
+            zoo_point *p = &t->points[t->n_points];
             *p = (zoo_point){.direction = i, .weight = weight};
             status = build(p, t, given, direction->parameters[m]);
-            (*n_points)++; /* its memory is freed with the others' */
+            t->n_points++; /* its memory is freed with the others' */
             if (status != ZOO_OK || !same_tree(&p->problem, s->problem))
                 continue;
             compare_parameters(s, &p->sim, b, d, weight);
             b->inlet |= differ(b->curve_node, d, s->n_steps + 1, weight, p->sim.curve_node, s->curve_node);
             b->inlet |= differ(b->curve_mean, d, s->n_steps, weight, p->sim.curve_mean, s->curve_mean);
             free(p->memory);
-            (*n_points)--;
+            t->n_points--;
         }
     }
     free(scratch.memory);
     if (status == ZOO_OK)
         report->direction = -1;
-    report->stepped = *n_points;
+    report->stepped = t->n_points;
     return status;
 }

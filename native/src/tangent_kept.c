@@ -1,7 +1,7 @@
 /* The coefficients of a beat's steps, kept for the beats after it.
  *
  * What a step's coefficients cost is their way through the memory. So those of the nodes are kept as 32-bit integers over
- * the largest of each array, which is within 3e-10 of that; those of junctions, outlets and outputs as they are. */
+ * about the largest of each array, which is within 4e-10 of that; those of junctions, outlets and outputs as they are. */
 #include <math.h>
 #include <string.h>
 
@@ -44,24 +44,33 @@ size_t zoo_tangent_place(zoo_tangent *t, double *at)
     return (used + 7) / 8 * 8;
 }
 
-ZOO_CLONES static void to_integers(const double *restrict from, size_t n, uint32_t *restrict to, double *scale)
+/* As integers over `most`; returns the largest, which may be more: then they are of no use. */
+ZOO_CLONES static double to_integers_over(const double *restrict from, size_t n, double most, uint32_t *restrict to)
 {
-    double part[8] = {0.0}, most = 0.0;
+    const double by = most > 0.0 && most < INFINITY ? most_kept / most : 0.0;
+    double part[8] = {0.0}, largest = 0.0;
     for (size_t i = 0; i < n; i += 8)
         ZOO_SIMD for (int k = 0; k < 8; k++) {
-            const double x = fabs(from[i + k]);
+            const double x = fabs(from[i + k]), sum = from[i + k] * by + to_last_bits;
+            uint64_t bits;
+            memcpy(&bits, &sum, sizeof bits);
+            to[i + k] = (uint32_t)bits;
             part[k] = x > part[k] ? x : part[k];
         }
     for (int k = 0; k < 8; k++)
-        most = part[k] > most ? part[k] : most;
-    const double by = most > 0.0 && most < INFINITY ? most_kept / most : 0.0;
-    ZOO_SIMD for (size_t i = 0; i < n; i++) {
-        const double x = from[i] * by + to_last_bits;
-        uint64_t bits;
-        memcpy(&bits, &x, sizeof bits);
-        to[i] = (uint32_t)bits;
+        largest = part[k] > largest ? part[k] : largest;
+    return largest;
+}
+
+/* Over what the step before was, unless this one's largest is beyond it or far below; then with some room for the next. */
+static double to_integers(const double *from, size_t n, double *over, uint32_t *to)
+{
+    const double largest = to_integers_over(from, n, *over, to);
+    if (largest > *over || largest < 0.7 * *over) {
+        *over = 1.2 * largest;
+        to_integers_over(from, n, *over, to);
     }
-    *scale = most / most_kept;
+    return *over / most_kept;
 }
 
 ZOO_CLONES static void to_reals(const int32_t *restrict from, size_t n, double scale, double *restrict to)
@@ -76,7 +85,7 @@ void zoo_tangent_keep(zoo_tangent *t, int step)
     double *at = t->kept + (size_t)step * zoo_tangent_kept(t);
     uint32_t *integers = (uint32_t *)(at + ZOO_NODE_ROWS);
     for (int i = 0; i < ZOO_NODE_ROWS; i++)
-        to_integers(t->one + i * stride, stride, integers + i * stride, at + i);
+        at[i] = to_integers(t->one + i * stride, stride, &t->over[i], integers + i * stride);
     memcpy(integers + ZOO_NODE_ROWS * stride, t->one + ZOO_NODE_ROWS * stride, rest_of(t) * sizeof(double));
 }
 

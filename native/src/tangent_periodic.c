@@ -29,13 +29,13 @@ static void copy_state(zoo_sim *to, const zoo_sim *from)
 }
 
 /* What the walls' pressure changes while the state is left alone, of all points. */
-static void set_points(zoo_tangent *t, zoo_point *points, int n_points, int step)
+static void set_points(zoo_tangent *t, int step)
 {
     const zoo_sim *s = t->s;
-    for (int i = 0; i < n_points; i++)
-        memset(t->block[points[i].direction / D].out_P, 0, (size_t)s->n_nodes * D * sizeof(double));
-    for (int i = 0; i < n_points; i++) {
-        zoo_point *p = &points[i];
+    for (int i = 0; i < t->n_points; i++)
+        memset(t->block[t->points[i].direction / D].out_P, 0, (size_t)s->n_nodes * D * sizeof(double));
+    for (int i = 0; i < t->n_points; i++) {
+        zoo_point *p = &t->points[i];
         copy_state(&p->sim, s);
         zoo_refresh_at(&p->sim, step);
         double *P = t->block[p->direction / D].out_P + p->direction % D;
@@ -44,15 +44,16 @@ static void set_points(zoo_tangent *t, zoo_point *points, int n_points, int step
     }
 }
 
-/* What a step of the points adds to the blocks; `change` [n_blocks][n_state][D], x and own [n_state] are scratch. */
-static int step_points(zoo_tangent *t, zoo_point *points, int n_points, int step, double *change, double *x, double *own)
+/* What a step of the points adds to the blocks.  Returns the direction of a point that fails, or -1. */
+static int step_points(zoo_tangent *t, int step)
 {
     const zoo_sim *s = t->s;
     const ptrdiff_t size = (ptrdiff_t)s->n_state * D;
+    double *change = t->scratch, *x = change + t->n_blocks * size, *own = x + s->n_state;
     memset(change, 0, (size_t)(t->n_blocks * size) * sizeof *change);
     zoo_pack(s, own);
-    for (int i = 0; i < n_points; i++) {
-        zoo_point *p = &points[i];
+    for (int i = 0; i < t->n_points; i++) {
+        zoo_point *p = &t->points[i];
         if (zoo_step(&p->sim, step) || p->sim.no_root)
             return p->direction;
         zoo_pack(&p->sim, x);
@@ -79,41 +80,50 @@ static void emit(zoo_tangent *t, int step)
     }
 }
 
-/* One beat from `start`, which is the run's state, and from what stands in the blocks. */
-static int32_t beat(zoo_tangent *t, const double *start, zoo_point *points, int n_points, double *scratch, zoo_tangent_report *report)
+/* The start of a beat from the run's state and from what stands in the blocks. */
+static void begin(zoo_tangent *t)
 {
-    zoo_sim *s = t->s;
-    const ptrdiff_t all = (ptrdiff_t)t->n_blocks * s->n_state * D;
-    const int several = t->forced && n_points > 0, sampled = s->problem->outputs.n_series > 0;
-    if (!t->done)
-        zoo_unpack(s, start);
-    s->no_root = 0;
     for (int k = 0; k < t->n_blocks; k++)
         t->block[k].next_time = 0;
     zoo_tangent_begin(t);
-    if (several)
-        set_points(t, points, n_points, 0);
-    if (sampled)
+    if (t->forced)
+        set_points(t, 0);
+    if (t->s->problem->outputs.n_series > 0)
         zoo_tangent_record(t, 0);
-    for (int step = 0; step < s->n_steps; step++) {
-        if (zoo_tangent_step(t, step) || s->no_root)
-            return ZOO_COLLAPSE;
-        if (several) {
-            const int failed = step_points(t, points, n_points, step, scratch, scratch + all, scratch + all + s->n_state);
-            if (failed >= 0) {
-                report->direction = failed;
-                return ZOO_NO_DERIVATIVE;
-            }
-            set_points(t, points, n_points, step + 1);
+}
+
+int32_t zoo_tangent_advance(zoo_tangent *t, int step, zoo_tangent_report *report)
+{
+    if (zoo_tangent_step(t, step) || t->s->no_root)
+        return ZOO_COLLAPSE;
+    if (t->forced && t->n_points > 0) {
+        const int failed = step_points(t, step);
+        if (failed >= 0) {
+            report->direction = failed;
+            return ZOO_NO_DERIVATIVE;
         }
-        if (sampled) {
-            zoo_tangent_record(t, step + 1);
-            emit(t, step + 1);
-        }
+        set_points(t, step + 1);
     }
-    t->done = t->kept != NULL;
-    report->beats++;
+    if (t->s->problem->outputs.n_series > 0) {
+        zoo_tangent_record(t, step + 1);
+        emit(t, step + 1);
+    }
     return ZOO_OK;
+}
+
+/* One beat from what stands in the blocks, and from `start` where the run goes along. */
+static int32_t beat(zoo_tangent *t, zoo_tangent_report *report)
+{
+    zoo_sim *s = t->s;
+    int32_t status = ZOO_OK;
+    if (!t->done)
+        zoo_unpack(s, t->start);
+    s->no_root = 0;
+    begin(t);
+    for (int step = 0; step < s->n_steps && status == ZOO_OK; step++)
+        status = zoo_tangent_advance(t, step, report);
+    report->beats++;
+    return status;
 }
 
 ZOO_CLONES static double dot(const double *weight, const double *a, const double *b, ptrdiff_t n)
@@ -218,13 +228,14 @@ static int join(const double *weight, double *to, int found, ptrdiff_t n)
     return found + 1;
 }
 
-/* Changes of the run over its last beats, orthogonal and of length 1, at most `most`; how many. */
+/* Changes of the run over its last beats, orthogonal and of length 1, at most `most`; how many.  The oldest of them come
+ * first: of the newest, rounding is a larger part.  Those before them are of a run that is far from periodic. */
 static int run_changes(const zoo_sim *s, int most, double *to)
 {
     const ptrdiff_t n = s->n_state;
-    const int past = s->report[0].beats < ZOO_HISTORY ? s->report[0].beats : ZOO_HISTORY;
+    const int beats = s->report[0].beats, past = beats < ZOO_HISTORY ? beats : ZOO_HISTORY;
     int found = 0;
-    for (int k = past - 1; k >= 0 && found < most; k--) { /* the oldest first: of the newest, rounding is a larger part */
+    for (int k = (past < most ? past : most) - 1; k >= 0; k--) {
         for (ptrdiff_t i = 0; i < n; i++)
             to[found * n + i] = s->ends[k * n + i] - s->states[k * n + i];
         found = join(s->weight, to, found, n);
@@ -276,45 +287,54 @@ static double *absorb(const zoo_tangent *t, const double *vectors, int lane, int
     return w;
 }
 
-int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points, int n_points, double tolerance,
-                             double *samples, zoo_tangent_report *report)
+int32_t zoo_tangent_first(zoo_tangent *t)
 {
-    zoo_sim *s = t->s;
+    const zoo_sim *s = t->s;
+    const size_t n = (size_t)s->n_state, lanes = (size_t)t->n_blocks * D;
+    t->start = malloc(n * sizeof *t->start);
+    t->seeds = malloc(lanes * n * sizeof *t->seeds);
+    t->scratch = malloc((t->n_points > 0 ? lanes * n + 2 * n : 1) * sizeof *t->scratch);
+    if (!t->start || !t->seeds || !t->scratch)
+        return ZOO_WORKSPACE;
+    zoo_pack(s, t->start);
+    for (int k = 0; k < t->n_blocks; k++)
+        memset(t->block[k].state, 0, n * D * sizeof(double));
+    t->n_seeds = run_changes(s, (int)lanes - t->n_directions, t->seeds);
+    for (int v = 0, lane = t->n_directions; v < t->n_seeds; v++, lane++)
+        put(t->block[lane / D].state, lane % D, t->seeds + (size_t)v * n, s->n_state);
+    t->forced = 1;
+    begin(t);
+    return ZOO_OK;
+}
+
+int32_t zoo_tangent_periodic(zoo_tangent *t, double tolerance, double *samples, zoo_tangent_report *report)
+{
+    const zoo_sim *s = t->s;
     const zoo_outputs *out = &s->problem->outputs;
-    const ptrdiff_t n = s->n_state, n_out = (ptrdiff_t)out->n_series * 3 * out->n_times, m = n_directions;
+    const ptrdiff_t n = s->n_state, n_out = (ptrdiff_t)out->n_series * 3 * out->n_times, m = t->n_directions;
     const int n_blocks = t->n_blocks, max_beats = s->problem->numerics.max_beats;
-    int seeds = 0, n_spare = 0;
-    double *start = malloc((size_t)n * sizeof *start), *left = malloc((size_t)(m * n) * sizeof *left),
-           *vectors = malloc((size_t)((m + D) * n) * sizeof *vectors), *spare = malloc((size_t)(D * n) * sizeof *spare), *size = malloc((size_t)m * sizeof *size),
-           *scale = malloc((size_t)m * sizeof *scale),
-           *scratch = malloc((size_t)((n_points > 0 ? (ptrdiff_t)n_blocks * n * D : 0) + 2 * n) * sizeof *scratch);
+    int n_spare = t->n_seeds;
+    double *left = malloc((size_t)(m * n) * sizeof *left), *vectors = malloc((size_t)((m + D) * n) * sizeof *vectors),
+           *spare = malloc((size_t)(D * n) * sizeof *spare), *size = malloc((size_t)m * sizeof *size),
+           *scale = malloc((size_t)m * sizeof *scale);
     int *open = malloc((size_t)m * sizeof *open);
     double **kept = calloc((size_t)max_beats + 1, sizeof *kept); /* of each beat, [found][n + n_out] */
     int *count = calloc((size_t)max_beats + 1, sizeof *count);
-    int32_t status = start && left && vectors && spare && size && scale && open && scratch && kept && count ? ZOO_OK : ZOO_WORKSPACE;
-    if (status == ZOO_OK) {
-        zoo_pack(s, start);
-        t->forced = 1;
-        for (int k = 0; k < n_blocks; k++)
-            memset(t->block[k].state, 0, (size_t)(n * D) * sizeof(double));
-        seeds = run_changes(s, n_blocks * D - n_directions, vectors);
-        for (int v = 0; v < seeds; v++)
-            put(t->block[(m + v) / D].state, (m + v) % D, vectors + v * n, n);
-        status = beat(t, start, points, n_points, scratch, report);
+    int32_t status = left && vectors && spare && size && scale && open && kept && count ? ZOO_OK : ZOO_WORKSPACE;
+    report->beats++;
+    for (ptrdiff_t d = 0; d < m && status == ZOO_OK; d++) {
+        take(t->block[d / D].state, (int)(d % D), left + d * n, n);
+        take(t->block[d / D].sample, (int)(d % D), samples + d * n_out, n_out);
     }
-    for (int d = 0; d < m && status == ZOO_OK; d++) {
-        take(t->block[d / D].state, d % D, left + d * n, n);
-        take(t->block[d / D].sample, d % D, samples + d * n_out, n_out);
-    }
-    if (status == ZOO_OK && seeds > 0) {
-        count[0] = seeds;
-        kept[0] = absorb(t, vectors, n_directions, seeds, kept, count, 0, m, left, samples);
+    if (status == ZOO_OK && n_spare > 0) {
+        count[0] = n_spare;
+        kept[0] = absorb(t, t->seeds, (int)m, n_spare, kept, count, 0, m, left, samples);
         status = kept[0] ? ZOO_OK : ZOO_WORKSPACE;
-        n_spare = seeds;
-        for (int v = 0; v < seeds; v++)
-            take(t->block[(m + v) / D].state, (m + v) % D, spare + v * n, n);
+        for (ptrdiff_t v = 0; v < n_spare; v++)
+            take(t->block[(m + v) / D].state, (int)((m + v) % D), spare + v * n, n);
     }
     t->forced = 0;
+    t->done = t->kept != NULL;
     for (int round = 1; status == ZOO_OK; round++) {
         int unfinished = 0;
         report->residual = 0.0;
@@ -341,13 +361,13 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points
             status = ZOO_NOT_PERIODIC;
             break;
         }
-        int found = new_vectors(s->weight, left, scale, open, n_directions, n, 0.1 * tolerance * (1.0 - s->slow[0]), vectors, size);
+        int found = new_vectors(s->weight, left, scale, open, (int)m, n, 0.1 * tolerance * (1.0 - s->slow[0]), vectors, size);
         const int filled = found;
         t->n_blocks = (found + D - 1) / D;
         found = fill_vectors(s->weight, spare, n_spare, found, t->n_blocks * D, n, vectors);
         for (int v = 0; v < t->n_blocks * D; v++)
             put(t->block[v / D].state, v % D, v < found ? vectors + v * n : NULL, n);
-        status = beat(t, start, NULL, 0, NULL, report);
+        status = beat(t, report);
         if (status != ZOO_OK)
             break;
         n_spare = found - filled;
@@ -361,7 +381,7 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, int n_directions, zoo_point *points
     t->n_blocks = n_blocks;
     for (int r = 0; r <= max_beats && kept; r++)
         free(kept[r]);
-    double *reals[] = {start, left, vectors, spare, size, scale, scratch};
+    double *reals[] = {left, vectors, spare, size, scale};
     for (size_t i = 0; i < sizeof reals / sizeof *reals; i++)
         free(reals[i]);
     free(open);

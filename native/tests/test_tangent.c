@@ -113,6 +113,50 @@ static void solve(arguments *a, double to[3][SAMPLES])
     free(memory);
 }
 
+/* With the caller's memory or without, too little of it, and with the solve's last beat or after it. */
+static void rooms(void)
+{
+    static double found[4][3][SAMPLES];
+    zoo_report report;
+    zoo_tangent_report tangent;
+    int plain;
+    const double h = 1e-5, weight[2] = {0.5 / h, -0.5 / h};
+    make(&given, ZOO_WALL_LINEAR, 0, 0, 1);
+    static arguments near[2];
+    for (int m = 0; m < 2; m++) {
+        make(&near[m], ZOO_WALL_LINEAR, 0, 0, 1);
+        change(&near[m], 0, m ? -h : h, &plain);
+    }
+    const zoo_parameters *parameters[2] = {&near[0].t.parameters, &near[1].t.parameters};
+    const zoo_direction direction = {2, NULL, parameters, weight};
+    double *room = NULL;
+    int64_t bytes = 0;
+    for (int i = 0; i < 4; i++) {
+        given.t.problem.numerics.accelerate = i < 3;
+        const int64_t size = i == 2 ? bytes - 8 : bytes;
+        CHECK(zoo_jacobian(&given.t.problem, &given.t.parameters, 1, &direction, 1e-9, room, size, wave[0][0], wave[0][1],
+                           wave[0][2], NULL, found[i][0], found[i][1], found[i][2], &report, &tangent) == ZOO_OK);
+        CHECK(report.status == ZOO_OK && tangent.status == ZOO_OK && tangent.along == (i < 3));
+        if (i == 0) {
+            bytes = tangent.room;
+            CHECK(bytes > 0 && (room = malloc((size_t)bytes)));
+        } else {
+            CHECK(i == 3 || tangent.room == bytes);
+        }
+        CHECK(i == 0 || (room[0] != 12345.0) == (tangent.room <= size)); /* written to only when it is large enough */
+        for (int64_t k = 0; room && k < bytes / 8; k++)
+            room[k] = 12345.0;
+        CHECK(i == 3 || memcmp(found[i], found[0], sizeof found[0]) == 0);
+    }
+    for (int i = 0; i < SAMPLES; i++)
+        NEAR(found[3][0][i], found[0][0][i], 1e-6 * fabs(found[0][0][i]) + 1e-4);
+    CHECK(zoo_jacobian(&given.t.problem, &given.t.parameters, 1, &direction, 1e-9, (char *)room + 4, bytes - 8, wave[0][0], wave[0][1],
+                       wave[0][2], NULL, found[0][0], found[0][1], found[0][2], &report, &tangent) == ZOO_BAD_ARGUMENT);
+    CHECK(zoo_jacobian(&given.t.problem, &given.t.parameters, 1, &direction, 1e-9, NULL, bytes, wave[0][0], wave[0][1],
+                       wave[0][2], NULL, found[0][0], found[0][1], found[0][2], &report, &tangent) == ZOO_BAD_ARGUMENT);
+    free(room);
+}
+
 static void derivative(int wall, int added, int coupled, int windkessel)
 {
     enum { MOST = 40 };
@@ -152,14 +196,14 @@ static void derivative(int wall, int added, int coupled, int windkessel)
     }
     zoo_report report;
     zoo_tangent_report tangent;
-    CHECK(zoo_jacobian(&given.t.problem, &given.t.parameters, n, directions, 1e-9, own[0], own[1], own[2], NULL, slope[0], slope[1],
-                       slope[2], &report, &tangent) == ZOO_OK);
+    CHECK(zoo_jacobian(&given.t.problem, &given.t.parameters, n, directions, 1e-9, NULL, 0, own[0], own[1], own[2], NULL,
+                       slope[0], slope[1], slope[2], &report, &tangent) == ZOO_OK);
     CHECK(report.status == ZOO_OK && tangent.status == ZOO_OK);
     if (report.status != ZOO_OK)
         printf("%s\n", zoo_status_text(report.status));
     CHECK(tangent.residual <= 1e-9 && tangent.stepped > 0 && tangent.stepped < 2 * n);
-    printf("wall %d added %d coupled %d windkessel %d: %d directions, %d beats, %d vectors, residual %.1e, status %d %d\n", wall, added, coupled,
-           windkessel, n, tangent.beats, tangent.vectors, tangent.residual, tangent.status, tangent.direction);
+    printf("wall %d added %d coupled %d windkessel %d: %d directions, %d beats (%d along), %d vectors, residual %.1e, status %d %d\n", wall, added, coupled,
+           windkessel, n, tangent.beats, tangent.along, tangent.vectors, tangent.residual, tangent.status, tangent.direction);
     for (int d = 0; d < n; d++) {
         const double step = 4e-4, by[4] = {step, -step, 2.0 * step, -2.0 * step};
         for (int m = 0; m < 4; m++) {
@@ -188,10 +232,11 @@ static void derivative(int wall, int added, int coupled, int windkessel)
 int main(int argc, char **argv)
 {
     (void)argv;
+    rooms();
     for (int wall = 0; wall < ZOO_N_WALLS; wall++)
         for (int kind = 0; kind < 5; kind++) {
             const int added = kind > 0, coupled = kind > 2, windkessel = kind == 0 || kind % 2 == 0;
-            if (argc > 1 || (wall == ZOO_WALL_LINEAR && kind == 3) || (wall == ZOO_WALL_TANGENT && kind == 0))
+            if (argc > 1 || (wall == ZOO_WALL_LINEAR && kind == 0) || (wall == ZOO_WALL_TANGENT && kind == 3))
                 derivative(wall, added, coupled, windkessel);
         }
     return finish("tangent");

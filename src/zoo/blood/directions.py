@@ -45,9 +45,9 @@ class Derivatives:
 
     `solution` is the solve's `Solution`. `pressure_mmHg`, `flow_ml_s` and `area_cm2` have shape
     (n_directions, n_series, n_times) and are NaN where the solve, or its derivatives, failed. `beats` counts
-    linearised beats, `vectors` the starts that went through one beside the directions themselves, `stepped`
-    the points whose steps were computed one by one (geometry, blood, additions). `residual` is the estimated
-    error that is left, over a direction's largest derivative of the pressure.
+    linearised beats, the first of which was the solve's last if `along`, `vectors` the starts that went
+    through one beside the directions themselves, `stepped` the points whose steps were computed one by one
+    (geometry, blood, additions). `residual` is the estimated error that is left, over a direction's largest derivative of the pressure.
     """
 
     solution: Any
@@ -57,6 +57,7 @@ class Derivatives:
     status: int
     reason: str
     beats: int
+    along: bool
     vectors: int
     stepped: int
     residual: float

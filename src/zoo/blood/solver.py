@@ -294,7 +294,7 @@ class Solver:
     # the native structs hold pointers, so a pickle keeps the arguments and builds them again
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
-        del state["_problem"], state["_kept"], state["_workspaces"]
+        del state["_problem"], state["_kept"], state["_workspaces"], state["_rooms"]
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -348,6 +348,7 @@ class Solver:
         net, options, conventions = self.network, self.options, self.conventions
         self._kept: list[Any] = []
         self._workspaces: dict[int, Any] = {}
+        self._rooms: list[Any] = []
         problem = ffi.new("zoo_problem *")
 
         n_vessels = len(net.ids)
@@ -485,11 +486,19 @@ class Solver:
             give(outlet, "section_resistance", added.section_resistance)
             give(outlet, "section_compliance", added.section_compliance)
 
-    def _broadcast(self, values: dict[str, ArrayLike], n_sets: int) -> dict[str, Array]:
-        """Parameters as (n_sets, n_vessels), several shape parameters as (n_sets, n_shapes, n_vessels)."""
+    def _broadcast(
+        self, values: dict[str, ArrayLike], n_sets: int, known: dict[tuple[str, int], Array] | None = None
+    ) -> dict[str, Array]:
+        """Parameters as (n_sets, n_vessels), several shape parameters as (n_sets, n_shapes, n_vessels).
+
+        `known` has the rows of objects that came before, which must be alive, and gets those of new ones.
+        """
         n_vessels, n_shapes = len(self.network.ids), len(SHAPES[self.wall])
         rows = {}
         for name, value in values.items():
+            if known is not None and (name, id(value)) in known:
+                rows[name] = known[name, id(value)]
+                continue
             data = real_array(name, value, error=SolverArgumentError)
             several = (n_shapes,) if name == "gamma" and n_shapes > 1 else ()
             try:
@@ -498,6 +507,8 @@ class Solver:
                 raise SolverArgumentError(
                     f"{name}: shape {data.shape} fits neither one value nor one per vessel ({n_vessels})"
                 ) from None
+            if known is not None:
+                known[name, id(value)] = rows[name]
         return rows
 
     def _run(self, rows: dict[str, Array]) -> tuple[list[Array], Array, Any]:
@@ -689,7 +700,8 @@ class Solver:
         1
         """
         values = dict(zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True))
-        rows = self._broadcast(values, 1)
+        known: dict[tuple[str, int], Array] = {}
+        rows = self._broadcast(values, 1, known)
         n, shape = len(directions), (len(self.series), len(self.times_s))
         if n == 0:
             raise SolverArgumentError("directions: there is none; give at least one")
@@ -718,7 +730,7 @@ class Solver:
                 if solver.wall != self.wall:
                     raise SolverArgumentError(f"directions[{i}][{m}]: its solver has another wall")
                 near = (point.stiffness, point.gamma, point.psi1, point.psi2, point.c)
-                sets[m] = native(self._broadcast(dict(zip(PARAMETERS, near, strict=True)), 1))
+                sets[m] = native(self._broadcast(dict(zip(PARAMETERS, near, strict=True)), 1, known))
                 if point.solver is not None:
                     copied = ffi.new("zoo_problem *", solver._problem[0])
                     share_arrays(ffi, copied, self._problem, sizes | solver._sizes())
@@ -732,16 +744,23 @@ class Solver:
         slopes = [np.empty((n, *shape)) for _ in range(3)]
         fastest = np.empty((1, len(self.network.ids)))
         report, tangent = ffi.new("zoo_report *"), ffi.new("zoo_tangent_report *")
+        try:  # taken out while in use, as the workspaces
+            room = self._rooms.pop()
+        except IndexError:
+            room = np.empty(0, dtype=np.uint8)
         code = lib.zoo_jacobian(
             self._problem,
             own,
             n,
             built,
             tolerance,
+            ffi.from_buffer("char[]", room),
+            room.nbytes,
             *(ffi.from_buffer("double[]", array) for array in (*waves, fastest, *slopes)),
             report,
             tangent,
         )
+        self._rooms[:] = [room if tangent.room <= room.nbytes else np.empty(tangent.room, dtype=np.uint8)]
         if code != lib.ZOO_OK:
             where = f"directions[{tangent.direction}]: " if tangent.direction >= 0 else ""
             raise SolverArgumentError(where + ffi.string(lib.zoo_status_text(code)).decode())
@@ -764,6 +783,7 @@ class Solver:
             status=tangent.status,
             reason=text,
             beats=tangent.beats,
+            along=bool(tangent.along),
             vectors=tangent.vectors,
             stepped=tangent.stepped,
             residual=tangent.residual,
