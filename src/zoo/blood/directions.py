@@ -47,7 +47,8 @@ class Derivatives:
     (n_directions, n_series, n_times) and are NaN where the solve, or its derivatives, failed. `beats` counts
     linearised beats, the first of which was the solve's last if `along`, `vectors` the starts that went
     through one beside the directions themselves, `stepped` the points whose steps were computed one by one
-    (geometry, blood, additions). `residual` is the estimated error that is left, over a direction's largest derivative of the pressure.
+    (geometry, blood, additions). `residual` is the estimated error that is left, over a direction's largest
+    derivative of the pressure.
     """
 
     solution: Any
