@@ -19,9 +19,9 @@
 #include "inlet.h"
 #include "outlet.h"
 
-/* A beat is expected to be the last when the combined change is at most so many times the tolerance: what the beat then
- * leaves was 0.7 of it at most, and mostly a tenth. */
-static const double EXPECTED = 3.0;
+/* A beat is expected to be the last when the combined change is at most so many times the tolerance.  What the beat then
+ * leaves was 0.7 of it at most, and mostly a tenth; with more, derivatives are of a run too far from periodic to search by. */
+static const double EXPECTED = 1.0;
 
 /* The parts of the state in their order; one that the run does not have is empty. */
 enum { PARTS = 5 };
