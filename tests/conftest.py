@@ -51,6 +51,16 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         pytest.skip(f"{missing}: point it at the folder with the measured data")
 
 
+@pytest.fixture(autouse=True)
+def own_effects_and_models_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Effects and models that a test adds are gone after it, so that tests may run in any order."""
+    from zoo.blood import plugins
+    from zoo.blood.effects import CATALOGUE
+
+    monkeypatch.setattr(CATALOGUE, "_effects", dict(CATALOGUE))
+    monkeypatch.setattr(plugins, "USER_MODELS", dict(plugins.USER_MODELS))
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder with the measured data and the published solver's waveforms; for tests marked needs_data."""

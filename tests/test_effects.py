@@ -851,10 +851,9 @@ def test_the_document_holds_the_signatures(study: Study) -> None:
             assert float(new) == pytest.approx(float(old), rel=0.05, abs=0.011), line
 
 
-def test_the_documents_own_effect_works(case: Case, plain: Array, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_documents_own_effect_works(case: Case, plain: Array) -> None:
     blocks = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), flags=re.S)
     before = set(CATALOGUE)
-    monkeypatch.setattr(CATALOGUE, "_effects", dict(CATALOGUE))  # what the document adds is forgotten again
     for block in blocks:
         exec(compile(block, str(DOCUMENT), "exec"), {})
     (name,) = set(CATALOGUE) - before

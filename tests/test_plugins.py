@@ -12,8 +12,6 @@ import pytest
 from typer.testing import CliRunner
 
 from test_op import small_study
-from zoo.blood import plugins
-from zoo.blood.effects import CATALOGUE
 from zoo.blood.plugins import add_effects, get_model, known_name, load_models, split_name
 from zoo.blood.study import save_study
 from zoo.cli import app
@@ -51,13 +49,6 @@ BASELINE = Baseline(
 def model_area(study, **settings):
     return blood_model("area", study, BASELINE, Independent(InverseGamma(2, 0.1)), **settings)
 """
-
-
-@pytest.fixture(autouse=True)
-def forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a test adds is gone after it."""
-    monkeypatch.setattr(CATALOGUE, "_effects", dict(CATALOGUE))
-    monkeypatch.setattr(plugins, "USER_MODELS", {})
 
 
 @pytest.fixture
