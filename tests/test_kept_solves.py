@@ -139,7 +139,6 @@ def test_solves_are_written_now_and_again(tmp_path, monkeypatch):
             super().write()
 
     monkeypatch.setattr(correcting, "KeptSolves", Watched)
-
     sample_surrogate(model_of(Slow(0.002)), checkpoint=tmp_path, checkpoint_seconds=0.4, **SETTINGS)
     assert written[0] == 0
     assert 3 <= len(written) < 60

@@ -132,7 +132,7 @@ def test_trajectories_that_diverge_are_told(capsys):
     assert "diverged" not in shown
 
 
-def test_until_ess_adds_draws(monkeypatch):
+def test_until_ess_adds_draws():
     idata = sample(
         smooth_model(), method="nuts", cores=0, until_ess=400.0, **{**SETTINGS, "draws": 60, "chains": 4}
     )

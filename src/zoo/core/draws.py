@@ -19,6 +19,11 @@ def inverse_gamma_draws(
     return np.asarray(scale / np.maximum(rng.gamma(shape, size=size), scale / LARGEST_DRAW))
 
 
+def seed_or_drawn(seed: int | None) -> int:
+    """The seed that is given, or one of the operating system's."""
+    return int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else int(seed)
+
+
 def evenly(n: int, wanted: int) -> NDArray[np.int64]:
     """Which of n draws to keep, evenly from the first to the last; all of them if no more than `wanted`."""
     return np.unique(np.linspace(0, n - 1, max(1, min(n, wanted))).round().astype(np.int64))

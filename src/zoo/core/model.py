@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pymc as pm
+from numpy.typing import NDArray
 from pytensor.tensor.variable import TensorVariable
 
 from zoo.core.data import Data
@@ -176,3 +177,11 @@ def record_of(model: pm.Model) -> ModelRecord:
     if not isinstance(record, ModelRecord):
         raise ModelError("this PyMC model has no record: make it with zoo.core.model.bayesian_model")
     return record
+
+
+def theta_of(record: ModelRecord, draws: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Forward parameters (n, n_values) of draws, variable -> (n_chains, n_draws, ...) or (n, ...)."""
+    parts = []
+    for p in record.forward.parameters:
+        parts.append(np.asarray(draws[variable_name(p.name)], dtype=np.float64).reshape(-1, p.size))
+    return np.concatenate(parts, axis=1)

@@ -17,7 +17,7 @@ from zoo.core.inference.newton import GRADIENT, gauss_newton
 from zoo.core.inference.nuts import Draws, nuts
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.sampling import sample as sample_exact
-from zoo.core.model import ModelRecord, record_of
+from zoo.core.model import ModelRecord, record_of, theta_of
 from zoo.core.parameters import variable_name
 from zoo.core.surrogate.coordinates import Coordinates
 from zoo.core.surrogate.library import Library
@@ -97,14 +97,6 @@ class Built:
     def worth(self) -> float:
         """Effective share of the draws, of the part of the posterior that they come from."""
         return self.weights.effective * (1.0 - (self.missed or 0.0))
-
-
-def theta_of(record: ModelRecord, draws: Mapping[str, Array]) -> Array:
-    """Forward parameters (n, n_values) of draws, variable -> (n_chains, n_draws, ...) or (n, ...)."""
-    parts = []
-    for p in record.forward.parameters:
-        parts.append(np.asarray(draws[variable_name(p.name)], dtype=np.float64).reshape(-1, p.size))
-    return np.concatenate(parts, axis=1)
 
 
 def errors_of(record: ModelRecord, draws: Mapping[str, Array]) -> dict[str, Array]:

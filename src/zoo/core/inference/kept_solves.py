@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.draws import seed_or_drawn
 from zoo.core.inference.checkpoint import Folder, check_identity, identity_of
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.states import REMEDY, CheckpointError, read_state, write_state
@@ -28,7 +29,7 @@ class KeptSolves:
     ----------
     folder : Path
     library : Library
-        Which takes solves from there, and tells of others, until this is closed.
+        Which takes solves from there, and tells of others, within the `with` block.
     logp : LogPosterior
         Of the model that is sampled.
     settings : mapping
@@ -37,6 +38,16 @@ class KeptSolves:
         Drawn if absent, or that of the run which is there.
     every_s : float
         Seconds between writes, at least.
+
+    Attributes
+    ----------
+    seed : int
+    known : dict
+        Points, as bytes, and what the forward model gives there: series, or the kind of a failure.
+    sittings : int
+        Runs that took part, with this one.
+    text : str
+    seconds : float
 
     Raises
     ------
@@ -65,7 +76,7 @@ class KeptSolves:
             stored = read_state(self.path, OWNER) if self.path.exists() else None
             if stored is not None:
                 seed = self._take(stored, seed)
-            self.seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else int(seed)
+            self.seed = seed_or_drawn(seed)
             self.write()
         except BaseException:
             self._folder.close()
@@ -127,10 +138,7 @@ class KeptSolves:
             "series": np.array([blank if isinstance(one, str) else one for one in self._found]),
             "failed": [one if isinstance(one, str) else "" for one in self._found],
         }
-        began = time.monotonic()
-        write_state(self.path, OWNER, content)
-        took = time.monotonic() - began
-        self._written = time.monotonic() + 20 * took  # never more than a twentieth of the time
+        self._written = write_state(self.path, OWNER, content)
 
     @property
     def seconds(self) -> float:

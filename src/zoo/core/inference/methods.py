@@ -11,15 +11,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from zoo.core.forward import SolveError
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
 from zoo.core.inference.sampling import check_settings, has_gradient, sample_nuts
 from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.inference.surrogate import sample_surrogate
-from zoo.core.model import ModelError, ModelRecord, record_of
-from zoo.core.parameters import variable_name
+from zoo.core.model import ModelError, ModelRecord, record_of, theta_of
 from zoo.core.surrogate.likelihood import no_table
 from zoo.core.surrogate.model import errors_in_graph
 from zoo.core.surrogate.waveform import SurrogateError
@@ -105,7 +102,7 @@ def _seconds(logp: LogPosterior) -> float:
     forward = record.forward
     begin = logp.from_values(record.suggested) if record.suggested else logp.vector(logp.initial)
     values = logp.to_values(begin)
-    theta = np.concatenate([np.ravel(values[variable_name(p.name)]) for p in forward.parameters])
+    (theta,) = theta_of(record, {name: value[None] for name, value in values.items()})
     took = []
     for _ in range(2):
         began = time.perf_counter()

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from zoo.core.digests import of_json
+from zoo.core.draws import seed_or_drawn
 from zoo.core.inference.chain import Task
 from zoo.core.inference.checkpoint import (
     CheckpointError,
@@ -268,19 +269,16 @@ def _sample(
         logp = LogPosterior(model)
         d = len(logp.template.data)
         stored = None if folder is None else folder.run()
-        if seed is None:
-            seed = (
-                int(stored["identity"]["seed"])
-                if stored
-                else int(np.random.SeedSequence().generate_state(1)[0])
-            )
+        if seed is None and stored:
+            seed = int(stored["identity"]["seed"])
+        seed = seed_or_drawn(seed)
         settings: dict[str, Any] = {
             "step": step,
             "step options": options,
             "tune": tune,
             "thin": thin,
             "chains": chains,
-            "seed": int(seed),
+            "seed": seed,
             "start": start_settings(start),
         }
         identity = identity_of(logp, settings)
@@ -309,13 +307,13 @@ def _sample(
             beginning = None if folder is None else folder.start(run)
             if beginning is None:
                 with show.during("finding the mode", lambda: f"{logp.evaluations} evaluations"):
-                    mode = start if isinstance(start, Mode) else search_mode(logp, start, seed=int(seed))
-                    beginning = disperse(logp, mode, chains, int(seed))
+                    mode = start if isinstance(start, Mode) else search_mode(logp, start, seed=seed)
+                    beginning = disperse(logp, mode, chains, seed)
                     if has_many(logp) and not isinstance(start, Mode):
                         of_pilots = (
                             ("demetropolisz", {**DEMETROPOLISZ}) if step == "nuts" else (step, options)
                         )
-                        beginning = _improve(logp, beginning, chains, cores, int(seed), *of_pilots, show)
+                        beginning = _improve(logp, beginning, chains, cores, seed, *of_pilots, show)
                         mode = beginning.mode
                 if folder is not None:
                     folder.write_start(run, beginning)
@@ -329,7 +327,7 @@ def _sample(
             pool = _pool(
                 model,
                 beginning,
-                int(seed),
+                seed,
                 step,
                 options,
                 tune,

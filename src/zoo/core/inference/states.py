@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -89,7 +90,7 @@ _TYPES: dict[type, _Stored] = dict(
 _BY_NAME = {kind.__name__: stored for kind, stored in _TYPES.items()}
 
 
-def write_state(path: Path, owner: Mapping[str, Any], content: Mapping[str, Any]) -> None:
+def write_state(path: Path, owner: Mapping[str, Any], content: Mapping[str, Any]) -> float:
     """Replace a file in one go: a kill at any moment leaves the old one or the new one.
 
     Parameters
@@ -100,6 +101,12 @@ def write_state(path: Path, owner: Mapping[str, Any], content: Mapping[str, Any]
     content : mapping
         Numbers, texts, arrays, lists, tables, and the types of the step methods.
 
+    Returns
+    -------
+    float
+        Time (that of time.monotonic, in s) from which the wait for the next write counts: so late that
+        writing never takes more than a twentieth of a run.
+
     Raises
     ------
     SamplingError
@@ -107,12 +114,14 @@ def write_state(path: Path, owner: Mapping[str, Any], content: Mapping[str, Any]
     zoo.core.outputs.OutputFileError
         If the file cannot be written.
     """
+    began = time.monotonic()
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps({"owner": dict(owner), "content": _packed(dict(content), arrays)})
     archive = io.BytesIO()
     np.savez(archive, content=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)  # type: ignore[arg-type]
     body = archive.getvalue()
     write_file(path, of_bytes(body).encode() + b"\n" + body)
+    return time.monotonic() + 20 * (time.monotonic() - began)
 
 
 def read_state(path: Path, owner: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.draws import seed_or_drawn
 from zoo.core.inference.building import (
     JUMP_THIN,
     JUMP_TUNE,
@@ -142,7 +143,7 @@ def sample_surrogate(
         fixed = {"step": "surrogate", "tune": tune, "chains": chains, "start": start_settings(start)}
         store = KeptSolves(Path(checkpoint), library, logp, fixed, seed, checkpoint_seconds)
         seed = store.seed
-    seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else int(seed)
+    seed = seed_or_drawn(seed)
     with (
         store or contextlib.nullcontext(),
         Display(progress, tune=tune, thin=THIN, cores=cores, ess=until_ess) as show,
@@ -161,26 +162,26 @@ def sample_surrogate(
         building = library.solves - before
         limit = max_draws or MOST_DRAWS * draws
         kept, again = draws, 0
-        solved: _Solved | None = None
+        weighed: _Weighed | None = None
         while True:
-            solved = _solved(builder, built, solved, kept, tune, chains, last=again == REFITS)
-            if solved.bad and again < REFITS:
+            weighed = _draw_and_weigh(builder, built, weighed, kept, tune, chains, last=again == REFITS)
+            if weighed.bad and again < REFITS:
                 again += 1
-                weights = solved.weights
+                weights = weighed.weights
                 show.say(
                     f"k-hat {weights.k_hat:.2f} of {weights.smoothed.size} draws of the surrogate"
-                    f"{missed_words(solved.missed)}: they join its design"
+                    f"{missed_words(weighed.missed)}: they join its design"
                 )
-                built = builder.again(built, solved.draws, solved.weights, solved.missed)
-                solved = None
+                built = builder.again(built, weighed.draws, weighed.weights, weighed.missed)
+                weighed = None
                 continue
-            if misses_much(solved.missed):
-                share = 100 * (solved.missed or 0.0)
+            if misses_much(weighed.missed):
+                share = 100 * (weighed.missed or 0.0)
                 raise SurrogateError(
                     f"model {model_name(model)}: the surrogate misses at least {share:.0f} % of the "
                     "posterior, which no weights of its draws can mend; sample with method exact"
                 )
-            result = _corrected(builder, built, solved)
+            result = _corrected(builder, built, weighed)
             verdict = check_convergence(result.draws, ess=goal)
             if until_ess is None or verdict.passes or kept >= limit:
                 break
@@ -221,7 +222,7 @@ def sample_surrogate(
                 "power": built.made.power,
                 "k_hat": result.weights.k_hat,
                 "effective share": result.weights.effective,
-                "missed share": solved.missed,
+                "missed share": weighed.missed,
                 "gradients of the surrogate": builder.gradients,
                 "processor seconds": time.process_time() - used,
                 "rounds": built.log,
@@ -246,7 +247,7 @@ def sample_surrogate(
 
 
 @dataclass(frozen=True)
-class _Solved:
+class _Weighed:
     """Draws of a surrogate, variable -> (n_chains, n_draws, ...), and what the forward model says of them.
 
     Where the first that are solved say that the surrogate is bad, the others are not, and `log_weights` are
@@ -272,16 +273,16 @@ class _Corrected:
     accepted: Array | None = None
 
 
-def _solved(
+def _draw_and_weigh(
     builder: Builder,
     built: Built,
-    before: _Solved | None,
+    before: _Weighed | None,
     kept: int,
     tune: int,
     chains: int,
     *,
     last: bool,
-) -> _Solved:
+) -> _Weighed:
     """As many draws of each chain as are wanted, those that were solved before among them.
 
     `last` says that no better surrogate will be made: draws that have bad weights are solved too.
@@ -297,7 +298,7 @@ def _solved(
         missed = builder.missed(built.made, flat, lacks)
         weights = pareto_weights(log_weights[first][None])
         if misses_much(missed) or not (last or builder.sound(weights)):
-            return _Solved(draws, None, weights, missed, bad=True)
+            return _Weighed(draws, None, weights, missed, bad=True)
     else:
         missed = before.missed
     log_weights[~first], _ = builder.compared(built.made, some_draws(flat, ~first), keep=True)
@@ -306,7 +307,7 @@ def _solved(
         draws = {n: np.concatenate([before.draws[n], v], axis=1) for n, v in draws.items()}
         each = np.concatenate([before.log_weights, each], axis=1)
     weights = pareto_weights(each)
-    return _Solved(draws, each, weights, missed, bad=not weights.trusted or misses_much(missed))
+    return _Weighed(draws, each, weights, missed, bad=not weights.trusted or misses_much(missed))
 
 
 def _drawn(builder: Builder, built: Built, kept: int, tune: int, chains: int) -> Draws:
@@ -336,9 +337,9 @@ def _drawn(builder: Builder, built: Built, kept: int, tune: int, chains: int) ->
     return draws
 
 
-def _corrected(builder: Builder, built: Built, solved: _Solved) -> _Corrected:
+def _corrected(builder: Builder, built: Built, weighed: _Weighed) -> _Corrected:
     """Weighed draws resampled along their chains, or where k-hat says no chains of delayed acceptance."""
-    draws, log_weights, weights = solved.draws, solved.log_weights, solved.weights
+    draws, log_weights, weights = weighed.draws, weighed.log_weights, weighed.weights
     assert log_weights is not None
     if not weights.trusted:
         return _by_delayed_acceptance(builder, built, draws, log_weights, weights)
