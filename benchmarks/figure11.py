@@ -42,8 +42,8 @@ def posterior(
         return load(path)
     ess = given.ess if method == "exact" else 400.0
     idata = sample(
-        get_model(name)(study), method=method, draws=1000, until_ess=ess, max_draws=20_000, cores=given.cores,
-        seed=given.seed,
+        get_model(name)(study), method=method, draws=1000, until_ess=ess, max_draws=40_000, cores=given.cores,
+        seed=given.seed, checkpoint=path.with_suffix(".checkpoint"),
     )  # fmt: skip
     save(idata, path)
     return idata
