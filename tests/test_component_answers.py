@@ -9,7 +9,7 @@ import numpy as np
 from test_component_weighing import EFFECTS, FUNCTIONS, KNOTS, MODEL, TIMES, data_of, hooks, of
 from zoo.core.data import Data
 from zoo.core.diagnosis import diagnose
-from zoo.core.diagnosis.answer import FitDiscrepancy, _no_more
+from zoo.core.diagnosis.answer import FitDiscrepancy, _no_more, _two
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.parameters import Parameter, Uniform
 
@@ -48,7 +48,19 @@ def test_one_series_does_not_tell_two_causes_and_the_answer_says_so() -> None:
     for data, of_it, said in ((single, model, True), (both, MODEL, False)):
         found = diagnose(data, of_it, [], hooks=hooks(FUNCTIONS))
         assert found.cause[0] == "inflow"
-        assert any("one component alone is wrong" in w for w in found.file.warnings) is said
+        warned = [w for w in found.file.warnings if "two causes at once cannot be told from one" in w]
+        assert bool(warned) is said
+        if said:
+            assert (
+                f"components are wrong, {found.rounds[0].untold:.0%}, is shared equally by all" in warned[0]
+            )
+
+
+def test_a_probability_that_rounds_to_nothing_is_not_said_to_be_shared() -> None:
+    assert "shared equally" in _two(0.006)
+    assert (
+        _two(0.004) == "each probability is that of a component that is wrong, alone or beside something else"
+    )
 
 
 def test_a_leader_that_can_hardly_be_is_told() -> None:

@@ -16,10 +16,13 @@ from test_component_weighing import (
     OWN,
     PUSH,
     TIMES,
+    TWIN,
     data_of,
     hooks,
     of,
+    solve,
 )
+from zoo.core.data import Data
 from zoo.core.diagnosis import diagnose
 from zoo.core.diagnosis.components.pairs import _alone, _with_each, pairs_of
 from zoo.core.diagnosis.components.refining import Component, explain
@@ -27,6 +30,7 @@ from zoo.core.diagnosis.components.weighing import SIZES
 from zoo.core.diagnosis.scoring import score
 from zoo.core.diagnosis.screening import DELTA_GRID, Screening
 from zoo.core.errors.spectral import Harmonics
+from zoo.core.forward import FunctionModel, Outputs
 
 PUSHED = 0.15 * np.sin(4 * np.pi * TIMES + 0.5)
 
@@ -180,3 +184,38 @@ def test_one_cause_is_no_pair() -> None:
     assert not any(c.one_of_several for c in found.file.components)
     total = sum(c.probability for c in found.file.components)
     assert total <= 1.0 + 1e-9
+
+
+def one_series(given: dict[str, np.ndarray]) -> tuple[Data, FunctionModel]:
+    """The first of both sensors."""
+    data = data_of(given)
+    alone = Data(TIMES, data.values[:1], labels=["y1"], units=["K"], groups=["y"], period=1.0, name="toy")
+    model = FunctionModel(
+        lambda configuration, times: solve(configuration, times)[:1],
+        MODEL.parameters, Outputs(("y1",), TIMES), "toy",
+    )  # fmt: skip
+    return alone, model
+
+
+def test_of_one_series_two_components_stay_possible_and_count_for_all_alike() -> None:
+    """Each of the three pairs draws it as well as the better of its two, with a tenth of the prior of one."""
+    data, model = one_series({"push": PUSHED})
+    found = diagnose(data, model, [], hooks=hooks([LAW, PUSH, TWIN]), max_effects=1)
+    scored = found.rounds[0]
+    z = {name: c.log_z for name, c in scored.components.items()}
+    assert z["inflow"] == pytest.approx(z["outlets"], abs=0.1)
+    assert z["wall"] < z["inflow"] - 10.0
+    # three pairs have 0.1 of the prior of all three components, so each has that of one over ten
+    assert scored.untold == pytest.approx(0.1 * 3 * scored.probability["inflow"], rel=0.05)
+    assert of(found, "wall").probability == pytest.approx(scored.untold / 3, abs=0.01)
+    assert sum(c.probability for c in found.file.components) <= 1.0 + 1e-9
+    assert any(f"are wrong, {scored.untold:.0%}, is shared equally" in w for w in found.file.warnings)
+    both = diagnose(data_of({"push": PUSHED}), MODEL, [], hooks=hooks([LAW, PUSH, TWIN]), max_effects=1)
+    assert both.rounds[0].untold == 0.0
+
+
+def test_of_one_series_that_no_component_explains_two_are_not_likely() -> None:
+    data, model = one_series({})
+    scored = diagnose(data, model, [], hooks=hooks([LAW, PUSH, TWIN]), max_effects=1).rounds[0]
+    assert scored.leader == "no-gap"
+    assert scored.untold < 0.05

@@ -382,16 +382,20 @@ def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
             "discrepancy goes with it: most has another cause"
         )
     if data.n_series < SERIES and scored.components:
-        found.append(
-            "from one series two causes at once cannot be told from one: these probabilities are for a "
-            "baseline of which one component alone is wrong, and too sure where there may be two"
-        )
+        found.append(f"from one series two causes at once cannot be told from one: {_two(scored.untold)}")
     found += _bounds_beside(scored, leader, stuck)
     if leader in scored.locations:
         found += _bounds_of_effect(scored, leader)
     elif scored.locations:  # a bound may hold a listed effect back
         found += _bounds_of_effect(scored, max(scored.locations, key=lambda n: scored.log_z[n]))
     return found
+
+
+def _two(untold: float) -> str:
+    """What the probabilities of components of one series say where two are wrong."""
+    if (share := f"{untold:.0%}") == "0%":
+        return "each probability is that of a component that is wrong, alone or beside something else"
+    return f"the probability that two components are wrong, {share}, is shared equally by all components"
 
 
 def _bounds_beside(scored: Scored, name: str, stuck: set[str]) -> list[str]:

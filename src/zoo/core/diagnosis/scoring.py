@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from zoo.core.diagnosis.components.likeness import left_of
-from zoo.core.diagnosis.components.pairs import Pair
+from zoo.core.diagnosis.components.pairs import SERIES, Pair
 from zoo.core.diagnosis.components.refining import Component, Explained
 from zoo.core.diagnosis.components.subsets import Several
 from zoo.core.diagnosis.evidence import Fit
@@ -54,8 +55,8 @@ class Scored:
     `more` are the probabilities of listed effects with something else beside them, which are no part of their
     own `probability`; `explained` are the components, whose free functions are hypotheses by the component's
     name; `pairs` are two of them together with their probability, which counts for the one with more
-    evidence by itself; `belongs` is the component of each listed effect; `several` are sets of listed effects
-    together.
+    evidence by itself; `untold` is the probability of two components of which the data cannot say which;
+    `belongs` is the component of each listed effect; `several` are sets of listed effects together.
     """
 
     screened: Screened
@@ -73,6 +74,7 @@ class Scored:
     belongs: Mapping[str, str] = field(default_factory=dict)
     several: Several | None = None
     pairs: tuple[tuple[Pair, float], ...] = ()
+    untold: float = 0.0
 
     @property
     def components(self) -> Mapping[str, Component]:
@@ -96,8 +98,12 @@ class Scored:
 
     @property
     def of_component(self) -> dict[str, float]:
-        """Probability of each component: of its free functions, and of listed effects that belong to it."""
-        found = {name: self.standing(name) for name in self.components}
+        """Probability of each component: of its free functions, and of listed effects that belong to it.
+
+        That of two components of which the data cannot say which counts for all alike.
+        """
+        each = self.untold / max(1, len(self.components))
+        found = {name: self.standing(name) + each for name in self.components}
         for name, component in self.belongs.items():
             if name in self.probability:
                 found[component] = found.get(component, 0.0) + self.standing(name)
@@ -242,6 +248,16 @@ def log_prior_of_a_pair(prior: Mapping[str, float], components: Collection[str])
     return math.log(PRIOR_NONPARAMETRIC * sum(prior[name] for name in components) / (n * (n - 1) / 2))
 
 
+def _log_untold(prior: Mapping[str, float], components: Mapping[str, Component]) -> float:
+    """Log probability, not normalised, of any two components where their pairs cannot be weighed.
+
+    Two draw a single series at least as well as the better of them does alone.
+    """
+    return log_prior_of_a_pair(prior, components) + float(
+        logsumexp([max(a.log_z, b.log_z) for a, b in combinations(components.values(), 2)])
+    )
+
+
 def score(
     screened: Screened,
     explained: Explained | None = None,
@@ -335,7 +351,9 @@ def score(
     little = min(most, LEFT_BY_TWO * floor)
     pairs = [pair for pair in pairs if screening.missed(pair.fit) - floor < little]
     log_pairs = [log_prior_of_a_pair(prior, components) + pair.log_evidence for pair in pairs]
-    norm = float(logsumexp([*log_p.values(), *log_more.values(), *log_pairs]))
+    single = screening.data.n_series < SERIES and len(components) > 1
+    log_untold = _log_untold(prior, components) if single else -math.inf
+    norm = float(logsumexp([*log_p.values(), *log_more.values(), *log_pairs, log_untold]))
     probability = {n: math.exp(log_p[n] - norm) if n in log_p else 0.0 for n in log_z}
     and_more = {n: math.exp(z - norm) for n, z in log_more.items()}
     together = tuple((pair, math.exp(z - norm)) for pair, z in zip(pairs, log_pairs, strict=True))
@@ -362,4 +380,5 @@ def score(
         explained,
         dict(belongs or {}),
         pairs=together,
+        untold=math.exp(log_untold - norm),
     )
