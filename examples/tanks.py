@@ -31,7 +31,7 @@ from scipy.signal import lfilter
 
 from zoo.blood.fetch import fetch_file
 from zoo.core.data import Data
-from zoo.core.diagnosis import Diagnosis, diagnose
+from zoo.core.diagnosis import Diagnosis, Hooks, diagnose
 from zoo.core.effects import Effect, EffectParameter, Location, effect, with_effects
 from zoo.core.errors.spectral import Cosines
 from zoo.core.forward import FunctionModel, Outputs
@@ -419,8 +419,10 @@ no place but in the effects."""
 
 
 def diagnosed(record: dict[str, Array]) -> Diagnosis:
-    """The diagnosis of the estimation record."""
-    return diagnose(data(record["yEst"]), tanks(record["uEst"]), EFFECTS, errors=ERRORS)
+    """The diagnosis of the estimation record; a level that reaches a rim makes a kink in the parameters."""
+    return diagnose(
+        data(record["yEst"]), tanks(record["uEst"]), EFFECTS, errors=ERRORS, hooks=Hooks(kinks=True)
+    )
 
 
 def predictions(found: Diagnosis, u: Array) -> dict[str, Array]:

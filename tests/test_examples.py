@@ -337,14 +337,14 @@ def test_the_tanks_overflow(data_dir: Path, tmp_path: Path) -> None:
     record = tanks.read(data_dir / "cascaded-tanks" / "dataBenchmark.csv")
     found = tanks.diagnosed(record)
     assert "upper-overflow" in found.cause
-    assert [step.name for step in found.file.steps] == ["upper-overflow", "lower-overflow", "pump-dead-zone"]
+    assert [step.name for step in found.file.steps] == ["upper-overflow", "lower-overflow", "lower-exponent"]
     errors = {
         name: tanks.rms(record["yVal"] - level)
         for name, level in tanks.predictions(found, record["uVal"]).items()
     }
     assert errors["upper-overflow + lower-overflow"] <= 0.85 * errors["baseline"]
     # the third stands beside something else, and yet predicts the other record better
-    assert errors["upper-overflow + lower-overflow + pump-dead-zone"] <= 0.6 * errors["baseline"]
+    assert errors["upper-overflow + lower-overflow + lower-exponent"] <= 0.6 * errors["baseline"]
     assert errors["baseline"] == pytest.approx(0.67, abs=0.02)
     tanks.figure(found, record, tmp_path / "figure.png")
     assert (tmp_path / "figure.png").stat().st_size > 10_000

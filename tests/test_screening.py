@@ -452,3 +452,57 @@ def test_an_effect_that_was_added_is_tried_elsewhere_only() -> None:
     assert list(beside.hypotheses) == ["stenosis"]
     for hypothesis in beside.hypotheses["stenosis"][:2]:
         beside.forward(hypothesis)
+
+
+class Kinked:
+    """y = (u0, |u1 - 1|, 2 u1) with flat priors: at u1 = 1 derivatives of either side mislead."""
+
+    low, high, units = np.array([-5.0, -5.0]), np.array([5.0, 5.0]), np.ones(2)
+    last_failure = ""
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        return np.array([u[0], 30.0 * abs(u[1] - 1.0), 2.0 * u[1]])
+
+    def prior(self, u: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        return 0.0, np.zeros(2), np.zeros(2)
+
+
+def test_a_search_without_derivatives_ends_in_a_kink() -> None:
+    search = Search(Kinked(), np.array([0.5, 0.0, 4.0]), np.full(3, 0.01))  # type: ignore[type-var]
+    start = search.at(np.array([0.0, 1.05]))
+    found = search.polish(start, np.array([0.1, 0.02]), 100)
+    # beyond the kink: 900 (u - 1)^2 + 4 (u - 2)^2, over 2 S
+    best = (900.0 + 8.0) / 904.0
+    np.testing.assert_allclose(found.u, [0.5, best], atol=5e-3)
+    assert found.cost == pytest.approx(search.cost(found.u, Kinked()(found.u)))
+    nowhere = search.polish(found, np.array([0.1, 0.02]), 0)
+    assert nowhere.cost == found.cost  # a point is never left for a worse one
+
+
+@pytest.mark.parametrize(("slope", "cut"), [(30.0, False), (-30.0, True)])
+def test_evidence_counts_no_more_than_a_solve_delivers(slope: float, cut: bool) -> None:
+    """A derivative from the wrong side of a kink promises a gain; the right one keeps its promise."""
+    forward, S = Kinked(), np.full(3, 0.01)
+    u = np.array([0.5, 1.02])
+    computed = forward(u)
+    jacobian = np.array([[1.0, 0.0], [0.0, slope], [0.0, 2.0]])
+    data = np.array([0.5, 0.0 if slope > 0 else 2.0, 2.04])
+    residual = data - computed
+    mean = u + np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+    fit = SimpleNamespace(
+        forward=forward, u=u, computed=computed, jacobian=jacobian, errors={}, mean=mean, log_z=-7.0
+    )
+    promised = 50.0 * float(residual @ residual) - 50.0 * float(
+        np.sum((residual - jacobian @ (mean - u)) ** 2)
+    )
+    assert promised > 1.0
+    screening = SimpleNamespace(
+        kinks=True, coefficients=data, errors=SimpleNamespace(variances=lambda errors: S)
+    )
+    there = data - forward(mean)
+    gained = max(0.0, 50.0 * float(residual @ residual) - 50.0 * float(there @ there))
+    assert (gained < promised - 1.0) == cut
+    delivered = Screening.delivered(screening, fit)  # type: ignore[arg-type]
+    assert delivered == pytest.approx(-7.0 - max(0.0, promised - gained))
+    smooth = SimpleNamespace(**{**vars(screening), "kinks": False})
+    assert Screening.delivered(smooth, fit) == -7.0  # type: ignore[arg-type]

@@ -355,6 +355,7 @@ def diagnose(
             added=added,
             start=start,
             smooth=hooks.smooth,
+            kinks=hooks.kinks,
             cores=cores,
             tick=tick,
         )

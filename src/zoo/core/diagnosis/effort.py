@@ -10,6 +10,8 @@ BASE_TURNS, BASE_STEPS = 3, 8
 START_STEPS, AGAIN_STEPS, AGAIN_ROUNDS, AGAIN_TURNS = 12, 15, 6, 3
 """Steps of a descent from each start, in the first search and in the second; rounds of fresh differences in
 the second, and turns in which fit and noise are found."""
+POLISHED = 50
+"""Solves of a simplex search for each parameter, where kinks make a linearisation promise too much."""
 RETREAT = 0.3
 """Part of a start that is tried where the start cannot be solved; step of a shape, in units of the search."""
 SHAPES = (0.0, -0.7, 1.5)

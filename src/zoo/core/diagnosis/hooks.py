@@ -66,6 +66,10 @@ class Hooks:
     smooth : bool
         Whether solutions are smooth in the parameters down to rounding, so that a fit may end with
         differences as fine as its posterior; false for a solver whose time step follows its parameters.
+    kinks : bool
+        Whether solutions have kinks in the parameters, as where a level reaches a rim. Searches then go on
+        without derivatives where these promise what no solve delivers, start where the best rival ended
+        too, and no evidence counts more than was delivered.
     components : callable
         ``components(baseline, theta (n_values,), data) -> sequence of FreeFunction``: functions that
         components of the simulator may lack, for the baseline at those values of its parameters; none if
@@ -84,6 +88,7 @@ class Hooks:
     advice: str = "check units, inputs and parameters"
     warnings: tuple[str, ...] = ()
     smooth: bool = True
+    kinks: bool = False
     components: Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]] | None = None
     component_of: Callable[[Effect], str] = attrgetter("family")
     plausible: Callable[[FreeFunction, Array], tuple[bool, str]] | None = None

@@ -50,6 +50,8 @@ BATCH = 128
 MULTISTARTED = 4
 """How many of the best explanations are searched again beside the noise alone, with all that have a shape;
 where nothing listed leads, every effect is, at its best location."""
+PROMISED = 1.0
+"""Gain of the log posterior that a linearisation may promise unchecked; above it, a solve is what counts."""
 
 
 def _silent(text: str, share: float) -> None:
@@ -93,6 +95,8 @@ class Screening:
         screening found; their own start if absent.
     smooth : bool
         Whether fits end with fine differences, as in `Hooks`.
+    kinks : bool
+        Whether solutions have kinks in the parameters, as in `Hooks`.
     cores : int
         Threads that solve.
     tick : callable, optional
@@ -109,6 +113,7 @@ class Screening:
         added: Sequence[AddedEffect] = (),
         start: Array | None = None,
         smooth: bool = True,
+        kinks: bool = False,
         cores: int = 2,
         tick: Callable[[str, float], None] | None = None,
     ) -> None:
@@ -117,7 +122,7 @@ class Screening:
         self.errors = errors.bind(data)
         self.coefficients = self.errors.flat(data.values)
         self.added = tuple(added)
-        self.start, self.smooth = start, smooth
+        self.start, self.smooth, self.kinks = start, smooth, kinks
         self.cores = cores
         self._tick = tick or _silent
         self.forwards: list[HypothesisModel] = []
@@ -274,14 +279,18 @@ class Screening:
         # loose errors first: far from the mode a tenth of the range is what the linearisation is good for
         S = self.errors.variances({q: GroupErrors(effort.FAR * size) for q, size in self.range.items()})
         search = Search(forward, self.coefficients, S)
-        start = forward.start if self.start is None else self.start
-        point = search.refine(
-            search.descend(search.at(start), effort.FAR_STEPS, effort.FAR_GAIN), effort.FAR_ROUNDS
-        )
+        start = search.at(forward.start if self.start is None else self.start)
+        far = search.refine(search.descend(start, effort.FAR_STEPS, effort.FAR_GAIN), effort.FAR_ROUNDS)
+        # what an earlier screening found is not to be lost on the way
+        starts = [far, start] if self.kinks and self.start is not None else [far]
+        return max((self._turned(forward, point) for point in starts), key=lambda fit: fit.log_z)
+
+    def _turned(self, forward: HypothesisModel, point: Point) -> Fit:
+        """The baseline and its noise, fitted in turns from a point on."""
         for _ in range(effort.BASE_TURNS):
             errors = self._noise(self.coefficients - point.computed, self.numerics())
             search = Search(forward, self.coefficients, self.errors.variances(errors))
-            point = replace(point, cost=search.cost(point.u, point.computed))
+            point = search.resume(point)
             before = point.cost
             point = search.refine(point, 2, fine=self.smooth)
             if before - point.cost < SETTLED:
@@ -417,6 +426,37 @@ class Screening:
                 continue
             if point.cost < best.cost:
                 best = point
+        return self.settled(fit, best, noise, allowances)
+
+    def elsewhere(
+        self, fit: Fit, other: Fit, noise: Mapping[str, GroupErrors], allowances: Mapping[str, float]
+    ) -> Fit:
+        """A fit searched again from where another explanation has the parameters that both share.
+
+        Where the solution has kinks, two searches from one start may end in different modes, and rounding
+        decides which; what one explanation found, its rivals try.
+        """
+        search = Search(fit.forward, self.coefficients, self.beside(noise, self.numerics()))
+        n = fit.forward.asked
+        own = search.resume(fit)
+        u = np.concatenate([other.u[:n], fit.u[n:]])
+        jacobian = np.hstack([other.jacobian[:, :n], fit.jacobian[:, n:]])
+        try:
+            start = search.at(u, jacobian)
+        except SearchError:
+            return fit
+        best = search.refine(start, effort.AGAIN_ROUNDS, effort.AGAIN_STEPS)
+        return fit if own.cost - best.cost < SETTLED else self.settled(fit, best, noise, allowances)
+
+    def settled(
+        self,
+        fit: Fit,
+        best: Point,
+        noise: Mapping[str, GroupErrors],
+        allowances: Mapping[str, float],
+    ) -> Fit:
+        """The evidence at a point, after turns of its search and its noise, and no less than a fit's own."""
+        search = Search(fit.forward, self.coefficients, self.beside(noise, self.numerics()))
         found = self.evidence(
             fit.forward,
             search.refine(best, effort.AGAIN_ROUNDS, effort.AGAIN_STEPS, fine=self.smooth),
@@ -426,12 +466,33 @@ class Screening:
             search = Search(fit.forward, self.coefficients, self.beside(found.errors, self.numerics()))
             best = search.resume(found)
             before = best.cost
+            if found.log_z - self.delivered(found) > PROMISED:  # at a kink derivatives mislead
+                best = search.polish(best, found.sd, effort.POLISHED)
             best = search.refine(best, effort.AGAIN_ROUNDS, effort.AGAIN_STEPS, fine=self.smooth)
             found = self.evidence(fit.forward, best, allowances)
             if before - best.cost < SETTLED:
                 break
         # both linearise one posterior, and what lies off the mode may promise more than is there
-        return replace(found, log_z=max(found.log_z, fit.log_z))
+        return replace(found, log_z=max(self.delivered(found), self.delivered(fit)))
+
+    def delivered(self, fit: Fit) -> float:
+        """Log evidence of a fit whose linearised model gains no more, at its mode, than a solve there does.
+
+        log Z - max(0, G' - max(0, G)), G the log posterior gained from the fit's point to the mode that its
+        linearisation sees, G' what the linearisation says of it. At a kink a difference to one side promises
+        what is not there; where no kinks are expected, log Z.
+        """
+        if not self.kinks:
+            return fit.log_z
+        search = Search(fit.forward, self.coefficients, self.errors.variances(fit.errors))
+        here = search.cost(fit.u, fit.computed)
+        aim = np.clip(fit.mean, fit.forward.low, fit.forward.high)
+        promised = here - search.cost(aim, fit.computed + fit.jacobian @ (aim - fit.u))
+        if promised < PROMISED:
+            return fit.log_z
+        computed = fit.forward(aim)
+        gained = 0.0 if computed is None else max(0.0, here - search.cost(aim, computed))
+        return fit.log_z - max(0.0, promised - gained)
 
     @staticmethod
     def _start(parameters: Sequence[EffectParameter], first: float) -> Array:
@@ -514,6 +575,7 @@ class Screening:
         if stop_at_noise and odds > 0.0:
             self.hypotheses = {}
         fits: dict[Hypothesis, Fit] = {}
+        rivals: list[Hypothesis] = []
 
         def one(h: Hypothesis) -> tuple[Hypothesis, Fit | None]:
             return h, self.fit_effect(h, base, S, allowances)
@@ -525,6 +587,10 @@ class Screening:
 
         def from_all_starts(h: Hypothesis) -> tuple[Hypothesis, Fit]:
             return h, self.multistart(fits[h], base, noise, allowances)
+
+        def from_the_best_rival(h: Hypothesis) -> tuple[Hypothesis, Fit]:
+            others = [fits[one] for one in rivals if one.name != h.name]
+            return h, self.elsewhere(fits[h], others[0], noise, allowances) if others else fits[h]
 
         with ThreadPoolExecutor(max(1, self.cores)) as pool:
             jobs = []
@@ -550,7 +616,12 @@ class Screening:
             shaped = [h for h in best_of.values() if everyone or len(h.effect.parameters) > 1]
             again_from_all = list(dict.fromkeys([*ranked[:MULTISTARTED], *shaped]))
             for done, (h, fit) in enumerate(pool.map(from_all_starts, again_from_all), 1):
-                self.tick(h.name, 0.95 + 0.05 * done / len(again_from_all))
+                self.tick(h.name, 0.95 + 0.03 * done / len(again_from_all))
+                fits[h] = fit
+            if self.kinks:
+                rivals = sorted(again_from_all, key=lambda h: -fits[h].log_z)[:MULTISTARTED]
+            for done, (h, fit) in enumerate(pool.map(from_the_best_rival, rivals), 1):
+                self.tick(h.name, 0.98 + 0.02 * done / len(rivals))
                 fits[h] = fit
         # the best explanation of all leaves the noise: a free discrepancy takes some of it along
         best = max((unlisted, correlated, *fits.values()), key=lambda f: f.log_z)
