@@ -26,6 +26,8 @@ GAIN, STANDSTILL = 0.02, 1e-5
 """Gain of the log posterior, and step in units of the search, below which a descent ends."""
 SETTLED = 0.1
 """Gain below which a search with fresh differences ends."""
+LARGEST_SIMPLEX = 0.25
+"""Largest side of the first simplex of a search without derivatives, in parts of a coordinate's range."""
 ROUNDS, ITERATIONS = 3, 6
 """Rounds of fresh differences, and steps in each, where no other number is given."""
 DAMPING, NO_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e4
@@ -224,11 +226,11 @@ class Search(Generic[F]):
     def polish(self, point: Point, sd: Array, evaluations: int) -> Point:
         """The simplex search of Nelder and Mead from a point, for a posterior with kinks; no derivatives.
 
-        The first simplex has the size of the posterior, `sd` (d,); it ends after `evaluations` solves a
-        parameter. The Jacobian stays that of the point.
+        The first simplex has the size of the posterior, `sd` (d,), or `LARGEST_SIMPLEX` of the range; it ends
+        after `evaluations` solves a parameter. The Jacobian stays that of the point.
         """
         low, high = self.forward.low, self.forward.high
-        step = np.minimum(sd, 0.25 * (high - low))
+        step = np.minimum(sd, LARGEST_SIMPLEX * (high - low))
         step = np.where(point.u + step > high, -step, step)
 
         def cost(u: Array) -> float:
