@@ -14,18 +14,21 @@ import pytensor.tensor as pt
 import pytest
 from pytensor.gradient import verify_grad
 
+from made import THETA, baseline_of
 from test_op import POINT, at, flow, small_study
 from zoo.blood.baseline import get_baseline
+from zoo.blood.derivatives import same_run
 from zoo.blood.directions import Derivatives, Point
+from zoo.blood.effects import CATALOGUE
 from zoo.blood.effects.given import added_effects
 from zoo.blood.solve_errors import NoDerivativeError, SolverArgumentError
 from zoo.blood.solver import Solver, SolverOptions
-from zoo.blood.study import Study
+from zoo.blood.study import Study, load_study
 from zoo.core.derivatives import jacobian
-from zoo.core.effects import with_effects
+from zoo.core.effects import EVERYWHERE, with_effects
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.op import ForwardOp, MissingGradientError, observed_series
-from zoo.core.parameters import Parameter, Uniform
+from zoo.core.parameters import Parameter, Uniform, pack
 
 EXACT = SolverOptions(dx_cm=0.05, steps_per_beat=2048, tolerance_mmHg=1e-10, max_beats=300)
 """Fixed steps, and so near the periodic state that differences are of the discrete solution's rounding."""
@@ -217,3 +220,51 @@ def test_nuts_and_find_map(study: Study) -> None:
     assert abs(best["c"] - 1.2) < 0.02
     assert abs(float(trace.posterior["psi2"].mean()) - 0.9) < 0.01
     assert float(trace.sample_stats["diverging"].mean()) < 0.05
+
+
+NONE_AT_ZERO = ("tangent-wall", "velocity-profile")
+"""Effects that have no derivative at size zero, and say so."""
+
+
+@pytest.mark.parametrize(
+    "name", [n for n, e in CATALOGUE.items() if e.apply is not None and n not in NONE_AT_ZERO]
+)
+def test_an_effect_has_its_derivative_where_it_begins(name: str) -> None:
+    """At size zero many are absent from the run, whose state may then be another; samplers begin there."""
+    base = baseline_of(load_study("demo"))
+    effect = CATALOGUE[name]
+    model = with_effects(base, [effect.at(effect.locations(base)[0])])
+    theta, shape = pack(base.parameters, THETA), [p.centre for p in effect.parameters[1:]]
+
+    def solve(size: float) -> np.ndarray:
+        return np.asarray(model.solve(model.configure(np.concatenate([theta, [size], shape]))))
+
+    found = jacobian(model, np.concatenate([theta, [0.0], shape]))
+    assert found is not None
+    np.testing.assert_allclose(found.values, solve(0.0), atol=1e-5)
+    h = 0.01 * effect.parameters[0].scale
+    expected = (4 * solve(h) - solve(2 * h) - 3 * solve(0.0)) / (2 * h)
+    slope = found.slopes[len(theta)]
+    if name == "beat-jitter":  # it averages over beats: the same to either side of zero
+        assert np.abs(slope).max() < 0.1 * np.abs(found.slopes).max()
+        return
+    assert np.any(slope != 0)
+    assert np.linalg.norm(slope - expected) < 0.03 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("name", NONE_AT_ZERO)
+def test_an_effect_without_a_derivative_where_it_begins_says_so(name: str) -> None:
+    base = baseline_of(load_study("demo"))
+    model = with_effects(base, [CATALOGUE[name].at(EVERYWHERE)])
+    with pytest.raises(NoDerivativeError, match="no derivative"):
+        jacobian(model, np.append(pack(base.parameters, THETA), 0.0))
+
+
+def test_runs_with_and_without_a_term_are_two() -> None:
+    base = baseline_of(load_study("demo"))
+    model = with_effects(base, [CATALOGUE["viscoelastic-wall"].at(EVERYWHERE)])
+    theta = pack(base.parameters, THETA)
+    without, with_it = (model.configure(np.append(theta, size)) for size in (0.0, 1e-3))
+    assert not same_run(without, with_it)
+    stiffer = model.configure(np.append(1.1 * theta, 0.0))
+    assert same_run(without, stiffer)

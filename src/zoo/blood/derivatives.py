@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 NEAR, FAR = 1e-5, 1e-3
 """Steps of differences, over the scale of a parameter: where it changes stiffness, shapes and loads alone;
 and, with stencils of fourth order, where it changes more."""
+OFF = 3e-5
+"""How far a parameter is moved off zero, over its scale, where what it adds is absent at zero."""
 PARAMETERS = ("stiffness", "gamma", "psi1", "psi2", "c")
 
 
@@ -44,7 +46,7 @@ def _equal(a: Any, b: Any) -> bool:
     if a is b:
         return True
     return type(a) is type(b) and all(
-        np.array_equal(x, y) if isinstance(x, np.ndarray) and isinstance(y, np.ndarray) else x is y or x == y
+        np.array_equal(x, y) if isinstance(x, np.ndarray) or isinstance(y, np.ndarray) else x is y or x == y
         for x, y in ((getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
     )
 
@@ -59,6 +61,47 @@ def same_run(a: Case, b: Case) -> bool:
             for name in ("network", "physics", "conventions", "options")
         )
     )
+
+
+def additions(case: Case) -> tuple[object, ...]:
+    """What a case has and another may lack: waves, and the terms of its physics with their shapes."""
+    terms = (getattr(case.physics, f.name) for f in fields(case.physics))
+    return bool(case.waves), *((np.shape(term), term is None) for term in terms)
+
+
+def off_zero(configure: Callable[[Array], Case], case: Case, theta: Array, scales: Array) -> Array:
+    """Theta with its zeros moved a little where what they add is absent at zero.
+
+    A solve without a term is another run than one with little of it, that may have other state variables: the
+    difference of one time step of both is no derivative.
+
+    Parameters
+    ----------
+    configure : function
+        From theta to a case.
+    case : Case
+        ``configure(theta)``.
+    theta, scales : array (n_values,)
+        Over what a change of each element is small; zero for those that no solve reads.
+
+    Returns
+    -------
+    array (n_values,)
+        `theta` itself where nothing is absent.
+    """
+    at, there = theta, additions(case)
+    for i in np.flatnonzero((theta == 0) & (scales > 0)):
+        for step in (OFF * scales[i], -OFF * scales[i]):
+            moved = at.copy()
+            moved[i] = step
+            try:
+                near = additions(configure(moved))
+            except (SolveError, ValueError):
+                continue
+            if near != there:
+                at, there = moved, near
+            break
+    return at
 
 
 def stencil_of(configure: Callable[[Array], Case], case: Case, theta: Array, i: int, scale: float) -> Stencil:
@@ -113,7 +156,7 @@ def stencil_of(configure: Callable[[Array], Case], case: Case, theta: Array, i: 
     steps: tuple[float, ...] = (h, -h, 2 * h, -2 * h)
     if four := tried(steps):
         return Stencil(steps, tuple(w / (12 * h) for w in (8.0, -8.0, -1.0, 1.0)), four)
-    for side in (0.1 * h, -0.1 * h):  # not at zero itself, where an addition that is absent is another run
+    for side in (0.1 * h, -0.1 * h):
         steps = (side, 2 * side, 3 * side)
         if three := tried(steps):
             return Stencil(steps, tuple(w / (2 * side) for w in (-5.0, 8.0, -3.0)), three)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zoo.blood.case import UNITS, Case, Place, check_series, simulate, solver_of
 from zoo.blood.conventions import Conventions
-from zoo.blood.derivatives import simulate_derivatives, stencil_of
+from zoo.blood.derivatives import off_zero, simulate_derivatives, stencil_of
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.physics import NO_PHYSICS, study_physics
 from zoo.blood.resolution import Resolution, coarse_at, resolve
@@ -372,8 +372,12 @@ class BloodFlow:
         if wanted is not self.outputs:
             check_series(case, series)
         read = np.flatnonzero(scales)
-        stencils = [stencil_of(configure, case, theta, int(i), float(scales[i])) for i in read]
-        values, found = simulate_derivatives(case, stencils, series, self._clock(wanted), self._solver)
+        at = off_zero(configure, case, theta, scales)
+        near = case if at is theta else configure(at)
+        stencils = [stencil_of(configure, near, at, int(i), float(scales[i])) for i in read]
+        values, found = simulate_derivatives(near, stencils, series, self._clock(wanted), self._solver)
+        if near is not case:
+            values = self.solve(case, outputs)
         slopes = np.zeros((len(theta), *values.shape))
         slopes[read] = found
         return values, slopes
