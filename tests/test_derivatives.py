@@ -14,9 +14,10 @@ import pytensor.tensor as pt
 import pytest
 from pytensor.gradient import verify_grad
 
-from made import THETA, baseline_of
+from made import SEARCH, THETA, baseline_of
 from test_op import POINT, at, flow, small_study
 from zoo.blood.baseline import get_baseline
+from zoo.blood.case import Case, with_physics
 from zoo.blood.derivatives import same_run
 from zoo.blood.directions import Derivatives, Point
 from zoo.blood.effects import CATALOGUE
@@ -25,7 +26,7 @@ from zoo.blood.solve_errors import NoDerivativeError, SolverArgumentError
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Study, load_study
 from zoo.core.derivatives import jacobian
-from zoo.core.effects import EVERYWHERE, with_effects
+from zoo.core.effects import EVERYWHERE, Effect, EffectParameter, Location, with_effects
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.op import ForwardOp, MissingGradientError, observed_series
 from zoo.core.parameters import Parameter, Uniform, pack
@@ -258,6 +259,48 @@ def test_an_effect_without_a_derivative_where_it_begins_says_so(name: str) -> No
     model = with_effects(base, [CATALOGUE[name].at(EVERYWHERE)])
     with pytest.raises(NoDerivativeError, match="no derivative"):
         jacobian(model, np.append(pack(base.parameters, THETA), 0.0))
+
+
+def test_an_effect_of_some_vessels_has_its_derivative_where_it_begins() -> None:
+    """Beside another vessel where the same term is at work already, and beside one where it begins too."""
+    exact = replace(SEARCH, tolerance_mmHg=1e-7)
+    base = get_baseline("linear-constant").forward(load_study("demo"), options=exact)
+
+    def change(case: Case, values: tuple[float, ...], location: Location) -> Case:
+        tree = case.network
+        i = tree.index(int(str(location.part)))
+        added = np.zeros(len(tree.ids))
+        added[i] = tree.density * values[0] / (np.pi * tree.radius_out_cm[i] ** 2)
+        return with_physics(case, inertance=added + (0.0 if (old := case.physics.inertance) is None else old))
+
+    tree = base.network
+    length = EffectParameter("length", "cm", 0.5, 0.0, 2.0, (0.1,))
+    own = Effect("inertance-here", (length,), change)
+    model = with_effects(base, [own.at(Location(int(tree.ids[i]))) for i in tree.terminals[:2]])
+    n = len(pack(base.parameters, THETA))
+
+    def at(*sizes: float) -> np.ndarray:
+        return np.concatenate([pack(base.parameters, THETA), sizes])
+
+    def solve(*sizes: float) -> np.ndarray:
+        return np.asarray(model.solve(model.configure(at(*sizes))))
+
+    h = 1e-3
+    for first in (0.1, 0.0):
+        found = jacobian(model, at(first, 0.0))
+        assert found is not None
+        expected = (4 * solve(first, h) - solve(first, 2 * h) - 3 * solve(first, 0.0)) / (2 * h)
+        assert np.linalg.norm(found.slopes[n + 1] - expected) < 0.03 * np.linalg.norm(expected)
+
+
+def test_lengths_that_are_truncated_have_derivatives_where_they_change() -> None:
+    study = load_study("demo")
+    truncated = study.conventions.replace(truncate_lengths=True)
+    base = get_baseline("linear-constant").forward(study, options=SEARCH, conventions=truncated)
+    model = with_effects(base, [CATALOGUE["vessel-length"].at(Location(int(base.network.ids[0])))])
+    theta = pack(base.parameters, THETA)
+    slopes = [jacobian(model, np.append(theta, size)).slopes[-1] for size in (0.0, 1e-4)]  # type: ignore[union-attr]
+    np.testing.assert_allclose(slopes[0], slopes[1], atol=0.01 * np.abs(slopes[1]).max())
 
 
 def test_runs_with_and_without_a_term_are_two() -> None:

@@ -506,3 +506,13 @@ def test_evidence_counts_no_more_than_a_solve_delivers(slope: float, cut: bool) 
     assert delivered == pytest.approx(-7.0 - max(0.0, promised - gained))
     smooth = SimpleNamespace(**{**vars(screening), "kinks": False})
     assert Screening.delivered(smooth, fit) == -7.0  # type: ignore[arg-type]
+
+
+def test_a_wider_baseline_is_screened_as_the_first_was() -> None:
+    study = made([], series=(0,), n=32)
+    baseline = baseline_of(study)
+    first = Screening(
+        screening_of(study, ["sensor-gain"]).data, baseline, [], errors=Harmonics(), smooth=False, kinks=True
+    )
+    wider = first.with_baseline(baseline, np.zeros(4))
+    assert (wider.smooth, wider.kinks) == (False, True)

@@ -64,9 +64,15 @@ def same_run(a: Case, b: Case) -> bool:
 
 
 def additions(case: Case) -> tuple[object, ...]:
-    """What a case has and another may lack: waves, and the terms of its physics with their shapes."""
-    terms = (getattr(case.physics, f.name) for f in fields(case.physics))
-    return bool(case.waves), *((np.shape(term), term is None) for term in terms)
+    """What a case has and another may lack: waves, settings, functions, and terms in each of the vessels."""
+
+    def there(term: Any) -> object:
+        if isinstance(term, np.ndarray):
+            return term.shape, term.astype(bool).tobytes()
+        return getattr(term, "changes", None)
+
+    terms = (there(getattr(case.physics, f.name)) for f in fields(case.physics))
+    return bool(case.waves), case.options, case.conventions, *terms
 
 
 def off_zero(configure: Callable[[Array], Case], case: Case, theta: Array, scales: Array) -> Array:

@@ -67,9 +67,9 @@ class Hooks:
         Whether solutions are smooth in the parameters down to rounding, so that a fit may end with
         differences as fine as its posterior; false for a solver whose time step follows its parameters.
     kinks : bool
-        Whether solutions have kinks in the parameters, as where a level reaches a rim. Searches then go on
-        without derivatives where these promise what no solve delivers, start where the best rival ended
-        too, and no evidence counts more than was delivered.
+        Whether solutions have kinks in the parameters, as where a level reaches a rim. Searches of the best
+        explanations then go on without derivatives where these promise what no solve delivers, and start
+        where the best rival ended too; their evidence counts no more than was delivered.
     components : callable
         ``components(baseline, theta (n_values,), data) -> sequence of FreeFunction``: functions that
         components of the simulator may lack, for the baseline at those values of its parameters; none if

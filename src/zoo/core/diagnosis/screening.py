@@ -228,6 +228,7 @@ class Screening:
             added=self.added,
             start=start,
             smooth=self.smooth,
+            kinks=self.kinks,
             cores=self.cores,
             tick=tick,
         )
@@ -426,7 +427,7 @@ class Screening:
                 continue
             if point.cost < best.cost:
                 best = point
-        return self.settled(fit, best, noise, allowances)
+        return self.settled(fit, best, noise, allowances, self.delivered(fit))
 
     def elsewhere(
         self, fit: Fit, other: Fit, noise: Mapping[str, GroupErrors], allowances: Mapping[str, float]
@@ -446,7 +447,9 @@ class Screening:
         except SearchError:
             return fit
         best = search.refine(start, effort.AGAIN_ROUNDS, effort.AGAIN_STEPS)
-        return fit if own.cost - best.cost < SETTLED else self.settled(fit, best, noise, allowances)
+        if own.cost - best.cost < SETTLED:
+            return fit
+        return self.settled(fit, best, noise, allowances, fit.log_z)  # which is what was delivered
 
     def settled(
         self,
@@ -454,8 +457,9 @@ class Screening:
         best: Point,
         noise: Mapping[str, GroupErrors],
         allowances: Mapping[str, float],
+        least: float,
     ) -> Fit:
-        """The evidence at a point, after turns of its search and its noise, and no less than a fit's own."""
+        """The evidence at a point, after turns of its search and its noise, and at least what the fit had."""
         search = Search(fit.forward, self.coefficients, self.beside(noise, self.numerics()))
         found = self.evidence(
             fit.forward,
@@ -473,7 +477,7 @@ class Screening:
             if before - best.cost < SETTLED:
                 break
         # both linearise one posterior, and what lies off the mode may promise more than is there
-        return replace(found, log_z=max(self.delivered(found), self.delivered(fit)))
+        return replace(found, log_z=max(self.delivered(found), least))
 
     def delivered(self, fit: Fit) -> float:
         """Log evidence of a fit whose linearised model gains no more, at its mode, than a solve there does.
@@ -576,6 +580,7 @@ class Screening:
             self.hypotheses = {}
         fits: dict[Hypothesis, Fit] = {}
         rivals: list[Hypothesis] = []
+        ended: dict[Hypothesis, Fit] = {}
 
         def one(h: Hypothesis) -> tuple[Hypothesis, Fit | None]:
             return h, self.fit_effect(h, base, S, allowances)
@@ -589,8 +594,8 @@ class Screening:
             return h, self.multistart(fits[h], base, noise, allowances)
 
         def from_the_best_rival(h: Hypothesis) -> tuple[Hypothesis, Fit]:
-            others = [fits[one] for one in rivals if one.name != h.name]
-            return h, self.elsewhere(fits[h], others[0], noise, allowances) if others else fits[h]
+            others = [ended[one] for one in rivals if one.name != h.name]
+            return h, self.elsewhere(ended[h], others[0], noise, allowances) if others else ended[h]
 
         with ThreadPoolExecutor(max(1, self.cores)) as pool:
             jobs = []
@@ -620,6 +625,7 @@ class Screening:
                 fits[h] = fit
             if self.kinks:
                 rivals = sorted(again_from_all, key=lambda h: -fits[h].log_z)[:MULTISTARTED]
+                ended = dict(fits)  # each starts from what all had ended with, in whatever order they come
             for done, (h, fit) in enumerate(pool.map(from_the_best_rival, rivals), 1):
                 self.tick(h.name, 0.98 + 0.02 * done / len(rivals))
                 fits[h] = fit
