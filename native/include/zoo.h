@@ -11,7 +11,7 @@
 #include <stdint.h>
 
 /* cffi:begin */
-enum { ZOO_ABI = 7 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
+enum { ZOO_ABI = 8 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
 
 enum zoo_status {
     ZOO_OK = 0,
@@ -155,13 +155,12 @@ typedef struct {
     zoo_numerics numerics;
 } zoo_problem;
 
-/* One set of parameters is a row of each array. */
 typedef struct {
-    const double *stiffness; /* [n_sets][n_vessels] chi at the inlet, dyn/cm^2; the law's scale of it, 1e-30 to 1e30 */
-    const double *shape;     /* [n_sets][zoo_wall_shapes][n_vessels] further parameters of the wall law, or NULL if none */
-    const double *psi1;      /* [n_sets][n_vessels] factor of R1 */
-    const double *psi2;      /* [n_sets][n_vessels] factor of R2 */
-    const double *c;         /* [n_sets][n_vessels] factor of C */
+    const double *stiffness; /* [n_vessels] chi at the inlet, dyn/cm^2; the law's scale of it, 1e-30 to 1e30 */
+    const double *shape;     /* [zoo_wall_shapes][n_vessels] further parameters of the wall law, or NULL if none */
+    const double *psi1;      /* [n_vessels] factor of R1 */
+    const double *psi2;      /* [n_vessels] factor of R2 */
+    const double *c;         /* [n_vessels] factor of C */
 } zoo_parameters;
 
 typedef struct {
@@ -179,17 +178,16 @@ typedef struct {
     int64_t total_steps;    /* time steps over all beats */
 } zoo_report;
 
-/* Bytes of workspace that zoo_solve needs for n_sets sets of parameters. */
-int32_t zoo_workspace_size(const zoo_problem *problem, int64_t n_sets, int64_t *bytes);
+/* Bytes of workspace that zoo_solve needs. */
+int32_t zoo_workspace_size(const zoo_problem *problem, int64_t *bytes);
 
-/* Solve to the periodic state for n_sets sets of parameters.
- * pressure, flow, area: [n_sets][n_series][n_times], dyn/cm^2, ml/s, cm^2; the
- * rows of a set that failed are filled with NaN.  fastest: [n_sets][n_vessels] or NULL, largest |u| + c in each
- * vessel at 32 times of the last beat, cm/s.  reports: [n_sets].  Returns ZOO_OK unless
- * the problem itself is unusable (then reports may be unwritten). */
-int32_t zoo_solve(const zoo_problem *problem, int64_t n_sets, const zoo_parameters *parameters,
-                  void *workspace, int64_t workspace_bytes, double *pressure, double *flow,
-                  double *area, double *fastest, zoo_report *reports);
+/* Solve to the periodic state.
+ * pressure, flow, area: [n_series][n_times], dyn/cm^2, ml/s, cm^2; filled with NaN when the solve fails.
+ * fastest: [n_vessels] or NULL, largest |u| + c in each vessel at 32 times of the last beat, cm/s.  Returns ZOO_OK
+ * unless the problem itself is unusable (then the report is not written); how the solve ended is in the report. */
+int32_t zoo_solve(const zoo_problem *problem, const zoo_parameters *parameters, void *workspace,
+                  int64_t workspace_bytes, double *pressure, double *flow, double *area, double *fastest,
+                  zoo_report *report);
 
 /* A direction in which the solution is differentiated: the change of all arguments is sum_i weight_i x_i over points
  * x_i, sets of arguments near those of the solve, with weights whose sum is 0: 1/(2 h) and -1/(2 h) for arguments
@@ -198,7 +196,7 @@ typedef struct {
     int32_t n_points;
     const zoo_problem *const *problem;       /* [n_points] with the sizes, the tree, the period and the kinds of the
                                                 solve's; its outputs and numerics are not read.  NULL: the solve's */
-    const zoo_parameters *const *parameters; /* [n_points] one set each */
+    const zoo_parameters *const *parameters; /* [n_points] */
     const double *weight;                    /* [n_points] */
 } zoo_direction;
 
@@ -213,7 +211,7 @@ typedef struct {
     int64_t room;      /* bytes that the coefficients of a beat's steps took; 0: they were not kept */
 } zoo_tangent_report;
 
-/* Solve as zoo_solve does for one set of parameters, and differentiate the discrete periodic solution, at the steps
+/* Solve as zoo_solve does, and differentiate the discrete periodic solution, at the steps
  * that the solve chose, in n_directions directions.
  * tolerance: accepted residual.  d_pressure, d_flow, d_area: [n_directions][n_series][n_times], NaN where the report's
  * or the derivatives' status is not ZOO_OK.  Memory is taken and freed within the call; `room`, room_bytes long, at a

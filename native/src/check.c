@@ -99,7 +99,7 @@ static int bad_clock(const zoo_problem *pr)
     return !(pr->inlet.period / most > 1e-300);
 }
 
-/* Whether the largest arrays of a run, [rows][nodes or terminals][lanes], have more elements than an int holds. */
+/* Whether the largest arrays of a run, [rows][nodes or terminals], have more elements than an int holds. */
 static int too_large(const zoo_problem *pr)
 {
     const int64_t nv = pr->network.n_vessels, sections = pr->outlet.n_sections;
@@ -111,7 +111,7 @@ static int too_large(const zoo_problem *pr)
     const int64_t rows[] = {(STATE + ZOO_MOST_SHAPES) * nodes + (sections + 2) * nv, (COEFFICIENTS + 2 * sections) * nv,
                             (int64_t)SAMPLES * pr->outputs.n_series};
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
-        if (rows[i] > INT_MAX / ZOO_LANES)
+        if (rows[i] > INT_MAX)
             return 1;
     return 0;
 }

@@ -52,7 +52,7 @@ void zoo_set_grid(zoo_sim *s)
     s->junction_curvature = zoo_function_curvature(s->junction_function);
     double *mids[] = {s->Ah, s->qh, s->Ph, s->Mh, s->Gh};
     for (int a = 0; a < 5; a++)
-        memset(mids[a] - s->lanes, 0, (size_t)(s->n_nodes + 1) * s->lanes * sizeof(double));
+        memset(mids[a] - 1, 0, (size_t)(s->n_nodes + 1) * sizeof(double));
     for (int k = 0; k < s->n_vessels; k++) {
         int n = net->n_cells[k];
         s->first[k] = node;

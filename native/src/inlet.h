@@ -7,8 +7,8 @@
  *   flow_bad(pr)           1 if the curve, whose samples are finite, or another argument is out of range
  *   flow_mean(s)           mean flow into the root, ml/s, from which the first beat starts: may be a guess
  *   flow_sample(s, i)      flow at sample i of the curve, as above
- *   flow_volume(s, lane)   ml that entered in the beat; s->entered[lane] is 0 at its start and the kind's own
- *   flow_advance(wall, W, extra, s, step)   area and flow of node 0 at the end of the step: one condition,
+ *   flow_volume(s)         ml that enter in a beat
+ *   flow_advance(wall, extra, s, step)   area and flow of node 0 at the end of the step: one condition,
  *                          and the mass balance of the half cell
  */
 #ifndef ZOO_INLET_H
@@ -51,9 +51,9 @@ static inline double inlet_sample(const zoo_sim *s, int i)
     INLET_RETURN(s->problem->inlet.kind, NAN, sample, s, i)
 }
 
-static inline double inlet_volume(const zoo_sim *s, int lane)
+static inline double inlet_volume(const zoo_sim *s)
 {
-    INLET_RETURN(s->problem->inlet.kind, NAN, volume, s, lane)
+    INLET_RETURN(s->problem->inlet.kind, NAN, volume, s)
 }
 
 #define INLET_ADVANCE(NAME, name, ...) \
@@ -61,10 +61,10 @@ static inline double inlet_volume(const zoo_sim *s, int lane)
         name##_advance(__VA_ARGS__);   \
         break;
 
-ZOO_INLINE void inlet_advance(const int wall, const int W, const int extra, zoo_sim *s, int step)
+ZOO_INLINE void inlet_advance(const int wall, const int extra, zoo_sim *s, int step)
 {
     switch (s->problem->inlet.kind) {
-        ZOO_INLETS(INLET_ADVANCE, wall, W, extra, s, step)
+        ZOO_INLETS(INLET_ADVANCE, wall, extra, s, step)
     }
 }
 

@@ -23,21 +23,18 @@ static inline double flow_sample(const zoo_sim *s, int i)
     return s->problem->inlet.curve[i];
 }
 
-static inline double flow_volume(const zoo_sim *s, int lane)
+static inline double flow_volume(const zoo_sim *s)
 {
-    (void)lane;
     return s->curve_sum[s->problem->inlet.n_samples];
 }
 
-ZOO_INLINE void flow_advance(const int wall, const int W, const int extra, zoo_sim *s, int step)
+ZOO_INLINE void flow_advance(const int wall, const int extra, zoo_sim *s, int step)
 {
     (void)wall;
-    for (int l = 0; l < W; l++) {
-        s->A[l] -= 2.0 * s->dt / s->dx[0] * (s->qh[l] - s->curve_mean[step]);
-        if (extra)
-            s->A[l] -= s->dt * s->leak[0] * s->Ph[l];
-        s->q[l] = s->curve_node[step + 1];
-    }
+    s->A[0] -= 2.0 * s->dt / s->dx[0] * (s->qh[0] - s->curve_mean[step]);
+    if (extra)
+        s->A[0] -= s->dt * s->leak[0] * s->Ph[0];
+    s->q[0] = s->curve_node[step + 1];
 }
 
 #endif

@@ -5,10 +5,6 @@
  * midpoint between nodes j and j+1 has index j.  The midpoint after a vessel's
  * last node joins two vessels that are not joined: lam_mid is 0 there, so that
  * what is computed stays finite, and lam is 0 where it would be used.
- *
- * `lanes` parameter sets are solved side by side: a lane array has element
- * [j*lanes + l] for node j and set l.  lanes is 1 (loops vectorise over nodes)
- * or ZOO_LANES (loops vectorise over sets).
  */
 #ifndef ZOO_INTERNAL_H
 #define ZOO_INTERNAL_H
@@ -20,7 +16,6 @@
 #include "wall.h"
 
 enum {
-    ZOO_LANES = 16,
     ZOO_HISTORY = 4,   /* beats kept for the extrapolation */
     ZOO_CHECKS = 32,   /* times in a beat at which the state is checked */
     ZOO_STEP_UNIT = 32, /* steps per beat are a multiple of this when chosen from cfl */
@@ -34,18 +29,18 @@ typedef struct {
     int *node, *mid, *junction;          /* [branches*count] end node, midpoint next to it, j */
     double *w, *per_w, *sign;            /* [branches*count] dx/2, dt/w, 1 for the parent else -1 */
     double *A0, *f_s, *f_c;              /* [branches*count] rest area and friction at the node */
-    double *soft;                        /* [branches*count*lanes] 1/K */
+    double *soft;                        /* [branches*count] 1/K */
     double *rest;                        /* [count] sum of w A0 */
-    double *soft1, *soft2;               /* [count*lanes] sums of w A0/K and w A0/K^2 */
-    double *area, *c, *beta;             /* [branches*count*lanes] scratch of a step */
-    double *volume, *sum_c, *sum_beta;   /* [count*lanes] scratch of a step */
+    double *soft1, *soft2;               /* [count] sums of w A0/K and w A0/K^2 */
+    double *area, *c, *beta;             /* [branches*count] scratch of a step */
+    double *volume, *sum_c, *sum_beta;   /* [count] scratch of a step */
     /* only with additions: scratch of Newton's method, junction_total_pressure.h */
-    double *flow, *old, *a0, *aP, *aH, *q0, *qP, *qH; /* [branches*count*lanes] */
-    double *P, *H, *D, *g0, *gP, *gH;    /* [count*lanes] */
-    double *m0, *mP, *mH, *f0, *fP, *fH; /* [count*lanes] */
+    double *flow, *old, *a0, *aP, *aH, *q0, *qP, *qH; /* [branches*count] */
+    double *P, *H, *D, *g0, *gP, *gH;    /* [count] */
+    double *m0, *mP, *mH, *f0, *fP, *fH; /* [count] */
 } zoo_junction_group;
 
-/* The ends of the terminal vessels.  What one kind of outlet needs stands in rows of [count*lanes], as
+/* The ends of the terminal vessels.  What one kind of outlet needs stands in rows of [count], as
  * many as the kind asks for: outlet.h. */
 typedef struct {
     int coefficients; /* made from the parameters for a time step */
@@ -60,24 +55,24 @@ typedef struct {
     zoo_rows rows;
     int *vessel, *node;                  /* [count] */
     double *per_w, *A0;                  /* [count] 2 dt/dx, rest area at the node */
-    double *R1, *R2, *C;                 /* [count*lanes] */
+    double *R1, *R2, *C;                 /* [count] */
     double *behind;                      /* [count] pressure behind the outlet */
-    double *volume;                      /* [count*lanes] ml that left so far in this beat */
-    double *coefficient;                 /* [rows.coefficients][count*lanes] */
-    double *v;                           /* [rows.pressures][count*lanes] state */
-    double *carry;                       /* [rows.flows][count*lanes] state */
-    double *scratch;                     /* [rows.scratch][count*lanes] */
+    double *volume;                      /* [count] ml that left so far in this beat */
+    double *coefficient;                 /* [rows.coefficients][count] */
+    double *v;                           /* [rows.pressures][count] state */
+    double *carry;                       /* [rows.flows][count] state */
+    double *scratch;                     /* [rows.scratch][count] */
 } zoo_terminals;
 
 typedef struct {
     const zoo_problem *problem;
-    int lanes, n_vessels, n_nodes, n_groups;
+    int n_vessels, n_nodes, n_groups;
     int wall;    /* the law, or wall_with_function of it */
     double dt, momentum, inv_density;
     int extra;   /* 1: something is added that the plain loops do not have, see zoo_has_additions */
     int coupled; /* 1: pressures at junctions depend on flows there (total pressure, losses) */
     int tables;  /* 1: friction's factor or the junctions' loss is given as a function */
-    int uniform; /* 1: all vessels of each lane share one stiffness and one shape */
+    int uniform; /* 1: all vessels share one stiffness and one shape */
 
     /* grid, per vessel and per node */
     int *first, *last;                   /* [n_vessels] */
@@ -91,12 +86,12 @@ typedef struct {
     double *lam_mid;                     /* [n_nodes] dt/dx, 0 between vessels */
     double *lam, *half_dt;               /* [n_nodes] dt/dx and dt/2, 0 at boundary nodes */
 
-    /* wall, lane arrays at nodes; midpoint j lies in the vessel of node j */
-    double *K;                           /* [n_nodes*lanes] */
-    double *K_mid;                       /* [n_nodes*lanes] at midpoints; K itself unless stiffness varies along a vessel */
+    /* wall at nodes; midpoint j lies in the vessel of node j */
+    double *K;                           /* [n_nodes] */
+    double *K_mid;                       /* [n_nodes] at midpoints; K itself unless stiffness varies along a vessel */
     double *stiffening;                  /* [n_nodes] chi over that at the inlet, where it varies */
     int varying;                         /* 1: stiffness varies along a vessel */
-    double *coefficient;                 /* [wall_shapes][n_nodes*lanes] of the law, zoo_shape */
+    double *coefficient;                 /* [wall_shapes][n_nodes] of the law, zoo_shape */
 
     /* functions that are given by their values: without them 0 everywhere, 1 as the friction's factor */
     double *wall_piece, *friction_piece, *junction_piece, *resistance_piece, *compliance_piece;
@@ -104,9 +99,9 @@ typedef struct {
     double junction_curvature;           /* largest |D''| */
 
     /* state at nodes: area, flow, pressure, momentum flux, friction force */
-    double *A, *q, *P, *M, *G;           /* [n_nodes*lanes] */
+    double *A, *q, *P, *M, *G;           /* [n_nodes] */
     /* the same at midpoints, half a step on */
-    double *Ah, *qh, *Ph, *Mh, *Gh;      /* [n_nodes*lanes] */
+    double *Ah, *qh, *Ph, *Mh, *Gh;      /* [n_nodes] */
 
     /* only with additions (extra): p = p_e + p_v + offset, p_v = kappa p_e + z,
      * tau_r dz/dt = -(z + kappa p_e), kappa = tau/tau_r */
@@ -116,73 +111,53 @@ typedef struct {
     double *offset, *kappa;              /* [n_nodes] */
     double *leak, *leak_mid;             /* [n_nodes] 0 at the midpoint between two vessels */
     double *loss, *loss_mid;             /* [n_nodes] of throats: friction += loss A q|q| */
-    double *z, *pe;                      /* [n_nodes*lanes] state, pressure of the wall */
-    double *off, *off_half;              /* [n_nodes*lanes] part of p that is known a step, half a step ahead */
+    double *z, *pe;                      /* [n_nodes] state, pressure of the wall */
+    double *off, *off_half;              /* [n_nodes] part of p that is known a step, half a step ahead */
 
     zoo_junction_group *groups;          /* [n_groups] */
 
     zoo_terminals outlets;
     int no_root;                         /* a root search did not end in this step, */
-    int *stuck;                          /* [lanes] in these lanes, */
-    int *outran;                         /* [lanes] and these outran the time step */
+    int stuck;                           /* and is not near its end */
 
     /* the inlet's curve on the steps of a beat */
     double *curve_node;                  /* [max_steps+1] at the steps */
     double *curve_mean;                  /* [max_steps] mean over each step */
     double *curve_sum;                   /* [n_samples+1] running integral of the samples */
-    double *entered;                     /* [lanes] ml so far in this beat, where the flow is not given */
     int n_steps;
 
     /* outputs: cubic in space from four nodes, cubic in time from four steps */
     int *out_node;                       /* [n_series*4] */
     double *out_weight;                  /* [n_series*4] */
-    double *ring;                        /* [4][n_series][3][lanes] */
-    double *sample;                      /* [n_times][n_series][3][lanes] */
+    double *ring;                        /* [4][n_series][3] */
+    double *sample;                      /* [n_times][n_series][3] */
     int next_time;
 
     /* beat to beat */
-    int n_state;                         /* doubles of one lane's state: A, q, v, z when extra, carry */
-    double *start;                       /* [n_state*lanes] state at the start of the beat */
-    double *states, *ends;               /* [ZOO_HISTORY][n_state*lanes] starts and ends of past beats */
-    double *weight;                      /* [n_state*lanes] turns a difference of state into a pressure */
-    double *slow;                        /* [lanes] estimated slowest decay factor per beat */
-    double *fastest;                     /* [n_vessels*lanes] largest |u| + c seen in this beat, cm/s */
-
-    /* per lane */
-    int *live;                           /* 1: still to be solved */
-    zoo_report *report;                  /* [lanes] */
-    int64_t *set_of;                     /* [lanes] row of the parameter arrays */
+    int n_state;                         /* doubles of the state: A, q, v, z when extra, carry */
+    double *start;                       /* [n_state] state at the start of the beat */
+    double *states, *ends;               /* [ZOO_HISTORY][n_state] starts and ends of past beats */
+    double *weight;                      /* [n_state] turns a difference of state into a pressure */
+    double slow;                         /* estimated slowest decay factor per beat */
+    double *fastest;                     /* [n_vessels] largest |u| + c seen in this beat, cm/s */
+    zoo_report report;
 } zoo_sim;
 
-/* A loop over nodes (or branches, or terminals) j, their lanes l and elements
- * i = j*W + l that the compiler may vectorise: over j when there is one lane,
- * else over the lanes.  The iterations must not depend on each other.  The
- * empty asm keeps the compiler from vectorising over j instead of l. */
+/* A loop over nodes (or branches, or terminals) j from 0 to n - 1 that the compiler may vectorise: the iterations must not
+ * depend on each other. */
 #ifdef __clang__ /* has other pragmas, and warns of loops that it cannot vectorise */
 #define ZOO_SIMD
 #else
 #define ZOO_SIMD _Pragma("GCC ivdep") _Pragma("GCC unroll 1")
 #endif
-#define ZOO_LOOP(W, i, j, l, from, to, ...)                  \
-    do {                                                     \
-        if ((W) == 1) {                                      \
-            ZOO_SIMD for (ptrdiff_t j = (from); j < (to); j++) { \
-                const ptrdiff_t i = j, l = 0;                \
-                (void)l;                                     \
-                __VA_ARGS__                                  \
-            }                                                \
-        } else {                                             \
-            for (ptrdiff_t j = (from); j < (to); j++) {      \
-                __asm__ volatile("");                        \
-                ZOO_SIMD for (ptrdiff_t l = 0; l < (W); l++) { \
-                    const ptrdiff_t i = j * (W) + l;         \
-                    __VA_ARGS__                              \
-                }                                            \
-            }                                                \
-        }                                                    \
+#define ZOO_LOOP(j, n, ...)                                \
+    do {                                                   \
+        ZOO_SIMD for (ptrdiff_t j = 0; j < (n); j++) {     \
+            __VA_ARGS__                                    \
+        }                                                  \
     } while (0)
 
-/* K of the wall at this time, element i = j*lanes + l. */
+/* K of the wall at node i, at this time. */
 ZOO_INLINE double zoo_K(const zoo_sim *s, ptrdiff_t i)
 {
     return s->stiff * s->K[i];
@@ -191,7 +166,7 @@ ZOO_INLINE double zoo_K(const zoo_sim *s, ptrdiff_t i)
 /* Coefficients of the wall law there. */
 ZOO_INLINE wall_shape zoo_shape(const zoo_sim *s, ptrdiff_t i)
 {
-    return (wall_shape){s->coefficient + i, (ptrdiff_t)s->n_nodes * s->lanes, s->wall_function};
+    return (wall_shape){s->coefficient + i, s->n_nodes, s->wall_function};
 }
 
 /* check.c: ZOO_OK when the problem can be solved at all; ZOO_BAD_ARGUMENT, or ZOO_WORKSPACE without memory to look. */
@@ -202,7 +177,7 @@ int *zoo_count_children(const zoo_network *network);
 
 /* memory.c: carve the arrays out of the workspace; with base NULL only count the bytes.  Returns the bytes, or -1
  * where they are more than memory can have, or nothing is left to count with. */
-int64_t zoo_layout(const zoo_problem *problem, int lanes, zoo_sim *sim, void *base);
+int64_t zoo_layout(const zoo_problem *problem, zoo_sim *sim, void *base);
 
 /* grid.c: nodes, ends of vessels, and where outputs are taken. */
 void zoo_set_grid(zoo_sim *sim);
@@ -219,9 +194,8 @@ double zoo_throat_loss(const zoo_sim *sim, int vessel, double x, double r);
 int zoo_has_additions(const zoo_problem *problem, const int *children);
 void zoo_set_additions(zoo_sim *sim, int vessel);
 
-/* parameters.c: spread the parameters of each lane's set over the nodes; returns the number of good lanes. */
-int zoo_set_parameters(zoo_sim *sim, const zoo_parameters *parameters);
-void zoo_set_softness(zoo_sim *sim, zoo_junction_group *junctions, int lane);
+/* parameters.c: a new report, and the parameters at the nodes unless one is out of range; returns the report's status. */
+int32_t zoo_set_parameters(zoo_sim *sim, const zoo_parameters *parameters);
 
 /* time_step.c: set the time step to period/n_steps and everything that depends on it. */
 void zoo_set_step(zoo_sim *sim, int n_steps);
@@ -238,16 +212,22 @@ double zoo_start_speed(const zoo_sim *sim);
 int zoo_step(zoo_sim *sim, int step);
 void zoo_refresh_nodes(zoo_sim *sim);
 void zoo_refresh_at(zoo_sim *sim, int step);
-double zoo_speed(zoo_sim *sim, int lane);
-double zoo_junction_defect(const zoo_sim *sim, int lane);
+double zoo_speed(zoo_sim *sim);
+double zoo_junction_defect(const zoo_sim *sim);
 
 /* output.c: sample the wanted series while the beat runs. */
 void zoo_output_weights(zoo_sim *sim, int series);
 void zoo_output_begin(zoo_sim *sim);
 void zoo_output_step(zoo_sim *sim, int step);
-void zoo_output_emit(zoo_sim *sim, int step);
-int zoo_output_finite(const zoo_sim *sim, int lane);
-void zoo_output_store(const zoo_sim *sim, int lane, double *pressure, double *flow, double *area);
+int zoo_output_finite(const zoo_sim *sim);
+void zoo_output_store(const zoo_sim *sim, double *pressure, double *flow, double *area);
+
+/* Samples that the last four steps in `ring` give, from sample `next` on, [n_times][n_series][3][width]; returns the first
+ * that needs further steps.  `width` numbers stand side by side: 1 of a run, ZOO_DIRECTIONS of a block of directions. */
+int zoo_output_emit(const zoo_sim *sim, int step, int width, const double *ring, double *sample, int next);
+
+/* solve.c: what the caller is told of a run that ended. */
+void zoo_tell(const zoo_sim *sim, double *pressure, double *flow, double *area, double *fastest, zoo_report *report);
 
 /* What wants to go along with the last beat: `begin` before its steps (0: stays behind), `step` in place of zoo_step.
  * It goes along with the first beat that is expected to be the last, if it is not run again with more steps. */
@@ -257,11 +237,10 @@ typedef struct {
     int beat; /* the beat that it went along with, from 1 on; 0: none so far, -1: one that was run again */
 } zoo_companion;
 
-/* periodic.c: beats until the solution repeats itself, for all lanes of sim; `with` is NULL, or goes along with one of
- * a single lane. */
+/* periodic.c: beats until the solution repeats itself; `with` may be NULL. */
 void zoo_periodic(zoo_sim *sim, zoo_companion *with, double *pressure, double *flow, double *area);
 void zoo_pack(const zoo_sim *sim, double *state);
 void zoo_unpack(zoo_sim *sim, const double *state);
-int zoo_extrapolate(zoo_sim *sim, int lane, int n_past, double *left);
+int zoo_extrapolate(zoo_sim *sim, int n_past, double *left);
 
 #endif

@@ -26,55 +26,55 @@
 
 /* Newton for the area ratios of walls that differ and have no closed form: the branches'
  * pressures are set equal, and the volume to the given one, both linearised. */
-ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zoo_sim *s, zoo_junction_group *ju)
+ZOO_INLINE void junction_newton(const int wall, const int extra, zoo_sim *s, zoo_junction_group *ju)
 {
     const int n = ju->count, nb = ju->branches;
     const int *restrict node = ju->node;
     const double *restrict w = ju->w, *restrict A0 = ju->A0, *restrict volume = ju->volume;
     const double *restrict A = s->A, *restrict P = s->P, *restrict K = s->K;
     const double *restrict th = s->coefficient;
-    const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const ptrdiff_t stride = s->n_nodes;
     const zoo_spline added = s->wall_function;
     double *restrict a = ju->area, *restrict p = ju->c, *restrict slope = ju->beta;
     double *restrict have = ju->sum_c, *restrict soft = ju->sum_beta;
     const double *restrict kappa = s->kappa, *restrict off = s->off;
     const double later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
     /* the pressure of the old time is known already */
-    ZOO_LOOP(W, i, x, l, 0, n * nb, {
-        const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
-        a[i] = A[o] / A0[x];
-        p[i] = P[o];
+    ZOO_LOOP(x, n * nb, {
+        const ptrdiff_t o = node[x];
+        a[x] = A[o] / A0[x];
+        p[x] = P[o];
         if (extra) /* but not that of the wall with a memory, or of another stiffness: see scheme.h */
-            p[i] = wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), (wall_shape){th + o, stride, added}, a[i], sqrt(a[i])) + off[o];
+            p[x] = wall_p(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), (wall_shape){th + o, stride, added}, a[x], sqrt(a[x])) + off[o];
     });
     for (int iteration = 0; iteration < 30; iteration++) {
         int unfinished = 0;
-        ZOO_LOOP(W, i, x, l, 0, n * nb, {
-            const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
-            slope[i] = extra ? wall_slope(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), (wall_shape){th + o, stride, added},
-                                          p[i] - off[o], a[i], sqrt(a[i]))
-                             : wall_slope(wall, K[o], (wall_shape){th + o, stride, added}, p[i], a[i], sqrt(a[i]));
+        ZOO_LOOP(x, n * nb, {
+            const ptrdiff_t o = node[x];
+            slope[x] = extra ? wall_slope(wall, wall_stiffened(K[o], stiff, later, kappa[node[x]]), (wall_shape){th + o, stride, added},
+                                          p[x] - off[o], a[x], sqrt(a[x]))
+                             : wall_slope(wall, K[o], (wall_shape){th + o, stride, added}, p[x], a[x], sqrt(a[x]));
         });
-        ZOO_LOOP(W, i, j, l, 0, n, {
-            have[i] = volume[i];
-            soft[i] = 0.0;
+        ZOO_LOOP(j, n, {
+            have[j] = volume[j];
+            soft[j] = 0.0;
         });
         for (int b = 0; b < nb; b++) {
             const ptrdiff_t from = (ptrdiff_t)b * n;
-            ZOO_LOOP(W, i, j, l, 0, n, {
+            ZOO_LOOP(j, n, {
                 const double size = w[from + j] * A0[from + j];
-                const ptrdiff_t y = from * W + i;
-                have[i] -= size * (a[y] - p[y] / slope[y]);
-                soft[i] += size / slope[y];
+                const ptrdiff_t y = from + j;
+                have[j] -= size * (a[y] - p[y] / slope[y]);
+                soft[j] += size / slope[y];
             });
         }
         for (int b = 0; b < nb; b++) {
             const ptrdiff_t from = (ptrdiff_t)b * n;
-            ZOO_LOOP(W, i, j, l, 0, n, {
-                const ptrdiff_t y = from * W + i, o = (ptrdiff_t)node[from + j] * W + l;
+            ZOO_LOOP(j, n, {
+                const ptrdiff_t y = from + j, o = node[from + j];
                 /* never more than halfway to the wall's limits */
                 const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride, added}) - a[y]);
-                double move = (have[i] / soft[i] - p[y]) / slope[y];
+                double move = (have[j] / soft[j] - p[y]) / slope[y];
                 const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride, added}) - a[y]);
                 move = move > room ? room : move < fall ? fall : move;
                 a[y] += move;
@@ -87,15 +87,13 @@ ZOO_INLINE void junction_newton(const int wall, const int W, const int extra, zo
             return;
     }
     s->no_root = 1;
-    for (int l = 0; l < W; l++)
-        for (ptrdiff_t y = 0; y < (ptrdiff_t)n * nb; y++) {
-            const ptrdiff_t i = ju->junction[y] * (ptrdiff_t)W + l;
-            const double target = have[i] / soft[i];
-            s->stuck[l] |= !(fabs(target - p[y * W + l]) <= 1e-6 * fabs(target));
-        }
+    for (ptrdiff_t y = 0; y < (ptrdiff_t)n * nb; y++) {
+        const double target = have[ju->junction[y]] / soft[ju->junction[y]];
+        s->stuck |= !(fabs(target - p[y]) <= 1e-6 * fabs(target));
+    }
 }
 
-ZOO_INLINE void junction_body(const int wall, const int W, const int extra, const int tables, zoo_sim *s,
+ZOO_INLINE void junction_body(const int wall, const int extra, const int tables, zoo_sim *s,
                               zoo_junction_group *ju)
 {
     const int n = ju->count, nb = ju->branches;
@@ -117,54 +115,54 @@ ZOO_INLINE void junction_body(const int wall, const int W, const int extra, cons
     const double later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
     const zoo_spline factor = s->friction_function;
 
-    ZOO_LOOP(W, i, j, l, 0, n, {
-        volume[i] = w[j] * A[(ptrdiff_t)node[j] * W + l] + dt * qh[(ptrdiff_t)mid[j] * W + l];
+    ZOO_LOOP(j, n, {
+        volume[j] = w[j] * A[node[j]] + dt * qh[mid[j]];
         if (extra) {
-            volume[i] -= dt * w[j] * leak[node[j]] * Ph[(ptrdiff_t)mid[j] * W + l];
-            k0[i] = e1[i] = e2[i] = 0.0;
+            volume[j] -= dt * w[j] * leak[node[j]] * Ph[mid[j]];
+            k0[j] = e1[j] = e2[j] = 0.0;
         }
     });
     for (int b = 1; b < nb; b++) {
         const ptrdiff_t from = (ptrdiff_t)b * n;
-        ZOO_LOOP(W, i, j, l, 0, n, {
-                volume[i] += w[from + j] * A[(ptrdiff_t)node[from + j] * W + l] - dt * qh[(ptrdiff_t)mid[from + j] * W + l];
+        ZOO_LOOP(j, n, {
+                volume[j] += w[from + j] * A[node[from + j]] - dt * qh[mid[from + j]];
                 if (extra)
-                    volume[i] -= dt * w[from + j] * leak[node[from + j]] * Ph[(ptrdiff_t)mid[from + j] * W + l];
+                    volume[j] -= dt * w[from + j] * leak[node[from + j]] * Ph[mid[from + j]];
         });
     }
     if (newton)
-        junction_newton(wall, W, extra, s, ju);
+        junction_newton(wall, extra, s, ju);
     else if (extra) { /* sum w A0 (1 + (P - off)/K)^2 = volume, K of the stiffer wall */
         for (int b = 0; b < nb; b++) {
             const ptrdiff_t from = (ptrdiff_t)b * n;
-            ZOO_LOOP(W, i, j, l, 0, n, {
-                const ptrdiff_t x = from + j, o = (ptrdiff_t)node[x] * W + l;
+            ZOO_LOOP(j, n, {
+                const ptrdiff_t x = from + j, o = node[x];
                 const double one = fast_reciprocal(wall_stiffened(K[o], stiff, later, kappa[node[x]]));
                 const double at_0 = 1.0 - off[o] * one, size = w[x] * A0[x];
-                per_K[from * W + i] = one;
-                k0[i] += size * at_0 * at_0;
-                e1[i] += size * at_0 * one;
-                e2[i] += size * one * one;
+                per_K[from + j] = one;
+                k0[j] += size * at_0 * at_0;
+                e1[j] += size * at_0 * one;
+                e2[j] += size * one * one;
             });
         }
-        ZOO_LOOP(W, i, j, l, 0, n, {
-            const double excess = volume[i] - k0[i];
-            volume[i] = excess / (e1[i] + sqrt(e1[i] * e1[i] + e2[i] * excess));
+        ZOO_LOOP(j, n, {
+            const double excess = volume[j] - k0[j];
+            volume[j] = excess / (e1[j] + sqrt(e1[j] * e1[j] + e2[j] * excess));
         });
     }
     else if (wall_in_root(wall)) /* sum w A0 (1 + P/K)^2 = volume; P takes volume's place */
-        ZOO_LOOP(W, i, j, l, 0, n, {
-            const double excess = volume[i] - rest[j];
-            volume[i] = excess / (k1[i] + sqrt(k1[i] * k1[i] + k2[i] * excess));
+        ZOO_LOOP(j, n, {
+            const double excess = volume[j] - rest[j];
+            volume[j] = excess / (k1[j] + sqrt(k1[j] * k1[j] + k2[j] * excess));
         });
     else
-        ZOO_LOOP(W, i, j, l, 0, n, { volume[i] /= rest[j]; });
-    ZOO_LOOP(W, i, j, l, 0, n, { sum_c[i] = sum_beta[i] = 0.0; });
+        ZOO_LOOP(j, n, { volume[j] /= rest[j]; });
+    ZOO_LOOP(j, n, { sum_c[j] = sum_beta[j] = 0.0; });
 
-    ZOO_LOOP(W, i, x, l, 0, n * nb, {
-        const ptrdiff_t o = (ptrdiff_t)node[x] * W + l, m = (ptrdiff_t)mid[x] * W + l;
-        const double found = volume[(ptrdiff_t)junction[x] * W + l], root = 1.0 + (extra ? (found - off[o]) * per_K[i] : found * soft[i]);
-        const double a = newton ? area[i] : wall_in_root(wall) ? root * root : found;
+    ZOO_LOOP(x, n * nb, {
+        const ptrdiff_t o = node[x], m = mid[x];
+        const double found = volume[junction[x]], root = 1.0 + (extra ? (found - off[o]) * per_K[x] : found * soft[x]);
+        const double a = newton ? area[x] : wall_in_root(wall) ? root * root : found;
         const double now = A[o], then = a * A0[x], half = 0.5 * (now + then);
         const double lost = extra ? w[x] * leak[node[x]] * Ph[m] : 0.0;
         const double flux = qh[m] - sign[x] * (extra ? (then - now) / per_w[x] + lost : (then - now) / per_w[x]);
@@ -172,23 +170,23 @@ ZOO_INLINE void junction_body(const int wall, const int W, const int extra, cons
         const double stick = tables ? spline_value(factor, fabs(u)) * plain : plain;
         const double drag = (extra ? stick + leak[node[x]] * Ph[m] + loss[node[x]] * half * half * fabs(flux) : stick) * u;
         const double push = 0.5 * per_w[x] * (half + Ah[m]) * inv_rho;
-        area[i] = then;
-        beta[i] = push;
-        c[i] = q[o] - sign[x] * (per_w[x] * (alpha * flux * u - Mh[m]) - push * Ph[m]) -
+        area[x] = then;
+        beta[x] = push;
+        c[x] = q[o] - sign[x] * (per_w[x] * (alpha * flux * u - Mh[m]) - push * Ph[m]) -
                0.5 * dt * (drag + Gh[m]);
     });
     for (int b = 0; b < nb; b++) {
         const ptrdiff_t from = (ptrdiff_t)b * n;
-        ZOO_LOOP(W, i, j, l, 0, n, {
-            sum_c[i] += sign[from + j] * c[from * W + i];
-            sum_beta[i] += beta[from * W + i];
+        ZOO_LOOP(j, n, {
+            sum_c[j] += sign[from + j] * c[from + j];
+            sum_beta[j] += beta[from + j];
         });
     }
-    ZOO_LOOP(W, i, j, l, 0, n, { sum_c[i] /= sum_beta[i]; }); /* P_h */
-    ZOO_LOOP(W, i, x, l, 0, n * nb, {
-        const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
-        q[o] = c[i] - sign[x] * beta[i] * sum_c[(ptrdiff_t)junction[x] * W + l];
-        A[o] = area[i];
+    ZOO_LOOP(j, n, { sum_c[j] /= sum_beta[j]; }); /* P_h */
+    ZOO_LOOP(x, n * nb, {
+        const ptrdiff_t o = node[x];
+        q[o] = c[x] - sign[x] * beta[x] * sum_c[junction[x]];
+        A[o] = area[x];
     });
 }
 

@@ -22,7 +22,7 @@
 
 #include "internal.h"
 
-ZOO_INLINE void junction_total_pressure(const int wall, const int W, const int tables, zoo_sim *s,
+ZOO_INLINE void junction_total_pressure(const int wall, const int tables, zoo_sim *s,
                                         zoo_junction_group *ju)
 {
     enum { ROUNDS = 30 };
@@ -38,7 +38,7 @@ ZOO_INLINE void junction_total_pressure(const int wall, const int W, const int t
     const double *restrict kappa = s->kappa, *restrict leak = s->leak, *restrict loss = s->loss,
                            *restrict off = s->off, *restrict inv_A0 = s->inv_A0, *restrict K = s->K;
     const double *restrict th = s->coefficient;
-    const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const ptrdiff_t stride = s->n_nodes;
     const zoo_spline added = s->wall_function;
     const double *restrict Ah = s->Ah, *restrict qh = s->qh, *restrict Ph = s->Ph, *restrict Mh = s->Mh,
                            *restrict Gh = s->Gh;
@@ -52,49 +52,49 @@ ZOO_INLINE void junction_total_pressure(const int wall, const int W, const int t
                      *restrict mP = ju->mP, *restrict mH = ju->mH, *restrict f0 = ju->f0,
                      *restrict fP = ju->fP, *restrict fH = ju->fH;
 
-    ZOO_LOOP(W, i, j, l, 0, n, {
-        const ptrdiff_t o = (ptrdiff_t)node[j] * W + l;
+    ZOO_LOOP(j, n, {
+        const ptrdiff_t o = node[j];
         const double u = q[o] / A[o];
-        volume[i] = 0.0;
-        D[i] = 0.5 * lossy * u * fabs(u);
+        volume[j] = 0.0;
+        D[j] = 0.5 * lossy * u * fabs(u);
         if (tables)
-            D[i] += spline_value(given, u);
-        P[i] = H[i] = s->P[o] + 0.5 * dynamic * u * u;
+            D[j] += spline_value(given, u);
+        P[j] = H[j] = s->P[o] + 0.5 * dynamic * u * u;
     });
-    ZOO_LOOP(W, i, x, l, 0, n * nb, {
-        const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
+    ZOO_LOOP(x, n * nb, {
+        const ptrdiff_t o = node[x];
         const double u = q[o] / A[o];
-        area[i] = A[o];
-        flow[i] = q[o];
+        area[x] = A[o];
+        flow[x] = q[o];
         /* how far the branch's pressure lies below the shared one at the old time */
-        old[i] = 0.5 * dynamic * u * u + 0.5 * (1.0 - sign[x]) * D[(ptrdiff_t)junction[x] * W + l];
+        old[x] = 0.5 * dynamic * u * u + 0.5 * (1.0 - sign[x]) * D[junction[x]];
     });
     for (int b = 0; b < nb; b++) {
         const ptrdiff_t from = (ptrdiff_t)b * n;
-        ZOO_LOOP(W, i, j, l, 0, n, {
-            const ptrdiff_t o = (ptrdiff_t)node[from + j] * W + l, m = (ptrdiff_t)mid[from + j] * W + l;
-            volume[i] += w[from + j] * A[o] +
+        ZOO_LOOP(j, n, {
+            const ptrdiff_t o = node[from + j], m = mid[from + j];
+            volume[j] += w[from + j] * A[o] +
                          dt * (sign[from + j] * qh[m] - w[from + j] * leak[node[from + j]] * Ph[m]);
         });
     }
     for (int round = 0; round < ROUNDS; round++) {
         int unfinished = 0;
-        ZOO_LOOP(W, i, x, l, 0, n * nb, {
-            const ptrdiff_t o = (ptrdiff_t)node[x] * W + l, m = (ptrdiff_t)mid[x] * W + l;
-            const ptrdiff_t y = (ptrdiff_t)junction[x] * W + l;
+        ZOO_LOOP(x, n * nb, {
+            const ptrdiff_t o = node[x], m = mid[x];
+            const ptrdiff_t y = junction[x];
             const int v = node[x];
             const double is = sign[x], below = 0.5 * (1.0 - is) * D[y];
-            const double K1 = wall_stiffened(K[o], stiff, later, kappa[v]), a = area[i] * inv_A0[v];
-            const double root = a * fast_rsqrt(a), per_area = fast_reciprocal(area[i]);
+            const double K1 = wall_stiffened(K[o], stiff, later, kappa[v]), a = area[x] * inv_A0[v];
+            const double root = a * fast_rsqrt(a), per_area = fast_reciprocal(area[x]);
             const double elastic = wall_p(wall, K1, (wall_shape){th + o, stride, added}, a, root);
             const double slope = wall_slope_area(wall, K1, (wall_shape){th + o, stride, added}, elastic, root, per_area, inv_A0[v]);
-            const double u = flow[i] * per_area, at_u = dynamic * u * per_area;
+            const double u = flow[x] * per_area, at_u = dynamic * u * per_area;
             const double F1 = elastic + off[o] + 0.5 * dynamic * u * u + below - P[y];
             const double F1_a = slope - at_u * u, F1_q = at_u;
             /* momentum of the half cell; `half` and `flux` are its end's area and flow at mid-step */
-            const double half = 0.5 * (A[o] + area[i]), ratio = half * inv_A0[v];
+            const double half = 0.5 * (A[o] + area[x]), ratio = half * inv_A0[v];
             const double half_root = ratio * fast_rsqrt(ratio), per_half = fast_reciprocal(half);
-            const double flux = qh[m] - is * w[x] * ((area[i] - A[o]) * per_dt + leak[v] * Ph[m]);
+            const double flux = qh[m] - is * w[x] * ((area[x] - A[o]) * per_dt + leak[v] * Ph[m]);
             const double flux_a = -is * w[x] * per_dt, mean_u = flux * per_half;
             double drag = (f_s[x] * half_root + f_c[x] + leak[v] * Ph[m]) * per_half;
             double drag_a = -0.5 * (drag - 0.5 * f_s[x] * half_root * per_half) * per_half;
@@ -108,8 +108,8 @@ ZOO_INLINE void junction_total_pressure(const int wall, const int W, const int t
             }
             const double push = 0.5 * per_w[x] * (half + Ah[m]) * inv_rho, push_a = 0.25 * per_w[x] * inv_rho;
             /* mean over the step of how far the branch's pressure lies below the shared one */
-            const double under = 0.5 * (old[i] + 0.5 * dynamic * u * u + below), over = H[y] - under - Ph[m];
-            const double F2 = flow[i] - q[o] + is * (per_w[x] * (alpha * flux * mean_u - Mh[m]) + push * over) +
+            const double under = 0.5 * (old[x] + 0.5 * dynamic * u * u + below), over = H[y] - under - Ph[m];
+            const double F2 = flow[x] - q[o] + is * (per_w[x] * (alpha * flux * mean_u - Mh[m]) + push * over) +
                               0.5 * dt * (drag * flux + sink * flux * fabs(flux) + Gh[m]);
             const double F2_a =
                 is * (per_w[x] * alpha * mean_u * (2.0 * flux_a - 0.5 * mean_u) + push_a * over +
@@ -117,84 +117,83 @@ ZOO_INLINE void junction_total_pressure(const int wall, const int W, const int t
                 0.5 * dt * (drag_a * flux + drag * flux_a + (0.5 * loss[v] * flux + 2.0 * sink * flux_a) * fabs(flux));
             const double F2_q = 1.0 - 0.5 * is * push * at_u;
             const double inv = fast_reciprocal(F1_a * F2_q - F1_q * F2_a);
-            a0[i] = (F1_q * F2 - F2_q * F1) * inv;
-            q0[i] = (F2_a * F1 - F1_a * F2) * inv;
-            aP[i] = F2_q * inv;
-            qP[i] = -F2_a * inv;
-            aH[i] = F1_q * is * push * inv;
-            qH[i] = -F1_a * is * push * inv;
+            a0[x] = (F1_q * F2 - F2_q * F1) * inv;
+            q0[x] = (F2_a * F1 - F1_a * F2) * inv;
+            aP[x] = F2_q * inv;
+            qP[x] = -F2_a * inv;
+            aH[x] = F1_q * is * push * inv;
+            qH[x] = -F1_a * is * push * inv;
         });
         /* dD = g0 + gP dP + gH dH, from the parent */
-        ZOO_LOOP(W, i, j, l, 0, n, {
-            const double u = flow[i] / area[i];
-            double slope = lossy * fabs(u) / area[i], less = 0.5 * lossy * u * fabs(u) - D[i];
+        ZOO_LOOP(j, n, {
+            const double u = flow[j] / area[j];
+            double slope = lossy * fabs(u) / area[j], less = 0.5 * lossy * u * fabs(u) - D[j];
             if (tables) {
                 double rise;
                 less += spline_at(given, u, &rise);
-                slope += rise / area[i];
+                slope += rise / area[j];
             }
-            g0[i] = less + slope * (q0[i] - u * a0[i]);
-            gP[i] = slope * (qP[i] - u * aP[i]);
-            gH[i] = slope * (qH[i] - u * aH[i]);
-            m0[i] = w[j] * (area[i] + a0[i]) - volume[i];
-            mP[i] = w[j] * aP[i];
-            mH[i] = w[j] * aH[i];
-            f0[i] = flow[i] + q0[i];
-            fP[i] = qP[i];
-            fH[i] = qH[i];
+            g0[j] = less + slope * (q0[j] - u * a0[j]);
+            gP[j] = slope * (qP[j] - u * aP[j]);
+            gH[j] = slope * (qH[j] - u * aH[j]);
+            m0[j] = w[j] * (area[j] + a0[j]) - volume[j];
+            mP[j] = w[j] * aP[j];
+            mH[j] = w[j] * aH[j];
+            f0[j] = flow[j] + q0[j];
+            fP[j] = qP[j];
+            fH[j] = qH[j];
         });
         for (int b = 1; b < nb; b++) {
             const ptrdiff_t from = (ptrdiff_t)b * n;
-            ZOO_LOOP(W, i, j, l, 0, n, {
-                const ptrdiff_t y = from * W + i;
+            ZOO_LOOP(j, n, {
+                const ptrdiff_t y = from + j;
                 const double aD = aP[y] + 0.5 * aH[y], qD = qP[y] + 0.5 * qH[y];
-                m0[i] += w[from + j] * (area[y] + a0[y] - aD * g0[i]);
-                mP[i] += w[from + j] * (aP[y] - aD * gP[i]);
-                mH[i] += w[from + j] * (aH[y] - aD * gH[i]);
-                f0[i] -= flow[y] + q0[y] - qD * g0[i];
-                fP[i] -= qP[y] - qD * gP[i];
-                fH[i] -= qH[y] - qD * gH[i];
+                m0[j] += w[from + j] * (area[y] + a0[y] - aD * g0[j]);
+                mP[j] += w[from + j] * (aP[y] - aD * gP[j]);
+                mH[j] += w[from + j] * (aH[y] - aD * gH[j]);
+                f0[j] -= flow[y] + q0[y] - qD * g0[j];
+                fP[j] -= qP[y] - qD * gP[j];
+                fH[j] -= qH[y] - qD * gH[j];
             });
         }
-        ZOO_LOOP(W, i, j, l, 0, n, {
-            const double inv = 1.0 / (mP[i] * fH[i] - mH[i] * fP[i]);
-            const double dP = (mH[i] * f0[i] - fH[i] * m0[i]) * inv, dH = (fP[i] * m0[i] - mP[i] * f0[i]) * inv;
-            const double dD = g0[i] + gP[i] * dP + gH[i] * dH;
-            P[i] += dP;
-            H[i] += dH;
-            D[i] += dD;
-            m0[i] = dP;
-            mH[i] = dH;
-            g0[i] = dD;
+        ZOO_LOOP(j, n, {
+            const double inv = 1.0 / (mP[j] * fH[j] - mH[j] * fP[j]);
+            const double dP = (mH[j] * f0[j] - fH[j] * m0[j]) * inv, dH = (fP[j] * m0[j] - mP[j] * f0[j]) * inv;
+            const double dD = g0[j] + gP[j] * dP + gH[j] * dH;
+            P[j] += dP;
+            H[j] += dH;
+            D[j] += dD;
+            m0[j] = dP;
+            mH[j] = dH;
+            g0[j] = dD;
         });
-        ZOO_LOOP(W, i, x, l, 0, n * nb, {
-            const ptrdiff_t o = (ptrdiff_t)node[x] * W + l, y = (ptrdiff_t)junction[x] * W + l;
+        ZOO_LOOP(x, n * nb, {
+            const ptrdiff_t o = node[x], y = junction[x];
             const double dD = 0.5 * (1.0 - sign[x]) * g0[y], dP = m0[y] - dD, dH = mH[y] - 0.5 * dD;
             /* never more than halfway to the wall's limits */
-            const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride, added}) * A0[x] - area[i]);
-            const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride, added}) * A0[x] - area[i]);
-            double move = a0[i] + aP[i] * dP + aH[i] * dH;
+            const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride, added}) * A0[x] - area[x]);
+            const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride, added}) * A0[x] - area[x]);
+            double move = a0[x] + aP[x] * dP + aH[x] * dH;
             move = move > room ? room : move < fall ? fall : move;
-            const double turn = q0[i] + qP[i] * dP + qH[i] * dH;
-            area[i] += move;
-            flow[i] += turn;
+            const double turn = q0[x] + qP[x] * dP + qH[x] * dH;
+            area[x] += move;
+            flow[x] += turn;
             /* what is left after this round is of the order of these squares: below rounding */
-            const double per_area = fast_reciprocal(area[i]), da = move * per_area, du = turn * per_area;
+            const double per_area = fast_reciprocal(area[x]), da = move * per_area, du = turn * per_area;
             unfinished |= K[o] * da * da + bent * du * du > 1e-11 * K[o];
         });
         if (!unfinished)
             break;
         if (round + 1 == ROUNDS) {
             s->no_root = 1;
-            for (int l = 0; l < W; l++)
-                for (ptrdiff_t y = 0; y < (ptrdiff_t)n; y++)
-                    s->stuck[l] |= !(fabs(m0[y * W + l]) <= 1e-6 * (fabs(P[y * W + l]) + 1.0));
+            for (ptrdiff_t y = 0; y < (ptrdiff_t)n; y++)
+                s->stuck |= !(fabs(m0[y]) <= 1e-6 * (fabs(P[y]) + 1.0));
         }
     }
-    ZOO_LOOP(W, i, x, l, 0, n * nb, {
-        const ptrdiff_t o = (ptrdiff_t)node[x] * W + l;
-        q[o] = flow[i];
-        A[o] = area[i];
+    ZOO_LOOP(x, n * nb, {
+        const ptrdiff_t o = node[x];
+        q[o] = flow[x];
+        A[o] = area[x];
     });
 }
 

@@ -26,7 +26,7 @@ int *zoo_count_children(const zoo_network *net)
     return children;
 }
 
-int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
+int64_t zoo_layout(const zoo_problem *pr, zoo_sim *s, void *base)
 {
     const zoo_network *net = &pr->network;
     int *children = zoo_count_children(net), *junctions = calloc((size_t)net->n_vessels, sizeof *junctions);
@@ -37,7 +37,7 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
         return -1;
     }
     char *at = base;
-    int64_t used = 0, nv = net->n_vessels, n = 0, nt = 0, W = lanes;
+    int64_t used = 0, nv = net->n_vessels, n = 0, nt = 0;
     int64_t ns = pr->outputs.n_series, ntime = pr->outputs.n_times;
     for (int k = 0; k < nv; k++) {
         n += (int64_t)net->n_cells[k] + 1;
@@ -46,7 +46,6 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     }
 
     s->problem = pr;
-    s->lanes = lanes;
     s->wall = pr->wall.function.n_knots ? wall_with_function(pr->wall.law) : pr->wall.law;
     s->n_vessels = (int)nv;
     s->n_nodes = (int)n;
@@ -66,9 +65,9 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
 /* midpoints have one more in front of node 0, so that no loop needs a special case for it */
 #define MIDS(name)                \
     do {                          \
-        REALS(name, (n + 1) * W); \
+        REALS(name, n + 1); \
         if (base)                 \
-            name += W;            \
+            name += 1;        \
     } while (0)
     /* how many junctions there are of each size */
     s->groups = carve(at, &used, nv, sizeof *s->groups);
@@ -88,23 +87,23 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
         REALS(g.A0, size);
         REALS(g.f_s, size);
         REALS(g.f_c, size);
-        REALS(g.soft, size * W);
+        REALS(g.soft, size);
         REALS(g.rest, count);
-        REALS(g.soft1, count * W);
-        REALS(g.soft2, count * W);
-        REALS(g.area, size * W);
-        REALS(g.c, size * W);
-        REALS(g.beta, size * W);
-        REALS(g.volume, count * W);
-        REALS(g.sum_c, count * W);
-        REALS(g.sum_beta, count * W);
+        REALS(g.soft1, count);
+        REALS(g.soft2, count);
+        REALS(g.area, size);
+        REALS(g.c, size);
+        REALS(g.beta, size);
+        REALS(g.volume, count);
+        REALS(g.sum_c, count);
+        REALS(g.sum_beta, count);
         double **per_branch[] = {&g.flow, &g.old, &g.a0, &g.aP, &g.aH, &g.q0, &g.qP, &g.qH};
         double **per_junction[] = {&g.P,  &g.H,  &g.D,  &g.g0, &g.gP, &g.gH,
                                    &g.m0, &g.mP, &g.mH, &g.f0, &g.fP, &g.fH};
         for (size_t i = 0; i < sizeof per_branch / sizeof *per_branch; i++)
-            REALS(*per_branch[i], x * size * W);
+            REALS(*per_branch[i], x * size);
         for (size_t i = 0; i < sizeof per_junction / sizeof *per_junction; i++)
-            REALS(*per_junction[i], x * count * W);
+            REALS(*per_junction[i], x * count);
         if (base)
             s->groups[n_groups] = g;
         n_groups++;
@@ -120,15 +119,15 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     INTS(ou->node, nt);
     REALS(ou->per_w, nt);
     REALS(ou->A0, nt);
-    REALS(ou->R1, nt * W);
-    REALS(ou->R2, nt * W);
-    REALS(ou->C, nt * W);
+    REALS(ou->R1, nt);
+    REALS(ou->R2, nt);
+    REALS(ou->C, nt);
     REALS(ou->behind, nt);
-    REALS(ou->volume, nt * W);
-    REALS(ou->coefficient, ou->rows.coefficients * nt * W);
-    REALS(ou->v, ou->rows.pressures * nt * W);
-    REALS(ou->carry, ou->rows.flows * nt * W);
-    REALS(ou->scratch, ou->rows.scratch * nt * W);
+    REALS(ou->volume, nt);
+    REALS(ou->coefficient, ou->rows.coefficients * nt);
+    REALS(ou->v, ou->rows.pressures * nt);
+    REALS(ou->carry, ou->rows.flows * nt);
+    REALS(ou->scratch, ou->rows.scratch * nt);
 
     INTS(s->first, nv);
     INTS(s->last, nv);
@@ -136,9 +135,6 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     INTS(s->children, nv);
     INTS(s->place, nv);
     INTS(s->out_node, 4 * ns);
-    INTS(s->live, W);
-    INTS(s->stuck, W);
-    INTS(s->outran, W);
     REALS(s->dx, nv);
     REALS(s->A0, n);
     REALS(s->inv_A0, n);
@@ -150,22 +146,22 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(s->lam_mid, n);
     REALS(s->lam, n);
     REALS(s->half_dt, n);
-    REALS(s->K, n * W);
+    REALS(s->K, n);
     s->K_mid = s->K;
     if (s->varying)
-        REALS(s->K_mid, n * W);
+        REALS(s->K_mid, n);
     REALS(s->stiffening, s->varying ? n : 0);
-    REALS(s->coefficient, wall_shapes(s->wall) * n * W);
+    REALS(s->coefficient, wall_shapes(s->wall) * n);
     REALS(s->wall_piece, zoo_function_size(&pr->wall.function));
     REALS(s->friction_piece, zoo_function_size(&pr->fluid.friction_function));
     REALS(s->junction_piece, zoo_function_size(&pr->junction.function));
     REALS(s->resistance_piece, zoo_function_size(&pr->outlet.resistance_function));
     REALS(s->compliance_piece, zoo_function_size(&pr->outlet.compliance_function));
-    REALS(s->A, n * W);
-    REALS(s->q, n * W);
-    REALS(s->P, n * W);
-    REALS(s->M, n * W);
-    REALS(s->G, n * W);
+    REALS(s->A, n);
+    REALS(s->q, n);
+    REALS(s->P, n);
+    REALS(s->M, n);
+    REALS(s->G, n);
     REALS(s->wave_node, wave + 1);
     REALS(s->wave_half, wave);
     REALS(s->offset, x * n);
@@ -174,10 +170,10 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(s->leak_mid, x * n);
     REALS(s->loss, x * n);
     REALS(s->loss_mid, x * n);
-    REALS(s->z, x * n * W);
-    REALS(s->pe, x * n * W);
-    REALS(s->off, x * n * W);
-    REALS(s->off_half, x * n * W);
+    REALS(s->z, x * n);
+    REALS(s->pe, x * n);
+    REALS(s->off, x * n);
+    REALS(s->off_half, x * n);
     MIDS(s->Ah);
     MIDS(s->qh);
     MIDS(s->Ph);
@@ -186,22 +182,18 @@ int64_t zoo_layout(const zoo_problem *pr, int lanes, zoo_sim *s, void *base)
     REALS(s->curve_node, (int64_t)pr->numerics.max_steps + 1);
     REALS(s->curve_mean, pr->numerics.max_steps);
     REALS(s->curve_sum, (int64_t)pr->inlet.n_samples + 1);
-    REALS(s->entered, W);
     REALS(s->out_weight, 4 * ns);
-    REALS(s->ring, 4 * ns * 3 * W);
-    REALS(s->sample, ntime * ns * 3 * W);
-    const int64_t state = s->n_state * W;
+    REALS(s->ring, 4 * ns * 3);
+    REALS(s->sample, ntime * ns * 3);
+    const int64_t state = s->n_state;
     REALS(s->start, state);
     REALS(s->states, ZOO_HISTORY * state);
     REALS(s->ends, ZOO_HISTORY * state);
     REALS(s->weight, state);
-    REALS(s->slow, W);
-    REALS(s->fastest, nv * W);
+    REALS(s->fastest, nv);
 #undef INTS
 #undef REALS
 #undef MIDS
-    s->report = carve(at, &used, W, sizeof *s->report);
-    s->set_of = carve(at, &used, W, sizeof *s->set_of);
     if (base && used > 0)
         memcpy(s->children, children, (size_t)nv * sizeof *children);
     free(children);

@@ -6,13 +6,13 @@
  *   windkessel_loops                 in which loops of step.c it can run: OUTLET_PLAIN, OUTLET_ADDED, or both
  *   windkessel_bad(pr, children)     1 if an argument is out of range (R1 is positive already, R2 and C positive or R2 zero)
  *   windkessel_adds(pr, children)    1 if it needs the loops with additions
- *   windkessel_rows(pr)              how many rows of [count*lanes] it has of coefficients, of pressures and flows
+ *   windkessel_rows(pr)              how many rows of [count] it has of coefficients, of pressures and flows
  *                                    in its state, and of scratch
  *   windkessel_set_step(s)           the coefficients, for a time step
- *   windkessel_resistance(s, t, l)   dyn s/cm^5, of terminal t in steady flow, in lane l
- *   windkessel_capacity(s, t, l)     cm^5/dyn; both for the start of the first beat
- *   windkessel_start(s, t, l)        the state, from pressure and flow of the vessel's end
- *   windkessel_advance(wall, W, extra, s)   area and flow of the vessels' ends and the state over a step, and what
+ *   windkessel_resistance(s, t)      dyn s/cm^5, of terminal t in steady flow
+ *   windkessel_capacity(s, t)        cm^5/dyn; both for the start of the first beat
+ *   windkessel_start(s, t)           the state, from pressure and flow of the vessel's end
+ *   windkessel_advance(wall, extra, s) area and flow of the vessels' ends and the state over a step, and what
  *                                    left in it: one condition, and the mass balance of the half cell
  *
  * Rows are numbered by enums of the kind; outlet_row is the start of one.
@@ -26,10 +26,10 @@
 enum { OUTLET_PLAIN = 1, OUTLET_ADDED = 2 };
 #define OUTLET_MOST_LOG 30.0 /* of the logarithm of a factor */
 
-/* Row m of a block, [count*lanes]. */
+/* Row m of a block, [count]. */
 ZOO_INLINE double *outlet_row(const zoo_sim *s, double *block, int m)
 {
-    return block + (ptrdiff_t)m * s->outlets.count * s->lanes;
+    return block + (ptrdiff_t)m * s->outlets.count;
 }
 
 #define ZOO_OUTLETS(KIND, ...)                \
@@ -109,19 +109,19 @@ static inline void outlet_set_step(zoo_sim *s)
     OUTLET_DO(s->outlets.kind, set_step, s)
 }
 
-static inline double outlet_resistance(const zoo_sim *s, int t, int l)
+static inline double outlet_resistance(const zoo_sim *s, int t)
 {
-    OUTLET_RETURN(s->outlets.kind, NAN, resistance, s, t, l)
+    OUTLET_RETURN(s->outlets.kind, NAN, resistance, s, t)
 }
 
-static inline double outlet_capacity(const zoo_sim *s, int t, int l)
+static inline double outlet_capacity(const zoo_sim *s, int t)
 {
-    OUTLET_RETURN(s->outlets.kind, NAN, capacity, s, t, l)
+    OUTLET_RETURN(s->outlets.kind, NAN, capacity, s, t)
 }
 
-static inline void outlet_start(zoo_sim *s, int t, int l)
+static inline void outlet_start(zoo_sim *s, int t)
 {
-    OUTLET_DO(s->outlets.kind, start, s, t, l)
+    OUTLET_DO(s->outlets.kind, start, s, t)
 }
 
 #define OUTLET_ADVANCE(NAME, name, ...)                              \
@@ -130,10 +130,10 @@ static inline void outlet_start(zoo_sim *s, int t, int l)
             name##_advance(__VA_ARGS__);                             \
         break;
 
-ZOO_INLINE void outlet_advance(const int wall, const int W, const int extra, zoo_sim *s)
+ZOO_INLINE void outlet_advance(const int wall, const int extra, zoo_sim *s)
 {
     switch (s->outlets.kind) {
-        ZOO_OUTLETS(OUTLET_ADVANCE, wall, W, extra, s)
+        ZOO_OUTLETS(OUTLET_ADVANCE, wall, extra, s)
     }
 }
 

@@ -70,18 +70,18 @@ static inline double circuit_inertance(const zoo_problem *pr, int k)
     return pr->outlet.kind == ZOO_OUTLET_WINDKESSEL ? 0.0 : value_or_zero(pr->outlet.inertance, k);
 }
 
-/* R and C of section m of terminal t in lane l; R = 0: the section is absent. */
-static inline double circuit_R(const zoo_sim *s, int m, int t, int l)
+/* R and C of section m of terminal t; R = 0: the section is absent. */
+static inline double circuit_R(const zoo_sim *s, int m, int t)
 {
     const int n = circuit_given(s->problem);
-    const double R2 = s->outlets.R2[t * s->lanes + l];
+    const double R2 = s->outlets.R2[t];
     return n ? R2 * s->problem->outlet.section_resistance[(ptrdiff_t)s->outlets.vessel[t] * n + m] : R2;
 }
 
-static inline double circuit_C(const zoo_sim *s, int m, int t, int l)
+static inline double circuit_C(const zoo_sim *s, int m, int t)
 {
     const int n = circuit_given(s->problem);
-    const double C = s->outlets.C[t * s->lanes + l];
+    const double C = s->outlets.C[t];
     return n ? C * s->problem->outlet.section_compliance[(ptrdiff_t)s->outlets.vessel[t] * n + m] : C;
 }
 
@@ -146,121 +146,117 @@ static inline zoo_rows circuit_rows(const zoo_problem *pr)
     return (zoo_rows){.coefficients = CIRCUIT_DECAY + 2 * n, .pressures = n, .flows = 1, .scratch = CIRCUIT_SCRATCH};
 }
 
-static inline double circuit_parallel(const zoo_sim *s, int t, int l)
+static inline double circuit_parallel(const zoo_sim *s, int t)
 {
-    int j = s->outlets.node[t], i = j * s->lanes + l;
-    double p = wall_p(s->wall, s->K[i], zoo_shape(s, i), 1.0, 1.0);
-    double slope = wall_slope(s->wall, s->K[i], zoo_shape(s, i), p, 1.0, 1.0); /* rho c^2 at rest */
+    int j = s->outlets.node[t];
+    double p = wall_p(s->wall, s->K[j], zoo_shape(s, j), 1.0, 1.0);
+    double slope = wall_slope(s->wall, s->K[j], zoo_shape(s, j), p, 1.0, 1.0); /* rho c^2 at rest */
     return CIRCUIT_PARALLEL * sqrt(slope / s->inv_density) / s->A0[j];
 }
 
 static inline void circuit_set_step(zoo_sim *s)
 {
     zoo_terminals *ou = &s->outlets;
-    const int W = s->lanes, ns = circuit_sections(s->problem);
+    const int ns = circuit_sections(s->problem);
     double *row[CIRCUIT_DECAY], *decay = outlet_row(s, ou->coefficient, CIRCUIT_DECAY);
     double *fill = outlet_row(s, decay, ns);
     for (int m = 0; m < CIRCUIT_DECAY; m++)
         row[m] = outlet_row(s, ou->coefficient, m);
-    for (int t = 0; t < ou->count; t++)
-        for (int l = 0; l < W; l++) {
-            int i = t * W + l;
-            double L = circuit_inertance(s->problem, ou->vessel[t]), filled = 0.0, R1 = ou->R1[i];
-            for (int m = 0; m < ns; m++) {
-                int o = (m * ou->count + t) * W + l;
-                double R = circuit_R(s, m, t, l), RC = R * circuit_C(s, m, t, l);
-                decay[o] = R != 0.0 ? exp(-s->dt / RC) : 0.0;
-                fill[o] = R != 0.0 ? -R * expm1(-s->dt / RC) : 0.0;
-                filled += fill[o];
-            }
-            /* the inertance's pressure in the mean over the step is inertia/2 (Q - c) */
-            double Rp = circuit_parallel(s, t, l), ease = s->dt + 2.0 * L / Rp;
-            double inertia = 4.0 * L / ease, share = L > 0.0 ? Rp / (R1 + Rp) : 1.0;
-            row[CIRCUIT_INERTIA][i] = inertia;
-            row[CIRCUIT_GAIN][i] = L > 0.0 ? 2.0 * s->dt / ease : 1.0;
-            row[CIRCUIT_E][i] = 2.0 * R1 + filled + inertia;
-            row[CIRCUIT_DIRECT][i] = L > 0.0 ? 1.0 / (R1 + Rp) : 0.0;
-            row[CIRCUIT_SHARE][i] = share;
-            /* L (1 + R1/R_p) dq_L/dt + R1 q_L = y is integrated exactly for y linear over the step */
-            double x = L > 0.0 ? R1 * s->dt / L * share : INFINITY, keep = exp(-x);
-            double mean = x < 1e-3 ? 1.0 - x / 2.0 + x * x / 6.0 : isinf(x) ? 0.0 : -expm1(-x) / x;
-            row[CIRCUIT_KEEP][i] = keep;
-            row[CIRCUIT_NOW][i] = (x < 1e-3 ? x / 2.0 - x * x / 6.0 : 1.0 - mean) / R1;
-            row[CIRCUIT_BEFORE][i] = (x < 1e-3 ? x / 2.0 - x * x / 3.0 : mean - keep) / R1;
+    for (int t = 0; t < ou->count; t++) {
+        double L = circuit_inertance(s->problem, ou->vessel[t]), filled = 0.0, R1 = ou->R1[t];
+        for (int m = 0; m < ns; m++) {
+            int o = m * ou->count + t;
+            double R = circuit_R(s, m, t), RC = R * circuit_C(s, m, t);
+            decay[o] = R != 0.0 ? exp(-s->dt / RC) : 0.0;
+            fill[o] = R != 0.0 ? -R * expm1(-s->dt / RC) : 0.0;
+            filled += fill[o];
         }
+        /* the inertance's pressure in the mean over the step is inertia/2 (Q - c) */
+        double Rp = circuit_parallel(s, t), ease = s->dt + 2.0 * L / Rp;
+        double inertia = 4.0 * L / ease, share = L > 0.0 ? Rp / (R1 + Rp) : 1.0;
+        row[CIRCUIT_INERTIA][t] = inertia;
+        row[CIRCUIT_GAIN][t] = L > 0.0 ? 2.0 * s->dt / ease : 1.0;
+        row[CIRCUIT_E][t] = 2.0 * R1 + filled + inertia;
+        row[CIRCUIT_DIRECT][t] = L > 0.0 ? 1.0 / (R1 + Rp) : 0.0;
+        row[CIRCUIT_SHARE][t] = share;
+        /* L (1 + R1/R_p) dq_L/dt + R1 q_L = y is integrated exactly for y linear over the step */
+        double x = L > 0.0 ? R1 * s->dt / L * share : INFINITY, keep = exp(-x);
+        double mean = x < 1e-3 ? 1.0 - x / 2.0 + x * x / 6.0 : isinf(x) ? 0.0 : -expm1(-x) / x;
+        row[CIRCUIT_KEEP][t] = keep;
+        row[CIRCUIT_NOW][t] = (x < 1e-3 ? x / 2.0 - x * x / 6.0 : 1.0 - mean) / R1;
+        row[CIRCUIT_BEFORE][t] = (x < 1e-3 ? x / 2.0 - x * x / 3.0 : mean - keep) / R1;
+    }
 }
 
 /* Of the sections behind R1. */
-static inline double circuit_behind(const zoo_sim *s, int t, int l)
+static inline double circuit_behind(const zoo_sim *s, int t)
 {
     double sum = 0.0;
     for (int m = 0; m < circuit_sections(s->problem); m++)
-        sum += circuit_R(s, m, t, l);
+        sum += circuit_R(s, m, t);
     return sum;
 }
 
-static inline double circuit_resistance(const zoo_sim *s, int t, int l)
+static inline double circuit_resistance(const zoo_sim *s, int t)
 {
-    return s->outlets.R1[t * s->lanes + l] + circuit_behind(s, t, l);
+    return s->outlets.R1[t] + circuit_behind(s, t);
 }
 
 /* Of one pair of all the sections' resistance, with their mean time. */
-static inline double circuit_capacity(const zoo_sim *s, int t, int l)
+static inline double circuit_capacity(const zoo_sim *s, int t)
 {
-    double sum = 0.0, all = circuit_behind(s, t, l);
+    double sum = 0.0, all = circuit_behind(s, t);
     for (int m = 0; m < circuit_sections(s->problem); m++) {
-        double part = all > 0.0 ? circuit_R(s, m, t, l) / all : 0.0;
-        sum += part != 0.0 ? part * part * circuit_C(s, m, t, l) : 0.0;
+        double part = all > 0.0 ? circuit_R(s, m, t) / all : 0.0;
+        sum += part != 0.0 ? part * part * circuit_C(s, m, t) : 0.0;
     }
     return sum;
 }
 
-static inline void circuit_start(zoo_sim *s, int t, int l)
+static inline void circuit_start(zoo_sim *s, int t)
 {
-    int i = s->outlets.node[t] * s->lanes + l, o = t * s->lanes + l;
-    double v = s->P[i] - s->outlets.behind[t] - s->outlets.R1[o] * s->q[i], R = circuit_behind(s, t, l);
+    int j = s->outlets.node[t];
+    double v = s->P[j] - s->outlets.behind[t] - s->outlets.R1[t] * s->q[j], R = circuit_behind(s, t);
     for (int m = 0; m < circuit_sections(s->problem); m++)
-        outlet_row(s, s->outlets.v, m)[o] = R > 0.0 ? v * circuit_R(s, m, t, l) / R : 0.0;
-    s->outlets.carry[o] = s->q[i];
+        outlet_row(s, s->outlets.v, m)[t] = R > 0.0 ? v * circuit_R(s, m, t) / R : 0.0;
+    s->outlets.carry[t] = s->q[j];
 }
 
 /* Coefficients of the step that begins, where they depend on the pressure behind R1. */
 static inline void circuit_set_pressure(zoo_sim *s)
 {
     zoo_terminals *ou = &s->outlets;
-    const int W = s->lanes, ns = ou->rows.pressures;
+    const int ns = ou->rows.pressures;
     double *decay = outlet_row(s, ou->coefficient, CIRCUIT_DECAY), *fill = outlet_row(s, decay, ns);
     double *E = outlet_row(s, ou->coefficient, CIRCUIT_E);
     const double *inertia = outlet_row(s, ou->coefficient, CIRCUIT_INERTIA);
-    for (int t = 0; t < ou->count; t++)
-        for (int l = 0; l < W; l++) {
-            const int i = t * W + l;
-            const double q = s->q[ou->node[t] * W + l];
-            double v = ou->behind[t], rate = 0.0, all = 0.0;
-            for (int m = 0; m < ns; m++)
-                v += outlet_row(s, ou->v, m)[i];
-            for (int half = 0; half < 2; half++) {
-                const double now = half ? v + 0.5 * s->dt * rate : v;
-                const double more_R = exp(spline_value(s->resistance_function, now)),
-                             more_C = exp(spline_value(s->compliance_function, now));
-                for (int m = 0; m < ns; m++) {
-                    const double R = more_R * circuit_R(s, m, t, l), C = more_C * circuit_C(s, m, t, l);
-                    const int o = m * ou->count * W + i;
-                    if (R == 0.0)
-                        continue;
-                    if (half) {
-                        decay[o] = exp(-s->dt / (R * C));
-                        fill[o] = -R * expm1(-s->dt / (R * C));
-                        all += fill[o];
-                    } else
-                        rate += (q - ou->v[o] / R) / C;
-                }
+    for (int t = 0; t < ou->count; t++) {
+        const double q = s->q[ou->node[t]];
+        double v = ou->behind[t], rate = 0.0, all = 0.0;
+        for (int m = 0; m < ns; m++)
+            v += outlet_row(s, ou->v, m)[t];
+        for (int half = 0; half < 2; half++) {
+            const double now = half ? v + 0.5 * s->dt * rate : v;
+            const double more_R = exp(spline_value(s->resistance_function, now)),
+                         more_C = exp(spline_value(s->compliance_function, now));
+            for (int m = 0; m < ns; m++) {
+                const double R = more_R * circuit_R(s, m, t), C = more_C * circuit_C(s, m, t);
+                const int o = m * ou->count + t;
+                if (R == 0.0)
+                    continue;
+                if (half) {
+                    decay[o] = exp(-s->dt / (R * C));
+                    fill[o] = -R * expm1(-s->dt / (R * C));
+                    all += fill[o];
+                } else
+                    rate += (q - ou->v[o] / R) / C;
             }
-            E[i] = 2.0 * ou->R1[i] + all + inertia[i];
         }
+        E[t] = 2.0 * ou->R1[t] + all + inertia[t];
+    }
 }
 
-ZOO_INLINE void circuit_advance(const int wall, const int W, const int extra, zoo_sim *s)
+ZOO_INLINE void circuit_advance(const int wall, const int extra, zoo_sim *s)
 {
     (void)extra;
     enum { ROUNDS = 30 };
@@ -282,7 +278,7 @@ ZOO_INLINE void circuit_advance(const int wall, const int W, const int extra, zo
     const double *restrict P = s->P, *restrict K = s->K, *restrict qh = s->qh, *restrict Ph = s->Ph,
                            *restrict off = s->off, *restrict kappa = s->kappa, *restrict leak = s->leak;
     const double *restrict th = s->coefficient;
-    const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const ptrdiff_t stride = s->n_nodes;
     const zoo_spline added = s->wall_function;
     double *restrict A = s->A, *restrict q = s->q, *restrict v = ou->v, *restrict volume = ou->volume,
                      *restrict carry = ou->carry, *restrict base = outlet_row(s, ou->scratch, CIRCUIT_BASE),
@@ -291,74 +287,73 @@ ZOO_INLINE void circuit_advance(const int wall, const int W, const int extra, zo
                      *restrict back = outlet_row(s, ou->scratch, CIRCUIT_BACK),
                      *restrict a = outlet_row(s, ou->scratch, CIRCUIT_A),
                      *restrict p = outlet_row(s, ou->scratch, CIRCUIT_P);
-    ZOO_LOOP(W, i, t, l, 0, n, {
-        const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-        y[i] = P[o] - p_out[t];
-        base[i] = 2.0 * p_out[t] - P[o] - inertia[i] * carry[i];
+    ZOO_LOOP(t, n, {
+        const ptrdiff_t o = node[t];
+        y[t] = P[o] - p_out[t];
+        base[t] = 2.0 * p_out[t] - P[o] - inertia[t] * carry[t];
         /* the half cell's leak is w leak p* */
-        q_mid[i] = qh[o - W] - dt / per_w[t] * leak[node[t]] * Ph[o - W];
-        a[i] = A[o] / A0[t];
+        q_mid[t] = qh[o - 1] - dt / per_w[t] * leak[node[t]] * Ph[o - 1];
+        a[t] = A[o] / A0[t];
     });
     for (int m = 0; m < n_sections; m++) {
-        const ptrdiff_t from = (ptrdiff_t)m * n * W;
-        ZOO_LOOP(W, i, t, l, 0, n, {
-            y[i] -= v[from + i];
-            base[i] += (1.0 + decay[from + i]) * v[from + i];
+        const ptrdiff_t from = (ptrdiff_t)m * n;
+        ZOO_LOOP(t, n, {
+            y[t] -= v[from + t];
+            base[t] += (1.0 + decay[from + t]) * v[from + t];
         });
     }
     if (wall_in_root(wall))
         /* k2 r^2 + K1 r = k0 for r = sqrt(A'/A0) */
-        ZOO_LOOP(W, i, t, l, 0, n, {
-            const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-            const double K1 = wall_stiffened(K[o], stiff, later, kappa[node[t]]), k2 = E[i] * A0[t] / per_w[t];
-            const double k0 = K1 - off[o] + base[i] + E[i] * (q_mid[i] + A[o] / per_w[t]);
+        ZOO_LOOP(t, n, {
+            const ptrdiff_t o = node[t];
+            const double K1 = wall_stiffened(K[o], stiff, later, kappa[node[t]]), k2 = E[t] * A0[t] / per_w[t];
+            const double k0 = K1 - off[o] + base[t] + E[t] * (q_mid[t] + A[o] / per_w[t]);
             const double r = 2.0 * k0 / (K1 + sqrt(K1 * K1 + 4.0 * k2 * k0));
-            a[i] = r * r;
+            a[t] = r * r;
         });
     else
         for (int round = 0; round < ROUNDS; round++) {
             int unfinished = 0;
-            ZOO_LOOP(W, i, t, l, 0, n, {
-                const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-                const double K1 = wall_stiffened(K[o], stiff, later, kappa[node[t]]), root = sqrt(a[i]);
-                const double elastic = wall_p(wall, K1, (wall_shape){th + o, stride, added}, a[i], root);
-                const double Q = q_mid[i] - (a[i] * A0[t] - A[o]) / per_w[t];
-                const double slope = wall_slope(wall, K1, (wall_shape){th + o, stride, added}, elastic, a[i], root) + E[i] * A0[t] / per_w[t];
-                const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride, added}) - a[i]);
-                const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride, added}) - a[i]);
-                double move = -(elastic + off[o] - base[i] - E[i] * Q) / slope;
+            ZOO_LOOP(t, n, {
+                const ptrdiff_t o = node[t];
+                const double K1 = wall_stiffened(K[o], stiff, later, kappa[node[t]]), root = sqrt(a[t]);
+                const double elastic = wall_p(wall, K1, (wall_shape){th + o, stride, added}, a[t], root);
+                const double Q = q_mid[t] - (a[t] * A0[t] - A[o]) / per_w[t];
+                const double slope = wall_slope(wall, K1, (wall_shape){th + o, stride, added}, elastic, a[t], root) + E[t] * A0[t] / per_w[t];
+                const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride, added}) - a[t]);
+                const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride, added}) - a[t]);
+                double move = -(elastic + off[o] - base[t] - E[t] * Q) / slope;
                 move = move > room ? room : move < fall ? fall : move;
-                a[i] += move;
-                p[i] = move;
+                a[t] += move;
+                p[t] = move;
                 unfinished |= fabs(move) > 1e-8;
             });
             if (!unfinished)
                 break;
             if (round + 1 == ROUNDS) {
                 s->no_root = 1;
-                for (int l = 0; l < W; l++)
-                    for (ptrdiff_t t = 0; t < n; t++)
-                        s->stuck[l] |= !(fabs(p[t * W + l]) <= 1e-6);
+                for (ptrdiff_t t = 0; t < n; t++)
+                    s->stuck |= !(fabs(p[t]) <= 1e-6);
             }
         }
-    ZOO_LOOP(W, i, t, l, 0, n, {
-        const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-        const double then = A0[t] * a[i], Q = q_mid[i] - (then - A[o]) / per_w[t];
+    ZOO_LOOP(t, n, {
+        const ptrdiff_t o = node[t];
+        const double then = A0[t] * a[t], Q = q_mid[t] - (then - A[o]) / per_w[t];
         A[o] = then;
-        q[o] = keep[i] * (q[o] - direct[i] * y[i]) + share[i] * before[i] * y[i];
-        y[i] = base[i] + E[i] * Q - p_out[t]; /* the new pressure above that behind, less the sections' below */
-        back[i] = Q;
-        carry[i] += gain[i] * (Q - carry[i]);
-        volume[i] += dt * Q;
+        q[o] = keep[t] * (q[o] - direct[t] * y[t]) + share[t] * before[t] * y[t];
+        y[t] = base[t] + E[t] * Q - p_out[t]; /* the new pressure above that behind, less the sections' below */
+        back[t] = Q;
+        carry[t] += gain[t] * (Q - carry[t]);
+        volume[t] += dt * Q;
     });
     for (int m = 0; m < n_sections; m++) {
-        const ptrdiff_t from = (ptrdiff_t)m * n * W;
-        ZOO_LOOP(W, i, t, l, 0, n, {
-            v[from + i] = decay[from + i] * v[from + i] + fill[from + i] * back[i];
-            y[i] -= v[from + i];
+        const ptrdiff_t from = (ptrdiff_t)m * n;
+        ZOO_LOOP(t, n, {
+            v[from + t] = decay[from + t] * v[from + t] + fill[from + t] * back[t];
+            y[t] -= v[from + t];
         });
     }
-    ZOO_LOOP(W, i, t, l, 0, n, { q[(ptrdiff_t)node[t] * W + l] += (share[i] * after[i] + direct[i]) * y[i]; });
+    ZOO_LOOP(t, n, { q[node[t]] += (share[t] * after[t] + direct[t]) * y[t]; });
 }
 
 #endif

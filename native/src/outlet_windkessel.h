@@ -44,36 +44,34 @@ static inline void windkessel_set_step(zoo_sim *s)
            *fill = outlet_row(s, ou->coefficient, WINDKESSEL_FILL), *E = outlet_row(s, ou->coefficient, WINDKESSEL_E),
            *inv_R1 = outlet_row(s, ou->coefficient, WINDKESSEL_INV_R1),
            *rest = outlet_row(s, ou->coefficient, WINDKESSEL_REST);
-    for (int i = 0; i < ou->count * s->lanes; i++) {
+    for (int i = 0; i < ou->count; i++) {
         const int there = ou->R2[i] > 0.0;
         decay[i] = there ? exp(-s->dt / (ou->R2[i] * ou->C[i])) : 0.0;
         fill[i] = there ? -ou->R2[i] * expm1(-s->dt / (ou->R2[i] * ou->C[i])) : 0.0;
-        rest[i] = (1.0 - decay[i]) * ou->behind[i / s->lanes];
+        rest[i] = (1.0 - decay[i]) * ou->behind[i];
         E[i] = 2.0 * ou->R1[i] + fill[i];
         inv_R1[i] = 1.0 / ou->R1[i];
     }
 }
 
-static inline double windkessel_resistance(const zoo_sim *s, int t, int l)
+static inline double windkessel_resistance(const zoo_sim *s, int t)
 {
-    return s->outlets.R1[t * s->lanes + l] + s->outlets.R2[t * s->lanes + l];
+    return s->outlets.R1[t] + s->outlets.R2[t];
 }
 
-static inline double windkessel_capacity(const zoo_sim *s, int t, int l)
+static inline double windkessel_capacity(const zoo_sim *s, int t)
 {
-    return s->outlets.C[t * s->lanes + l];
+    return s->outlets.C[t];
 }
 
-static inline void windkessel_start(zoo_sim *s, int t, int l)
+static inline void windkessel_start(zoo_sim *s, int t)
 {
-    int i = s->outlets.node[t] * s->lanes + l;
-    s->outlets.v[t * s->lanes + l] = s->outlets.R2[t * s->lanes + l] > 0.0
-                                         ? s->P[i] - s->outlets.R1[t * s->lanes + l] * s->q[i]
-                                         : s->outlets.behind[t];
+    int j = s->outlets.node[t];
+    s->outlets.v[t] = s->outlets.R2[t] > 0.0 ? s->P[j] - s->outlets.R1[t] * s->q[j] : s->outlets.behind[t];
 }
 
 /* Newton for the area ratio of a wall without a closed form. */
-ZOO_INLINE void windkessel_newton(const int wall, const int W, zoo_sim *s)
+ZOO_INLINE void windkessel_newton(const int wall, zoo_sim *s)
 {
     zoo_terminals *ou = &s->outlets;
     const int n = ou->count;
@@ -84,43 +82,42 @@ ZOO_INLINE void windkessel_newton(const int wall, const int W, zoo_sim *s)
                            *restrict decay = outlet_row(s, ou->coefficient, WINDKESSEL_DECAY);
     const double *restrict A = s->A, *restrict P = s->P, *restrict K = s->K, *restrict qh = s->qh;
     const double *restrict th = s->coefficient;
-    const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const ptrdiff_t stride = s->n_nodes;
     const zoo_spline added = s->wall_function;
     double *restrict a = ou->scratch, *restrict p = outlet_row(s, ou->scratch, 1);
-    ZOO_LOOP(W, i, t, l, 0, n, {
-        const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-        a[i] = A[o] / A0[t];
-        p[i] = P[o];
+    ZOO_LOOP(t, n, {
+        const ptrdiff_t o = node[t];
+        a[t] = A[o] / A0[t];
+        p[t] = P[o];
     });
     for (int iteration = 0; iteration < 30; iteration++) {
         int unfinished = 0;
-        ZOO_LOOP(W, i, t, l, 0, n, {
-            const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-            const double Q = qh[o - W] - (a[i] * A0[t] - A[o]) / per_w[t];
-            const double miss = p[i] + P[o] - (1.0 + decay[i]) * v[i] - E[i] * Q - rest[i];
-            const double slope = wall_slope(wall, K[o], (wall_shape){th + o, stride, added}, p[i], a[i], sqrt(a[i])) + E[i] * A0[t] / per_w[t];
-            const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride, added}) - a[i]);
+        ZOO_LOOP(t, n, {
+            const ptrdiff_t o = node[t];
+            const double Q = qh[o - 1] - (a[t] * A0[t] - A[o]) / per_w[t];
+            const double miss = p[t] + P[o] - (1.0 + decay[t]) * v[t] - E[t] * Q - rest[t];
+            const double slope = wall_slope(wall, K[o], (wall_shape){th + o, stride, added}, p[t], a[t], sqrt(a[t])) + E[t] * A0[t] / per_w[t];
+            const double room = 0.5 * (wall_limit(wall, (wall_shape){th + o, stride, added}) - a[t]);
             double move = -miss / slope;
-            const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride, added}) - a[i]);
+            const double fall = 0.5 * (wall_floor(wall, (wall_shape){th + o, stride, added}) - a[t]);
             move = move > room ? room : move < fall ? fall : move;
-            a[i] += move;
-            p[i] = wall_p(wall, K[o], (wall_shape){th + o, stride, added}, a[i], sqrt(a[i]));
+            a[t] += move;
+            p[t] = wall_p(wall, K[o], (wall_shape){th + o, stride, added}, a[t], sqrt(a[t]));
             unfinished |= fabs(move) > 1e-8;
         });
         if (!unfinished)
             return;
     }
     s->no_root = 1;
-    for (int l = 0; l < W; l++)
-        for (ptrdiff_t t = 0; t < n; t++) {
-            const ptrdiff_t i = t * W + l, o = (ptrdiff_t)node[t] * W + l;
-            const double Q = qh[o - W] - (a[i] * A0[t] - A[o]) / per_w[t];
-            const double target = (1.0 + decay[i]) * v[i] + E[i] * Q - P[o] + rest[i];
-            s->stuck[l] |= !(fabs(target - p[i]) <= 1e-6 * (fabs(target) + fabs(P[o])));
-        }
+    for (ptrdiff_t t = 0; t < n; t++) {
+        const ptrdiff_t o = node[t];
+        const double Q = qh[o - 1] - (a[t] * A0[t] - A[o]) / per_w[t];
+        const double target = (1.0 + decay[t]) * v[t] + E[t] * Q - P[o] + rest[t];
+        s->stuck |= !(fabs(target - p[t]) <= 1e-6 * (fabs(target) + fabs(P[o])));
+    }
 }
 
-ZOO_INLINE void windkessel_advance(const int wall, const int W, const int extra, zoo_sim *s)
+ZOO_INLINE void windkessel_advance(const int wall, const int extra, zoo_sim *s)
 {
     (void)extra;
     zoo_terminals *ou = &s->outlets;
@@ -136,20 +133,20 @@ ZOO_INLINE void windkessel_advance(const int wall, const int W, const int extra,
     double *restrict A = s->A, *restrict q = s->q, *restrict v = ou->v, *restrict volume = ou->volume;
     const double dt = s->dt;
     if (!wall_in_root(wall))
-        windkessel_newton(wall, W, s);
-    ZOO_LOOP(W, i, t, l, 0, n, {
-        const ptrdiff_t o = (ptrdiff_t)node[t] * W + l;
-        const double now = A[o], q_mid = qh[o - W], base = (1.0 + decay[i]) * v[i] - P[o] + rest[i];
+        windkessel_newton(wall, s);
+    ZOO_LOOP(t, n, {
+        const ptrdiff_t o = node[t];
+        const double now = A[o], q_mid = qh[o - 1], base = (1.0 + decay[t]) * v[t] - P[o] + rest[t];
         /* a wall linear in the root: k2 r^2 + K r = k0 for r = sqrt(A'/A0) */
-        const double k2 = E[i] * A0[t] / per_w[t];
-        const double k0 = K[o] + base + E[i] * (q_mid + now / per_w[t]);
+        const double k2 = E[t] * A0[t] / per_w[t];
+        const double k0 = K[o] + base + E[t] * (q_mid + now / per_w[t]);
         const double r = 2.0 * k0 / (K[o] + sqrt(K[o] * K[o] + 4.0 * k2 * k0));
-        const double then = A0[t] * (wall_in_root(wall) ? r * r : found[i]);
+        const double then = A0[t] * (wall_in_root(wall) ? r * r : found[t]);
         const double Q = q_mid - (then - now) / per_w[t];
-        v[i] = decay[i] * v[i] + fill[i] * Q + rest[i];
+        v[t] = decay[t] * v[t] + fill[t] * Q + rest[t];
         A[o] = then;
-        q[o] = (base + E[i] * Q - v[i]) * inv_R1[i];
-        volume[i] += dt * Q;
+        q[o] = (base + E[t] * Q - v[t]) * inv_R1[t];
+        volume[t] += dt * Q;
     });
 }
 

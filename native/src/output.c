@@ -31,51 +31,45 @@ void zoo_output_weights(zoo_sim *s, int series)
     }
 }
 
-static double *ring_at(const zoo_sim *s, int step)
-{
-    return s->ring + (size_t)(step & 3) * s->problem->outputs.n_series * 3 * s->lanes;
-}
-
 static void record(zoo_sim *s, int step)
 {
-    int W = s->lanes, n = s->problem->outputs.n_series;
-    double *to = ring_at(s, step);
+    const int n = s->problem->outputs.n_series;
+    double *to = s->ring + (size_t)(step & 3) * n * 3;
     for (int i = 0; i < n; i++) {
         const int *node = s->out_node + 4 * i;
         const double *w = s->out_weight + 4 * i;
-        for (int l = 0; l < W; l++) {
-            double p = 0.0, q = 0.0, A = 0.0;
-            for (int m = 0; m < 4; m++) {
-                int o = node[m] * W + l;
-                p += w[m] * s->P[o];
-                q += w[m] * s->q[o];
-                A += w[m] * s->A[o];
-            }
-            to[(i * 3 + 0) * W + l] = p;
-            to[(i * 3 + 1) * W + l] = q;
-            to[(i * 3 + 2) * W + l] = A;
+        double p = 0.0, q = 0.0, A = 0.0;
+        for (int m = 0; m < 4; m++) {
+            p += w[m] * s->P[node[m]];
+            q += w[m] * s->q[node[m]];
+            A += w[m] * s->A[node[m]];
         }
+        to[i * 3 + 0] = p;
+        to[i * 3 + 1] = q;
+        to[i * 3 + 2] = A;
     }
 }
 
-/* All samples at or before time `until` (in steps), from the four steps first .. first+3. */
-static void emit(zoo_sim *s, int first, double until)
+int zoo_output_emit(const zoo_sim *s, int step, int width, const double *ring, double *sample, int next)
 {
     const zoo_outputs *out = &s->problem->outputs;
-    int size = out->n_series * 3 * s->lanes;
-    for (; s->next_time < out->n_times; s->next_time++) {
-        double x = out->times[s->next_time] / s->dt;
+    const double until = step == s->n_steps ? step * (1.0 + 1e-9) : step - 1.0;
+    const int size = out->n_series * 3 * width;
+    for (; step >= 3 && next < out->n_times; next++) {
+        double x = out->times[next] / s->dt;
         if (x > until)
-            return;
-        double y = x - first;
+            break;
+        double y = x - (step - 3);
         double w[4] = {-(y - 1) * (y - 2) * (y - 3) / 6.0, y * (y - 2) * (y - 3) / 2.0,
                        -y * (y - 1) * (y - 3) / 2.0, y * (y - 1) * (y - 2) / 6.0};
-        double *to = s->sample + (size_t)s->next_time * size;
-        const double *a = ring_at(s, first), *b = ring_at(s, first + 1), *c = ring_at(s, first + 2),
-                     *d = ring_at(s, first + 3);
+        double *to = sample + (size_t)next * size;
+        const double *at[4]; /* the four steps up to this one */
+        for (int i = 0; i < 4; i++)
+            at[i] = ring + (size_t)((step - 3 + i) & 3) * size;
         for (int i = 0; i < size; i++)
-            to[i] = w[0] * a[i] + w[1] * b[i] + w[2] * c[i] + w[3] * d[i];
+            to[i] = w[0] * at[0][i] + w[1] * at[1][i] + w[2] * at[2][i] + w[3] * at[3][i];
     }
+    return next;
 }
 
 /* The state at the start of the beat stands in the nodes. */
@@ -91,37 +85,27 @@ void zoo_output_step(zoo_sim *s, int step)
     if (s->problem->outputs.n_series == 0)
         return;
     record(s, step);
-    zoo_output_emit(s, step);
+    s->next_time = zoo_output_emit(s, step, 1, s->ring, s->sample, s->next_time);
 }
 
-/* Samples that the last four steps in the ring give. */
-void zoo_output_emit(zoo_sim *s, int step)
-{
-    if (step >= 3)
-        emit(s, step - 3, step == s->n_steps ? step * (1.0 + 1e-9) : step - 1.0);
-}
-
-/* Whether the samples of a lane that was solved are numbers; from finite states they may still overflow. */
-int zoo_output_finite(const zoo_sim *s, int lane)
+/* Whether the samples of a run that was solved are numbers; from finite states they may still overflow. */
+int zoo_output_finite(const zoo_sim *s)
 {
     const zoo_outputs *out = &s->problem->outputs;
     const size_t n = (size_t)out->n_series * 3 * (size_t)out->n_times;
     for (size_t i = 0; i < n; i++)
-        if (!isfinite(s->sample[i * s->lanes + lane]))
+        if (!isfinite(s->sample[i]))
             return 0;
     return 1;
 }
 
-void zoo_output_store(const zoo_sim *s, int lane, double *pressure, double *flow, double *area)
+void zoo_output_store(const zoo_sim *s, double *pressure, double *flow, double *area)
 {
     const zoo_outputs *out = &s->problem->outputs;
     double *to[3] = {pressure, flow, area};
-    int64_t at = s->set_of[lane] * (int64_t)out->n_series * out->n_times;
     for (int part = 0; part < 3; part++)
         for (int i = 0; i < out->n_series; i++)
             for (int t = 0; t < out->n_times; t++)
-                to[part][at + (int64_t)i * out->n_times + t] =
-                    s->report[lane].status == ZOO_OK
-                        ? s->sample[(((size_t)t * out->n_series + i) * 3 + part) * s->lanes + lane]
-                        : NAN;
+                to[part][(int64_t)i * out->n_times + t] =
+                    s->report.status == ZOO_OK ? s->sample[((size_t)t * out->n_series + i) * 3 + part] : NAN;
 }

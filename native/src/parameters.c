@@ -1,36 +1,32 @@
-/* The parameters of each lane's set, at the nodes. */
-#include <string.h>
-
+/* The parameters, at the nodes. */
 #include "outlet.h"
 #include "values.h"
 
 /* What a junction needs of its walls' K. */
-void zoo_set_softness(zoo_sim *s, zoo_junction_group *ju, int l)
+static void set_softness(zoo_sim *s, zoo_junction_group *ju)
 {
-    int W = s->lanes;
     for (int j = 0; j < ju->count; j++)
-        ju->soft1[j * W + l] = ju->soft2[j * W + l] = 0.0;
+        ju->soft1[j] = ju->soft2[j] = 0.0;
     for (int x = 0; x < ju->branches * ju->count; x++) {
-        double soft = 1.0 / s->K[ju->node[x] * W + l], size = ju->w[x] * ju->A0[x];
-        ju->soft[x * W + l] = soft;
-        ju->soft1[ju->junction[x] * W + l] += size * soft;
-        ju->soft2[ju->junction[x] * W + l] += size * soft * soft;
+        double soft = 1.0 / s->K[ju->node[x]], size = ju->w[x] * ju->A0[x];
+        ju->soft[x] = soft;
+        ju->soft1[ju->junction[x]] += size * soft;
+        ju->soft2[ju->junction[x]] += size * soft * soft;
     }
 }
 
-/* Shape parameters of vessel k in the set of lane l. */
-static wall_shape given_shape(const zoo_sim *s, const zoo_parameters *pa, int l, int k)
+/* Shape parameters of vessel k. */
+static wall_shape given_shape(const zoo_sim *s, const zoo_parameters *pa, int k)
 {
-    ptrdiff_t nv = s->n_vessels, per_set = wall_shapes(s->wall) * nv;
-    return (wall_shape){.at = per_set ? pa->shape + s->set_of[l] * per_set + k : NULL, .stride = nv, .function = s->wall_function};
+    return (wall_shape){.at = wall_shapes(s->wall) > 0 ? pa->shape + k : NULL, .stride = s->n_vessels, .function = s->wall_function};
 }
 
 /* The first vessel whose pressure, with a function added to the law, does not rise with its area, or -1. */
-static int first_falling(const zoo_sim *s, const zoo_parameters *pa, int l)
+static int first_falling(const zoo_sim *s, const zoo_parameters *pa)
 {
     const int n = wall_shapes(s->wall);
     for (int k = 0; k < s->n_vessels && wall_has_function(s->wall); k++) {
-        const wall_shape given = given_shape(s, pa, l, k), last = given_shape(s, pa, l, k ? k - 1 : 0);
+        const wall_shape given = given_shape(s, pa, k), last = given_shape(s, pa, k ? k - 1 : 0);
         double made[ZOO_MOST_SHAPES] = {0.0};
         int same = k > 0; /* as the vessel before */
         for (int m = 0; m < n; m++) {
@@ -61,81 +57,62 @@ int zoo_stiffness_varies(const zoo_problem *pr)
  *
  * so that a midpoint between two nodes of one pressure p, whose area is the mean of theirs, has that pressure too, but
  * for what is of the order of (p/K)^2 times the square of what a cell changes: blood at rest stays at rest. */
-static void vary_stiffness(zoo_sim *s, int k, int l)
+static void vary_stiffness(zoo_sim *s, int k)
 {
-    const int W = s->lanes;
     for (int j = s->first[k]; j <= s->last[k]; j++)
-        s->K[j * W + l] *= s->stiffening[j];
+        s->K[j] *= s->stiffening[j];
     for (int j = s->first[k]; j < s->last[k]; j++) {
         double here = s->A0[j], next = s->A0[j + 1];
-        s->K_mid[j * W + l] = (here + next) / (here / s->K[j * W + l] + next / s->K[(j + 1) * W + l]);
+        s->K_mid[j] = (here + next) / (here / s->K[j] + next / s->K[j + 1]);
     }
-    s->K_mid[s->last[k] * W + l] = s->K[s->last[k] * W + l];
+    s->K_mid[s->last[k]] = s->K[s->last[k]];
     s->uniform = 0;
 }
 
-/* Spreads the parameters of each lane's set over the nodes.  A lane whose set
- * is out of range is reported and given the parameters of a good one, so that
- * it computes something harmless; returns the number of good lanes. */
-int zoo_set_parameters(zoo_sim *s, const zoo_parameters *pa)
+/* Spreads the parameters over the nodes, unless one is out of range; the report says which. */
+int32_t zoo_set_parameters(zoo_sim *s, const zoo_parameters *pa)
 {
     const zoo_outlet *out = &s->problem->outlet;
-    int W = s->lanes, nv = s->n_vessels, good = 0, any = -1;
-    for (int l = 0; l < W; l++) {
-        int64_t row = s->set_of[l] * nv;
-        int wrong = -1;
-        for (int k = 0; k < nv && wrong < 0; k++)
-            if (value_bad(pa->stiffness[row + k]) || !wall_usable(s->wall, given_shape(s, pa, l, k)) ||
-                value_extreme(wall_scale(s->wall, s->problem->wall.factor, pa->stiffness[row + k], given_shape(s, pa, l, k))))
-                wrong = k;
-        for (int t = 0; t < s->outlets.count && wrong < 0; t++) {
-            int k = s->outlets.vessel[t];
-            if (value_bad(pa->psi1[row + k]) || value_bad(pa->psi2[row + k]) || value_bad(pa->c[row + k]) ||
-                !circuit_passive(s->problem, k, out->R1[k] * pa->psi1[row + k], out->R2[k] * pa->psi2[row + k]))
-                wrong = k;
-        }
-        memset(&s->report[l], 0, sizeof s->report[l]);
-        s->report[l].status = wrong < 0 ? ZOO_OK : ZOO_BAD_ARGUMENT;
-        if (wrong < 0) {
-            wrong = first_falling(s, pa, l);
-            s->report[l].status = wrong < 0 ? ZOO_OK : ZOO_WALL_FALLS;
-        }
-        s->report[l].vessel = wrong;
-        s->live[l] = wrong < 0;
-        good += wrong < 0;
-        if (wrong < 0 && any < 0)
-            any = l;
+    int nv = s->n_vessels, wrong = -1;
+    for (int k = 0; k < nv && wrong < 0; k++)
+        if (value_bad(pa->stiffness[k]) || !wall_usable(s->wall, given_shape(s, pa, k)) ||
+            value_extreme(wall_scale(s->wall, s->problem->wall.factor, pa->stiffness[k], given_shape(s, pa, k))))
+            wrong = k;
+    for (int t = 0; t < s->outlets.count && wrong < 0; t++) {
+        int k = s->outlets.vessel[t];
+        if (value_bad(pa->psi1[k]) || value_bad(pa->psi2[k]) || value_bad(pa->c[k]) ||
+            !circuit_passive(s->problem, k, out->R1[k] * pa->psi1[k], out->R2[k] * pa->psi2[k]))
+            wrong = k;
     }
-    if (any < 0)
-        return 0;
+    s->report = (zoo_report){.status = wrong < 0 ? ZOO_OK : ZOO_BAD_ARGUMENT, .vessel = wrong};
+    if (wrong < 0 && (wrong = first_falling(s, pa)) >= 0)
+        s->report = (zoo_report){.status = ZOO_WALL_FALLS, .vessel = wrong};
+    if (wrong >= 0)
+        return s->report.status;
     s->uniform = 1;
-    for (int l = 0; l < W; l++) {
-        int64_t row = s->set_of[s->live[l] ? l : any] * nv;
-        for (int k = 0; k < nv; k++) {
-            const wall_shape given = given_shape(s, pa, s->live[l] ? l : any, k);
-            double K = wall_scale(s->wall, s->problem->wall.factor, pa->stiffness[row + k], given);
+    for (int k = 0; k < nv; k++) {
+        const wall_shape given = given_shape(s, pa, k);
+        double K = wall_scale(s->wall, s->problem->wall.factor, pa->stiffness[k], given);
+        for (int j = s->first[k]; j <= s->last[k]; j++)
+            s->K[j] = K;
+        s->uniform &= K == s->K[0];
+        for (int m = 0; m < wall_shapes(s->wall); m++) {
+            double *row = s->coefficient + (ptrdiff_t)m * s->n_nodes;
+            double value = wall_coefficient(s->wall, given, m);
             for (int j = s->first[k]; j <= s->last[k]; j++)
-                s->K[j * W + l] = K;
-            s->uniform &= K == s->K[l];
-            for (int m = 0; m < wall_shapes(s->wall); m++) {
-                double *row_m = s->coefficient + (ptrdiff_t)m * s->n_nodes * W;
-                double value = wall_coefficient(s->wall, given, m);
-                for (int j = s->first[k]; j <= s->last[k]; j++)
-                    row_m[j * W + l] = value;
-                s->uniform &= value == row_m[l];
-            }
-            if (s->varying)
-                vary_stiffness(s, k, l);
+                row[j] = value;
+            s->uniform &= value == row[0];
         }
-        for (int t = 0; t < s->outlets.count; t++) {
-            int k = s->outlets.vessel[t];
-            s->outlets.R1[t * W + l] = out->R1[k] * pa->psi1[row + k];
-            s->outlets.R2[t * W + l] = out->R2[k] * pa->psi2[row + k];
-            s->outlets.C[t * W + l] = out->C[k] * pa->c[row + k];
-        }
+        if (s->varying)
+            vary_stiffness(s, k);
+    }
+    for (int t = 0; t < s->outlets.count; t++) {
+        int k = s->outlets.vessel[t];
+        s->outlets.R1[t] = out->R1[k] * pa->psi1[k];
+        s->outlets.R2[t] = out->R2[k] * pa->psi2[k];
+        s->outlets.C[t] = out->C[k] * pa->c[k];
     }
     for (int g = 0; g < s->n_groups; g++)
-        for (int l = 0; l < W; l++)
-            zoo_set_softness(s, &s->groups[g], l);
-    return good;
+        set_softness(s, &s->groups[g]);
+    return ZOO_OK;
 }

@@ -23,11 +23,11 @@
 #include "internal.h"
 
 /* Areas, flows, pressures, fluxes and friction at the midpoints, half a step on. */
-ZOO_INLINE void scheme_half(const int wall, const int W, const int extra, zoo_sim *s)
+ZOO_INLINE void scheme_half(const int wall, const int extra, zoo_sim *s)
 {
     const double *restrict A = s->A, *restrict q = s->q, *restrict K = s->K_mid;
     const double *restrict th = s->coefficient;
-    const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const ptrdiff_t stride = s->n_nodes;
     const zoo_spline added = s->wall_function;
     const double *restrict P = s->P, *restrict M = s->M, *restrict G = s->G;
     const double *restrict lam = s->lam_mid, *restrict inv_A0 = s->inv_A0_mid;
@@ -39,38 +39,38 @@ ZOO_INLINE void scheme_half(const int wall, const int W, const int extra, zoo_si
                  *restrict loss = s->loss_mid;
     const double later = 0.5 * (1.0 + s->relax_half), stiff = s->stiff_half;
     const int n = s->n_nodes - 1;
-    ZOO_LOOP(W, i, j, l, 0, n, {
-        const ptrdiff_t k = i + W;
-        double mean = 0.5 * (A[i] + A[k]);
-        double Am = mean - 0.5 * lam[j] * (q[k] - q[i]);
-        double qm = 0.5 * (q[i] + q[k]) -
-                    0.5 * lam[j] * (M[k] - M[i] + mean * inv_rho * (P[k] - P[i])) -
-                    quarter_dt * (G[i] + G[k]);
+    ZOO_LOOP(j, n, {
+        const ptrdiff_t k = j + 1;
+        double mean = 0.5 * (A[j] + A[k]);
+        double Am = mean - 0.5 * lam[j] * (q[k] - q[j]);
+        double qm = 0.5 * (q[j] + q[k]) -
+                    0.5 * lam[j] * (M[k] - M[j] + mean * inv_rho * (P[k] - P[j])) -
+                    quarter_dt * (G[j] + G[k]);
         if (extra)
-            Am -= quarter_dt * leak[j] * (P[i] + P[k]);
+            Am -= quarter_dt * leak[j] * (P[j] + P[k]);
         double a = Am * inv_A0[j], y = fast_rsqrt(a), r = a * y, u = qm * inv_A0[j] * y * y;
-        Ah[i] = Am;
-        qh[i] = qm;
-        Ph[i] = wall_p(wall, extra ? stiff * K[i] : K[i], (wall_shape){th + i, stride, added}, a, r);
-        Mh[i] = alpha * qm * u;
-        Gh[i] = (f_s[j] * r + f_c[j]) * u;
+        Ah[j] = Am;
+        qh[j] = qm;
+        Ph[j] = wall_p(wall, extra ? stiff * K[j] : K[j], (wall_shape){th + j, stride, added}, a, r);
+        Mh[j] = alpha * qm * u;
+        Gh[j] = (f_s[j] * r + f_c[j]) * u;
         if (extra) {
-            Ph[i] = (1.0 + later * kappa[j]) * Ph[i] + 0.5 * (off[i] + off[k]);
-            Gh[i] += (leak[j] * Ph[i] + loss[j] * Am * Am * fabs(qm)) * u;
+            Ph[j] = (1.0 + later * kappa[j]) * Ph[j] + 0.5 * (off[j] + off[k]);
+            Gh[j] += (leak[j] * Ph[j] + loss[j] * Am * Am * fabs(qm)) * u;
         }
     });
 }
 
 /* Friction whose factor is a function of the velocity, over that of the loops, G += (f(|u|) - 1) (f_s r + f_c) q/A, at n
  * nodes or midpoints.  A loop of its own: most trees have none. */
-ZOO_INLINE void scheme_friction(const int W, const zoo_sim *s, int n, const double *restrict A, const double *restrict q,
+ZOO_INLINE void scheme_friction(const zoo_sim *s, int n, const double *restrict A, const double *restrict q,
                                 const double *restrict inv_A0, const double *restrict f_s, const double *restrict f_c,
                                 double *restrict G)
 {
     const zoo_spline factor = s->friction_function;
-    ZOO_LOOP(W, i, j, l, 0, n, {
-        const double a = A[i] * inv_A0[j], y = fast_rsqrt(a), u = q[i] * inv_A0[j] * y * y;
-        G[i] += (spline_value(factor, fabs(u)) - 1.0) * (f_s[j] * a * y + f_c[j]) * u;
+    ZOO_LOOP(j, n, {
+        const double a = A[j] * inv_A0[j], y = fast_rsqrt(a), u = q[j] * inv_A0[j] * y * y;
+        G[j] += (spline_value(factor, fabs(u)) - 1.0) * (f_s[j] * a * y + f_c[j]) * u;
     });
 }
 
@@ -78,7 +78,7 @@ ZOO_INLINE void scheme_friction(const int W, const zoo_sim *s, int n, const doub
  * which stay as they are), then P, M = alpha q^2/A and G = f q at all nodes;
  * without `advance` only the latter.  Returns 1 if an area is not positive,
  * not a number or beyond the wall's limit. */
-ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const int advance, zoo_sim *s)
+ZOO_INLINE int scheme_full(const int wall, const int extra, const int advance, zoo_sim *s)
 {
     const double *restrict Ah = s->Ah, *restrict qh = s->qh, *restrict Ph = s->Ph,
                            *restrict Mh = s->Mh, *restrict Gh = s->Gh;
@@ -86,7 +86,7 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const i
                  *restrict f_s = s->f_s, *restrict f_c = s->f_c;
     const double *restrict K = s->K;
     const double *restrict th = s->coefficient;
-    const ptrdiff_t stride = (ptrdiff_t)s->n_nodes * W;
+    const ptrdiff_t stride = s->n_nodes;
     const zoo_spline added = s->wall_function;
     double *restrict A = s->A, *restrict q = s->q, *restrict P = s->P, *restrict M = s->M,
                      *restrict G = s->G;
@@ -98,36 +98,36 @@ ZOO_INLINE int scheme_full(const int wall, const int W, const int extra, const i
     const int n = s->n_nodes;
     int wrong = 0;
     /* midpoint -1 exists and holds finite numbers: see zoo_set_grid */
-    ZOO_LOOP(W, i, j, l, 0, n, {
-        const ptrdiff_t k = i - W;
-        double An = A[i], qn = q[i];
+    ZOO_LOOP(j, n, {
+        const ptrdiff_t k = j - 1;
+        double An = A[j], qn = q[j];
         if (advance) {
-            An -= lam[j] * (qh[i] - qh[k]);
-            qn -= lam[j] * (Mh[i] - Mh[k] + half_inv_rho * (Ah[i] + Ah[k]) * (Ph[i] - Ph[k])) +
-                  half_dt[j] * (Gh[i] + Gh[k]);
+            An -= lam[j] * (qh[j] - qh[k]);
+            qn -= lam[j] * (Mh[j] - Mh[k] + half_inv_rho * (Ah[j] + Ah[k]) * (Ph[j] - Ph[k])) +
+                  half_dt[j] * (Gh[j] + Gh[k]);
             if (extra)
-                An -= half_dt[j] * leak[j] * (Ph[i] + Ph[k]);
-            A[i] = An;
-            q[i] = qn;
+                An -= half_dt[j] * leak[j] * (Ph[j] + Ph[k]);
+            A[j] = An;
+            q[j] = qn;
         }
         double a = An * inv_A0[j], y = fast_rsqrt(a), r = a * y, u = qn * inv_A0[j] * y * y;
-        P[i] = wall_p(wall, extra ? stiff * K[i] : K[i], (wall_shape){th + i, stride, added}, a, r);
-        M[i] = alpha * qn * u;
-        G[i] = (f_s[j] * r + f_c[j]) * u;
+        P[j] = wall_p(wall, extra ? stiff * K[j] : K[j], (wall_shape){th + j, stride, added}, a, r);
+        M[j] = alpha * qn * u;
+        G[j] = (f_s[j] * r + f_c[j]) * u;
         if (extra) {
-            const double elastic = P[i], g = 0.5 * kappa[j] * (1.0 - e);
-            double memory = z[i];
+            const double elastic = P[j], g = 0.5 * kappa[j] * (1.0 - e);
+            double memory = z[j];
             if (advance)
-                memory = e * memory - g * (pe[i] + elastic);
-            P[i] = (1.0 + kappa[j]) * elastic + offset[j] + memory;
-            G[i] += (leak[j] * P[i] + loss[j] * An * An * fabs(qn)) * u;
-            z[i] = memory;
-            pe[i] = elastic;
-            off[i] = offset[j] + e * memory - g * elastic;
-            off_half[i] = offset[j] + e_half * memory - 0.5 * kappa[j] * (1.0 - e_half) * elastic;
+                memory = e * memory - g * (pe[j] + elastic);
+            P[j] = (1.0 + kappa[j]) * elastic + offset[j] + memory;
+            G[j] += (leak[j] * P[j] + loss[j] * An * An * fabs(qn)) * u;
+            z[j] = memory;
+            pe[j] = elastic;
+            off[j] = offset[j] + e * memory - g * elastic;
+            off_half[j] = offset[j] + e_half * memory - 0.5 * kappa[j] * (1.0 - e_half) * elastic;
         }
         double good = An > 0.0 ? 1.0 : 0.0;
-        good = wall_inside(wall, (wall_shape){th + i, stride, added}, a) ? good : 0.0;
+        good = wall_inside(wall, (wall_shape){th + j, stride, added}, a) ? good : 0.0;
         wrong |= good != 1.0;
     });
     return wrong;

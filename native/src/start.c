@@ -20,11 +20,11 @@
 enum { START_SWEEPS = 6 };
 
 /* Pressure of the wall where the blood's stands in P; a start needs no wall that is nearly shut. */
-static double wall_pressure(const zoo_sim *s, int j, int i)
+static double wall_pressure(const zoo_sim *s, int j)
 {
     if (!s->extra)
-        return s->P[i];
-    double p = s->P[i] - s->offset[j], least = -0.3 * zoo_K(s, i);
+        return s->P[j];
+    double p = s->P[j] - s->offset[j], least = -0.3 * zoo_K(s, j);
     return p > least ? p : least;
 }
 
@@ -35,12 +35,11 @@ static double leaks(const zoo_sim *s, int k)
 }
 
 /* Steady resistance of one vessel at the pressures that stand in P. */
-static double vessel_resistance(const zoo_sim *s, int k, int l)
+static double vessel_resistance(const zoo_sim *s, int k)
 {
     double sum = 0.0;
     for (int j = s->first[k]; j <= s->last[k]; j++) {
-        int i = j * s->lanes + l;
-        double a = wall_area_ratio(s->wall, zoo_K(s, i), zoo_shape(s, i), wall_pressure(s, j, i));
+        double a = wall_area_ratio(s->wall, zoo_K(s, j), zoo_shape(s, j), wall_pressure(s, j));
         double A = a * s->A0[j], end = j == s->first[k] || j == s->last[k] ? 0.5 : 1.0;
         sum += end * (s->f_s[j] * sqrt(a) + s->f_c[j]) / (A * A * s->inv_density);
     }
@@ -48,14 +47,13 @@ static double vessel_resistance(const zoo_sim *s, int k, int l)
 }
 
 /* dA/dp integrated over one vessel. */
-static double vessel_compliance(const zoo_sim *s, int k, int l)
+static double vessel_compliance(const zoo_sim *s, int k)
 {
     double sum = 0.0;
     for (int j = s->first[k]; j <= s->last[k]; j++) {
-        int i = j * s->lanes + l;
-        double p = wall_pressure(s, j, i), a = wall_area_ratio(s->wall, zoo_K(s, i), zoo_shape(s, i), p);
+        double p = wall_pressure(s, j), a = wall_area_ratio(s->wall, zoo_K(s, j), zoo_shape(s, j), p);
         double end = j == s->first[k] || j == s->last[k] ? 0.5 : 1.0;
-        sum += end * s->A0[j] / wall_slope(s->wall, zoo_K(s, i), zoo_shape(s, i), p, a, sqrt(a));
+        sum += end * s->A0[j] / wall_slope(s->wall, zoo_K(s, j), zoo_shape(s, j), p, a, sqrt(a));
     }
     return sum * s->dx[k];
 }
@@ -63,18 +61,18 @@ static double vessel_compliance(const zoo_sim *s, int k, int l)
 /* Equivalent resistance of the tree; `own`, `below` and `source` are scratch [n_vessels], and then hold each
  * vessel's own resistance, the conductance at its outlet, and the pressure that this leads to.  Half of a
  * leak sits at either end.  `against` is the pressure without flow. */
-static double resistance_from(const zoo_sim *s, int l, double *own, double *below, double *source, double *against)
+static double resistance_from(const zoo_sim *s, double *own, double *below, double *source, double *against)
 {
     const int32_t *parent = s->problem->network.parent;
     for (int k = 0; k < s->n_vessels; k++)
         below[k] = 0.5 * leaks(s, k), source[k] = 0.0; /* conductance of what hangs on k */
     for (int t = 0; t < s->outlets.count; t++) {
         int k = s->outlets.vessel[t];
-        below[k] += 1.0 / outlet_resistance(s, t, l);
-        source[k] += s->outlets.behind[t] / outlet_resistance(s, t, l); /* conductance times pressure, so far */
+        below[k] += 1.0 / outlet_resistance(s, t);
+        source[k] += s->outlets.behind[t] / outlet_resistance(s, t); /* conductance times pressure, so far */
     }
     for (int k = s->n_vessels - 1; k >= 0; k--) {
-        own[k] = vessel_resistance(s, k, l);
+        own[k] = vessel_resistance(s, k);
         source[k] /= below[k];
         if (k > 0) {
             double through = 1.0 / (own[k] + 1.0 / below[k]);
@@ -88,22 +86,21 @@ static double resistance_from(const zoo_sim *s, int l, double *own, double *belo
 }
 
 /* Steady pressures into P and flows into q, for the mean inflow; returns the root's pressure without flow. */
-static double steady(zoo_sim *s, int l, double mean_flow, double *own, double *below, double *source)
+static double steady(zoo_sim *s, double mean_flow, double *own, double *below, double *source)
 {
     double against = 0.0;
     const int32_t *parent = s->problem->network.parent;
-    int W = s->lanes;
     for (int j = 0; j < s->n_nodes; j++)
-        s->P[j * W + l] = 0.0;
+        s->P[j] = 0.0;
     for (int sweep = 0; sweep < START_SWEEPS; sweep++) {
-        double root = mean_flow * resistance_from(s, l, own, below, source, &against) + against;
+        double root = mean_flow * resistance_from(s, own, below, source, &against) + against;
         for (int k = 0; k < s->n_vessels; k++) {
-            double p_in = k ? s->P[s->last[parent[k]] * W + l] : root;
+            double p_in = k ? s->P[s->last[parent[k]]] : root;
             double flow = k || s->extra ? (p_in - source[k]) / (own[k] + 1.0 / below[k]) : mean_flow;
             for (int j = s->first[k]; j <= s->last[k]; j++) {
                 double part = (double)(j - s->first[k]) / (s->last[k] - s->first[k]);
-                s->P[j * W + l] = p_in - part * flow * own[k];
-                s->q[j * W + l] = flow;
+                s->P[j] = p_in - part * flow * own[k];
+                s->q[j] = flow;
             }
         }
     }
@@ -114,75 +111,70 @@ void zoo_start(zoo_sim *s)
 {
     const zoo_inlet *in = &s->problem->inlet;
     const int32_t *parent = s->problem->network.parent;
-    int W = s->lanes, nv = s->n_vessels;
+    int nv = s->n_vessels;
     if (s->extra && s->problem->wall.n_wave > 0)
         s->stiff = s->wave_node[0];
     double mean_flow = inlet_mean(s), h = in->period / in->n_samples;
     /* vessel by vessel scratch, borrowed from the history that is not in use yet */
     double *own = s->states, *below = own + nv, *capacity = below + nv, *source = capacity + nv;
-    for (int l = 0; l < W; l++) {
-        double against = steady(s, l, mean_flow, own, below, source);
-        double vessels = 0.0, total = 0.0;
-        for (int k = 0; k < nv; k++)
-            vessels += capacity[k] = vessel_compliance(s, k, l);
-        for (int t = 0; t < s->outlets.count; t++)
-            total += outlet_capacity(s, t, l);
-        total += vessels;
-        double resistance = (s->P[l] - against) / mean_flow, tau = resistance * total;
-        double filled = 0.0;
-        for (int i = 0; i < in->n_samples; i++)
-            filled += h * inlet_sample(s, i) * exp(-(in->period - i * h) / tau);
-        s->slow[l] = exp(-in->period / tau);
-        double ratio = filled / (total * (1.0 - s->slow[l])) / (s->P[l] - against);
+    double against = steady(s, mean_flow, own, below, source);
+    double vessels = 0.0, total = 0.0;
+    for (int k = 0; k < nv; k++)
+        vessels += capacity[k] = vessel_compliance(s, k);
+    for (int t = 0; t < s->outlets.count; t++)
+        total += outlet_capacity(s, t);
+    total += vessels;
+    double resistance = (s->P[0] - against) / mean_flow, tau = resistance * total;
+    double filled = 0.0;
+    for (int i = 0; i < in->n_samples; i++)
+        filled += h * inlet_sample(s, i) * exp(-(in->period - i * h) / tau);
+    s->slow = exp(-in->period / tau);
+    double ratio = filled / (total * (1.0 - s->slow)) / (s->P[0] - against);
 
-        /* flow out of the terminals now, less the inflow, comes out of the vessels */
-        for (int j = 0; j < s->n_nodes; j++) {
-            s->P[j * W + l] = against + (s->P[j * W + l] - against) * ratio;
-            s->q[j * W + l] *= ratio;
-        }
-        double surplus = (ratio * mean_flow - inlet_sample(s, 0)) / vessels;
-        for (int k = nv - 1; k > 0; k--)
-            capacity[parent[k]] += capacity[k];
-        memcpy(source, capacity, (size_t)nv * sizeof *source); /* without that below the outlet */
-        for (int d = 1; d < nv; d++)
-            source[parent[d]] -= capacity[d];
-        for (int k = 0; k < nv; k++) {
-            for (int j = s->first[k]; j <= s->last[k]; j++) {
-                double part = (double)(j - s->first[k]) / (s->last[k] - s->first[k]);
-                s->q[j * W + l] -= surplus * (capacity[k] - part * source[k]);
-            }
-        }
-        for (int j = 0; j < s->n_nodes; j++) {
-            int i = j * W + l;
-            double p = wall_pressure(s, j, i);
-            s->A[i] = s->A0[j] * wall_area_ratio(s->wall, zoo_K(s, i), zoo_shape(s, i), p);
-            if (s->extra)
-                s->z[i] = -s->kappa[j] * p;
-        }
-        for (int t = 0; t < s->outlets.count; t++)
-            outlet_start(s, t, l);
+    /* flow out of the terminals now, less the inflow, comes out of the vessels */
+    for (int j = 0; j < s->n_nodes; j++) {
+        s->P[j] = against + (s->P[j] - against) * ratio;
+        s->q[j] *= ratio;
     }
+    double surplus = (ratio * mean_flow - inlet_sample(s, 0)) / vessels;
+    for (int k = nv - 1; k > 0; k--)
+        capacity[parent[k]] += capacity[k];
+    memcpy(source, capacity, (size_t)nv * sizeof *source); /* without that below the outlet */
+    for (int d = 1; d < nv; d++)
+        source[parent[d]] -= capacity[d];
+    for (int k = 0; k < nv; k++) {
+        for (int j = s->first[k]; j <= s->last[k]; j++) {
+            double part = (double)(j - s->first[k]) / (s->last[k] - s->first[k]);
+            s->q[j] -= surplus * (capacity[k] - part * source[k]);
+        }
+    }
+    for (int j = 0; j < s->n_nodes; j++) {
+        double p = wall_pressure(s, j);
+        s->A[j] = s->A0[j] * wall_area_ratio(s->wall, zoo_K(s, j), zoo_shape(s, j), p);
+        if (s->extra)
+            s->z[j] = -s->kappa[j] * p;
+    }
+    for (int t = 0; t < s->outlets.count; t++)
+        outlet_start(s, t);
     zoo_refresh_nodes(s);
 }
 
-/* Largest (|u| + c)/dx that the first beat is likely to meet, 1/s, over all
- * lanes: at twice the starting pressure, with the largest inflow. */
+/* Largest (|u| + c)/dx that the first beat is likely to meet, 1/s: at twice the
+ * starting pressure, with the largest inflow. */
 double zoo_start_speed(const zoo_sim *s)
 {
     const zoo_inlet *in = &s->problem->inlet;
     double peak = 0.0, worst = 0.0;
     for (int i = 0; i < in->n_samples; i++)
         peak = inlet_sample(s, i) > peak ? inlet_sample(s, i) : peak;
-    for (int j = 0; j < s->n_nodes; j++)
-        for (int l = 0; l < s->lanes; l++) {
-            int i = j * s->lanes + l;
-            double p = 2.0 * wall_pressure(s, j, i), a = wall_area_ratio(s->wall, zoo_K(s, i), zoo_shape(s, i), p);
-            double c = sqrt(a * wall_slope(s->wall, zoo_K(s, i), zoo_shape(s, i), p, a, sqrt(a)) * s->inv_density);
-            if (s->extra)
-                c *= sqrt((1.0 + s->kappa[j]) * s->stiffest / s->stiff);
-            double u = s->vessel_of[j] == 0 ? peak * s->inv_A0[j] / a : 0.0;
-            double speed = (u + c) / s->dx[s->vessel_of[j]];
-            worst = speed > worst ? speed : worst;
-        }
+    for (int j = 0; j < s->n_nodes; j++) {
+        double p = 2.0 * wall_pressure(s, j), a = wall_area_ratio(s->wall, zoo_K(s, j), zoo_shape(s, j), p);
+        double c = sqrt(a * wall_slope(s->wall, zoo_K(s, j), zoo_shape(s, j), p, a, sqrt(a)) * s->inv_density);
+        if (s->extra)
+            c *= sqrt((1.0 + s->kappa[j]) * s->stiffest / s->stiff);
+        double u = s->vessel_of[j] == 0 ? peak * s->inv_A0[j] / a : 0.0;
+        double speed = (u + c) / s->dx[s->vessel_of[j]];
+        worst = speed > worst ? speed : worst;
+    }
     return worst;
 }

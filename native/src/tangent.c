@@ -259,23 +259,18 @@ int32_t zoo_jacobian(const zoo_problem *problem, const zoo_parameters *parameter
     if (status != ZOO_OK && status != ZOO_NO_DERIVATIVE)
         return status;
     zoo_sim s;
-    const int64_t bytes = zoo_layout(&own, 1, &s, NULL);
+    const int64_t bytes = zoo_layout(&own, &s, NULL);
     void *memory = bytes < 0 ? NULL : aligned_alloc(64, (size_t)(bytes + 63) / 64 * 64);
     if (!memory)
         return ZOO_WORKSPACE;
-    zoo_layout(&own, 1, &s, memory);
+    zoo_layout(&own, &s, memory);
     zoo_set_grid(&s);
-    s.set_of[0] = 0;
     differential d = {.t = {.s = &s, .n_directions = n_directions}, .parameters = parameters, .directions = directions,
                       .n_points = n_points, .room = room, .room_bytes = room_bytes, .status = ZOO_WORKSPACE};
     zoo_companion with = {.begin = begin_along, .step = step_along, .self = &d};
-    if (zoo_set_parameters(&s, parameters) > 0)
+    if (zoo_set_parameters(&s, parameters) == ZOO_OK)
         zoo_periodic(&s, status == ZOO_OK ? &with : NULL, pressure, flow, area);
-    *report = s.report[0];
-    if (report->status != ZOO_OK)
-        zoo_output_store(&s, 0, pressure, flow, area);
-    for (int k = 0; k < s.n_vessels && fastest; k++)
-        fastest[k] = report->status == ZOO_OK ? s.fastest[k] : NAN;
+    zoo_tell(&s, pressure, flow, area, fastest, report);
     tangent->status = status;
     if (report->status == ZOO_OK && status == ZOO_OK) {
         if (with.beat != report->beats)

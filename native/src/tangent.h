@@ -45,7 +45,7 @@ typedef struct {
     double *curve_node, *curve_mean; /* [n_steps+1][D], [n_steps][D] */
     double *node_source, *mid_source; /* [n_nodes][D] change of the walls' pressure with the areas left alone */
     double *out_P;                 /* [n_nodes][D] change of P with the state left alone, of directions by differences */
-    double *ring, *sample;         /* as in zoo_sim, D lanes */
+    double *ring, *sample;         /* as in zoo_sim, each number D times */
     int next_time;
 } zoo_block;
 
@@ -80,7 +80,7 @@ typedef struct {
     int n_directions, n_points, n_seeds;
     struct zoo_point *points;    /* [n_points] that are stepped */
     double *start;               /* [n_state] of the run */
-    double *seeds;               /* [n_seeds][n_state] the run's own changes, in the lanes after the directions' */
+    double *seeds;               /* [n_seeds][n_state] the run's own changes, in the places after the directions' */
     double *scratch;             /* [n_blocks][n_state][D] and 2 [n_state]; of points */
 } zoo_tangent;
 

@@ -71,20 +71,19 @@ static int32_t build(zoo_point *p, const zoo_tangent *t, const zoo_problem *give
     for (int k = 0; k < own->network.n_vessels; k++)
         if (given->network.parent[k] != own->network.parent[k] || given->network.n_cells[k] != own->network.n_cells[k])
             return ZOO_NO_DERIVATIVE;
-    const int64_t bytes = zoo_layout(&p->problem, 1, &p->sim, NULL);
+    const int64_t bytes = zoo_layout(&p->problem, &p->sim, NULL);
     if (bytes < 0 || !(p->memory = aligned_alloc(64, (size_t)(bytes + 63) / 64 * 64)))
         return ZOO_WORKSPACE;
-    zoo_layout(&p->problem, 1, &p->sim, p->memory);
+    zoo_layout(&p->problem, &p->sim, p->memory);
     zoo_sim *x = &p->sim;
     if (x->n_state != s->n_state || x->wall != s->wall || x->extra != s->extra || x->outlets.kind != s->outlets.kind ||
         x->outlets.rows.pressures != s->outlets.rows.pressures)
         return ZOO_NO_DERIVATIVE;
     zoo_set_grid(x);
-    x->set_of[0] = 0;
-    if (zoo_set_parameters(x, parameters) < 1)
+    if (zoo_set_parameters(x, parameters) != ZOO_OK)
         return ZOO_NO_DERIVATIVE;
     zoo_set_step(x, s->n_steps);
-    x->no_root = x->stuck[0] = 0;
+    x->no_root = x->stuck = 0;
     memset(x->outlets.volume, 0, (size_t)x->outlets.count * sizeof(double));
     return ZOO_OK;
 }
@@ -104,7 +103,7 @@ int32_t zoo_tangent_directions(zoo_tangent *t, const zoo_parameters *parameters,
             const double weight = direction->weight[m];
             report->direction = i;
             if (!given) {
-                status = zoo_set_parameters(&scratch.sim, direction->parameters[m]) < 1 ? ZOO_NO_DERIVATIVE : ZOO_OK;
+                status = zoo_set_parameters(&scratch.sim, direction->parameters[m]) == ZOO_OK ? ZOO_OK : ZOO_NO_DERIVATIVE;
                 outlet_set_step(&scratch.sim);
                 if (status != ZOO_OK)
                     continue;

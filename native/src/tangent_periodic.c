@@ -5,7 +5,7 @@
  * and an unchanged start gives b and the arguments' own part of the samples.  Each further beat takes vectors v through
  * the beat: w = v - J v, and the samples c of v.  What is left of all b is made least by combinations of all w (GCR, with
  * the directions' vectors pooled), and the samples follow by the same combinations of c: x itself is not needed.
- * New vectors are what is left of the b's, as far as they differ; lanes that the directions leave empty in the first beat
+ * New vectors are what is left of the b's, as far as they differ; places that the directions leave empty in the first beat
  * take the changes of the run's own last beats, in which the slowest decays are, and later what a beat made of these.
  * Norms weight the state as pressures (periodic.c). */
 #include <math.h>
@@ -70,13 +70,7 @@ static void emit(zoo_tangent *t, int step)
 {
     for (int k = 0; k < t->n_blocks; k++) {
         zoo_block *b = &t->block[k];
-        zoo_sim lanes = *t->s;
-        lanes.lanes = D;
-        lanes.ring = b->ring;
-        lanes.sample = b->sample;
-        lanes.next_time = b->next_time;
-        zoo_output_emit(&lanes, step);
-        b->next_time = lanes.next_time;
+        b->next_time = zoo_output_emit(t->s, step, D, b->ring, b->sample, b->next_time);
     }
 }
 
@@ -145,7 +139,7 @@ ZOO_CLONES static void add(double *restrict to, double factor, const double *res
         to[i] += factor * from[i];
 }
 
-/* State or samples of direction d: from a block's lanes, or into them. */
+/* State or samples of direction d: from its place in a block, or into it. */
 static void take(const double *block, int d, double *to, ptrdiff_t n)
 {
     for (ptrdiff_t i = 0; i < n; i++)
@@ -233,7 +227,7 @@ static int join(const double *weight, double *to, int found, ptrdiff_t n)
 static int run_changes(const zoo_sim *s, int most, double *to)
 {
     const ptrdiff_t n = s->n_state;
-    const int beats = s->report[0].beats, past = beats < ZOO_HISTORY ? beats : ZOO_HISTORY;
+    const int beats = s->report.beats, past = beats < ZOO_HISTORY ? beats : ZOO_HISTORY;
     int found = 0;
     for (int k = (past < most ? past : most) - 1; k >= 0; k--) {
         for (ptrdiff_t i = 0; i < n; i++)
@@ -243,7 +237,7 @@ static int run_changes(const zoo_sim *s, int most, double *to)
     return found;
 }
 
-/* More vectors for lanes that would stand empty: what a beat made of those that filled such lanes before, up to `most`
+/* More vectors for places that would stand empty: what a beat made of those that filled such places before, up to `most`
  * with the `found` that are there.  Returns how many there are then. */
 static int fill_vectors(const double *weight, const double *spare, int n_spare, int found, int most, ptrdiff_t n, double *to)
 {
@@ -254,9 +248,9 @@ static int fill_vectors(const double *weight, const double *spare, int n_spare, 
     return found;
 }
 
-/* After a beat in which `found` vectors stood in the lanes from `lane` on: w = v - J v orthogonal to all that are kept,
+/* After a beat in which `found` vectors stood in the places from `place` on: w = v - J v orthogonal to all that are kept,
  * and of length 1, with the samples that belong to it; and what is left of the directions without its part. */
-static double *absorb(const zoo_tangent *t, const double *vectors, int lane, int found, double *const *kept, const int *count,
+static double *absorb(const zoo_tangent *t, const double *vectors, int place, int found, double *const *kept, const int *count,
                       int round, ptrdiff_t m, double *left, double *samples)
 {
     const zoo_sim *s = t->s;
@@ -265,8 +259,8 @@ static double *absorb(const zoo_tangent *t, const double *vectors, int lane, int
     double *w = malloc((size_t)(found * (n + n_out) + 1) * sizeof *w);
     for (int v = 0; v < found && w; v++) {
         double *a = w + v * (n + n_out);
-        take(t->block[(lane + v) / D].state, (lane + v) % D, a, n);
-        take(t->block[(lane + v) / D].sample, (lane + v) % D, a + n, n_out);
+        take(t->block[(place + v) / D].state, (place + v) % D, a, n);
+        take(t->block[(place + v) / D].sample, (place + v) % D, a + n, n_out);
         for (ptrdiff_t i = 0; i < n; i++)
             a[i] = vectors[v * n + i] - a[i];
         for (int again = 0; again < 2; again++)
@@ -290,18 +284,18 @@ static double *absorb(const zoo_tangent *t, const double *vectors, int lane, int
 int32_t zoo_tangent_first(zoo_tangent *t)
 {
     const zoo_sim *s = t->s;
-    const size_t n = (size_t)s->n_state, lanes = (size_t)t->n_blocks * D;
+    const size_t n = (size_t)s->n_state, places = (size_t)t->n_blocks * D;
     t->start = malloc(n * sizeof *t->start);
-    t->seeds = malloc(lanes * n * sizeof *t->seeds);
-    t->scratch = malloc((t->n_points > 0 ? lanes * n + 2 * n : 1) * sizeof *t->scratch);
+    t->seeds = malloc(places * n * sizeof *t->seeds);
+    t->scratch = malloc((t->n_points > 0 ? places * n + 2 * n : 1) * sizeof *t->scratch);
     if (!t->start || !t->seeds || !t->scratch)
         return ZOO_WORKSPACE;
     zoo_pack(s, t->start);
     for (int k = 0; k < t->n_blocks; k++)
         memset(t->block[k].state, 0, n * D * sizeof(double));
-    t->n_seeds = run_changes(s, (int)lanes - t->n_directions, t->seeds);
-    for (int v = 0, lane = t->n_directions; v < t->n_seeds; v++, lane++)
-        put(t->block[lane / D].state, lane % D, t->seeds + (size_t)v * n, s->n_state);
+    t->n_seeds = run_changes(s, (int)places - t->n_directions, t->seeds);
+    for (int v = 0, place = t->n_directions; v < t->n_seeds; v++, place++)
+        put(t->block[place / D].state, place % D, t->seeds + (size_t)v * n, s->n_state);
     t->forced = 1;
     begin(t);
     return ZOO_OK;
@@ -344,7 +338,7 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, double tolerance, double *samples, 
                 const double p = fabs(samples[d * n_out + i]);
                 most = p > most || isnan(p) ? p : most;
             }
-            const double error = largest(s->weight, left + d * n, n) / (1.0 - s->slow[0]);
+            const double error = largest(s->weight, left + d * n, n) / (1.0 - s->slow);
             if (!isfinite(error) || !isfinite(most)) {
                 status = ZOO_NO_DERIVATIVE;
                 report->direction = d;
@@ -361,7 +355,7 @@ int32_t zoo_tangent_periodic(zoo_tangent *t, double tolerance, double *samples, 
             status = ZOO_NOT_PERIODIC;
             break;
         }
-        int found = new_vectors(s->weight, left, scale, open, (int)m, n, 0.1 * tolerance * (1.0 - s->slow[0]), vectors, size);
+        int found = new_vectors(s->weight, left, scale, open, (int)m, n, 0.1 * tolerance * (1.0 - s->slow), vectors, size);
         const int filled = found;
         t->n_blocks = (found + D - 1) / D;
         found = fill_vectors(s->weight, spare, n_spare, found, t->n_blocks * D, n, vectors);

@@ -18,20 +18,20 @@
 #include "tangent.h"
 
 enum { D = ZOO_DIRECTIONS };
-typedef double lanes __attribute__((vector_size(ZOO_DIRECTIONS * sizeof(double)), may_alias));
+typedef double directions __attribute__((vector_size(ZOO_DIRECTIONS * sizeof(double)), may_alias));
 
 /* Rows of coefficients of the junctions' branches and of the outlets. */
 enum { VOLUME, INFLOW, SOFTNESS, WAS, IS, AREA_H, FLOW_H, BALANCE, PUSH };
 enum { OUTLET_BEFORE, OUTLET_GIVE };
 
 /* Element j of an array of directions. */
-ZOO_INLINE lanes *of(double *array, ptrdiff_t j)
+ZOO_INLINE directions *of(double *array, ptrdiff_t j)
 {
-    return (lanes *)array + j;
+    return (directions *)array + j;
 }
 
 /* What makes the walls' arguments add to the pressures at nodes, or midpoints: all by value, since the compiler must
- * take it that the lanes' stores change whatever is behind a pointer. */
+ * take it that the vectors' stores change whatever is behind a pointer. */
 typedef struct {
     const double *by_K, *shape;
     double *K, *coefficient;
@@ -44,9 +44,9 @@ ZOO_INLINE walls_change change_of(const zoo_tangent *t, const zoo_block *b, cons
     return (walls_change){p->by_K, p->shape, K, b->coefficient, t->s->n_nodes, t->shapes};
 }
 
-ZOO_INLINE lanes source(const walls_change c, ptrdiff_t j)
+ZOO_INLINE directions source(const walls_change c, ptrdiff_t j)
 {
-    lanes sum = c.by_K[j] * *of(c.K, j);
+    directions sum = c.by_K[j] * *of(c.K, j);
     for (int m = 0; m < c.shapes; m++)
         sum += c.shape[m * c.stride + j] * *of(c.coefficient, m * c.stride + j);
     return sum;
@@ -66,17 +66,17 @@ ZOO_INLINE void vessels(const zoo_tangent *t, zoo_block *b, const int forced)
     for (int k = 0; k < s->n_vessels; k++) {
         const ptrdiff_t first = s->first[k], last = s->last[k];
         const double lam = s->lam_mid[first], l = 0.5 * lam;
-        lanes A0 = *of(A, first), q0 = *of(q, first), before_A = {0}, before_q = {0}, P0 = {0}, before_P = {0};
+        directions A0 = *of(A, first), q0 = *of(q, first), before_A = {0}, before_q = {0}, P0 = {0}, before_P = {0};
         if (forced)
             P0 = source(now, first);
         for (ptrdiff_t j = first; j < last; j++) {
             if (!forced)
                 __builtin_prefetch(ahead + ahead_by * j);
-            const lanes A1 = *of(A, j + 1), q1 = *of(q, j + 1);
-            const lanes Ah = 0.5 * (A0 + A1) - l * (q1 - q0);
-            lanes qh = hA0[j] * A0 + hA1[j] * A1 + hq0[j] * q0 + hq1[j] * q1, Ph = {0};
+            const directions A1 = *of(A, j + 1), q1 = *of(q, j + 1);
+            const directions Ah = 0.5 * (A0 + A1) - l * (q1 - q0);
+            directions qh = hA0[j] * A0 + hA1[j] * A1 + hq0[j] * q0 + hq1[j] * q1, Ph = {0};
             if (forced) {
-                const lanes P1 = source(now, j + 1);
+                const directions P1 = source(now, j + 1);
                 qh += hP0[j] * (P0 - P1);
                 Ph = source(mid, j);
                 P0 = P1;
@@ -108,7 +108,7 @@ ZOO_INLINE void junctions(const zoo_tangent *t, zoo_block *b, const int forced)
         const zoo_junction_group *ju = &s->groups[g];
         const int count = ju->count, n = count * ju->branches, *restrict nodes = ju->node, *restrict mids = ju->mid;
         for (int j = 0; j < count; j++) {
-            lanes P = {0}, half = {0};
+            directions P = {0}, half = {0};
             for (int x = j; x < n; x += count) {
                 P += row[VOLUME * n + x] * *of(A, nodes[x]) + row[INFLOW * n + x] * *of(qh, mids[x]);
                 if (forced)
@@ -116,10 +116,10 @@ ZOO_INLINE void junctions(const zoo_tangent *t, zoo_block *b, const int forced)
             }
             for (int x = j; x < n; x += count) {
                 const ptrdiff_t o = nodes[x], m = mids[x];
-                lanes then = row[SOFTNESS * n + x] * P;
+                directions then = row[SOFTNESS * n + x] * P;
                 if (forced)
                     then -= row[SOFTNESS * n + x] * source(next, o);
-                lanes sum = *of(q, o) + row[WAS * n + x] * *of(A, o) + row[IS * n + x] * then +
+                directions sum = *of(q, o) + row[WAS * n + x] * *of(A, o) + row[IS * n + x] * then +
                             row[AREA_H * n + x] * *of(Ah, m) + row[FLOW_H * n + x] * *of(qh, m);
                 if (forced)
                     sum += row[PUSH * n + x] * source(mid, m);
@@ -145,8 +145,8 @@ ZOO_INLINE void ends(const zoo_tangent *t, zoo_block *b, int step, const int wal
         const double decay = outlet_row(s, ou->coefficient, WINDKESSEL_DECAY)[i], fill = outlet_row(s, ou->coefficient, WINDKESSEL_FILL)[i],
                      E = outlet_row(s, ou->coefficient, WINDKESSEL_E)[i], inv_R1 = outlet_row(s, ou->coefficient, WINDKESSEL_INV_R1)[i];
         const double give = t->outlet[OUTLET_GIVE * n + i], back = 1.0 / ou->per_w[i];
-        lanes base = (1.0 + decay) * *of(b->v, i) - t->outlet[OUTLET_BEFORE * n + i] * *of(b->A, o);
-        lanes after = decay * *of(b->v, i), own = {0}, raised = {0}, driven = {0};
+        directions base = (1.0 + decay) * *of(b->v, i) - t->outlet[OUTLET_BEFORE * n + i] * *of(b->A, o);
+        directions after = decay * *of(b->v, i), own = {0}, raised = {0}, driven = {0};
         if (walls) {
             base -= source(change_of(t, b, &t->now, b->K), o);
             own = source(change_of(t, b, &t->next, b->K), o);
@@ -154,14 +154,14 @@ ZOO_INLINE void ends(const zoo_tangent *t, zoo_block *b, int step, const int wal
         if (outlets) {
             const double was = t->old_v[i], Q = s->qh[o - 1] - (s->A[o] - t->old_A[o]) * back;
             const double above = (1.0 + decay) * was - t->old_P[o] + outlet_row(s, ou->coefficient, WINDKESSEL_REST)[i] + E * Q - ou->v[i];
-            const lanes more = *of(b->row, WINDKESSEL_DECAY * n + i) * was + *of(b->row, WINDKESSEL_REST * n + i);
+            const directions more = *of(b->row, WINDKESSEL_DECAY * n + i) * was + *of(b->row, WINDKESSEL_REST * n + i);
             base += more;
             after += more + *of(b->row, WINDKESSEL_FILL * n + i) * Q;
             driven = *of(b->row, WINDKESSEL_E * n + i) * Q;
             raised = *of(b->row, WINDKESSEL_INV_R1 * n + i) * above;
         }
-        const lanes come = *of(b->qh, o - 1) + back * *of(b->A, o);
-        const lanes then = (base + E * come + driven - own) * give, Q = come - then * back;
+        const directions come = *of(b->qh, o - 1) + back * *of(b->A, o);
+        const directions then = (base + E * come + driven - own) * give, Q = come - then * back;
         after += fill * Q;
         *of(b->A, o) = then;
         *of(b->v, i) = after;
@@ -169,7 +169,7 @@ ZOO_INLINE void ends(const zoo_tangent *t, zoo_block *b, int step, const int wal
     }
     const double per_w = 2.0 * s->dt / s->dx[0];
     const int moves = t->forced && b->inlet;
-    const lanes none = {0};
+    const directions none = {0};
     *of(b->A, 0) -= per_w * (*of(b->qh, 0) - (moves ? *of(b->curve_mean, step) : none));
     *of(b->q, 0) = moves ? *of(b->curve_node, step + 1) : none;
 }
@@ -258,7 +258,7 @@ void zoo_plain_keep(zoo_tangent *t)
 /* Adds what the walls' arguments make of the pressures at a node, at the end of a step. */
 void zoo_plain_source(const zoo_tangent *t, const zoo_block *b, ptrdiff_t o, double *P)
 {
-    const lanes more = source(change_of(t, b, &t->now, b->K), o);
+    const directions more = source(change_of(t, b, &t->now, b->K), o);
     for (int d = 0; d < D; d++)
         P[d] += more[d];
 }

@@ -515,7 +515,7 @@ static void pressure_rows(const zoo_tangent *t, const zoo_block *b, int i, doubl
            more_C = exp(spline_at(s->compliance_function, v, &faster_C));
     EACH_DIRECTION now[d] = 0.0;
     for (int m = 0; m < ns; m++) {
-        const double R = more_R * circuit_R(s, m, i, 0), C = more_C * circuit_C(s, m, i, 0);
+        const double R = more_R * circuit_R(s, m, i), C = more_C * circuit_C(s, m, i);
         const double leaves = R != 0.0 ? t->old_v[m * n + i] / R : 0.0;
         EACH_DIRECTION dv[d] += b->v[(m * n + i) * D + d];
         if (R == 0.0)
@@ -530,7 +530,7 @@ static void pressure_rows(const zoo_tangent *t, const zoo_block *b, int i, doubl
     more_C = exp(spline_at(s->compliance_function, v + half_dt * rate, &faster_C));
     double *restrict E = rows + CIRCUIT_E * D;
     for (int m = 0; m < ns; m++) {
-        const double R = more_R * circuit_R(s, m, i, 0), C = more_C * circuit_C(s, m, i, 0);
+        const double R = more_R * circuit_R(s, m, i), C = more_C * circuit_C(s, m, i);
         if (R == 0.0)
             continue;
         const double keep = exp(-s->dt / (R * C)), by = keep * s->dt / (R * C) * (faster_R + faster_C);

@@ -39,7 +39,7 @@
 #include "arithmetic.h"
 #include "function.h"
 
-/* Shape parameters of a law, or coefficients at one node and lane: number m is at[m*stride]; and the function that is
+/* Shape parameters of a law, or coefficients at one node: number m is at[m*stride]; and the function that is
  * added to the law, where there is one. */
 typedef struct {
     const double *at;

@@ -1,4 +1,4 @@
-"""The NumPy face of the compiled solver: one solve, or a batch of them."""
+"""The NumPy face of the compiled solver."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ABI = 7
+ABI = 8
 if getattr(lib, "ZOO_ABI", 1) != ABI:
     raise ImportError(
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
@@ -150,31 +150,12 @@ class Solution:
         return bool(self.status == lib.ZOO_OK)
 
 
-@dataclass(frozen=True)
-class BatchSolution:
-    """Solves at many sets of parameters: arrays with a leading axis n_sets, a status each."""
-
-    pressure_mmHg: Array
-    flow_ml_s: Array
-    area_cm2: Array
-    status: NDArray[np.int32]
-    vessel: NDArray[np.int32]
-    time_s: Array
-    beats: NDArray[np.int32]
-    steps_per_beat: NDArray[np.int32]
-    change_mmHg: Array
-    max_cfl: Array
-
-    @property
-    def ok(self) -> NDArray[np.bool_]:
-        """Which of the sets reached the periodic state, shape (n_sets,)."""
-        ok: NDArray[np.bool_] = self.status == lib.ZOO_OK
-        return ok
-
-    def status_counts(self) -> dict[str, int]:
-        """How many sets ended in each status."""
-        values, counts = np.unique(self.status, return_counts=True)
-        return {STATUS_NAMES[int(v)]: int(n) for v, n in zip(values, counts, strict=True)}
+def _parameters(rows: dict[str, Array]) -> Any:
+    """The native struct of parameters, whose arrays must be kept alive."""
+    parameters = ffi.new("zoo_parameters *")
+    for name, row in rows.items():
+        setattr(parameters, "shape" if name == "gamma" else name, ffi.from_buffer("double[]", row))
+    return parameters
 
 
 class Solver:
@@ -347,8 +328,10 @@ class Solver:
     def _build(self) -> None:
         net, options, conventions = self.network, self.options, self.conventions
         self._kept: list[Any] = []
-        self._workspaces: dict[int, Any] = {}
-        self._rooms: list[Any] = []
+        # memory for a solve, and for its derivatives, between two of them; taken out while in use, so that
+        # two threads never share it
+        self._workspaces: list[NDArray[np.uint8]] = []
+        self._rooms: list[NDArray[np.uint8]] = []
         problem = ffi.new("zoo_problem *")
 
         n_vessels = len(net.ids)
@@ -487,78 +470,53 @@ class Solver:
             give(outlet, "section_compliance", added.section_compliance)
 
     def _broadcast(
-        self, values: dict[str, ArrayLike], n_sets: int, known: dict[tuple[str, int], Array] | None = None
+        self, values: Sequence[ArrayLike], known: dict[tuple[str, int], Array] | None = None
     ) -> dict[str, Array]:
-        """Parameters as (n_sets, n_vessels), several shape parameters as (n_sets, n_shapes, n_vessels).
+        """Parameters in their order as (n_vessels,), several shape parameters as (n_shapes, n_vessels).
 
         `known` has the rows of objects that came before, which must be alive, and gets those of new ones.
         """
         n_vessels, n_shapes = len(self.network.ids), len(SHAPES[self.wall])
+        known = {} if known is None else known
         rows = {}
-        for name, value in values.items():
-            if known is not None and (name, id(value)) in known:
-                rows[name] = known[name, id(value)]
-                continue
-            data = real_array(name, value, error=SolverArgumentError)
-            several = (n_shapes,) if name == "gamma" and n_shapes > 1 else ()
-            try:
-                rows[name] = np.ascontiguousarray(np.broadcast_to(data, (n_sets, *several, n_vessels)))
-            except ValueError:
-                raise SolverArgumentError(
-                    f"{name}: shape {data.shape} fits neither one value nor one per vessel ({n_vessels})"
-                ) from None
-            if known is not None:
-                known[name, id(value)] = rows[name]
+        for name, value in zip(PARAMETERS, values, strict=True):
+            if (name, id(value)) not in known:
+                data = real_array(name, value, error=SolverArgumentError)
+                several = (n_shapes,) if name == "gamma" and n_shapes > 1 else ()
+                try:
+                    row = np.ascontiguousarray(np.broadcast_to(data, (*several, n_vessels)))
+                except ValueError:
+                    raise SolverArgumentError(
+                        f"{name}: shape {data.shape} fits neither one value nor one per vessel ({n_vessels})"
+                    ) from None
+                known[name, id(value)] = row
+            rows[name] = known[name, id(value)]
         return rows
 
-    def _run(self, rows: dict[str, Array]) -> tuple[list[Array], Array, Any]:
-        n_sets = len(rows["stiffness"])
-        if n_sets == 0:
-            raise SolverArgumentError("stiffness: no set of parameters; give at least one")
+    def _workspace(self) -> NDArray[np.uint8]:
+        """Memory for one solve."""
+        try:
+            return self._workspaces.pop()
+        except IndexError:  # there is none yet, or another thread has it
+            pass
         size = ffi.new("int64_t *")
-        code = lib.zoo_workspace_size(self._problem, n_sets, size)
+        code = lib.zoo_workspace_size(self._problem, size)
         if code == lib.ZOO_WORKSPACE:
             raise SolverArgumentError(
                 "memory is lacking for a network of this size; give fewer vessels or cells"
             )
         if code != lib.ZOO_OK:
             raise SolverArgumentError("the network, the inflow or the options are out of range")
-        # taken out while in use, so that two threads never share one
-        workspace = self._workspaces.pop(size[0], None)
-        if workspace is None:
-            try:
-                workspace = np.empty(size[0], dtype=np.uint8)
-            except (MemoryError, ValueError):
-                raise SolverArgumentError(
-                    f"a solve needs {size[0] / 2**30:.3g} GB, more than there are: lower max_steps, the "
-                    "cells, the series and times, or the sets of a batch"
-                ) from None
-        parameters = ffi.new("zoo_parameters *")
-        for name in PARAMETERS:
-            field = "shape" if name == "gamma" else name
-            setattr(parameters, field, ffi.from_buffer("double[]", rows[name]))
-        shape = (n_sets, len(self.series), len(self.times_s))
-        waves = [np.empty(shape) for _ in range(3)]
-        fastest = np.empty((n_sets, len(self.network.ids)))
-        reports = ffi.new("zoo_report[]", n_sets)
-        code = lib.zoo_solve(
-            self._problem,
-            n_sets,
-            parameters,
-            ffi.from_buffer("char[]", workspace),
-            size[0],
-            *(ffi.from_buffer("double[]", array) for array in (*waves, fastest)),
-            reports,
-        )
-        self._workspaces[size[0]] = workspace
-        if code != lib.ZOO_OK:
-            raise SolverArgumentError(ffi.string(lib.zoo_status_text(code)).decode())
-        ordered = [self._at_times(wave) for wave in waves]
-        ordered[0] = cgs_to_mmhg(ordered[0] + self._shift, self.conventions.mmhg)
-        return ordered, fastest, reports
+        try:
+            return np.empty(size[0], dtype=np.uint8)
+        except (MemoryError, ValueError):
+            raise SolverArgumentError(
+                f"a solve needs {size[0] / 2**30:.3g} GB, more than there are: lower max_steps, the "
+                "cells, or the series and times"
+            ) from None
 
     def _reason(self, report: Any, values: dict[str, Array]) -> str:
-        """Why a solve failed, in words; `values` are its parameters, (1, n_vessels)."""
+        """Why a solve failed, in words; `values` are its parameters."""
         text: str = ffi.string(lib.zoo_status_text(report.status)).decode()
         if report.status == lib.ZOO_OK:
             return text
@@ -621,20 +579,33 @@ class Solver:
         SolverError
             One of its subclasses, when the solve fails and `check` is true.
         """
-        values = dict(zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True))
-        rows = self._broadcast(values, 1)
-        waves, fastest, reports = self._run(rows)
-        report = reports[0]
+        rows = self._broadcast((stiffness, gamma, psi1, psi2, c))
+        waves = [np.empty((len(self.series), len(self.times_s))) for _ in range(3)]
+        fastest = np.empty(len(self.network.ids))
+        report = ffi.new("zoo_report *")
+        workspace = self._workspace()
+        code = lib.zoo_solve(
+            self._problem,
+            _parameters(rows),
+            ffi.from_buffer("char[]", workspace),
+            workspace.nbytes,
+            *(ffi.from_buffer("double[]", array) for array in (*waves, fastest)),
+            report,
+        )
+        self._workspaces[:] = [workspace]
+        if code != lib.ZOO_OK:
+            raise SolverArgumentError(ffi.string(lib.zoo_status_text(code)).decode())
         if check and report.status != lib.ZOO_OK:
             raise _ERRORS[report.status][0](self._reason(report, rows))
         return self._solution(waves, fastest, report, rows)
 
     def _solution(self, waves: list[Array], fastest: Array, report: Any, rows: dict[str, Array]) -> Solution:
+        waves = [self._at_times(wave) for wave in waves]
         mmhg = self.conventions.mmhg
         return Solution(
-            pressure_mmHg=waves[0][0],
-            flow_ml_s=waves[1][0],
-            area_cm2=waves[2][0],
+            pressure_mmHg=cgs_to_mmhg(waves[0] + self._shift, mmhg),
+            flow_ml_s=waves[1],
+            area_cm2=waves[2],
             status=report.status,
             reason=self._reason(report, rows),
             vessel=int(self.network.ids[report.vessel]) if report.vessel >= 0 else None,
@@ -648,7 +619,7 @@ class Solver:
             inflow_ml=report.inflow,
             outflow_ml=report.outflow,
             junction_defect_ml_s=report.junction_defect,
-            fastest_cm_s=fastest[0],
+            fastest_cm_s=fastest,
         )
 
     def jacobian(
@@ -699,24 +670,14 @@ class Solver:
         >>> solver.jacobian(5e4, directions=[stiffer]).pressure_mmHg.shape[0]
         1
         """
-        values = dict(zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True))
         known: dict[tuple[str, int], Array] = {}
-        rows = self._broadcast(values, 1, known)
+        rows = self._broadcast((stiffness, gamma, psi1, psi2, c), known)
         n, shape = len(directions), (len(self.series), len(self.times_s))
         if n == 0:
             raise SolverArgumentError("directions: there is none; give at least one")
         tolerance = real_number("tolerance", tolerance, above=0.0, error=SolverArgumentError)
         kept: list[Any] = []
-
-        def native(given: dict[str, Array]) -> Any:
-            parameters = ffi.new("zoo_parameters *")
-            for name in PARAMETERS:
-                field = "shape" if name == "gamma" else name
-                setattr(parameters, field, ffi.from_buffer("double[]", given[name]))
-            kept.extend((parameters, given))
-            return parameters
-
-        own, built = native(rows), ffi.new("zoo_direction[]", n)
+        built = ffi.new("zoo_direction[]", n)
         sizes = self._sizes()
         shift = np.zeros(n)
         for i, points in enumerate(directions):
@@ -730,7 +691,8 @@ class Solver:
                 if solver.wall != self.wall:
                     raise SolverArgumentError(f"directions[{i}][{m}]: its solver has another wall")
                 near = (point.stiffness, point.gamma, point.psi1, point.psi2, point.c)
-                sets[m] = native(self._broadcast(dict(zip(PARAMETERS, near, strict=True)), 1, known))
+                kept.append(_parameters(self._broadcast(near, known)))  # `known` keeps the rows
+                sets[m] = kept[-1]
                 if point.solver is not None:
                     copied = ffi.new("zoo_problem *", solver._problem[0])
                     share_arrays(ffi, copied, self._problem, sizes | solver._sizes())
@@ -740,17 +702,17 @@ class Solver:
             built[i].n_points, built[i].problem = len(points), problems
             built[i].parameters, built[i].weight = sets, weights
             kept.extend((problems, sets, weights))
-        waves = [np.empty((1, *shape)) for _ in range(3)]
+        waves = [np.empty(shape) for _ in range(3)]
         slopes = [np.empty((n, *shape)) for _ in range(3)]
-        fastest = np.empty((1, len(self.network.ids)))
+        fastest = np.empty(len(self.network.ids))
         report, tangent = ffi.new("zoo_report *"), ffi.new("zoo_tangent_report *")
-        try:  # taken out while in use, as the workspaces
+        try:
             room = self._rooms.pop()
         except IndexError:
             room = np.empty(0, dtype=np.uint8)
         code = lib.zoo_jacobian(
             self._problem,
-            own,
+            _parameters(rows),
             n,
             built,
             tolerance,
@@ -772,8 +734,7 @@ class Solver:
             raise _ERRORS[report.status][0](self._reason(report, rows))
         if check and tangent.status != lib.ZOO_OK:
             raise _ERRORS.get(tangent.status, (SolverArgumentError, ""))[0](text)
-        waves, slopes = ([self._at_times(x) for x in arrays] for arrays in (waves, slopes))
-        waves[0] = cgs_to_mmhg(waves[0] + self._shift, self.conventions.mmhg)
+        slopes = [self._at_times(x) for x in slopes]
         slopes[0] = cgs_to_mmhg(slopes[0] + shift[:, None, None], self.conventions.mmhg)
         return Derivatives(
             solution=self._solution(waves, fastest, report, rows),
@@ -798,58 +759,6 @@ class Solver:
         back = np.empty_like(wave)
         back[..., self._order] = wave
         return back
-
-    def solve_batch(
-        self,
-        stiffness: ArrayLike,
-        gamma: ArrayLike = 2.0,
-        psi1: ArrayLike = 1.0,
-        psi2: ArrayLike = 1.0,
-        c: ArrayLike = 1.0,
-    ) -> BatchSolution:
-        """Solve at many sets of parameters, sixteen side by side; a set that fails has a status and NaN rows.
-
-        Parameters
-        ----------
-        stiffness, gamma, psi1, psi2, c : array (n_sets, n_vessels), (n_sets, 1), or a single value
-            As in `solve`; the number of sets is the largest leading axis. Several shape parameters of a wall
-            stand in a second axis, (n_sets, n_shapes, n_vessels).
-
-        Returns
-        -------
-        BatchSolution
-            Sets solved side by side take the finest time step that one of them needs, so they agree
-            with single solves to within the discretisation error, and to rounding when `steps_per_beat` is
-            set and the tolerance is met in the same beat.
-        """
-        values = {
-            name: real_array(name, value, error=SolverArgumentError)
-            for name, value in zip(PARAMETERS, (stiffness, gamma, psi1, psi2, c), strict=True)
-        }
-        values = {name: v[:, None] if v.ndim == 1 else v for name, v in values.items()}
-        n_sets = max(v.shape[0] if v.ndim else 1 for v in values.values())
-        rows = self._broadcast(dict(values), n_sets)
-        # sets solved side by side wait for the slowest, which is the one with the longest decay, psi2 c
-        order = np.argsort((rows["psi2"] * rows["c"]).mean(axis=1), kind="stable")
-        back = np.argsort(order)
-        waves, _, reports = self._run({name: v[order] for name, v in rows.items()})
-
-        def field(name: str, dtype: Any = np.float64) -> Any:
-            return np.array([getattr(reports[i], name) for i in back], dtype=dtype)
-
-        pressure, flow, area = (wave[back] for wave in waves)
-        return BatchSolution(
-            pressure_mmHg=pressure,
-            flow_ml_s=flow,
-            area_cm2=area,
-            status=field("status", np.int32),
-            vessel=field("vessel", np.int32),
-            time_s=field("time"),
-            beats=field("beats", np.int32),
-            steps_per_beat=field("steps_per_beat", np.int32),
-            change_mmHg=cgs_to_mmhg(field("change"), self.conventions.mmhg),
-            max_cfl=field("max_cfl"),
-        )
 
     def settings(self) -> dict[str, Any]:
         """Wall, conventions, numerical options and what is added, for a run's record."""
