@@ -69,7 +69,7 @@ $(SHORT): demo-output/short/%.nc: $(STAMP)
 	$(BIN)/zoo sample $* demo --draws 150 --tune 300 --seed 1 --fresh -o $@
 
 bench: setup
-	$(BIN)/python benchmarks/bench_solver.py
+	$(BIN)/python -m benchmarks.bench_solver
 
 clean:
 	$(MAKE) --no-print-directory -C native clean

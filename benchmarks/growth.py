@@ -1,31 +1,25 @@
-"""How a solve and its derivatives grow with vessels and with directions, by processor time in the same run.
+"""How a solve and its derivatives grow with vessels, by processor time in the same run.
 
-`python benchmarks/growth.py` prints a row for random trees of 21, 113 and 1001 vessels (Murray's law, lengths
-of 5 to 15 radii, cells of the mouse's size), and one for 5, 24 and 100 directions on `mouse-c6`, and sets
-`growth_vessels` and `growth_directions` of `benchmarks/latest.json`. Times are also given for a cell and a
-time step of one vessel's scheme, which is what ought not to grow.
+`python -m benchmarks.growth` prints a row for random trees of 21, 113 and 1001 vessels (Murray's law, lengths
+of 5 to 15 radii, cells of the mouse's size), and keeps `growth_vessels` in `benchmarks/latest.json`. Times
+are also given for a cell and a time step of one vessel's scheme, which is what ought not to grow.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 from functools import partial
-from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gradient import CASES, direction, processor_times
+from benchmarks.gradient import direction
+from benchmarks.measured import keep, options, processor_times
 
 from zoo.blood.blind.networks import inflow, loaded, tree
 from zoo.blood.solver import Solver, SolverOptions
-from zoo.blood.study import Blood, Study, load_study
+from zoo.blood.study import Blood, Study
 from zoo.blood.units import mmhg_to_cgs
 
-HERE = Path(__file__).parent
 VESSELS = (21, 113, 1001)
-DIRECTIONS = (5, 24, 100)
 MEAN_MMHG = 15.0
 DX_CM = 0.038
 
@@ -68,32 +62,13 @@ def row_of(study: Study, repeats: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--output", type=Path, default=HERE / "latest.json")
-    options = parser.parse_args()
-    by_vessels = []
+    given = options(__doc__, repeats=7)
+    rows = []
     for n in VESSELS:
-        row = row_of(study_of(n), options.repeats)
+        row = row_of(study_of(n), given.repeats)
         print(", ".join(f"{k} {v:.4g}" for k, v in row.items()), flush=True)
-        by_vessels.append(row)
-    study, values = load_study("mouse-c6"), CASES["linear"]
-    solver = Solver.for_study(study, "linear", series=[(study.vessels[0].id, 0.0)])
-    n = len(study.vessels)
-    every = [direction(values, name, n) for name in values]
-    every += [direction(values, name, n, v) for name in ("stiffness", "psi1", "psi2", "c") for v in range(n)]
-    more = [[*a, *b] for a, b in pairwise(every)]
-    every = (every + more)[: DIRECTIONS[-1]]
-    assert len(every) == DIRECTIONS[-1]
-    runs = [partial(solver.solve, **values)]
-    runs += [partial(solver.jacobian, **values, directions=every[:k]) for k in DIRECTIONS]  # type: ignore[arg-type, misc]
-    primal, *costs = processor_times(runs, options.repeats)  # type: ignore[arg-type]
-    by_directions = {str(k): cost / primal for k, cost in zip(DIRECTIONS, costs, strict=True)}
-    for k, ratio in by_directions.items():
-        print(f"{k} directions: {ratio:.2f} times the solve, {ratio / int(k):.3f} for each")
-    result = json.loads(options.output.read_text(encoding="utf-8"))
-    result |= {"growth_vessels": by_vessels, "growth_directions": by_directions}
-    options.output.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+        rows.append(row)
+    keep({"growth_vessels": rows}, given.output)
 
 
 if __name__ == "__main__":

@@ -1,28 +1,27 @@
 """Solves a second of any study at the cells and steps that follow from an accuracy, against the yardsticks.
 
-    .venv/bin/python -m benchmarks.resolution [STUDY FOLDERS] [--accuracy 0.1] [--stiffness 4e5]
+    python -m benchmarks.resolution [STUDY FOLDERS] [--accuracy 0.1] [--stiffness 4e5]
 
 Without folders: the tree of a human's size in `tests/data/human`. Studies of openBF's networks come from
-`zoo import`; their stiffness is their own. Writes into `benchmarks/latest.json`, under "resolution".
+`zoo import`; their stiffness is their own. Keeps `resolution_NAME` in `benchmarks/latest.json` for each.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from benchmarks.bench_solver import HERE, median_time, yardsticks
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+from benchmarks.measured import LATEST, keep, processor_times, yardsticks
 
 from zoo.blood.network import Network
 from zoo.blood.resolution import resolve_solver
 from zoo.blood.solver import Solver
 from zoo.blood.study import load_study
 
-HUMAN = HERE.parent / "tests" / "data" / "human"
+HUMAN = LATEST.parents[1] / "tests" / "data" / "human"
 
 
 def main() -> None:
@@ -30,10 +29,9 @@ def main() -> None:
     parser.add_argument("studies", nargs="*", default=[str(HUMAN)])
     parser.add_argument("--accuracy", type=float, default=0.03)
     parser.add_argument("--stiffness", type=float, default=4e5)
-    parser.add_argument("--output", type=Path, default=HERE / "latest.json")
+    parser.add_argument("--output", type=Path, default=LATEST)
     given = parser.parse_args()
-    with threadpool_limits(1):
-        gflop = yardsticks()["matrix_product_gflop_per_s"]
+    gflop = yardsticks()["matrix_product_gflop_per_s"]
     found = {}
     for name in given.studies:
         study = replace(load_study(name), numerics={"accuracy_percent": given.accuracy})
@@ -44,9 +42,9 @@ def main() -> None:
         chosen = resolve_solver(study, Solver.for_study(study), **at)
         solver = Solver.for_study(study, options=chosen.options)
         solution = solver.solve(**at)
-        rate = 1 / median_time(lambda s=solver, v=at: s.solve(**v), 7)  # type: ignore[misc]
+        rate = 1 / processor_times([partial(solver.solve, **at)], 7)[0]  # type: ignore[arg-type]
         print(f"{study.name}: {chosen.text}; {solution.beats} beats; {rate:.3g} solves/s")
-        found[study.name] = {
+        found[f"resolution_{study.name}"] = {
             "accuracy_percent": given.accuracy,
             "error_percent": chosen.error_percent,
             "cells": sum(chosen.cells),
@@ -55,9 +53,7 @@ def main() -> None:
             "solves_per_s": rate,
             "solves_per_gflop_of_a_matrix_product": rate / gflop,
         }
-    result = json.loads(given.output.read_text(encoding="utf-8"))
-    result["resolution"] = result.get("resolution", {}) | found
-    given.output.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    keep(found, given.output)
 
 
 if __name__ == "__main__":

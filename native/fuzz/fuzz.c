@@ -2,18 +2,17 @@
  *
  *   fuzz [--seconds S] [--calls N] [--seed K] [--corpus FILE] [--case K]
  *
- * A case is made of one seed: a small tree, outputs, numerics and sets of parameters that can mostly be solved, of
- * which, in half of the cases, one to three values are then replaced by values that nobody means: numbers that are
+ * A case is made of one seed: a small tree, outputs, numerics and parameters that can mostly be solved, of which, in half of the cases, one to three values are then replaced by values that nobody means: numbers that are
  * none, sizes that do not fit, arrays that are absent.  Whether the call must then be refused is decided here from
  * what zoo.h says (`verdict`), not by the solver's own checks.  A case fails when
  *
  *   - a sanitizer stops it, a guard word beside an array is overwritten, or an argument is changed;
  *   - what must be refused is not, or the other way round; what is refused writes anything;
- *   - a set that is called solved holds something that is not a number, or one that failed holds numbers;
+ *   - a solve that is called one holds something that is not a number, or one that failed holds numbers;
  *   - the answer depends on what stood in the workspace.
  *
- * The last line counts; the exit status is not zero when a case failed, or when no more than a third of all sets
- * that were handed in were solved. */
+ * The last line counts; the exit status is not zero when a case failed, or when no more than a third of all that were
+ * handed in were solved. */
 #include <signal.h>
 #include <time.h>
 
@@ -21,10 +20,10 @@
 #include "../src/outlet.h"
 #include "draw.h"
 
-enum { MOST_VESSELS = 6, MOST_SETS = 20, MOST_BYTES = 1 << 25, UNKNOWN = -1 };
+enum { MOST_VESSELS = 6, MOST_BYTES = 1 << 25, UNKNOWN = -1 };
 
 static uint64_t case_seed;
-static int64_t failures, sets_given, sets_solved, sets_by_status[ZOO_WALL_FALLS + 1], refused, twice;
+static int64_t failures, given, by_status[ZOO_WALL_FALLS + 1], refused, twice;
 static int64_t calls_size, calls_solve, calls_name, calls_wall;
 
 static void fail(const char *what)
@@ -56,7 +55,6 @@ static void on_signal(int number)
 typedef struct {
     zoo_problem problem;
     zoo_parameters parameters;
-    int64_t n_sets;
 } trial;
 
 /* What may be changed: numbers, counts, arrays. */
@@ -177,7 +175,7 @@ static void make_additions(zoo_problem *pr, int nv)
     }
 }
 
-/* A trial of which, mostly, every set can be solved. */
+/* A trial that can mostly be solved. */
 static void make(trial *t)
 {
     memset(t, 0, sizeof *t);
@@ -254,15 +252,16 @@ static void make(trial *t)
     if (one_in(3))
         make_additions(pr, nv);
 
-    t->n_sets = one_in(30) ? 1 + below(MOST_SETS) : 1;
-    const int rows = (int)t->n_sets * nv;
-    double *stiffness = reals_of(&t->parameters.stiffness, rows, 1e5, 4e5);
-    for (int i = 0; i < rows && one_in(2); i++)
-        stiffness[i] = stiffness[i / nv * nv]; /* one stiffness in all vessels */
-    reals_of(&t->parameters.shape, rows * ZOO_MOST_SHAPES, 3.0, 8.0);
-    reals_of(&t->parameters.psi1, rows, 0.8, 1.2);
-    reals_of(&t->parameters.psi2, rows, 0.8, 1.2);
-    reals_of(&t->parameters.c, rows, 0.8, 1.2);
+    const int shapeless = one_in(30);
+    double *stiffness = reals_of(&t->parameters.stiffness, nv, 1e5, 4e5);
+    for (int k = 0; k < nv && one_in(2); k++)
+        stiffness[k] = stiffness[0]; /* one stiffness in all vessels */
+    reals_of(&t->parameters.shape, nv * ZOO_MOST_SHAPES, 3.0, 8.0);
+    if (shapeless && zoo_wall_shapes(pr->wall.law) == 0)
+        t->parameters.shape = NULL;
+    reals_of(&t->parameters.psi1, nv, 0.8, 1.2);
+    reals_of(&t->parameters.psi2, nv, 0.8, 1.2);
+    reals_of(&t->parameters.c, nv, 0.8, 1.2);
 }
 
 static void spoil(trial *t)
@@ -286,10 +285,8 @@ static void spoil(trial *t)
                       : kind == STEPS          ? below(1000)
                                                : below(8) - 2;
             }
-        } else if (what < 7)
+        } else
             *pointers[below(n_pointers)] = NULL;
-        else
-            t->n_sets = one_in(2) ? t->n_sets : one_in(2) ? -(int64_t)below(3) : INT64_MAX - below(3);
     }
 }
 
@@ -444,36 +441,35 @@ static int verdict(const trial *t)
     return unknown ? UNKNOWN : 0;
 }
 
-/* Whether set i must be refused. */
-static int set_verdict(const trial *t, int64_t i)
+/* Whether the parameters must be refused. */
+static int parameters_verdict(const trial *t)
 {
     const zoo_problem *pr = &t->problem;
-    const zoo_parameters *pa = &t->parameters;
+    const zoo_parameters pa = t->parameters;
     const int nv = pr->network.n_vessels, shapes = zoo_wall_shapes(pr->wall.law);
     int fed[MOST_VESSELS] = {0}, unknown = 0;
     for (int k = 1; k < nv; k++)
         fed[pr->network.parent[k]] = 1;
     for (int k = 0; k < nv; k++) {
-        const int64_t at = i * nv + k;
-        const double chi = pa->stiffness[at], scale = pr->wall.law ? chi * pr->wall.factor : chi;
+        const double chi = pa.stiffness[k], scale = pr->wall.law ? chi * pr->wall.factor : chi;
         if (!positive(chi) || scale < 1e-31 || scale > 1e31)
             return 1;
         unknown |= scale < 1e-29 || scale > 1e29;
         for (int m = 0; m < shapes; m++)
-            if (!positive(pa->shape[(i * shapes + m) * nv + k]))
+            if (!positive(pa.shape[m * nv + k]))
                 return 1;
         const zoo_outlet *ou = &pr->outlet;
         double against = 0.0;
         const int sections = !fed[k] && ou->kind == ZOO_OUTLET_CIRCUIT ? ou->n_sections : 0; /* else not read: any number */
         for (int m = 0; m < sections; m++)
             against -= fmin(ou->section_resistance[k * sections + m], 0.0);
-        if (!fed[k] && positive(pa->psi1[at]) && positive(pa->psi2[at]) && against > 0.0) {
-            const double first = ou->R1[k] * pa->psi1[at], less = against * (ou->R2[k] * pa->psi2[at]);
+        if (!fed[k] && positive(pa.psi1[k]) && positive(pa.psi2[k]) && against > 0.0) {
+            const double first = ou->R1[k] * pa.psi1[k], less = against * (ou->R2[k] * pa.psi2[k]);
             unknown |= fabs(first - less) <= 1e-9 * first || !isfinite(less);
             if (!(first > less) && !unknown)
                 return 1;
         }
-        if (!fed[k] && (!positive(pa->psi1[at]) || !positive(pa->psi2[at]) || !positive(pa->c[at])))
+        if (!fed[k] && (!positive(pa.psi1[k]) || !positive(pa.psi2[k]) || !positive(pa.c[k])))
             return 1;
     }
     return unknown ? UNKNOWN : 0;
@@ -507,22 +503,20 @@ typedef struct {
 } answer;
 
 /* Solves with a workspace of `bytes` full of `fill`; the outputs start as 0xc3. */
-static answer call(const trial *t, int64_t bytes, int fill, int64_t n_sets, int with_fastest)
+static answer call(const trial *t, int64_t bytes, int fill, int with_fastest)
 {
     answer a;
-    const size_t waves = (size_t)(n_sets * t->problem.outputs.n_series * t->problem.outputs.n_times) * sizeof(double);
-    const size_t speeds = (size_t)(n_sets * t->problem.network.n_vessels) * sizeof(double);
-    const size_t reports = (size_t)n_sets * sizeof(zoo_report), room = (size_t)bytes;
+    const size_t waves = (size_t)t->problem.outputs.n_series * (size_t)t->problem.outputs.n_times * sizeof(double);
+    const size_t speeds = (size_t)t->problem.network.n_vessels * sizeof(double), room = (size_t)bytes;
     void *workspace = array_new(room, fill ? below(8) * 8 : 0, fill);
     for (int i = 0; i < 3; i++)
         a.wave[i] = array_new(waves, 0, 0xc3);
     a.fastest = with_fastest ? array_new(speeds, 0, 0xc3) : NULL;
-    a.report = array_new(reports, 0, 0);
+    a.report = array_new(sizeof *a.report, 0, 0);
     calls_solve++;
-    a.code = zoo_solve(&t->problem, t->n_sets, &t->parameters, workspace, bytes, a.wave[0], a.wave[1], a.wave[2],
-                       a.fastest, a.report);
-    int broken = guard_broken(workspace, room) | guard_broken(a.report, reports);
-    a.sum = digest(7, a.report, reports);
+    a.code = zoo_solve(&t->problem, &t->parameters, workspace, bytes, a.wave[0], a.wave[1], a.wave[2], a.fastest, a.report);
+    int broken = guard_broken(workspace, room) | guard_broken(a.report, sizeof *a.report);
+    a.sum = digest(7, a.report, sizeof *a.report);
     for (int i = 0; i < 3; i++) {
         broken |= guard_broken(a.wave[i], waves);
         a.sum = digest(a.sum, a.wave[i], waves);
@@ -535,47 +529,45 @@ static answer call(const trial *t, int64_t bytes, int fill, int64_t n_sets, int 
     return a;
 }
 
-static void look_at_set(const trial *t, const answer *a, int64_t i)
+static void look_at(const trial *t, const answer *a)
 {
-    const zoo_report *r = &a->report[i];
-    const int nv = t->problem.network.n_vessels, expected = set_verdict(t, i);
+    const zoo_report *r = a->report;
+    const int nv = t->problem.network.n_vessels, expected = parameters_verdict(t);
     const int64_t n = (int64_t)t->problem.outputs.n_series * t->problem.outputs.n_times;
-    EXPECT(r->status >= ZOO_OK && (r->status <= ZOO_NOT_PERIODIC || (r->status == ZOO_WALL_FALLS && t->problem.wall.function.n_knots)), "a set has a status that does not exist");
+    EXPECT(r->status >= ZOO_OK && (r->status <= ZOO_NOT_PERIODIC || (r->status == ZOO_WALL_FALLS && t->problem.wall.function.n_knots)), "a solve has a status that does not exist");
     EXPECT(expected == UNKNOWN || (r->status == ZOO_BAD_ARGUMENT) == (expected == 1),
            "parameters are refused that are in range, or the other way round");
     EXPECT(r->vessel >= -1 && r->vessel < nv, "a report names a vessel that does not exist");
     if (r->status >= 0 && r->status <= ZOO_WALL_FALLS)
-        sets_by_status[r->status]++;
+        by_status[r->status]++;
     for (int part = 0; part < 3; part++) {
-        const double *x = a->wave[part] + i * n;
+        const double *x = a->wave[part];
         EXPECT(r->status == ZOO_OK ? finite_all(x, n, part < 2 ? -DBL_MAX : -1e300, DBL_MAX) : all_nan(x, n),
                "samples do not fit the status");
     }
     if (a->fastest)
-        EXPECT(r->status == ZOO_OK ? finite_all(a->fastest + i * nv, nv, 0.0, DBL_MAX) : all_nan(a->fastest + i * nv, nv),
+        EXPECT(r->status == ZOO_OK ? finite_all(a->fastest, nv, 0.0, DBL_MAX) : all_nan(a->fastest, nv),
                "speeds do not fit the status");
     if (r->status == ZOO_OK) {
         const zoo_numerics *nu = &t->problem.numerics;
-        sets_solved++;
         EXPECT(r->beats >= 1 && r->beats <= nu->max_beats && r->steps_per_beat >= 32 && r->steps_per_beat <= nu->max_steps &&
                    r->total_steps >= r->steps_per_beat && r->distance <= nu->tolerance && in_range(r->change, 0.0, DBL_MAX) &&
                    in_range(r->max_cfl, 0.0, DBL_MAX) && isfinite(r->inflow) && isfinite(r->outflow) &&
                    isfinite(r->junction_defect),
-               "the report of a solved set does not hold together");
+               "the report of a solve does not hold together");
     }
 }
 
 static void solve_case(trial *t)
 {
     int64_t bytes = -5;
-    const int expected = t->n_sets < 1 || t->n_sets > 1000000 ? 1 : verdict(t);
+    const int expected = verdict(t);
     const uint64_t before = digest_arguments(t);
     calls_size++;
-    const int32_t status = zoo_workspace_size(&t->problem, t->n_sets, &bytes);
+    const int32_t status = zoo_workspace_size(&t->problem, &bytes);
     EXPECT(status == ZOO_OK || (status == ZOO_BAD_ARGUMENT && bytes == -5), "the size of a workspace has a wrong status");
     EXPECT(expected == UNKNOWN || (status != ZOO_OK) == expected, "a problem is refused that is in range, or the other way round");
-    const int64_t sets = t->n_sets < 1 || t->n_sets > MOST_SETS ? 1 : t->n_sets;
-    sets_given += sets;
+    given++;
     if (status != ZOO_OK) {
         refused++;
         char some[64];
@@ -585,31 +577,29 @@ static void solve_case(trial *t)
         memset(out, 0xc3, sizeof out);
         const uint64_t was = digest(digest(1, &report, sizeof report), out, sizeof out);
         calls_solve++;
-        const int32_t code = zoo_solve(&t->problem, t->n_sets, &t->parameters, some, sizeof some, out, out + 1, out + 2,
-                                       NULL, &report);
+        const int32_t code = zoo_solve(&t->problem, &t->parameters, some, sizeof some, out, out + 1, out + 2, NULL, &report);
         EXPECT(code == ZOO_BAD_ARGUMENT, "a solve accepts what its workspace refuses");
         EXPECT(was == digest(digest(1, &report, sizeof report), out, sizeof out), "a refused solve wrote something");
     } else if (bytes < 64 || bytes > MOST_BYTES || t->problem.numerics.max_beats > 10000) {
         EXPECT(bytes >= 64, "a workspace is smaller than nothing");
-        sets_given -= sets; /* nobody waits for these */
+        given--; /* nobody waits for these */
     } else {
         const zoo_parameters *pa = &t->parameters;
         const int missing = !pa->stiffness || !pa->psi1 || !pa->psi2 || !pa->c ||
                             (zoo_wall_shapes(t->problem.wall.law) > 0 && !pa->shape);
         const int fastest = !one_in(4), small = one_in(50);
-        answer a = call(t, small ? bytes - 1 - below(64) : bytes, 0xff, sets, fastest);
+        const answer a = call(t, small ? bytes - 1 - below(64) : bytes, 0xff, fastest);
         if (missing || small) {
             refused++;
             EXPECT(a.code == (missing ? ZOO_BAD_ARGUMENT : ZOO_WORKSPACE), "what is missing was not noticed");
-            EXPECT(a.report[0].status == 0 && a.report[0].beats == 0, "a refused solve wrote something");
+            EXPECT(a.report->status == 0 && a.report->beats == 0, "a refused solve wrote something");
         } else {
             EXPECT(a.code == ZOO_OK, "a solve refuses what its workspace accepts");
-            for (int64_t i = 0; i < sets && a.code == ZOO_OK; i++)
-                look_at_set(t, &a, i);
+            if (a.code == ZOO_OK)
+                look_at(t, &a);
             if (one_in(8)) {
                 twice++;
-                const answer b = call(t, bytes, 0, sets, fastest);
-                EXPECT(a.sum == b.sum, "the answer depends on what stood in the workspace");
+                EXPECT(a.sum == call(t, bytes, 0, fastest).sum, "the answer depends on what stood in the workspace");
             }
         }
     }
@@ -732,17 +722,17 @@ int main(int argc, char **argv)
             run_case(draw());
         }
     }
-    const double share = sets_given ? (double)sets_solved / (double)sets_given : 0.0;
+    const double share = given ? (double)by_status[ZOO_OK] / (double)given : 0.0;
     printf("fuzz: seed %llu, %lld cases (%lld of the corpus) in %.0f s\n", (unsigned long long)seed, (long long)cases,
            (long long)from_corpus, now() - start);
     printf("  calls: zoo_solve %lld (%lld of them a second time), zoo_workspace_size %lld, names %lld, walls %lld\n",
            (long long)calls_solve, (long long)twice, (long long)calls_size, (long long)calls_name, (long long)calls_wall);
-    printf("  refused %lld; sets: solved %lld", (long long)refused, (long long)sets_by_status[ZOO_OK]);
+    printf("  refused %lld; solved %lld", (long long)refused, (long long)by_status[ZOO_OK]);
     for (int s = 1; s <= ZOO_WALL_FALLS; s++)
-        printf(", status %d %lld", s, (long long)sets_by_status[s]);
-    printf("\n  %.1f %% of %lld sets solved; %lld failures\n", 100.0 * share, (long long)sets_given, (long long)failures);
+        printf(", status %d %lld", s, (long long)by_status[s]);
+    printf("\n  %.1f %% of %lld solved; %lld failures\n", 100.0 * share, (long long)given, (long long)failures);
     if (!single && cases > 100 && !(share > 1.0 / 3.0)) {
-        fprintf(stderr, "fuzz: no more than a third of the sets was solved\n");
+        fprintf(stderr, "fuzz: no more than a third was solved\n");
         return 1;
     }
     return failures > 0;

@@ -60,7 +60,7 @@ typedef struct {
     zoo_problem problem;
     double knots[NKNOTS];
     double flow[NSAMPLES], times[NTIMES];
-    double stiffness[64 * NV], shape[64 * NV * ZOO_MOST_SHAPES], psi1[64 * NV], psi2[64 * NV], c[64 * NV];
+    double stiffness[NV], shape[NV * ZOO_MOST_SHAPES], psi1[NV], psi2[NV], c[NV];
     zoo_parameters parameters;
     char *memory;
     zoo_sim sim;
@@ -92,23 +92,15 @@ static inline void tree_make(tree *t, int wall)
     t->problem.outputs = (zoo_outputs){NSERIES, tree_vessel, tree_position, NTIMES, t->times};
     t->problem.numerics = (zoo_numerics){
         .cfl = 0.9, .max_steps = 32768, .max_beats = 60, .tolerance = 1.0, .accelerate = 1};
-    for (int i = 0; i < 64 * NV; i++) {
-        t->stiffness[i] = 5e4 * (1.0 + 0.02 * (i % NV)) * (1.0 + 0.01 * (i / NV));
-        for (int m = 0; m < wall_shapes(wall); m++) /* [set][parameter][vessel] */
-            t->shape[(i / NV * wall_shapes(wall) + m) * NV + i % NV] =
-                wall_shape_parameter(wall, m).typical * (1.0 + 0.025 * (i % NV));
-        t->psi1[i] = 0.8;
-        t->psi2[i] = 1.0 + 0.003 * (i / NV);
-        t->c[i] = 1.1;
+    for (int k = 0; k < NV; k++) {
+        t->stiffness[k] = 5e4 * (1.0 + 0.02 * k);
+        for (int m = 0; m < wall_shapes(wall); m++)
+            t->shape[m * NV + k] = wall_shape_parameter(wall, m).typical * (1.0 + 0.025 * k);
+        t->psi1[k] = 0.8;
+        t->psi2[k] = 1.0;
+        t->c[k] = 1.1;
     }
     t->parameters = (zoo_parameters){t->stiffness, t->shape, t->psi1, t->psi2, t->c};
-}
-
-/* The parameters from set i on. */
-static inline zoo_parameters tree_from(const tree *t, int i)
-{
-    return (zoo_parameters){t->stiffness + i * NV, t->shape + i * NV * wall_shapes(t->problem.wall.law), t->psi1 + i * NV,
-                            t->psi2 + i * NV, t->c + i * NV};
 }
 
 /* Everything that can be added, different in every vessel. */
@@ -165,17 +157,14 @@ static inline void tree_add(tree *t, additions *x)
 }
 
 /* A run set up as zoo_solve does it, for looking inside. */
-static inline void tree_open(tree *t, int lanes, int n_steps)
+static inline void tree_open(tree *t, int n_steps)
 {
-    int64_t bytes = zoo_layout(&t->problem, lanes, &t->sim, NULL);
+    int64_t bytes = zoo_layout(&t->problem, &t->sim, NULL);
     t->memory = aligned_alloc(64, (size_t)bytes);
     memset(t->memory, 0xff, (size_t)bytes); /* NaN everywhere: nothing may be read before it is set */
-    zoo_layout(&t->problem, lanes, &t->sim, t->memory);
+    zoo_layout(&t->problem, &t->sim, t->memory);
     zoo_set_grid(&t->sim);
-    for (int l = 0; l < lanes; l++)
-        t->sim.set_of[l] = l;
-    t->sim.no_root = 0;
-    if (zoo_set_parameters(&t->sim, &t->parameters) != lanes)
+    if (zoo_set_parameters(&t->sim, &t->parameters) != ZOO_OK)
         abort();
     zoo_set_step(&t->sim, n_steps);
 }
@@ -193,14 +182,13 @@ static inline void tree_without_memory(zoo_sim *s)
     memset(s->outlets.carry, 0, (size_t)s->outlets.rows.flows * s->outlets.count * sizeof(double));
 }
 
-/* Blood in all vessels of one lane, ml: whole cells inside, half cells at the ends. */
-static inline double tree_volume(const zoo_sim *s, int lane)
+/* Blood in all vessels, ml: whole cells inside, half cells at the ends. */
+static inline double tree_volume(const zoo_sim *s)
 {
     double sum = 0.0;
     for (int k = 0; k < s->n_vessels; k++)
         for (int j = s->first[k]; j <= s->last[k]; j++)
-            sum += (j == s->first[k] || j == s->last[k] ? 0.5 : 1.0) * s->dx[k] *
-                   s->A[j * s->lanes + lane];
+            sum += (j == s->first[k] || j == s->last[k] ? 0.5 : 1.0) * s->dx[k] * s->A[j];
     return sum;
 }
 

@@ -6,7 +6,7 @@ static tree t;
 int main(void)
 {
     tree_make(&t, ZOO_WALL_LINEAR);
-    tree_open(&t, 1, 1024);
+    tree_open(&t, 1024);
     zoo_sim *s = &t.sim;
     /* the mean inflow of the steps adds up to the exact integral, whatever the number of steps */
     double exact = 0.0;

@@ -19,7 +19,7 @@ static void relation(int wall, int circuit, int pressure)
         tree_add(&one, &x);
         one.problem.outlet.inertance = NULL;
     }
-    tree_open(&one, 1, 4096);
+    tree_open(&one, 4096);
     zoo_sim *s = &one.sim;
     circuit |= wall_has_function(wall); /* functions have the loops with additions alone */
     CHECK(s->outlets.kind == (circuit ? ZOO_OUTLET_CIRCUIT : ZOO_OUTLET_WINDKESSEL));
@@ -44,7 +44,7 @@ static void special_cases(int wall)
     for (int i = 0; i < 2 * NV; i++)
         half[i] = 0.5, doubled[i] = 2.0;
     tree_make(&one, wall);
-    tree_open(&one, 1, 4096);
+    tree_open(&one, 4096);
     zoo_start(&one.sim);
     for (int i = 0; i < 1000; i++)
         zoo_step(&one.sim, i);
@@ -57,11 +57,11 @@ static void special_cases(int wall)
         out->section_compliance = which == 1 ? doubled : whole;
         out->inertance = which == 2 ? tiny : NULL;
         two.problem.numerics.additions = 1;
-        tree_open(&two, 1, 4096);
+        tree_open(&two, 4096);
         CHECK(two.sim.outlets.kind == ZOO_OUTLET_CIRCUIT);
         for (int t = 0; t < one.sim.outlets.count; t++) {
-            NEAR(outlet_resistance(&two.sim, t, 0), outlet_resistance(&one.sim, t, 0), 1e-6);
-            NEAR(outlet_capacity(&two.sim, t, 0), outlet_capacity(&one.sim, t, 0), 1e-20);
+            NEAR(outlet_resistance(&two.sim, t), outlet_resistance(&one.sim, t), 1e-6);
+            NEAR(outlet_capacity(&two.sim, t), outlet_capacity(&one.sim, t), 1e-20);
         }
         zoo_start(&two.sim);
         for (int i = 0; i < 1000; i++)
@@ -95,10 +95,10 @@ static void shifted(int wall)
         if (which == 0)
             one.problem.wall.offset_in = one.problem.wall.offset_out = offset;
         int64_t bytes;
-        CHECK(zoo_workspace_size(&one.problem, 1, &bytes) == ZOO_OK);
+        CHECK(zoo_workspace_size(&one.problem, &bytes) == ZOO_OK);
         void *work = malloc((size_t)bytes);
         zoo_report report;
-        CHECK(zoo_solve(&one.problem, 1, &one.parameters, work, bytes, wave[which][0], wave[which][1], wave[which][2],
+        CHECK(zoo_solve(&one.problem, &one.parameters, work, bytes, wave[which][0], wave[which][1], wave[which][2],
                         NULL, &report) == ZOO_OK);
         CHECK(report.status == ZOO_OK);
         free(work);

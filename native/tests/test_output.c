@@ -19,7 +19,7 @@ int main(void)
     t.problem.network.n_cells = cells;
     t.problem.outputs.vessel = vessel;
     t.problem.outputs.position = position;
-    tree_open(&t, 1, 64);
+    tree_open(&t, 64);
     zoo_sim *s = &t.sim;
     for (int step = 0; step <= 64; step++) {
         for (int k = 0; k < NV; k++)
@@ -36,7 +36,7 @@ int main(void)
     }
     CHECK(s->next_time == NTIMES);
     double p[5 * NTIMES], q[5 * NTIMES], A[5 * NTIMES];
-    zoo_output_store(s, 0, p, q, A);
+    zoo_output_store(s, p, q, A);
     for (int i = 0; i < 5; i++)
         for (int m = 0; m < NTIMES; m++) {
             double x = position[i], y = t.times[m] / 0.11;
@@ -44,11 +44,11 @@ int main(void)
             NEAR(q[i * NTIMES + m], cubic(y) * x, 1e-12);
             NEAR(A[i * NTIMES + m], 1.0 + x, 1e-12);
         }
-    CHECK(zoo_output_finite(s, 0) == 1);
+    CHECK(zoo_output_finite(s) == 1);
     s->sample[5 * NTIMES * 3 - 1] = INFINITY;
-    CHECK(zoo_output_finite(s, 0) == 0);
-    s->report[0].status = ZOO_COLLAPSE;
-    zoo_output_store(s, 0, p, q, A);
+    CHECK(zoo_output_finite(s) == 0);
+    s->report.status = ZOO_COLLAPSE;
+    zoo_output_store(s, p, q, A);
     CHECK(isnan(p[0]) && isnan(q[5 * NTIMES - 1]));
     tree_close(&t);
     return finish("output");

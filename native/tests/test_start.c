@@ -7,10 +7,10 @@ int main(void)
 {
     for (int wall = 0; wall < N_WALLS_IN_TESTS; wall++) {
         tree_make(&t, wall);
-        tree_open(&t, 1, 1024);
+        tree_open(&t, 1024);
         zoo_sim *s = &t.sim;
         zoo_start(s);
-        CHECK(s->slow[0] > 0.0 && s->slow[0] < 1.0);
+        CHECK(s->slow > 0.0 && s->slow < 1.0);
         for (int k = 0; k < NV; k++) {
             /* pressure falls along a vessel, and is one at a junction */
             CHECK(s->P[s->last[k]] < s->P[s->first[k]]);

@@ -1,7 +1,7 @@
-/* One step: what must not change, what must balance, and lanes that must agree. */
+/* One step: what must not change, and what must balance. */
 #include "check.h"
 
-static tree one, many;
+static tree one;
 static additions more;
 
 /* Fluid at rest at one pressure stays at rest, in tapered vessels too. */
@@ -10,7 +10,7 @@ static void rest(int wall, const int32_t *cells)
     tree_make(&one, wall);
     one.problem.network.n_cells = cells;
     memset(one.flow, 0, sizeof one.flow);
-    tree_open(&one, 1, 1024);
+    tree_open(&one, 1024);
     zoo_sim *s = &one.sim;
     for (int j = 0; j < s->n_nodes; j++) {
         s->A[j] = s->A0[j] * wall_area_ratio(wall, s->K[j], zoo_shape(s, j), 8000.0);
@@ -37,19 +37,19 @@ static void mass(int wall, const int32_t *cells)
 {
     tree_make(&one, wall);
     one.problem.network.n_cells = cells;
-    tree_open(&one, 1, 1600);
+    tree_open(&one, 1600);
     zoo_sim *s = &one.sim;
     zoo_start(s);
     memset(s->outlets.volume, 0, (size_t)s->outlets.count * sizeof(double));
-    double before = tree_volume(s, 0), in = 0.0, out = 0.0;
+    double before = tree_volume(s), in = 0.0, out = 0.0;
     for (int i = 0; i < 1600; i++) {
         CHECK(zoo_step(s, i) == 0);
         in += s->dt * s->curve_mean[i];
-        CHECK(zoo_junction_defect(s, 0) < 1e-13);
+        CHECK(zoo_junction_defect(s) < 1e-13);
         out = 0.0;
         for (int t = 0; t < s->outlets.count; t++)
             out += s->outlets.volume[t];
-        NEAR(tree_volume(s, 0) - before, in - out, 1e-14); /* at any time, not only after a beat */
+        NEAR(tree_volume(s) - before, in - out, 1e-14); /* at any time, not only after a beat */
     }
     CHECK(in > 0.01 && out > 0.01);
     /* one pressure at every junction, and the Windkessel's own law at every outlet */
@@ -61,30 +61,6 @@ static void mass(int wall, const int32_t *cells)
     tree_close(&one);
 }
 
-/* Each lane computes what it would compute alone. */
-static void lanes(int wall)
-{
-    tree_make(&many, wall);
-    tree_open(&many, ZOO_LANES, 1600);
-    zoo_start(&many.sim);
-    for (int i = 0; i < 800; i++)
-        zoo_step(&many.sim, i);
-    for (int l = 0; l < ZOO_LANES; l += 5) {
-        tree_make(&one, wall);
-        one.parameters = tree_from(&one, l);
-        tree_open(&one, 1, 1600);
-        zoo_start(&one.sim);
-        for (int i = 0; i < 800; i++)
-            zoo_step(&one.sim, i);
-        for (int j = 0; j < one.sim.n_nodes; j++) {
-            NEAR(many.sim.P[j * ZOO_LANES + l], one.sim.P[j], 1e-7);
-            NEAR(many.sim.q[j * ZOO_LANES + l], one.sim.q[j], 1e-11);
-        }
-        tree_close(&one);
-    }
-    tree_close(&many);
-}
-
 /* The speed is |u| + c, c^2 = (a/rho) dp/da by differences, at the largest stiffness of the beat and as stiff
  * as a wall with a memory is to what comes suddenly: 1 + kappa times. */
 static void speed(int wall, int added)
@@ -92,7 +68,7 @@ static void speed(int wall, int added)
     tree_make(&one, wall);
     if (added)
         tree_add(&one, &more);
-    tree_open(&one, 1, 1600);
+    tree_open(&one, 1600);
     zoo_sim *s = &one.sim;
     zoo_start(s);
     double worst = 0.0, h = 1e-5;
@@ -104,7 +80,7 @@ static void speed(int wall, int added)
         double kappa = added ? more.memory[k] / 3e-4 : 0.0, c = sqrt((1.0 + kappa) * a * slope / 1.055);
         worst = fmax(worst, (fabs(s->q[j] / s->A[j]) + c) / s->dx[k]);
     }
-    NEAR(zoo_speed(s, 0), worst, 1e-6 * worst);
+    NEAR(zoo_speed(s), worst, 1e-6 * worst);
     tree_close(&one);
 }
 
@@ -112,7 +88,7 @@ static void speed(int wall, int added)
 static void wrong(void)
 {
     tree_make(&one, ZOO_WALL_TANGENT);
-    tree_open(&one, 1, 1600);
+    tree_open(&one, 1600);
     zoo_start(&one.sim);
     one.sim.A[5] = -1e-3;
     CHECK(zoo_step(&one.sim, 0) == 1);
@@ -134,8 +110,6 @@ int main(void)
         rest(wall, tree_single_cells);
         mass(wall, tree_cells);
         mass(wall, tree_single_cells);
-        if (!wall_has_function(wall)) /* which is taken for one set at a time */
-            lanes(wall);
         speed(wall, 0);
         speed(wall, 1);
     }

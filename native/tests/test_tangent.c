@@ -106,9 +106,9 @@ static void solve(arguments *a, double to[3][SAMPLES])
 {
     int64_t bytes;
     zoo_report report;
-    CHECK(zoo_workspace_size(&a->t.problem, 1, &bytes) == ZOO_OK);
+    CHECK(zoo_workspace_size(&a->t.problem, &bytes) == ZOO_OK);
     char *memory = malloc((size_t)bytes);
-    CHECK(zoo_solve(&a->t.problem, 1, &a->t.parameters, memory, bytes, to[0], to[1], to[2], NULL, &report) == ZOO_OK);
+    CHECK(zoo_solve(&a->t.problem, &a->t.parameters, memory, bytes, to[0], to[1], to[2], NULL, &report) == ZOO_OK);
     CHECK(report.status == ZOO_OK);
     free(memory);
 }

@@ -39,7 +39,7 @@ static void step(int wall, int added, int coupled, int windkessel, int functions
         if (coupled)
             one.problem.junction.function = (zoo_function){4, -20.0, 80.0, loss_values};
     }
-    tree_open(&one, 1, 4096);
+    tree_open(&one, 4096);
     zoo_sim *s = &one.sim;
     zoo_start(s);
     s->stuck[0] = 0;

@@ -18,25 +18,23 @@ static void vary(int wall, int finer)
     one.problem.wall.stiffness_exponent = exponent;
 }
 
-/* K at the nodes is chi (1 + (s - 1) x/L) (r_in/r)^e of the law, whatever the lanes. */
-static void values(int wall, int lanes)
+/* K at the nodes is chi (1 + (s - 1) x/L) (r_in/r)^e of the law. */
+static void values(int wall)
 {
     vary(wall, 1);
-    tree_open(&one, lanes, 4096);
+    tree_open(&one, 4096);
     const zoo_sim *s = &one.sim;
     CHECK(s->varying && !s->uniform && s->K_mid != s->K && s->extra == wall_has_function(wall));
     for (int k = 0; k < NV; k++)
-        for (int j = s->first[k]; j <= s->last[k]; j++)
-            for (int l = 0; l < lanes; l++) {
-                double part = (double)(j - s->first[k]) / (s->last[k] - s->first[k]);
-                double r = (1.0 - part) * tree_in[k] + part * narrow[k];
-                double inlet = s->K[s->first[k] * lanes + l], here = s->K[j * lanes + l];
-                NEAR(here / inlet, (1.0 + (ratio[k] - 1.0) * part) * pow(tree_in[k] / r, exponent[k]), 1e-12);
-                if (j < s->last[k]) {
-                    double next = s->K[(j + 1) * lanes + l], mid = s->K_mid[j * lanes + l];
-                    CHECK(mid >= fmin(here, next) * (1.0 - 1e-12) && mid <= fmax(here, next) * (1.0 + 1e-12));
-                }
+        for (int j = s->first[k]; j <= s->last[k]; j++) {
+            double part = (double)(j - s->first[k]) / (s->last[k] - s->first[k]);
+            double r = (1.0 - part) * tree_in[k] + part * narrow[k], here = s->K[j];
+            NEAR(here / s->K[s->first[k]], (1.0 + (ratio[k] - 1.0) * part) * pow(tree_in[k] / r, exponent[k]), 1e-12);
+            if (j < s->last[k]) {
+                double next = s->K[j + 1], mid = s->K_mid[j];
+                CHECK(mid >= fmin(here, next) * (1.0 - 1e-12) && mid <= fmax(here, next) * (1.0 + 1e-12));
             }
+        }
     tree_close(&one);
 }
 
@@ -44,7 +42,7 @@ static void values(int wall, int lanes)
 static double stirred(int wall, int finer, double p)
 {
     vary(wall, finer);
-    tree_open(&one, 1, 4096);
+    tree_open(&one, 4096);
     zoo_sim *s = &one.sim;
     double worst = 0.0;
     for (int j = 0; j < s->n_nodes; j++) {
@@ -52,7 +50,7 @@ static double stirred(int wall, int finer, double p)
         s->q[j] = 0.0;
     }
     for (int t = 0; t < s->outlets.count; t++)
-        outlet_start(s, t, 0);
+        outlet_start(s, t);
     tree_without_memory(s);
     zoo_refresh_nodes(s);
     for (int j = 0; j < s->n_nodes; j++)
@@ -68,8 +66,7 @@ static double stirred(int wall, int finer, double p)
 int main(void)
 {
     for (int wall = 0; wall < N_WALLS_IN_TESTS; wall++) {
-        values(wall, 1);
-        values(wall, ZOO_LANES);
+        values(wall);
         /* of second order; with the left node's K at a midpoint it would be 0.03, and of first order */
         double coarse = stirred(wall, 1, 2e4), fine = stirred(wall, 4, 2e4);
         CHECK(coarse < (wall_has_function(wall) ? 4e-3 : 1e-3) && fine < coarse / 9.0);

@@ -8,7 +8,7 @@ int main(void)
 {
     tree_make(&t, ZOO_WALL_TANGENT);
     tree_add(&t, &x);
-    tree_open(&t, 1, 1000);
+    tree_open(&t, 1000);
     zoo_sim *s = &t.sim;
     NEAR(s->dt, 0.11 / 1000, 1e-18);
     for (int k = 0; k < NV; k++)
