@@ -51,7 +51,7 @@ static void stuck(int wall, int bad)
     zoo_sim *s = &one.sim;
     zoo_start(s);
     for (int j = 0; j < s->n_nodes && bad; j++) /* in a step more flows away from the first junction than is there */
-        s->q[j] = j <= s->last[0] ? 0.0 : 2.0;
+        s->q[j] = j <= s->last[0] ? 0.0 : 1.0;
     zoo_refresh_nodes(s);
     zoo_step(s, 0);
     CHECK(s->no_root == bad && s->stuck == bad);

@@ -42,7 +42,7 @@ static void step(int wall, int added, int coupled, int windkessel, int functions
     tree_open(&one, 4096);
     zoo_sim *s = &one.sim;
     zoo_start(s);
-    s->stuck[0] = 0;
+    s->stuck = 0;
     memset(s->outlets.volume, 0, (size_t)s->outlets.count * sizeof(double));
     const int before = 700, n = s->n_state;
     for (int i = 0; i < before; i++)

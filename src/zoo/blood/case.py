@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zoo.blood.conventions import Conventions
+from zoo.blood.directions import Derivatives, Point
 from zoo.blood.network import Network
-from zoo.blood.solver import PUBLISHED_CELLS_PER_CM, Physics, Solver, SolverOptions
+from zoo.blood.solver import PARAMETERS, PUBLISHED_CELLS_PER_CM, Physics, Solution, Solver, SolverOptions
 from zoo.blood.study import QUANTITIES
 from zoo.core.effects import Location
 from zoo.core.forward import SolveError
@@ -92,6 +93,11 @@ class Case:
     waves: tuple[Callable[[Wave], Wave], ...] = ()
     coarse_blend: float = 0.0
 
+    @property
+    def parameters(self) -> dict[str, Array]:
+        """Those that `Solver.solve` takes."""
+        return {name: getattr(self, name) for name in PARAMETERS}
+
 
 # ---------------------------------------------------------------------------------------------------
 # Solving
@@ -167,37 +173,144 @@ def simulate(
     """
     if solver is None:
         check_series(case, series)
-        solver = solver_of
-    times = np.asarray(times_s, dtype=np.float64)
-    period = case.network.period_s
-    wanted = times
-    if case.waves:
-        wanted = np.concatenate([times, np.arange(WAVE_SAMPLES) * (period / WAVE_SAMPLES)])
-
-    solved = _sample(case, series, wanted, solver)
-    if case.coarse_blend:
-        solved = solved + case.coarse_blend * (_sample(_coarser(case), series, wanted, solver) - solved)
-    if not case.waves:
-        return solved
-
-    plain = solved[:, len(times) :]
-    wave = Wave(plain, tuple(quantity for _, _, quantity in series), period)
-    for act in case.waves:
-        wave = act(wave)
-    return np.asarray(solved[:, : len(times)] + _periodic(wave.value - plain, period, times))
+    return simulate_derivatives(case, (), series, times_s, solver or solver_of)[0]
 
 
-def _sample(case: Case, series: Sequence[Place], times: Array, solver: Callable[..., Solver]) -> Array:
+@dataclass(frozen=True)
+class Stencil:
+    """A direction: cases at steps from the one that is differentiated, with weights whose sum is zero."""
+
+    steps: tuple[float, ...]
+    weights: tuple[float, ...]
+    cases: tuple[Case, ...]
+
+
+def _equal(a: Any, b: Any) -> bool:
+    """Whether two networks, physics, conventions or options hold the same."""
+    if a is b:
+        return True
+    return type(a) is type(b) and all(
+        np.array_equal(x, y) if isinstance(x, np.ndarray) or isinstance(y, np.ndarray) else x is y or x == y
+        for x, y in ((getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+    )
+
+
+def same_run(a: Case, b: Case) -> bool:
+    """Whether two cases differ at most in stiffness, shapes and factors of loads, and in what sensors see."""
+    return (
+        a.wall == b.wall
+        and np.array_equal(a.inflow_ml_s, b.inflow_ml_s)
+        and all(
+            _equal(getattr(a, name), getattr(b, name))
+            for name in ("network", "physics", "conventions", "options")
+        )
+    )
+
+
+def simulate_derivatives(
+    case: Case,
+    stencils: Sequence[Stencil],
+    series: Sequence[Place],
+    times_s: ArrayLike,
+    solver: Callable[[Case, Sequence[tuple[int, float]], Array], Solver],
+) -> tuple[Array, Array]:
+    """Solve a case, sample it, and differentiate the samples.
+
+    Parameters
+    ----------
+    case : Case
+    stencils : sequence of Stencil
+    series : sequence of (vessel id, position, quantity)
+    times_s : array (n_times,)
+    solver : function
+        Finds the solver of a case.
+
+    Returns
+    -------
+    values : array (n_series, n_times)
+        As `simulate` gives them.
+    slopes : array (n_stencils, n_series, n_times)
+
+    Raises
+    ------
+    SolveError
+        If the solve, or its derivatives, fail.
+    """
+    times, period = np.asarray(times_s, dtype=np.float64), case.network.period_s
+    waves = bool(case.waves)
+    wanted = np.concatenate([times, np.arange(WAVE_SAMPLES) * (period / WAVE_SAMPLES)]) if waves else times
+    values, slopes = _sampled(case, stencils, series, wanted, solver)
+    blends = np.array(
+        [sum(w * c.coarse_blend for w, c in zip(s.weights, s.cases, strict=True)) for s in stencils]
+    )
+    if case.coarse_blend or np.any(blends):
+        coarse = [replace(s, cases=tuple(_coarser(c) for c in s.cases)) for s in stencils]
+        less, sloped = _sampled(_coarser(case), coarse, series, wanted, solver)
+        slopes = slopes + case.coarse_blend * (sloped - slopes) + blends[:, None, None] * (less - values)
+        values = values + case.coarse_blend * (less - values)
+    if not waves:
+        return values, slopes
+    n, quantities = len(times), tuple(quantity for _, _, quantity in series)
+
+    def seen(acting: Case, all_values: Array) -> Array:
+        plain = all_values[:, n:]
+        wave = Wave(plain, quantities, period)
+        for act in acting.waves:
+            wave = act(wave)
+        return np.asarray(all_values[:, :n] + _periodic(wave.value - plain, period, times))
+
+    there = seen(case, values)
+    made = [
+        sum(
+            w * (seen(c, values + step * slope) - there)
+            for w, step, c in zip(s.weights, s.steps, s.cases, strict=True)
+        )
+        for s, slope in zip(stencils, slopes, strict=True)
+    ]
+    return there, np.array(made).reshape(len(stencils), len(series), n)
+
+
+def _sampled(
+    case: Case,
+    stencils: Sequence[Stencil],
+    series: Sequence[Place],
+    times: Array,
+    solver: Callable[..., Solver],
+) -> tuple[Array, Array]:
     rows: dict[tuple[int, float], int] = {}
     at = [rows.setdefault((vessel, position), len(rows)) for vessel, position, _ in series]
-    solution = solver(case, tuple(rows), times).solve(
-        case.stiffness, case.gamma, case.psi1, case.psi2, case.c
-    )
-    values = np.array([getattr(solution, series[k][2])[i] for k, i in enumerate(at)])
-    values = values.reshape(len(series), len(times))
+    own = solver(case, tuple(rows), times)
+
+    def point(weight: float, near: Case) -> Point:
+        beside = None if same_run(case, near) else _beside(own, near, tuple(rows), times)
+        return Point(weight, **near.parameters, solver=beside)
+
+    def taken(found: Solution | Derivatives) -> Array:
+        rows_of_series = [getattr(found, series[k][2])[..., i, :] for k, i in enumerate(at)]
+        shape = (*found.pressure_mmHg.shape[:-2], len(series), len(times))
+        return np.stack(rows_of_series, axis=-2) if rows_of_series else np.empty(shape)
+
+    if stencils:
+        directions = [[point(w, c) for w, c in zip(s.weights, s.cases, strict=True)] for s in stencils]
+        found = own.jacobian(**case.parameters, directions=directions)
+        values, slopes = taken(found.solution), taken(found)
+    else:
+        values = taken(own.solve(**case.parameters))
+        slopes = np.empty((0, *values.shape))
     if not np.all(np.isfinite(values)):
         raise SolveError("the solution is not finite", "not-finite")
-    return values
+    return values, slopes
+
+
+def _beside(own: Solver, near: Case, places: Sequence[tuple[int, float]], times: Array) -> Solver:
+    """A solver of a case near that of another solver, with as many cells in each vessel."""
+    made = solver_of(near, places, times)
+    cells, other = own.grid()[0], made.grid()[0]
+    if np.array_equal(cells, other):
+        return made
+    refine = near.options.refine
+    options = replace(near.options, cells=tuple(int(n) // refine for n in cells))
+    return solver_of(replace(near, options=options), places, times)
 
 
 def _coarser(case: Case) -> Case:

@@ -1,26 +1,16 @@
-"""Derivatives of a case's series along changes of the case, and the changes that a parameter makes."""
+"""The changes of a case that a parameter makes, along which its series are differentiated."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.blood.case import (
-    WAVE_SAMPLES,
-    Case,
-    Place,
-    Wave,
-    _coarser,
-    _periodic,
-    solver_of,
-)
-from zoo.blood.directions import Point
+from zoo.blood.case import Case, Stencil, same_run
 from zoo.blood.solve_errors import NoDerivativeError
-from zoo.blood.solver import Solver
 from zoo.core.forward import SolveError
 
 Array = NDArray[np.float64]
@@ -29,38 +19,6 @@ NEAR, FAR = 1e-5, 1e-3
 and, with stencils of fourth order, where it changes more."""
 OFF = 3e-5
 """How far a parameter is moved off zero, over its scale, where what it adds is absent at zero."""
-PARAMETERS = ("stiffness", "gamma", "psi1", "psi2", "c")
-
-
-@dataclass(frozen=True)
-class Stencil:
-    """A direction: cases at steps from the one that is differentiated, with weights whose sum is zero."""
-
-    steps: tuple[float, ...]
-    weights: tuple[float, ...]
-    cases: tuple[Case, ...]
-
-
-def _equal(a: Any, b: Any) -> bool:
-    """Whether two networks, physics, conventions or options hold the same."""
-    if a is b:
-        return True
-    return type(a) is type(b) and all(
-        np.array_equal(x, y) if isinstance(x, np.ndarray) or isinstance(y, np.ndarray) else x is y or x == y
-        for x, y in ((getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
-    )
-
-
-def same_run(a: Case, b: Case) -> bool:
-    """Whether two cases differ at most in stiffness, shapes and factors of loads, and in what sensors see."""
-    return (
-        a.wall == b.wall
-        and np.array_equal(a.inflow_ml_s, b.inflow_ml_s)
-        and all(
-            _equal(getattr(a, name), getattr(b, name))
-            for name in ("network", "physics", "conventions", "options")
-        )
-    )
 
 
 def additions(case: Case) -> tuple[object, ...]:
@@ -170,108 +128,3 @@ def stencil_of(configure: Callable[[Array], Case], case: Case, theta: Array, i: 
         f"parameter {i} = {theta[i]:.6g}: can be changed to neither side; keep it away from the ends of its "
         "range"
     )
-
-
-def simulate_derivatives(
-    case: Case,
-    stencils: Sequence[Stencil],
-    series: Sequence[Place],
-    times_s: Array,
-    solver: Callable[[Case, Sequence[tuple[int, float]], Array], Solver] = solver_of,
-) -> tuple[Array, Array]:
-    """Solve a case, sample it, and differentiate the samples.
-
-    Parameters
-    ----------
-    case : Case
-    stencils : sequence of Stencil
-    series : sequence of (vessel id, position, quantity)
-    times_s : array (n_times,)
-    solver : function
-        Finds the solver of a case.
-
-    Returns
-    -------
-    values : array (n_series, n_times)
-        As `zoo.blood.case.simulate` gives them.
-    slopes : array (n_stencils, n_series, n_times)
-
-    Raises
-    ------
-    SolveError
-        If the solve, or its derivatives, fail.
-    """
-    times, period = np.asarray(times_s, dtype=np.float64), case.network.period_s
-    waves = bool(case.waves)
-    wanted = np.concatenate([times, np.arange(WAVE_SAMPLES) * (period / WAVE_SAMPLES)]) if waves else times
-    values, slopes = _sampled(case, stencils, series, wanted, solver)
-    blends = np.array(
-        [sum(w * c.coarse_blend for w, c in zip(s.weights, s.cases, strict=True)) for s in stencils]
-    )
-    if case.coarse_blend or np.any(blends):
-        coarse = [replace(s, cases=tuple(_coarser(c) for c in s.cases)) for s in stencils]
-        less, sloped = _sampled(_coarser(case), coarse, series, wanted, solver)
-        slopes = slopes + case.coarse_blend * (sloped - slopes) + blends[:, None, None] * (less - values)
-        values = values + case.coarse_blend * (less - values)
-    if not waves:
-        return values, slopes
-    n, quantities = len(times), tuple(quantity for _, _, quantity in series)
-
-    def seen(acting: Case, all_values: Array) -> Array:
-        plain = all_values[:, n:]
-        wave = Wave(plain, quantities, period)
-        for act in acting.waves:
-            wave = act(wave)
-        return np.asarray(all_values[:, :n] + _periodic(wave.value - plain, period, times))
-
-    there = seen(case, values)
-    made = [
-        sum(
-            w * (seen(c, values + step * slope) - there)
-            for w, step, c in zip(s.weights, s.steps, s.cases, strict=True)
-        )
-        for s, slope in zip(stencils, slopes, strict=True)
-    ]
-    return there, np.array(made).reshape(len(stencils), len(series), n)
-
-
-def _sampled(
-    case: Case,
-    stencils: Sequence[Stencil],
-    series: Sequence[Place],
-    times: Array,
-    solver: Callable[..., Solver],
-) -> tuple[Array, Array]:
-    rows: dict[tuple[int, float], int] = {}
-    at = [rows.setdefault((vessel, position), len(rows)) for vessel, position, _ in series]
-    own = solver(case, tuple(rows), times)
-
-    def point(weight: float, near: Case) -> Point:
-        values = {name: getattr(near, name) for name in PARAMETERS}
-        return Point(
-            weight, **values, solver=None if same_run(case, near) else _beside(own, near, tuple(rows), times)
-        )
-
-    directions = [[point(w, c) for w, c in zip(s.weights, s.cases, strict=True)] for s in stencils]
-    if not directions:
-        solution = own.solve(*(getattr(case, name) for name in PARAMETERS))
-        values = np.array([getattr(solution, series[k][2])[i] for k, i in enumerate(at)])
-        return values.reshape(len(series), len(times)), np.empty((0, len(series), len(times)))
-    found = own.jacobian(*(getattr(case, name) for name in PARAMETERS), directions=directions)
-    values = np.array([getattr(found.solution, series[k][2])[i] for k, i in enumerate(at)])
-    slopes = np.array([getattr(found, series[k][2])[:, i] for k, i in enumerate(at)])
-    return (
-        values.reshape(len(series), len(times)),
-        slopes.reshape(len(series), len(stencils), len(times)).transpose(1, 0, 2),
-    )
-
-
-def _beside(own: Solver, near: Case, places: Sequence[tuple[int, float]], times: Array) -> Solver:
-    """A solver of a case near that of another solver, with as many cells in each vessel."""
-    made = solver_of(near, places, times)
-    cells, other = own.grid()[0], made.grid()[0]
-    if np.array_equal(cells, other):
-        return made
-    refine = near.options.refine
-    options = replace(near.options, cells=tuple(int(n) // refine for n in cells))
-    return solver_of(replace(near, options=options), places, times)

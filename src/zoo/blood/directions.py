@@ -67,26 +67,3 @@ class Derivatives:
     def ok(self) -> bool:
         """Whether solve and derivatives are there."""
         return self.solution.ok and self.status == 0
-
-
-def share_arrays(ffi: Any, problem: Any, own: Any, sizes: dict[int, int]) -> None:
-    """Give a problem another's arrays where they hold the same, so that the library sees what is the same.
-
-    Parameters
-    ----------
-    ffi : FFI
-    problem, own : zoo_problem *
-    sizes : mapping of address to bytes
-        Of the arrays of both; others are left alone.
-    """
-    for part in ("network", "fluid", "wall", "throat"):
-        mine, theirs = getattr(problem, part), getattr(own, part)
-        for name, field in ffi.typeof(mine).fields:
-            if field.type.kind != "pointer":
-                continue
-            a, b = getattr(mine, name), getattr(theirs, name)
-            n = sizes.get(int(ffi.cast("intptr_t", a)), -1)
-            if n < 0 or n != sizes.get(int(ffi.cast("intptr_t", b)), -2):
-                continue
-            if ffi.buffer(a, n)[:] == ffi.buffer(b, n)[:]:
-                setattr(mine, name, b)

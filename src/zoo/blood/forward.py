@@ -11,9 +11,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.blood.case import UNITS, Case, Place, check_series, simulate, solver_of
+from zoo.blood.case import UNITS, Case, Place, check_series, simulate, simulate_derivatives, solver_of
 from zoo.blood.conventions import Conventions
-from zoo.blood.derivatives import off_zero, simulate_derivatives, stencil_of
+from zoo.blood.derivatives import off_zero, stencil_of
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.physics import NO_PHYSICS, study_physics
 from zoo.blood.resolution import Resolution, coarse_at, resolve
@@ -210,10 +210,7 @@ class BloodFlow:
             except SolveError as error:
                 failed = error
                 continue
-            model = copy.copy(self)
-            model.options, model.resolution, model._kept = found.options, found, ()
-            model.key = model._digest()
-            return model
+            return self._with(found.options, found)
         raise StudyError(
             f"study {self.study.name!r}: cells and steps cannot be chosen at the parameters where "
             f"{self.name} starts: {failed}; or give dx_cm in [numerics] (--dx)"
@@ -241,10 +238,7 @@ class BloodFlow:
             options = replace(self.options, refine=2 * self.options.refine)
         except SolverArgumentError:
             return None
-        model = copy.copy(self)
-        model.options, model._kept = options, ()
-        model.key = model._digest()
-        return model
+        return self._with(options, self.resolution)
 
     def pinned(self, configuration: Case, *, margin: float = PINNED_MARGIN) -> BloodFlow:
         """The same with as many steps a beat, whatever the parameters, as this solve takes and some more.
@@ -265,15 +259,16 @@ class BloodFlow:
             If it cannot be solved.
         """
         places = tuple(dict.fromkeys((v, x) for v, x, _ in cast("tuple[Place, ...]", self.outputs.series)))
-        case = configuration
-        solved = self._solver(case, places, self._times).solve(
-            case.stiffness, case.gamma, case.psi1, case.psi2, case.c
-        )
-        refine = case.options.refine
+        solved = self._solver(configuration, places, self._times).solve(**configuration.parameters)
+        refine = configuration.options.refine
         taken = math.ceil((1.0 + margin) * solved.steps_per_beat / (STEP_UNIT * refine)) * STEP_UNIT
+        steps = min(taken, self.options.max_steps // refine)
+        return self._with(replace(self.options, steps_per_beat=steps), self.resolution)
+
+    def _with(self, options: SolverOptions, resolution: Resolution | None) -> BloodFlow:
+        """The same at other numerical settings."""
         model = copy.copy(self)
-        model.options = replace(self.options, steps_per_beat=min(taken, self.options.max_steps // refine))
-        model._kept = ()
+        model.options, model.resolution, model._kept = options, resolution, ()
         model.key = model._digest()
         return model
 

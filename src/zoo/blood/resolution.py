@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -163,83 +162,52 @@ def resolve(
         series += [(int(v), 0.0, "flow_ml_s") for v in net.ids]
     if times_s is None or len(times_s) == 0:
         times_s = np.asarray(np.arange(SAMPLES) * (case.network.period_s / SAMPLES), dtype=np.float64)
-    wanted = _Wanted(
-        case,
-        tuple(series),
-        times_s,
-        given.get("accuracy_percent", ACCURACY_PERCENT),
-        dict(study.noise_sd),
-        plain,
-    )
-    found = _chosen(wanted)
+    accuracy, noise = given.get("accuracy_percent", ACCURACY_PERCENT), dict(study.noise_sd)
+    key = _key(case, tuple(series), times_s, accuracy, sorted(noise.items()), sorted(plain.items()))
+    if key not in _CHOSEN:
+        _CHOSEN[key] = _chosen(case, tuple(series), times_s, accuracy, noise, plain)
+    found = _CHOSEN[key]
     tolerance = given.get("tolerance_mmHg", found.options.tolerance_mmHg) * share
     return replace(found, options=replace(found.options, tolerance_mmHg=tolerance))
 
 
 def resolve_solver(study: Study, solver: Solver, **parameters: Array) -> Resolution:
     """As `resolve`, of a solver of the study at parameters of `Solver.solve`, (n_vessels,) each."""
-    case = Case(
-        network=solver.network,
-        inflow_time_s=solver.inflow_time_s,
-        inflow_ml_s=solver.inflow_ml_s,
-        conventions=solver.conventions,
-        wall=solver.wall,
-        options=solver.options,
-        physics=solver.physics,
-        stiffness=parameters["stiffness"],
-        gamma=parameters["gamma"],
-        psi1=parameters["psi1"],
-        psi2=parameters["psi2"],
-        c=parameters["c"],
-    )
+    same = ("network", "inflow_time_s", "inflow_ml_s", "conventions", "wall", "options", "physics")
+    case = Case(**{name: getattr(solver, name) for name in same}, **parameters)
     series = [(s.vessel, s.position, s.quantity) for s in study.series]
     return resolve(study, case, series, study.time_s)
 
 
-class _Wanted:
-    """What a choice depends on; equal where the choice is the same, so that it is made once."""
-
-    def __init__(
-        self,
-        case: Case,
-        series: tuple[Place, ...],
-        times_s: Array,
-        accuracy_percent: float,
-        noise_sd: Mapping[str, float],
-        plain: Mapping[str, Any],
-    ) -> None:
-        self.case, self.series, self.times_s = case, series, times_s
-        self.accuracy_percent, self.noise_sd, self.plain = accuracy_percent, noise_sd, plain
-        net, physics = case.network, case.physics
-        words = (
-            case.wall,
-            case.conventions,
-            series,
-            accuracy_percent,
-            sorted(noise_sd.items()),
-            sorted(plain.items()),
-        )
-        fields = [*vars(net).items(), *vars(physics).items()]
-        arrays = [value for _, value in fields if isinstance(value, np.ndarray)]
-        numbers = [(name, None if isinstance(value, np.ndarray) else value) for name, value in fields]
-        numbers += [(name, "array") for name, value in fields if isinstance(value, np.ndarray)]
-        arrays += [case.stiffness, case.gamma, case.psi1, case.psi2, case.c, case.inflow_ml_s, times_s]
-        self.key = content_key(repr((words, numbers)), *arrays)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Wanted) and self.key == other.key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
+_CHOSEN: dict[str, Resolution] = {}
+"""What was chosen in this process, by all that a choice depends on."""
 
 
-@lru_cache(maxsize=64)
-def _chosen(wanted: _Wanted) -> Resolution:
+def _key(case: Case, series: tuple[Place, ...], times_s: Array, *settings: Any) -> str:
+    fields = [*vars(case.network).items(), *vars(case.physics).items()]
+    arrays = [value for _, value in fields if isinstance(value, np.ndarray)]
+    numbers = [(name, "array" if isinstance(value, np.ndarray) else value) for name, value in fields]
+    arrays += [*case.parameters.values(), case.inflow_ml_s, times_s]
+    return content_key(repr((case.wall, case.conventions, series, settings, numbers)), *arrays)
+
+
+def _chosen(
+    case: Case,
+    series: tuple[Place, ...],
+    times_s: Array,
+    accuracy_percent: float,
+    noise_sd: Mapping[str, float],
+    given: Mapping[str, Any],
+) -> Resolution:
     """Raise the steps until the error is small enough, or a trial would take too long."""
-    case, series, plain = wanted.case, wanted.series, dict(wanted.plain)
+    plain = dict(given)
     fixed = int(plain.pop("steps_per_beat", 0))
     period, length = case.network.period_s, case.network.length_cm
-    speed, limits, ranges, tolerance = _look(wanted, plain)
+    speed, waves = _look(case, series, times_s, plain)
+    limits, ranges = _limits((*series, _root(case)), waves, accuracy_percent, noise_sd)
+    pressures = [limits[i] for i, (_, _, quantity) in enumerate(series) if quantity == "pressure_mmHg"]
+    tolerance = TOLERANCE_SHARE * float(min(pressures, default=limits[-1]))
+    limits, ranges = limits[:-1], ranges[:-1]
     crossed = period * speed / length / COURANT  # steps in which a wave crosses each vessel once
     if fixed and fixed < crossed.max():
         short = int(case.network.ids[int(np.argmax(crossed))])
@@ -259,7 +227,7 @@ def _chosen(wanted: _Wanted) -> Resolution:
     for trial in range(1, TRIALS + 1):
         now = options(steps)
         try:
-            errors = _errors(case, series, wanted.times_s, now)
+            errors = _errors(case, series, times_s, now)
         except SolveError:  # waves that few cells do not show may empty a vessel that more cells do not
             steps *= 1.5
             if fixed or trial == TRIALS or steps > GIVEN_UP:
@@ -296,24 +264,23 @@ def _words(place: Place) -> str:
     return f"{quantity.split('_')[0]} at {position:g} of v{vessel}"
 
 
-def _look(wanted: _Wanted, plain: Mapping[str, Any]) -> tuple[Array, Array, Array, float]:
-    """On few cells: wave speeds (n_vessels,), limits and ranges of the series, and the tolerance in mmHg."""
-    case = wanted.case
-    length, ids = case.network.length_cm, case.network.ids
+def _root(case: Case) -> Place:
+    """The pressure at the root's inlet."""
+    return int(case.network.ids[0]), 0.0, "pressure_mmHg"
+
+
+def _look(
+    case: Case, series: tuple[Place, ...], times_s: Array, plain: Mapping[str, Any]
+) -> tuple[Array, Array]:
+    """On few cells: wave speeds (n_vessels,), and series with the root's pressure (n_series + 1, n_times)."""
+    length = case.network.length_cm
     for total in (64, 256, 1024):
         cells = tuple(int(n) for n in np.maximum(1, np.rint(total * length / length.sum())))
         coarse = replace(case, options=SolverOptions(cells=cells, tolerance_mmHg=0.5, **plain))
-        solver = solver_of(coarse, (), np.empty(0))
-        looked = solver.solve(case.stiffness, case.gamma, case.psi1, case.psi2, case.c, check=total == 1024)
+        looked = solver_of(coarse, (), np.empty(0)).solve(**case.parameters, check=total == 1024)
         if looked.ok:
             break
-    speed = looked.fastest_cm_s
-    root = (int(ids[0]), 0.0, "pressure_mmHg")
-    waves = simulate(coarse, (*wanted.series, root), wanted.times_s)
-    limits, ranges = _limits((*wanted.series, root), waves, wanted.accuracy_percent, wanted.noise_sd)
-    pressures = [limits[i] for i, (_, _, quantity) in enumerate(wanted.series) if quantity == "pressure_mmHg"]
-    tolerance = TOLERANCE_SHARE * float(min(pressures, default=limits[-1]))
-    return speed, limits[:-1], ranges[:-1], tolerance
+    return looked.fastest_cm_s, simulate(coarse, (*series, _root(case)), times_s)
 
 
 def _limits(

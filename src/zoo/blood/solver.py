@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
@@ -15,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from zoo import _native
 from zoo._native import ffi, lib
 from zoo.blood.conventions import PRINTED, Conventions
-from zoo.blood.directions import Derivatives, Direction, share_arrays
+from zoo.blood.directions import Derivatives, Direction
 from zoo.blood.network import Network
 from zoo.blood.physics import NO_PHYSICS as NO_PHYSICS
 from zoo.blood.physics import Physics, study_physics
@@ -148,6 +150,11 @@ class Solution:
     def ok(self) -> bool:
         """Whether the solve reached the periodic state."""
         return bool(self.status == lib.ZOO_OK)
+
+
+_LOCK = threading.Lock()
+_ARRAYS: weakref.WeakValueDictionary[tuple[str, bytes], NDArray[Any]] = weakref.WeakValueDictionary()
+"""Arrays that were handed over, by content: derivatives take those at one place for the same."""
 
 
 def _parameters(rows: dict[str, Array]) -> Any:
@@ -340,6 +347,8 @@ class Solver:
         def kept(ctype: str, field: str, data: NDArray[Any], size: int) -> Any:
             if data.size != size:
                 raise SolverArgumentError(f"{field} has shape {data.shape}: needs {size} values; correct it")
+            with _LOCK:
+                data = _ARRAYS.setdefault((ctype, data.tobytes()), data)
             self._kept.append(data)
             return ffi.from_buffer(ctype, data)
 
@@ -459,7 +468,9 @@ class Solver:
                     function.low - less,
                     function.high - less,
                 )
-                struct.values = reals(function.values, "values", len(function.values))
+                # at a place of its own: points of a direction that have functions are stepped one by one
+                self._kept.append(np.array(function.values, dtype=np.float64))
+                struct.values = ffi.from_buffer("double[]", self._kept[-1])
 
         circuit = added.inertance is not None or added.section_resistance is not None
         outlet.kind = OUTLETS["circuit" if circuit else "windkessel"]
@@ -678,7 +689,6 @@ class Solver:
         tolerance = real_number("tolerance", tolerance, above=0.0, error=SolverArgumentError)
         kept: list[Any] = []
         built = ffi.new("zoo_direction[]", n)
-        sizes = self._sizes()
         shift = np.zeros(n)
         for i, points in enumerate(directions):
             problems = ffi.new("zoo_problem *[]", len(points))
@@ -694,10 +704,8 @@ class Solver:
                 kept.append(_parameters(self._broadcast(near, known)))  # `known` keeps the rows
                 sets[m] = kept[-1]
                 if point.solver is not None:
-                    copied = ffi.new("zoo_problem *", solver._problem[0])
-                    share_arrays(ffi, copied, self._problem, sizes | solver._sizes())
-                    problems[m] = copied
-                    kept.extend((copied, solver))
+                    problems[m] = solver._problem
+                    kept.append(solver)
                     shift[i] += point.weight * (solver._shift - self._shift)
             built[i].n_points, built[i].problem = len(points), problems
             built[i].parameters, built[i].weight = sets, weights
@@ -749,10 +757,6 @@ class Solver:
             stepped=tangent.stepped,
             residual=tangent.residual,
         )
-
-    def _sizes(self) -> dict[int, int]:
-        """Bytes of the arrays that were handed over, by their addresses."""
-        return {int(array.ctypes.data): int(array.nbytes) for array in self._kept}
 
     def _at_times(self, wave: Array) -> Array:
         """From the order of time, in which C has them, to that of `times_s`."""
