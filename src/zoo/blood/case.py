@@ -94,7 +94,7 @@ class Case:
     coarse_blend: float = 0.0
 
     @property
-    def parameters(self) -> dict[str, Array]:
+    def parameters(self) -> dict[str, Any]:
         """Those that `Solver.solve` takes."""
         return {name: getattr(self, name) for name in PARAMETERS}
 

@@ -171,7 +171,7 @@ def resolve(
     return replace(found, options=replace(found.options, tolerance_mmHg=tolerance))
 
 
-def resolve_solver(study: Study, solver: Solver, **parameters: Array) -> Resolution:
+def resolve_solver(study: Study, solver: Solver, **parameters: Any) -> Resolution:
     """As `resolve`, of a solver of the study at parameters of `Solver.solve`, (n_vessels,) each."""
     same = ("network", "inflow_time_s", "inflow_ml_s", "conventions", "wall", "options", "physics")
     case = Case(**{name: getattr(solver, name) for name in same}, **parameters)
