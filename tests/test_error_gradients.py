@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +23,7 @@ from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModelError
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.groups import GroupProcess
-from zoo.core.errors.variables import ErrorTermsOp
+from zoo.core.errors.variables import ErrorGradientOp, ErrorsRV, ErrorTermsOp
 from zoo.core.forward import Outputs, content_key
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.mode import find_mode
@@ -41,6 +42,24 @@ def extrapolated(f: Any, h: float) -> float:
     """Derivative at 0 by central differences of three steps, extrapolated to none: of sixth order."""
     coarse, middle, fine = ((f(step) - f(-step)) / (2 * step) for step in (h, h / 2, h / 4))
     return float((64 * fine - 20 * middle + coarse) / 45)
+
+
+@pytest.mark.parametrize("kind", [ErrorTermsOp, ErrorGradientOp, ErrorsRV])
+def test_operations_of_errors_that_differ_are_never_taken_for_one(kind: Any) -> None:
+    """PyTensor merges equal operations on equal inputs: of two error models one would be lost."""
+    errors, given = CASES["gaussian process"]
+    other = dataclasses.replace(errors, noise_variance=0.02)
+    assert kind(errors) == kind(dataclasses.replace(errors))
+    assert hash(kind(errors)) == hash(kind(dataclasses.replace(errors)))
+    assert kind(errors) != kind(other)
+    if kind is not ErrorTermsOp:
+        return
+    residual = some_errors(errors, given)
+    terms = [kind(e)(residual, *given.values()) for e in (errors, other)]
+    found = pytensor.function([], terms)()
+    for e, values in zip((errors, other), found, strict=True):
+        np.testing.assert_array_equal(values, e.terms(residual, given))
+    assert not np.array_equal(*found)
 
 
 @pytest.mark.parametrize("name", PROCESSES)

@@ -108,7 +108,6 @@ def test_loops_with_additions_agree_with_the_plain_ones(wall, next_to_nothing):
     for one, other in (
         (plain.solve(STIFFNESS, GAMMA), forced.solve(STIFFNESS, GAMMA)),
         (plain.solve(5e4, 4.0), forced.solve(5e4, 4.0)),
-        (plain.solve_batch(np.full((4, 3), STIFFNESS)), forced.solve_batch(np.full((4, 3), STIFFNESS))),
     ):
         for name in ("pressure_mmHg", "flow_ml_s", "area_cm2"):
             x, y = getattr(one, name), getattr(other, name)
@@ -164,28 +163,6 @@ def test_order_of_convergence(wall, name):
         coarse, middle, fine = (g[quantity] for g in grids)
         order = np.log2(np.linalg.norm(coarse - middle) / np.linalg.norm(middle - fine))
         assert 1.75 < order < 2.6, (quantity, order)
-
-
-@pytest.mark.parametrize("wall", WALLS)
-@pytest.mark.parametrize("name", ADDED)
-def test_lanes_agree_with_single_solves(wall, name):
-    options = SolverOptions(steps_per_beat=4096, tolerance_mmHg=1e-6, max_beats=200)
-    added = solver(wall, options=options, **ADDED[name])
-    stiffness = STIFFNESS * np.linspace(0.9, 1.1, 5)[:, None]
-    batch = added.solve_batch(stiffness, GAMMA[None])
-    assert batch.ok.all()
-    for i in (0, 3):
-        one = added.solve(stiffness[i], GAMMA)
-        np.testing.assert_allclose(batch.pressure_mmHg[i], one.pressure_mmHg, atol=3e-6)
-        np.testing.assert_allclose(batch.flow_ml_s[i], one.flow_ml_s, atol=1e-7)
-
-
-def test_a_failed_set_leaves_the_others_alone():
-    added = solver(options=SolverOptions(steps_per_beat=4096, tolerance_mmHg=1e-6), **ADDED["everything"])
-    good = added.solve(STIFFNESS)
-    batch = added.solve_batch(np.array([STIFFNESS, -STIFFNESS, STIFFNESS]))
-    assert batch.status_counts() == {"ok": 2, "bad-argument": 1}
-    np.testing.assert_allclose(batch.pressure_mmHg[2], good.pressure_mmHg, atol=1e-5)
 
 
 # --- friction and profile
@@ -501,7 +478,6 @@ def test_wall_under_an_offset_carries_the_rest(wall):
         assert solution.pressure_mmHg[row].mean() * MMHG == pytest.approx(mean, rel=1e-6)
 
 
-FOUR = np.ones((4, 1))
 CONSTANT_WITH = {"alone": {}, "viscoelastic": ADDED["viscoelastic"], "losses": ADDED["both at the junction"]}
 
 
@@ -515,14 +491,11 @@ def test_a_constant_stiffness_wave_is_another_stiffness(wall, factor, beside):
     forced = {"leak": np.full(3, 1e-200), "stiffness_wave": [factor] * 3}
     wave = solver(wall, options=options, **forced, **beside)
     plain = solver(wall, options=options, **beside)
-    for one, other in (
-        (plain.solve(factor * STIFFNESS, GAMMA), wave.solve(STIFFNESS, GAMMA)),
-        (plain.solve_batch(factor * STIFFNESS[None] * FOUR), wave.solve_batch(STIFFNESS[None] * FOUR)),
-    ):
-        for name in ("pressure_mmHg", "flow_ml_s", "area_cm2"):
-            x, y = getattr(one, name), getattr(other, name)
-            np.testing.assert_allclose(y, x, atol=1e-10 * np.abs(x).max(), rtol=0)
-        assert np.all(one.beats == other.beats)
+    one, other = plain.solve(factor * STIFFNESS, GAMMA), wave.solve(STIFFNESS, GAMMA)
+    for name in ("pressure_mmHg", "flow_ml_s", "area_cm2"):
+        x, y = getattr(one, name), getattr(other, name)
+        np.testing.assert_allclose(y, x, atol=1e-10 * np.abs(x).max(), rtol=0)
+    assert one.beats == other.beats
     stiffest = solver(wall, stiffness_wave=[factor, 1.0]).solve(STIFFNESS, GAMMA)
     assert stiffest.max_cfl >= solver(wall, stiffness_wave=[1.0]).solve(STIFFNESS, GAMMA).max_cfl
 

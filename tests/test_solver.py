@@ -353,37 +353,7 @@ def test_each_switch_of_the_conventions_matters(switch, least):
     assert np.abs(both[0] - both[1]).max() > least
 
 
-# --- batches, threads, pickles
-
-
-@pytest.mark.parametrize("wall", ["linear", "tangent"])
-def test_batch_agrees_with_single_solves(wall):
-    solver = mouse(wall, steps_per_beat=2560)
-    rng = np.random.default_rng(5)
-    values = {
-        "stiffness": rng.uniform(4e4, 9e4, (21, 21)),
-        "gamma": rng.uniform(4, 6, (21, 21)),
-        "psi1": rng.uniform(0.2, 1, (21, 1)),
-        "psi2": rng.uniform(0.5, 1, 21),
-        "c": 1.4,
-    }
-    batch = solver.solve_batch(**values)
-    assert batch.ok.all()
-    assert batch.pressure_mmHg.shape == (21, 42, 256)
-    for i in (0, 7, 20):
-        one = solver.solve(
-            values["stiffness"][i], values["gamma"][i], values["psi1"][i], values["psi2"][i], 1.4
-        )
-        np.testing.assert_allclose(batch.pressure_mmHg[i], one.pressure_mmHg, atol=4e-3)
-
-
-def test_a_failed_set_leaves_the_others_alone():
-    solver = mouse()
-    good = solver.solve(**A_MEDIANS)
-    batch = solver.solve_batch(np.array([5.17e4, -1.0, 5.17e4, np.nan]), psi1=0.21, psi2=0.88, c=1.44)
-    assert batch.status_counts() == {"ok": 2, "bad-argument": 2}
-    assert np.isnan(batch.pressure_mmHg[1]).all()
-    np.testing.assert_allclose(batch.pressure_mmHg[2], good.pressure_mmHg, atol=4e-3)
+# --- threads, pickles
 
 
 def test_threads_share_a_solver():

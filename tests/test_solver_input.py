@@ -228,8 +228,6 @@ def test_parameters_are_arrays_of_numbers(solver: Solver, name: str, value: Any)
     with pytest.raises(SolverArgumentError, match=name) as caught:
         solver.solve(**values)
     one_line(caught)
-    with pytest.raises(SolverArgumentError):
-        solver.solve_batch(**values)
 
 
 @pytest.mark.parametrize("name", ["stiffness", "psi1", "psi2", "c"])
@@ -256,11 +254,6 @@ def test_what_c_was_told_the_size_of_cannot_be_changed() -> None:
     copied = pickle.loads(pickle.dumps(made))
     with pytest.raises(AttributeError, match="Solver: series"):
         copied.series = ()
-
-
-def test_a_batch_of_nothing_is_refused(solver: Solver) -> None:
-    with pytest.raises(SolverArgumentError, match="no set of parameters"):
-        solver.solve_batch(*[np.empty((0, 1))] * 5)
 
 
 @pytest.mark.parametrize("name", ["viscosity_factor", "leak", "inertance", "stiffness_wave", "offset_in"])

@@ -439,22 +439,6 @@ def test_a_pulse_takes_the_integral_of_1_over_c_through_a_stiffening_vessel() ->
     assert arrival[1] - arrival[0] == pytest.approx(expected, rel=0.01)
 
 
-def test_many_sets_side_by_side_are_those_one_by_one() -> None:
-    """Sixteen lanes and one: stiffness along vessels, a single resistance, pressures around and behind."""
-    made = tree(radius_pressure_mmHg=20.0, outflow_pressure_mmHg=4.0, blood=Blood(1.06, 0.04, 9, 1.05))
-    options = replace(FINE, steps_per_beat=5120)
-    solver = Solver.for_study(made, series=PLACES, times_s=np.arange(50) * PERIOD / 50, options=options)
-    own = solver.network.stiffness_in
-    assert own is not None
-    factors = np.linspace(0.8, 1.4, 18)
-    batch = solver.solve_batch(factors[:, None] * own, psi2=np.linspace(0.9, 1.1, 18))
-    assert batch.ok.all()
-    for i in (0, 9, 17):
-        one = solver.solve(factors[i] * own, psi2=np.linspace(0.9, 1.1, 18)[i])
-        np.testing.assert_allclose(batch.pressure_mmHg[i], one.pressure_mmHg, atol=1e-4)
-        np.testing.assert_allclose(batch.flow_ml_s[i], one.flow_ml_s, atol=1e-4)
-
-
 # ---------------------------------------------------------------------------------------------------
 # The inflow
 

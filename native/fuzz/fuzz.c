@@ -264,7 +264,7 @@ static void make(trial *t)
     reals_of(&t->parameters.c, nv, 0.8, 1.2);
 }
 
-static void spoil(trial *t)
+static void spoil(void)
 {
     for (int n = 1 + below(3); n > 0; n--) {
         const int what = below(8);
@@ -642,7 +642,7 @@ static void run_case(uint64_t seed)
     const int64_t failed = failures;
     make(&t);
     if (one_in(2))
-        spoil(&t);
+        spoil();
     solve_case(&t);
     small_calls();
     arrays_free();

@@ -58,6 +58,23 @@ static void stuck(int wall, int bad)
     tree_close(&one);
 }
 
+/* A search that rounding keeps from its end, here by a curvature far from any velocity, is no failure. */
+static void rounding(void)
+{
+    enum { KNOTS = 128 };
+    static double spike[KNOTS];
+    spike[100] = 1e25;
+    tree_make(&one, ZOO_WALL_LINEAR);
+    one.problem.junction = (zoo_junction){1.0, 2.0, {KNOTS, 1000.0, 1127.0, spike}};
+    tree_open(&one, 1600);
+    zoo_sim *s = &one.sim;
+    zoo_start(s);
+    for (int i = 0; i < 100; i++)
+        CHECK(zoo_step(s, i) == 0);
+    CHECK(s->no_root && !s->stuck);
+    tree_close(&one);
+}
+
 int main(void)
 {
     for (int wall = 0; wall < N_WALLS_IN_TESTS; wall++)
@@ -65,5 +82,6 @@ int main(void)
             relation(wall, i & 1, i >> 1 & 1, i >> 2);
     for (int i = 0; i < 2 * ZOO_N_WALLS; i++)
         stuck(i / 2, i % 2);
+    rounding();
     return finish("junction");
 }

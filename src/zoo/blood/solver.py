@@ -591,10 +591,10 @@ class Solver:
             One of its subclasses, when the solve fails and `check` is true.
         """
         rows = self._broadcast((stiffness, gamma, psi1, psi2, c))
+        workspace = self._workspace()
         waves = [np.empty((len(self.series), len(self.times_s))) for _ in range(3)]
         fastest = np.empty(len(self.network.ids))
         report = ffi.new("zoo_report *")
-        workspace = self._workspace()
         code = lib.zoo_solve(
             self._problem,
             _parameters(rows),
