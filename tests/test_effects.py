@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from walls import wall_pressure_mmHg
 from zoo.blood.baseline import HOMES, get_baseline
 from zoo.blood.case import (
     Case,
@@ -37,7 +38,7 @@ from zoo.blood.effects.outflow import ladder_sections
 from zoo.blood.effects.structured_tree import foster_fit, tree_impedance
 from zoo.blood.effects.tables import catalogue_table, signature_table, signatures, typical_values
 from zoo.blood.network import Network, stiffness_profile
-from zoo.blood.solver import Solver, SolverOptions, wall_pressure_mmHg
+from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Blood, Study, StudyError, Vessel, Windkessel, load_study
 from zoo.blood.units import MMHG
 from zoo.core.effects import with_effects

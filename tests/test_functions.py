@@ -89,24 +89,6 @@ def test_physics_takes_each_function_in_its_place_only() -> None:
     assert given.changed
     assert given.settings() == {"friction_function": {"low": 0.0, "high": 50.0, "values": [2.0] * 4}}
     assert pickle.loads(pickle.dumps(given)).friction_function == wrong
-    assert not Physics(
-        wall_function=WallFunction(0.9, 1.5, [0.0] * 4),
-        friction_function=FrictionFunction(0.0, 50.0, [1.0] * 4),
-        junction_function=JunctionFunction(0.0, 50.0, [0.0] * 4),
-    ).changed
-
-
-@pytest.mark.parametrize("wall", WALLS)
-def test_functions_that_are_nothing_leave_every_bit(wall: str) -> None:
-    nothing = {
-        "wall_function": WallFunction(0.9, 1.5, np.zeros(8)),
-        "friction_function": FrictionFunction(0.0, 50.0, np.ones(8)),
-        "junction_function": JunctionFunction(-50.0, 50.0, np.zeros(8)),
-    }
-    plain = waves(solver(wall, options=QUICK).solve(STIFFNESS, GAMMA))
-    np.testing.assert_array_equal(
-        waves(solver(wall, options=QUICK, **nothing).solve(STIFFNESS, GAMMA)), plain
-    )
 
 
 # --- the wall

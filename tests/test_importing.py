@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from walls import wall_pressure_mmHg
 from zoo.blood.importing.imported import ImportedFileError
 from zoo.blood.importing.openbf import import_openbf, thickness
 from zoo.blood.importing.table import import_table
 from zoo.blood.importing.yaml import MAX_DEPTH, read_yaml
 from zoo.blood.network import Network
-from zoo.blood.solver import Solution, Solver, SolverOptions, wall_pressure_mmHg
+from zoo.blood.solver import Solution, Solver, SolverOptions
 from zoo.blood.study import Study, StudyError, load_study, suspect_units
 
 ONE = """project_name: one
@@ -131,7 +132,7 @@ def test_a_huge_file_is_refused(tmp_path: Path) -> None:
 
 
 def wave_speed(study: Study, radius_cm: float, stiffness: float) -> float:
-    """c = sqrt(A/rho dp/dA) at rest, by a difference of the solver's wall law, cm/s."""
+    """c = sqrt(A/rho dp/dA) at rest, by a difference of the wall law, cm/s."""
     h = 1e-6
     p = wall_pressure_mmHg("linear", np.array([1 - h, 1 + h]), stiffness) * study.conventions.mmhg
     return math.sqrt((p[1] - p[0]) / (2 * h) / study.blood.density_g_cm3)

@@ -121,14 +121,6 @@ def test_mean_is_the_solver_s_and_ok_is_one(study: Study, op: ForwardOp) -> None
     assert ok.dtype == np.int8
 
 
-def test_each_series_is_in_its_own_quantity() -> None:
-    study = small_study(quantities=("area_cm2", "flow_ml_s"))
-    mean, _ = observed_series(flow(study), dict(zip(NAMES, POINT, strict=True)))
-    solution = Solver.for_study(study).solve(*POINT)
-    expected = np.stack([solution.area_cm2[0], solution.flow_ml_s[1]])
-    np.testing.assert_allclose(mean.eval(), expected, rtol=1e-12)
-
-
 def test_scalars_and_vectors_of_parameters(study: Study) -> None:
     def values(chi: Any) -> np.ndarray:
         given = {"chi": chi, "gamma": 4.0, "psi1": 0.3, "psi2": 0.9, "c": 1.2}
@@ -234,13 +226,6 @@ def test_a_failed_solve_is_zero_and_counted(study: Study) -> None:
     assert function(at(POINT))[1] == 1
 
 
-def test_a_solver_that_cannot_finish_is_counted_by_status(study: Study) -> None:
-    op = ForwardOp(flow(study, options=SolverOptions(max_beats=1, tolerance_mmHg=1e-12)))
-    op.reset_counts()
-    assert not op.evaluate(at(POINT))[1]
-    assert op.counts["failures"] == {"not-periodic": 1}
-
-
 def test_wrong_arguments_raise(study: Study, op: ForwardOp) -> None:
     with pytest.raises(ValueError, match=r"6 values for 7: give chi, gamma, psi1, psi2, c"):
         op.evaluate(at(POINT)[:-1])
@@ -338,9 +323,7 @@ def test_op_in_another_process(op: ForwardOp, method: str) -> None:
     assert op.counts == {"evaluations": 1, "solves": 1, "failures": {}}
 
 
-def test_pickled_op_and_compiled_function(op: ForwardOp) -> None:
-    copy = pickle.loads(pickle.dumps(op))
-    assert copy == op
+def test_a_pickled_compiled_function_shares_the_points(op: ForwardOp) -> None:
     inputs = [pt.dvector(), *(pt.dscalar() for _ in range(4))]
     function = pickle.loads(cloudpickle.dumps(pytensor.function(inputs, op(*inputs))))
     mean, ok = function(at(POINT)[:3], *POINT[1:])

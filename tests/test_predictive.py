@@ -13,6 +13,7 @@ import xarray as xr
 from scipy import stats
 
 from test_op import STIFF, small_study
+from walls import wall_pressure_mmHg
 from zoo.blood import predictive
 from zoo.blood.baseline import blood_model
 from zoo.blood.forward import study_data
@@ -30,7 +31,7 @@ from zoo.blood.predictive import (
     waves_at_medians,
     with_stiffness,
 )
-from zoo.blood.solver import Physics, Solver, wall_pressure_mmHg
+from zoo.blood.solver import Physics, Solver
 from zoo.blood.study import Study
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel

@@ -55,6 +55,8 @@ class KnotFunction:
     least: ClassVar[float] = -_MOST
     most: ClassVar[float] = _MOST
     nothing_is: ClassVar[float] = 0.0
+    goes_on: ClassVar[str] = "straight"
+    """Beyond the knots: "straight", "constant", or below them straight "in the area", the square of x."""
 
     def __post_init__(self) -> None:
         name, error = type(self).__name__, SolverArgumentError
@@ -102,25 +104,15 @@ class KnotFunction:
         v, h = np.array(self.values), (self.high - self.low) / (len(self.values) - 1)
         ends = np.array([-11.0, 18.0, -9.0, 2.0]) / (6 * h)
         first, last = float(ends @ v[:4]), float(-(ends @ v[:-5:-1]))
+        spline = CubicSpline(self.knots, v, bc_type=((1, first), (1, last)))
         inner = np.clip(x, self.low, self.high)
-        found = np.asarray(CubicSpline(self.knots, v, bc_type=((1, first), (1, last)))(inner, order))
-        below, above = x < self.low, x > self.high
-        if order:
-            found[below], found[above] = self._slope_below(x[below], first), self._slope_above(last)
-        else:
-            found[below] += self._below(x[below], first)
-            found[above] += self._slope_above(last) * (x[above] - self.high)
-        return found
-
-    def _below(self, x: Array, slope: float) -> Array:
-        """What is added to the first value below the first knot."""
-        return slope * (x - self.low)
-
-    def _slope_below(self, x: Array, slope: float) -> Array:
-        return np.full_like(x, slope)
-
-    def _slope_above(self, slope: float) -> float:
-        return slope
+        found, beyond = np.asarray(spline(inner, order)), x != inner
+        slope = np.where(x < inner, first, last) * (self.goes_on != "constant")
+        step, turn = x - inner, np.ones_like(x)
+        if self.goes_on == "in the area":
+            step = np.where(x < inner, (x**2 - inner**2) / (2 * inner), step)
+            turn = np.where(x < inner, x / inner, turn)
+        return np.where(beyond, slope * turn if order else found + slope * step, found)
 
 
 @dataclass(frozen=True)
@@ -148,29 +140,11 @@ class WallFunction(KnotFunction):
     """
 
     least_low: ClassVar[float] = LEAST_STRETCH
-
-    def _below(self, x: Array, slope: float) -> Array:
-        return np.asarray(slope * (x**2 - self.low**2) / (2 * self.low))
-
-    def _slope_below(self, x: Array, slope: float) -> Array:
-        return np.asarray(slope * x / self.low)
-
-
-class _Constant(KnotFunction):
-    """One that goes on as a constant beyond its knots."""
-
-    def _below(self, x: Array, slope: float) -> Array:
-        return np.zeros_like(x)
-
-    def _slope_below(self, x: Array, slope: float) -> Array:
-        return np.zeros_like(x)
-
-    def _slope_above(self, slope: float) -> float:
-        return 0.0
+    goes_on: ClassVar[str] = "in the area"
 
 
 @dataclass(frozen=True)
-class FrictionFunction(_Constant):
+class FrictionFunction(KnotFunction):
     """Factor of the friction in all vessels, as a function of the blood's speed.
 
         -f q/A becomes -phi(abs(u)) f q/A,   u = q/A,   f = 2 pi nu r/delta + k pi nu,
@@ -193,6 +167,7 @@ class FrictionFunction(_Constant):
     least_low: ClassVar[float] = 0.0
     least: ClassVar[float] = 0.0
     nothing_is: ClassVar[float] = 1.0
+    goes_on: ClassVar[str] = "constant"
 
 
 @dataclass(frozen=True)
@@ -217,7 +192,7 @@ class JunctionFunction(KnotFunction):
 
 
 @dataclass(frozen=True)
-class OutletFunction(_Constant):
+class OutletFunction(KnotFunction):
     """Change of all outlets' resistances, or compliances, with the pressure behind R1.
 
         R2 becomes R2 exp(f(v)),   or C becomes C exp(f(v)),   C dv/dt = q - (v - p_out)/R2,
@@ -239,3 +214,4 @@ class OutletFunction(_Constant):
 
     least: ClassVar[float] = -30.0
     most: ClassVar[float] = 30.0
+    goes_on: ClassVar[str] = "constant"

@@ -73,24 +73,11 @@ WALLS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.z
 SHAPES: dict[str, tuple[str, ...]] = {
     wall: _names(partial(lib.zoo_wall_shape_name, number)) for wall, number in WALLS.items()
 }
-INLETS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.zoo_inlet_name))}
 OUTLETS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.zoo_outlet_name))}
 FRICTIONS = {
     "current": lib.ZOO_FRICTION_CURRENT,
     "rest": lib.ZOO_FRICTION_REST,
     "fixed": lib.ZOO_FRICTION_FIXED,
-}
-STATUS_NAMES: dict[int, str] = {
-    lib.ZOO_OK: "ok",
-    lib.ZOO_BAD_ARGUMENT: "bad-argument",
-    lib.ZOO_CFL: "cfl",
-    lib.ZOO_COLLAPSE: "collapse",
-    lib.ZOO_WALL_LIMIT: "wall-limit",
-    lib.ZOO_NO_ROOT: "no-root",
-    lib.ZOO_NOT_PERIODIC: "not-periodic",
-    lib.ZOO_WORKSPACE: "workspace",
-    lib.ZOO_WALL_FALLS: "wall-falls",
-    lib.ZOO_NO_DERIVATIVE: "no-derivative",
 }
 PARAMETERS = ("stiffness", "gamma", "psi1", "psi2", "c")
 PUBLISHED_CELLS_PER_CM = 40
@@ -114,6 +101,9 @@ _ERRORS: dict[int, tuple[type[SolverError], str]] = {
     ),
     lib.ZOO_WALL_FALLS: (WallFallsError, "lower the slope of wall_function where it falls"),
     lib.ZOO_NO_DERIVATIVE: (NoDerivativeError, "sample without gradients, or leave that parameter fixed"),
+}
+STATUS_NAMES: dict[int, str] = {lib.ZOO_OK: "ok", lib.ZOO_WORKSPACE: "workspace"} | {
+    status: error.status for status, (error, _) in _ERRORS.items()
 }
 
 
@@ -152,6 +142,13 @@ class Solution:
         return bool(self.status == lib.ZOO_OK)
 
 
+_TERMS = {
+    "fluid": ("momentum_correction", "stokes_friction", "viscous_friction", "viscosity_factor", "leak"),
+    "wall": ("stiffness_ratio", "stiffness_exponent", "viscoelastic_time", "relaxation_time"),
+    "junction": ("total_pressure",),
+    "outlet": ("inertance", "section_resistance", "section_compliance"),
+}
+"""Terms of `Physics` that have the same name in the native structs, by struct."""
 _LOCK = threading.Lock()
 _ARRAYS: weakref.WeakValueDictionary[tuple[str, bytes], NDArray[Any]] = weakref.WeakValueDictionary()
 """Arrays that were handed over, by content: derivatives take those at one place for the same."""
@@ -367,17 +364,13 @@ class Solver:
         problem.fluid.density, problem.fluid.viscosity = net.density, net.viscosity
         problem.wall.law, problem.wall.factor = WALLS[self.wall], conventions.wall_factor
         problem.outlet.R1, problem.outlet.R2, problem.outlet.C = reals(net.R1), reals(net.R2), reals(net.C)
-        if conventions.friction not in FRICTIONS:
-            raise SolverArgumentError(
-                f"friction = {conventions.friction!r}: must be one of {', '.join(FRICTIONS)}"
-            )
         problem.fluid.friction = FRICTIONS[conventions.friction]
         problem.fluid.friction_radius = conventions.friction_radius_cm
         self._shift = 0.0
         self._set_physics(problem, reals)
 
         flow = self.inflow_ml_s
-        problem.inlet.kind, problem.inlet.period = INLETS["flow"], net.period_s
+        problem.inlet.period = net.period_s
         problem.inlet.n_samples, problem.inlet.curve = len(flow), reals(flow, "inflow_ml_s", len(flow))
 
         known = {int(v) for v in net.ids}
@@ -410,25 +403,23 @@ class Solver:
         """Hand the physics to the native structs; an array that is None stays a null pointer."""
         added = self.physics
         added.fit(self.network)
-        fluid, wall, throat, outlet = problem.fluid, problem.wall, problem.throat, problem.outlet
+        wall, throat, outlet = problem.wall, problem.throat, problem.outlet
         zero = np.zeros(len(self.network.ids))
 
-        def give(struct: Any, field: str, values: Array | None) -> None:
-            if values is not None:
-                setattr(
-                    struct, field, reals(values, f"physics: {field}", values.size // len(values) * len(zero))
-                )
+        def give(struct: Any, field: str, values: Array | float | None) -> None:
+            if isinstance(values, np.ndarray):
+                size = values.size // len(values) * len(zero)
+                setattr(struct, field, reals(values, f"physics: {field}", size))
+            elif values is not None:
+                setattr(struct, field, values)
+
+        for part, names in _TERMS.items():
+            for name in names:
+                give(getattr(problem, part), name, getattr(added, name))
 
         def filled(values: Array | None, value: float = 0.0) -> Array:
             return zero + value if values is None else values
 
-        fluid.momentum_correction = added.momentum_correction
-        fluid.stokes_friction, fluid.viscous_friction = added.stokes_friction, added.viscous_friction
-        give(fluid, "viscosity_factor", added.viscosity_factor)
-        give(fluid, "leak", added.leak)
-
-        give(wall, "stiffness_ratio", added.stiffness_ratio)
-        give(wall, "stiffness_exponent", added.stiffness_exponent)
         behind = added.outflow_pressure
         if added.offset_in is not None or added.offset_out is not None:
             offset = filled(added.offset_in), filled(added.offset_out)
@@ -440,8 +431,6 @@ class Solver:
             else:
                 wall.offset_in, wall.offset_out = reals(offset[0]), reals(offset[1])
         give(outlet, "pressure", behind)
-        give(wall, "viscoelastic_time", added.viscoelastic_time)
-        wall.relaxation_time = added.relaxation_time
         if added.stiffness_wave is not None:
             wall.n_wave = len(added.stiffness_wave)
             wall.stiffness_wave = reals(added.stiffness_wave, "physics: stiffness_wave", wall.n_wave)
@@ -450,14 +439,12 @@ class Solver:
             throat.severity = reals(added.throat_severity)
             throat.position = reals(filled(added.throat_position, 0.5))
             throat.length = reals(filled(added.throat_length, THROAT_LENGTH_CM))
-        throat.loss = added.throat_loss
-
-        problem.junction.total_pressure, problem.junction.loss = added.total_pressure, added.junction_loss
+        throat.loss, problem.junction.loss = added.throat_loss, added.junction_loss
 
         # a pressure is told less that outside, where that is the same everywhere
         for struct, function, less in (
             (wall.function, added.wall_function, 0.0),
-            (fluid.friction_function, added.friction_function, 0.0),
+            (problem.fluid.friction_function, added.friction_function, 0.0),
             (problem.junction.function, added.junction_function, 0.0),
             (outlet.resistance_function, added.outlet_resistance_function, self._shift),
             (outlet.compliance_function, added.outlet_compliance_function, self._shift),
@@ -474,11 +461,8 @@ class Solver:
 
         circuit = added.inertance is not None or added.section_resistance is not None
         outlet.kind = OUTLETS["circuit" if circuit else "windkessel"]
-        give(outlet, "inertance", added.inertance)
         if added.section_resistance is not None:
             outlet.n_sections = added.section_resistance.shape[1]
-            give(outlet, "section_resistance", added.section_resistance)
-            give(outlet, "section_compliance", added.section_compliance)
 
     def _broadcast(
         self, values: Sequence[ArrayLike], known: dict[tuple[str, int], Array] | None = None
@@ -772,34 +756,3 @@ class Solver:
             "options": asdict(self.options),
             "physics": self.physics.settings(),
         }
-
-
-def wall_pressure_mmHg(
-    wall: str,
-    area_ratio: ArrayLike,
-    stiffness: float,
-    gamma: ArrayLike = 2.0,
-    *,
-    conventions: Conventions = PRINTED,
-) -> Array:
-    """Pressure of the wall law, eq. (3.3) or (3.4), at A/A0 (dimensionless); NaN outside its range.
-
-    `gamma` is the law's shape parameter, or the array of those in ``SHAPES[wall]``.
-    """
-    if wall not in WALLS:
-        raise SolverArgumentError(f"wall = {wall!r}: must be one of {', '.join(WALLS)}")
-    ratio = real_array("area_ratio", area_ratio, error=SolverArgumentError)
-    stiffness = float(real_array("stiffness", stiffness, ndim=0, error=SolverArgumentError))
-    n_shapes = max(1, len(SHAPES[wall]))
-    shapes = real_array("gamma", gamma, error=SolverArgumentError)
-    if shapes.shape not in ((), (1,), (n_shapes,)):
-        raise SolverArgumentError(f"gamma has shape {shapes.shape}: must be one value, or ({n_shapes},)")
-    given = np.broadcast_to(shapes, (n_shapes,))
-    shape = ffi.from_buffer("double[]", np.ascontiguousarray(given))
-    pressure = np.array(
-        [
-            lib.zoo_wall_pressure(WALLS[wall], conventions.wall_factor, stiffness, shape, float(a), 1.0)
-            for a in ratio.ravel()
-        ]
-    )
-    return np.asarray(cgs_to_mmhg(pressure.reshape(ratio.shape), conventions.mmhg))
