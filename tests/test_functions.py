@@ -86,7 +86,6 @@ def test_physics_takes_each_function_in_its_place_only() -> None:
     with pytest.raises(SolverArgumentError, match=r"junction_function = 3"):
         Physics(junction_function=3)  # type: ignore[arg-type]
     given = Physics(friction_function=wrong)
-    assert given.changed
     assert given.settings() == {"friction_function": {"low": 0.0, "high": 50.0, "values": [2.0] * 4}}
     assert pickle.loads(pickle.dumps(given)).friction_function == wrong
 

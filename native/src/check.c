@@ -110,6 +110,8 @@ static int too_large(const zoo_problem *pr)
     enum { COEFFICIENTS = 16, STATE = 4, SAMPLES = 4 * 3 };
     const int64_t rows[] = {(STATE + ZOO_MOST_SHAPES) * nodes + (sections + 2) * nv, (COEFFICIENTS + 2 * sections) * nv,
                             (int64_t)SAMPLES * pr->outputs.n_series};
+    if (nodes > ZOO_MOST)
+        return 1;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         if (rows[i] > INT_MAX)
             return 1;

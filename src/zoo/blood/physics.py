@@ -49,17 +49,6 @@ _PER_VESSEL = {
     "throat_position": (0.0, True, "between 0 (inlet) and 1 (outlet)"),
     "throat_length": (0.0, False, "positive, cm"),
 }
-_ZERO = (
-    "offset_in",
-    "offset_out",
-    "stiffness_exponent",
-    "viscoelastic_time",
-    "leak",
-    "outflow_pressure",
-    "inertance",
-    "throat_severity",
-)
-"""Per vessel, zero where nothing is added."""
 _PER_TIME = {"stiffness_wave": (0.0, False, "positive")}
 _LIMITS = {"throat_severity": 1.0 - 1e-9, "throat_position": 1.0}
 _SECTIONS = ("section_resistance", "section_compliance")
@@ -228,29 +217,6 @@ class Physics(ReadOnlyArrays):
                     f"{self.section_compliance[vessel, section]}: must be of the resistance's sign, "
                     f"{self.section_resistance[vessel, section]}"
                 )
-
-    @property
-    def changed(self) -> bool:
-        """Whether anything is added: whether a solve may differ from the default's."""
-        away = [
-            self.momentum_correction != 1,
-            self.stokes_friction != 1,
-            self.viscous_friction != 0,
-            self.viscosity_factor is not None and np.any(self.viscosity_factor != 1),
-            self.stiffness_wave is not None and np.any(self.stiffness_wave != 1),
-            self.stiffness_ratio is not None and np.any(self.stiffness_ratio != 1),
-            self.total_pressure != 0,
-            self.junction_loss != 0,
-        ]
-        for name in _FUNCTIONS:
-            away.append(getattr(self, name) is not None and getattr(self, name).changes)
-        for name in _ZERO:
-            away.append(getattr(self, name) is not None and np.any(getattr(self, name) != 0))
-        if self.section_resistance is not None and self.section_compliance is not None:
-            there = self.section_resistance != 0
-            one = np.where(there, (self.section_resistance == 1) & (self.section_compliance == 1), True)
-            away.append(not (one.all() and np.all(there.sum(axis=1) <= 1)))
-        return bool(any(away))
 
     def settings(self) -> dict[str, Any]:
         """The fields that are not at their default, arrays as lists."""
