@@ -7,6 +7,7 @@
 
 #include "inlet.h"
 #include "outlet.h"
+#include "tangent.h"
 #include "values.h"
 
 static int bad_radius(double r)
@@ -99,7 +100,8 @@ static int bad_clock(const zoo_problem *pr)
     return !(pr->inlet.period / most > 1e-300);
 }
 
-/* Whether the largest arrays of a run, [rows][nodes or terminals], have more elements than an int holds. */
+/* Whether the largest arrays of a run, [rows][nodes or terminals], have more elements than an int holds; where it is
+ * differentiated there are ZOO_DIRECTIONS of each. */
 static int too_large(const zoo_problem *pr)
 {
     const int64_t nv = pr->network.n_vessels, sections = pr->outlet.n_sections;
@@ -110,10 +112,8 @@ static int too_large(const zoo_problem *pr)
     enum { COEFFICIENTS = 16, STATE = 4, SAMPLES = 4 * 3 };
     const int64_t rows[] = {(STATE + ZOO_MOST_SHAPES) * nodes + (sections + 2) * nv, (COEFFICIENTS + 2 * sections) * nv,
                             (int64_t)SAMPLES * pr->outputs.n_series};
-    if (nodes > ZOO_MOST)
-        return 1;
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
-        if (rows[i] > INT_MAX)
+        if (rows[i] > INT_MAX / ZOO_DIRECTIONS)
             return 1;
     return 0;
 }

@@ -100,7 +100,7 @@ static void sizes(int added)
     int32_t huge[NV], many[NV];
     for (int k = 0; k < NV; k++)
         huge[k] = INT_MAX, many[k] = 1;
-    many[0] = 500000000; /* the state alone: more than INT_MAX */
+    many[0] = 60000000; /* a block of directions of the state alone: more than INT_MAX */
     REJECTS(t.problem.network.n_cells = huge);
     REJECTS(t.problem.network.n_cells = many);
     REJECTS(t.problem.network.n_vessels = INT_MAX);
