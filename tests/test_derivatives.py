@@ -17,8 +17,7 @@ from pytensor.gradient import verify_grad
 from made import SEARCH, THETA, baseline_of
 from test_op import POINT, at, flow, small_study
 from zoo.blood.baseline import get_baseline
-from zoo.blood.case import Case, with_physics
-from zoo.blood.derivatives import same_run
+from zoo.blood.case import Case, same_run, with_physics
 from zoo.blood.directions import Derivatives, Point
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.effects.given import added_effects

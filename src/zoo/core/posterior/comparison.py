@@ -169,8 +169,6 @@ def posterior_means(
         except SolveError:
             return np.full(forward.outputs.shape, np.nan)
 
-    # One by one, as when sampling: a batch solves all its sets with the time step of the stiffest, which
-    # moves the Gaussian process' log-likelihood by a few tenths.
     means = np.empty((len(points), *forward.outputs.shape))
     with ThreadPoolExecutor(os.cpu_count() if getattr(forward, "threads", False) else 1) as pool:
         for i, mean in enumerate(pool.map(solve, points)):
