@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import weakref
 from collections.abc import Callable, Sequence
@@ -152,6 +153,8 @@ _TERMS = {
 _LOCK = threading.Lock()
 _ARRAYS: weakref.WeakValueDictionary[tuple[str, bytes], NDArray[Any]] = weakref.WeakValueDictionary()
 """Arrays that were handed over, by content: derivatives take those at one place for the same."""
+if hasattr(os, "register_at_fork"):  # no process may be born while another thread holds the lock
+    os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_LOCK.release)
 
 
 def _parameters(rows: dict[str, Array]) -> Any:
