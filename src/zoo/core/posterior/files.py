@@ -118,11 +118,6 @@ def matching(path: Path, model: Any) -> az.InferenceData | None:
     return idata if idata is not None and mismatch(idata, model) is None else None
 
 
-def belongs(path: Path, model: Any) -> bool:
-    """Whether a file is there and is a posterior of this model, study and conventions."""
-    return matching(path, model) is not None
-
-
 def find(
     given: Iterable[Path],
     names: Sequence[str],
