@@ -25,9 +25,10 @@ from zoo import plots
 from zoo.blood import predictive
 from zoo.blood.prior_tables import PAPER_SET
 from zoo.core.inference.convergence import judged
+from zoo.core.inference.record import RunRecord
 from zoo.core.outputs import write_file
 from zoo.core.posterior.comparison import compare
-from zoo.core.posterior.files import matching, refuse_other_settings, sample_to
+from zoo.core.posterior.files import PosteriorError, matching, sample_to
 from zoo.core.surrogate.library import Library
 from zoo.models import PAPER, get_model
 
@@ -75,7 +76,7 @@ def reproduce(
     Raises
     ------
     zoo.core.posterior.files.PosteriorError
-        If a posterior there was drawn with another seed or other settings.
+        If a posterior there was drawn with another seed.
     """
     study = replace(study, priors={"set": PAPER_SET}, noise_sd={})
     posteriors, models = nine_posteriors(study, folder, names, say=say, **settings)
@@ -110,7 +111,10 @@ def nine_posteriors(
         path = folder / f"{name}.nc"
         stored = matching(path, models[name])
         if stored is not None:
-            refuse_other_settings(path, stored, settings)
+            if (seed := RunRecord.of(stored).seed) != settings["seed"]:
+                raise PosteriorError(
+                    f"{path}: drawn with seed {seed}, here it is {settings['seed']}; move it"
+                )
             posteriors[name] = stored
             found = judged(stored)
             lacks = "" if found.passes else f", not converged (R-hat {found.max_rhat:.3f})"

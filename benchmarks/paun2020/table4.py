@@ -260,13 +260,15 @@ def table4_rows(parameters: pd.DataFrame, scores: pd.DataFrame) -> tuple[list[st
                 continue
             cell = cells.loc[(model, name)]
             above.append(format_cell(name, theirs.parameters[name]))
-            below.append(f"{format_cell(name, cell[['median', 'low', 'high']])} {'x='[cell['agrees']]}")
+            below.append(
+                f"{format_cell(name, cell[['median', 'low', 'high']])} {'=' if cell['agrees'] else 'x'}"
+            )
         above.append(f"{theirs.waic:.0f}")
         below.append(f"{score['waic_one_observation']:.0f}")
         if "difference" in scores.columns:
             above.append(f"{score['published_difference']:+.0f}")
             error = f" ± {score['difference_mcse']:.1f}" if model != REFERENCE else ""
-            below.append(f"{score['difference']:+.1f}{error} {'x='[bool(score['agrees'])]}")
+            below.append(f"{score['difference']:+.1f}{error} {'=' if score['agrees'] else 'x'}")
         else:
             above.append("")
             below.append("")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -72,25 +72,6 @@ def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings:
 def checkpoint_of(path: Path) -> Path:
     """Folder of the checkpoint that belongs to a posterior's file."""
     return path.with_suffix(".checkpoint")
-
-
-def refuse_other_settings(path: str | Path, idata: az.InferenceData, settings: Mapping[str, Any]) -> None:
-    """Check that a stored posterior was drawn with the settings of `zoo.sample` that are given.
-
-    Raises
-    ------
-    PosteriorError
-        Naming the setting that is another.
-    """
-    record = RunRecord.of(idata)
-    stored = {**record.settings, "seed": record.seed, "draws": record.settings.get("first check")}
-    for name in ("seed", "draws", "until_ess", "tune", "thin", "step"):
-        wanted, found = settings.get(name), stored.get(name)
-        if wanted is not None and found is not None and wanted != found:
-            raise PosteriorError(
-                f"{path}: drawn with {name} {found}, here it is {wanted}; give {found}, another folder, or "
-                "remove the file and its checkpoint"
-            )
 
 
 def load_for(path: str | Path, model: Any) -> az.InferenceData:
