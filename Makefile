@@ -6,7 +6,7 @@ STAMP := $(VENV)/.zoo-setup
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
-.PHONY: setup test readme check fuzz demo report bench mutants clean
+.PHONY: setup test readme check fuzz demo report bench reproduce mutants clean
 setup: $(STAMP)
 
 # Versions come from requirements.lock, those of the build tools too.
@@ -70,6 +70,10 @@ $(SHORT): demo-output/short/%.nc: $(STAMP)
 
 bench: setup
 	$(BIN)/python -m benchmarks.bench_solver
+
+# Tables 3, 4 and 5 of Paun et al. 2020 and the calibration into paun2020/; a killed run goes on.
+reproduce: setup
+	for what in table4 synthetic calibration; do $(BIN)/python -m benchmarks.paun2020 $$what || exit; done
 
 clean:
 	$(MAKE) --no-print-directory -C native clean

@@ -2,7 +2,7 @@
 
 Prints the tables that docs/numerics.md quotes and draws its figures.
 
-Usage: python benchmarks/convergence.py [--figures docs/figures] [--finest 16]
+Usage: python -m benchmarks.convergence [--figures docs/figures] [--finest 16]
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from benchmarks.paun2020.synthetic import Truth
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -25,7 +26,6 @@ from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solution, Solver, SolverError, SolverOptions
 from zoo.blood.study import Study, load_study
 from zoo.core.errors.gaussian_process import gp_sequential
-from zoo.paper.synthetic import Truth
 from zoo.plots.style import COLOURS, INK, STYLE
 
 Array = NDArray[np.float64]

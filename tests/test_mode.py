@@ -9,6 +9,7 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 import pytest
+from benchmarks.paun2020.calibration import cheap_options, cheap_study
 
 from gaussian import (
     MIXING,
@@ -25,7 +26,6 @@ from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.newton import gauss_newton, newton
 from zoo.core.inference.sampling import SamplingError, find_mode
 from zoo.core.inference.starts import disperse
-from zoo.paper.cheap import cheap_options, cheap_study
 
 
 def test_mode_of_a_gaussian_with_scales_far_apart():

@@ -16,7 +16,6 @@ from zoo.core.inference.convergence import diagnostics
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.storage import load, save, slim
 from zoo.models import MODELS, get_model, suggested
-from zoo.paper.convergence import paper_tests
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 STORED = sorted((FOLDER / "posteriors").glob("*.nc"))
@@ -52,7 +51,7 @@ def store(folder: Path, letter: str) -> None:
         letter, study.name, study.checksum, {"name": conventions}, {}, {}, 1, 10, 10, 1, {}, 1.0, 1.0, 9.0,
         1, "",
     ).attach(idata)  # fmt: skip
-    save(slim(idata, further=paper_tests), folder / f"{letter}.nc")
+    save(slim(idata), folder / f"{letter}.nc")
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda p: p.name)

@@ -17,19 +17,15 @@ from walls import wall_pressure_mmHg
 from zoo.blood import predictive
 from zoo.blood.baseline import blood_model
 from zoo.blood.forward import study_data
-from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.network import stiffness_profile
 from zoo.blood.predictive import (
     PredictiveError,
     bands,
-    interval_widths,
     median_waves,
     one_place,
     predictive_draws,
-    pressure_against_stiffness,
-    stiffness_draws,
     vessel_waves,
     waves_at_medians,
-    with_stiffness,
 )
 from zoo.blood.solver import Physics, Solver
 from zoo.blood.study import Study
@@ -38,7 +34,7 @@ from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.gaussian_process import GaussianProcess, neural_network_kernel
 from zoo.core.errors.independent import Independent
 from zoo.core.parameters import LogUniform
-from zoo.core.posterior.comparison import posterior_means
+from zoo.core.posterior.comparison import forward_points, posterior_means
 from zoo.models import get_model
 
 CENTRE = {
@@ -149,7 +145,8 @@ def test_effects_are_in_the_predictions(study: Study) -> None:
     idata = az.from_dict(posterior={name: np.array([[value]]) for name, value in values.items()})
     waves = vessel_waves(model, idata, n_times=32)
     chi = np.array([5e4, 5e4 * np.exp(0.4), 5e4])
-    np.testing.assert_allclose(stiffness_draws(model, idata)[0, 0], chi)
+    [point] = forward_points(model, idata["posterior"])
+    np.testing.assert_allclose(model.zoo.forward.configure(point).stiffness, chi)
     physics = Physics(viscoelastic_time=np.full(3, 2e-3))
     places = [(int(v), float(x)) for v in waves.vessel for x in waves.position]
     solver = Solver.for_study(study, series=places, times_s=waves["time"].to_numpy(), physics=physics)
@@ -229,7 +226,7 @@ def test_prediction_quantiles_of_a_skew_mixture(error: str) -> None:
             np.testing.assert_allclose(reached, tail, atol=1e-5)
 
 
-def test_widths_and_places() -> None:
+def test_places() -> None:
     waves = fake_waves(sigma2=np.full(4000, 0.09))
     placed = one_place(waves)
     assert placed.pressure_mmHg.dims == ("draw", "vessel", "time")
@@ -239,11 +236,6 @@ def test_widths_and_places() -> None:
     middle = median_waves(waves)
     assert middle.area_cm2.dims == ("vessel", "time")
     np.testing.assert_allclose(middle.area_cm2, placed.area_cm2.median("draw"))
-    table = interval_widths(waves)
-    assert list(table.columns) == ["radius_cm", "credible_width_mmHg", "prediction_width_mmHg"]
-    assert list(table.index) == [1, 2]
-    np.testing.assert_allclose(table["credible_width_mmHg"], 3.92 * 0.4, rtol=0.05)
-    np.testing.assert_allclose(table["prediction_width_mmHg"], 3.92 * 0.5, rtol=0.03)
     with pytest.raises(PredictiveError, match=r"no position 0\.5: make them"):
         one_place(waves.sel(position=[0.0]))
 
@@ -306,17 +298,9 @@ def test_stiffness_of_every_kind_of_model(study: Study, name: str) -> None:
         ),
         "G": lambda: draws["chi"],
     }[name]()
-    found = stiffness_draws(model, idata)
-    assert found.dims == ("chain", "draw", "vessel")
-    np.testing.assert_allclose(found, expected)
-    np.testing.assert_array_equal(found.radius_cm, Network.from_study(study).radius_in_cm)
-    replaced = with_stiffness(model, idata, 3)
-    np.testing.assert_allclose(replaced.chi, expected[:, :, 2])
-    np.testing.assert_allclose(with_stiffness(model, idata).chi, expected[:, :, 0])
-    others = {"A": {"sigma2"}, "E": {"w", "b"}, "G": {"w", "b"}}[name]
-    assert set(replaced.data_vars) == {"chi", "psi1", "psi2", "c"} | others
-    with pytest.raises(PredictiveError, match="vessel = 7: the network has 1, 2, 3"):
-        with_stiffness(model, idata, 7)
+    points = forward_points(model, idata["posterior"])
+    found = [model.zoo.forward.configure(point).stiffness for point in points]
+    np.testing.assert_allclose(found, expected.reshape(-1, 3))
 
 
 def test_waves_at_medians_are_one_solve(study: Study) -> None:
@@ -331,22 +315,6 @@ def test_waves_at_medians_are_one_solve(study: Study) -> None:
     np.testing.assert_allclose(found.area_cm2, solution.area_cm2, rtol=1e-6)
 
 
-def test_pressure_against_stiffness(study: Study) -> None:
-    """Systole rises with stiffness as the paper finds; one row is a solve; failures have a status."""
-    table = pressure_against_stiffness(study, [1e4, 4.31e4, 1e6, 1e11], psi2=0.9, c=1.2)
-    assert list(table["status"]) == ["ok", "ok", "ok", "cfl"]
-    assert np.all(np.diff(table["systolic_mmHg"][:3]) > 0)
-    assert np.all(np.diff(table["pulse_mmHg"][:3]) > 0)
-    assert table.iloc[3][["systolic_mmHg", "pulse_mmHg"]].isna().all()
-    solver = Solver.for_study(study, series=[(1, 0.0)], times_s=np.linspace(0, 0.11, 4001))
-    pressure = solver.solve(4.31e4, 2.0, 0.30, 0.9, 1.2).pressure_mmHg
-    row = table.iloc[1]
-    np.testing.assert_allclose(row["systolic_mmHg"], pressure.max(), atol=1e-3)
-    np.testing.assert_allclose(row["diastolic_mmHg"], pressure.min(), atol=1e-3)
-    assert row["pulse_mmHg"] == row["systolic_mmHg"] - row["diastolic_mmHg"]
-    assert len(pressure_against_stiffness(study)) == 49
-
-
 def test_what_is_wrong_is_said(study: Study) -> None:
     waves = fake_waves(sigma2=np.ones(4000))
     for call, text in (
@@ -356,8 +324,6 @@ def test_what_is_wrong_is_said(study: Study) -> None:
             "errors of flow_ml_s: the model has errors of",
         ),
         (lambda: bands(waves, "area_cm2", (95,)), r"probs = \(95,\): give probabilities between 0 and 1"),
-        (lambda: pressure_against_stiffness(study, [-1.0]), r"stiffness = \[-1\.0\]: give positive numbers"),
-        (lambda: pressure_against_stiffness(study, wall="stiff"), "wall = 'stiff': must be one of linear, t"),
     ):
         with pytest.raises(PredictiveError, match=text):
             call()
@@ -369,16 +335,3 @@ def test_what_is_wrong_is_said(study: Study) -> None:
     ):
         with pytest.raises(PredictiveError, match=text):
             vessel_waves(model, posterior(model, 2), **settings)
-
-
-@pytest.mark.needs_data
-def test_the_papers_figure_7() -> None:
-    """The mouse: pulse pressure goes from a few mmHg to more than 25 over two decades of stiffness."""
-    from zoo.blood.study import load_study
-
-    table = pressure_against_stiffness(load_study("mouse-c6"), [1e4, 4.31e4, 1e6])
-    assert list(table["status"]) == ["ok"] * 3
-    pulse = table["pulse_mmHg"].to_numpy()
-    assert pulse[0] < 3
-    assert 8 < pulse[1] < 12
-    assert pulse[2] > 25

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.paun2020.calibration import cheap_options, cheap_study
+from benchmarks.paun2020.synthetic import correlated_errors
 
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Series, Study
 from zoo.core.inference.sampling import sample
 from zoo.models import PAPER, get_model
-from zoo.paper.cheap import cheap_options, cheap_study
-from zoo.paper.synthetic import correlated_errors
 
 OUTLETS = {"psi1": 0.45, "psi2": 0.75, "c": 1.20}
 IID = {"sigma2": 0.02}

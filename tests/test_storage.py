@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import random
-from dataclasses import asdict
 
 import arviz as az
 import h5py
@@ -17,7 +15,6 @@ from zoo.core.inference.convergence import diagnostics, verdict
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import OutputFileError
 from zoo.core.posterior.storage import NoDigestWarning, digest_of, load, save, slim
-from zoo.paper.convergence import geweke, mpsrf, paper_tests
 
 
 @pytest.fixture
@@ -68,7 +65,7 @@ def test_slim_keeps_parameters_record_and_the_verdict_on_all_draws(tmp_path, rec
         coords={"time": np.arange(7.0)},
     )
     record.attach(whole)
-    small = load(save(slim(whole, 200, further=paper_tests), tmp_path / "B.nc"))
+    small = load(save(slim(whole, 200), tmp_path / "B.nc"))
     assert small.groups() == ["posterior"]
     assert set(small.posterior.data_vars) == {"c", "chi"}
     assert "time" not in small.posterior.coords
@@ -79,13 +76,9 @@ def test_slim_keeps_parameters_record_and_the_verdict_on_all_draws(tmp_path, rec
     np.testing.assert_allclose(small.posterior.c, whole.posterior.c.isel(draw=kept), rtol=1e-6)
     assert RunRecord.of(small) == record
     found = diagnostics(small)
-    assert found == diagnostics(whole, paper_tests)
+    assert found == diagnostics(whole)
     judged = verdict(whole)
     assert found.verdict == judged
-    assert found.further["mpsrf"] == mpsrf(
-        {name: whole.posterior[name].to_numpy() for name in whole.posterior}
-    )
-    assert found.further["geweke"]["c"] == geweke(whole.posterior.c).tolist()
     np.testing.assert_allclose(found.acceptance, np.linspace(0.1, 0.4, 4))
     assert diagnostics(slim(small, 40)).verdict.draws == 1000  # still of the whole run
     assert verdict(small).draws == 50
@@ -101,28 +94,6 @@ def test_slim_refuses(idata, record):
     idata.attrs["diagnostics_of_the_whole_run"] = "{}"
     with pytest.raises(ResultsError, match="slim the posterior again"):
         diagnostics(idata)
-
-
-def test_diagnostics_of_a_slim_posterior_keep_the_tests_that_they_were_stored_with(idata):
-    """As posteriors hold them that were slimmed when the paper's tests were always among the diagnostics."""
-    judged = verdict(idata)
-    parameters = [asdict(p) for p in judged.parameters]
-    stored = {
-        "verdict": {**asdict(judged), "parameters": parameters},
-        "mpsrf": 1.02,
-        "acceptance": [0.2, 0.3],
-    }
-    stored["geweke"] = {"c": [0.5, 0.04]}
-    idata.attrs["diagnostics_of_the_whole_run"] = json.dumps(stored)
-    found = diagnostics(idata)
-    assert found.verdict == judged
-    assert found.acceptance == (0.2, 0.3)
-    assert found.further == {"mpsrf": 1.02, "geweke": {"c": [0.5, 0.04]}}
-
-
-def test_slim_without_further_tests_stores_none(idata, record):
-    record.attach(idata)
-    assert diagnostics(slim(idata, 100)).further == {}
 
 
 @pytest.fixture

@@ -15,9 +15,9 @@ from drawn import TIMES
 from withheld import POSTERIORS, TRIED, made
 
 from zoo.blood.diagnosis import StudyDiagnosis, diagnose
+from zoo.blood.ejection import ejection
 from zoo.blood.solver import Solver
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel, save_study
-from zoo.paper.synthetic import ejection
 
 
 @pytest.fixture(autouse=True)

@@ -68,7 +68,6 @@ COMMANDS: dict[str, list[str]] = {
     "a file of diagnose": ["diagnose", "demo", "-o", "holds", "-q"],
     "priors": ["priors", "demo", "-o", "pipe"],
     "import": ["import", "net.yaml", "-o", "pipe"],
-    "reproduce": ["reproduce", "-o", "pipe"],
     "make": ["blind", "make", "pipe", "-q"],
     "key": ["blind", "make", "cases", "--key", "pipe", "-q"],
     "run": ["blind", "run", "cases", "-o", "pipe", "-q"],

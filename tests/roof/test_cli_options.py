@@ -55,7 +55,7 @@ def test_options_take_the_place_of_the_study_s_numerics() -> None:
     assert given.words() == ["--accuracy", "0.1", "--steps", "1024"]
 
 
-@pytest.mark.parametrize("name", ["simulate", "sample", "compare", "diagnose", "reproduce"])
+@pytest.mark.parametrize("name", ["simulate", "sample", "compare", "diagnose"])
 def test_the_resolution_is_an_option_of_every_command_that_solves(name: str) -> None:
     options = {p.name for p in get_command(app).commands[name].params}  # type: ignore[attr-defined]
     assert set(NUMERICAL_NAMES) <= options
@@ -109,9 +109,9 @@ def test_sampling_goes_on_until_converged_unless_draws_are_given() -> None:
 
 def test_a_group_leaves_out_what_a_command_does_not_have() -> None:
     assert CliRunner().invoke(app, ["compare", "demo", "--thin", "3"]).exit_code == 2
-    options = {p.name for p in get_command(app).commands["reproduce"].params}  # type: ignore[attr-defined]
+    options = {p.name for p in get_command(app).commands["compare"].params}  # type: ignore[attr-defined]
     assert {"draws", "cores", "seed", "until"} <= options
-    assert not {"chains", "step", "thin", "resume"} & options
+    assert not {"step", "thin"} & options
 
 
 def test_two_options_of_one_name_are_refused() -> None:

@@ -1,4 +1,4 @@
-"""`zoo sample`, `zoo compare` and `zoo reproduce`, on a tree of three vessels."""
+"""`zoo sample` and `zoo compare`, on a tree of three vessels."""
 
 from __future__ import annotations
 
@@ -194,19 +194,3 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
     said.clear()
     assert find([folder], ["B", "C"], study, say=said.append) == {}
     assert said[0] == f"passed over: {folder / 'A.nc'}: is of model A, not of B, C"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["nature2021"], "nature2021: no such paper; paun2020"),
-        (["--models", "A"], "--models A: give at least two different models"),
-        (["--synthetic", "--vessels", "1,99", "--study", "demo"], "--vessels 1,99: demo has 21 vessels"),
-        (["--synthetic", "--data-sets", "0", "--study", "demo"], "--data-sets 0: give at least 1"),
-        (["--points", "5"], "--points 5: is of the synthetic studies; add --synthetic"),
-        (["--synthetic", "--points", "5", "--study", "demo"], "--points 5: give at least 1000"),
-    ],
-)
-def test_reproduce_says_what_to_change(arguments, message, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert message in fails("reproduce", *arguments)

@@ -11,12 +11,12 @@ from zoo import cli
 from zoo.blood.baseline import get_baseline
 from zoo.blood.diagnosis import StudyDiagnosis
 from zoo.blood.effects import CATALOGUE
+from zoo.blood.ejection import ejection
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
 from zoo.core.diagnosis import DiagnosisFile
 from zoo.core.effects import with_effects
 from zoo.core.forward import Outputs
 from zoo.core.parameters import pack, start_of
-from zoo.paper.synthetic import ejection
 
 TAU_S = 0.004
 

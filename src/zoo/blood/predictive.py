@@ -1,44 +1,35 @@
-"""What a posterior predicts: waves in every vessel, their bands, stiffness, pressure against stiffness."""
+"""What a posterior predicts: waves in every vessel, and their bands."""
 
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.optimize import elementwise
 from scipy.special import ndtr, ndtri
 
 from zoo.blood.case import UNITS
-from zoo.blood.forward import BloodFlow, constant_stiffness
 from zoo.blood.network import Network
-from zoo.blood.solver import WALLS
 from zoo.core.data import squared
 from zoo.core.errors.base import ErrorModel
 from zoo.core.forward import ForwardModel, Outputs, SolveError
 from zoo.core.inference.record import versions
-from zoo.core.parameters import Parameter, Uniform
 from zoo.core.posterior.comparison import Progress, forward_points, posterior_means, record_of, thin
 
 if TYPE_CHECKING:
     import arviz as az
     import pymc as pm
 
-    from zoo.blood.study import Study
 
 Array = NDArray[np.float64]
 
 PROBABILITIES = (0.5, 0.8, 0.95)
-STIFFNESS_PARAMETERS = ("f1", "f2", "f3", "m_chi", "v_chi", "chi")
-"""What the nine models make their stiffness of."""
 
 
 class PredictiveError(ValueError):
@@ -396,179 +387,3 @@ def _mixture_quantile(means: Array, sd: Array, p: float) -> Array:
     tolerances = {"xatol": 1e-6, "xrtol": 1e-8, "fatol": 1e-7}
     found = elementwise.find_root(excess, bracket, args=(np.arange(means.shape[1]),), tolerances=tolerances)
     return np.asarray(found.x)
-
-
-def interval_widths(waves: xr.Dataset, prob: float = 0.95) -> pd.DataFrame:
-    """Widths of credible and prediction intervals of the pressure, averaged over the beat.
-
-    Table S1 of the paper; prediction intervals as in `bands`.
-
-    Parameters
-    ----------
-    waves : Dataset
-        From `vessel_waves`; the root at its inlet, other vessels midway.
-    prob : float
-        Probability of the intervals.
-
-    Returns
-    -------
-    DataFrame
-        One row a vessel: radius_cm, credible_width_mmHg, prediction_width_mmHg.
-
-    References
-    ----------
-    Paun et al. 2020, electronic supplementary material, table S1, doi 10.1098/rsif.2020.0886.
-    """
-    found = bands(one_place(waves), "pressure_mmHg", (prob,), errors=True).sel(prob=prob)
-    columns = {
-        "radius_cm": found["radius_cm"],
-        "credible_width_mmHg": (found["high"] - found["low"]).mean("time"),
-        "prediction_width_mmHg": (found["prediction_high"] - found["prediction_low"]).mean("time"),
-    }
-    table = {name: column.to_numpy() for name, column in columns.items()}
-    return pd.DataFrame(table, index=pd.Index(found["vessel"].to_numpy(), name="vessel"))
-
-
-# -------------------------------------------------------------------------------------------------
-# stiffness
-
-
-def stiffness_draws(model: pm.Model, idata: az.InferenceData, *, n_draws: int | None = None) -> xr.DataArray:
-    """Stiffness chi of every vessel at posterior draws, whatever the model makes it of.
-
-    Parameters
-    ----------
-    model : pymc.Model
-        With a record (`model.zoo`).
-    idata : InferenceData
-        Its posterior.
-    n_draws : int or None
-        See `zoo.core.posterior.comparison.thin`; None takes all.
-
-    Returns
-    -------
-    DataArray (chain, draw, vessel)
-        g cm-1 s-2, with the coordinate radius_cm (inlet radius at rest).
-    """
-    posterior = thin(idata, n_draws)
-    forward, network = record_of(model).forward, _network(record_of(model).forward)
-    values = np.array([forward.configure(point).stiffness for point in forward_points(model, posterior)])
-    shape = (posterior.sizes["chain"], posterior.sizes["draw"], len(network.ids))
-    coords: dict[str, Any] = {
-        "chain": posterior["chain"].to_numpy(),
-        "draw": posterior["draw"].to_numpy(),
-        "vessel": np.asarray(network.ids, dtype=np.int64),
-        "radius_cm": ("vessel", np.asarray(network.radius_in_cm), {"units": "cm"}),
-    }
-    return xr.DataArray(
-        values.reshape(shape),
-        dims=("chain", "draw", "vessel"),
-        coords=coords,
-        name="chi",
-        attrs={"units": "g cm-1 s-2", "model": record_of(model).name},
-    )
-
-
-def with_stiffness(model: pm.Model, idata: az.InferenceData, vessel: int | None = None) -> xr.Dataset:
-    """Posterior with one vessel's stiffness chi in place of what the model makes it of.
-
-    f1 and f3 of a radius-dependent stiffness may be unidentifiable where chi(f1, f2, f3) is not (figure 4b).
-
-    Parameters
-    ----------
-    model : pymc.Model
-        With a record (`model.zoo`).
-    idata : InferenceData
-        Its posterior.
-    vessel : int, optional
-        Id; the root if absent.
-
-    Returns
-    -------
-    Dataset
-        chi (chain, draw), g cm-1 s-2, and the other parameters of the model.
-
-    Raises
-    ------
-    PredictiveError
-        If there is no such vessel.
-
-    References
-    ----------
-    Paun et al. 2020, figure 4, doi 10.1098/rsif.2020.0886.
-    """
-    stiffness = stiffness_draws(model, idata)
-    ids = [int(v) for v in stiffness["vessel"].to_numpy()]
-    if vessel is not None and vessel not in ids:
-        raise PredictiveError(f"vessel = {vessel}: the network has {', '.join(map(str, ids))}")
-    others = [name for name in record_of(model).parameters if name not in STIFFNESS_PARAMETERS]
-    one = stiffness.sel(vessel=ids[0] if vessel is None else vessel)
-    chosen = one.drop_vars(["vessel", "radius_cm"]).to_dataset()
-    return chosen.merge(idata["posterior"][others])
-
-
-def pressure_against_stiffness(
-    study: Study,
-    stiffness: ArrayLike | None = None,
-    *,
-    psi1: float = 0.30,
-    psi2: float = 0.97,
-    c: float = 1.23,
-    wall: str = "linear",
-    gamma: float = 2.0,
-) -> pd.DataFrame:
-    """Systolic, diastolic and pulse pressure at the root's inlet for one stiffness of all vessels (figure 7).
-
-    Parameters
-    ----------
-    study : Study
-        Vessels, inflow, conventions.
-    stiffness : array (n,), optional
-        chi, g cm-1 s-2; 49 values from 1e4 to 1e6 if absent.
-    psi1, psi2, c : float
-        Factors on the nominal R1, R2 and C of the terminals; those of the paper's figure.
-    wall : {"linear", "tangent"}
-        Eq. (3.3) or (3.4).
-    gamma : float
-        Of the tangent wall.
-
-    Returns
-    -------
-    DataFrame
-        stiffness_g_cm_s2, systolic_mmHg, diastolic_mmHg, pulse_mmHg, mean_mmHg, status ("ok", or why the
-        solve failed, with NaN pressures).
-
-    Raises
-    ------
-    PredictiveError
-        If a stiffness is not positive, or the wall unknown.
-
-    References
-    ----------
-    Paun et al. 2020, figure 7, doi 10.1098/rsif.2020.0886.
-    """
-    values = np.atleast_1d(np.geomspace(1e4, 1e6, 49) if stiffness is None else np.asarray(stiffness, float))
-    if values.ndim != 1 or not np.all(values > 0):
-        raise PredictiveError(f"stiffness = {values.tolist()}: give positive numbers, g cm-1 s-2")
-    if wall not in WALLS:
-        raise PredictiveError(f"wall = {wall!r}: must be one of {', '.join(WALLS)}")
-    root = next(vessel.id for vessel in study.vessels if vessel.parent is None)
-    cycle = np.arange(1024) * study.period_s / 1024
-    names = ("f3", "gamma", "psi1", "psi2", "c")
-    forward = BloodFlow(
-        replace(study, conventions=study.conventions.replace(sample_lag_beats=0.0)),
-        wall,
-        constant_stiffness,
-        [Parameter(name, Uniform(0.0, 1.0)) for name in names],
-        outputs=Outputs(((root, 0.0, "pressure_mmHg"),), cycle),
-    )
-    points = np.array([(value, gamma, psi1, psi2, c) for value in values])
-    rows = []
-    for value, solved in zip(values, _solve_each(forward, points, forward.outputs), strict=True):
-        if isinstance(solved, SolveError):
-            rows.append((value, *[math.nan] * 4, solved.kind))
-            continue
-        high, low = float(solved.max()), float(solved.min())
-        rows.append((value, high, low, high - low, float(solved.mean()), "ok"))
-    pressures = ("systolic_mmHg", "diastolic_mmHg", "pulse_mmHg", "mean_mmHg")
-    return pd.DataFrame(rows, columns=["stiffness_g_cm_s2", *pressures, "status"])

@@ -17,7 +17,6 @@ from zoo.cli import (
     importing,
     priors,
     report,
-    reproduce,
     sample,
     simulate,
 )
@@ -74,7 +73,6 @@ for function in (
     priors.priors,
     sample.sample,
     compare.compare,
-    reproduce.reproduce,
     diagnose.diagnose,
     effects.effects,
     report.report,

@@ -137,15 +137,14 @@ def _posterior_summary(idata: az.InferenceData, found: Verdict) -> list[Any]:
 
     from zoo.core.inference.elements import arrays, scalars
     from zoo.core.inference.record import RunRecord
-    from zoo.paper.convergence import paper_tests
 
     table = plain_table()
     table.add_column("parameter")
     for column in ("median", "2.5 %", "97.5 %", "R-hat", "ESS bulk", "ESS tail"):
         table.add_column(column, justify="right")
-    draws, judged = arrays(idata), {p.name: p for p in found.parameters}
+    judged = {p.name: p for p in found.parameters}
     aside = set(found.uninformed)
-    for label, values in scalars(draws):
+    for label, values in scalars(arrays(idata)):
         if label in judged:
             p = judged[label]
             cells = [f"{q:.4g}" for q in np.quantile(values, (0.5, 0.025, 0.975))]
@@ -153,16 +152,9 @@ def _posterior_summary(idata: az.InferenceData, found: Verdict) -> list[Any]:
             table.add_row(label, *cells, style=None if p.passes or label in aside else "yellow")
     record = RunRecord.of(idata)
     failed = ", ".join(f"{n} {status}" for status, n in record.failures.items()) or "none"
-    tests = paper_tests(draws)
-    p_values = [p for each in tests["geweke"].values() for p in each]
-    paper = f"as the paper tests: multivariate scale reduction factor {tests['mpsrf']:.3f} (limit 1.1)"
-    if p_values:
-        below = sum(p < 0.05 for p in p_values)
-        paper += f"; Geweke p below 0.05 in {below} of {len(p_values)} (expected {0.05 * len(p_values):.1f})"
     return [
         table,
         Text(found.text, style="green" if found.passes and not found.bounds else "yellow"),
-        paper,
         f"{found.chains} chains of {found.draws} draws, seed {record.seed}; {record.solves} solves "
         f"({record.solves_per_step:.2f} a step), failed: {failed}; {record.wall_seconds:.0f} s",
         *([record.solver["grid"]] if "grid" in record.solver else []),

@@ -101,13 +101,3 @@ def plain_table(*headings: str, title: str | None = None, heads: bool = True) ->
     from rich.table import Table
 
     return Table(*headings, title=title, title_justify="left", box=None, pad_edge=False, show_header=heads)
-
-
-def text_table(headings: Sequence[str], rows: Sequence[Sequence[str]], title: str) -> Table:
-    """A table of texts: two columns of names, the others of numbers; a last cell = or x colours its row."""
-    table = plain_table(title=title)
-    for i, heading in enumerate(headings):
-        table.add_column(heading, no_wrap=True, justify="left" if i < 2 else "right")
-    for row in rows:
-        table.add_row(*row, style={"=": "green", "x": "yellow"}.get(row[-1]))
-    return table

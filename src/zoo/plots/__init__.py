@@ -5,16 +5,14 @@ A function takes results and returns a `matplotlib.figure.Figure`, which `save_f
 
 from zoo.plots.bands import all_vessels_figure, uncertainty_figure
 from zoo.plots.blindcheck import plot_accuracy, plot_confusion, plot_reliability, plot_sizes, score_figures
-from zoo.plots.calibration import calibration_figure, truth_figure
 from zoo.plots.chains import pair_figure, rank_figure, trace_figure
 from zoo.plots.comparison import comparison_figure
 from zoo.plots.components import plot_components, plot_functions
 from zoo.plots.diagnosis import plot_diagnosis, plot_discrepancy, plot_hypotheses, plot_where
 from zoo.plots.fit import fit_figure
-from zoo.plots.posteriors import forest_figure, intervals_figure, posteriors_figure
+from zoo.plots.posteriors import forest_figure, posteriors_figure
 from zoo.plots.priors import prior_predictive_figure, priors_figure
 from zoo.plots.states import plot_states
-from zoo.plots.stiffness import pressure_stiffness_figure, stiffness_figure
 from zoo.plots.style import (
     COLOURS,
     PARAMETER_LABELS,
@@ -32,12 +30,10 @@ __all__ = [
     "QUANTITY_LABELS",
     "FigureError",
     "all_vessels_figure",
-    "calibration_figure",
     "comparison_figure",
     "figure_path",
     "fit_figure",
     "forest_figure",
-    "intervals_figure",
     "loops_figure",
     "model_style",
     "models_figure",
@@ -54,15 +50,12 @@ __all__ = [
     "plot_states",
     "plot_where",
     "posteriors_figure",
-    "pressure_stiffness_figure",
     "prior_predictive_figure",
     "priors_figure",
     "rank_figure",
     "save_figure",
     "score_figures",
-    "stiffness_figure",
     "trace_figure",
-    "truth_figure",
     "uncertainty_figure",
     "waves_figure",
 ]

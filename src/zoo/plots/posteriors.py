@@ -13,8 +13,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from zoo.plots.style import (
-    COLOURS,
-    INK,
     PARAMETER_LABELS,
     Array,
     FigureError,
@@ -28,7 +26,6 @@ from zoo.plots.style import (
 
 if TYPE_CHECKING:
     import arviz as az
-    import pandas as pd
     import xarray as xr
 
 
@@ -42,8 +39,7 @@ def posteriors_figure(
     Parameters
     ----------
     posteriors : mapping of name to InferenceData or Dataset
-        Such as those of models A and B; from `zoo.blood.predictive.with_stiffness` they have the stiffness
-        of a vessel in place of f1, f2 and f3.
+        Such as those of models A and B.
     var_names : iterable of str, optional
         Scalars; those that all have if absent, in the order of the first.
 
@@ -155,68 +151,4 @@ def forest_figure(posteriors: Mapping[str, az.InferenceData]) -> Figure:
             axes.set_axisbelow(True)
         for axes in panels[len(names) :]:
             axes.set_visible(False)
-    return figure
-
-
-def intervals_figure(table: pd.DataFrame) -> Figure:
-    """Published medians and 95 % intervals beside ours, a panel for each parameter.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Columns model, parameter, published_median, published_low, published_high, median, low, high, in the
-        units of the parameters; NaN where the paper has no number.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    FigureError
-        If a column is missing, or there is no row.
-    """
-    ends = ("median", "low", "high")
-    columns = ["model", "parameter", *(f"published_{end}" for end in ends), *ends]
-    missing = [column for column in columns if column not in table.columns]
-    if missing or table.empty:
-        what = f"no column {missing[0]!r}" if missing else "no row"
-        raise FigureError(f"table of intervals: {what}; give {', '.join(columns)}")
-    models = list(dict.fromkeys(table["model"]))
-    names = list(dict.fromkeys(table["parameter"]))
-    across = min(3, len(names))
-    rows = math.ceil(len(names) / across)
-    with new_figure((1.0 + 2.9 * across, 0.8 + rows * (0.75 + 0.24 * len(models)))) as figure:
-        grid = list(figure.subplots(rows, across, squeeze=False, sharey=True).flat)
-        for axes, name in zip(grid, names, strict=False):
-            part = table[table["parameter"] == name]
-            for prefix, shift, colour, marker in (
-                ("published_", -0.16, INK, "o"),
-                ("", 0.16, COLOURS[0], "s"),
-            ):
-                median, low, high = (in_scale(name, part[f"{prefix}{end}"]) for end in ends)
-                y = np.array([models.index(model) for model in part["model"]]) + shift
-                error = np.stack([median - low, high - median])
-                face = "white" if prefix else colour
-                axes.errorbar(
-                    median, y, xerr=error, fmt=marker, color=colour, mfc=face, ms=4, lw=1.2, capsize=2
-                )
-            values = in_scale(name, part[[f"{p}{e}" for p in ("published_", "") for e in ends]])
-            if np.nanmin(values) > 0 and np.nanmax(values) > 50 * np.nanmin(values):
-                axes.set_xscale("log")
-            else:
-                axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
-            axes.set_xlabel(parameter_label(name))
-            axes.grid(axis="y", color="#EEEEEE", lw=0.7)
-            axes.set_axisbelow(True)
-            axes.tick_params(axis="y", length=0)
-        for axes in grid[len(names) :]:
-            axes.set_axis_off()
-        grid[0].set_yticks(range(len(models)), models)
-        grid[0].set_ylim(len(models) - 0.5, -0.5)
-        for axes in grid[: len(names) : across]:
-            axes.set_ylabel("model")
-        published = Line2D([], [], color=INK, marker="o", mfc="white", ms=4, lw=1.2, label="published")
-        ours = Line2D([], [], color=COLOURS[0], marker="s", ms=4, lw=1.2, label="zoo")
-        figure.legend(handles=[published, ours], loc="outside upper right", ncols=2, fontsize="small")
     return figure

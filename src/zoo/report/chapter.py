@@ -14,7 +14,6 @@ from zoo.core.inference.convergence import Diagnostics, diagnostics
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.comparison import compare
 from zoo.models import MODELS, get_model
-from zoo.paper.convergence import paper_tests
 from zoo.plots import comparison_figure, fit_figure, forest_figure, models_figure, pair_figure, rank_figure
 from zoo.report.page import ReportError, picture_of
 from zoo.report.parameters import parameter_rows
@@ -94,10 +93,7 @@ def part_of(
 ) -> dict[str, Any]:
     """What the template shows of a chapter."""
     posteriors = chapter.posteriors
-    checks = {
-        name: diagnostics(idata, paper_tests, model=chapter.models.get(name))
-        for name, idata in posteriors.items()
-    }
+    checks = {name: diagnostics(idata, model=chapter.models.get(name)) for name, idata in posteriors.items()}
     records = {name: RunRecord.of(idata) for name, idata in posteriors.items()}
     table = chapter.table
     if chapter.study is not None and posteriors:
@@ -260,8 +256,6 @@ def _about(name: str) -> str:
 
 def _check_row(name: str, check: Diagnostics, record: RunRecord) -> dict[str, Any]:
     found = check.verdict
-    p_values = [p for values in check.further.get("geweke", {}).values() for p in values if np.isfinite(p)]
-    below = sum(p < 0.05 for p in p_values)
     rates = (
         [f"{100 * rate:.0f}" for rate in (min(check.acceptance), max(check.acceptance))]
         if check.acceptance
@@ -274,8 +268,6 @@ def _check_row(name: str, check: Diagnostics, record: RunRecord) -> dict[str, An
         f"{found.max_rhat:.3f}",
         f"{min((p.ess_bulk for p in parameters), default=np.nan):.0f}",
         f"{min((p.ess_tail for p in parameters), default=np.nan):.0f}",
-        f"{check.further.get('mpsrf', np.nan):.3f}",
-        f"{below} of {len(p_values)}" if p_values else "too few draws",
         "–" if not rates else rates[0] if rates[0] == rates[1] else f"{rates[0]} to {rates[1]}",
         f"{record.solves + record.mode_evaluations}",
         failures,

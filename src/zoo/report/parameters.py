@@ -54,7 +54,6 @@ class Row(NamedTuple):
     rhat: str
     bulk: str
     tail: str
-    geweke: str
     passes: bool
 
 
@@ -76,10 +75,6 @@ def parameter_rows(
         rhat, bulk, tail = "–", "–", "–"
         if p is not None:
             rhat, bulk, tail = f"{p.rhat:.3f}", f"{p.ess_bulk:.0f}", f"{p.ess_tail:.0f}"
-        p_values = check.further.get("geweke", {}).get(label, ())
-        smallest = f"{min(p_values):.2f}" if p_values else "–"
         chosen = unit if base == "sigma2" else own
-        rows.append(
-            Row(label, meaning, chosen, median, low, high, rhat, bulk, tail, smallest, p is None or p.passes)
-        )
+        rows.append(Row(label, meaning, chosen, median, low, high, rhat, bulk, tail, p is None or p.passes))
     return rows

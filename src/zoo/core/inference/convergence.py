@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,8 +22,6 @@ MIN_CHAINS = 4
 
 DIAGNOSTICS_ATTR = "diagnostics_of_the_whole_run"
 """Attribute of a posterior with fewer draws than were made: the checks of all of them."""
-FurtherTests = Callable[[Mapping[str, np.ndarray]], Mapping[str, Any]]
-"""Further tests of the draws, variable -> (n_chains, n_draws, ...): what they find, by name, fit for JSON."""
 
 
 @dataclass(frozen=True)
@@ -240,18 +238,14 @@ class Diagnostics:
         R-hat and effective sample sizes of every scalar.
     acceptance : tuple of float
         Share of accepted steps of each chain, tuning left out; empty when it was not recorded.
-    further : dict
-        What the caller's further tests found, by name.
     """
 
     verdict: Verdict
     acceptance: tuple[float, ...]
-    further: dict[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> str:
         """All of it as one JSON object."""
-        found = asdict(self)
-        return json.dumps(found.pop("further") | found, default=plain)
+        return json.dumps(asdict(self), default=plain)
 
     @classmethod
     def from_json(cls, text: str) -> Diagnostics:
@@ -266,25 +260,22 @@ class Diagnostics:
             raw = json.loads(text)
             judged = raw["verdict"]
             parameters = tuple(ParameterVerdict(**p) for p in judged.pop("parameters"))
-            further = {name: found for name, found in raw.items() if name not in ("verdict", "acceptance")}
             for name in ("bounds", "uninformed"):
                 judged[name] = tuple(judged.get(name, ()))
-            return cls(Verdict(parameters, **judged), tuple(raw["acceptance"]), further)
+            return cls(Verdict(parameters, **judged), tuple(raw["acceptance"]))
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ResultsError(
                 f"diagnostics of a run: not readable ({error}); slim the posterior again"
             ) from None
 
 
-def diagnostics(idata: Any, further: FurtherTests | None = None, *, model: Any = None) -> Diagnostics:
+def diagnostics(idata: Any, *, model: Any = None) -> Diagnostics:
     """Checks of a run: those that `slim` stored of the whole run, or else of the draws that are here.
 
     Parameters
     ----------
     idata : arviz.InferenceData
         With a posterior group.
-    further : callable, optional
-        Further tests of the draws; where checks of the whole run are stored, what they hold is taken.
     model : pymc.Model, optional
         As in `verdict`.
 
@@ -308,7 +299,7 @@ def diagnostics(idata: Any, further: FurtherTests | None = None, *, model: Any =
         acceptance = tuple(
             accepted.mean([d for d in accepted.dims if d != "chain"]).to_numpy().astype(float).tolist()
         )
-    return Diagnostics(judged, acceptance, {} if further is None else dict(further(arrays(idata))))
+    return Diagnostics(judged, acceptance)
 
 
 def _told(stored: Verdict, priors: PriorCheck | None) -> Verdict:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -74,25 +74,6 @@ def checkpoint_of(path: Path) -> Path:
     return path.with_suffix(".checkpoint")
 
 
-def refuse_other_settings(path: str | Path, idata: az.InferenceData, settings: Mapping[str, Any]) -> None:
-    """Check that a stored posterior was drawn with the settings of `zoo.sample` that are given.
-
-    Raises
-    ------
-    PosteriorError
-        Naming the setting that is another.
-    """
-    record = RunRecord.of(idata)
-    stored = {**record.settings, "seed": record.seed, "draws": record.settings.get("first check")}
-    for name in ("seed", "draws", "until_ess", "tune", "thin", "step"):
-        wanted, found = settings.get(name), stored.get(name)
-        if wanted is not None and found is not None and wanted != found:
-            raise PosteriorError(
-                f"{path}: drawn with {name} {found}, here it is {wanted}; give {found}, another folder, or "
-                "remove the file and its checkpoint"
-            )
-
-
 def load_for(path: str | Path, model: Any) -> az.InferenceData:
     """Read a posterior that was drawn from this model, study and conventions.
 
@@ -116,11 +97,6 @@ def matching(path: Path, model: Any) -> az.InferenceData | None:
     except ResultsError:
         return None
     return idata if idata is not None and mismatch(idata, model) is None else None
-
-
-def belongs(path: Path, model: Any) -> bool:
-    """Whether a file is there and is a posterior of this model, study and conventions."""
-    return matching(path, model) is not None
 
 
 def find(

@@ -13,7 +13,7 @@ import numpy as np
 
 from zoo.core.digests import FIELD, of_bytes
 from zoo.core.draws import evenly
-from zoo.core.inference.convergence import DIAGNOSTICS_ATTR, FurtherTests, diagnostics
+from zoo.core.inference.convergence import DIAGNOSTICS_ATTR, diagnostics
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import output_file, write_file
 
@@ -185,7 +185,7 @@ def load(path: str | Path) -> Any:
     return idata
 
 
-def slim(idata: Any, n_draws: int = 1000, *, further: FurtherTests | None = None) -> Any:
+def slim(idata: Any, n_draws: int = 1000) -> Any:
     """A posterior small enough to keep beside the code: evenly spaced draws in single precision.
 
     Only parameters, their coordinates, the run record and the diagnostics of the whole run stay. Observed
@@ -197,9 +197,6 @@ def slim(idata: Any, n_draws: int = 1000, *, further: FurtherTests | None = None
         From `zoo.core.inference.sampling.sample`; left as it is.
     n_draws : int
         Draws of all chains together, rounded up to the same number in each.
-    further : callable, optional
-        Further tests of all draws, whose results are kept; `zoo report` shows those of
-        `zoo.paper.convergence.paper_tests`.
 
     Returns
     -------
@@ -215,7 +212,7 @@ def slim(idata: Any, n_draws: int = 1000, *, further: FurtherTests | None = None
 
     if n_draws < 1:
         raise ResultsError(f"n_draws = {n_draws}: keep at least one draw")
-    found, record = diagnostics(idata, further), RunRecord.of(idata)
+    found, record = diagnostics(idata), RunRecord.of(idata)
     posterior = idata.posterior
     available = posterior.sizes["draw"]
     kept = evenly(available, -(-n_draws // posterior.sizes["chain"]))

@@ -1,6 +1,6 @@
 """Table 4 of Paun et al. 2020 beside posteriors of the same models: which cells agree, and why others do not.
 
-Numbers of the paper are in ``data/paun2020/published.toml``.
+Numbers of the paper are in ``published.toml`` beside this file.
 """
 
 from __future__ import annotations
@@ -9,18 +9,15 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.resources import files
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import arviz as az
 import numpy as np
 import pandas as pd
 
 from zoo.core.inference.convergence import judged
 from zoo.core.inference.record import RunRecord
-
-if TYPE_CHECKING:
-    import arviz as az
-
 
 PARAMETERS = ("f1", "f2", "f3", "gamma", "psi1", "psi2", "c", "w", "b")
 REFERENCE = "B"
@@ -28,8 +25,6 @@ REFERENCE = "B"
 WAIC_LIMITS = {"A": 10.0, "D": 10.0, "F": 25.0}
 WAIC_LIMIT = 5.0
 """Accepted distance of a difference of WAIC from the published one; wider for independent errors."""
-WAIC_LEVEL = 10.0
-"""Accepted distance of a WAIC itself."""
 NOT_EXPLAINED, UNCONVERGED = "not explained", "not converged"
 QUARTER = 0.25
 """Accepted distance of medians, in widths of the published 95 % interval."""
@@ -58,7 +53,7 @@ class Published:
 @lru_cache(maxsize=1)
 def numbers() -> dict[str, Any]:
     """The printed numbers of the paper, as the file has them."""
-    return tomllib.loads((files("zoo") / "data" / "paun2020" / "published.toml").read_text("utf-8"))
+    return tomllib.loads(Path(__file__).with_name("published.toml").read_text("utf-8"))
 
 
 def published_table4() -> dict[str, Published]:
@@ -78,7 +73,7 @@ def published_table4() -> dict[str, Published]:
 
 
 def reasons() -> dict[str, str]:
-    """Known reasons for cells that do not agree: "MODEL.parameter", or "MODEL" for all of its cells."""
+    """Known reasons for cells that do not agree, by model."""
     return dict(numbers().get("reasons", {}))
 
 
@@ -99,8 +94,6 @@ def parameter_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
         Columns model, parameter, published_median, published_low, published_high, median, low, high, mcse,
         mc_errors, widths (distance over the width of the published interval), agrees, reason.
     """
-    import arviz as az
-
     known = reasons()
     rows = []
     for model, row in published_table4().items():
@@ -120,8 +113,7 @@ def parameter_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
             )
             apart = max(0.0, abs(ours.median - theirs.median) - rounded)
             agrees = bool(inside and apart <= QUARTER * (theirs.high - theirs.low))
-            why = known.get(f"{model}.{name}", known.get(model, NOT_EXPLAINED))
-            reason = "" if agrees else why if converged else UNCONVERGED
+            reason = "" if agrees else known.get(model, NOT_EXPLAINED) if converged else UNCONVERGED
             error = np.hypot(mcse, rounded / np.sqrt(3))
             rows.append(
                 {
@@ -160,7 +152,7 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
     -------
     DataFrame
         Index model, in the order of Table 4; columns published_waic, waic_one_observation, waic, waic_se,
-        loo, level_agrees, published_difference, difference, difference_mcse (its Monte Carlo standard error),
+        loo, published_difference, difference, difference_mcse (its Monte Carlo standard error),
         difference_sequential, agrees, reason,
         published_sse, sse, sse_mcse (its Monte Carlo standard error).
     """
@@ -177,7 +169,6 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
             "waic": mine["waic"],
             "waic_se": mine["waic_se"],
             "loo": mine["loo"],
-            "level_agrees": bool(abs(mine["waic_one_observation"] - row.waic) <= WAIC_LEVEL),
         }
         if REFERENCE in comparison.index:
             base = comparison.loc[REFERENCE]
@@ -188,24 +179,11 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
             entry["difference_sequential"] = mine["waic"] - base["waic"]
             limit = WAIC_LIMITS.get(model, WAIC_LIMIT)
             entry["agrees"] = bool(abs(entry["difference"] - entry["published_difference"]) <= limit)
-            entry["reason"] = "" if entry["agrees"] else _waic_reason(known, model, mine, base)
+            why = known.get(model, NOT_EXPLAINED) if mine["converged"] and base["converged"] else UNCONVERGED
+            entry["reason"] = "" if entry["agrees"] else why
         own = {name: mine[f"sse_pressure_mmHg{end}"] for name, end in (("sse", ""), ("sse_mcse", "_mcse"))}
         rows[model] = {**entry, "published_sse": row.sse, **own}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("model")
-
-
-def _waic_reason(known: Mapping[str, str], model: str, mine: Any, base: Any) -> str:
-    """Why a difference of WAIC is another than the published one, where both levels are near theirs."""
-    if not (mine["converged"] and base["converged"]):
-        return UNCONVERGED
-    theirs = published_table4()
-    own, other = (
-        abs(row["waic_one_observation"] - theirs[name].waic)
-        for name, row in ((model, mine), (REFERENCE, base))
-    )
-    if other > WAIC_LEVEL:
-        return NOT_EXPLAINED
-    return known.get(f"{model}.waic", NOT_EXPLAINED).format(own=own, other=other)
 
 
 def cost_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
@@ -244,25 +222,17 @@ def cost_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("model")
 
 
-def format_cell(parameter: str, interval: Interval) -> str:
-    """Median (low, high) as Table 4 prints it: f1 in 1e5, f3 and w in 1e4."""
-    scale = {"f1": 1e5, "f3": 1e4, "w": 1e4}.get(parameter, 1.0)
-    return "{} ({}, {})".format(*(_three(value / scale) for value in interval))
+SCALES = {"f1": "1e5", "f3": "1e4", "w": "1e4"}
+"""Units that Table 4 prints these in."""
 
 
-def _three(value: float) -> str:
-    """Three significant digits, two decimals at most."""
-    if value == 0 or not np.isfinite(value):
-        return f"{value:g}"
-    places = int(np.clip(2 - np.floor(np.log10(abs(value))), 0, 2))
-    return f"{value:.{places}f}"
-
-
-HEADINGS = {
-    "f1": "f1 (1e5)",
-    "f3": "f3 (1e4)",
-    "w": "w (1e4)",
-}
+def format_cell(parameter: str, interval: Sequence[float]) -> str:
+    """Median (low, high) as Table 4 prints it, of three significant digits with two decimals at most."""
+    numbers = []
+    for value in np.asarray(interval, dtype=float) / float(SCALES.get(parameter, 1)):
+        places = int(np.clip(2 - np.floor(np.log10(abs(value))), 0, 2)) if value else 0
+        numbers.append(f"{value:.{places}f}")
+    return "{} ({}, {})".format(*numbers)
 
 
 def table4_rows(parameters: pd.DataFrame, scores: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
@@ -275,24 +245,24 @@ def table4_rows(parameters: pd.DataFrame, scores: pd.DataFrame) -> tuple[list[st
     headings : list of str
     rows : list of list of str
     """
-    headings = ["model", "", *(HEADINGS.get(name, name) for name in PARAMETERS), "WAIC", "WAIC - B", "SSE"]
+    units = [f"{name} ({SCALES[name]})" if name in SCALES else name for name in PARAMETERS]
+    cells = parameters.set_index(["model", "parameter"])
     rows = []
     for model, theirs in published_table4().items():
         if model not in scores.index:
             continue
         score = scores.loc[model]
         above, below = [model, "published"], ["", "zoo"]
-        cells = parameters[parameters["model"] == model].set_index("parameter")
         for name in PARAMETERS:
-            if name not in cells.index:
+            if (model, name) not in cells.index:
                 above.append("")
                 below.append("")
                 continue
-            cell = cells.loc[name]
-            mark = "=" if cell["agrees"] else "x"
+            cell = cells.loc[(model, name)]
             above.append(format_cell(name, theirs.parameters[name]))
-            ours = Interval(*cell[["median", "low", "high"]].to_numpy(dtype=float))
-            below.append(f"{format_cell(name, ours)} {mark}")
+            below.append(
+                f"{format_cell(name, cell[['median', 'low', 'high']])} {'=' if cell['agrees'] else 'x'}"
+            )
         above.append(f"{theirs.waic:.0f}")
         below.append(f"{score['waic_one_observation']:.0f}")
         if "difference" in scores.columns:
@@ -305,26 +275,7 @@ def table4_rows(parameters: pd.DataFrame, scores: pd.DataFrame) -> tuple[list[st
         above.append(f"{theirs.sse:.0f}")
         below.append(f"{score['sse']:.0f} ± {score['sse_mcse']:.0f}")
         rows += [above, below]
-    return headings, rows
-
-
-def table4_lines(parameters: pd.DataFrame, scores: pd.DataFrame) -> list[list[str]]:
-    """Table 4 as narrow text: model, quantity, published, obtained, mark; one row a cell.
-
-    Returns
-    -------
-    list of list of str
-    """
-    headings, rows = table4_rows(parameters, scores)
-    lines = []
-    for above, below in zip(rows[::2], rows[1::2], strict=True):
-        model = above[0]
-        for heading, theirs, ours in zip(headings[2:], above[2:], below[2:], strict=True):
-            if ours:
-                mark = ours[-1] if ours.endswith((" =", " x")) else ""
-                lines.append([model, heading, theirs, ours.removesuffix(f" {mark}"), mark])
-                model = ""
-    return lines
+    return ["model", "", *units, "WAIC", "WAIC - B", "SSE"], rows
 
 
 def disagreements(parameters: pd.DataFrame, scores: pd.DataFrame) -> list[str]:

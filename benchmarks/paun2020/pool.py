@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
+import arviz as az
 import numpy as np
+from benchmarks.paun2020.synthetic import Truth, whitened
+from benchmarks.paun2020.truth import SCALES, THETA, score
 from numpy.typing import NDArray
+from rich.progress import track
+from scipy.special import logsumexp
+from scipy.stats import multivariate_t
 
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver
@@ -15,8 +22,6 @@ from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import NOISE, gp_sequential, neural_network_kernel
 from zoo.core.inference.convergence import ESS_TARGET
 from zoo.models import model_e
-from zoo.paper.synthetic import Truth, whitened
-from zoo.paper.truth import SCALES, THETA, kernel_density, relative_sse
 
 Array = NDArray[np.float64]
 
@@ -63,7 +68,7 @@ def fill_pool(
     *,
     seed: int = 0,
     cores: int = 2,
-    solved: Callable[[], None] = lambda: None,
+    progress: bool = False,
 ) -> Pool:
     """Solve at points around the truth, once for all data sets.
 
@@ -81,15 +86,13 @@ def fill_pool(
     seed : int
     cores : int
         Threads.
-    solved : callable
-        Called after each point.
+    progress : bool
+        A bar.
 
     Returns
     -------
     Pool
     """
-    from concurrent.futures import ThreadPoolExecutor
-
     study = studies[0]
     network, unit = Network.from_study(study), study.conventions.stiffness_radius_unit_cm
     solver = Solver.for_study(study)
@@ -112,10 +115,10 @@ def fill_pool(
     if at_truth is None:
         raise RuntimeError("the truth does not solve: choose another one")
     rng = np.random.default_rng(seed)
-    wave_law = _around(np.log(true[2:]), POOL_WIDTH * _wave_covariance(waves, true, times, truth))
-    error_law = _around(
-        np.log([truth.w, truth.b]), POOL_WIDTH * _error_parameter_covariance(times, truth, len(study.series))
-    )
+    wave_scale = POOL_WIDTH * _wave_covariance(waves, true, times, truth)
+    wave_law = multivariate_t(np.log(true[2:]), wave_scale, df=POOL_DOF)
+    error_scale = POOL_WIDTH * _error_parameter_covariance(times, truth, len(study.series))
+    error_law = multivariate_t(np.log([truth.w, truth.b]), error_scale, df=POOL_DOF)
     low, high = np.array([BOUNDS[name] for name in THETA]).T
     flat = rng.uniform(low[:2], high[:2], (n, 2))
     logs = wave_law.rvs(n, random_state=rng)
@@ -138,16 +141,10 @@ def fill_pool(
 
     here, there = np.empty((n, len(studies))), np.empty((n, len(studies)))
     with ThreadPoolExecutor(cores) as threads:
-        for i, (at_point, at_true) in enumerate(threads.map(one, range(n))):
-            here[i], there[i] = at_point, at_true
-            solved()
+        solved = threads.map(one, range(n))
+        for i, found in enumerate(track(solved, "solves", total=n, disable=not progress)):
+            here[i], there[i] = found
     return Pool(theta, eta, log_theta, log_eta, here, there)
-
-
-def _around(centre: Array, covariance: Array) -> Any:
-    from scipy.stats import multivariate_t
-
-    return multivariate_t(centre, covariance, df=POOL_DOF)
 
 
 def _wave_covariance(
@@ -178,63 +175,40 @@ def _error_parameter_covariance(times: Array, truth: Truth, n_series: int) -> Ar
     return np.asarray(np.linalg.inv(np.array(information)))
 
 
-def score_pool(
-    pool: Pool, truth: Mapping[str, float], data_set: int, *, n_draws: int = 2000, seed: int = 0
-) -> tuple[dict[str, Any], dict[str, Array]]:
-    """What one data set says about the truth, by Pareto-smoothed importance sampling.
-
-    Parameters
-    ----------
-    pool : Pool
-    truth : mapping
-    data_set : int
-    n_draws : int
-        Draws that are picked from the pool with their weights.
-    seed : int
-
-    Returns
-    -------
-    row : dict
-        As `score_fit`, with pareto_k; joint_direct is p(theta*|y) as the ratio of the two integrals of the
-        likelihood, over eta at the truth and over all.
-    draws : dict of array (n_draws,)
-        Of each parameter.
+def weighted(pool: Pool, data_set: int) -> tuple[dict[str, Array], Array, float]:
+    """Draws of the posterior of one data set by parameter, their weights, and the weights' Pareto k.
 
     References
     ----------
     Vehtari, Simpson, Gelman, Yao and Gabry 2024, Pareto smoothed importance sampling, JMLR 25(72).
     """
-    import arviz as az
-    from scipy.special import logsumexp
-
     log_weights = pool.log_likelihood[:, data_set] + pool.log_theta + pool.log_eta
     possible = np.isfinite(log_weights)
     smooth, k = az.psislw(log_weights[possible].copy())
     weights = np.exp(np.asarray(smooth))
-    weights /= weights.sum()
-    theta = pool.theta[possible]
-    scales = np.array([SCALES[name] for name in THETA])
-    at = np.array([truth[name] for name in THETA])
-    log_box = -sum(np.log(BOUNDS[name][1] - BOUNDS[name][0]) for name in THETA)
-    over_eta = pool.log_likelihood_at_truth[:, data_set] + pool.log_eta
-    log_joint = log_box + float(logsumexp(over_eta) - logsumexp(log_weights))
+    draws = dict(zip(THETA, pool.theta[possible].T, strict=True))
+    draws |= dict(zip(("w", "b"), np.exp(pool.eta[possible].T), strict=True))
+    return draws, weights / weights.sum(), float(k)
+
+
+def score_pool(pool: Pool, truth: Truth, data_set: int) -> dict[str, Any]:
+    """What one data set says about the truth, by Pareto-smoothed importance sampling.
+
+    Returns
+    -------
+    dict
+        That of `score`, with converged, ess_min, pareto_k, and joint_direct: p(theta*|y) as the ratio of the
+        two integrals of the likelihood, over eta at the truth and over all.
+    """
+    draws, weights, k = weighted(pool, data_set)
+    log_box = sum(np.log(SCALES[name] / (BOUNDS[name][1] - BOUNDS[name][0])) for name in THETA)
+    over_eta = logsumexp(pool.log_likelihood_at_truth[:, data_set] + pool.log_eta)
+    over_all = logsumexp(pool.log_likelihood[:, data_set] + pool.log_theta + pool.log_eta)
     ess = 1.0 / float(np.sum(weights**2))
-    row: dict[str, Any] = {
-        "joint_kde": kernel_density((theta / scales).T, at / scales, weights),
-        "joint_direct": float(np.exp(log_joint) * scales.prod()),
+    return {
+        **score(draws, truth, weights),
+        "joint_direct": float(np.exp(log_box + over_eta - over_all)),
         "converged": bool(k <= K_LIMIT and ess >= ESS_TARGET),
         "ess_min": ess,
-        "pareto_k": float(k),
+        "pareto_k": k,
     }
-    medians = {}
-    for i, name in enumerate(THETA):
-        order = np.argsort(theta[:, i])
-        medians[name] = float(np.interp(0.5, np.cumsum(weights[order]), theta[order, i]))
-        row[f"median_{name}"] = medians[name]
-        row[f"density_{name}"] = kernel_density(theta[:, i], truth[name], weights)
-        row[f"rank_{name}"] = float(weights[theta[:, i] < truth[name]].sum())
-    row["relative_sse"] = relative_sse(medians, {name: truth[name] for name in THETA})
-    picked = np.random.default_rng(seed).choice(len(weights), size=n_draws, p=weights)
-    draws = {name: theta[picked, i] for i, name in enumerate(THETA)}
-    draws |= {name: np.exp(pool.eta[possible][picked, i]) for i, name in enumerate(("w", "b"))}
-    return row, draws

@@ -1,7 +1,7 @@
 """Synthetic studies: model E's family with correlated errors (section 2.2 of Paun et al. 2020).
 
-`python -m zoo.paper.synthetic FOLDER` makes the embedded study `demo` again; with `demo-gap` after it the
-one for the diagnosis, whose wall does what no baseline has.
+`python -m benchmarks.paun2020.synthetic FOLDER` makes the embedded study `demo` again; with `demo-gap` after
+it the one for the diagnosis, whose wall does what no baseline has.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from zoo.blood.ejection import PERIOD_S, ejection
@@ -24,8 +24,8 @@ from zoo.core.errors.gaussian_process import NOISE, neural_network_kernel
 
 Array = NDArray[np.float64]
 
-WHOLE_DRAWS = 100
-"""Draws of whole error series before only their means are drawn until they keep the order (the same law)."""
+MOST_DRAWS = 100
+"""Draws of the errors of all sites until they keep the order of the pressures."""
 
 
 @dataclass(frozen=True)
@@ -42,39 +42,10 @@ class Truth:
     b: float = 137.0
 
 
-def correlated_errors(
-    rng: np.random.Generator,
-    time_s: Array,
-    w: float,
-    b: float,
-    n_series: int,
-    means: ArrayLike | None = None,
-) -> Array:
-    """Independent draws of the paper's error process (neural-network kernel), given their means if these are.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    time_s : array (n_times,)
-    w, b : float
-        Of the kernel.
-    n_series : int
-    means : array (n_series,), optional
-        Mean over the beat of each series, mmHg.
-
-    Returns
-    -------
-    array (n_series, n_times)
-        mmHg.
-    """
-    covariance = _error_covariance(time_s, w, b)
-    errors: Array = rng.standard_normal((n_series, len(time_s))) @ np.linalg.cholesky(covariance).T
-    if means is None:
-        return errors
-    # conditioning on the mean: move each draw along the covariance with the mean
-    along = covariance.mean(axis=1)
-    shift = np.asarray(means) - errors.mean(axis=1)
-    return np.asarray(errors + shift[:, None] * along / along.mean())
+def correlated_errors(rng: np.random.Generator, time_s: Array, w: float, b: float, n_series: int) -> Array:
+    """Independent draws (n_series, n_times) of the paper's error process (neural-network kernel), mmHg."""
+    factor = np.linalg.cholesky(_error_covariance(time_s, w, b))
+    return np.asarray(rng.standard_normal((n_series, len(time_s))) @ factor.T)
 
 
 def whitened(residuals: Array, time_s: Array, truth: Truth) -> Array:
@@ -87,82 +58,16 @@ def _error_covariance(time_s: Array, w: float, b: float) -> Array:
     return neural_network_kernel(time_s, w, b) + NOISE * np.eye(len(time_s))
 
 
-def ordered_error_means(
-    rng: np.random.Generator,
-    network: Network,
-    vessels: Sequence[int],
-    pressure: ArrayLike,
-    sd: float,
-    max_draws: int = 100_000_000,
-) -> Array:
-    """Means of independent errors that keep the mean pressure falling towards the periphery.
-
-    Normal draws of all vessels' means together are rejected until every observed vessel lies below its
-    nearest observed ancestor. A rejection of whole error series would accept the same means, since the
-    condition sees nothing else, but could not be afforded for many vessels.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    network : Network
-    vessels : sequence of int
-        Observed vessels.
-    pressure : array (n_series,)
-        Mean pressure without errors, mmHg.
-    sd : float
-        Standard deviation of an error's mean over the beat, mmHg.
-    max_draws : int
-        Draws after which to give up.
-
-    Returns
-    -------
-    array (n_series,)
-        mmHg.
-
-    Raises
-    ------
-    RuntimeError
-        If none of the draws keeps the order.
-
-    References
-    ----------
-    Paun et al. 2020, section 2.2, doi 10.1098/rsif.2020.0886.
-    """
-    clean = np.asarray(pressure, dtype=float)
-    above = _observed_ancestors(network, vessels)
-    below = np.array([i for i, k in enumerate(above) if k is not None], dtype=int)
-    parents = np.array([k for k in above if k is not None], dtype=int)
-    block = 1 if len(below) == 0 else 200_000
-    drawn = 0
-    while drawn < max_draws:
-        means = sd * rng.standard_normal((min(block, max_draws - drawn), len(clean)))
-        drawn += len(means)
-        noisy = clean + means
-        kept = np.flatnonzero(np.all(noisy[:, below] < noisy[:, parents], axis=1))
-        if len(kept):
-            return np.asarray(means[kept[0]])
-    raise RuntimeError(
-        f"{max_draws} draws of the errors all broke the fall of pressure towards the periphery; "
-        "observe fewer vessels, or lower b"
-    )
-
-
-def _observed_ancestors(network: Network, vessels: Sequence[int]) -> list[int | None]:
-    """For each observed vessel the place in `vessels` of its nearest observed ancestor."""
-    place = {int(vessel): i for i, vessel in enumerate(vessels)}
-    found: list[int | None] = []
-    for vessel in vessels:
-        k = network.parent[network.index(vessel)]
-        while k >= 0 and int(network.ids[k]) not in place:
-            k = network.parent[k]
-        found.append(place[int(network.ids[k])] if k >= 0 else None)
-    return found
-
-
 def falls_towards_periphery(network: Network, vessels: Sequence[int], pressure: Array) -> bool:
     """Whether the mean pressure of every observed vessel lies below that of its nearest observed ancestor."""
-    mean = np.asarray(pressure).mean(axis=1)
-    return all(k is None or mean[i] < mean[k] for i, k in enumerate(_observed_ancestors(network, vessels)))
+    mean = dict(zip(vessels, np.asarray(pressure).mean(axis=1), strict=True))
+    for vessel in vessels:
+        k = network.parent[network.index(vessel)]
+        while k >= 0 and int(network.ids[k]) not in mean:
+            k = network.parent[k]
+        if k >= 0 and mean[vessel] >= mean[int(network.ids[k])]:
+            return False
+    return True
 
 
 def synthetic_study(
@@ -202,26 +107,20 @@ def synthetic_study(
     stiffness = stiffness_profile(network.radius_in_cm, truth.f1, truth.f2, truth.f3, unit)
     clean = solver.solve(stiffness, psi1=truth.psi1, psi2=truth.psi2, c=truth.c).pressure_mmHg
     vessels = [vessel for vessel, _ in sites]
-    for _ in range(WHOLE_DRAWS):
+    for _ in range(MOST_DRAWS):
         noisy = clean + correlated_errors(rng, times, truth.w, truth.b, len(sites))
         if not ordered or falls_towards_periphery(network, vessels, noisy):
             break
     else:
-        sd = float(np.sqrt(_error_covariance(times, truth.w, truth.b).mean()))
-        means = ordered_error_means(rng, network, vessels, clean.mean(axis=1), sd)
-        noisy = clean + correlated_errors(rng, times, truth.w, truth.b, len(sites), means)
+        raise RuntimeError(
+            f"{MOST_DRAWS} draws of the errors all broke the fall of pressure towards the periphery; "
+            "observe fewer vessels, or lower b"
+        )
     series = tuple(
         Series(vessel, position, "pressure_mmHg", np.round(row, 4))
         for (vessel, position), row in zip(sites, noisy, strict=True)
     )
     return replace(base, name=name, time_s=times, series=series)
-
-
-def signal_to_noise(study: Study, truth: Truth | None = None) -> float:
-    """Mean square of the observed pressure over the variance of the errors at mid-beat."""
-    truth = truth or Truth()
-    variance = neural_network_kernel(np.array([0.5 * study.period_s]), truth.w, truth.b)[0, 0]
-    return float(np.mean(study.values**2) / variance)
 
 
 DEMO_SITES = ((1, 0.0), (2, 0.5), (3, 0.5))
@@ -272,7 +171,7 @@ EMBEDDED = {"demo": demo_study, "demo-gap": demo_gap_study}
 if __name__ == "__main__":
     chosen = sys.argv[2] if len(sys.argv) == 3 else "demo"
     if len(sys.argv) not in (2, 3) or chosen not in EMBEDDED:
-        sys.exit(f"usage: python -m zoo.paper.synthetic FOLDER [{'|'.join(EMBEDDED)}]")
+        sys.exit(f"usage: python -m benchmarks.paun2020.synthetic FOLDER [{'|'.join(EMBEDDED)}]")
     made = EMBEDDED[chosen]()
     save_study(made, sys.argv[1])
     print(f"{sys.argv[1]}: {len(made.series)} series of {len(made.time_s)} samples")
