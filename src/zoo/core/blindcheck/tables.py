@@ -35,7 +35,7 @@ def log_text(summary: Mapping[str, Any]) -> str:
 
 
 def summary_rows(s: Mapping[str, Any], *, sizes: bool = True) -> list[tuple[str, str, str]]:
-    """A summary in words: what, its figure, and that of the best constant answer; without sizes if so told."""
+    """A summary in words: what, its figure, that of the best constant answer; with or without sizes."""
     best, always = s["constant"], f"always {s['constant']['always']}"
     rows = [
         ("log score", log_text(s), f"{best['log_score']:.3f}"),
