@@ -224,9 +224,8 @@ def test_the_table_of_the_frozen_answers(capsys: pytest.CaptureFixture[str], mon
     assert score.components is not None
     for answer in answers.values():
         if answer is not None:
-            assert sum(e.probability for e in answer.by_component()) == pytest.approx(
-                1.0, abs=0.02
-            )  # effects of none are not in
+            total = sum(e.probability for e in answer.by_component())
+            assert total == pytest.approx(1.0, abs=0.02)  # but for effects of no component
     monkeypatch.setattr(sys, "argv", ["frozen"])
     monkeypatch.delenv("ZOO_DATA_DIR", raising=False)
     frozen.main()

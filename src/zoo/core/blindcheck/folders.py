@@ -296,7 +296,7 @@ def _is_answered(folder: Path, files: str, identity: Mapping[str, Any], *, fresh
     if not (folder / ANSWER).is_file() and any(folder.iterdir()):
         raise BlindError(f"{folder}: holds other files than an answer's; give another folder")
     try:
-        stored, _ = _stored(folder)
+        stored, _ = stored_answer(folder)
         if (stored["case"], stored["asked"]) == (files, identity):
             return True
     except BlindError:
@@ -325,7 +325,7 @@ def _write_answer(folder: Path, files: str, back: _Returned) -> None:
     (folder / FAILED).unlink()
 
 
-def _stored(folder: Path) -> tuple[dict[str, Any], Answer]:
+def stored_answer(folder: Path) -> tuple[dict[str, Any], Answer]:
     """An answer with what it is about, checked by its digest and those of the files beside it."""
     path = folder / ANSWER
     try:
@@ -408,7 +408,7 @@ def read_answers(answers: Path, keys: Sequence[CaseKey]) -> tuple[dict[str, Answ
         if (folder / FAILED).is_file():
             found[key.case] = None
         elif (folder / ANSWER).is_file():
-            stored, found[key.case] = _stored(folder)
+            stored, found[key.case] = stored_answer(folder)
             if key.files and stored["case"] != key.files:
                 raise BlindError(f"{folder}: {ANSWER} is about other data than the case; run it again")
         else:

@@ -93,7 +93,7 @@ def reliability(
         The range is that of a binomial count with the bin's mean stated probability.
     """
     p, hits = np.clip(np.asarray(stated, dtype=float), 0, 1), np.asarray(right, dtype=bool)
-    at = np.clip(np.searchsorted(edges, p, side="right") - 1, -1, len(edges) - 2)
+    at = np.clip(np.searchsorted(edges, p, side="right") - 1, 0, len(edges) - 2)
     found = []
     for i, (low, high) in enumerate(pairwise(edges)):
         inside = at == i
