@@ -1,6 +1,6 @@
 """Does what is learned in one state hold in another? Cases with a cause that is withheld, in two states each.
 
-Causes are those of `zoo blind make --kind component`. The second state is the same tree with another inflow,
+Causes are those of `benchmarks/blind/causes.py`. The second state is the same tree with another inflow,
 of a heart that beats 10 to 25 % faster and ejects 10 to 40 % more in a time. A cause in the inflow's record
 is one of the first record only, so that its function ought not to hold in the second state; all others act
 in both.
@@ -8,7 +8,7 @@ in both.
 Prints a row for each case: what the baseline, the discrepancy at the sensor and the leader leave in the
 second state, and whether the leader holds there; then how often it does, by whether the leader is right.
 
-Usage: python benchmarks/other_states.py [--n 14] [--secret HEX] [--cores 2]
+Usage: python -m benchmarks.other_states [--n 14] [--secret HEX] [--cores 2]
 """
 
 from __future__ import annotations
@@ -19,13 +19,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from benchmarks.blind.sets import Job, draw_truth, plan
 
-from zoo.blood.blind.bench import SAMPLES, Bench
-from zoo.blood.blind.case import CaseDraw, CaseTruth, draw_truth
-from zoo.blood.blind.causes import CAUSES
-from zoo.blood.blind.draw import Draw
 from zoo.blood.blind.networks import inflow
-from zoo.blood.diagnosis import diagnose, effects_for
+from zoo.blood.blind.study_cases import SAMPLES, Bench, Cause, stream
+from zoo.blood.diagnosis import diagnose
 from zoo.blood.study import Study
 from zoo.core.diagnosis import Diagnosis
 from zoo.core.effects import EffectError
@@ -36,13 +34,12 @@ FASTER, MORE = (0.8, 0.9), (1.1, 1.4)
 
 def measured(bench: Bench, waves: np.ndarray, rng: np.random.Generator) -> Study:
     """Waveforms with white noise, as a study."""
-    sigma = np.array([[bench.sigma[q]] for _, _, q in bench.sensors])
-    return bench.with_series(bench.study, waves + sigma * rng.standard_normal(waves.shape))
+    return bench.with_series(bench.study, waves + bench.sigma[:, None] * rng.standard_normal(waves.shape))
 
 
-def second_state(truth: CaseTruth, rng: np.random.Generator) -> tuple[Bench, np.ndarray] | None:
+def second_state(first: Bench, cause: Cause, rng: np.random.Generator) -> tuple[Bench, np.ndarray] | None:
     """The same tree under another inflow, and its waveforms; None where it cannot be solved."""
-    study = truth.bench.study
+    study = first.study
     flow = inflow(rng)[-1]
     period = round(study.period_s * rng.uniform(*FASTER), 4)
     flow = flow * (rng.uniform(*MORE) * study.inflow_ml_s.mean() / flow.mean())
@@ -52,11 +49,10 @@ def second_state(truth: CaseTruth, rng: np.random.Generator) -> tuple[Bench, np.
         time_s=np.array([]), series=(),
     )  # fmt: skip
     try:
-        bench = Bench(bare, truth.bench.theta, truth.bench.sensors)
+        bench = Bench(bare, first.theta, first.sensors)
     except EffectError:
         return None
-    lasting = tuple(one for one in truth.added if CAUSES[one[0].name].component != "inflow")
-    waves = bench.solve(lasting)
+    waves = bench.clean if "inflow" in cause.components else bench.solve(cause.added)
     return None if waves is None else (bench, waves)
 
 
@@ -86,26 +82,24 @@ def main() -> None:
     args = parser.parse_args()
     secret = args.secret or secrets.token_hex(16)
     print(f"secret {secret}, {SAMPLES} samples; errors in mmHg beyond the noise", flush=True)
-    names = tuple(one.name for one in effects_for("linear-constant"))
     layouts = ("MPA+daughters", "MPA+distal", "MPA+flows")
-    draw = Draw(args.n, secret, names, layouts=layouts, kind="component")
     rows = []
-    for i, one in enumerate(draw.plan()):
-        job = CaseDraw(draw, i, *one)
-        truth = draw_truth(job, draw.rng("noise", i))
-        rng = draw.rng("second state", i)
-        second = second_state(truth, rng)
+    for i, first_tried in enumerate(plan("component", args.n, secret)):
+        noises = stream(secret, "component", "noise", i)
+        bench, cause, _, _ = draw_truth(Job("component", secret, layouts, i, first_tried), noises)
+        rng = stream(secret, "second state", i)
+        second = second_state(bench, cause, rng)
         if second is None:
-            print(f"{job.name} {truth.name}: no second state could be solved", flush=True)
+            print(f"{bench.study.name} {cause.label}: no second state could be solved", flush=True)
             continue
-        first = measured(truth.bench, truth.waves, rng)
+        first = measured(bench, cause.waves, rng)
         found = diagnose(first, states=[measured(*second, rng)], cores=args.cores)
-        row = row_of(CAUSES[truth.name].component, found)
+        row = row_of(cause.components[0], found)
         rows.append(row)
         baseline, sensor, leader = row["errors"]
         print(
-            f"{job.name} true {row['true']} ({truth.name}), leads {row['leader']} {row['probability']:.2f}: "
-            f"baseline {baseline:.3f}, sensor {sensor:.3f}, leader {leader:.3f}; holds: "
+            f"{bench.study.name} true {row['true']} ({cause.label}), leads {row['leader']} "
+            f"{row['probability']:.2f}: baseline {baseline:.3f}, sensor {sensor:.3f}, leader {leader:.3f}; holds: "
             f"{', '.join(row['holding']) or 'nothing'}",
             flush=True,
         )

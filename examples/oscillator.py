@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from zoo.core.blindcheck import CheckScore, DrawnCase, check
+from zoo.core.blindcheck import DrawnCase, Score, blind_check
 from zoo.core.data import Data
 from zoo.core.diagnosis import diagnose
 from zoo.core.diagnosis.hypothesis import NULL as NO_GAP
@@ -125,7 +125,8 @@ def draw_case(cause: str, rng: np.random.Generator) -> DrawnCase:
         gap = visible_gap(theta[: len(MODEL.parameters)], series[0])
     noisy = series + NOISE_M * rng.standard_normal(series.shape)
     data = Data(TIMES, noisy, labels=("displacement",), units=("m",), name="oscillator")
-    return DrawnCase(data, float(theta[-1]) if cause in known else None, noise=NOISE_M, before=gap)
+    size = float(theta[-1]) if cause in known else None
+    return DrawnCase(data, {"parameter": size, "noise": NOISE_M, "gap": gap})
 
 
 def visible_gap(theta: Array, series: Array) -> float:
@@ -142,9 +143,9 @@ def diagnosed(data: Data) -> Any:
     return diagnose(data, MODEL, EFFECTS, errors=Cosines())
 
 
-def main(counts: dict[str, int], seed: int = SEED) -> CheckScore:
+def main(counts: dict[str, int], seed: int = SEED) -> Score:
     """The blind check."""
-    return check(draw_case, diagnosed, counts, listed=[e.name for e in EFFECTS], seed=seed)
+    return blind_check(draw_case, diagnosed, counts, listed=[e.name for e in EFFECTS], seed=seed)
 
 
 if __name__ == "__main__":

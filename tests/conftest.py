@@ -75,13 +75,3 @@ def blind_cases(data_dir: Path) -> list[Path]:
         message = f"{folder} does not exist"
         pytest.fail(message) if os.environ.get("CI") else pytest.skip(message)
     return sorted(folder.iterdir())
-
-
-@pytest.fixture(scope="session")
-def blind_key(data_dir: Path) -> Path:
-    """Key of half of the independent simulator's cases; for tests marked needs_data."""
-    folder = data_dir.parent / "blind" / "key"
-    if not folder.is_dir():
-        message = f"{folder} does not exist"
-        pytest.fail(message) if os.environ.get("CI") else pytest.skip(message)
-    return folder

@@ -72,10 +72,9 @@ def test_a_drawn_case_is_its_seed_and_shows_its_cause() -> None:
     for cause, seed in product(("cubic-stiffness", "delayed-drive"), (1, 2)):
         case, again = (oscillator.draw_case(cause, np.random.default_rng(seed)) for _ in range(2))
         np.testing.assert_array_equal(case.data.values, again.data.values)
-        assert case.before >= oscillator.VISIBLE * oscillator.NOISE_M
-        assert case.amplitude is not None
-        assert case.amplitude > 0
-    assert oscillator.draw_case("no-gap", np.random.default_rng(3)).before < 1e-6
+        assert case.withheld["gap"] >= oscillator.VISIBLE * oscillator.NOISE_M
+        assert case.withheld["parameter"] > 0
+    assert oscillator.draw_case("no-gap", np.random.default_rng(3)).withheld["gap"] < 1e-6
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -320,15 +319,15 @@ def test_the_next_round_begins_with_what_was_found() -> None:
 
 def test_some_drawn_cases_are_told_apart() -> None:
     score = oscillator.main({"cubic-stiffness": 1, "quadratic-drag": 1, "no-gap": 1, "delayed-drive": 1})
-    assert score.by["kind"]["listed"]["effect_first"]["share"] == 1
-    assert score.by["kind"]["none"]["right"]["share"] == 1
+    assert score.by["kind"]["listed"]["first"].share == 1
+    assert score.by["kind"]["none"]["group_first"].share == 1
 
 
 @pytest.mark.slow
 def test_forty_drawn_cases() -> None:
     score = oscillator.main(oscillator.COUNTS)
-    assert score.summary["effect_first"]["count"] >= 27
-    assert score.summary["false_alarms"]["count"] == 0
+    assert score.by["kind"]["listed"]["first"].count >= 27
+    assert score.summary["false_alarms"].count == 0
 
 
 @pytest.mark.slow

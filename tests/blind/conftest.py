@@ -1,4 +1,4 @@
-"""A small set of cases, and answers to them, that the tests of the blind check share."""
+"""A small set of cases that the tests of the blind check share."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from zoo.blood.blind import diagnose_cases, make_cases
+from zoo.blood.blind import make_cases
 
 CHEAP = ("sensor-offset", "inflow-shift", "inflow-bandwidth", "beat-jitter")
 TINY: dict[str, Any] = {"networks": ("tree",), "layouts": ("MPA",), "vessels": (3, 3), "cores": 1}
@@ -26,12 +26,3 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("blind")
     key = make_cases(folder / "cases", 3, folder / "key.json", secret=SECRET, effects=CHEAP, **TINY)
     return folder / "cases", key
-
-
-@pytest.fixture(scope="session")
-def answered(made: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Answers to them."""
-    answers = tmp_path_factory.mktemp("run") / "answers"
-    found = diagnose_cases(made[0], answers, effects=CHEAP, max_effects=1, cores=1)
-    assert found.failed == {}
-    return answers

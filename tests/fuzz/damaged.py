@@ -19,7 +19,7 @@ from mutate import BYTES, VALUES, mutated
 from outcome import Outcome, judged
 
 ROOT = Path(__file__).resolve().parents[2]
-ANSWER = ROOT / "benchmarks" / "blind" / "independent" / "answers" / "case-101"
+ANSWER = ROOT / "tests" / "data" / "diagnosis.json"
 SEED = 11
 
 
@@ -29,8 +29,6 @@ class Kind(NamedTuple):
     read: Callable[[Path], Any]
     refused: tuple[type[Exception], ...]
     names: list[str]
-    parts: bool = False
-    """Whether what is whole of a damaged file may be read, without the rest."""
 
 
 def plain(value: Any) -> Any:
@@ -88,33 +86,24 @@ def read_answer(folder: Path) -> Any:
     return read_diagnosis(folder / "diagnosis.json").model_dump()
 
 
-def read_facts(folder: Path) -> Any:
-    """What an answer says of its case, and the series that it fitted."""
-    from zoo.blood.blind.run import read_case_facts, read_fitted
+def read_blind_answer(folder: Path) -> Any:
+    """An answer of a blind check, with what it is about."""
+    from zoo.core.blindcheck.folders import stored_answer
 
-    facts = read_case_facts(folder)
-    return [facts[name] for name in ("checksum", "parents", "series")], plain(read_fitted(folder, "ab12"))
+    about, answer = stored_answer(folder)
+    return about["case"], about["asked"], answer.model_dump()
 
 
 def read_key(folder: Path) -> Any:
     """Entries of a key, checked by the digest beside the answers."""
-    from zoo.core.blindcheck.sealing import read_sealed
+    from zoo.core.blindcheck.folders import read_sealed
 
-    return read_sealed(folder / "key.json", folder)
-
-
-def read_unfinished(folder: Path) -> Any:
-    """Cases that an interrupted call made."""
-    from zoo.core.blindcheck.sealing import read_head, read_made
-
-    key = folder / "made.json"
-    made = {name: (dict(one.entry), dict(one.files)) for name, one in read_made(key).items()}
-    return {"": read_head(key)} | made if made else {}
+    return [one.model_dump() for one in read_sealed(folder / "key.json", folder)]
 
 
 def all_kinds() -> dict[str, Kind]:
     """Kinds of files that zoo writes and reads again."""
-    from zoo.core.blindcheck.sealing import BlindError
+    from zoo.core.blindcheck import BlindError
     from zoo.core.diagnosis import DiagnosisError
     from zoo.core.inference.checkpoint import CheckpointError
     from zoo.core.inference.record import ResultsError
@@ -123,9 +112,8 @@ def all_kinds() -> dict[str, Kind]:
         "posterior": Kind(read_posterior, (ResultsError,), ["A.nc"]),
         "checkpoint": Kind(read_checkpoint, (CheckpointError,), ["A.checkpoint"]),
         "answer": Kind(read_answer, (DiagnosisError,), ["diagnosis.json"]),
-        "facts": Kind(read_facts, (BlindError,), ["case.json", "fitted.json"]),
+        "blind answer": Kind(read_blind_answer, (BlindError,), ["answer.json"]),
         "key": Kind(read_key, (BlindError,), ["key.json", "KEY.sha256"]),
-        "unfinished": Kind(read_unfinished, (BlindError,), ["made.json"], parts=True),
     }
 
 
@@ -133,18 +121,15 @@ def make(folder: Path) -> None:
     """Write undamaged files of each kind."""
     import arviz as az
 
-    from zoo.blood.blind.run import write_fitted
-    from zoo.core import digests
-    from zoo.core.blindcheck.answers import Fitted
-    from zoo.core.blindcheck.sealing import MadeCase, line_of, seal, unfinished
+    from zoo.core.blindcheck import CaseKey
+    from zoo.core.blindcheck.folders import run_cases, write_cases
     from zoo.core.diagnosis import Diagnosis, read_diagnosis
-    from zoo.core.outputs import write_file
     from zoo.core.posterior.storage import save
 
     sys.path.insert(0, str(ROOT / "tests"))
     from gaussian import a_record
 
-    for name in ("posterior", "checkpoint", "answer", "facts", "key", "unfinished"):
+    for name in ("posterior", "checkpoint", "answer", "key"):
         (folder / name).mkdir(parents=True)
     rng = np.random.default_rng(SEED)
     idata = az.from_dict(
@@ -158,16 +143,39 @@ def make(folder: Path) -> None:
     save(idata, folder / "posterior" / "A.nc")
     for seed, where in ((1, folder / "checkpoint" / "A.checkpoint"), (2, folder / "another")):
         make_checkpoint(where, seed)
-    content = types.SimpleNamespace(file=read_diagnosis(ANSWER / "diagnosis.json"))
+    content = types.SimpleNamespace(file=read_diagnosis(ANSWER))
     Diagnosis.save(content, folder / "answer")  # type: ignore[arg-type]
-    facts = {"checksum": "ab12", "parents": {"1": None, "2": 1, "3": 1}, "series": ["v1@0 pressure_mmHg"]}
-    write_file(folder / "facts" / "case.json", digests.to_text(facts))
-    series = rng.normal(size=(2, 3, 8)).round(4)
-    write_fitted(folder / "facts", Fitted(series[0], series[1], (0, 2)), "ab12")
-    made = [MadeCase({"case": f"case-{i:03d}", "noise": 0.1 + i, "label": "leak"}, {}) for i in range(4)]
-    lines = [{"secret": "2f"}, *({"entry": dict(one.entry), "files": {"a": "1\n"}} for one in made)]
-    unfinished(folder / "unfinished" / "made.json").write_text("".join(map(line_of, lines)))
-    seal(folder / "key", folder / "key" / "key.json", {"seed": 7}, made)
+    key = CaseKey(case="case-001", kind="none", label="no-gap", accepted=("no-gap",), noise=0.1)
+    write_cases(folder / "cases", folder / "key.json", [key], one_case, head={"seed": 7})
+    run_cases(folder / "cases", folder / "answers", Guess())
+    for name in ("key.json", "cases/KEY.sha256"):
+        shutil.copy(folder / name, folder / "key")
+    shutil.copytree(folder / "answers" / "case-001", folder / "blind answer")
+
+
+def one_case(key: Any) -> Any:
+    """A case with a file."""
+    from zoo.core.blindcheck.folders import MadeCase
+
+    return MadeCase(key, {"a.txt": "1\n"})
+
+
+@dataclasses.dataclass(frozen=True)
+class Guess:
+    """A diagnosis that always says the same."""
+
+    marker: str = "a.txt"
+
+    def identity(self) -> dict[str, Any]:
+        """Nothing is asked."""
+        return {"seed": 1}
+
+    def __call__(self, case: Path, answer: Path) -> Any:
+        """The answer, with a file beside it."""
+        from zoo.core.blindcheck import Answer
+
+        (answer / "notes.txt").write_text("read\n")
+        return Answer.ranked({"no-gap": 0.75, "unlisted": 0.25})
 
 
 def make_checkpoint(folder: Path, seed: int) -> None:
@@ -248,8 +256,6 @@ def case(number: int, seed: str, work: Path) -> Outcome:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = kind.read(folder)
-        if kind.parts:
-            found = {**whole[name], **found}
         assert repr(found) == repr(whole[name]), "other data were read, and nothing was said"
 
     return judged(read, kind.refused, folder, kind.names)

@@ -32,7 +32,7 @@ ROOMS = {
     "samplers": [f"src/zoo/core/inference/{name}.py" for name in ("steps", "spaces")],
     "evidence": [f"src/zoo/core/diagnosis/{name}.py" for name in ("evidence", "screening", "hypothesis")],
     "grouping": [f"src/zoo/core/diagnosis/{name}.py" for name in ("scoring", "discrepancy")],
-    "blind": [f"src/zoo/core/blindcheck/{name}.py" for name in ("case_score", "check_score", "rates")],
+    "blind": [f"src/zoo/core/blindcheck/{name}.py" for name in ("folders", "scoring")],
     "resume": [f"src/zoo/core/inference/{name}.py" for name in ("checkpoint", "chain", "processes")],
 }
 SWAPS = {

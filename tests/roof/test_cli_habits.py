@@ -172,7 +172,7 @@ def test_blind_run_takes_effects_of_ones_own(tmp_path, monkeypatch) -> None:
     seen = {}
 
     def diagnosed(cases, output, **settings):
-        from zoo.core.blindcheck.running import Ran
+        from zoo.core.blindcheck.folders import Ran
 
         seen.update(settings)
         return Ran((), (), {})

@@ -3,24 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import (
-    PluginOptions,
-    PriorOptions,
-    QuietOption,
-    SchedulerOption,
-    ShardOption,
-    read_shard,
-)
+from zoo.cli.options import PluginOptions, PriorOptions, QuietOption
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file, output_folder
-
-if TYPE_CHECKING:
-    from zoo.core.blindcheck import CheckScore
 
 
 class _Counting:
@@ -60,15 +50,6 @@ def make(
     key: Annotated[Path, typer.Option("--key", help="File for what is withheld, outside the folder.")] = Path(
         "key.json"
     ),
-    kind: Annotated[
-        str,
-        typer.Option(
-            "--kind",
-            help="catalogue: listed effects, some outside, some none; component: a cause in a known "
-            "component that no catalogue lists; pair: two of these; small: small ones of all; coloured: "
-            "noise alone.",
-        ),
-    ] = "catalogue",
     secret: Annotated[
         str | None,
         typer.Option(
@@ -92,7 +73,7 @@ def make(
         typer.Option(
             "--layouts",
             help="Where sensors are, with commas: MPA, MPA+daughters, MPA+distal, MPA+flow (one daughter), "
-            "MPA+flows (both); of the flows MPA+flow for a catalogue, MPA+flows for other kinds if absent.",
+            "MPA+flows (both); all of these if absent.",
             metavar="NAMES",
             show_default=False,
         ),
@@ -103,8 +84,9 @@ def make(
     cores: Annotated[int, typer.Option("--cores", help="Processes at a time.")] = 2,
     quiet: QuietOption = False,
 ) -> None:
-    """Write studies with a withheld cause each, and the key apart; goes on where it was interrupted."""
+    """Write studies with a withheld effect each, or none, and the key apart."""
     from zoo.blood.blind import make_cases
+    from zoo.blood.blind.study_cases import LAYOUTS
 
     output_folder(folder, option="CASES", deep=True)
     output_file(key, "--key")
@@ -113,10 +95,9 @@ def make(
             folder,
             n,
             key,
-            kind=kind,
             secret=secret,
             effects=_name_list("--effects", effects),
-            layouts=_name_list("--layouts", layouts),
+            layouts=_name_list("--layouts", layouts) or LAYOUTS,
             networks=_name_list("--networks", networks) or [],
             cores=cores,
             done=counting,
@@ -129,15 +110,21 @@ def run(
     cases: Annotated[Path, typer.Argument(metavar="CASES", help="Folder of studies, without their key.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the answers.")] = Path("answers"),
     base: Annotated[str, typer.Option("--base", help="Baseline, as in `zoo diagnose`.")] = "linear-constant",
-    posteriors: Annotated[
-        bool,
-        typer.Option("--posteriors", "--confirm", help="Posterior sampling of the leading explanations too."),
-    ] = False,
     max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each.")] = 2,
-    scheduler: SchedulerOption = None,
-    shard: ShardOption = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            "--dask",
+            help="Diagnose on the workers of a dask.distributed scheduler, tcp://HOST:8786, instead.",
+            metavar="ADDRESS",
+            show_default=False,
+        ),
+    ] = None,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Replace answers to other data, questions or programs.")
+    ] = False,
     quiet: QuietOption = False,
     *,
     priors: PriorOptions,
@@ -148,26 +135,23 @@ def run(
 
     from zoo.blood.blind import diagnose_cases
     from zoo.core.inference.cluster import connect
-    from zoo.core.inference.workers import shard_of
 
-    part = read_shard(shard)
     output_folder(output, option="--output", deep=True)
     plugins.load()
     began = time.monotonic()
     studies = [p for p in cases.iterdir() if (p / "study.toml").is_file()] if cases.is_dir() else []
-    with connect(scheduler) as executor, _Counting(not quiet, len(shard_of(studies, part))) as counting:
+    with connect(dask) as executor, _Counting(not quiet, len(studies)) as counting:
         found = diagnose_cases(
             cases,
             output,
             base=base,
-            posteriors=posteriors,
             max_effects=max_effects,
             effects_from=plugins.effects_from or (),
             seed=seed,
             priors=priors.table(),
             cores=cores,
             executor=executor,
-            shard=part,
+            fresh=fresh,
             done=counting,
         )
     words = f", {len(found.kept)} of them before" if found.kept else ""
@@ -187,13 +171,13 @@ def score(
     answers: Annotated[Path, typer.Argument(metavar="ANSWERS", help="Folder of `zoo blind run`.")],
     key: Annotated[
         Path,
-        typer.Option("--key", help="Of `zoo blind make`; or a folder of keys made elsewhere, one a case."),
+        typer.Option("--key", help="Of `zoo blind make`."),
     ] = Path("key.json"),
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score.")] = Path("score"),
 ) -> None:
     """Score answers against their key: score.json, score.md, cases.csv and figures."""
     from zoo.blood.blind import score_cases
-    from zoo.core.blindcheck.tables import SCORE_FILES
+    from zoo.core.blindcheck.tables import CONSTANT, SCORE_FILES, summary_rows
 
     output_folder(output, SCORE_FILES, "--output")
     found = score_cases(answers, key, output)
@@ -203,41 +187,13 @@ def score(
     figures = [
         save_figure(figure, output / f"{name}.png").name for name, figure in score_figures(found).items()
     ]
-    say(*_score_summary(found))
-    say(f"wrote {output}: score.json, score.md, cases.csv, {', '.join(figures)}")
-
-
-def _score_summary(found: CheckScore) -> list[Any]:
-    from zoo.core.blindcheck.rates import FULL_BIN
-    from zoo.core.blindcheck.tables import (
-        HEADLINES,
-        MEANS,
-        component_rows,
-        constant_text,
-        rate_text,
-        size_rows,
-    )
-
-    s, best = found.summary, found.constants
-    title = f"{s['n']} cases, {s['failed']} without an answer"
+    title = f"{found.summary['n']} cases, {found.summary['failed']} without an answer"
     if found.without_key:
         title += f"; {found.without_key} more answers have no key"
-    table = plain_table("score", "", "best constant answer", title=title)
-    for name, words in HEADLINES:
-        if s[name]["n"]:
-            table.add_row(words, rate_text(s[name]), constant_text(best.get(name)))
-    for row in size_rows(found):
-        table.add_row(*row)
-    for name, words in MEANS:
-        table.add_row(words, f"{s[name]:.3f}", constant_text(best[name]))
-    for row in component_rows(found.components):
-        table.add_row(*row)
-    full = [b for b in found.reliability if b.n >= FULL_BIN]
-    table.add_row(
-        f"bins of stated probability with {FULL_BIN} cases or more that lie within their band",
-        f"{sum(b.inside for b in full)} of {len(full)}",
-    )
-    checked = (
-        "the key has the SHA-256 that the cases came with" if found.key_checked else "keys without SHA-256"
-    )
-    return [table, checked]
+    for words, part in ((title, found), ("by component", found.components)):
+        if part is not None:
+            table = plain_table("score", "", CONSTANT, title=words)
+            for row in summary_rows(part.summary, sizes=part is found):
+                table.add_row(*row)
+            say(table)
+    say(f"wrote {output}: score.json, score.md, cases.csv, {', '.join(figures)}")

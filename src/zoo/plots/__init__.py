@@ -4,7 +4,7 @@ A function takes results and returns a `matplotlib.figure.Figure`, which `save_f
 """
 
 from zoo.plots.bands import all_vessels_figure, uncertainty_figure
-from zoo.plots.blindcheck import plot_accuracy, plot_confusion, plot_reliability, plot_sizes, score_figures
+from zoo.plots.blindcheck import plot_confusion, plot_reliability, score_figures
 from zoo.plots.chains import pair_figure, rank_figure, trace_figure
 from zoo.plots.comparison import comparison_figure
 from zoo.plots.components import plot_components, plot_functions
@@ -38,7 +38,6 @@ __all__ = [
     "model_style",
     "models_figure",
     "pair_figure",
-    "plot_accuracy",
     "plot_components",
     "plot_confusion",
     "plot_diagnosis",
@@ -46,7 +45,6 @@ __all__ = [
     "plot_functions",
     "plot_hypotheses",
     "plot_reliability",
-    "plot_sizes",
     "plot_states",
     "plot_where",
     "posteriors_figure",

@@ -1,27 +1,28 @@
 """The blind check: a diagnosis is given data whose cause is withheld, and its answers are scored.
 
-`check` does all of it in memory for any simulator: draw cases, diagnose them, score the answers. Cases that
-are folders are made by `making`, diagnosed by `running` and tied to their key by `sealing`; how an answer is
-scored is the same.
+`blind_check` does all of it in memory for any simulator; `ModelDraw` draws cases of any forward model. Cases
+that are folders, with a sealed key, are in `folders`; how an answer is scored is the same.
 """
 
-from zoo.core.blindcheck.answers import Answer, Explanation, as_answer
-from zoo.core.blindcheck.check import DrawnCase, check, draw_cases
-from zoo.core.blindcheck.check_score import CheckScore, score_answers
-from zoo.core.blindcheck.keys import CaseKey, TrueEffect
-from zoo.core.blindcheck.sealing import BlindError
+from zoo.core.blindcheck.cases import Answer, BlindError, CaseKey, Explanation, Fitted, Size, as_answer
+from zoo.core.blindcheck.check import blind_check, draw_cases
+from zoo.core.blindcheck.drawing import DrawnCase, LinearBaseline, ModelDraw
+from zoo.core.blindcheck.scoring import Score, score_answers
 from zoo.core.blindcheck.tables import score_table, write_score
 
 __all__ = [
     "Answer",
     "BlindError",
     "CaseKey",
-    "CheckScore",
     "DrawnCase",
     "Explanation",
-    "TrueEffect",
+    "Fitted",
+    "LinearBaseline",
+    "ModelDraw",
+    "Score",
+    "Size",
     "as_answer",
-    "check",
+    "blind_check",
     "draw_cases",
     "score_answers",
     "score_table",

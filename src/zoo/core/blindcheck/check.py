@@ -2,76 +2,33 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from zoo.core.blindcheck.answers import Answer, as_answer
-from zoo.core.blindcheck.check_score import CheckScore, score_answers
-from zoo.core.blindcheck.keys import CaseKey, TrueEffect
-from zoo.core.blindcheck.sealing import BlindError
+from zoo.core.blindcheck.cases import Answer, BlindError, CaseKey, as_answer
+from zoo.core.blindcheck.drawing import DrawnCase
+from zoo.core.blindcheck.scoring import Score, score_answers
 from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
-from zoo.core.effects import EVERYWHERE, Location
 from zoo.core.inference.workers import each
 
 
-@dataclass(frozen=True)
-class DrawnCase:
-    """Data that someone's simulator made, and what a diagnosis of them is not told.
-
-    Parameters
-    ----------
-    data : object
-        What the diagnosis is given.
-    amplitude : float, optional
-        Of the effect, in the unit of its first parameter; None for no effect or no stated size.
-    location : Location
-        Where the effect acts.
-    noise : float, optional
-        Standard deviation of the noise.
-    before : float, optional
-        Model discrepancy of the refitted baseline, as in `CaseKey`.
-    truth : array (n_series, n_times), optional
-        The data without noise; what a diagnosis states of the discrepancy is compared with it.
-    prior : (float, float), optional
-        Central 95 % interval of the prior of the amplitude.
-    tags : mapping of str to str
-        What else the scores should be grouped by.
-    """
-
-    data: Any
-    amplitude: float | None = None
-    location: Location = EVERYWHERE
-    noise: float = math.nan
-    before: float = math.nan
-    truth: NDArray[np.float64] | None = None
-    prior: tuple[float, float] | None = None
-    tags: Mapping[str, str] = field(default_factory=dict)
-
-
-DrawCase = Callable[[str, np.random.Generator], DrawnCase]
-
-
 def draw_cases(
-    draw_case: DrawCase, counts: Mapping[str, int], listed: Sequence[str], seed: int = 1
+    draw: Callable[[str, np.random.Generator], DrawnCase],
+    counts: Mapping[str, int],
+    listed: Sequence[str],
+    seed: int = 1,
 ) -> tuple[dict[str, Any], list[CaseKey]]:
-    """Draw cases in a shuffled order, and part their data from their key.
-
-    Parameters
-    ----------
-    draw_case, counts, listed, seed
-        As in `check`.
+    """Draw cases in a shuffled order, and part their data from their key; arguments are `blind_check`'s.
 
     Returns
     -------
     data : dict
         Name of the case -> what the diagnosis is given.
-    key : list of CaseKey
+    keys : list of CaseKey
 
     Raises
     ------
@@ -88,17 +45,15 @@ def draw_cases(
         )
     labels = [label for label, n in counts.items() for _ in range(n)]
     labels = [labels[i] for i in np.random.default_rng(seed).permutation(len(labels))]
-    data, key = {}, []
+    data, keys = {}, []
     for i, label in enumerate(labels):
-        drawn = draw_case(label, np.random.default_rng([seed, i]))
-        name = f"case-{i + 1:03d}"
-        data[name] = drawn.data
+        drawn = draw(label, np.random.default_rng([seed, i]))
         kind = "none" if label == NULL else "listed" if label in listed else "outside"
-        effects = () if kind == "none" else (TrueEffect(label, drawn.location, drawn.amplitude, drawn.prior),)
-        key.append(
-            CaseKey(name, kind, label, effects, drawn.noise, drawn.before, drawn.truth, tags=drawn.tags)
-        )
-    return data, key
+        right = NONPARAMETRIC if kind == "outside" else label
+        told = {"case": f"case-{i + 1:03d}", "kind": kind, "label": label, "accepted": (right,)}
+        keys.append(CaseKey(**(told | dict(drawn.withheld))))
+        data[keys[-1].case] = drawn.data
+    return data, keys
 
 
 @dataclass(frozen=True)
@@ -114,8 +69,8 @@ class _Diagnosing:
             return f"{type(error).__name__}: {error}"
 
 
-def check(
-    draw_case: DrawCase,
+def blind_check(
+    draw: Callable[[str, np.random.Generator], DrawnCase],
     diagnose: Callable[[Any], Any],
     counts: Mapping[str, int],
     *,
@@ -123,10 +78,9 @@ def check(
     seed: int = 1,
     cores: int = 1,
     executor: Executor | None = None,
-    by: Sequence[str] = ("kind", "effect"),
-    gap_edges: Sequence[float] = (0.0, math.inf),
+    by: Sequence[str] = ("kind", "label"),
     done: Callable[[str], None] = lambda case: None,
-) -> CheckScore:
+) -> Score:
     """Check a diagnosis on cases whose cause it is not told.
 
     The cases are drawn first, their causes are kept apart, and the diagnosis is given each case's data and
@@ -134,9 +88,9 @@ def check(
 
     Parameters
     ----------
-    draw_case : callable
-        ``draw_case(label, rng) -> DrawnCase`` makes the data of a case with that cause; all that is random
-        comes from `rng`, which is another one for each case.
+    draw : callable
+        ``draw(label, rng) -> DrawnCase`` makes the data of a case with that cause; all that is random comes
+        from `rng`, which is another one for each case. `ModelDraw` does so for any forward model.
     diagnose : callable
         ``diagnose(data)`` gives an `Answer`, or a diagnosis of `zoo.core.diagnosis`. One that raises an
         exception counts as no answer.
@@ -144,22 +98,22 @@ def check(
         Label -> how many cases: names of effects, "no-gap" for no effect, any other name for a cause that
         the diagnosis does not know.
     listed : sequence of str
-        Effects that the diagnosis knows; any other label counts as outside.
+        Effects that the diagnosis knows; any other label counts as outside, and should be called "unlisted".
     seed : int
         The same seed gives the same cases.
-    cores : int
-        Processes; with more than one, `diagnose` and the data must be picklable.
-    executor : concurrent.futures.Executor, optional
-        Runs the cases instead, as in `zoo.core.inference.workers.each`.
-    by, gap_edges
-        What to group the scores by, as in `assemble`.
+    cores, executor
+        As in `zoo.core.inference.workers.each`; with more than one process, `diagnose` and the data must be
+        picklable.
+    by : sequence of str
+        What to group the scores by: "kind", "label", or a tag that all cases have.
     done : callable
         Told the name of each case that is diagnosed.
 
     Returns
     -------
-    CheckScore
-        ``print(score)`` shows the rates; ``score.summary`` has them as numbers, `score_table` as Markdown.
+    Score
+        ``print(score)`` shows it beside the best constant answers; ``score.summary`` has it as numbers,
+        `score_table` as Markdown.
 
     Raises
     ------
@@ -168,27 +122,28 @@ def check(
 
     Examples
     --------
-    >>> def draw_case(label, rng):
+    >>> def draw(label, rng):
     ...     slope = {"no-gap": 0.0, "drift": 1.0, "step": 0.0}[label]
     ...     jump = 1.0 if label == "step" else 0.0
     ...     t = np.linspace(-1, 1, 100)
-    ...     return DrawnCase(slope * t + jump * (t > 0) + 0.01 * rng.standard_normal(100), amplitude=slope)
+    ...     return DrawnCase(slope * t + jump * (t > 0) + 0.01 * rng.standard_normal(100))
     >>> def diagnose(data):
     ...     p = 0.98 if abs(data[-1] - data[50]) > 0.5 else 0.02 if data.std() < 0.1 else 0.1
     ...     rest = ("unlisted", "no-gap") if data.std() > 0.1 else ("no-gap", "unlisted")
-    ...     found = {"drift": p, rest[0]: 0.99 - p, rest[1]: 0.01}
-    ...     return Answer.ranked(found)
-    >>> print(check(draw_case, diagnose, {"drift": 2, "no-gap": 1, "step": 1}, listed=["drift"]))
-    4 cases, 0 without an answer; in the last column the best constant answer
-    what is true or its group ranked first, any kind  100 % (4 of 4; 51 to 100 %)  50 % (always drift)
-    true effect or its group ranked first             100 % (2 of 2; 34 to 100 %)  100 % (always drift)
-    true effect ranked first                          100 % (2 of 2; 34 to 100 %)  100 % (always drift)
-    no-effect cases with a discrepancy found          0 % (0 of 1; 0 to 79 %)      0 % (always no-gap)
-    outside cases called unlisted or left open        100 % (1 of 1; 21 to 100 %)  100 % (always unlisted)
+    ...     return Answer.ranked({"drift": p, rest[0]: 0.99 - p, rest[1]: 0.01})
+    >>> print(blind_check(draw, diagnose, {"drift": 2, "no-gap": 1, "step": 1}, listed=["drift"]))
+    4 cases, 0 without an answer                                        best constant answer
+    log score                            -0.047                       -1.040
+    Brier score                          0.006                        0.625
+    what is true first                   100 % (4 of 4; 51 to 100 %)  50 % (always drift)
+    what is true, or its group, first    100 % (4 of 4; 51 to 100 %)  50 % (always drift)
+    mean size of the leading group       1.0                          1
+    no effect, and something else first  0 % (0 of 1; 0 to 79 %)      0 % (always no-gap)
+    stated with more than 90 %, right    3 of 3 (0.977 stated)        –
     """
     if cores < 1:
         raise BlindError(f"cores = {cores}: must be at least 1")
-    data, key = draw_cases(draw_case, counts, listed, seed)
+    data, keys = draw_cases(draw, counts, listed, seed)
     answers: dict[str, Answer | None] = {}
     failed: dict[str, str] = {}
     for (name, _), found in each(
@@ -199,5 +154,5 @@ def check(
         answers[name] = None if isinstance(found, str) else found
         done(name)
     if len(failed) == len(data):
-        raise BlindError(f"no case could be diagnosed; the first: {failed[key[0].case]}")
-    return score_answers(key, answers, by=by, gap_edges=gap_edges, failed=dict(sorted(failed.items())))
+        raise BlindError(f"no case could be diagnosed; the first: {failed[keys[0].case]}")
+    return score_answers(keys, answers, by=by, failed=dict(sorted(failed.items())))
