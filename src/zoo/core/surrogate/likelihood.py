@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytensor.tensor as pt
 from numpy.polynomial import chebyshev
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from zoo.core.errors.base import ErrorModel
 from zoo.core.surrogate.waveform import Surrogate, SurrogateError
@@ -50,8 +50,6 @@ class Table:
     left : array (nodes ** n_eta, rank)
     right : array (rank, n_entries)
         Products with the Chebyshev polynomials and with the entries (c, s_i s_j).
-    error : float
-        Largest error found between the nodes.
     """
 
     names: tuple[str, ...]
@@ -60,7 +58,6 @@ class Table:
     nodes: int
     left: Array
     right: Array
-    error: float
 
     @classmethod
     def of(cls, surrogate: Surrogate, errors: ErrorModel, points: Array) -> Table:
@@ -97,7 +94,7 @@ class Table:
         rng = np.random.default_rng(0)
         tried = rng.uniform(low, high, (24, len(low)))
         truth = np.array([entries(eta) for eta in tried])
-        found = None
+        error = np.inf
         for n in NODES:
             t = np.cos(np.pi * (np.arange(n) + 0.5) / n)
             transform = 2.0 / n * chebyshev.chebvander(t, n - 1).T
@@ -111,25 +108,16 @@ class Table:
             scale = np.sqrt((probe**2).mean(0)) + 1e-12
             u, size, v = np.linalg.svd(at * scale, full_matrices=False)
             rank = int(np.sum(size > KEPT))
-            found = cls(
-                errors.parameter_names, low, high, n, u[:, :rank] * size[:rank], v[:rank] / scale, 0.0
-            )
+            found = cls(errors.parameter_names, low, high, n, u[:, :rank] * size[:rank], v[:rank] / scale)
             guess = np.array([found._entries(eta) for eta in tried])
             error = float(np.abs((guess - truth) @ probe.T).max())
-            found = replace(found, error=error)
             if error <= EXACT:
                 return found
-        assert found is not None
         raise SurrogateError(
             f"error model {errors.name}: its covariance cannot be interpolated over the priors of "
-            f"{', '.join(errors.parameter_names)} (error {found.error:.1g} with {found.nodes} nodes): sample "
-            "with method exact"
+            f"{', '.join(errors.parameter_names)} (error {error:.1g} with {NODES[-1]} nodes): sample with "
+            "method exact"
         )
-
-    def _outside(self, eta: Array) -> float:
-        """What is taken from the log-likelihood beyond the ends of the table."""
-        past = np.maximum(np.maximum(self.low - eta, eta - self.high), 0.0) / (self.high - self.low)
-        return float(FENCE * (past**2).sum())
 
     def _entries(self, eta: Array) -> Array:
         t = 2.0 * (eta - self.low) / (self.high - self.low) - 1.0
@@ -139,22 +127,8 @@ class Table:
             product = np.multiply.outer(product, more).ravel()
         return np.asarray((product @ self.left) @ self.right)
 
-    def __call__(self, coefficients: Array, eta: Mapping[str, ArrayLike]) -> Array:
-        """Log-likelihood (n,) of coefficients (n, n_basis) with the errors' parameters (n,)."""
-        columns = np.log(np.array([np.asarray(eta[name], dtype=np.float64) for name in self.names]))
-        i, j = np.triu_indices(coefficients.shape[1] + 1)
-        s = np.concatenate([np.ones((len(coefficients), 1)), -coefficients], axis=1)
-        products = np.concatenate([np.ones((len(s), 1)), s[:, i] * s[:, j]], axis=1)
-        inside = np.clip(columns.T, self.low, self.high)
-        return np.array(
-            [
-                row @ self._entries(near) - self._outside(at)
-                for row, near, at in zip(products, inside, columns.T, strict=True)
-            ]
-        )
-
     def symbolic(self, coefficients: Any, eta: Mapping[str, Any]) -> Any:
-        """The same for one vector of coefficients (n_basis,), as a graph."""
+        """The log-likelihood of coefficients (n_basis,) with the errors' parameters, as a graph."""
         product, outside = None, 0.0
         for name, low, high in zip(self.names, self.low, self.high, strict=True):
             t = 2.0 * (pt.log(eta[name]) - low) / (high - low) - 1.0
