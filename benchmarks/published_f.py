@@ -3,8 +3,7 @@
 Prints the log-posterior and the log mass of each mode (of the Gaussian around it), and of the one that is
 asked for the draws' medians with 95 % intervals beside the published ones, WAIC and the sum of squared
 errors. Draws are those of one mode: where they start chooses it; the masses say how much each mode holds.
-Of the highest they are made as `zoo reproduce` makes them; a surrogate of a lesser one is poor, so that
-chains of the forward model itself are made there, which need not converge.
+At a lesser one chains need not converge.
 
 Usage: python benchmarks/published_f.py [--mode highest | published | prior] [--cores 2] [-o F.nc]
 """
@@ -12,7 +11,6 @@ Usage: python benchmarks/published_f.py [--mode highest | published | prior] [--
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 import arviz as az
 import numpy as np
@@ -39,10 +37,7 @@ def main() -> None:
     for name, mode in modes.items():
         mass = mode.logp + 0.5 * (d * np.log(2 * np.pi) + np.linalg.slogdet(mode.covariance)[1])
         print(f"mode {name}: log-posterior {mode.logp:.1f}, log mass {mass:.1f}", flush=True)
-    how: dict[str, Any] = {"method": "exact", "start": modes[args.mode], "draws": 3000}
-    if args.mode == "highest":
-        how = {"method": "surrogate", "start": MODES[args.mode], "until_ess": 400}
-    idata = sample(model, seed=1, cores=args.cores, **how)
+    idata = sample(model, method="exact", start=modes[args.mode], draws=3000, seed=1, cores=args.cores)
     rows = parameter_table({"F": idata}).set_index("parameter")
     theirs = published_table4()["F"]
     for name, cell in rows.iterrows():

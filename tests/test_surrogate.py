@@ -107,9 +107,8 @@ def test_the_table_of_a_process_is_its_log_density_and_its_gradient_that_of_diff
     made = surrogate_model(model, model.zoo, surrogate, theta)
     rng = np.random.default_rng(4)
     errors = {"w": np.exp(rng.uniform(-1, 1, 20)), "b": np.exp(rng.uniform(-1, 1, 20))}
-    points = [
-        dict(zip(("rate", "level", "w", "b"), row, strict=True)) for row in zip(*theta.T, *errors.values())
-    ]
+    rows = np.column_stack([theta, *errors.values()])
+    points = [dict(zip(("rate", "level", "w", "b"), row, strict=True)) for row in rows]
     ours = [likelihood(model, made, point) for point in points]
     np.testing.assert_allclose(ours, log_likelihood(model.zoo, surrogate.series(theta), errors), atol=2e-3)
     logp = made.compile_logp()
@@ -187,7 +186,7 @@ def test_a_bent_posterior_of_many_parameters_is_left_to_chains():
     method, reason = choose(bayesian_model("shell", forward, DATA, KNOWN))
     assert method == "exact"
     assert "bent" in reason
-    with pytest.raises(SamplingError, match="method = 'surrogate': .*bent posterior.*; use method exact"):
+    with pytest.raises(SamplingError, match=r"method = 'surrogate': .*bent posterior.*; use method exact"):
         choose(bayesian_model("shell", forward, DATA, KNOWN), "surrogate")
     assert choose(bayesian_model("shell", forward, DATA, PROCESS))[0] == "surrogate"
 
