@@ -359,9 +359,7 @@ def test_coordinates_are_logarithms_without_hyperparameters():
     coordinates = Coordinates((mean, each, LEVEL))
     theta = np.array([[5.0, np.e, 1.0, -2.0]])
     np.testing.assert_allclose(coordinates.of(theta), [[1.0, 0.0, -2.0]])
-    np.testing.assert_allclose(coordinates.theta(coordinates.of(theta))[0, 1:], theta[0, 1:])
-    np.testing.assert_allclose(coordinates.bounds()[0], [0.0, 0.0, -3.0])
-    np.testing.assert_allclose(coordinates.bounds()[1], [np.log(10), np.log(10), 3.0])
+    assert coordinates.n == 3
 
 
 def test_a_power_of_what_may_be_negative_is_refused():
@@ -449,8 +447,6 @@ def test_coordinates_are_the_powers_in_which_series_are_straight():
     coordinates = Coordinates((speed, plain))
     theta = np.array([[4.0, 16.0, 1.5]])
     np.testing.assert_allclose(coordinates.of(theta), [[0.5, 0.25, 1.5]])
-    np.testing.assert_allclose(coordinates.theta(coordinates.of(theta)), theta)
-    np.testing.assert_allclose(coordinates.bounds(), [[0.25, 0.25, 0.5], [1.0, 1.0, 2.0]])
     graph = coordinates.symbolic(
         {"speed": pytensor.tensor.constant(theta[0, :2]), "plain": pytensor.tensor.constant(1.5)}
     )

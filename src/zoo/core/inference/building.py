@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import qmc
 
 from zoo.core.draws import evenly
 from zoo.core.inference.correction import Weights, pareto_weights
@@ -23,9 +24,8 @@ from zoo.core.surrogate.waveform import Surrogate
 
 Array = NDArray[np.float64]
 
-FIRST_POINTS = 1.6
-"""Points of the first design for each term of a quadratic."""
-LEAST_POINTS = 150
+FIRST_POINTS, LEAST_POINTS = 1.0, 150
+"""Fewest points of the first design for each term of a quadratic, and in all, up to a power of two."""
 WIDER = 1.3
 """Standard deviations of a design, in those of the posterior that is known of."""
 DEFENSIVE = 0.85
@@ -125,10 +125,12 @@ class Builder:
         n = len(logp.template.data)
         self.power = 1.0 - float(np.sqrt(1.0 - DEFENSIVE ** (2.0 / n)))
         mean, covariance = self.begin(start)
-        normal = self.rng.standard_normal((max(400, 20 * self.coordinates.n), len(mean)))
-        self.learn(self.values(mean + normal @ np.linalg.cholesky(covariance).T))
-        d = self.coordinates.n
-        self.solve(self.design(max(LEAST_POINTS, int(FIRST_POINTS * (d + 1) * (d + 2) / 2))))
+        terms = (self.coordinates.n + 1) * (self.coordinates.n + 2) / 2
+        size = 1 << int(np.ceil(np.log2(max(LEAST_POINTS, FIRST_POINTS * terms))))
+        normal = qmc.MultivariateNormalQMC(np.zeros(n), seed=self.rng).random(size)
+        steps = normal @ np.linalg.cholesky(covariance).T
+        self.learn(self.values(mean + steps))
+        self.solve(theta_of(self.record, self.values(mean + WIDER * steps)))
 
     def values(self, vectors: Array) -> Draws:
         """Free variables in their own units, (n, ...), of vectors (n, n_dim)."""
@@ -163,21 +165,6 @@ class Builder:
         self.covariance = np.cov(self.vectors.T) + 1e-9 * np.eye(self.vectors.shape[1])
         x = self.coordinates.of(self.theta)
         self.near = x.mean(0), np.cov(x.T).reshape(self.coordinates.n, -1)
-
-    def design(self, n: int) -> Array:
-        """Points (n, n_values) of a normal design in the coordinates, within the priors' bounds."""
-        from scipy.stats import norm, qmc
-
-        d, (mean, covariance) = self.coordinates.n, self.near
-        sobol = qmc.Sobol(d, seed=int(self.rng.integers(1 << 31)))
-        u = norm.ppf(np.clip(sobol.random(1 << int(np.ceil(np.log2(2 * n)))), 1e-6, 1 - 1e-6))
-        x = mean + WIDER * u @ np.linalg.cholesky(covariance).T
-        low, high = self.coordinates.bounds()
-        x = x[np.all((x > low) & (x < high), axis=1)]
-        if len(x) < n:  # a posterior that leans on bounds: what lies outside is drawn to them
-            more = mean + WIDER * self.rng.standard_normal((n, d)) @ np.linalg.cholesky(covariance).T
-            x = np.concatenate([x, np.clip(more, *_inside(low, high, mean))])
-        return self.coordinates.theta(x[:n])
 
     def solve(self, theta: Array) -> Array:
         """Series at points (n, n_values), which join the library."""
@@ -273,11 +260,3 @@ def errors_of(record: ModelRecord, draws: Mapping[str, Array]) -> dict[str, Arra
 def _flat(draws: Draws) -> Draws:
     """Draws of all chains, variable -> (n_chains n_draws, ...)."""
     return {name: value.reshape(-1, *value.shape[2:]) for name, value in draws.items()}
-
-
-def _inside(low: Array, high: Array, mean: Array) -> tuple[Array, Array]:
-    """Bounds drawn in a little, so that a density is not zero there."""
-    return (
-        np.where(np.isfinite(low), low + 1e-3 * (mean - low), low),
-        np.where(np.isfinite(high), high - 1e-3 * (high - mean), high),
-    )
