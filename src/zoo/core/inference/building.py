@@ -12,7 +12,8 @@ from scipy.stats import qmc
 
 from zoo.core.draws import evenly
 from zoo.core.inference.correction import Weights, pareto_weights
-from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name, outputs
+from zoo.core.inference.logposterior import LogPosterior, outputs
+from zoo.core.inference.mode import first_point
 from zoo.core.inference.newton import GRADIENT, gauss_newton
 from zoo.core.inference.nuts import Draws, nuts
 from zoo.core.model import ModelRecord, record_of, theta_of
@@ -50,15 +51,14 @@ class Weighed:
     ----------
     draws : dict
         Variable -> (n_chains, n_draws, ...).
-    log_weights, lacks : array (n_chains, n_draws)
-        The exact posterior over the surrogate's, and by how much its log-likelihood is too low.
+    log_weights : array (n_chains, n_draws)
+        Of the exact posterior over the surrogate's.
     missed : float
         What part of the posterior the surrogate misses at least.
     """
 
     draws: Draws
     log_weights: Array
-    lacks: Array
     missed: float = 0.0
 
     @property
@@ -82,12 +82,8 @@ class Weighed:
 
     def more(self, other: Weighed) -> Weighed:
         """With more draws of the same surrogate."""
-        return Weighed(
-            {name: np.concatenate([value, other.draws[name]], axis=1) for name, value in self.draws.items()},
-            np.concatenate([self.log_weights, other.log_weights], axis=1),
-            np.concatenate([self.lacks, other.lacks], axis=1),
-            self.missed,
-        )
+        draws = {n: np.concatenate([value, other.draws[n]], axis=1) for n, value in self.draws.items()}
+        return Weighed(draws, np.concatenate([self.log_weights, other.log_weights], axis=1), self.missed)
 
 
 class Builder:
@@ -141,21 +137,9 @@ class Builder:
 
     def begin(self, start: Mapping[str, Any] | None = None) -> tuple[Array, Array]:
         """Where the posterior is, about: a point (n_dim,) and a covariance, by Gauss-Newton steps."""
-        logp, d = self.logp, len(self.logp.template.data)
-        points = [logp.vector(logp.initial)]
-        if start is not None:
-            points = [logp.from_values(start)]
-        elif self.record.suggested:
-            points.append(logp.from_values(self.record.suggested))
-        heights = [logp(q) for q in points]
-        best = int(np.argmax(heights))
-        if not np.isfinite(heights[best]):
-            raise SamplingError(
-                f"model {model_name(logp.model)}: neither its initial nor its suggested values can be "
-                "solved; pass start={name: value} with values that can"
-            )
-        step = 2 + max(d, GRADIENT)  # solves, with derivatives by differences or by the solver
-        q, _, frame = gauss_newton(logp, points[best], heights[best], limit=6 * step)
+        q, value = first_point(self.logp, start, self.seed)
+        step = 2 + max(len(q), GRADIENT)  # solves, with derivatives by differences or by the solver
+        q, _, frame = gauss_newton(self.logp, q, value, limit=6 * step)
         return q, frame @ frame.T
 
     def learn(self, draws: Draws) -> None:
@@ -202,9 +186,8 @@ class Builder:
         self.learn(_flat(long))
         kept = {name: value[:, ::thin] for name, value in long.items()}
         log_weights, lacks = self.compared(made, _flat(kept))
-        shape = self.chains, draws
         missed = self.missed(made, lacks) if beyond else 0.0
-        return Weighed(kept, log_weights.reshape(shape), lacks.reshape(shape), missed)
+        return Weighed(kept, log_weights.reshape(self.chains, draws), missed)
 
     def compared(self, made: Any, draws: Draws) -> tuple[Array, Array]:
         """Draws (n, ...) solved: log weights, and by how much the surrogate's log-likelihood is too low."""

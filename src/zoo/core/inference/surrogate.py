@@ -107,7 +107,7 @@ def sample_surrogate(
     """
     from zoo.core.inference.progress import Display
 
-    began, used = time.monotonic(), time.process_time()
+    began = time.monotonic()
     started = datetime.now(UTC).isoformat(timespec="seconds")
     record = record_of(model)
     logp = LogPosterior(model)
@@ -179,7 +179,6 @@ def sample_surrogate(
                 "correction solves": log_weights.size,
                 "correction": "importance resampling",
                 "power": builder.power,
-                "processor seconds": time.process_time() - used,
                 "rounds": rounds,
             }
             | _figures(weighed),
