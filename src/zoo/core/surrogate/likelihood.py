@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -73,8 +74,6 @@ class Table:
         ends = np.array([p.prior.support for p in errors.parameters])
         low, high = np.log(ends).T
         rows = np.concatenate([(errors.on.values - surrogate.middle)[None], surrogate.basis])
-        upper = np.triu_indices(len(rows))
-        double = np.where(upper[0] == upper[1], 1.0, 2.0)
 
         def entries(eta: Array) -> Array:
             values = dict(zip(errors.parameter_names, np.exp(eta), strict=True))
@@ -85,11 +84,12 @@ class Table:
                 )
             flat = z.reshape(len(rows), -1)
             constant = errors.log_density(np.zeros_like(rows[0]), values)
-            return np.concatenate([[constant], -0.5 * double * (flat @ flat.T)[upper]])
+            return np.concatenate([[constant], -0.5 * (flat @ flat.T).ravel()])
 
         a = surrogate.coefficients(points)
         s = np.concatenate([np.ones((len(a), 1)), -a], axis=1)
-        probe = np.concatenate([np.ones((len(a), 1)), s[:, upper[0]] * s[:, upper[1]]], axis=1)
+        squares = (s[:, :, None] * s[:, None, :]).reshape(len(s), -1)
+        probe = np.concatenate([np.ones((len(s), 1)), squares], axis=1)
         low, high = _where(lambda eta: float((probe @ entries(eta)).max()), low, high)
         rng = np.random.default_rng(0)
         tried = rng.uniform(low, high, (24, len(low)))
@@ -97,14 +97,9 @@ class Table:
         error = np.inf
         for n in NODES:
             t = np.cos(np.pi * (np.arange(n) + 0.5) / n)
-            transform = 2.0 / n * chebyshev.chebvander(t, n - 1).T
-            transform[0] *= 0.5
             grid = np.array(list(itertools.product(t, repeat=len(low))))
             at = np.array([entries(low + 0.5 * (x + 1.0) * (high - low)) for x in grid])
-            for _ in range(len(low)):  # one direction after the other
-                shape = at.shape
-                at = np.tensordot(transform, at.reshape(n, -1), 1).reshape(shape)
-                at = np.moveaxis(at.reshape((n,) * len(low) + (-1,)), 0, len(low) - 1).reshape(shape)
+            at = np.linalg.solve(np.array([_products(x, n) for x in grid]), at)
             scale = np.sqrt((probe**2).mean(0)) + 1e-12
             u, size, v = np.linalg.svd(at * scale, full_matrices=False)
             rank = int(np.sum(size > KEPT))
@@ -121,11 +116,7 @@ class Table:
 
     def _entries(self, eta: Array) -> Array:
         t = 2.0 * (eta - self.low) / (self.high - self.low) - 1.0
-        each = [chebyshev.chebvander(x, self.nodes - 1) for x in t]
-        product = each[0]
-        for more in each[1:]:
-            product = np.multiply.outer(product, more).ravel()
-        return np.asarray((product @ self.left) @ self.right)
+        return np.asarray((_products(t, self.nodes) @ self.left) @ self.right)
 
     def symbolic(self, coefficients: Any, eta: Mapping[str, Any]) -> Any:
         """The log-likelihood of coefficients (n_basis,) with the errors' parameters, as a graph."""
@@ -137,18 +128,20 @@ class Table:
             each = pt.cos(np.arange(self.nodes) * angle)
             product = each if product is None else pt.outer(product, each).ravel()
         assert product is not None
-        n = self.right.shape[1]
-        size = int((np.sqrt(8 * (n - 1) + 1) - 1) / 2)
-        i, j = np.triu_indices(size)
+        rank, size = len(self.right), math.isqrt(self.right.shape[1] - 1)
         s = pt.concatenate([np.ones(1), -coefficients])
-        squares = np.zeros((size, size, len(self.right)))
-        squares[i, j] = squares[j, i] = self.right[:, 1:].T
-        squares *= np.where(np.eye(size, dtype=bool), 1.0, 0.5)[..., None]
-        flat = squares.transpose(0, 2, 1).reshape(size, -1)  # (size, rank * size)
-        rank = len(self.right)
+        flat = self.right[:, 1:].reshape(rank, size, size).transpose(1, 0, 2).reshape(size, -1)
         half = pt.dot(s, flat).reshape((rank, size))
         factors = pt.dot(product, self.left)
         return pt.dot(factors, self.right[:, 0] + pt.dot(half, s)) - outside
+
+
+def _products(t: Array, n: int) -> Array:
+    """Products (n ** n_eta,) of the first n Chebyshev polynomials of each of t (n_eta,)."""
+    found = np.ones(1)
+    for x in t:
+        found = np.multiply.outer(found, chebyshev.chebvander(x, n - 1)).ravel()
+    return found
 
 
 def no_table(errors: ErrorModel) -> str:
