@@ -262,6 +262,7 @@ def test_what_a_surrogate_leaves_out_is_estimated_and_refused(monkeypatch):
     expected = (stats.norm.cdf(reach) - stats.norm.cdf(edge)) / stats.norm.cdf(reach)
     assert expected > 0.1
     assert looked.missed == pytest.approx(expected, abs=0.05)
+    assert looked.weights.trusted
     assert not looked.trusted
 
 

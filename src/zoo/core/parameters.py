@@ -74,7 +74,7 @@ class Parameter:
 
     @property
     def response(self) -> float:
-        """The power of it in which polynomials are written, 0 for its logarithm."""
+        """The power of it that a surrogate takes, 0 for its logarithm."""
         return (0.0 if self.log else 1.0) if self.power is None else float(self.power)
 
     @property

@@ -25,8 +25,8 @@ from zoo.core.surrogate.waveform import Surrogate
 
 Array = NDArray[np.float64]
 
-FIRST_POINTS, LEAST_POINTS = 1.0, 150
-"""Fewest points of the first design for each term of a quadratic, and in all, up to a power of two."""
+LEAST_POINTS = 150
+"""Fewest points of the first design; as many as a quadratic has terms, if that is more."""
 WIDER = 1.3
 """Standard deviations of a design, in those of the posterior that is known of."""
 DEFENSIVE = 0.85
@@ -122,7 +122,7 @@ class Builder:
         self.power = 1.0 - float(np.sqrt(1.0 - DEFENSIVE ** (2.0 / n)))
         mean, covariance = self.begin(start)
         terms = (self.coordinates.n + 1) * (self.coordinates.n + 2) / 2
-        size = 1 << int(np.ceil(np.log2(max(LEAST_POINTS, FIRST_POINTS * terms))))
+        size = 1 << int(np.ceil(np.log2(max(LEAST_POINTS, terms))))
         normal = qmc.MultivariateNormalQMC(np.zeros(n), seed=self.rng).random(size)
         steps = normal @ np.linalg.cholesky(covariance).T
         self.learn(self.values(mean + steps))
