@@ -43,8 +43,8 @@ class Parameter:
     log : bool
         Whether a search steps in its logarithm, which leaves the prior as it is.
     power : float, optional
-        Power of it in which solutions are most nearly linear, 0 for its logarithm: polynomials in place of
-        the forward model are written in it. Of a stiffness -1/2, for so goes the time a wave travels. If
+        Power of it in which solutions are most nearly linear, 0 for its logarithm: a surrogate in place of
+        the forward model is made in it. Of a stiffness -1/2, for so goes the time a wave travels. If
         absent the logarithm where `log`, else the parameter itself.
     dims : str
         Name of the dimension of a vector, such as "vessel"; empty for a number.
@@ -74,7 +74,7 @@ class Parameter:
 
     @property
     def response(self) -> float:
-        """The power of it in which polynomials are written, 0 for its logarithm."""
+        """The power of it that a surrogate takes, 0 for its logarithm."""
         return (0.0 if self.log else 1.0) if self.power is None else float(self.power)
 
     @property

@@ -1,8 +1,7 @@
-"""Draws of an approximate posterior made exact: weights, resampling along the chains, delayed acceptance."""
+"""Draws of an approximate posterior made exact: Pareto-smoothed weights, and resampling along the chains."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,91 +97,3 @@ def along_chains(weights: Array, rng: np.random.Generator) -> NDArray[np.int64]:
         ends = np.cumsum(w) / w.sum()
         found.append(np.minimum(np.searchsorted(ends, (np.arange(n) + rng.uniform()) / n), n - 1))
     return np.array(found)
-
-
-def delayed_acceptance(
-    move: Callable[[Array, np.random.Generator], Array],
-    log_weight: Callable[[Array], float],
-    start: Array,
-    n: int,
-    rng: np.random.Generator,
-) -> tuple[Array, Array, Array]:
-    """A chain of the exact posterior from moves that leave the approximate one as it is.
-
-    A move from q to q' that is reversible for the approximate density p* is accepted with probability
-    min(1, w(q') / w(q)), w = p/p*, so only where the approximate density would go is solved. Moves of several
-    steps of one kernel are reversible, too.
-
-    Parameters
-    ----------
-    move : callable
-        A reversible move for p*: from a point (n_dim,) to another, or the same.
-    log_weight : callable
-        log w, with one solve; -inf where it fails.
-    start : array (n_dim,)
-    n : int
-        Draws.
-    rng : Generator
-
-    Returns
-    -------
-    draws : array (n, n_dim)
-    log_weights : array (n,)
-    accepted : array (n,)
-
-    References
-    ----------
-    Christen, Fox (2005), doi 10.1198/106186005X76983; Liu (2001), Monte Carlo Strategies in Scientific
-    Computing, section 9.4.3 (surrogate transitions).
-    """
-    q, w = np.array(start, dtype=np.float64), log_weight(start)
-    draws, weights, accepted = np.empty((n, len(q))), np.empty(n), np.zeros(n, dtype=bool)
-    for i in range(n):
-        proposal = move(q, rng)
-        if not np.array_equal(proposal, q):
-            there = log_weight(proposal)
-            if np.log(rng.uniform()) < there - w or not np.isfinite(w):
-                q, w, accepted[i] = proposal, there, True
-        draws[i], weights[i] = q, w
-    return draws, weights, accepted
-
-
-@dataclass
-class HamiltonianMoves:
-    """Several Hamiltonian steps in a density with a gradient: a reversible move.
-
-    Parameters
-    ----------
-    logp_dlogp : callable
-        Log-density and its gradient at a point (n_dim,).
-    cholesky : array (n_dim, n_dim)
-        Of the covariance of the density, about.
-    step : float
-        Of the leapfrog, in standard deviations.
-    leapfrogs, times : int
-        Leapfrog steps of each Hamiltonian step, and how many of these make a move.
-    """
-
-    logp_dlogp: Callable[[Array], tuple[float, Array]]
-    cholesky: Array
-    step: float = 0.3
-    leapfrogs: int = 6
-    times: int = 4
-
-    def __call__(self, q: Array, rng: np.random.Generator) -> Array:
-        """A point that the chain may go to."""
-        value, slope = self.logp_dlogp(q)
-        for _ in range(self.times):
-            p = rng.standard_normal(len(q))
-            x, there, gradient, momentum = q, value, slope, p
-            for _ in range(self.leapfrogs):
-                momentum = momentum + 0.5 * self.step * (self.cholesky.T @ gradient)
-                x = x + self.step * (self.cholesky @ momentum)
-                there, gradient = self.logp_dlogp(x)
-                if not np.isfinite(there):
-                    break
-                momentum = momentum + 0.5 * self.step * (self.cholesky.T @ gradient)
-            gain = there - value - 0.5 * (momentum @ momentum - p @ p)
-            if np.isfinite(there) and np.log(rng.uniform()) < gain:
-                q, value, slope = x, there, gradient
-        return q

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from zoo.core.forward import SolveError
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
+from zoo.core.inference.mode import has_many
 from zoo.core.inference.sampling import check_settings, has_gradient, sample_nuts
 from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.inference.surrogate import sample_surrogate
@@ -30,7 +31,7 @@ FEW = 8
 SLOW = 0.05
 """Seconds of a solve from which on a surrogate is quicker with as few dimensions, too."""
 MOST = 60
-"""Coordinates of the solves above which a polynomial surrogate needs too many of them."""
+"""Coordinates of the solves above which a surrogate needs too many of them."""
 ONLY_EXACT: dict[str, tuple[Any, ...]] = {
     "step": (None, "demetropolisz"),
     "thin": (None,),
@@ -121,7 +122,11 @@ def _no_surrogate(model: Any) -> str:
     n = sum(p.size for p in record.forward.parameters if not p.hyper)
     if n > MOST:
         return f"{n} parameters of the solves are more than a surrogate takes ({MOST})"
-    return "" if errors_in_graph(record) else no_table(record.errors)
+    if not errors_in_graph(record):
+        return no_table(record.errors)
+    if has_many(LogPosterior(model)):
+        return "many parameters under independent errors have a bent posterior, beside which a design lies"
+    return ""
 
 
 def sample(
@@ -134,7 +139,7 @@ def sample(
     model : pm.Model
     method : str
         Of `choose`; what "auto" takes is printed with the reason. Where it takes a surrogate that cannot be
-        made or misses a part of the posterior, the forward model is sampled instead.
+        made or does not serve, the forward model is sampled instead.
     checkpoint : path, optional
         Folder of the run, which goes on from there; of a surrogate it holds the solves.
     **settings

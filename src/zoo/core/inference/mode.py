@@ -117,7 +117,7 @@ def search_mode(
     from scipy.optimize import minimize
 
     before = logp.evaluations
-    q, best = _first_point(logp, start, seed)
+    q, best = first_point(logp, start, seed)
     d = len(q)
     worst = [best]
 
@@ -158,7 +158,8 @@ def search_mode(
     return Mode(q, logp.to_values(q), best, covariance, logp.evaluations - before)
 
 
-def _first_point(logp: LogPosterior, start: Mapping[str, ArrayLike] | None, seed: int) -> tuple[Array, float]:
+def first_point(logp: LogPosterior, start: Mapping[str, ArrayLike] | None, seed: int) -> tuple[Array, float]:
+    """Where a search begins, (n_dim,), and its log-posterior: of what is given or suggested, or at random."""
     candidates = [logp.vector(logp.initial)]
     if start is not None:
         candidates = [logp.from_values(start)]

@@ -28,8 +28,8 @@ def nuts(
     tune: int,
     cores: int,
     seed: int,
-) -> tuple[Draws, int]:
-    """NUTS in a model with a gradient, a chain from each start: draws, and evaluations of the gradient.
+) -> Draws:
+    """NUTS in a model with a gradient, a chain from each start.
 
     Parameters
     ----------
@@ -46,9 +46,8 @@ def nuts(
 
     Returns
     -------
-    draws : dict
+    dict
         Variable -> (n_chains, n_draws, ...).
-    gradients : int
 
     References
     ----------
@@ -73,5 +72,4 @@ def nuts(
             compute_convergence_checks=False,
         )
     posterior = found["posterior"]
-    kept = {name: posterior[name].transpose("chain", "draw", ...).to_numpy() for name in names}
-    return kept, int(found["sample_stats"]["n_steps"].sum()) + 10 * tune * len(starts)
+    return {name: posterior[name].transpose("chain", "draw", ...).to_numpy() for name in names}

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,33 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.draws import seed_or_drawn
-from zoo.core.inference.building import (
-    JUMP_THIN,
-    JUMP_TUNE,
-    Builder,
-    Built,
-    flat_draws,
-    missed_words,
-    misses_much,
-    some_draws,
-)
+from zoo.core.inference.building import Builder, Weighed
 from zoo.core.inference.convergence import check_convergence, ess_to_count
-from zoo.core.inference.correction import (
-    HamiltonianMoves,
-    Weights,
-    along_chains,
-    delayed_acceptance,
-    pareto_weights,
-)
+from zoo.core.inference.correction import along_chains
 from zoo.core.inference.kept_solves import KeptSolves
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
-from zoo.core.inference.mode import has_many
-from zoo.core.inference.nuts import Draws, nuts
+from zoo.core.inference.nuts import Draws
 from zoo.core.inference.record_of_run import attach_record, inference_data
 from zoo.core.inference.starts import start_settings
 from zoo.core.model import record_of
 from zoo.core.surrogate.library import Library
-from zoo.core.surrogate.model import errors_in_graph
 from zoo.core.surrogate.waveform import SurrogateError
 
 if TYPE_CHECKING:
@@ -48,6 +30,13 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+ROUNDS = 8
+"""Surrogates that are made at most."""
+ROUND_DRAWS, ROUND_TUNE, ROUND_THIN = 40, 400, 4
+"""Draws of each chain that are solved to see what a surrogate is worth, steps of NUTS before and for each."""
+ENOUGH, TAIL = 0.6, 0.5
+"""Effective share of those draws, and their k-hat, with which a surrogate is sampled: few draws make both
+uncertain, and another round costs less than draws whose weights are not trusted."""
 FINAL_TUNE = 600
 """Steps of NUTS on the last surrogate to adapt, thrown away."""
 THIN = 8
@@ -57,12 +46,6 @@ MOST_DRAWS = 8
 PILOT, PILOTED = 4, 400
 """One draw in so many of a posterior is solved first, and tells whether the others are worth it; all at once
 where there are fewer than so many."""
-REFITS = 2
-"""How often draws whose weights are not trusted join the surrogate's design, before delayed acceptance."""
-JUMPS = 100
-"""Effective sample size of chains that jump, below which NUTS is tried too, which follows a bend."""
-FLATTEST = 0.05
-"""Least power of a surrogate's posterior that delayed acceptance moves in."""
 
 
 def sample_surrogate(
@@ -85,9 +68,8 @@ def sample_surrogate(
 
     A surrogate is built around the posterior (`Builder`). Every stored draw of NUTS is then solved with the
     forward model itself, and weighed by the exact likelihood over the surrogate's to a power. With k-hat up
-    to 0.7 the draws are resampled by their smoothed weights, along each chain; else chains of delayed
-    acceptance are made, in which every step is accepted by the forward model. Effective sample sizes and
-    R-hat are those of the draws after that.
+    to 0.7 the draws are resampled by their smoothed weights, along each chain; else they join the solves that
+    the next surrogate is made of. Effective sample sizes and R-hat are those of the draws after that.
 
     Parameters
     ----------
@@ -109,24 +91,23 @@ def sample_surrogate(
     -------
     arviz.InferenceData
         As of `sample`; sample_stats also has log_weight of each stored draw. The run record's settings tell
-        how many solves the building and the correction took, k-hat, the effective share and each round.
+        how many solves there were, k-hat, the effective and the missed share and each round.
 
     Raises
     ------
     SamplingError
         If the posterior cannot be found.
     zoo.core.surrogate.waveform.SurrogateError
-        If the error model or the forward model does not allow a surrogate, or it misses a part of the
-        posterior.
+        If the error model or the forward model does not allow a surrogate, or none was found that its draws
+        can be weighed of.
 
     References
     ----------
-    Vehtari et al. (2024), Journal of Machine Learning Research 25(72); Christen, Fox (2005), doi
-    10.1198/106186005X76983.
+    Vehtari et al. (2024), Journal of Machine Learning Research 25(72).
     """
     from zoo.core.inference.progress import Display
 
-    began, used = time.monotonic(), time.process_time()
+    began = time.monotonic()
     started = datetime.now(UTC).isoformat(timespec="seconds")
     record = record_of(model)
     logp = LogPosterior(model)
@@ -135,9 +116,9 @@ def sample_surrogate(
         raise SamplingError(
             f"library: is of {library.model.name} with other settings; give one of this model"
         )
-    bent = has_many(logp) and errors_in_graph(record)  # such a posterior has lesser modes too
-    before, goal = library.solves, ess_to_count(until_ess)
+    before = library.solves
     tune = FINAL_TUNE if tune is None else tune
+    limit = max_draws or MOST_DRAWS * draws
     store: KeptSolves | None = None
     if checkpoint is not None:
         fixed = {"step": "surrogate", "tune": tune, "chains": chains, "start": start_settings(start)}
@@ -149,84 +130,58 @@ def sample_surrogate(
         Display(progress, tune=tune, thin=THIN, cores=cores, ess=until_ess) as show,
     ):
         show.say(
-            f"model {model_name(model)}: {len(logp.template.data)} dimensions, {chains} chains of "
-            f"{'differential evolution' if bent else 'NUTS'} on a surrogate of {record.forward.name}, "
-            f"seed {seed}{'' if store is None else store.text}"
+            f"model {model_name(model)}: {len(logp.template.data)} dimensions, {chains} chains of NUTS on a "
+            f"surrogate of {record.forward.name}, seed {seed}{'' if store is None else store.text}"
         )
-        builder = Builder(logp, library, seed=seed, cores=cores, say=show.say)
-        exploring = 0
-        if bent:
-            with show.during("chains look for the posterior", lambda: f"{logp.evaluations} evaluations"):
-                exploring = builder.explore(start, chains)
-        built = builder.build(start)
-        building = library.solves - before
-        limit = max_draws or MOST_DRAWS * draws
-        kept, again = draws, 0
-        weighed: _Weighed | None = None
-        while True:
-            weighed = _draw_and_weigh(builder, built, weighed, kept, tune, chains, last=again == REFITS)
-            if weighed.bad and again < REFITS:
-                again += 1
-                weights = weighed.weights
-                show.say(
-                    f"k-hat {weights.k_hat:.2f} of {weights.smoothed.size} draws of the surrogate"
-                    f"{missed_words(weighed.missed)}: they join its design"
-                )
-                built = builder.again(built, weighed.draws, weighed.weights, weighed.missed)
-                weighed = None
-                continue
-            if misses_much(weighed.missed):
-                share = 100 * (weighed.missed or 0.0)
-                raise SurrogateError(
-                    f"model {model_name(model)}: the surrogate misses at least {share:.0f} % of the "
-                    "posterior, which no weights of its draws can mend; sample with method exact"
-                )
-            result = _corrected(builder, built, weighed)
-            verdict = check_convergence(result.draws, ess=goal)
-            if until_ess is None or verdict.passes or kept >= limit:
-                break
-            least = max(verdict.min_ess, 1.0)
-            kept = min(limit, int(np.ceil(kept * float(np.clip(1.2 * goal / least, 1.3, 3.0)))))
-            show.say(f"effective sample size {least:.0f} of {goal:.0f}: {kept} draws of each chain")
-        show.say(result.words)
-        if builder.mode is not None:
+        builder = Builder(logp, library, start, seed=seed, chains=chains, cores=cores)
+        rounds: list[dict[str, Any]] = []
+        for turn in range(1, ROUNDS + 1):
+            surrogate, made = builder.surrogate()
+            weighed = builder.look(made, ROUND_DRAWS, ROUND_TUNE, ROUND_THIN)
+            error = float(np.sqrt(surrogate.map.left_out))
+            figures = {"points": len(surrogate.map.points), "basis": len(surrogate.basis), "error": error}
+            rounds.append(figures | _figures(weighed))
             show.say(
-                f"these draws are of one mode, of log-posterior {builder.mode.logp:.1f}: the posterior of so "
-                "many parameters may have others; start={name: value} begins at another"
+                f"surrogate {turn}: {len(surrogate.map.points)} solves, {len(surrogate.basis)} components, "
+                f"error {error:.2g} of the noise; {weighed.text}"
             )
-        shape = result.log_weights.shape
-        stats = {
-            "log_weight": result.log_weights,
-            "accepted": np.ones(shape) if result.accepted is None else result.accepted.astype(float),
-            "solves": np.ones(shape, dtype=np.int64),
-        }
-        idata = inference_data(model, result.draws, stats)
-        solves = exploring + library.solves - before
-        wall = time.monotonic() - began if store is None else store.seconds
+            weights = weighed.weights
+            enough = weighed.trusted and weights.effective >= ENOUGH and weights.k_hat <= TAIL
+            if not enough and turn < ROUNDS:
+                builder.solve(builder.theta[ROUND_THIN // 2 :: ROUND_THIN])
+                continue
+            weighed = _sampled(builder, made, draws, tune, until_ess, limit, show.say)
+            show.say(weighed.text)
+            if weighed.trusted:
+                break
+        else:
+            raise SurrogateError(
+                f"model {model_name(model)}: no weights make the draws of a surrogate exact: {weighed.text}; "
+                "sample with method exact"
+            )
+        corrected, log_weights = _resampled(weighed, builder.seed)
+        kept = log_weights.shape[1]
+        stats = {"log_weight": log_weights, "solves": np.ones(log_weights.shape, dtype=np.int64)}
+        idata = inference_data(model, corrected, stats)
+        solves = library.solves - before
         settings = {
             "method": "surrogate",
-            "step": "demetropolisz" if bent else "nuts",
-            "tune": JUMP_TUNE if bent else tune,
-            "thin": JUMP_THIN if bent else THIN,
+            "step": "nuts",
+            "tune": tune,
+            "thin": THIN,
             "chains": chains,
             "draws": kept,
             "first check": draws,
             "until_ess": until_ess,
             "cores": cores,
             "surrogate": {
-                "mode": None if builder.mode is None else builder.mode.logp,
-                "exploring solves": exploring,
-                "building solves": building,
-                "correction solves": solves - exploring - building,
-                "correction": result.correction,
-                "power": built.made.power,
-                "k_hat": result.weights.k_hat,
-                "effective share": result.weights.effective,
-                "missed share": weighed.missed,
-                "gradients of the surrogate": builder.gradients,
-                "processor seconds": time.process_time() - used,
-                "rounds": built.log,
-            },
+                "building solves": solves - log_weights.size,
+                "correction solves": log_weights.size,
+                "correction": "importance resampling",
+                "power": builder.power,
+                "rounds": rounds,
+            }
+            | _figures(weighed),
         }
         attach_record(
             idata,
@@ -238,7 +193,7 @@ def sample_surrogate(
             steps=chains * kept,
             mode_evaluations=logp.evaluations,
             failures=dict(library.failures),
-            wall_seconds=wall,
+            wall_seconds=time.monotonic() - began if store is None else store.seconds,
             started=started,
             sittings=1 if store is None else store.sittings,
             say=show.say,
@@ -246,161 +201,42 @@ def sample_surrogate(
     return idata
 
 
-@dataclass(frozen=True)
-class _Weighed:
-    """Draws of a surrogate, variable -> (n_chains, n_draws, ...), and what the forward model says of them.
-
-    Where the first that are solved say that the surrogate is bad, the others are not, and `log_weights` are
-    absent.
-    """
-
-    draws: Draws
-    log_weights: Array | None
-    weights: Weights
-    missed: float | None
-    bad: bool
+def _figures(weighed: Weighed) -> dict[str, float]:
+    """What draws say of their surrogate, for the record."""
+    weights = weighed.weights
+    return {"k_hat": weights.k_hat, "effective share": weights.effective, "missed share": weighed.missed}
 
 
-@dataclass(frozen=True)
-class _Corrected:
-    """Draws that count: variable -> (n_chains, n_draws, ...), their weights before, and what was done."""
-
-    draws: Draws
-    log_weights: Array
-    weights: Weights
-    correction: str
-    words: str
-    accepted: Array | None = None
-
-
-def _draw_and_weigh(
+def _sampled(
     builder: Builder,
-    built: Built,
-    before: _Weighed | None,
-    kept: int,
+    made: Any,
+    draws: int,
     tune: int,
-    chains: int,
-    *,
-    last: bool,
-) -> _Weighed:
-    """As many draws of each chain as are wanted, those that were solved before among them.
-
-    `last` says that no better surrogate will be made: draws that have bad weights are solved too.
-    """
-    have = 0 if before is None or before.log_weights is None else before.log_weights.shape[1]
-    draws = _drawn(builder, built, kept - have, tune, chains)
-    flat = flat_draws(draws)
-    log_weights = np.empty(chains * (kept - have))
-    first = np.arange(len(log_weights)) % PILOT == 0
-    first |= len(log_weights) < PILOTED
-    log_weights[first], lacks = builder.compared(built.made, some_draws(flat, first), keep=True)
-    if before is None:
-        missed = builder.missed(built.made, flat, lacks)
-        weights = pareto_weights(log_weights[first][None])
-        if misses_much(missed) or not (last or builder.sound(weights)):
-            return _Weighed(draws, None, weights, missed, bad=True)
-    else:
-        missed = before.missed
-    log_weights[~first], _ = builder.compared(built.made, some_draws(flat, ~first), keep=True)
-    each = log_weights.reshape(chains, -1)
-    if before is not None and before.log_weights is not None:
-        draws = {n: np.concatenate([before.draws[n], v], axis=1) for n, v in draws.items()}
-        each = np.concatenate([before.log_weights, each], axis=1)
-    weights = pareto_weights(each)
-    return _Weighed(draws, each, weights, missed, bad=not weights.trusted or misses_much(missed))
+    until_ess: float | None,
+    limit: int,
+    say: Callable[[str], None],
+) -> Weighed:
+    """As many draws of each chain as are wanted, or fewer if these cannot be made exact."""
+    first = draws if draws * builder.chains < PILOTED else max(1, draws // PILOT)
+    weighed = builder.look(made, first, tune, THIN)
+    goal, wanted = ess_to_count(until_ess), draws
+    while weighed.trusted:
+        have = weighed.log_weights.shape[1]
+        if have >= wanted:
+            verdict = check_convergence(_resampled(weighed, builder.seed)[0], ess=goal)
+            if until_ess is None or verdict.passes or have >= limit:
+                break
+            least = max(verdict.min_ess, 1.0)
+            wanted = min(limit, int(np.ceil(have * float(np.clip(1.2 * goal / least, 1.3, 3.0)))))
+            say(f"effective sample size {least:.0f} of {goal:.0f}: {wanted} draws of each chain")
+        weighed = weighed.more(builder.look(made, wanted - have, tune, THIN, beyond=False))
+    return weighed
 
 
-def _drawn(builder: Builder, built: Built, kept: int, tune: int, chains: int) -> Draws:
-    """Chains on the surrogate."""
-    seed = int(builder.rng.integers(1 << 31))
-    starts = built.starts[np.arange(chains) % len(built.starts)]
-    draws, least = None, 0.0
-    if builder.bent:
-        draws = builder.jumping(built.made, built.covariance, starts, kept, seed)
-        least = check_convergence(draws).min_ess
-    if draws is None or not least >= JUMPS:
-        long, gradients = nuts(
-            built.made.model,
-            builder.names,
-            built.covariance,
-            starts,
-            builder.values(starts),
-            draws=kept * THIN,
-            tune=tune,
-            cores=builder.cores,
-            seed=seed,
-        )
-        builder.gradients += gradients
-        thinned = {name: value[:, ::THIN] for name, value in long.items()}
-        if draws is None or check_convergence(thinned).min_ess > least:
-            draws = thinned
-    return draws
-
-
-def _corrected(builder: Builder, built: Built, weighed: _Weighed) -> _Corrected:
-    """Weighed draws resampled along their chains, or where k-hat says no chains of delayed acceptance."""
-    draws, log_weights, weights = weighed.draws, weighed.log_weights, weighed.weights
-    assert log_weights is not None
-    if not weights.trusted:
-        return _by_delayed_acceptance(builder, built, draws, log_weights, weights)
-    index = along_chains(weights.smoothed, builder.rng)
+def _resampled(weighed: Weighed, seed: int) -> tuple[Draws, Array]:
+    """Weighed draws resampled along their chains, and their log weights (n_chains, n_draws) before."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6,)))
+    index = along_chains(weighed.weights.smoothed, rng)
     chain = np.arange(len(index))[:, None]
-    return _Corrected(
-        {name: value[chain, index] for name, value in draws.items()},
-        log_weights[chain, index],
-        weights,
-        "importance resampling",
-        f"corrected by importance resampling: k-hat {weights.k_hat:.2f}, "
-        f"{100 * weights.effective:.0f} % of {log_weights.size} draws effective",
-    )
-
-
-def _by_delayed_acceptance(
-    builder: Builder, built: Built, draws: Draws, log_weights: Array, weights: Weights
-) -> _Corrected:
-    """Chains that begin at resampled draws, each step a move of the surrogate that a solve accepts.
-
-    Moves are made in the surrogate's posterior to the power by which the exact one falls with it, so that a
-    surrogate that is too narrow still goes where the exact posterior is.
-    """
-    chains, kept = log_weights.shape
-    logp, rng = builder.logp, builder.rng
-    flat = flat_draws(draws)
-    function = built.made.model.logp_dlogp_function(ravel_inputs=True)
-    function.set_extra_values({})
-
-    def surrogate(q: Array) -> tuple[float, Array]:
-        value, gradient = function._pytensor_function(q)
-        return float(value), np.asarray(gradient)
-
-    some = np.flatnonzero(np.isfinite(log_weights.ravel()))[:: max(1, log_weights.size // 400)]
-    vectors = logp.from_draws(some_draws(flat, some))
-    heights = np.array([surrogate(q)[0] for q in vectors])
-    share = 1.0 + float(np.polyfit(heights, log_weights.ravel()[some], 1)[0])
-    share = float(np.clip(share, FLATTEST, 1.0))
-
-    def slopes(q: Array) -> tuple[float, Array]:
-        value, gradient = surrogate(q)
-        return share * value, share * gradient
-
-    def weigh(q: Array) -> float:
-        weight = float(builder.compared(built.made, builder.values(q[None]))[0][0])
-        return weight + (1.0 - share) * surrogate(q)[0]
-
-    d = vectors.shape[1]
-    lower = np.linalg.cholesky((np.cov(vectors.T).reshape(d, d) + 1e-9 * np.eye(d)) / share)
-    moves = HamiltonianMoves(slopes, np.asarray(lower, dtype=np.float64))
-    begin = np.asarray(rng.choice(log_weights.size, chains, p=weights.smoothed.ravel()))
-    first = logp.from_draws(some_draws(flat, begin))
-    found = [delayed_acceptance(moves, weigh, q, kept, rng) for q in first]
-    made = [builder.values(each[0]) for each in found]
-    accepted = np.array([each[2] for each in found])
-    return _Corrected(
-        {name: np.array([one[name] for one in made]) for name in builder.names},
-        np.array([each[1] for each in found]),
-        weights,
-        "delayed acceptance",
-        f"corrected by delayed acceptance, for k-hat is {weights.k_hat:.2f}: {100 * accepted.mean():.0f} % "
-        "of the steps accepted",
-        accepted,
-    )
+    draws = {name: value[chain, index] for name, value in weighed.draws.items()}
+    return draws, weighed.log_weights[chain, index]

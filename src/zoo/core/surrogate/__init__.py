@@ -1,1 +1,1 @@
-"""A forward model's series as a graph of its parameters: a basis of solved series, and polynomials."""
+"""A forward model's series as a graph of its parameters: a basis of solved series, and kriging."""

@@ -10,7 +10,7 @@ import numpy as np
 import pytensor.tensor as pt
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.core.parameters import Parameter, n_values
+from zoo.core.parameters import Parameter
 
 Array = NDArray[np.float64]
 
@@ -47,32 +47,6 @@ class Coordinates:
         found = np.array(x ** np.where(some, 1.0, powers))
         found[..., some] = np.log(x[..., some])
         return found
-
-    def theta(self, x: ArrayLike) -> Array:
-        """Parameters (..., n_values) with these coordinates; hyperparameters, which no solve reads, are 1."""
-        x, powers = np.asarray(x, dtype=np.float64), self._powers
-        some = powers == 0
-        values = np.array(x ** (1.0 / np.where(some, 1.0, powers)))
-        values[..., some] = np.exp(x[..., some])
-        found = np.ones((*x.shape[:-1], n_values(self.parameters)))
-        found[..., self._read] = values
-        return found
-
-    def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest x (n_x,) of the priors' supports; infinite where there is none."""
-        ends = [p.prior.support for p in self.parameters if not p.hyper for _ in range(p.size)]
-        low, high = [], []
-        for (start, end), power in zip(ends, self._powers, strict=True):
-            with np.errstate(divide="ignore"):
-                if power == 1:
-                    pair = (start, end)
-                elif power == 0:
-                    pair = (float(np.log(max(start, 0.0))), float(np.log(max(end, 0.0))))
-                else:
-                    pair = (float(np.float64(max(start, 0.0)) ** power), float(np.float64(end) ** power))
-            low.append(min(pair))
-            high.append(max(pair))
-        return np.array(low), np.array(high)
 
     def symbolic(self, variables: Mapping[str, Any]) -> Any:
         """Coordinates as a PyTensor vector of variables by the parameters' names."""

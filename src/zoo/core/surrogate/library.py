@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -33,8 +32,6 @@ class Library:
         Solves, those that failed included.
     failures : Counter
         Failed solves by kind.
-    processor_seconds : float
-        Time that they took on all cores.
     known : dict
         What was found at points, by their bytes, in an earlier sitting: it is taken from there.
     told : callable or None
@@ -47,7 +44,6 @@ class Library:
         self.series: Array = np.empty((0, *model.outputs.shape))
         self.solves = 0
         self.failures: Counter[str] = Counter()
-        self.processor_seconds = 0.0
         self.known: dict[bytes, Solved] = {}
         self.told: Callable[[Array, Solved], None] | None = None
 
@@ -56,8 +52,6 @@ class Library:
 
     def solve(self, points: Array, cores: int = 1) -> Array:
         """Series (n, n_series, n_times) at points (n, n_values), NaN where a solve fails; not kept."""
-        began = time.process_time()
-
         known = dict(self.known)
 
         def one(theta: Array) -> Solved:
@@ -76,7 +70,6 @@ class Library:
             found = self._collected(points, map(one, points), known)
         self.solves += len(found)
         self.failures.update(item for item in found if isinstance(item, str))
-        self.processor_seconds += time.process_time() - began
         blank = np.full(self.model.outputs.shape, np.nan)
         return np.array([blank if isinstance(item, str) else item for item in found]).reshape(
             -1, *self.model.outputs.shape

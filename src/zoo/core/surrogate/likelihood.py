@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytensor.tensor as pt
 from numpy.polynomial import chebyshev
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from zoo.core.errors.base import ErrorModel
 from zoo.core.surrogate.waveform import Surrogate, SurrogateError
@@ -50,8 +51,6 @@ class Table:
     left : array (nodes ** n_eta, rank)
     right : array (rank, n_entries)
         Products with the Chebyshev polynomials and with the entries (c, s_i s_j).
-    error : float
-        Largest error found between the nodes.
     """
 
     names: tuple[str, ...]
@@ -60,7 +59,6 @@ class Table:
     nodes: int
     left: Array
     right: Array
-    error: float
 
     @classmethod
     def of(cls, surrogate: Surrogate, errors: ErrorModel, points: Array) -> Table:
@@ -76,8 +74,6 @@ class Table:
         ends = np.array([p.prior.support for p in errors.parameters])
         low, high = np.log(ends).T
         rows = np.concatenate([(errors.on.values - surrogate.middle)[None], surrogate.basis])
-        upper = np.triu_indices(len(rows))
-        double = np.where(upper[0] == upper[1], 1.0, 2.0)
 
         def entries(eta: Array) -> Array:
             values = dict(zip(errors.parameter_names, np.exp(eta), strict=True))
@@ -88,73 +84,42 @@ class Table:
                 )
             flat = z.reshape(len(rows), -1)
             constant = errors.log_density(np.zeros_like(rows[0]), values)
-            return np.concatenate([[constant], -0.5 * double * (flat @ flat.T)[upper]])
+            return np.concatenate([[constant], -0.5 * (flat @ flat.T).ravel()])
 
         a = surrogate.coefficients(points)
         s = np.concatenate([np.ones((len(a), 1)), -a], axis=1)
-        probe = np.concatenate([np.ones((len(a), 1)), s[:, upper[0]] * s[:, upper[1]]], axis=1)
+        squares = (s[:, :, None] * s[:, None, :]).reshape(len(s), -1)
+        probe = np.concatenate([np.ones((len(s), 1)), squares], axis=1)
         low, high = _where(lambda eta: float((probe @ entries(eta)).max()), low, high)
         rng = np.random.default_rng(0)
         tried = rng.uniform(low, high, (24, len(low)))
         truth = np.array([entries(eta) for eta in tried])
-        found = None
+        error = np.inf
         for n in NODES:
             t = np.cos(np.pi * (np.arange(n) + 0.5) / n)
-            transform = 2.0 / n * chebyshev.chebvander(t, n - 1).T
-            transform[0] *= 0.5
             grid = np.array(list(itertools.product(t, repeat=len(low))))
             at = np.array([entries(low + 0.5 * (x + 1.0) * (high - low)) for x in grid])
-            for _ in range(len(low)):  # one direction after the other
-                shape = at.shape
-                at = np.tensordot(transform, at.reshape(n, -1), 1).reshape(shape)
-                at = np.moveaxis(at.reshape((n,) * len(low) + (-1,)), 0, len(low) - 1).reshape(shape)
+            at = np.linalg.solve(np.array([_products(x, n) for x in grid]), at)
             scale = np.sqrt((probe**2).mean(0)) + 1e-12
             u, size, v = np.linalg.svd(at * scale, full_matrices=False)
             rank = int(np.sum(size > KEPT))
-            found = cls(
-                errors.parameter_names, low, high, n, u[:, :rank] * size[:rank], v[:rank] / scale, 0.0
-            )
+            found = cls(errors.parameter_names, low, high, n, u[:, :rank] * size[:rank], v[:rank] / scale)
             guess = np.array([found._entries(eta) for eta in tried])
             error = float(np.abs((guess - truth) @ probe.T).max())
-            found = replace(found, error=error)
             if error <= EXACT:
                 return found
-        assert found is not None
         raise SurrogateError(
             f"error model {errors.name}: its covariance cannot be interpolated over the priors of "
-            f"{', '.join(errors.parameter_names)} (error {found.error:.1g} with {found.nodes} nodes): sample "
-            "with method exact"
+            f"{', '.join(errors.parameter_names)} (error {error:.1g} with {NODES[-1]} nodes): sample with "
+            "method exact"
         )
-
-    def _outside(self, eta: Array) -> float:
-        """What is taken from the log-likelihood beyond the ends of the table."""
-        past = np.maximum(np.maximum(self.low - eta, eta - self.high), 0.0) / (self.high - self.low)
-        return float(FENCE * (past**2).sum())
 
     def _entries(self, eta: Array) -> Array:
         t = 2.0 * (eta - self.low) / (self.high - self.low) - 1.0
-        each = [chebyshev.chebvander(x, self.nodes - 1) for x in t]
-        product = each[0]
-        for more in each[1:]:
-            product = np.multiply.outer(product, more).ravel()
-        return np.asarray((product @ self.left) @ self.right)
-
-    def __call__(self, coefficients: Array, eta: Mapping[str, ArrayLike]) -> Array:
-        """Log-likelihood (n,) of coefficients (n, n_basis) with the errors' parameters (n,)."""
-        columns = np.log(np.array([np.asarray(eta[name], dtype=np.float64) for name in self.names]))
-        i, j = np.triu_indices(coefficients.shape[1] + 1)
-        s = np.concatenate([np.ones((len(coefficients), 1)), -coefficients], axis=1)
-        products = np.concatenate([np.ones((len(s), 1)), s[:, i] * s[:, j]], axis=1)
-        inside = np.clip(columns.T, self.low, self.high)
-        return np.array(
-            [
-                row @ self._entries(near) - self._outside(at)
-                for row, near, at in zip(products, inside, columns.T, strict=True)
-            ]
-        )
+        return np.asarray((_products(t, self.nodes) @ self.left) @ self.right)
 
     def symbolic(self, coefficients: Any, eta: Mapping[str, Any]) -> Any:
-        """The same for one vector of coefficients (n_basis,), as a graph."""
+        """The log-likelihood of coefficients (n_basis,) with the errors' parameters, as a graph."""
         product, outside = None, 0.0
         for name, low, high in zip(self.names, self.low, self.high, strict=True):
             t = 2.0 * (pt.log(eta[name]) - low) / (high - low) - 1.0
@@ -163,18 +128,20 @@ class Table:
             each = pt.cos(np.arange(self.nodes) * angle)
             product = each if product is None else pt.outer(product, each).ravel()
         assert product is not None
-        n = self.right.shape[1]
-        size = int((np.sqrt(8 * (n - 1) + 1) - 1) / 2)
-        i, j = np.triu_indices(size)
+        rank, size = len(self.right), math.isqrt(self.right.shape[1] - 1)
         s = pt.concatenate([np.ones(1), -coefficients])
-        squares = np.zeros((size, size, len(self.right)))
-        squares[i, j] = squares[j, i] = self.right[:, 1:].T
-        squares *= np.where(np.eye(size, dtype=bool), 1.0, 0.5)[..., None]
-        flat = squares.transpose(0, 2, 1).reshape(size, -1)  # (size, rank * size)
-        rank = len(self.right)
+        flat = self.right[:, 1:].reshape(rank, size, size).transpose(1, 0, 2).reshape(size, -1)
         half = pt.dot(s, flat).reshape((rank, size))
         factors = pt.dot(product, self.left)
         return pt.dot(factors, self.right[:, 0] + pt.dot(half, s)) - outside
+
+
+def _products(t: Array, n: int) -> Array:
+    """Products (n ** n_eta,) of the first n Chebyshev polynomials of each of t (n_eta,)."""
+    found = np.ones(1)
+    for x in t:
+        found = np.multiply.outer(found, chebyshev.chebvander(x, n - 1)).ravel()
+    return found
 
 
 def no_table(errors: ErrorModel) -> str:

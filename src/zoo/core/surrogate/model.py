@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import pymc as pm
@@ -21,39 +20,6 @@ from zoo.core.surrogate.waveform import Surrogate
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class SurrogateModel:
-    """A PyMC model of the same variables, and its log-likelihood as a function of many draws.
-
-    Parameters
-    ----------
-    model : pm.Model
-        Prior times likelihood to a power.
-    surrogate : Surrogate
-    record : ModelRecord
-        Of the model whose forward model it stands for.
-    table : Table, optional
-        Of errors whose log-density is not written in PyTensor.
-    power : float
-        Below 1 the posterior is wider than the exact one, so that draws reach all of that.
-    """
-
-    model: pm.Model
-    surrogate: Surrogate
-    record: ModelRecord
-    table: Table | None = None
-    power: float = 1.0
-
-    def log_likelihood(self, theta: Array, errors: Mapping[str, ArrayLike]) -> tuple[Array, Array]:
-        """As its draws have it, and to the power 1, (n,): of parameters (n, n_values) and errors (n, ...)."""
-        if self.table is not None:
-            found = self.table(self.surrogate.coefficients(theta), errors)
-        else:
-            found = log_likelihood(self.record, self.surrogate.series(theta), errors)
-        fence = self.surrogate.fence(theta)
-        return self.power * found - fence, found - fence
-
-
 def log_likelihood(record: ModelRecord, series: Array, errors: Mapping[str, ArrayLike]) -> Array:
     """Log-likelihood (n,) of a model's data at series (n, n_series, n_times), -inf where these are NaN."""
     draws = {name: np.asarray(errors[name]) for name in record.errors.parameter_names}
@@ -62,8 +28,8 @@ def log_likelihood(record: ModelRecord, series: Array, errors: Mapping[str, Arra
 
 def surrogate_model(
     original: pm.Model, record: ModelRecord, surrogate: Surrogate, points: Array, power: float = 1.0
-) -> SurrogateModel:
-    """The model with its series from a surrogate.
+) -> pm.Model:
+    """The model with its series from a surrogate: prior times likelihood to a power.
 
     Parameters
     ----------
@@ -75,7 +41,7 @@ def surrogate_model(
     points : array (n, n_values)
         Of the posterior, where a table of the errors is tried.
     power : float
-        Of the likelihood.
+        Below 1 the posterior is wider than the exact one, so that draws reach all of that.
 
     Raises
     ------
@@ -87,16 +53,14 @@ def surrogate_model(
     with pm.Model(coords=dict(original.coords)) as model:
         variables = random_variables(record.forward.parameters)
         of_errors = random_variables(bound.parameters)
-        mean = surrogate.symbolic_series(variables)
         pm.Potential("inside", -surrogate.symbolic_fence(variables))
         if table is None:
-            bound.observe("y", mean, pt.constant(np.int8(1)), of_errors)
-            if power != 1.0:
-                pm.Potential("wider", (power - 1.0) * model.observedlogp)
+            bound.observe("y", surrogate.symbolic_series(variables), pt.constant(np.int8(1)), of_errors)
+            pm.Potential("wider", (power - 1.0) * model.observedlogp)
         else:
             a = surrogate.symbolic_coefficients(variables)
             pm.Potential("likelihood", power * table.symbolic(a, of_errors))
-    return SurrogateModel(model, surrogate, record, table, power)
+    return model
 
 
 def errors_in_graph(record: ModelRecord) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,16 +13,13 @@ from scipy import linalg
 
 from zoo.core.errors.base import ErrorModel
 from zoo.core.surrogate.coordinates import Coordinates
-from zoo.core.surrogate.kriging import Kriging
+from zoo.core.surrogate.kriging import FewDirectionsError, Kriging
 from zoo.core.surrogate.library import Library
-from zoo.core.surrogate.polynomial import Polynomial
 
 Array = NDArray[np.float64]
 
 LEFT_OUT = 0.003
 """Mean squared norm of what a basis may leave of the design's series, in units of the noise."""
-STEEPEST = 4
-"""Largest power of the distance that an expected error grows with beyond the design."""
 MOST = 60
 """Most components of a basis."""
 
@@ -33,7 +30,7 @@ class SurrogateError(RuntimeError):
 
 @dataclass(frozen=True)
 class Surrogate:
-    """Series y(x) = middle + sum_k a_k(x) b_k, a_k polynomials or kriging and b_k the basis.
+    """Series y(x) = middle + sum_k a_k(x) b_k, a_k by kriging and b_k the basis.
 
     The basis is that of the design's series as the errors weigh them, so that coefficients are in units of
     the noise: b_k = U v_k with U U' the covariance of the errors and v_k the principal components.
@@ -43,26 +40,16 @@ class Surrogate:
     coordinates : Coordinates
     middle : array (n_series, n_times)
     basis : array (n_basis, n_series, n_times)
-    map : Polynomial or Kriging
-        Which has the smaller error at points left out.
-    covariance : array (n_basis, n_basis)
-        Of the coefficients' errors, from points left out.
-    remainder : float
-        Mean squared norm, in units of the noise, of what the basis leaves of the design's series.
+    map : Kriging
     radius : float
         Distance from the centre, in whitened coordinates, within which the design lies.
-    spread : float
-        Root mean square of the design's whitened coordinates.
     """
 
     coordinates: Coordinates
     middle: Array
     basis: Array
-    map: Polynomial | Kriging
-    covariance: Array
-    remainder: float
+    map: Kriging
     radius: float
-    spread: float
 
     @classmethod
     def fit(
@@ -74,7 +61,6 @@ class Surrogate:
         near: tuple[Array, Array] | None = None,
         within: float = np.inf,
         coordinates: Coordinates | None = None,
-        kriging: bool = True,
     ) -> Surrogate:
         """From solved points, the errors weighed by their law at given parameters.
 
@@ -90,8 +76,8 @@ class Surrogate:
         within : float
             Only points at most so far from the mean, in whitened coordinates, count.
         coordinates : Coordinates, optional
-            In which polynomials are written, and `near` is; those of the library's model if absent, which may
-            be another one with the same solves.
+            In which the map is written, and `near` is; those of the library's model if absent, which may be
+            another one with the same solves.
 
         Raises
         ------
@@ -105,7 +91,7 @@ class Surrogate:
         distance = np.linalg.norm(linalg.solve_triangular(cholesky, (x - mean).T, lower=True), axis=0)
         once = np.sort(np.unique(x, axis=0, return_index=True)[1])
         some = once[distance[once] <= within]
-        x, series, distance = x[some], library.series[some], distance[some]
+        x, series, radius = x[some], library.series[some], float(distance[some].max(initial=0.0))
         if len(x) < 2 * coordinates.n + 2:
             raise SurrogateError(
                 f"{library.model.name}: {len(x)} solved points for {coordinates.n} coordinates: a surrogate "
@@ -119,19 +105,14 @@ class Surrogate:
         _, size, components = linalg.svd(flat, full_matrices=False)
         rest = np.cumsum((size**2)[::-1])[::-1] / len(flat)
         k = int(np.clip(np.sum(rest > LEFT_OUT), 1, MOST))
-        a = flat @ components[:k].T
         basis = errors.unwhiten(components[:k].reshape(k, *middle.shape), values)
         assert basis is not None
-        polynomial = Polynomial.fit(x, a, mean, cholesky)
-        tried: list[Polynomial | Kriging] = [polynomial]
-        if kriging and (process := Kriging.beside(polynomial, x, a)) is not None:
-            tried.append(process)
-        map_ = min(tried, key=lambda one: one.left_out)
-        scatter = map_.residuals.T @ map_.residuals / len(map_.residuals)
-        remainder = float(rest[k]) if k < len(rest) else 0.0
-        spread = float(np.sqrt((distance**2).mean() / coordinates.n))
-        reach = float(distance.max())
-        return cls(coordinates, middle, basis, map_, scatter, remainder, reach, spread)
+        try:
+            return cls(
+                coordinates, middle, basis, Kriging.fit(x, flat @ components[:k].T, mean, cholesky), radius
+            )
+        except FewDirectionsError as error:
+            raise SurrogateError(f"{library.model.name}: {error}; sample with method exact") from None
 
     def coefficients(self, theta: ArrayLike) -> Array:
         """Coefficients (n, n_basis) at parameters (n, n_values)."""
@@ -140,45 +121,6 @@ class Surrogate:
     def series(self, theta: ArrayLike) -> Array:
         """Series (n, n_series, n_times) at parameters (n, n_values)."""
         return np.asarray(self.middle + np.tensordot(self.coefficients(theta), self.basis, 1))
-
-    def error(self, theta: ArrayLike) -> Array:
-        """Root mean square of the expected error's norm, in units of the noise, (n,).
-
-        That of points left out, sqrt((1 + h) tr C + remainder) with h the leverage, grown beyond the design
-        as what a Taylor polynomial of that degree leaves: with the power degree + 1, at most `STEEPEST`, of
-        the distance over its root mean square in the design.
-        """
-        x = self.coordinates.of(theta)
-        within = (1.0 + self.map.leverage(x)) * np.trace(self.covariance) + self.remainder
-        v = self.map.variables(x)
-        beyond = np.maximum(np.sqrt((v**2).mean(-1)) / self.spread, 1.0)
-        return np.asarray(np.sqrt(within) * beyond ** min(self.map.terms.shape[1] + 1, STEEPEST))
-
-    def least_known(self, theta: ArrayLike, n: int, known: Sequence[int] = ()) -> NDArray[np.int64]:
-        """Which points to solve: each where the error is largest, given those before.
-
-        Parameters
-        ----------
-        theta : array (n_points, n_values)
-        n : int
-        known : sequence of int
-            Points that were solved since.
-
-        Returns
-        -------
-        array of int (n,)
-            Others than those; fewer if there are not as many.
-        """
-        covariance, noise = self.map.uncertainty(self.coordinates.of(theta))
-        order = list(known)
-        for i in range(min(len(covariance), len(known) + n)):
-            if i == len(order):
-                variance = np.diag(covariance).copy()
-                variance[order] = -np.inf
-                order.append(int(np.argmax(variance)))
-            row = covariance[order[i]]
-            covariance = covariance - np.outer(row, row) / (row[order[i]] + noise + 1e-12)
-        return np.array(order[len(known) :], dtype=np.int64)
 
     def symbolic_coefficients(self, variables: Mapping[str, Any]) -> Any:
         """Coefficients (n_basis,) as a graph of variables by the parameters' names."""
@@ -191,12 +133,7 @@ class Surrogate:
         return pt.constant(self.middle) + pt.dot(a, flat).reshape(self.middle.shape)
 
     def symbolic_fence(self, variables: Mapping[str, Any]) -> Any:
-        """What is taken from the log-density outside the design, where polynomials fail, as a graph."""
+        """What is taken from the log-density outside the design, where nothing is known, as a graph."""
         v = self.map.symbolic_variables(self.coordinates.symbolic(variables))
         outside = pt.maximum(pt.sqrt(pt.sum(v**2) + 1e-12) - self.radius, 0.0)
         return 5.0 * outside**2
-
-    def fence(self, theta: ArrayLike) -> Array:
-        """The same at parameters (n, n_values), (n,)."""
-        v = self.map.variables(self.coordinates.of(theta))
-        return np.asarray(5.0 * np.maximum(np.sqrt((v**2).sum(-1) + 1e-12) - self.radius, 0.0) ** 2)
