@@ -57,6 +57,10 @@ class _OneEvaluation:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_ops": None}
 
+    def replace_logp(self, function: Any) -> None:
+        """Let a function of a vector (n_dim,) give the log-posterior."""
+        self._logp, self._ops = function, None
+
     def logp(self, q: Array) -> float:
         """Log-posterior at q (n_dim,), from memory if q is one of the last two points."""
         key = q.tobytes() + b"".join(np.asarray(v.get_value()).tobytes() for v in self.shared.values())
