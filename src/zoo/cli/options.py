@@ -36,40 +36,15 @@ StrictOption = Annotated[
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
 
 
-SchedulerOption = Annotated[
+DaskOption = Annotated[
     str | None,
     typer.Option(
-        "--scheduler",
-        help="Run the tasks on the workers of a dask.distributed scheduler, tcp://HOST:8786, instead.",
+        "--dask",
+        help="Work on the workers of a dask.distributed scheduler, tcp://HOST:8786, instead.",
         metavar="ADDRESS",
         show_default=False,
     ),
 ]
-ShardOption = Annotated[
-    str | None,
-    typer.Option(
-        "--shard",
-        help="Part i of n of the work, for job arrays; without it later, the rest, and all together.",
-        metavar="I/N",
-        show_default=False,
-    ),
-]
-
-
-def read_shard(text: str | None) -> tuple[int, int] | None:
-    """Read "2/8" as (2, 8).
-
-    Raises
-    ------
-    UsageError
-        If it is no part of a whole.
-    """
-    if text is None:
-        return None
-    part, slash, parts = text.partition("/")
-    if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
-        raise UsageError(f"--shard {text}: write i/n with i from 1 to n, such as 2/8")
-    return int(part), int(parts)
 
 
 @dataclass(frozen=True)

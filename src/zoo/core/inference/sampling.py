@@ -439,7 +439,8 @@ def _opening(model: Any, logp: LogPosterior, settings: Mapping[str, Any], run: R
     on = f" on {study.name}" if study is not None else ""
     return (
         f"model {model_name(model)}{on}: {len(logp.template.data)} dimensions, {settings['chains']} chains "
-        f"of {settings['step']}, tune {settings['tune']}, thin {settings['thin']}, seed {run.seed}{run.resumed}"
+        f"of {settings['step']}, tune {settings['tune']}, thin {settings['thin']}, seed {run.seed}"
+        f"{run.resumed}"
     )
 
 
