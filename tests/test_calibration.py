@@ -20,7 +20,7 @@ from zoo.blood.study import Series, Study
 from zoo.core.errors.independent import Independent
 from zoo.core.errors.variables import IidErrors
 from zoo.core.inference.logposterior import LogPosterior
-from zoo.core.posterior.ranks import LOG_POSTERIOR, CalibrationError, RankTest, Replicate
+from zoo.core.posterior.ranks import LOG_POSTERIOR, CalibrationError, RankTest
 from zoo.models import get_model
 from zoo.paper import calibration, replicator
 from zoo.paper.calibration import simulate_and_rank

@@ -52,17 +52,18 @@ def read_lines(owner: str, raw: bytes, name: str) -> dict[bytes, Found]:
         Naming the file and the first line that is damaged, or belongs to something else.
     """
     known = {}
-    for number, line in enumerate(raw.splitlines(), 1):
+    for number, line in enumerate(raw.split(b"\n")[:-1], 1):
         digest, _, text = line.partition(b" ")
         if digest != _digest(owner, text):
-            raise CheckpointError(
-                f"{name}: line {number} is damaged, or of another run or chain; {REMEDY}"
-            ) from None
-        key, values, solves, failures = json.loads(text)
-        arrays = tuple(
-            np.frombuffer(b64decode(data), dtype=dtype).reshape(shape) for dtype, shape, data in values
-        )
-        known[b64decode(key)] = Found(arrays, solves, failures)
+            raise CheckpointError(f"{name}: line {number} is damaged, or of another run or chain; {REMEDY}")
+        try:
+            key, values, solves, failures = json.loads(text)
+            arrays = tuple(
+                np.frombuffer(b64decode(data), dtype=dtype).reshape(shape) for dtype, shape, data in values
+            )
+            known[b64decode(key)] = Found(arrays, solves, failures)
+        except (ValueError, TypeError, RecursionError) as error:  # the digest fits: someone wrote it so
+            raise CheckpointError(f"{name}: line {number} cannot be read ({error}); {REMEDY}") from None
     return known
 
 
