@@ -214,19 +214,12 @@ def test_a_checkpoint_of_another_version_is_refused_by_name(mine: Path) -> None:
             sample(gaussian_model(), checkpoint=mine, **FEW)
 
 
-@pytest.mark.parametrize(
-    ("step", "options"),
-    [
-        ("metropolis", {}),
-        ("metropolis", {"joint": False}),
-        ("demetropolisz", {"crank_nicolson": 0.0, "constrained": 0.0, "tune": "lambda"}),
-    ],
-)
-def test_every_step_method_resumes_with_identical_draws(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, options: dict
+@pytest.mark.parametrize("options", [{}, {"crank_nicolson": 0.0, "constrained": 0.0, "tune": "lambda"}])
+def test_a_run_that_is_interrupted_resumes_with_identical_draws(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict
 ) -> None:
     """Cut after its first refit at 200 steps."""
-    settings = {**FEW, "step": step, "step_options": options, "draws": 40, "tune": 450}
+    settings = {**FEW, "step_options": options, "draws": 40, "tune": 450}
     whole = sample(gaussian_model(), **settings)
 
     def interrupt(self: pool.Chains, until: int) -> None:

@@ -68,7 +68,6 @@ def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Pat
         (("Z",), "model 'Z': unknown; use one of A, B"),
         (("A", "--until", "400"), "--until 400: write --until ess=400"),
         (("A", "--until", "ess=-1"), "write --until ess=400"),
-        (("A", "--step", "nuts"), "--step nuts: must be one of demetropolisz, metropolis"),
         (("A", "--chains", "0"), "--chains 0: must be a whole number of at least 1"),
         (("A", "-o", "nowhere/A.nc"), "folder nowhere does not exist"),
     ],

@@ -298,9 +298,6 @@ class SamplingOptions:
             "draw corrected with it; nuts: NUTS with the solver's derivatives; auto chooses by model.",
         ),
     ] = "auto"
-    step: Annotated[str, typer.Option("--step", help="Of exact: demetropolisz or metropolis.")] = (
-        "demetropolisz"
-    )
     thin: Annotated[
         int | None,
         typer.Option(
@@ -350,7 +347,6 @@ class SamplingOptions:
             "tune": self.tune,
             "chains": self.chains,
             "cores": self.cores or max(1, min(self.chains, os.cpu_count() or 1)),
-            "step": self.step,
             "thin": self.thin,
             "seed": self.seed,
             "until_ess": self.ess_target(),

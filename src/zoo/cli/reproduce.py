@@ -80,7 +80,7 @@ def reproduce(
     ] = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
     *,
-    sampling: Annotated[ReproductionOptions, Without("chains", "step", "thin", "resume")],
+    sampling: Annotated[ReproductionOptions, Without("chains", "thin", "resume")],
     numerical: NumericalOptions,
 ) -> None:
     """Do a paper again: its models on its data, its tables beside ours; goes on where it was interrupted."""

@@ -18,7 +18,7 @@ from zoo.core.inference.gradient_step import Nuts
 from zoo.core.inference.logposterior import Array, Point, SamplingError, count, counting_ops, outputs
 from zoo.core.inference.memo import Found, Remembering, read_lines, to_line
 from zoo.core.inference.spaces import Gaussian
-from zoo.core.inference.steps import DEMetropolisZ, Metropolis
+from zoo.core.inference.steps import DEMetropolisZ
 
 _SUMS = ("accept", "accepted", "solves", "solver_failures")
 _OF_GRADIENTS = ("gradients", "diverging")
@@ -243,8 +243,6 @@ def forget(run: str) -> None:
 
 def _make_step(task: Task, point: Point) -> Any:
     kwargs: dict[str, Any] = {"model": task.model, "initial_point": point, "reference": task.reference}
-    if task.step == "demetropolisz":
-        return DEMetropolisZ(archive=task.archive, **kwargs, **task.options)
     if task.step == "nuts":
         return Nuts(**kwargs, **task.options)
-    return Metropolis(vars=list(task.model.continuous_value_vars), **kwargs, **task.options)
+    return DEMetropolisZ(archive=task.archive, **kwargs, **task.options)

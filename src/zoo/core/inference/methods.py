@@ -32,7 +32,6 @@ SLOW = 0.05
 MOST = 60
 """Coordinates of the solves above which a polynomial surrogate needs too many of them."""
 ONLY_EXACT: dict[str, tuple[Any, ...]] = {
-    "step": (None, "demetropolisz"),
     "thin": (None,),
     "step_options": (None, {}),
     "executor": (None,),
@@ -165,7 +164,7 @@ def sample(
             f"{name} = {value}: method {taken} has no use for it; leave it out, or use method exact"
         )
     if taken == "nuts":
-        own = _without(settings, "step", "thin", "step_options", "library")
+        own = _without(settings, "thin", "step_options", "library")
         return sample_nuts(model, checkpoint=checkpoint, **own)
     try:
         return sample_surrogate(model, checkpoint=checkpoint, **_without(settings, *ONLY_EXACT))

@@ -16,7 +16,7 @@ import numpy as np
 from zoo.core.inference.chain import Order, Report, Task, forget, run_chain
 from zoo.core.inference.logposterior import SamplingError
 from zoo.core.inference.memo import Memo
-from zoo.core.inference.progress import ChainState, Display, OfChains
+from zoo.core.inference.progress import ChainState, Display, of_chains
 from zoo.core.inference.workers import Inline, LostTaskError, Processes, as_finished, in_turn
 
 SLICE_S = 1.0
@@ -42,8 +42,6 @@ class Chains:
         Path of each chain's memo.
     run : str
         What the memos belong to.
-    ess : float, optional
-        Effective sample size to reach, for the display.
     """
 
     def __init__(
@@ -54,12 +52,10 @@ class Chains:
         executor: Executor | None = None,
         files: Callable[[int], Path] | None = None,
         run: str = "",
-        ess: float | None = None,
     ) -> None:
         self.show = show
         self.states = [ChainState(task.chain) for task in tasks]
-        at_once = len(tasks) if executor is not None else cores
-        self._words = OfChains(self.states, tasks[0].tune, tasks[0].thin, at_once, ess)
+        self._tune, self._thin = tasks[0].tune, tasks[0].thin
         self._token = uuid.uuid4().hex
         self._slice = SLICE_S if executor is None else None
         self._own = [Processes(1) for _ in range(min(cores, len(tasks)))] if executor is None else []
@@ -100,9 +96,9 @@ class Chains:
             raise SamplingError(str(error)) from None
 
     def _show(self, until: int) -> None:
-        if self.show.wanted:
-            self._words.judge()
-            self.show(self._words.line(until), self._words.share(until))
+        steps = sum(state.steps for state in self.states)
+        all_of_them = len(self.states) * (self._tune + self._thin * until)
+        self.show(of_chains(self.states, until), min(1.0, steps / all_of_them))
 
     def _hand_in(self, k: int, until: int) -> Future[Report | None]:
         state, memo = self.states[k], self._memos[k]

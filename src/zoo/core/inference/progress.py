@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from zoo.core.inference.convergence import ESS_TARGET, Verdict, check_convergence
-
 if TYPE_CHECKING:
     from zoo.core.inference.chain import Report
 
@@ -125,79 +123,16 @@ class ChainState:
         return found
 
 
-class OfChains:
-    """One line on chains: draws, acceptance, solves, convergence, time to the target.
-
-    Parameters
-    ----------
-    states : sequence of ChainState
-    tune, thin : int
-    at_once : int
-        Chains that are at work at a time.
-    ess : float, optional
-        Effective sample size to reach.
-    """
-
-    def __init__(
-        self, states: Sequence[ChainState], tune: int, thin: int, at_once: int, ess: float | None
-    ) -> None:
-        self.states, self.tune, self.thin, self.ess = states, tune, thin, ess
-        self.at_once = min(max(1, at_once), len(states))
-        self.verdict: Verdict | None = None
-        self._judged_at, self._judging = -np.inf, 0.0
-
-    def judge(self) -> None:
-        """Look at the convergence of the draws, now and again."""
-        now = time.monotonic()
-        kept = min(state.kept for state in self.states)
-        if kept < 20 or now - self._judged_at < max(5.0, 50 * self._judging):
-            return
-        each = [state.values(kept) for state in self.states]
-        draws = {name: np.stack([values[name] for values in each]) for name in each[0]}
-        self.verdict = check_convergence(draws, ess=self.ess or ESS_TARGET)
-        self._judging = time.monotonic() - now
-        self._judged_at = now
-
-    def share(self, until: int) -> float:
-        """Of the steps to `until` draws."""
-        steps = sum(state.steps for state in self.states)
-        return min(1.0, steps / ((self.tune + until * self.thin) * len(self.states)))
-
-    def remaining(self, until: int) -> float:
-        """Seconds to the target: `until` draws, or the effective sample size asked for; NaN if unknown."""
-        rates = [state.steps / state.seconds for state in self.states if state.seconds > 0]
-        if not rates or (self.ess is not None and self.verdict is None):
-            return float("nan")
-        goal = float(until)
-        if self.ess is not None and self.verdict is not None:
-            kept = min(state.kept for state in self.states)
-            goal = kept * max(1.0, self.ess / max(self.verdict.min_ess, 1.0))
-        steps = sum(max(0.0, self.tune + goal * self.thin - state.steps) for state in self.states)
-        return steps / float(np.mean(rates)) / self.at_once
-
-    def line(self, until: int) -> str:
-        """Everything in one line."""
-        states = self.states
-        steps, solves = sum(s.steps for s in states), sum(s.solves for s in states)
-        accepted = sum(s.accepted for s in states) / max(1, steps)
-        rate = solves / max(sum(s.seconds for s in states), 1e-9)
-        failed = sum(sum(s.failures.values()) for s in states)
-        parts = [
-            f"draws {' '.join(str(s.kept) for s in states)} of {until}",
-            f"accepted {accepted:.0%}",
-            f"{solves} solves ({rate:.0f}/s a core)",
-            f"{failed} failed",
-        ]
-        if self.verdict is not None and self.verdict.parameters:
-            worst = max(self.verdict.parameters, key=lambda p: p.rhat if np.isfinite(p.rhat) else np.inf)
-            least = min(self.verdict.parameters, key=lambda p: np.nan_to_num(min(p.ess_bulk, p.ess_tail)))
-            goal = f" of {self.ess:.0f}" if self.ess is not None else ""
-            parts.append(f"R-hat {worst.rhat:.3f} ({worst.name})")
-            parts.append(f"ESS {self.verdict.min_ess:.0f}{goal} ({least.name})")
-        if np.isfinite(left := self.remaining(until)):
-            what = f"ESS {self.ess:.0f}" if self.ess is not None else f"{until} draws"
-            parts.append(f"about {_duration(left)} to {what}")
-        return ", ".join(parts)
+def of_chains(states: Sequence[ChainState], until: int) -> str:
+    """One line on chains: draws, acceptance, solves."""
+    steps, solves = sum(s.steps for s in states), sum(s.solves for s in states)
+    accepted = sum(s.accepted for s in states) / max(1, steps)
+    rate = solves / max(sum(s.seconds for s in states), 1e-9)
+    failed = sum(sum(s.failures.values()) for s in states)
+    return (
+        f"draws {' '.join(str(s.kept) for s in states)} of {until}, accepted {accepted:.0%}, {solves} solves "
+        f"({rate:.0f}/s a core), {failed} failed"
+    )
 
 
 def _duration(seconds: float) -> str:

@@ -27,7 +27,7 @@ from zoo.core.inference.prior_check import check_priors, exactness_at, modes_at_
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record_of_run import attach_record, inference_data
 from zoo.core.inference.starts import Start, disperse, start_settings
-from zoo.core.inference.steps import DEMETROPOLISZ, DEMetropolisZ, Metropolis
+from zoo.core.inference.steps import DEMETROPOLISZ, DEMetropolisZ
 from zoo.core.model import ModelError
 from zoo.core.op import MissingGradientError
 
@@ -38,7 +38,6 @@ __all__ = [
     "CheckpointError",
     "CheckpointInUseError",
     "DEMetropolisZ",
-    "Metropolis",
     "Mode",
     "SamplingError",
     "find_mode",
@@ -46,7 +45,6 @@ __all__ = [
     "sample_nuts",
 ]
 
-STEPS = ("demetropolisz", "metropolis")
 NUTS_TUNE = 500
 """Steps of NUTS that are thrown away while its metric and step size adapt."""
 PILOTS = 4
@@ -61,7 +59,6 @@ def sample(
     chains: int = 4,
     cores: int = 2,
     executor: Executor | None = None,
-    step: str = "demetropolisz",
     thin: int | None = None,
     seed: int | None = None,
     checkpoint: str | Path | None = None,
@@ -95,8 +92,6 @@ def sample(
     executor : concurrent.futures.Executor, optional
         Runs the chains instead, each as a task: threads, processes, or ``Client.get_executor()`` of
         dask.distributed. `cores` is not read.
-    step : {"demetropolisz", "metropolis"}
-        Step method: all variables move jointly.
     thin : int, optional
         Steps for each stored draw; a quarter of the number of dimensions if absent.
     seed : int, optional
@@ -115,7 +110,7 @@ def sample(
     start : mapping or Mode, optional
         Values to search the mode from, or the result of `find_mode`.
     step_options : mapping, optional
-        Arguments of the step method instead of the defaults, such as `crank_nicolson=0`.
+        Arguments of `DEMetropolisZ` instead of the defaults, such as `crank_nicolson=0`.
     preface : str
         A line that is shown first, once nothing speaks against the run.
 
@@ -137,12 +132,12 @@ def sample(
     ter Braak, Vrugt (2008), doi 10.1007/s11222-008-9104-9; Vehtari et al. (2021), doi 10.1214/20-BA1221.
     """
     _check_model(model)
-    check_settings(draws, tune, chains, cores, step, thin, seed, until_ess, max_draws)
+    check_settings(draws, tune, chains, cores, thin, seed, until_ess, max_draws)
     d = len(LogPosterior(model).template.data)
     return _sample(
         model,
-        step,
-        _step_options(step, step_options),
+        "demetropolisz",
+        {**DEMETROPOLISZ, **dict(step_options or {})},
         draws=draws,
         tune=100 * max(d, 6) if tune is None else tune,
         chains=chains,
@@ -279,7 +274,7 @@ def _sample(
                 show.say(f"warning: {numerical}")
             files = None if run.folder is None else run.folder.chain
             tasks = begin.tasks(beginning, run.seed, tune, thin)
-            with Chains(tasks, cores, show, executor, files, run.owner, until_ess) as pool:
+            with Chains(tasks, cores, show, executor, files, run.owner) as pool:
                 kept = _run(model, pool, draws, until_ess, max_draws)
             idata = inference_data(model, pool.draws(kept), pool.stats(kept))
             if diverged := int(idata["sample_stats"].get("diverging", np.zeros(1)).sum()):
@@ -396,7 +391,6 @@ def check_settings(
     tune: int | None = None,
     chains: int = 4,
     cores: int = 1,
-    step: str = STEPS[0],
     thin: int | None = None,
     seed: int | None = None,
     until_ess: float | None = None,
@@ -421,17 +415,10 @@ def check_settings(
     for name, (value, limit) in least.items():
         if value is not None and (not isinstance(value, int | np.integer) or value < limit):
             raise SamplingError(f"{name} = {value}: must be a whole number of at least {limit}")
-    if step not in STEPS:
-        raise SamplingError(f"step = {step!r}: must be one of {', '.join(STEPS)}")
     if until_ess is not None and not (np.isfinite(until_ess) and until_ess > 0):
         raise SamplingError(f"until_ess = {until_ess}: must be a positive number, such as {ESS_TARGET:.0f}")
     if until_ess is not None and chains < 2:
         raise SamplingError(f"chains = {chains}: until_ess needs R-hat, which needs at least 2 chains; use 4")
-
-
-def _step_options(step: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
-    options = dict(DEMETROPOLISZ) if step == "demetropolisz" else {"joint": True, "adapt": True}
-    return {**options, **dict(given or {})}
 
 
 def _opening(model: Any, logp: LogPosterior, settings: Mapping[str, Any], run: Run) -> str:
@@ -463,5 +450,6 @@ def _run(model: Any, pool: Chains, draws: int, until_ess: float | None, limit: i
         least = min(min(verdict[name].ess_bulk, verdict[name].ess_tail) for name in failing)
         factor = 1.1 * until_ess / max(np.nan_to_num(least), 1.0)
         kept = min(limit, int(np.ceil(kept * float(np.clip(factor, 1.25, 2.0)))))
+        pool.show.say(f"effective sample size {least:.0f} of {until_ess:.0f}: {kept} draws of each chain")
         pool.advance(kept)
     return kept

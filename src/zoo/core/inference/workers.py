@@ -36,19 +36,7 @@ TRIES = 3
 """How often a task is run whose worker dies."""
 _turn = threading.RLock()
 _starting = threading.Lock()
-_OF_WORKERS = {
-    "PYTHONSAFEPATH": "1",  # else the working folder is searched for modules, and a json.py there is run
-    **dict.fromkeys(
-        (
-            "OMP_NUM_THREADS",
-            "OPENBLAS_NUM_THREADS",
-            "MKL_NUM_THREADS",
-            "VECLIB_MAXIMUM_THREADS",
-            "NUMEXPR_NUM_THREADS",
-        ),
-        "1",
-    ),
-}
+_SAFE_PATH = "PYTHONSAFEPATH"
 
 
 class LostTaskError(OneLineError, RuntimeError):
@@ -282,23 +270,22 @@ class _Process:
 
 @contextlib.contextmanager
 def _as_for_workers() -> Iterator[None]:
-    """The environment that a process begins with, and a script that it does not run again.
+    """Processes that start meanwhile do not search the working folder for modules, nor run the script again.
 
-    A script that samples without ``if __name__ == "__main__"`` would not survive the latter.
+    A json.py beside the data would be run, and a script without a guard for ``__main__`` would not survive.
     """
-    before = {name: os.environ.get(name) for name in _OF_WORKERS}
+    before = os.environ.get(_SAFE_PATH)
     script = sys.modules["__main__"]
-    os.environ.update(_OF_WORKERS)
+    os.environ[_SAFE_PATH] = "1"
     sys.modules["__main__"] = types.ModuleType("__main__")
     try:
         yield
     finally:
         sys.modules["__main__"] = script
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        if before is None:
+            del os.environ[_SAFE_PATH]
+        else:
+            os.environ[_SAFE_PATH] = before
 
 
 def _serve(pipe: Connection) -> None:
@@ -322,8 +309,7 @@ def _serve(pipe: Connection) -> None:
             message = pickle.dumps(answer)
             pickle.loads(message)
         except Exception as error:
-            text = str(answer[1]) if not answer[0] else f"its result cannot be sent ({error})"
-            message = pickle.dumps((False, RuntimeError(text)))
+            message = pickle.dumps((False, RuntimeError(f"{answer[1]!s:.500} cannot be sent: {error}")))
         pipe.send_bytes(message)
 
 
