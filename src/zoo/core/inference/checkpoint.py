@@ -107,23 +107,25 @@ class Folder:
         write_file(self.path / "run.json", json.dumps(digests.stamped(plain), indent=1, sort_keys=True))
 
     def remove(self) -> None:
-        """Delete the files of a checkpoint, and nothing else, and give the folder free.
+        """Delete the folder, and give it free.
 
         Raises
         ------
         zoo.core.outputs.OutputFileError
-            If other files are there; they stay.
+            If anything else than a checkpoint's files is there; then all stays as it is.
         """
-        for pattern in FILES:
-            for file in self.path.glob(pattern):
-                file.unlink()
-        self.close()
         try:
-            self.path.rmdir()
-        except OSError:
-            raise OutputFileError(
-                f"{self.path}: holds files that are not a checkpoint's; move them away"
-            ) from None
+            files = sorted(self.path.iterdir())
+            for file in files:
+                if not any(map(file.match, FILES)):
+                    raise OutputFileError(
+                        f"{self.path}: holds files that are not a checkpoint's; move {file.name} away"
+                    )
+            for file in files:
+                file.unlink()
+        finally:
+            self.close()
+        self.path.rmdir()
 
 
 def _refuse_links(folder: Path) -> None:
