@@ -68,7 +68,6 @@ def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Pat
         (("Z",), "model 'Z': unknown; use one of A, B"),
         (("A", "--until", "400"), "--until 400: write --until ess=400"),
         (("A", "--until", "ess=-1"), "write --until ess=400"),
-        (("A", "--step", "nuts"), "--step nuts: must be one of demetropolisz, metropolis"),
         (("A", "--chains", "0"), "--chains 0: must be a whole number of at least 1"),
         (("A", "-o", "nowhere/A.nc"), "folder nowhere does not exist"),
     ],
@@ -85,7 +84,7 @@ def test_fresh_removes_only_a_checkpoint(tiny: Path, tmp_path: Path) -> None:
     (folder / "run.json").write_text("{}")
     message = fails("sample", "A", tiny, "-o", tmp_path / "A.nc", "--fresh", *QUICK)
     assert "holds files that are not a checkpoint's" in message
-    assert [f.name for f in folder.iterdir()] == ["diary.txt"]
+    assert {"diary.txt", "run.json"} <= {f.name for f in folder.iterdir()}
 
 
 def test_fresh_does_not_take_a_checkpoint_from_a_running_job(tiny: Path, tmp_path: Path) -> None:

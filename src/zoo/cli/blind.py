@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import PluginOptions, PriorOptions, QuietOption
+from zoo.cli.options import DaskOption, PluginOptions, PriorOptions, QuietOption
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file, output_folder
 
@@ -113,15 +113,7 @@ def run(
     max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each.")] = 2,
-    dask: Annotated[
-        str | None,
-        typer.Option(
-            "--dask",
-            help="Diagnose on the workers of a dask.distributed scheduler, tcp://HOST:8786, instead.",
-            metavar="ADDRESS",
-            show_default=False,
-        ),
-    ] = None,
+    dask: DaskOption = None,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Replace answers to other data, questions or programs.")
     ] = False,

@@ -57,7 +57,7 @@ def compare(
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
     strict: StrictOption = False,
     *,
-    sampling: Annotated[SamplingOptions, Without("step", "thin")],
+    sampling: Annotated[SamplingOptions, Without("thin")],
     priors: PriorOptions,
     conventions: ConventionOptions,
     numerical: NumericalOptions,

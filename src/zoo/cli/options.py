@@ -36,6 +36,17 @@ StrictOption = Annotated[
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
 
 
+DaskOption = Annotated[
+    str | None,
+    typer.Option(
+        "--dask",
+        help="Work on the workers of a dask.distributed scheduler, tcp://HOST:8786, instead.",
+        metavar="ADDRESS",
+        show_default=False,
+    ),
+]
+
+
 @dataclass(frozen=True)
 class PluginOptions:
     """Files with effects and models of one's own."""
@@ -287,9 +298,6 @@ class SamplingOptions:
             "draw corrected with it; nuts: NUTS with the solver's derivatives; auto chooses by model.",
         ),
     ] = "auto"
-    step: Annotated[str, typer.Option("--step", help="Of exact: demetropolisz or metropolis.")] = (
-        "demetropolisz"
-    )
     thin: Annotated[
         int | None,
         typer.Option(
@@ -339,7 +347,6 @@ class SamplingOptions:
             "tune": self.tune,
             "chains": self.chains,
             "cores": self.cores or max(1, min(self.chains, os.cpu_count() or 1)),
-            "step": self.step,
             "thin": self.thin,
             "seed": self.seed,
             "until_ess": self.ess_target(),

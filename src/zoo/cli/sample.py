@@ -12,6 +12,7 @@ from zoo.cli.checks import model_name
 from zoo.cli.command import NOT_CONVERGED, UsageError, command
 from zoo.cli.options import (
     ConventionOptions,
+    DaskOption,
     NumericalOptions,
     PluginOptions,
     PriorOptions,
@@ -48,6 +49,7 @@ def sample(
         ),
     ] = None,
     strict: StrictOption = False,
+    dask: DaskOption = None,
     *,
     sampling: SamplingOptions,
     priors: PriorOptions,
@@ -57,6 +59,7 @@ def sample(
 ) -> None:
     """Sample a model's posterior on a study, until converged; an interrupted run goes on where it was."""
     from zoo.blood.study import study_files
+    from zoo.core.inference.cluster import connect
 
     plugins.load()
     added = [part.strip() for part in (effects or "").split(",") if part.strip()]
@@ -66,9 +69,11 @@ def sample(
     path = output_file(
         Path(f"{name}-{loaded.name}.nc") if output is None else output, "--output", study_files(study)
     )
-    idata = sample_with_checkpoint(
-        name, loaded, path, settings, resume=sampling.resume, progress=not sampling.quiet
-    )
+    with connect(dask) as executor:
+        settings["executor"] = executor
+        idata = sample_with_checkpoint(
+            name, loaded, path, settings, resume=sampling.resume, progress=not sampling.quiet
+        )
     found = verdict_of(idata, settings["until_ess"])
     say(*_posterior_summary(idata, found), f"wrote {path}")
     if strict and not found.passes:
@@ -117,18 +122,10 @@ def sample_with_checkpoint(
 
 def _remove_checkpoint(folder: Path) -> None:
     """Delete the files of a checkpoint that no run is using, and nothing else."""
-    from zoo.core.inference.checkpoint import FILES, Folder
+    from zoo.core.inference.checkpoint import Folder
 
-    if not folder.is_dir():
-        return
-    Folder(folder).close()  # refused while another run holds it
-    for pattern in FILES:
-        for file in folder.glob(pattern):
-            file.unlink()
-    try:
-        folder.rmdir()
-    except OSError:
-        raise UsageError(f"{folder}: holds files that are not a checkpoint's; move them away") from None
+    if folder.is_dir() or folder.is_symlink():
+        Folder(folder).remove()  # refused while another run holds it
 
 
 def _posterior_summary(idata: az.InferenceData, found: Verdict) -> list[Any]:

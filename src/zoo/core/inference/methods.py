@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from zoo.core.forward import SolveError
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
 from zoo.core.inference.mode import has_many
-from zoo.core.inference.sampling import check_settings, has_gradient, sample_nuts
+from zoo.core.inference.sampling import check_settings, has_gradient
 from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.inference.surrogate import sample_surrogate
 from zoo.core.model import ModelError, ModelRecord, record_of, theta_of
@@ -33,11 +33,11 @@ SLOW = 0.05
 MOST = 60
 """Coordinates of the solves above which a surrogate needs too many of them."""
 ONLY_EXACT: dict[str, tuple[Any, ...]] = {
-    "step": (None, "demetropolisz"),
     "thin": (None,),
     "step_options": (None, {}),
+    "executor": (None,),
 }
-"""Settings that other methods have no use for, with the values that ask for nothing."""
+"""Settings that other methods have no use for (but NUTS for an executor), with those that ask for nothing."""
 
 
 def choose(model: Any, method: str = "auto", *, checkpoint: str | Path | None = None) -> tuple[str, str]:
@@ -91,10 +91,10 @@ def _begun(folder: Path) -> str:
     try:
         step = json.loads((folder / "run.json").read_bytes()).get("identity", {}).get("step")
     except FileNotFoundError:
-        return "surrogate" if (folder / "solves.state").exists() else ""
+        return ""
     except (OSError, ValueError, AttributeError, RecursionError):
         return "exact"  # which says what is wrong with it
-    return "nuts" if step == "nuts" else "exact"
+    return str(step) if step in ("nuts", "surrogate") else "exact"
 
 
 def _seconds(logp: LogPosterior) -> float:
@@ -143,8 +143,7 @@ def sample(
     checkpoint : path, optional
         Folder of the run, which goes on from there; of a surrogate it holds the solves.
     **settings
-        Of `zoo.core.inference.sampling.sample`, `zoo.core.inference.surrogate.sample_surrogate` or
-        `zoo.core.inference.sampling.sample_nuts`.
+        Of `zoo.core.inference.sampling.sample` or `zoo.core.inference.surrogate.sample_surrogate`.
 
     Raises
     ------
@@ -162,15 +161,17 @@ def sample(
         return sample_exact(model, checkpoint=checkpoint, preface=words, **_without(settings, "library"))
     if words and settings.get("progress", True):
         print(words, file=sys.stderr)
+    if taken == "nuts":
+        asked.pop("executor", None)
     for name, value in asked.items():
         raise SamplingError(
             f"{name} = {value}: method {taken} has no use for it; leave it out, or use method exact"
         )
-    own = _without(settings, *ONLY_EXACT)
     if taken == "nuts":
-        return sample_nuts(model, checkpoint=checkpoint, **_without(own, "library"))
+        own = _without(settings, "thin", "step_options", "library")
+        return sample_exact(model, nuts=True, checkpoint=checkpoint, **own)
     try:
-        return sample_surrogate(model, checkpoint=checkpoint, **own)
+        return sample_surrogate(model, checkpoint=checkpoint, **_without(settings, *ONLY_EXACT))
     except SurrogateError as error:
         if method != "auto":
             raise

@@ -1,8 +1,8 @@
-"""The InferenceData and run record of draws that were made without checkpoints."""
+"""The InferenceData and the run record of draws."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +12,14 @@ from zoo.core.inference.checkpoint import identity_of
 from zoo.core.inference.convergence import check_convergence, ess_to_count
 from zoo.core.inference.elements import arrays
 from zoo.core.inference.logposterior import LogPosterior, model_name
-from zoo.core.inference.prior_check import check_priors, exactness_at, priors_of
+from zoo.core.inference.prior_check import AtBound, check_priors, exactness_at, priors_of
 from zoo.core.inference.record import RunRecord
 from zoo.core.model import ModelRecord
 
 if TYPE_CHECKING:
     import arviz as az
+
+_WHOLE = {"solves": np.int64, "solver_failures": np.int64, "gradients": np.int64, "diverging": np.bool_}
 
 
 def inference_data(
@@ -29,7 +31,7 @@ def inference_data(
 
     found: az.InferenceData = az.from_dict(
         posterior=dict(draws),
-        sample_stats=dict(stats) or None,
+        sample_stats={n: v.astype(_WHOLE.get(n, v.dtype)) for n, v in stats.items()} or None,
         observed_data=find_observations(model) or None,
         coords={name: np.asarray(values) for name, values in model.coords.items() if values is not None},
         dims={name: list(names) for name, names in model.named_vars_to_dims.items()},
@@ -51,6 +53,8 @@ def attach_record(
     wall_seconds: float,
     started: str,
     sittings: int = 1,
+    at_mode: Sequence[AtBound] = (),
+    numerical: str | None = None,
     say: Callable[[str], None],
 ) -> None:
     """Write the run record into an InferenceData, and tell whether its draws have converged.
@@ -66,13 +70,21 @@ def attach_record(
         With "chains", "draws" and "until_ess".
     seed, solves, steps, mode_evaluations, failures, wall_seconds, started, sittings
         As of `zoo.core.inference.record.RunRecord`.
+    at_mode : sequence of AtBound
+        Bounds that the mode lies at.
+    numerical : str, optional
+        As of `zoo.core.inference.prior_check.exactness_at`; found out in the middle of the draws if absent.
     say : callable
     """
     identity = identity_of(logp, {})
     made = arrays(idata)
     parameters, effects = priors_of(model)
-    middle = {name: values.mean((0, 1)) for name, values in made.items()}
-    priors = replace(check_priors(parameters, made, effects=effects), numerical=exactness_at(model, middle))
+    priors = check_priors(parameters, made, effects=effects)
+    leaning = {(found.parameter, found.side) for found in priors.bounds}
+    more = tuple(found for found in at_mode if (found.parameter, found.side) not in leaning)
+    if numerical is None:
+        numerical = exactness_at(model, {name: values.mean((0, 1)) for name, values in made.items()})
+    priors = replace(priors, bounds=priors.bounds + more, numerical=numerical)
     record = RunRecord(
         model=model_name(model),
         study=identity["study"],
