@@ -115,8 +115,8 @@ _MEANING = {
     "float_type": "must be a number; write it without quotes",
     "int_type": "must be a whole number; correct it",
     "string_type": "must be text; write it in quotes",
-    "dict_type": "must be a table; write { ... } or a [heading]",
-    "model_type": "must be a table; write { ... } or a [heading]",
+    "dict_type": "must be a table; write {{ ... }} or a [heading]",
+    "model_type": "must be a table; write {{ ... }} or a [heading]",
     "list_type": "must be a list of tables; write [[vessel]]",
 }
 
