@@ -55,8 +55,8 @@ class Prior:
 
     @property
     def support(self) -> tuple[float, float]:
-        """Lower and upper bound, in the parameter's unit."""
-        raise NotImplementedError
+        """Bounds, in the parameter's unit: `low` and `high`, or 0 and infinity where it has none."""
+        return float(getattr(self, "low", 0.0)), float(getattr(self, "high", math.inf))
 
     @property
     def depends_on(self) -> tuple[str, ...]:
@@ -143,11 +143,6 @@ class Uniform(Prior):
             )
 
     @property
-    def support(self) -> tuple[float, float]:
-        """Its two bounds."""
-        return float(self.low), float(self.high)
-
-    @property
     def law(self) -> Any:
         """``scipy.stats.uniform``."""
         return _law("uniform", loc=self.low, scale=self.high - self.low)
@@ -187,11 +182,6 @@ class Normal(Prior):
                 f"normal prior: mean {self.mean}, sd {self.sd}, bounds [{self.low}, {self.high}]: the sd "
                 "must be positive and the bounds ascend"
             )
-
-    @property
-    def support(self) -> tuple[float, float]:
-        """Its two bounds."""
-        return float(self.low), float(self.high)
 
     @property
     def bounded(self) -> bool:
@@ -280,11 +270,6 @@ class LogUniform(_Exponential):
             )
 
     @property
-    def support(self) -> tuple[float, float]:
-        """Its two bounds."""
-        return float(self.low), float(self.high)
-
-    @property
     def log_prior(self) -> Uniform:
         """Uniform between the logarithms of the bounds."""
         return Uniform(math.log(self.low), math.log(self.high))
@@ -321,11 +306,6 @@ class LogNormal(_Exponential):
                 f"log-normal prior: median {self.centre}, sd of the logarithm {self.spread}, bounds "
                 f"[{self.low}, {self.high}]: the first two must be positive and the bounds ascend from 0 up"
             )
-
-    @property
-    def support(self) -> tuple[float, float]:
-        """Its two bounds."""
-        return self.low, self.high
 
     @property
     def log_prior(self) -> Normal:
@@ -374,11 +354,6 @@ class InverseGamma(Prior):
             )
 
     @property
-    def support(self) -> tuple[float, float]:
-        """Zero and infinity."""
-        return 0.0, math.inf
-
-    @property
     def law(self) -> Any:
         """``scipy.stats.invgamma``, whose quantiles are infinite where no double is large enough."""
         return _law("invgamma", self.shape, scale=self.scale)
@@ -425,11 +400,6 @@ class _Hierarchical(Prior):
     def _given(self, given: Mapping[str, Array] | None) -> Normal | LogNormal:
         """The prior of one element at these values of the population's parameters."""
         raise NotImplementedError
-
-    @property
-    def support(self) -> tuple[float, float]:
-        """Zero and infinity: sampled and searched as a logarithm."""
-        return 0.0, math.inf
 
     def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
         """Sum of the elements' log-densities."""
