@@ -52,14 +52,11 @@ class PriorTable:
         Wave speeds at rest, m/s, that hold 95 % of the prior of the stiffness in the set "study".
     own : mapping of str to Prior
         Of single parameters.
-    given_wave_speed : bool
-        Whether the table has the wave speeds.
     """
 
     set: str = STUDY_SET
     wave_speed_m_s: tuple[float, float] = WAVE_SPEED_M_S
     own: Mapping[str, Prior] = field(default_factory=dict)
-    given_wave_speed: bool = False
 
 
 def read_priors(table: Mapping[str, Any]) -> PriorTable:
@@ -95,7 +92,7 @@ def read_priors(table: Mapping[str, Any]) -> PriorTable:
             )
         speeds = _wave_speeds(table["wave_speed_m_s"])
     own = {name: _prior(name, value) for name, value in table.items() if name not in FIELDS}
-    return PriorTable(str(chosen), speeds, own, "wave_speed_m_s" in table)
+    return PriorTable(str(chosen), speeds, own)
 
 
 def _numbers(value: Any) -> list[float] | None:
@@ -165,11 +162,6 @@ def table_of(prior: Prior) -> dict[str, list[float]]:
     )
 
 
-def _no_law(name: str, text: str) -> PriorsError:
-    hint = meant(name, FIELDS, 0.6, "the field ")
-    return PriorsError(f"{text!r}: {hint}a parameter has one law, such as {name}=log_uniform(2e4,4e5)")
-
-
 def read_option(text: str) -> tuple[str, Any]:
     """What `--prior` is given, as field and value of the table.
 
@@ -197,15 +189,12 @@ def read_option(text: str) -> tuple[str, Any]:
     if name == "set":
         return name, value.strip("'\"")
     called = re.fullmatch(r"(\w+)\s*\((.*)\)", value)
+    if called is None and name != "wave_speed_m_s":
+        hint = meant(name, FIELDS, 0.6, "the field ")
+        raise PriorsError(f"{text!r}: {hint}a parameter has one law, such as {name}=log_uniform(2e4,4e5)")
     listed = (called[2] if called else value).strip("[]() ")
     try:
         numbers = [float(part) for part in listed.split(",")]
     except ValueError:
-        if called is None and name != "wave_speed_m_s":
-            raise _no_law(name, text) from None
         raise PriorsError(f"{text!r}: {listed!r} is not numbers with commas between them") from None
-    if called is None and name != "wave_speed_m_s":
-        raise _no_law(name, text)
-    if called:
-        return name, {called[1]: numbers}
-    return name, numbers
+    return name, {called[1]: numbers} if called else numbers

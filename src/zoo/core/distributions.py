@@ -1,4 +1,8 @@
-"""Distributions that PyMC does not have."""
+"""Distributions that PyMC does not have.
+
+They are classes of this module (a ``pm.CustomDist`` makes its class on the fly), so that a model unpickled in
+another process still finds its log-density and its start.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +12,10 @@ import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 from numpy.typing import NDArray
-from pymc.distributions import transforms
-from pymc.distributions.continuous import BoundedContinuous, TruncatedNormalRV
-from pymc.distributions.distribution import _support_point
-from pymc.distributions.truncated import TruncatedRV, truncated_support_point
-from pytensor.graph.op import Op
+from pymc.distributions.continuous import TruncatedNormalRV
 from pytensor.tensor.random.basic import InvGammaRV
 from pytensor.tensor.random.op import RandomVariable
+from scipy.stats import truncnorm
 
 from zoo.core.draws import inverse_gamma_draws
 
@@ -35,7 +36,7 @@ class LogUniformRV(RandomVariable):
         return np.asarray(np.exp(rng.uniform(np.log(lower), np.log(upper), size=size)))
 
 
-class LogUniform(BoundedContinuous):
+class LogUniform(pm.Continuous):
     """Distribution whose logarithm is uniform: p(x) = 1/(x log(upper/lower)), lower < x < upper."""
 
     rv_op = LogUniformRV()
@@ -51,15 +52,6 @@ class LogUniform(BoundedContinuous):
     def logp(value, lower, upper):  # type: ignore[no-untyped-def]
         inside = pt.and_(pt.ge(value, lower), pt.le(value, upper))
         return pt.switch(inside, -pt.log(value) - pt.log(pt.log(upper / lower)), -np.inf)
-
-
-def _log_bounds(*inputs: Any) -> tuple[Any, Any]:
-    return pt.log(inputs[-2]), pt.log(inputs[-1])
-
-
-@transforms._default_transform.register(LogUniformRV)
-def _log_uniform_transform(op: Op, rv: Any) -> Any:
-    return transforms.Chain([transforms.log, transforms.Interval(bounds_fn=_log_bounds)])
 
 
 class InverseGammaRV(InvGammaRV):
@@ -82,7 +74,7 @@ class PositiveNormalRV(TruncatedNormalRV):
 
 
 class PositiveNormal(pm.TruncatedNormal):
-    """``pm.TruncatedNormal`` above zero that is sampled as its logarithm and starts at its mean."""
+    """``pm.TruncatedNormal`` above zero that starts at its mean."""
 
     rv_type = PositiveNormalRV
     rv_op = PositiveNormalRV()
@@ -91,37 +83,37 @@ class PositiveNormal(pm.TruncatedNormal):
         return pt.zeros_like(rv) + pt.switch(mu > 0, mu, sigma)
 
 
-@transforms._default_transform.register(PositiveNormalRV)
-def _log(op: Op, rv: Any) -> Any:
-    return transforms.log
+class TruncatedLogNormalRV(RandomVariable):
+    """Draws of `TruncatedLogNormal`."""
 
-
-class BetweenRV(TruncatedRV):
-    """Draws of `Between`."""
+    name = "truncated_log_normal"
+    signature = "(),(),(),()->()"
+    dtype = "floatX"
+    _print_name = ("TruncatedLogNormal", "\\operatorname{TruncatedLogNormal}")
 
     @classmethod
-    def rv_op(cls, *arguments: Any, **settings: Any) -> Any:
-        """That of ``pm.Truncated``, with an operation of this class."""
-        made = TruncatedRV.rv_op(*arguments, **settings).owner
-        return cls(
-            base_rv_op=made.op.base_rv_op,
-            max_n_steps=made.op.max_n_steps,
-            inputs=made.op.inner_inputs,
-            outputs=made.op.inner_outputs,
-            ndim_supp=0,
-        )(*made.inputs)
+    def rng_fn(
+        cls, rng: np.random.Generator, mu: Array, sigma: Array, low: Array, high: Array, size: Any = None
+    ) -> Array:
+        """The exponential of a truncated normal draw."""
+        limits = (low - mu) / sigma, (high - mu) / sigma
+        return np.asarray(np.exp(truncnorm.rvs(*limits, mu, sigma, size, random_state=rng)))
 
 
-class Between(pm.Truncated):
-    """``pm.Truncated`` of a distribution that PyMC has no truncated form of; starts inside its bounds."""
+class TruncatedLogNormal(pm.Continuous):
+    """Distribution whose logarithm is a truncated normal one; starts at its untruncated mean, or inside."""
 
-    rv_type = BetweenRV
-    rv_op = BetweenRV.rv_op
+    rv_op = TruncatedLogNormalRV()
 
+    @classmethod
+    def dist(cls, mu: Any, sigma: Any, low: Any, high: Any, **kwargs: Any) -> Any:
+        """Mean and standard deviation of the logarithm, and its bounds, which may be infinite."""
+        return super().dist([mu, sigma, low, high], **kwargs)
 
-@_support_point.register(BetweenRV)
-def _inside(op: Op, rv: Any, *inputs: Any) -> Any:
-    """PyMC's own point, half the width where the mean lies outside, and the middle where that does too."""
-    *_, low, high = inputs
-    own = truncated_support_point(op, rv, *inputs)
-    return pt.switch(pt.and_(own > low, own < high), own, 0.5 * (low + high))
+    def support_point(rv, size, mu, sigma, low, high):  # type: ignore[no-untyped-def]
+        margin = 0.5 * pt.minimum(sigma, high - low)
+        return pt.zeros_like(rv) + pt.exp(pt.clip(mu + 0.5 * sigma**2, low + margin, high - margin))
+
+    def logp(value, mu, sigma, low, high):  # type: ignore[no-untyped-def]
+        of_logarithm = pm.TruncatedNormal.dist(mu, sigma, lower=low, upper=high)
+        return pm.logp(of_logarithm, pt.log(value)) - pt.log(value)

@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammaincc, gammainccinv, log_ndtr, ndtri_exp
+from scipy.special import log_ndtr
 
 from zoo.core.draws import LARGEST_DRAW, inverse_gamma_draws
 
 Array = NDArray[np.float64]
+
+_LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 class ParameterError(ValueError):
@@ -31,25 +34,12 @@ def log_normal_tails(low: Any, high: Any) -> tuple[Any, Any]:
     return log_ndtr(np.where(low > 0, -high, low)), log_ndtr(np.where(low > 0, -low, high))
 
 
-def normal_quantile(p: ArrayLike, low: float = -math.inf, high: float = math.inf) -> Array:
-    """Quantiles of a standard normal truncated to (low, high), exact in the tails too."""
-    p = np.asarray(p, dtype=np.float64)
-    return _from_uniform(1.0 - p if low > 0 else p, low, high)
+@lru_cache(1024)
+def _law(name: str, *shapes: float, loc: float = 0.0, scale: float = 1.0) -> Any:
+    """SciPy's distribution of that name; making one takes longer than a solution of a small tree."""
+    from scipy import stats  # slow to load
 
-
-def _from_uniform(u: Array, low: float, high: float) -> Array:
-    """Values of a truncated standard normal from uniform numbers, falling with them if low > 0."""
-    log_a, log_b = log_normal_tails(low, high)
-    with np.errstate(divide="ignore"):
-        z = ndtri_exp(log_b + np.log(u + (1.0 - u) * np.exp(log_a - log_b)))
-    return np.asarray(np.clip(-z if low > 0 else z, low, high))
-
-
-def normal_cdf(z: ArrayLike, low: float = -math.inf, high: float = math.inf) -> Array:
-    """Distribution function of a standard normal truncated to (low, high), exact in the tails too."""
-    z = np.clip(np.asarray(z, dtype=np.float64), max(low, -1e100), min(high, 1e100))
-    part = np.exp(log_normal_mass(low, z) - log_normal_mass(low, high))
-    return np.where(z <= low, 0.0, np.where(z >= high, 1.0, part))
+    return getattr(stats, name)(*shapes, loc=loc, scale=scale)
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -60,21 +50,29 @@ def normal_cdf(z: ArrayLike, low: float = -math.inf, high: float = math.inf) -> 
 class Prior:
     """What is known of a parameter before the data: a density on (low, high).
 
-    Subclasses give the log-density with its first two derivatives, the PyMC variable, and draws.
+    Subclasses give its `law`, the log-density with its first two derivatives, and the PyMC variable.
     """
 
     @property
     def support(self) -> tuple[float, float]:
-        """Lower and upper bound, in the parameter's unit."""
-        raise NotImplementedError
+        """Bounds, in the parameter's unit: `low` and `high`, or 0 and infinity where it has none."""
+        return float(getattr(self, "low", 0.0)), float(getattr(self, "high", math.inf))
 
     @property
     def depends_on(self) -> tuple[str, ...]:
         """Names of the parameters that this density is made of; a hierarchical prior has some."""
         return ()
 
+    @property
+    def law(self) -> Any:
+        """The distribution of `scipy.stats`; a prior that has none gives `quantile` itself."""
+        raise NotImplementedError
+
     def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
-        """Sum over the elements of x of the log-density; `given` has the parameters it depends on."""
+        """Sum over the elements of x of the log-density, as if x were inside the bounds.
+
+        These are a search's to keep. `given` has the parameters that a hierarchical prior depends on.
+        """
         raise NotImplementedError
 
     def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
@@ -100,8 +98,8 @@ class Prior:
         raise NotImplementedError
 
     def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """`size` independent draws."""
-        raise NotImplementedError
+        """`size` independent draws: quantiles of uniform numbers."""
+        return self.quantile(rng.uniform(size=size), given)
 
     def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
         """Values below which the prior has mass p.
@@ -118,16 +116,12 @@ class Prior:
         array
             Of p's shape, in the parameter's unit.
         """
-        raise NotImplementedError
-
-    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """Prior mass below each x: the inverse of `quantile`, 0 below the support and 1 above."""
-        raise NotImplementedError
+        return np.asarray(np.clip(self.law.ppf(p), *self.support))
 
     @property
     def median(self) -> float:
         """The median, where a search may start if nothing better is known."""
-        raise NotImplementedError
+        return float(self.quantile(0.5))
 
     @property
     def text(self) -> str:
@@ -149,12 +143,12 @@ class Uniform(Prior):
             )
 
     @property
-    def support(self) -> tuple[float, float]:
-        """Its two bounds."""
-        return float(self.low), float(self.high)
+    def law(self) -> Any:
+        """``scipy.stats.uniform``."""
+        return _law("uniform", loc=self.low, scale=self.high - self.low)
 
     def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
-        """-log(high - low) for each element, whatever it is: the bounds are the search's to keep."""
+        """-log(high - low) for each element."""
         return -np.size(x) * math.log(self.high - self.low)
 
     def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
@@ -167,84 +161,10 @@ class Uniform(Prior):
 
         return pm.Uniform(name, self.low, self.high, **settings)
 
-    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """`size` uniform draws."""
-        return rng.uniform(self.low, self.high, size)
-
-    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """low + p (high - low)."""
-        return self.low + (self.high - self.low) * np.asarray(p, dtype=np.float64)
-
-    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """(x - low)/(high - low)."""
-        return np.clip((np.asarray(x, dtype=np.float64) - self.low) / (self.high - self.low), 0.0, 1.0)
-
-    @property
-    def median(self) -> float:
-        """The middle."""
-        return 0.5 * (self.low + self.high)
-
     @property
     def text(self) -> str:
         """Such as "uniform in [0, 1]"."""
         return f"uniform in [{self.low:g}, {self.high:g}]"
-
-
-@dataclass(frozen=True)
-class LogUniform(Prior):
-    """Uniform in the logarithm: p(x) = 1/(x log(high/low)) on [low, high], low > 0."""
-
-    low: float
-    high: float
-
-    def __post_init__(self) -> None:
-        if not 0 < self.low < self.high < math.inf:
-            raise ParameterError(
-                f"log-uniform prior: bounds [{self.low}, {self.high}]: must be positive, ascend"
-            )
-
-    @property
-    def support(self) -> tuple[float, float]:
-        """Its two bounds."""
-        return float(self.low), float(self.high)
-
-    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
-        """Sum of -log x - log log(high/low)."""
-        return float(np.sum(-np.log(x) - math.log(math.log(self.high / self.low))))
-
-    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
-        """-1/x and -1/x^2."""
-        x = np.asarray(x, dtype=np.float64)
-        return -1.0 / x, -1.0 / x**2
-
-    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
-        """``zoo.core.distributions.LogUniform``."""
-        from zoo.core import distributions
-
-        return distributions.LogUniform(name, self.low, self.high, **settings)
-
-    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """Exponentials of uniform draws."""
-        return np.asarray(np.exp(rng.uniform(math.log(self.low), math.log(self.high), size)))
-
-    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """low (high/low)^p."""
-        return np.asarray(self.low * (self.high / self.low) ** np.asarray(p, dtype=np.float64))
-
-    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """log(x/low)/log(high/low)."""
-        x = np.clip(np.asarray(x, dtype=np.float64), self.low, self.high)
-        return np.asarray(np.log(x / self.low) / math.log(self.high / self.low))
-
-    @property
-    def median(self) -> float:
-        """The geometric mean of the bounds."""
-        return math.sqrt(self.low * self.high)
-
-    @property
-    def text(self) -> str:
-        """Such as "log-uniform in [1, 500]"."""
-        return f"log-uniform in [{self.low:g}, {self.high:g}]"
 
 
 @dataclass(frozen=True)
@@ -264,23 +184,26 @@ class Normal(Prior):
             )
 
     @property
-    def support(self) -> tuple[float, float]:
-        """Its two bounds."""
-        return float(self.low), float(self.high)
+    def bounded(self) -> bool:
+        """Whether one of the bounds is finite."""
+        return math.isfinite(self.low) or math.isfinite(self.high)
 
     @property
-    def _limits(self) -> tuple[float, float]:
+    def limits(self) -> tuple[float, float]:
         """Bounds of (x - mean)/sd."""
         return (self.low - self.mean) / self.sd, (self.high - self.mean) / self.sd
 
     @property
-    def _log_mass(self) -> float:
-        return math.log(self.sd * math.sqrt(2.0 * math.pi)) + float(log_normal_mass(*self._limits))
+    def law(self) -> Any:
+        """``scipy.stats.norm``, or ``scipy.stats.truncnorm`` where there are bounds."""
+        name, shapes = ("truncnorm", self.limits) if self.bounded else ("norm", ())
+        return _law(name, *shapes, loc=self.mean, scale=self.sd)
 
     def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
-        """Of the truncated normal, as if x were inside the bounds."""
+        """Sum of -z^2/2 - log(sd sqrt(2 pi)) - log(mass inside the bounds), z = (x - mean)/sd."""
         z = (np.asarray(x) - self.mean) / self.sd
-        return float(np.sum(-0.5 * z * z - self._log_mass))
+        size = math.log(self.sd) + _LOG_ROOT_2PI + float(log_normal_mass(*self.limits))
+        return float(np.sum(-0.5 * z * z - size))
 
     def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
         """-(x - mean)/sd^2 and 1/sd^2."""
@@ -291,41 +214,84 @@ class Normal(Prior):
         """``pm.Normal``, or ``pm.TruncatedNormal`` where there are bounds."""
         import pymc as pm
 
-        if math.isinf(self.low) and math.isinf(self.high):
+        if not self.bounded:
             return pm.Normal(name, self.mean, self.sd, **settings)
         bounds = {k: v for k, v in (("lower", self.low), ("upper", self.high)) if math.isfinite(v)}
         return pm.TruncatedNormal(name, self.mean, self.sd, **bounds, **settings)
 
-    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """By inversion of the distribution function."""
-        z = _from_uniform(rng.uniform(size=size), *self._limits)
-        return np.asarray(np.clip(self.mean + self.sd * z, self.low, self.high))
-
-    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """Of the truncated normal."""
-        x = self.mean + self.sd * normal_quantile(p, *self._limits)
-        return np.asarray(np.clip(x, self.low, self.high))
-
-    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """Of the truncated normal."""
-        return normal_cdf((np.asarray(x, dtype=np.float64) - self.mean) / self.sd, *self._limits)
-
     @property
     def median(self) -> float:
         """The mean if it lies inside the bounds, else the median between these."""
-        return self.mean if self.low < self.mean < self.high else float(self.quantile(0.5))
+        return self.mean if self.low < self.mean < self.high else super().median
 
     @property
     def text(self) -> str:
         """Such as "normal(0, 0.5) in [-1, 1]"."""
-        bounded = math.isfinite(self.low) or math.isfinite(self.high)
-        return f"normal({self.mean:g}, {self.sd:g})" + (
-            f" in [{self.low:g}, {self.high:g}]" if bounded else ""
-        )
+        within = f" in [{self.low:g}, {self.high:g}]" if self.bounded else ""
+        return f"normal({self.mean:g}, {self.sd:g}){within}"
 
 
 @dataclass(frozen=True)
-class LogNormal(Prior):
+class _Exponential(Prior):
+    """The prior of a positive number whose logarithm has another one, `log_prior`."""
+
+    @property
+    def log_prior(self) -> Uniform | Normal:
+        """Of the logarithm."""
+        raise NotImplementedError
+
+    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
+        """That of the logarithm, less log x."""
+        log_x = np.log(x)
+        return self.log_prior.log_density(log_x, given) - float(np.sum(log_x))
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """(s - 1)/x and (c + s - 1)/x^2, s and c those of the logarithm."""
+        x = np.asarray(x, dtype=np.float64)
+        slope, curvature = self.log_prior.curvature(np.log(x), given)
+        return (slope - 1.0) / x, (curvature + slope - 1.0) / x**2
+
+    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
+        """Exponentials of those of the logarithm."""
+        return np.asarray(np.clip(np.exp(self.log_prior.quantile(p)), *self.support))
+
+
+@dataclass(frozen=True)
+class LogUniform(_Exponential):
+    """Uniform in the logarithm: p(x) = 1/(x log(high/low)) on [low, high], low > 0."""
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.low < self.high < math.inf:
+            raise ParameterError(
+                f"log-uniform prior: bounds [{self.low}, {self.high}]: must be positive, ascend"
+            )
+
+    @property
+    def log_prior(self) -> Uniform:
+        """Uniform between the logarithms of the bounds."""
+        return Uniform(math.log(self.low), math.log(self.high))
+
+    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
+        """`zoo.core.distributions.LogUniform`, sampled as the logit of where its logarithm is."""
+        import pytensor.tensor as pt
+        from pymc.distributions.transforms import Chain, Interval, log
+
+        from zoo.core.distributions import LogUniform as Variable
+
+        between = Interval(bounds_fn=lambda *inputs: (pt.log(inputs[-2]), pt.log(inputs[-1])))
+        return Variable(name, self.low, self.high, default_transform=Chain([log, between]), **settings)
+
+    @property
+    def text(self) -> str:
+        """Such as "log-uniform in [1, 500]"."""
+        return f"log-uniform in [{self.low:g}, {self.high:g}]"
+
+
+@dataclass(frozen=True)
+class LogNormal(_Exponential):
     """Log-normal: log x ~ N(log centre, spread^2), truncated to (low, high)."""
 
     centre: float
@@ -342,67 +308,36 @@ class LogNormal(Prior):
             )
 
     @property
-    def support(self) -> tuple[float, float]:
-        """Its two bounds."""
-        return self.low, self.high
-
-    @property
-    def _limits(self) -> tuple[float, float]:
-        """Bounds of (log x - log centre)/spread."""
-        low = math.log(self.low / self.centre) / self.spread if self.low > 0 else -math.inf
-        return low, math.log(self.high / self.centre) / self.spread
-
-    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
-        """Sum of -z^2/2 - log x - log(spread sqrt(2 pi)) - log(mass inside the bounds)."""
-        z = np.log(np.asarray(x) / self.centre) / self.spread
-        size = math.log(self.spread * math.sqrt(2.0 * math.pi)) + float(log_normal_mass(*self._limits))
-        return float(np.sum(-0.5 * z * z - np.log(x) - size))
-
-    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
-        """-(1 + z/spread)/x and (1/spread^2 - 1 - z/spread)/x^2."""
-        x = np.asarray(x, dtype=np.float64)
-        z = np.log(x / self.centre) / self.spread
-        return -(1.0 + z / self.spread) / x, (1.0 / self.spread**2 - 1.0 - z / self.spread) / x**2
-
-    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """Exponentials of truncated normal draws."""
-        z = _from_uniform(rng.uniform(size=size), *self._limits)
-        return np.asarray(np.clip(self.centre * np.exp(self.spread * z), self.low, self.high))
+    def log_prior(self) -> Normal:
+        """The truncated normal one."""
+        low = math.log(self.low) if self.low > 0 else -math.inf
+        return Normal(math.log(self.centre), self.spread, low, math.log(self.high))
 
     def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
-        """``pm.LogNormal``, truncated where there are bounds."""
+        """``pm.LogNormal``, or `zoo.core.distributions.TruncatedLogNormal` where there are bounds."""
         import pymc as pm
+        from pymc.distributions.transforms import Interval
 
-        if self.low == 0.0 and math.isinf(self.high):
-            return pm.LogNormal(name, math.log(self.centre), self.spread, **settings)
-        from zoo.core import distributions
+        from zoo.core.distributions import TruncatedLogNormal
 
-        plain = pm.LogNormal.dist(math.log(self.centre), self.spread)
-        return distributions.Between(name, plain, lower=self.low, upper=self.high, **settings)
-
-    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """Exponentials of quantiles of the truncated normal."""
-        x = self.centre * np.exp(self.spread * normal_quantile(p, *self._limits))
-        return np.asarray(np.clip(x, self.low, self.high))
-
-    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """That of the truncated normal at the logarithm."""
-        with np.errstate(divide="ignore"):
-            z = np.log(np.maximum(np.asarray(x, dtype=np.float64), 0.0) / self.centre) / self.spread
-        return normal_cdf(z, *self._limits)
+        of_logarithm = self.log_prior
+        mean, limits = math.log(self.centre), (of_logarithm.low, of_logarithm.high)
+        if not of_logarithm.bounded:
+            return pm.LogNormal(name, mean, self.spread, **settings)
+        between = Interval(self.low, self.high if math.isfinite(self.high) else None)
+        return TruncatedLogNormal(name, mean, self.spread, *limits, default_transform=between, **settings)
 
     @property
     def median(self) -> float:
         """The centre if it lies inside the bounds, else the median between these."""
-        return self.centre if self.low < self.centre < self.high else float(self.quantile(0.5))
+        return self.centre if self.low < self.centre < self.high else super().median
 
     @property
     def text(self) -> str:
         """Such as "log-normal(0.05, 0.5)", with the bounds if they leave out more than 1 % of it."""
-        whole = float(np.exp(log_normal_mass(*self._limits)))
-        return f"log-normal({self.centre:g}, {self.spread:g})" + (
-            f" in [{self.low:g}, {self.high:g}]" if whole < 0.99 else ""
-        )
+        whole = float(np.exp(log_normal_mass(*self.log_prior.limits)))
+        within = f" in [{self.low:g}, {self.high:g}]" if whole < 0.99 else ""
+        return f"log-normal({self.centre:g}, {self.spread:g}){within}"
 
 
 @dataclass(frozen=True)
@@ -419,9 +354,9 @@ class InverseGamma(Prior):
             )
 
     @property
-    def support(self) -> tuple[float, float]:
-        """Zero and infinity."""
-        return 0.0, math.inf
+    def law(self) -> Any:
+        """``scipy.stats.invgamma``, whose quantiles are infinite where no double is large enough."""
+        return _law("invgamma", self.shape, scale=self.scale)
 
     def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
         """Sum of shape log scale - log Gamma(shape) - (shape + 1) log x - scale/x."""
@@ -436,29 +371,18 @@ class InverseGamma(Prior):
 
     def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
         """``zoo.core.distributions.InverseGamma``, which can be drawn from however vague it is."""
-        from zoo.core import distributions
+        from zoo.core.distributions import InverseGamma as Variable
 
-        return distributions.InverseGamma(name, self.shape, self.scale, **settings)
+        return Variable(name, self.shape, self.scale, **settings)
 
     def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
         """Of `inverse_gamma_draws`."""
         return inverse_gamma_draws(rng, self.shape, self.scale, size)
 
-    def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """By the inverse of the regularised gamma function; infinite where no double is large enough."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(self.scale / gammainccinv(self.shape, np.asarray(p, dtype=np.float64)))
-
-    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """The regularised upper incomplete gamma function at scale/x."""
-        x = np.maximum(np.asarray(x, dtype=np.float64), 0.0)
-        with np.errstate(divide="ignore"):
-            return np.asarray(gammaincc(self.shape, self.scale / x))
-
     @property
     def median(self) -> float:
         """The median, at most `LARGEST_DRAW`."""
-        return min(float(self.quantile(0.5)), LARGEST_DRAW)
+        return min(super().median, LARGEST_DRAW)
 
     @property
     def text(self) -> str:
@@ -477,11 +401,6 @@ class _Hierarchical(Prior):
         """The prior of one element at these values of the population's parameters."""
         raise NotImplementedError
 
-    @property
-    def support(self) -> tuple[float, float]:
-        """Zero and infinity: sampled and searched as a logarithm."""
-        return 0.0, math.inf
-
     def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
         """Sum of the elements' log-densities."""
         return self._given(given).log_density(x, {})
@@ -490,17 +409,9 @@ class _Hierarchical(Prior):
         """Those of an element's log-density."""
         return self._given(given).curvature(x, {})
 
-    def draw(self, rng: np.random.Generator, size: int, given: Mapping[str, Array]) -> Array:
-        """`size` elements, independent given the population."""
-        return self._given(given).draw(rng, size, {})
-
     def quantile(self, p: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
         """Of one element."""
         return self._given(given).quantile(p)
-
-    def cdf(self, x: ArrayLike, given: Mapping[str, Array] | None = None) -> Array:
-        """Of one element."""
-        return self._given(given).cdf(x)
 
     @property
     def median(self) -> float:
@@ -555,11 +466,13 @@ class Population(_Hierarchical):
     def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
         """``zoo.core.distributions.PositiveNormal``, sampled as its logarithm."""
         import pymc as pm
+        from pymc.distributions.transforms import log
 
-        from zoo.core import distributions
+        from zoo.core.distributions import PositiveNormal
 
         sd = self.unit * pm.math.sqrt(given[self.variance])
-        return distributions.PositiveNormal(name, given[self.mean], sd, lower=0.0, **settings)
+        mean = given[self.mean]
+        return PositiveNormal(name, mean, sd, lower=0.0, default_transform=log, **settings)
 
     @property
     def text(self) -> str:

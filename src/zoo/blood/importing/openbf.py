@@ -12,23 +12,26 @@ walls that have none.
 
 from __future__ import annotations
 
-import difflib
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from zoo.blood.conventions import PRINTED
 from zoo.blood.importing.imported import Imported, ImportedFileError
-from zoo.blood.importing.yaml import Table, read_yaml
+from zoo.blood.importing.yaml import Table as Rows
+from zoo.blood.importing.yaml import read_yaml
 from zoo.blood.study import Blood, Study, Vessel, Windkessel
 from zoo.blood.study.reading import inside, read_text
 from zoo.blood.study.resampling import even_samples
+from zoo.blood.study.tables import Table, Whole, validated, visible_name
 from zoo.core.words import short
 
 Array = NDArray[np.float64]
@@ -50,96 +53,104 @@ _CGS_RESISTANCE = 1e-5  # dyn s/cm5 in 1 Pa s/m3
 _CGS_COMPLIANCE = 1e5  # cm5/dyn in 1 m3/Pa
 _ML = 1e6  # in 1 m3
 
-_TOP = {"project_name", "inlet_file", "write_results", "output_directory", "blood", "solver", "network"}
-_SOLVER = {"Ccfl", "cycles", "jump", "convergence_tolerance"}
-_BLOOD = {"rho", "mu"}
-_VESSEL = {
-    *("label", "sn", "tn", "L", "E", "R0", "Rp", "Rd", "h0", "Pext", "gamma_profile"),
-    *("outlet", "R1", "R2", "Cc", "Rt", "inlet_impedance_matching"),
-    *("inlet", "inlet_file", "inlet_number"),
-}
-_VESSEL_LEFT_OUT = {"M", "to_save", "initial_pressure", "initial_flow"}
+Positive = Annotated[float, Field(ge=1 / MOST, le=MOST)]
+Least = Annotated[float, Field(ge=0, le=MOST)]
+
+
+class _Blood(Table):
+    rho: Positive
+    mu: Positive
+
+
+class _Solver(Table):
+    Ccfl: Any = None
+    cycles: Any = None
+    jump: Any = None
+    convergence_tolerance: Any = None
+
+
+class _Vessel(Table):
+    label: Any = None
+    sn: Whole
+    tn: Whole
+    L: Positive
+    E: Positive
+    R0: Positive | None = None
+    Rp: Positive | None = None
+    Rd: Positive | None = None
+    h0: Positive | None = None
+    Pext: float = Field(default=0.0, ge=-MOST, le=MOST)
+    gamma_profile: Positive | None = None
+    outlet: Literal["none", "wk2", "wk3", "reflection"] | None = None
+    R1: Positive | None = None
+    R2: Least = 0.0
+    Cc: Least = 0.0
+    Rt: float | None = Field(default=None, gt=-1, lt=1)
+    inlet_impedance_matching: Any = None
+    inlet: Literal["Q"] = "Q"
+    inlet_file: str | None = None
+    inlet_number: Any = None
+    M: Any = None
+    to_save: Any = None
+    initial_pressure: Any = None
+    initial_flow: Any = None
+    visco_elastic: Any = None
+    phi: Any = None
+    Rc: Any = None
+
+
+class _Network(Table):
+    project_name: Any = None
+    inlet_file: str | None = None
+    write_results: Any = None
+    output_directory: Any = None
+    blood: Any
+    solver: Any = None
+    network: Any
+
+
+_LEFT_OUT = ("M", "initial_flow", "initial_pressure", "to_save")
 _REFUSED = {
-    "visco-elastic": "a viscoelastic wall is no part of a study's tree",
     "visco_elastic": "a viscoelastic wall is no part of a study's tree",
     "phi": "a viscoelastic wall is no part of a study's tree",
     "Rc": "walls that buckle under a critical radius cannot be expressed",
 }
-_OUTLETS = ("wk2", "wk3", "reflection")
 
 
-class _File:
-    """An openBF file while it is read: where things stand, and what is told of them."""
+class _Part:
+    """A table of the file, checked, with what an error calls it; older files have spaces in their keys."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.top = self.table(read_yaml(path), "the file", _TOP)
-        self.notes: list[str] = []
-
-    def fail(self, where: str, reason: str) -> ImportedFileError:
-        return ImportedFileError(f"{self.path}{where}: {reason}")
-
-    def table(self, value: Any, what: str, known: set[str], row: int | None = None) -> Table:
-        """A table with the spelling of today: files of before have spaces in their keys."""
-        at = "" if row is None else f", row {row}"
-        if not isinstance(value, Table):
-            raise self.fail(at, f"{what}: must be a table of keys and values; is this an openBF file?")
-        renamed = Table()
-        for key, inner in value.items():
-            name = key.replace(" ", "_")
-            place = f", row {value.rows[key]}"
-            if name in _REFUSED and inner not in (None, False, 0, 0.0):
-                raise self.fail(
-                    place, f"{what}: {key} = {short(inner)}: {_REFUSED[name]}; remove it to import without"
-                )
-            if name not in known and name not in _REFUSED:
-                close = difflib.get_close_matches(name, sorted(known), 1, 0.6)
-                hint = f"did you mean {close[0]}? " if close else ""
-                raise self.fail(
-                    place, f"{what}: {key}: unknown key; {hint}use one of {', '.join(sorted(known))}"
-                )
-            renamed[name] = inner
-            renamed.rows[name] = value.rows[key]
-        return renamed
-
-    def number(
-        self, table: Table, what: str, key: str, default: float | None = None, *, least: float | None = None
-    ) -> float:
-        """A positive number, or one that is at least `least`."""
-        value = table.get(key, default)
-        at = f", row {table.rows[key]}" if key in table else ""
-        if value is None:
-            raise self.fail(at, f"{what}: {key}: is missing; add it")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise self.fail(at, f"{what}: {key} = {short(value)}: must be a number; correct it")
-        if abs(value) > MOST or 0 < abs(value) < 1 / MOST:
-            raise self.fail(
-                at,
-                f"{what}: {key} = {short(value)}: its size must be between {1 / MOST:g} and {MOST:g}; "
-                "correct it",
+    def __init__(self, path: Path, model: type[Table], what: str, value: Any) -> None:
+        if not isinstance(value, Rows):
+            raise ImportedFileError(
+                f"{path}: {what}: must be a table of keys and values; is this an openBF file?"
             )
-        if value <= 0 if least is None else value < least:
-            word = "positive" if least is None else "zero or positive"
-            raise self.fail(at, f"{what}: {key} = {short(value)}: must be {word}; correct it")
+        names = {key: re.sub("[ -]", "_", key) for key in value}
+        self.path, self.what = path, what
+        self.rows = {name: value.rows[key] for key, name in names.items()}
+        self.given = {name: value[key] for key, name in names.items() if value[key] is not None}
+        for name in _REFUSED.keys() & self.given.keys():
+            if self.given[name]:
+                raise self.fail(
+                    name, f" = {short(self.given[name])}: {_REFUSED[name]}; remove it to import without"
+                )
+        self.table = validated(model, self.given, self.place)
+
+    def place(self, name: str) -> str:
+        """File, row and table of a field, for errors."""
+        row = f", row {self.rows[name]}" if name in self.rows else ""
+        return f"{self.path}{row}: {self.what}"
+
+    def fail(self, name: str, reason: str) -> ImportedFileError:
+        """An error about a field."""
+        return ImportedFileError(f"{self.place(name)}: {name}{reason}")
+
+    def needed(self, name: str) -> float:
+        """A positive number that only some tables need."""
+        value = getattr(self.table, name)
+        if not value:
+            raise self.fail(name, ": is missing or zero; add it")
         return float(value)
-
-    def name(self, table: Table, key: str, default: str) -> str:
-        value = table.get(key)
-        text = default if value is None else str(value)
-        if not text.strip() or not text.isprintable():
-            raise self.fail(
-                f", row {table.rows[key]}", f"{key} = {text!r}: must be one line of visible text; correct it"
-            )
-        return text
-
-    def node(self, table: Table, what: str, key: str) -> int:
-        value = table.get(key)
-        at = f", row {table.rows[key]}" if key in table else ""
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise self.fail(
-                at, f"{what}: {key} = {short(value)}: must be the whole number of a node; correct it"
-            )
-        return value
 
 
 def import_openbf(path: str | Path) -> Imported:
@@ -158,90 +169,88 @@ def import_openbf(path: str | Path) -> Imported:
     Raises
     ------
     ImportedFileError
-        If the file is wrong, or holds what a study cannot express: loops, several inlets, a pressure at the
-        inlet, viscoelastic walls, outlets of another kind.
+        If the file holds what a study cannot express: loops, several inlets, viscoelastic walls.
+    zoo.blood.study.StudyError
+        If a field is unknown, missing or out of range.
 
     References
     ----------
     Melis 2018, doi 10.15131/shef.data.7166183.
     """
-    file = _File(Path(path))
-    blood = file.table(file.top.get("blood"), "blood", _BLOOD, file.top.rows.get("blood"))
-    solver = file.table(file.top.get("solver", Table()), "solver", _SOLVER, file.top.rows.get("solver"))
-    density = _times(file.number(blood, "blood", "rho"), _CGS_DENSITY)
-    viscosity = _times(file.number(blood, "blood", "mu"), _CGS_PRESSURE)
-    network = file.top.get("network")
-    if not isinstance(network, list) or not network:
-        raise file.fail("", "network: must be a list of vessels; is this an openBF file?")
-    left_out = [f"solver settings {', '.join(solver)}"] if solver else []
-    left_out += [name for name in ("write_results", "output_directory") if name in file.top]
+    path = Path(path)
+    top = _Part(path, _Network, "the file", read_yaml(path))
+    file: _Network = top.table
+    blood: _Blood = _Part(path, _Blood, "blood", file.blood).table
+    solver = _Part(path, _Solver, "solver", file.solver or Rows())
+    if not isinstance(file.network, list) or not file.network:
+        raise top.fail("network", ": must be a list of vessels; is this an openBF file?")
+    parts = []
+    for i, one in enumerate(file.network, 1):
+        label = one.get("label") if isinstance(one, Rows) else None
+        parts.append(_Part(path, _Vessel, f"vessel {i if label is None else label}", one))
+    notes: list[str] = []
+    left_out = [f"solver settings {', '.join(solver.given)}"] if solver.given else []
+    left_out += [name for name in ("write_results", "output_directory") if name in top.given]
+    for name in _LEFT_OUT:
+        n = sum(name in part.rows for part in parts)
+        left_out += [f"{name} of {n} vessels"] if n else []
 
-    tables, names = [], []
-    for i, entry in enumerate(network, 1):
-        label = entry.get("label") if isinstance(entry, Table) else None
-        what = f"vessel {label if label is not None else i}"
-        tables.append(file.table(entry, what, _VESSEL | _VESSEL_LEFT_OUT))
-        names.append(file.name(tables[-1], "label", f"v{i}"))
-    for key in sorted(_VESSEL_LEFT_OUT):
-        n = sum(key in table for table in tables)
-        left_out += [f"{key} of {n} vessels"] if n else []
-
-    parents = _tree(file, tables, names)
-    root = parents.index(None)
-    fed = {parent for parent in parents if parent is not None}
+    density = _times(blood.rho, _CGS_DENSITY)
+    parents = _tree(path, parts)
     vessels = tuple(
-        _vessel(file, tables[i], i + 1, names[i], parent, i not in fed, density)
-        for i, parent in enumerate(parents)
+        _vessel(part, i, parents[i], i not in parents, density, notes) for i, part in enumerate(parts)
     )
     outside = {v.external_pressure_mmHg for v in vessels}
     everywhere = outside.pop() if len(outside) == 1 else None
     if everywhere is not None:
         vessels = tuple(replace(v, external_pressure_mmHg=None) for v in vessels)
-    order = _profile(file, tables, names)
-    times, flow, period = _inflow(file, tables[root])
+    order = _profile(parts, notes)
+    root: _Vessel = parts[parents.index(None)].table
+    times, flow, period = _inflow(
+        path, root.inlet_file or file.inlet_file or f"{file.project_name}_inlet.dat", notes
+    )
     study = Study(
-        name=file.name(file.top, "project_name", file.path.stem),
+        name=visible_name(top.place("project_name"), str(file.project_name or path.stem)),
         period_s=period,
-        blood=Blood(density, viscosity, velocity_profile_order=order),
+        blood=Blood(density, _times(blood.mu, _CGS_PRESSURE), velocity_profile_order=order),
         vessels=vessels,
         inflow_time_s=times,
         inflow_ml_s=flow,
         time_s=np.empty(0),
         series=(),
-        source=file.path,
+        source=path,
         external_pressure_mmHg=everywhere or 0.0,
     )
-    return Imported(study, tuple(_told(study)), tuple(_converted(file)), tuple(left_out))
+    units = "SI to cgs: m to cm, Pa to dyn/cm2 and mmHg, kg/m3 to g/cm3, Pa s to g/(cm s), m3/s to ml/s"
+    return Imported(study, tuple(_told(study)), (units, *dict.fromkeys(notes)), tuple(left_out))
 
 
-def _tree(file: _File, tables: Sequence[Table], names: Sequence[str]) -> list[int | None]:
+def _tree(path: Path, parts: Sequence[_Part]) -> list[int | None]:
     """Index of the vessel that feeds each; None for the root."""
     ends: dict[int, int] = {}
-    starts = [file.node(table, f"vessel {name}", "sn") for table, name in zip(tables, names, strict=True)]
-    for i, (table, name) in enumerate(zip(tables, names, strict=True)):
-        node = file.node(table, f"vessel {name}", "tn")
-        if node == starts[i]:
-            raise file.fail(
-                f", row {table.rows['tn']}", f"vessel {name}: begins and ends at node {node}; correct it"
-            )
+    for i, part in enumerate(parts):
+        node = part.table.tn
+        if node == part.table.sn:
+            raise part.fail("tn", f" = {node}: begins and ends at node {node}; correct it")
         if node in ends:
-            raise file.fail(
-                f", row {table.rows['tn']}",
-                f"node {node}: vessels {names[ends[node]]} and {name} both flow into it: a loop or "
-                "several inlets, and a study is a tree; cut it open there to import it",
+            raise part.fail(
+                "tn",
+                f" = {node}: {parts[ends[node]].what} flows into this node too: a loop or several inlets, "
+                "and a study is a tree; cut it open there to import it",
             )
         ends[node] = i
-    roots = [i for i, node in enumerate(starts) if node not in ends]
+    parents = [ends.get(part.table.sn) for part in parts]
+    roots = [part.what for part, parent in zip(parts, parents, strict=True) if parent is None]
     if not roots:
-        raise file.fail(
-            "", "network: every vessel is fed by another: the network is a loop, and a study is a tree"
+        raise ImportedFileError(
+            f"{path}: network: every vessel is fed by another: the network is a loop, and a study is a tree"
         )
     if len(roots) > 1:
-        listed = ", ".join(names[i] for i in roots[:5])
-        raise file.fail(
-            "", f"network: several inlets ({listed}), and a study has one; import each of the trees by itself"
+        raise ImportedFileError(
+            f"{path}: network: several inlets ({', '.join(roots[:5])}), and a study has one; import each of "
+            "the trees by itself"
         )
-    return [ends.get(node) for node in starts]
+    return parents
 
 
 def thickness(radius_m: float) -> float:
@@ -256,44 +265,36 @@ def thickness(radius_m: float) -> float:
 
 
 def _vessel(
-    file: _File, table: Table, number: int, name: str, parent: int | None, terminal: bool, density: float
+    part: _Part, i: int, parent: int | None, terminal: bool, density: float, notes: list[str]
 ) -> Vessel:
-    what = f"vessel {name}"
-    given = "R0" if "R0" in table else "Rp"
-    radius = file.number(table, what, given)
-    out = radius if given == "R0" else file.number(table, what, "Rd", radius)
-    modulus = file.number(table, what, "E")
-    if "h0" in table:
-        wall = wall_out = file.number(table, what, "h0")
-    else:
+    """The i-th vessel, in cgs units."""
+    given: _Vessel = part.table
+    radius = part.needed("Rp") if given.R0 is None else given.R0
+    out = radius if given.R0 or given.Rd is None else given.Rd
+    wall = wall_out = given.h0
+    if wall is None or wall_out is None:
         wall, wall_out = thickness(radius), thickness(out)
-        file.notes.append(
-            "walls without h0 got h0 = R0 (0.2802 exp(-505.3 R0) + 0.1324 exp(-11.14 R0)), in m"
-        )
-    outside = file.number(table, what, "Pext", 0.0, least=-math.inf)
-    stated = any(key in table for key in ("outlet", "R1", "R2", "Cc", "Rt"))
-    if stated and not terminal and table.get("outlet") not in (None, "none"):
-        raise file.fail(
-            f", row {table.rows['outlet']}", f"{what}: outlet: it feeds other vessels; remove the outlet"
-        )
+        notes.append("walls without h0 got h0 = R0 (0.2802 exp(-505.3 R0) + 0.1324 exp(-11.14 R0)), in m")
+    if given.outlet not in (None, "none") and not terminal:
+        raise part.fail("outlet", f" = {given.outlet!r}: it feeds other vessels; remove the outlet")
     # a wave's impedance at rest, rho c/A0 with c^2 = (2/3) E h0/(rho R0)
-    speed = math.sqrt(2 * modulus * _CGS_PRESSURE * wall_out / (3 * density * out))
+    speed = math.sqrt(2 * given.E * _CGS_PRESSURE * wall_out / (3 * density * out))
     impedance = density * speed / (math.pi * (out * _CM) ** 2)
-    load, single, behind = _outlet(file, table, what, impedance, outside) if terminal else (None, None, None)
+    load, single, behind = _outlet(part, impedance, notes) if terminal else (None, None, None)
     return Vessel(
-        id=number,
-        name=name,
-        length_cm=_times(file.number(table, what, "L"), _CM),
+        id=i + 1,
+        name=visible_name(part.place("label"), str(f"v{i + 1}" if given.label is None else given.label)),
+        length_cm=_times(given.L, _CM),
         radius_cm=_times(radius, _CM),
         radius_out_cm=_times(out, _CM),
         parent=None if parent is None else parent + 1,
         windkessel=load,
         resistance=single,
-        youngs_modulus_g_cm_s2=_times(modulus, _CGS_PRESSURE),
+        youngs_modulus_g_cm_s2=_times(given.E, _CGS_PRESSURE),
         wall_thickness_cm=_times(wall, _CM),
         wall_thickness_out_cm=None if wall_out == wall else _times(wall_out, _CM),
         outflow_pressure_mmHg=behind,
-        external_pressure_mmHg=_mmhg(outside) if outside else None,
+        external_pressure_mmHg=_mmhg(given.Pext) if given.Pext else None,
     )
 
 
@@ -307,94 +308,63 @@ def _mmhg(pascal: float) -> float:
 
 
 def _outlet(
-    file: _File, table: Table, what: str, impedance: float, outside: float
+    part: _Part, impedance: float, notes: list[str]
 ) -> tuple[Windkessel | None, float | None, float | None]:
     """Windkessel, or a single resistance with the pressure behind it; `impedance` in dyn s/cm5."""
-    kind = table.get("outlet")
-    kind = None if kind == "none" else kind
-    if kind is not None and kind not in _OUTLETS:
-        raise file.fail(
-            f", row {table.rows['outlet']}",
-            f"{what}: outlet = {short(kind)}: unknown; use one of {', '.join(_OUTLETS)}",
+    given: _Vessel = part.table
+    unsaid = given.outlet in (None, "none") and not given.R1 and given.Rt is not None
+    if given.outlet == "reflection" or unsaid:
+        if given.Rt is None:
+            raise part.fail("Rt", ": is missing; add it")
+        notes.append(
+            "reflection: Rt became the resistance Z (1 + Rt)/(1 - Rt), Z the vessel's impedance at rest"
         )
-    if kind is None:
-        kind = "reflection" if not table.get("R1") and table.get("Rt") is not None else "wk3"
-    if kind == "reflection":
-        return None, _reflecting(file, table, what, impedance), _mmhg(outside) if outside else None
-    R1 = _times(file.number(table, what, "R1"), _CGS_RESISTANCE)
-    R2 = _times(file.number(table, what, "R2", 0.0, least=0.0), _CGS_RESISTANCE)
-    if not R2 and not table.get("Cc"):
+        behind = _mmhg(given.Pext) if given.Pext else None
+        return None, impedance * (1 + given.Rt) / (1 - given.Rt), behind
+    R1, R2 = _times(part.needed("R1"), _CGS_RESISTANCE), _times(given.R2, _CGS_RESISTANCE)
+    if not R2 and not given.Cc:
         return None, R1, None
-    C = _times(file.number(table, what, "Cc"), _CGS_COMPLIANCE)
-    if R2 and not table.get("inlet_impedance_matching"):
-        if kind == "wk2":
-            raise file.fail(
-                f", row {table.rows['R2']}", f"{what}: R2: wk2 has R1 and Cc alone; remove R2, or write wk3"
-            )
+    C = _times(part.needed("Cc"), _CGS_COMPLIANCE)
+    if R2 and not given.inlet_impedance_matching:
+        if given.outlet == "wk2":
+            raise part.fail("R2", f" = {given.R2:g}: wk2 has R1 and Cc alone; remove R2, or write wk3")
         return Windkessel(R1, R2, C), None, None
     total = R1 + R2
     if total <= impedance:
-        raise file.fail(
-            f", row {table.rows['R1']}",
-            f"{what}: R1 = {table['R1']:g}: the resistance, {total:.4g} dyn s/cm5, is below the vessel's "
-            f"impedance, {impedance:.4g}, so that nothing is left behind it; correct it",
+        raise part.fail(
+            "R1",
+            f" = {given.R1:g}: the resistance, {total:.4g} dyn s/cm5, is below the vessel's impedance, "
+            f"{impedance:.4g}, so that nothing is left behind it; correct it",
         )
     if R2:
-        file.notes.append("inlet_impedance_matching: R1 is the vessel's impedance at rest, and stays so")
+        notes.append("inlet_impedance_matching: R1 is the vessel's impedance at rest, and stays so")
     else:
-        file.notes.append(
+        notes.append(
             "outlets with R1 and Cc alone: rho c/A0 of the vessel at rest in front, the rest of R1 behind"
         )
     return Windkessel(impedance, total - impedance, C), None, None
 
 
-def _reflecting(file: _File, table: Table, what: str, impedance: float) -> float:
-    """The resistance that reflects a small wave by Rt = (R - Z)/(R + Z)."""
-    value = table.get("Rt")
-    at = f", row {table.rows['Rt']}" if "Rt" in table else ""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not -1 < value < 1:
-        raise file.fail(
-            at, f"{what}: Rt = {short(value)}: must be a number between -1 and 1, itself neither; correct it"
-        )
-    file.notes.append(
-        "reflection: Rt became the resistance Z (1 + Rt)/(1 - Rt), Z the vessel's impedance at rest"
-    )
-    return impedance * (1 + value) / (1 - value)
-
-
-def _profile(file: _File, tables: Sequence[Table], names: Sequence[str]) -> float:
+def _profile(parts: Sequence[_Part], notes: list[str]) -> float:
     """The one order of the velocity profile."""
-    orders = [
-        file.number(table, f"vessel {name}", "gamma_profile", DEFAULT_PROFILE)
-        for table, name in zip(tables, names, strict=True)
-    ]
-    for table, name, order in zip(tables, names, orders, strict=True):
+    orders = [part.table.gamma_profile or DEFAULT_PROFILE for part in parts]
+    for part, order in zip(parts, orders, strict=True):
         if order != orders[0]:
-            at = f", row {table.rows['gamma_profile']}" if "gamma_profile" in table else ""
-            raise file.fail(
-                at,
-                f"vessel {name}: gamma_profile = {order:g}, but {orders[0]:g} in {names[0]}: a study has one "
-                "order of the velocity profile; give the same in all vessels",
+            raise part.fail(
+                "gamma_profile",
+                f" = {order:g}, but {orders[0]:g} in {parts[0].what}: a study has one order of the velocity "
+                "profile; give the same in all vessels",
             )
-    if not any("gamma_profile" in table for table in tables):
-        file.notes.append(
-            f"no gamma_profile: a velocity profile of order {DEFAULT_PROFILE}, openBF's default"
-        )
-    return orders[0]
+    if not any(part.table.gamma_profile for part in parts):
+        notes.append(f"no gamma_profile: a velocity profile of order {DEFAULT_PROFILE}, openBF's default")
+    return float(orders[0])
 
 
-def _inflow(file: _File, root: Table) -> tuple[Array, Array, float]:
+def _inflow(file: Path, name: str, notes: list[str]) -> tuple[Array, Array, float]:
     """Times (s) and inflow (ml/s) without the last sample, which repeats the first, and the period (s)."""
-    kind = root.get("inlet", "Q")
-    if kind != "Q":
-        raise file.fail(
-            f", row {root.rows['inlet']}",
-            f"inlet = {short(kind)}: a study has a flow at its inlet; give one, with inlet: Q",
-        )
-    name = root.get("inlet_file") or file.top.get("inlet_file") or f"{file.top.get('project_name')}_inlet.dat"
-    if wrong := inside(file.path.parent, str(name)):
-        raise file.fail("", f"inlet_file = {short(str(name))}: {wrong}")
-    path = file.path.parent / str(name)
+    if wrong := inside(file.parent, name):
+        raise ImportedFileError(f"{file}: inlet_file = {short(name)}: {wrong}")
+    path = file.parent / name
     samples = _columns(path)
     if len(samples) < 3 or not np.all(np.abs(samples) <= MOST):
         raise ImportedFileError(
@@ -412,7 +382,7 @@ def _inflow(file: _File, root: Table) -> tuple[Array, Array, float]:
     if np.ptp(gaps) > EVEN * np.median(gaps):
         even, distance = even_samples(times[:-1], flow[:-1], period)
         how = f"at most {distance:.2g} ml/s off" if distance else "the same curve"
-        file.notes.append(
+        notes.append(
             f"inflow: {len(gaps)} samples at uneven times, linear between, became {len(even)} even ones: "
             f"{how}"
         )
@@ -454,10 +424,3 @@ def _told(study: Study) -> list[str]:
 
 def _ends(vessel: Vessel) -> bool:
     return vessel.windkessel is not None or vessel.resistance is not None
-
-
-def _converted(file: _File) -> list[str]:
-    return [
-        "SI to cgs: m to cm, Pa to dyn/cm2 and mmHg, kg/m3 to g/cm3, Pa s to g/(cm s), m3/s to ml/s",
-        *dict.fromkeys(file.notes),
-    ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -115,40 +115,50 @@ _MEANING = {
     "float_type": "must be a number; write it without quotes",
     "int_type": "must be a whole number; correct it",
     "string_type": "must be text; write it in quotes",
-    "dict_type": "must be a table; write { ... } or a [heading]",
-    "model_type": "must be a table; write { ... } or a [heading]",
+    "dict_type": "must be a table; write {{ ... }} or a [heading]",
+    "model_type": "must be a table; write {{ ... }} or a [heading]",
     "list_type": "must be a list of tables; write [[vessel]]",
 }
 
 
-def validated(model: type[Table], data: Any, where: str) -> Any:
-    """Validate a table of a TOML file; its first fault is raised, a misspelt field before others."""
+def validated(model: type[Table], data: Any, where: str | Callable[[str], str]) -> Any:
+    """Validate a table of a file; its first fault is raised, a misspelt field before others.
+
+    Parameters
+    ----------
+    model : type of Table
+    data : mapping
+    where : str or function of str
+        What an error calls the table, or the place of a field of this name.
+
+    Raises
+    ------
+    StudyError
+    """
+
+    def fault(name: str, reason: str) -> StudyError:
+        return StudyError(f"{where if isinstance(where, str) else where(name)}: {reason}")
+
     for name in data:
         if name not in model.model_fields:  # here, as the model would list each of a million
             hint = choices(name, list(model.model_fields))
-            raise StudyError(f"{where}: {one_line(str(name), 100)}: unknown field; {hint}")
+            raise fault(name, f"{one_line(str(name), 100)}: unknown field; {hint}")
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
-    loc, kind = faults[0]["loc"], faults[0]["type"]
+        first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
+    loc, kind, limits = first["loc"], first["type"], dict(first.get("ctx", {}))
     name = one_line(".".join(str(part) for part in loc), 100)
     if kind == "extra_forbidden":
-        fields = list((WindkesselTable if loc[0] == "windkessel" else model).model_fields)
-        raise StudyError(f"{where}: {name}: unknown field; {choices(loc[-1], fields)}")
+        raise fault(name, f"{name}: unknown field; {choices(loc[-1], list(WindkesselTable.model_fields))}")
     if kind == "missing":
-        raise StudyError(f"{where}: {name}: {_MEANING[kind]}")
-    meaning = _MEANING.get(kind, f"{faults[0]['msg']}; correct it")
-    limits = faults[0].get("ctx", {})
-    if (
-        kind == "greater_than_equal"
-        and isinstance(limits["ge"], float)
-        and faults[0]["input"] <= 0 < limits["ge"]
-    ):
-        meaning = _MEANING["greater_than"]
-    for limit, number in limits.items():
-        meaning = meaning.replace(f"{{{limit}}}", f"{number:g}" if isinstance(number, float) else str(number))
-    raise StudyError(f"{where}: {name} = {short(faults[0]['input'])}: {meaning}")
+        raise fault(name, f"{name}: {_MEANING[kind]}")
+    least = limits.get("ge")
+    if isinstance(least, float) and first["input"] <= 0 < least:
+        kind = "greater_than"
+    shown = {limit: f"{x:g}" if isinstance(x, float) else str(x) for limit, x in limits.items()}
+    meaning = _MEANING[kind].format(**shown) if kind in _MEANING else f"{first['msg']}; correct it"
+    raise fault(str(loc[0]), f"{name} = {short(first['input'])}: {meaning}")
 
 
 def checked_numerics(where: str, given: Mapping[str, Any]) -> dict[str, Any]:
