@@ -105,18 +105,6 @@ def test_files_of_the_first_format_are_read(jitter: StudyDiagnosis, tmp_path: Pa
     assert json.loads(old.model_dump_json())["gap"]["before_ml_s"] == old.gap.before
 
 
-def test_a_spoilt_file_is_named(jitter: StudyDiagnosis, tmp_path: Path) -> None:
-    path = jitter.save(tmp_path)
-    content = json.loads(path.read_text())
-    content["gap"]["before_mmHg"] = "large"
-    del content["sha256"]
-    path.write_text(json.dumps(content))
-    with pytest.raises(DiagnosisError, match=r"diagnosis\.json: gap\.before"):
-        read_diagnosis(path)
-    with pytest.raises(DiagnosisError, match="cannot be read"):
-        read_diagnosis(tmp_path / "none" / "diagnosis.json")
-
-
 def test_two_effects_are_found_one_after_the_other() -> None:
     study = made([("beat-jitter", (0.004,), EVERYWHERE), ("sensor-gain", (0.2,), EVERYWHERE)])
     found = diagnose(study, effects=FEW)

@@ -18,7 +18,7 @@ from zoo.blood.baseline import blood_model, get_baseline
 from zoo.blood.conventions import PUBLISHED_CODE
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.network import Network
-from zoo.blood.solver import Physics, Solver, SolverOptions
+from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Study, StudyError, load_study
 from zoo.core.effects import EffectError, EffectParameter, Location, effect
 from zoo.core.errors.base import ErrorModel
@@ -356,18 +356,6 @@ def test_effects_go_into_any_model(name: str, study: Study) -> None:
     np.testing.assert_array_equal(likelihood_terms(model, off), likelihood_terms(plain, suggested(name)))
     on = {**suggested(name), **dict.fromkeys(extra, 2e-3)}
     assert np.abs(likelihood_terms(model, on) - likelihood_terms(plain, suggested(name))).max() > 1e-4
-
-
-def test_an_effect_changes_the_mean_as_the_solver_with_its_term(study: Study) -> None:
-    model = get_model("C")(study, effects=["viscoelastic-wall", "local-stiffness@2"])
-    values = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "viscoelastic-wall.tau": 2e-3}
-    values |= {"local-stiffness@2.log-stiffness": 0.4, "w": 5e4, "b": 100.0}
-    forward = model.zoo.forward
-    theta = pack(forward.parameters, {p.name: values[p.name] for p in forward.parameters})
-    solver = Solver.for_study(study, physics=Physics(viscoelastic_time=np.full(3, 2e-3)))
-    chi = np.array([5e4, 5e4 * np.exp(0.4), 5e4])
-    expected = solver.solve(chi, 2.0, 0.3, 0.9, 1.2).pressure_mmHg
-    np.testing.assert_array_equal(forward.solve(forward.configure(theta)), expected)
 
 
 def test_effects_are_given_in_many_ways_and_refused_with_words(study: Study) -> None:

@@ -45,7 +45,9 @@ def test_a_file_that_does_not_fit_is_refused(one: Diagnosis, tmp_path: Path) -> 
     del content["sha256"]
     with pytest.raises(DiagnosisError, match="cannot be read"):
         read_diagnosis(tmp_path / "no.json")
-    for change, field in (({"format": 3}, "format"), ({"gapp": 1}, "gapp"), ({"verdict": None}, "verdict")):
+    spoilt = {"gap": content["gap"] | {"before_mmHg": "large"}}
+    changes = [({"format": 3}, "format"), ({"gapp": 1}, "gapp"), ({"verdict": None}, "verdict")]
+    for change, field in (*changes, (spoilt, r"gap\.before")):
         path.write_text(json.dumps(content | change), "utf-8")
         with pytest.raises(DiagnosisError, match=f"{field}: .*make it again") as error:
             read_diagnosis(path)
