@@ -1,9 +1,9 @@
 """The two tiers of the tests and their order, from the durations in durations.json.
 
 A test is slow that takes more than `SLOW_SECONDS` of a processor by itself, the fixtures included that it
-shares with others, or that is marked so; `-m "not slow"` leaves it out.  Files that take longest come first,
-so that none of them is left to one core at the end.  `pytest --durations-file` (`make durations`: of all)
-writes the durations of the tests that it runs.
+shares with others, or that is marked so, or stands in one of `SLOW_FILES`; `-m "not slow"` leaves it out.
+Files that take longest come first, so that none of them is left to one core at the end.
+`pytest --durations-file` (`make durations`: of all) writes the durations of the tests that it runs.
 """
 
 from __future__ import annotations
@@ -19,6 +19,16 @@ import pytest
 
 FILE = Path(__file__).with_name("durations.json")
 SLOW_SECONDS = 5.0
+SLOW_FILES = (
+    "calibration",
+    "contributing",
+    "documents_run",
+    "explanations",
+    "kills",
+    "notebooks",
+    "recovery",
+)
+"""Of calibration, kills of running chains, documents, notebooks, samples of whole posteriors."""
 LEAST = 1.0
 """Tests that take less are not in the file, and are fast."""
 
@@ -48,8 +58,9 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     durations = read()
+    slow = {f"test_{name}.py" for name in SLOW_FILES}
     for item in items:
-        if durations["tests"].get(item.nodeid, 0.0) > SLOW_SECONDS:
+        if item.path.name in slow or durations["tests"].get(item.nodeid, 0.0) > SLOW_SECONDS:
             item.add_marker("slow")
     items.sort(key=lambda item: -durations["files"].get(file_of(item.nodeid), 0.0))
 
