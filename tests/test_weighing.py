@@ -128,6 +128,24 @@ def test_what_is_removed_holds_what_lasts_and_what_a_fit_adds() -> None:
     assert found.high == pytest.approx(0.9 + 1.96 * 0.001, abs=1e-3)
 
 
+def discrepancy(rms: float, unabsorbed: float, seed: int = 1) -> FitDiscrepancy:
+    rng = np.random.default_rng(seed)
+    draws = (x * (1 + 0.02 * rng.standard_normal((400, 2))) for x in (rms, unabsorbed))
+    return FitDiscrepancy(np.zeros((2, 3)), np.zeros((2, 3)), *draws, np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize("unabsorbed", [0.1, 0.3, 0.4])
+def test_an_interval_holds_its_estimate(unabsorbed: float) -> None:
+    """Also where a fit without noise, weighted by correlated noise, leaves more than this one."""
+    found = discrepancy(0.3, unabsorbed)
+    size = found.interval([0, 1])
+    assert size.low < size.mean < size.high
+    assert size.low == pytest.approx(min(0.3, unabsorbed), rel=0.05)
+    assert size.high == pytest.approx(0.3, rel=0.05)
+    removed = found.removed([0, 1], discrepancy(1.0, 1.0, seed=2))
+    assert removed.low < removed.mean < removed.high
+
+
 def test_what_the_prior_alone_makes_of_equal_evidence() -> None:
     half = math.log(0.5)
     prior = {"a": 0.1, "b": 0.1 / 7.5, "c": 0.4, "far": 0.4}

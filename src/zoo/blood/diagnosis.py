@@ -193,7 +193,6 @@ def diagnose(
     *,
     effects: Iterable[str | Effect] | None = None,
     posteriors: bool = False,
-    confirm: bool = False,
     max_effects: int = 3,
     exhaust: bool = False,
     conventions: Conventions | None = None,
@@ -218,7 +217,7 @@ def diagnose(
     effects : iterable of str or Effect, optional
         Only these: names in the catalogue, or effects of your own.
     posteriors : bool
-        Sample the posteriors of the leading explanations in PyMC; `confirm` is its former name.
+        Sample the posteriors of the leading explanations in PyMC.
     conventions : Conventions, optional
         Instead of the study's own.
     options : SolverOptions, optional
@@ -287,7 +286,7 @@ def diagnose(
         states=others,
         max_effects=max_effects,
         exhaust=exhaust,
-        posteriors=posteriors or confirm,
+        posteriors=posteriors,
         cores=cores,
         seed=seed,
         tick=tick,
