@@ -267,7 +267,8 @@ def test_groups_are_explained(three: Diagnosis, tmp_path: Path) -> None:
 
 def test_a_page_needs_a_folder(one: Diagnosis, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputFileError, match="is a file; give a folder"):
-        report.write_diagnosis(one, tmp_path / "file")
+    for write in (one.save, lambda path: report.write_diagnosis(one, path)):
+        with pytest.raises(OutputFileError, match="is a file; give a folder"):
+            write(tmp_path / "file")
     with pytest.raises(OutputFileError, match="does not exist; create it"):
         report.write_diagnosis(one, tmp_path / "no" / "gap")
