@@ -32,9 +32,8 @@ def test_tests_exist() -> None:
         assert re.search(rf"^def {name.partition('[')[0]}\b", text, re.M) if name else text, test
 
 
-def test_there_are_many_and_most_were_drawn() -> None:
-    assert len({m.name for m in MUTANTS}) == len(MUTANTS) >= 60
-    assert sum(m.drawn for m in MUTANTS) >= 40
+def test_names_are_unique_and_few_are_said_to_be_equivalent() -> None:
+    assert len({m.name for m in MUTANTS}) == len(MUTANTS)
     assert sum(bool(m.equivalent) for m in MUTANTS) <= len(MUTANTS) / 10
 
 
