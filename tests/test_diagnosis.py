@@ -30,7 +30,7 @@ diagnose = partial(diagnose_study, component_sizes=0.0)
 
 @pytest.fixture(scope="module")
 def jitter() -> StudyDiagnosis:
-    return diagnose(made([("beat-jitter", (0.003,), EVERYWHERE)]), effects=FEW)
+    return diagnose(made([("beat-jitter", (0.003,), EVERYWHERE)]), effects=FEW[:4])
 
 
 def test_the_cause_and_its_shrinkage(jitter: StudyDiagnosis) -> None:
@@ -66,7 +66,6 @@ def test_shares_add_up(jitter: StudyDiagnosis) -> None:
     assert sum(where.series.values()) == pytest.approx(1.0)
     assert sum(where.phase.values()) == pytest.approx(1.0)
     assert sum(where.harmonic.values()) == pytest.approx(1.0)
-    assert where.place[0].part is None
     # a jitter smooths what bends most
     assert where.phase["upstroke"] + where.phase["peak"] > where.phase["diastole"]
 
@@ -82,8 +81,8 @@ def test_the_file_comes_back_and_amounts_carry_their_unit(jitter: StudyDiagnosis
     content = json.loads(jitter.save(tmp_path / "gap").read_text())
     again = read_diagnosis(tmp_path / "gap")
     assert isinstance(again, DiagnosisFile)
-    assert again == jitter.file
-    assert {NULL, NONPARAMETRIC, "correlated-noise", *FEW} == {h["name"] for h in content["hypotheses"]}
+    assert again.model_dump() == jitter.file.model_dump()
+    assert {NULL, NONPARAMETRIC, "correlated-noise", *FEW[:4]} == {h["name"] for h in content["hypotheses"]}
     assert content["gap"]["before_mmHg"] == jitter.file.gap.before
     assert content["gap"]["removed"] == jitter.file.gap.removed
     assert {"gap_after_mmHg", "residual_rms_mmHg", "place"} <= set(content["hypotheses"][0])
@@ -112,6 +111,7 @@ def test_two_effects_are_found_one_after_the_other() -> None:
     sizes = [found.file.steps[0].gap_before, *(s.gap_after for s in found.file.steps)]
     assert sizes[0] > sizes[1] > sizes[2]
     assert found.rounds[-1].leader == NULL
+    assert found.where.place[0].part is None
 
 
 def test_no_gap_has_no_cause() -> None:
