@@ -6,7 +6,7 @@ STAMP := $(VENV)/.zoo-setup
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
-.PHONY: setup test readme check fuzz demo report bench reproduce mutants clean
+.PHONY: setup test test-all native-test durations readme check fuzz nightly demo report bench reproduce mutants clean
 setup: $(STAMP)
 
 # Versions come from requirements.lock, those of the build tools too.
@@ -17,9 +17,24 @@ $(STAMP): pyproject.toml setup.py requirements.lock src/zoo/__init__.py $(NATIVE
 	$(BIN)/python -m pip install --quiet --constraint requirements.lock --no-build-isolation --editable '.[dev]'
 	@touch $@
 
-test: setup
+native-test: setup
 	$(MAKE) --no-print-directory -C native test
+
+# C tests under sanitizers and the fast tier of tests/tiers.py: ten minutes on two cores.
+test: native-test
+	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow" --ignore tests/test_readme.py
+
+# Both tiers.
+test-all: native-test
 	$(BIN)/pytest $(PYTEST_ARGS) --ignore tests/test_readme.py
+
+# Both tiers, and how long each test took into tests/durations.json, which says what is slow and what is first.
+durations: setup
+	$(BIN)/pytest $(PYTEST_ARGS) --durations-file --ignore tests/test_readme.py
+
+# What takes too long for each change.
+nightly: readme report mutants
+	$(MAKE) --no-print-directory fuzz FUZZ_SECONDS=1200
 
 # What README.md shows, as it stands, with the time of each block: five minutes on two cores.
 readme: setup

@@ -1,25 +1,19 @@
-"""Where the tests find data that this repository does not hold, and what its absence means."""
+"""Where tests find data that this repository does not hold, what its absence means, what workers share."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import cloudpickle
 import pytest
+from filelock import FileLock
 
+pytest_plugins = ("tiers",)
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
-LONG = (
-    "kills",
-    "surrogate",
-    "working_folder",
-    "explanations",
-    "other_states",
-    "examples",
-    "diagnosis",
-    "docs",
-)
-"""Files of tests that take minutes: first, so that none of them is left to one core at the end."""
 
 if "ZOO_DATA_DIR" not in os.environ and (SHARED / "data").is_dir():
     os.environ["ZOO_DATA_DIR"] = str(SHARED / "data")
@@ -36,19 +30,18 @@ def _missing() -> str | None:
     return None
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    long = {f"test_{name}.py" for name in LONG}
-    items.sort(key=lambda item: item.path.name not in long)
-
-
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    if item.get_closest_marker("needs_data") is None:
-        return
-    missing = _missing()
-    if missing and os.environ.get("CI"):
-        pytest.fail(f"{missing}, and under CI a test may not be skipped for that", pytrace=False)
-    if missing:
+    if item.get_closest_marker("needs_data") is not None and (missing := _missing()):
         pytest.skip(f"{missing}: point it at the folder with the measured data")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+    """Under CI a test that is skipped has failed."""
+    report: Any = yield
+    if report.skipped and not hasattr(report, "wasxfail") and os.environ.get("CI"):
+        report.outcome, report.longrepr = "failed", f"{report.longrepr[-1]}; under CI no test may be skipped"
+    return report
 
 
 @pytest.fixture(autouse=True)
@@ -72,6 +65,30 @@ def blind_cases(data_dir: Path) -> list[Path]:
     """Folders of the independent simulator's cases, beside the data; for tests marked needs_data."""
     folder = data_dir.parent / "blind" / "cases"
     if not folder.is_dir():
-        message = f"{folder} does not exist"
-        pytest.fail(message) if os.environ.get("CI") else pytest.skip(message)
+        pytest.skip(f"{folder} does not exist")
     return sorted(folder.iterdir())
+
+
+@pytest.fixture(scope="session")
+def blind_key(data_dir: Path) -> Path:
+    """Key of half of the independent simulator's cases; for tests marked needs_data."""
+    folder = data_dir.parent / "blind" / "key"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} does not exist")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[], Any]], Any]:
+    """What a function makes, for a name that is its own: made by one worker, and read by the others."""
+    folder = tmp_path_factory.getbasetemp()
+    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+    def made(name: str, make: Callable[[], Any]) -> Any:
+        path = folder / f"{name}.pickle"
+        with FileLock(f"{path}.lock"):
+            if not path.exists():
+                path.write_bytes(cloudpickle.dumps(make()))
+        return cloudpickle.loads(path.read_bytes())
+
+    return made

@@ -1,8 +1,5 @@
 """A diagnosis of a simulator that has nothing to do with blood."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -107,15 +104,6 @@ def test_wrong_arguments_are_named(settings: dict[str, object], text: str) -> No
     given = {"data": measured(0.1), "model": MODEL, "effects": [drift]} | settings
     with pytest.raises(DiagnosisError, match=text):
         diagnose(given.pop("data"), given.pop("model"), given.pop("effects"), **given)  # type: ignore[arg-type]
-
-
-def test_importing_the_diagnosis_loads_neither_the_study_nor_the_compiled_library() -> None:
-    code = (
-        "import sys, zoo.core.diagnosis; "
-        "print([m for m in sys.modules if m.startswith(('zoo.blood', 'zoo.models.model_', 'zoo._native'))])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip().splitlines()[-1] == "[]"
 
 
 def test_a_log_uniform_prior_is_searched_in_its_logarithm() -> None:

@@ -14,7 +14,6 @@ from zoo.core.diagnosis.bounds import widened
 from zoo.core.effects import EffectError, EffectParameter, effect
 from zoo.core.errors.spectral import Cosines
 from zoo.core.forward import ForwardModel, FunctionModel, Outputs, WithPriors
-from zoo.core.outputs import OutputFileError
 from zoo.core.parameters import InverseGamma, LogNormal, LogUniform, Normal, Parameter, Prior, Uniform
 
 TIMES = np.linspace(0.0, 6.0, 80)
@@ -152,12 +151,3 @@ def test_effects_that_cannot_act_are_named() -> None:
     forgot = effect("forgot", parameters=drift.parameters)(lambda configuration, values, location: None)
     with pytest.raises(EffectError, match="effect forgot: its function returns None"):
         diagnose(measured(0.1), model_of(Uniform(0.05, 2.0)), [forgot])
-
-
-def test_a_diagnosis_is_not_saved_over_a_file(tmp_path: object) -> None:
-    found = diagnosed(Uniform(0.05, 2.0))
-    path = f"{tmp_path}/gap"
-    with open(path, "w"):
-        pass
-    with pytest.raises(OutputFileError, match="gap: is a file; give a folder"):
-        found.save(path)

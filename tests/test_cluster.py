@@ -197,17 +197,3 @@ def test_what_cannot_be_reached_is_one_line(tmp_path: Path, monkeypatch: pytest.
         connect("tcp://h:1"),
     ):
         pass
-
-
-# -- what is kept -----------------------------------------------------------------------------------
-
-
-def test_another_solver_does_not_keep_answers(
-    cases: Path, alone: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from zoo.blood.blind import run
-
-    diagnosis = run.CaseDiagnosis(run.BASELINE, False, 1, 1, CHEAP)
-    assert diagnosis.answered(cases / "case-001", alone / "case-001")
-    monkeypatch.setattr(run, "library_digest", lambda: "another")
-    assert not diagnosis.answered(cases / "case-001", alone / "case-001")

@@ -136,6 +136,8 @@ def test_two_components_are_the_cause_where_neither_alone_is() -> None:
     assert {c.name for c in found.file.components if c.one_of_several} == {"wall", "inflow"}
     assert found.file.gap.after < 0.5 * min(of(found, n).gap_after for n in ("wall", "inflow"))
     assert "law and push" in found.file.verdict or "push and law" in found.file.verdict
+    words = found.file.verdict.partition("; of its energy ")[2]
+    assert all(word in words for word in ("each hold a part", "wall", "inflow"))
     wall = of(found, "wall").functions[0]
     inside = np.abs(KNOTS) < 1.2
     inside[[0, -1]] = False
@@ -182,6 +184,7 @@ def test_one_cause_is_no_pair() -> None:
     together = [p for c in found.file.components for p in c.together.values()]
     assert max(together, default=0.0) < 0.5
     assert not any(c.one_of_several for c in found.file.components)
+    assert "each hold a part" not in found.file.verdict
     total = sum(c.probability for c in found.file.components)
     assert total <= 1.0 + 1e-9
 

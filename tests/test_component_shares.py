@@ -7,8 +7,6 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from linear_components import NOISE, Toy, a_function
-from test_component_weighing import KNOTS, LAW, MODEL, PUSH, TIMES, data_of, hooks
-from zoo.core.diagnosis import diagnose
 from zoo.core.diagnosis.components.shares import Shares, pair_of, shares_of
 from zoo.core.diagnosis.hypothesis import NONPARAMETRIC
 from zoo.core.errors.spectral import GroupErrors
@@ -175,16 +173,3 @@ def test_a_pair_needs_the_whole_of_both_intervals() -> None:
 
     assert pair_of(made(0.15)) == ("wall", "fluid")
     assert pair_of(made(0.05)) == ("wall",)
-
-
-@pytest.mark.parametrize("law", [0.0, 0.1])
-def test_a_verdict_names_two_components_where_both_hold_part_of_the_gap(law: float) -> None:
-    """Of two sensors on one drive: a drive that was pushed, and a law of the wall that is bent, or is not."""
-    push = 0.15 * np.sin(4 * np.pi * TIMES + 0.5)
-    data = data_of({"push": push, "law": law * np.cos(2.0 * KNOTS)})
-    found = diagnose(data, MODEL, [], hooks=hooks([LAW, PUSH]), max_effects=1)
-    several = {c.name for c in found.file.components if c.one_of_several}
-    assert several == ({"wall", "inflow"} if law else set())
-    words = found.file.verdict.partition("; of its energy ")[2]
-    assert ("each hold a part" in words) is bool(law)
-    assert all(name in words for name in several)

@@ -145,9 +145,9 @@ def test_a_free_function_that_was_added_is_found_with_a_band_that_covers_it() ->
     x = np.linspace(-0.9, 1.6, 50)
     assert np.abs(np.interp(x, KNOTS, law.mean) - np.interp(x, KNOTS, true)).max() < 0.1
     inside = []
-    for seed in (1, 2, 3):
-        again = diagnose(data_of({"law": true}, seed=seed), MODEL, [kick], hooks=hooks(FUNCTIONS))
-        band = again.file.components[0].functions[0]
+    others = [diagnose(data_of({"law": true}, seed=s), MODEL, [kick], hooks=hooks(FUNCTIONS)) for s in (2, 3)]
+    for one in (found, *others):
+        band = one.file.components[0].functions[0]
         inside.append(((np.array(band.low) <= true) & (true <= np.array(band.high)))[visited])
     assert np.mean(inside) >= 0.85
     width = (np.array(law.high) - np.array(law.low)) / (2 * 1.96 * np.array(law.prior_sd))
@@ -166,6 +166,7 @@ def test_a_listed_effect_that_is_the_truth_still_leads() -> None:
     assert of(found, "inflow").probability > 0.95
     assert of(found, "inflow").nearest_effects[0].name == "kick"
     assert of(found, "inflow").nearest_effects[0].share > 0.8
+    assert not any("together" in w for w in found.file.warnings)
 
 
 def test_no_effect_that_leaves_a_third_of_the_gap_is_sure() -> None:

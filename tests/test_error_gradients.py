@@ -109,18 +109,19 @@ def test_the_operation_has_the_gradient_of_its_terms(name: str) -> None:
     verify_grad(terms, point, rng=np.random.default_rng(1), eps=1e-7, rel_tol=1e-4, abs_tol=1e-4)
 
 
-def test_gradient_is_that_of_plain_pytensor() -> None:
+def test_terms_and_gradient_are_those_of_plain_pytensor() -> None:
     residual, w, b = pt.dmatrix(), pt.dscalar(), pt.dscalar()
     values, weight = draw_residual(3), np.random.default_rng(4).standard_normal((3, len(TIME_S)))
     ours = ErrorTermsOp(process(values))(residual, w, b)
     wanted = [
-        gradient
+        output
         for terms in (ours, reference_terms(residual, TIME_S, w, b))
         for cost in ((weight * terms).sum(), terms.sum())
-        for gradient in pytensor.grad(cost, [residual, w, b])
+        for output in (terms, *pytensor.grad(cost, [residual, w, b]))
     ]
     found = pytensor.function([residual, w, b], wanted)(values, W, B)
-    for one, other in zip(found[:6], found[6:], strict=True):
+    assert found[0].shape == (3, len(TIME_S))
+    for one, other in zip(found[:8], found[8:], strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
 
 

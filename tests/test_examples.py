@@ -21,7 +21,6 @@ from zoo.core.diagnosis.search import Search
 from zoo.core.effects import EffectParameter, Location, effect, with_effects
 from zoo.core.errors.spectral import Cosines
 from zoo.core.forward import FunctionModel, Outputs, from_pints
-from zoo.core.op import ForwardOp
 from zoo.core.parameters import Parameter, Uniform
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -175,18 +174,6 @@ def test_the_records_are_those_of_the_benchmark(data_dir: Path) -> None:
 
 # ---------------------------------------------------------------------------------------------------
 # what a model of one's own needs of the core
-
-
-def test_models_that_differ_in_what_they_are_closed_over_do_not_share_solves() -> None:
-    ops = [ForwardOp(tanks.tanks(u)) for u in (U, 1.1 * U)]
-    points = [[np.asarray(v) for v in THETA]] * 2
-    found = []
-    for op, point in zip(ops, points, strict=True):
-        storage: list[list[Any]] = [[None] for _ in range(2)]
-        op.perform(op.make_node(*point), point, storage)
-        found.append(storage[0][0])
-    assert np.abs(found[0] - found[1]).max() > 0.1
-    assert tanks.tanks(U).key == tanks.tanks(U.copy()).key != tanks.tanks(1.1 * U).key
 
 
 def test_effects_that_differ_in_a_constant_differ_in_their_keys() -> None:

@@ -1,6 +1,5 @@
 """Posteriors of explanations in PyMC, against the screening's own evidence."""
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -15,25 +14,12 @@ from zoo.core.diagnosis.scoring import EQUAL_EVIDENCE, Scored, score
 from zoo.core.effects import EVERYWHERE
 from zoo.core.errors.spectral import log_density
 from zoo.core.inference.logposterior import LogPosterior
-from zoo.core.op import ForwardOp
 
 
 @pytest.fixture(scope="module")
 def scored() -> Scored:
     study = made([("sensor-gain", (0.2,), EVERYWHERE)], series=(0,), n=128)
     return score(screening_of(study, ["sensor-gain", "inflow-shift"]).run())
-
-
-def test_the_operation_survives_a_pickle(scored: Scored) -> None:
-    fit = scored.best["sensor-gain"]
-    op = ForwardOp(fit.forward.model)
-    again = pickle.loads(pickle.dumps(op))
-    assert again == op
-    a, b = op.evaluate(fit.values)[0], again.evaluate(fit.values)[0]
-    np.testing.assert_array_equal(a, b)
-    assert again.counts["solves"] == 1
-    again.evaluate(fit.values)
-    assert again.counts["solves"] == 1  # the last points are kept
 
 
 def test_log_density_of_the_model_is_that_of_the_screening(scored: Scored) -> None:

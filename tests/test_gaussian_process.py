@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import pickle
 
-import arviz as az
-import cloudpickle
 import numpy as np
 import pymc as pm
 import pytensor
@@ -19,7 +16,6 @@ from scipy import stats
 
 from zoo.core.data import Data
 from zoo.core.errors import gaussian_process
-from zoo.core.errors.base import ErrorModelError
 from zoo.core.errors.gaussian_process import (
     JITTER,
     NOISE_VARIANCE,
@@ -28,9 +24,9 @@ from zoo.core.errors.gaussian_process import (
     gp_sequential,
     neural_network_kernel,
 )
-from zoo.core.errors.independent import Independent, iid_terms
+from zoo.core.errors.independent import iid_terms
 from zoo.core.errors.variables import Errors, ErrorTermsOp, IidErrors
-from zoo.core.parameters import InverseGamma, LogUniform, random_variables
+from zoo.core.parameters import LogUniform
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:For one or more samples the posterior variance",
@@ -140,15 +136,6 @@ def test_each_sequential_term_is_the_density_given_the_past() -> None:
         np.testing.assert_allclose(row, expected, rtol=1e-6, atol=1e-6)
 
 
-def test_each_leave_one_out_term_is_the_density_given_all_others() -> None:
-    residual, k = draw_residual(), covariance(TIME_S, W, B)
-    terms = gp_leave_one_out(residual, TIME_S, W, B)
-    for row, series in zip(terms, residual, strict=True):
-        others = [np.delete(np.arange(len(TIME_S)), i) for i in range(len(TIME_S))]
-        expected = [conditional(series, k, i, rest) for i, rest in enumerate(others)]
-        np.testing.assert_allclose(row, expected, rtol=1e-6, atol=1e-6)
-
-
 def test_terms_at_the_size_of_the_measured_series() -> None:
     time_s = (np.arange(512) + 0.25) * PERIOD_S / 512
     residual = draw_residual(1, 5, time_s)
@@ -204,42 +191,12 @@ def test_iid_terms() -> None:
     np.testing.assert_allclose(iid_terms(residual, 0.13), stats.norm.logpdf(residual, 0, math.sqrt(0.13)))
 
 
-def test_terms_of_draws() -> None:
-    residual = draw_residual()
-    means = np.stack([np.zeros_like(residual), np.full_like(residual, 0.01), np.full_like(residual, np.nan)])
-    draws = {"w": [W, 2 * W, W], "b": [B, B, B], "sigma2": [0.1, 0.2, 0.3]}
-    found = process(residual).pointwise(means, draws)
-    joint = found["joint"]
-    for i, w in enumerate((W, 2 * W)):
-        normal = stats.multivariate_normal(np.zeros(len(TIME_S)), covariance(TIME_S, w, B))
-        assert joint[i] == pytest.approx(normal.logpdf(residual - means[i]).sum(), rel=1e-6)
-        np.testing.assert_array_equal(
-            found["leave-one-out"][i], gp_leave_one_out(residual - means[i], TIME_S, w, B)
-        )
-    assert joint[2] == -np.inf
-    np.testing.assert_allclose(found["sequential"].sum(axis=(1, 2)), joint)
-    iid = Independent().bind(observed(residual)).pointwise(means, draws, ("sequential", "leave-one-out"))
-    np.testing.assert_array_equal(*iid.values())
-    expected = stats.norm.logpdf(residual - 0.01, 0, math.sqrt(0.2))
-    np.testing.assert_allclose(iid["sequential"][1], expected)
-
-
 def test_an_unknown_decomposition_is_refused() -> None:
     errors, means = process(draw_residual()), np.zeros((1, 2, 40))
     with pytest.raises(
         ValueError, match=r"decomposition = 'loo': must be one of sequential, leave-one-out, joint"
     ):
         errors.pointwise(means, {"w": [W], "b": [B]}, ("loo",))
-
-
-def test_one_variance_does_not_hold_for_two_quantities() -> None:
-    data = Data(
-        TIME_S, np.zeros((2, 40)), ["p", "q"], ["mmHg", "ml/s"], ["pressure", "flow"], source="s.toml"
-    )
-    with pytest.raises(ErrorModelError, match="'data' observes flow and pressure: one sigma2 cannot hold"):
-        Independent().bind(data)
-    with pytest.raises(ErrorModelError, match="observes q: the Gaussian process' amplitude and noise are in"):
-        GaussianProcess(LogUniform(*W_RANGE), LogUniform(*B_RANGE), unit="mmHg").bind(data)
 
 
 # PyTensor and PyMC faces
@@ -258,17 +215,6 @@ def reference_terms(
     return -0.5 * (np.log(2 * np.pi) + z**2) - pt.log(pt.diag(root))
 
 
-def test_op_agrees_with_plain_pytensor() -> None:
-    residual, w, b = pt.dmatrix(), pt.dscalar(), pt.dscalar()
-    outputs = [
-        ErrorTermsOp(process(draw_residual(3)))(residual, w, b),
-        reference_terms(residual, TIME_S, w, b),
-    ]
-    ours, reference = pytensor.function([residual, w, b], outputs)(draw_residual(3), W, B)
-    assert ours.shape == (3, len(TIME_S))
-    np.testing.assert_allclose(ours, reference, rtol=1e-6, atol=1e-6)
-
-
 def test_op_checks_dimensions_and_knows_its_shape() -> None:
     gp_terms = ErrorTermsOp(process(draw_residual(3)))
     with pytest.raises(ValueError, match="of residual, w, b: must be 2, 0, 0"):
@@ -277,54 +223,6 @@ def test_op_checks_dimensions_and_knows_its_shape() -> None:
     shape = pytensor.function([residual], gp_terms(residual, W, B).shape)
     assert not any(isinstance(node.op, ErrorTermsOp) for node in shape.maker.fgraph.apply_nodes)
     assert tuple(shape(np.zeros((3, 40)))) == (3, 40)
-
-
-def model_of(errors: GaussianProcess | Independent, ok: int) -> pm.Model:
-    values = errors.on.values
-    with pm.Model(coords={"series": list(errors.on.labels), "time": errors.on.times}) as model:
-        shift = pm.Uniform("shift", -1, 1)
-        errors.observe("y", shift + pt.zeros(values.shape), np.int8(ok), random_variables(errors.parameters))
-    return model
-
-
-def gp_model(values: np.ndarray, ok: int = 1) -> pm.Model:
-    return model_of(process(values), ok)
-
-
-def iid_model(values: np.ndarray, ok: int = 1) -> pm.Model:
-    return model_of(Independent(InverseGamma(3.0, 1.0)).bind(observed(values)), ok)
-
-
-def test_log_density_of_the_gp_model() -> None:
-    values = draw_residual()
-    model = gp_model(values)
-    logp = model.compile_fn(model.logp(vars=[model["y"]], sum=False)[0], inputs=model.value_vars)
-    point = {"shift_interval__": 0.4, "w_chain__": 0.3, "b_chain__": -0.2}
-    shift, w, b = (float(x) for x in model.compile_fn(_backward(model), inputs=model.value_vars)(point))
-    assert 1e4 < w < 9e4
-    assert 1 < b < 500
-    expected = stats.multivariate_normal(np.zeros(40), covariance(TIME_S, w, b)).logpdf(values - shift)
-    np.testing.assert_allclose(logp(point).sum(axis=1), expected, rtol=1e-6)
-
-
-def _backward(model: pm.Model) -> list:
-    return model.replace_rvs_by_values([model["shift"] * 1.0, model["w"] * 1.0, model["b"] * 1.0])
-
-
-@pytest.mark.parametrize("make", [iid_model, gp_model])
-def test_failed_solves_have_no_density_and_no_nan(make) -> None:
-    values = draw_residual()
-    terms = {}
-    for ok in (0, 1):
-        model = make(values, ok)
-        function = model.compile_fn(model.logp(vars=[model["y"]], sum=False)[0], inputs=model.value_vars)
-        terms[ok] = function(model.initial_point())
-        assert terms[ok].shape == values.shape
-        draw = pm.draw(model["y"], random_seed=1)
-        assert draw.shape == values.shape
-        assert np.all(np.isnan(draw)) == (ok == 0)
-    assert np.all(terms[0] == -np.inf)
-    assert np.all(np.isfinite(terms[1]))
 
 
 def test_draws_of_the_gp_have_its_covariance() -> None:
@@ -346,39 +244,3 @@ def test_draws_of_a_given_size() -> None:
     draws = pm.draw(iid, draws=200, random_seed=1)
     assert draws.shape == (200, 3, 2, 8)
     assert draws.var() == pytest.approx(0.5, rel=0.05)
-
-
-@pytest.mark.parametrize("make", [iid_model, gp_model])
-def test_models_survive_pickling(make) -> None:
-    model = make(draw_residual())
-    copy = pickle.loads(cloudpickle.dumps(model))
-    point = model.initial_point()
-    assert float(copy.compile_logp()(point)) == float(model.compile_logp()(point))
-
-
-def test_waic_of_both_error_models_and_their_comparison() -> None:
-    values = draw_residual()
-    idatas = {}
-    for name, model in {"iid": iid_model(values), "gp": gp_model(values)}.items():
-        with model:
-            idata = pm.sample(
-                step=pm.DEMetropolisZ(),
-                draws=100,
-                tune=100,
-                chains=2,
-                cores=1,
-                progressbar=False,
-                compute_convergence_checks=False,
-                random_seed=1,
-            )
-            pm.compute_log_likelihood(idata, progressbar=False)
-            predictive = pm.sample_posterior_predictive(
-                idata, var_names=["y"], progressbar=False, random_seed=1
-            )
-        assert idata.log_likelihood["y"].shape == (2, 100, *values.shape)
-        assert predictive.posterior_predictive["y"].shape == (2, 100, *values.shape)
-        assert np.all(np.isfinite(predictive.posterior_predictive["y"]))
-        assert az.waic(idata, scale="deviance").n_data_points == values.size
-        idatas[name] = idata
-    table = az.compare(idatas, ic="waic", scale="deviance")
-    assert table.index[0] == "gp"  # the values were drawn from it

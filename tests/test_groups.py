@@ -18,7 +18,6 @@ from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.model import bayesian_model
 from zoo.core.parameters import InverseGamma, Normal, Parameter
-from zoo.core.posterior.comparison import compare
 from zoo.core.posterior.groups import N_TERMS, add_groups
 from zoo.core.posterior.storage import load, save, slim
 
@@ -104,14 +103,6 @@ def test_they_survive_a_file_and_a_slim_copy_does_without(whole, tmp_path):
     az.plot_ppc(back, num_pp_samples=5)
 
 
-@pytest.mark.filterwarnings("ignore:For one or more samples the posterior variance")  # ours is a column
-def test_waic_of_arviz_is_that_of_the_comparison(whole, model):
-    ours = compare({"line": whole}, {"line": model}).loc["line"]
-    arviz = az.waic(whole, scale="deviance")
-    assert arviz.elpd_waic == pytest.approx(ours["waic"], abs=1e-3)
-    assert arviz.p_waic == pytest.approx(ours["p_waic"], rel=1e-3)
-
-
 def test_draws_of_pymc_get_them_too(model):
     with model:
         idata = pm.sample(
@@ -144,11 +135,6 @@ def test_sample_has_all_groups_and_a_slim_copy_of_it_has_draws_alone():
     law = stats.multivariate_normal(cov=model.zoo.errors.covariance(values), allow_singular=True)
     assert float(joint) == pytest.approx(law.logpdf(residual), rel=1e-4)
     assert slim(idata, 40).groups() == ["posterior"]
-
-
-def test_posteriors_of_before_still_load():
-    for path in sorted((ROOT / "notebooks" / "posteriors").glob("*.nc")):
-        assert load(path).groups() == ["posterior"]
 
 
 def test_misspelt_settings_are_refused_with_the_nearest(model):

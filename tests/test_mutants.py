@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from mutants.run import LIST, NATIVE, ROOT, Mutant, read
+from mutants.run import NATIVE, ROOT, Mutant, read
 
 MUTANTS = read()
 
@@ -34,9 +32,8 @@ def test_tests_exist() -> None:
         assert re.search(rf"^def {name.partition('[')[0]}\b", text, re.M) if name else text, test
 
 
-def test_there_are_many_and_most_were_drawn() -> None:
-    assert len({m.name for m in MUTANTS}) == len(MUTANTS) >= 60
-    assert sum(m.drawn for m in MUTANTS) >= 40
+def test_names_are_unique_and_few_are_said_to_be_equivalent() -> None:
+    assert len({m.name for m in MUTANTS}) == len(MUTANTS)
     assert sum(bool(m.equivalent) for m in MUTANTS) <= len(MUTANTS) / 10
 
 
@@ -48,12 +45,3 @@ def test_a_text_that_is_gone_or_stands_twice_is_refused(tmp_path: Path) -> None:
             one.text(tmp_path)
     (tmp_path / "file.py").write_text("x = 1\n")
     assert one.text(tmp_path) == "x = 2\n"
-
-
-def test_a_drawing_gives_the_same_again() -> None:
-    """And nothing but changes that can be read."""
-    script = LIST.with_name("draw.py")
-    command = [sys.executable, script, "grouping", "wall", "--first", "12"]
-    first, again = (subprocess.run(command, check=True, capture_output=True, text=True) for _ in range(2))
-    assert first.stdout == again.stdout
-    assert first.stdout.count("[[mutant]]") == 24

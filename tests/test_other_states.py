@@ -132,50 +132,34 @@ def test_states_are_in_the_file(of_the_law, tmp_path) -> None:  # type: ignore[n
     assert '"baseline_K"' in (tmp_path / "diagnosis.json").read_text()
 
 
-def test_another_system_is_no_state() -> None:
-    other = FunctionModel(faster, (Parameter("height", Normal(1.0, 0.3)),), FASTER.outputs, "toy")
-    state = replace(in_state_two({}), model=other)
-    with pytest.raises(DiagnosisError, match="other parameters"):
-        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[state], tick=no_work)
-
-
 def no_work(text, share) -> None:  # type: ignore[no-untyped-def]
     raise AssertionError(f"{text}: refused only after work")
 
 
-def test_the_same_data_are_no_other_state() -> None:
-    data = data_of(LAW)
-    nearly = replace(data, values=data.values * (1 + 1e-12), groups=("left", "right"))
-    for again in (data, nearly):
-        with pytest.raises(DiagnosisError, match="same series as"):
-            diagnose(data, MODEL, [], hooks=hooks(FUNCTIONS), states=[OtherState(again, MODEL)], tick=no_work)
+STATE = in_state_two({})
+DATA = data_of(LAW)
+TALLER = replace(FASTER, parameters=(Parameter("height", Normal(1.0, 0.3)),))
+MANY = replace(FASTER, parameters=(Parameter("level", Normal(1.0, 0.3), dims="part", size=2),))
+NEARLY = replace(DATA, values=DATA.values * (1 + 1e-12), groups=("left", "right"))
+MILLI = replace(STATE.data, units=("mK", "K"), groups=("one", "two"))
 
 
-def test_a_state_is_given_once() -> None:
-    state = in_state_two({})
-    with pytest.raises(DiagnosisError, match="given twice"):
-        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[state, state], tick=no_work)
-
-
-def test_a_state_that_asks_for_other_series_is_refused_before_the_work() -> None:
-    state = replace(in_state_two({}), model=MODEL)
-    with pytest.raises(DiagnosisError, match="ask the forward model for the data's series"):
-        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[state], tick=no_work)
-
-
-def test_the_same_series_in_another_unit_are_refused() -> None:
-    """What was seen at a sensor is taken off as it is."""
-    state = in_state_two({})
-    other = replace(state, data=replace(state.data, units=("mK", "K"), groups=("one", "two")))
-    with pytest.raises(DiagnosisError, match=r"series y1 is in mK, in .* in K: give both in one unit"):
-        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[other], tick=no_work)
-
-
-def test_parameters_of_another_size_are_refused() -> None:
-    many = (Parameter("level", Normal(1.0, 0.3), dims="part", size=2),)
-    other = replace(in_state_two({}), model=replace(FASTER, parameters=many))
-    with pytest.raises(DiagnosisError, match="other parameters"):
-        diagnose(data_of(LAW), MODEL, [], hooks=hooks(FUNCTIONS), states=[other], tick=no_work)
+@pytest.mark.parametrize(
+    ("states", "words"),
+    [
+        ([replace(STATE, model=TALLER)], "other parameters"),
+        ([replace(STATE, model=MANY)], "other parameters"),
+        ([OtherState(DATA, MODEL)], "same series as"),
+        ([OtherState(NEARLY, MODEL)], "same series as"),
+        ([STATE, STATE], "given twice"),
+        ([replace(STATE, model=MODEL)], "ask the forward model for the data's series"),
+        # what was seen at a sensor is taken off as it is
+        ([replace(STATE, data=MILLI)], r"series y1 is in mK, in .* in K: give both in one unit"),
+    ],
+)
+def test_what_is_no_other_state_is_refused_before_the_work(states: list[OtherState], words: str) -> None:
+    with pytest.raises(DiagnosisError, match=words):
+        diagnose(DATA, MODEL, [], hooks=hooks(FUNCTIONS), states=states, tick=no_work)
 
 
 def test_a_leader_that_cannot_be_tried_is_told(of_the_law) -> None:  # type: ignore[no-untyped-def]
@@ -210,13 +194,13 @@ def test_a_state_that_cannot_be_solved_costs_nothing_but_itself() -> None:
     assert "the drive is too large" in warning
 
 
-def test_a_bound_at_which_the_baseline_stands_in_another_state_is_told() -> None:
+def test_a_bound_at_which_the_baseline_stands_in_another_state_is_told(of_the_law) -> None:  # type: ignore[no-untyped-def]
     narrow = replace(FASTER, parameters=(Parameter("level", Uniform(0.5, 0.9)),))
     _, state, _ = found_in(LAW, replace(in_state_two(LAW), model=narrow))
     [warning] = state.warnings
     assert "in faster" in warning
     assert "level" in warning
     assert "0.9" in warning
-    found, state, _ = found_in(LAW, in_state_two(LAW))
+    found, state, _ = of_the_law
     assert not state.warnings
     assert not any("bound" in w for w in found.file.warnings)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import warnings
-from pathlib import Path
 
-import arviz as az
 import numpy as np
 import pymc as pm
 import pytest
@@ -16,8 +13,6 @@ import zoo
 from gaussian import gaussian_model
 from zoo.core.inference.pymc_step import DEMetropolisZFromMode
 from zoo.core.model import ModelError
-
-ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -122,24 +117,3 @@ def test_metropolis_of_pymc_takes_the_mode_as_start(model_a, mode_a):
             progressbar=False, compute_convergence_checks=False,
         )  # fmt: skip
     assert float(idata.posterior["psi2"][0, 0]) == pytest.approx(float(values["psi2"]), rel=0.5)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_the_first_snippet_of_the_readme_converges_as_printed():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    code = re.findall(r"```python\n(.*?)```", text, flags=re.S)[0]
-    assert "pm.sample(" in code
-    assert "step=step(model)" in code
-    found: dict[str, object] = {}
-    code = code.replace("pm.sample(", "pm.sample(random_seed=1, progressbar=False, ")
-    exec(compile(code, "README.md", "exec"), found)
-    summary = az.summary(found["idata"], round_to=None)
-    assert list(summary.index) == ["f3", "psi1", "psi2", "c", "noise_pressure_mmHg"]
-    assert summary["r_hat"].max() <= 1.01
-    assert summary[["ess_bulk", "ess_tail"]].to_numpy().min() >= 400
-    # the medians of the table above it, which `zoo sample` prints
-    medians = dict(re.findall(r"^(\w+) +([\d.e+]+) +[\d.e+]+ +[\d.e+]+ +1\.\d+", text, flags=re.M))
-    for name, printed in medians.items():
-        draws = found["idata"].posterior[name]
-        assert float(abs(draws.median() - float(printed))) < 0.3 * float(draws.std())

@@ -26,7 +26,6 @@ POPULATION = {"m_chi": 6.0e4, "v_chi": 2.0, "chi": (6.85e4, 4.87e4, 7.27e4)}
 TRUTH: dict[str, dict[str, Any]] = {
     "A": {"f3": 6.3e4, **OUTLETS, **IID},
     "B": {"f3": 6.3e4, **OUTLETS, **GP},
-    "C": {"f3": 6.3e4, **OUTLETS, **GP},
     "D": {**RADIUS, **OUTLETS, **IID},
     "E": {**RADIUS, **OUTLETS, **GP},
     "F": {**POPULATION, **OUTLETS, **IID},
@@ -37,7 +36,7 @@ TRUTH: dict[str, dict[str, Any]] = {
 SITES = ((1, 0.0), (2, 0.5), (3, 0.5))
 # standard deviations of uniform priors that the data must beat by far
 PRIOR_SD = dict.fromkeys(OUTLETS, 2.45 / 12**0.5)
-STIFFNESS_PRIOR_SD = {"A": 8e4 / 12**0.5, "B": 8e4 / 12**0.5, "C": 8e4 / 12**0.5}
+STIFFNESS_PRIOR_SD = {"A": 8e4 / 12**0.5, "B": 8e4 / 12**0.5}
 SEED = 11
 
 
@@ -82,7 +81,7 @@ def recover(
     return found
 
 
-@pytest.mark.parametrize("name", PAPER)
+@pytest.mark.parametrize("name", [name for name in PAPER if name != "C"])  # which is B
 def test_recovery(name: str) -> None:
     found = recover(name)
     for parameter, (draws, true) in found.items():

@@ -7,19 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.special import logsumexp
-from scipy.stats import halfnorm, lognorm
 
 from zoo.core.data import Data
 from zoo.core.diagnosis import diagnose
 from zoo.core.diagnosis.answer import FitDiscrepancy
-from zoo.core.diagnosis.discrepancy import SIZE_PART
-from zoo.core.diagnosis.evidence import marginal
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.core.diagnosis.scoring import prior_shares, score
 from zoo.core.diagnosis.screening import PRIOR_NONPARAMETRIC, Screening
 from zoo.core.effects import Effect, EffectParameter, Location, effect
-from zoo.core.errors.spectral import GroupErrors, Harmonics
+from zoo.core.errors.spectral import Harmonics
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.parameters import Normal, Parameter
 
@@ -85,47 +81,22 @@ def test_an_effect_is_visible_where_it_would_be_noticed(ratio: float, visible: b
     assert (found.probability["small"] > 0.0) is visible
 
 
-@pytest.mark.parametrize("size", [0.0, 0.03, 0.5])
-def test_the_evidence_of_a_free_discrepancy_is_the_integral_over_its_size_and_length(
-    size: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Half-normal sizes of sd 5 % of the range, log-normal lengths, on a grid ten times as fine."""
-    H = Harmonics()
-    monkeypatch.setattr(Harmonics, "fit_noise", lambda *a, **k: GroupErrors(NOISE))
-    smooth = size * np.cos(2 * np.pi * 4 * TIMES + 0.4)
-    screening = Screening(data_of(solve({"level": 1.0}, TIMES)[0] + smooth), MODEL, [], errors=H)
-    base = screening.fit_base()
-    fit = screening.fit_free(base, NONPARAMETRIC)
-    log_prior, precision, pull = base.forward.prior(fit.u)
-    noise = screening.errors.noise_log_prior(GroupErrors(NOISE))
-    log_z, log_w = [], []
-    median, spread = H.length
-    scale = SIZE_PART * screening.range["y"]
-    sizes = np.geomspace(2e-3, 20.0, 200)
-    lengths = median * np.exp(np.linspace(-1.5, 1.5, 61) * spread)
-    for part in sizes:
-        for length in lengths:
-            S = screening.errors.variances({"y": GroupErrors(NOISE, delta=part * scale, length=length)})
-            log_z.append(marginal(fit.residual, fit.jacobian, S, precision, pull)[0])
-            log_w.append(halfnorm.logpdf(part) + math.log(part) + lognorm.logpdf(length, spread, 0, median))
-            log_w[-1] += math.log(length)
-    wanted = float(logsumexp(np.array(log_z) + log_w) - logsumexp(log_w)) + log_prior + noise
-    assert fit.log_z == pytest.approx(wanted, abs=0.2)  # 20 sizes are a coarse grid
-    assert len(fit.kinds) == 1  # one series is alike in all
-    assert fit.kinds[0] == (pytest.approx(0.0), pytest.approx(fit.log_z))
+def discrepancy(rms: float, unabsorbed: float, seed: int = 1) -> FitDiscrepancy:
+    rng = np.random.default_rng(seed)
+    draws = (x * (1 + 0.02 * rng.standard_normal((400, 2))) for x in (rms, unabsorbed))
+    return FitDiscrepancy(np.zeros((2, 3)), np.zeros((2, 3)), *draws, np.zeros((2, 3)))
 
 
-def test_what_is_removed_holds_what_lasts_and_what_a_fit_adds() -> None:
-    """The upper end is of what a fit to data without noise would leave, the lower end of this fit's own."""
-    rng = np.random.default_rng(1)
-    rms, lasting = (x * (1.0 + 0.01 * rng.standard_normal((2000, 1))) for x in (0.3, 0.1))
-    empty = np.zeros((1, 1))
-    left = FitDiscrepancy(empty, empty, rms, lasting, empty)
-    before = FitDiscrepancy(empty, empty, np.ones((2000, 1)), np.ones((2000, 1)), empty)
-    found = left.removed([0], before)
-    assert found.mean == pytest.approx(0.7, abs=1e-3)
-    assert found.low == pytest.approx(0.7 - 1.96 * 0.003, abs=1e-3)
-    assert found.high == pytest.approx(0.9 + 1.96 * 0.001, abs=1e-3)
+@pytest.mark.parametrize("unabsorbed", [0.1, 0.3, 0.4])
+def test_an_interval_holds_its_estimate(unabsorbed: float) -> None:
+    """Also where a fit without noise, weighted by correlated noise, leaves more than this one."""
+    found = discrepancy(0.3, unabsorbed)
+    size = found.interval([0, 1])
+    assert size.low < size.mean < size.high
+    assert size.low == pytest.approx(min(0.3, unabsorbed), rel=0.05)
+    assert size.high == pytest.approx(0.3, rel=0.05)
+    removed = found.removed([0, 1], discrepancy(1.0, 1.0, seed=2))
+    assert removed.low < removed.mean < removed.high
 
 
 def test_what_the_prior_alone_makes_of_equal_evidence() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import arviz as az
 import matplotlib.pyplot as plt
@@ -70,16 +72,17 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def three() -> StudyDiagnosis:
+def three(made_once: Callable[[str, Callable[[], Any]], Any]) -> StudyDiagnosis:
     """Two pressures and a flow."""
     study = made((1, 0.0, "pressure_mmHg"), (4, 0.5, "pressure_mmHg"), (3, 0.5, "flow_ml_s"))
-    return diagnose(study, effects=TRIED)
+    return made_once("three", lambda: diagnose(study, effects=TRIED))
 
 
 @pytest.fixture(scope="session")
-def one() -> StudyDiagnosis:
+def one(made_once: Callable[[str, Callable[[], Any]], Any]) -> StudyDiagnosis:
     """One pressure."""
-    return diagnose(made((1, 0.0, "pressure_mmHg")), effects=TRIED[:2], max_effects=1)
+    study = made((1, 0.0, "pressure_mmHg"))
+    return made_once("one", lambda: diagnose(study, effects=TRIED[:2], max_effects=1))
 
 
 @pytest.fixture(scope="session")

@@ -56,7 +56,8 @@ def test_another_state_is_fitted_with_what_was_learned(folder: Path, tmp_path: P
     """The wall's viscosity holds at a faster beat; a tree of other vessels is refused."""
     other, out = tmp_path / "faster", tmp_path / "gap"
     save_study(made((1, 0.0, "pressure_mmHg"), period=0.09, more=1.2, seed=4), other)
-    options = ("--effects", "viscoelastic-wall,inflow-shift", "--max-effects", 1, "-q")
+    given = ("--effects", "viscoelastic-wall,inflow-shift", "--max-effects", 1)
+    options = (*given, "--component-sizes", 0, "-q")
     screen = " ".join(run("diagnose", folder, *options, "--state", other, "-o", out).split())
     [state] = read_diagnosis(out).states
     assert state.state == "faster"
@@ -190,6 +191,7 @@ def test_a_pipe_hears_something_every_two_seconds(capsys: pytest.CaptureFixture[
 
 @pytest.mark.slow
 def test_demo_by_its_name(tmp_path: Path) -> None:
-    screen = run("diagnose", "demo", "--effects", "sensor-offset", "-o", tmp_path / "gap", "-q")
+    options = ("--effects", "sensor-offset", "--component-sizes", 0, "-q")
+    screen = run("diagnose", "demo", *options, "-o", tmp_path / "gap")
     assert read_diagnosis(tmp_path / "gap").study_checksum == load_study("demo").checksum
     assert "wrote" in screen

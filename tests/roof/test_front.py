@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -56,13 +55,3 @@ def test_the_core_alone_says_what_draws() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "zoo.plots.plot_diagnosis(d)" in done.stdout
-
-
-@pytest.mark.parametrize("room", ["core", "blood"])
-def test_nothing_below_loads_the_roof_by_its_name(room: str) -> None:
-    """An import by name would go round the order of the modules, which is read from import statements."""
-    for path in (SOURCE / room).rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
-                named = [a.value for a in node.args if isinstance(a, ast.Constant)]
-                assert not [name for name in named if str(name).startswith("zoo.")], f"{path}:{node.lineno}"

@@ -157,13 +157,13 @@ def effects_for(baseline: str, given: Iterable[str | Effect] | None = None) -> t
     return found
 
 
-def _of_size(factor: float) -> Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]]:
-    """The components' functions with prior sizes a factor larger."""
+def _of_size(factor: float) -> Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]] | None:
+    """The components' functions with prior sizes a factor larger; none at all of size 0."""
 
     def scaled(model: ForwardModel, theta: Array, data: Data) -> list[FreeFunction]:
         return [replace(one, size=factor * one.size) for one in components(model, theta, data)]
 
-    return components if factor == 1.0 else scaled
+    return None if factor == 0.0 else components if factor == 1.0 else scaled
 
 
 def errors_of(study: Study, data: Data) -> Spectral:
@@ -193,7 +193,6 @@ def diagnose(
     *,
     effects: Iterable[str | Effect] | None = None,
     posteriors: bool = False,
-    confirm: bool = False,
     max_effects: int = 3,
     exhaust: bool = False,
     conventions: Conventions | None = None,
@@ -218,7 +217,7 @@ def diagnose(
     effects : iterable of str or Effect, optional
         Only these: names in the catalogue, or effects of your own.
     posteriors : bool
-        Sample the posteriors of the leading explanations in PyMC; `confirm` is its former name.
+        Sample the posteriors of the leading explanations in PyMC.
     conventions : Conventions, optional
         Instead of the study's own.
     options : SolverOptions, optional
@@ -227,7 +226,7 @@ def diagnose(
         Instead of some of the study's own, as in `zoo.blood.baseline.Settings`.
     component_sizes : float
         Factor of the prior sizes of what components may lack (docs/components.md): half and double tell how
-        much of an answer they made.
+        much of an answer they made, 0 leaves components out, and saves most of the time.
     states : sequence of Study
         The same vessels and sensors in other states, such as at another heart rate: what was learned is fixed
         there, and compared with the baseline and with the discrepancy that was seen at the sensor.
@@ -258,8 +257,8 @@ def diagnose(
             f"{study.source}: study {study.name!r} has no observations: a diagnosis needs at least one "
             "series of eight samples; add observations.csv"
         )
-    if not (component_sizes > 0.0 and math.isfinite(component_sizes)):
-        raise DiagnosisError(f"component_sizes = {component_sizes}: must be positive and finite")
+    if not 0.0 <= component_sizes < math.inf:
+        raise DiagnosisError(f"component_sizes = {component_sizes}: must be finite, and not below 0")
     chosen = get_baseline(base)
     study = with_priors(study, priors)
     forward = chosen.forward(study, conventions=conventions, options=options, share=SEARCH_SHARE)
@@ -287,7 +286,7 @@ def diagnose(
         states=others,
         max_effects=max_effects,
         exhaust=exhaust,
-        posteriors=posteriors or confirm,
+        posteriors=posteriors,
         cores=cores,
         seed=seed,
         tick=tick,

@@ -69,7 +69,7 @@ def diagnose(
         float,
         typer.Option(
             "--component-sizes",
-            help="Factor of the prior sizes of what components may lack: try 0.5 and 2.",
+            help="Factor of the prior sizes of what components may lack: try 0.5 and 2; 0 leaves them out.",
             metavar="FACTOR",
         ),
     ] = 1.0,
