@@ -216,7 +216,7 @@ class BloodFlow:
             return model
         raise StudyError(
             f"study {self.study.name!r}: cells and steps cannot be chosen at the parameters where "
-            f"{self.name} starts: {failed}; or give dx_cm in [numerics] (--dx)"
+            f"{self.name} starts: {failed}; or give dx_cm in [numerics]"
         )
 
     def warning_at(self, configuration: Case) -> str:

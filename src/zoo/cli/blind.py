@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.command import UsageError, Without, command
+from zoo.cli.command import Role, UsageError, Without, command
 from zoo.cli.options import (
     PluginOptions,
     PriorOptions,
@@ -55,11 +55,11 @@ def _name_list(option: str, text: str | None) -> list[str] | None:
 
 @command
 def make(
-    folder: Annotated[Path, typer.Argument(metavar="CASES", help="Folder for the cases.")],
-    n: Annotated[int, typer.Option("--n", help="Cases.")] = 40,
-    key: Annotated[Path, typer.Option("--key", help="File for what is withheld, outside the folder.")] = Path(
-        "key.json"
-    ),
+    folder: Annotated[Path, typer.Argument(metavar="CASES", help="Folder for the cases."), Role.WRITES],
+    n: Annotated[int, typer.Option("--n", help="Cases."), Role.ASIDE] = 40,
+    key: Annotated[
+        Path, typer.Option("--key", help="File for what is withheld, outside the folder."), Role.WRITES
+    ] = Path("key.json"),
     kind: Annotated[
         str,
         typer.Option(
@@ -68,6 +68,7 @@ def make(
             "component that no catalogue lists; pair: two of these; small: small ones of all; coloured: "
             "noise alone.",
         ),
+        Role.ASIDE,  # as are all options of what is withheld: the record of a run lies beside the cases
     ] = "catalogue",
     secret: Annotated[
         str | None,
@@ -77,6 +78,7 @@ def make(
             metavar="HEX",
             show_default=False,
         ),
+        Role.ASIDE,
     ] = None,
     effects: Annotated[
         str | None,
@@ -86,6 +88,7 @@ def make(
             metavar="NAMES",
             show_default=False,
         ),
+        Role.ASIDE,
     ] = None,
     layouts: Annotated[
         str | None,
@@ -96,11 +99,14 @@ def make(
             metavar="NAMES",
             show_default=False,
         ),
+        Role.ASIDE,
     ] = None,
     networks: Annotated[
-        str, typer.Option("--networks", help="mouse, tree (generated), or both.", metavar="NAMES")
+        str,
+        typer.Option("--networks", help="mouse, tree (generated), or both.", metavar="NAMES"),
+        Role.ASIDE,
     ] = "mouse,tree",
-    cores: Annotated[int, typer.Option("--cores", help="Processes at a time.")] = 2,
+    cores: Annotated[int, typer.Option("--cores", help="Processes at a time."), Role.ASIDE] = 2,
     quiet: QuietOption = False,
 ) -> None:
     """Write studies with a withheld cause each, and the key apart; goes on where it was interrupted."""
@@ -127,7 +133,9 @@ def make(
 @command
 def run(
     cases: Annotated[Path, typer.Argument(metavar="CASES", help="Folder of studies, without their key.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the answers.")] = Path("answers"),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for the answers."), Role.WRITES
+    ] = Path("answers"),
     base: Annotated[str, typer.Option("--base", help="Baseline, as in `zoo diagnose`.")] = "linear-constant",
     posteriors: Annotated[
         bool,
@@ -135,7 +143,7 @@ def run(
     ] = False,
     max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
-    cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each.")] = 2,
+    cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each."), Role.ASIDE] = 2,
     scheduler: SchedulerOption = None,
     shard: ShardOption = None,
     quiet: QuietOption = False,
@@ -189,7 +197,9 @@ def score(
         Path,
         typer.Option("--key", help="Of `zoo blind make`; or a folder of keys made elsewhere, one a case."),
     ] = Path("key.json"),
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score.")] = Path("score"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score."), Role.WRITES] = Path(
+        "score"
+    ),
 ) -> None:
     """Score answers against their key: score.json, score.md, cases.csv and figures."""
     from zoo.blood.blind import score_cases

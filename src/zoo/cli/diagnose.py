@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import at_least
-from zoo.cli.command import UsageError, Without, command
+from zoo.cli.command import Role, UsageError, Without, command, typed_command
 from zoo.cli.options import (
-    ConventionOptions,
-    NumericalOptions,
     PluginOptions,
-    PriorOptions,
     QuietOption,
     StudyArgument,
+    StudyOptions,
 )
-from zoo.cli.screen import plain_table, say, warn
+from zoo.cli.screen import plain_table, say
 from zoo.cli.telling import Telling
 from zoo.core.outputs import output_folder
 
@@ -43,10 +41,13 @@ def diagnose(
             "with that structure: A to I.",
         ),
     ] = "linear-constant",
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for what is found.")] = Path("gap"),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for what is found."), Role.WRITES
+    ] = Path("gap"),
     posteriors: Annotated[
         bool,
         typer.Option("--posteriors", help="Sample the posteriors of the leading explanations too."),
+        Role.ASIDE,
     ] = False,
     effects: Annotated[
         str | None,
@@ -82,24 +83,16 @@ def diagnose(
             metavar="STUDY",
             show_default=False,
         ),
+        Role.STUDY,
     ] = None,
-    cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time.")] = 2,
+    cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time."), Role.ASIDE] = 2,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     quiet: QuietOption = False,
-    confirm: Annotated[bool | None, typer.Option("--confirm/--no-confirm", hidden=True)] = None,
     *,
-    priors: PriorOptions,
-    conventions: ConventionOptions,
-    numerical: NumericalOptions,
+    options: StudyOptions,
     plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
     """Find what a baseline misses in a study: where the discrepancy lies, its cause, how far it shrinks."""
-    if confirm is not None:
-        posteriors = posteriors or confirm
-        now = "is now called --posteriors" if confirm else "is what happens without --posteriors"
-        warn(f"--{'' if confirm else 'no-'}confirm {now}")
-    import shlex
-
     for option, count, least in (
         ("--max-effects", max_effects, 1),
         ("--cores", cores, 1),
@@ -113,10 +106,9 @@ def diagnose(
         plugins.load()
         chosen = get_baseline(base)
         names = _effect_names(effects, chosen.name)
-        loaded = numerical.on(priors.into(conventions.load(study)))
-        others = [numerical.on(priors.into(conventions.load(one))) for one in states or ()]
+        loaded, *others = (options.load(one) for one in (study, *(states or ())))
         # a baseline has a wall factor of its own unless one is asked for
-        own = loaded.conventions if conventions.wall_factor is not None else None
+        own = loaded.conventions if "conventions.wall_factor" in options.changes() else None
 
         from zoo.blood.diagnosis import diagnose as run
         from zoo.blood.diagnosis import same_tree
@@ -129,23 +121,6 @@ def diagnose(
         for one in (loaded, *(same_tree(loaded, other) for other in others)):
             Harmonics().bind(study_data(one))
         output.mkdir(exist_ok=True)
-        words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]
-        words += ["--posteriors"] if posteriors else []
-        words += ["--max-effects", str(max_effects)]
-        words += [] if component_sizes == 1.0 else ["--component-sizes", f"{component_sizes:g}"]
-        words += ["--exhaust"] if exhaust else []
-        words += [word for one in states or () for word in ("--state", one)]
-        words += ["--effects", ",".join(names)] if names else []
-        words += plugins.words()
-        words += [
-            *priors.words(),
-            *conventions.words(),
-            *numerical.words(),
-            "--cores",
-            str(cores),
-            "--seed",
-            str(seed),
-        ]
         found = run(
             loaded,
             chosen.name,
@@ -160,14 +135,14 @@ def diagnose(
             tick=tell,
         )
         tell.say("figures and page", 1.0)
-        written = write_diagnosis(found, output, command=shlex.join(words))
+        written = write_diagnosis(found, output, command=typed_command())
         if posteriors:  # takes longer and may be stopped: what was found is on disk
             folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
             folder.mkdir(parents=True, exist_ok=True)
             tell.say(f"{found.file.verdict}; {output}/report.html is written, its posteriors follow")
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
             tell.say("figures and page", 1.0)
-            written = write_diagnosis(found, output, command=shlex.join(words))
+            written = write_diagnosis(found, output, command=typed_command())
     say(*diagnosis_screen(found.file), f"wrote {output}: {', '.join(path.name for path in written)}")
 
 

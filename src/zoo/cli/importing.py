@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from zoo.cli.command import UsageError, command
+from zoo.cli.command import Role, UsageError, command
 from zoo.cli.screen import say
 from zoo.core.outputs import output_folder
 
@@ -19,7 +19,7 @@ def import_(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="openBF's .yaml, or a .csv with a row for each vessel.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study."), Role.WRITES],
     inflow: Annotated[
         Path | None, typer.Option("--inflow", help="Inflow of a .csv: columns time_s, flow_ml_s.")
     ] = None,
@@ -90,8 +90,8 @@ def import_(
         )
     else:
         raise UsageError(f"{file}: unknown ending {file.suffix!r}; give openBF's .yaml, or a .csv of vessels")
-    study = found.save(output)
-    say(f"[bold]{study.name}[/bold]", *(f"  read: {line}" for line in found.read))
+    study = found.save(output, replace=True)  # as checked above
+    say(study.name, *(f"  read: {line}" for line in found.read))
     say(*(f"  converted: {line}" for line in found.converted))
     say(*(f"  left out: {line}" for line in found.left_out))
     given = any(v.stiffness for v in study.vessels)

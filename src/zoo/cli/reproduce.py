@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import at_least, different_models
-from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import NumericalOptions, SamplingOptions
+from zoo.cli.command import Role, UsageError, Without, command
+from zoo.cli.options import SamplingOptions, StudyOptions
 from zoo.cli.screen import say, text_table
 from zoo.core.outputs import output_folder, write_file
 from zoo.models import PAPER
@@ -46,11 +46,12 @@ def reproduce(
             help="Folder for posteriors, tables and figures; PAPER by default.",
             show_default=False,
         ),
+        Role.WRITES,
     ] = None,
     models: Annotated[
         str | None, typer.Option("--models", help="With commas; all nine by default.", show_default=False)
     ] = None,
-    study: Annotated[str, typer.Option("--study", help="What to fit.")] = "mouse-c6",
+    study: Annotated[str, typer.Option("--study", help="What to fit."), Role.STUDY] = "mouse-c6",
     synthetic: Annotated[
         bool, typer.Option("--synthetic", help="The studies on synthetic data instead: Tables 3 and 5.")
     ] = False,
@@ -80,12 +81,10 @@ def reproduce(
     ] = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
     *,
-    sampling: Annotated[ReproductionOptions, Without("chains", "step", "thin", "resume")],
-    numerical: NumericalOptions,
+    sampling: Annotated[ReproductionOptions, Without("chains", "step", "thin")],
+    options: Annotated[StudyOptions, Without("prior")],
 ) -> None:
     """Do a paper again: its models on its data, its tables beside ours; goes on where it was interrupted."""
-    from zoo.blood.study import load_study
-
     if paper not in PAPERS:
         raise UsageError(f"{paper}: no such paper; {' or '.join(PAPERS)}")
     if synthetic and (models is not None or sampling.seed is not None):
@@ -102,7 +101,7 @@ def reproduce(
     output_folder(folder, (*(f"{name}.nc" for name in names), *REPRODUCED), "--output")
     asked = sampling.settings()
     settings = {name: asked[name] for name in ("cores", "tune", "max_draws", "draws", "until_ess")}
-    loaded = numerical.on(load_study(study))
+    loaded = options.load(study)
     if synthetic:
         counts = _vessel_counts(vessels or "1,3,21", loaded)
         _reproduce_synthetic(

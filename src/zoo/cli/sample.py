@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import model_name
-from zoo.cli.command import NOT_CONVERGED, UsageError, command
+from zoo.cli.command import NOT_CONVERGED, FreshOption, Role, UsageError, command
 from zoo.cli.options import (
-    ConventionOptions,
-    NumericalOptions,
     PluginOptions,
-    PriorOptions,
     SamplingOptions,
     StrictOption,
     StudyArgument,
+    StudyOptions,
 )
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file
@@ -36,6 +34,7 @@ def sample(
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="NetCDF file; MODEL-STUDY.nc by default.", show_default=False),
+        Role.WRITES,
     ] = None,
     effects: Annotated[
         str | None,
@@ -48,27 +47,22 @@ def sample(
         ),
     ] = None,
     strict: StrictOption = False,
+    fresh: FreshOption = False,
     *,
     sampling: SamplingOptions,
-    priors: PriorOptions,
-    conventions: ConventionOptions,
-    numerical: NumericalOptions,
+    options: StudyOptions,
     plugins: PluginOptions,
 ) -> None:
     """Sample a model's posterior on a study, until converged; an interrupted run goes on where it was."""
-    from zoo.blood.study import study_files
-
     plugins.load()
     added = [part.strip() for part in (effects or "").split(",") if part.strip()]
     name = model_name("+".join([model, *added]))
     settings = sampling.settings()
-    loaded = numerical.on(priors.into(conventions.load(study)))
-    path = output_file(
-        Path(f"{name}-{loaded.name}.nc") if output is None else output, "--output", study_files(study)
-    )
-    idata = sample_with_checkpoint(
-        name, loaded, path, settings, resume=sampling.resume, progress=not sampling.quiet
-    )
+    loaded = options.load(study)
+    path = output_file(Path(f"{name}-{loaded.name}.nc") if output is None else output, "--output")
+    if path.is_file() and not fresh:
+        _keeps_what_is_there(path, settings)
+    idata = sample_with_checkpoint(name, loaded, path, settings, fresh=fresh, progress=not sampling.quiet)
     found = verdict_of(idata, settings["until_ess"])
     say(*_posterior_summary(idata, found), f"wrote {path}")
     if strict and not found.passes:
@@ -99,15 +93,19 @@ def build_model(name: str, study: Study) -> Any:
 
 
 def sample_with_checkpoint(
-    name: str, study: Study, path: Path, settings: Mapping[str, Any], *, resume: bool, progress: bool
+    name: str, study: Study, path: Path, settings: Mapping[str, Any], *, fresh: bool, progress: bool
 ) -> az.InferenceData:
     """Run a model with the checkpoint beside its output, and write the output."""
     from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError
     from zoo.core.posterior.files import checkpoint_of, sample_to
 
+    checkpoint = checkpoint_of(path)
+    if checkpoint == path or checkpoint.is_symlink():
+        wrong = "is the place of its own checkpoint" if checkpoint == path else f"{checkpoint} is a link"
+        raise UsageError(f"--output {path}: {wrong}; give a file such as {path.with_suffix('.other.nc')}")
     try:
-        if not resume:
-            _remove_checkpoint(checkpoint_of(path))
+        if fresh:
+            _remove_checkpoint(checkpoint)
         return sample_to(path, build_model(name, study), groups=True, progress=progress, **settings)
     except CheckpointInUseError as error:
         raise UsageError(str(error)) from None
@@ -115,20 +113,35 @@ def sample_with_checkpoint(
         raise UsageError(f"{error} (--fresh removes it)") from None
 
 
+def _keeps_what_is_there(path: Path, settings: Mapping[str, Any]) -> None:
+    """Refuse to put fewer draws in the place of those that a file holds."""
+    from zoo.core.inference.record import RunRecord
+    from zoo.core.posterior.files import checkpoint_of
+    from zoo.core.posterior.storage import load
+
+    idata = load(path)
+    held, goal = idata["posterior"].sizes["draw"], settings["until_ess"]
+    before = RunRecord.of(idata).settings.get("until_ess")
+    if (held > settings["draws"]) if goal is None else (goal != before and not checkpoint_of(path).is_dir()):
+        raise UsageError(
+            f"--output {path}: holds {held} draws of each chain, which this run would replace by others; add "
+            "--fresh to do that, or choose another path"
+        )
+
+
 def _remove_checkpoint(folder: Path) -> None:
-    """Delete the files of a checkpoint that no run is using, and nothing else."""
+    """Delete a checkpoint that no run is using: nothing of a folder that holds anything else."""
     from zoo.core.inference.checkpoint import FILES, Folder
 
     if not folder.is_dir():
         return
+    files = [file for file in folder.iterdir() if any(file.match(pattern) for pattern in FILES)]
+    if len(files) < len(list(folder.iterdir())) or not (folder / "run.json").is_file():
+        raise UsageError(f"{folder}: holds files that are not a checkpoint's; move them away")
     Folder(folder).close()  # refused while another run holds it
-    for pattern in FILES:
-        for file in folder.glob(pattern):
-            file.unlink()
-    try:
-        folder.rmdir()
-    except OSError:
-        raise UsageError(f"{folder}: holds files that are not a checkpoint's; move them away") from None
+    for file in files:
+        file.unlink(missing_ok=True)
+    folder.rmdir()
 
 
 def _posterior_summary(idata: az.InferenceData, found: Verdict) -> list[Any]:

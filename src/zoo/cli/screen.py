@@ -18,13 +18,14 @@ FOLDED = 16
 def say(*lines: Any) -> None:
     """Print texts, whose long lines are left to the terminal, and tables, in blocks where they are too wide.
 
+    Texts are printed as they are: names may hold what rich would read as markup.
     The width is that of the terminal, of the variable COLUMNS, or in a pipe 80.
     """
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
+    console = Console(markup=False, emoji=False)
     for line in lines:
         for part in in_blocks(line, console.width) if isinstance(line, Table) else [line]:
             console.print(part, highlight=False, soft_wrap=isinstance(line, str | Text))
@@ -69,7 +70,7 @@ def in_blocks(table: Table, width: int) -> list[Table]:
 def _plain(cell: Any) -> str:
     from rich.text import Text
 
-    return (cell if isinstance(cell, Text) else Text.from_markup(str(cell))).plain
+    return cell.plain if isinstance(cell, Text) else str(cell)
 
 
 def _longest(texts: Sequence[str]) -> int:
