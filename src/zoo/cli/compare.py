@@ -10,12 +10,7 @@ import typer
 
 from zoo.cli.checks import at_least, different_models
 from zoo.cli.command import NOT_CONVERGED, FreshOption, Role, UsageError, Without, command
-from zoo.cli.options import (
-    PluginOptions,
-    SamplingOptions,
-    StrictOption,
-    StudyOptions,
-)
+from zoo.cli.options import PluginOptions, SamplingOptions, StrictOption, StudyOptions
 from zoo.cli.sample import build_model, sample_with_checkpoint
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_folder, write_file
@@ -34,9 +29,7 @@ def compare(
         Role.STUDY,
     ],
     models: Annotated[
-        str,
-        typer.Option("--models", help="With commas, such as A,B or B,B+viscoelastic-wall."),
-        Role.ASIDE,
+        str, typer.Option("--models", help="With commas, such as A,B or B,B+viscoelastic-wall."), Role.ASIDE
     ] = "A,B",
     posteriors: Annotated[
         list[Path] | None,

@@ -9,12 +9,7 @@ import typer
 
 from zoo.cli.checks import at_least
 from zoo.cli.command import Role, UsageError, Without, command, typed_command
-from zoo.cli.options import (
-    PluginOptions,
-    QuietOption,
-    StudyArgument,
-    StudyOptions,
-)
+from zoo.cli.options import PluginOptions, QuietOption, StudyArgument, StudyOptions
 from zoo.cli.screen import plain_table, say
 from zoo.cli.telling import Telling
 from zoo.core.outputs import output_folder
@@ -55,7 +50,6 @@ def diagnose(
             "--effects",
             help="Only these, with commas; all of `zoo effects` that fit the baseline if absent.",
             metavar="NAMES",
-            show_default=False,
         ),
     ] = None,
     max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
@@ -81,7 +75,6 @@ def diagnose(
             help="Study of the same tree in another state, such as at another heart rate, in which what was "
             "learned is checked; may be given several times.",
             metavar="STUDY",
-            show_default=False,
         ),
         Role.STUDY,
     ] = None,

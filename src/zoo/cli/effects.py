@@ -26,8 +26,7 @@ LOCATION_WORDS = {
 @command
 def effects(
     name: Annotated[
-        str | None,
-        typer.Argument(metavar="[NAME]", help="One effect, such as viscoelastic-wall.", show_default=False),
+        str | None, typer.Argument(metavar="[NAME]", help="One effect, such as viscoelastic-wall.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
     *,

@@ -30,11 +30,10 @@ def import_(
         Path | None, typer.Option("--observations", help="Observations of a .csv, as a study has them.")
     ] = None,
     density: Annotated[
-        float | None, typer.Option("--density", help="Of blood, for a .csv; 1.06 g/cm3.", show_default=False)
+        float | None, typer.Option("--density", help="Of blood, for a .csv; 1.06 g/cm3.")
     ] = None,
     viscosity: Annotated[
-        float | None,
-        typer.Option("--viscosity", help="Of blood, for a .csv; 0.04 g/(cm s).", show_default=False),
+        float | None, typer.Option("--viscosity", help="Of blood, for a .csv; 0.04 g/(cm s).")
     ] = None,
     profile: Annotated[
         float | None,

@@ -35,7 +35,6 @@ SchedulerOption = Annotated[
         "--scheduler",
         help="Run the tasks on the workers of a dask.distributed scheduler, tcp://HOST:8786, instead.",
         metavar="ADDRESS",
-        show_default=False,
     ),
     Role.ASIDE,
 ]
@@ -45,7 +44,6 @@ ShardOption = Annotated[
         "--shard",
         help="Part i of n of the work, for job arrays; without it later, the rest, and all together.",
         metavar="I/N",
-        show_default=False,
     ),
     Role.ASIDE,
 ]
@@ -77,7 +75,6 @@ class PluginOptions:
             "--effects-from",
             help="Python file that defines effects; it is run. May be repeated.",
             metavar="FILE",
-            show_default=False,
         ),
     ] = None
     models_from: Annotated[
@@ -86,7 +83,6 @@ class PluginOptions:
             "--models-from",
             help="Python file with functions model_NAME(study, **settings); it is run. May be repeated.",
             metavar="FILE",
-            show_default=False,
         ),
     ] = None
 
@@ -111,7 +107,6 @@ class PriorOptions:
             help="Instead of the study's own: stiffness=log_uniform(2e4,4e5), f3=..., wave_speed_m_s=1,4 or "
             "set=paun2020; laws uniform, log_uniform, normal, log_normal, inverse_gamma. May be repeated.",
             metavar="NAME=LAW(...)",
-            show_default=False,
         ),
     ] = None
 
@@ -150,7 +145,6 @@ class StudyOptions(PriorOptions):
             "conventions.friction=rest, numerics.dx_cm=0.01, blood.velocity_profile_order=9, or "
             "vessel.resistance=3e4: one value, or one per vessel with commas. May be repeated.",
             metavar="KEY=VALUE",
-            show_default=False,
         ),
     ] = None
     accuracy: Annotated[
@@ -200,24 +194,15 @@ class SamplingOptions:
 
     draws: Annotated[
         int | None,
-        typer.Option(
-            "--draws",
-            help="Stored draws of each chain; without it, until converged.",
-            show_default=False,
-        ),
+        typer.Option("--draws", help="Stored draws of each chain; without it, until converged."),
         Role.ASIDE,
     ] = None
     tune: Annotated[
-        int | None,
-        typer.Option(
-            "--tune", help="Steps to adapt, thrown away; 100 a dimension, at least 600.", show_default=False
-        ),
+        int | None, typer.Option("--tune", help="Steps to adapt, thrown away; 100 a dimension, at least 600.")
     ] = None
     chains: Annotated[int, typer.Option("--chains", help="Chains; at least 4 for a verdict.")] = 4
     cores: Annotated[
-        int | None,
-        typer.Option("--cores", help="Processes at a time; all cores by default.", show_default=False),
-        Role.ASIDE,
+        int | None, typer.Option("--cores", help="Processes at a time; all cores by default."), Role.ASIDE
     ] = None
     method: Annotated[
         str,
@@ -232,28 +217,21 @@ class SamplingOptions:
     )
     thin: Annotated[
         int | None,
-        typer.Option(
-            "--thin",
-            help="Steps for each stored draw; a quarter of the dimension by default.",
-            show_default=False,
-        ),
+        typer.Option("--thin", help="Steps for each stored draw; a quarter of the dimension by default."),
     ] = None
-    seed: Annotated[
-        int | None, typer.Option("--seed", help="Seed; recorded if not given.", show_default=False)
-    ] = None
+    seed: Annotated[int | None, typer.Option("--seed", help="Seed; recorded if not given.")] = None
     until: Annotated[
         str | None,
         typer.Option(
             "--until",
             help="ess=400 (default without --draws): until every parameter has it and R-hat <= 1.01; "
             "or none.",
-            show_default=False,
         ),
         Role.ASIDE,
     ] = None
     max_draws: Annotated[
         int | None,
-        typer.Option("--max-draws", help="Limit of --until; 40 times the first check.", show_default=False),
+        typer.Option("--max-draws", help="Limit of --until; 40 times the first check."),
         Role.ASIDE,
     ] = None
     quiet: QuietOption = False

@@ -9,12 +9,7 @@ import typer
 
 from zoo.cli.checks import at_least, model_name
 from zoo.cli.command import Role, command
-from zoo.cli.options import (
-    PluginOptions,
-    QuietOption,
-    StudyArgument,
-    StudyOptions,
-)
+from zoo.cli.options import PluginOptions, QuietOption, StudyArgument, StudyOptions
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_folder, write_file
 
@@ -33,7 +28,7 @@ def priors(
     model: Annotated[str, typer.Option("--model", help="A to I, or one of --models-from.")] = "B",
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Folder for table, figures; none if absent.", show_default=False),
+        typer.Option("--output", "-o", help="Folder for table, figures; none if absent."),
         Role.WRITES,
     ] = None,
     n_draws: Annotated[int, typer.Option("--n-draws", help="Prior draws to solve.")] = 200,

@@ -49,7 +49,9 @@ def reproduce(
         Role.WRITES,
     ] = None,
     models: Annotated[
-        str | None, typer.Option("--models", help="With commas; all nine by default.", show_default=False)
+        str | None,
+        typer.Option("--models", help="With commas; all nine by default.", show_default=False),
+        Role.ASIDE,
     ] = None,
     study: Annotated[str, typer.Option("--study", help="What to fit."), Role.STUDY] = "mouse-c6",
     synthetic: Annotated[
@@ -98,7 +100,8 @@ def reproduce(
             )
     names = list(PAPER) if models is None else different_models(models)
     folder = Path(paper) if output is None else output
-    output_folder(folder, (*(f"{name}.nc" for name in names), *REPRODUCED), "--output")
+    files = () if synthetic else (*(f"{name}.nc" for name in names), *REPRODUCED)
+    output_folder(folder, files, "--output")
     asked = sampling.settings()
     settings = {name: asked[name] for name in ("cores", "tune", "max_draws", "draws", "until_ess")}
     loaded = options.load(study)

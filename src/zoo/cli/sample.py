@@ -10,13 +10,7 @@ import typer
 
 from zoo.cli.checks import model_name
 from zoo.cli.command import NOT_CONVERGED, FreshOption, Role, UsageError, command
-from zoo.cli.options import (
-    PluginOptions,
-    SamplingOptions,
-    StrictOption,
-    StudyArgument,
-    StudyOptions,
-)
+from zoo.cli.options import PluginOptions, SamplingOptions, StrictOption, StudyArgument, StudyOptions
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file
 
@@ -33,7 +27,7 @@ def sample(
     study: StudyArgument,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="NetCDF file; MODEL-STUDY.nc by default.", show_default=False),
+        typer.Option("--output", "-o", help="NetCDF file; MODEL-STUDY.nc by default."),
         Role.WRITES,
     ] = None,
     effects: Annotated[
@@ -43,7 +37,6 @@ def sample(
             help="Put these into the model, with commas: viscoelastic-wall,local-stiffness@2 (vessel 2; 2+ "
             "with all below). The model's name becomes MODEL+EFFECT.",
             metavar="NAMES",
-            show_default=False,
         ),
     ] = None,
     strict: StrictOption = False,

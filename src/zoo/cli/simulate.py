@@ -23,12 +23,7 @@ if TYPE_CHECKING:
     from zoo.blood.study import Study
 
 POSITIONS = (0.0, 0.5, 1.0)
-WALLS = (
-    "stiffness_out_g_cm_s2",
-    "youngs_modulus_g_cm_s2",
-    "wall_thickness_cm",
-    "wall_thickness_out_cm",
-)
+WALLS = ("stiffness_out_g_cm_s2", "youngs_modulus_g_cm_s2", "wall_thickness_cm", "wall_thickness_out_cm")
 """Fields of a vessel in whose place a stiffness stands."""
 
 
@@ -144,11 +139,7 @@ def simulate(
 
 
 def _stiffness(
-    stiffness: str | None,
-    f1: float | None,
-    f2: float | None,
-    f3: float | None,
-    study: Study,
+    stiffness: str | None, f1: float | None, f2: float | None, f3: float | None, study: Study
 ) -> list[float] | None:
     """A stiffness for each vessel in the study's order; None for the study's or the walls' own."""
     from zoo.blood.network import stiffness_profile

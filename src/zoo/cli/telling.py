@@ -28,7 +28,12 @@ class Telling:
         self.console = Console(stderr=True, markup=False)
         self.terminal = self.console.is_terminal if terminal is None else terminal
         self.wanted = wanted
-        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+        )
         self.bar = Progress(*columns, console=self.console, disable=not (wanted and self.terminal))
         self.task = self.bar.add_task("", total=100)
         self.text, self.share = "", 0.0

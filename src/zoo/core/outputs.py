@@ -88,7 +88,8 @@ class Run:
             )
         if not self.fresh and self.identity not in runs:
             there = runs[-1]
-            what = next(n for n in (*self.identity, *there) if self.identity.get(n) != there.get(n))
+            differs = [n for n in (*self.identity, *there) if self.identity.get(n) != there.get(n)]
+            what = differs[0] if differs else "command"
             raise OutputFileError(
                 f"{named}: is of another run: {what} was {short(there.get(what))}, here it is "
                 f"{short(self.identity.get(what))}; add --fresh to replace it, or choose another path"
