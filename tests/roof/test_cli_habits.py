@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import os
-from io import StringIO
 from pathlib import Path
 
 import pytest
 from commands import fails, run
 from rich.cells import cell_len
-from rich.console import Console
 from rich.text import Text
 from typer.testing import CliRunner
 
 import zoo
 import zoo.core.posterior.storage
 from zoo.cli import app
-from zoo.cli.screen import in_blocks, plain_table
+from zoo.cli.screen import plain_table, say
 
 
 def test_version_option() -> None:
@@ -97,17 +95,15 @@ def test_strict_ends_with_its_own_code_and_still_writes(tiny: Path, tmp_path) ->
     assert {"log_likelihood", "posterior_predictive", "prior", "constant_data"} <= groups
 
 
-def printed(table, width: int) -> list[str]:
-    """Lines of the blocks of a table."""
-    file = StringIO()
-    console = Console(file=file, width=width)
-    for block in in_blocks(table, width):
-        console.print(block, highlight=False)
-    return [line.rstrip() for line in file.getvalue().splitlines()]
+def printed(table: object, capsys: pytest.CaptureFixture[str], monkeypatch, width: int) -> list[str]:
+    """Lines of a table."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    say(table)
+    return [line.rstrip() for line in capsys.readouterr().out.splitlines()]
 
 
-@pytest.mark.parametrize("width", [40, 60, 80, 200])
-def test_tables_of_numbers_are_cut_between_columns_and_never_inside(width) -> None:
+@pytest.mark.parametrize("width", [40, 80, 200])
+def test_columns_of_numbers_are_never_folded(width: int, capsys, monkeypatch) -> None:
     columns = ("WAIC", "SE", "as one", "PSIS-LOO", "diff.", "its SE", "weight", "SSE ((ml/s)2)", "converged")
     table = plain_table(title="models")
     table.add_column("model", no_wrap=True)
@@ -116,20 +112,17 @@ def test_tables_of_numbers_are_cut_between_columns_and_never_inside(width) -> No
         table.add_column(column, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    lines = printed(table, width)
-    assert max(cell_len(line) for line in lines) <= width
-    text = "\n".join(lines)
-    for word in (*columns, *rows[0][1:]):
-        assert text.count(word) >= 1
-    blocks = sum(line.startswith("model ") for line in lines)
-    assert text.count("B+viscoelastic-wall") == blocks
-    assert (blocks == 1) == (width == 200)
+    _title, *lines = printed(table, capsys, monkeypatch, width)
+    assert [line.split() for line in lines] == [
+        ["model", *" ".join(columns).split()],
+        *(list(row) for row in rows),
+    ]
 
 
-def test_a_column_of_texts_is_folded_instead() -> None:
+def test_a_column_of_texts_is_folded_instead(capsys, monkeypatch) -> None:
     table = plain_table("name", "what it does")
     table.add_row("taper", Text(" ".join(["narrows along the vessel"] * 8)))
-    lines = printed(table, 80)
+    lines = printed(table, capsys, monkeypatch, 80)
     assert max(map(len, lines)) <= 80
     assert sum(line.startswith("name") for line in lines) == 1
 

@@ -149,7 +149,7 @@ def resolve(
     if case.conventions.truncate_lengths and "accuracy_percent" in given:
         raise StudyError(
             f"study {study.name!r}: numerics: accuracy_percent = {given['accuracy_percent']}: the convention "
-            "truncate_lengths has cells of its own; leave it out, or take true lengths (truncate_lengths = false)"
+            "truncate_lengths has cells of its own; leave it out, or set truncate_lengths = false"
         )
     if "dx_cm" in given or case.conventions.truncate_lengths:
         options = SolverOptions(dx_cm=given.get("dx_cm", SolverOptions.dx_cm), **plain)

@@ -114,8 +114,12 @@ def _keeps_what_is_there(path: Path, settings: Mapping[str, Any]) -> None:
 
     idata = load(path)
     held, goal = idata["posterior"].sizes["draw"], settings["until_ess"]
-    before = RunRecord.of(idata).settings.get("until_ess")
-    if (held > settings["draws"]) if goal is None else (goal != before and not checkpoint_of(path).is_dir()):
+    before = RunRecord.of(idata).settings
+    if goal is None:
+        less = held > settings["draws"] != before.get("first check")
+    else:
+        less = goal != before.get("until_ess") and not checkpoint_of(path).is_dir()
+    if less:
         raise UsageError(
             f"--output {path}: holds {held} draws of each chain, which this run would replace by others; add "
             "--fresh to do that, or choose another path"

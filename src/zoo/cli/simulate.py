@@ -194,15 +194,9 @@ def _write_waves(waves: xr.Dataset, path: Path) -> None:
         return
     from zoo.blood.case import UNITS
 
-    time_s = [f"{t:.9g}" for t in waves["time"].to_numpy()]
-    lines = ["vessel,position,quantity,time_s,value\n"]
-    for vessel in waves["vessel"].to_numpy():
-        for position in POSITIONS:
-            for quantity in UNITS:
-                values = waves[quantity].sel(vessel=vessel, position=position).to_numpy()
-                head = f"{vessel},{position:g},{quantity}"
-                lines += [f"{head},{t},{v:.9g}\n" for t, v in zip(time_s, values, strict=True)]
-    write_file(path, "".join(lines))
+    long = waves[list(UNITS)].to_array("quantity", name="value").rename(time="time_s")
+    table = long.transpose("vessel", "position", "quantity", "time_s").to_series()
+    write_file(path, table.to_csv(float_format="%.9g"))
 
 
 def _simulation_summary(
