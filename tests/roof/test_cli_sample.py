@@ -47,18 +47,18 @@ def test_sample_writes_the_posterior_and_a_verdict(sampled: tuple[Path, str], ti
 def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Path) -> None:
     path, _ = sampled
     assert path.with_suffix(".checkpoint").is_dir()
-    refused = fails("sample", "A", tiny, "-o", path, "--thin", 3, *QUICK)
+    refused = fails("sample", "a", tiny, "-o", path, "--thin", 3, *QUICK)
     assert "is of another run: --thin was 2, here it is 3; add --fresh to replace it" in refused
-    few = "sample", "A", tiny, "-o", path, "--thin", 2, *QUICK[2:], "--draws", 10
+    few = "sample", "a", tiny, "-o", path, "--thin", 2, *QUICK[2:], "--draws", 10
     assert "holds 60 draws of each chain, which this run would replace by others; add --fresh" in fails(*few)
     path.rename(path.with_suffix(".kept"))
-    refused = fails("sample", "A", tiny, "-o", path, "--thin", 3, *QUICK)
+    refused = fails("sample", "a", tiny, "-o", path, "--thin", 3, *QUICK)
     path.with_suffix(".kept").rename(path)
     assert "thin is 2 there and 3 here" in refused
     assert "--fresh removes it" in refused
     more = path.with_name("A.nc")
     before = load(path).posterior.c.to_numpy()
-    output = run("sample", "A", tiny, "-o", more, "--thin", 2, *QUICK[2:], "--draws", 80, "-q")
+    output = run("sample", "a", tiny, "-o", more, "--thin", 2, *QUICK[2:], "--draws", 80, "-q")
     after = load(more)
     assert after.posterior.sizes["draw"] == 80
     np.testing.assert_array_equal(after.posterior.c[:, :60], before)
