@@ -5,7 +5,7 @@ file for each model, so an interrupted run goes on.
 
 Usage: python benchmarks/calibration.py [--models A,B] [--method exact] [--replicates 200]
        [--folder runs/calibration] [--figures docs/figures] [--cores 1] [--seed 1]
-       [--scheduler tcp://HOST:8786] [--shard I/N]
+       [--dask tcp://HOST:8786]
 """
 
 from __future__ import annotations
@@ -43,15 +43,14 @@ def main() -> None:
     parser.add_argument("--figures", type=Path, default=FIGURES)
     parser.add_argument("--cores", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--scheduler", help="of dask.distributed, whose workers do the replicates")
-    parser.add_argument("--shard", type=shard, help="a part of the replicates; once without shows all")
+    parser.add_argument("--dask", help="scheduler whose workers do the replicates")
     args = parser.parse_args()
     args.folder.mkdir(parents=True, exist_ok=True)
     study = cheap_study()
     for name in args.models.split(","):
         wall = "tangent" if name in ("H", "I") else "linear"
         independent = name in ("A", "D", "F")
-        with connect(args.scheduler) as executor:
+        with connect(args.dask) as executor:
             test = simulate_and_rank(
                 partial(get_model(name), options=cheap_options(wall)),
                 study,
@@ -62,19 +61,10 @@ def main() -> None:
                 path=args.folder / f"{name}{'' if args.method == 'exact' else '-surrogate'}.jsonl",
                 cores=args.cores,
                 executor=executor,
-                shard=args.shard,
                 progress=True,
             )
-        if test is None:
-            continue
         report(name, test)
         save_figure(calibration_figure(test, title=f"model {name}"), args.figures / f"calibration-{name}.svg")
-
-
-def shard(text: str) -> tuple[int, int]:
-    """Read "2/8"."""
-    part, parts = text.split("/")
-    return int(part), int(parts)
 
 
 def report(name: str, test: RankTest) -> None:

@@ -20,7 +20,7 @@ from zoo.blood.study import Series, Study
 from zoo.core.errors.independent import Independent
 from zoo.core.errors.variables import IidErrors
 from zoo.core.inference.logposterior import LogPosterior
-from zoo.core.posterior.ranks import LOG_POSTERIOR, CalibrationError, RankTest, Replicate
+from zoo.core.posterior.ranks import LOG_POSTERIOR, CalibrationError, RankTest
 from zoo.models import get_model
 from zoo.paper import calibration, replicator
 from zoo.paper.calibration import simulate_and_rank
@@ -286,36 +286,3 @@ def test_errors_say_what_to_change(replicators: dict[str, Replicator]) -> None:
         )
     with pytest.raises(CalibrationError, match="wall = 'stiff'"):
         cheap_options("stiff")
-
-
-def test_shards_of_a_calibration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two parts and what is left: each replicate is done once, and the last call has all of them in order."""
-    done: list[int] = []
-
-    def replicate(job: Any) -> Replicate:
-        done.append(job[2])
-        return Replicate(
-            number=job[2], truth={"a": 0.1}, rank={"a": job[2] % 16}, sd={"a": 1.0}, ess={"a": 200.0},
-            rhat=1.0, accepted=0.3, steps=60, redrawn={}, seconds=0.1,
-        )  # fmt: skip
-
-    monkeypatch.setattr(calibration, "_replicate", replicate)
-
-    def run(n: int, shard: tuple[int, int] | None = None) -> RankTest | None:
-        path = tmp_path / "A.jsonl"
-        return simulate_and_rank(builder("A"), cheap_study(), n, settings=QUICK, path=path, shard=shard)
-
-    assert run(7, (1, 3)) is None
-    assert run(7, (3, 3)) is None
-    assert run(7, (1, 3)) is None
-    assert sorted(done) == [0, 2, 3, 5, 6]
-    test = run(7)
-    assert test is not None
-    assert [r.number for r in test.replicates] == list(range(7))
-    assert done[5:] == [1, 4]
-    line = (tmp_path / "A.jsonl.1-of-3").read_text().replace('"steps": 60', '"steps": 61')
-    (tmp_path / "A.jsonl.1-of-3").write_text(line)
-    with pytest.raises(CalibrationError, match=r"A\.jsonl\.1-of-3: no file of replicates \(damaged"):
-        run(7)
-    with pytest.raises(CalibrationError, match="shard 4/3: must be i/n"):
-        run(7, (4, 3))

@@ -14,16 +14,18 @@ from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from dying import Sum, add, expected, name_of
-from zoo.blood.blind import BlindError, diagnose_cases, make_cases
-from zoo.cli import app
+from gaussian import gaussian_model
+from zoo.blood.blind import diagnose_cases, make_cases
 from zoo.core.inference.cluster import SchedulerError, connect
-from zoo.core.inference.workers import TRIES, LostTaskError, each, shard_of
+from zoo.core.inference.sampling import sample
+from zoo.core.inference.workers import TRIES, LostTaskError, each
 
 CHEAP = ("sensor-offset", "inflow-shift", "inflow-bandwidth", "beat-jitter")
+CHAINS: dict[str, Any] = {"draws": 40, "tune": 100, "chains": 3, "seed": 11, "progress": False}
 SECRET = "5" * 32
 
 pytestmark = [
@@ -84,6 +86,13 @@ def content(answers: Path) -> dict[str, Any]:
     return {str(p.relative_to(answers)): timeless(json.loads(p.read_text())) for p in answers.rglob("*.json")}
 
 
+def same(one: Any, other: Any) -> None:
+    """All draws and statistics of two posteriors."""
+    for group in ("posterior", "sample_stats"):
+        for name in other[group].data_vars:
+            np.testing.assert_array_equal(one[group][name], other[group][name])
+
+
 # -- tasks -------------------------------------------------------------------------------------------
 
 
@@ -114,15 +123,14 @@ def test_a_task_that_always_dies_is_named(tmp_path: Path) -> None:
     assert tasks[1].runs == TRIES
 
 
-def test_shards_are_disjoint_and_complete() -> None:
-    jobs = list(range(11))
-    parts = [shard_of(jobs, (i, 4)) for i in (1, 2, 3, 4)]
-    assert sorted(job for part in parts for job in part) == jobs
-    assert {len(part) for part in parts} == {2, 3}
-    assert shard_of(jobs, None) == jobs
-    for wrong in ((0, 4), (5, 4)):
-        with pytest.raises(ValueError, match="i/n with i from 1 to n"):
-            shard_of(jobs, wrong)
+@pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_chains_on_any_executor_draw_what_they_draw_here(kind: type[Executor], tmp_path: Path) -> None:
+    settings = {"mp_context": mp.get_context("spawn")} if kind is ProcessPoolExecutor else {}
+    with kind(2, **settings) as executor:  # type: ignore[call-arg]
+        found = sample(gaussian_model(), executor=executor, checkpoint=tmp_path / "c", until_ess=60, **CHAINS)
+    same(found, sample(gaussian_model(), cores=0, until_ess=60, **CHAINS))
+    again = sample(gaussian_model(), cores=0, checkpoint=tmp_path / "c", until_ess=60, **CHAINS)
+    same(again, found)
 
 
 # -- a cluster ---------------------------------------------------------------------------------------
@@ -138,6 +146,12 @@ def test_tasks_whose_workers_are_killed(cluster: Any, tmp_path: Path) -> None:
         found = [(task.seed, value) for task, value in each(add, tasks, executor=executor, name=name_of)]
     assert sorted(found) == [(seed, expected(seed)) for seed in range(12)]
     assert all(2 <= tasks[seed].runs <= 4 for seed in (0, 5, 9))
+
+
+def test_chains_on_a_cluster_draw_what_they_draw_here(cluster: Any) -> None:
+    with connect(cluster.scheduler_address) as executor:
+        found = sample(gaussian_model(), executor=executor, **CHAINS)
+    same(found, sample(gaussian_model(), cores=0, **CHAINS))
 
 
 def test_blind_check_with_a_worker_killed_twice(
@@ -185,24 +199,7 @@ def test_what_cannot_be_reached_is_one_line(tmp_path: Path, monkeypatch: pytest.
         pass
 
 
-# -- shards and what is kept -------------------------------------------------------------------------
-
-
-def test_shards_of_a_blind_check(cases: Path, alone: Path, tmp_path: Path) -> None:
-    answers = tmp_path / "answers"
-    settings: dict[str, Any] = {"effects": CHEAP, "max_effects": 1, "cores": 1}
-    first = diagnose_cases(cases, answers, shard=(1, 2), **settings)
-    assert first.diagnosed == ("case-001", "case-003")
-    assert not (answers / "case-002").exists()
-    assert diagnose_cases(cases, answers, shard=(2, 2), **settings).diagnosed == ("case-002", "case-004")
-    whole = diagnose_cases(cases, answers, **settings)
-    assert whole.kept == whole.diagnosed == tuple(f"case-00{i}" for i in (1, 2, 3, 4))
-    assert content(answers) == content(alone)
-    with pytest.raises(BlindError, match="shard 3/2: must be i/n"):
-        diagnose_cases(cases, answers, shard=(3, 2), **settings)
-    result = CliRunner().invoke(app, ["blind", "run", str(cases), "-o", str(answers), "--shard", "3/2"])
-    assert result.exit_code == 2
-    assert "--shard 3/2: write i/n" in result.output
+# -- what is kept -----------------------------------------------------------------------------------
 
 
 def test_another_solver_does_not_keep_answers(

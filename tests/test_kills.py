@@ -9,40 +9,41 @@ import signal
 import subprocess
 import sys
 import time
-from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gaussian import gaussian_model
+from test_kept_solves import Slow, model_of
+from test_nuts import smooth_model
+from zoo.core.inference import pool
+from zoo.core.inference.methods import sample
 from zoo.core.inference.record import RunRecord
-from zoo.core.inference.sampling import sample
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc"),
     pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning"),
 ]
-SETTINGS = {"draws": 3000, "tune": 1200, "chains": 2, "thin": 2, "seed": 31, "progress": False}
-KILLS = {"run": 16, "chain": 2, "group": 2, "parent": 2}
-"""Of a run that draws all chains in its own process, of a chain's process, of all together, of the parent."""
+CHAINS: dict[str, Any] = {"tune": 1200, "chains": 2, "seed": 31, "progress": False}
+KILLS = {"inline": 3, "processes": 2, "nuts": 2, "surrogate": 2}
+"""How often a run is killed: with all chains in its process, with a process each, by other methods."""
 
 # One process imports everything and forks each run: to import it all again takes longer than the runs.
 DRIVER = """
 import os, sys
 sys.path.insert(0, {tests!r})
-from gaussian import gaussian_model
-from test_kills import SETTINGS
-from zoo.core.inference.sampling import sample
-model = gaussian_model(seconds=0.0005)
-for line in sys.stdin:  # a number of cores asks for a run
+from test_kills import run
+for line in sys.stdin:  # a kind asks for a run
     child = os.fork()
     if child == 0:
         os.setsid()
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         status = 0
         try:
-            sample(model, cores=int(line), checkpoint={folder!r}, checkpoint_seconds=0.02, **SETTINGS)
+            run(line.strip(), {folder!r} + line.strip(), slow=True)
         except BaseException as error:
             print(type(error).__name__, error, file=sys.stderr)
             status = 7
@@ -50,6 +51,22 @@ for line in sys.stdin:  # a number of cores asks for a run
     print(child, flush=True)
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
+
+
+def run(kind: str, folder: str | None, slow: bool = False) -> Any:
+    """A run of a kind; a slow one leaves time to be killed, and tells often how far it is."""
+    checkpoint: dict[str, Any] = {} if folder is None else {"checkpoint": folder}
+    if slow:
+        pool.SLICE_S = 0.05
+    if kind == "surrogate":
+        few = {"draws": 100, "tune": 100, "seed": 3, "cores": 1, "progress": False}
+        return sample(model_of(Slow(0.002 * slow)), method="surrogate", **few, **checkpoint)
+    if kind == "nuts":
+        return sample(
+            smooth_model(seconds=0.0003 * slow), method="nuts", draws=500, cores=0, **CHAINS, **checkpoint
+        )
+    cores = 2 if kind == "processes" else 0
+    return sample(gaussian_model(0.0005 * slow), draws=3000, thin=2, cores=cores, **CHAINS, **checkpoint)
 
 
 def alive(group: int) -> set[int]:
@@ -63,13 +80,9 @@ def alive(group: int) -> set[int]:
     return found
 
 
-def written(folder: Path) -> dict[str, int]:
-    """When each chain's checkpoint was written."""
-    found = {}
-    for file in folder.glob("chain-*.state"):
-        with contextlib.suppress(FileNotFoundError):
-            found[file.name] = file.stat().st_mtime_ns
-    return found
+def written(folder: Path) -> int:
+    """Bytes of all memos."""
+    return sum(file.stat().st_size for file in folder.glob("*.memo"))
 
 
 def wait_for(condition, seconds: float = 300.0) -> None:
@@ -79,24 +92,14 @@ def wait_for(condition, seconds: float = 300.0) -> None:
         time.sleep(0.005)
 
 
-def kill(how: str, run: int, rng: random.Random) -> None:
-    if how == "group":
-        os.killpg(run, signal.SIGKILL)
-    elif how == "chain":
-        os.kill(rng.choice(sorted(alive(run) - {run})), signal.SIGKILL)
-    else:
-        os.kill(run, signal.SIGKILL)
-
-
 def test_killed_again_and_again_the_draws_are_the_same(tmp_path: Path) -> None:
-    """One kill in five comes before the run has written anything, most of the others up to 0.15 s after."""
-    folder, rng = tmp_path / "checkpoint", random.Random(20)
-    code = DRIVER.format(tests=str(Path(__file__).parent), folder=str(folder))
+    """Killed up to 0.3 s after more was written; one in two with a line that is not whole."""
+    rng = random.Random(20)
+    code = DRIVER.format(tests=str(Path(__file__).parent), folder=str(tmp_path / "c-"))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    ways = [how for how, n in KILLS.items() for _ in range(n)]
+    ways = [kind for kind, n in KILLS.items() for _ in range(n)]
     rng.shuffle(ways)
-    survived: Counter[str] = Counter()
     errors = tmp_path / "errors"
     with (
         open(errors, "w") as sink,
@@ -107,27 +110,26 @@ def test_killed_again_and_again_the_draws_are_the_same(tmp_path: Path) -> None:
     ):  # fmt: skip
         assert driver.stdin is not None
         assert driver.stdout is not None
-        for how in ways:
+        for i, kind in enumerate(ways):
+            folder = tmp_path / f"c-{kind}"
             before = written(folder)
-            print(0 if how == "run" else 2, file=driver.stdin, flush=True)
-            run = int(driver.stdout.readline())
-            if how == "chain" or rng.random() < 0.8:
-                wait_for(lambda before=before: written(folder) != before)
-            time.sleep(rng.uniform(0.0, 0.15))
-            kill(how, run, rng)
-            status = int(driver.stdout.readline())
-            assert status == (7 if how == "chain" else -signal.SIGKILL), errors.read_text()
-            wait_for(lambda run=run: not alive(run))  # also chains whose parent is gone
-            survived[how] += 1
+            print(kind, file=driver.stdin, flush=True)
+            child = int(driver.stdout.readline())
+            wait_for(lambda folder=folder, before=before: written(folder) > before)
+            time.sleep(rng.uniform(0.0, 0.3))
+            os.kill(child, signal.SIGKILL)
+            assert int(driver.stdout.readline()) == -signal.SIGKILL, errors.read_text()
+            wait_for(lambda child=child: not alive(child))  # also chains whose parent is gone
+            if i % 2:
+                file = max(folder.glob("*.memo"))
+                file.write_bytes(file.read_bytes()[:-7])
         driver.stdin.close()
-    assert survived == KILLS
-    assert survived.total() >= 20
-    assert errors.read_text().count("its process ended unexpectedly (signal 9") == KILLS["chain"]
-    assert "CheckpointError" not in errors.read_text()
-    resumed = sample(gaussian_model(), cores=0, checkpoint=folder, **SETTINGS)
-    whole = sample(gaussian_model(), cores=0, **SETTINGS)
-    assert RunRecord.of(resumed).sittings > 20
-    for group in ("posterior", "sample_stats"):
-        for name in whole[group].data_vars:
-            np.testing.assert_array_equal(resumed[group][name], whole[group][name])
-    assert not list(folder.glob("*.part"))
+    assert "Error" not in errors.read_text()
+    for kind, n in KILLS.items():
+        folder = tmp_path / f"c-{kind}"
+        resumed, whole = run(kind, str(folder)), run(kind, None)
+        assert RunRecord.of(resumed).sittings == n + 1
+        for group in ("posterior", "sample_stats"):
+            for name in whole[group].data_vars:
+                np.testing.assert_array_equal(resumed[group][name], whole[group][name])
+        assert not list(folder.glob("*.part"))

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
-import json
+import multiprocessing as mp
 import os
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import textwrap
 import time
+from collections import Counter
 from pathlib import Path
 
 import arviz as az
@@ -28,13 +25,11 @@ from gaussian import (
     gaussian_model,
     gaussian_posterior,
 )
-from zoo.core import digests
+from zoo.core.inference.chain import Report
 from zoo.core.inference.checkpoint import CheckpointError, Folder
-from zoo.core.inference.processes import Worker
-from zoo.core.inference.progress import ChainState, Display
+from zoo.core.inference.progress import ChainState, of_chains
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.sampling import SamplingError, sample
-from zoo.core.inference.states import of_chain, read_state
 
 
 @pytest.fixture(scope="module")
@@ -72,39 +67,11 @@ def test_statistics_and_record(uninterrupted):
     assert uninterrupted.observed_data.y.to_numpy() == pytest.approx(DATA)
 
 
-SCRIPT = """
-    import sys
-    sys.path.insert(0, {tests!r})
-    from gaussian import SETTINGS, gaussian_model
-    from zoo.core.inference.sampling import sample
-    sample(gaussian_model(seconds=0.004), cores=1, checkpoint={folder!r}, checkpoint_seconds=0.05, **SETTINGS)
-"""
-
-
-def launch(tmp_path: Path, folder: Path) -> subprocess.Popen:
-    """Run the settings of this file slowly, in a process group of its own; no guard for `__main__`."""
-    script = tmp_path / "run.py"
-    script.write_text(textwrap.dedent(SCRIPT.format(tests=str(Path(__file__).parent), folder=str(folder))))
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    return subprocess.Popen([sys.executable, str(script)], start_new_session=True, env=environment)
-
-
 def wait_for(condition, seconds=60.0):
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "waited too long"
         time.sleep(0.02)
-
-
-def steps_in(file: Path) -> int:
-    """Of the first chain, as the file says; a reader of its own."""
-    if not file.exists():
-        return 0
-    digest, _, archive = file.read_bytes().partition(b"\n")
-    assert digest.decode() == hashlib.sha256(archive).hexdigest()
-    with np.load(io.BytesIO(archive), allow_pickle=False) as found:
-        content = dict(json.loads(found["content"].tobytes())["content"]["table"])
-    return int(content["steps"])
 
 
 def group_is_gone(group: int) -> bool:
@@ -113,41 +80,6 @@ def group_is_gone(group: int) -> bool:
     except ProcessLookupError:
         return True
     return False
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_killed_run_resumes_with_identical_draws(tmp_path, uninterrupted):
-    """Kill every process in the middle of the first chain, then finish with another number of cores."""
-    folder = tmp_path / "checkpoint"
-    first = folder / "chain-0.state"
-    run = launch(tmp_path, folder)
-    wait_for(lambda: steps_in(first) > 100)
-    os.killpg(run.pid, signal.SIGKILL)
-    run.wait()
-    assert 100 < steps_in(first) < 500
-    idata = sample(gaussian_model(), cores=2, checkpoint=folder, **SETTINGS)
-    for name in ("a", "bc"):
-        np.testing.assert_array_equal(idata.posterior[name], uninterrupted.posterior[name])
-    for name in uninterrupted.sample_stats.data_vars:
-        np.testing.assert_array_equal(idata.sample_stats[name], uninterrupted.sample_stats[name])
-    record = RunRecord.of(idata)
-    assert record.sittings == 2
-    assert record.solves == RunRecord.of(uninterrupted).solves
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_chains_write_and_end_when_the_parent_goes(tmp_path, how):
-    folder = tmp_path / "checkpoint"
-    first = folder / "chain-0.state"
-    run = launch(tmp_path, folder)
-    wait_for(lambda: steps_in(first) > 60)
-    os.kill(run.pid, how)
-    run.wait()
-    wait_for(lambda: group_is_gone(run.pid), 20.0)
-    assert 60 < steps_in(first) < 600
-    Folder(folder).close()  # no longer in use
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +100,6 @@ def test_finished_run_goes_on_to_more_draws(short_checkpoint, uninterrupted):
     [
         ({"tune": 300}, "tune is 200 there and 300 here"),
         ({"seed": 12}, "seed is 11 there and 12 here"),
-        ({"step": "metropolis"}, "step is demetropolisz there and metropolis here"),
         ({"step_options": {"crank_nicolson": 0.1}}, "crank_nicolson of the step options is .* there and 0.1"),
     ],
 )
@@ -213,29 +144,6 @@ def test_failed_solves_are_counted_and_never_accepted():
     assert RunRecord.of(idata).failures["collapse"] >= failed.sum()
 
 
-def test_checkpoint_of_an_earlier_version_is_refused_by_name(tmp_path):
-    """A folder of the version with format 1, for the same model and settings; it is left as it was."""
-    folder = tmp_path / "checkpoint"
-    shutil.copytree(Path(__file__).parent / "data" / "checkpoint-format-1", folder)
-    before = {file.name: file.read_bytes() for file in folder.iterdir()}
-    settings = {"draws": 5, "tune": 10, "chains": 2, "thin": 1, "cores": 0, "progress": False}
-    message = (
-        f"{folder}: this checkpoint was written by an earlier version of zoo (format 1, this one "
-        "goes on from format 3); remove it to start afresh, or use another"
-    )
-    for seed in (11, None):
-        with pytest.raises(CheckpointError) as caught:
-            sample(gaussian_model(), checkpoint=folder, seed=seed, **settings)
-        assert str(caught.value) == message
-    assert {f.name: f.read_bytes() for f in folder.iterdir() if f.name != "lock"} == before
-    for format_, version in ((4, "a later"), (2, "an earlier"), (None, "an earlier")):
-        stored = json.loads(before["run.json"])
-        stored["identity"]["format"] = format_
-        (folder / "run.json").write_text(json.dumps(stored))
-        with pytest.raises(CheckpointError, match=f"written by {version} version"):
-            sample(gaussian_model(), checkpoint=folder, seed=11, **settings)
-
-
 def test_chain_error_reaches_the_caller():
     def explode(value):
         raise FloatingPointError("the bath ran over")
@@ -253,29 +161,6 @@ def test_chain_error_reaches_the_caller():
     with pytest.raises(SamplingError, match="chain 0: FloatingPointError: the bath ran over") as caught:
         sample(model, draws=2000, tune=0, chains=1, thin=1, cores=1, seed=1, progress=False)
     assert any("Traceback" in note for note in caught.value.__notes__)
-
-
-def test_a_chain_counts_its_own_seconds(tmp_path):
-    """A solve takes 3 ms here, and each step has one."""
-    settings = {**SETTINGS, "draws": 20, "tune": 60, "cores": 0, "checkpoint": tmp_path / "c"}
-    began = time.monotonic()
-    idata = sample(gaussian_model(seconds=0.003), **settings)
-    whole = time.monotonic() - began
-    opened = Folder(tmp_path / "c")
-    run = digests.of_json(opened.run()["identity"])
-    seconds = [read_state(opened.chain(k), of_chain(run, k))["seconds"] for k in range(2)]
-    opened.close()
-    assert RunRecord.of(idata).steps == 2 * (60 + 2 * 20)
-    assert min(seconds) >= 0.003 * (60 + 2 * 20)
-    assert sum(seconds) < whole
-
-
-def test_the_last_words_of_a_process_are_read_from_its_beginning():
-    worker = Worker.__new__(Worker)
-    with tempfile.TemporaryFile() as worker.errors:
-        assert worker.last_words() == ""
-        worker.errors.write(b"Traceback\nMemoryError: none left\n")
-        assert worker.last_words() == "MemoryError: none left"
 
 
 def test_chains_in_turns_draw_what_processes_draw(tmp_path, uninterrupted):
@@ -302,6 +187,7 @@ def test_until_ess_goes_on_and_stops_at_the_limit(capsys):
     assert RunRecord.of(idata).settings["first check"] == 100
     err = capsys.readouterr().err
     assert "3 dimensions, 2 chains of demetropolisz, tune 200" in err
+    assert " of 150: " in err
     assert "converged" in err
     short = sample(gaussian_model(), draws=50, until_ess=4000, max_draws=70, progress=False, **few)
     assert short.posterior.sizes["draw"] == 70
@@ -316,7 +202,6 @@ def test_until_ess_goes_on_and_stops_at_the_limit(capsys):
         ({"cores": -1}, "cores = -1"),
         ({"thin": 0}, "thin = 0"),
         ({"max_draws": 10}, "max_draws = 10: must be a whole number of at least 1000"),
-        ({"step": "nuts"}, "step = 'nuts': must be one of demetropolisz, metropolis"),
         ({"until_ess": float("nan")}, "until_ess = nan"),
         ({"until_ess": 400, "chains": 1}, "chains = 1: until_ess needs R-hat"),
         ({"seed": -1}, "seed = -1"),
@@ -327,30 +212,79 @@ def test_settings_are_checked(settings, message):
         sample(gaussian_model(), progress=False, **settings)
 
 
-def test_work_of_unknown_length_says_how_far_it_is(capsys):
-    show, done = Display(True, tune=100, thin=1, cores=1, ess=None), iter(range(1000))
-    with show.during("finding the mode", lambda: f"{next(done)} evaluations", every_s=0.01):
-        time.sleep(0.2)
-    told = capsys.readouterr().err.splitlines()
-    assert told[1].startswith("finding the mode: 1 evaluations, 0 s so far")
-    with Display(False, tune=1, thin=1, cores=1, ess=None).during("nothing", str, every_s=0.01):
-        time.sleep(0.05)
-    assert capsys.readouterr().err == ""
-
-
-def test_display_line_and_table():
-    show = Display(False, tune=100, thin=2, cores=2, ess=400.0)
+def test_one_line_on_chains():
     states = [ChainState(chain) for chain in range(2)]
-    rng = np.random.default_rng(0)
     for state in states:
-        draws = {"a": rng.normal(size=200)}
-        message = {"steps": 500, "kept": 200, "tuning": False, "seconds": 5.0, "solves": 500}
-        message |= {"accepted": 150.0, "failures": {"cfl": 3}, "draws": draws, "stats": {}}
-        state.update(message)
-    show._judge(states, time.monotonic())
-    line = show.line(states, 400)
-    assert "draws 200 200 of 400, accepted 30%, 1000 solves (100/s a core), 6 failed; R-hat 1.0" in line
-    ess = show._verdict.min_ess
-    # two cores at 100 steps/s: (goal * thin - steps done after tuning) / 100
-    assert show.remaining(states, 400) == pytest.approx(max(0.0, 200 * 400 / ess * 2 - 400) / 100, abs=0.02)
-    assert show.table(states, 400).row_count == 2
+        state.update(Report(500, 200, 5.0, 500, 150.0, Counter(cfl=3), {"a": np.zeros(200)}, {}, b""))
+    line = of_chains(states, 400)
+    assert line == "draws 200 200 of 400, accepted 30%, 1000 solves (100/s a core), 6 failed"
+
+
+class Dying(Doubling):
+    """Kills its process after some solves, once."""
+
+    def __init__(self, marker: str) -> None:
+        super().__init__()
+        self.marker = marker
+
+    def perform(self, node, inputs, output_storage):
+        super().perform(node, inputs, output_storage)
+        if mp.parent_process() is not None and self.n["solves"] == 150 and not Path(self.marker).exists():
+            Path(self.marker).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_chain_whose_process_dies_goes_on_in_another(tmp_path):
+    def model():
+        with pm.Model() as made:
+            a = pm.Normal("a", shape=2)
+            x, _ = Dying(str(tmp_path / "died"))(a)
+            pm.Normal("y", x, 1.0, observed=[0.3, -1.0])
+        return made
+
+    found = sample(model(), cores=2, **SETTINGS)
+    assert (tmp_path / "died").exists()
+    whole = sample(model(), cores=0, **SETTINGS)
+    np.testing.assert_array_equal(found.posterior.a, whole.posterior.a)
+    assert RunRecord.of(found).solves == RunRecord.of(whole).solves
+
+
+STUCK = """
+    import ctypes, multiprocessing, pathlib, sys
+    sys.path.insert(0, {tests!r})
+    from gaussian import SETTINGS, Doubling
+    import pymc as pm
+    from zoo.core.inference.sampling import sample
+
+    class Stuck(Doubling):
+        def perform(self, node, inputs, output_storage):
+            super().perform(node, inputs, output_storage)
+            if multiprocessing.parent_process() is not None:
+                pathlib.Path({marker!r}).touch()
+                ctypes.PyDLL(None).sleep(600)  # in C, with Python's lock
+
+    with pm.Model() as model:
+        a = pm.Normal("a", shape=2)
+        x, _ = Stuck()(a)
+        pm.Normal("y", x, 1.0, observed=[0.3, -1.0])
+    sample(model, cores=2, checkpoint={folder!r}, **SETTINGS)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_a_run_ends_at_once_inside_a_solve_too(tmp_path, how):
+    """A script without a guard for `__main__`, interrupted or killed; its processes end with it."""
+    script, marker, folder = tmp_path / "run.py", tmp_path / "stuck", tmp_path / "c"
+    code = STUCK.format(tests=str(Path(__file__).parent), marker=str(marker), folder=str(folder))
+    script.write_text(textwrap.dedent(code))
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    run = subprocess.Popen([sys.executable, str(script)], start_new_session=True, env=environment)
+    wait_for(marker.exists, 200.0)
+    os.kill(run.pid, how)
+    began = time.monotonic()
+    run.wait()
+    wait_for(lambda: group_is_gone(run.pid), 20.0)
+    assert time.monotonic() - began < 2.0
+    Folder(folder).close()  # no longer in use

@@ -15,7 +15,7 @@ from pymc.blocking import RaveledVars
 from scipy import stats
 
 from gaussian import Doubling, gaussian_model, gaussian_posterior
-from zoo.core.inference.sampling import DEMetropolisZ, Metropolis
+from zoo.core.inference.sampling import DEMetropolisZ
 from zoo.core.inference.spaces import Archive, ConstrainedSpace, Gaussian
 
 
@@ -42,7 +42,6 @@ def steps_of(step, point, n, seed=3, tune=0):
             lambda m: DEMetropolisZ(model=m, tune="lambda", scaling=0.1),
             lambda m: pm.DEMetropolisZ(model=m, tune="lambda", scaling=0.1),
         ),
-        (lambda m: Metropolis(model=m, joint=False), lambda m: pm.Metropolis(model=m, blocked=True)),
     ],
 )
 def test_draws_equal_pymc(ours, theirs):
@@ -54,33 +53,6 @@ def test_draws_equal_pymc(ours, theirs):
     np.testing.assert_array_equal(mine, reference)
     for name in ("accept", "scaling", "accepted"):
         np.testing.assert_allclose([r[name] for r in records], [r[name] for r in their_records], rtol=1e-9)
-
-
-@pytest.mark.parametrize(("joint", "evaluations"), [(True, 1), (False, 3)])
-def test_metropolis_solves_once_a_proposal(joint, evaluations):
-    model = gaussian_model()
-    step = Metropolis(model=model, joint=joint, scaling=0.1)
-    _, records = steps_of(step, model.initial_point(), 50)
-    assert [r["solves"] for r in records] == [evaluations + 1] + [evaluations] * 49
-
-
-def test_joint_proposals_have_the_scale_that_is_best_for_a_normal_law():
-    """2.38^2/d times its covariance (doi 10.1214/aoap/1034625254), the first guess's and the chain's own."""
-    model = gaussian_model()
-    guess = Gaussian(np.zeros(3), np.diag([2.0, 1.0, 0.5]))
-    step = Metropolis(model=model, reference=guess, adapt=True)
-
-    def proposed() -> np.ndarray:
-        factor = step.proposal_dist.chol
-        return factor @ factor.T
-
-    np.testing.assert_allclose(proposed(), guess.covariance * 2.38**2 / 3, rtol=1e-10)
-    draws, _ = steps_of(step, model.initial_point(), 901, tune=900)
-    own = draws[300:900]  # a third is forgotten
-    weight = 600 / (4 * 3)  # correlated draws; the guess counts as three
-    blend = (np.cov(own.T) * weight + guess.covariance * 3) / (weight + 3)
-    np.testing.assert_allclose(proposed(), blend * 2.38**2 / 3, rtol=1e-10)
-    assert step.scaling == 1.0
 
 
 def test_a_log_posterior_that_is_no_number_is_refused_and_counts_so():
@@ -149,15 +121,12 @@ def test_pm_sample_takes_the_step_in_several_processes():
     assert abs(got.mean() - mean[0]) < 5 * np.sqrt(covariance[0, 0] / float(az.ess(got)))
 
 
-@pytest.mark.parametrize("kind", ["demetropolisz", "metropolis"])
-def test_sampling_state_continues_identically(kind):
+def test_sampling_state_continues_identically():
     model = gaussian_model()
     reference = Gaussian(*gaussian_posterior())
 
     def make():
-        if kind == "demetropolisz":
-            return DEMetropolisZ(model=model, crank_nicolson=0.5, reference=reference)
-        return Metropolis(model=model, reference=reference, adapt=True)
+        return DEMetropolisZ(model=model, crank_nicolson=0.5, reference=reference)
 
     step = make()
     step.set_rng(np.random.default_rng(1))

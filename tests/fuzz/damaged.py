@@ -64,10 +64,10 @@ def read_posterior(folder: Path) -> Any:
 
 
 def read_checkpoint(folder: Path) -> Any:
-    """What is being run, where it begins, and the states of its chains, as a resumed run reads them."""
+    """What is being run, where it begins, and the memos of its chains, as a resumed run reads them."""
     from zoo.core import digests
     from zoo.core.inference.checkpoint import Folder
-    from zoo.core.inference.states import of_chain, read_state
+    from zoo.core.inference.memo import Memo
 
     opened = Folder(folder / "A.checkpoint")
     try:
@@ -75,8 +75,12 @@ def read_checkpoint(folder: Path) -> Any:
         if stored is None:
             return None
         run = digests.of_json(stored["identity"])
-        chains = [read_state(opened.chain(i), of_chain(run, i)) for i in range(2)]
-        return plain([stored, opened.start(run), chains])
+        found = {"": plain(stored)}
+        for i in range(2):
+            memo = Memo(opened.chain(i), f"{run}, chain {i}")
+            memo.close()
+            found |= {f"{i} {key!r}": plain(one) for key, one in memo.known.items()}
+        return found
     finally:
         opened.close()
 
@@ -121,7 +125,7 @@ def all_kinds() -> dict[str, Kind]:
 
     return {
         "posterior": Kind(read_posterior, (ResultsError,), ["A.nc"]),
-        "checkpoint": Kind(read_checkpoint, (CheckpointError,), ["A.checkpoint"]),
+        "checkpoint": Kind(read_checkpoint, (CheckpointError,), ["A.checkpoint"], parts=True),
         "answer": Kind(read_answer, (DiagnosisError,), ["diagnosis.json"]),
         "facts": Kind(read_facts, (BlindError,), ["case.json", "fitted.json"]),
         "key": Kind(read_key, (BlindError,), ["key.json", "KEY.sha256"]),
@@ -171,38 +175,26 @@ def make(folder: Path) -> None:
 
 
 def make_checkpoint(folder: Path, seed: int) -> None:
-    """What a run of two chains leaves: the types that its files hold, with few draws."""
-    from pymc.util import RandomGeneratorState, get_state_from_generator
-
+    """What a run of two chains leaves, with few evaluations."""
     from zoo.core import digests
     from zoo.core.inference.checkpoint import CHECKPOINT_FORMAT, Folder
-    from zoo.core.inference.mode import Mode
-    from zoo.core.inference.spaces import Archive, Gaussian
-    from zoo.core.inference.starts import Start
-    from zoo.core.inference.states import of_chain, write_state
+    from zoo.core.inference.memo import Found, Memo, to_line
 
     rng = np.random.default_rng(seed)
-    state: RandomGeneratorState = get_state_from_generator(rng)
-    points = rng.normal(size=(12, 2))
-    space = Gaussian(points.mean(axis=0), np.cov(points.T))
-    mode = Mode(points[0], {"mean": points[0]}, -3.25, space.covariance, 40)
     opened = Folder(folder)
     identity = {"format": CHECKPOINT_FORMAT, "model": "gaussian", "seed": seed, "study": "demo"}
     run = digests.of_json(identity)
-    opened.write_run({"identity": identity, "sittings": 1, "wall_seconds": 1.5, "started": "2020-01-01"})
-    opened.write_start(run, Start(points[:2], space, points, mode))
+    beginning = {"starts": rng.normal(size=(2, 2)).tolist(), "logp": -3.25}
+    opened.write_run(
+        {"identity": identity, "sittings": 1, "wall_seconds": 1.5, "started": "2020-01-01"}
+        | {"beginning": beginning}
+    )
     for chain in range(2):
-        content = {
-            "steps": 8,
-            "point": {"mean": points[chain]},
-            "step": {"rng": state, "scaling": 0.7, "archive": Archive(points), "tuned": True},
-            "draws": {"mean": points},
-            "stats": {"accepted": points[:, 0] > 0},
-            "sums": {"accept": 0.25 * chain},
-            "solves": 16,
-            "failures": {"cfl": 1},
-        }
-        write_state(opened.chain(chain), of_chain(run, chain), content)
+        memo = Memo(opened.chain(chain), f"{run}, chain {chain}")
+        for point in rng.normal(size=(12, 2)):
+            found = Found((np.array(point.sum()), point), 2, {"cfl": 1})
+            memo.add(to_line(memo.owner, point.tobytes(), found))
+        memo.close()
     opened.close()
 
 

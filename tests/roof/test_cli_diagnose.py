@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,6 @@ from withheld import FILES, TAU_S, as_if_sampled, made, screen_of
 
 from zoo import report
 from zoo.blood.study import Study, load_study, save_study
-from zoo.cli.telling import Telling
 from zoo.core.diagnosis import (
     Diagnosis,
     read_diagnosis,
@@ -169,26 +167,6 @@ def test_options_reach_the_diagnosis(
     assert conventions.wall_factor == 2  # type: ignore[attr-defined]
     run("diagnose", folder, "-o", out, "--seed", 2, "--posteriors", "-q", "--fresh")
     assert Path(str(given["folder"])) != first
-
-
-def test_progress_says_what_is_tried() -> None:
-    with Telling(False, terminal=True) as tell:
-        tell("taper", 0.4)
-        task = tell.bar.tasks[0]
-        assert (task.description, task.completed) == ("taper", 40)
-
-
-def test_a_pipe_hears_something_every_two_seconds(capsys: pytest.CaptureFixture[str]) -> None:
-    with Telling(True, terminal=False) as tell:
-        tell.say("reading the study")
-        tell("stenosis (beside 1 added)", 0.5)
-        time.sleep(2.0)
-    first, second, *_ = capsys.readouterr().err.splitlines()
-    assert first.endswith("0 %  reading the study")
-    assert second.endswith("50 %  stenosis (beside 1 added)")
-    with Telling(False, terminal=False) as tell:
-        tell.say("nothing")
-    assert not capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -27,7 +27,6 @@ def test_version_option() -> None:
         (["--draws", 0], "--draws 0: must be at least 1"),
         (["--cores", 0], "--cores 0: must be at least 1"),
         (["--tune", -1], "--tune -1: must be a whole number of at least 0"),
-        (["--step", "nuts"], "--step nuts: must be one of demetropolisz, metropolis"),
         (["--max-draws", 3], "--max-draws 3: must be a whole number of at least 500"),
     ],
 )

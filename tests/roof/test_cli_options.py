@@ -22,7 +22,7 @@ def probe(words: list[str]) -> tuple[StudyOptions, SamplingOptions]:
     got = []
 
     @command
-    def look(*, options: StudyOptions, sampling: Annotated[SamplingOptions, Without("step", "thin")]) -> None:
+    def look(*, options: StudyOptions, sampling: Annotated[SamplingOptions, Without("thin")]) -> None:
         got.append((options, sampling))
 
     tried = typer.Typer()
@@ -98,7 +98,7 @@ def test_sampling_goes_on_until_converged_unless_draws_are_given() -> None:
         settings = probe(words)[1].settings()
         assert (settings["draws"], settings["until_ess"]) == (draws, target)
     few = probe(["--chains", "1"])[1].settings()
-    assert (few["chains"], few["cores"], few["step"], few["thin"]) == (1, 1, "demetropolisz", None)
+    assert (few["chains"], few["cores"], few["thin"]) == (1, 1, None)
     with pytest.raises(UsageError, match="write --until ess=400"):
         SamplingOptions(until="rhat=1.01").settings()
 
@@ -107,7 +107,7 @@ def test_a_group_leaves_out_what_a_command_does_not_have() -> None:
     assert CliRunner().invoke(app, ["compare", "demo", "--thin", "3"]).exit_code == 2
     options = {p.name for p in get_command(app).commands["compare"].params}  # type: ignore[attr-defined]
     assert {"draws", "cores", "seed", "until"} <= options
-    assert not {"step", "thin"} & options
+    assert not {"thin"} & options
 
 
 def test_two_options_of_one_name_are_refused() -> None:

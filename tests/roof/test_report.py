@@ -53,7 +53,7 @@ def drawn(model: pm.Model, *, apart: float = 0.0, n: int = 500) -> az.InferenceD
         study_checksum=record.study.checksum,
         conventions={"name": record.study.conventions.name, "wall_factor": 1.0},
         solver={"dx_cm": 0.025, "accelerate": True},
-        settings={"chains": 4, "draws": n, "tune": 700, "thin": 3, "until_ess": None, "step": "metropolis"},
+        settings={"chains": 4, "draws": n, "tune": 700, "thin": 3, "until_ess": None, "step": "nuts"},
         seed=11,
         solves=8123,
         steps=8000,

@@ -9,12 +9,10 @@ import typer
 
 from zoo.cli.command import Role, UsageError, Without, command
 from zoo.cli.options import (
+    DaskOption,
     PluginOptions,
     PriorOptions,
     QuietOption,
-    SchedulerOption,
-    ShardOption,
-    read_shard,
 )
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file, output_folder
@@ -144,8 +142,7 @@ def run(
     max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each."), Role.ASIDE] = 2,
-    scheduler: SchedulerOption = None,
-    shard: ShardOption = None,
+    dask: DaskOption = None,
     quiet: QuietOption = False,
     *,
     priors: PriorOptions,
@@ -156,14 +153,12 @@ def run(
 
     from zoo.blood.blind import diagnose_cases
     from zoo.core.inference.cluster import connect
-    from zoo.core.inference.workers import shard_of
 
-    part = read_shard(shard)
     output_folder(output, option="--output", deep=True)
     plugins.load()
     began = time.monotonic()
     studies = [p for p in cases.iterdir() if (p / "study.toml").is_file()] if cases.is_dir() else []
-    with connect(scheduler) as executor, _Counting(not quiet, len(shard_of(studies, part))) as counting:
+    with connect(dask) as executor, _Counting(not quiet, len(studies)) as counting:
         found = diagnose_cases(
             cases,
             output,
@@ -175,7 +170,6 @@ def run(
             priors=priors.table(),
             cores=cores,
             executor=executor,
-            shard=part,
             done=counting,
         )
     words = f", {len(found.kept)} of them before" if found.kept else ""

@@ -54,7 +54,7 @@ def compare(
     strict: StrictOption = False,
     fresh: FreshOption = False,
     *,
-    sampling: Annotated[SamplingOptions, Without("step", "thin"), Role.ASIDE],
+    sampling: Annotated[SamplingOptions, Without("thin"), Role.ASIDE],
     options: StudyOptions,
     plugins: PluginOptions,
 ) -> None:

@@ -12,7 +12,6 @@ from zoo.cli.checks import at_least
 from zoo.cli.command import Role, UsageError, Without, command, typed_command
 from zoo.cli.options import PluginOptions, QuietOption, StudyArgument, StudyOptions
 from zoo.cli.screen import plain_table, say
-from zoo.cli.telling import Telling
 from zoo.core.outputs import output_folder
 
 if TYPE_CHECKING:
@@ -20,6 +19,8 @@ if TYPE_CHECKING:
     from zoo.blood.study import Study
     from zoo.core.diagnosis import DiagnosisFile
 
+EVERY_S = 1.5
+"""Seconds between lines where there is no terminal."""
 LEADING = 8
 """Explanations that the screen shows."""
 
@@ -91,7 +92,9 @@ def diagnose(
         ("--seed", seed, 0),
     ):
         at_least(option, count, least)
-    with Telling(not quiet) as tell:
+    from zoo.core.inference.progress import Display
+
+    with Display(not quiet, every_s=EVERY_S) as tell:
         tell.say(f"reading {study}")
         from zoo.blood.baseline import get_baseline
 
@@ -126,14 +129,14 @@ def diagnose(
             seed=seed,
             tick=tell,
         )
-        tell.say("figures and page", 1.0)
+        tell("figures and page", 1.0)
         written = write_diagnosis(found, output, command=typed_command())
         if posteriors:  # takes longer and may be stopped: what was found is on disk
             folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
             folder.mkdir(parents=True, exist_ok=True)
             tell.say(f"{found.file.verdict}; {output}/report.html is written, its posteriors follow")
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
-            tell.say("figures and page", 1.0)
+            tell("figures and page", 1.0)
             written = write_diagnosis(found, output, command=typed_command())
     say(*diagnosis_screen(found.file), f"wrote {output}: {', '.join(path.name for path in written)}")
 

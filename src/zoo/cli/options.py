@@ -29,40 +29,15 @@ StrictOption = Annotated[
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress."), Role.ASIDE]
 
-SchedulerOption = Annotated[
+DaskOption = Annotated[
     str | None,
     typer.Option(
-        "--scheduler",
-        help="Run the tasks on the workers of a dask.distributed scheduler, tcp://HOST:8786, instead.",
+        "--dask",
+        help="Work on the workers of a dask.distributed scheduler, tcp://HOST:8786, instead.",
         metavar="ADDRESS",
     ),
     Role.ASIDE,
 ]
-ShardOption = Annotated[
-    str | None,
-    typer.Option(
-        "--shard",
-        help="Part i of n of the work, for job arrays; without it later, the rest, and all together.",
-        metavar="I/N",
-    ),
-    Role.ASIDE,
-]
-
-
-def read_shard(text: str | None) -> tuple[int, int] | None:
-    """Read "2/8" as (2, 8).
-
-    Raises
-    ------
-    UsageError
-        If it is no part of a whole.
-    """
-    if text is None:
-        return None
-    part, slash, parts = text.partition("/")
-    if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
-        raise UsageError(f"--shard {text}: write i/n with i from 1 to n, such as 2/8")
-    return int(part), int(parts)
 
 
 @dataclass(frozen=True)
@@ -212,9 +187,6 @@ class SamplingOptions:
             "draw corrected with it; nuts: NUTS with the solver's derivatives; auto chooses by model.",
         ),
     ] = "auto"
-    step: Annotated[str, typer.Option("--step", help="Of exact: demetropolisz or metropolis.")] = (
-        "demetropolisz"
-    )
     thin: Annotated[
         int | None,
         typer.Option("--thin", help="Steps for each stored draw; a quarter of the dimension by default."),
@@ -253,7 +225,6 @@ class SamplingOptions:
             "tune": self.tune,
             "chains": self.chains,
             "cores": self.cores or max(1, min(self.chains, os.cpu_count() or 1)),
-            "step": self.step,
             "thin": self.thin,
             "seed": self.seed,
             "until_ess": self.ess_target(),

@@ -83,7 +83,7 @@ def reproduce(
     ] = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
     *,
-    sampling: Annotated[ReproductionOptions, Without("chains", "step", "thin")],
+    sampling: Annotated[ReproductionOptions, Without("chains", "thin")],
     options: Annotated[StudyOptions, Without("prior")],
 ) -> None:
     """Do a paper again: its models on its data, its tables beside ours; goes on where it was interrupted."""

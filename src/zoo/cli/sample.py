@@ -10,7 +10,14 @@ import typer
 
 from zoo.cli.checks import model_name
 from zoo.cli.command import NOT_CONVERGED, FreshOption, Role, UsageError, command
-from zoo.cli.options import PluginOptions, SamplingOptions, StrictOption, StudyArgument, StudyOptions
+from zoo.cli.options import (
+    DaskOption,
+    PluginOptions,
+    SamplingOptions,
+    StrictOption,
+    StudyArgument,
+    StudyOptions,
+)
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file
 
@@ -41,12 +48,15 @@ def sample(
     ] = None,
     strict: StrictOption = False,
     fresh: FreshOption = False,
+    dask: DaskOption = None,
     *,
     sampling: SamplingOptions,
     options: StudyOptions,
     plugins: PluginOptions,
 ) -> None:
     """Sample a model's posterior on a study, until converged; an interrupted run goes on where it was."""
+    from zoo.core.inference.cluster import connect
+
     plugins.load()
     added = [part.strip() for part in (effects or "").split(",") if part.strip()]
     name = model_name("+".join([model, *added]))
@@ -55,7 +65,9 @@ def sample(
     path = output_file(Path(f"{name}-{loaded.name}.nc") if output is None else output, "--output")
     if path.is_file() and not fresh:
         _keeps_what_is_there(path, settings)
-    idata = sample_with_checkpoint(name, loaded, path, settings, fresh=fresh, progress=not sampling.quiet)
+    with connect(dask) as executor:
+        settings["executor"] = executor
+        idata = sample_with_checkpoint(name, loaded, path, settings, fresh=fresh, progress=not sampling.quiet)
     found = verdict_of(idata, settings["until_ess"])
     say(*_posterior_summary(idata, found), f"wrote {path}")
     if strict and not found.passes:
@@ -89,17 +101,18 @@ def sample_with_checkpoint(
     name: str, study: Study, path: Path, settings: Mapping[str, Any], *, fresh: bool, progress: bool
 ) -> az.InferenceData:
     """Run a model with the checkpoint beside its output, and write the output."""
-    from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError
+    from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError, Folder
     from zoo.core.posterior.files import checkpoint_of, sample_to
 
     checkpoint = checkpoint_of(path)
     if checkpoint == path or checkpoint.is_symlink():
         wrong = "is the place of its own checkpoint" if checkpoint == path else f"{checkpoint} is a link"
         raise UsageError(f"--output {path}: {wrong}; give a file such as {path.with_suffix('.other.nc')}")
+    model = build_model(name, study)
     try:
-        if fresh:
-            _remove_checkpoint(checkpoint)
-        return sample_to(path, build_model(name, study), groups=True, progress=progress, **settings)
+        if fresh and checkpoint.is_dir():
+            Folder(checkpoint).remove()  # refused while another run holds it
+        return sample_to(path, model, groups=True, progress=progress, **settings)
     except CheckpointInUseError as error:
         raise UsageError(str(error)) from None
     except CheckpointError as error:
@@ -124,21 +137,6 @@ def _keeps_what_is_there(path: Path, settings: Mapping[str, Any]) -> None:
             f"--output {path}: holds {held} draws of each chain, which this run would replace by others; add "
             "--fresh to do that, or choose another path"
         )
-
-
-def _remove_checkpoint(folder: Path) -> None:
-    """Delete a checkpoint that no run is using: nothing of a folder that holds anything else."""
-    from zoo.core.inference.checkpoint import FILES, Folder
-
-    if not folder.is_dir():
-        return
-    files = [file for file in folder.iterdir() if any(file.match(pattern) for pattern in FILES)]
-    if len(files) < len(list(folder.iterdir())) or not (folder / "run.json").is_file():
-        raise UsageError(f"{folder}: holds files that are not a checkpoint's; move them away")
-    Folder(folder).close()  # refused while another run holds it
-    for file in files:
-        file.unlink(missing_ok=True)
-    folder.rmdir()
 
 
 def _posterior_summary(idata: az.InferenceData, found: Verdict) -> list[Any]:

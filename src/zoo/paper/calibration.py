@@ -19,7 +19,7 @@ from zoo.core import digests
 from zoo.core.inference.progress import bar
 from zoo.core.inference.record import versions
 from zoo.core.inference.sampling import DEMETROPOLISZ
-from zoo.core.inference.workers import each, shard_of
+from zoo.core.inference.workers import each
 from zoo.core.posterior.ranks import CalibrationError, RankTest, Replicate
 from zoo.paper.replicator import Builder, Replicator, Settings
 
@@ -39,9 +39,8 @@ def simulate_and_rank(
     path: str | Path | None = None,
     cores: int = 1,
     executor: Executor | None = None,
-    shard: tuple[int, int] | None = None,
     progress: bool = False,
-) -> RankTest | None:
+) -> RankTest:
     """Rank many truths from the prior among draws of their posteriors.
 
     Parameters
@@ -66,15 +65,12 @@ def simulate_and_rank(
         Processes, each with its own compiled model; 1 works in this process.
     executor : concurrent.futures.Executor, optional
         Does the replicates instead, as in `zoo.core.inference.workers.each`.
-    shard : (i, n), optional
-        Do part i of n of the replicates only, i from 1, into a file of its own beside `path`; a call without
-        takes what the parts' files hold, and does the rest.
     progress : bool
         A bar on standard error.
 
     Returns
     -------
-    RankTest, or None of a shard
+    RankTest
 
     Raises
     ------
@@ -90,14 +86,7 @@ def simulate_and_rank(
     settings = settings or Settings()
     if n_replicates < 1 or cores < 1:
         raise CalibrationError(f"n_replicates = {n_replicates}, cores = {cores}: must be at least 1")
-    if shard is not None and path is None:
-        raise CalibrationError(
-            "path = None: a shard needs a file that a later call finds its replicates beside"
-        )
-    try:
-        mine = shard_of(range(n_replicates), shard)
-    except ValueError as error:
-        raise CalibrationError(str(error)) from None
+    mine = range(n_replicates)
     asked = _Calibration(model_builder, study, tuple(sorted((limits or {}).items())), truth)
     header = {
         "model": _builder_name(model_builder),
@@ -109,7 +98,7 @@ def simulate_and_rank(
         "settings": asdict(settings),
         "program": {**versions(), "solver": library_digest()},
     }
-    store = _Store(None if path is None else Path(path), header, shard)
+    store = _Store(None if path is None else Path(path), header)
     waiting = [k for k in mine if k not in store.found]
     with bar(progress) as show:
         task = show.add_task("replicates", total=len(mine), completed=len(mine) - len(waiting))
@@ -117,8 +106,6 @@ def simulate_and_rank(
         for _, replicate in each(_replicate, jobs, cores, executor=executor, name=_replicate_name):
             store.add(replicate)
             show.advance(task)
-    if shard is not None:
-        return None
     return RankTest.of([store.found[k] for k in range(n_replicates)], settings.ranked)
 
 
@@ -164,21 +151,12 @@ def _builder_name(builder: Any) -> str:
 class _Store:
     """Finished replicates by number, and the file that they are kept in."""
 
-    def __init__(
-        self, path: Path | None, header: Mapping[str, Any], shard: tuple[int, int] | None = None
-    ) -> None:
+    def __init__(self, path: Path | None, header: Mapping[str, Any]) -> None:
         self.path = path
         self.found: dict[int, Replicate] = {}
         if path is None:
             return
-        mine, parts = path, sorted(path.parent.glob(f"{path.name}.*-of-*"))
-        if shard is not None:
-            mine = path.with_name(f"{path.name}.{shard[0]}-of-{shard[1]}")
-        for part in (path, *parts):
-            if part != mine and part.exists():
-                self._read(part, self._whole(part).decode().splitlines(), header)
-        self.path = mine
-        self._begin(mine, header)
+        self._begin(path, header)
 
     def _begin(self, path: Path, header: Mapping[str, Any]) -> None:
         whole = self._whole(path) if path.exists() else b""

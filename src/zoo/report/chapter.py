@@ -286,9 +286,7 @@ def _check_row(name: str, check: Diagnostics, record: RunRecord) -> dict[str, An
 
 def _run_row(record: RunRecord) -> list[str]:
     settings = record.settings
-    step = (
-        str(settings.get("step", "")).replace("demetropolisz", "DE-MC_Z").replace("metropolis", "Metropolis")
-    )
+    step = str(settings.get("step", "")).replace("demetropolisz", "DE-MC_Z")
     numbers = [str(settings.get(key, "–")) for key in ("tune", "thin")]
     libraries = ", ".join(f"{name} {version}" for name, version in sorted(record.versions.items()))
     started = record.started.replace("T", " ").replace("+00:00", " UTC")

@@ -183,7 +183,6 @@ def diagnose_cases(
     priors: Mapping[str, Any] | None = None,
     cores: int = 2,
     executor: Executor | None = None,
-    shard: tuple[int, int] | None = None,
     done: Callable[[str], None] = lambda case: None,
 ) -> Ran:
     """Diagnose every case of a folder, each in a process of its own; no key is read or looked for.
@@ -208,8 +207,6 @@ def diagnose_cases(
         Processes.
     executor : concurrent.futures.Executor, optional
         Diagnoses the cases instead, see `zoo.core.inference.workers.each`.
-    shard : (i, n), optional
-        Diagnose part i of n only, i from 1.
     done : callable
         Told the name of each case that is finished.
 
@@ -236,4 +233,4 @@ def diagnose_cases(
     diagnosis = CaseDiagnosis(
         get_baseline(base).name, posteriors, max_effects, seed, chosen, priors, effects_from=files
     )
-    return run_folders(cases, answers, diagnosis, cores=cores, executor=executor, shard=shard, done=done)
+    return run_folders(cases, answers, diagnosis, cores=cores, executor=executor, done=done)

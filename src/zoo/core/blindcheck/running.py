@@ -13,7 +13,7 @@ from typing import Protocol
 from zoo.core.blindcheck.answers import Answer
 from zoo.core.blindcheck.keys import CaseKey
 from zoo.core.blindcheck.sealing import BlindError, copy_digest, refuse_key_among
-from zoo.core.inference.workers import each, shard_of
+from zoo.core.inference.workers import each
 from zoo.core.outputs import output_folder, write_file
 
 FAILED = "failed.txt"
@@ -47,7 +47,6 @@ class FolderDiagnosis(Protocol):
 class Ran:
     """What `run_folders` did: cases that are diagnosed (before or now), and those that failed.
 
-    Of a shard these are the cases of the shard.
 
     Parameters
     ----------
@@ -143,7 +142,6 @@ def run_folders(
     *,
     cores: int = 1,
     executor: Executor | None = None,
-    shard: tuple[int, int] | None = None,
     done: Callable[[str], None] = lambda case: None,
 ) -> Ran:
     """Diagnose every case of a folder, each in a process of its own; no key is read or looked for.
@@ -163,8 +161,6 @@ def run_folders(
     executor : concurrent.futures.Executor, optional
         Diagnoses the cases instead, on machines that need not see these folders: a task is the case's files,
         and what comes back are the answer's.
-    shard : (i, n), optional
-        Diagnose part i of n, every n-th case, i from 1; a call without goes on with the rest.
     done : callable
         Told the name of each case that is finished.
 
@@ -191,10 +187,6 @@ def run_folders(
     found = sorted(p for p in cases.iterdir() if (p / diagnosis.marker).is_file())
     if not found:
         raise BlindError(f"{cases}: holds no folder with a {diagnosis.marker}; give one of `zoo blind make`")
-    try:
-        found = shard_of(found, shard)
-    except ValueError as error:
-        raise BlindError(str(error)) from None
     answers.mkdir(parents=True, exist_ok=True)
     copy_digest(cases, answers)
     kept, waiting = [], []

@@ -1,28 +1,35 @@
-"""One chain: its step method, its draws so far, and its checkpoint."""
+"""A chain, as a function of its task: steps and draws, the same wherever and however often it is run."""
 
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from pathlib import Path
+import warnings
+from collections import Counter, OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import cloudpickle  # type: ignore[import-untyped]
 import numpy as np
 from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import floatX
 
 from zoo.core.inference.gradient_step import Nuts
-from zoo.core.inference.logposterior import Array, Point, count, counting_ops, outputs
+from zoo.core.inference.logposterior import Array, Point, SamplingError, count, counting_ops, outputs
+from zoo.core.inference.memo import Found, Remembering, read_lines, to_line
 from zoo.core.inference.spaces import Gaussian
-from zoo.core.inference.states import of_chain, read_state, write_state
-from zoo.core.inference.steps import DEMetropolisZ, Metropolis
+from zoo.core.inference.steps import DEMetropolisZ
+
+_SUMS = ("accept", "accepted", "solves", "solver_failures")
+_OF_GRADIENTS = ("gradients", "diverging")
+_LASTS = {"model_logp": "lp", "scaling": "scaling", "lambda": "lambda", "beta": "beta"}
+_RUNS = 4
+"""Runs whose chains a process keeps, to go on with them."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """Everything a chain needs, sent to its process; its checkpoint belongs to `run`."""
+    """Everything a chain follows from."""
 
     model: Any
     chain: int
@@ -34,103 +41,94 @@ class Task:
     options: dict[str, Any]
     tune: int
     thin: int
-    checkpoint: Path | None
-    checkpoint_seconds: float
-    run: str = ""
-
-
-_SUMS = ("accept", "accepted", "solves", "solver_failures")
-_OF_GRADIENTS = ("gradients", "diverging")
-_LASTS = {"model_logp": "lp", "scaling": "scaling", "lambda": "lambda", "beta": "beta"}
 
 
 class Chain:
-    """One chain: its step method, its draws so far, and its checkpoint.
+    """One chain: its step method, and its draws so far.
 
     A stored draw stands for `thin` steps: values and log-posterior are those after the last of them, solves,
     failures, gradients and diverging trajectories are sums over them, accept and accepted are means.
+
+    Parameters
+    ----------
+    task : Task
+    known : mapping
+        What the log-posterior gave in an earlier run of the same task: those steps are made again without it.
+    owner : str
+        Of the memo's lines.
     """
 
-    def __init__(self, task: Task) -> None:
-        self.task = task
+    def __init__(self, task: Task, known: Mapping[bytes, Found], owner: str = "") -> None:
+        self.task, self._owner = task, owner
+        self.lines: list[bytes] = []
+        """Lines of the memo that were not handed out."""
         model = task.model
         posterior = model.initial_point()
         self.step = _make_step(task, posterior)
         template = DictToArrayBijection.map({v.name: np.asarray(posterior[v.name]) for v in self.step.vars})
-        self.point: Point = dict(
-            DictToArrayBijection.rmap(RaveledVars(floatX(task.start), template.point_map_info))
-        )
+        self.point: Point = self._point(task.start, template.point_map_info)
         names = [v.name for v in model.unobserved_value_vars]
         wanted = [v.name for v in (*model.free_RVs, *model.deterministics)]
-        self.names, self._values = outputs(model, [name for name in names if name in set(wanted)])
-        self._ops = counting_ops(self.step._logp)
-        self._each_accepted = bool(counting_ops(self._values.f))  # while the solve is still remembered
+        self.names, values = outputs(model, [name for name in names if name in set(wanted)])
+        logp = Remembering(self.step._logp, known, self._note, alone=task.step != "nuts")
+        self.step.replace_logp(logp)
+        self._ops: list[Any] = [logp]
+        self._values = values
+        self._each_accepted = bool(ops := counting_ops(values.f))  # while the solve is still remembered
+        if self._each_accepted:
+            info = template.point_map_info
+            solved = Remembering(
+                lambda q: values(self._point(q, info)), known, self._note, b"values", ops, alone=False
+            )
+            self._values = lambda point: solved(DictToArrayBijection.map(point).data)
+            self._ops.append(solved)
         self._current: list[np.ndarray] | None = None
         self.steps = 0
         self.draws: dict[str, list[np.ndarray]] = {name: [] for name in self.names}
         self.stats: dict[str, list[float]] = {}
         self._summed = _SUMS + _OF_GRADIENTS if isinstance(self.step, Nuts) else _SUMS
         self._sums = dict.fromkeys(self._summed, 0.0)
-        self.solves = 0
         self.accepted = 0.0
-        self.failures: Counter[str] = Counter()
         self.seconds = 0.0
-        self._saved_at = time.monotonic()
         step_seed = np.random.SeedSequence(task.seed, spawn_key=(task.chain, 1))
         self.step.set_rng(np.random.default_rng(step_seed))
         self.step.tune = task.tune > 0
         if task.tune == 0:
             self.step.stop_tuning()
-        if task.checkpoint is not None and task.checkpoint.exists():
-            self._restore(task.checkpoint)
+
+    def _point(self, q: Array, info: Any) -> Point:
+        return dict(DictToArrayBijection.rmap(RaveledVars(floatX(q), info)))
+
+    def _note(self, key: bytes, found: Found) -> None:
+        self.lines.append(to_line(self._owner, key, found))
 
     @property
     def kept(self) -> int:
         """Stored draws so far."""
         return len(self.draws[self.names[0]])
 
-    @property
-    def tuning(self) -> bool:
-        """Whether the tuning phase is still on."""
-        return self.steps < self.task.tune
-
-    def run(
-        self,
-        until: int,
-        seconds: float | None,
-        tick: Callable[[], None] = lambda: None,
-        stop: Callable[[], bool] = lambda: False,
-    ) -> None:
-        """Step until `until` draws are stored, `seconds` have passed or `stop` says so.
+    def run(self, until: int, seconds: float | None = None, at_least: int = 0) -> None:
+        """Step until `until` draws are stored, or `seconds` have passed and there are `at_least` steps.
 
         How the steps are cut into calls has no influence on the draws.
         """
-        began = time.monotonic()
-        while self.kept < until and not stop():
-            before = time.monotonic()
+        began = now = time.monotonic()
+        before = self.seconds
+        while self.kept < until:
             self._one()
             now = time.monotonic()
-            self.seconds += now - before
-            tick()
-            if self.task.checkpoint is not None and now - self._saved_at >= self.task.checkpoint_seconds:
-                self.save()
-            if seconds is not None and now - began >= seconds:
+            self.seconds = before + now - began
+            if seconds is not None and now - began >= seconds and self.steps >= at_least:
                 break
 
     def _one(self) -> None:
-        before, failed_before = count(self._ops)
         if self.task.tune and self.steps == self.task.tune:
             self.step.stop_tuning()
         self.point, [stats] = self.step.step(self.point)
         self.steps += 1
-        if not self._ops:
-            stats["solves"] = 1  # nothing counts: each step evaluates the log-posterior once
         accepted = float(stats["accepted"])
         if self._each_accepted and (accepted or self._current is None):
             self._current = self._values(self.point)
-        after, failed_after = count(self._ops)
-        self.solves += after - before if self._ops else 1
-        self.failures.update(failed_after - failed_before)
         self.accepted += accepted
         if self.steps <= self.task.tune:
             return
@@ -154,68 +152,97 @@ class Chain:
                 self.stats.setdefault(name, []).append(float(stats[source]))
         self._sums = dict.fromkeys(self._summed, 0.0)
 
-    def since(self, first: int) -> dict[str, Any]:
-        """Progress, and the draws from number `first` on, as one message to the parent."""
-        return {
-            "chain": self.task.chain,
-            "steps": self.steps,
-            "kept": self.kept,
-            "tuning": self.tuning,
-            "seconds": self.seconds,
-            "solves": self.solves,
-            "accepted": self.accepted,
-            "failures": dict(self.failures),
-            "draws": {name: np.array(rows[first:]) for name, rows in self.draws.items()},
-            "stats": {name: np.array(rows[first:]) for name, rows in self.stats.items()},
-        }
+    def report(self, first: int) -> Report:
+        """How far it is, the draws from number `first` on, and new lines of the memo."""
+        solves, failures = count(self._ops)
+        lines, self.lines = b"".join(self.lines), []
+        return Report(
+            steps=self.steps,
+            kept=self.kept,
+            seconds=self.seconds,
+            solves=solves,
+            accepted=self.accepted,
+            failures=failures,
+            draws={name: np.array(rows[first:]) for name, rows in self.draws.items()},
+            stats={name: np.array(rows[first:]) for name, rows in self.stats.items()},
+            lines=lines,
+        )
 
-    def save(self) -> None:
-        """Write the checkpoint; a kill at any moment leaves the old one or the new one."""
-        path = self.task.checkpoint
-        if path is None:
-            return
-        content = {
-            "steps": self.steps,
-            "point": self.point,
-            "step": self._step_state(),
-            "draws": {name: np.array(rows) for name, rows in self.draws.items()},
-            "stats": {name: np.array(rows) for name, rows in self.stats.items()},
-            "sums": self._sums,
-            "current": self._current,
-            "solves": self.solves,
-            "accepted": self.accepted,
-            "failures": self.failures,
-            "seconds": self.seconds,
-        }
-        self._saved_at = write_state(path, of_chain(self.task.run, self.task.chain), content)
 
-    def _step_state(self) -> dict[str, Any]:
-        """What changes in the step method; the rest follows from the task."""
-        state = self.step.sampling_state
-        return {f.name: getattr(state, f.name) for f in fields(state) if not f.metadata.get("frozen")}
+@dataclass(frozen=True)
+class Report:
+    """What a chain tells: steps, stored draws, seconds, solves and accepted steps so far, and what is new."""
 
-    def _restore(self, path: Path) -> None:
-        content = read_state(path, of_chain(self.task.run, self.task.chain))
-        self.steps = content["steps"]
-        self.point = content["point"]
-        fresh = self.step.sampling_state
-        for name in self._step_state():
-            setattr(fresh, name, content["step"][name])
-        self.step.sampling_state = fresh
-        self.draws = {name: list(rows) for name, rows in content["draws"].items()}
-        self.stats = {name: list(rows) for name, rows in content["stats"].items()}
-        self._sums = content["sums"]
-        self._current = content["current"]
-        self.solves = content["solves"]
-        self.accepted = content["accepted"]
-        self.failures = Counter(content["failures"])
-        self.seconds = content["seconds"]
+    steps: int
+    kept: int
+    seconds: float
+    solves: int
+    accepted: float
+    failures: Counter[str]
+    draws: dict[str, np.ndarray]
+    stats: dict[str, np.ndarray]
+    lines: bytes
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a worker is asked for: to bring a chain of a run on, from `steps` steps and `kept` draws.
+
+    With `tasks` (of all chains, pickled but for a worker in this process) and `lines` of the chain's memo a
+    worker can begin it; without them it must have the chain.
+    """
+
+    run: str
+    chain: int
+    steps: int
+    kept: int
+    until: int
+    seconds: float | None
+    owner: str = ""
+    tasks: bytes | Sequence[Task] | None = None
+    lines: bytes = b""
+
+
+_held: OrderedDict[str, tuple[Sequence[Task], dict[int, Chain]]] = OrderedDict()
+
+
+def run_chain(order: Order) -> Report | None:
+    """Bring a chain on; None if it is not here."""
+    _, chains = _held.get(order.run, ((), {}))
+    chain = chains.get(order.chain)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            if chain is None or chain.steps != order.steps:
+                if order.tasks is None:
+                    return None
+                chain = _begun(order)
+            chain.run(order.until, order.seconds, order.steps)
+        except Exception as error:
+            failed = SamplingError(f"chain {order.chain}: {type(error).__name__}: {error}")
+            raise failed from error
+    return chain.report(order.kept)
+
+
+def _begun(order: Order) -> Chain:
+    if order.run not in _held:
+        found = cloudpickle.loads(order.tasks) if isinstance(order.tasks, bytes) else order.tasks or ()
+        _held[order.run] = found, {}
+        while len(_held) > _RUNS:
+            _held.popitem(last=False)
+    tasks, chains = _held[order.run]
+    known = read_lines(order.owner, order.lines, f"chain {order.chain}")
+    chains[order.chain] = Chain(tasks[order.chain], known, order.owner)
+    return chains[order.chain]
+
+
+def forget(run: str) -> None:
+    """Let the chains of a run go that this process holds."""
+    _held.pop(run, None)
 
 
 def _make_step(task: Task, point: Point) -> Any:
     kwargs: dict[str, Any] = {"model": task.model, "initial_point": point, "reference": task.reference}
-    if task.step == "demetropolisz":
-        return DEMetropolisZ(archive=task.archive, **kwargs, **task.options)
     if task.step == "nuts":
         return Nuts(**kwargs, **task.options)
-    return Metropolis(vars=list(task.model.continuous_value_vars), **kwargs, **task.options)
+    return DEMetropolisZ(archive=task.archive, **kwargs, **task.options)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any
 
@@ -11,14 +13,14 @@ import numpy as np
 import pymc as pm
 
 from zoo.core import digests
+from zoo.core.draws import seed_or_drawn
 from zoo.core.inference.logposterior import LogPosterior, model_name
-from zoo.core.inference.starts import Start
-from zoo.core.inference.states import REMEDY, CheckpointError, of_chain, read_state, write_state
+from zoo.core.inference.memo import REMEDY, CheckpointError
 from zoo.core.outputs import OutputFileError, write_file
 
-CHECKPOINT_FORMAT = 3
-FILES = ("run.json", "start.*", "chain-*.*", "solves.state", ".zoo-*.part", "lock")
-"""Patterns of the files that a checkpoint folder holds, or held in earlier formats."""
+CHECKPOINT_FORMAT = 4
+FILES = ("run.json", "chain-*.memo", "solves.memo", ".zoo-*.part", "lock")
+"""Patterns of the files that a checkpoint folder holds."""
 
 
 class CheckpointInUseError(CheckpointError):
@@ -26,17 +28,26 @@ class CheckpointInUseError(CheckpointError):
 
 
 class Folder:
-    """A checkpoint folder: run.json (what is being run), start.state, chain-K.state; locked while in use.
+    """A checkpoint folder, locked while in use: run.json (what is being run, where it begins), and memos.
 
-    All of them are data, of which nothing is run, and hold a digest; states also that of what is being run.
+    All of them are data with digests, of which nothing is run.
+
+    Raises
+    ------
+    CheckpointError
+        If it cannot be used, or another run uses it.
+    zoo.core.outputs.OutputFileError
+        If it, or one of its files, is a link or no file.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
+            if path.is_symlink():
+                raise OutputFileError(f"{path}: is a link; give the folder itself as checkpoint folder")
             path.mkdir(parents=True, exist_ok=True)
             _refuse_links(path)
-            self._lock: IO[str] = open(path / "lock", "w")  # noqa: SIM115 (closed by close)
+            self._lock: IO[str] = open(path / "lock", "a")  # noqa: SIM115 (closed by close)
         except OSError as error:
             raise CheckpointError(
                 f"{path}: cannot be used as checkpoint folder ({error.strerror}); choose another"
@@ -62,19 +73,7 @@ class Folder:
 
     def chain(self, chain: int) -> Path:
         """File of one chain."""
-        return self.path / f"chain-{chain}.state"
-
-    def check_chains(self, run: str, chains: int) -> None:
-        """Read the states of a run's chains, so that a damaged one is refused before any work.
-
-        Raises
-        ------
-        CheckpointError
-            Naming the first file that cannot be used.
-        """
-        for chain in range(chains):
-            if self.chain(chain).exists():
-                read_state(self.chain(chain), of_chain(run, chain))
+        return self.path / f"chain-{chain}.memo"
 
     def run(self) -> dict[str, Any] | None:
         """What is stored in run.json, or None.
@@ -89,14 +88,12 @@ class Folder:
             return None
         try:
             content = json.loads(file.read_bytes())
-            assert isinstance(content["identity"], dict)
-        except (OSError, ValueError, KeyError, TypeError, AssertionError, RecursionError):
+            written = content["identity"].get("format")
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise CheckpointError(f"{file}: cannot be read; {REMEDY}") from None
-        written = content["identity"].get("format")
         if written != CHECKPOINT_FORMAT:
-            version = "a later" if isinstance(written, int) and written > CHECKPOINT_FORMAT else "an earlier"
             raise CheckpointError(
-                f"{self.path}: this checkpoint was written by {version} version of zoo (format {written}, "
+                f"{self.path}: this checkpoint was written by another version of zoo (format {written}, "
                 f"this one goes on from format {CHECKPOINT_FORMAT}); remove it to start afresh, or use "
                 "another"
             )
@@ -109,19 +106,23 @@ class Folder:
         plain = json.loads(json.dumps(content, default=str))
         write_file(self.path / "run.json", json.dumps(digests.stamped(plain), indent=1, sort_keys=True))
 
-    def start(self, run: str) -> Start | None:
-        """Stored mode and starts of a run, or None."""
-        file = self.path / "start.state"
-        if not file.exists():
-            return None
-        found = read_state(file, {"run": run, "part": "start"}).get("start")
-        if not isinstance(found, Start):
-            raise CheckpointError(f"{file}: is no start; {REMEDY}")
-        return found
+    def remove(self) -> None:
+        """Delete the files of a checkpoint, and nothing else, and give the folder free.
 
-    def write_start(self, run: str, start: Start) -> None:
-        """Store mode and starts of a run."""
-        write_state(self.path / "start.state", {"run": run, "part": "start"}, {"start": start})
+        Raises
+        ------
+        zoo.core.outputs.OutputFileError
+            If other files are there; they stay.
+        """
+        there = list(self.path.iterdir())
+        ours = [file for file in there if any(map(file.match, FILES))]
+        begun = (self.path / "run.json").is_file() or [file.name for file in ours] == ["lock"]
+        if len(ours) < len(there) or not begun:
+            raise OutputFileError(f"{self.path}: holds files that are not a checkpoint's; move them away")
+        for file in ours:
+            file.unlink()
+        self.close()
+        self.path.rmdir()
 
 
 def _refuse_links(folder: Path) -> None:
@@ -131,6 +132,98 @@ def _refuse_links(folder: Path) -> None:
             raise OutputFileError(
                 f"{file}: is a link, or no file; a checkpoint holds nothing but files: remove it"
             )
+
+
+class Run:
+    """A run, in a checkpoint folder or without one: what it is, its seed, and for how long it has gone on.
+
+    Parameters
+    ----------
+    checkpoint : path or None
+        If the folder holds a run it must be the same, which then goes on.
+    logp : LogPosterior
+        Of the model that is sampled.
+    settings : mapping
+        What must not change when the run is taken up again, but for the seed.
+    seed : int, optional
+        Drawn if absent, or that of the run which is there.
+
+    Attributes
+    ----------
+    folder : Folder or None
+    seed : int
+    identity : dict
+    owner : str
+        Digest of the identity, which what is stored of a run belongs to.
+    sittings : int
+        Runs that took part, with this one.
+    started : str
+    beginning : dict or None
+        Where the chains begin, as it was stored.
+
+    Raises
+    ------
+    CheckpointError
+        If the folder is in use, or holds another run or something else.
+    """
+
+    def __init__(
+        self, checkpoint: str | Path | None, logp: LogPosterior, settings: Mapping[str, Any], seed: int | None
+    ) -> None:
+        self._began = time.monotonic()
+        self.started = datetime.now(UTC).isoformat(timespec="seconds")
+        self.sittings, self._earlier_s = 1, 0.0
+        self.beginning: dict[str, Any] | None = None
+        self.folder = None if checkpoint is None else Folder(Path(checkpoint))
+        try:
+            stored = None if self.folder is None else self.folder.run()
+            if seed is None and stored is not None:
+                seed = int(stored["identity"]["seed"])
+            self.seed = seed_or_drawn(seed)
+            self.identity = identity_of(logp, {**settings, "seed": self.seed})
+            if self.folder is not None and stored is not None:
+                check_identity(self.folder.path, stored["identity"], self.identity)
+                self.identity = stored["identity"]
+                self.sittings, self._earlier_s = int(stored["sittings"]) + 1, float(stored["wall_seconds"])
+                self.started, self.beginning = stored["started"], stored["beginning"]
+            self.owner = digests.of_json(self.identity)
+            self.write()
+        except BaseException:
+            self.close(write=False)
+            raise
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of all sittings so far."""
+        return self._earlier_s + time.monotonic() - self._began
+
+    @property
+    def resumed(self) -> str:
+        """How it goes on, for the first line of progress."""
+        return "" if self.sittings == 1 else f", resumed (sitting {self.sittings})"
+
+    def write(self) -> None:
+        """Write run.json, where there is a folder."""
+        if self.folder is not None:
+            self.folder.write_run(
+                {
+                    "identity": self.identity,
+                    "started": self.started,
+                    "sittings": self.sittings,
+                    "wall_seconds": self.seconds,
+                    "beginning": self.beginning,
+                }
+            )
+
+    def close(self, *, write: bool = True) -> None:
+        """Write how long it took, and give the folder free."""
+        if self.folder is not None:
+            try:
+                if write:
+                    self.write()
+            finally:
+                self.folder.close()
+            self.folder = None
 
 
 def identity_of(logp: LogPosterior, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -163,7 +256,7 @@ def check_identity(path: Path, stored: Mapping[str, Any], identity: Mapping[str,
         if name == "log-posterior at three points" and isinstance(theirs, list) and len(theirs) == len(mine):
             same = bool(np.allclose(theirs, mine, rtol=1e-9, atol=1e-7))
         else:
-            same = theirs == mine or (name == "priors" and theirs is None)  # checkpoints of before have none
+            same = theirs == mine
         if not same:
             if isinstance(theirs, dict) and isinstance(mine, dict):
                 name, theirs, mine = _first_difference(name, theirs, mine)

@@ -53,8 +53,13 @@ class Nuts(pm.NUTS):
             potential=dense_metric(reference.mean, reference.covariance),
             **{"target_accept": TARGET_ACCEPT, **kwargs},
         )
-        self._logp = self._logp_dlogp_func._pytensor_function
-        self._ops = counting_ops(self._logp)
+        self.replace_logp(self._logp_dlogp_func._pytensor_function)
+
+    def replace_logp(self, function: Any) -> None:
+        """Let a function of a vector (n_dim,) give the log-posterior and its gradient."""
+        self._logp = function
+        self._ops = counting_ops(function)
+        self.integrator._logp_dlogp_func = lambda q, _: function(q)
 
     def astep(self, q0: RaveledVars) -> StepResult:
         """One step from q0; returns the new point and its statistics."""

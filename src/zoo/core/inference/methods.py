@@ -32,11 +32,11 @@ SLOW = 0.05
 MOST = 60
 """Coordinates of the solves above which a polynomial surrogate needs too many of them."""
 ONLY_EXACT: dict[str, tuple[Any, ...]] = {
-    "step": (None, "demetropolisz"),
     "thin": (None,),
     "step_options": (None, {}),
+    "executor": (None,),
 }
-"""Settings that other methods have no use for, with the values that ask for nothing."""
+"""Settings that other methods have no use for (but NUTS for an executor), with those that ask for nothing."""
 
 
 def choose(model: Any, method: str = "auto", *, checkpoint: str | Path | None = None) -> tuple[str, str]:
@@ -90,10 +90,10 @@ def _begun(folder: Path) -> str:
     try:
         step = json.loads((folder / "run.json").read_bytes()).get("identity", {}).get("step")
     except FileNotFoundError:
-        return "surrogate" if (folder / "solves.state").exists() else ""
+        return ""
     except (OSError, ValueError, AttributeError, RecursionError):
         return "exact"  # which says what is wrong with it
-    return "nuts" if step == "nuts" else "exact"
+    return str(step) if step in ("nuts", "surrogate") else "exact"
 
 
 def _seconds(logp: LogPosterior) -> float:
@@ -157,15 +157,17 @@ def sample(
         return sample_exact(model, checkpoint=checkpoint, preface=words, **_without(settings, "library"))
     if words and settings.get("progress", True):
         print(words, file=sys.stderr)
+    if taken == "nuts":
+        asked.pop("executor", None)
     for name, value in asked.items():
         raise SamplingError(
             f"{name} = {value}: method {taken} has no use for it; leave it out, or use method exact"
         )
-    own = _without(settings, *ONLY_EXACT)
     if taken == "nuts":
-        return sample_nuts(model, checkpoint=checkpoint, **_without(own, "library"))
+        own = _without(settings, "thin", "step_options", "library")
+        return sample_nuts(model, checkpoint=checkpoint, **own)
     try:
-        return sample_surrogate(model, checkpoint=checkpoint, **own)
+        return sample_surrogate(model, checkpoint=checkpoint, **_without(settings, *ONLY_EXACT))
     except SurrogateError as error:
         if method != "auto":
             raise

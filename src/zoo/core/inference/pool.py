@@ -1,150 +1,136 @@
-"""All chains of a run as their parent sees them: in processes of their own, or in turns in this one."""
+"""All chains of a run as their parent sees them, each at work on an executor."""
 
 from __future__ import annotations
 
-import contextlib
-import queue
-from collections.abc import Iterator, Sequence
+import uuid
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import cloudpickle  # type: ignore[import-untyped]
 import numpy as np
 
-from zoo.core.inference.chain import Chain, Task
+from zoo.core.inference.chain import Order, Report, Task, forget, run_chain
 from zoo.core.inference.logposterior import SamplingError
-from zoo.core.inference.processes import Worker
-from zoo.core.inference.progress import ChainState, Display
+from zoo.core.inference.memo import Memo
+from zoo.core.inference.progress import ChainState, Display, of_chains
+from zoo.core.inference.workers import Inline, LostTaskError, Processes, as_finished, in_turn
+
+SLICE_S = 1.0
+"""How long a chain is at work before it tells how far it is, where that costs nothing."""
 
 
-class ChainPool:
-    """All chains of a run, as their parent sees them."""
+class Chains:
+    """Chains that are brought on together: in processes of our own, in this one, or on somebody's executor.
 
-    def __init__(self, tasks: Sequence[Task], show: Display) -> None:
-        self.tasks = list(tasks)
+    Each goes on where its worker has it. A worker that has not (the one before died, or an executor chose
+    another) makes the chain's steps again with what its memo knows, and goes on then. In processes of our own
+    and in this one that is by slices of `SLICE_S`; on somebody's executor it is in one go.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+    cores : int
+        Processes; 0 for this one.
+    show : Display
+    executor : Executor, optional
+        Used instead; `cores` is not read.
+    files : callable, optional
+        Path of each chain's memo.
+    run : str
+        What the memos belong to.
+    """
+
+    def __init__(
+        self,
+        tasks: Sequence[Task],
+        cores: int,
+        show: Display,
+        executor: Executor | None = None,
+        files: Callable[[int], Path] | None = None,
+        run: str = "",
+    ) -> None:
         self.show = show
         self.states = [ChainState(task.chain) for task in tasks]
+        self._tune, self._thin = tasks[0].tune, tasks[0].thin
+        self._token = uuid.uuid4().hex
+        self._slice = SLICE_S if executor is None else None
+        self._own = [Processes(1) for _ in range(min(cores, len(tasks)))] if executor is None else []
+        self._on: Sequence[Executor] = [executor] if executor is not None else self._own or [Inline()]
+        here = executor is None and not cores
+        self._tasks: bytes | Sequence[Task] = tasks if here else cloudpickle.dumps(tasks)
+        self._memos: list[Memo] = []
+        self._unknown = set(range(len(tasks)))
+        try:
+            for k in range(len(tasks)):
+                self._memos.append(Memo(None if files is None else files(k), f"{run}, chain {k}"))
+                self._memos[k].known.clear()  # the workers have use for it
+        except BaseException:
+            self.close()
+            raise
 
     def advance(self, until: int) -> None:
-        """Bring every chain to `until` stored draws."""
-        raise NotImplementedError
+        """Bring every chain to `until` stored draws.
 
-    def close(self) -> None:
-        """End all work; each chain writes its checkpoint first."""
-        raise NotImplementedError
+        Raises
+        ------
+        SamplingError
+            If a chain fails, or its worker dies as often as it may.
+        """
+        waiting = deque(state.chain for state in self.states if state.kept < until)
+        found = as_finished(lambda k: self._hand_in(k, until), waiting, lambda k: f"chain {k}")
+        try:
+            for k, report in found:
+                if report is None:
+                    self._unknown.add(k)
+                else:
+                    self._memos[k].add(report.lines)
+                    self.states[k].update(report)
+                if self.states[k].kept < until:
+                    waiting.append(k)
+                self._show(until)
+        except LostTaskError as error:
+            raise SamplingError(str(error)) from None
+
+    def _show(self, until: int) -> None:
+        steps = sum(state.steps for state in self.states)
+        all_of_them = len(self.states) * (self._tune + self._thin * until)
+        self.show(of_chains(self.states, until), min(1.0, steps / all_of_them))
+
+    def _hand_in(self, k: int, until: int) -> Future[Report | None]:
+        state, memo = self.states[k], self._memos[k]
+        order: dict[str, Any] = {"until": until, "seconds": self._slice}
+        if k in self._unknown:
+            order |= {"owner": memo.owner, "tasks": self._tasks, "lines": bytes(memo.lines)}
+            self._unknown.discard(k)
+        on = self._on[k % len(self._on)]
+        return on.submit(in_turn, run_chain, Order(self._token, k, state.steps, state.kept, **order))
 
     def draws(self, kept: int) -> dict[str, np.ndarray]:
         """First `kept` draws, name -> (n_chains, kept, ...)."""
-        each = [state.values(kept) for state in self.states]
-        return {name: np.stack([values[name] for values in each]) for name in each[0]}
+        return _stacked([state.values(kept) for state in self.states])
 
     def stats(self, kept: int) -> dict[str, np.ndarray]:
         """Statistics of the first `kept` draws, name -> (n_chains, kept)."""
-        each = [state.values(kept, stats=True) for state in self.states]
-        return {name: np.stack([values[name] for values in each]) for name in each[0]}
-
-
-class ProcessChainPool(ChainPool):
-    """Runs the chains' processes, `cores` at a time, and collects their draws."""
-
-    def __init__(self, tasks: Sequence[Task], cores: int, show: Display) -> None:
-        super().__init__(tasks, show)
-        self.cores = cores
-        self.inbox: queue.Queue[Any] = queue.Queue()
-        self.workers: dict[int, Worker] = {}
-        self.slice = None if cores >= len(self.tasks) else 5.0
-
-    def advance(self, until: int) -> None:
-        """Bring every chain to `until` stored draws."""
-        waiting = [s.chain for s in self.states if s.kept < until or s.chain not in self.workers]
-        running: set[int] = set()
-        while waiting or running:
-            while waiting and len(running) < self.cores:
-                chain = min(waiting, key=lambda c: (self.states[c].steps, c))
-                waiting.remove(chain)
-                running.add(chain)
-                if chain in self.workers:
-                    self.workers[chain].run(until, self.slice)
-                else:
-                    self.states[chain].phase = "compiling"
-                    self.workers[chain] = Worker(chain, cloudpickle.dumps(self.tasks[chain]), self.inbox)
-            for chain, kind, content in self._messages():
-                state = self.states[chain]
-                if kind in ("ready", "running", "paused"):
-                    state.update(content)
-                    state.phase = "tuning" if state.tuning else "sampling"
-                if kind == "ready":
-                    self.workers[chain].run(until, self.slice)
-                elif kind == "paused":
-                    running.discard(chain)
-                    if state.kept < until:
-                        waiting.append(chain)
-                        state.phase = "waiting"
-                    else:
-                        state.phase = "at target"
-                elif kind == "failed":
-                    error = SamplingError(f"chain {chain}: {content[0]}")
-                    error.add_note(content[1])
-                    raise error
-                elif kind == "ended":
-                    self._raise_ended(chain)
-            self.show.update(self.states, until)
-
-    def _messages(self) -> Iterator[tuple[int, str, Any]]:
-        with contextlib.suppress(queue.Empty):
-            yield self.inbox.get(timeout=0.25)
-            while True:
-                yield self.inbox.get_nowait()
-
-    def _raise_ended(self, chain: int) -> None:
-        worker = self.workers[chain]
-        code = worker.process.wait()
-        how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        words = worker.last_words()
-        resume = (
-            "run again with the same checkpoint folder to resume"
-            if self.tasks[chain].checkpoint
-            else "pass checkpoint=folder to be able to resume"
-        )
-        raise SamplingError(
-            f"chain {chain}: its process ended unexpectedly ({how}{'; ' + words if words else ''}); {resume}"
-        )
+        return _stacked([state.values(kept, stats=True) for state in self.states])
 
     def close(self) -> None:
-        """End all processes; each writes its checkpoint first."""
-        for worker in self.workers.values():
-            worker.close()
-        for worker in self.workers.values():
-            worker.wait(60.0)
+        """End all work at once; what the chains told until then is in their memos."""
+        for process in self._own:
+            process.shutdown()
+        forget(self._token)
+        for memo in self._memos:
+            memo.close()
+
+    def __enter__(self) -> Chains:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: Any, trace: TracebackType | None) -> None:
+        self.close()
 
 
-class InlineChainPool(ChainPool):
-    """Runs the chains in this process, taking turns: no process to start, compiled functions shared."""
-
-    turn = 2.0  # s
-
-    def __init__(self, tasks: Sequence[Task], show: Display) -> None:
-        super().__init__(tasks, show)
-        self.chains: list[Chain] = []
-        self._sent = [0] * len(self.tasks)
-
-    def advance(self, until: int) -> None:
-        """Bring every chain to `until` stored draws."""
-        self.chains += [Chain(task) for task in self.tasks[len(self.chains) :]]
-        while behind := [i for i, chain in enumerate(self.chains) if chain.kept < until]:
-            for i in behind:
-                self.chains[i].run(until, self.turn)
-                self._update(i)
-            self.show.update(self.states, until)
-        for i in range(len(self.chains)):  # chains that a checkpoint had brought further
-            self._update(i)
-
-    def _update(self, i: int) -> None:
-        state, chain = self.states[i], self.chains[i]
-        state.update(chain.since(self._sent[i]))
-        self._sent[i] = chain.kept
-        state.phase = "tuning" if state.tuning else "sampling"
-
-    def close(self) -> None:
-        """Write the checkpoints."""
-        for chain in self.chains:
-            chain.save()
+def _stacked(each: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.stack([values[name] for values in each]) for name in each[0]}

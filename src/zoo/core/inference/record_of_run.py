@@ -1,4 +1,4 @@
-"""The InferenceData and run record of draws that were made without checkpoints."""
+"""The InferenceData and the run record of draws."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from zoo.core.inference.checkpoint import identity_of
 from zoo.core.inference.convergence import check_convergence, ess_to_count
 from zoo.core.inference.elements import arrays
 from zoo.core.inference.logposterior import LogPosterior, model_name
-from zoo.core.inference.prior_check import check_priors, exactness_at, priors_of
+from zoo.core.inference.prior_check import check_priors, exactness_at, modes_at_bounds, priors_of
 from zoo.core.inference.record import RunRecord
 from zoo.core.model import ModelRecord
 
 if TYPE_CHECKING:
     import arviz as az
+
+_WHOLE = {"solves": np.int64, "solver_failures": np.int64, "gradients": np.int64, "diverging": np.bool_}
 
 
 def inference_data(
@@ -29,7 +31,7 @@ def inference_data(
 
     found: az.InferenceData = az.from_dict(
         posterior=dict(draws),
-        sample_stats=dict(stats) or None,
+        sample_stats={n: v.astype(_WHOLE.get(n, v.dtype)) for n, v in stats.items()} or None,
         observed_data=find_observations(model) or None,
         coords={name: np.asarray(values) for name, values in model.coords.items() if values is not None},
         dims={name: list(names) for name, names in model.named_vars_to_dims.items()},
@@ -51,6 +53,7 @@ def attach_record(
     wall_seconds: float,
     started: str,
     sittings: int = 1,
+    mode: Mapping[str, np.ndarray] | None = None,
     say: Callable[[str], None],
 ) -> None:
     """Write the run record into an InferenceData, and tell whether its draws have converged.
@@ -66,13 +69,21 @@ def attach_record(
         With "chains", "draws" and "until_ess".
     seed, solves, steps, mode_evaluations, failures, wall_seconds, started, sittings
         As of `zoo.core.inference.record.RunRecord`.
+    mode : mapping, optional
+        Where it is known: the bounds that it lies at are told too.
     say : callable
     """
     identity = identity_of(logp, {})
     made = arrays(idata)
     parameters, effects = priors_of(model)
-    middle = {name: values.mean((0, 1)) for name, values in made.items()}
-    priors = replace(check_priors(parameters, made, effects=effects), numerical=exactness_at(model, middle))
+    priors = check_priors(parameters, made, effects=effects)
+    if mode is not None:
+        leaning = {(found.parameter, found.side) for found in priors.bounds}
+        at_mode = modes_at_bounds(parameters, mode, effects=effects)
+        more = tuple(found for found in at_mode if (found.parameter, found.side) not in leaning)
+        priors = replace(priors, bounds=priors.bounds + more)
+    middle = {name: values.mean((0, 1)) for name, values in made.items()} if mode is None else mode
+    priors = replace(priors, numerical=exactness_at(model, middle))
     record = RunRecord(
         model=model_name(model),
         study=identity["study"],

@@ -23,6 +23,25 @@ class Start:
     archive: Array
     mode: Mode
 
+    def stored(self) -> dict[str, Any]:
+        """As a run's file has it: plain numbers, which JSON keeps to the last digit."""
+        mode = self.mode
+        return {
+            "starts": self.starts.tolist(),
+            "mode": mode.vector.tolist(),
+            "logp": mode.logp,
+            "covariance": mode.covariance.tolist(),
+            "evaluations": mode.evaluations,
+        }
+
+    @classmethod
+    def of_stored(cls, found: Mapping[str, Any], logp: LogPosterior, seed: int) -> Start:
+        """As it was when `stored` was called."""
+        vector, covariance = np.array(found["mode"]), np.array(found["covariance"])
+        mode = Mode(vector, logp.to_values(vector), found["logp"], covariance, found["evaluations"])
+        reference = Gaussian(vector, covariance)
+        return cls(np.array(found["starts"]), reference, first_archive(reference, seed), mode)
+
 
 def disperse(logp: LogPosterior, mode: Mode, chains: int, seed: int) -> Start:
     """Starts from a t distribution twice as wide as the Gaussian at the mode, failed solves rejected."""

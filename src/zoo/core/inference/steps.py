@@ -1,4 +1,4 @@
-"""Step methods of PyMC's Metropolis family that evaluate the log-posterior once a step and count solves."""
+"""PyMC's DEMetropolisZ with one evaluation of the log-posterior a step, which counts solves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pymc.blocking import RaveledVars
 from pymc.pytensorf import floatX
 from pymc.step_methods.arraystep import metrop_select
-from pymc.step_methods.metropolis import DEMetropolisZState, MetropolisState, MultivariateNormalProposal
+from pymc.step_methods.metropolis import DEMetropolisZState
 from pymc.step_methods.state import dataclass_state
 from pymc.util import get_value_vars_from_user_vars
 from pytensor.compile.mode import Mode as CompileMode
@@ -56,6 +56,10 @@ class _OneEvaluation:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_ops": None}
+
+    def replace_logp(self, function: Any) -> None:
+        """Let a function of a vector (n_dim,) give the log-posterior."""
+        self._logp, self._ops = function, None
 
     def logp(self, q: Array) -> float:
         """Log-posterior at q (n_dim,), from memory if q is one of the last two points."""
@@ -318,115 +322,3 @@ def _seen_in(space: ConstrainedSpace, gaussian: Gaussian) -> Gaussian:
     slopes = np.ones(len(gaussian.mean))
     slopes[space.index] = space.slopes(gaussian.mean)
     return Gaussian(space.values(gaussian.mean), gaussian.covariance * np.outer(slopes, slopes))
-
-
-@dataclass_state
-class _MetropolisState(MetropolisState):
-    _memory: dict[bytes, float]
-    proposal_dist: Any
-    _own: Archive
-    _next_refit: int
-
-
-class Metropolis(_OneEvaluation, pm.Metropolis):
-    """PyMC's Metropolis with one evaluation of the log-posterior a proposal, and joint proposals.
-
-    With `joint=False` the draws equal those of `pm.Metropolis(blocked=True)` for the same seed: one
-    coordinate after the other. With `joint=True` all coordinates move at once, and with `adapt=True` the
-    proposal's covariance is refitted to the chain while tuning (2.38^2 / d times it), fixed after it.
-
-    Parameters
-    ----------
-    vars : list of variables, optional
-        All if absent.
-    joint : bool
-        One proposal for all coordinates.
-    reference : Gaussian, optional
-        Its covariance shapes the first joint proposals (instead of S).
-    adapt : bool
-        Refit the covariance of joint proposals while tuning.
-    **kwargs
-        As `pm.Metropolis`: S, proposal_dist, scaling, tune, tune_interval, model, initial_point,
-        compile_kwargs, rng.
-
-    References
-    ----------
-    Haario, Saksman, Tamminen (2001), doi 10.2307/3318737.
-    """
-
-    name = "metropolis"
-    default_blocked = True
-    proposal_dist: Any
-    stats_dtypes_shapes: ClassVar[dict[str, Any]] = {**pm.Metropolis.stats_dtypes_shapes, **_COUNT_STATS}
-    _state_class = _MetropolisState
-
-    def __init__(
-        self,
-        vars: Any = None,
-        *,
-        joint: bool = True,
-        reference: Gaussian | None = None,
-        adapt: bool = False,
-        model: Any = None,
-        initial_point: Point | None = None,
-        compile_kwargs: Mapping[str, Any] | None = None,
-        **kwargs: Any,
-    ) -> None:
-        model = pm.modelcontext(model)
-        point = model.initial_point() if initial_point is None else initial_point
-        self.joint = joint
-        self._first_reference = reference
-        if reference is not None and joint and kwargs.get("S") is None:
-            kwargs["S"] = reference.covariance * 2.38**2 / len(reference.mean)
-        super().__init__(vars, model=model, initial_point=point, compile_kwargs=_uncompiled(), **kwargs)
-        self._prepare(model, self.vars, point, compile_kwargs)
-        self.adapt = adapt and joint and not self.any_discrete
-        if joint:
-            self.elemwise_update = False
-            self.enum_dims = np.arange(1)
-            self.accept_rate_iter = np.zeros(1)
-            self.accepted_iter = np.zeros(1, dtype=bool)
-            self.accepted_sum = np.zeros(1, dtype=int)
-        self._first_proposal: Any = self.proposal_dist
-        self._set_untuned()
-
-    def _set_untuned(self) -> None:
-        self.proposal_dist = self._first_proposal
-        self._own = Archive()
-        self._next_refit = _FIRST_REFIT
-
-    def reset_tuning(self) -> None:
-        """Forget all that was tuned."""
-        super().reset_tuning()
-        self._set_untuned()
-
-    def astep(self, q0: RaveledVars) -> StepResult:
-        """One step from q0; returns the new point and its statistics."""
-        return self._counted(q0, self._one_step)
-
-    def _one_step(self, q0: RaveledVars) -> StepResult:
-        q, stats = super().astep(q0)
-        if self.adapt and self.tune:
-            self._own.append(q.data)
-            if len(self._own) >= self._next_refit:
-                self._refit()
-                self._next_refit = int(1.5 * self._next_refit)
-        return q, stats
-
-    def _refit(self) -> None:
-        own = self._own.points[len(self._own) // 3 :]
-        n, d = own.shape
-        if n < 10 * d:
-            return
-        start = self._first_reference or Gaussian(
-            own.mean(0), np.cov(own.T).reshape(d, d) + 1e-10 * np.eye(d)
-        )
-        self.proposal_dist = MultivariateNormalProposal(start.refit(own).covariance * 2.38**2 / d)
-        self.scaling = np.ones(1)
-
-    def stop_tuning(self) -> None:
-        """Fix the proposal."""
-        if self.adapt:
-            self._refit()
-            self._own = Archive()
-        super().stop_tuning()

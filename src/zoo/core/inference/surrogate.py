@@ -79,7 +79,6 @@ def sample_surrogate(
     start: Mapping[str, Any] | None = None,
     library: Library | None = None,
     checkpoint: str | Path | None = None,
-    checkpoint_seconds: float = 30.0,
 ) -> az.InferenceData:
     """Sample a posterior by NUTS on a surrogate of the forward model, and make its draws exact.
 
@@ -102,8 +101,6 @@ def sample_surrogate(
     checkpoint : path, optional
         Folder for the solves of the run: if it holds some, the run begins again with them, and none is made
         twice. Steps that look for the posterior before the first design are made again.
-    checkpoint_seconds : float
-        How often they are written, in s.
 
     Returns
     -------
@@ -141,12 +138,12 @@ def sample_surrogate(
     store: KeptSolves | None = None
     if checkpoint is not None:
         fixed = {"step": "surrogate", "tune": tune, "chains": chains, "start": start_settings(start)}
-        store = KeptSolves(Path(checkpoint), library, logp, fixed, seed, checkpoint_seconds)
+        store = KeptSolves(Path(checkpoint), library, logp, fixed, seed)
         seed = store.seed
     seed = seed_or_drawn(seed)
     with (
         store or contextlib.nullcontext(),
-        Display(progress, tune=tune, thin=THIN, cores=cores, ess=until_ess) as show,
+        Display(progress) as show,
     ):
         show.say(
             f"model {model_name(model)}: {len(logp.template.data)} dimensions, {chains} chains of "

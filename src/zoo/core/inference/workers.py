@@ -1,11 +1,17 @@
-"""Independent tasks in processes, or on any executor, that outlive the death of a worker."""
+"""Independent tasks on executors: processes of our own, whose deaths tasks outlive, or anybody's."""
 
 from __future__ import annotations
 
 import contextlib
 import multiprocessing as mp
 import os
+import pickle
+import queue
+import signal
+import sys
 import threading
+import traceback
+import types
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
@@ -14,19 +20,23 @@ from concurrent.futures import (
     CancelledError,
     Executor,
     Future,
-    ProcessPoolExecutor,
+    ThreadPoolExecutor,
     wait,
 )
-from typing import NoReturn, TypeVar
+from multiprocessing.connection import Connection
+from typing import Any, NoReturn, TypeVar
+
+import cloudpickle  # type: ignore[import-untyped]
 
 from zoo.core.words import OneLineError
 
 J = TypeVar("J")
 R = TypeVar("R")
-_SAFE_PATH = "PYTHONSAFEPATH"
 TRIES = 3
 """How often a task is run whose worker dies."""
 _turn = threading.RLock()
+_starting = threading.Lock()
+_SAFE_PATH = "PYTHONSAFEPATH"
 
 
 class LostTaskError(OneLineError, RuntimeError):
@@ -53,7 +63,7 @@ def each(
     jobs : sequence
         Specifications: what a worker needs to make its result, and nothing that is compiled.
     cores : int
-        Processes of a pool of our own; with 1 the jobs are done in this process, in their order.
+        Processes of our own; with 1 the jobs are done in this process, in their order.
     executor : concurrent.futures.Executor, optional
         Runs the tasks instead, and is left open: threads, processes, or ``Client.get_executor()`` of
         dask.distributed (`zoo.core.inference.cluster.connect`). `cores` is not read.
@@ -69,16 +79,22 @@ def each(
     LostTaskError
         If the worker of a task dies as often as it may, or the executor ends before the task.
     """
-    if executor is not None:
-        yield from _on_executor(work, jobs, executor, name)
-    elif cores == 1:
+    if executor is None and cores == 1:
         for job in jobs:
-            yield job, _in_turn(work, job)
-    else:
-        yield from _in_pools(work, jobs, cores, name)
+            yield job, in_turn(work, job)
+        return
+    with contextlib.ExitStack() as stack:
+        if executor is None:
+            executor = stack.enter_context(Processes(min(cores, max(1, len(jobs)))))
+        on = executor
+        waiting = deque(range(len(jobs)))
+        for i, result in as_finished(
+            lambda i: on.submit(in_turn, work, jobs[i]), waiting, lambda i: name(jobs[i])
+        ):
+            yield jobs[i], result
 
 
-def _in_turn(work: Callable[[J], R], job: J) -> R:
+def in_turn(work: Callable[[J], R], job: J) -> R:
     """The work of a job. PyTensor's compilation and the filters of warnings are not safe in threads."""
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
@@ -86,81 +102,58 @@ def _in_turn(work: Callable[[J], R], job: J) -> R:
         return work(job)
 
 
-def _in_pools(
-    work: Callable[[J], R], jobs: Sequence[J], cores: int, name: Callable[[J], str]
+def as_finished(
+    start: Callable[[J], Future[R]], waiting: deque[J], name: Callable[[J], str]
 ) -> Iterator[tuple[J, R]]:
-    """In processes of our own; those that a death interrupts run alone next, so that who dies is known."""
-    waiting, suspects, died = deque(range(len(jobs))), deque[int](), Counter[int]()
-    while waiting or suspects:
-        alone = bool(suspects)
-        queue = deque([suspects.popleft()]) if alone else waiting
-        with _pool(1 if alone else min(cores, len(queue))) as (pool, width):
-            running: dict[Future[R], int] = {}
-            broken = False
-            while running or (queue and not broken):
-                while queue and len(running) < width and not broken:
-                    i = queue.popleft()
-                    try:
-                        running[pool.submit(_in_turn, work, jobs[i])] = i
-                    except BrokenExecutor:
-                        queue.appendleft(i)
-                        broken = True
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    i = running.pop(future)
-                    try:
-                        result = future.result()
-                    except BrokenExecutor:
-                        broken = True
-                        died[i] += 1
-                        if died[i] == TRIES:
-                            _lost(name(jobs[i]), f"its process died {TRIES} times")
-                        suspects.append(i)
-                        continue
-                    yield jobs[i], result
-            if alone and queue:  # the pool was broken before it took the task
-                suspects.extend(queue)
+    """Tasks and their results as they finish; those that an executor gives up are started again.
 
+    Parameters
+    ----------
+    start : callable
+        Hands a task in.
+    waiting : deque
+        Tasks to hand in; it is emptied, and more may be put in meanwhile.
+    name : callable
+        Names a task in an error.
 
-def _on_executor(
-    work: Callable[[J], R], jobs: Sequence[J], executor: Executor, name: Callable[[J], str]
-) -> Iterator[tuple[J, R]]:
-    """On somebody's executor, which starts its own workers anew; what it gives up is given to it again."""
-    died = Counter[int]()
-    running: dict[Future[R], int] = {}
-
-    def start(i: int) -> None:
-        try:
-            running[executor.submit(_in_turn, work, jobs[i])] = i
-        except BrokenExecutor:
-            _lost(name(jobs[i]), "the executor is broken")
-
+    Raises
+    ------
+    LostTaskError
+        As of `each`.
+    """
+    died = Counter[J]()
+    running: dict[Future[R], J] = {}
     try:
-        for i in range(len(jobs)):
-            start(i)
-        while running:
+        while waiting or running:
+            while waiting:
+                task = waiting.popleft()
+                try:
+                    running[start(task)] = task
+                except BrokenExecutor:
+                    _lost(name(task), "the executor is broken")
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                i = running.pop(future)
+                task = running.pop(future)
                 try:
                     result = future.result()
                 except (CancelledError, BrokenExecutor) as error:
-                    _lost(name(jobs[i]), f"the executor ended before it ({type(error).__name__})")
+                    _lost(name(task), f"the executor ended before it ({type(error).__name__})")
+                except _DiedError:
+                    _lost(name(task), f"its process died {TRIES} times")
                 except Exception as error:
-                    if not _worker_died(error):
+                    if not _given_up(error):
                         raise
-                    died[i] += 1
-                    if died[i] == TRIES:
-                        _lost(
-                            name(jobs[i]), f"the scheduler gave it up {TRIES} times, since its workers died"
-                        )
-                    start(i)
-                    continue
-                yield jobs[i], result
+                    died[task] += 1
+                    if died[task] == TRIES:
+                        _lost(name(task), f"the scheduler gave it up {TRIES} times, since its workers died")
+                    waiting.append(task)
+                else:
+                    yield task, result
     finally:
         for future in running:
             future.cancel()
 
 
-def _worker_died(error: Exception) -> bool:
+def _given_up(error: Exception) -> bool:
     """Whether dask.distributed gave a task up because the workers that had it died."""
     return type(error).__name__ == "KilledWorker" and type(error).__module__.startswith("distributed.")
 
@@ -169,64 +162,160 @@ def _lost(task: str, why: str) -> NoReturn:
     raise LostTaskError(f"{task}: {why}; what is finished is kept, the same command goes on with the rest")
 
 
-@contextlib.contextmanager
-def _pool(width: int) -> Iterator[tuple[ProcessPoolExecutor, int]]:
-    with _safe_path():  # the pool starts its processes with its first tasks, and a helper before
-        pool = ProcessPoolExecutor(width, mp_context=mp.get_context("spawn"), initializer=_begin)
+class Inline(Executor):
+    """Runs each task in this process as soon as it is handed in."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """The result is there when this returns; an interrupt is not caught."""
+        future: Future[Any] = Future()
         try:
-            yield pool, width
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class _DiedError(Exception):
+    """A task's process died each time."""
+
+
+class Processes(Executor):
+    """Processes of our own; one that dies is replaced, and its task is run again.
+
+    They end at once when the `with` block does, whatever they are at, and when this process dies.
+
+    Parameters
+    ----------
+    n : int
+        Processes; they start with the first tasks.
+    """
+
+    def __init__(self, n: int) -> None:
+        self._threads = ThreadPoolExecutor(n)
+        self._all = [_Process() for _ in range(n)]
+        self._free: queue.SimpleQueue[_Process] = queue.SimpleQueue()
+        for process in self._all:
+            self._free.put(process)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Hand a task in; its function may be one of the caller's script."""
+        return self._threads.submit(self._run, cloudpickle.dumps((fn, args, kwargs)))
+
+    def _run(self, task: bytes) -> Any:
+        process = self._free.get()
+        try:
+            return process.run(task)
         finally:
-            pool.shutdown(cancel_futures=True)
+            self._free.put(process)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
+        """End the processes, whatever they are at."""
+        for process in self._all:
+            process.end()
+        self._threads.shutdown(wait=wait, cancel_futures=True)
+
+
+class _Process:
+    """A process that does one task after the other."""
+
+    def __init__(self) -> None:
+        self._process: Any = None
+        self._pipe: Any = None
+        self._ended = False
+
+    def run(self, task: bytes) -> Any:
+        """The result of a task; it is run again if the process dies."""
+        for _ in range(TRIES):
+            try:
+                self._start()
+                self._pipe.send_bytes(task)
+                done, found = self._pipe.recv()
+            except (EOFError, OSError):
+                if self._ended:
+                    raise CancelledError from None
+                self._stop()
+                continue
+            if done:
+                return found
+            raise found
+        raise _DiedError
+
+    def _start(self) -> None:
+        with _starting:
+            if self._ended:
+                raise EOFError
+            if self._process is None:
+                context = mp.get_context("spawn")
+                self._pipe, theirs = context.Pipe()
+                self._process = context.Process(target=_serve, args=(theirs,))
+                with _as_for_workers():
+                    self._process.start()
+                theirs.close()
+
+    def _stop(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.join()
+            self._pipe.close()
+            self._process = None
+
+    def end(self) -> None:
+        """Kill the process, which no further task starts again."""
+        with _starting:
+            self._ended = True
+            if self._process is not None:
+                self._process.kill()
+                self._process.join()
 
 
 @contextlib.contextmanager
-def _safe_path() -> Iterator[None]:
-    """Processes that start meanwhile do not search the working folder for modules, only the parent's path."""
+def _as_for_workers() -> Iterator[None]:
+    """Processes that start meanwhile do not search the working folder for modules, nor run the script again.
+
+    A json.py beside the data would be run, and a script without a guard for ``__main__`` would not survive.
+    """
     before = os.environ.get(_SAFE_PATH)
+    script = sys.modules["__main__"]
     os.environ[_SAFE_PATH] = "1"
+    sys.modules["__main__"] = types.ModuleType("__main__")
     try:
         yield
     finally:
+        sys.modules["__main__"] = script
         if before is None:
             del os.environ[_SAFE_PATH]
         else:
             os.environ[_SAFE_PATH] = before
 
 
-def _begin() -> None:
+def _serve(pipe: Connection) -> None:
+    """Main function of a process: tasks come through the pipe, and results go back."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    os.dup2(2, 1)  # whatever prints must not mix with what a command prints
+    while True:
+        try:
+            task = pipe.recv_bytes()
+        except (EOFError, OSError):
+            return
+        answer: tuple[bool, Any]
+        try:
+            work, args, kwargs = cloudpickle.loads(task)
+            answer = True, work(*args, **kwargs)
+        except Exception as error:
+            error.add_note(traceback.format_exc())
+            answer = False, error
+        try:
+            message = pickle.dumps(answer)
+            pickle.loads(message)
+        except Exception as error:
+            message = pickle.dumps((False, RuntimeError(f"{answer[1]!s:.500} cannot be sent: {error}")))
+        pipe.send_bytes(message)
 
 
 def _end_with_parent() -> None:
-    """A pool's process waits for its next job for ever when its parent is killed."""
+    """A process that is at work does not see that its parent was killed."""
     parent = mp.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
-
-
-def shard_of(jobs: Sequence[J], shard: tuple[int, int] | None) -> list[J]:
-    """Part i of n of the jobs, i from 1: every n-th, so that the n parts are disjoint and complete.
-
-    Parameters
-    ----------
-    jobs : sequence
-    shard : (i, n), optional
-        All of them without.
-
-    Raises
-    ------
-    ValueError
-        If i is not between 1 and n.
-
-    Examples
-    --------
-    >>> [shard_of("abcde", (i, 2)) for i in (1, 2)]
-    [['a', 'c', 'e'], ['b', 'd']]
-    """
-    if shard is None:
-        return list(jobs)
-    part, parts = shard
-    if not 1 <= part <= parts:
-        raise ValueError(f"shard {part}/{parts}: must be i/n with i from 1 to n")
-    return list(jobs[part - 1 :: parts])
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -1,0 +1,251 @@
+"""Checkpoints are data with digests: what is damaged is refused, what is cut off is made again."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import random
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pymc as pm
+import pytest
+
+from gaussian import SETTINGS, Doubling, gaussian_model
+from zoo.core.inference import pool
+from zoo.core.inference.checkpoint import CheckpointError, Folder
+from zoo.core.inference.memo import Found, Memo, to_line
+from zoo.core.inference.progress import Display
+from zoo.core.inference.record import RunRecord
+from zoo.core.inference.sampling import sample
+from zoo.core.outputs import OutputFileError
+
+FEW = {**SETTINGS, "cores": 0, "draws": 20, "tune": 250}
+FILES = ["run.json", "chain-0.memo", "chain-1.memo"]
+
+
+def same(one: Any, other: Any) -> None:
+    """All draws and statistics of two posteriors."""
+    for group in ("posterior", "sample_stats"):
+        for name in other[group].data_vars:
+            np.testing.assert_array_equal(one[group][name], other[group][name])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> tuple[Path, Any]:
+    """A checkpoint, and the draws of its run."""
+    folder = tmp_path_factory.mktemp("run") / "checkpoint"
+    return folder, sample(gaussian_model(), checkpoint=folder, **FEW)
+
+
+@pytest.fixture
+def mine(made: tuple[Path, Any], tmp_path: Path) -> Path:
+    """A copy of the checkpoint."""
+    return Path(shutil.copytree(made[0], tmp_path / "checkpoint"))
+
+
+def read_all(folder: Path) -> list[Any]:
+    """Everything that a resumed run reads."""
+    from zoo.core import digests
+
+    opened = Folder(folder)
+    try:
+        stored = opened.run()
+        assert stored is not None
+        run = digests.of_json(stored["identity"])
+        memos = [Memo(opened.chain(k), f"{run}, chain {k}") for k in range(2)]
+    finally:
+        opened.close()
+    for memo in memos:
+        memo.close()
+    return [stored, *(bytes(memo.lines) for memo in memos)]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_no_flipped_bit_goes_unseen(made: tuple[Path, Any], mine: Path, name: str) -> None:
+    """100 bits of each file, one at a time: refused by name with the remedy, but for the last line's end."""
+    whole = read_all(made[0])
+    raw = (mine / name).read_bytes()
+    rng = random.Random(name)
+    for _ in range(100):
+        damaged = bytearray(raw)
+        damaged[at := rng.randrange(len(raw))] ^= 1 << rng.randrange(8)
+        (mine / name).write_bytes(damaged)
+        if name != "run.json" and at == len(raw) - 1:
+            continue
+        with pytest.raises(CheckpointError, match=r"start afresh|another version") as caught:
+            read_all(mine)
+        assert str(caught.value).startswith(str(mine))
+        assert "\n" not in str(caught.value)
+    (mine / name).write_bytes(raw)
+    assert read_all(mine) == whole
+
+
+def test_what_is_cut_off_is_solved_again_and_nothing_else(made: tuple[Path, Any], mine: Path) -> None:
+    """A memo cut in its first, a middle and its last line; run.json cut is refused."""
+    file = mine / "chain-0.memo"
+    raw = file.read_bytes()
+    for n in (0, 10, len(raw) // 2, len(raw) - 1):
+        file.write_bytes(raw[:n])
+        model = gaussian_model()
+        same(sample(model, checkpoint=mine, **FEW), made[1])
+        assert file.read_bytes() == raw
+    (mine / "run.json").write_bytes((mine / "run.json").read_bytes()[:-9])
+    with pytest.raises(CheckpointError, match=r"run\.json: cannot be read; remove the folder"):
+        sample(gaussian_model(), checkpoint=mine, **FEW)
+
+
+def test_no_solve_is_made_twice(tmp_path: Path) -> None:
+    """Of the chains none; three of the identity, and some of the checks at the mode."""
+    counted: list[Doubling] = []
+
+    class Counted(Doubling):
+        def perform(self, node, inputs, output_storage):
+            counted.append(self)
+            super().perform(node, inputs, output_storage)
+
+    def model() -> pm.Model:
+        with pm.Model() as made:
+            a = pm.Normal("a", 0.3, 1.0, shape=2)
+            x, ok = Counted(limit=0.0)(a)
+            pm.Potential("solved", pm.math.switch(pm.math.eq(ok, 1), 0.0, -np.inf))
+            pm.Deterministic("twice", x)
+        return made
+
+    first = sample(model(), checkpoint=tmp_path / "c", **FEW)
+    assert len(counted) > 2 * (250 + 2 * 20)
+    counted.clear()
+    again = sample(model(), checkpoint=tmp_path / "c", **FEW)
+    same(again, first)
+    assert len(counted) < 10
+    one, two = RunRecord.of(first), RunRecord.of(again)
+    assert (one.solves, one.failures, one.mode_evaluations) == (
+        two.solves,
+        two.failures,
+        two.mode_evaluations,
+    )
+    assert two.sittings == 2
+    assert one.failures["collapse"] > 0
+
+
+def test_memos_of_other_chains_and_runs_are_refused(mine: Path, tmp_path: Path) -> None:
+    wrong = r"line 1 is damaged, or of another run or chain; remove the folder to start afresh"
+    raw = (mine / "chain-1.memo").read_bytes()
+    shutil.copy(mine / "chain-0.memo", mine / "chain-1.memo")
+    with pytest.raises(CheckpointError, match=rf"chain-1\.memo: {wrong}"):
+        sample(gaussian_model(), checkpoint=mine, **FEW)
+    (mine / "chain-1.memo").write_bytes(raw)
+    sample(gaussian_model(), checkpoint=tmp_path / "other", **{**FEW, "seed": 12})
+    shutil.copy(tmp_path / "other" / "chain-0.memo", mine / "chain-0.memo")
+    with pytest.raises(CheckpointError, match=rf"chain-0\.memo: {wrong}"):
+        sample(gaussian_model(), checkpoint=mine, **FEW)
+
+
+class Bomb:
+    def __init__(self, marker: Path) -> None:
+        self.marker = marker
+
+    def __reduce__(self):
+        return Path.touch, (self.marker,)
+
+
+def test_a_crafted_checkpoint_runs_nothing(mine: Path, tmp_path: Path) -> None:
+    """Pickles under every name, also as an array of objects in a line whose digest fits."""
+    marker = tmp_path / "marker"
+    bomb = pickle.dumps(Bomb(marker))
+    pickle.loads(bomb)
+    assert marker.exists()  # it would work
+    marker.unlink()
+    for name in FILES:
+        raw = (mine / name).read_bytes()
+        (mine / name).write_bytes(bomb + b"\n")
+        with pytest.raises(CheckpointError, match=name):
+            sample(gaussian_model(), checkpoint=mine, **FEW)
+        (mine / name).write_bytes(raw)
+    objects = to_line("run", b"key", Found((np.array([Bomb(marker)], dtype=object),)))
+    (tmp_path / "memo").write_bytes(objects)
+    with pytest.raises(CheckpointError, match="line 1 cannot be read"):
+        Memo(tmp_path / "memo", "run")
+    assert not marker.exists()
+
+
+@pytest.mark.parametrize("name", ["lock", "run.json", "chain-0.memo", "solves.memo"])
+@pytest.mark.parametrize("there", [True, False])
+def test_a_link_in_a_checkpoint_is_not_written_through(tmp_path: Path, name: str, there: bool) -> None:
+    elsewhere, checkpoint = tmp_path / "thesis.tex", tmp_path / "checkpoint"
+    checkpoint.mkdir()
+    (checkpoint / name).symlink_to(elsewhere)
+    if there:
+        elsewhere.write_text("years of work")
+    with pytest.raises(OutputFileError, match=f"{name}: is a link") as caught:
+        Folder(checkpoint)
+    assert "\n" not in str(caught.value)
+    assert elsewhere.exists() == there
+    assert not there or elsewhere.read_text() == "years of work"
+
+
+def test_a_folder_that_is_a_link_is_not_followed(mine: Path, tmp_path: Path) -> None:
+    link, before = tmp_path / "link", sorted(mine.iterdir())
+    link.symlink_to(mine)
+    with pytest.raises(OutputFileError, match="link: is a link; give the folder itself"):
+        sample(gaussian_model(), checkpoint=link, **FEW)
+    assert sorted(mine.iterdir()) == before
+
+
+def test_a_folder_or_a_pipe_in_a_checkpoint_is_named(tmp_path: Path) -> None:
+    (tmp_path / ".zoo-x.part").mkdir()
+    with pytest.raises(OutputFileError, match=r"\.zoo-x\.part: is a link, or no file"):
+        Folder(tmp_path)
+    (tmp_path / ".zoo-x.part").rmdir()
+    os.mkfifo(tmp_path / "lock")  # opened for writing, it waits for ever
+    with pytest.raises(OutputFileError, match="lock: is a link, or no file"):
+        Folder(tmp_path)
+
+
+def test_a_checkpoint_of_another_version_is_refused_by_name(mine: Path) -> None:
+    stored = json.loads((mine / "run.json").read_text())
+    for written in (1, 5, None):
+        stored["identity"]["format"] = written
+        (mine / "run.json").write_text(json.dumps(stored))
+        with pytest.raises(CheckpointError, match=f"written by another version of zoo .format {written},"):
+            sample(gaussian_model(), checkpoint=mine, **FEW)
+
+
+@pytest.mark.parametrize("options", [{}, {"crank_nicolson": 0.0, "constrained": 0.0, "tune": "lambda"}])
+def test_a_run_that_is_interrupted_resumes_with_identical_draws(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict
+) -> None:
+    """Cut after its first refit at 200 steps."""
+    settings = {**FEW, "step_options": options, "draws": 40, "tune": 450}
+    whole = sample(gaussian_model(), **settings)
+
+    def interrupt(self: pool.Chains, until: int) -> None:
+        if self.states[1].steps == 230:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(pool, "SLICE_S", 0.0)  # one step
+        patched.setattr(pool.Chains, "_show", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            sample(gaussian_model(), checkpoint=tmp_path / "c", **settings)
+    again = sample(gaussian_model(), checkpoint=tmp_path / "c", **settings)
+    same(again, whole)
+
+
+def test_work_of_unknown_length_says_how_far_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    import time
+
+    done = iter(range(1000))
+    with (
+        Display(True, every_s=0.01) as show,
+        show.during("finding the mode", lambda: f"{next(done)} evaluations"),
+    ):
+        time.sleep(0.2)
+    told = capsys.readouterr().err.splitlines()
+    assert told[1].startswith("finding the mode: 1 evaluations, 0 s so far")
+    with Display(False, every_s=0.01) as show, show.during("nothing", str):
+        time.sleep(0.05)
+    assert capsys.readouterr().err == ""
