@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
@@ -37,51 +36,6 @@ def test_errors_of_values_name_the_option(arguments, message, tmp_path) -> None:
 def test_errors_of_the_solvers_values_name_the_option() -> None:
     stiff = ["simulate", "demo", "--stiffness", "5e4"]
     assert "--psi1 -3: must be positive" in fails(*stiff, "--psi1", -3)
-
-
-COMMANDS: dict[str, list[str]] = {
-    "simulate": ["simulate", "demo", "--stiffness", "5e4", "-o", "pipe.nc"],
-    "plot": ["simulate", "demo", "--stiffness", "5e4", "--plot", "pipe.png"],
-    "sample": ["sample", "A", "demo", "-o", "pipe.nc"],
-    "compare": ["compare", "demo", "-o", "pipe"],
-    "a file of compare": ["compare", "demo", "-o", "holds"],
-    "report": ["report", "demo", "-o", "pipe"],
-    "diagnose": ["diagnose", "demo", "-o", "pipe", "-q"],
-    "a file of diagnose": ["diagnose", "demo", "-o", "holds", "-q"],
-    "priors": ["priors", "demo", "-o", "pipe"],
-    "import": ["import", "net.yaml", "-o", "pipe"],
-    "reproduce": ["reproduce", "-o", "pipe"],
-    "make": ["blind", "make", "pipe", "-q"],
-    "key": ["blind", "make", "cases", "--key", "pipe", "-q"],
-    "run": ["blind", "run", "cases", "-o", "pipe", "-q"],
-    "score": ["blind", "score", "answers", "-o", "pipe"],
-}
-"""Commands with a pipe, or a folder that holds one, where they write."""
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_refuses_what_is_no_file_before_the_work(name, tmp_path, monkeypatch) -> None:
-    def never(*arguments, **settings):
-        raise AssertionError("the work began")
-
-    for work in (
-        "zoo.blood.solver.Solver.solve",
-        "zoo.core.posterior.files.sample",
-        "zoo.report.gather",
-        "zoo.blood.importing.openbf.import_openbf",
-        "zoo.blood.blind.make_cases",
-        "zoo.blood.blind.diagnose_cases",
-        "zoo.blood.blind.score_cases",
-    ):
-        monkeypatch.setattr(work, never)
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "holds").mkdir()
-    pipes = ["pipe", "pipe.nc", "pipe.png", "holds/comparison.csv", "holds/diagnosis.json"]
-    for pipe in pipes:
-        os.mkfifo(pipe)
-    assert "is a pipe" in fails(*COMMANDS[name])
-    assert all(Path(pipe).is_fifo() for pipe in pipes)
-    assert sorted(os.listdir()) == ["holds", "pipe", "pipe.nc", "pipe.png"]
 
 
 def test_strict_ends_with_its_own_code_and_still_writes(tiny: Path, tmp_path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -188,9 +189,10 @@ def test_no_input_and_no_file_of_others_is_an_output(command: str, world: Path) 
     files = [Path("diary.txt")]
     for one in given.values():
         files += [one] if one.is_file() else [path for path in one.rglob("*") if path.is_file()]
-    targets = [*files, Path("link.nc"), Path("hard.png")]
+    targets = [*files, Path("link.nc"), Path("hard.png"), Path("pipe.nc")]
     Path("link.nc").symlink_to(files[-1])
     Path("hard.png").hardlink_to(files[-1])
+    os.mkfifo("pipe.nc")
     for name, one in given.items():
         if one.is_dir() and Role.SEARCHED not in parameters[name]:
             targets += [one, one / "new.nc", one / ".." / one.name / "new"]
@@ -208,15 +210,21 @@ def test_files_of_others_in_a_folder_of_results_stay(
     for plugins in ("add_effects", "load_models"):
         monkeypatch.setattr(f"zoo.blood.plugins.{plugins}", lambda path: None)
     Path("out").mkdir()
+    words = ["compare", "study", "-o", "out"] if command == "compare" else words_of(command, "output", "out")
     for name in FOREIGN[command]:
-        (Path("out") / name).write_text("mine")
-        before = state(world)
-        for fresh in ([], ["--fresh"]):
-            words = words_of(command, "output", "out")
-            said = fails(*(["compare", "study", "-o", "out"] if command == "compare" else words), *fresh)
-            assert f"--output out/{name}: is there, and not as zoo wrote it" in said
-        assert state(world) == before
-        (Path("out") / name).unlink()
+        path = Path("out") / name
+        for make, said in (
+            (lambda one: one.write_text("mine"), "not as zoo wrote it"),
+            (os.mkfifo, "a pipe"),
+        ):
+            make(path)
+            before = state(world)
+            for fresh in ([], ["--fresh"]):
+                line = fails(*words, *fresh)
+                assert f"--output {path}: is " in line
+                assert said in line
+            assert state(world) == before
+            path.unlink()
 
 
 def test_a_run_replaces_its_own_files_and_no_other_run_does(tiny: Path, tmp_path: Path, monkeypatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import re
 import shlex
 import sys
@@ -64,7 +65,6 @@ FreshOption = Annotated[
     typer.Option(
         "--fresh", help="Begin anew, and replace what zoo wrote there in other runs; nothing else, ever."
     ),
-    Role.ASIDE,
 ]
 
 
@@ -119,7 +119,8 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
                 with _run_of(function.__name__.strip("_"), asked, roles, flags) as this:
                     for name in (name for name, role in roles.items() if Role.WRITES in role):
                         if asked[name] is not None:
-                            this.add(asked[name].resolve(), f"{flags.get(name, '')} {asked[name]}".strip())
+                            real = Path(os.path.realpath(asked[name]))
+                            this.add(real, f"{flags.get(name, '')} {asked[name]}".strip())
                     function(**given)
         except typer.Exit:
             raise
@@ -177,7 +178,7 @@ def _run_of(
     identity: dict[str, Any] = {"command": name}
     for option, value in given.items():
         role = roles.get(option, (Role.ASIDE,))
-        if value is None or Role.WRITES in role:
+        if value is None or Role.WRITES in role or option == "fresh":
             continue
         same: list[Any] = []
         for one in value if isinstance(value, list) else [value]:
