@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -164,59 +164,45 @@ def _compare_on(
 def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
     from rich.text import Text
 
+    def each(text: str, when: Callable[[Any], bool], style: str = "", before: str = "") -> list[Any]:
+        """A line for each model of which something is so."""
+        told = [(model, row) for model, row in table.iterrows() if when(row)]
+        return [Text(f"{before}model {model}: {text.format(**row)}", style=style) for model, row in told]
+
     name = {"waic": "WAIC", "loo": "PSIS-LOO"}[criterion]
-    title = f"{study.name}: models by {name}, lower is better"
-    shown = plain_table(title=title)
+    columns = {
+        "WAIC": ("waic", ".1f"),
+        "SE": ("waic_se", ".1f"),
+        "as one": ("waic_one_observation", ".1f"),
+        "PSIS-LOO": ("loo", ".1f"),
+        "diff.": ("difference", ".1f"),
+        "its SE": ("difference_se", ".1f"),
+        "weight": ("weight", ".2f"),
+    } | {f"SSE ({unit})": (sse, ".3g") for sse, unit in table.attrs["sums_of_squares"].items()}
+    shown = plain_table(title=f"{study.name}: models by {name}, lower is better")
     shown.add_column("model", no_wrap=True)
-    for column in ("WAIC", "SE", "as one", "PSIS-LOO", "diff.", "its SE", "weight"):
-        shown.add_column(column, justify="right", no_wrap=True)
-    sums = table.attrs["sums_of_squares"]
-    for column in (*(f"SSE ({unit})" for unit in sums.values()), "converged"):
+    for column in (*columns, "converged"):
         shown.add_column(column, justify="right", no_wrap=True)
     for model, row in table.iterrows():
-        shown.add_row(
-            str(model),
-            f"{row['waic']:.1f}",
-            f"{row['waic_se']:.1f}",
-            f"{row['waic_one_observation']:.1f}",
-            f"{row['loo']:.1f}",
-            f"{row['difference']:.1f}",
-            f"{row['difference_se']:.1f}",
-            f"{row['weight']:.2f}",
-            *(f"{row[name]:.3g}" for name in sums),
-            "yes" if row["converged"] else "no",
-        )
-    legend = (
+        cells = [f"{row[field]:{form}}" for field, form in columns.values()]
+        shown.add_row(str(model), *cells, "yes" if row["converged"] else "no")
+    return [
+        shown,
+        *each("{at_bounds}", lambda row: row["at_bounds"] and row["converged"], "yellow", "warning: "),
         "as one: WAIC with the whole series as one observation, which has no standard error; WAIC is of terms"
-        " given the past, PSIS-LOO of terms given all other samples: each ranks models, do not mix the two"
-    )
-    standing = [f"model {model}: {row['standing']}" for model, row in table.iterrows() if row["rank"] > 0]
-    unsure = [
-        f"model {model}: {row['pareto_k_bad']} points with Pareto k > 0.7: do not trust PSIS-LOO there"
-        for model, row in table.iterrows()
-        if row["pareto_k_bad"] > 0
+        " given the past, PSIS-LOO of terms given all other samples: each ranks models, do not mix the two",
+        *each("{standing}", lambda row: row["rank"] > 0),
+        *each(
+            "{pareto_k_bad} points with Pareto k > 0.7: do not trust PSIS-LOO there",
+            lambda row: row["pareto_k_bad"] > 0,
+        ),
+        *each(
+            "WAIC has terms whose log-likelihood has a variance above 0.4, it may be too low",
+            lambda row: row["waic_warning"],
+        ),
+        *each("not informed by the data, posterior like prior: {uninformed}", lambda row: row["uninformed"]),
+        *each("{convergence}", lambda row: not row["converged"], "yellow"),
     ]
-    unsure += [
-        f"model {model}: WAIC has terms whose log-likelihood has a variance above 0.4, it may be too low"
-        for model, row in table.iterrows()
-        if row["waic_warning"]
-    ]
-    notes = [
-        Text(f"model {name}: {row['convergence']}", style="yellow")
-        for name, row in table.iterrows()
-        if not row["converged"]
-    ]
-    leaning = [
-        Text(f"warning: model {name}: {row['at_bounds']}", style="yellow")
-        for name, row in table.iterrows()
-        if row["at_bounds"] and row["converged"]
-    ]
-    like_prior = [
-        f"model {name}: not informed by the data, posterior like prior: {row['uninformed']}"
-        for name, row in table.iterrows()
-        if row["uninformed"]
-    ]
-    return [shown, *leaning, legend, *standing, *unsure, *like_prior, *notes]
 
 
 def _figures(
