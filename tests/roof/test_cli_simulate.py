@@ -165,6 +165,10 @@ def test_simulate_conventions_and_numerical_settings(tiny: Path) -> None:
             ("--stiffness", "5e4", "--accuracy", "1", "--set", DX),
             "accuracy_percent and dx_cm are two ways to say",
         ),
+        (
+            ("--stiffness", "5e4", "--set", "vessel.stiffness_g_cm_s2=4e4"),
+            "--set vessel.stiffness_g_cm_s2: --stiffness or --f3 stands in its place",
+        ),
         (("--stiffness", "5e4", "--times", "1"), "--times 1: give at least 2"),
         (("--stiffness", "5e4", "-o", "waves.txt"), "unknown ending '.txt'; use .nc or .csv"),
         (("--stiffness", "5e4", "-o", "nowhere/waves.nc"), "folder nowhere does not exist"),

@@ -83,6 +83,11 @@ def simulate(
         raise UsageError("--gamma belongs to the tangent wall: add --wall tangent, or leave it out")
     given = _stiffness(stiffness, f1, f2, f3, loaded)
     if given is not None:
+        for key in options.changes():
+            if key.removeprefix("vessel.") in (*WALLS, "stiffness_g_cm_s2"):
+                raise UsageError(
+                    f"--set {key}: --stiffness or --f3 stands in its place; leave one of them out"
+                )
         walls: list[dict[str, Any]] = [dict.fromkeys(WALLS) | {"stiffness_g_cm_s2": value} for value in given]
         vessels = tuple(replace(v, **wall) for v, wall in zip(loaded.vessels, walls, strict=True))
         check_physics(vessels, radius_pressure_mmHg=loaded.radius_pressure_mmHg)

@@ -73,6 +73,8 @@ class Run:
             raise OutputFileError(f"{record}: is a link, or no file; remove it")
         if real.is_file():
             self._check_made(record, real, named)
+        elif real.exists() and not real.is_dir():
+            raise OutputFileError(f"{named}: is {_kind(real.stat().st_mode)}; choose another path")
         if content is not None:
             line = {"file": real.name, "sha256": hashlib.sha256(content).hexdigest(), "run": self.identity}
             with record.open("a", encoding="utf-8") as file:
