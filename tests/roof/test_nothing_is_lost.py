@@ -227,6 +227,14 @@ def test_files_of_others_in_a_folder_of_results_stay(
             path.unlink()
 
 
+@pytest.mark.parametrize("command", ["report", "compare"])
+def test_posteriors_of_the_working_folder_are_read_too(command: str, world: Path, monkeypatch) -> None:
+    monkeypatch.chdir(world / "posteriors")
+    before = state(world)
+    assert "--output A.nc: is read here" in fails(command, "demo", "-o", "A.nc", "--fresh")
+    assert state(world) == before
+
+
 def test_a_run_replaces_its_own_files_and_no_other_run_does(tiny: Path, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     solve = "simulate", tiny, "--times", 16, "-o", "w.nc", "--stiffness"

@@ -55,7 +55,8 @@ class Role(Enum):
     STUDY = auto()
     """Studies, which are read: built-in names or folders."""
     SEARCHED = auto()
-    """Files, or folders in which posteriors are looked for; other files may be written beside these."""
+    """Files, or folders in which posteriors are looked for, the working folder if absent; other files may be
+    written beside these."""
     ASIDE = auto()
     """With another value it is the same run."""
 
@@ -178,6 +179,7 @@ def _run_of(
     identity: dict[str, Any] = {"command": name}
     for option, value in given.items():
         role = roles.get(option, (Role.ASIDE,))
+        value = [Path()] if value is None and Role.SEARCHED in role else value
         if value is None or Role.WRITES in role or option == "fresh":
             continue
         same: list[Any] = []

@@ -133,7 +133,7 @@ def diagnose(
         written = write_diagnosis(found, output, command=typed_command())
         if posteriors:  # takes longer and may be stopped: what was found is on disk
             folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
-            folder.mkdir(parents=True, exist_ok=True)
+            output_folder(folder, option="--output", deep=True).mkdir(parents=True, exist_ok=True)
             tell.say(f"{found.file.verdict}; {output}/report.html is written, its posteriors follow")
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
             tell("figures and page", 1.0)
