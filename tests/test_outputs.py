@@ -13,7 +13,7 @@ import arviz as az
 import numpy as np
 import pytest
 
-from zoo.core.outputs import OutputFileError, output_file, output_folder, write_file
+from zoo.core.outputs import OutputFileError, Run, output_file, output_folder, write_file
 from zoo.core.posterior.storage import load, save
 
 AS_ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
@@ -33,9 +33,9 @@ def circle(path: Path) -> None:
 
 SPECIAL: dict[str, tuple[Callable[[Path], object], str]] = {
     "folder": (Path.mkdir, "is a folder; give a file in it"),
-    "pipe": (os.mkfifo, "is a pipe, not a file"),
-    "socket": (listening, "is a socket, not a file"),
-    "device": (device, "is a device, not a file"),
+    "pipe": (os.mkfifo, "is a pipe; choose another path"),
+    "socket": (listening, "is a device or a socket; choose"),
+    "device": (device, "is a device or a socket; choose"),
     "circle": (circle, "cannot be written .*symbolic links"),
 }
 
@@ -59,7 +59,9 @@ def test_only_regular_files_are_replaced(tmp_path, monkeypatch, kind):
 def test_a_folder_of_results_is_a_folder(tmp_path, monkeypatch, kind):
     monkeypatch.chdir(tmp_path)
     SPECIAL[kind][0](Path("out"))
-    with pytest.raises(OutputFileError, match=r"--output out: (is a \w+; give a folder|cannot be written)"):
+    with pytest.raises(
+        OutputFileError, match=r"--output out: (is a [a-z ]+; give a folder|cannot be written)"
+    ):
         output_folder("out", option="--output")
 
 
@@ -86,10 +88,11 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
 def test_what_is_read_is_not_replaced_and_what_is_private_is_the_owner_s(tmp_path):
     (tmp_path / "inflow.csv").write_text("flow")
     (tmp_path / "same.csv").symlink_to(tmp_path / "inflow.csv")
-    for name in ("inflow.csv", "same.csv"):
-        with pytest.raises(OutputFileError, match=rf"-o .*{name}: is a file that is read here"):
-            output_file(tmp_path / name, "-o", [tmp_path / "gone.csv", tmp_path / "inflow.csv"])
-    output_file(tmp_path / "waves.csv", "-o", [tmp_path / "inflow.csv"])
+    with Run({}, [tmp_path / "gone.csv", tmp_path / "inflow.csv"], fresh=True):
+        for name in ("inflow.csv", "same.csv"):
+            with pytest.raises(OutputFileError, match=rf"-o .*{name}: is read here; choose another path"):
+                output_file(tmp_path / name, "-o")
+        output_file(tmp_path / "waves.csv", "-o")
     write_file(tmp_path / "key.json", "secret", private=True)
     assert (tmp_path / "key.json").stat().st_mode & 0o777 == 0o600
 

@@ -50,7 +50,9 @@ def test_it_says_what_it_read_and_the_next_command(yaml: Path, tmp_path: Path) -
     assert "left out: M of 1 vessels" in said
     assert said.strip().endswith(f"next: zoo simulate {tmp_path / 'study'}")
     assert load_study(tmp_path / "study").name == "tube"
-    assert "holds a study already" in fails("import", yaml, "-o", tmp_path / "study")
+    assert run("import", yaml, "-o", tmp_path / "study") == said
+    (tmp_path / "study" / "study.toml").write_text("mine")
+    assert "study.toml: is there, and not as zoo wrote it" in fails("import", yaml, "-o", tmp_path / "study")
 
 
 def test_a_table_needs_its_inflow(tmp_path: Path) -> None:
@@ -73,7 +75,6 @@ def test_wrong_files_and_options(yaml: Path, tmp_path: Path) -> None:
     assert "belongs to a .csv" in fails("import", yaml, *out, "--period", 1.0)
     assert "unknown ending '.dat'" in fails("import", tmp_path / "tube_inlet.dat", *out)
     assert "no such file" in fails("import", tmp_path / "absent.yaml", *out)
-    assert "is a file; give a folder" in fails("import", yaml, "-o", yaml)
     yaml.write_text(NETWORK.replace("gamma_profile", "gama_profile"))
     assert "row 16: vessel trunk: gama_profile: unknown key; did you mean gamma_profile?" in fails(
         "import", yaml, *out

@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import pytest
 import typer
+from commands import fails
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from zoo.blood.conventions import SWITCHES
 from zoo.blood.study import load_study
-from zoo.blood.study.tables import NumericsTable
 from zoo.cli import app
 from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import NUMERICAL_NAMES, ConventionOptions, NumericalOptions, SamplingOptions
+from zoo.cli.options import SamplingOptions, StudyOptions
 
 
-def probe(words: list[str]) -> tuple[ConventionOptions, SamplingOptions]:
+def probe(words: list[str]) -> tuple[StudyOptions, SamplingOptions]:
     """What a command gets that is called with these words."""
     got = []
 
     @command
-    def look(
-        *,
-        conventions: ConventionOptions,
-        sampling: Annotated[SamplingOptions, Without("thin")],
-    ) -> None:
-        got.append((conventions, sampling))
+    def look(*, options: StudyOptions, sampling: Annotated[SamplingOptions, Without("thin")]) -> None:
+        got.append((options, sampling))
 
     tried = typer.Typer()
     tried.command()(look)
@@ -37,59 +32,60 @@ def probe(words: list[str]) -> tuple[ConventionOptions, SamplingOptions]:
     return got[0]
 
 
-def test_options_are_named_as_what_they_set() -> None:
-    assert {field.name for field in fields(ConventionOptions)} == {"conventions", *SWITCHES}
-    assert {field.name for field in fields(NumericalOptions)} == set(NUMERICAL_NAMES)
-    assert set(NUMERICAL_NAMES) <= set(NumericsTable.model_fields)
-
-
-def test_options_take_the_place_of_the_study_s_numerics() -> None:
-    study = replace(load_study("demo"), numerics={"dx_cm": 0.025, "max_beats": 40})
-    assert NumericalOptions().on(study) is study
-    assert NumericalOptions(dx_cm=0.05).on(study).numerics == {"dx_cm": 0.05, "max_beats": 40}
-    assert NumericalOptions(accuracy_percent=0.1).on(study).numerics == {
-        "accuracy_percent": 0.1,
-        "max_beats": 40,
-    }
-    given = NumericalOptions(accuracy_percent=0.1, steps_per_beat=1024)
-    assert given.words() == ["--accuracy", "0.1", "--steps", "1024"]
-
-
-@pytest.mark.parametrize("name", ["simulate", "sample", "compare", "diagnose"])
-def test_the_resolution_is_an_option_of_every_command_that_solves(name: str) -> None:
+@pytest.mark.parametrize("name", ["simulate", "priors", "sample", "compare", "diagnose", "report"])
+def test_settings_are_options_of_every_command_on_a_study(name: str) -> None:
     options = {p.name for p in get_command(app).commands[name].params}  # type: ignore[attr-defined]
-    assert set(NUMERICAL_NAMES) <= options
+    assert {"settings", "accuracy", "prior"} <= options
 
 
-@pytest.mark.parametrize("name", ["simulate", "sample", "compare", "diagnose"])
-def test_every_switch_is_an_option_of_every_command_on_a_study(name: str) -> None:
-    options = {p.name for p in get_command(app).commands[name].params}  # type: ignore[attr-defined]
-    assert {field.name for field in fields(ConventionOptions)} <= options
+def test_what_is_set_takes_the_place_of_the_study_s_own() -> None:
+    words = ["--set", "conventions.friction=rest", "--set", "conventions=published-code", "--accuracy", "0.1"]
+    study = probe([*words, "--set", "numerics.max_beats=40", "--prior", "c=uniform(1,2)"])[0].load("demo")
+    assert study.conventions.name == "custom (published-code with friction=rest)"
+    assert study.numerics == {"accuracy_percent": 0.1, "max_beats": 40}  # not the demo's dx_cm too
+    assert study.priors["c"] == {"uniform": [1.0, 2.0]}
+    assert probe([])[0].load("demo") == load_study("demo")
 
 
-def test_the_words_of_options_give_the_same_options_back() -> None:
-    given = ConventionOptions(
-        conventions="published-code",
-        wall_factor=2.5,
-        stiffness_radius_unit_cm=0.1,
-        friction="fixed",
-        friction_radius_cm=0.05,
-        truncate_lengths=False,
-        mmhg=1333.22,
-        sample_lag_beats=0.25,
-    )
-    assert probe(given.words())[0] == given
-    assert probe(["--truncate-lengths"])[0].words() == ["--truncate-lengths"]
-    assert ConventionOptions().words() == probe([])[0].words() == []
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("friction", "--set 'friction': write KEY=VALUE, such as conventions.friction=rest"),
+        ("frictio=rest", "'frictio': no field of a study"),
+        (
+            "numerics.dx=1",
+            "study.toml with numerics.dx=1: numerics: dx: unknown field; did you mean 'dx_cm'?",
+        ),
+        ("numerics.dx_cm=-1", "numerics: dx_cm = -1: must be positive"),
+        ("numerics.accuracy_percent=40", "accuracy_percent = 40: must be below 10"),
+        (
+            "conventions=printd",
+            "with conventions=printd: conventions: name = 'printd': unknown; did you mean 'p",
+        ),
+        ("conventions.friction=none", "friction = 'none': unknown; use one of current, rest, fixed"),
+        (
+            "junctions.pressure=both",
+            "network.toml with junctions.pressure=both: junctions: pressure = 'both'",
+        ),
+        ("vessel.youngs_modulus_g_cm_s2=4e6", "youngs_modulus_g_cm_s2 = 4000000.0: needs wall_thickness_cm"),
+        ("blood.velocity_profile_order=0", "blood: velocity_profile_order = 0: must be positive"),
+        ("blood.momentum_correction=0.5", "momentum_correction = 0.5: must be at least 1"),
+        ("vessel.resistance=-3", ": resistance = -3: must be positive"),
+        ("vessel=3", "vessel: is set field by field, such as vessel.radius_cm=0.05"),
+        (
+            "vessel.radius_cm=1,2",
+            "vessel.radius_cm: 2 values; give one for all vessels, or one for each of the 21",
+        ),
+        ("name.x=1", "name.x: name = 'demo': is no table; set name itself"),
+    ],
+)
+def test_a_setting_that_cannot_be_used_is_one_line(setting: str, message: str) -> None:
+    assert message in fails("simulate", "demo", "--stiffness", "5e4", "--set", setting)
 
 
-def test_conventions_are_a_name_switches_or_both() -> None:
-    printed = ConventionOptions().load("demo").conventions
-    both = ConventionOptions(conventions="published-code", wall_factor=2.0).load("demo").conventions
-    assert both.name == "custom (published-code with wall_factor=2.0)"
-    one = ConventionOptions(friction="rest").load("demo").conventions
-    assert one == printed.replace(friction="rest")
-    assert ConventionOptions(conventions="published-code").load("demo").conventions.name == "published-code"
+def test_a_setting_is_given_once() -> None:
+    with pytest.raises(UsageError, match="--set name=b: name was given before; give it once"):
+        StudyOptions(settings=["name=a", "name=b"]).changes()
 
 
 def test_sampling_goes_on_until_converged_unless_draws_are_given() -> None:
@@ -111,7 +107,7 @@ def test_a_group_leaves_out_what_a_command_does_not_have() -> None:
     assert CliRunner().invoke(app, ["compare", "demo", "--thin", "3"]).exit_code == 2
     options = {p.name for p in get_command(app).commands["compare"].params}  # type: ignore[attr-defined]
     assert {"draws", "cores", "seed", "until"} <= options
-    assert not {"chains", "thin", "resume"} & options
+    assert not {"thin"} & options
 
 
 def test_two_options_of_one_name_are_refused() -> None:
@@ -123,5 +119,5 @@ def test_two_options_of_one_name_are_refused() -> None:
         raise AssertionError
 
     twice.__annotations__["group"] = Group
-    with pytest.raises(AssertionError, match="twice: two options named seed"):
+    with pytest.raises(TypeError, match="twice: two options named seed"):
         command(twice)

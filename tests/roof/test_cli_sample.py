@@ -16,8 +16,6 @@ from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import find
 from zoo.core.posterior.storage import load
 
-"""The commands, run as a user runs them, on a tree of three vessels."""
-
 QUICK = ("--draws", 60, "--tune", 150, "--chains", 2, "--cores", 2, "--seed", 3)
 
 
@@ -49,12 +47,18 @@ def test_sample_writes_the_posterior_and_a_verdict(sampled: tuple[Path, str], ti
 def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Path) -> None:
     path, _ = sampled
     assert path.with_suffix(".checkpoint").is_dir()
-    refused = fails("sample", "A", tiny, "-o", path, "--thin", 3, *QUICK)
+    refused = fails("sample", "a", tiny, "-o", path, "--thin", 3, *QUICK)
+    assert "is of another run: --thin was 2, here it is 3; add --fresh to replace it" in refused
+    few = "sample", "a", tiny, "-o", path, "--thin", 2, *QUICK[2:], "--draws", 10
+    assert "holds 60 draws of each chain, which this run would replace by others; add --fresh" in fails(*few)
+    path.rename(path.with_suffix(".kept"))
+    refused = fails("sample", "a", tiny, "-o", path, "--thin", 3, *QUICK)
+    path.with_suffix(".kept").rename(path)
     assert "thin is 2 there and 3 here" in refused
     assert "--fresh removes it" in refused
     more = path.with_name("A.nc")
     before = load(path).posterior.c.to_numpy()
-    output = run("sample", "A", tiny, "-o", more, "--thin", 2, *QUICK[2:], "--draws", 80, "-q")
+    output = run("sample", "a", tiny, "-o", more, "--thin", 2, *QUICK[2:], "--draws", 80, "-q")
     after = load(more)
     assert after.posterior.sizes["draw"] == 80
     np.testing.assert_array_equal(after.posterior.c[:, :60], before)
@@ -70,6 +74,7 @@ def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Pat
         (("A", "--until", "ess=-1"), "write --until ess=400"),
         (("A", "--chains", "0"), "--chains 0: must be a whole number of at least 1"),
         (("A", "-o", "nowhere/A.nc"), "folder nowhere does not exist"),
+        (("A", "-o", "A.checkpoint"), "is the place of its own checkpoint; give a file such as A.other.nc"),
     ],
 )
 def test_sample_says_what_to_change(tiny: Path, tmp_path: Path, monkeypatch, arguments, message) -> None:
@@ -78,19 +83,29 @@ def test_sample_says_what_to_change(tiny: Path, tmp_path: Path, monkeypatch, arg
 
 
 def test_fresh_removes_only_a_checkpoint(tiny: Path, tmp_path: Path) -> None:
+    """One file of another kind, and nothing is removed; a link is not followed, with or without --fresh."""
     folder = tmp_path / "A.checkpoint"
+    words = "sample", "A", tiny, "-o", tmp_path / "A.nc", *QUICK
     folder.mkdir()
-    (folder / "diary.txt").write_text("mine")
-    (folder / "run.json").write_text("{}")
-    message = fails("sample", "A", tiny, "-o", tmp_path / "A.nc", "--fresh", *QUICK)
-    assert "holds files that are not a checkpoint's" in message
-    assert {"diary.txt", "run.json"} <= {f.name for f in folder.iterdir()}
+    (folder / "chain-0.memo").write_text("mine")
+    for name in ("chain-0.memo", "run.json", "diary.txt"):
+        (folder / name).write_text("mine")
+        if name != "run.json":
+            assert "holds files that are not a checkpoint's" in fails(*words, "--fresh")
+    assert {file.name for file in folder.iterdir()} - {"lock"} == {"chain-0.memo", "diary.txt", "run.json"}
+    folder.rename(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "diary.txt").unlink()
+    folder.symlink_to(tmp_path / "elsewhere")
+    for fresh in ([], ["--fresh"]):
+        assert f"{folder} is a link" in fails(*words, *fresh)
+    assert {file.name for file in folder.iterdir()} - {"lock"} == {"chain-0.memo", "run.json"}
 
 
 def test_fresh_does_not_take_a_checkpoint_from_a_running_job(tiny: Path, tmp_path: Path) -> None:
     from zoo.core.inference.checkpoint import Folder
 
     held = Folder(tmp_path / "A.checkpoint")
+    (held.path / "run.json").write_text("{}")
     message = fails("sample", "A", tiny, "-o", tmp_path / "A.nc", "--fresh", *QUICK)
     assert "another run is using this checkpoint folder" in message
     assert "--fresh" not in message
@@ -163,7 +178,16 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
     )
     assert "--n-draws 3" in fails("compare", tiny, "--n-draws", 3)
     changed = fails(
-        "compare", tiny, "--posteriors", path, "-o", tmp_path / "p", "--friction", "rest", "--models", "A,B"
+        "compare",
+        tiny,
+        "--posteriors",
+        path,
+        "-o",
+        tmp_path / "p",
+        "--set",
+        "conventions.friction=rest",
+        "--models",
+        "A,B",
     )
     assert "conventions is printed, here it is custom (printed with friction=rest)" in changed
     other = tmp_path / "other"

@@ -17,12 +17,13 @@ from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import load_study, save_study
 
+DX = f"numerics.dx_cm={SolverOptions.dx_cm}"
 SIMULATE = ("--stiffness", "5e4", "--psi1", "0.9", "--psi2", "1.1", "--c", "0.8")
 
 
 def test_simulate_writes_every_vessel_as_netcdf(tiny: Path, tmp_path: Path) -> None:
     path = tmp_path / "waves.nc"
-    output = run("simulate", tiny, *SIMULATE, "-o", path, "--times", 100, "--dx", SolverOptions.dx_cm)
+    output = run("simulate", tiny, *SIMULATE, "-o", path, "--times", 100, "--set", DX)
     study = load_study(tiny)
     network = Network.from_study(study)
     with xr.open_dataset(path) as waves:
@@ -89,7 +90,7 @@ def test_simulate_takes_the_parameters_of_any_model(tiny: Path, tmp_path: Path, 
     if "profile" in solve:
         solve = {"stiffness": stiffness_profile(Network.from_study(study).radius_in_cm, *solve["profile"])}
     wall = "tangent" if "gamma" in solve else "linear"
-    run("simulate", tiny, *options, "-o", tmp_path / "w.nc", "--dx", SolverOptions.dx_cm)
+    run("simulate", tiny, *options, "-o", tmp_path / "w.nc", "--set", DX)
     time_s = np.arange(512) * 0.11 / 512
     expected = (
         Solver.for_study(study, wall, series=[(2, 1.0)], times_s=time_s).solve(**solve).pressure_mmHg[0]
@@ -116,34 +117,21 @@ def test_simulate_per_vessel_values_follow_the_file_and_not_the_tree(tiny: Path,
             )
 
 
-def test_simulate_conventions_and_single_switches(tiny: Path, tmp_path: Path) -> None:
-    published = run("simulate", tiny, *SIMULATE, "--conventions", "published-code")
+def test_simulate_conventions_and_numerical_settings(tiny: Path) -> None:
+    def said(*settings: str) -> str:
+        return run("simulate", tiny, *SIMULATE, *(word for one in settings for word in ("--set", one)))
+
+    published, plain = said("conventions=published-code"), said()
     assert "conventions published-code" in published
-    one = run("simulate", tiny, *SIMULATE, "--friction", "rest")
+    one = said("conventions.friction=rest")
     assert "conventions custom (printed with friction=rest)" in one
-    both = run(
-        "simulate",
-        tiny,
-        *SIMULATE,
-        "--conventions",
-        "published-code",
-        "--true-lengths",
-        "--mmhg",
-        "1333.22",
-        "--sample-lag",
-        "0.25",
-    )
+    switches = "truncate_lengths=false", "mmhg=1333.22", "sample_lag_beats=0.25"
+    both = said("conventions=published-code", *(f"conventions.{switch}" for switch in switches))
     assert "published-code with truncate_lengths=False, mmhg=1333.22, sample_lag_beats=0.25" in both
-    plain = run("simulate", tiny, *SIMULATE)
     pressures = {re.search("pressure at the inlet.*", text).group() for text in (published, one, both, plain)}
     assert len(pressures) == 4
-
-
-def test_simulate_numerical_options(tiny: Path) -> None:
-    assert "beats of 4096 steps" in run("simulate", tiny, *SIMULATE, "--steps", 4096)
-    fine = run("simulate", tiny, *SIMULATE, "--dx", 0.01, "--tolerance", "1e-6")
-    plain = run("simulate", tiny, *SIMULATE)
-    assert fine != plain
+    assert "beats of 4096 steps" in said("numerics.steps_per_beat=4096")
+    fine = said("numerics.dx_cm=0.01", "numerics.tolerance_mmHg=1e-6")
     assert "error not estimated, since the cells were given" in fine
     cells, error = (re.findall(r"grid: (\d+) cells in 3 vessels .*error ([0-9.]+) %", plain))[0]
     assert float(error) <= 0.03
@@ -171,32 +159,23 @@ def test_simulate_numerical_options(tiny: Path) -> None:
         (("--stiffness", "5e4", "--wall", "rigid"), "--wall rigid: must be one of linear, tangent"),
         (("--stiffness", "-1"), "positive"),
         (("--stiffness", "5e4", "--psi1", "0"), "positive"),
-        (("--stiffness", "5e4", "--dx", "-1"), "--dx = -1.0: must be positive"),
-        (("--stiffness", "5e4", "--steps", "33"), "--steps 33: waves cross vessel"),
-        (("--stiffness", "5e4", "--steps", "33", "--dx", "0.025"), "CFL"),
-        (("--stiffness", "5e4", "--accuracy", "40"), "--accuracy = 40.0: must be below 10"),
-        (("--stiffness", "5e4", "--accuracy", "1", "--dx", "1"), "--accuracy and --dx are two ways to say"),
-        (("--stiffness", "5e4", "--times", "1"), "--times 1: give at least 2"),
-        (("--stiffness", "5e4", "--conventions", "printd"), "did you mean 'printed'?"),
+        (("--stiffness", "5e4", "--set", "numerics.steps_per_beat=33"), "steps 33: waves cross vessel"),
+        (("--stiffness", "5e4", "--set", "numerics.steps_per_beat=33", "--set", DX), "CFL"),
         (
-            ("--stiffness", "5e4", "--friction", "none"),
-            "--friction none: unknown; use one of current, rest, fixed",
+            ("--stiffness", "5e4", "--accuracy", "1", "--set", DX),
+            "accuracy_percent and dx_cm are two ways to say",
         ),
+        (
+            ("--stiffness", "5e4", "--set", "vessel.stiffness_g_cm_s2=4e4"),
+            "--set vessel.stiffness_g_cm_s2: --stiffness or --f3 stands in its place",
+        ),
+        (("--stiffness", "5e4", "--times", "1"), "--times 1: give at least 2"),
         (("--stiffness", "5e4", "-o", "waves.txt"), "unknown ending '.txt'; use .nc or .csv"),
         (("--stiffness", "5e4", "-o", "nowhere/waves.nc"), "folder nowhere does not exist"),
-        (("--stiffness", "5e4", "--junctions", "both"), "--junctions both: use one of static, total"),
-        (("--youngs-modulus", "4e6"), "--youngs-modulus and --wall-thickness belong together: give both"),
         (
-            ("--stiffness", "5e4", "--youngs-modulus", "4e6", "--wall-thickness", "1e-3"),
-            "--stiffness and --youngs-modulus say the same: give one of them",
+            ("--stiffness", "5e4", "--set", "surroundings.radius_pressure_mmHg=60"),
+            "radius_pressure_mmHg = 60.0: without pressure",
         ),
-        (
-            ("--stiffness", "5e4", "--velocity-profile-order", "0"),
-            "give a positive number, such as 9, or flat",
-        ),
-        (("--stiffness", "5e4", "--momentum-correction", "0.5"), "0.5: must be at least 1"),
-        (("--stiffness", "5e4", "--resistance", "-3"), "resistance = -3.0: must be positive and finite"),
-        (("--stiffness", "5e4", "--radius-pressure", "60"), "radius_pressure_mmHg = 60.0: without pressure"),
         (("--stiffness", "5e4", "--plot", "waves.xyz"), "unknown figure format '.xyz'"),
     ],
 )
@@ -211,56 +190,56 @@ def test_simulate_the_mouse_at_the_published_medians() -> None:
     assert sse == pytest.approx(64.6, abs=2.5)
 
 
-@pytest.mark.parametrize(
-    ("options", "of_vessels", "of_blood", "of_study", "words"),
-    [
-        (
-            ["--youngs-modulus", "4e6", "--wall-thickness", "1e-3", "--wall-thickness-out", "8e-4"],
-            {
-                "youngs_modulus_g_cm_s2": 4e6,
-                "wall_thickness_cm": 1e-3,
-                "wall_thickness_out_cm": 8e-4,
-                "stiffness_g_cm_s2": None,
-            },
-            {},
-            {},
-            "g/(cm s2), E h/r",
-        ),
-        (
-            ["--stiffness", "6e4", "--stiffness-out", "8e4"],
-            {"stiffness_g_cm_s2": 6e4, "stiffness_out_g_cm_s2": 8e4},
-            {},
-            {},
-            "stiffness: 6e+04 to 8e+04 g/(cm s2)",
-        ),
-        (
-            ["--velocity-profile-order", "9", "--momentum-correction", "1.1"],
-            {},
-            {"velocity_profile_order": 9.0, "momentum_correction": 1.1},
-            {},
-            "velocity profile of order 9, momentum correction 1.1;",
-        ),
-        (["--junctions", "total"], {}, {}, {"junction_pressure": "total"}, "total pressure at junctions"),
-        (
-            ["--external-pressure", "-2", "--radius-pressure", "5"],
-            {},
-            {},
-            {"external_pressure_mmHg": -2.0, "radius_pressure_mmHg": 5.0},
-            "pressure at which radii are given: 5 mmHg",
-        ),
-        (
-            ["--outflow-pressure", "3"],
-            {},
-            {},
-            {"outflow_pressure_mmHg": 3.0},
-            "pressure behind the outlets: 3 mmHg",
-        ),
-    ],
-)
-def test_simulate_switches_the_physics_as_the_study_says_it(
-    tiny: Path, tmp_path: Path, options, of_vessels, of_blood, of_study, words
+PHYSICS: dict[str, tuple[list[str], dict[str, object], dict[str, object], dict[str, object]]] = {
+    "g/(cm s2), E h/r": (
+        [
+            "vessel.youngs_modulus_g_cm_s2=4e6",
+            "vessel.wall_thickness_cm=1e-3",
+            "vessel.wall_thickness_out_cm=8e-4",
+        ],
+        {
+            "youngs_modulus_g_cm_s2": 4e6,
+            "wall_thickness_cm": 1e-3,
+            "wall_thickness_out_cm": 8e-4,
+            "stiffness_g_cm_s2": None,
+        },
+        {},
+        {},
+    ),
+    "stiffness: 6e+04 to 8e+04 g/(cm s2)": (
+        ["vessel.stiffness_g_cm_s2=6e4", "vessel.stiffness_out_g_cm_s2=8e4"],
+        {"stiffness_g_cm_s2": 6e4, "stiffness_out_g_cm_s2": 8e4},
+        {},
+        {},
+    ),
+    "velocity profile of order 9, momentum correction 1.1;": (
+        ["blood.velocity_profile_order=9", "blood.momentum_correction=1.1"],
+        {},
+        {"velocity_profile_order": 9.0, "momentum_correction": 1.1},
+        {},
+    ),
+    "total pressure at junctions": (["junctions.pressure=total"], {}, {}, {"junction_pressure": "total"}),
+    "pressure at which radii are given: 5 mmHg": (
+        ["surroundings.external_pressure_mmHg=-2", "surroundings.radius_pressure_mmHg=5"],
+        {},
+        {},
+        {"external_pressure_mmHg": -2.0, "radius_pressure_mmHg": 5.0},
+    ),
+    "pressure behind the outlets: 3 mmHg": (
+        ["vessel.outflow_pressure_mmHg=3"],
+        {},
+        {},
+        {"outflow_pressure_mmHg": 3.0},
+    ),
+}
+"""What is said of a study -> settings, and the fields of vessels, blood and study that these set."""
+
+
+@pytest.mark.parametrize("words", PHYSICS)
+def test_a_setting_does_what_the_field_does_in_a_study_that_has_it(
+    tiny: Path, tmp_path: Path, words: str
 ) -> None:
-    """A switch does what the field does in a study that has it."""
+    settings, of_vessels, of_blood, of_study = PHYSICS[words]
     base = load_study(tiny)
     given = {"stiffness_g_cm_s2": 5e4} | of_vessels
     made = replace(
@@ -270,7 +249,8 @@ def test_simulate_switches_the_physics_as_the_study_says_it(
         **of_study,
     )
     save_study(made, tmp_path / "made")
-    stiffness = [] if options[0] in ("--youngs-modulus", "--stiffness") else ["--stiffness", "5e4"]
+    stiffness = [] if "vessel.st" in settings[0] or "vessel.y" in settings[0] else ["--stiffness", "5e4"]
+    options = [word for setting in settings for word in ("--set", setting)]
     switched = run("simulate", tiny, *stiffness, *options, "-o", tmp_path / "a.nc")
     said = run("simulate", tmp_path / "made", "-o", tmp_path / "b.nc")
     assert words in " ".join(switched.split())
@@ -283,8 +263,8 @@ def test_simulate_switches_the_physics_as_the_study_says_it(
 
 def test_simulate_resistances_as_outlets(tiny: Path, tmp_path: Path) -> None:
     output = run(
-        "simulate", tiny, "--stiffness", "5e4", "--resistance", "1e5", "--outflow-pressure", 2,
-        "-o", tmp_path / "w.nc",
+        "simulate", tiny, "--stiffness", "5e4", "--set", "vessel.resistance=1e5",
+        "--set", "vessel.outflow_pressure_mmHg=2", "-o", tmp_path / "w.nc",
     )  # fmt: skip
     assert "2 single resistances" in output
     with xr.open_dataset(tmp_path / "w.nc") as waves:

@@ -24,7 +24,7 @@ def kpa(tmp_path_factory: pytest.TempPathFactory) -> Study:
 
 
 def test_a_command_says_it_once(kpa: Study) -> None:
-    lines = run("simulate", kpa.source, *SOLVE, "--friction", "rest").splitlines()
+    lines = run("simulate", kpa.source, *SOLVE, "--set", "conventions.friction=rest").splitlines()
     (warning,) = [line for line in lines if line.startswith("warning: ")]
     assert "kPa would fit" in warning
     assert "multiply by 7.50062" in warning

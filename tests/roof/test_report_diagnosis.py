@@ -111,18 +111,16 @@ def test_readers_read_the_times_that_are_written(one: Diagnosis, sampled: Diagno
     screening = before["screening_seconds"]
     assert report.total_seconds(before) == screening
     assert report.total_seconds(after) == screening + after[written] > screening
-    slow = after | {written: 1000.0}
-    older = before | {"confirmation_seconds": 1000.0}
-    for record in (slow, older):
-        d = replace(sampled, file=sampled.file.model_copy(update={"record": record}))
-        assert report.total_seconds(record) == screening + 1000
-        assert screen_of(d.file).strip().endswith(f", {screening + 1000:.0f} s in all")
-        report.write_diagnosis(d, tmp_path / "x")
-        [facts] = read(tmp_path / "x" / "report.html").of_class("facts")
-        shown = dict(zip(*([e.text for e in facts.all(tag)] for tag in ("dt", "dd")), strict=True))
-        assert shown["screening seconds"] == f"{screening:.1f}"
-        assert shown["posterior seconds"] == "1000.0"
-        assert shown["total seconds"] == f"{screening + 1000:.1f}"
+    record = after | {written: 1000.0}
+    d = replace(sampled, file=sampled.file.model_copy(update={"record": record}))
+    assert report.total_seconds(record) == screening + 1000
+    assert screen_of(d.file).strip().endswith(f", {screening + 1000:.0f} s in all")
+    report.write_diagnosis(d, tmp_path / "x")
+    [facts] = read(tmp_path / "x" / "report.html").of_class("facts")
+    shown = dict(zip(*([e.text for e in facts.all(tag)] for tag in ("dt", "dd")), strict=True))
+    assert shown["screening seconds"] == f"{screening:.1f}"
+    assert shown["posterior seconds"] == "1000.0"
+    assert shown["total seconds"] == f"{screening + 1000:.1f}"
 
 
 def test_the_document_has_every_field(one: Diagnosis, sampled: Diagnosis) -> None:

@@ -83,7 +83,7 @@ def as_if_sampled(d: StudyDiagnosis) -> StudyDiagnosis:
 
 def screen_of(file: DiagnosisFile) -> str:
     """What `zoo diagnose` says of a diagnosis."""
-    console = Console(width=200)
+    console = Console(width=200, markup=False)
     with console.capture() as captured:
         for line in cli.diagnose.diagnosis_screen(file):
             console.print(line)

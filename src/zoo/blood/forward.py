@@ -213,7 +213,7 @@ class BloodFlow:
             return self._with(found.options, found)
         raise StudyError(
             f"study {self.study.name!r}: cells and steps cannot be chosen at the parameters where "
-            f"{self.name} starts: {failed}; or give dx_cm in [numerics] (--dx)"
+            f"{self.name} starts: {failed}; or give dx_cm in [numerics]"
         )
 
     def warning_at(self, configuration: Case) -> str:

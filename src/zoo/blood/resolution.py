@@ -97,7 +97,7 @@ class Resolution:
             return line
         return (
             f"{line}, more than the {self.limit_percent:.2g} % asked for: accept it with a larger "
-            "accuracy_percent (--accuracy), or give shorter cells, dx_cm (--dx)"
+            "accuracy_percent (--accuracy), or give shorter cells, dx_cm"
         )
 
     def record(self) -> dict[str, Any]:
@@ -148,7 +148,7 @@ def resolve(
     if case.conventions.truncate_lengths and "accuracy_percent" in given:
         raise StudyError(
             f"study {study.name!r}: numerics: accuracy_percent = {given['accuracy_percent']}: the convention "
-            "truncate_lengths has cells of its own; leave it out, or take true lengths (--true-lengths)"
+            "truncate_lengths has cells of its own; leave it out, or set truncate_lengths = false"
         )
     if "dx_cm" in given or case.conventions.truncate_lengths:
         options = SolverOptions(dx_cm=given.get("dx_cm", SolverOptions.dx_cm), **plain)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from zoo.cli.command import UsageError, Without, command
+from zoo.cli.command import FreshOption, Role, UsageError, Without, command
 from zoo.cli.options import DaskOption, PluginOptions, PriorOptions, QuietOption
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file, output_folder
@@ -45,11 +45,11 @@ def _name_list(option: str, text: str | None) -> list[str] | None:
 
 @command
 def make(
-    folder: Annotated[Path, typer.Argument(metavar="CASES", help="Folder for the cases.")],
-    n: Annotated[int, typer.Option("--n", help="Cases.")] = 40,
-    key: Annotated[Path, typer.Option("--key", help="File for what is withheld, outside the folder.")] = Path(
-        "key.json"
-    ),
+    folder: Annotated[Path, typer.Argument(metavar="CASES", help="Folder for the cases."), Role.WRITES],
+    n: Annotated[int, typer.Option("--n", help="Cases."), Role.ASIDE] = 40,
+    key: Annotated[
+        Path, typer.Option("--key", help="File for what is withheld, outside the folder."), Role.WRITES
+    ] = Path("key.json"),
     secret: Annotated[
         str | None,
         typer.Option(
@@ -58,6 +58,7 @@ def make(
             metavar="HEX",
             show_default=False,
         ),
+        Role.ASIDE,
     ] = None,
     effects: Annotated[
         str | None,
@@ -67,6 +68,7 @@ def make(
             metavar="NAMES",
             show_default=False,
         ),
+        Role.ASIDE,
     ] = None,
     layouts: Annotated[
         str | None,
@@ -77,11 +79,14 @@ def make(
             metavar="NAMES",
             show_default=False,
         ),
+        Role.ASIDE,
     ] = None,
     networks: Annotated[
-        str, typer.Option("--networks", help="mouse, tree (generated), or both.", metavar="NAMES")
+        str,
+        typer.Option("--networks", help="mouse, tree (generated), or both.", metavar="NAMES"),
+        Role.ASIDE,
     ] = "mouse,tree",
-    cores: Annotated[int, typer.Option("--cores", help="Processes at a time.")] = 2,
+    cores: Annotated[int, typer.Option("--cores", help="Processes at a time."), Role.ASIDE] = 2,
     quiet: QuietOption = False,
 ) -> None:
     """Write studies with a withheld effect each, or none, and the key apart."""
@@ -108,15 +113,15 @@ def make(
 @command
 def run(
     cases: Annotated[Path, typer.Argument(metavar="CASES", help="Folder of studies, without their key.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the answers.")] = Path("answers"),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for the answers."), Role.WRITES
+    ] = Path("answers"),
     base: Annotated[str, typer.Option("--base", help="Baseline, as in `zoo diagnose`.")] = "linear-constant",
     max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
-    cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each.")] = 2,
+    cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each."), Role.ASIDE] = 2,
     dask: DaskOption = None,
-    fresh: Annotated[
-        bool, typer.Option("--fresh", help="Replace answers to other data, questions or programs.")
-    ] = False,
+    fresh: FreshOption = False,
     quiet: QuietOption = False,
     *,
     priors: PriorOptions,
@@ -165,7 +170,9 @@ def score(
         Path,
         typer.Option("--key", help="Of `zoo blind make`."),
     ] = Path("key.json"),
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score.")] = Path("score"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score."), Role.WRITES] = Path(
+        "score"
+    ),
 ) -> None:
     """Score answers against their key: score.json, score.md, cases.csv and figures."""
     from zoo.blood.blind import score_cases

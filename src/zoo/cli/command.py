@@ -1,19 +1,27 @@
-"""What makes a function a command: groups of options, and errors as one line with an exit code."""
+"""What makes a function a command: groups of options, its inputs and outputs, errors as one line."""
 
 from __future__ import annotations
 
 import functools
 import inspect
+import os
 import re
+import shlex
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
-from typing import Any, get_args, get_type_hints
+from enum import Enum, auto
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
 from zoo.cli.screen import complain, warn
+
+if TYPE_CHECKING:
+    from zoo.core.outputs import Run
 
 _debug = False
 
@@ -39,11 +47,41 @@ class Without:
         self.names = names
 
 
+class Role(Enum):
+    """In the annotation of an option: what it is for a run. A path without a role is read."""
+
+    WRITES = auto()
+    """Where results go."""
+    STUDY = auto()
+    """Studies, which are read: built-in names or folders."""
+    SEARCHED = auto()
+    """Files, or folders in which posteriors are looked for, the working folder if absent; other files may be
+    written beside these."""
+    ASIDE = auto()
+    """With another value it is the same run."""
+
+
+FreshOption = Annotated[
+    bool,
+    typer.Option(
+        "--fresh", help="Begin anew, and replace what zoo wrote there in other runs; nothing else, ever."
+    ),
+]
+
+
+def typed_command() -> str:
+    """The command line as it was typed, for what records it."""
+    return shlex.join(["zoo", *sys.argv[1:]])
+
+
 def command(function: Callable[..., None]) -> Callable[..., None]:
     """A function as a command: its groups of options are spread out, its errors become one line.
 
     A parameter whose type is a dataclass stands for that dataclass's fields, each of which is an option with
     the field's annotation and default; the function gets the dataclass filled in.
+
+    A command that writes (`Role`) has an option ``--fresh``, and works within a `zoo.core.outputs.Run` that
+    knows all that it reads, so that it loses no file.
 
     Errors end in one red line and an exit code: 2 for what the user can change, 1 for faults of ours, 130 for
     an interruption. One that names a setting, as "tune = -1: must be ...", names its option: "--tune -1".
@@ -59,15 +97,32 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         For ``app.command()``.
     """
     parameters, groups = _spread(function)
-    flags = _flags(parameters)
+    flags, roles = _flags(parameters), {p.name: get_args(p.annotation)[1:] for p in parameters}
+    writes, own = any(Role.WRITES in role for role in roles.values()), "fresh" in roles
+    if writes and not own:
+        fresh = inspect.Parameter(
+            "fresh", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=FreshOption
+        )
+        parameters.append(fresh)
 
     @functools.wraps(function)
     def run(**given: Any) -> None:
+        asked = dict(given)
+        if not own:
+            given.pop("fresh", None)
         for name, (group, options) in groups.items():
             given[name] = group(**{option: given.pop(option) for option in options})
         try:
             with _warnings_as_lines():
-                function(**given)
+                if not writes:
+                    function(**given)
+                    return
+                with _run_of(function.__name__.strip("_"), asked, roles, flags) as this:
+                    for name in (name for name, role in roles.items() if Role.WRITES in role):
+                        if asked[name] is not None:
+                            real = Path(os.path.realpath(asked[name]))
+                            this.add(real, f"{flags.get(name, '')} {asked[name]}".strip())
+                    function(**given)
         except typer.Exit:
             raise
         except KeyboardInterrupt:
@@ -107,10 +162,48 @@ def _flags(parameters: Sequence[inspect.Parameter]) -> dict[str, str]:
 
 def _with_option(text: str, options: Mapping[str, str]) -> str:
     """An error's text with the option in place of the setting that it names."""
-    match = re.match(r"(?:conventions: )?(\w+) = ([^\s:]+|'[^']*'): (.*)", text)
+    match = re.match(r"(\w+) = ([^\s:]+|'[^']*'): (.*)", text)
     if match is None or match[1] not in options:
         return text
     return f"{options[match[1]]} {match[2].strip(chr(39))}: {match[3]}"
+
+
+def _run_of(
+    name: str, given: Mapping[str, Any], roles: Mapping[str, Sequence[Any]], flags: Mapping[str, str]
+) -> Run:
+    """What a command reads, and what makes its run: its options, and what is in the files that they name."""
+    from zoo.core.digests import of_bytes
+    from zoo.core.outputs import Run
+
+    inputs: list[Path] = []
+    identity: dict[str, Any] = {"command": name}
+    for option, value in given.items():
+        role = roles.get(option, (Role.ASIDE,))
+        value = [Path()] if value is None and Role.SEARCHED in role else value
+        if value is None or Role.WRITES in role or option == "fresh":
+            continue
+        same: list[Any] = []
+        for one in value if isinstance(value, list) else [value]:
+            paths = _read_by(one, role)
+            inputs += paths
+            whole = () if Role.SEARCHED in role else paths  # a page may be made again of new posteriors
+            files = [of_bytes(path.read_bytes()) for path in whole if path.is_file()]
+            same.append(files or (str(one) if isinstance(one, Path) else one))
+        if Role.ASIDE not in role:
+            identity[flags.get(option, option)] = same if isinstance(value, list) else same[0]
+    return Run(identity, inputs, fresh=given["fresh"])
+
+
+def _read_by(value: Any, role: Sequence[Any]) -> list[Path]:
+    """Files and folders that a command reads by an option's value."""
+    if Role.STUDY in role:
+        from zoo.blood.study import study_files
+
+        files = study_files(value)
+        return [*files, *{file.parent for file in files[:1]}]
+    if not isinstance(value, Path):
+        return []
+    return sorted(value.glob("*.nc")) if Role.SEARCHED in role and value.is_dir() else [value]
 
 
 @contextmanager
@@ -144,22 +237,24 @@ def _spread(
             found = [parameter.replace(annotation=hints[name])]
         else:
             left_out = {option for extra in extras if isinstance(extra, Without) for option in extra.names}
-            found = _options(group, left_out)
+            whole = tuple(extra for extra in extras if isinstance(extra, Role))
+            found = _options(group, left_out, whole)
             groups[name] = group, [option.name for option in found]
         for option in found:
-            assert option.name not in parameters, f"{function.__name__}: two options named {option.name}"
+            if option.name in parameters:
+                raise TypeError(f"{function.__name__}: two options named {option.name}")
             parameters[option.name] = option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
     return list(parameters.values()), groups
 
 
-def _options(group: type, left_out: set[str]) -> list[inspect.Parameter]:
+def _options(group: type, left_out: set[str], roles: tuple[Role, ...]) -> list[inspect.Parameter]:
     hints = get_type_hints(group, include_extras=True)
     return [
         inspect.Parameter(
             field.name,
             inspect.Parameter.KEYWORD_ONLY,
             default=inspect.Parameter.empty if field.default is MISSING else field.default,
-            annotation=hints[field.name],
+            annotation=Annotated[(hints[field.name], *roles)] if roles else hints[field.name],
         )
         for field in fields(group)
         if field.name not in left_out

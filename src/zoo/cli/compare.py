@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from zoo.cli.checks import at_least, different_models
-from zoo.cli.command import NOT_CONVERGED, UsageError, Without, command
-from zoo.cli.options import (
-    ConventionOptions,
-    NumericalOptions,
-    PluginOptions,
-    PriorOptions,
-    SamplingOptions,
-    StrictOption,
-)
+from zoo.cli.command import NOT_CONVERGED, FreshOption, Role, UsageError, Without, command
+from zoo.cli.options import PluginOptions, SamplingOptions, StrictOption, StudyOptions
 from zoo.cli.sample import build_model, sample_with_checkpoint
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_folder, write_file
@@ -33,9 +26,10 @@ def compare(
         typer.Argument(
             metavar="STUDY...", help="Built-in studies (see `zoo studies`) or folders; a table each."
         ),
+        Role.STUDY,
     ],
     models: Annotated[
-        str, typer.Option("--models", help="With commas, such as A,B or B,B+viscoelastic-wall.")
+        str, typer.Option("--models", help="With commas, such as A,B or B,B+viscoelastic-wall."), Role.ASIDE
     ] = "A,B",
     posteriors: Annotated[
         list[Path] | None,
@@ -44,51 +38,66 @@ def compare(
             help="A file, or a folder of files, from `zoo sample`; may be repeated. A.nc and so on in the "
             "working directory are found without.",
         ),
+        Role.SEARCHED,
+        Role.ASIDE,
     ] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for table and figures.")] = Path(
-        "comparison"
-    ),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for table and figures."), Role.WRITES
+    ] = Path("comparison"),
     criterion: Annotated[
-        Literal["waic", "loo"], typer.Option("--ic", help="What ranks: waic or loo.")
+        Literal["waic", "loo"], typer.Option("--ic", help="What ranks: waic or loo."), Role.ASIDE
     ] = "waic",
     n_draws: Annotated[
-        int, typer.Option("--n-draws", help="Draws of each posterior that are scored.")
+        int, typer.Option("--n-draws", help="Draws of each posterior that are scored."), Role.ASIDE
     ] = 1000,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures."), Role.ASIDE] = True,
     strict: StrictOption = False,
+    fresh: FreshOption = False,
     *,
-    sampling: Annotated[SamplingOptions, Without("thin")],
-    priors: PriorOptions,
-    conventions: ConventionOptions,
-    numerical: NumericalOptions,
+    sampling: Annotated[SamplingOptions, Without("thin"), Role.ASIDE],
+    options: StudyOptions,
     plugins: PluginOptions,
 ) -> None:
     """Rank models by how well they predict a study; posteriors that are missing are sampled first.
 
     The options of sampling are for those; posteriors that are there are taken as they are.
     """
-    if posteriors and not sampling.resume:
+    if posteriors and fresh:
         raise UsageError("--fresh: samples every model anew; leave out --posteriors, or --fresh")
     plugins.load()
     names = different_models(models)
     settings = sampling.settings()
     at_least("--n-draws", n_draws, 10)
-    loaded = [numerical.on(priors.into(conventions.load(study))) for study in studies]
+    loaded = [options.load(study) for study in studies]
     if len({study.name for study in loaded}) < len(loaded):
         raise UsageError(f"{', '.join(studies)}: two studies of one name; give each once")
-    files = ["comparison.csv", *(f"{name}.nc" for name in names)]
     folders = [output if len(loaded) == 1 else output / study.name for study in loaded]
-    output_folder(output, option="--output").mkdir(exist_ok=True)
+    output_folder(output, option="--output")
     for folder in folders:
-        output_folder(folder, files, "--output").mkdir(exist_ok=True)
+        sampled = [f"{name}.nc" for name in names if fresh or not (folder / f"{name}.nc").is_file()]
+        output_folder(folder, [*_file_names(names, loaded), *sampled], "--output", deep=True)
+    for folder in folders:
+        folder.mkdir(parents=True, exist_ok=True)
     converged = True
     for study, folder in zip(loaded, folders, strict=True):
         built, found = _posteriors_of(
-            study, names, posteriors or [], folder, settings, sampling.resume, not sampling.quiet
+            study, names, posteriors or [], folder, settings, fresh, not sampling.quiet
         )
         converged &= _compare_on(study, built, found, folder, criterion, n_draws, figures)
     if strict and not converged:
         raise typer.Exit(NOT_CONVERGED)
+
+
+KINDS = ("fit", "trace", "rank", "pair")
+"""Figures of each model, beside one of each quantity."""
+
+
+def _file_names(models: Sequence[str], studies: Sequence[Study]) -> list[str]:
+    """Files that are written for each study."""
+    shown = {series.quantity for study in studies for series in study.series} | {"pressure_mmHg", "flow_ml_s"}
+    kinds = sorted(quantity.split("_")[0] for quantity in shown)
+    of_models = [f"{kind}-{model}" for kind in (*KINDS, *kinds) for model in models]
+    return ["comparison.csv", *(f"{name}.png" for name in ("comparison", "loops", *kinds, *of_models))]
 
 
 def _posteriors_of(
@@ -97,7 +106,7 @@ def _posteriors_of(
     given: Sequence[Path],
     output: Path,
     settings: Mapping[str, Any],
-    resume: bool,
+    fresh: bool,
     progress: bool,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Models on a study and their posteriors: given, of an earlier call, in the working directory, or new."""
@@ -122,14 +131,12 @@ def _posteriors_of(
                 say(f"passed over: {here}: {wrong}")
             else:
                 files[name] = here
-        if name in files and resume:
+        if name in files and not fresh:
             found[name] = load_for(files[name], built[name])
             say(f"model {name}: posterior of {files[name]}")
         else:
             path = output / f"{name}.nc"
-            found[name] = sample_with_checkpoint(
-                name, study, path, settings, resume=resume, progress=progress
-            )
+            found[name] = sample_with_checkpoint(name, study, path, settings, fresh=fresh, progress=progress)
             say(f"model {name}: sampled, wrote {path}")
     return built, found
 
@@ -157,59 +164,45 @@ def _compare_on(
 def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
     from rich.text import Text
 
+    def each(text: str, when: Callable[[Any], bool], style: str = "", before: str = "") -> list[Any]:
+        """A line for each model of which something is so."""
+        told = [(model, row) for model, row in table.iterrows() if when(row)]
+        return [Text(f"{before}model {model}: {text.format(**row)}", style=style) for model, row in told]
+
     name = {"waic": "WAIC", "loo": "PSIS-LOO"}[criterion]
-    title = f"{study.name}: models by {name}, lower is better"
-    shown = plain_table(title=title)
+    columns = {
+        "WAIC": ("waic", ".1f"),
+        "SE": ("waic_se", ".1f"),
+        "as one": ("waic_one_observation", ".1f"),
+        "PSIS-LOO": ("loo", ".1f"),
+        "diff.": ("difference", ".1f"),
+        "its SE": ("difference_se", ".1f"),
+        "weight": ("weight", ".2f"),
+    } | {f"SSE ({unit})": (sse, ".3g") for sse, unit in table.attrs["sums_of_squares"].items()}
+    shown = plain_table(title=f"{study.name}: models by {name}, lower is better")
     shown.add_column("model", no_wrap=True)
-    for column in ("WAIC", "SE", "as one", "PSIS-LOO", "diff.", "its SE", "weight"):
-        shown.add_column(column, justify="right", no_wrap=True)
-    sums = table.attrs["sums_of_squares"]
-    for column in (*(f"SSE ({unit})" for unit in sums.values()), "converged"):
+    for column in (*columns, "converged"):
         shown.add_column(column, justify="right", no_wrap=True)
     for model, row in table.iterrows():
-        shown.add_row(
-            str(model),
-            f"{row['waic']:.1f}",
-            f"{row['waic_se']:.1f}",
-            f"{row['waic_one_observation']:.1f}",
-            f"{row['loo']:.1f}",
-            f"{row['difference']:.1f}",
-            f"{row['difference_se']:.1f}",
-            f"{row['weight']:.2f}",
-            *(f"{row[name]:.3g}" for name in sums),
-            "yes" if row["converged"] else "no",
-        )
-    legend = (
+        cells = [f"{row[field]:{form}}" for field, form in columns.values()]
+        shown.add_row(str(model), *cells, "yes" if row["converged"] else "no")
+    return [
+        shown,
+        *each("{at_bounds}", lambda row: row["at_bounds"] and row["converged"], "yellow", "warning: "),
         "as one: WAIC with the whole series as one observation, which has no standard error; WAIC is of terms"
-        " given the past, PSIS-LOO of terms given all other samples: each ranks models, do not mix the two"
-    )
-    standing = [f"model {model}: {row['standing']}" for model, row in table.iterrows() if row["rank"] > 0]
-    unsure = [
-        f"model {model}: {row['pareto_k_bad']} points with Pareto k > 0.7: do not trust PSIS-LOO there"
-        for model, row in table.iterrows()
-        if row["pareto_k_bad"] > 0
+        " given the past, PSIS-LOO of terms given all other samples: each ranks models, do not mix the two",
+        *each("{standing}", lambda row: row["rank"] > 0),
+        *each(
+            "{pareto_k_bad} points with Pareto k > 0.7: do not trust PSIS-LOO there",
+            lambda row: row["pareto_k_bad"] > 0,
+        ),
+        *each(
+            "WAIC has terms whose log-likelihood has a variance above 0.4, it may be too low",
+            lambda row: row["waic_warning"],
+        ),
+        *each("not informed by the data, posterior like prior: {uninformed}", lambda row: row["uninformed"]),
+        *each("{convergence}", lambda row: not row["converged"], "yellow"),
     ]
-    unsure += [
-        f"model {model}: WAIC has terms whose log-likelihood has a variance above 0.4, it may be too low"
-        for model, row in table.iterrows()
-        if row["waic_warning"]
-    ]
-    notes = [
-        Text(f"model {name}: {row['convergence']}", style="yellow")
-        for name, row in table.iterrows()
-        if not row["converged"]
-    ]
-    leaning = [
-        Text(f"warning: model {name}: {row['at_bounds']}", style="yellow")
-        for name, row in table.iterrows()
-        if row["at_bounds"] and row["converged"]
-    ]
-    like_prior = [
-        f"model {name}: not informed by the data, posterior like prior: {row['uninformed']}"
-        for name, row in table.iterrows()
-        if row["uninformed"]
-    ]
-    return [shown, *leaning, legend, *standing, *unsure, *like_prior, *notes]
 
 
 def _figures(

@@ -16,7 +16,7 @@ def fetch(name: Annotated[str, typer.Argument(metavar="NAME", help="Data set, su
     from zoo.blood.fetch import fetch_dataset
 
     for path in fetch_dataset(name):
-        say(f"{path}  [green]sha256 as expected[/green]")
+        say(f"{path}  sha256 as expected")
 
 
 @command

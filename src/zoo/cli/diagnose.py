@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from zoo.cli.checks import at_least
-from zoo.cli.command import UsageError, Without, command
-from zoo.cli.options import (
-    ConventionOptions,
-    NumericalOptions,
-    PluginOptions,
-    PriorOptions,
-    QuietOption,
-    StudyArgument,
-)
-from zoo.cli.screen import plain_table, say, warn
-from zoo.cli.telling import Telling
+from zoo.cli.command import Role, UsageError, Without, command, typed_command
+from zoo.cli.options import PluginOptions, QuietOption, StudyArgument, StudyOptions
+from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_folder
 
 if TYPE_CHECKING:
@@ -26,8 +19,8 @@ if TYPE_CHECKING:
     from zoo.blood.study import Study
     from zoo.core.diagnosis import DiagnosisFile
 
-BARS = 24
-"""Characters of a share of 1."""
+EVERY_S = 1.5
+"""Seconds between lines where there is no terminal."""
 LEADING = 8
 """Explanations that the screen shows."""
 
@@ -43,10 +36,13 @@ def diagnose(
             "with that structure: A to I.",
         ),
     ] = "linear-constant",
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for what is found.")] = Path("gap"),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for what is found."), Role.WRITES
+    ] = Path("gap"),
     posteriors: Annotated[
         bool,
         typer.Option("--posteriors", help="Sample the posteriors of the leading explanations too."),
+        Role.ASIDE,
     ] = False,
     effects: Annotated[
         str | None,
@@ -54,7 +50,6 @@ def diagnose(
             "--effects",
             help="Only these, with commas; all of `zoo effects` that fit the baseline if absent.",
             metavar="NAMES",
-            show_default=False,
         ),
     ] = None,
     max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
@@ -80,43 +75,35 @@ def diagnose(
             help="Study of the same tree in another state, such as at another heart rate, in which what was "
             "learned is checked; may be given several times.",
             metavar="STUDY",
-            show_default=False,
         ),
+        Role.STUDY,
     ] = None,
-    cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time.")] = 2,
+    cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time."), Role.ASIDE] = 2,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     quiet: QuietOption = False,
-    confirm: Annotated[bool | None, typer.Option("--confirm/--no-confirm", hidden=True)] = None,
     *,
-    priors: PriorOptions,
-    conventions: ConventionOptions,
-    numerical: NumericalOptions,
+    options: StudyOptions,
     plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
     """Find what a baseline misses in a study: where the discrepancy lies, its cause, how far it shrinks."""
-    if confirm is not None:
-        posteriors = posteriors or confirm
-        now = "is now called --posteriors" if confirm else "is what happens without --posteriors"
-        warn(f"--{'' if confirm else 'no-'}confirm {now}")
-    import shlex
-
     for option, count, least in (
         ("--max-effects", max_effects, 1),
         ("--cores", cores, 1),
         ("--seed", seed, 0),
     ):
         at_least(option, count, least)
-    with Telling(not quiet) as tell:
+    from zoo.core.inference.progress import Display
+
+    with Display(not quiet, every_s=EVERY_S) as tell:
         tell.say(f"reading {study}")
         from zoo.blood.baseline import get_baseline
 
         plugins.load()
         chosen = get_baseline(base)
         names = _effect_names(effects, chosen.name)
-        loaded = numerical.on(priors.into(conventions.load(study)))
-        others = [numerical.on(priors.into(conventions.load(one))) for one in states or ()]
+        loaded, *others = (options.load(one) for one in (study, *(states or ())))
         # a baseline has a wall factor of its own unless one is asked for
-        own = loaded.conventions if conventions.wall_factor is not None else None
+        own = loaded.conventions if "conventions.wall_factor" in options.changes() else None
 
         from zoo.blood.diagnosis import diagnose as run
         from zoo.blood.diagnosis import same_tree
@@ -129,23 +116,6 @@ def diagnose(
         for one in (loaded, *(same_tree(loaded, other) for other in others)):
             Harmonics().bind(study_data(one))
         output.mkdir(exist_ok=True)
-        words = ["zoo", "diagnose", study, "--base", chosen.name, "-o", str(output)]
-        words += ["--posteriors"] if posteriors else []
-        words += ["--max-effects", str(max_effects)]
-        words += [] if component_sizes == 1.0 else ["--component-sizes", f"{component_sizes:g}"]
-        words += ["--exhaust"] if exhaust else []
-        words += [word for one in states or () for word in ("--state", one)]
-        words += ["--effects", ",".join(names)] if names else []
-        words += plugins.words()
-        words += [
-            *priors.words(),
-            *conventions.words(),
-            *numerical.words(),
-            "--cores",
-            str(cores),
-            "--seed",
-            str(seed),
-        ]
         found = run(
             loaded,
             chosen.name,
@@ -159,15 +129,15 @@ def diagnose(
             seed=seed,
             tick=tell,
         )
-        tell.say("figures and page", 1.0)
-        written = write_diagnosis(found, output, command=shlex.join(words))
+        tell("figures and page", 1.0)
+        written = write_diagnosis(found, output, command=typed_command())
         if posteriors:  # takes longer and may be stopped: what was found is on disk
             folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
-            folder.mkdir(parents=True, exist_ok=True)
+            output_folder(folder, option="--output", deep=True).mkdir(parents=True, exist_ok=True)
             tell.say(f"{found.file.verdict}; {output}/report.html is written, its posteriors follow")
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
-            tell.say("figures and page", 1.0)
-            written = write_diagnosis(found, output, command=shlex.join(words))
+            tell("figures and page", 1.0)
+            written = write_diagnosis(found, output, command=typed_command())
     say(*diagnosis_screen(found.file), f"wrote {output}: {', '.join(path.name for path in written)}")
 
 
@@ -192,54 +162,29 @@ def _run_name(study: Study, base: str, conventions: Conventions | None, seed: in
     return f"{base}-{hashlib.sha256(what).hexdigest()[:8]}"
 
 
-def _bar(share: float) -> str:
-    return "█" * max(round(BARS * share), int(share >= 0.005))
-
-
 def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     """What the screen shows of a diagnosis."""
     from rich.text import Text
 
-    from zoo.plots.subject import at_most, location_of
     from zoo.report import diagnosis_summary, next_measurement_words, total_seconds
+    from zoo.report.components import component_rows
+    from zoo.report.diagnosis import hypothesis_row, where_sentences
     from zoo.report.words import maybe
 
     verdict, *rest = diagnosis_summary(file)
-    where = plain_table(title=f"where the discrepancy of {file.base} in {file.study} lies")
-    for heading, justify in (("by", "left"), ("", "left"), ("share", "right"), ("", "left")):
-        where.add_column(heading, justify=justify, no_wrap=True)  # type: ignore[arg-type]
-    harmonics = dict(sorted(file.where.harmonic.items(), key=lambda item: -item[1])[:4])
-    locations = {location_of(file, p.part, p.subtree): p.probability for p in file.where.place[:4]}
-    parts = {"phase": file.where.phase, "series": file.where.series, "harmonic": harmonics}
-    parts["location"] = locations
-    for what, shares in parts.items():
-        for k, (name, share) in enumerate(shares.items()):
-            where.add_row(what if k == 0 else "", name, _share(share), Text(_bar(share), style="cyan"))
-    rows = [h for k, h in enumerate(file.hypotheses) if k < LEADING or h.name in ("no-gap", "unlisted")]
-    table = plain_table(title="explanations, most probable first")
-    after = f"discrepancy after ({file.gap.unit})"
-    for heading in ("explanation", "location", "prob.", "group", "effect parameter", after):
-        named = heading in ("explanation", "location")
-        table.add_column(heading, justify="left" if named else "right", no_wrap=heading == "explanation")
-    for h in rows:
-        free = h.name in ("unlisted", "correlated-noise")
-        size = ""
-        if h.amplitude is not None:
-            spread = "" if free else f" ± {h.amplitude.sd:.2g}"
-            size = f"{h.amplitude.name} {h.amplitude.mean:.3g}{spread} {h.amplitude.unit}".removesuffix(" 1")
-        table.add_row(
-            h.name,
-            "" if h.place is None else location_of(file, h.place, h.subtree),
-            "invisible" if h.name in file.invisible else _share(h.probability),
-            str(h.group),
-            size,
-            "" if free else f"{at_most(h)}{h.gap_after:.2g}",
-            style="bold" if h.name in file.cause else None,
-        )
-    lines: list[Any] = [Text(verdict, style="bold"), *(Text(line) for line in rest), ""]
+    lines: list[Any] = [Text(verdict, style="bold"), *rest, ""]
     if file.hypotheses[0].name != "no-gap":  # else there is nothing to locate
-        lines += [where, ""]
-    lines += [_components(file), "", table] if file.components else [table]
+        lines += [*where_sentences(file), ""]
+    left = f"left ({file.gap.unit})"
+    if file.components:
+        cells = [[row["name"], *(row["cells"][i] for i in (0, 3, 4))] for row in component_rows(file)]
+        title = "components of the simulator, listed effects included"
+        lines += [_table(title, ("component", "prob.", "share of the energy", left), cells, file.cause), ""]
+    rows = [h for k, h in enumerate(file.hypotheses) if k < LEADING or h.name in ("no-gap", "unlisted")]
+    every = [hypothesis_row(h, file) for h in rows]
+    cells = [[row["name"], *(row["cells"][i] for i in (1, 3, 0, 5, 6))] for row in every]
+    heads = ("explanation", "prob.", "group", "location", "effect parameter", left)
+    lines.append(_table("explanations, most probable first", heads, cells, file.cause))
     if len(file.hypotheses) > len(rows):
         lines.append(
             f"and {len(file.hypotheses) - len(rows)} more; explanations of one group look alike here"
@@ -267,26 +212,12 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     return [Text(line) if isinstance(line, str) else line for line in lines]
 
 
-def _components(file: DiagnosisFile) -> Any:
-    """Each component with what it is worth, and its most probable free function."""
-    table = plain_table(title="components of the simulator, listed effects included")
-    after = f"left ({file.gap.unit})"
-    for heading in ("component", "prob.", "share of the energy", after, "most probable function"):
-        table.add_column(heading, justify="left" if heading.endswith(("nt", "on")) else "right")
-    for c in sorted(file.components, key=lambda c: -c.probability):
-        share = "" if c.share is None else f"{c.share.low:.0%} to {c.share.high:.0%}"
-        left = "" if c.gap_after is None else f"{c.gap_after:.2g}"
-        style = "bold" if c.name in file.cause else None
-        table.add_row(
-            c.name,
-            _share(c.probability),
-            share,
-            left,
-            c.functions[0].name if c.functions else "",
-            style=style,
-        )
+def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], bold: Sequence[str]) -> Any:
+    """A table of names and what belongs to them; texts may be folded, names and short numbers not."""
+    table = plain_table(title=title)
+    for i, head in enumerate(heads):
+        short = head in ("prob.", "group")
+        table.add_column(head, no_wrap=i == 0, justify="right" if short else "left")
+    for row in rows:
+        table.add_row(*row, style="bold" if row[0] in bold else None)
     return table
-
-
-def _share(share: float) -> str:
-    return "<1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"

@@ -26,8 +26,7 @@ LOCATION_WORDS = {
 @command
 def effects(
     name: Annotated[
-        str | None,
-        typer.Argument(metavar="[NAME]", help="One effect, such as viscoelastic-wall.", show_default=False),
+        str | None, typer.Argument(metavar="[NAME]", help="One effect, such as viscoelastic-wall.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
     *,
@@ -70,30 +69,23 @@ def _effect_fields(effect: Effect) -> dict[str, Any]:
 
 
 def _effects_table(chosen: Sequence[Effect]) -> Any:
-    """Five columns on a wide screen; on others all but the name in one."""
-    from rich.console import Console
+    """An effect a row, by family, with all but the name in one column."""
     from rich.text import Text
 
     from zoo.blood.effects import FAMILIES, prior_text
 
-    headings = ("effect", "parameter", "prior", "locations", "what it does to a beat")
-    wide = Console().width >= 130
     table = plain_table()
-    for heading in headings if wide else ("effect", ", ".join(headings[1:])):
-        table.add_column(heading, no_wrap=heading in headings[:2] or (heading == "prior" and wide))
+    table.add_column("effect", no_wrap=True)
+    table.add_column("parameter, prior, locations, what it does to a beat")
     for family in FAMILIES:
         members = [effect for effect in chosen if effect.family == family]
         if members:
             table.add_row(Text(family, style="bold"))
         for effect in members:
-            names = [f"{parameter.name} ({parameter.unit})" for parameter in effect.parameters]
-            priors = [prior_text(a).removesuffix(f" {a.unit}") for a in effect.parameters]
-            if wide:
-                cells = ["\n".join(names), "\n".join(priors), _locations(effect), effect.signature]
-            else:
-                lines = [f"{name} ~ {prior}" for name, prior in zip(names, priors, strict=True)]
-                cells = ["\n".join((*lines, _locations(effect), effect.signature))]
-            table.add_row(*(Text(cell) for cell in (f"  {effect.name}", *cells)))
+            lines = [
+                f"{p.name} ({p.unit}) ~ {prior_text(p).removesuffix(f' {p.unit}')}" for p in effect.parameters
+            ]
+            table.add_row(f"  {effect.name}", "\n".join((*lines, _locations(effect), effect.signature)))
     return table
 
 

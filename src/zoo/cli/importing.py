@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from zoo.cli.command import UsageError, command
+from zoo.cli.command import Role, UsageError, command
 from zoo.cli.screen import say
 from zoo.core.outputs import output_folder
 
@@ -19,7 +19,7 @@ def import_(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="openBF's .yaml, or a .csv with a row for each vessel.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study."), Role.WRITES],
     inflow: Annotated[
         Path | None, typer.Option("--inflow", help="Inflow of a .csv: columns time_s, flow_ml_s.")
     ] = None,
@@ -30,11 +30,10 @@ def import_(
         Path | None, typer.Option("--observations", help="Observations of a .csv, as a study has them.")
     ] = None,
     density: Annotated[
-        float | None, typer.Option("--density", help="Of blood, for a .csv; 1.06 g/cm3.", show_default=False)
+        float | None, typer.Option("--density", help="Of blood, for a .csv; 1.06 g/cm3.")
     ] = None,
     viscosity: Annotated[
-        float | None,
-        typer.Option("--viscosity", help="Of blood, for a .csv; 0.04 g/(cm s).", show_default=False),
+        float | None, typer.Option("--viscosity", help="Of blood, for a .csv; 0.04 g/(cm s).")
     ] = None,
     profile: Annotated[
         float | None,
@@ -50,7 +49,7 @@ def import_(
     from dataclasses import replace
 
     from zoo.blood.importing.openbf import import_openbf
-    from zoo.blood.importing.table import DENSITY, VISCOSITY, import_table
+    from zoo.blood.importing.table import import_table
     from zoo.blood.study import STUDY_FILES
 
     output_folder(output, STUDY_FILES, "--output")
@@ -58,19 +57,19 @@ def import_(
         raise UsageError(f"{file}: no such file; give openBF's .yaml, or a .csv of vessels")
     suffix = file.suffix.lower()
     of_a_table = {
-        "--inflow": inflow,
-        "--period": period,
-        "--observations": observations,
-        "--density": density,
-        "--viscosity": viscosity,
-        "--profile-order": profile,
+        "inflow": inflow,
+        "period": period,
+        "observations": observations,
+        "density": density,
+        "viscosity": viscosity,
+        "profile-order": profile,
     }
+    given = {option: value for option, value in of_a_table.items() if value is not None}
     if suffix in YAML:
-        for option, value in of_a_table.items():
-            if value is not None:
-                raise UsageError(
-                    f"{option} {value}: belongs to a .csv; {file.name} says that itself: leave it out"
-                )
+        for option, value in given.items():
+            raise UsageError(
+                f"--{option} {value}: belongs to a .csv; {file.name} says that itself: leave it out"
+            )
         found = import_openbf(file)
         if name is not None:
             found = replace(found, study=replace(found.study, name=name))
@@ -78,21 +77,15 @@ def import_(
         if inflow is None or period is None:
             lacking = "--inflow inflow.csv" if inflow is None else "--period 0.85"
             raise UsageError(f"{file}: a table of vessels has no inflow: add {lacking}")
-        found = import_table(
-            file,
-            inflow,
-            period,
-            observations=observations,
-            density_g_cm3=DENSITY if density is None else density,
-            viscosity_g_cm_s=VISCOSITY if viscosity is None else viscosity,
-            velocity_profile_order=profile,
-            name=name,
-        )
+        names = {"density": "density_g_cm3", "viscosity": "viscosity_g_cm_s", "observations": "observations"}
+        names |= {"profile-order": "velocity_profile_order"}
+        options: dict[str, Any] = {names[option]: x for option, x in given.items() if option in names}
+        found = import_table(file, inflow, period, name=name, **options)
     else:
         raise UsageError(f"{file}: unknown ending {file.suffix!r}; give openBF's .yaml, or a .csv of vessels")
-    study = found.save(output)
-    say(f"[bold]{study.name}[/bold]", *(f"  read: {line}" for line in found.read))
+    study = found.save(output, replace=True)  # as checked above
+    say(study.name, *(f"  read: {line}" for line in found.read))
     say(*(f"  converted: {line}" for line in found.converted))
     say(*(f"  left out: {line}" for line in found.left_out))
-    given = any(v.stiffness for v in study.vessels)
-    say(f"wrote {output}", f"next: zoo simulate {output}" + ("" if given else " --stiffness 6e4"))
+    stiff = any(v.stiffness for v in study.vessels)
+    say(f"wrote {output}", f"next: zoo simulate {output}" + ("" if stiff else " --stiffness 6e4"))

@@ -1,4 +1,4 @@
-"""Options that several commands share, in groups: of a study's conventions, of the solver, of sampling.
+"""Options that several commands share, in groups: of a study, of sampling.
 
 A group is a dataclass; a command that has a parameter of its type has all its options (`zoo.cli.command`).
 """
@@ -7,34 +7,27 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.command import UsageError
+from zoo.cli.command import Role, UsageError
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
 
 DEFAULT_ESS = 400.0
-NUMERICAL_NAMES = {
-    "accuracy_percent": "--accuracy",
-    "dx_cm": "--dx",
-    "steps_per_beat": "--steps",
-    "tolerance_mmHg": "--tolerance",
-}
 FIRST_CHECK = 500
 
 StudyArgument = Annotated[
-    str, typer.Argument(metavar="STUDY", help="A built-in study (see `zoo studies`) or a folder.")
+    str, typer.Argument(metavar="STUDY", help="A built-in study (see `zoo studies`) or a folder."), Role.STUDY
 ]
 StrictOption = Annotated[
-    bool, typer.Option("--strict", help="End with exit code 3 if chains have not converged.")
+    bool, typer.Option("--strict", help="End with exit code 3 if chains have not converged."), Role.ASIDE
 ]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
-
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress."), Role.ASIDE]
 
 DaskOption = Annotated[
     str | None,
@@ -42,8 +35,8 @@ DaskOption = Annotated[
         "--dask",
         help="Work on the workers of a dask.distributed scheduler, tcp://HOST:8786, instead.",
         metavar="ADDRESS",
-        show_default=False,
     ),
+    Role.ASIDE,
 ]
 
 
@@ -57,7 +50,6 @@ class PluginOptions:
             "--effects-from",
             help="Python file that defines effects; it is run. May be repeated.",
             metavar="FILE",
-            show_default=False,
         ),
     ] = None
     models_from: Annotated[
@@ -66,7 +58,6 @@ class PluginOptions:
             "--models-from",
             help="Python file with functions model_NAME(study, **settings); it is run. May be repeated.",
             metavar="FILE",
-            show_default=False,
         ),
     ] = None
 
@@ -78,81 +69,6 @@ class PluginOptions:
             add_effects(path)
         for path in self.models_from or []:
             load_models(path)
-
-    def words(self) -> list[str]:
-        """The options as they were typed."""
-        given = [("--effects-from", self.effects_from), ("--models-from", self.models_from)]
-        return [word for option, paths in given for path in paths or [] for word in (option, str(path))]
-
-
-@dataclass(frozen=True)
-class ConventionOptions:
-    """Conventions by name, and single switches of theirs by the names that `Conventions` gives them."""
-
-    conventions: Annotated[
-        str | None,
-        typer.Option(
-            "--conventions", help="printed or published-code, instead of the study's own.", metavar="NAME"
-        ),
-    ] = None
-    wall_factor: Annotated[
-        float | None,
-        typer.Option("--wall-factor", help="Factor k of the tangent wall: p = k chi tan(...)."),
-    ] = None
-    stiffness_radius_unit_cm: Annotated[
-        float | None,
-        typer.Option("--stiffness-radius-unit", help="Unit of r0 in eq. 3.5, cm.", metavar="CM"),
-    ] = None
-    friction: Annotated[
-        str | None,
-        typer.Option("--friction", help="Radius of the friction term: current, rest or fixed."),
-    ] = None
-    friction_radius_cm: Annotated[
-        float | None,
-        typer.Option("--friction-radius", help="That of `--friction fixed`, cm.", metavar="CM"),
-    ] = None
-    truncate_lengths: Annotated[
-        bool | None,
-        typer.Option(
-            "--truncate-lengths/--true-lengths", help="Vessels of whole cells of 0.025 cm, or true."
-        ),
-    ] = None
-    mmhg: Annotated[float | None, typer.Option("--mmhg", help="dyn/cm2 in 1 mmHg.")] = None
-    sample_lag_beats: Annotated[
-        float | None,
-        typer.Option(
-            "--sample-lag", help="Compare this part of a beat after each sample's time.", metavar="BEATS"
-        ),
-    ] = None
-
-    def switches(self) -> dict[str, Any]:
-        """The single switches that were given."""
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in given.items() if name != "conventions" and value is not None}
-
-    def load(self, name: str) -> Study:
-        """A study with these conventions: a name, single switches, both, or its own."""
-        from zoo.blood.conventions import get_conventions
-        from zoo.blood.study import load_study
-
-        switches = self.switches()
-        if self.conventions is None and not switches:
-            return load_study(name)
-        named = (
-            load_study(name).conventions if self.conventions is None else get_conventions(self.conventions)
-        )
-        return load_study(name, named.replace(**switches))
-
-    def words(self) -> list[str]:
-        """The options that were given, as they are typed."""
-        words = [] if self.conventions is None else ["--conventions", self.conventions]
-        for name, value in self.switches().items():
-            option = name.removesuffix("_cm").removesuffix("_beats").replace("_", "-")
-            if name == "truncate_lengths":
-                words.append("--truncate-lengths" if value else "--true-lengths")
-            else:
-                words += [f"--{option}", str(value)]
-        return words
 
 
 @dataclass(frozen=True)
@@ -166,7 +82,6 @@ class PriorOptions:
             help="Instead of the study's own: stiffness=log_uniform(2e4,4e5), f3=..., wave_speed_m_s=1,4 or "
             "set=paun2020; laws uniform, log_uniform, normal, log_normal, inverse_gamma. May be repeated.",
             metavar="NAME=LAW(...)",
-            show_default=False,
         ),
     ] = None
 
@@ -192,22 +107,22 @@ class PriorOptions:
             found[name] = value
         return found
 
-    def into(self, study: Study) -> Study:
-        """The study with these priors."""
-        from zoo.blood.priors import with_priors
-
-        return with_priors(study, self.table())
-
-    def words(self) -> list[str]:
-        """The options as they were typed."""
-        return [word for text in self.prior or [] for word in ("--prior", text)]
-
 
 @dataclass(frozen=True)
-class NumericalOptions:
-    """Options of the solver: fields of a study's table [numerics], in whose place they stand."""
+class StudyOptions(PriorOptions):
+    """What stands in the place of a study's own fields."""
 
-    accuracy_percent: Annotated[
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="A field of study.toml or network.toml, such as conventions=published-code, "
+            "conventions.friction=rest, numerics.dx_cm=0.01, blood.velocity_profile_order=9, or "
+            "vessel.resistance=3e4: one value, or one per vessel with commas. May be repeated.",
+            metavar="KEY=VALUE",
+        ),
+    ] = None
+    accuracy: Annotated[
         float | None,
         typer.Option(
             "--accuracy",
@@ -215,56 +130,37 @@ class NumericalOptions:
             metavar="PERCENT",
         ),
     ] = None
-    dx_cm: Annotated[
-        float | None, typer.Option("--dx", help="Cell length, cm, instead of choosing it.", metavar="CM")
-    ] = None
-    steps_per_beat: Annotated[
-        int | None, typer.Option("--steps", help="Time steps in a beat; chosen by default.")
-    ] = None
-    tolerance_mmHg: Annotated[
-        float | None,
-        typer.Option("--tolerance", help="Accepted distance from the periodic state, mmHg.", metavar="MMHG"),
-    ] = None
 
-    def given(self) -> dict[str, Any]:
-        """The options that were given, by their fields."""
-        all_of_them = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in all_of_them.items() if value is not None}
-
-    def on(self, study: Study) -> Study:
-        """The study with these in its table [numerics].
+    def load(self, name: str) -> Study:
+        """A study with these settings and priors.
 
         Raises
         ------
         UsageError
-            If a value is out of range, or cells are asked for in two ways.
+            If an option cannot be read.
         """
-        from dataclasses import replace
+        from zoo.blood.priors import with_priors
+        from zoo.blood.study import load_study
 
+        return with_priors(load_study(name, settings=self.changes()), self.table())
+
+    def changes(self) -> dict[str, Any]:
+        """The settings by their keys."""
         from zoo.blood.study import StudyError
-        from zoo.blood.study.tables import checked_numerics
+        from zoo.blood.study.settings import read_setting
 
-        given = self.given()
-        if not given:
-            return study
-        try:
-            checked_numerics("", given)
-        except StudyError as error:
-            text = str(error).removeprefix(": ")
-            for name, option in NUMERICAL_NAMES.items():
-                text = text.replace(name, option)
-            raise UsageError(text) from None
-        cells = ("dx_cm", "accuracy_percent")
-        kept = {
-            name: value
-            for name, value in study.numerics.items()
-            if not (name in cells and any(other in given for other in cells))
-        }
-        return replace(study, numerics=kept | given)
-
-    def words(self) -> list[str]:
-        """The options that were given, as they are typed."""
-        return [word for name, value in self.given().items() for word in (NUMERICAL_NAMES[name], str(value))]
+        found: dict[str, Any] = {}
+        for text in self.settings or []:
+            try:
+                key, value = read_setting(text)
+            except StudyError as error:
+                raise UsageError(f"--set {error}") from None
+            if key in found:
+                raise UsageError(f"--set {text}: {key} was given before; give it once")
+            found[key] = value
+        if self.accuracy is not None:
+            found["numerics.accuracy_percent"] = self.accuracy
+        return found
 
 
 @dataclass(frozen=True)
@@ -273,22 +169,15 @@ class SamplingOptions:
 
     draws: Annotated[
         int | None,
-        typer.Option(
-            "--draws",
-            help="Stored draws of each chain; without it, until converged.",
-            show_default=False,
-        ),
+        typer.Option("--draws", help="Stored draws of each chain; without it, until converged."),
+        Role.ASIDE,
     ] = None
     tune: Annotated[
-        int | None,
-        typer.Option(
-            "--tune", help="Steps to adapt, thrown away; 100 a dimension, at least 600.", show_default=False
-        ),
+        int | None, typer.Option("--tune", help="Steps to adapt, thrown away; 100 a dimension, at least 600.")
     ] = None
     chains: Annotated[int, typer.Option("--chains", help="Chains; at least 4 for a verdict.")] = 4
     cores: Annotated[
-        int | None,
-        typer.Option("--cores", help="Processes at a time; all cores by default.", show_default=False),
+        int | None, typer.Option("--cores", help="Processes at a time; all cores by default."), Role.ASIDE
     ] = None
     method: Annotated[
         str,
@@ -300,34 +189,23 @@ class SamplingOptions:
     ] = "auto"
     thin: Annotated[
         int | None,
-        typer.Option(
-            "--thin",
-            help="Steps for each stored draw; a quarter of the dimension by default.",
-            show_default=False,
-        ),
+        typer.Option("--thin", help="Steps for each stored draw; a quarter of the dimension by default."),
     ] = None
-    seed: Annotated[
-        int | None, typer.Option("--seed", help="Seed; recorded if not given.", show_default=False)
-    ] = None
+    seed: Annotated[int | None, typer.Option("--seed", help="Seed; recorded if not given.")] = None
     until: Annotated[
         str | None,
         typer.Option(
             "--until",
             help="ess=400 (default without --draws): until every parameter has it and R-hat <= 1.01; "
             "or none.",
-            show_default=False,
         ),
+        Role.ASIDE,
     ] = None
     max_draws: Annotated[
         int | None,
-        typer.Option("--max-draws", help="Limit of --until; 40 times the first check.", show_default=False),
+        typer.Option("--max-draws", help="Limit of --until; 40 times the first check."),
+        Role.ASIDE,
     ] = None
-    resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume/--fresh", help="Go on from the checkpoint beside the output, or throw it away."
-        ),
-    ] = True
     quiet: QuietOption = False
 
     def settings(self) -> dict[str, Any]:

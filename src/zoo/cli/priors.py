@@ -8,15 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import at_least, model_name
-from zoo.cli.command import command
-from zoo.cli.options import (
-    ConventionOptions,
-    NumericalOptions,
-    PluginOptions,
-    PriorOptions,
-    QuietOption,
-    StudyArgument,
-)
+from zoo.cli.command import Role, command
+from zoo.cli.options import PluginOptions, QuietOption, StudyArgument, StudyOptions
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_folder, write_file
 
@@ -35,15 +28,14 @@ def priors(
     model: Annotated[str, typer.Option("--model", help="A to I, or one of --models-from.")] = "B",
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Folder for table, figures; none if absent.", show_default=False),
+        typer.Option("--output", "-o", help="Folder for table, figures; none if absent."),
+        Role.WRITES,
     ] = None,
     n_draws: Annotated[int, typer.Option("--n-draws", help="Prior draws to solve.")] = 200,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     quiet: QuietOption = False,
     *,
-    prior: PriorOptions,
-    conventions: ConventionOptions,
-    numerical: NumericalOptions,
+    options: StudyOptions,
     plugins: PluginOptions,
 ) -> None:
     """Show the priors of a model on a study, and the series that they lead to beside the observed ones."""
@@ -51,7 +43,7 @@ def priors(
     name = model_name(model)
     at_least("--n-draws", n_draws, 10)
     at_least("--seed", seed, 0)
-    loaded = numerical.on(prior.into(conventions.load(study)))
+    loaded = options.load(study)
     if output is not None:
         output_folder(output, WRITTEN, "--output")
 

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import typer
 
 from zoo.cli.checks import at_least, model_names
-from zoo.cli.command import command
-from zoo.cli.options import NumericalOptions, PluginOptions, PriorOptions, QuietOption
+from zoo.cli.command import Role, command, typed_command
+from zoo.cli.options import PluginOptions, QuietOption, StudyOptions
 from zoo.cli.screen import say
 from zoo.core.outputs import output_file
 
@@ -20,12 +20,16 @@ def report(
     studies: Annotated[
         list[str] | None,
         typer.Argument(metavar="STUDY...", help="Studies, a chapter each; all built-in ones if absent."),
+        Role.STUDY,
     ] = None,
     posteriors: Annotated[
         list[Path] | None,
         typer.Option("--posteriors", help="Folder of posteriors; may be repeated. Here if absent."),
+        Role.SEARCHED,
     ] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="HTML file.")] = Path("report.html"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="HTML file."), Role.WRITES] = Path(
+        "report.html"
+    ),
     models: Annotated[
         str, typer.Option("--models", help="Those to take, with commas.")
     ] = "A,B,C,D,E,F,G,H,I",
@@ -38,13 +42,10 @@ def report(
     title: Annotated[str, typer.Option("--title", help="Of the page.")] = "Models of blood flow",
     quiet: QuietOption = False,
     *,
-    priors: PriorOptions,
-    numerical: NumericalOptions,
+    options: StudyOptions,
     plugins: PluginOptions,
 ) -> None:
     """Write one HTML page on stored posteriors: comparison, fits, convergence, how they were made."""
-    import shlex
-
     from zoo.blood.study import list_studies
     from zoo.report import gather, write_chapters
 
@@ -52,27 +53,21 @@ def report(
     letters = model_names(models)
     at_least("--n-draws", n_draws, 10)
     output_file(output, "--output")
-    names = studies or list(list_studies())
-    folders = posteriors or [Path()]
     chapters = gather(
-        names,
-        folders,
+        studies or list_studies(),
+        posteriors or [Path()],
         letters=letters,
         data=bool(os.environ.get("CI")),
-        settled=lambda study: numerical.on(priors.into(study)),
+        load=options.load,
         say=say,
     )
-    words = ["zoo", "report", *names]
-    words += [word for folder in folders for word in ("--posteriors", str(folder))]
-    words += [*priors.words(), *numerical.words(), *plugins.words()]
-    words += ["--models", ",".join(letters), "--ic", criterion, "--n-draws", str(n_draws), "-o", str(output)]
     write_chapters(
         output,
         chapters,
         title=title,
         ic=criterion,
         n_draws=n_draws,
-        command=shlex.join(words),
+        command=typed_command(),
         say=(lambda text: None) if quiet else say,
     )
     say(f"wrote {output}")

@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import model_name
-from zoo.cli.command import NOT_CONVERGED, UsageError, command
+from zoo.cli.command import NOT_CONVERGED, FreshOption, Role, UsageError, command
 from zoo.cli.options import (
-    ConventionOptions,
     DaskOption,
-    NumericalOptions,
     PluginOptions,
-    PriorOptions,
     SamplingOptions,
     StrictOption,
     StudyArgument,
+    StudyOptions,
 )
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file
@@ -36,7 +34,8 @@ def sample(
     study: StudyArgument,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="NetCDF file; MODEL-STUDY.nc by default.", show_default=False),
+        typer.Option("--output", "-o", help="NetCDF file; MODEL-STUDY.nc by default."),
+        Role.WRITES,
     ] = None,
     effects: Annotated[
         str | None,
@@ -45,35 +44,30 @@ def sample(
             help="Put these into the model, with commas: viscoelastic-wall,local-stiffness@2 (vessel 2; 2+ "
             "with all below). The model's name becomes MODEL+EFFECT.",
             metavar="NAMES",
-            show_default=False,
         ),
     ] = None,
     strict: StrictOption = False,
+    fresh: FreshOption = False,
     dask: DaskOption = None,
     *,
     sampling: SamplingOptions,
-    priors: PriorOptions,
-    conventions: ConventionOptions,
-    numerical: NumericalOptions,
+    options: StudyOptions,
     plugins: PluginOptions,
 ) -> None:
     """Sample a model's posterior on a study, until converged; an interrupted run goes on where it was."""
-    from zoo.blood.study import study_files
     from zoo.core.inference.cluster import connect
 
     plugins.load()
     added = [part.strip() for part in (effects or "").split(",") if part.strip()]
     name = model_name("+".join([model, *added]))
     settings = sampling.settings()
-    loaded = numerical.on(priors.into(conventions.load(study)))
-    path = output_file(
-        Path(f"{name}-{loaded.name}.nc") if output is None else output, "--output", study_files(study)
-    )
+    loaded = options.load(study)
+    path = output_file(Path(f"{name}-{loaded.name}.nc") if output is None else output, "--output")
+    if path.is_file() and not fresh:
+        _keeps_what_is_there(path, settings)
     with connect(dask) as executor:
         settings["executor"] = executor
-        idata = sample_with_checkpoint(
-            name, loaded, path, settings, resume=sampling.resume, progress=not sampling.quiet
-        )
+        idata = sample_with_checkpoint(name, loaded, path, settings, fresh=fresh, progress=not sampling.quiet)
     found = verdict_of(idata, settings["until_ess"])
     say(*_posterior_summary(idata, found), f"wrote {path}")
     if strict and not found.passes:
@@ -104,28 +98,45 @@ def build_model(name: str, study: Study) -> Any:
 
 
 def sample_with_checkpoint(
-    name: str, study: Study, path: Path, settings: Mapping[str, Any], *, resume: bool, progress: bool
+    name: str, study: Study, path: Path, settings: Mapping[str, Any], *, fresh: bool, progress: bool
 ) -> az.InferenceData:
     """Run a model with the checkpoint beside its output, and write the output."""
-    from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError
+    from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError, Folder
     from zoo.core.posterior.files import checkpoint_of, sample_to
 
+    checkpoint = checkpoint_of(path)
+    if checkpoint == path or checkpoint.is_symlink():
+        wrong = "is the place of its own checkpoint" if checkpoint == path else f"{checkpoint} is a link"
+        raise UsageError(f"--output {path}: {wrong}; give a file such as {path.with_suffix('.other.nc')}")
+    model = build_model(name, study)
     try:
-        if not resume:
-            _remove_checkpoint(checkpoint_of(path))
-        return sample_to(path, build_model(name, study), groups=True, progress=progress, **settings)
+        if fresh and checkpoint.is_dir():
+            Folder(checkpoint).remove()  # refused while another run holds it
+        return sample_to(path, model, groups=True, progress=progress, **settings)
     except CheckpointInUseError as error:
         raise UsageError(str(error)) from None
     except CheckpointError as error:
         raise UsageError(f"{error} (--fresh removes it)") from None
 
 
-def _remove_checkpoint(folder: Path) -> None:
-    """Delete the files of a checkpoint that no run is using, and nothing else."""
-    from zoo.core.inference.checkpoint import Folder
+def _keeps_what_is_there(path: Path, settings: Mapping[str, Any]) -> None:
+    """Refuse to put fewer draws in the place of those that a file holds."""
+    from zoo.core.inference.record import RunRecord
+    from zoo.core.posterior.files import checkpoint_of
+    from zoo.core.posterior.storage import load
 
-    if folder.is_dir() or folder.is_symlink():
-        Folder(folder).remove()  # refused while another run holds it
+    idata = load(path)
+    held, goal = idata["posterior"].sizes["draw"], settings["until_ess"]
+    before = RunRecord.of(idata).settings
+    if goal is None:
+        less = held > settings["draws"] != before.get("first check")
+    else:
+        less = goal != before.get("until_ess") and not checkpoint_of(path).is_dir()
+    if less:
+        raise UsageError(
+            f"--output {path}: holds {held} draws of each chain, which this run would replace by others; add "
+            "--fresh to do that, or choose another path"
+        )
 
 
 def _posterior_summary(idata: az.InferenceData, found: Verdict) -> list[Any]:

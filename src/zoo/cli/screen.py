@@ -11,72 +11,29 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-FOLDED = 16
-"""Least width of a column whose texts may be folded."""
-
-
 def say(*lines: Any) -> None:
-    """Print texts, whose long lines are left to the terminal, and tables, in blocks where they are too wide.
+    """Print texts, whose long lines are left to the terminal, and tables.
 
-    The width is that of the terminal, of the variable COLUMNS, or in a pipe 80.
+    Both are printed as they are: names may hold what rich would read as markup. A table has the width of the
+    terminal, of the variable COLUMNS, or in a pipe 80, by folding texts; columns of numbers are never folded.
     """
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    console = Console()
-    for line in lines:
-        for part in in_blocks(line, console.width) if isinstance(line, Table) else [line]:
-            console.print(part, highlight=False, soft_wrap=isinstance(line, str | Text))
-
-
-def in_blocks(table: Table, width: int) -> list[Table]:
-    """A table as tables of columns that fit a width, each with the first column again.
-
-    Columns of texts may be folded, down to `FOLDED` cells; numbers and columns without wrapping never are.
-    """
-    from rich.table import Table
-
-    gap = 2 if table.box is None else 3
-    heads = [str(column.header) if table.show_header else "" for column in table.columns]
-    rigid = [bool(column.no_wrap) or column.justify == "right" for column in table.columns]
-    cells = [[_plain(cell) for cell in column.cells] for column in table.columns]
-    needed = [_longest([head, *each]) for head, each in zip(heads, cells, strict=True)]
-    if sum(needed) + gap * (len(needed) - 1) <= width:
-        return [table]
-    needed = [n if firm else min(n, FOLDED) for n, firm in zip(needed, rigid, strict=True)]
-    blocks: list[list[int]] = []
-    for i in range(1, len(needed)):
-        if not blocks or sum(needed[j] + gap for j in (0, *blocks[-1])) + needed[i] > width:
-            blocks.append([])
-        blocks[-1].append(i)
-    found: list[Table] = []
-    for block in blocks:
-        part = Table(
-            title=None if found else table.title, title_justify=table.title_justify, box=table.box,
-            pad_edge=table.pad_edge, show_header=table.show_header,
-        )  # fmt: skip
-        chosen = [table.columns[i] for i in (0, *block)]
-        for column in chosen:
-            rigid_one = column.no_wrap or column.justify == "right"
-            part.add_column(column.header, justify=column.justify, no_wrap=rigid_one)
-        for k, row in enumerate(table.rows):
-            part.add_row(*(list(column.cells)[k] for column in chosen), style=row.style)
-        found.append(part)
-    return found or [table]
-
-
-def _plain(cell: Any) -> str:
-    from rich.text import Text
-
-    return (cell if isinstance(cell, Text) else Text.from_markup(str(cell))).plain
-
-
-def _longest(texts: Sequence[str]) -> int:
-    """Cells that the longest line takes."""
     from rich.cells import cell_len
+    from rich.console import Console
+    from rich.measure import Measurement
+    from rich.table import Table
+    from rich.text import Text
 
-    return max((cell_len(line) for text in texts for line in text.split("\n")), default=0)
+    console = Console(markup=False, emoji=False)
+    for line in lines:
+        if isinstance(line, Table):
+            for column in line.columns:
+                if column.no_wrap or column.justify == "right":
+                    cells = "\n".join(map(str, (column.header, *column.cells))).split("\n")
+                    column.min_width = max(map(cell_len, cells))
+            least = Measurement.get(console, console.options.update(width=10_000), line).minimum
+            console.print(line, width=max(console.width, least), crop=False, highlight=False)
+        else:
+            console.print(line, highlight=False, soft_wrap=isinstance(line, str | Text))
 
 
 def complain(text: str) -> None:

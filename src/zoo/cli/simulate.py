@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from zoo.cli.checks import numbers
-from zoo.cli.command import UsageError, command
-from zoo.cli.options import ConventionOptions, NumericalOptions, StudyArgument
-from zoo.cli.physics import PhysicsOptions
+from zoo.cli.command import Role, UsageError, command
+from zoo.cli.options import StudyArgument, StudyOptions
 from zoo.cli.screen import say
 from zoo.core.outputs import output_file, write_file
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from zoo.blood.study import Study
 
 POSITIONS = (0.0, 0.5, 1.0)
+WALLS = ("stiffness_out_g_cm_s2", "youngs_modulus_g_cm_s2", "wall_thickness_cm", "wall_thickness_out_cm")
+"""Fields of a vessel in whose place a stiffness stands."""
 
 
 @command
@@ -46,16 +48,16 @@ def simulate(
     psi2: Annotated[str, typer.Option("--psi2", help="Factor on R2.")] = "1",
     c: Annotated[str, typer.Option("--c", help="Factor on C.")] = "1",
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="waves.nc, or waves.csv in the long format.")
+        Path | None,
+        typer.Option("--output", "-o", help="waves.nc, or waves.csv in the long format."),
+        Role.WRITES,
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option("--plot", help="Figure of the waves: .png, .pdf or .svg.")
+        Path | None, typer.Option("--plot", help="Figure of the waves: .png, .pdf or .svg."), Role.WRITES
     ] = None,
     times: Annotated[int, typer.Option("--times", help="Times in the beat, from its start.")] = 512,
     *,
-    physics: PhysicsOptions,
-    conventions: ConventionOptions,
-    numerical: NumericalOptions,
+    options: StudyOptions,
 ) -> None:
     """Solve at one set of parameters: every vessel at positions 0, 0.5 and 1; pressure, flow and area."""
     import numpy as np
@@ -64,24 +66,32 @@ def simulate(
     from zoo.blood.physics import physics_words
     from zoo.blood.resolution import resolve_solver
     from zoo.blood.solver import Solver
-    from zoo.blood.study import study_files
+    from zoo.blood.study import check_physics
 
-    loaded = numerical.on(conventions.load(study))
-    read = study_files(study)
-    if output is not None and output_file(output, "--output", read).suffix not in (".nc", ".csv"):
+    loaded = options.load(study)
+    if output is not None and output_file(output, "--output").suffix not in (".nc", ".csv"):
         raise UsageError(f"--output {output}: unknown ending {output.suffix!r}; use .nc or .csv")
     if plot is not None:
         from zoo.plots import figure_path
 
-        figure_path(output_file(plot, "--plot", read))
+        figure_path(output_file(plot, "--plot"))
     if times < 2:
         raise UsageError(f"--times {times}: give at least 2 times in the beat")
     if wall == "tangent" and gamma is None:
         raise UsageError("--wall tangent needs --gamma, such as --gamma 5.2")
     if wall == "linear" and gamma is not None:
         raise UsageError("--gamma belongs to the tangent wall: add --wall tangent, or leave it out")
-    given = _stiffness(stiffness, f1, f2, f3, loaded, physics.youngs_modulus is not None)
-    loaded = physics.applied(loaded, given)
+    given = _stiffness(stiffness, f1, f2, f3, loaded)
+    if given is not None:
+        for key in options.changes():
+            if key.removeprefix("vessel.") in (*WALLS, "stiffness_g_cm_s2"):
+                raise UsageError(
+                    f"--set {key}: --stiffness or --f3 stands in its place; leave one of them out"
+                )
+        walls: list[dict[str, Any]] = [dict.fromkeys(WALLS) | {"stiffness_g_cm_s2": value} for value in given]
+        vessels = tuple(replace(v, **wall) for v, wall in zip(loaded.vessels, walls, strict=True))
+        check_physics(vessels, radius_pressure_mmHg=loaded.radius_pressure_mmHg)
+        loaded = replace(loaded, vessels=vessels)
     network = Network.from_study(loaded)
     order = [[v.id for v in loaded.vessels].index(int(i)) for i in network.ids]
 
@@ -99,10 +109,9 @@ def simulate(
         "c": each("--c", c),
     }
     resolution = resolve_solver(loaded, Solver.for_study(loaded, wall), **parameters)
-    options = resolution.options
     time_s = np.arange(times) * loaded.period_s / times
     positions = [(int(i), p) for i in network.ids for p in POSITIONS]
-    solver = Solver.for_study(loaded, wall, series=positions, times_s=time_s, options=options)
+    solver = Solver.for_study(loaded, wall, series=positions, times_s=time_s, options=resolution.options)
     solution = solver.solve(**parameters)
     waves = _waves(solution, [int(i) for i in network.ids], time_s)
     waves.attrs |= {
@@ -126,7 +135,7 @@ def simulate(
         save_figure(waves_figure(waves, loaded), plot)
     error = {}
     if loaded.series:
-        at_data = Solver.for_study(loaded, wall, options=options).solve(**parameters)
+        at_data = Solver.for_study(loaded, wall, options=resolution.options).solve(**parameters)
         error = {s.quantity: 0.0 for s in loaded.series}
         for i, s in enumerate(loaded.series):
             error[s.quantity] += float(np.sum(np.square(getattr(at_data, s.quantity)[i] - s.value)))
@@ -135,12 +144,7 @@ def simulate(
 
 
 def _stiffness(
-    stiffness: str | None,
-    f1: float | None,
-    f2: float | None,
-    f3: float | None,
-    study: Study,
-    other: bool,
+    stiffness: str | None, f1: float | None, f2: float | None, f3: float | None, study: Study
 ) -> list[float] | None:
     """A stiffness for each vessel in the study's order; None for the study's or the walls' own."""
     from zoo.blood.network import stiffness_profile
@@ -151,7 +155,7 @@ def _stiffness(
             raise UsageError("--stiffness and --f1 --f2 --f3 are two ways to say the same: give one of them")
         values = numbers("--stiffness", stiffness, study)
         return values if len(values) > 1 else values * len(study.vessels)
-    if f3 is None and f1 is None and f2 is None and (other or any(v.stiffness for v in study.vessels)):
+    if f3 is None and f1 is None and f2 is None and any(v.stiffness for v in study.vessels):
         return None
     if f3 is None:
         raise UsageError("no stiffness: give --stiffness 5.17e4, or --f3 (with --f1 and --f2 for eq. 3.5)")
@@ -195,15 +199,9 @@ def _write_waves(waves: xr.Dataset, path: Path) -> None:
         return
     from zoo.blood.case import UNITS
 
-    time_s = [f"{t:.9g}" for t in waves["time"].to_numpy()]
-    lines = ["vessel,position,quantity,time_s,value\n"]
-    for vessel in waves["vessel"].to_numpy():
-        for position in POSITIONS:
-            for quantity in UNITS:
-                values = waves[quantity].sel(vessel=vessel, position=position).to_numpy()
-                head = f"{vessel},{position:g},{quantity}"
-                lines += [f"{head},{t},{v:.9g}\n" for t, v in zip(time_s, values, strict=True)]
-    write_file(path, "".join(lines))
+    long = waves[list(UNITS)].to_array("quantity", name="value").rename(time="time_s")
+    table = long.transpose("vessel", "position", "quantity", "time_s").to_series()
+    write_file(path, table.to_csv(float_format="%.9g"))
 
 
 def _simulation_summary(
@@ -221,7 +219,7 @@ def _simulation_summary(
     pressure = waves["pressure_mmHg"].sel(vessel=root.id, position=0.0).to_numpy()
     flow = waves["flow_ml_s"].sel(vessel=root.id, position=0.0).to_numpy()
     lines = [
-        f"[bold]{study.name}[/bold]: {wall} wall, conventions {study.conventions.name}",
+        f"{study.name}: {wall} wall, conventions {study.conventions.name}",
         *physics,
         f"pressure at the inlet of {root.name or f'vessel {root.id}'}: systolic {pressure.max():.2f}, "
         f"diastolic {pressure.min():.2f}, mean {pressure.mean():.2f} mmHg; mean flow {flow.mean():.4f} ml/s",

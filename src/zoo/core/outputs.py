@@ -1,40 +1,125 @@
-"""Files and folders that results are written to: checked before the work, replaced in one go after it."""
+"""Files and folders that results are written to: checked before the work, replaced in one go after it.
+
+While a command runs, no file is lost that it did not make itself: see `Run`.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import secrets
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from zoo.core.words import OneLineError
+from zoo.core.words import OneLineError, short
 
-_KINDS = (
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-)
+RECORD = ".zoo-outputs"
+"""File beside outputs with a line for each that was written: its name, its SHA-256, the run."""
 
 
 class OutputFileError(OneLineError, ValueError):
     """A file or folder that cannot be written to: one line with its path and what to change."""
 
 
-def output_file(path: str | Path, option: str = "", inputs: Iterable[Path] = ()) -> Path:
+@dataclass
+class Run:
+    """A command at work, as a context manager: its outputs are new, or its own of the same run.
+
+    What `output_file` and `output_folder` are given with an option is an output: it is checked at once, and
+    again and recorded when it is written.
+
+    Parameters
+    ----------
+    identity : mapping
+        What makes this run, as JSON has it.
+    inputs : iterable of Path
+        What is read: files, none of which is replaced, and folders, into which nothing is written.
+    fresh : bool
+        Replace what zoo wrote in other runs too; never what it did not write, or not as it is.
+    """
+
+    identity: Mapping[str, Any]
+    inputs: Iterable[Path] = ()
+    fresh: bool = False
+    _outputs: set[Path] = field(default_factory=set)
+
+    def __enter__(self) -> Run:
+        _running.append(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        _running.remove(self)
+
+    def add(self, real: Path, named: str) -> None:
+        """Take a file or folder as an output, if nothing is lost by that."""
+        self._outputs.add(real)
+        self.check(real, named)
+
+    def check(self, real: Path, named: str, content: bytes | memoryview | None = None) -> None:
+        """Refuse an output by which something would be lost; record one that is about to be written."""
+        if not {real, real.parent} & self._outputs:
+            return
+        for read in self.inputs:
+            if real.exists() and read.exists() and real.samefile(read):
+                raise OutputFileError(f"{named}: is read here; choose another path")
+            if read.is_dir() and real.is_relative_to(os.path.realpath(read)):
+                raise OutputFileError(f"{named}: lies in {read}, which is read here; choose a path outside")
+        record = real.with_name(RECORD)
+        if record.is_symlink() or (record.exists() and not record.is_file()):
+            raise OutputFileError(f"{record}: is a link, or no file; remove it")
+        if real.is_file():
+            self._check_made(record, real, named)
+        elif real.exists() and not real.is_dir():
+            raise OutputFileError(f"{named}: is {_kind(real.stat().st_mode)}; choose another path")
+        if content is not None:
+            line = {"file": real.name, "sha256": hashlib.sha256(content).hexdigest(), "run": self.identity}
+            with record.open("a", encoding="utf-8") as file:
+                file.write("\n" + json.dumps(line))  # on its own also after one that was cut short
+
+    def _check_made(self, record: Path, real: Path, named: str) -> None:
+        text = record.read_text(encoding="utf-8", errors="replace") if record.exists() else ""
+        mark = json.dumps({"file": real.name, "sha256": hashlib.sha256(real.read_bytes()).hexdigest()})[:-1]
+        runs = [json.loads(line)["run"] for line in text.splitlines() if _is_record(line, mark)]
+        if not runs:
+            raise OutputFileError(
+                f"{named}: is there, and not as zoo wrote it; choose another path, or move it away"
+            )
+        if not self.fresh and self.identity not in runs:
+            there = runs[-1]
+            differs = [n for n in (*self.identity, *there) if self.identity.get(n) != there.get(n)]
+            what = differs[0] if differs else "command"
+            raise OutputFileError(
+                f"{named}: is of another run: {what} was {short(there.get(what))}, here it is "
+                f"{short(self.identity.get(what))}; add --fresh to replace it, or choose another path"
+            )
+
+
+_running: list[Run] = []
+
+
+def _is_record(line: str, mark: str) -> bool:
+    """Whether a line begins with a mark and was written to its end."""
+    try:
+        return line.startswith(mark) and isinstance(json.loads(line)["run"], dict)
+    except (ValueError, KeyError, RecursionError):
+        return False
+
+
+def output_file(path: str | Path, option: str = "") -> Path:
     """Check before any work that a file can be written.
 
-    The target may be new, or a regular file that may be replaced; its folder is there and takes new files,
-    which is tried. A link is followed: what it points to is replaced, the link stays.
+    The target may be new, or a regular file that may be replaced; its folder is there. A link is followed:
+    what it points to is replaced, the link stays.
 
     Parameters
     ----------
     path : str or Path
     option : str
         Of the command line, which the error names before the path.
-    inputs : iterable of Path
-        Files that are read, none of which may be replaced.
 
     Returns
     -------
@@ -44,14 +129,10 @@ def output_file(path: str | Path, option: str = "", inputs: Iterable[Path] = ())
     Raises
     ------
     OutputFileError
-        If it is a folder, a device, a pipe, a socket, a circle of links or an input, or cannot be written.
+        If it cannot be written, or a command that runs would lose something by it.
     """
-    path, named = Path(path), _named(path, option)
-    real = _target(path, named)
-    if real.exists() and any(one.exists() and real.samefile(one) for one in inputs):
-        raise OutputFileError(f"{named}: is a file that is read here; choose another path")
-    _try_in(real.parent, named)
-    return path
+    _checked(Path(path), option)
+    return Path(path)
 
 
 def output_folder(
@@ -79,24 +160,10 @@ def output_folder(
     OutputFileError
         If it is no folder, cannot be made or written to, or one of the files cannot be replaced.
     """
-    path, named = Path(path), _named(path, option)
-    if _mode(path, named) is None:
-        if path.is_symlink():
-            raise OutputFileError(f"{named}: is a link to nothing; give a folder")
-        parent = Path(os.path.realpath(path)).parent
-        while deep and _mode(parent, named) is None:
-            parent = parent.parent
-        if not parent.is_dir():
-            wrong = "is a file" if parent.exists() else "does not exist"
-            shown = path.parent if not deep else parent
-            raise OutputFileError(f"{named}: folder {shown} {wrong}; create it or choose another path")
-        _try_in(parent, named)
-        return path
-    if not path.is_dir():
-        raise OutputFileError(f"{named}: is {_kind(path)}; give a folder")
-    _try_in(path, named)
-    for name in files:
-        _target(path / name, _named(path / name, option))
+    path = Path(path)
+    _checked(path, option, folder=True, deep=deep)
+    for name in files if path.is_dir() else ():
+        _checked(path / name, option)
     return path
 
 
@@ -122,11 +189,15 @@ def write_file(path: str | Path, content: str | bytes | memoryview, *, private: 
     OutputFileError
         If it cannot be written; what was there before is as it was, and nothing else is left.
     """
-    path, named = Path(path), _named(path, "")
-    real = _target(path, named)
+    path = Path(path)
+    real = _checked(path)
     raw = content.encode() if isinstance(content, str) else content
     try:
-        file, temporary = _open_beside(real, 0o600 if private else 0o666)
+        for run in _running:
+            run.check(real, str(path), raw)
+        temporary = real.with_name(f".zoo-{secrets.token_hex(8)}.part")
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+        file = os.open(temporary, flags, 0o600 if private else 0o666)
         try:
             with open(file, "wb") as opened:
                 opened.write(raw)
@@ -138,12 +209,35 @@ def write_file(path: str | Path, content: str | bytes | memoryview, *, private: 
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
-        raise _unwritable(named, error) from None
+        raise _unwritable(str(path), error) from None
     return path
 
 
-def _named(path: str | Path, option: str) -> str:
-    return f"{option} {path}".strip()
+def _checked(path: Path, option: str = "", *, folder: bool = False, deep: bool = False) -> Path:
+    """What a path leads to past its links, if it can be written as a file or folder without a loss."""
+    named = f"{option} {path}".strip()
+    mode, real = _mode(path, named), Path(os.path.realpath(path))
+    if mode is None and folder and path.is_symlink():
+        raise OutputFileError(f"{named}: is a link to nothing; give a folder")
+    if mode is not None and folder and not stat.S_ISDIR(mode):
+        raise OutputFileError(f"{named}: is {_kind(mode)}; give a folder")
+    if mode is not None and not folder and not stat.S_ISREG(mode):
+        other = f"give a file in it, such as {path / 'A.nc'}" if stat.S_ISDIR(mode) else "choose another path"
+        raise OutputFileError(f"{named}: is {_kind(mode)}; {other}")
+    if mode is not None and not folder and not os.access(real, os.W_OK):
+        raise OutputFileError(f"{named}: cannot be written (it is read-only); choose another path")
+    there = real if folder and mode is not None else real.parent
+    while deep and _mode(there, named) is None:
+        there = there.parent
+    if not there.is_dir():
+        wrong = "is a file" if there.exists() else "does not exist"
+        shown = there if deep else path.parent
+        raise OutputFileError(f"{named}: folder {shown} {wrong}; create it or choose another path")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise OutputFileError(f"{named}: cannot be written (Permission denied); choose another path")
+    for run in _running:
+        (run.add if option else run.check)(real, named)
+    return real
 
 
 def _mode(path: Path, named: str) -> int | None:
@@ -158,42 +252,10 @@ def _mode(path: Path, named: str) -> int | None:
         raise OutputFileError(f"{named}: holds a zero byte; choose another path") from None
 
 
-def _kind(path: Path) -> str:
-    mode = path.stat().st_mode
-    return next((words for has, words in _KINDS if has(mode)), "a file")
-
-
-def _target(path: Path, named: str) -> Path:
-    """The regular or new file that a path leads to, past its links."""
-    mode = _mode(path, named)
-    real = Path(os.path.realpath(path))
-    if mode is None and not real.parent.is_dir():
-        raise OutputFileError(
-            f"{named}: folder {path.parent} does not exist; create it or choose another path"
-        )
-    if mode is not None and stat.S_ISDIR(mode):
-        raise OutputFileError(f"{named}: is a folder; give a file in it, such as {path / 'A.nc'}")
-    if mode is not None and not stat.S_ISREG(mode):
-        raise OutputFileError(f"{named}: is {_kind(path)}, not a file; choose another path")
-    if mode is not None and not os.access(real, os.W_OK):
-        raise OutputFileError(f"{named}: cannot be written (it is read-only); choose another path")
-    return real
-
-
-def _open_beside(real: Path, mode: int = 0o666) -> tuple[int, Path]:
-    """A new file in the folder of another, under a name that nothing has; and its path."""
-    temporary = real.with_name(f".zoo-{secrets.token_hex(8)}.part")
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
-    return os.open(temporary, flags, mode), temporary
-
-
-def _try_in(folder: Path, named: str) -> None:
-    try:
-        file, temporary = _open_beside(folder / "any")
-        os.close(file)
-        temporary.unlink()
-    except OSError as error:
-        raise _unwritable(named, error) from None
+def _kind(mode: int) -> str:
+    if stat.S_ISDIR(mode) or stat.S_ISREG(mode):
+        return "a folder" if stat.S_ISDIR(mode) else "a file"
+    return "a pipe" if stat.S_ISFIFO(mode) else "a device or a socket"
 
 
 def _unwritable(named: str, error: OSError) -> OutputFileError:

@@ -14,8 +14,8 @@ from zoo.blood.study import load_study
 from zoo.core.inference.convergence import ESS_TARGET, RHAT_LIMIT
 from zoo.core.inference.record import ResultsError, RunRecord, versions
 from zoo.core.outputs import output_file
+from zoo.core.posterior import storage
 from zoo.core.posterior.files import find, load_for
-from zoo.core.posterior.storage import load
 from zoo.models import MODELS
 from zoo.report.chapter import Chapter, part_of
 from zoo.report.page import ReportError, write_page
@@ -168,7 +168,7 @@ def stored(
     found = {}
     for file in (file for folder in folders for file in sorted(folder.glob("*.nc"))):
         try:
-            idata = load(file)
+            idata = storage.load(file)
             record = RunRecord.of(idata)
         except ResultsError:
             continue
@@ -183,7 +183,7 @@ def gather(
     *,
     letters: Sequence[str] = MODELS,
     data: bool = False,
-    settled: Callable[[Study], Study] = lambda study: study,
+    load: Callable[[str], Study] = load_study,
     say: Callable[[str], None] = lambda text: None,
 ) -> list[Chapter]:
     """Chapters on studies with the posteriors that folders hold.
@@ -200,8 +200,8 @@ def gather(
         Models to take.
     data : bool
         Refuse measured data that cannot be had.
-    settled : callable
-        What is changed in each study: its priors, its cells.
+    load : callable
+        What loads a study by its name.
     say : callable
         Told of files that are passed over, one line each.
 
@@ -221,7 +221,7 @@ def gather(
     chapters = []
     for name in studies:
         try:
-            study = load_study(name)
+            study = load(name)
         except FetchError as error:
             if data:
                 raise
@@ -229,7 +229,6 @@ def gather(
             posteriors = stored(folders, name, letters)
             chapters.append(Chapter(name, posteriors, note=note, commands=[f"zoo fetch {name}"]))
             continue
-        study = settled(study)
         files_found = find(folders, letters, study, say=say)
         models = {letter: get_model(letter)(study) for letter in letters if letter in files_found}
         posteriors = {letter: load_for(files_found[letter], model) for letter, model in models.items()}

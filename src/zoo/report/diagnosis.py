@@ -142,8 +142,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
         summary=diagnosis_summary(file),
         facts=_diagnosis_facts(diagnosis),
         discrepancy=[_discrepancy_row(row) for row in file.gap.per_series],
-        where=_where_sentences(file),
-        hypotheses=[_hypothesis_row(h, file) for h in file.hypotheses],
+        where=where_sentences(file),
+        hypotheses=[hypothesis_row(h, file) for h in file.hypotheses],
         groups=_groups(file),
         components=component_rows(file),
         component_sentences=component_sentences(file),
@@ -173,13 +173,7 @@ def total_seconds(record: Mapping[str, Any]) -> float:
     float
         s; NaN if the record has no time of the screening.
     """
-    return float(record.get("screening_seconds", math.nan)) + (_posterior_seconds(record) or 0.0)
-
-
-def _posterior_seconds(record: Mapping[str, Any]) -> float | None:
-    """Time of sampling the posteriors, s; older files call it confirmation_seconds."""
-    seconds = record.get("posterior_seconds", record.get("confirmation_seconds"))
-    return None if seconds is None else float(seconds)
+    return float(record.get("screening_seconds", math.nan)) + float(record.get("posterior_seconds", 0.0))
 
 
 def diagnosis_summary(file: DiagnosisFile) -> list[str]:
@@ -286,14 +280,11 @@ def _diagnosis_facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     facts += [("observed", series), ("checksum", file.study_checksum), ("baseline", file.base)]
     facts += [] if study is None else [("conventions", study.conventions.name)]
     facts.append(("errors", "; ".join(noise)))
-    seconds = {
-        "screening_seconds": record.get("screening_seconds"),
-        "posterior_seconds": _posterior_seconds(record),
-    }
-    if seconds["posterior_seconds"] is not None:
-        seconds["total_seconds"] = total_seconds(record)
-    wanted = ("started", "seed", "cores", "solves", "failed_solves")
-    for name, value in ({name: record.get(name) for name in wanted} | seconds).items():
+    wanted = ("started", "seed", "cores", "solves", "failed_solves", "screening_seconds", "posterior_seconds")
+    told = {name: record.get(name) for name in wanted}
+    if told["posterior_seconds"] is not None:
+        told["total_seconds"] = total_seconds(record)
+    for name, value in told.items():
         if value is not None:
             facts.append((name.replace("_", " "), f"{value:.1f}" if isinstance(value, float) else str(value)))
     facts.append(("versions", settings_text(record.get("versions", {}))))
@@ -314,7 +305,8 @@ def _discrepancy_row(row: SeriesGap) -> list[str]:
     ]
 
 
-def _where_sentences(file: DiagnosisFile) -> list[str]:
+def where_sentences(file: DiagnosisFile) -> list[str]:
+    """Where the discrepancy lies: a sentence each on phases, harmonics, series and locations."""
     where = file.where
     lines = []
     for what, shares in (("phase", where.phase), ("harmonic", where.harmonic), ("series", where.series)):
@@ -325,7 +317,8 @@ def _where_sentences(file: DiagnosisFile) -> list[str]:
     return lines
 
 
-def _hypothesis_row(h: HypothesisResult, file: DiagnosisFile) -> dict[str, Any]:
+def hypothesis_row(h: HypothesisResult, file: DiagnosisFile) -> dict[str, Any]:
+    """An explanation with the cells of its row."""
     zero = next(x.log_evidence for x in file.hypotheses if x.name == NULL)
     parameters = [a for a in (h.amplitude, *h.other_amplitudes) if a is not None]
     free = h.name in (NONPARAMETRIC, CORRELATED)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from zoo.blood.study import STUDY_FILES, Study, StudyError, load_study, save_study
 from zoo.core.outputs import output_folder
@@ -34,13 +35,15 @@ class Imported:
     converted: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
 
-    def save(self, folder: str | Path) -> Study:
+    def save(self, folder: str | Path, *, replace: bool = False) -> Study:
         """Write the study as a folder, and load it from there.
 
         Parameters
         ----------
         folder : str or Path
-            Made when absent; it must not hold a study.
+            Made when absent.
+        replace : bool
+            The files of a study that are in the folder.
 
         Returns
         -------
@@ -50,20 +53,20 @@ class Imported:
         Raises
         ------
         ImportedFileError
-            If there is a study in the folder already, or the files make no study; of that nothing is left.
+            If a file of a study is in the folder already, or the files make no study: then none is written.
         zoo.core.outputs.OutputFileError
             If the folder or a file cannot be written.
         """
         folder = output_folder(folder, STUDY_FILES, deep=True)
-        if (folder / "study.toml").exists():
-            raise ImportedFileError(f"{folder}: holds a study already; give another folder, or remove it")
-        made = not folder.exists()
+        there = [] if replace else [name for name in STUDY_FILES if (folder / name).exists()]
+        if there:
+            raise ImportedFileError(f"{folder / there[0]}: is there already; give another folder")
+        with TemporaryDirectory() as tried:
+            save_study(self.study, tried)
+            try:
+                load_study(tried)
+            except StudyError as error:
+                text = str(error).replace(tried, str(folder))
+                raise ImportedFileError(f"{self.study.source}: makes no study: {text}") from None
         save_study(self.study, folder)
-        try:
-            return load_study(folder)
-        except StudyError as error:
-            for name in STUDY_FILES:
-                (folder / name).unlink(missing_ok=True)
-            if made:
-                folder.rmdir()
-            raise ImportedFileError(f"{self.study.source}: makes no study: {error}") from None
+        return load_study(folder)

@@ -18,6 +18,7 @@ from zoo.blood.study.samples import (
     read_inflow,
     read_observations,
 )
+from zoo.blood.study.settings import put_in
 from zoo.blood.study.study import Study
 from zoo.blood.study.suspicion import warn_of_units
 from zoo.blood.study.tables import (
@@ -93,7 +94,10 @@ def study_files(name_or_folder: str | Path) -> list[Path]:
 
 
 def load_study(
-    name_or_folder: str | Path, conventions: str | Mapping[str, Any] | Conventions | None = None
+    name_or_folder: str | Path,
+    conventions: str | Mapping[str, Any] | Conventions | None = None,
+    *,
+    settings: Mapping[str, Any] | None = None,
 ) -> Study:
     """Load and check a study.
 
@@ -103,6 +107,9 @@ def load_study(
         A built-in name (see `list_studies`), or a folder with a ``study.toml``.
     conventions : str, mapping or Conventions
         Instead of the study's own; as in `zoo.blood.conventions.get_conventions`.
+    settings : mapping, optional
+        Fields of study.toml and network.toml in the place of the study's own, by names with dots, such as
+        ``{"conventions.friction": "rest", "vessel.radius_cm": 0.05}``; None leaves a field out.
 
     Returns
     -------
@@ -126,8 +133,9 @@ def load_study(
     """
     folder, source = _find(name_or_folder)
     path = folder / "study.toml"
-    table = validated(StudyTable, read_toml(path)[0], str(path))
-    where = str(path)
+    data, settings = read_toml(path)[0], settings or {}
+    where = put_in(data, settings, StudyTable, str(path))
+    table = validated(StudyTable, data, where)
     name = visible_name(where, table.name, of_file=True)
     try:
         own = get_conventions(table.conventions)
@@ -136,7 +144,7 @@ def load_study(
     chosen = own if conventions is None else get_conventions(conventions)
 
     network = _file(where, folder, "network", table.network)
-    tree = read_network_file(network)
+    tree = read_network_file(network, settings)
     known = [v.id for v in tree.vessels]
     inflow_note = ""
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, StudyError, Vessel, Windkessel
 from zoo.blood.study.reading import read_toml
+from zoo.blood.study.settings import put_in
 from zoo.blood.study.study import JUNCTION_PRESSURES
 from zoo.blood.study.tables import (
     BloodTable,
@@ -204,27 +205,28 @@ def _label(fields: Mapping[str, Any], i: int) -> str:
     return given if isinstance(given, str) and len(given) < 20 else short(given, 20)
 
 
-def read_network_file(path: Path) -> NetworkFile:
-    """A network.toml, checked."""
+def read_network_file(path: Path, settings: Mapping[str, Any] | None = None) -> NetworkFile:
+    """A network.toml with settings in the place of its own fields, checked."""
     data, text = read_toml(path)
-    table = validated(NetworkTable, data, str(path))
-    blood = validated(BloodTable, table.blood, f"{path}: blood")
-    junctions = validated(JunctionsTable, table.junctions, f"{path}: junctions")
+    file = put_in(data, settings or {}, NetworkTable, str(path))
+    table = validated(NetworkTable, data, file)
+    blood = validated(BloodTable, table.blood, f"{file}: blood")
+    junctions = validated(JunctionsTable, table.junctions, f"{file}: junctions")
     if junctions.pressure not in JUNCTION_PRESSURES:
         raise StudyError(
-            f"{path}: junctions: pressure = {short(junctions.pressure)}: "
+            f"{file}: junctions: pressure = {short(junctions.pressure)}: "
             f"{nearest(junctions.pressure, JUNCTION_PRESSURES)}"
         )
-    surroundings = validated(SurroundingsTable, table.surroundings, f"{path}: surroundings").model_dump()
+    surroundings = validated(SurroundingsTable, table.surroundings, f"{file}: surroundings").model_dump()
     heads = [n for n, line in enumerate(text.splitlines(), 1) if re.match(r"\s*\[\[\s*vessel\s*\]\]", line)]
     vessels, where = [], []
     for i, data in enumerate(table.vessel):
         row = f", row {heads[i]}" if len(heads) == len(table.vessel) else ""
-        place = f"{path}{row}: vessel {_label(data, i)}"
+        place = f"{file}{row}: vessel {_label(data, i)}"
         vessels.append(vessel_of(data, place))
         where.append(place)
     if not vessels:
-        raise StudyError(f"{path}: vessel: the list is empty; add at least one [[vessel]]")
+        raise StudyError(f"{file}: vessel: the list is empty; add at least one [[vessel]]")
     sort_vessels(vessels, where)
     check_physics(vessels, where, surroundings["radius_pressure_mmHg"])
     nominal = frozenset(

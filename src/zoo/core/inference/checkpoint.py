@@ -47,7 +47,7 @@ class Folder:
                 raise OutputFileError(f"{path}: is a link; give the folder itself as checkpoint folder")
             path.mkdir(parents=True, exist_ok=True)
             _refuse_links(path)
-            self._lock: IO[str] = open(path / "lock", "w")  # noqa: SIM115 (closed by close)
+            self._lock: IO[str] = open(path / "lock", "a")  # noqa: SIM115 (closed by close)
         except OSError as error:
             raise CheckpointError(
                 f"{path}: cannot be used as checkpoint folder ({error.strerror}); choose another"
@@ -115,13 +115,15 @@ class Folder:
             If anything else than a checkpoint's files is there; then all stays as it is.
         """
         try:
-            files = sorted(self.path.iterdir())
-            for file in files:
-                if not any(map(file.match, FILES)):
-                    raise OutputFileError(
-                        f"{self.path}: holds files that are not a checkpoint's; move {file.name} away"
-                    )
-            for file in files:
+            there = sorted(self.path.iterdir())
+            others = [file for file in there if not any(map(file.match, FILES))]
+            begun = (self.path / "run.json").is_file() or [file.name for file in there] == ["lock"]
+            if others or not begun:
+                away = (others or there)[0].name
+                raise OutputFileError(
+                    f"{self.path}: holds files that are not a checkpoint's; move {away} away"
+                )
+            for file in there:
                 file.unlink()
         finally:
             self.close()
