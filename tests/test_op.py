@@ -297,13 +297,6 @@ def test_sampling_without_a_step_stops_where_pymc_knows_none_but_slice(
         pm.sample(draws=5, tune=5, chains=1, progressbar=False)
 
 
-def test_find_map_goes_on_without_a_gradient(study: Study) -> None:
-    with linear_model(study):
-        best = pm.find_MAP(progressbar=False)
-    assert best["f3"] == pytest.approx(POINT[0], rel=0.1)
-    assert best["psi2"] == pytest.approx(POINT[3], rel=0.02)
-
-
 # processes
 
 

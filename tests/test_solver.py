@@ -2,7 +2,6 @@
 
 import gzip
 import os
-import pickle
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -346,7 +345,7 @@ def test_each_switch_of_the_conventions_matters(switch, least):
     assert np.abs(both[0] - both[1]).max() > least
 
 
-# --- threads, pickles
+# --- threads, times
 
 
 def test_threads_share_a_solver():
@@ -356,14 +355,6 @@ def test_threads_share_a_solver():
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(lambda v: solver.solve(v).pressure_mmHg, values))
     np.testing.assert_array_equal(alone, together)
-
-
-def test_pickle_keeps_the_result():
-    solver = mouse("tangent")
-    again = pickle.loads(pickle.dumps(solver))
-    np.testing.assert_array_equal(
-        again.solve(**H_MEDIANS).pressure_mmHg, solver.solve(**H_MEDIANS).pressure_mmHg
-    )
 
 
 def test_samples_do_not_depend_on_the_order_of_times():
