@@ -136,7 +136,7 @@ class Clock:
         slow = sum(own for test, own in self.own.items() if test in self.slow)
         fixtures = {
             kind: {f for t, used in self.uses.items() if (t in self.slow) is kind for f in used}
-            for kind in (0, 1)
+            for kind in (False, True)
         }
         fast = sum(self.own.values()) - slow + sum(self.fixtures[f] for f in fixtures[0])
         slow += sum(self.fixtures[f] for f in fixtures[1] - fixtures[0])
