@@ -53,7 +53,9 @@ def summary_rows(s: Mapping[str, Any], *, sizes: bool = True) -> list[tuple[str,
     if sizes and s["parameter"].n:
         words = "95 % interval of the effect parameter holds the true one"
         prior = best["parameter"]
-        rows.append((words, str(s["parameter"]), f"{100 * prior.share:.0f} % (the prior's)" if prior.n else "–"))
+        rows.append(
+            (words, str(s["parameter"]), f"{100 * prior.share:.0f} % (the prior's)" if prior.n else "–")
+        )
         if prior.n:
             rows.append(("its width over the prior's, median", f"{s['parameter_width']:.3f}", "1"))
     if sizes and s["left"].n:
