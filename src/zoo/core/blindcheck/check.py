@@ -137,6 +137,7 @@ def blind_check(
     Brier score                          0.006                        0.625
     what is true first                   100 % (4 of 4; 51 to 100 %)  50 % (always drift)
     what is true, or its group, first    100 % (4 of 4; 51 to 100 %)  50 % (always drift)
+    mean rank of its group               1.00                         –
     mean size of the leading group       1.0                          1
     no effect, and something else first  0 % (0 of 1; 0 to 79 %)      0 % (always no-gap)
     stated with more than 90 %, right    3 of 3 (0.977 stated)        –

@@ -109,26 +109,11 @@ def reliability(
 class CaseScore:
     """One case: what is true, what was answered, how near that is.
 
-    Attributes
-    ----------
-    right : tuple of str
-        What may be named.
-    leader, stated : str, float
-        What is ranked first, and the probability of its group.
-    rank : int or None
-        Of the best-placed group that holds what is true.
-    first, group_first : bool
-        What is true is ranked first, or its group is.
-    probability : float
-        Of what is true.
-    log_score, brier : float or None
-        log p, and (p - 1)^2 with the squares of all other probabilities; None without an answer.
-    false_alarm : bool or None
-        Of a case without an effect.
-    parameter, true_parameter, prior_95
-        Of the true effect at the true location, whatever leads.
-    left, true_left
-        Discrepancy that the leading effect leaves.
+    `right` is what may be named, `leader` what is ranked first, `stated` the probability of its group; `rank`
+    that of the best-placed group which holds what is true, `probability` that of what is true. `first` and
+    `group_first` say whether what is true, or its group, is ranked first. The parameter is that of the true
+    effect at the true location, whatever leads; `left` is the discrepancy that the leading effect leaves.
+    Scores are None without an answer, `false_alarm` where there is an effect.
     """
 
     case: str

@@ -46,6 +46,7 @@ def summary_rows(s: Mapping[str, Any], *, sizes: bool = True) -> list[tuple[str,
             constant = "always no-gap" if name == "false_alarms" else always
             rows.append((words, str(s[name]), f"{100 * best[name].share:.0f} % ({constant})"))
             if name == "group_first":
+                rows.append(("mean rank of its group", f"{s['mean_rank']:.2f}", "–"))
                 rows.append(("mean size of the leading group", f"{s['group_size']:.1f}", "1"))
     if s["sure"].n:
         text = f"{s['sure'].count} of {s['sure'].n} ({s['sure_stated']:.3f} stated)"
