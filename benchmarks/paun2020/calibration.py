@@ -47,7 +47,7 @@ LEVELS = (0.5, 0.8, 0.95)
 LOG_POSTERIOR = "log_posterior"
 """Name of the ranked quantity beside the parameters: the log-posterior density, which sees all of them."""
 MOST_TRIES = 1000
-SIGMA2 = "log_uniform(1e-3, 1)"
+SIGMA2 = {"log_uniform": [1e-3, 1.0]}
 """Prior of a variance here, mmHg2: InverseGamma(0.001, 0.001) has half of its mass above 1e300."""
 EXACT: dict[str, Any] = {
     "method": "exact",
