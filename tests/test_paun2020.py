@@ -143,7 +143,7 @@ def test_text_of_the_table():
 
 def test_costs_stand_beside_the_papers():
     costs = cost_table({"G": posterior("G"), "A": posterior("A")})
-    assert costs.loc["G", "published_days"] == 42
+    assert costs.loc["G", "published_iterations"] == 300_000
     assert costs.loc["A", ["solves", "minutes", "failed"]].tolist() == [4100, 2.0, 3]
 
 
