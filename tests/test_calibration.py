@@ -112,12 +112,12 @@ def test_truths_have_the_prior_and_data_the_errors() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "n"), [("A", 16), ("B", 16)])
+@pytest.mark.parametrize(("name", "n"), [("A", 12), ("B", 12)])
 def test_short_calibration(name: str, n: int) -> None:
     replicates = simulate_and_rank(quick(name), n)
     table = rank_table(replicates, 15)
     assert passes(ranks_of(replicates), 15), table.to_string()
-    assert table.loc[["f3", "psi1", "psi2", "c"], "narrowing"].max() < 0.3
+    assert table.loc[["f3", "psi1", "psi2", "c"], "narrowing"].max() < 0.5
 
 
 @pytest.mark.slow
@@ -129,7 +129,7 @@ def test_a_sampler_of_a_tempered_posterior_is_flagged(monkeypatch: pytest.Monkey
         return 0.1 * float(right(self, q, q0))
 
     monkeypatch.setattr(DEMetropolisZ, "delta_logp", tempered)
-    ranks = ranks_of(simulate_and_rank(quick("A"), 10))
+    ranks = ranks_of(simulate_and_rank(quick("A"), 6))
     assert not passes(ranks, 15), ranks.to_string()
     assert not uniform(ranks[[LOG_POSTERIOR]], 15, 0.999).any()
 
@@ -151,7 +151,7 @@ def half_variance(study: Study) -> pm.Model:
 @pytest.mark.slow
 def test_a_likelihood_of_half_the_variance_is_flagged() -> None:
     asked = quick("A")
-    ranks = ranks_of(simulate_and_rank(replace(asked, builder=half_variance, truth=asked.builder), 8))
+    ranks = ranks_of(simulate_and_rank(replace(asked, builder=half_variance, truth=asked.builder), 6))
     assert not passes(ranks, 15), ranks.to_string()
     assert not uniform(ranks[["sigma2"]], 15, 0.999).any()
 

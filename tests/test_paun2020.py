@@ -143,7 +143,7 @@ def test_text_of_the_table():
 
 def test_costs_stand_beside_the_papers():
     costs = cost_table({"G": posterior("G"), "A": posterior("A")})
-    assert costs.loc["G", "published_days"] == 42
+    assert costs.loc["G", "published_iterations"] == 300_000
     assert costs.loc["A", ["solves", "minutes", "failed"]].tolist() == [4100, 2.0, 3]
 
 
@@ -251,7 +251,7 @@ def test_pool_agrees_with_chains():
         theirs = np.quantile(chain, (0.1, 0.5, 0.9))
         ours = np.quantile(draws[name], (0.1, 0.5, 0.9), weights=weights, method="inverted_cdf")
         assert np.all(np.abs(ours - theirs) < np.array([0.6, 0.35, 0.6]) * chain.std()), name
-    assert row["joint_direct"] == pytest.approx(row["joint_kde"], rel=0.5)
+    assert 0.5 < row["joint_kde"] / row["joint_direct"] < 1.5  # a kernel in six dimensions smooths
 
 
 def test_pool_says_when_its_weights_cannot_be_trusted():

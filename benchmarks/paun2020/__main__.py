@@ -43,13 +43,9 @@ def calibration(given: argparse.Namespace) -> None:
     """Draw truths from priors, and rank them among draws of their posteriors."""
     with connect(given.dask) as executor:
         for name in given.models.split(","):
-            print(
-                calibrate(
-                    name, given.replicates, given.output / "calibration", surrogate=given.surrogate,
-                    seed=given.seed, cores=given.cores, executor=executor,
-                ),
-                flush=True,
-            )  # fmt: skip
+            how = {"surrogate": given.surrogate, "seed": given.seed, "cores": given.cores}
+            folder = given.output / "calibration"
+            print(calibrate(name, given.replicates, folder, executor=executor, **how), flush=True)
 
 
 def main() -> None:

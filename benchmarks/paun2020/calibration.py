@@ -14,13 +14,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import arviz as az
 import numpy as np
 import pandas as pd
 from arviz.stats.ecdf_utils import ecdf_confidence_band
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.stats import uniform as uniform_law
 
 from zoo import sample
 from zoo.blood.ejection import PERIOD_S, ejection
@@ -37,8 +34,6 @@ from zoo.core.outputs import write_file
 from zoo.core.parameters import draw_prior, unpack, variable_name
 from zoo.core.surrogate.waveform import SurrogateError
 from zoo.models import get_model
-from zoo.plots import save_figure
-from zoo.plots.style import new_figure, parameter_label
 
 Array = NDArray[np.float64]
 Builder = Callable[[Study], Any]
@@ -47,7 +42,7 @@ LEVELS = (0.5, 0.8, 0.95)
 LOG_POSTERIOR = "log_posterior"
 """Name of the ranked quantity beside the parameters: the log-posterior density, which sees all of them."""
 MOST_TRIES = 1000
-SIGMA2 = "log_uniform(1e-3, 1)"
+SIGMA2 = {"log_uniform": [1e-3, 1.0]}
 """Prior of a variance here, mmHg2: InverseGamma(0.001, 0.001) has half of its mass above 1e300."""
 EXACT: dict[str, Any] = {
     "method": "exact",
@@ -337,12 +332,11 @@ def calibrated_model(name: str) -> tuple[Builder, Study]:
 def calibrate(
     name: str, n: int, folder: Path, *, surrogate: bool, seed: int, cores: int, executor: Executor | None
 ) -> str:
-    """Calibrate one model, draw its figure into the folder, and return what docs/calibration.md quotes."""
+    """Calibrate one model, and return what docs/calibration.md quotes."""
     builder, study = calibrated_model(name)
     asked = Calibration(builder, study, seed, settings=SURROGATE if surrogate else EXACT)
     stem = f"{name}{'-surrogate' if surrogate else ''}-{seed}"
     replicates = simulate_and_rank(asked, n, folder / stem, cores=cores, executor=executor)
-    save_figure(rank_figure(ranks_of(replicates), asked.ranked), folder / f"{stem}.svg")
     worst = min(one.ess for one in replicates), max(one.rhat for one in replicates)
     exact = sum(bool(one.correction) for one in replicates)
     return "\n".join(
@@ -353,19 +347,3 @@ def calibrate(
             "passes" if passes(ranks_of(replicates), asked.ranked) else "FAILS",
         ]
     )
-
-
-def rank_figure(ranks: pd.DataFrame, ranked: int) -> Figure:
-    """Difference of the ranks' ECDF to a uniform one, with the 95 % band that holds for all ranks at once."""
-    points = np.arange(1, ranked + 1) / (ranked + 1)
-    with new_figure((1.0 + 1.75 * ranks.shape[1], 2.4)) as figure:
-        grid = figure.subplots(1, ranks.shape[1], squeeze=False, sharey=True)
-        for axes, (name, column) in zip(grid[0], ranks.items(), strict=True):
-            shares = (column.to_numpy() + 1) / (ranked + 1)
-            az.plot_ecdf(
-                shares, cdf=uniform_law.cdf, difference=True, confidence_bands="optimized", ci_prob=0.95,
-                eval_points=points, ax=axes,
-            )  # fmt: skip
-            axes.set_title(parameter_label(str(name)).split(" (")[0])
-        figure.supxlabel("rank of the truth / number of posterior draws", fontsize="medium")
-    return figure

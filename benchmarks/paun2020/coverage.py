@@ -69,11 +69,9 @@ def data_set(
         Vessels, inflow and conventions.
     number : int
         From 0; the seed of its errors is 1000 + number.
-    vessels : int
-        How many vessels are seen, in the order of the study's file.
+    vessels, n_times : int
+        How many vessels are seen, in the order of the study's file, and samples in the beat.
     truth : Truth
-    n_times : int
-        Samples in the beat.
     """
     sites = [(v.id, 0.0 if i == 0 else 0.5) for i, v in enumerate(base.vessels[:vessels])]
     return synthetic_study(
@@ -109,16 +107,11 @@ def run(
         Vessels, inflow and conventions.
     folder : Path
         For posteriors of chains and pools (kept, so that an interrupted run goes on) and scores.csv.
-    data_sets : int
+    data_sets, n_times, points, cores : int
+        How many, samples of each series, solves of each pool, processes or threads.
     scenarios : sequence of Scenario
         Those of more vessels than `base` has are left out.
     truth : Truth
-    n_times : int
-        Samples of each series.
-    points : int
-        Solves of each pool.
-    cores : int
-        Processes, or threads.
     progress : bool
         A bar for each pool.
     **settings
@@ -248,9 +241,7 @@ def coverage(
     scores : DataFrame
         A row for each fit: scenario, and rank_NAME, the share of draws below the truth.
     names : sequence of str
-        Parameters.
     levels : sequence of float
-        Of the intervals.
 
     Returns
     -------

@@ -81,17 +81,10 @@ def fill_pool(
     studies : sequence of Study
         Data sets of one truth: the same sites, times, vessels and inflow.
     truth : Truth
-    n : int
-        Points.
-    seed : int
-    cores : int
-        Threads.
+    n, seed, cores : int
+        Points, of the draws, threads.
     progress : bool
         A bar.
-
-    Returns
-    -------
-    Pool
     """
     study = studies[0]
     network, unit = Network.from_study(study), study.conventions.stiffness_radius_unit_cm

@@ -84,10 +84,6 @@ def parameter_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
     interval apart, both up to the rounding of the printed number. `mc_errors` is their distance in standard
     errors: Monte Carlo error of our median and rounding of the printed one.
 
-    Parameters
-    ----------
-    posteriors : mapping of model to InferenceData
-
     Returns
     -------
     DataFrame
@@ -189,19 +185,13 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
 def cost_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
     """What each posterior cost, beside the paper's iterations.
 
-    Parameters
-    ----------
-    posteriors : mapping of model to InferenceData
-
     Returns
     -------
     DataFrame
         Index model; columns converged, rhat_max, ess_min, draws, solves, failed, minutes,
-        solves_per_effective_draw, published_iterations (with an emulator where `published_emulator`),
-        published_days (where the paper tells).
+        solves_per_effective_draw, published_iterations (with an emulator where `published_emulator`).
     """
     theirs = published_table4()
-    days = numbers()["time"]
     rows = {}
     for model, idata in posteriors.items():
         record, found = RunRecord.of(idata), judged(idata)
@@ -217,7 +207,6 @@ def cost_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
             "solves_per_effective_draw": solves / found.min_ess,
             "published_iterations": theirs[model].iterations if model in theirs else None,
             "published_emulator": theirs[model].emulator if model in theirs else None,
-            "published_days": days.get(f"{model}_days"),
         }
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("model")
 

@@ -18,11 +18,6 @@ PAPER_TRUTH = Truth(f1=51.1e5, f2=-171.0, f3=4.32e4, psi1=0.29, psi2=0.87, c=1.3
 """Published medians of model E: "parameter values consistent with the physiological data"."""
 
 
-def relative_sse(estimate: Mapping[str, float], truth: Mapping[str, float]) -> float:
-    """Relative sum of squared errors: sum of ((theta_i - estimate_i)/theta_i)^2, eq. (6.1) of the paper."""
-    return float(sum(((value - estimate[name]) / value) ** 2 for name, value in truth.items()))
-
-
 def kernel_density(draws: ArrayLike, point: ArrayLike, weights: ArrayLike | None = None) -> float:
     """Gaussian kernel density at a point, bandwidth by Silverman's rule.
 
@@ -31,7 +26,6 @@ def kernel_density(draws: ArrayLike, point: ArrayLike, weights: ArrayLike | None
     draws : array (n_dim, n_draws)
     point : array (n_dim,)
     weights : array (n_draws,), optional
-        Equal if absent.
 
     References
     ----------
@@ -52,12 +46,11 @@ def score(draws: Mapping[str, ArrayLike], truth: Truth, weights: ArrayLike | Non
         Of the parameters; those of `THETA` that are there are scored.
     truth : Truth
     weights : array (n_draws,), optional
-        Equal if absent.
 
     Returns
     -------
     dict
-        relative_sse of the medians; joint_kde, kernel density in units of `SCALES`; median_NAME;
+        relative_sse of the medians (eq. 6.1); joint_kde, kernel density in units of `SCALES`; median_NAME;
         density_NAME, kernel density in the parameter's own unit; rank_NAME, share of draws below the truth.
     """
     columns = {name: np.asarray(draws[name], dtype=float) for name in THETA if name in draws}
@@ -68,7 +61,7 @@ def score(draws: Mapping[str, ArrayLike], truth: Truth, weights: ArrayLike | Non
     }
     scaled = np.array([columns[name] / SCALES[name] for name in columns])
     row = {
-        "relative_sse": relative_sse(medians, at),
+        "relative_sse": sum(((at[name] - medians[name]) / at[name]) ** 2 for name in at),  # eq. (6.1)
         "joint_kde": kernel_density(scaled, [at[name] / SCALES[name] for name in columns], weights),
     }
     for name, column in columns.items():
