@@ -75,7 +75,7 @@ def test_wrong_files_and_options(yaml: Path, tmp_path: Path) -> None:
     assert "no such file" in fails("import", tmp_path / "absent.yaml", *out)
     assert "is a file; give a folder" in fails("import", yaml, "-o", yaml)
     yaml.write_text(NETWORK.replace("gamma_profile", "gama_profile"))
-    assert "row 16: vessel trunk: gama_profile: unknown key; did you mean gamma_profile?" in fails(
+    assert "row 16: vessel trunk: gama_profile: unknown field; did you mean 'gamma_profile'?" in fails(
         "import", yaml, *out
     )
     assert not (tmp_path / "study").exists()
