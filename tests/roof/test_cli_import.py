@@ -76,7 +76,7 @@ def test_wrong_files_and_options(yaml: Path, tmp_path: Path) -> None:
     assert "unknown ending '.dat'" in fails("import", tmp_path / "tube_inlet.dat", *out)
     assert "no such file" in fails("import", tmp_path / "absent.yaml", *out)
     yaml.write_text(NETWORK.replace("gamma_profile", "gama_profile"))
-    assert "row 16: vessel trunk: gama_profile: unknown key; did you mean gamma_profile?" in fails(
+    assert "row 16: vessel trunk: gama_profile: unknown field; did you mean 'gamma_profile'?" in fails(
         "import", yaml, *out
     )
     assert not (tmp_path / "study").exists()

@@ -94,9 +94,6 @@ class _Vessel(Table):
     to_save: Any = None
     initial_pressure: Any = None
     initial_flow: Any = None
-    visco_elastic: Any = None
-    phi: Any = None
-    Rc: Any = None
 
 
 class _Network(Table):
@@ -134,6 +131,7 @@ class _Part:
                 raise self.fail(
                     name, f" = {short(self.given[name])}: {_REFUSED[name]}; remove it to import without"
                 )
+            del self.given[name]
         self.table = validated(model, self.given, self.place)
 
     def place(self, name: str) -> str:
