@@ -249,3 +249,13 @@ def test_work_of_unknown_length_says_how_far_it_is(capsys: pytest.CaptureFixture
     with Display(False, every_s=0.01) as show, show.during("nothing", str):
         time.sleep(0.05)
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full")
+def test_a_full_disk_is_told(tmp_path: Path) -> None:
+    memo = Memo(tmp_path / "memo", "run")
+    memo._file.close()
+    memo._file = open("/dev/full", "r+b")  # noqa: SIM115 (closed by close)
+    with pytest.raises(OutputFileError, match=r"cannot be written \(No space left on device\); make room"):
+        memo.add(to_line("run", b"key", Found((np.ones(2),))))
+    memo.close()

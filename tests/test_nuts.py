@@ -138,4 +138,4 @@ def test_until_ess_adds_draws():
 
 def test_a_model_without_a_gradient_is_refused():
     with pytest.raises(SamplingError, match="has no gradient"):
-        sampling.sample_nuts(gaussian_model(), progress=False)
+        sampling.sample(gaussian_model(), nuts=True, progress=False)

@@ -107,21 +107,25 @@ class Folder:
         write_file(self.path / "run.json", json.dumps(digests.stamped(plain), indent=1, sort_keys=True))
 
     def remove(self) -> None:
-        """Delete the files of a checkpoint, and nothing else, and give the folder free.
+        """Delete the folder, and give it free.
 
         Raises
         ------
         zoo.core.outputs.OutputFileError
-            If other files are there; they stay.
+            If anything else than a checkpoint's files is there; then all stays as it is.
         """
-        there = list(self.path.iterdir())
-        ours = [file for file in there if any(map(file.match, FILES))]
-        begun = (self.path / "run.json").is_file() or [file.name for file in ours] == ["lock"]
-        if len(ours) < len(there) or not begun:
-            raise OutputFileError(f"{self.path}: holds files that are not a checkpoint's; move them away")
-        for file in ours:
-            file.unlink()
-        self.close()
+        try:
+            files = sorted(self.path.iterdir())
+            begun = (self.path / "run.json").is_file()  # else whose files these are is not known
+            for file in files:
+                if not any(map(file.match, FILES)) or not (begun or file.name == "lock"):
+                    raise OutputFileError(
+                        f"{self.path}: holds files that are not a checkpoint's; move {file.name} away"
+                    )
+            for file in files:
+                file.unlink()
+        finally:
+            self.close()
         self.path.rmdir()
 
 

@@ -6,6 +6,7 @@ leaves at most the last one unfinished, which is dropped. Nothing of a file is e
 
 from __future__ import annotations
 
+import contextlib
 import json
 from base64 import b64decode, b64encode
 from collections import Counter
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from zoo.core.inference.logposterior import Array, SamplingError, count, counting_ops
+from zoo.core.outputs import OutputFileError
 
 REMEDY = "remove the folder to start afresh"
 _DIGITS = 24
@@ -100,7 +102,7 @@ class Memo:
         if path is None:
             return
         try:
-            self._file = open(path, "a+b", buffering=0)  # noqa: SIM115 (closed by close)
+            self._file = open(path, "a+b")  # noqa: SIM115 (closed by close)
             self._file.seek(0)
             raw = self._file.read()
         except OSError as error:
@@ -115,15 +117,29 @@ class Memo:
             self._file.truncate(len(self.lines))
 
     def add(self, lines: bytes) -> None:
-        """Add lines at the end."""
+        """Add lines at the end.
+
+        Raises
+        ------
+        zoo.core.outputs.OutputFileError
+            If they cannot be written; a line that is not whole is dropped by the next sitting.
+        """
         self.lines += lines
-        if self._file is not None:
+        if self._file is None:
+            return
+        try:
             self._file.write(lines)
+            self._file.flush()
+        except OSError as error:
+            raise OutputFileError(
+                f"{self._file.name}: cannot be written ({error.strerror}); make room, and give the same again"
+            ) from None
 
     def close(self) -> None:
         """Close the file."""
         if self._file is not None:
-            self._file.close()
+            with contextlib.suppress(OSError):  # of what was told by add
+                self._file.close()
 
 
 class Remembering:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from zoo.core.forward import SolveError
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
-from zoo.core.inference.sampling import check_settings, has_gradient, sample_nuts
+from zoo.core.inference.sampling import check_settings, has_gradient
 from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.inference.surrogate import sample_surrogate
 from zoo.core.model import ModelError, ModelRecord, record_of, theta_of
@@ -138,8 +138,7 @@ def sample(
     checkpoint : path, optional
         Folder of the run, which goes on from there; of a surrogate it holds the solves.
     **settings
-        Of `zoo.core.inference.sampling.sample`, `zoo.core.inference.surrogate.sample_surrogate` or
-        `zoo.core.inference.sampling.sample_nuts`.
+        Of `zoo.core.inference.sampling.sample` or `zoo.core.inference.surrogate.sample_surrogate`.
 
     Raises
     ------
@@ -165,7 +164,7 @@ def sample(
         )
     if taken == "nuts":
         own = _without(settings, "thin", "step_options", "library")
-        return sample_nuts(model, checkpoint=checkpoint, **own)
+        return sample_exact(model, nuts=True, checkpoint=checkpoint, **own)
     try:
         return sample_surrogate(model, checkpoint=checkpoint, **_without(settings, *ONLY_EXACT))
     except SurrogateError as error:

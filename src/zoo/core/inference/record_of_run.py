@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,7 @@ from zoo.core.inference.checkpoint import identity_of
 from zoo.core.inference.convergence import check_convergence, ess_to_count
 from zoo.core.inference.elements import arrays
 from zoo.core.inference.logposterior import LogPosterior, model_name
-from zoo.core.inference.prior_check import check_priors, exactness_at, modes_at_bounds, priors_of
+from zoo.core.inference.prior_check import AtBound, check_priors, exactness_at, priors_of
 from zoo.core.inference.record import RunRecord
 from zoo.core.model import ModelRecord
 
@@ -53,7 +53,8 @@ def attach_record(
     wall_seconds: float,
     started: str,
     sittings: int = 1,
-    mode: Mapping[str, np.ndarray] | None = None,
+    at_mode: Sequence[AtBound] = (),
+    numerical: str | None = None,
     say: Callable[[str], None],
 ) -> None:
     """Write the run record into an InferenceData, and tell whether its draws have converged.
@@ -69,21 +70,21 @@ def attach_record(
         With "chains", "draws" and "until_ess".
     seed, solves, steps, mode_evaluations, failures, wall_seconds, started, sittings
         As of `zoo.core.inference.record.RunRecord`.
-    mode : mapping, optional
-        Where it is known: the bounds that it lies at are told too.
+    at_mode : sequence of AtBound
+        Bounds that the mode lies at.
+    numerical : str, optional
+        As of `zoo.core.inference.prior_check.exactness_at`; found out in the middle of the draws if absent.
     say : callable
     """
     identity = identity_of(logp, {})
     made = arrays(idata)
     parameters, effects = priors_of(model)
     priors = check_priors(parameters, made, effects=effects)
-    if mode is not None:
-        leaning = {(found.parameter, found.side) for found in priors.bounds}
-        at_mode = modes_at_bounds(parameters, mode, effects=effects)
-        more = tuple(found for found in at_mode if (found.parameter, found.side) not in leaning)
-        priors = replace(priors, bounds=priors.bounds + more)
-    middle = {name: values.mean((0, 1)) for name, values in made.items()} if mode is None else mode
-    priors = replace(priors, numerical=exactness_at(model, middle))
+    leaning = {(found.parameter, found.side) for found in priors.bounds}
+    more = tuple(found for found in at_mode if (found.parameter, found.side) not in leaning)
+    if numerical is None:
+        numerical = exactness_at(model, {name: values.mean((0, 1)) for name, values in made.items()})
+    priors = replace(priors, bounds=priors.bounds + more, numerical=numerical)
     record = RunRecord(
         model=model_name(model),
         study=identity["study"],

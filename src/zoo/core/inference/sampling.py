@@ -5,7 +5,6 @@ The mode is found first, chains run in processes of their own, and a killed run 
 
 from __future__ import annotations
 
-import inspect
 from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import Executor
@@ -42,7 +41,6 @@ __all__ = [
     "SamplingError",
     "find_mode",
     "sample",
-    "sample_nuts",
 ]
 
 NUTS_TUNE = 500
@@ -59,6 +57,7 @@ def sample(
     chains: int = 4,
     cores: int = 2,
     executor: Executor | None = None,
+    nuts: bool = False,
     thin: int | None = None,
     seed: int | None = None,
     checkpoint: str | Path | None = None,
@@ -83,7 +82,7 @@ def sample(
         Stored draws of each chain.
     tune : int, optional
         Steps of each chain that are thrown away while the step method adapts; if absent 100 for each
-        dimension, at least 600.
+        dimension, at least 600; of NUTS 500.
     chains : int
         Chains; fewer than four cannot pass the verdict.
     cores : int
@@ -92,8 +91,11 @@ def sample(
     executor : concurrent.futures.Executor, optional
         Runs the chains instead, each as a task: threads, processes, or ``Client.get_executor()`` of
         dask.distributed. `cores` is not read.
+    nuts : bool
+        Steps of NUTS with the model's own gradient, whose metric begins at the mode's covariance, instead of
+        `DEMetropolisZ`, which needs none.
     thin : int, optional
-        Steps for each stored draw; a quarter of the number of dimensions if absent.
+        Steps for each stored draw; a quarter of the number of dimensions if absent, of NUTS 1.
     seed : int, optional
         Drawn and recorded if absent; a resumed run takes that of its checkpoint.
     checkpoint : path, optional
@@ -106,18 +108,19 @@ def sample(
         Keep going until every parameter has R-hat <= 1.01 and bulk and tail effective sample sizes of this
         much, or `max_draws` are reached; the first check is after `draws`.
     max_draws : int, optional
-        Limit of the stored draws of each chain; 40 `draws` if absent.
+        Limit of the stored draws of each chain; 40 `draws` if absent, of NUTS 8.
     start : mapping or Mode, optional
         Values to search the mode from, or the result of `find_mode`.
     step_options : mapping, optional
-        Arguments of `DEMetropolisZ` instead of the defaults, such as `crank_nicolson=0`.
+        Arguments of the step method instead of the defaults, such as `crank_nicolson=0`.
     preface : str
         A line that is shown first, once nothing speaks against the run.
 
     Returns
     -------
     arviz.InferenceData
-        posterior; sample_stats (for each stored draw: lp, accept, accepted, solves, solver_failures);
+        posterior; sample_stats (for each stored draw: lp, accept, accepted, solves, solver_failures, and of
+        NUTS gradients and whether its trajectory diverged);
         observed_data; attributes with the run record (`zoo.core.inference.record.RunRecord.of`).
 
     Raises
@@ -129,118 +132,23 @@ def sample(
 
     References
     ----------
-    ter Braak, Vrugt (2008), doi 10.1007/s11222-008-9104-9; Vehtari et al. (2021), doi 10.1214/20-BA1221.
+    ter Braak, Vrugt (2008), doi 10.1007/s11222-008-9104-9; Hoffman, Gelman (2014), Journal of Machine
+    Learning Research 15; Vehtari et al. (2021), doi 10.1214/20-BA1221.
     """
     _check_model(model)
     check_settings(draws, tune, chains, cores, thin, seed, until_ess, max_draws)
-    d = len(LogPosterior(model).template.data)
-    return _sample(
-        model,
-        "demetropolisz",
-        {**DEMETROPOLISZ, **dict(step_options or {})},
-        draws=draws,
-        tune=100 * max(d, 6) if tune is None else tune,
-        chains=chains,
-        cores=cores,
-        executor=executor,
-        thin=max(1, d // 4) if thin is None else thin,
-        seed=seed,
-        checkpoint=checkpoint,
-        progress=progress,
-        until_ess=until_ess,
-        max_draws=max_draws or 40 * draws,
-        start=start,
-        preface=preface,
-    )
-
-
-def sample_nuts(
-    model: Any,
-    *,
-    draws: int = 1000,
-    tune: int | None = None,
-    max_draws: int | None = None,
-    **settings: Any,
-) -> az.InferenceData:
-    """Sample a posterior by NUTS with the model's own gradient; the metric begins at the mode's covariance.
-
-    Parameters
-    ----------
-    model : pymc.Model
-        With a gradient.
-    draws : int
-        As of `sample`.
-    tune : int, optional
-        500 if absent.
-    max_draws : int, optional
-        8 `draws` if absent.
-    **settings
-        As of `sample`: chains, cores, executor, seed, checkpoint, progress, until_ess, start, preface.
-
-    Returns
-    -------
-    arviz.InferenceData
-        As of `sample`; sample_stats also has the gradients of each draw, and whether its trajectory diverged.
-
-    Raises
-    ------
-    SamplingError
-        As of `sample`, and if the model has no gradient.
-    CheckpointError
-        As of `sample`.
-
-    References
-    ----------
-    Hoffman, Gelman (2014), Journal of Machine Learning Research 15.
-    """
-    _check_model(model)
-    known = inspect.signature(check_settings).parameters
-    given = {name: value for name, value in settings.items() if name in known}
-    check_settings(draws, tune, max_draws=max_draws, **given)
-    if not has_gradient(model):
+    if nuts and not has_gradient(model):
         raise SamplingError(f"model {model_name(model)}: has no gradient; use method surrogate or exact")
-    return _sample(
-        model,
-        "nuts",
-        {},
-        draws=draws,
-        tune=NUTS_TUNE if tune is None else tune,
-        thin=1,
-        max_draws=max_draws or 8 * draws,
-        **settings,
-    )
-
-
-def has_gradient(model: Any) -> bool:
-    """Whether the log-posterior of a model can be differentiated."""
-    try:
-        model.dlogp()
-    except (MissingGradientError, NotImplementedError, ModelError):
-        return False
-    return True
-
-
-def _sample(
-    model: Any,
-    step: str,
-    options: dict[str, Any],
-    *,
-    draws: int,
-    tune: int,
-    thin: int,
-    max_draws: int,
-    chains: int = 4,
-    cores: int = 2,
-    executor: Executor | None = None,
-    seed: int | None = None,
-    checkpoint: str | Path | None = None,
-    progress: bool = True,
-    until_ess: float | None = None,
-    start: Mapping[str, ArrayLike] | Mode | None = None,
-    preface: str = "",
-) -> az.InferenceData:
-    """Chains of a step method from around the mode, resumably."""
     logp = LogPosterior(model)
+    d = len(logp.template.data)
+    step = "nuts" if nuts else "demetropolisz"
+    options = {**({} if nuts else DEMETROPOLISZ), **dict(step_options or {})}
+    if tune is None:
+        tune = NUTS_TUNE if nuts else 100 * max(d, 6)
+    if thin is None:
+        thin = 1 if nuts else max(1, d // 4)
+    if max_draws is None:
+        max_draws = (8 if nuts else 40) * draws
     settings: dict[str, Any] = {
         "step": step,
         "step options": options,
@@ -296,12 +204,22 @@ def _sample(
                 wall_seconds=run.seconds,
                 started=run.started,
                 sittings=run.sittings,
-                mode=mode.values,
+                at_mode=at_mode,
+                numerical=numerical,
                 say=show.say,
             )
         return idata
     finally:
         run.close()
+
+
+def has_gradient(model: Any) -> bool:
+    """Whether the log-posterior of a model can be differentiated."""
+    try:
+        model.dlogp()
+    except (MissingGradientError, NotImplementedError, ModelError):
+        return False
+    return True
 
 
 @dataclass(frozen=True)
