@@ -108,7 +108,7 @@ def test_the_screen_tells_of_groups_rivals_and_posteriors(three: Diagnosis) -> N
         (("--seed", -1), "--seed -1: give at least 0"),
         (("--set", "conventions=printd"), "did you mean 'printed'?"),
         (("-o", "nowhere/gap"), "does not exist; create it"),
-        (("-o", "file"), "--output file: is a file; give a folder"),
+        (("-o", "file"), "--output file: is there, and not as zoo wrote it"),
     ],
 )
 def test_diagnose_says_what_to_change_before_it_works(

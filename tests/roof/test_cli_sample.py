@@ -200,7 +200,7 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
     assert "--fresh: samples every model anew" in fails("compare", tiny, "--posteriors", path, "--fresh")
     file = tmp_path / "file"
     file.write_text("", encoding="utf-8")
-    assert f"--output {file}: is a file; give a folder" in fails("compare", tiny, "-o", file)
+    assert f"--output {file}: is there, and not as zoo wrote it" in fails("compare", tiny, "-o", file)
     # in a folder such a posterior is passed over, which is said; so is a file that is none
     folder = tmp_path / "folder"
     folder.mkdir()

@@ -159,7 +159,10 @@ def test_simulate_conventions_and_numerical_settings(tiny: Path) -> None:
         (("--stiffness", "5e4", "--wall", "rigid"), "--wall rigid: must be one of linear, tangent"),
         (("--stiffness", "-1"), "positive"),
         (("--stiffness", "5e4", "--psi1", "0"), "positive"),
-        (("--stiffness", "5e4", "--set", "numerics.steps_per_beat=33"), "steps 33: waves cross vessel"),
+        (
+            ("--stiffness", "5e4", "--set", "numerics.steps_per_beat=33"),
+            "steps_per_beat = 33: waves cross vessel",
+        ),
         (("--stiffness", "5e4", "--set", "numerics.steps_per_beat=33", "--set", DX), "CFL"),
         (
             ("--stiffness", "5e4", "--accuracy", "1", "--set", DX),

@@ -23,19 +23,19 @@ def import_(
     inflow: Annotated[
         Path | None, typer.Option("--inflow", help="Inflow of a .csv: columns time_s, flow_ml_s.")
     ] = None,
-    period: Annotated[
+    period_s: Annotated[
         float | None, typer.Option("--period", help="Length of the beat of a .csv, s.", metavar="S")
     ] = None,
     observations: Annotated[
         Path | None, typer.Option("--observations", help="Observations of a .csv, as a study has them.")
     ] = None,
-    density: Annotated[
+    density_g_cm3: Annotated[
         float | None, typer.Option("--density", help="Of blood, for a .csv; 1.06 g/cm3.")
     ] = None,
-    viscosity: Annotated[
+    viscosity_g_cm_s: Annotated[
         float | None, typer.Option("--viscosity", help="Of blood, for a .csv; 0.04 g/(cm s).")
     ] = None,
-    profile: Annotated[
+    velocity_profile_order: Annotated[
         float | None,
         typer.Option(
             "--profile-order", help="Order of the velocity profile, for a .csv; a flat one without it."
@@ -58,29 +58,26 @@ def import_(
     suffix = file.suffix.lower()
     of_a_table = {
         "inflow": inflow,
-        "period": period,
+        "period_s": period_s,
         "observations": observations,
-        "density": density,
-        "viscosity": viscosity,
-        "profile-order": profile,
+        "density_g_cm3": density_g_cm3,
+        "viscosity_g_cm_s": viscosity_g_cm_s,
+        "velocity_profile_order": velocity_profile_order,
     }
-    given = {option: value for option, value in of_a_table.items() if value is not None}
+    given: dict[str, Any] = {option: value for option, value in of_a_table.items() if value is not None}
     if suffix in YAML:
         for option, value in given.items():
             raise UsageError(
-                f"--{option} {value}: belongs to a .csv; {file.name} says that itself: leave it out"
+                f"{option} = {value}: belongs to a .csv; {file.name} says that itself: leave it out"
             )
         found = import_openbf(file)
         if name is not None:
             found = replace(found, study=replace(found.study, name=name))
     elif suffix == ".csv":
-        if inflow is None or period is None:
+        if inflow is None or period_s is None:
             lacking = "--inflow inflow.csv" if inflow is None else "--period 0.85"
             raise UsageError(f"{file}: a table of vessels has no inflow: add {lacking}")
-        names = {"density": "density_g_cm3", "viscosity": "viscosity_g_cm_s", "observations": "observations"}
-        names |= {"profile-order": "velocity_profile_order"}
-        options: dict[str, Any] = {names[option]: x for option, x in given.items() if option in names}
-        found = import_table(file, inflow, period, name=name, **options)
+        found = import_table(file, name=name, **given)
     else:
         raise UsageError(f"{file}: unknown ending {file.suffix!r}; give openBF's .yaml, or a .csv of vessels")
     study = found.save(output, replace=True)  # as checked above

@@ -115,15 +115,14 @@ class Folder:
             If anything else than a checkpoint's files is there; then all stays as it is.
         """
         try:
-            there = sorted(self.path.iterdir())
-            others = [file for file in there if not any(map(file.match, FILES))]
-            begun = (self.path / "run.json").is_file() or [file.name for file in there] == ["lock"]
-            if others or not begun:
-                away = (others or there)[0].name
-                raise OutputFileError(
-                    f"{self.path}: holds files that are not a checkpoint's; move {away} away"
-                )
-            for file in there:
+            files = sorted(self.path.iterdir())
+            begun = (self.path / "run.json").is_file()  # else whose files these are is not known
+            for file in files:
+                if not any(map(file.match, FILES)) or not (begun or file.name == "lock"):
+                    raise OutputFileError(
+                        f"{self.path}: holds files that are not a checkpoint's; move {file.name} away"
+                    )
+            for file in files:
                 file.unlink()
         finally:
             self.close()
