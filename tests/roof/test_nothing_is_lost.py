@@ -43,7 +43,6 @@ WORDS: dict[str, tuple[str, ...] | None] = {
     "priors": (),
     "sample": (),
     "compare": (),
-    "reproduce": (),
     "diagnose": ("--quiet",),
     "report": (),
     "import": ("--period", "0.8"),
@@ -55,7 +54,6 @@ WORDS: dict[str, tuple[str, ...] | None] = {
 FOREIGN = {
     "priors": ["priors.csv", "priors.png", "prior-predictive.png"],
     "compare": ["comparison.csv", "fit-A.png", "flow.png", "loops.png"],
-    "reproduce": ["A.nc", "table4.csv"],
     "diagnose": ["diagnosis.json", "report.html", "gap.png", "states.png"],
     "import": list(STUDY_FILES),
     "blind score": ["score.json", "score.md", "cases.csv"],
