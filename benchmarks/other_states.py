@@ -99,8 +99,8 @@ def main() -> None:
         baseline, sensor, leader = row["errors"]
         print(
             f"{bench.study.name} true {row['true']} ({cause.label}), leads {row['leader']} "
-            f"{row['probability']:.2f}: baseline {baseline:.3f}, sensor {sensor:.3f}, leader {leader:.3f}; holds: "
-            f"{', '.join(row['holding']) or 'nothing'}",
+            f"{row['probability']:.2f}: baseline {baseline:.3f}, sensor {sensor:.3f}, leader {leader:.3f}; "
+            f"holds: {', '.join(row['holding']) or 'nothing'}",
             flush=True,
         )
     lasting = [r for r in rows if r["true"] != "inflow"]
