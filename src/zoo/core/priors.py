@@ -116,7 +116,8 @@ class Prior:
         array
             Of p's shape, in the parameter's unit.
         """
-        return np.asarray(np.clip(self.law.ppf(p), *self.support))
+        with np.errstate(divide="ignore"):  # a quantile beyond the largest double is infinite
+            return np.asarray(np.clip(self.law.ppf(p), *self.support))
 
     @property
     def median(self) -> float:
