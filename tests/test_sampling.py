@@ -272,7 +272,7 @@ STUCK = """
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processor times are looked up in /proc")
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="signals of POSIX")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_a_run_ends_at_once_inside_a_solve_too(tmp_path, how):
     """A script without a guard for `__main__`, interrupted or killed; its processes end with it."""
@@ -282,11 +282,10 @@ def test_a_run_ends_at_once_inside_a_solve_too(tmp_path, how):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     run = subprocess.Popen([sys.executable, str(script)], start_new_session=True, env=environment)
     wait_for(marker.exists, 600.0)
-    spent = sum(map(int, Path(f"/proc/{run.pid}/stat").read_text().rpartition(")")[2].split()[11:13]))
     os.kill(run.pid, how)
-    _, _, usage = os.wait4(run.pid, 0)
-    run.returncode = 0  # it was waited for
+    began = time.monotonic()
+    run.wait()
     wait_for(lambda: group_is_gone(run.pid), 60.0)
-    # of its processor, since this machine may be busy
-    assert usage.ru_utime + usage.ru_stime - spent / os.sysconf("SC_CLK_TCK") < 2.0
+    busy = max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+    assert time.monotonic() - began < 2.0 * busy
     Folder(folder).close()  # no longer in use
