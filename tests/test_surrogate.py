@@ -205,7 +205,9 @@ def spoiled(monkeypatch, spoil, rounds=1):
 
 
 def beside(fitted):
-    return replace(fitted, beta=fitted.beta + 0.9 * np.eye(*fitted.beta.shape))
+    aside = np.zeros(fitted.beta.shape)
+    aside[0, 0] = aside[1, 1] = 0.6
+    return replace(fitted, beta=fitted.beta + aside)
 
 
 def narrow(fitted):
