@@ -205,7 +205,8 @@ def one_effect(monkeypatch: pytest.MonkeyPatch) -> EffectParameter:
 
 def test_amplitudes_follow_the_prior_within_the_stated_range(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draws in range are the prior's own, cut where the gap leaves the limits; what is cut is counted."""
-    prior = one_effect(monkeypatch).prior
+    one_effect(monkeypatch)
+    prior = truncnorm(-4.0, 4.0)
     rng, sizes, below = np.random.default_rng(3), [], 0
     for _ in range(600):
         found = draw_listed(rng, Line(), ["one"], (0.025, 1.0))  # type: ignore[arg-type]
@@ -315,7 +316,7 @@ def test_from_make_to_figures(tiny: dict[str, Any], tmp_path: Path) -> None:
     assert diagnose_cases(cases, answers, effects=tiny["effects"], max_effects=1, cores=1).failed == {}
     result = CliRunner().invoke(app, ["blind", "score", answers, "--key", key, "-o", out])
     assert result.exit_code == 0, result.output
-    assert {p.name for p in Path(out).iterdir()} == {
+    assert {p.name for p in Path(out).glob("[!.]*")} == {
         "score.json", "score.md", "cases.csv", "reliability.png", "confusion.png"
     }  # fmt: skip
     assert "best constant answer" in " ".join(result.output.split())
