@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import binom, kstest
+from scipy.stats import binom, kstest, truncnorm
 from typer.testing import CliRunner
 
 import zoo.blood.blind as blind
