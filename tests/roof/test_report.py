@@ -28,7 +28,6 @@ from zoo.core.outputs import OutputFileError
 from zoo.core.posterior.comparison import compare
 from zoo.core.posterior.storage import save, slim
 from zoo.models import get_model
-from zoo.report import chapters
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 
@@ -282,12 +281,12 @@ def test_faults_are_one_line(
 def without_data(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Study]:
     """mouse-c6 cannot be loaded."""
 
-    def load(name: str) -> Study:
+    def load(name: str, **settings: Any) -> Study:
         if name == "mouse-c6":
             raise FetchError("mouse-c6/pC6_1024.dat: cannot be had; set ZOO_DATA_DIR")
-        return load_study(name)
+        return load_study(name, **settings)
 
-    monkeypatch.setattr(chapters, "load_study", load)
+    monkeypatch.setattr("zoo.blood.study.load_study", load)
     return load
 
 
