@@ -480,7 +480,7 @@ def test_tables_that_are_refused(tmp_path: Path, text: str, said: str) -> None:
 
 def test_a_study_is_not_written_over(tmp_path: Path) -> None:
     table(tmp_path)
-    with pytest.raises(ImportedFileError, match="holds a study already"):
+    with pytest.raises(ImportedFileError, match="is there already; give another folder"):
         table(tmp_path)
     assert load_study(tmp_path / "study").name == "vessels"
 

@@ -304,7 +304,8 @@ def test_what_was_solved_joins_a_surrogate_that_is_far_too_narrow(monkeypatch):
     made = RunRecord.of(idata).settings["surrogate"]
     first, second = made["rounds"]
     assert first["k_hat"] > 0.5
-    assert second["points"] == first["points"] + 320 + building.BEYOND
+    more = second["points"] - first["points"]
+    assert 320 < more <= 320 + building.BEYOND  # what lies far from the posterior is left out
     assert made["effective share"] > 0.95 * building.DEFENSIVE
     assert is_right(idata)
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zoo.core.forward import SolveError
+from zoo.core.inference.checkpoint import Folder
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
 from zoo.core.inference.mode import has_many
 from zoo.core.inference.sampling import check_settings, has_gradient
@@ -176,6 +177,8 @@ def sample(
         if method != "auto":
             raise
         words = f"{error}\nmodel {model_name(model)}: method exact, for there is no surrogate that serves"
+        if checkpoint is not None:
+            Folder(Path(checkpoint)).remove()  # chains have no use for a surrogate's solves
         return sample_exact(model, checkpoint=checkpoint, preface=words, **_without(settings, "library"))
 
 
