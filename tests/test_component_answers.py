@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from test_component_weighing import EFFECTS, FUNCTIONS, KNOTS, MODEL, TIMES, data_of, hooks, of
-from zoo.core.data import Data
+from toys import EFFECTS, FIRST, FUNCTIONS, KNOTS, MODEL, TIMES, data_of, first_of, hooks, of
 from zoo.core.diagnosis import diagnose
 from zoo.core.diagnosis.answer import FitDiscrepancy, _no_more, _two
-from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.forward import FunctionModel
 from zoo.core.parameters import Parameter, Uniform
 
 PUSHED = data_of({"push": 0.15 * np.exp(-0.5 * ((TIMES - 0.6) / 0.06) ** 2)})
@@ -42,13 +41,7 @@ def test_shares_and_held_out_data_stand_beside_the_components(pushed) -> None:  
 
 
 def test_one_series_does_not_tell_two_causes_and_the_answer_says_so(pushed) -> None:  # type: ignore[no-untyped-def]
-    single = Data(TIMES, PUSHED.values[:1], ["y1"], ["K"], ["y"], period=1.0, name="toy")
-
-    def first(configuration, times):  # type: ignore[no-untyped-def]
-        return MODEL.function(configuration, times)[:1]
-
-    model = FunctionModel(first, MODEL.parameters, Outputs(("y1",), TIMES), "toy")
-    found = diagnose(single, model, [], hooks=hooks(FUNCTIONS))
+    found = diagnose(first_of(PUSHED), FIRST, [], hooks=hooks(FUNCTIONS))
     assert found.cause[0] == "inflow"
     [warned] = [w for w in found.file.warnings if "two causes at once cannot be told from one" in w]
     assert f"components are wrong, {found.rounds[0].untold:.0%}, is shared equally by all" in warned

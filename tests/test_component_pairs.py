@@ -8,21 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from test_component_weighing import (
-    KNOTS,
-    LAW,
-    MODEL,
-    NOISE,
-    OWN,
-    PUSH,
-    TIMES,
-    TWIN,
-    data_of,
-    hooks,
-    of,
-    solve,
-)
-from zoo.core.data import Data
+from toys import FIRST, KNOTS, LAW, MODEL, NOISE, OWN, PUSH, TIMES, TWIN, data_of, first_of, hooks, of
 from zoo.core.diagnosis import diagnose
 from zoo.core.diagnosis.components.pairs import _alone, _with_each, pairs_of
 from zoo.core.diagnosis.components.refining import Component, explain
@@ -30,17 +16,21 @@ from zoo.core.diagnosis.components.weighing import SIZES
 from zoo.core.diagnosis.scoring import score
 from zoo.core.diagnosis.screening import DELTA_GRID, Screening
 from zoo.core.errors.spectral import Harmonics
-from zoo.core.forward import FunctionModel, Outputs
 
 PUSHED = 0.15 * np.sin(4 * np.pi * TIMES + 0.5)
+BOTH = {"push": PUSHED, "law": 0.1 * np.cos(2.0 * KNOTS)}
+
+
+def explained_by(functions, given):  # type: ignore[no-untyped-def]
+    screened = Screening(data_of(given), MODEL, [], errors=Harmonics()).run()
+    return screened, explain(screened, functions, cores=1)
 
 
 def test_the_evidence_of_two_is_that_of_a_normal_distribution() -> None:
     """r ~ N(J m, S + J P^-1 J' + s_a^2 X_a R X_a' + s^2 X R X'), each by a dense covariance."""
     echo = 0.1 * np.cos(6 * np.pi * TIMES)
-    screened = Screening(data_of({"push": PUSHED, "own": echo}), MODEL, [], errors=Harmonics()).run()
-    explained = explain(screened, [PUSH, OWN], cores=1)
-    pair = next(p for p in pairs_of(screened, explained, [PUSH, OWN], cores=1))
+    screened, explained = explained_by([PUSH, OWN], {"push": PUSHED, "own": echo})
+    pair = pairs_of(screened, explained, [PUSH, OWN], cores=1)[0]
     assert set(pair.names) == {"inflow", "sensor"}
     first, second = pair.first, pair.second
     errors, X = screened.screening.errors, second.weighed.block.columns
@@ -77,8 +67,7 @@ def test_the_evidence_of_two_is_that_of_a_normal_distribution() -> None:
 
 def test_around_a_mode_the_function_is_that_of_its_fit() -> None:
     """Whatever size and length are the most probable after it."""
-    screened = Screening(data_of({"push": PUSHED}), MODEL, [], errors=Harmonics()).run()
-    explained = explain(screened, [PUSH, OWN], cores=1)
+    screened, explained = explained_by([PUSH, OWN], {"push": PUSHED})
     found = _with_each(screened, explained, explained.components["inflow"].best, [PUSH, OWN], 1, None)[0]
     kind = found.first
     other = next(x for x in PUSH.lengths if x != kind.weighed.best.length)
@@ -96,8 +85,7 @@ def test_around_a_mode_the_function_is_that_of_its_fit() -> None:
 
 def test_the_evidence_is_that_of_the_function_beside_which_the_second_stands() -> None:
     """Not of one that explains more with something else, nor of a size that its fit has not."""
-    screened = Screening(data_of({"push": PUSHED}), MODEL, [], errors=Harmonics()).run()
-    explained = explain(screened, [PUSH, OWN], cores=1)
+    screened, explained = explained_by([PUSH, OWN], {"push": PUSHED})
     kind = explained.components["inflow"].best
     poor, rich = (replace(kind.weighed, log_z=kind.weighed.log_z + x) for x in (-50.0, 50.0))
     component = Component("inflow", (replace(kind, weighed=poor, more=rich), kind))
@@ -113,8 +101,7 @@ def test_the_evidence_is_that_of_the_function_beside_which_the_second_stands() -
 
 def test_either_component_first_gives_the_evidence_of_both() -> None:
     echo = 0.1 * np.cos(6 * np.pi * TIMES)
-    screened = Screening(data_of({"push": PUSHED, "own": echo}), MODEL, [], errors=Harmonics()).run()
-    explained = explain(screened, [PUSH, OWN], cores=1)
+    screened, explained = explained_by([PUSH, OWN], {"push": PUSHED, "own": echo})
     one, other = (
         _with_each(screened, explained, explained.components[name].best, [PUSH, OWN], 1, None)[0]
         for name in ("inflow", "sensor")
@@ -126,8 +113,7 @@ def test_either_component_first_gives_the_evidence_of_both() -> None:
 
 
 def test_two_components_are_the_cause_where_neither_alone_is() -> None:
-    data = data_of({"push": PUSHED, "law": 0.1 * np.cos(2.0 * KNOTS)})
-    found = diagnose(data, MODEL, [], hooks=hooks([LAW, PUSH, OWN]), max_effects=1)
+    found = diagnose(data_of(BOTH), MODEL, [], hooks=hooks([LAW, PUSH, OWN]), max_effects=1)
     assert set(found.cause[:2]) == {"wall", "inflow"}
     assert of(found, "wall").together["inflow"] > 0.9
     assert of(found, "inflow").together == pytest.approx({"wall": of(found, "wall").together["inflow"]} | {
@@ -148,9 +134,7 @@ def test_two_components_are_the_cause_where_neither_alone_is() -> None:
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_of_two_pairs_the_more_probable_is_what_is_told(order: tuple[int, int]) -> None:
-    data = data_of({"push": PUSHED, "law": 0.1 * np.cos(2.0 * KNOTS)})
-    screened = Screening(data, MODEL, [], errors=Harmonics()).run()
-    explained = explain(screened, [LAW, PUSH, OWN], cores=1)
+    screened, explained = explained_by([LAW, PUSH, OWN], BOTH)
     pair = pairs_of(screened, explained, [LAW, PUSH, OWN], cores=1)[0]
     fit = replace(pair.fit, u=pair.fit.u + 1e-6)
     less = replace(
@@ -167,9 +151,7 @@ def test_of_two_pairs_the_more_probable_is_what_is_told(order: tuple[int, int]) 
 
 def test_two_components_that_leave_more_than_noise_are_no_cause() -> None:
     """Flexible functions may draw much of what each series has as an error of its own."""
-    data = data_of({"push": PUSHED, "law": 0.1 * np.cos(2.0 * KNOTS)})
-    screened = Screening(data, MODEL, [], errors=Harmonics()).run()
-    explained = explain(screened, [LAW, PUSH, OWN], cores=1)
+    screened, explained = explained_by([LAW, PUSH, OWN], BOTH)
     pair = pairs_of(screened, explained, [LAW, PUSH, OWN], cores=1)[0]
     for more, kept in ((0.5, True), (1.5, False)):
         size = np.abs(pair.fit.residual) * (1.0 + more)
@@ -189,21 +171,11 @@ def test_one_cause_is_no_pair() -> None:
     assert total <= 1.0 + 1e-9
 
 
-def one_series(given: dict[str, np.ndarray]) -> tuple[Data, FunctionModel]:
-    """The first of both sensors."""
-    data = data_of(given)
-    alone = Data(TIMES, data.values[:1], labels=["y1"], units=["K"], groups=["y"], period=1.0, name="toy")
-    model = FunctionModel(
-        lambda configuration, times: solve(configuration, times)[:1],
-        MODEL.parameters, Outputs(("y1",), TIMES), "toy",
-    )  # fmt: skip
-    return alone, model
-
-
 def test_of_one_series_two_components_stay_possible_and_count_for_all_alike() -> None:
     """Each of the three pairs draws it as well as the better of its two, with a tenth of the prior of one."""
-    data, model = one_series({"push": PUSHED})
-    found = diagnose(data, model, [], hooks=hooks([LAW, PUSH, TWIN]), max_effects=1)
+    found = diagnose(
+        first_of(data_of({"push": PUSHED})), FIRST, [], hooks=hooks([LAW, PUSH, TWIN]), max_effects=1
+    )
     scored = found.rounds[0]
     z = {name: c.log_z for name, c in scored.components.items()}
     assert z["inflow"] == pytest.approx(z["outlets"], abs=0.1)
@@ -218,7 +190,8 @@ def test_of_one_series_two_components_stay_possible_and_count_for_all_alike() ->
 
 
 def test_of_one_series_that_no_component_explains_two_are_not_likely() -> None:
-    data, model = one_series({})
-    scored = diagnose(data, model, [], hooks=hooks([LAW, PUSH, TWIN]), max_effects=1).rounds[0]
+    scored = diagnose(first_of(data_of({})), FIRST, [], hooks=hooks([LAW, PUSH, TWIN]), max_effects=1).rounds[
+        0
+    ]
     assert scored.leader == "no-gap"
     assert scored.untold < 0.05

@@ -10,7 +10,6 @@ from zoo.blood.conventions import (
     NAMES,
     PRINTED,
     PUBLISHED_CODE,
-    SWITCHES,
     Conventions,
     ConventionsError,
     get_conventions,
@@ -54,14 +53,6 @@ def test_a_changed_bundle_says_so() -> None:
     assert replace(own, friction="fixed").name == "published-code"
     assert Conventions("custom", friction="rest") == PRINTED.replace(friction="rest")
     assert pickle.loads(pickle.dumps(own)) == own
-
-
-@pytest.mark.parametrize("switch", SWITCHES)
-def test_one_switch_after_the_other_leads_from_one_bundle_to_the_other(switch: str) -> None:
-    value = getattr(PUBLISHED_CODE, switch)
-    own = PRINTED.replace(**{switch: value})
-    assert getattr(own, switch) == value
-    assert all(getattr(own, other) == getattr(PRINTED, other) for other in SWITCHES if other != switch)
 
 
 def test_table() -> None:

@@ -14,7 +14,7 @@ from zoo.blood import diagnosis as diagnosis_module
 from zoo.blood.diagnosis import PHASES, StudyDiagnosis, _of_size, errors_of, phases
 from zoo.blood.diagnosis import diagnose as diagnose_study
 from zoo.blood.forward import study_data
-from zoo.core.diagnosis import DiagnosisError, DiagnosisFile, read_diagnosis
+from zoo.core.diagnosis import DiagnosisError, read_diagnosis
 from zoo.core.diagnosis.answer import _warnings
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
@@ -35,6 +35,7 @@ def jitter() -> StudyDiagnosis:
 def test_the_cause_and_its_shrinkage(jitter: StudyDiagnosis) -> None:
     file = jitter.file
     assert jitter.cause == ["beat-jitter"]
+    assert file.warnings == []
     assert file.gap.before > 5 * file.gap.after
     assert file.gap.after < 0.03
     assert jitter.shrinkage > 0.8
@@ -55,16 +56,13 @@ def test_the_gap_is_the_rms_that_was_put_in(jitter: StudyDiagnosis) -> None:
 def test_held_out_series_are_predicted_better(jitter: StudyDiagnosis) -> None:
     gap = jitter.file.gap
     assert gap.held_out == "each series in turn"
-    assert gap.held_out_before is not None
-    assert gap.held_out_after is not None
     assert gap.held_out_after < 0.3 * gap.held_out_before
 
 
 def test_shares_add_up(jitter: StudyDiagnosis) -> None:
     where = jitter.where
-    assert sum(where.series.values()) == pytest.approx(1.0)
-    assert sum(where.phase.values()) == pytest.approx(1.0)
-    assert sum(where.harmonic.values()) == pytest.approx(1.0)
+    for shares in (where.series, where.phase, where.harmonic):
+        assert sum(shares.values()) == pytest.approx(1.0)
     # a jitter smooths what bends most
     assert where.phase["upstroke"] + where.phase["peak"] > where.phase["diastole"]
     assert where.place[0].part is None
@@ -79,9 +77,8 @@ def test_bias_of_the_baseline_is_removed(jitter: StudyDiagnosis) -> None:
 def test_the_file_comes_back_and_amounts_carry_their_unit(jitter: StudyDiagnosis, tmp_path: Path) -> None:
     """Under the names of the first format where they are mmHg, which readers of it know."""
     content = json.loads(jitter.save(tmp_path / "gap").read_text())
-    again = read_diagnosis(tmp_path / "gap")
-    assert isinstance(again, DiagnosisFile)
-    assert again.model_dump() == jitter.file.model_dump()
+    json.dumps(jitter.file.model_dump(), allow_nan=False)
+    assert read_diagnosis(tmp_path / "gap").model_dump() == jitter.file.model_dump()
     assert {NULL, NONPARAMETRIC, "correlated-noise", *FEW} == {h["name"] for h in content["hypotheses"]}
     assert content["gap"]["before_mmHg"] == jitter.file.gap.before
     assert content["gap"]["removed"] == jitter.file.gap.removed
@@ -133,31 +130,17 @@ def test_phases_of_a_drawn_beat() -> None:
     n = 400
     t = np.arange(n) / n
     wave = np.interp(t, [0, 0.1, 0.3, 0.48, 0.5, 0.54, 1.0], [8, 7, 20, 14, 13.0, 14.2, 8])
+    wanted = {0.2: "upstroke", 0.3: "peak", 0.4: "late-systole", 0.5: "incisura", 0.8: "diastole"}
     for turn in (0, 120, 333):
         found = np.roll(phases(np.roll(wave, turn), 0.1), -turn)
-        assert PHASES[found[int(0.2 * n)]] == "upstroke"
-        assert PHASES[found[int(0.3 * n)]] == "peak"
-        assert PHASES[found[int(0.4 * n)]] == "late-systole"
-        assert PHASES[found[int(0.5 * n)]] == "incisura"
-        assert PHASES[found[int(0.8 * n)]] == "diastole"
-
-
-def test_numbers_in_the_file_are_finite(jitter: StudyDiagnosis) -> None:
-    json.dumps(jitter.file.model_dump(), allow_nan=False)
+        assert {at: PHASES[found[int(at * n)]] for at in wanted} == wanted
 
 
 def test_the_study_may_have_fewer_samples(jitter: StudyDiagnosis) -> None:
-    coarse = replace(
-        jitter.study,
-        time_s=jitter.study.time_s[::4],
-        series=tuple(replace(s, value=s.value[::4]) for s in jitter.study.series),
-    )
+    study = jitter.study
+    series = tuple(replace(s, value=s.value[::4]) for s in study.series)
+    coarse = replace(study, time_s=study.time_s[::4], series=series)
     assert diagnose(coarse, effects=FEW[:4]).cause == ["beat-jitter"]
-
-
-def test_a_diagnosis_is_its_verdict_in_print_and_a_good_one_has_no_warning(jitter: StudyDiagnosis) -> None:
-    assert repr(jitter) == f"<Diagnosis of 'demo', baseline linear-constant: {jitter.file.verdict}>"
-    assert jitter.file.warnings == []
 
 
 def test_units_that_cannot_be_are_warned_of() -> None:
@@ -197,9 +180,7 @@ def test_another_state_has_the_same_vessels_and_comes_in_a_list() -> None:
     study = load_study("demo")
     root, *others = study.vessels
     wider = replace(study, vessels=(replace(root, radius_cm=1.1 * root.radius_cm), *others))
-    with pytest.raises(
-        DiagnosisError, match="vessel 1 is not the same as in 'demo', whose parent, length and"
-    ):
+    with pytest.raises(DiagnosisError, match="vessel 1 is not the same as in 'demo', whose parent, len"):
         diagnose(study, states=[wider])
     with pytest.raises(DiagnosisError, match="give a list of studies"):
         diagnose(study, states=study)  # type: ignore[arg-type]

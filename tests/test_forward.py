@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import types
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +17,6 @@ from zoo.blood.case import OutputError
 from zoo.blood.conventions import PRINTED, PUBLISHED_CODE
 from zoo.blood.effects import CATALOGUE, at_vessel
 from zoo.blood.forward import (
-    FAMILIES,
     BloodFlow,
     constant_stiffness,
     radius_dependent_stiffness,
@@ -26,7 +26,8 @@ from zoo.blood.network import Network
 from zoo.blood.solver import Solver, SolverArgumentError, SolverOptions
 from zoo.blood.study import Study, StudyError, load_study
 from zoo.core.effects import EffectError, WithEffects
-from zoo.core.forward import ForwardModel, Outputs, SolveError
+from zoo.core.forward import FunctionModel, Outputs, SolveError
+from zoo.core.op import ForwardOp
 from zoo.core.parameters import Parameter, ParameterError, Uniform, draw_prior, pack, start_of
 from zoo.models import MODELS, PAPER, get_model
 
@@ -36,14 +37,6 @@ QUANTITIES = ("pressure_mmHg", "flow_ml_s", "area_cm2")
 @pytest.fixture(scope="module")
 def study() -> Study:
     return small_study()
-
-
-def test_it_is_a_forward_model(study: Study) -> None:
-    model = flow(study)
-    assert isinstance(model, ForwardModel)
-    assert isinstance(WithEffects(model, [CATALOGUE["taper"].at()]), ForwardModel)
-    assert model.families == FAMILIES
-    assert model.outputs.series == ((1, 0.0, "pressure_mmHg"), (2, 0.5, "pressure_mmHg"))
 
 
 @pytest.mark.parametrize("wall", ["linear", "tangent"])
@@ -161,12 +154,8 @@ def test_a_pickled_model_solves_alike(study: Study) -> None:
 def test_study_data() -> None:
     study = small_study(quantities=("pressure_mmHg", "flow_ml_s"))
     data = study_data(study)
-    np.testing.assert_array_equal(data.values, study.values)
-    assert data.units == ("mmHg", "ml/s")
-    assert data.groups == ("pressure_mmHg", "flow_ml_s")
+    assert (data.units, data.groups) == (("mmHg", "ml/s"), ("pressure_mmHg", "flow_ml_s"))
     assert data.outputs == flow(study).outputs.series
-    assert data.labels == tuple(series.label for series in study.series)
-    assert (data.period, data.name) == (study.period_s, "small")
     with pytest.raises(ValueError, match=r"study 'small' has no observations: add observations.csv"):
         study_data(replace(study, series=()))
 
@@ -184,9 +173,7 @@ def test_baselines_by_name_and_letter() -> None:
         assert baseline.name == name
         assert get_baseline(letter.lower()) is baseline
         assert get_baseline(name) is baseline
-    with pytest.raises(
-        EffectError, match="baseline 'linear-constnt': unknown; did you mean 'linear-constant'"
-    ):
+    with pytest.raises(EffectError, match="baseline 'linear-constnt': unknown; did you mean 'linear-const"):
         get_baseline("linear-constnt")
 
 
@@ -230,17 +217,12 @@ def test_conventions_of_a_baseline() -> None:
     study = load_study("demo")
     published = study.conventions.replace(wall_factor=0.5)
     other = replace(study, conventions=published)
-    factors = {
-        letter: get_baseline(letter).forward(other).conventions.wall_factor for letter in ("B", "H", "I")
-    }
-    assert factors == {"B": 0.5, "H": 0.5, "I": 1.0}
+    assert [get_baseline(x).forward(other).conventions.wall_factor for x in "BHI"] == [0.5, 0.5, 1.0]
     assert get_baseline("I").forward(other, conventions=published).conventions.wall_factor == 0.5
 
 
 def test_the_key_sees_what_a_stiffness_law_refers_to() -> None:
     """A closure, a default and a constant of its module; laws alike in all have one key in every process."""
-    import types
-
     study = small_study()
 
     def closed(factor: float):  # type: ignore[no-untyped-def]
@@ -266,9 +248,6 @@ def test_the_key_sees_what_a_stiffness_law_refers_to() -> None:
 
 def test_operations_of_one_key_do_not_share_solutions() -> None:
     """What the key cannot see, such as an array that is changed in place, is solved again."""
-    from zoo.core.forward import FunctionModel
-    from zoo.core.op import ForwardOp
-
     slope = np.array([1.0])
     model = FunctionModel(
         lambda c, t: slope[0] * c["a"] * t, (Parameter("a", Uniform(0, 2)),), Outputs(("y",), np.arange(3.0))

@@ -25,7 +25,6 @@ from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.independent import Independent
 from zoo.core.inference.logposterior import LogPosterior
-from zoo.core.model import ModelRecord
 from zoo.core.parameters import LogUniform, pack
 from zoo.models import MODELS, PAPER, get_model, suggested
 
@@ -43,6 +42,7 @@ POPULATION = {"m_chi": (1e4, 1.1e5), "v_chi": (0.5, 30), "chi": (2e4, 1e5)}
 MEAN, VARIANCE = 5e4, 2.25
 SD = 1e4 * np.sqrt(VARIANCE)
 GAMMA = {"gamma": (1, 2 * np.pi)}
+TANGENT_BY_RADIUS = {"f1": (5e3, 1e5), "f2": (-200, 0), "f3": (1e4, 5e5)}
 GP_BOUNDS = {"w": (1e4, 9e4), "b": (1, 500)}
 TABLE_2: dict[str, tuple[str, str, dict[str, tuple[float, float]], dict[str, tuple[float, float]]]] = {
     "A": ("linear", "iid", CONSTANT | SCALES, {}),
@@ -53,12 +53,7 @@ TABLE_2: dict[str, tuple[str, str, dict[str, tuple[float, float]], dict[str, tup
     "F": ("linear", "iid", POPULATION | SCALES, {}),
     "G": ("linear", "gp", POPULATION | SCALES, GP_BOUNDS),
     "H": ("tangent", "gp", {"f3": (3e4, 5e5)} | GAMMA | SCALES, GP_BOUNDS),
-    "I": (
-        "tangent",
-        "gp",
-        {"f1": (5e3, 1e5), "f2": (-200, 0), "f3": (1e4, 5e5)} | GAMMA | SCALES,
-        GP_BOUNDS,
-    ),
+    "I": ("tangent", "gp", TANGENT_BY_RADIUS | GAMMA | SCALES, GP_BOUNDS),
 }
 NAMES = list(MODELS)
 ERROR_PARAMETERS = {"iid": ("sigma2",), "gp": ("w", "b")}
@@ -81,9 +76,8 @@ def likelihood_terms(model: pm.Model, parameters: dict[str, float]) -> np.ndarra
     names = list(model.zoo.parameters)
     values = {name: np.broadcast_to(parameters[name], shape_of(model, name)) for name in names}
     idata = az.from_dict(posterior={name: value[None, None] for name, value in values.items()})
-    return (
-        pm.compute_log_likelihood(idata, model=model, progressbar=False).log_likelihood["y"].to_numpy()[0, 0]
-    )
+    terms = pm.compute_log_likelihood(idata, model=model, progressbar=False).log_likelihood["y"]
+    return terms.to_numpy()[0, 0]
 
 
 def test_registry(study: Study) -> None:
@@ -185,8 +179,6 @@ def test_dimensions_and_record(name: str, study: Study) -> None:
     np.testing.assert_array_equal(model.coords["time"], study.time_s)
     assert model.named_vars_to_dims["y"] == ("series", "time")
     record = model.zoo
-    assert isinstance(record, ModelRecord)
-    assert record.study is study
     assert record.forward.options == options
     assert record.forward.conventions == PUBLISHED_CODE
     assert record.settings["conventions"]["name"] == "published-code"
@@ -214,17 +206,8 @@ def test_likelihood_of_b(study: Study) -> None:
 
 def sample(model: pm.Model, draws: int = 30, **settings: Any) -> az.InferenceData:
     with model:
-        return pm.sample(
-            step=pm.DEMetropolisZ(),
-            draws=draws,
-            tune=draws,
-            chains=2,
-            cores=2,
-            progressbar=False,
-            compute_convergence_checks=False,
-            random_seed=3,
-            **settings,
-        )
+        settings |= {"progressbar": False, "compute_convergence_checks": False, "random_seed": 3}
+        return pm.sample(draws, tune=draws, chains=2, cores=2, step=pm.DEMetropolisZ(), **settings)
 
 
 def start(model: pm.Model) -> dict[str, Any]:
@@ -237,10 +220,7 @@ def test_sampling_waic_and_predictive_draws_of_all(study: Study) -> None:
     idatas = {}
     for name in NAMES:
         model = get_model(name)(study)
-        idata = sample(
-            model,
-            initvals=start(model),
-        )
+        idata = sample(model, initvals=start(model))
         assert set(idata.posterior) == set(model.zoo.parameters)
         pm.compute_log_likelihood(idata, model=model, progressbar=False)
         assert idata.log_likelihood["y"].dims == ("chain", "draw", "series", "time")
@@ -281,21 +261,15 @@ def test_a_chain_leaves_failed_solves_out(study: Study) -> None:
 def test_errors_refuse_what_they_cannot_hold_for() -> None:
     mixed = small_study(quantities=("pressure_mmHg", "flow_ml_s"))
     baseline = get_baseline("B")
-    with pytest.raises(
-        ValueError, match="observes flow_ml_s and pressure_mmHg: one sigma2 cannot hold for both"
-    ):
+    with pytest.raises(ValueError, match="observes flow_ml_s and pressure_mmHg: one sigma2 cannot hold"):
         blood_model("own", mixed, baseline, Independent())
     process = GaussianProcess(LogUniform(1e4, 9e4), LogUniform(1, 500), unit="mmHg")
     with pytest.raises(ValueError, match=r"observes v2@0.5 flow_ml_s: the Gaussian process' amplitude"):
         blood_model("own", mixed, baseline, process)
-    with pytest.raises(
-        StudyError, match=r"'paun2020': its errors are of one quantity, the study observes pres"
-    ):
+    with pytest.raises(StudyError, match=r"'paun2020': its errors are of one quantity, the study obs"):
         get_model("A")(mixed)
     known = replace(small_study(), noise_sd={"pressure_mmHg": 0.05})
-    with pytest.raises(
-        StudyError, match=r"'paun2020': has a noise of its own, but noise_sd gives that of pr"
-    ):
+    with pytest.raises(StudyError, match=r"'paun2020': has a noise of its own, but noise_sd gives that"):
         get_model("B")(known)
     get_model("A")(small_study(quantities=("flow_ml_s", "flow_ml_s")))
 

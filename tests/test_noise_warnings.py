@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from test_component_weighing import MODEL, NOISE, OWN, PUSH, TIMES, data_of, hooks
+from toys import MODEL, NOISE, OWN, PUSH, TIMES, data_of, hooks
 from zoo.core.diagnosis import diagnose
 from zoo.core.errors.spectral import Harmonics
 

@@ -30,8 +30,6 @@ from zoo.core.op import CACHE_SIZE, ForwardOp, MissingGradientError, observed_se
 from zoo.core.parameters import LogUniform, Parameter, Uniform
 
 POINT = (5e4, 2.0, 0.3, 0.9, 1.2)  # stiffness, gamma, psi1, psi2, c
-
-
 STIFF = Baseline(
     "stiff",
     "linear",
@@ -52,25 +50,13 @@ def small_study(n_times: int = 32, quantities: tuple[str, ...] = ("pressure_mmHg
     )
     inflow_time = np.arange(256) * period / 256
     time = np.arange(n_times) * period / n_times
-    blank = [
-        Series(vessel, position, quantity, np.zeros(n_times))
-        for (vessel, position), quantity in zip(((1, 0.0), (2, 0.5)), quantities, strict=False)
-    ]
+    flow = 0.5 * np.maximum(0.0, np.sin(2 * np.pi * inflow_time / period)) ** 2
+    places = zip(((1, 0.0), (2, 0.5)), quantities, strict=False)
+    blank = tuple(Series(*place, quantity, np.zeros(n_times)) for place, quantity in places)
     study = Study(
-        name="small",
-        period_s=period,
-        blood=Blood(1.055, 0.049),
-        vessels=vessels,
-        inflow_time_s=inflow_time,
-        inflow_ml_s=0.5 * np.maximum(0.0, np.sin(2 * np.pi * inflow_time / period)) ** 2,
-        time_s=time,
-        series=tuple(blank),
-        conventions=PRINTED,
-        source="small",
-        priors={"set": "paun2020"},
-        numerics={"dx_cm": 0.025},
-        checksum="small",
-    )
+        "small", period, Blood(1.055, 0.049), vessels, inflow_time, flow, time, blank, PRINTED,
+        source="small", priors={"set": "paun2020"}, numerics={"dx_cm": 0.025}, checksum="small",
+    )  # fmt: skip
     solution = Solver.for_study(study).solve(*POINT)
     noise = 0.05 * np.random.default_rng(1).standard_normal((len(blank), n_times))
     series = [replace(s, value=getattr(solution, s.quantity)[i] + noise[i]) for i, s in enumerate(blank)]
@@ -91,6 +77,7 @@ def op(study: Study) -> ForwardOp:
 
 
 NAMES = ("chi", "gamma", "psi1", "psi2", "c")
+QUIET: dict[str, Any] = {"progressbar": False, "compute_convergence_checks": False, "random_seed": 1}
 ANY = Uniform(0.0, 1e6)
 
 
@@ -258,13 +245,8 @@ class WithoutDerivatives:
     families = ()
 
     def __init__(self, model: BloodFlow) -> None:
-        self.parameters, self.outputs, self.key, self.name = (
-            model.parameters,
-            model.outputs,
-            model.key,
-            model.name,
-        )
-        self.configure, self.solve = model.configure, model.solve
+        for name in ("parameters", "outputs", "key", "name", "configure", "solve"):
+            setattr(self, name, getattr(model, name))
 
 
 def test_gradient_says_what_to_do(study: Study) -> None:
@@ -329,17 +311,7 @@ def test_a_pickled_compiled_function_shares_the_points(op: ForwardOp) -> None:
 @pytest.mark.parametrize("method", multiprocessing.get_all_start_methods())
 def test_sampling_in_two_processes(study: Study, method: str) -> None:
     with linear_model(study):
-        idata = pm.sample(
-            step=pm.DEMetropolisZ(),
-            draws=20,
-            tune=20,
-            chains=2,
-            cores=2,
-            mp_ctx=method,
-            progressbar=False,
-            compute_convergence_checks=False,
-            random_seed=1,
-        )
+        idata = pm.sample(20, tune=20, chains=2, cores=2, mp_ctx=method, step=pm.DEMetropolisZ(), **QUIET)
     assert idata.posterior["f3"].shape == (2, 20)
     assert np.all(np.isfinite(idata.posterior["f3"]))
 
@@ -350,16 +322,7 @@ def test_one_solve_a_draw(study: Study) -> None:
     op.clear_cache()
     op.reset_counts()
     with model:
-        pm.sample(
-            step=pm.DEMetropolisZ(),
-            draws=60,
-            tune=40,
-            chains=1,
-            cores=1,
-            progressbar=False,
-            compute_convergence_checks=False,
-            random_seed=1,
-        )
+        pm.sample(60, tune=40, chains=1, cores=1, step=pm.DEMetropolisZ(), **QUIET)
     counts = op.counts
     assert counts["evaluations"] >= 2 * 100
     assert 100 <= counts["solves"] <= 103

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from test_component_weighing import FUNCTIONS, KNOTS, MODEL, NOISE, TIMES, data_of, hooks
+from toys import FUNCTIONS, KNOTS, MODEL, NOISE, TIMES, data_of, hooks
 from zoo.core.data import Data
 from zoo.core.diagnosis import DiagnosisError, OtherState, diagnose, read_diagnosis
 from zoo.core.diagnosis.states import seen_at_sensor, state_warning

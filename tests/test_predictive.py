@@ -285,24 +285,6 @@ def test_prediction_bands_hold_what_pymc_predicts(study: Study) -> None:
         assert above == pytest.approx(0.1, abs=0.03)
 
 
-@pytest.mark.parametrize("name", ["A", "E", "G"])
-def test_stiffness_of_every_kind_of_model(study: Study, name: str) -> None:
-    model = get_model(name)(study)
-    idata = posterior(model, 4)
-    draws = {p: idata["posterior"][p].to_numpy() for p in model.zoo.parameters}
-    expected = {
-        "A": lambda: np.repeat(draws["f3"][..., None], 3, axis=2),
-        "E": lambda: (
-            draws["f1"][..., None] * np.exp(draws["f2"][..., None] * np.array([0.047, 0.026, 0.037]))
-            + draws["f3"][..., None]
-        ),
-        "G": lambda: draws["chi"],
-    }[name]()
-    points = forward_points(model, idata["posterior"])
-    found = [model.zoo.forward.configure(point).stiffness for point in points]
-    np.testing.assert_allclose(found, expected.reshape(-1, 3))
-
-
 def test_waves_at_medians_are_one_solve(study: Study) -> None:
     model = get_model("A")(study)
     idata = posterior(model, 5, spread=0.1)
@@ -319,10 +301,7 @@ def test_what_is_wrong_is_said(study: Study) -> None:
     waves = fake_waves(sigma2=np.ones(4000))
     for call, text in (
         (lambda: bands(waves, "pressure"), r"quantity = 'pressure': must be one of pressure_mmHg, flow_ml_s"),
-        (
-            lambda: bands(waves, "flow_ml_s", errors=True),
-            "errors of flow_ml_s: the model has errors of",
-        ),
+        (lambda: bands(waves, "flow_ml_s", errors=True), "errors of flow_ml_s: the model has errors of"),
         (lambda: bands(waves, "area_cm2", (95,)), r"probs = \(95,\): give probabilities between 0 and 1"),
     ):
         with pytest.raises(PredictiveError, match=text):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
 from pathlib import Path
 
+import arviz as az
 import numpy as np
+import pymc as pm
 import pytest
 
 import zoo
@@ -65,14 +66,11 @@ def test_stiffness_follows_from_the_wave_speed_of_the_solvers_wall(
     np.testing.assert_allclose(np.sqrt(slope / DENSITY), 300.0, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("chi", "where"),
-    [(5e4, "mouse"), (1.75e5, "hypoxic mouse"), (5e5, "human aorta"), (3.5e6, "human leg")],
-)
-def test_stiffnesses_of_mice_and_men_are_in_the_bulk(chi: float, where: str, example: Study) -> None:
+def test_stiffnesses_of_mice_and_men_are_in_the_bulk(example: Study) -> None:
     """Away from the outer 5 % at either end: wave speeds of 1.8 to 15 m/s."""
     low, high = priors_of(example)["f3"].quantile([0.05, 0.95])
-    assert low < chi < high, where
+    mouse, human_leg = 5e4, 3.5e6
+    assert low < mouse < human_leg < high
 
 
 def test_wave_speeds_of_the_table_hold_95_percent(example: Study) -> None:
@@ -86,13 +84,8 @@ def test_wave_speeds_of_the_table_hold_95_percent(example: Study) -> None:
 
 def test_f2_counts_in_the_radii_of_the_study(example: Study) -> None:
     """The same vessels ten times as wide, or a unit ten times as large: f2 r0/u has the same prior."""
-    wide = replace(
-        example,
-        vessels=[
-            replace(v, radius_cm=10 * v.radius_cm, radius_out_cm=10 * v.radius_out_cm)
-            for v in example.vessels
-        ],
-    )
+    sizes = [(v, 10 * v.radius_cm, 10 * v.radius_out_cm) for v in example.vessels]
+    wide = replace(example, vessels=[replace(v, radius_cm=r, radius_out_cm=out) for v, r, out in sizes])
     unit = example.conventions.replace(stiffness_radius_unit_cm=10.0)
     own = priors_of(example, "E")["f2"].quantile([0.1, 0.9])
     np.testing.assert_allclose(priors_of(wide, "E")["f2"].quantile([0.1, 0.9]), own / 10)
@@ -314,9 +307,13 @@ def test_a_table_is_saved_and_read_back(example: Study, tmp_path: Path) -> None:
 # The record of a run
 
 
+def a_few(model: pm.Model) -> az.InferenceData:
+    return zoo.sample(model, draws=4, tune=8, chains=1, cores=1, progress=False, until_ess=None, seed=1)
+
+
 def test_a_posterior_of_other_priors_is_named_as_such(example: Study) -> None:
     model = zoo.model_A(example)
-    idata = zoo.sample(model, draws=4, tune=8, chains=1, cores=1, progress=False, until_ess=None, seed=1)
+    idata = a_few(model)
     record = RunRecord.of(idata)
     assert record.priors == model.zoo.priors
     assert mismatch(idata, model) is None
@@ -328,7 +325,7 @@ def test_a_posterior_of_other_priors_is_named_as_such(example: Study) -> None:
 
 def test_a_posterior_of_another_grid_is_named_as_such(example: Study) -> None:
     models = [zoo.model_A(replace(example, numerics=n)) for n in ({"dx_cm": 0.5}, {"dx_cm": 0.25})]
-    idata = zoo.sample(models[0], draws=4, tune=8, chains=1, cores=1, progress=False, until_ess=None, seed=1)
+    idata = a_few(models[0])
     assert mismatch(idata, models[0]) is None
     assert mismatch(idata, models[1]) == "dx_cm is 0.5, here it is 0.25"
     more = zoo.model_A(replace(example, numerics={"dx_cm": 0.5, "max_beats": 99}))
@@ -338,15 +335,11 @@ def test_a_posterior_of_another_grid_is_named_as_such(example: Study) -> None:
 def test_a_posterior_of_another_noise_is_named_as_such(example: Study) -> None:
     models = [zoo.model_A(replace(example, noise_sd=sd)) for sd in ({}, {"pressure_mmHg": 0.5})]
     other = zoo.model_A(replace(example, noise_sd={"pressure_mmHg": 3.0}))
-    free, known = (
-        zoo.sample(m, draws=4, tune=8, chains=1, cores=1, progress=False, until_ess=None, seed=1)
-        for m in models
-    )
+    free, known = map(a_few, models)
     assert mismatch(free, models[0]) is None
     assert mismatch(known, models[1]) is None
     label = example.series[0].label
     assert mismatch(known, other) == f"noise of {label} is known, 0.5 mmHg, here it is known, 3 mmHg"
     assert mismatch(free, other) == f"noise of {label} is none, here it is known, 3 mmHg"
-    assert re.match(
-        "prior of noise_pressure_mmHg is none, here it is log-normal", mismatch(known, models[0]) or ""
-    )
+    said = mismatch(known, models[0]) or ""
+    assert said.startswith("prior of noise_pressure_mmHg is none, here it is log-normal")
