@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import arviz as az
 import numpy as np
 import pandas as pd
+from paun2020.figures import posteriors_figure, uncertainty_figure
 
 from zoo import load_study, sample
 from zoo.blood import predictive
@@ -26,7 +27,7 @@ from zoo.core.inference.convergence import verdict
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.storage import load, save
 from zoo.models import get_model
-from zoo.plots import posteriors_figure, save_figure, uncertainty_figure
+from zoo.plots import save_figure
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import arviz as az
 import pandas as pd
+from benchmarks.paun2020.figures import posteriors_figure, uncertainty_figure
 from benchmarks.paun2020.table4 import (
     REFERENCE,
     cost_table,
@@ -154,14 +155,14 @@ def _figures(
         at_medians[name] = predictive.waves_at_medians(models[name], idata)
     some = [name for name in ("A", "B", "I") if name in posteriors] or list(posteriors)[:3]
     drawn = {
-        "figure5": plots.uncertainty_figure({name: pressures[name] for name in some}, study),
+        "figure5": uncertainty_figure({name: pressures[name] for name in some}, study),
         "figure8": plots.models_figure(medians, study),
         "figure9-flow": plots.models_figure(medians, study, quantity="flow_ml_s"),
         "figure9-loops": plots.loops_figure(at_medians),
     }
     if {"A", "B"} <= set(posteriors):
         both = {name: posteriors[name] for name in ("A", "B")}
-        drawn["figure4a"] = plots.posteriors_figure(both, ("f3", "psi1", "psi2", "c"))
+        drawn["figure4a"] = posteriors_figure(both, ("f3", "psi1", "psi2", "c"))
     if "E" in posteriors:
         drawn["figure6-left"] = plots.pair_figure(posteriors["E"], THETA)
     for name, figure in drawn.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import arviz as az
 import numpy as np
 import pandas as pd
 import pytest
@@ -140,3 +141,21 @@ def test_save_says_what_is_wrong(tube, tmp_path):
         plots.save_figure(figure, tmp_path / "a.xyz")
     with pytest.raises(OutputFileError, match="does not exist; create it"):
         plots.save_figure(figure, tmp_path / "no" / "a.png")
+
+
+def test_forest_has_the_quantiles_of_each_model() -> None:
+    rng = np.random.default_rng(5)
+    names = {"A": ["f3", "c"], "B": ["f3", "c", "w"]}
+    posteriors = {
+        model: az.from_dict(posterior={name: rng.normal(size=(4, 100)) for name in own})
+        for model, own in names.items()
+    }
+    figure = plots.forest_figure(posteriors)
+    panels = {axes.get_xlabel(): axes for axes in figure.axes if axes.get_visible()}
+    assert len(panels) == len({*posteriors["A"].posterior, *posteriors["B"].posterior})
+    outer, _, median = panels[plots.PARAMETER_LABELS["w"]].get_lines()  # B alone has w
+    values = posteriors["B"].posterior["w"].to_numpy()
+    np.testing.assert_allclose(outer.get_xdata(), np.quantile(values, (0.025, 0.975)))
+    np.testing.assert_allclose(median.get_xdata(), [np.median(values)])
+    assert list(outer.get_ydata()) == [1, 1]
+    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["A", "B"]

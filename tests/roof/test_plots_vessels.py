@@ -11,7 +11,7 @@ from drawn import TIMES, fake_waves, fill_of, lines_of, texts
 
 from zoo import plots
 from zoo.blood.predictive import bands, median_waves
-from zoo.plots import vessels
+from zoo.plots import waves as vessels
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -35,39 +35,16 @@ def test_waves_draw_every_vessel(tube, n, lines):
     assert [len(axes.get_lines()) for axes in nothing.axes] == [3, 3, 3]
 
 
-def test_uncertainty_has_a_column_a_model_and_a_row_a_vessel(tube):
-    both = {
-        name: bands(fake_waves(level=15 + i), "pressure_mmHg", (0.95,), errors=True)
-        for i, name in enumerate("AB")
-    }
-    figure = plots.uncertainty_figure(both, tube, vessels=(1, 4, 7))
-    assert len(figure.axes) == 6
-    found = texts(figure)
-    assert {"model A", "model B", "95 % credible", "95 % prediction", "observed"} <= found
-    assert "trunk\npressure (mmHg)" in found
-    assert "vessel 7\npressure (mmHg)" in found
-    expected = both["B"].sel(vessel=4, position=0.5, prob=0.95)  # midway, other than the root
-    axes = figure.axes[3]
-    prediction, credible = axes.collections
-    np.testing.assert_allclose(fill_of(prediction), (expected.prediction_low[0], expected.prediction_high[0]))
-    np.testing.assert_allclose(fill_of(credible), (expected.low[0], expected.high[0]))
-    np.testing.assert_allclose(lines_of(axes)[0], expected["median"])
-    assert [len(axes.get_lines()) for axes in figure.axes] == [2, 2, 1, 1, 1, 1]
-    np.testing.assert_array_equal(lines_of(figure.axes[1])[1], tube.series[0].value)
-    assert "observed" not in texts(plots.uncertainty_figure({"A": bands(fake_waves(), "flow_ml_s")}))
-    with pytest.raises(plots.FigureError, match=r"prob = 0\.9: the bands have 0\.95; choose"):
-        plots.uncertainty_figure(both, prob=0.9)
-    with pytest.raises(plots.FigureError, match="vessel 30: the waves have 1, 2, 3"):
-        plots.uncertainty_figure(both, vessels=[30])
-    with pytest.raises(plots.FigureError, match="no bands: give at least one"):
-        plots.uncertainty_figure({})
-
-
 def test_all_vessels_have_a_panel_and_areas_readable_numbers(tube):
     figure = plots.all_vessels_figure(
         bands(fake_waves(), "pressure_mmHg", errors=True), tube, title="model A"
     )
     shown = [axes for axes in figure.axes if axes.axison]
+    expected = bands(fake_waves(), "pressure_mmHg", errors=True).sel(vessel=4, position=0.5, prob=0.95)
+    prediction, credible = shown[3].collections  # midway, other than the root
+    np.testing.assert_allclose(fill_of(prediction), (expected.prediction_low[0], expected.prediction_high[0]))
+    np.testing.assert_allclose(fill_of(credible), (expected.low[0], expected.high[0]))
+    np.testing.assert_array_equal(lines_of(shown[0])[1], tube.series[0].value)
     assert [axes.get_title(loc="left") for axes in shown] == ["trunk", *(f"vessel {v}" for v in range(2, 10))]
     assert [len(axes.collections) for axes in shown] == [2] * 9
     assert {"observed", "model A", "pressure (mmHg)", "95 % prediction"} <= texts(figure)
@@ -93,24 +70,21 @@ def test_models_share_panels_and_leave_residuals(tube):
     flow = plots.models_figure(medians, tube, quantity="flow_ml_s")
     assert sum(axes.axison for axes in flow.axes) == 7
     assert not any("residual" in text for text in texts(flow))
+    with pytest.raises(plots.FigureError, match="no medians: give at least one"):
+        plots.models_figure({})
     with pytest.raises(plots.FigureError, match="quantity = 'speed': must be one of pressure_mmHg"):
         plots.models_figure(medians, quantity="speed")
 
 
-@pytest.mark.parametrize("standardised", [False, True])
-def test_loops_are_pressure_against_area(standardised):
+def test_loops_are_pressure_against_area():
     waves = {name: median_waves(fake_waves(level=15 + 2 * i)) for i, name in enumerate("GI")}
-    figure = plots.loops_figure(waves, standardised=standardised)
+    figure = plots.loops_figure(waves)
     assert sum(axes.axison for axes in figure.axes) == 7
-    first, second = figure.axes[0].get_lines()
+    first, _ = figure.axes[0].get_lines()
     area, pressure = np.asarray(first.get_xdata()), np.asarray(first.get_ydata())
     assert np.all(np.diff(area) >= 0)
-    if standardised:
-        assert area.min() == 0
-        assert second.get_xdata().max() == 1
-    else:
-        np.testing.assert_allclose(area, 1e3 * pressure / 5000)
-    everything = plots.loops_figure(waves, vessels=list(waves["G"].vessel.values), standardised=standardised)
+    np.testing.assert_allclose(area, 1e3 * pressure / 5000)
+    everything = plots.loops_figure(waves, vessels=list(waves["G"].vessel.values))
     assert sum(axes.axison for axes in everything.axes) == 9
     assert {"model G", "model I", "pressure (mmHg)", "vessel 9"} <= texts(everything)
     assert any("no loop" in text for text in texts(figure))

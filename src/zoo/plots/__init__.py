@@ -3,18 +3,15 @@
 A function takes results and returns a `matplotlib.figure.Figure`, which `save_figure` writes.
 """
 
-from zoo.plots.bands import all_vessels_figure, uncertainty_figure
-from zoo.plots.blindcheck import plot_confusion, plot_reliability, score_figures
+from zoo.plots.blindcheck import score_figures
 from zoo.plots.chains import pair_figure, rank_figure, trace_figure
-from zoo.plots.comparison import comparison_figure
+from zoo.plots.comparison import comparison_figure, forest_figure
 from zoo.plots.components import plot_components, plot_functions
 from zoo.plots.diagnosis import plot_diagnosis, plot_discrepancy, plot_hypotheses, plot_where
 from zoo.plots.fit import fit_figure
-from zoo.plots.posteriors import forest_figure, posteriors_figure
 from zoo.plots.priors import prior_predictive_figure, priors_figure
 from zoo.plots.states import plot_states
 from zoo.plots.style import (
-    COLOURS,
     PARAMETER_LABELS,
     QUANTITY_LABELS,
     FigureError,
@@ -22,10 +19,9 @@ from zoo.plots.style import (
     model_style,
     save_figure,
 )
-from zoo.plots.waves import loops_figure, models_figure, waves_figure
+from zoo.plots.waves import all_vessels_figure, loops_figure, models_figure, waves_figure
 
 __all__ = [
-    "COLOURS",
     "PARAMETER_LABELS",
     "QUANTITY_LABELS",
     "FigureError",
@@ -39,21 +35,17 @@ __all__ = [
     "models_figure",
     "pair_figure",
     "plot_components",
-    "plot_confusion",
     "plot_diagnosis",
     "plot_discrepancy",
     "plot_functions",
     "plot_hypotheses",
-    "plot_reliability",
     "plot_states",
     "plot_where",
-    "posteriors_figure",
     "prior_predictive_figure",
     "priors_figure",
     "rank_figure",
     "save_figure",
     "score_figures",
     "trace_figure",
-    "uncertainty_figure",
     "waves_figure",
 ]

@@ -1,15 +1,30 @@
-"""Models beside each other by how well they predict."""
+"""Models beside each other: how well they predict, and their posteriors."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from zoo.plots.style import COLOURS, axis_end, model_style, new_figure
+from zoo.plots.style import (
+    COLOURS,
+    PARAMETER_LABELS,
+    Array,
+    axis_end,
+    cells_of,
+    grid_behind,
+    legend_below,
+    model_style,
+    new_figure,
+    note_beside,
+    size_of,
+)
 
 if TYPE_CHECKING:
+    import arviz as az
     import pandas as pd
 
 NEAR = 10.0
@@ -50,19 +65,10 @@ def comparison_figure(table: pd.DataFrame) -> Figure:
                 right.errorbar(difference[row], row, xerr=error[row], fmt="o", **look)
             else:
                 right.plot(right_end, row, ">", color=colour, mfc=look["mfc"], ms=7, clip_on=False)
-            right.annotate(
-                f"{difference[row]:.1f} ± {error[row]:.1f}, weight {table['weight'].iloc[row]:.2f}",
-                (1.0, row),
-                xycoords=("axes fraction", "data"),
-                xytext=(8, 0),
-                textcoords="offset points",
-                va="center",
-                fontsize="small",
-                color="#666666",
-            )
-        for axes in (left, right):
-            axes.grid(axis="x", color="#DDDDDD", lw=0.7)
-            axes.set_axisbelow(True)
+            weight = table["weight"].iloc[row]
+            note_beside(right, row, f"{difference[row]:.1f} ± {error[row]:.1f}, weight {weight:.2f}", 8)
+        grid_behind(left)
+        grid_behind(right)
         left.set_yticks(rows, [str(label) for label in table.index])
         left.set_ylabel("model")
         left.set_ylim(len(table) - 0.4, -0.6)
@@ -77,5 +83,46 @@ def comparison_figure(table: pd.DataFrame) -> Figure:
         if not all(near):
             handles += right.plot([], [], ">", color="#666666", label="beyond the axis: see the number")
         if handles:
-            figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize="small")
+            legend_below(figure, handles, 2)
+    return figure
+
+
+def forest_figure(posteriors: Mapping[str, az.InferenceData]) -> Figure:
+    """Medians, 50 % and 95 % intervals of the parameters that are single numbers, by model.
+
+    Parameters
+    ----------
+    posteriors : mapping of model to InferenceData
+        Drawn from the upper row of each panel down.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel for each parameter, with the models that have it.
+    """
+    found: dict[str, dict[str, Array]] = {}
+    for model, idata in posteriors.items():
+        posterior = idata["posterior"]
+        for name in map(str, posterior.data_vars):
+            if set(posterior[name].dims) == {"chain", "draw"}:
+                found.setdefault(name, {})[model] = posterior[name].to_numpy().ravel()
+    known = list(PARAMETER_LABELS)
+    names = sorted(found, key=lambda name: known.index(name) if name in known else len(known))
+    models = list(posteriors)
+    with new_figure(size_of(len(names), 4, 2.5, 0.75 + 0.2 * len(models))) as figure:
+        for [axes], name in zip(cells_of(figure, len(names), 4), names, strict=True):
+            for row, model in enumerate(models):
+                if model not in found[name]:
+                    continue
+                low, q1, median, q3, high = np.quantile(found[name][model], (0.025, 0.25, 0.5, 0.75, 0.975))
+                colour = model_style(model, row)[0]
+                axes.plot((low, high), (row, row), color=colour, lw=1.2)
+                axes.plot((q1, q3), (row, row), color=colour, lw=3.2, solid_capstyle="butt")
+                axes.plot(median, row, "o", color="white", mec=colour, mew=1.4, ms=5)
+            axes.set_yticks(range(len(models)), models)
+            axes.set_ylim(len(models) - 0.5, -0.5)
+            axes.set_xlabel(PARAMETER_LABELS.get(name, name))
+            axes.xaxis.set_major_locator(MaxNLocator(3))
+            axes.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4), useMathText=True)
+            grid_behind(axes)
     return figure

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zoo.core.diagnosis.file import ComponentResult, DiagnosisFile, LearnedFunction
-from zoo.plots.style import COLOURS, DOTTED, INK, new_figure
+from zoo.plots.style import COLOURS, DOTTED, INK, cells_of, grid_behind, new_figure, size_of
 from zoo.plots.subject import unit_words
 
 if TYPE_CHECKING:
@@ -60,8 +60,7 @@ def plot_components(d: Diagnosis) -> Figure:
         third.set_xlim(0, None)
         third.set_xlabel(f"discrepancy it leaves{f' ({file.gap.unit})' if file.gap.unit != '1' else ''}")
         for axes in (first, second, third):
-            axes.grid(axis="x", color="#DDDDDD", lw=0.7)
-            axes.set_axisbelow(True)
+            grid_behind(axes)
         third.set_title(f"dotted: the baseline, {file.gap.before:.2g}{unit_words(file.gap.unit)}", fontsize=8)
     return figure
 
@@ -96,12 +95,8 @@ def plot_functions(d: Diagnosis) -> Figure:
         the prior, and 0 is the baseline.
     """
     shown = learned_functions(d.file)
-    columns = min(2, max(1, len(shown)))
-    with new_figure((4.3 * columns, 0.4 + 2.7 * math.ceil(max(1, len(shown)) / columns))) as figure:
-        grid = figure.subplots(math.ceil(max(1, len(shown)) / columns), columns, squeeze=False)
-        for axes in grid.flat[len(shown) :]:
-            axes.set_axis_off()
-        for axes, (component, function) in zip(grid.flat, shown, strict=False):
+    with new_figure(size_of(len(shown), 2, 4.3, 2.7, more=0.4)) as figure:
+        for [axes], (component, function) in zip(cells_of(figure, len(shown), 2), shown, strict=True):
             _draw_function(axes, component, function)
     return figure
 

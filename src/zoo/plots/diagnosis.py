@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections import Counter
 from collections.abc import Sequence
@@ -27,8 +26,15 @@ from zoo.plots.style import (
     SOLID,
     Array,
     axis_end,
+    cells_of,
+    draw_shares,
+    grid_behind,
+    handles_of,
+    legend_below,
     new_figure,
+    note_beside,
     parts,
+    size_of,
 )
 from zoo.plots.subject import at_most, location_of, phases_of, study_of, unit_words
 from zoo.plots.tree import draw_locations, draw_tree
@@ -87,20 +93,15 @@ def _shade_phases(
 
 def _draw_discrepancy(figure: Figure | SubFigure, d: Diagnosis) -> None:
     data = d.data
-    columns = min(data.n_series, 3)
-    blocks = math.ceil(data.n_series / columns)
     cause = _cause_name(d)
     beat = study_of(d) is not None
     times = (1e3 if beat else 1.0) * data.times
     duration = (1e3 if beat else 1.0) * data.duration
     phase_names, phase = phases_of(d)
-    grid = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=(3, 1.6) * blocks)
-    for axes in grid.flat[:]:
-        axes.set_axis_off()
+    cells = cells_of(figure, data.n_series, 3, (3, 1.6))
     for i, (values, row) in enumerate(zip(data.values, d.file.gap.per_series, strict=True)):
-        top, bottom = (grid[2 * (i // columns) + k, i % columns] for k in (0, 1))
+        top, bottom = cells[i]
         for axes in (top, bottom):
-            axes.set_axis_on()
             _shade_phases(axes, phase_names, phase, times, named=axes is top)
             axes.set_xlim(times[0], times[0] + duration)
         top.plot(times, values, color=INK, lw=2.2, alpha=0.35, label="observed")
@@ -129,14 +130,17 @@ def _draw_discrepancy(figure: Figure | SubFigure, d: Diagnosis) -> None:
         top.tick_params(labelbottom=False)
         bottom.set_ylabel(f"discrepancy ({row.unit})")
         bottom.set_xlabel("time in the beat (ms)" if beat else f"time ({data.time_unit})")
-    handles = [handle for axes in grid[:2, 0] for handle in axes.get_legend_handles_labels()[0]]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
+    legend_below(figure, handles_of(*cells[0]), 3)
 
 
 def _shrinks(row: SeriesGap, cause: bool) -> str:
     """Such as "discrepancy 0.25 to 0.01 mmHg"."""
     after = f" to {row.after.mean:.2g}" if cause else ""
     return f"discrepancy {row.before.mean:.2g}{after}{unit_words(row.unit)}"
+
+
+def _discrepancy_size(d: Diagnosis) -> tuple[float, float]:
+    return size_of(d.data.n_series, 3, 4.3, 4.9, least=6.4, more=0.5)
 
 
 def plot_discrepancy(d: Diagnosis) -> Figure:
@@ -152,10 +156,7 @@ def plot_discrepancy(d: Diagnosis) -> Figure:
         Two panels for each observed series; phases of the beat are shaded and named, bands hold 95 %, the
         grey strip is one standard deviation of the noise.
     """
-    n = d.data.n_series
-    columns = min(n, 3)
-    size = (max(6.4, 4.3 * columns), 0.5 + 4.9 * math.ceil(n / columns))
-    with new_figure(size) as figure:
+    with new_figure(_discrepancy_size(d)) as figure:
         _draw_discrepancy(figure, d)
     return figure
 
@@ -200,22 +201,12 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
             words = "invisible here"
         elif h.name not in (NONPARAMETRIC, CORRELATED):
             words += f", discrepancy {at_most(h)}{h.gap_after:.2g}{unit}"
-        axes.annotate(
-            words,
-            (1.0, row),
-            xycoords=("axes fraction", "data"),
-            xytext=(9, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize="small",
-            color="#666666",
-        )
+        note_beside(axes, row, words, 9)
     axes.set_xlim(-0.04 * axis, axis)
     names = [f"{special[h.name]} ({h.name})" if special.get(h.name) else _named(h, d) for h in found]
     axes.set_yticks(np.arange(len(found)), names)
     axes.set_ylim(len(found) - 0.4, -0.6)
-    axes.grid(axis="x", color="#DDDDDD", lw=0.7)
-    axes.set_axisbelow(True)
+    grid_behind(axes)
     axes.set_xlabel("log evidence below the best")
     axes.set_title("explanations, most probable first")
     sizes = Counter(h.group for h in found)
@@ -229,7 +220,7 @@ def _draw_hypotheses(figure: Figure | SubFigure, d: Diagnosis) -> None:
     handles.append(dot(marker="D", color="white", mec="#333333", label="no listed effect"))
     if end is not None:
         handles.append(dot(marker=">", color="#666666", label="beyond the axis: see the number"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
+    legend_below(figure, handles, 3)
 
 
 def _hypotheses_height(d: Diagnosis) -> float:
@@ -267,13 +258,7 @@ def _draw_where(figure: Figure | SubFigure, d: Diagnosis) -> None:
     panels = ((title, where.phase), ("harmonic", where.harmonic), ("series", series))
     ratios = [max(2.5, float(len(shares))) for _, shares in panels]
     for axes, (title, shares) in zip(left.subplots(3, 1, height_ratios=ratios), panels, strict=True):
-        axes.barh(
-            np.arange(len(shares)), [100 * v for v in shares.values()], color=BASELINE_COLOUR, height=0.7
-        )
-        axes.set_yticks(np.arange(len(shares)), list(shares), fontsize="small")
-        axes.set_ylim(len(shares) - 0.4, -0.6)
-        axes.set_xlim(0, 100)
-        axes.set_title(title)
+        draw_shares(axes, shares, title, BASELINE_COLOUR)
     axes.set_xlabel("share of the discrepancy's energy (%)")
     if study is None:
         draw_locations(right.subplots(), d)
@@ -319,8 +304,7 @@ def plot_diagnosis(d: Diagnosis) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    n = d.data.n_series
-    heights = (0.5 + 4.9 * math.ceil(n / min(n, 3)), max(_hypotheses_height(d), _where_height(d)))
+    heights = (_discrepancy_size(d)[1], max(_hypotheses_height(d), _where_height(d)))
     with new_figure((17.0, 0.6 + sum(heights))) as figure:
         top, bottom = parts(figure, 2, 1, height_ratios=heights)
         _draw_discrepancy(top, d)

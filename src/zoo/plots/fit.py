@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from zoo.plots.style import COLOURS, INK, QUANTITY_LABELS, RESIDUAL_LABELS, new_figure
+from zoo.plots.style import (
+    COLOURS,
+    INK,
+    QUANTITY_LABELS,
+    RESIDUAL_LABELS,
+    cells_of,
+    handles_of,
+    legend_below,
+    new_figure,
+    size_of,
+)
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
@@ -38,18 +47,12 @@ def fit_figure(
     """
     means = np.asarray(means, dtype=float)
     n = len(study.series)
-    columns = min(n, 3)
-    blocks = math.ceil(n / columns)
     time_ms = 1e3 * np.asarray(study.time_s)
-    with new_figure((max(5.2, 4.2 * columns), 5.0 * blocks)) as figure:
-        grid = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=(3, 1) * blocks)
-        for axes in grid.flat[:]:
-            axes.set_axis_off()
-        for k, series in enumerate(study.series):
-            top, bottom = (grid[2 * (k // columns) + i, k % columns] for i in (0, 1))
-            for axes in (top, bottom):
-                axes.set_axis_on()
-                axes.margins(x=0)
+    with new_figure(size_of(n, 3, 4.2, 5.0, least=5.2)) as figure:
+        cells = cells_of(figure, n, 3, (3, 1))
+        for k, (series, (top, bottom)) in enumerate(zip(study.series, cells, strict=True)):
+            top.margins(x=0)
+            bottom.margins(x=0)
             median = np.median(means[:, k], axis=0)
             low, high = np.quantile(means[:, k], (0.025, 0.975), axis=0)
             if predictions is not None:
@@ -68,12 +71,7 @@ def fit_figure(
             bottom.set_ylabel(RESIDUAL_LABELS[series.quantity])
             bottom.set_xlabel("time in the beat (ms)")
         figure.align_ylabels()
-        figure.legend(
-            handles=grid[0, 0].get_legend_handles_labels()[0],
-            loc="outside lower center",
-            ncols=4,
-            fontsize="small",
-        )
+        legend_below(figure, handles_of(cells[0][0]), 4)
         if title:
             figure.suptitle(title)
     return figure

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from zoo.blood.impedance import Impedance, ImpedanceError, measured, modelled
 from zoo.core.forward import SolveError
-from zoo.plots.style import COLOURS, DASHED, INK, new_figure
+from zoo.plots.style import COLOURS, DASHED, INK, grid_behind, handles_of, legend_below, new_figure
 from zoo.plots.subject import study_of
 
 
@@ -75,8 +75,7 @@ def impedance_figure(found: dict[str, Impedance]) -> Figure:
             axes.plot(
                 k[own.weak], value[own.weak], "o", color=INK, mfc="white", ms=5, label="measured, weak flow"
             )
-            axes.grid(axis="y", color="#DDDDDD", lw=0.7)
-            axes.set_axisbelow(True)
+            grid_behind(axes, "y")
         others = [name for name in found if name != "measured"]
         for name, colour, line in zip(others, (COLOURS[1], COLOURS[0]), (DASHED, "-"), strict=False):
             top.plot(k, found[name].modulus, color=colour, ls=line, lw=1.3, label=name)
@@ -85,6 +84,5 @@ def impedance_figure(found: dict[str, Impedance]) -> Figure:
         top.set_ylabel("modulus (mmHg s/ml)")
         bottom.set_ylabel("phase (rad)")
         bottom.set_xlabel(f"harmonic of the beat ({own.frequency_Hz[1]:.3g} Hz)")
-        handles, labels = top.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize="small")
+        legend_below(figure, handles_of(top), 2)
     return figure

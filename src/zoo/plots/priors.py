@@ -10,7 +10,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from zoo.plots.style import COLOURS, INK, QUANTITY_LABELS, new_figure
+from zoo.plots.style import (
+    COLOURS,
+    INK,
+    QUANTITY_LABELS,
+    cells_of,
+    handles_of,
+    legend_below,
+    new_figure,
+    size_of,
+)
 
 if TYPE_CHECKING:
     from zoo.blood.prior_predictive import PriorPredictive, PriorRow
@@ -34,14 +43,8 @@ def priors_figure(rows: Sequence[PriorRow], *, title: str = "") -> Figure:
     matplotlib.figure.Figure
         A panel for each parameter.
     """
-    columns = min(len(rows), COLUMNS)
-    blocks = math.ceil(len(rows) / columns)
-    with new_figure((2.7 * columns, 2.0 * blocks)) as figure:
-        grid = figure.subplots(blocks, columns, squeeze=False)
-        for axes in grid.flat:
-            axes.set_axis_off()
-        for row, axes in zip(rows, grid.flat, strict=False):
-            axes.set_axis_on()
+    with new_figure(size_of(len(rows), COLUMNS, 2.7, 2.0)) as figure:
+        for row, [axes] in zip(rows, cells_of(figure, len(rows), COLUMNS), strict=True):
             _panel(axes, row)
         if title:
             figure.suptitle(title)
@@ -91,14 +94,10 @@ def prior_predictive_figure(study: Study, found: PriorPredictive, *, title: str 
         A panel for each observed series.
     """
     n = len(study.series)
-    columns = min(n, 3)
     time_ms = 1e3 * np.asarray(study.time_s)
-    with new_figure((max(5.2, 4.2 * columns), 3.4 * math.ceil(n / columns))) as figure:
-        grid = figure.subplots(math.ceil(n / columns), columns, squeeze=False)
-        for axes in grid.flat:
-            axes.set_axis_off()
-        for k, (series, axes) in enumerate(zip(study.series, grid.flat, strict=False)):
-            axes.set_axis_on()
+    with new_figure(size_of(n, 3, 4.2, 3.4, least=5.2)) as figure:
+        cells = cells_of(figure, n, 3)
+        for k, (series, [axes]) in enumerate(zip(study.series, cells, strict=True)):
             axes.margins(x=0)
             if len(found.series):
                 low, lower, median, upper, high = np.quantile(
@@ -113,8 +112,7 @@ def prior_predictive_figure(study: Study, found: PriorPredictive, *, title: str 
             axes.set_title(series.label.rsplit(" ", 1)[0])
             axes.set_xlabel("time in the beat (ms)")
             axes.set_ylabel(QUANTITY_LABELS[series.quantity])
-        handles = grid[0, 0].get_legend_handles_labels()[0]
-        figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize="small")
+        legend_below(figure, handles_of(*cells[0]), 4)
         if title:
             figure.suptitle(title)
     return figure

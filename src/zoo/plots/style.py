@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
@@ -10,9 +11,10 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure, SubFigure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from zoo.core.outputs import output_file, write_file
 
@@ -171,21 +173,71 @@ def parameter_label(name: str) -> str:
     return label.replace(" (", f" (10$^{SCALES[name]}$ ", 1)
 
 
-def in_scale(name: str, values: ArrayLike) -> Array:
-    return np.asarray(values, dtype=float) / 10.0 ** SCALES.get(name, 0)
-
-
-def broken(label: str) -> str:
-    """Unit on a second line."""
-    return label.replace(" (", "\n(", 1)
-
-
-def first_of(mapping: Mapping[str, Any], what: str) -> Any:
-    if not mapping:
-        raise FigureError(f"no {what}: give at least one")
-    return next(iter(mapping.values()))
-
-
 def parts(figure: Figure | SubFigure, rows: int, columns: int, **ratios: Any) -> list[SubFigure]:
     found: Any = figure.subfigures(rows, columns, squeeze=False, **ratios)
     return list(found.flat)
+
+
+def cells_of(
+    figure: Figure | SubFigure, n: int, abreast: int, heights: Sequence[float] = (1.0,)
+) -> list[list[Axes]]:
+    """`n` cells, at most `abreast` beside each other, each of panels with these heights below each other."""
+    columns = max(1, min(n, abreast))
+    blocks = max(1, math.ceil(n / columns))
+    ratios = tuple(heights) * blocks
+    grid = figure.subplots(len(ratios), columns, squeeze=False, height_ratios=ratios)
+    for axes in grid.flat[:]:
+        axes.set_axis_off()
+    cells = []
+    for k in range(n):
+        first = len(heights) * (k // columns)
+        cells.append(list(grid[first : first + len(heights), k % columns]))
+        for axes in cells[-1]:
+            axes.set_axis_on()
+    return cells
+
+
+def size_of(
+    n: int, abreast: int, width: float, height: float, least: float = 0.0, more: float = 0.0
+) -> tuple[float, float]:
+    """Size of a figure of `n` cells with a width and height each, a least width, and more height for all."""
+    columns = max(1, min(n, abreast))
+    return max(least, width * columns), more + height * max(1, math.ceil(n / columns))
+
+
+def legend_below(figure: Figure | SubFigure, handles: Sequence[Any], columns: int) -> None:
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize="small")
+
+
+def handles_of(*panels: Axes) -> list[Any]:
+    """Handles of what is labelled in panels."""
+    return [handle for axes in panels for handle in axes.get_legend_handles_labels()[0]]
+
+
+def grid_behind(axes: Axes, axis: str = "x") -> None:
+    axes.grid(axis=axis, color="#DDDDDD", lw=0.7)  # type: ignore[arg-type]
+    axes.set_axisbelow(True)
+
+
+def note_beside(axes: Axes, row: float, text: str, points: float) -> None:
+    """Small grey words at the right of a row, so many points from the axes."""
+    axes.annotate(
+        text,
+        (1.0, row),
+        xycoords=("axes fraction", "data"),
+        xytext=(points, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize="small",
+        color="#666666",
+    )
+
+
+def draw_shares(axes: Axes, shares: Mapping[str, float], title: str, colour: str) -> None:
+    """A bar for each share, from the top down, in percent."""
+    rows = np.arange(len(shares))
+    axes.barh(rows, [100 * share for share in shares.values()], color=colour, height=0.7)
+    axes.set_yticks(rows, list(shares), fontsize="small")
+    axes.set_ylim(max(len(shares), 1) - 0.4, -0.6)
+    axes.set_xlim(0, 100)
+    axes.set_title(title)

@@ -9,7 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
-from zoo.plots.style import COLOURS, INK
+from zoo.plots.style import COLOURS, INK, draw_shares
 from zoo.plots.subject import location_of
 
 if TYPE_CHECKING:
@@ -132,11 +132,6 @@ def draw_tree(axes: Axes, d: Diagnosis, study: Study) -> None:
 
 def draw_locations(axes: Axes, d: Diagnosis) -> None:
     """Locations with the probability that the cause acts there, for data that are not of a tree."""
-    shares = d.file.where.place
-    rows = np.arange(len(shares))
-    axes.barh(rows, [100 * p.probability for p in shares], color=LOCATION_COLOURS[1], height=0.7)
-    axes.set_yticks(rows, [location_of(d.file, p.part, p.subtree) for p in shares], fontsize="small")
-    axes.set_ylim(max(len(shares), 1) - 0.4, -0.6)
-    axes.set_xlim(0, 100)
-    axes.set_title("location")
+    shares = {location_of(d.file, p.part, p.subtree): p.probability for p in d.file.where.place}
+    draw_shares(axes, shares, "location", LOCATION_COLOURS[1])
     axes.set_xlabel("probability that the cause acts there (%)")

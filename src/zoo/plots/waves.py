@@ -1,9 +1,11 @@
-"""Waves in the vessels of a tree: of one solve, and medians of several models."""
+"""Waves in the vessels of a tree: of one solve, medians of several models, and bands of one model."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -12,38 +14,126 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
 
-from zoo.plots.style import (
-    COLOURS,
-    INK,
-    QUANTITY_LABELS,
-    Array,
-    FigureError,
-    first_of,
-    model_style,
-    new_figure,
-)
-from zoo.plots.vessels import (
-    SEVEN_VESSELS,
-    area_factor,
-    draw_observed,
-    model_handles,
-    observed_at,
-    panels_of,
-    quantity_label,
-    shown_vessels,
-    vessel_title,
-    width_of,
-)
+from zoo.blood.predictive import one_place
+from zoo.core.draws import evenly
+from zoo.plots.style import COLOURS, INK, QUANTITY_LABELS, Array, FigureError, model_style, new_figure
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from zoo.blood.study import Study
 
-
+SEVEN_VESSELS = (1, 2, 3, 4, 8, 12, 21)
+"""The paper's text names six of the seven vessels in its figures 8 and 9; 21 is ours."""
+PAPER_VESSELS = 21
 MOST_NAMED = 28
 """Vessels that a legend can name; the colours of more are on a bar."""
+
+
+def shown_vessels(
+    data: xr.Dataset, wanted: Sequence[int] | None, usual: Sequence[int], study: Study | None = None
+) -> list[int]:
+    """Vessels to show: those asked for; the usual ones in the paper's tree; of others the first, those that
+    were observed, and more that lie evenly between the first and the last."""
+    there = [int(v) for v in data["vessel"].to_numpy()]
+    if wanted is not None:
+        chosen = list(wanted)
+    elif there == list(range(1, PAPER_VESSELS + 1)):
+        chosen = list(usual)
+    else:
+        observed = [s.vessel for s in study.series if s.vessel in there] if study is not None else []
+        even = evenly(len(there), len(usual))
+        wanted_first = dict.fromkeys([there[0], *observed, *(there[i] for i in even)])
+        some = list(wanted_first)[: max(len(usual), 1 + len(set(observed)))]
+        chosen = [vessel for vessel in there if vessel in some]
+    for vessel in chosen:
+        if vessel not in there:
+            raise FigureError(
+                f"vessel {vessel}: the waves have {', '.join(map(str, there))}; choose of these"
+            )
+    return chosen
+
+
+def vessel_title(data: xr.Dataset, vessel: int) -> str:
+    name = str(data["name"].sel(vessel=vessel).item()) if "name" in data.coords else ""
+    return f"vessel {vessel}" if name in ("", f"v{vessel}") else textwrap.fill(name.replace("_", " "), 24)
+
+
+def observed_at(study: Study | None, quantity: str, data: xr.Dataset, vessel: int) -> list[ArrayLike]:
+    """Observed series of a quantity where the vessel is looked at."""
+    if study is None:
+        return []
+    position = float(data["position"].sel(vessel=vessel)) if "position" in data.coords else 0.0
+    found = [s for s in study.series if (s.vessel, s.quantity) == (vessel, quantity)]
+    return [s.value for s in found if s.position == position]
+
+
+def draw_observed(
+    axes: Axes, study: Study | None, quantity: str, data: xr.Dataset, vessel: int, factor: float = 1.0
+) -> bool:
+    """Draw what was observed where the vessel is looked at, times a factor; whether anything was."""
+    observed = observed_at(study, quantity, data, vessel)
+    for values in observed:
+        time_ms = 1e3 * np.asarray(study.time_s) if study is not None else np.empty(0)
+        axes.plot(time_ms, factor * np.asarray(values), color="black", lw=1.1, zorder=3)
+    return bool(observed)
+
+
+def area_factor(quantity: str) -> float:
+    return 1e3 if quantity == "area_cm2" else 1.0
+
+
+def quantity_label(quantity: str) -> str:
+    return "area (10$^{-3}$ cm$^2$)" if quantity == "area_cm2" else QUANTITY_LABELS[quantity]
+
+
+@contextmanager
+def panels_of(
+    n: int, *, sharey: bool = False, sharex: bool = True, spare: int = 0
+) -> Iterator[tuple[Figure, list[Axes], list[Axes]]]:
+    """Figure with `n` panels and `spare` empty ones at least, and the empty ones without frames."""
+    columns = min(n + spare, 4 if n + spare <= 8 else 6)
+    rows = math.ceil((n + spare) / columns)
+    with new_figure((1.0 + 2.05 * columns, 0.9 + 1.75 * rows)) as figure:
+        grid = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
+        every: list[Axes] = list(grid.flat)
+        for axes in every[n:]:
+            axes.set_axis_off()
+        if sharex:
+            for axes in every[max(0, n - columns) : n]:
+                axes.tick_params(labelbottom=True)
+        yield figure, every[:n], every[n:]
+
+
+def width_of(order: int, n: int) -> float:
+    """Line width, less for later models, so that those on top of each other can be seen."""
+    return 2.3 - 1.3 * order / max(1, n - 1) if n > 1 else 1.3
+
+
+def _model_looks(names: Collection[str]) -> dict[str, dict[str, Any]]:
+    """Colour, line and width of each model."""
+    looks = {}
+    for k, name in enumerate(names):
+        colour, line = model_style(name, k)
+        looks[name] = {"color": colour, "ls": line, "lw": width_of(k, len(names))}
+    return looks
+
+
+def _model_handles(looks: Mapping[str, Mapping[str, Any]]) -> list[Any]:
+    return [Line2D([], [], **{**look, "lw": 1.6}, label=f"model {name}") for name, look in looks.items()]
+
+
+def _label_all(figure: Figure, x: str, y: str) -> None:
+    figure.supxlabel(x, fontsize="medium")
+    figure.supylabel(y, fontsize="medium")
+
+
+def _first_of(waves: Mapping[str, xr.Dataset], what: str) -> xr.Dataset:
+    if not waves:
+        raise FigureError(f"no {what}: give at least one")
+    return next(iter(waves.values()))
 
 
 def waves_figure(
@@ -134,12 +224,13 @@ def models_figure(
     FigureError
         If there are no models, or a vessel or quantity is unknown.
     """
-    first = first_of(medians, "medians")
+    first = _first_of(medians, "medians")
     if quantity not in QUANTITY_LABELS:
         raise FigureError(f"quantity = {quantity!r}: must be one of {', '.join(QUANTITY_LABELS)}")
     shown = shown_vessels(first, vessels, SEVEN_VESSELS, study)
     observed = [v for v in shown if observed_at(study, quantity, first, v)]
     factor = area_factor(quantity)
+    looks = _model_looks(medians)
     with panels_of(len(shown) + len(observed), spare=0 if observed else 1) as (figure, panels, rest):
         waves = panels[: len(shown)]
         if quantity == "pressure_mmHg":
@@ -149,22 +240,19 @@ def models_figure(
                 axes.tick_params(labelleft=place_in_grid is None or place_in_grid.is_first_col())
             waves[0].yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
         for axes, vessel in zip(waves, shown, strict=True):
-            for k, (name, data) in enumerate(medians.items()):
-                colour, line = model_style(name, k)
-                wave = factor * data[quantity].sel(vessel=vessel)
-                axes.plot(1e3 * data["time"], wave, color=colour, ls=line, lw=width_of(k, len(medians)))
+            for name, data in medians.items():
+                axes.plot(1e3 * data["time"], factor * data[quantity].sel(vessel=vessel), **looks[name])
             draw_observed(axes, study, quantity, first, vessel, factor)
             axes.set_title(vessel_title(first, vessel))
             axes.set_xlim(0, 1e3 * float(first["time"][-1] + first["time"][1]))
-        handles = model_handles(medians)
+        handles = _model_handles(looks)
         if observed and study is not None:
             handles.append(Line2D([], [], color="black", lw=1.1, label="observed"))
             for axes, vessel in zip(panels[len(shown) :], observed, strict=True):
-                _draw_residuals(axes, medians, study, quantity, vessel)
+                _draw_residuals(axes, medians, looks, study, quantity, vessel)
                 unit = quantity_label(quantity).partition(" ")[2]
                 axes.set_title(f"residual {unit},\n{vessel_title(first, vessel)}")
-        figure.supxlabel("time in the beat (ms)", fontsize="medium")
-        figure.supylabel(quantity_label(quantity), fontsize="medium")
+        _label_all(figure, "time in the beat (ms)", quantity_label(quantity))
         if rest:
             rest[0].legend(handles=handles, loc="center", ncols=2 if len(handles) > 5 else 1)
         else:
@@ -173,22 +261,21 @@ def models_figure(
 
 
 def _draw_residuals(
-    axes: Axes, medians: Mapping[str, xr.Dataset], study: Study, quantity: str, vessel: int
+    axes: Axes,
+    medians: Mapping[str, xr.Dataset],
+    looks: Mapping[str, Any],
+    study: Study,
+    quantity: str,
+    vessel: int,
 ) -> None:
     time_s = np.asarray(study.time_s)
     axes.axhline(0, color="#999999", lw=0.8)
-    for k, (name, data) in enumerate(medians.items()):
-        colour, line = model_style(name, k)
+    for name, data in medians.items():
         [observed, *_] = observed_at(study, quantity, data, vessel)
         wave = data[quantity].sel(vessel=vessel).to_numpy()
         predicted = np.interp(time_s, data["time"].to_numpy(), wave, period=study.period_s)
-        axes.plot(
-            1e3 * time_s,
-            area_factor(quantity) * (np.asarray(observed) - predicted),
-            color=colour,
-            ls=line,
-            lw=width_of(k, len(medians)),
-        )
+        residual = area_factor(quantity) * (np.asarray(observed) - predicted)
+        axes.plot(1e3 * time_s, residual, **looks[name])
 
 
 def _is_curve(pressure: Array) -> bool:
@@ -196,18 +283,12 @@ def _is_curve(pressure: Array) -> bool:
     return float(np.diff(pressure).min()) > -0.01 * float(np.ptp(pressure))
 
 
-def loops_figure(
-    waves: Mapping[str, xr.Dataset],
-    *,
-    vessels: Sequence[int] | None = None,
-    standardised: bool = False,
-) -> Figure:
+def loops_figure(waves: Mapping[str, xr.Dataset], *, vessels: Sequence[int] | None = None) -> Figure:
     """Pressure against cross-sectional area over the beat (figure 9, right, of the paper).
 
     With elastic walls pressure is a function of area: no loop, but a curve that is passed up and down, and
     the figure says so. What viscoelastic walls do is drawn as the loop that it is. Areas are those of the
-    vessels, in cm2. The paper shows (A - l)/(u - l), with the least and largest area l and u of each vessel;
-    with `standardised` so does this figure, l and u taken over the models shown.
+    vessels, in cm2; the paper shows (A - l)/(u - l), with the least and largest area l and u of each vessel.
 
     Parameters
     ----------
@@ -216,8 +297,6 @@ def loops_figure(
         belong together, as they do not in pointwise medians.
     vessels : sequence of int, optional
         Panels; seven if absent. All vessels: ``list(waves[name].vessel.values)``.
-    standardised : bool
-        Areas between 0 and 1.
 
     Returns
     -------
@@ -229,30 +308,84 @@ def loops_figure(
     FigureError
         If there are no models, or a vessel is unknown.
     """
-    first = first_of(waves, "waves")
+    first = _first_of(waves, "waves")
     shown = shown_vessels(first, vessels, SEVEN_VESSELS)
+    looks = _model_looks(waves)
     loops = False
-    with panels_of(len(shown), sharey=True, sharex=standardised, spare=1) as (figure, panels, rest):
+    with panels_of(len(shown), sharey=True, sharex=False, spare=1) as (figure, panels, rest):
         for axes, vessel in zip(panels, shown, strict=True):
-            areas = {name: data["area_cm2"].sel(vessel=vessel).to_numpy() for name, data in waves.items()}
-            least = min(area.min() for area in areas.values())
-            largest = max(area.max() for area in areas.values())
-            for k, (name, data) in enumerate(waves.items()):
-                colour, line = model_style(name, k)
-                area = (areas[name] - least) / (largest - least) if standardised else 1e3 * areas[name]
-                pressure = data["pressure_mmHg"].sel(vessel=vessel).to_numpy()
+            for name, data in waves.items():
+                one = data.sel(vessel=vessel)
+                area, pressure = 1e3 * one["area_cm2"].to_numpy(), one["pressure_mmHg"].to_numpy()
                 order = np.argsort(area)  # a curve is passed once, so that dashes stay dashes
                 if not _is_curve(pressure[order]):
                     order, loops = np.append(np.arange(len(area)), 0), True
-                axes.plot(area[order], pressure[order], color=colour, ls=line, lw=width_of(k, len(waves)))
+                axes.plot(area[order], pressure[order], **looks[name])
             axes.set_title(vessel_title(first, vessel))
-            if not standardised:
-                axes.xaxis.set_major_locator(MaxNLocator(4))
+            axes.xaxis.set_major_locator(MaxNLocator(4))
         if not loops:
             figure.suptitle("pressure against area over the beat: elastic walls have a curve, no loop")
         panels[0].yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-        label = "standardised area" if standardised else quantity_label("area_cm2")
-        figure.supxlabel(label, fontsize="medium")
-        figure.supylabel(QUANTITY_LABELS["pressure_mmHg"], fontsize="medium")
-        rest[0].legend(handles=model_handles(waves), loc="center", ncols=2 if len(waves) > 5 else 1)
+        _label_all(figure, quantity_label("area_cm2"), QUANTITY_LABELS["pressure_mmHg"])
+        rest[0].legend(handles=_model_handles(looks), loc="center", ncols=2 if len(waves) > 5 else 1)
+    return figure
+
+
+def draw_bands(axes: Axes, data: xr.Dataset, vessel: int, colour: str, factor: float = 1.0) -> None:
+    """The widest prediction band if there is one, credible band and median of one vessel, times a factor."""
+    one = data.sel(vessel=vessel, prob=data["prob"].max())
+    time_ms = 1e3 * one["time"].to_numpy()
+    for kind, alpha in (("prediction_", 0.2), ("", 0.5)):
+        if f"{kind}low" in one:
+            low, high = (factor * one[f"{kind}{end}"] for end in ("low", "high"))
+            axes.fill_between(time_ms, low, high, color=colour, alpha=alpha, lw=0)
+    axes.plot(time_ms, factor * one["median"], color=colour, lw=1.2)
+    axes.set_xlim(time_ms[0], 1e3 * float(data["time"][-1] + data["time"][1]))
+
+
+def band_handles(data: xr.Dataset, colour: str, *, observed: bool) -> list[Any]:
+    """Handles of what `draw_bands` draws, and of observations."""
+    prob = float(data["prob"].max())
+    patch = mpl.patches.Patch
+    handles: list[Any] = [Line2D([], [], color=colour, lw=1.4, label="posterior median")]
+    handles.append(patch(color=colour, alpha=0.55, lw=0, label=f"{100 * prob:g} % credible"))
+    if "prediction_low" in data:
+        handles.append(patch(color=colour, alpha=0.2, lw=0, label=f"{100 * prob:g} % prediction"))
+    if observed:
+        handles.append(Line2D([], [], color="black", lw=1.1, label="observed"))
+    return handles
+
+
+def all_vessels_figure(bands: xr.Dataset, study: Study | None = None, *, title: str = "") -> Figure:
+    """Bands of one model in all vessels.
+
+    Parameters
+    ----------
+    bands : Dataset
+        From `zoo.blood.predictive.bands`; the widest are drawn, prediction bands if there.
+    study : Study, optional
+        Its observed series are drawn where they were observed.
+    title : str
+        Above the panels.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A panel for each vessel; pressures have one scale.
+    """
+    data = one_place(bands)
+    quantity = str(data.attrs["quantity"])
+    shown = [int(v) for v in data["vessel"].to_numpy()]
+    colour = model_style(str(data.attrs.get("model", "")))[0]
+    observed = False
+    with panels_of(len(shown), sharey=quantity == "pressure_mmHg", spare=1) as (figure, panels, rest):
+        for axes, vessel in zip(panels, shown, strict=True):
+            factor = area_factor(quantity)
+            draw_bands(axes, data, vessel, colour, factor)
+            observed |= draw_observed(axes, study, quantity, data, vessel, factor)
+            axes.set_title(vessel_title(data, vessel))
+        _label_all(figure, "time in the beat (ms)", quantity_label(quantity))
+        rest[0].legend(handles=band_handles(data, colour, observed=observed), loc="center")
+        if title:
+            figure.suptitle(title)
     return figure
