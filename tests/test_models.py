@@ -160,8 +160,7 @@ def test_suggested_parameters_give_a_finite_density_that_a_pickle_keeps(name: st
     assert terms.shape == (2, 32)
     assert np.all(np.isfinite(terms))
     copy, point = pickle.loads(cloudpickle.dumps(model)), model.initial_point()
-    model.zoo.op.clear_cache()
-    model.zoo.op.reset_counts()
+    model.zoo.op._state.clear()
     density = float(model.compile_logp()(point))
     assert np.isfinite(density)
     assert float(copy.compile_logp()(point)) == density
@@ -243,8 +242,7 @@ def test_no_density_where_the_solve_fails_and_finite_elsewhere(errors: ErrorMode
     model = blood_model("stiff", study, STIFF, errors)
     record = model.zoo
     assert record.name == "stiff"
-    record.op.clear_cache()
-    record.op.reset_counts()
+    record.op._state.clear()
     others = {"sigma2": 0.1, "w": 5e4, "b": 100.0}
     assert np.all(np.isfinite(likelihood_terms(model, {"f3": 2e5, **others})))
     assert np.all(likelihood_terms(model, {"f3": 1e11, **others}) == -np.inf)
@@ -369,8 +367,7 @@ def test_an_effect_of_ones_own_travels_with_the_model(study: Study) -> None:
 def test_a_change_of_the_population_alone_needs_no_solve(name: str, study: Study) -> None:
     model = get_model(name)(study)
     op, forward = model.zoo.op, model.zoo.forward
-    op.clear_cache()
-    op.reset_counts()
+    op._state.clear()
     values = {p.name: suggested(name)[p.name] for p in forward.parameters}
     for mean in (5e4, 6e4):
         op.evaluate(pack(forward.parameters, values | {"m_chi": mean, "v_chi": mean / 1e4}))

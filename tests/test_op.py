@@ -70,10 +70,7 @@ def study() -> Study:
 
 @pytest.fixture
 def op(study: Study) -> ForwardOp:
-    op = ForwardOp(flow(study))
-    op.clear_cache()
-    op.reset_counts()
-    return op
+    return ForwardOp(flow(study))
 
 
 NAMES = ("chi", "gamma", "psi1", "psi2", "c")
@@ -196,7 +193,6 @@ def test_copies_share_points_and_counts_and_others_do_not(study: Study, op: Forw
 
 def test_a_failed_solve_is_zero_and_counted(study: Study) -> None:
     op = ForwardOp(flow(study, "tangent"))
-    op.reset_counts()
     function = symbolic(op)
     cases = [
         ((1e10, *POINT[1:]), "cfl"),  # so stiff that no time step allowed is short enough
@@ -319,8 +315,7 @@ def test_sampling_in_two_processes(study: Study, method: str) -> None:
 def test_one_solve_a_draw(study: Study) -> None:
     model = linear_model(study)
     [op] = {v.owner.op for v in ancestors([model["y"]]) if v.owner and isinstance(v.owner.op, ForwardOp)}
-    op.clear_cache()
-    op.reset_counts()
+    op._state.clear()
     with model:
         pm.sample(60, tune=40, chains=1, cores=1, step=pm.DEMetropolisZ(), **QUIET)
     counts = op.counts

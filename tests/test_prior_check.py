@@ -15,7 +15,7 @@ from zoo.core.data import Data
 from zoo.core.effects import EffectParameter, effect, with_effects
 from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs
-from zoo.core.inference.convergence import check_convergence, judged, verdict
+from zoo.core.inference.convergence import check_convergence, diagnostics, verdict
 from zoo.core.inference.logposterior import SamplingError
 from zoo.core.inference.prior_check import PriorCheck, check_priors, edges, modes_at_bounds, priors_of
 from zoo.core.inference.record import ResultsError, RunRecord
@@ -190,7 +190,7 @@ def test_files_slim_files_and_comparisons_keep_it(
         load(save(idata, tmp_path / "whole.nc")),
         load(save(slim(idata, 200), tmp_path / "slim.nc")),
     ):
-        assert judged(kept).text == verdict(idata).text
+        assert diagnostics(kept).verdict.text == verdict(idata).text
     table = compare({"line": idata}, {"line": model}, n_draws=100)
     assert table.loc["line", "at_bounds"].startswith("slope leans on the upper bound")
     assert table.loc["line", "uninformed"] == "idle"
@@ -203,9 +203,9 @@ def test_a_posterior_of_before_is_heard_by_its_model(idata: az.InferenceData, mo
     replace(RunRecord.of(idata), prior_check=None).attach(older)
     assert not verdict(older).bounds
     assert verdict(older, model=model).text == verdict(idata).text
-    thin = slim(older, 400)
-    assert judged(thin, model=model).bounds
-    assert judged(thin, model=model).uninformed == ("idle",)
+    found = diagnostics(slim(older, 400), model=model).verdict
+    assert found.bounds
+    assert found.uninformed == ("idle",)
 
 
 @effect("bend", parameters=[EffectParameter("size", "V", 0.5, 0.0, 2.0, (0.1,))])
@@ -238,7 +238,6 @@ def test_reports_and_comparisons_on_screen_warn(idata: az.InferenceData, model: 
     from types import SimpleNamespace
 
     from zoo.cli.compare import _comparison_summary
-    from zoo.core.inference.convergence import diagnostics
     from zoo.report.sentences import summary
 
     lines = summary(None, {"line": diagnostics(idata)}, {"line": RunRecord.of(idata)})

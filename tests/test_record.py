@@ -66,12 +66,3 @@ def test_no_record(idata):
 
 def test_version_of_what_is_not_installed():
     assert records._version("no-such-distribution") == "unknown"
-
-
-def test_record_with_a_setting_of_former_spelling_is_read_as_it_was(record):
-    """Posteriors from before `own_units` was called `constrained` keep what they were drawn with."""
-    from dataclasses import replace
-
-    options = {"crank_nicolson": 0.5, "own_units": 0.5}
-    old = replace(record, settings={"step": "demetropolisz", "step options": options})
-    assert RunRecord.from_json(old.to_json()).settings["step options"] == options

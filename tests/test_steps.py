@@ -16,7 +16,7 @@ from scipy import stats
 
 from gaussian import Doubling, gaussian_model, gaussian_posterior
 from zoo.core.inference.sampling import DEMetropolisZ
-from zoo.core.inference.spaces import Archive, ConstrainedSpace, Gaussian
+from zoo.core.inference.spaces import ConstrainedSpace, Gaussian
 
 
 def steps_of(step, point, n, seed=3, tune=0):
@@ -162,7 +162,7 @@ def test_crank_nicolson_leaves_a_skewed_heavy_tailed_target_invariant():
         pm.StudentT("t", nu=3, mu=1.0, sigma=2.0)
     reference = Gaussian(np.array([0.5, 0.0]), np.array([[1.5, 0.5], [0.5, 4.0]]))
     step = DEMetropolisZ(model=model, crank_nicolson=0.9, reference=reference, archive=np.zeros((2, 2)))
-    step._first_archive = Archive(reference.colour(np.random.default_rng(0).standard_normal((60, 2))))
+    step._first_archive = list(reference.colour(np.random.default_rng(0).standard_normal((60, 2))))
     draws, records = steps_of(step, model.initial_point(), 30_000, seed=8, tune=2000)
     draws = draws[2000:]
     for i, law in enumerate((stats.gumbel_r(0, 1), stats.t(3, 1.0, 2.0))):
@@ -274,19 +274,6 @@ def test_a_ridge_at_a_bound_mixes_better_in_the_constrained_space():
         q, _ = steps_of(step, model.initial_point(), 20_000, seed=3, tune=4000)
         sizes[share] = float(az.ess(space.values(q[4000:])[None, :, 0], method="tail"))
     assert sizes[0.5] > 1.5 * sizes[0.0]
-
-
-def test_archive_behaves_as_a_list_of_rows():
-    archive = Archive()
-    rows = np.random.default_rng(0).normal(size=(700, 2))
-    for row in rows:
-        archive.append(row)
-    assert len(archive) == 700
-    np.testing.assert_array_equal(archive[3], rows[3])
-    np.testing.assert_array_equal(archive[650:].points, rows[650:])
-    copied = pickle.loads(pickle.dumps(archive))
-    copied.append(np.zeros(2))
-    assert (len(archive), len(copied)) == (700, 701)
 
 
 def test_refit_moves_from_the_first_guess_to_the_moments():

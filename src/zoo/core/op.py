@@ -156,7 +156,7 @@ class ForwardOp(Op):
 
     @property
     def counts(self) -> dict[str, Any]:
-        """Evaluations, solves, and failed solves by kind, in this process or since `reset_counts`."""
+        """Evaluations, solves, and failed solves by kind, in this process."""
         state = self._state
         return {
             "evaluations": state.counts["evaluations"],
@@ -168,17 +168,6 @@ class ForwardOp(Op):
     def gradients(self) -> int:
         """How many of the solves were differentiated too."""
         return self._state.counts["gradients"]
-
-    def reset_counts(self) -> None:
-        """Set the counts of this process to zero; the kept points stay."""
-        self._state.counts.clear()
-        self._state.failures.clear()
-
-    def clear_cache(self) -> None:
-        """Forget the solved points, so that the next evaluation solves."""
-        with self._state.lock:
-            self._state.cache.clear()
-            self._state.slopes.clear()
 
     def evaluate(self, theta: Array) -> tuple[Array, bool]:
         """Mean and ok at one point, from the kept points or by a solve.

@@ -269,13 +269,15 @@ class Diagnostics:
             ) from None
 
 
-def diagnostics(idata: Any, *, model: Any = None) -> Diagnostics:
+def diagnostics(idata: Any, *, var_names: list[str] | None = None, model: Any = None) -> Diagnostics:
     """Checks of a run: those that `slim` stored of the whole run, or else of the draws that are here.
 
     Parameters
     ----------
     idata : arviz.InferenceData
         With a posterior group.
+    var_names : list of str, optional
+        Variables to judge where nothing is stored; all if absent.
     model : pymc.Model, optional
         As in `verdict`.
 
@@ -292,7 +294,7 @@ def diagnostics(idata: Any, *, model: Any = None) -> Diagnostics:
     if stored is not None:
         found = Diagnostics.from_json(str(stored))
         return replace(found, verdict=_told(found.verdict, prior_check(idata, model)))
-    judged = verdict(idata, model=model)
+    judged = verdict(idata, var_names=var_names, model=model)
     acceptance: tuple[float, ...] = ()
     if "sample_stats" in idata.groups() and "accepted" in idata.sample_stats:
         accepted = idata.sample_stats["accepted"]
@@ -307,28 +309,6 @@ def _told(stored: Verdict, priors: PriorCheck | None) -> Verdict:
     if priors is None or stored.bounds or stored.uninformed or not (priors.bounds or priors.uninformed):
         return stored
     return _judgement(stored.parameters, stored.chains, stored.draws, ESS_TARGET, priors)
-
-
-def judged(idata: Any, *, var_names: list[str] | None = None, model: Any = None) -> Verdict:
-    """Verdict of the whole run if `slim` stored it, or else on the draws that are here.
-
-    Parameters
-    ----------
-    idata : arviz.InferenceData
-        With a posterior group.
-    var_names : list of str, optional
-        Variables to judge where nothing is stored; all if absent.
-    model : pymc.Model, optional
-        As in `verdict`.
-
-    Returns
-    -------
-    Verdict
-    """
-    stored = idata.attrs.get(DIAGNOSTICS_ATTR)
-    if stored is not None:
-        return _told(Diagnostics.from_json(str(stored)).verdict, prior_check(idata, model))
-    return verdict(idata, var_names=var_names, model=model)
 
 
 def _verdict_text(found: list[ParameterVerdict], chains: int, draws: int, ess: float) -> str:

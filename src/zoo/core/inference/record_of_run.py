@@ -45,17 +45,13 @@ def attach_record(
     logp: LogPosterior,
     settings: Mapping[str, Any],
     *,
-    seed: int,
-    solves: int,
-    steps: int,
-    mode_evaluations: int,
-    failures: Mapping[str, int],
-    wall_seconds: float,
-    started: str,
-    sittings: int = 1,
     at_mode: Sequence[AtBound] = (),
     numerical: str | None = None,
     say: Callable[[str], None],
+    solves: int,
+    steps: int,
+    failures: Mapping[str, int],
+    **figures: Any,
 ) -> None:
     """Write the run record into an InferenceData, and tell whether its draws have converged.
 
@@ -68,13 +64,14 @@ def attach_record(
         Of it.
     settings : mapping
         With "chains", "draws" and "until_ess".
-    seed, solves, steps, mode_evaluations, failures, wall_seconds, started, sittings
-        As of `zoo.core.inference.record.RunRecord`.
     at_mode : sequence of AtBound
         Bounds that the mode lies at.
     numerical : str, optional
         As of `zoo.core.inference.prior_check.exactness_at`; found out in the middle of the draws if absent.
     say : callable
+    solves, steps, failures, **figures
+        As of `zoo.core.inference.record.RunRecord`; the others are seed, mode_evaluations, wall_seconds,
+        started and sittings.
     """
     identity = identity_of(logp, {})
     made = arrays(idata)
@@ -92,18 +89,14 @@ def attach_record(
         conventions=identity["conventions"],
         solver=identity["solver options"],
         settings=dict(settings),
-        seed=seed,
         solves=solves,
         steps=steps,
-        mode_evaluations=mode_evaluations,
         failures=dict(sorted(failures.items())),
         solves_per_draw=solves / (settings["draws"] * settings["chains"]),
         solves_per_step=solves / max(1, steps),
-        wall_seconds=wall_seconds,
-        sittings=sittings,
-        started=started,
         prior_check=priors.as_dict() if parameters else None,
         priors=model.zoo.priors if isinstance(getattr(model, "zoo", None), ModelRecord) else None,
+        **figures,
     )
     record.attach(idata)
     say(check_convergence(made, ess=ess_to_count(settings["until_ess"]), priors=priors).text)

@@ -1,14 +1,13 @@
-"""Where chains walk: past points of a chain, a Gaussian around a posterior, the constrained space."""
+"""Where chains walk: a Gaussian around a posterior, the constrained space."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pytensor.tensor as pt
-from numpy.typing import ArrayLike
 from pymc.distributions.transforms import IntervalTransform
 from pymc.pytensorf import constant_fold
 from scipy.special import expit, log_expit, logit
@@ -17,52 +16,6 @@ from zoo.core.inference.logposterior import Array, Point
 
 T_DOF = 5.0
 """Degrees of freedom of the t distributions that proposals and starts are drawn from."""
-
-
-class Archive:
-    """Past points of a chain, which DEMetropolisZ draws its jumps from; a list of rows in one growing array.
-
-    Parameters
-    ----------
-    points : array (n, n_dim), optional
-        First points.
-    """
-
-    def __init__(self, points: ArrayLike | None = None) -> None:
-        self._rows = np.empty((0, 0)) if points is None else np.array(points, dtype=float, ndmin=2)
-        self._n = len(self._rows)
-
-    @property
-    def points(self) -> Array:
-        """All points, (n, n_dim); a view, not to be written to."""
-        return self._rows[: self._n]
-
-    def append(self, point: Array) -> None:
-        """Add one point (n_dim,) at the end."""
-        if self._n == len(self._rows):
-            grown = np.empty((max(256, 2 * self._n), len(point)))
-            if self._n:
-                grown[: self._n] = self.points
-            self._rows = grown
-        self._rows[self._n] = point
-        self._n += 1
-
-    def __len__(self) -> int:
-        return self._n
-
-    def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return Archive(self.points[index])
-        return self.points[index]
-
-    def __iter__(self) -> Iterator[Array]:
-        return iter(self.points)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Archive:
-        return Archive(self.points)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Archive, (self.points.copy(),)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -18,7 +18,7 @@ from pymc.util import get_value_vars_from_user_vars
 from pytensor.compile.mode import Mode as CompileMode
 
 from zoo.core.inference.logposterior import Array, Point, compile_logp, count, counting_ops
-from zoo.core.inference.spaces import T_DOF, Archive, ConstrainedSpace, Gaussian
+from zoo.core.inference.spaces import T_DOF, ConstrainedSpace, Gaussian
 
 StepResult = tuple[RaveledVars, list[dict[str, Any]]]
 
@@ -26,84 +26,6 @@ _CN_ACCEPTANCE = 0.25
 _FIRST_REFIT = 200
 DEMETROPOLISZ: Mapping[str, Any] = {"crank_nicolson": 0.5, "constrained": 0.5, "tune_drop_fraction": 0.5}
 """Options of `DEMetropolisZ` that suit posteriors of costly models."""
-
-
-class _OneEvaluation:
-    """Mix-in for PyMC's Metropolis family: remembers the current point's log-posterior, counts solves.
-
-    PyMC compiles logp(proposed) - logp(current), two evaluations a step. Here the log-posterior is compiled
-    alone; its last values are kept by the bytes of the point and of the variables that other step methods
-    own, so the current point is never evaluated again.
-    """
-
-    _logp: Any
-    _memory: dict[bytes, float]
-    shared: dict[str, Any]
-
-    def _prepare(
-        self,
-        model: Any,
-        variables: Sequence[Any],
-        point: Point,
-        compile_kwargs: Mapping[str, Any] | None,
-    ) -> None:
-        shared = pm.make_shared_replacements(point, variables, model)
-        self.shared = {var.name: value for var, value in shared.items()}
-        self._logp = compile_logp(model, variables, point, shared, compile_kwargs)
-        self._memory = {}
-        self._ops: list[Any] | None = None
-        del self.delta_logp  # PyMC's own, in the instance; the method below takes its place
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_ops": None}
-
-    def replace_logp(self, function: Any) -> None:
-        """Let a function of a vector (n_dim,) give the log-posterior."""
-        self._logp, self._ops = function, None
-
-    def logp(self, q: Array) -> float:
-        """Log-posterior at q (n_dim,), from memory if q is one of the last two points."""
-        key = q.tobytes() + b"".join(np.asarray(v.get_value()).tobytes() for v in self.shared.values())
-        if key not in self._memory:
-            value = float(self._logp(q))
-            while len(self._memory) > 1:
-                del self._memory[next(iter(self._memory))]
-            self._memory[key] = value
-        else:
-            self._memory[key] = self._memory.pop(key)  # to the end: the next to go is the other one
-        return self._memory[key]
-
-    def delta_logp(self, q: Array, q0: Array) -> float:
-        """Log-posterior at q minus that at q0."""
-        current = self.logp(q0)
-        return self.logp(q) - current
-
-    def _solves(self) -> tuple[int, int]:
-        if self._ops is None:
-            self._ops = counting_ops(self._logp)
-        solves, failures = count(self._ops)
-        return solves, sum(failures.values())
-
-    def _counted(self, q0: RaveledVars, step: Callable[[RaveledVars], StepResult]) -> StepResult:
-        before = self._solves()
-        q, stats = step(q0)
-        after = self._solves()
-        stats[0]["solves"] = after[0] - before[0]
-        stats[0]["solver_failures"] = after[1] - before[1]
-        stats[0]["model_logp"] = self.logp(q.data)
-        return q, stats
-
-
-_COUNT_STATS: dict[str, Any] = {
-    "solves": (np.int64, []),
-    "solver_failures": (np.int64, []),
-    "model_logp": (np.float64, []),
-}
-
-
-def _uncompiled() -> dict[str, Any]:
-    """PyMC's constructors compile a function that we replace; this makes that a matter of milliseconds."""
-    return {"mode": CompileMode(linker="py", optimizer=None)}  # type: ignore[arg-type]
 
 
 @dataclass
@@ -124,8 +46,12 @@ class _DEState(DEMetropolisZState):
     _next_refit: int
 
 
-class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
+class DEMetropolisZ(pm.DEMetropolisZ):
     """PyMC's DEMetropolisZ with one evaluation of the log-posterior a step, and three optional additions.
+
+    PyMC compiles logp(proposed) - logp(current), two evaluations a step. Here the log-posterior is compiled
+    alone; its last values are kept by the bytes of the point and of the variables that other step methods
+    own, so the current point is never evaluated again.
 
     With its defaults the draws equal those of `pm.DEMetropolisZ` for the same seed. `archive` starts the
     history that jumps are drawn from. A share `crank_nicolson` of the steps proposes
@@ -173,7 +99,9 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
     stats_dtypes_shapes: ClassVar[dict[str, Any]] = {
         **pm.DEMetropolisZ.stats_dtypes_shapes,
         "beta": (np.float64, []),
-        **_COUNT_STATS,
+        "solves": (np.int64, []),
+        "solver_failures": (np.int64, []),
+        "model_logp": (np.float64, []),
     }
     _state_class = _DEState
 
@@ -201,20 +129,51 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
             size = sum(point[v.name].size for v in get_value_vars_from_user_vars(vars, model))
             kwargs["S"] = np.ones(size) if kwargs.get("S") is None else kwargs["S"]
             kwargs["lamb"] = 2.38 / np.sqrt(2 * size) if kwargs.get("lamb") is None else kwargs["lamb"]
-        super().__init__(vars, model=model, initial_point=point, compile_kwargs=_uncompiled(), **kwargs)
-        self._prepare(model, self.vars, point, compile_kwargs)
+        # PyMC compiles a function that is replaced here; without an optimizer that is quickly done
+        quick = {"mode": CompileMode(linker="py", optimizer=None)}  # type: ignore[arg-type]
+        super().__init__(vars, model=model, initial_point=point, compile_kwargs=quick, **kwargs)
+        del self.delta_logp  # PyMC's own, in the instance; the method below takes its place
+        shared = pm.make_shared_replacements(point, self.vars, model)
+        self.shared = {var.name: value for var, value in shared.items()}
+        self._logp: Any = compile_logp(model, self.vars, point, shared, compile_kwargs)
+        self._memory: dict[bytes, float] = {}
+        self._ops: list[Any] | None = None
         self.crank_nicolson = crank_nicolson
         space = ConstrainedSpace.of(model, self.vars, point)
         self._spaces = [ConstrainedSpace(space.index[:0], space.lower[:0], space.width[:0])]
         if constrained and len(space.index):
             self._spaces.append(space)
         self.constrained = constrained
-        self._first_archive = Archive(archive)
+        self._first_archive = [] if archive is None else list(np.array(archive, dtype=float, ndmin=2))
         self._first_reference = reference
         self._set_untuned()
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_ops": None}
+
+    def replace_logp(self, function: Any) -> None:
+        """Let a function of a vector (n_dim,) give the log-posterior."""
+        self._logp, self._ops = function, None
+
+    def logp(self, q: Array) -> float:
+        """Log-posterior at q (n_dim,), from memory if q is one of the last two points."""
+        key = q.tobytes() + b"".join(np.asarray(v.get_value()).tobytes() for v in self.shared.values())
+        if key not in self._memory:
+            value = float(self._logp(q))
+            while len(self._memory) > 1:
+                del self._memory[next(iter(self._memory))]
+            self._memory[key] = value
+        else:
+            self._memory[key] = self._memory.pop(key)  # to the end: the next to go is the other one
+        return self._memory[key]
+
+    def delta_logp(self, q: Array, q0: Array) -> float:
+        """Log-posterior at q minus that at q0."""
+        current = self.logp(q0)
+        return self.logp(q) - current
+
     def _set_untuned(self) -> None:
-        self._history = Archive(self._first_archive.points)
+        self._history = list(self._first_archive)
         first = self._first_reference
         self._walks = [] if first is None else self._walks_around(first)
         self._seen = len(self._history)  # of the history, what is not this chain's own
@@ -230,7 +189,15 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
 
     def astep(self, q0: RaveledVars) -> StepResult:
         """One step from q0; returns the new point and its statistics."""
-        return self._counted(q0, self._one_step)
+        if self._ops is None:
+            self._ops = counting_ops(self._logp)
+        before, failed_before = count(self._ops)
+        q, stats = self._one_step(q0)
+        after, failed_after = count(self._ops)
+        stats[0]["solves"] = after - before
+        stats[0]["solver_failures"] = (failed_after - failed_before).total()
+        stats[0]["model_logp"] = self.logp(q.data)
+        return q, stats
 
     def _one_step(self, q0: RaveledVars) -> StepResult:
         if self.crank_nicolson:
@@ -256,7 +223,7 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
     def _difference(self, q0: RaveledVars, space: ConstrainedSpace) -> StepResult:
         """PyMC's jump along the difference of two past points, but in the constrained space."""
         pair = self.rng.choice(len(self._history), 2, replace=False)
-        one, other = space.values(self._history[pair])
+        one, other = (space.values(self._history[i]) for i in pair)
         q = floatX(space.vector(space.values(q0.data) + self.lamb * (one - other)))
         return self._select(q0, q, space, 0.0)
 
@@ -293,11 +260,12 @@ class DEMetropolisZ(_OneEvaluation, pm.DEMetropolisZ):
         return RaveledVars(q_new, q0.point_map_info), [stats]
 
     def _refit(self) -> None:
-        own = self._history.points[self._seen :]
-        own = own[len(own) // 3 :]
-        n, d = own.shape
-        if n < 10 * d:
+        past = self._history[self._seen :]
+        past = past[len(past) // 3 :]
+        if not past or len(past) < 10 * len(past[0]):
             return
+        own = np.array(past)
+        d = own.shape[1]
         if not self._walks:
             scatter = np.cov(own.T).reshape(d, d)
             first = Gaussian(own.mean(0), scatter + np.diag(1e-8 + 1e-3 * np.diag(scatter)))

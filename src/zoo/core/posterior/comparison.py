@@ -21,7 +21,7 @@ from zoo.core.data import squared
 from zoo.core.draws import evenly
 from zoo.core.errors.base import DECOMPOSITIONS
 from zoo.core.forward import SolveError
-from zoo.core.inference.convergence import Verdict, judged
+from zoo.core.inference.convergence import Verdict, diagnostics
 from zoo.core.inference.record import ResultsError
 from zoo.core.model import ModelRecord, record_of
 from zoo.core.parameters import variable_name
@@ -105,6 +105,11 @@ def _flat(posterior: xr.Dataset, name: str, record: ModelRecord) -> Array:
         )
     values = posterior[name].transpose("chain", "draw", ...).to_numpy()
     return np.asarray(values.reshape(-1, *values.shape[2:]), dtype=np.float64)
+
+
+def error_parameters(posterior: xr.Dataset, record: ModelRecord) -> dict[str, Array]:
+    """Draws of the parameters of a model's errors, name -> (n_chains n_draws, ...)."""
+    return {name: _flat(posterior, variable_name(name), record) for name in record.errors.parameter_names}
 
 
 def forward_points(model: pm.Model, posterior: xr.Dataset) -> Array:
@@ -224,7 +229,7 @@ def log_likelihoods(
             f"model {record.name}: {failed} of {len(means)} posterior draws do not solve: compare with the "
             "data and settings that the draws were made with"
         )
-    errors = {name: _flat(posterior, variable_name(name), record) for name in record.errors.parameter_names}
+    errors = error_parameters(posterior, record)
     coords: dict[str, Any] = {
         "chain": posterior["chain"].to_numpy(),
         "draw": posterior["draw"].to_numpy(),
@@ -401,9 +406,10 @@ def compare(
         one_of_each = [waic_one_observation(chain).waic for chain in joint]
         pareto_k = loo.pareto_k.to_numpy()
         squares = sse_at_median(idata, model)
-        found = (verdicts or {}).get(name) or judged(
-            idata, var_names=list(record_of(model).parameters), model=model
-        )
+        found = (verdicts or {}).get(name)
+        if found is None:
+            own = list(record_of(model).parameters)
+            found = diagnostics(idata, var_names=own, model=model).verdict
         scores[name] = waic if ic == "waic" else loo
         rows[name] = {
             "waic": waic.elpd_waic,

@@ -18,7 +18,7 @@ from zoo.core.inference.progress import bar
 from zoo.core.inference.record import RunRecord
 from zoo.core.model import ModelRecord, record_of
 from zoo.core.parameters import variable_name
-from zoo.core.posterior.comparison import posterior_means, thin
+from zoo.core.posterior.comparison import error_parameters, posterior_means, thin
 from zoo.core.surrogate.library import Library
 from zoo.core.words import refuse_unknown
 
@@ -85,7 +85,7 @@ def add_groups(
             progress=lambda done, total: shown.update(task, completed=done, total=total),
             library=library,
         )
-    values = _error_parameters(record, kept)
+    values = error_parameters(kept, record)
     terms = record.errors.pointwise(means, values, ("sequential",))["sequential"]
     drawn = _with_errors(record.errors, means, values, np.random.default_rng(seed))
     groups = {name: idata[name].copy() for name in idata.groups()}
@@ -124,15 +124,6 @@ def _seed_of(idata: az.InferenceData) -> int:
         return RunRecord.of(idata).seed
     except ValueError:
         return 0
-
-
-def _error_parameters(record: ModelRecord, draws: xr.Dataset) -> dict[str, np.ndarray]:
-    """Parameters of the errors, name -> (n_chains n_draws, ...)."""
-    found = {}
-    for name in record.errors.parameter_names:
-        values = draws[variable_name(name)].transpose("chain", "draw", ...).to_numpy()
-        found[name] = values.reshape(-1, *values.shape[2:])
-    return found
 
 
 def _with_errors(
