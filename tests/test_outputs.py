@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from zoo.core.outputs import OutputFileError, Run, output_file, output_folder, w
 from zoo.core.posterior.storage import load, save
 
 AS_ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
+NOBODY = 65534
 
 
 def device(path: Path) -> None:
@@ -118,17 +120,27 @@ def test_a_folder_may_be_new_at_one_level_or_at_any(tmp_path):
     assert output_folder(tmp_path / "a" / "b", deep=True) == tmp_path / "a" / "b"
 
 
-@pytest.mark.skipif(AS_ROOT, reason="root may write everywhere")
-def test_what_may_not_be_written_is_refused(tmp_path):
-    (tmp_path / "a.nc").write_text("")
-    (tmp_path / "a.nc").chmod(0o400)
-    with pytest.raises(OutputFileError, match="it is read-only"):
-        output_file(tmp_path / "a.nc")
-    tmp_path.chmod(0o500)
-    for check in (output_file, output_folder):
-        with pytest.raises(OutputFileError, match="Permission denied"):
-            check(tmp_path / "b.nc")
-    tmp_path.chmod(0o700)
+def test_what_may_not_be_written_is_refused():
+    """Of root by a user who has no rights: root itself may write everywhere."""
+    with tempfile.TemporaryDirectory() as name:
+        folder, file = Path(name), Path(name, "a.nc")
+        file.write_text("")
+        file.chmod(0o400)
+        folder.chmod(0o500)
+        if AS_ROOT:
+            for path in (folder, file):
+                os.chown(path, NOBODY, NOBODY)
+            os.setresuid(NOBODY, NOBODY, 0)
+        try:
+            with pytest.raises(OutputFileError, match="it is read-only"):
+                output_file(file)
+            for check in (output_file, output_folder):
+                with pytest.raises(OutputFileError, match="Permission denied"):
+                    check(folder / "b.nc")
+        finally:
+            if AS_ROOT:
+                os.setresuid(0, 0, 0)
+            folder.chmod(0o700)
 
 
 FULL = """
