@@ -1,4 +1,4 @@
-"""Packs frozen cases, keys and answers of commit c4fb767, in that commit's formats: used once."""
+"""Packs what `freeze.py` made: cases, keys and answers of commit c4fb767, in that commit's formats."""
 
 from __future__ import annotations
 
