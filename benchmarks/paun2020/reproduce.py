@@ -25,7 +25,7 @@ from benchmarks.paun2020.truth import THETA
 from zoo import plots
 from zoo.blood import predictive
 from zoo.blood.prior_tables import PAPER_SET
-from zoo.core.inference.convergence import judged
+from zoo.core.inference.convergence import diagnostics
 from zoo.core.inference.record import RunRecord
 from zoo.core.outputs import write_file
 from zoo.core.posterior.comparison import compare
@@ -117,7 +117,7 @@ def nine_posteriors(
                     f"{path}: drawn with seed {seed}, here it is {settings['seed']}; move it"
                 )
             posteriors[name] = stored
-            found = judged(stored)
+            found = diagnostics(stored).verdict
             lacks = "" if found.passes else f", not converged (R-hat {found.max_rhat:.3f})"
             say(f"model {name}: posterior of {path}, {found.chains} chains of {found.draws} draws{lacks}")
         else:

@@ -16,7 +16,7 @@ import arviz as az
 import numpy as np
 import pandas as pd
 
-from zoo.core.inference.convergence import judged
+from zoo.core.inference.convergence import diagnostics
 from zoo.core.inference.record import RunRecord
 
 PARAMETERS = ("f1", "f2", "f3", "gamma", "psi1", "psi2", "c", "w", "b")
@@ -96,7 +96,7 @@ def parameter_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
         if model not in posteriors:
             continue
         posterior = posteriors[model]["posterior"]
-        converged = judged(posteriors[model]).passes
+        converged = diagnostics(posteriors[model]).verdict.passes
         for name, theirs in row.parameters.items():
             draws = posterior[name]
             ours = Interval(*np.quantile(draws.to_numpy(), (0.5, 0.025, 0.975)))
@@ -194,7 +194,7 @@ def cost_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
     theirs = published_table4()
     rows = {}
     for model, idata in posteriors.items():
-        record, found = RunRecord.of(idata), judged(idata)
+        record, found = RunRecord.of(idata), diagnostics(idata).verdict
         solves = record.solves + record.mode_evaluations
         rows[model] = {
             "converged": found.passes,
