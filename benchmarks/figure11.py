@@ -6,7 +6,7 @@ one model twice (`--models H --seed 2`, `--models G --ess 700`). Prints medians 
 with the difference in combined Monte Carlo standard errors, and the largest difference of the predicted
 pressures; `--figures` draws both.
 
-Usage: python benchmarks/figure11.py [--models BC] [--study mouse-c6] [--ess 4000] [--cores 2] [--seed 1]
+Usage: python -m benchmarks.figure11 [--models BC] [--study mouse-c6] [--ess 4000] [--cores 2] [--seed 1]
        [--folder runs/figure11] [--figures docs/figures]
 """
 
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import arviz as az
 import numpy as np
 import pandas as pd
-from paun2020.figures import posteriors_figure, uncertainty_figure
+from benchmarks.paun2020.figures import posteriors_figure, uncertainty_figure
 
 from zoo import load_study, sample
 from zoo.blood import predictive
