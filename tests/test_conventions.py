@@ -10,6 +10,7 @@ from zoo.blood.conventions import (
     NAMES,
     PRINTED,
     PUBLISHED_CODE,
+    SWITCHES,
     Conventions,
     ConventionsError,
     get_conventions,
@@ -86,3 +87,11 @@ def test_mistakes_are_named(which: object, message: str) -> None:
     with pytest.raises(ConventionsError, match=message) as error:
         get_conventions(which)  # type: ignore[arg-type]
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("switch", SWITCHES)
+def test_one_switch_after_the_other_leads_from_one_bundle_to_the_other(switch: str) -> None:
+    value = getattr(PUBLISHED_CODE, switch)
+    own = PRINTED.replace(**{switch: value})
+    assert getattr(own, switch) == value
+    assert all(getattr(own, other) == getattr(PRINTED, other) for other in SWITCHES if other != switch)

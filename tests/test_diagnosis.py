@@ -180,7 +180,9 @@ def test_another_state_has_the_same_vessels_and_comes_in_a_list() -> None:
     study = load_study("demo")
     root, *others = study.vessels
     wider = replace(study, vessels=(replace(root, radius_cm=1.1 * root.radius_cm), *others))
-    with pytest.raises(DiagnosisError, match="vessel 1 is not the same as in 'demo', whose parent, len"):
+    with pytest.raises(
+        DiagnosisError, match="vessel 1 is not the same as in 'demo', whose parent, length and"
+    ):
         diagnose(study, states=[wider])
     with pytest.raises(DiagnosisError, match="give a list of studies"):
         diagnose(study, states=study)  # type: ignore[arg-type]
@@ -274,3 +276,7 @@ def test_prior_sizes_of_components_have_a_factor(jitter: StudyDiagnosis) -> None
     assert [one.size for one in twice] == [2.0 * one.size for one in plain]
     assert _of_size(0.0) is None
     assert jitter.file.record["component_sizes"] == 0.0
+
+
+def test_a_diagnosis_is_its_verdict_in_print(jitter: StudyDiagnosis) -> None:
+    assert repr(jitter) == f"<Diagnosis of 'demo', baseline linear-constant: {jitter.file.verdict}>"

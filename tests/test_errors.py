@@ -30,7 +30,7 @@ from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.mode import find_mode
 from zoo.core.inference.newton import gauss_newton
 from zoo.core.inference.sampling import sample
-from zoo.core.model import ModelError, bayesian_model
+from zoo.core.model import ModelError, bayesian_model, record_of
 from zoo.core.parameters import (
     InverseGamma,
     LogNormal,
@@ -391,3 +391,21 @@ def test_data_that_a_forward_model_does_not_give_are_refused() -> None:
     data = Data(TIMES[:8], np.zeros((2, 8)), ["a", "b"], groups=["u", "u"])
     with pytest.raises(ModelError, match=r"gives series \(2, 24\), the data are \(2, 8\)"):
         bayesian_model("decay", decay_model(), data, Independent())
+
+
+def test_student_t_terms_are_the_density_of_what_is_drawn() -> None:
+    errors, values = CASES["student-t"]
+    draws = np.array([errors.draw(np.random.default_rng(i), values) for i in range(200)]).ravel()
+    assert stats.kstest(draws, stats.t(10.0, scale=0.3).cdf).pvalue > 1e-3
+    np.testing.assert_allclose(errors.terms(np.zeros((1, 2)), values), stats.t(10.0, scale=0.3).logpdf(0.0))
+
+
+def test_the_record_of_a_model(sampled) -> None:
+    model, _ = sampled["student-t"]
+    record = record_of(model)
+    assert record.parameters == ("rate", "scales", "scale")
+    assert record.error_parameters == ("scale",)
+    assert record.suggested["rate"] == pytest.approx(2.55)
+    assert record.errors.data is record.data
+    with pytest.raises(ModelError, match="has no record"):
+        record_of(pm.Model())

@@ -17,6 +17,7 @@ from zoo.blood.case import OutputError
 from zoo.blood.conventions import PRINTED, PUBLISHED_CODE
 from zoo.blood.effects import CATALOGUE, at_vessel
 from zoo.blood.forward import (
+    FAMILIES,
     BloodFlow,
     constant_stiffness,
     radius_dependent_stiffness,
@@ -26,7 +27,7 @@ from zoo.blood.network import Network
 from zoo.blood.solver import Solver, SolverArgumentError, SolverOptions
 from zoo.blood.study import Study, StudyError, load_study
 from zoo.core.effects import EffectError, WithEffects
-from zoo.core.forward import FunctionModel, Outputs, SolveError
+from zoo.core.forward import ForwardModel, FunctionModel, Outputs, SolveError
 from zoo.core.op import ForwardOp
 from zoo.core.parameters import Parameter, ParameterError, Uniform, draw_prior, pack, start_of
 from zoo.models import MODELS, PAPER, get_model
@@ -154,7 +155,10 @@ def test_a_pickled_model_solves_alike(study: Study) -> None:
 def test_study_data() -> None:
     study = small_study(quantities=("pressure_mmHg", "flow_ml_s"))
     data = study_data(study)
+    np.testing.assert_array_equal(data.values, study.values)
     assert (data.units, data.groups) == (("mmHg", "ml/s"), ("pressure_mmHg", "flow_ml_s"))
+    assert data.labels == tuple(series.label for series in study.series)
+    assert (data.period, data.name) == (study.period_s, "small")
     assert data.outputs == flow(study).outputs.series
     with pytest.raises(ValueError, match=r"study 'small' has no observations: add observations.csv"):
         study_data(replace(study, series=()))
@@ -173,7 +177,9 @@ def test_baselines_by_name_and_letter() -> None:
         assert baseline.name == name
         assert get_baseline(letter.lower()) is baseline
         assert get_baseline(name) is baseline
-    with pytest.raises(EffectError, match="baseline 'linear-constnt': unknown; did you mean 'linear-const"):
+    with pytest.raises(
+        EffectError, match="baseline 'linear-constnt': unknown; did you mean 'linear-constant'"
+    ):
         get_baseline("linear-constnt")
 
 
@@ -256,3 +262,11 @@ def test_operations_of_one_key_do_not_share_solutions() -> None:
     assert first.evaluate(np.array([1.0]))[0][0, 1] == 1.0
     slope[0] = 3.0
     assert ForwardOp(model).evaluate(np.array([1.0]))[0][0, 1] == 3.0
+
+
+def test_it_is_a_forward_model(study: Study) -> None:
+    model = flow(study)
+    assert isinstance(model, ForwardModel)
+    assert isinstance(WithEffects(model, [CATALOGUE["taper"].at()]), ForwardModel)
+    assert model.families == FAMILIES
+    assert model.outputs.series == ((1, 0.0, "pressure_mmHg"), (2, 0.5, "pressure_mmHg"))

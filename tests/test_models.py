@@ -178,6 +178,7 @@ def test_dimensions_and_record(name: str, study: Study) -> None:
     np.testing.assert_array_equal(model.coords["time"], study.time_s)
     assert model.named_vars_to_dims["y"] == ("series", "time")
     record = model.zoo
+    assert record.study is study
     assert record.forward.options == options
     assert record.forward.conventions == PUBLISHED_CODE
     assert record.settings["conventions"]["name"] == "published-code"
@@ -259,15 +260,21 @@ def test_a_chain_leaves_failed_solves_out(study: Study) -> None:
 def test_errors_refuse_what_they_cannot_hold_for() -> None:
     mixed = small_study(quantities=("pressure_mmHg", "flow_ml_s"))
     baseline = get_baseline("B")
-    with pytest.raises(ValueError, match="observes flow_ml_s and pressure_mmHg: one sigma2 cannot hold"):
+    with pytest.raises(
+        ValueError, match="observes flow_ml_s and pressure_mmHg: one sigma2 cannot hold for both"
+    ):
         blood_model("own", mixed, baseline, Independent())
     process = GaussianProcess(LogUniform(1e4, 9e4), LogUniform(1, 500), unit="mmHg")
     with pytest.raises(ValueError, match=r"observes v2@0.5 flow_ml_s: the Gaussian process' amplitude"):
         blood_model("own", mixed, baseline, process)
-    with pytest.raises(StudyError, match=r"'paun2020': its errors are of one quantity, the study obs"):
+    with pytest.raises(
+        StudyError, match=r"'paun2020': its errors are of one quantity, the study observes pres"
+    ):
         get_model("A")(mixed)
     known = replace(small_study(), noise_sd={"pressure_mmHg": 0.05})
-    with pytest.raises(StudyError, match=r"'paun2020': has a noise of its own, but noise_sd gives that"):
+    with pytest.raises(
+        StudyError, match=r"'paun2020': has a noise of its own, but noise_sd gives that of pr"
+    ):
         get_model("B")(known)
     get_model("A")(small_study(quantities=("flow_ml_s", "flow_ml_s")))
 

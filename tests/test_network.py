@@ -90,12 +90,21 @@ def test_one_vessel_is_root_and_terminal() -> None:
     ("vessels", "message"),
     [
         ([], "no vessels; add at least one"),
-        ([vessel(1)], "vessel 1: windkessel: is missing at a terminal; give R1, R2 and C, or a resistance"),
+        (
+            [vessel(1)],
+            "vessel 1: windkessel: is missing at a terminal; give R1, R2 and C, or a resistance, in cgs",
+        ),
         ([vessel(1, load=LOAD), vessel(1, load=LOAD)], "vessel 1: id = 1: also the id of another vessel"),
         ([vessel(1), vessel(2, 3, load=LOAD)], "vessel 2: parent = 3: no such vessel"),
-        ([vessel(1, load=LOAD), vessel(2, load=LOAD)], "vessel 2: parent: is missing, but vessel 1 is"),
+        (
+            [vessel(1, load=LOAD), vessel(2, load=LOAD)],
+            "vessel 2: parent: is missing, but vessel 1 is the root",
+        ),
         ([vessel(1, 1)], r"vessels feed each other in a circle \(1 <- 1\)"),
-        ([vessel(1, load=LOAD), vessel(2, 1, load=LOAD)], "vessel 1: windkessel: only a terminal may"),
+        (
+            [vessel(1, load=LOAD), vessel(2, 1, load=LOAD)],
+            "vessel 1: windkessel: only a terminal may have one",
+        ),
         ([vessel(1, load=LOAD, length=0.0)], r"vessel 1: length_cm = 0\.0: must be positive and finite"),
         ([vessel(1, load=LOAD, radius=math.nan)], "vessel 1: radius_cm = nan: must be positive"),
         ([vessel(1, load=LOAD, out=-0.1)], r"vessel 1: radius_out_cm = -0\.1: must be positive"),
@@ -198,7 +207,11 @@ def test_tau_ignores_the_upstroke_before_the_flow() -> None:
     ("pressure", "flow", "message"),
     [
         (lambda p: p, lambda q: q + 1, "0 of 400 pressure samples are usable, the inflow being below 0.05"),
-        (lambda p: p - 15, lambda q: q, r"pressure = -\d.*: must be positive for an exponential decay"),
+        (
+            lambda p: p - 15,
+            lambda q: q,
+            r"pressure = -\d.*: must be positive for an exponential decay; correct its",
+        ),
         (lambda p: 30 - p, lambda q: q, "samples are usable|does not fall"),
         (lambda p: 0 * p + 9, lambda q: q, "samples are usable"),
     ],
@@ -265,7 +278,9 @@ def test_given_loads_stay() -> None:
 def test_loads_that_cannot_be_derived() -> None:
     study = bare_study()
     start = r"test: study 'bare': vessel 9 has no windkessel, and "
-    with pytest.raises(StudyError, match=start + "no pressure_mmHg of the root is observed; add one of"):
+    with pytest.raises(
+        StudyError, match=start + "no pressure_mmHg of the root is observed; add one of the two"
+    ):
         Network.from_study(replace(study, series=(Series(3, 0.0, "pressure_mmHg", study.time_s),)))
     with pytest.raises(StudyError, match=start + "none can be derived: diastole: 0 of 400") as error:
         Network.from_study(replace(study, inflow_ml_s=study.inflow_ml_s + 1))

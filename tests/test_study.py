@@ -7,6 +7,7 @@ import gzip
 import math
 import pickle
 import re
+import tomllib
 import warnings
 from collections.abc import Callable
 from dataclasses import astuple, replace
@@ -403,7 +404,9 @@ def test_a_bare_terminal_needs_an_observed_root(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", LoadWarning)
         assert load_study(write(tmp_path, content)).vessels[2].windkessel is None
-    message = r"network\.toml, row 11: vessel 2: windkessel: is missing at a terminal, .*\(vessel 1\); add"
+    message = (
+        r"network\.toml, row 11: vessel 2: windkessel: is missing at a terminal, .*root \(vessel 1\); add"
+    )
     only_left = [r for r in observation_rows() if not r.startswith("1,")]
     for change in (put(OBS, only_left), swap(TOP, 'observations = "observations.csv"', "")):
         broken = {name: list(lines) for name, lines in content.items()}
@@ -423,7 +426,9 @@ def test_names_and_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mouse-c6").mkdir()
     write(tmp_path / "mouse-c6", files())
-    with pytest.raises(StudyError, match=r"both a built-in study and a folder here; write \./mouse-c6"):
+    with pytest.raises(
+        StudyError, match=r"mouse-c6: both a built-in study and a folder here; write \./mouse-c6"
+    ):
         load_study("mouse-c6")
     assert load_study("./mouse-c6").name == "three vessels"
     assert load_study(Path("mouse-c6")).name == "three vessels"
@@ -440,7 +445,9 @@ def test_a_built_in_copy_reads_the_same_checks(tmp_path: Path, monkeypatch: pyte
     swap(TOP, '"observations.csv"', table)(content)
     write(tmp_path, content)
     column.write_text("\n".join(str(1 + m % 40) for m in range(41)) + "\n")
-    with pytest.raises(StudyError, match=r"average = 2: does not divide the 41 samples of set/p\.dat; use"):
+    with pytest.raises(
+        StudyError, match=r"average = 2: does not divide the 41 samples of set/p\.dat; use a divisor"
+    ):
         load_study(tmp_path)
     column.write_text("\n".join(str(1 + m) for m in range(40)) + "\n")
     with pytest.raises(StudyError, match=r"column\.dat, row 40: value = 40: inflow: .* must repeat that one"):
@@ -571,6 +578,10 @@ def test_round_trip_is_exact(tmp_path: Path, study: Study) -> None:
     save_study(study, tmp_path / "x" / "y")
     again = load_study(tmp_path / "x" / "y")
     assert again == study
+    assert again.name == study.name
+    assert again.vessels == study.vessels
+    assert again.blood == study.blood
+    assert again.conventions == study.conventions
     assert again.checksum == study.checksum
     for name in ("inflow_time_s", "inflow_ml_s", "time_s", "values"):
         assert getattr(again, name).tobytes() == getattr(study, name).tobytes(), name
@@ -728,3 +739,16 @@ def test_blind_cases(blind_cases: list[Path]) -> None:
             assert (own.length_cm, own.radius_cm) == (other.length_cm, other.radius_cm)
             loads = [v.windkessel and astuple(v.windkessel) for v in (own, other)]
             assert loads[0] == (loads[1] and pytest.approx(loads[1], rel=1e-8))
+
+
+def test_mouse_c6_network_in_the_package() -> None:
+    """The published number of vessels and of outlets, and loads with the published share and tau."""
+    folder = Path(zoo.__file__).parent / "data" / "mouse-c6"
+    table = tomllib.loads((folder / "network.toml").read_text())
+    assert len(table["vessel"]) == 21
+    loads = [v["windkessel"] for v in table["vessel"] if "windkessel" in v]
+    assert len(loads) == 11
+    for load in loads:
+        total = load["R1"] + load["R2"]
+        assert load["R1"] / total == pytest.approx(0.2, rel=1e-9)
+        assert min(abs(total * load["C"] - tau) for tau in (0.1341, 0.1402525)) < 1e-7
