@@ -286,6 +286,5 @@ def test_a_run_ends_at_once_inside_a_solve_too(tmp_path, how):
     began = time.monotonic()
     run.wait()
     wait_for(lambda: group_is_gone(run.pid), 60.0)
-    busy = max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
-    assert time.monotonic() - began < 2.0 * busy
+    assert time.monotonic() - began < 30.0  # the solve that it does not wait for takes ten minutes
     Folder(folder).close()  # no longer in use

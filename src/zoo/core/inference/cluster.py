@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any
 
 from zoo.core.words import OneLineError
 
 PATIENCE_S = 20
+MOST_WAITING = 64
 
 
 class SchedulerError(OneLineError, RuntimeError):
@@ -31,18 +32,42 @@ def connect(address: str | None) -> Iterator[Executor | None]:
     Raises
     ------
     SchedulerError
-        If dask.distributed is missing, nobody answers at the address, or no worker is there.
+        If dask.distributed is missing, nobody answers at the address, or no worker comes in `PATIENCE_S`.
     """
     if address is None:
         yield None
         return
     client = _client(address)
     with client:
-        if not client.scheduler_info()["workers"]:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+        except TimeoutError:
             raise SchedulerError(
                 f"{address}: the scheduler has no worker; start some: dask worker {address} --nthreads 1"
-            )
-        yield client.get_executor(pure=False)
+            ) from None
+        workers = _Workers(client)
+        try:
+            yield workers
+        finally:
+            workers.shutdown(wait=False, cancel_futures=True)
+
+
+class _Workers(Executor):
+    """A client whose tasks are gathered by threads, so that a value lost with its worker is made again.
+
+    The client's own executor turns such a loss into an unrelated error if it looks at the wrong moment.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._threads = ThreadPoolExecutor(MOST_WAITING)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        task = self._client.submit(fn, *args, pure=False, **kwargs)
+        return self._threads.submit(task.result)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._threads.shutdown(wait=wait, cancel_futures=cancel_futures)
 
 
 def _client(address: str) -> Any:
