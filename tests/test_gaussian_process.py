@@ -24,7 +24,7 @@ from zoo.core.errors.gaussian_process import (
     gp_sequential,
     neural_network_kernel,
 )
-from zoo.core.errors.independent import iid_terms
+from zoo.core.errors.independent import Independent
 from zoo.core.errors.variables import Errors, ErrorTermsOp, IidErrors
 from zoo.core.parameters import LogUniform
 
@@ -188,7 +188,9 @@ def test_the_noise_of_the_error_model_is_that_of_the_published_code() -> None:
 
 def test_iid_terms() -> None:
     residual = draw_residual()
-    np.testing.assert_allclose(iid_terms(residual, 0.13), stats.norm.logpdf(residual, 0, math.sqrt(0.13)))
+    data = Data(np.arange(residual.shape[1]) / 40, 0.0 * residual, groups=["p"] * len(residual))
+    terms = Independent().bind(data).terms(residual, {"sigma2": 0.13})
+    np.testing.assert_allclose(terms, stats.norm.logpdf(residual, 0, math.sqrt(0.13)))
 
 
 def test_an_unknown_decomposition_is_refused() -> None:

@@ -117,7 +117,7 @@ def test_draws_of_pymc_get_them_too(model):
 def test_sample_has_all_groups_and_a_slim_copy_of_it_has_draws_alone():
     model = zoo.model_B(zoo.load_study("demo"))
     settings = {"draws": 20, "tune": 20, "cores": 0, "seed": 1, "progress": False}
-    idata = zoo.sample(model, start=zoo.find_mode(model, max_evaluations=5), **settings)
+    idata = zoo.sample(model, **settings)
     constants = idata.constant_data
     network = model.zoo.forward.network
     assert constants["vessel"].to_numpy().tolist() == [int(v) for v in network.ids]

@@ -70,8 +70,6 @@ def __getattr__(name: str) -> Any:
         value = getattr(import_module(f"zoo.{_HOME[name]}"), name)
     elif name in __all__:
         value = _model(name.removeprefix("model_"))
-    elif name == "BloodFlowOp":
-        raise AttributeError("zoo.BloodFlowOp: is zoo.core.op.ForwardOp now, for any forward model")
     else:
         raise AttributeError(f"module 'zoo' has no attribute {name!r}")
     globals()[name] = value

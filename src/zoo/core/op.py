@@ -102,7 +102,7 @@ class ForwardOp(Op):
     """A forward model's observed series as a PyTensor operation.
 
     It has a gradient where the forward model gives derivatives (`zoo.core.derivatives`): vector-Jacobian
-    products by `L_op`, Jacobian-vector products by `R_op`. Where a solve fails the gradient is zero.
+    products (`L_op`), of which PyTensor makes Jacobian-vector products too. Zero where a solve fails.
 
     Takes one float64 input for each parameter, a scalar or a vector of its size, in the model's order.
     Returns `mean`, float64 (n_series, n_times), each series in its own unit, and `ok`, an int8 scalar: 1, or
@@ -325,8 +325,9 @@ class ForwardOp(Op):
         """
         if isinstance(output_grads[0].type, DisconnectedType):
             return [DisconnectedType()() for _ in inputs]
-        slopes = self._symbolic_slopes(inputs)
-        by_value = pt.tensordot(slopes, output_grads[0], axes=[[1, 2], [0, 1]])
+        if not self.differentiable:
+            raise missing_gradient(f"the forward model {self.model.name}")
+        by_value = pt.tensordot(SlopesOp(self)(*inputs), output_grads[0], axes=[[1, 2], [0, 1]])
         at, gradients = 0, []
         for p in self.model.parameters:
             gradients.append(by_value[at : at + p.size] if p.dims else by_value[at])
@@ -334,30 +335,6 @@ class ForwardOp(Op):
         return gradients
 
     pullback = L_op  # its name in PyTensor 3
-
-    def R_op(self, inputs: Sequence[Variable], eval_points: Any) -> list[Any]:
-        """Jacobian-vector product: the change of the mean where parameters change by `eval_points`.
-
-        Raises
-        ------
-        MissingGradientError
-            If the forward model gives no derivatives.
-        """
-        if all(point is None for point in eval_points):
-            return [None, None]
-        changes = [
-            pt.zeros((p.size,)) if point is None else pt.reshape(pt.as_tensor_variable(point), (p.size,))
-            for p, point in zip(self.model.parameters, eval_points, strict=True)
-        ]
-        slopes = self._symbolic_slopes(inputs)
-        return [pt.tensordot(pt.concatenate(changes), slopes, axes=[[0], [0]]), None]
-
-    pushforward = R_op
-
-    def _symbolic_slopes(self, inputs: Sequence[Variable]) -> TensorVariable:
-        if not self.differentiable:
-            raise missing_gradient(f"the forward model {self.model.name}")
-        return cast("TensorVariable", SlopesOp(self)(*inputs))
 
 
 class SlopesOp(Op):

@@ -82,12 +82,6 @@ class Parameter:
         """Where a search begins."""
         return self.prior.median if self.start is None else float(self.start)
 
-    @property
-    def title(self) -> str:
-        """For a table or an axis, with its unit."""
-        text = self.label or self.name
-        return text if self.unit == "1" else f"{text} ({self.unit})"
-
 
 def n_values(parameters: Iterable[Parameter]) -> int:
     """Length of theta."""

@@ -370,13 +370,6 @@ class GaussianProcess(ErrorModel):
         diagonal = 2.0 / math.pi * np.arcsin(product / (1.0 + product)) + self.noise
         return np.tile(diagonal, (self.on.n_series, 1))
 
-    def kernel(
-        self, times: ArrayLike, values: Mapping[str, ArrayLike], others: ArrayLike | None = None
-    ) -> Array:
-        """Covariance (n, m) without the noise between times (n,) and others (m,)."""
-        w, b = (float(np.asarray(values[name])) for name in ("w", "b"))
-        return neural_network_kernel(times, w, b, others)
-
     def whiten(self, residuals: Array, values: Mapping[str, ArrayLike]) -> Array | None:
         """z = L^-1 r with L L' the covariance of a series; None where it has no Cholesky factor."""
         return whiten_by_process(residuals, self.on.times, values["w"], values["b"], self.noise)

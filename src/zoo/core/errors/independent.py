@@ -21,25 +21,6 @@ VAGUE = InverseGamma(0.001, 0.001)
 _LOG_2PI = math.log(2.0 * math.pi)
 
 
-def iid_terms(residual: ArrayLike, sigma2: float) -> Array:
-    """Terms log p(y_i) of independent normal errors of variance sigma2, the same in every decomposition.
-
-    Parameters
-    ----------
-    residual : array (n_series, n_times)
-        Measured minus computed, in the unit of the series.
-    sigma2 : float
-        In its square.
-
-    Returns
-    -------
-    array (n_series, n_times)
-    """
-    residual = np.atleast_2d(np.asarray(residual, dtype=np.float64))
-    terms: Array = -0.5 * (_LOG_2PI + math.log(sigma2) + residual * residual / sigma2)
-    return terms
-
-
 @dataclass(frozen=True)
 class Independent(ErrorModel):
     """Independent normal errors of one variance for all series: y_i ~ N(mean_i, sigma2).
@@ -109,7 +90,8 @@ class Independent(ErrorModel):
         self, residual: Array, values: Mapping[str, ArrayLike], decomposition: str = "sequential"
     ) -> Array:
         """Terms log p(y_i), (n_series, n_times), the same in every decomposition."""
-        return iid_terms(residual, float(np.asarray(values["sigma2"])))
+        sigma2 = float(np.asarray(values["sigma2"]))
+        return np.asarray(-0.5 * (_LOG_2PI + math.log(sigma2) + residual * residual / sigma2))
 
     def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
         """Add the observed variable, whose log-density is written in PyTensor."""

@@ -57,7 +57,6 @@ def find_mode(
     model: Any,
     *,
     start: Mapping[str, ArrayLike] | None = None,
-    max_evaluations: int | None = None,
     seed: int = 0,
 ) -> Mode:
     """Find the mode of a model's posterior without gradients, and the Gaussian around it.
@@ -78,8 +77,6 @@ def find_mode(
         With continuous free variables only.
     start : mapping, optional
         Free variable -> value in its own unit, instead of the suggested values.
-    max_evaluations : int, optional
-        Limit of the trust-region search; 300 + 60 n_dim if absent.
     seed : int
         Of the random points that are tried if neither start has a finite log-posterior.
 
@@ -96,7 +93,7 @@ def find_mode(
     ----------
     Ragonneau, Zhang: COBYQA, https://www.cobyqa.com (doi 10.5281/zenodo.10048050).
     """
-    return search_mode(LogPosterior(model), start, max_evaluations, seed)
+    return search_mode(LogPosterior(model), start, seed)
 
 
 def has_many(logp: LogPosterior) -> bool:
@@ -111,7 +108,6 @@ def has_many(logp: LogPosterior) -> bool:
 def search_mode(
     logp: LogPosterior,
     start: Mapping[str, ArrayLike] | None = None,
-    max_evaluations: int | None = None,
     seed: int = 0,
 ) -> Mode:
     from scipy.optimize import minimize
@@ -133,12 +129,12 @@ def search_mode(
             q, best = np.array(x), value
         return -value
 
-    limit = 300 + 60 * d if max_evaluations is None else max_evaluations
+    limit = 300 + 60 * d
     frame = None
     structured = isinstance(getattr(logp.model, "zoo", None), ModelRecord)
     many = has_many(logp)
     wide = structured and logp.model.zoo.errors.least_squares_first
-    if wide and start is None and not many and limit > 2 * d + 1:
+    if wide and start is None and not many:
         begin = _prior_points(logp, logp.from_values(_suggested(logp.model)), seed)
         without = least_squares(logp, [point for point, _ in begin])
         if np.isfinite(value := logp(without)):
@@ -146,13 +142,13 @@ def search_mode(
     if many and structured:
         begin = [(q, best)] if start is not None else _prior_points(logp, q, seed)
         q, best, frame = _highest(logp, begin, limit)
-    elif limit > 2 * d + 1:
+    else:
         # variables without bounds are not transformed
         scale = np.where(np.abs(q) > LARGE, np.abs(q), 1.0)
         options = {"initial_tr_radius": 0.5, "final_tr_radius": 0.02, "maxfev": limit}
         minimize(lambda x: cost(x * scale), q / scale, method="COBYQA", options=options)
     q, best, covariance, settled = newton(logp, q, best, passes=3 if many else 8, frame=frame)
-    if structured and not settled and not many and limit > 2 * d + 1:  # far narrower than the search's steps
+    if structured and not settled and not many:  # far narrower than the search's steps
         q, best, frame = gauss_newton(logp, q, best, limit=limit, step=NARROW)
         q, best, covariance, _ = newton(logp, q, best, passes=8, frame=frame)
     return Mode(q, logp.to_values(q), best, covariance, logp.evaluations - before)

@@ -16,6 +16,8 @@ FOLLOWED = 6
 """Starts from which least squares are followed; a pulse wave has lesser fits, such as of stiff vessels."""
 LARGE_NOISE = 0.03
 """Noise of least squares in parts of the range of a group's series, so that no misfit is absurd."""
+STEP = 0.02
+"""Of differences: far above a solver's tolerance."""
 GRADIENT = 10
 """Solves that a solve with its derivatives counts as, measured with 24 of them."""
 
@@ -82,7 +84,7 @@ class Residuals:
         return slope, vectors @ (np.maximum(eigenvalues, 0.0)[:, None] * vectors.T)
 
 
-def least_squares(logp: LogPosterior, starts: Sequence[Array], *, step: float = 0.02) -> Array:
+def least_squares(logp: LogPosterior, starts: Sequence[Array]) -> Array:
     """Where a search begins without the model's errors, (n_dim,): least squares with white noise.
 
     Residuals are counted in `LARGE_NOISE` of the range of their group, a parameter's distance from the first
@@ -108,7 +110,7 @@ def least_squares(logp: LogPosterior, starts: Sequence[Array], *, step: float = 
 
     def slopes(x: Array) -> Array:
         here = residuals(x)
-        return np.stack([(residuals(x + step * e) - here) / step for e in np.eye(len(x))], axis=1)
+        return np.stack([(residuals(x + STEP * e) - here) / STEP for e in np.eye(len(x))], axis=1)
 
     def misfit(x: Array) -> float:
         z = residuals(x)[: data.values.size].reshape(data.values.shape)
@@ -130,7 +132,7 @@ def gauss_newton(
     value: float,
     *,
     limit: int,
-    step: float = 0.02,
+    step: float = STEP,
     model: Residuals | None = None,
 ) -> tuple[Array, float, Array]:
     """Damped Gauss-Newton steps on the whitened residuals, for models with many parameters.

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from zoo.core.inference.checkpoint import identity_of
+from zoo.core.inference.checkpoint import Run
 from zoo.core.inference.convergence import check_convergence, ess_to_count
 from zoo.core.inference.elements import arrays
 from zoo.core.inference.logposterior import LogPosterior, model_name
 from zoo.core.inference.prior_check import AtBound, check_priors, exactness_at, priors_of
 from zoo.core.inference.record import RunRecord
-from zoo.core.model import ModelRecord
 
 if TYPE_CHECKING:
     import arviz as az
@@ -41,17 +40,17 @@ def inference_data(
 
 def attach_record(
     idata: az.InferenceData,
-    model: Any,
     logp: LogPosterior,
+    run: Run,
     settings: Mapping[str, Any],
     *,
+    solves: int,
+    steps: int,
+    mode_evaluations: int,
+    failures: Mapping[str, int],
     at_mode: Sequence[AtBound] = (),
     numerical: str | None = None,
     say: Callable[[str], None],
-    solves: int,
-    steps: int,
-    failures: Mapping[str, int],
-    **figures: Any,
 ) -> None:
     """Write the run record into an InferenceData, and tell whether its draws have converged.
 
@@ -59,22 +58,20 @@ def attach_record(
     ----------
     idata : InferenceData
         With a posterior.
-    model : pm.Model
     logp : LogPosterior
-        Of it.
+        Of the model.
+    run : Run
     settings : mapping
         With "chains", "draws" and "until_ess".
+    solves, steps, mode_evaluations, failures
+        As of `zoo.core.inference.record.RunRecord`.
     at_mode : sequence of AtBound
         Bounds that the mode lies at.
     numerical : str, optional
         As of `zoo.core.inference.prior_check.exactness_at`; found out in the middle of the draws if absent.
     say : callable
-    solves, steps, failures, **figures
-        As of `zoo.core.inference.record.RunRecord`; the others are seed, mode_evaluations, wall_seconds,
-        started and sittings.
     """
-    identity = identity_of(logp, {})
-    made = arrays(idata)
+    model, identity, made = logp.model, run.identity, arrays(idata)
     parameters, effects = priors_of(model)
     priors = check_priors(parameters, made, effects=effects)
     leaning = {(found.parameter, found.side) for found in priors.bounds}
@@ -82,21 +79,24 @@ def attach_record(
     if numerical is None:
         numerical = exactness_at(model, {name: values.mean((0, 1)) for name, values in made.items()})
     priors = replace(priors, bounds=priors.bounds + more, numerical=numerical)
-    record = RunRecord(
+    RunRecord(
         model=model_name(model),
         study=identity["study"],
         study_checksum=identity["study checksum"],
         conventions=identity["conventions"],
         solver=identity["solver options"],
         settings=dict(settings),
+        seed=run.seed,
         solves=solves,
         steps=steps,
+        mode_evaluations=mode_evaluations,
         failures=dict(sorted(failures.items())),
         solves_per_draw=solves / (settings["draws"] * settings["chains"]),
         solves_per_step=solves / max(1, steps),
+        wall_seconds=run.seconds,
+        sittings=run.sittings,
+        started=run.started,
         prior_check=priors.as_dict() if parameters else None,
-        priors=model.zoo.priors if isinstance(getattr(model, "zoo", None), ModelRecord) else None,
-        **figures,
-    )
-    record.attach(idata)
+        priors=identity["priors"],
+    ).attach(idata)
     say(check_convergence(made, ess=ess_to_count(settings["until_ess"]), priors=priors).text)

@@ -193,17 +193,13 @@ def sample(
             shown = {"draws": kept, "first check": draws, "until_ess": until_ess, "cores": cores}
             attach_record(
                 idata,
-                model,
                 logp,
+                run,
                 settings | shown,
-                seed=run.seed,
                 solves=sum(state.solves for state in pool.states),
                 steps=sum(state.steps for state in pool.states),
                 mode_evaluations=mode.evaluations,
                 failures=sum((Counter(state.failures) for state in pool.states), Counter()),
-                wall_seconds=run.seconds,
-                started=run.started,
-                sittings=run.sittings,
                 at_mode=at_mode,
                 numerical=numerical,
                 say=show.say,

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.draws import seed_or_drawn
 from zoo.core.inference.building import Builder, Weighed
+from zoo.core.inference.checkpoint import Run
 from zoo.core.inference.convergence import check_convergence, ess_to_count
 from zoo.core.inference.correction import along_chains
-from zoo.core.inference.kept_solves import KeptSolves
+from zoo.core.inference.kept_solves import kept
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
 from zoo.core.inference.nuts import Draws
+from zoo.core.inference.progress import Display
 from zoo.core.inference.record_of_run import attach_record, inference_data
 from zoo.core.inference.starts import start_settings
 from zoo.core.model import record_of
@@ -102,10 +101,6 @@ def sample_surrogate(
     ----------
     Vehtari et al. (2024), Journal of Machine Learning Research 25(72).
     """
-    from zoo.core.inference.progress import Display
-
-    began = time.monotonic()
-    started = datetime.now(UTC).isoformat(timespec="seconds")
     record = record_of(model)
     logp = LogPosterior(model)
     library = Library(record.forward) if library is None else library
@@ -113,24 +108,17 @@ def sample_surrogate(
         raise SamplingError(
             f"library: is of {library.model.name} with other settings; give one of this model"
         )
-    before = library.solves
     tune = FINAL_TUNE if tune is None else tune
     limit = max_draws or MOST_DRAWS * draws
-    store: KeptSolves | None = None
-    if checkpoint is not None:
-        fixed = {"step": "surrogate", "tune": tune, "chains": chains, "start": start_settings(start)}
-        store = KeptSolves(Path(checkpoint), library, logp, fixed, seed)
-        seed = store.seed
-    seed = seed_or_drawn(seed)
-    with (
-        store or contextlib.nullcontext(),
-        Display(progress) as show,
-    ):
+    fixed = {"step": "surrogate", "tune": tune, "chains": chains, "start": start_settings(start)}
+    run = Run(checkpoint, logp, fixed, seed)
+    before, probed = library.solves, logp.evaluations
+    with contextlib.closing(run), kept(run, library), Display(progress) as show:
         show.say(
             f"model {model_name(model)}: {len(logp.template.data)} dimensions, {chains} chains of NUTS on a "
-            f"surrogate of {record.forward.name}, seed {seed}{'' if store is None else store.text}"
+            f"surrogate of {record.forward.name}, seed {run.seed}{run.resumed}"
         )
-        builder = Builder(logp, library, start, seed=seed, chains=chains, cores=cores)
+        builder = Builder(logp, library, start, seed=run.seed, chains=chains, cores=cores)
         rounds: list[dict[str, Any]] = []
         for turn in range(1, ROUNDS + 1):
             surrogate, made = builder.surrogate()
@@ -157,7 +145,6 @@ def sample_surrogate(
                 "sample with method exact"
             )
         corrected, log_weights = _resampled(weighed, builder.seed)
-        kept = log_weights.shape[1]
         stats = {"log_weight": log_weights, "solves": np.ones(log_weights.shape, dtype=np.int64)}
         idata = inference_data(model, corrected, stats)
         solves = library.solves - before
@@ -167,7 +154,7 @@ def sample_surrogate(
             "tune": tune,
             "thin": THIN,
             "chains": chains,
-            "draws": kept,
+            "draws": log_weights.shape[1],
             "first check": draws,
             "until_ess": until_ess,
             "cores": cores,
@@ -182,17 +169,13 @@ def sample_surrogate(
         }
         attach_record(
             idata,
-            model,
             logp,
+            run,
             settings,
-            seed=seed,
             solves=solves,
-            steps=chains * kept,
-            mode_evaluations=logp.evaluations,
-            failures=dict(library.failures),
-            wall_seconds=time.monotonic() - began if store is None else store.seconds,
-            started=started,
-            sittings=1 if store is None else store.sittings,
+            steps=log_weights.size,
+            mode_evaluations=logp.evaluations - probed,
+            failures=library.failures,
             say=show.say,
         )
     return idata

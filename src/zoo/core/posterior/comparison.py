@@ -245,43 +245,6 @@ def log_likelihoods(
     return xr.Dataset(terms, coords=coords)
 
 
-def log_likelihood(
-    idata: az.InferenceData,
-    model: pm.Model,
-    decomposition: str = "sequential",
-    n_draws: int | None = N_DRAWS,
-) -> xr.DataArray:
-    """`log_likelihoods` in one decomposition."""
-    return log_likelihoods(idata, model, n_draws=n_draws, decompositions=(decomposition,))[decomposition]
-
-
-def add_log_likelihood(
-    idata: az.InferenceData,
-    model: pm.Model,
-    decomposition: str = "sequential",
-    n_draws: int | None = N_DRAWS,
-) -> az.InferenceData:
-    """Thinned posterior with its log-likelihood terms as "y", for ``az.waic``, ``az.loo`` and ``az.compare``.
-
-    Parameters
-    ----------
-    idata : InferenceData
-        Posterior of `model`; left as it is.
-    model : pm.Model
-        With a record.
-    decomposition : {"sequential", "leave-one-out"}
-        Of the terms.
-    n_draws : int or None
-        See `thin`.
-
-    Returns
-    -------
-    InferenceData
-        Groups posterior and log_likelihood, of the same draws.
-    """
-    return _scored(thin(idata, n_draws), log_likelihood(idata, model, decomposition, n_draws))
-
-
 def _scored(posterior: xr.Dataset, terms: xr.DataArray) -> az.InferenceData:
     return az.InferenceData(posterior=posterior, log_likelihood=terms.to_dataset(name="y"))
 

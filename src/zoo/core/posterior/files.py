@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import OutputFileError, output_file
@@ -15,16 +15,6 @@ from zoo.core.words import OneLineError
 
 if TYPE_CHECKING:
     import arviz as az
-
-
-class Observed(Protocol):
-    """What posteriors are looked up by: the name of the data and the checksum of their content."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def checksum(self) -> str: ...
 
 
 class PosteriorError(OneLineError, ValueError):
@@ -102,7 +92,7 @@ def matching(path: Path, model: Any) -> az.InferenceData | None:
 def find(
     given: Iterable[Path],
     names: Sequence[str],
-    study: Observed,
+    study: Any,
     *,
     say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Path]:
@@ -160,7 +150,7 @@ def find(
     return found
 
 
-def _elsewhere(record: RunRecord, names: Sequence[str], study: Observed) -> str | None:
+def _elsewhere(record: RunRecord, names: Sequence[str], study: Any) -> str | None:
     """Why a posterior is none of these models on this study, or None."""
     if record.study != study.name:
         return f"is of model {record.model} on {record.study}, not on {study.name}"
