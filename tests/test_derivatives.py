@@ -8,9 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pymc as pm
-import pytensor
-import pytensor.tensor as pt
 import pytest
 from pytensor.gradient import verify_grad
 
@@ -195,30 +192,6 @@ def test_one_run_gives_value_and_gradient_and_a_failed_one_zero(study: Study) ->
     failed = at((1e-3, *POINT[1:]))
     assert not op.evaluate(failed)[1]
     assert np.all(op.slopes(failed) == 0)
-
-
-def test_nuts_and_find_map(study: Study) -> None:
-    with pm.Model() as model:
-        psi2 = pm.Uniform("psi2", 0.5, 1.5)
-        c = pm.Uniform("c", 0.8, 1.8)
-        given = dict(zip(("chi", "gamma", "psi1", "psi2", "c"), (5e4, 2.0, 0.3, psi2, c), strict=True))
-        coarse = flow(study, options=SolverOptions(dx_cm=0.1))
-        pm.Normal("y", observed_series(coarse, given).mean, 0.05, observed=study.values)
-        best = pm.find_MAP(progressbar=False)
-        trace = pm.sample(
-            draws=60,
-            tune=60,
-            chains=1,
-            step=pm.NUTS(),
-            random_seed=3,
-            progressbar=False,
-            compute_convergence_checks=False,
-        )
-    assert model is not None
-    assert abs(best["psi2"] - 0.9) < 0.01
-    assert abs(best["c"] - 1.2) < 0.02
-    assert abs(float(trace.posterior["psi2"].mean()) - 0.9) < 0.01
-    assert float(trace.sample_stats["diverging"].mean()) < 0.05
 
 
 NONE_AT_ZERO = ("tangent-wall", "velocity-profile")

@@ -393,13 +393,6 @@ def test_data_that_a_forward_model_does_not_give_are_refused() -> None:
         bayesian_model("decay", decay_model(), data, Independent())
 
 
-def test_student_t_terms_are_the_density_of_what_is_drawn() -> None:
-    errors, values = CASES["student-t"]
-    draws = np.array([errors.draw(np.random.default_rng(i), values) for i in range(200)]).ravel()
-    assert stats.kstest(draws, stats.t(10.0, scale=0.3).cdf).pvalue > 1e-3
-    np.testing.assert_allclose(errors.terms(np.zeros((1, 2)), values), stats.t(10.0, scale=0.3).logpdf(0.0))
-
-
 def test_the_record_of_a_model(sampled) -> None:
     model, _ = sampled["student-t"]
     record = record_of(model)

@@ -24,7 +24,6 @@ from zoo.core.errors.gaussian_process import (
     gp_sequential,
     neural_network_kernel,
 )
-from zoo.core.errors.independent import Independent
 from zoo.core.errors.variables import Errors, ErrorTermsOp, IidErrors
 from zoo.core.parameters import LogUniform
 
@@ -184,13 +183,6 @@ def test_the_noise_of_the_error_model_is_that_of_the_published_code() -> None:
     residual = 1e-3 * np.random.default_rng(1).standard_normal(12)
     wanted = stats.multivariate_normal(np.zeros(12), K + 3.44e-6 * np.eye(12)).logpdf(residual)
     assert bound.log_density(residual[None], at) == pytest.approx(wanted, rel=1e-6)
-
-
-def test_iid_terms() -> None:
-    residual = draw_residual()
-    data = Data(np.arange(residual.shape[1]) / 40, 0.0 * residual, groups=["p"] * len(residual))
-    terms = Independent().bind(data).terms(residual, {"sigma2": 0.13})
-    np.testing.assert_allclose(terms, stats.norm.logpdf(residual, 0, math.sqrt(0.13)))
 
 
 def test_an_unknown_decomposition_is_refused() -> None:

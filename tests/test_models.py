@@ -250,13 +250,6 @@ def test_no_density_where_the_solve_fails_and_finite_elsewhere(errors: ErrorMode
     assert record.op.counts["failures"] == {"cfl": 1}
 
 
-def test_a_chain_leaves_failed_solves_out(study: Study) -> None:
-    model = blood_model("stiff", study, STIFF, Independent())
-    idata = sample(model, initvals={"f3": 5e4})
-    pm.compute_log_likelihood(idata, model=model, progressbar=False)
-    assert np.all(np.isfinite(idata.log_likelihood["y"]))
-
-
 def test_errors_refuse_what_they_cannot_hold_for() -> None:
     mixed = small_study(quantities=("pressure_mmHg", "flow_ml_s"))
     baseline = get_baseline("B")

@@ -303,15 +303,6 @@ def test_a_pickled_compiled_function_shares_the_points(op: ForwardOp) -> None:
     assert op.counts["solves"] == 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", multiprocessing.get_all_start_methods())
-def test_sampling_in_two_processes(study: Study, method: str) -> None:
-    with linear_model(study):
-        idata = pm.sample(20, tune=20, chains=2, cores=2, mp_ctx=method, step=pm.DEMetropolisZ(), **QUIET)
-    assert idata.posterior["f3"].shape == (2, 20)
-    assert np.all(np.isfinite(idata.posterior["f3"]))
-
-
 def test_one_solve_a_draw(study: Study) -> None:
     model = linear_model(study)
     [op] = {v.owner.op for v in ancestors([model["y"]]) if v.owner and isinstance(v.owner.op, ForwardOp)}

@@ -6,7 +6,6 @@ import pickle
 from types import SimpleNamespace
 
 import arviz as az
-import cloudpickle
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
@@ -144,15 +143,6 @@ def test_sampling_state_continues_identically():
             p, [record] = s.step(p)
             rows.append([p["a"], *p["bc"], record["solves"]])
     np.testing.assert_array_equal(expected, again)
-
-
-def test_step_pickles():
-    model = gaussian_model()
-    step = DEMetropolisZ(model=model, archive=np.eye(3))
-    other = cloudpickle.loads(cloudpickle.dumps(step))
-    a, _ = steps_of(step, model.initial_point(), 100)
-    b, _ = steps_of(other, model.initial_point(), 100)
-    np.testing.assert_array_equal(a, b)
 
 
 def test_crank_nicolson_leaves_a_skewed_heavy_tailed_target_invariant():

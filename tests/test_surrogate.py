@@ -362,15 +362,6 @@ def test_one_library_serves_another_error_model():
         sample_surrogate(first, library=Library(other), progress=False)
 
 
-def test_coordinates_are_logarithms_without_hyperparameters():
-    mean = Parameter("mean", Uniform(0.0, 9.0), hyper=True)
-    each = Parameter("each", LogUniform(1.0, 10.0), log=True, dims="part", size=2)
-    coordinates = Coordinates((mean, each, LEVEL))
-    theta = np.array([[5.0, np.e, 1.0, -2.0]])
-    np.testing.assert_allclose(coordinates.of(theta), [[1.0, 0.0, -2.0]])
-    assert coordinates.n == 3
-
-
 def test_a_power_of_what_may_be_negative_is_refused():
     with pytest.raises(ParameterError, match=r"parameter x: power = -0.5, but its prior .* reaches below 0"):
         Parameter("x", Uniform(-1.0, 2.0), power=-0.5)
@@ -450,16 +441,17 @@ def test_solves_of_a_model_in_other_powers_serve():
     assert two.std() == pytest.approx(one.std(), rel=0.2)
 
 
-def test_coordinates_are_the_powers_in_which_series_are_straight():
+def test_coordinates_are_powers_or_logarithms_without_hyperparameters():
+    mean = Parameter("mean", Uniform(0.0, 9.0), hyper=True)
     speed = Parameter("speed", LogUniform(1.0, 16.0), log=True, dims="part", size=2, power=-0.5)
     plain = Parameter("plain", Uniform(0.5, 2.0), log=True, power=1.0)
-    coordinates = Coordinates((speed, plain))
-    theta = np.array([[4.0, 16.0, 1.5]])
-    np.testing.assert_allclose(coordinates.of(theta), [[0.5, 0.25, 1.5]])
-    graph = coordinates.symbolic(
-        {"speed": pytensor.tensor.constant(theta[0, :2]), "plain": pytensor.tensor.constant(1.5)}
-    )
-    np.testing.assert_allclose(graph.eval(), [0.5, 0.25, 1.5])
+    each = Parameter("each", LogUniform(1.0, 10.0), log=True)
+    coordinates = Coordinates((mean, speed, plain, each, LEVEL))
+    theta = np.array([5.0, 4.0, 16.0, 1.5, np.e, -2.0])
+    assert coordinates.n == 5
+    np.testing.assert_allclose(coordinates.of(theta[None]), [[0.5, 0.25, 1.5, 1.0, -2.0]])
+    values = {"speed": theta[1:3], "plain": theta[3], "each": theta[4], "level": theta[5]}
+    np.testing.assert_allclose(coordinates.symbolic(values).eval(), [0.5, 0.25, 1.5, 1.0, -2.0])
 
 
 def test_methods_are_chosen_with_a_reason_and_refused_in_one_line(tmp_path):
