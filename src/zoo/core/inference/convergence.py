@@ -44,6 +44,16 @@ class ParameterVerdict:
     ess_tail: float
     passes: bool
 
+    @property
+    def worst_rhat(self) -> float:
+        """R-hat, infinite where it is not a number."""
+        return float(np.inf) if np.isnan(self.rhat) else self.rhat
+
+    @property
+    def least_ess(self) -> float:
+        """The smaller effective sample size, 0 where one is not a number."""
+        return float(np.nan_to_num([self.ess_bulk, self.ess_tail]).min())
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -75,26 +85,17 @@ class Verdict:
     uninformed: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> ParameterVerdict:
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return parameter
-        raise KeyError(name)
+        return {parameter.name: parameter for parameter in self.parameters}[name]
 
     @property
     def max_rhat(self) -> float:
         """Largest R-hat (NaN counts as infinite)."""
-        return max((_or(p.rhat, np.inf) for p in self.parameters), default=float("nan"))
+        return max((p.worst_rhat for p in self.parameters), default=float("nan"))
 
     @property
     def min_ess(self) -> float:
         """Smallest effective sample size, bulk or tail (NaN counts as 0)."""
-        return min(
-            (min(_or(p.ess_bulk, 0), _or(p.ess_tail, 0)) for p in self.parameters), default=float("nan")
-        )
-
-
-def _or(value: float, otherwise: float) -> float:
-    return float(otherwise) if np.isnan(value) else float(value)
+        return min((p.least_ess for p in self.parameters), default=float("nan"))
 
 
 def ess_to_count(goal: float | None) -> float:
@@ -156,8 +157,7 @@ def _judgement(
     warned = "".join(f"{warning}. " for warning in [*priors.warnings, priors.numerical] if warning)
     text = text[:1].upper() + text[1:] if warned else text
     if aside:
-        rhat = max(aside, key=lambda p: _or(p.rhat, np.inf))
-        least = min(aside, key=lambda p: min(_or(p.ess_bulk, 0), _or(p.ess_tail, 0)))
+        rhat, least = max(aside, key=lambda p: p.worst_rhat), min(aside, key=lambda p: p.least_ess)
         text += (
             f" Not informed by the data, posterior like prior: {', '.join(p.name for p in aside)} (R-hat at "
             f"most {rhat.rhat:.3f}, ESS at least {min(least.ess_bulk, least.ess_tail):.0f})."
@@ -314,9 +314,9 @@ def _told(stored: Verdict, priors: PriorCheck | None) -> Verdict:
 def _verdict_text(found: list[ParameterVerdict], chains: int, draws: int, ess: float) -> str:
     if not found:
         return "not converged: no parameter varies; check that the chains moved at all."
-    rhat = max(found, key=lambda p: _or(p.rhat, np.inf))
-    bulk = min(found, key=lambda p: _or(p.ess_bulk, 0))
-    tail = min(found, key=lambda p: _or(p.ess_tail, 0))
+    rhat = max(found, key=lambda p: p.worst_rhat)
+    bulk = min(found, key=lambda p: np.nan_to_num(p.ess_bulk))
+    tail = min(found, key=lambda p: np.nan_to_num(p.ess_tail))
     worst = (
         f"R-hat at most {rhat.rhat:.3f} ({rhat.name}), bulk ESS at least {bulk.ess_bulk:.0f} ({bulk.name}), "
         f"tail ESS at least {tail.ess_tail:.0f} ({tail.name})"
@@ -327,13 +327,9 @@ def _verdict_text(found: list[ParameterVerdict], chains: int, draws: int, ess: f
         return f"{'not ' if few else ''}converged: {worst}.{few}"
     reasons = []
     for p in failing[:4]:
-        faults = []
-        if not p.rhat <= RHAT_LIMIT:
-            faults.append(f"R-hat {p.rhat:.3f} > {RHAT_LIMIT}")
-        if not p.ess_bulk >= ess:
-            faults.append(f"bulk ESS {p.ess_bulk:.0f} < {ess:.0f}")
-        if not p.ess_tail >= ess:
-            faults.append(f"tail ESS {p.ess_tail:.0f} < {ess:.0f}")
+        faults = [f"R-hat {p.rhat:.3f} > {RHAT_LIMIT}"] if not p.rhat <= RHAT_LIMIT else []
+        sizes = {"bulk": p.ess_bulk, "tail": p.ess_tail}
+        faults += [f"{n} ESS {size:.0f} < {ess:.0f}" for n, size in sizes.items() if not size >= ess]
         reasons.append(f"{p.name}: {', '.join(faults)}")
     if len(failing) > 4:
         reasons.append(f"and {len(failing) - 4} more")
@@ -341,15 +337,14 @@ def _verdict_text(found: list[ParameterVerdict], chains: int, draws: int, ess: f
 
 
 def _advice(failing: list[ParameterVerdict], draws: int, ess: float) -> str:
-    least = min(min(_or(p.ess_bulk, 0), _or(p.ess_tail, 0)) for p in failing)
+    least = min(p.least_ess for p in failing)
     factor = ess / least if least > 0 else np.inf
-    if max(_or(p.rhat, np.inf) for p in failing) > 1.2:
+    if max(p.worst_rhat for p in failing) > 1.2:
         return "The chains have not met: tune for longer, and look at the trace for several modes."
     if not np.isfinite(factor) or factor > 20:
         return "Too few draws to say more: draw many more."
-    factor = max(
-        factor, 1.5
-    )  # R-hat alone can fail with enough draws; half as many again settles most of those
+    # R-hat alone can fail with enough draws; half as many again settles most of those
+    factor = max(factor, 1.5)
     return (
         f"Draw about {factor:.1f} times as many (some {int(np.ceil(draws * factor / 100) * 100)} per chain)."
     )

@@ -62,20 +62,14 @@ class AtBound:
         return f"{self.parameter} at {self.bound:g} {self.unit}".removesuffix(" 1")
 
     @property
-    def remedy(self) -> str:
-        """The option that lifts it."""
-        return f"--prior {self.parameter.partition('[')[0]}=... lifts it"
-
-    @property
     def text(self) -> str:
         """What is wrong and what lifts it, without a full stop."""
         bound = f"the {self.side} bound of its prior, {self.bound:g} {self.unit}".removesuffix(" 1")
-        if self.share is None:
-            return f"the mode of {self.parameter} stands at {bound}: {self.remedy}"
-        return (
-            f"{self.parameter} leans on {bound}, with {self.share:.0%} of its draws in the outer 1 % of the "
-            f"prior: {self.remedy}"
-        )
+        what = f"the mode of {self.parameter} stands at {bound}"
+        if self.share is not None:
+            part = f"{self.share:.0%} of its draws in the outer 1 % of the prior"
+            what = f"{self.parameter} leans on {bound}, with {part}"
+        return f"{what}: --prior {self.parameter.partition('[')[0]}=... lifts it"
 
 
 @dataclass(frozen=True)

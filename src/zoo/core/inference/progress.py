@@ -29,17 +29,15 @@ class Display:
         False says nothing.
     every_s : float
         Seconds between lines where there is no terminal.
-    terminal : bool, optional
-        Whether standard error is one; found out if absent.
     """
 
-    def __init__(self, wanted: bool, *, every_s: float = EVERY_S, terminal: bool | None = None) -> None:
+    def __init__(self, wanted: bool, *, every_s: float = EVERY_S) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         self.console = Console(stderr=True)
         self.wanted, self.every_s = wanted, every_s
-        self.terminal = self.console.is_terminal if terminal is None else terminal
+        self.terminal = self.console.is_terminal
         columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn()
         self._bar = Progress(*columns, console=self.console, disable=not (wanted and self.terminal))
         self._task = self._bar.add_task("", total=1.0)

@@ -19,7 +19,6 @@ from scipy.special import logsumexp
 
 from zoo.core.data import squared
 from zoo.core.draws import evenly
-from zoo.core.errors.base import DECOMPOSITIONS
 from zoo.core.forward import SolveError
 from zoo.core.inference.convergence import Verdict, diagnostics
 from zoo.core.inference.record import ResultsError
@@ -188,10 +187,8 @@ def log_likelihoods(
     model: pm.Model,
     *,
     n_draws: int | None = N_DRAWS,
-    decompositions: tuple[str, ...] = DECOMPOSITIONS,
-    progress: Progress | None = None,
 ) -> xr.Dataset:
-    """Log-likelihood at posterior draws in several decompositions, from one solve a draw.
+    """Log-likelihood at posterior draws in three decompositions, from one solve a draw.
 
     Parameters
     ----------
@@ -201,15 +198,12 @@ def log_likelihoods(
         With a record.
     n_draws : int or None
         See `thin`.
-    decompositions : tuple of str
-        Of "sequential", log p(y_i | y_<i); "leave-one-out", log p(y_i | y_-i); "joint", log p(y).
-    progress : callable
-        Called with the number of solves done and to do.
 
     Returns
     -------
     Dataset
-        One variable for each decomposition: (chain, draw, series, time), "joint" (chain, draw).
+        "sequential", log p(y_i | y_<i), and "leave-one-out", log p(y_i | y_-i), each (chain, draw, series,
+        time); "joint", log p(y), (chain, draw).
 
     Raises
     ------
@@ -222,7 +216,7 @@ def log_likelihoods(
     """
     record = record_of(model)
     posterior = thin(idata, n_draws)
-    means = posterior_means(model, posterior, progress=progress)
+    means = posterior_means(model, posterior)
     if not np.all(np.isfinite(means)):
         failed = int(np.sum(~np.isfinite(means).all(axis=(1, 2))))
         raise ComparisonError(
@@ -238,8 +232,7 @@ def log_likelihoods(
     }
     n_chains, n_kept = posterior.sizes["chain"], posterior.sizes["draw"]
     terms = {}
-    found = record.errors.pointwise(means, errors, decompositions)
-    for decomposition, values in found.items():
+    for decomposition, values in record.errors.pointwise(means, errors).items():
         dims = ("chain", "draw", "series", "time")[: values.ndim + 1]
         terms[decomposition] = (dims, values.reshape(n_chains, n_kept, *values.shape[1:]))
     return xr.Dataset(terms, coords=coords)
@@ -299,9 +292,7 @@ def compare(
     *,
     ic: Literal["waic", "loo"] = "waic",
     n_draws: int | None = N_DRAWS,
-    weights: Literal["stacking", "BB-pseudo-BMA", "pseudo-BMA"] = "stacking",
     verdicts: Mapping[str, Verdict] | None = None,
-    progress: Progress | None = None,
 ) -> pd.DataFrame:
     """Rank models by how well they predict the measured series, on the deviance scale (lower is better).
 
@@ -319,12 +310,8 @@ def compare(
         What ranks, and what differences and weights belong to.
     n_draws : int or None
         Draws of each posterior, see `thin`.
-    weights : {"stacking", "BB-pseudo-BMA", "pseudo-BMA"}
-        See ``az.compare``.
     verdicts : mapping of name to Verdict
         On convergence; made from the whole posteriors when absent.
-    progress : callable
-        Called with the number of solves done and to do, for each model.
 
     Returns
     -------
@@ -356,7 +343,7 @@ def compare(
     scores: dict[str, Any] = {}
     for name, idata in idatas.items():
         model = models[name]
-        terms = log_likelihoods(idata, model, n_draws=n_draws, progress=progress)
+        terms = log_likelihoods(idata, model, n_draws=n_draws)
         posterior = thin(idata, n_draws)[list(record_of(model).parameters)]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # they become columns
@@ -401,7 +388,7 @@ def compare(
     _shift_terms(scores, f"{ic}_i")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ArviZ' use of pandas
-        ranked = az.compare(scores, ic=ic, method=weights, scale="deviance", seed=0)
+        ranked = az.compare(scores, ic=ic, method="stacking", scale="deviance", seed=0)
     table: pd.DataFrame = pd.DataFrame.from_dict(rows, orient="index").loc[ranked.index]
     table.insert(0, "rank", ranked["rank"])
     table.insert(1, "difference", ranked["elpd_diff"])
@@ -418,7 +405,7 @@ def compare(
     table.index.name = "model"
     data = record_of(models[next(iter(idatas))]).data
     sums = {f"sse_{group}": squared(data.unit(group)) for group in data.rows}
-    table.attrs.update({"ic": ic, "scale": "deviance", "weights": weights, "sums_of_squares": sums})
+    table.attrs.update({"ic": ic, "scale": "deviance", "sums_of_squares": sums})
     return table
 
 
