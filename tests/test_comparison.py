@@ -244,13 +244,10 @@ def test_table_ranked_by_loo_with_given_verdicts(models, idatas) -> None:
         assert table.loc[name, "loo"] == pytest.approx(wanted, rel=1e-9)
 
 
-def test_table_of_one_model(models, idatas) -> None:
+def test_one_model_and_two_fits_of_it(models, idatas) -> None:
     table = compare({"A": idatas["A"]}, models, n_draws=20)
     assert table.loc["A", "weight"] == pytest.approx(1.0)
     assert table.loc["A", "standing"] == "best"
-
-
-def test_two_fits_of_one_model_are_within_their_error(models, idatas) -> None:
     again = posterior(models["A"], seed=1)
     table = compare({"first": idatas["A"], "second": again}, {"first": models["A"], "second": models["A"]})
     assert table["difference"].iloc[1] < 5.0

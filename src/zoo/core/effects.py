@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.forward import ForwardModel, Outputs, content_key, function_text, refined
+from zoo.core.forward import Around, ForwardModel, content_key, function_text, refined
 from zoo.core.parameters import Normal, Parameter, n_values
 from zoo.core.user_code import run_file
 from zoo.core.words import nearest
@@ -317,7 +317,7 @@ def in_order(model: ForwardModel, added: Sequence[AddedEffect]) -> list[int]:
     return sorted(range(len(added)), key=key)
 
 
-class WithEffects:
+class WithEffects(Around):
     """A forward model with effects; itself a forward model.
 
     Its parameters are those of the model, then those of the effects in the order given; effects are applied
@@ -336,7 +336,8 @@ class WithEffects:
     """
 
     def __init__(self, model: ForwardModel, added: Sequence[AddedEffect]) -> None:
-        self.model, self.added = model, tuple(added)
+        super().__init__(model)
+        self.added = tuple(added)
         for i, one in enumerate(self.added):
             if one.effect.apply is None:
                 raise EffectError(f"effect {one.name}: is part of the errors; it cannot be added to a solve")
@@ -345,7 +346,6 @@ class WithEffects:
                 raise EffectError(f"effect {one.name}: cannot be added to {model.name}, only to {only}")
             if one in self.added[:i]:
                 raise EffectError(f"effect {one.name}: is given twice at {one.location}; give it once")
-        self.name, self.outputs, self.families = model.name, model.outputs, model.families
         self.parameters = model.parameters + tuple(p for one in self.added for p in one.parameters)
         self._order = in_order(model, self.added)
 
@@ -375,19 +375,10 @@ class WithEffects:
             configuration = one.effect.apply(configuration, parts[i], one.location)
         return configuration
 
-    def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
-        """As the model does."""
-        return self.model.solve(configuration, outputs)
-
     def refined(self) -> ForwardModel | None:
         """The model's own with the effects; None where one of them is an error of the grid itself."""
         finer = None if any(one.effect.family == NUMERICS for one in self.added) else refined(self.model)
         return None if finer is None else WithEffects(finer, self.added)
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name == "model":
-            raise AttributeError(name)
-        return getattr(self.model, name)
 
 
 def _effect_text(one: AddedEffect) -> bytes:

@@ -104,7 +104,29 @@ class ForwardModel(Protocol):
         ...
 
 
-class WithPriors:
+class Around:
+    """A forward model around another one, which solves and has what it has not itself.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    """
+
+    def __init__(self, model: ForwardModel) -> None:
+        self.model = model
+        self.name, self.outputs, self.families = model.name, model.outputs, model.families
+
+    def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
+        """As the model does."""
+        return self.model.solve(configuration, outputs)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "model":
+            raise AttributeError(name)
+        return getattr(self.model, name)
+
+
+class WithPriors(Around):
     """A forward model with other priors of some parameters; itself a forward model.
 
     Parameters
@@ -114,8 +136,7 @@ class WithPriors:
     """
 
     def __init__(self, model: ForwardModel, priors: Mapping[str, Prior]) -> None:
-        self.model = model
-        self.name, self.outputs, self.families = model.name, model.outputs, model.families
+        super().__init__(model)
         self.parameters = tuple(replace(p, prior=priors.get(p.name, p.prior)) for p in model.parameters)
 
     @property
@@ -127,20 +148,11 @@ class WithPriors:
         """As the model does."""
         return self.model.configure(theta)
 
-    def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
-        """As the model does."""
-        return self.model.solve(configuration, outputs)
-
     def refined(self) -> ForwardModel | None:
         """The model's own with these priors."""
         finer = refined(self.model)
         priors = {p.name: p.prior for p in self.parameters}
         return None if finer is None else WithPriors(finer, priors)
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name == "model":
-            raise AttributeError(name)
-        return getattr(self.model, name)
 
 
 def pinned(model: ForwardModel, configuration: Any) -> ForwardModel:

@@ -30,10 +30,7 @@ def versions() -> dict[str, str]:
     dict
         Name -> version; a package that is not installed as a distribution is "unknown".
     """
-    found = {"python": platform.python_version()}
-    for name in _VERSIONED:
-        found[name] = _version(name)
-    return found
+    return {"python": platform.python_version()} | {name: _version(name) for name in _VERSIONED}
 
 
 def _version(name: str) -> str:
