@@ -188,7 +188,7 @@ def test_one_run_gives_value_and_gradient_and_a_failed_one_zero(study: Study) ->
     op.slopes(first)
     op.evaluate(second)  # slopes were asked at the last point
     slopes = op.slopes(second)
-    assert (op.counts["solves"], op.gradients) == (3, 2)
+    assert (op.counts["solves"], op._state.counts["gradients"]) == (3, 2)
     assert slopes.shape == (7, *op.shape)
     assert np.all(slopes[3] == 0)  # gamma, which the linear wall does not read
     failed = at((1e-3, *POINT[1:]))

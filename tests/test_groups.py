@@ -13,6 +13,7 @@ import pytest
 from scipy import stats
 
 import zoo
+from test_errors import covariance_of
 from zoo.core.data import Data
 from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs
@@ -132,7 +133,7 @@ def test_sample_has_all_groups_and_a_slim_copy_of_it_has_draws_alone():
         model.zoo.forward.configure(np.array([at[n] for n in model.zoo.forward_parameters]))
     )
     residual = (model.zoo.data.values - mean).ravel()
-    law = stats.multivariate_normal(cov=model.zoo.errors.covariance(values), allow_singular=True)
+    law = stats.multivariate_normal(cov=covariance_of(model.zoo.errors, values), allow_singular=True)
     assert float(joint) == pytest.approx(law.logpdf(residual), rel=1e-4)
     assert slim(idata, 40).groups() == ["posterior"]
 

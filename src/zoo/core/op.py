@@ -164,11 +164,6 @@ class ForwardOp(Op):
             "failures": dict(state.failures),
         }
 
-    @property
-    def gradients(self) -> int:
-        """How many of the solves were differentiated too."""
-        return self._state.counts["gradients"]
-
     def evaluate(self, theta: Array) -> tuple[Array, bool]:
         """Mean and ok at one point, from the kept points or by a solve.
 

@@ -201,29 +201,6 @@ class ErrorModel(ABC):
         """Coefficients to series: the inverse of `transform`."""
         return coefficients
 
-    def covariance(self, values: Mapping[str, ArrayLike]) -> Array:
-        """Covariance matrix of all errors, U U' with U the linear map `unwhiten`.
-
-        A law whose `unwhiten` is not linear, as of errors that are not normal, gives its own.
-
-        Returns
-        -------
-        array (n_series * n_times, n_series * n_times)
-            Series after series.
-
-        Raises
-        ------
-        ErrorModelError
-            If there is no law at these values.
-        """
-        n_series, n_times = self.on.n_series, self.on.n_times
-        n = n_series * n_times
-        columns = self.unwhiten(np.eye(n).reshape(n, n_series, n_times), values)
-        if columns is None:
-            raise ErrorModelError(f"error model {self.name}: no covariance at {dict(values)}")
-        flat = columns.reshape(n, n)
-        return np.asarray(flat.T @ flat)
-
     def log_density(self, residual: Array, values: Mapping[str, ArrayLike]) -> float:
         """Joint log-density of one residual (n_series, n_times): the sum of the sequential terms."""
         return float(np.sum(self.terms(residual, values)))

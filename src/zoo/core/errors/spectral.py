@@ -359,11 +359,6 @@ class Spectral(ErrorModel):
         """Matrix (n_times, n_times) of the transform of one series: coefficients are basis @ series."""
         return np.asarray(self._forward(np.eye(self.n)).T)
 
-    def covariance(self, values: Mapping[str, ArrayLike]) -> Array:
-        """Covariance (n_series * n_times, n_series * n_times) of the errors, series after series."""
-        B = np.kron(self._rotation, self._basis)
-        return np.asarray(B.T @ (self._at(values).reshape(-1, 1) * B))
-
     def variance(self, values: Mapping[str, ArrayLike]) -> Array:
         """Marginal variance (n_series, n_times) of the errors at each time."""
         S = self._at(values) @ self._basis**2  # in rotated series
