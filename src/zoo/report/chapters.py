@@ -22,7 +22,6 @@ from zoo.report.page import ReportError, write_page
 
 if TYPE_CHECKING:
     import arviz as az
-    import pandas as pd
     import pymc as pm
 
     from zoo.blood.study import Study
@@ -35,10 +34,6 @@ def write_report(
     study: Study,
     posteriors: Mapping[str, az.InferenceData],
     models: Mapping[str, pm.Model],
-    *,
-    table: pd.DataFrame | None = None,
-    title: str = "",
-    note: str = "",
     **options: Any,
 ) -> Path:
     """Write the report on one study; see `write_chapters`.
@@ -50,10 +45,6 @@ def write_report(
     study : Study
     posteriors : mapping of model to InferenceData
     models : mapping of model to pm.Model
-    table : DataFrame, optional
-        From `zoo.compare`; made here if absent.
-    title, note : str
-        Of the page; under the heading of the study.
     **options
         Of `write_chapters`.
 
@@ -69,8 +60,9 @@ def write_report(
     zoo.core.outputs.OutputFileError
         If the file cannot be written.
     """
-    chapter = Chapter(study.name, posteriors, study, models, table, note)
-    return write_chapters(path, [chapter], title=title or f"Models of blood flow: {study.name}", **options)
+    title = f"Models of blood flow: {study.name}"
+    chapter = Chapter(study.name, posteriors, study, models)
+    return write_chapters(path, [chapter], **{"title": title} | options)
 
 
 def write_chapters(
@@ -81,7 +73,6 @@ def write_chapters(
     ic: str = "waic",
     n_draws: int = 1000,
     command: str = "",
-    made: datetime | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> Path:
     """Write one self-contained HTML page with a chapter for each study.
@@ -100,8 +91,6 @@ def write_chapters(
         Draws of each posterior that are scored, in tables made here.
     command : str
         The command that made the page.
-    made : datetime
-        Now if absent.
     say : callable
         Told what is being done, one line each.
 
@@ -128,7 +117,7 @@ def write_chapters(
         path,
         "report.html",
         title=title,
-        made=(made or datetime.now(UTC)).strftime("%d %B %Y, %H:%M UTC").lstrip("0"),
+        made=datetime.now(UTC).strftime("%d %B %Y, %H:%M UTC").lstrip("0"),
         versions=versions(),
         parts=parts,
         command=command,

@@ -1,13 +1,13 @@
-"""Components of the simulator on the page of a diagnosis: rows of tables, and sentences."""
+"""Components of the simulator on the page of a diagnosis and on the screen: rows of tables."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from zoo.core.diagnosis import DiagnosisFile
-from zoo.core.diagnosis.file import ComponentResult, HeldOutComponentResult, LearnedFunction
+from zoo.core.diagnosis.file import ComponentResult, LearnedFunction
 from zoo.plots.subject import unit_words
-from zoo.report.words import listed, percent, span
+from zoo.report.words import percent, span
 
 TOLD = 0.005
 """Least share of a nearest effect that is told."""
@@ -41,37 +41,6 @@ def _nearest(c: ComponentResult) -> str:
         f"{one.name} {percent(one.share)}{' with the other sign' if one.opposite_sign else ''}"
         for one in c.nearest_effects
         if one.share >= TOLD
-    )
-
-
-def component_sentences(file: DiagnosisFile) -> list[str]:
-    """Groups that cannot be separated, what held-out data say, and what is implausible."""
-    members: dict[int, list[str]] = {}
-    for c in sorted(file.components, key=lambda c: -c.probability):
-        members.setdefault(c.group, []).append(c.name)
-    lines = [
-        f"These sensors cannot separate {listed(names)}: the answer is the group."
-        for names in members.values()
-        if len(names) > 1
-    ]
-    for c in file.components:
-        if c.held_out is not None and c.probability >= TOLD:
-            lines.append(_held_words(c.name, c.held_out, file.gap.unit))
-    lines += [
-        f"{c.name[:1].upper()}{c.name[1:]}: {c.plausible.why}."
-        for c in file.components
-        if c.plausible is not None and not c.plausible.value and c.probability >= TOLD
-    ]
-    return lines
-
-
-def _held_words(name: str, held: HeldOutComponentResult, unit: str) -> str:
-    sizes = [span(x.mean, (x.low, x.high)) for x in (held.component, held.sensor, held.baseline)]
-    verdict = "which confirms it" if held.found else "which does not confirm it"
-    where = f" ({held.what})" if held.what else ""
-    return (
-        f"In data that were not fitted{where} the {name} misses by {sizes[0]}, a free discrepancy at the "
-        f"sensor by {sizes[1]} and the baseline by {sizes[2]}{unit_words(unit)}, {verdict}."
     )
 
 

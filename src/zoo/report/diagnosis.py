@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from zoo.blood.effects import CATALOGUE
 from zoo.core.diagnosis import DiagnosisFile
-from zoo.core.diagnosis.file import AddedStep, HypothesisResult, SeriesGap
+from zoo.core.diagnosis.file import AddedStep, HypothesisResult, StateFile
 from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
 from zoo.core.outputs import output_folder
 from zoo.plots import (
@@ -26,56 +25,25 @@ from zoo.plots import (
 )
 from zoo.plots.impedance import impedance_figure, impedances_of
 from zoo.plots.subject import at_most, location_of, study_of, unit_words
-from zoo.report.components import component_rows, component_sentences, function_rows
+from zoo.report.components import TOLD, component_rows, function_rows
 from zoo.report.page import picture_of, write_page
 from zoo.report.parameters import MEANINGS
-from zoo.report.states import state_rows, state_sentences
-from zoo.report.words import estimate, listed, maybe, percent, settings_text, span, value_text
+from zoo.report.words import estimate, listed, percent, settings_text, span, value_text
 
 if TYPE_CHECKING:
     from zoo.core.diagnosis import Diagnosis
 
-DIAGNOSIS_FIGURES = {
-    "gap": (
-        plot_discrepancy,
-        "What was observed, the baseline, and the baseline with its cause; below, the discrepancy of each "
-        "with 95 % bands, and one standard deviation of the noise in grey.",
-    ),
-    "hypotheses": (
-        plot_hypotheses,
-        "Log evidence of each explanation below that of the best, its probability, and the discrepancy it "
-        "leaves; ≤: found by one search only, and not to be compared.",
-    ),
-    "where": (
-        plot_where,
-        "Shares of the discrepancy's energy, and the tree with the probability that a listed cause acts in a "
-        "vessel.",
-    ),
+FIGURES = {
+    "gap": plot_discrepancy,
+    "hypotheses": plot_hypotheses,
+    "where": plot_where,
+    "components": plot_components,
+    "functions": plot_functions,
+    "states": plot_states,
 }
-"""Figure -> what draws it, and its caption."""
-COMPONENT_FIGURES = {
-    "components": (
-        plot_components,
-        "Probability that a component holds the main cause, the share of the discrepancy's energy that it "
-        "holds beside all others, and the discrepancy that it would leave, with 95 % intervals; hollow: "
-        "held-out data do not confirm it.",
-    ),
-    "functions": (
-        plot_functions,
-        "What was learned of the most probable components beside the baseline (0), with 95 % bands; grey: "
-        "95 % of the prior.",
-    ),
-}
-"""The same where components of the simulator were weighed."""
-STATE_FIGURES = {
-    "states": (
-        plot_states,
-        "What is left of each series in other states, the baseline's parameters fitted again: by the "
-        "baseline, with the discrepancy that was seen at the sensor, and with functions as they were "
-        "learned; grey: one standard deviation of the noise.",
-    )
-}
-"""The same where other states were given."""
+"""Figure -> what draws it."""
+BEYOND = 0.1
+"""Part of a state's range that was not visited before, from which on that is told."""
 MADE_UP = {
     NULL: "Null hypothesis: noise explains what the baseline leaves.",
     NONPARAMETRIC: "Nonparametric discrepancy: something smooth that is not listed.",
@@ -85,8 +53,7 @@ MADE_UP = {
 
 def diagnosis_files() -> tuple[str, ...]:
     """Names of the files that `write_diagnosis` may write; not all are always there."""
-    figures = (*DIAGNOSIS_FIGURES, *COMPONENT_FIGURES, *STATE_FIGURES, "impedance", "diagnosis")
-    return "diagnosis.json", "report.html", *(f"{name}.png" for name in figures)
+    return "diagnosis.json", "report.html", *(f"{name}.png" for name in (*FIGURES, "impedance", "diagnosis"))
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = "") -> list[Path]:
@@ -111,49 +78,41 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
         If the folder is a file, what it lies in does not exist, or a file in it cannot be written.
     """
     folder = output_folder(folder, diagnosis_files())
+    file = diagnosis.file
     written = [diagnosis.save(folder), folder / "report.html"]
+    lacking = set() if file.components else {"components", "functions"}
+    lacking |= set() if diagnosis.states else {"states"}
     pictures = {}
-    figures = DIAGNOSIS_FIGURES | (COMPONENT_FIGURES if diagnosis.file.components else {})
-    figures |= STATE_FIGURES if diagnosis.states else {}
-    for name, (draw, caption) in figures.items():
-        if name == "where" and study_of(diagnosis) is None:
-            caption = (
-                "Shares of the discrepancy's energy, and the probability of each location of a listed cause."
-            )
-        written.append(save_figure(draw(diagnosis), folder / f"{name}.png"))
-        pictures[name] = picture_of(written[-1], f"{caption} The tables have the numbers.", caption)
+    for name in (name for name in FIGURES if name not in lacking):
+        written.append(save_figure(FIGURES[name](diagnosis), folder / f"{name}.png"))
+        pictures[name] = picture_of(written[-1])
     impedances = impedances_of(diagnosis)
     if impedances:
-        caption = (
-            "Input impedance at the root, by harmonic: observed pressure over the recorded inflow, with 95 % "
-            "intervals, and as modelled; hollow: the flow's harmonic is nearly zero."
-        )
         written.append(save_figure(impedance_figure(impedances), folder / "impedance.png"))
-        pictures["impedance"] = picture_of(written[-1], caption, caption)
+        pictures["impedance"] = picture_of(written[-1])
     written.append(save_figure(plot_diagnosis(diagnosis), folder / "diagnosis.png"))
-    file = diagnosis.file
     write_page(
         written[1],
         "diagnosis.html",
         title=f"What {file.base} misses in {file.study}",
         file=file,
         unit=file.gap.unit,
+        study=study_of(diagnosis),
+        nan=math.nan,
         next=_next_words(file),
         summary=diagnosis_summary(file),
         facts=_diagnosis_facts(diagnosis),
-        discrepancy=[_discrepancy_row(row) for row in file.gap.per_series],
         where=where_sentences(file),
         hypotheses=[hypothesis_row(h, file) for h in file.hypotheses],
-        groups=_groups(file),
         components=component_rows(file),
-        component_sentences=component_sentences(file),
+        told=TOLD,
+        unit_words=unit_words,
         functions=function_rows(file),
-        states=state_rows(file),
         state_sentences=state_sentences(file),
         spikes=impedances["measured"].sentences() if impedances else [],
-        moved=_moved(file),
-        steps=[_step_row(step, file) for step in file.steps],
-        posteriors=_posterior_rows(file),
+        meanings=MEANINGS,
+        location=partial(location_of, file),
+        posteriors=sorted((file.posteriors or {}).items(), key=_worth, reverse=True),
         pictures=pictures,
         command=command,
     )
@@ -227,16 +186,6 @@ def _step(step: AddedStep, file: DiagnosisFile) -> str:
     )
 
 
-def _step_row(step: AddedStep, file: DiagnosisFile) -> dict[str, Any]:
-    return {
-        "name": step.name,
-        "where": "" if step.place is None else location_of(file, step.place, step.subtree),
-        "probability": f"{100 * step.probability:.0f} %",
-        "sizes": _sizes(step),
-        "discrepancies": [f"{step.gap_before:.2g}", f"{step.gap_after:.2g}"],
-    }
-
-
 def next_measurement_words(file: DiagnosisFile) -> str:
     """What to measure next: such as "flow_ml_s in vessel 5 at 0.5"; empty where nothing would tell.
 
@@ -291,20 +240,6 @@ def _diagnosis_facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return facts
 
 
-def _discrepancy_row(row: SeriesGap) -> list[str]:
-    removed = 1.0 - row.after.mean / row.before.mean if row.before.mean > 0 else 0.0
-    return [
-        row.series,
-        row.unit,
-        span(row.before.mean, (row.before.low, row.before.high)),
-        span(row.after.mean, (row.after.low, row.after.high)),
-        percent(max(0.0, removed)),
-        f"{row.noise_floor:.2g}",
-        f"{row.residual_rms_before:.3g}",
-        f"{row.residual_rms_after:.3g}",
-    ]
-
-
 def where_sentences(file: DiagnosisFile) -> list[str]:
     """Where the discrepancy lies: a sentence each on phases, harmonics, series and locations."""
     where = file.where
@@ -343,69 +278,30 @@ def hypothesis_row(h: HypothesisResult, file: DiagnosisFile) -> dict[str, Any]:
     }
 
 
-def _groups(file: DiagnosisFile) -> list[str]:
-    members: dict[int, list[str]] = {}
-    for h in file.hypotheses:
-        members.setdefault(h.group, []).append(h.name)
-    return [
-        f"Group {group}: {listed(names)} explain these data alike and cannot be told apart, so the "
-        "answer is the group."
-        for group, names in members.items()
-        if len(names) > 1
+def _worth(posterior: tuple[str, Mapping[str, Any]]) -> float:
+    """What posteriors are ordered by: the marginal likelihood, which may be missing."""
+    value = posterior[1]["log_marginal_likelihood"]
+    return -math.inf if value is None else float(value)
+
+
+def state_sentences(file: DiagnosisFile) -> list[str]:
+    """For each other state what is left there, and whose functions hold."""
+    return [_state_sentence(state, file.cause) for state in file.states]
+
+
+def _state_sentence(state: StateFile, cause: list[str]) -> str:
+    unit = unit_words(state.unit)
+    lines = [
+        f"In {state.state}, its parameters fitted again, the baseline misses by {state.baseline.mean:.2g}"
     ]
-
-
-def _moved(file: DiagnosisFile) -> list[list[str]]:
-    """Parameters of the baseline, without and with the cause, and the shift in standard deviations."""
-    before, after = (file.base_parameters.get(key, {}) for key in ("base", "with cause"))
-    rows = []
-    for name, value in before.items():
-        if name.endswith(" sd") or name not in after:
-            continue
-        sds = [values.get(f"{name} sd", float("nan")) for values in (before, after)]
-        shift = after[name] - value
-        spread = sds[0] if sds[0] > 0 else float("nan")
-        rows.append(
-            [
-                name,
-                MEANINGS.get(name, ("", ""))[0],
-                MEANINGS.get(name, ("", "–"))[1],
-                estimate(value, sds[0], "1"),
-                estimate(after[name], sds[1], "1"),
-                f"{shift:+.3g}",
-                f"{shift / spread:+.1f}",
-            ]
-        )
-    return rows
-
-
-def _posterior_rows(file: DiagnosisFile) -> list[dict[str, Any]]:
-    """Rows of the posteriors that were sampled, best marginal likelihood first."""
-    rows = []
-    found = file.posteriors or {}
-
-    def worth(name: str) -> float:
-        value = found[name]["log_marginal_likelihood"]
-        return -np.inf if value is None else float(value)
-
-    for name in sorted(found, key=worth, reverse=True):
-        row = found[name]
-        difference = (row["elpd_waic_difference"], row["elpd_waic_difference_se"])
-        parameters = ", ".join(
-            f"{key} {estimate(value['mean'], value['sd'], '1')}" for key, value in row["parameters"].items()
-        )
-        rows.append(
-            {
-                "name": name,
-                "converged": bool(row["converged"]),
-                "verdict": row["verdict"],
-                "parameters": parameters,
-                "cells": [
-                    maybe(row["log_marginal_likelihood"], row["log_marginal_likelihood_se"]),
-                    maybe(row["elpd_waic"]),
-                    maybe(*difference),
-                    maybe(row["elpd_loo"]),
-                ],
-            }
-        )
-    return rows
+    if state.sensor is not None:
+        lines.append(f"with the discrepancy that was seen at the sensor by {state.sensor.mean:.2g}")
+    leader = next((c for c in state.carried if set(c.names) & set(cause)), None)
+    if leader is not None:
+        lines.append(f"with what was learned of {listed(leader.names)} by {leader.error.mean:.2g}")
+    holding = [listed(c.names) for c in state.carried if c.holds]
+    told = f"what holds there: {', '.join(holding)}" if holding else "nothing that was learned holds there"
+    text = f"{', '.join(lines)}{unit}; {told}"
+    if leader is not None and leader.beyond is not None and leader.beyond > BEYOND:
+        text += f" ({percent(leader.beyond)} of the range there was not visited before)"
+    return f"{text}."

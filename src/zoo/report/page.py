@@ -14,6 +14,7 @@ from PIL import Image
 
 from zoo.core.outputs import write_file
 from zoo.plots import save_figure
+from zoo.report.words import FILTERS
 
 COLOURS = 64
 """Of a figure in the page: a quarter of the size, and no difference to the eye."""
@@ -25,13 +26,15 @@ class ReportError(ValueError):
 
 @cache
 def _templates() -> Environment:
-    return Environment(
+    found = Environment(
         loader=PackageLoader("zoo.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    found.filters |= FILTERS
+    return found
 
 
 def write_page(path: Path, template: str, **values: Any) -> Path:
@@ -40,23 +43,19 @@ def write_page(path: Path, template: str, **values: Any) -> Path:
 
 
 class Picture(NamedTuple):
-    """A figure inside the page."""
+    """A figure inside the page, with its size in CSS pixels."""
 
     source: str
     width: int
     height: int
-    alt: str
-    caption: str
 
 
-def picture_of(figure: Any, alt: str, caption: str) -> Picture:
-    """A figure, or the PNG that it was saved as, in a data URI, with its size in CSS pixels."""
+def picture_of(figure: Any) -> Picture:
+    """A figure, or the PNG that it was saved as, in a data URI."""
     with tempfile.TemporaryDirectory() as folder:
         drawn = figure if isinstance(figure, Path) else save_figure(figure, Path(folder) / "figure.png")
         image = Image.open(drawn).convert("RGB")
     small = BytesIO()
     image.quantize(COLOURS).save(small, "PNG", optimize=True)
     source = "data:image/png;base64," + base64.b64encode(small.getvalue()).decode("ascii")
-    return Picture(
-        source, round(0.6 * image.width), round(0.6 * image.height), alt, caption
-    )  # 160 dots an inch
+    return Picture(source, round(0.6 * image.width), round(0.6 * image.height))  # 160 dots an inch

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from zoo.blood.case import UNITS
 from zoo.core.inference.convergence import Diagnostics
 from zoo.core.inference.elements import scalars
 from zoo.core.posterior.comparison import record_of
-from zoo.report.words import number
 
 if TYPE_CHECKING:
     import pymc as pm
@@ -42,39 +41,26 @@ for _quantity, _unit in UNITS.items():
     }
 
 
-class Row(NamedTuple):
-    """One scalar of a posterior, as text."""
-
-    name: str
-    meaning: str
-    unit: str
-    median: str
-    low: str
-    high: str
-    rhat: str
-    bulk: str
-    tail: str
-    passes: bool
-
-
 def parameter_rows(
     posterior: Any, names: Sequence[str], check: Diagnostics, model: pm.Model | None
-) -> list[Row]:
-    unit = "mmHg²"
-    if model is not None:
-        quantities = {series.quantity for series in record_of(model).study.series}
-        unit = "mmHg²" if quantities == {"pressure_mmHg"} else "unit of the series, squared"
+) -> list[dict[str, Any]]:
+    """Name, meaning, unit, quantiles and diagnostics of each scalar of a posterior."""
+    squared = "mmHg²"
+    if model is not None and {s.quantity for s in record_of(model).study.series} != {"pressure_mmHg"}:
+        squared = "unit of the series, squared"
     judged = {p.name: p for p in check.verdict.parameters}
     draws = {name: posterior[name].transpose("chain", "draw", ...).to_numpy() for name in names}
     rows = []
     for label, values in scalars(draws):
         base = label.partition("[")[0]
-        meaning, own = MEANINGS.get(base, ("", ""))
-        median, low, high = (number(q) for q in np.quantile(values.astype(float), (0.5, 0.025, 0.975)))
-        p = judged.get(label)
-        rhat, bulk, tail = "–", "–", "–"
-        if p is not None:
-            rhat, bulk, tail = f"{p.rhat:.3f}", f"{p.ess_bulk:.0f}", f"{p.ess_tail:.0f}"
-        chosen = unit if base == "sigma2" else own
-        rows.append(Row(label, meaning, chosen, median, low, high, rhat, bulk, tail, p is None or p.passes))
+        meaning, unit = MEANINGS.get(base, ("", ""))
+        rows.append(
+            {
+                "name": label,
+                "meaning": meaning,
+                "unit": squared if base == "sigma2" else unit,
+                "quantiles": np.quantile(values.astype(float), (0.5, 0.025, 0.975)),
+                "judged": judged.get(label),
+            }
+        )
     return rows

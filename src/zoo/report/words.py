@@ -12,21 +12,26 @@ def listed(names: Iterable[Any]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def with_error(value: float, error: float) -> str:
-    """A number with its standard error."""
-    return f"{value:.1f} ± {error:.1f}"
-
-
-def maybe(value: float | None, error: float | None = None) -> str:
-    """A number that may be missing, as JSON has no NaN."""
+def with_error(value: float | None, error: float | None) -> str:
+    """A number with its standard error; either may be missing, as JSON has no NaN."""
     if value is None:
         return "–"
-    return f"{value:.1f}" if error is None else with_error(value, error)
+    return f"{value:.1f}" if error is None else f"{value:.1f} ± {error:.1f}"
+
+
+def maybe(value: float | None) -> str:
+    """A number that may be missing."""
+    return with_error(value, None)
 
 
 def span(value: float, interval: Sequence[float]) -> str:
     """An estimate with its interval."""
     return f"{value:.2g} ({interval[0]:.2g} to {interval[1]:.2g})"
+
+
+def spanned(x: Any) -> str:
+    """The same of what has a mean, a low and a high end."""
+    return span(x.mean, (x.low, x.high))
 
 
 def percent(share: float) -> str:
@@ -35,7 +40,7 @@ def percent(share: float) -> str:
     return f"{'<1' if text == '0' and share > 0 else text} %"
 
 
-def estimate(mean: float, sd: float, unit: str) -> str:
+def estimate(mean: float, sd: float, unit: str = "1") -> str:
     """A mean with its standard deviation and unit; the unit 1 is left out."""
     return f"{mean:.3g} ± {sd:.2g} {unit}".removesuffix(" 1")
 
@@ -43,6 +48,11 @@ def estimate(mean: float, sd: float, unit: str) -> str:
 def number(value: float) -> str:
     """Four significant digits, in full up to 1e6."""
     return f"{float(f'{value:.4g}'):.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:#.4g}"
+
+
+def capital(sentence: str) -> str:
+    """The same with a capital at its beginning."""
+    return sentence[:1].upper() + sentence[1:]
 
 
 def settings_text(values: Mapping[str, Any]) -> str:
@@ -56,3 +66,10 @@ def value_text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+FILTERS = {
+    function.__name__: function
+    for function in (listed, with_error, maybe, spanned, percent, estimate, number, capital)
+}
+"""What the templates write them with."""
