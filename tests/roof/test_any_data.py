@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pytest
+from drawn import texts
 from pages import read, table_of
 from withheld import screen_of
 
@@ -64,13 +64,8 @@ def cups() -> Diagnosis:
     return replace(found, file=found.file.model_copy(update={"next_measurement": wanted}))
 
 
-def words_of(figure: mpl.figure.Figure) -> set[str]:
-    figure.canvas.draw()
-    return {t.get_text() for t in figure.findobj(mpl.text.Text)}
-
-
 def test_the_whole_is_drawn_with_the_words_of_the_data(cups: Diagnosis) -> None:
-    found = words_of(cups.plot())
+    found = texts(cups.plot())
     row = cups.file.gap.per_series[1]
     assert f"two: discrepancy {row.before.mean:.2g} to {row.after.mean:.2g} K" in found
     assert {"T (K)", "discrepancy (K)", "time (min)", "phase", "first quarter", "drift, body two"} <= found
@@ -99,7 +94,7 @@ def test_locations_are_bars_where_there_is_no_tree(cups: Diagnosis) -> None:
 def test_phases_of_ones_own_are_not_shaded_where_they_are_unknown(cups: Diagnosis) -> None:
     where = cups.file.where.model_copy(update={"phase": {"early": 0.5, "late": 0.5}})
     figure = plots.plot_discrepancy(replace(cups, file=cups.file.model_copy(update={"where": where})))
-    assert "early" not in words_of(figure)
+    assert "early" not in texts(figure)
 
 
 def test_page_and_screen_have_the_numbers(cups: Diagnosis, tmp_path: Path) -> None:

@@ -58,11 +58,8 @@ def printed(table: object, capsys: pytest.CaptureFixture[str], monkeypatch, widt
 @pytest.mark.parametrize("width", [40, 80, 200])
 def test_columns_of_numbers_are_never_folded(width: int, capsys, monkeypatch) -> None:
     columns = ("WAIC", "SE", "as one", "PSIS-LOO", "diff.", "its SE", "weight", "SSE ((ml/s)2)", "converged")
-    table = plain_table(title="models")
-    table.add_column("model", no_wrap=True)
+    table = plain_table("model", *columns, numbers=columns, title="models")
     rows = [("B+viscoelastic-wall", *(f"{-4516.5 + i:.1f}" for i in range(9))), ("A", *"123456789")]
-    for column in columns:
-        table.add_column(column, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
     _title, *lines = printed(table, capsys, monkeypatch, width)

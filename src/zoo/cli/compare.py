@@ -179,10 +179,9 @@ def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
         "its SE": ("difference_se", ".1f"),
         "weight": ("weight", ".2f"),
     } | {f"SSE ({unit})": (sse, ".3g") for sse, unit in table.attrs["sums_of_squares"].items()}
-    shown = plain_table(title=f"{study.name}: models by {name}, lower is better")
-    shown.add_column("model", no_wrap=True)
-    for column in (*columns, "converged"):
-        shown.add_column(column, justify="right", no_wrap=True)
+    title = f"{study.name}: models by {name}, lower is better"
+    numbers = (*columns, "converged")
+    shown = plain_table("model", *numbers, numbers=numbers, title=title)
     for model, row in table.iterrows():
         cells = [f"{row[field]:{form}}" for field, form in columns.values()]
         shown.add_row(str(model), *cells, "yes" if row["converged"] else "no")

@@ -214,10 +214,7 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
 
 def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], bold: Sequence[str]) -> Any:
     """A table of names and what belongs to them; texts may be folded, names and short numbers not."""
-    table = plain_table(title=title)
-    for i, head in enumerate(heads):
-        short = head in ("prob.", "group")
-        table.add_column(head, no_wrap=i == 0, justify="right" if short else "left")
+    table = plain_table(*heads, numbers=("prob.", "group"), title=title)
     for row in rows:
         table.add_row(*row, style="bold" if row[0] in bold else None)
     return table

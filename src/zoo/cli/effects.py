@@ -28,21 +28,15 @@ def effects(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="One effect, such as viscoelastic-wall.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
     *,
     plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
     """List the effects that a baseline may lack; with a name, all that is known about one."""
-    import json
-
     from zoo.blood.effects import CATALOGUE
 
     plugins.load()
     chosen = list(CATALOGUE.values()) if name is None else [CATALOGUE[name]]
-    if as_json:
-        found = [_effect_fields(effect) for effect in chosen]
-        typer.echo(json.dumps(found if name is None else found[0], indent=1, ensure_ascii=False))
-    elif name is None:
+    if name is None:
         say(_effects_table(chosen))
     else:
         say(*_effect_lines(chosen[0]))
@@ -58,25 +52,13 @@ def _locations(effect: Effect) -> str:
     return LOCATION_WORDS.get(function, function.replace("_", " ") or "some locations")
 
 
-def _effect_fields(effect: Effect) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    fields = {
-        n: getattr(effect, n) for n in ("name", "family", "statement", "equation", "signature", "source")
-    }
-    parameters = [asdict(parameter) for parameter in effect.parameters]
-    return fields | {"places": _locations(effect), "bases": list(effect.baselines), "amplitudes": parameters}
-
-
 def _effects_table(chosen: Sequence[Effect]) -> Any:
     """An effect a row, by family, with all but the name in one column."""
     from rich.text import Text
 
     from zoo.blood.effects import FAMILIES, prior_text
 
-    table = plain_table()
-    table.add_column("effect", no_wrap=True)
-    table.add_column("parameter, prior, locations, what it does to a beat")
+    table = plain_table("effect", "parameter, prior, locations, what it does to a beat")
     for family in FAMILIES:
         members = [effect for effect in chosen if effect.family == family]
         if members:
@@ -94,9 +76,7 @@ def _effect_lines(effect: Effect) -> list[Any]:
 
     from zoo.blood.effects import prior_text
 
-    table = plain_table(heads=False)
-    table.add_column(no_wrap=True)
-    table.add_column()
+    table = plain_table("", "", heads=False)
     rows = [(n, str(getattr(effect, n))) for n in ("family", "statement", "equation", "signature")]
     for parameter in effect.parameters:
         words = [f"{parameter.name} ({parameter.unit}) ~ {prior_text(parameter)}", parameter.why]

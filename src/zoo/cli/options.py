@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -71,6 +72,22 @@ class PluginOptions:
             load_models(path)
 
 
+def _each_once(
+    option: str, texts: list[str] | None, read: Callable[[str], tuple[str, Any]], refused: type[Exception]
+) -> dict[str, Any]:
+    """Name and value of each use of an option that may be repeated, with another name each time."""
+    found: dict[str, Any] = {}
+    for text in texts or []:
+        try:
+            name, value = read(text)
+        except refused as error:
+            raise UsageError(f"{option} {error}") from None
+        if name in found:
+            raise UsageError(f"{option} {text}: {name} was given before; give it once")
+        found[name] = value
+    return found
+
+
 @dataclass(frozen=True)
 class PriorOptions:
     """Priors instead of some of a study's own."""
@@ -95,17 +112,12 @@ class PriorOptions:
         """
         from zoo.blood.prior_tables import PriorsError, read_option, read_priors
 
-        found: dict[str, Any] = {}
-        for text in self.prior or []:
-            try:
-                name, value = read_option(text)
-                read_priors({name: value})
-            except PriorsError as error:
-                raise UsageError(f"--prior {error}") from None
-            if name in found:
-                raise UsageError(f"--prior {text}: {name} was given before; give it once")
-            found[name] = value
-        return found
+        def read(text: str) -> tuple[str, Any]:
+            name, value = read_option(text)
+            read_priors({name: value})
+            return name, value
+
+        return _each_once("--prior", self.prior, read, PriorsError)
 
 
 @dataclass(frozen=True)
@@ -149,15 +161,7 @@ class StudyOptions(PriorOptions):
         from zoo.blood.study import StudyError
         from zoo.blood.study.settings import read_setting
 
-        found: dict[str, Any] = {}
-        for text in self.settings or []:
-            try:
-                key, value = read_setting(text)
-            except StudyError as error:
-                raise UsageError(f"--set {error}") from None
-            if key in found:
-                raise UsageError(f"--set {text}: {key} was given before; give it once")
-            found[key] = value
+        found = _each_once("--set", self.settings, read_setting, StudyError)
         if self.accuracy is not None:
             found["numerics.accuracy_percent"] = self.accuracy
         return found

@@ -67,20 +67,15 @@ def priors(
 def _table(rows: tuple[PriorRow, ...], name: str, study: Study) -> Any:
     from zoo.blood.priors import prior_table
 
-    table = plain_table(title=f"priors of model {name} on {study.name}, set {prior_table(study).set}")
-    for heading in ("parameter", "median", "2.5 %", "97.5 %", "prior; where from"):
-        number = heading in ("median", "2.5 %", "97.5 %")
-        table.add_column(heading, justify="right" if number else "left", no_wrap=number)
+    title = f"priors of model {name} on {study.name}, set {prior_table(study).set}"
+    numbers = ("median", "2.5 %", "97.5 %")
+    table = plain_table("parameter", *numbers, "prior; where from", numbers=numbers, title=title)
     for row in rows:
         p = row.parameter
         label = p.name + (f" of {p.size}" if p.dims else "") + ("" if p.unit == "1" else f" ({p.unit})")
-        numbers = (_number(x) for x in (row.median, row.low, row.high))
-        table.add_row(label, *numbers, f"{p.prior.text}; {row.origin}")
+        cells = (f"{x:.3g}" for x in (row.median, row.low, row.high))
+        table.add_row(label, *cells, f"{p.prior.text}; {row.origin}")
     return table
-
-
-def _number(x: float) -> str:
-    return f"{x:.3g}"
 
 
 def _summary(found: PriorPredictive, study: Study) -> list[Any]:
@@ -106,19 +101,16 @@ def _summary(found: PriorPredictive, study: Study) -> list[Any]:
 def _write(
     rows: tuple[PriorRow, ...], found: PriorPredictive, study: Study, name: str, output: Path
 ) -> list[str]:
-    import csv
-    import io
+    import pandas as pd
 
     from zoo import plots
 
-    table = io.StringIO(newline="")
-    writer = csv.writer(table)
-    writer.writerow(["parameter", "unit", "prior", "median", "low_95", "high_95", "from"])
-    for row in rows:
-        numbers = [repr(x) for x in (row.median, row.low, row.high)]
-        p = row.parameter
-        writer.writerow([p.name, p.unit, p.prior.text, *numbers, row.origin])
-    write_file(output / WRITTEN[0], table.getvalue())
+    columns = ("parameter", "unit", "prior", "median", "low_95", "high_95", "from")
+    told = [
+        (p.name, p.unit, p.prior.text, row.median, row.low, row.high, row.origin)
+        for row, p in ((row, row.parameter) for row in rows)
+    ]
+    write_file(output / WRITTEN[0], pd.DataFrame(told, columns=columns).to_csv(index=False))
     title = f"model {name} on {study.name}"
     figures = {
         "priors": plots.priors_figure(rows, title=f"priors of {title}"),

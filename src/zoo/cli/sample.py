@@ -146,10 +146,8 @@ def _posterior_summary(idata: az.InferenceData, found: Verdict) -> list[Any]:
     from zoo.core.inference.elements import arrays, scalars
     from zoo.core.inference.record import RunRecord
 
-    table = plain_table()
-    table.add_column("parameter")
-    for column in ("median", "2.5 %", "97.5 %", "R-hat", "ESS bulk", "ESS tail"):
-        table.add_column(column, justify="right")
+    numbers = ("median", "2.5 %", "97.5 %", "R-hat", "ESS bulk", "ESS tail")
+    table = plain_table("parameter", *numbers, numbers=numbers)
     judged = {p.name: p for p in found.parameters}
     aside = set(found.uninformed)
     for label, values in scalars(arrays(idata)):

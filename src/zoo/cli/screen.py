@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 from zoo.core.words import one_line
@@ -52,8 +53,14 @@ def _aside(line: str, colour: str) -> None:
     Console(stderr=True).print(Text(line, style=colour), soft_wrap=True)
 
 
-def plain_table(*headings: str, title: str | None = None, heads: bool = True) -> Table:
-    """A table without a frame, readable in a pipe too; columns may be added."""
+def plain_table(
+    *headings: str, numbers: Collection[str] = (), title: str | None = None, heads: bool = True
+) -> Table:
+    """A table without a frame, readable in a pipe too; the first column and numbers are never folded."""
     from rich.table import Table
 
-    return Table(*headings, title=title, title_justify="left", box=None, pad_edge=False, show_header=heads)
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, show_header=heads)
+    for i, heading in enumerate(headings):
+        number = heading in numbers
+        table.add_column(heading, no_wrap=number or i == 0, justify="right" if number else "left")
+    return table
