@@ -30,10 +30,6 @@ def processor_seconds() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def test_readme_is_short() -> None:
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
-
-
 def test_make_commands_of_the_readme_are_targets() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     lines = [line for b in blocks(ROOT / "README.md") for line in b.text.splitlines()]

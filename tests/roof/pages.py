@@ -61,6 +61,14 @@ def read(path: Path) -> Element:
     return Reader(path.read_text(encoding="utf-8")).root
 
 
+def check_tables(page: Element) -> None:
+    """Every table has a caption, and all of its rows have as many cells as its head."""
+    for table in page.all("table"):
+        assert table.all("caption")[0].text
+        width = len(table.all("thead")[0].all("th"))
+        assert {len(row.all("td") + row.all("th")) for row in table.all("tbody")[0].all("tr")} == {width}
+
+
 def table_of(page: Element, name: str) -> list[list[str]]:
     """Cells of the table whose caption starts so, without the head."""
     [table] = [t for t in page.all("table") if t.all("caption")[0].text.startswith(name)]

@@ -16,10 +16,6 @@ from zoo.cli import app
 from zoo.cli.screen import plain_table, say
 
 
-def test_version_option() -> None:
-    assert run("--version").strip() == f"zoo {zoo.__version__}"
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -35,6 +35,7 @@ def test_commands_import_nothing_heavy_before_they_run() -> None:
 
 
 def test_version() -> None:
+    assert run("--version").strip() == f"zoo {zoo.__version__}"
     output = run("version")
     assert f"zoo {zoo.__version__}" in output
     assert f"numpy {np.__version__}" in output

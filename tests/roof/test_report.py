@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pymc as pm
 import pytest
-from pages import Element, read, table_of
+from pages import Element, check_tables, read, table_of
 from typer.testing import CliRunner
 
 from test_op import small_study
@@ -29,6 +29,7 @@ from zoo.core.outputs import OutputFileError
 from zoo.core.posterior.comparison import compare
 from zoo.core.posterior.storage import save, slim
 from zoo.models import get_model
+from zoo.report.sentences import summary
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 
@@ -159,19 +160,13 @@ def test_figures_are_inside_and_nothing_is_loaded(page: Element) -> None:
     assert all(address.startswith("https://doi.org/10.") for address in outside)
 
 
-def test_links_and_anchors(page: Element) -> None:
+def test_links_anchors_and_captions(page: Element) -> None:
     headings = [h for tag in ("h2", "h3") for h in page.all(tag)]
     ids = [h.attributes["id"] for h in headings]
     assert len(set(ids)) == len(ids)
     inner = {a.attributes["href"][1:] for a in page.all("a") if a.attributes["href"].startswith("#")}
     assert inner == set(ids)
-
-
-def test_captions_head_every_table(page: Element) -> None:
-    for table in page.all("table"):
-        assert table.all("caption")[0].text
-        width = len(table.all("thead")[0].all("th"))
-        assert {len(row.all("td") + row.all("th")) for row in table.all("tbody")[0].all("tr")} == {width}
+    check_tables(page)
 
 
 def test_the_head_says_what_was_done(page: Element, study: Study) -> None:
@@ -199,12 +194,12 @@ def test_banner_exactly_when_a_verdict_fails(
     posteriors: dict[str, az.InferenceData],
 ) -> None:
     assert page.of_class("banner") == []
-    assert report.BANNER not in page.text
+    assert report.chapters.BANNER not in page.text
     bad = {"A": posteriors["A"], "B": drawn(models["B"], apart=2.0)}
     path = report.write_report(tmp_path / "bad.html", study, bad, models, n_draws=40)
     again = read(path)
     [banner] = again.of_class("banner")
-    assert banner.text.startswith(f"{report.BANNER} Model B:")
+    assert banner.text.startswith(f"{report.chapters.BANNER} Model B:")
     assert [row[:2] for row in table_of(again, "Convergence")] == [["A", "yes"], ["B", "no"]]
     assert "Not converged: B. The largest R-hat is" in again.text
     failed = {name for row in again.of_class("failing") for name in [row.all("th")[0].text]}
@@ -242,22 +237,22 @@ def test_summary_tells_a_lead_from_a_tie() -> None:
         waic=[-10.0, -9.0, 90.0], difference=[0.0, 1.0, 100.0], difference_se=[0.0, 2.0, 5.0],
         pareto_k_bad=[0, 3, 0],
     )  # fmt: skip
-    lines = report.summary(table, checks, {})
+    lines = summary(table, checks, {})
     assert lines[0] == "All 3 posteriors converged."
     assert lines[1] == "Model H predicts the observations best of 3 models by WAIC: -10.0 (lower is better)."
     assert lines[2].startswith("B is within the standard error of the difference (B by 1.0 ± 2.0)")
     assert lines[3] == "Behind by more than the standard error of the difference: A by 100.0 ± 5.0."
     assert lines[4].endswith("(large Pareto k): B 3.")
-    alone = report.summary(rows_of(waic=[3.0], difference=[0.0], difference_se=[0.0]), {"H": good}, {})
+    alone = summary(rows_of(waic=[3.0], difference=[0.0], difference_se=[0.0]), {"H": good}, {})
     assert alone[:2] == [
         "The posterior of model H converged.",
         "Model H has WAIC 3.0, with nothing to compare it to.",
     ]
     bad = Diagnostics(check_convergence({"c": rng.normal(size=(4, 50))}), ())
-    lines = report.summary(table, checks | {"B": bad}, {})
+    lines = summary(table, checks | {"B": bad}, {})
     assert lines[0].startswith("Not converged: B.")
     assert lines[1].startswith("Model H predicts")  # which did converge
-    lines = report.summary(table, checks | {"H": bad}, {})
+    lines = summary(table, checks | {"H": bad}, {})
     assert lines[1].startswith("For what such draws are worth, model H predicts")
 
 
@@ -337,4 +332,4 @@ def test_commands_keep_the_target() -> None:
         3, 1, 1, 1, {}, 1.0, 1.0, 1.0, 1, "",
     )  # fmt: skip
     expected = "zoo sample H demo --chains 4 --draws 500 --tune 9 --until ess=400 --seed 3 -o H.nc"
-    assert report.sampling_command(record) == expected
+    assert report.chapter.sampling_command(record) == expected

@@ -14,7 +14,7 @@ from typing import get_args
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from pages import Element, read, table_of
+from pages import Element, check_tables, read, table_of
 from pydantic import BaseModel
 from withheld import FILES, POSTERIORS, as_if_sampled, screen_of
 
@@ -110,11 +110,11 @@ def test_readers_read_the_times_that_are_written(one: Diagnosis, sampled: Diagno
     before, after = one.file.record, sampled.file.record
     [written] = set(after) - set(before)
     screening = before["screening_seconds"]
-    assert report.total_seconds(before) == screening
-    assert report.total_seconds(after) == screening + after[written] > screening
+    assert report.diagnosis.total_seconds(before) == screening
+    assert report.diagnosis.total_seconds(after) == screening + after[written] > screening
     record = after | {written: 1000.0}
     d = replace(sampled, file=sampled.file.model_copy(update={"record": record}))
-    assert report.total_seconds(record) == screening + 1000
+    assert report.diagnosis.total_seconds(record) == screening + 1000
     assert screen_of(d.file).strip().endswith(f", {screening + 1000:.0f} s in all")
     report.write_diagnosis(d, tmp_path / "x")
     [facts] = read(tmp_path / "x" / "report.html").of_class("facts")
@@ -197,10 +197,7 @@ def test_the_page_is_whole_and_loads_nothing(page: Element) -> None:
     assert page.all("script") == []
     assert "url(" not in page.all("style")[0].text
     assert ".summary" in page.all("style")[0].text
-    for table in page.all("table"):
-        assert table.all("caption")[0].text
-        width = len(table.all("thead")[0].all("th"))
-        assert {len(row.all("td") + row.all("th")) for row in table.all("tbody")[0].all("tr")} == {width}
+    check_tables(page)
     inner = {a.attributes["href"][1:] for a in page.all("a")}
     assert inner == {h.attributes["id"] for h in page.all("h2")}
 

@@ -166,10 +166,15 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     """What the screen shows of a diagnosis."""
     from rich.text import Text
 
-    from zoo.report import diagnosis_summary, next_measurement_words, total_seconds
     from zoo.report.components import component_rows
-    from zoo.report.diagnosis import hypothesis_row, where_sentences
-    from zoo.report.words import maybe
+    from zoo.report.diagnosis import (
+        diagnosis_summary,
+        hypothesis_row,
+        next_measurement_words,
+        total_seconds,
+        where_sentences,
+    )
+    from zoo.report.words import maybe, with_error
 
     verdict, *rest = diagnosis_summary(file)
     lines: list[Any] = [Text(verdict, style="bold"), *rest, ""]
@@ -202,13 +207,12 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     for name, row in (file.posteriors or {}).items():
         converged = "converged" if row["converged"] else "not converged, see report.html"
         lines.append(
-            f"posterior of {name}: log marginal likelihood {maybe(row['log_marginal_likelihood'])} "
-            f"± {maybe(row['log_marginal_likelihood_se'])}, elpd (WAIC) {maybe(row['elpd_waic'])}; "
-            f"{converged}"
+            f"posterior of {name}: log marginal likelihood "
+            f"{with_error(row['log_marginal_likelihood'], row['log_marginal_likelihood_se'])}, "
+            f"elpd (WAIC) {maybe(row['elpd_waic'])}; {converged}"
         )
-    record = file.record
-    seconds = total_seconds(record)
-    lines.append(f"{record.get('solves', 0)} solves of the screening, {seconds:.0f} s in all")
+    solves, seconds = file.record.get("solves", 0), total_seconds(file.record)
+    lines.append(f"{solves} solves of the screening, {seconds:.0f} s in all")
     return [Text(line) if isinstance(line, str) else line for line in lines]
 
 

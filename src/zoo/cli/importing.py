@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,40 +15,46 @@ from zoo.core.outputs import output_folder
 YAML = (".yaml", ".yml")
 
 
+@dataclass(frozen=True)
+class TableOptions:
+    """What a table of vessels does not say itself."""
+
+    inflow: Annotated[
+        Path | None, typer.Option("--inflow", help="Inflow of a .csv: columns time_s, flow_ml_s.")
+    ] = None
+    period_s: Annotated[
+        float | None, typer.Option("--period", help="Length of the beat of a .csv, s.", metavar="S")
+    ] = None
+    observations: Annotated[
+        Path | None, typer.Option("--observations", help="Observations of a .csv, as a study has them.")
+    ] = None
+    density_g_cm3: Annotated[
+        float | None, typer.Option("--density", help="Of blood, for a .csv; 1.06 g/cm3.")
+    ] = None
+    viscosity_g_cm_s: Annotated[
+        float | None, typer.Option("--viscosity", help="Of blood, for a .csv; 0.04 g/(cm s).")
+    ] = None
+    velocity_profile_order: Annotated[
+        float | None,
+        typer.Option(
+            "--profile-order", help="Order of the velocity profile, for a .csv; a flat one without it."
+        ),
+    ] = None
+
+
 @command
 def import_(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="openBF's .yaml, or a .csv with a row for each vessel.")
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study."), Role.WRITES],
-    inflow: Annotated[
-        Path | None, typer.Option("--inflow", help="Inflow of a .csv: columns time_s, flow_ml_s.")
-    ] = None,
-    period_s: Annotated[
-        float | None, typer.Option("--period", help="Length of the beat of a .csv, s.", metavar="S")
-    ] = None,
-    observations: Annotated[
-        Path | None, typer.Option("--observations", help="Observations of a .csv, as a study has them.")
-    ] = None,
-    density_g_cm3: Annotated[
-        float | None, typer.Option("--density", help="Of blood, for a .csv; 1.06 g/cm3.")
-    ] = None,
-    viscosity_g_cm_s: Annotated[
-        float | None, typer.Option("--viscosity", help="Of blood, for a .csv; 0.04 g/(cm s).")
-    ] = None,
-    velocity_profile_order: Annotated[
-        float | None,
-        typer.Option(
-            "--profile-order", help="Order of the velocity profile, for a .csv; a flat one without it."
-        ),
-    ] = None,
     name: Annotated[
         str | None, typer.Option("--name", help="Of the study; that of the file if absent.")
     ] = None,
+    *,
+    table: TableOptions,
 ) -> None:
     """Make a study of openBF's YAML, or of a CSV table of vessels."""
-    from dataclasses import replace
-
     from zoo.blood.importing.openbf import import_openbf
     from zoo.blood.importing.table import import_table
     from zoo.blood.study import STUDY_FILES
@@ -56,15 +63,7 @@ def import_(
     if not file.is_file():
         raise UsageError(f"{file}: no such file; give openBF's .yaml, or a .csv of vessels")
     suffix = file.suffix.lower()
-    of_a_table = {
-        "inflow": inflow,
-        "period_s": period_s,
-        "observations": observations,
-        "density_g_cm3": density_g_cm3,
-        "viscosity_g_cm_s": viscosity_g_cm_s,
-        "velocity_profile_order": velocity_profile_order,
-    }
-    given: dict[str, Any] = {option: value for option, value in of_a_table.items() if value is not None}
+    given: dict[str, Any] = {option: value for option, value in vars(table).items() if value is not None}
     if suffix in YAML:
         for option, value in given.items():
             raise UsageError(
@@ -74,8 +73,8 @@ def import_(
         if name is not None:
             found = replace(found, study=replace(found.study, name=name))
     elif suffix == ".csv":
-        if inflow is None or period_s is None:
-            lacking = "--inflow inflow.csv" if inflow is None else "--period 0.85"
+        if table.inflow is None or table.period_s is None:
+            lacking = "--inflow inflow.csv" if table.inflow is None else "--period 0.85"
             raise UsageError(f"{file}: a table of vessels has no inflow: add {lacking}")
         found = import_table(file, name=name, **given)
     else:

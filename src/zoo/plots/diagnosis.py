@@ -36,7 +36,7 @@ from zoo.plots.style import (
     parts,
     size_of,
 )
-from zoo.plots.subject import at_most, location_of, phases_of, study_of, unit_words
+from zoo.plots.subject import at_most, location_of, study_of, unit_words
 from zoo.plots.tree import draw_locations, draw_tree
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def _draw_discrepancy(figure: Figure | SubFigure, d: Diagnosis) -> None:
     beat = study_of(d) is not None
     times = (1e3 if beat else 1.0) * data.times
     duration = (1e3 if beat else 1.0) * data.duration
-    phase_names, phase = phases_of(d)
+    phase_names, phase = d.hooks.phases_of(data, d.hooks.rows(data))
     cells = cells_of(figure, data.n_series, 3, (3, 1.6))
     for i, (values, row) in enumerate(zip(data.values, d.file.gap.per_series, strict=True)):
         top, bottom = cells[i]

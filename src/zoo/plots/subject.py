@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from zoo.core.diagnosis import Diagnosis, DiagnosisFile
+from zoo.core.diagnosis import DiagnosisFile
 from zoo.core.diagnosis.file import HypothesisResult
 from zoo.core.effects import Location
 
@@ -32,8 +29,3 @@ def at_most(h: HypothesisResult) -> str:
 def unit_words(unit: str) -> str:
     """A unit after a number: " mmHg"; nothing for a pure number."""
     return "" if unit == "1" else f" {unit}"
-
-
-def phases_of(d: Diagnosis) -> tuple[tuple[str, ...], NDArray[np.int_]]:
-    """Names of the phases of a record, and the phase (n_times,) of each sample."""
-    return d.hooks.phases_of(d.data, d.hooks.rows(d.data))
