@@ -72,8 +72,8 @@ def plot_confusion(score: Score) -> Figure:
     matplotlib.figure.Figure
         Rows are true, columns ranked first; framed cells are the right ones.
     """
-    count = Counter((c.label, c.leader if c.answered else "failed") for c in score.cases)
-    right = {(c.label, name) for c in score.cases for name in c.right}
+    count = Counter((c["label"], c["leader"] if c["answered"] else "failed") for c in score.cases)
+    right = {(c["label"], name) for c in score.cases for name in c["right"]}
     true, said = (sorted({pair[i] for pair in count}) for i in (0, 1))
     table = np.array([[count[t, s] for s in said] for t in true])
     with new_figure((3.4 + 0.3 * len(said), 2.6 + 0.26 * len(true))) as figure:

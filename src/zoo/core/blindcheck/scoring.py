@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.stats import binom, binomtest
 
 from zoo.core.blindcheck.cases import Answer, CaseKey, Explanation, Size
@@ -105,54 +106,23 @@ def reliability(
     return found
 
 
-@dataclass(frozen=True)
-class CaseScore:
-    """One case: what is true, what was answered, how near that is.
+COLUMNS = (
+    *("case", "kind", "label", "right", "gap_over_noise", "noise", "answered", "leader", "stated"),
+    *("group_size", "rank", "first", "group_first", "probability", "log_score", "brier", "false_alarm"),
+    *("true_parameter", "true_left", "seconds", "parameter_mean", "parameter_low", "parameter_high"),
+    *("left_mean", "left_low", "left_high", "prior_low", "prior_high"),
+)
+"""Of the table of cases, before its tags.
 
-    `right` is what may be named, `leader` what is ranked first, `stated` the probability of its group; `rank`
-    that of the best-placed group which holds what is true, `probability` that of what is true. `first` and
-    `group_first` say whether what is true, or its group, is ranked first. The parameter is that of the true
-    effect at the true location, whatever leads; `left` is the discrepancy that the leading effect leaves.
-    Scores are None without an answer, `false_alarm` where there is an effect.
-    """
-
-    case: str
-    kind: str
-    label: str
-    right: tuple[str, ...]
-    tags: Mapping[str, str] = field(default_factory=dict)
-    gap_over_noise: float = math.nan
-    noise: float = math.nan
-    answered: bool = False
-    leader: str = ""
-    stated: float = 0.0
-    group_size: int = 0
-    rank: int | None = None
-    first: bool = False
-    group_first: bool = False
-    probability: float = 0.0
-    log_score: float | None = None
-    brier: float | None = None
-    false_alarm: bool | None = None
-    parameter: Size | None = None
-    true_parameter: float | None = None
-    prior_95: tuple[float, float] | None = None
-    left: Size | None = None
-    true_left: float | None = None
-    seconds: float | None = None
-
-    def row(self) -> dict[str, Any]:
-        """A row of cases.csv."""
-        found = {**vars(self), "right": " ".join(self.right)}
-        tags, prior = found.pop("tags"), found.pop("prior_95")
-        for name in ("parameter", "left"):
-            size = found.pop(name)
-            found |= {f"{name}_{x}": size and getattr(size, x) for x in ("mean", "low", "high")}
-        low, high = prior or (None, None)
-        return {**found, "prior_low": low, "prior_high": high, **tags}
+`right` is what may be named, `leader` what is ranked first, `stated` the probability of its group; `rank`
+that of the best-placed group which holds what is true, `probability` that of what is true. `first` and
+`group_first` say whether what is true, or its group, is ranked first. The parameter is that of the true
+effect at the true location, whatever leads; `left` is the discrepancy that the leading effect leaves.
+Scores are None without an answer, `false_alarm` where there is an effect.
+"""
 
 
-def score_case(key: CaseKey, answer: Answer | None, *, by_component: bool = False) -> CaseScore | None:
+def score_case(key: CaseKey, answer: Answer | None, *, by_component: bool = False) -> dict[str, Any] | None:
     """Score one answer.
 
     Parameters
@@ -165,8 +135,9 @@ def score_case(key: CaseKey, answer: Answer | None, *, by_component: bool = Fals
 
     Returns
     -------
-    CaseScore or None
-        None where the case cannot be asked for so: it has no component.
+    dict or None
+        A row of the table of cases, by `COLUMNS` and the key's tags; None where the case cannot be asked for
+        so: it has no component.
     """
     listed = answer.explanations if answer else ()
     right = key.accepted
@@ -179,10 +150,13 @@ def score_case(key: CaseKey, answer: Answer | None, *, by_component: bool = Fals
             right, listed = (NONPARAMETRIC,), answer.explanations  # a diagnosis that knows no components
     noise = math.nan if key.noise is None else key.noise
     ratio = math.nan if key.gap is None or not key.noise else key.gap / key.noise
-    told: dict[str, Any] = {"case": key.case, "kind": key.kind, "label": key.label, "right": right}
-    told |= {"tags": key.tags, "gap_over_noise": ratio, "noise": noise}
+    row: dict[str, Any] = dict.fromkeys((*COLUMNS, *key.tags)) | key.tags
+    row |= {"case": key.case, "kind": key.kind, "label": key.label, "right": right, "noise": noise}
+    row |= {"gap_over_noise": ratio, "answered": False, "leader": "", "stated": 0.0, "group_size": 0}
+    row |= {"first": False, "group_first": False, "probability": 0.0}
+    row["false_alarm"] = False if key.kind == "none" else None
     if answer is None or not listed:
-        return CaseScore(**told, false_alarm=False if key.kind == "none" else None)
+        return row
     groups = [(i,) if e.group is None else e.group for i, e in enumerate(listed)]
     total: dict[Any, float] = {}
     for group, e in zip(groups, listed, strict=True):
@@ -191,22 +165,21 @@ def score_case(key: CaseKey, answer: Answer | None, *, by_component: bool = Fals
     p = min(1.0, sum(e.probability for e in listed if e.name in right))
     others = sum(e.probability**2 for e in listed if e.name not in right)
     ranks = [i + 1 for i, group in enumerate(total) if group in true]
-    told |= _sizes(key, answer)
-    return CaseScore(
-        **told,
-        answered=True,
-        leader=listed[0].name,
-        stated=min(1.0, total[groups[0]]),
-        group_size=groups.count(groups[0]),
-        rank=min(ranks, default=len(total) + 1),
-        first=listed[0].name in right,
-        group_first=groups[0] in true,
-        probability=p,
-        log_score=math.log(p) if p else -math.inf,
-        brier=(p - 1) ** 2 + others,
-        false_alarm=groups[0] not in true if key.kind == "none" else None,
-        seconds=answer.seconds,
-    )
+    return row | {
+        "answered": True,
+        "leader": listed[0].name,
+        "stated": min(1.0, total[groups[0]]),
+        "group_size": groups.count(groups[0]),
+        "rank": min(ranks, default=len(total) + 1),
+        "first": listed[0].name in right,
+        "group_first": groups[0] in true,
+        "probability": p,
+        "log_score": math.log(p) if p else -math.inf,
+        "brier": (p - 1) ** 2 + others,
+        "false_alarm": groups[0] not in true if key.kind == "none" else None,
+        "seconds": answer.seconds,
+        **_sizes(key, answer),
+    }
 
 
 def _sizes(key: CaseKey, answer: Answer) -> dict[str, Any]:
@@ -217,13 +190,19 @@ def _sizes(key: CaseKey, answer: Answer) -> dict[str, Any]:
         (e for e in answer.explanations if (e.name, e.place, e.subtree) == where), None
     )
     if key.parameter is not None and stated and stated.parameter:
-        found = {"parameter": stated.parameter, "true_parameter": key.parameter, "prior_95": key.prior_95}
+        low, high = key.prior_95 or (None, None)
+        found = {"true_parameter": key.parameter, "prior_low": low, "prior_high": high}
+        found |= _columns("parameter", stated.parameter)
     left = None if answer.left is None else answer.left.true
     if answer.left and left is None and answer.fitted and key.truth:
         left = answer.fitted.left(key.truth)[1]
-    if left is not None:
-        found |= {"left": answer.left, "true_left": left}
+    if answer.left and left is not None:
+        found |= {"true_left": left, **_columns("left", answer.left)}
     return found
+
+
+def _columns(name: str, size: Size) -> dict[str, float]:
+    return {f"{name}_{x}": getattr(size, x) for x in ("mean", "low", "high")}
 
 
 def constant_shares(rights: Sequence[Sequence[str]]) -> dict[str, float]:
@@ -246,73 +225,80 @@ def constant_shares(rights: Sequence[Sequence[str]]) -> dict[str, float]:
     return dict(zip(names, shares.tolist(), strict=True))
 
 
-def _mean(values: Iterable[float | None]) -> float:
-    given = [v for v in values if v is not None]
+def _mean(values: Iterable[float]) -> float:
+    given = list(values)
     return float(np.mean(given)) if given else math.nan
 
 
-def _median(values: Sequence[float]) -> float:
-    return float(np.median(values)) if values else math.nan
+def _median(values: pd.Series) -> float:
+    return float(np.median(values.astype(float))) if len(values) else math.nan
 
 
-def summarise(cases: Sequence[CaseScore]) -> dict[str, Any]:
+def summarise(cases: pd.DataFrame) -> dict[str, Any]:
     """Rates and mean scores of some cases, and those of the best constant answers.
 
     Parameters
     ----------
-    cases : sequence of CaseScore
+    cases : pandas.DataFrame
+        A row for each case, as of `score_case`.
 
     Returns
     -------
     dict
         docs/blind.md says what each is; "constant" has the best constant answer by the same names.
     """
-    given = [c for c in cases if c.answered]
-    shares = constant_shares([c.right for c in given])
-    commonest = Counter(name for c in cases for name in c.right).most_common(1)
+    given = cases[cases["answered"].astype(bool)]
+    shares = constant_shares(given["right"].tolist())
+    commonest = Counter(name for right in cases["right"] for name in right).most_common(1)
     always = commonest[0][0] if commonest else ""
-    p = [sum(shares[name] for name in c.right) for c in given]
+    p = [sum(shares[name] for name in right) for right in given["right"]]
     squares = sum(x**2 for x in shares.values())
-    sure = [c for c in given if c.stated > SURE]
-    sized = [(c.parameter, c.true_parameter, c.prior_95) for c in cases if c.parameter is not None]
-    left = [(c.left, c.true_left) for c in cases if c.left is not None and c.true_left is not None]
-    middle = _median([true for _, true in left])
-    hit = Rate.of(always in c.right for c in cases)
+    sure, rare = given[given["stated"] > SURE], given["probability"] < IMPOSSIBLE
+    sized, left = cases[cases["parameter_mean"].notna()], cases[cases["true_left"].notna()]
+    known = sized[sized["prior_low"].notna()]
+    middle = _median(left["true_left"])
+    hit = Rate.of(always in right for right in cases["right"])
     return {
         "n": len(cases),
         "failed": len(cases) - len(given),
-        "log_score": _mean(c.log_score for c in given),
-        "log_score_of_possible": _mean(c.log_score for c in given if c.probability >= IMPOSSIBLE),
-        "impossible": [c.case for c in given if c.probability < IMPOSSIBLE],
-        "brier": _mean(c.brier for c in given),
-        "first": Rate.of(c.first for c in cases),
-        "group_first": Rate.of(c.group_first for c in cases),
-        "mean_rank": _mean(c.rank for c in given),
-        "group_size": _mean(c.group_size for c in given),
-        "false_alarms": Rate.of(c.false_alarm for c in cases),
-        "sure": Rate.of(c.group_first for c in sure),
-        "sure_stated": _mean(c.stated for c in sure),
-        "parameter": Rate.of(s.low <= true <= s.high for s, true, _ in sized if true is not None),
-        "parameter_width": _median([(s.high - s.low) / (q[1] - q[0]) for s, _, q in sized if q]),
-        "left": Rate.of(s.low <= true <= s.high for s, true in left),
-        "left_error": _median([abs(s.mean - true) for s, true in left]),
-        "seconds": _median([c.seconds for c in given if c.seconds is not None]),
+        "log_score": _mean(given["log_score"]),
+        "log_score_of_possible": _mean(given["log_score"][~rare]),
+        "impossible": given["case"][rare].tolist(),
+        "brier": _mean(given["brier"]),
+        "first": Rate.of(cases["first"]),
+        "group_first": Rate.of(cases["group_first"]),
+        "mean_rank": _mean(given["rank"]),
+        "group_size": _mean(given["group_size"]),
+        "false_alarms": Rate.of(cases["false_alarm"]),
+        "sure": Rate.of(sure["group_first"]),
+        "sure_stated": _mean(sure["stated"]),
+        "parameter": _inside(sized, "parameter_low", "true_parameter", "parameter_high"),
+        "parameter_width": _median(
+            (known["parameter_high"] - known["parameter_low"]) / (known["prior_high"] - known["prior_low"])
+        ),
+        "left": _inside(left, "left_low", "true_left", "left_high"),
+        "left_error": _median((left["left_mean"] - left["true_left"]).abs()),
+        "seconds": _median(given["seconds"].dropna()),
         "constant": {
             "always": always,
             "shares": shares,
             "log_score": _mean(math.log(x) for x in p),
             "brier": _mean(
-                (x - 1) ** 2 + squares - sum(shares[n] ** 2 for n in c.right)
-                for x, c in zip(p, given, strict=True)
+                (x - 1) ** 2 + squares - sum(shares[n] ** 2 for n in right)
+                for x, right in zip(p, given["right"], strict=True)
             ),
             "first": hit,
             "group_first": hit,
-            "false_alarms": Rate.of(False for c in cases if c.false_alarm is not None),
-            "parameter": Rate.of(q[0] <= t <= q[1] for _, t, q in sized if q and t is not None),
-            "left_error": _median([abs(middle - true) for _, true in left]),
+            "false_alarms": Rate(0, int(cases["false_alarm"].notna().sum())),
+            "parameter": _inside(known, "prior_low", "true_parameter", "prior_high"),
+            "left_error": _median((left["true_left"] - middle).abs()),
             "left": middle,
         },
     }
+
+
+def _inside(cases: pd.DataFrame, low: str, true: str, high: str) -> Rate:
+    return Rate.of(((cases[low] <= cases[true]) & (cases[true] <= cases[high])).tolist())
 
 
 @dataclass(frozen=True)
@@ -321,7 +307,8 @@ class Score:
 
     Attributes
     ----------
-    cases : tuple of CaseScore
+    cases : tuple of dict
+        Rows of the table of cases, as of `score_case`.
     summary : dict
         Of all cases, as of `summarise`.
     by : dict
@@ -336,7 +323,7 @@ class Score:
         Case without an answer -> reason, where it is known.
     """
 
-    cases: tuple[CaseScore, ...]
+    cases: tuple[dict[str, Any], ...]
     summary: dict[str, Any]
     by: dict[str, dict[str, dict[str, Any]]]
     reliability: list[ReliabilityBin]
@@ -350,12 +337,8 @@ class Score:
         return score_text(self)
 
 
-def _value(case: CaseScore, name: str) -> str:
-    return str(getattr(case, name)) if name in ("kind", "label") else case.tags[name]
-
-
 def assemble(
-    cases: Sequence[CaseScore],
+    cases: Sequence[dict[str, Any]],
     *,
     by: Sequence[str] = ("kind",),
     components: Score | None = None,
@@ -363,13 +346,14 @@ def assemble(
     failed: Mapping[str, str] | None = None,
 ) -> Score:
     """Put the scores of cases together, grouped by "kind", "label" and tags that all cases have."""
-    grouped: dict[str, dict[str, dict[str, Any]]] = {}
-    for name in by:
-        values = sorted({_value(c, name) for c in cases})
-        grouped[name] = {v: summarise([c for c in cases if _value(c, name) == v]) for v in values}
-    told = [c for c in cases if c.answered]
-    bins = reliability([c.stated for c in told], [c.group_first for c in told])
-    return Score(tuple(cases), summarise(cases), grouped, bins, components, without_key, failed or {})
+    heads = None if cases else list(dict.fromkeys((*COLUMNS, *by)))  # those of rows, of which there are none
+    table = pd.DataFrame(list(cases), columns=heads, dtype=object)
+    grouped = {
+        name: {value: summarise(part) for value, part in table.groupby(table[name].map(str))} for name in by
+    }
+    told = table[table["answered"].astype(bool)]
+    bins = reliability(told["stated"].tolist(), told["group_first"].tolist())
+    return Score(tuple(cases), summarise(table), grouped, bins, components, without_key, failed or {})
 
 
 def score_answers(

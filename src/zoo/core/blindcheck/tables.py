@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 from zoo.core.blindcheck.scoring import Rate, ReliabilityBin, Score
 from zoo.core.inference.record import versions
@@ -119,10 +119,10 @@ def score_table(score: Score) -> str:
         lines += _table(heads, reliability_rows(part.reliability))
         if s["impossible"]:
             rows = [
-                f"{c.case} | {c.label} | {' or '.join(c.right)} | {c.probability:.1e} "
-                f"| {c.leader} ({c.stated:.3f})"
+                f"{c['case']} | {c['label']} | {' or '.join(c['right'])} | {c['probability']:.1e} "
+                f"| {c['leader']} ({c['stated']:.3f})"
                 for c in part.cases
-                if c.case in s["impossible"]
+                if c["case"] in s["impossible"]
             ]
             lines += _table("below 1e-6 | true | asked for | probability | said", rows)
     return "\n".join(lines[1:]) + "\n"
@@ -151,7 +151,7 @@ def score_record(score: Score) -> dict[str, Any]:
             "summary": part.summary,
             "by": part.by,
             "reliability": [asdict(b) | {"inside": b.inside} for b in part.reliability],
-            "cases": [c.row() for c in part.cases],
+            "cases": [{**c, "right": " ".join(c["right"])} for c in part.cases],
         }
         found |= {name: own} if name else own
     return dict(_plain(found))
@@ -163,8 +163,5 @@ def write_score(score: Score, out: Path) -> None:
     record = score_record(score)
     write_file(out / "score.json", json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     write_file(out / "score.md", score_table(score))
-    table = io.StringIO(newline="")
-    writer = csv.DictWriter(table, list(dict.fromkeys(x for row in record["cases"] for x in row)))
-    writer.writeheader()
-    writer.writerows(record["cases"])
-    write_file(out / "cases.csv", table.getvalue())
+    table = pd.DataFrame(record["cases"], dtype=object)
+    write_file(out / "cases.csv", table.to_csv(index=False, lineterminator="\r\n"))
