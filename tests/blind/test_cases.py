@@ -126,10 +126,10 @@ def test_an_interrupted_make_leaves_nothing(
 ) -> None:
     original = blind.draw_case
 
-    def stopping(job: Any) -> Any:
-        if job.index == 2:
+    def stopping(draw: Draw, job: tuple[int, str]) -> Any:
+        if job[0] == 2:
             raise KeyboardInterrupt
-        return original(job)
+        return original(draw, job)
 
     monkeypatch.setattr(blind, "draw_case", stopping)
     with pytest.raises(KeyboardInterrupt):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -13,25 +16,15 @@ from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file, output_folder
 
 
-class _Counting:
-    """A progress bar over cases."""
+@contextlib.contextmanager
+def _counting(quiet: bool, total: int) -> Iterator[Callable[[str], None]]:
+    """Show how many cases are done; what it gives is to be called with each one's name."""
+    from zoo.core.inference.progress import Display
 
-    def __init__(self, wanted: bool, total: int) -> None:
-        from zoo.core.inference.progress import bar
-
-        self.bar, self.total = bar(wanted), total
-
-    def __enter__(self) -> _Counting:
-        self.bar.__enter__()
-        self.task = self.bar.add_task("cases", total=self.total)
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.bar.__exit__(*error)
-
-    def __call__(self, case: str) -> None:
-        """One more is done."""
-        self.bar.update(self.task, description=case, advance=1)
+    with Display(not quiet) as tell:
+        tell(f"0 of {total} cases", 0.0)
+        count = itertools.count(1)
+        yield lambda case: tell(f"{(n := next(count))} of {total} cases, last {case}", n / max(1, total))
 
 
 def _name_list(option: str, text: str | None) -> list[str] | None:
@@ -95,7 +88,7 @@ def make(
 
     output_folder(folder, option="CASES", deep=True)
     output_file(key, "--key")
-    with _Counting(not quiet, n) as counting:
+    with _counting(quiet, n) as counting:
         path = make_cases(
             folder,
             n,
@@ -137,7 +130,7 @@ def run(
     plugins.load()
     began = time.monotonic()
     studies = [p for p in cases.iterdir() if (p / "study.toml").is_file()] if cases.is_dir() else []
-    with connect(dask) as executor, _Counting(not quiet, len(studies)) as counting:
+    with connect(dask) as executor, _counting(quiet, len(studies)) as counting:
         found = diagnose_cases(
             cases,
             output,

@@ -13,6 +13,7 @@ import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -78,23 +79,17 @@ class Draw:
         return [names[i] for i in rng.permutation(self.n)]
 
 
-@dataclass(frozen=True)
-class _Job:
-    draw: Draw
-    index: int
-    first: str
-
-
-def draw_case(job: _Job) -> MadeCase:
-    """Draw a case: its files, and its entry of the key.
+def draw_case(draw: Draw, job: tuple[int, str]) -> MadeCase:
+    """Draw a case, by its number and what is tried first: its files, and its entry of the key.
 
     Raises
     ------
     BlindError
         If no effect that was drawn has a model discrepancy of the size that is wanted.
     """
-    draw, name = job.draw, f"case-{job.index + 1:03d}"
-    network, effects, noises = (stream(draw.secret, x, job.index) for x in ("network", "effect", "noise"))
+    index, first = job
+    name = f"case-{index + 1:03d}"
+    network, effects, noises = (stream(draw.secret, x, index) for x in ("network", "effect", "noise"))
     correlated = correlation(noises)
     noise = math.hypot(WHITE_MMHG, correlated[0])
     low, high = (x * noise for x in GAP_OVER_NOISE)
@@ -102,9 +97,8 @@ def draw_case(job: _Job) -> MadeCase:
         bench, tags = draw_bench(
             network, name, networks=draw.networks, layouts=draw.layouts, vessels=draw.vessels
         )
-        names = (job.first, *draw.effects)
-        quiet = nothing(bench, correlated[0]) if job.first == NULL else None
-        cause = quiet or draw_listed(effects, bench, names, (low, high))
+        quiet = nothing(bench, correlated[0]) if first == NULL else None
+        cause = quiet or draw_listed(effects, bench, (first, *draw.effects), (low, high))
         if cause is not None:
             return case_of(bench, cause, noises, correlated, tags)
     raise BlindError(
@@ -181,12 +175,12 @@ def make_cases(
             f"vessels = {vessels[0]}, {vessels[1]}: give limits of at least 3 with an odd number between them"
         )
     draw = Draw(n, secret or secrets.token_hex(16), names, tuple(networks), tuple(layouts), vessels)
-    jobs = [_Job(draw, i, first) for i, first in enumerate(draw.plan())]
-    write_cases(folder, key, jobs, draw_case, head={"format": FORMAT, **vars(draw)}, cores=cores, done=done)
+    jobs, head = list(enumerate(draw.plan())), {"format": FORMAT, **vars(draw)}
+    write_cases(folder, key, jobs, partial(draw_case, draw), head=head, cores=cores, done=done)
     return key
 
 
-@dataclass(frozen=True)
+@dataclass
 class StudyDiagnosis:
     """The diagnosis of a case that is a study's folder.
 
@@ -196,17 +190,24 @@ class StudyDiagnosis:
         Name of the baseline model.
     max_effects, seed, effects, priors
         As in `zoo.blood.diagnosis.diagnose`.
-    effects_from : tuple of str
-        Python files that define effects; they are run.
+    effects_from : sequence of path
+        Python files that define effects, which every process runs; on every machine in the same place.
     """
 
     base: str = BASELINE
     max_effects: int = 3
     seed: int = 1
-    effects: tuple[str, ...] | None = None
+    effects: Sequence[str] | None = None
     priors: Mapping[str, Any] | None = None
-    effects_from: tuple[str, ...] = ()
+    effects_from: Sequence[str | Path] = ()
     marker: str = "study.toml"
+
+    def __post_init__(self) -> None:
+        for what, count, least in (("max_effects", self.max_effects, 1), ("seed", self.seed, 0)):
+            if count < least:
+                raise BlindError(f"{what} = {count}: must be at least {least}")
+        self.base = get_baseline(self.base).name
+        self.effects_from = [Path(path).resolve() for path in self.effects_from]  # workers are elsewhere
 
     def identity(self) -> dict[str, Any]:
         """What was asked, and of which program."""
@@ -241,21 +242,13 @@ def diagnose_cases(
     cases: str | Path,
     answers: str | Path,
     *,
-    base: str = BASELINE,
-    max_effects: int = 3,
-    effects: Sequence[str] | None = None,
-    effects_from: Sequence[str | Path] = (),
-    seed: int = 1,
-    priors: Mapping[str, Any] | None = None,
     cores: int = 2,
     executor: Executor | None = None,
     fresh: bool = False,
     done: Callable[[str], None] = lambda case: None,
+    **asked: Any,
 ) -> Ran:
-    """Diagnose every case of a folder, each in a process of its own; no key is read or looked for.
-
-    A case whose answer is of the same data, settings, versions and solver is left as it is, so that an
-    interrupted run goes on. One that fails has failed.txt instead.
+    """Diagnose every case of a folder, as `run_cases`.
 
     Parameters
     ----------
@@ -263,13 +256,10 @@ def diagnose_cases(
         Folder of studies.
     answers : path
         A folder for each case: answer.json, diagnosis.json (`Diagnosis.save`).
-    base : str
-    max_effects, effects, seed, priors
-        As in `zoo.blood.diagnosis.diagnose`.
-    effects_from : sequence of path
-        Python files that define effects, which every process runs; on every machine in the same place.
     cores, executor, fresh, done
         As in `zoo.core.blindcheck.folders.run_cases`.
+    **asked
+        Of `StudyDiagnosis`.
 
     Returns
     -------
@@ -280,15 +270,8 @@ def diagnose_cases(
     BlindError
         As `run_cases`.
     """
-    for what, count, least in (("max_effects", max_effects, 1), ("seed", seed, 0)):
-        if count < least:
-            raise BlindError(f"{what} = {count}: must be at least {least}")
-    chosen = None if effects is None else tuple(effects)
-    files = tuple(str(Path(path).resolve()) for path in effects_from)  # workers have a folder of their own
-    asked = StudyDiagnosis(get_baseline(base).name, max_effects, seed, chosen, priors, files)
-    return run_cases(
-        Path(cases), Path(answers), asked, cores=cores, executor=executor, fresh=fresh, done=done
-    )
+    settings: dict[str, Any] = {"cores": cores, "executor": executor, "fresh": fresh, "done": done}
+    return run_cases(Path(cases), Path(answers), StudyDiagnosis(**asked), **settings)
 
 
 def score_cases(answers: str | Path, key: str | Path, out: str | Path) -> Score:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -56,17 +56,12 @@ def draw_cases(
     return data, keys
 
 
-@dataclass(frozen=True)
-class _Diagnosing:
-    """One diagnosis of named data: its answer, or why there is none."""
-
-    diagnose: Callable[[Any], Any]
-
-    def __call__(self, job: tuple[str, Any]) -> Answer | str:
-        try:
-            return as_answer(self.diagnose(job[1]))
-        except Exception as error:
-            return f"{type(error).__name__}: {error}"
+def _diagnosed(diagnose: Callable[[Any], Any], job: tuple[str, Any]) -> Answer | str:
+    """The answer to named data, or why there is none."""
+    try:
+        return as_answer(diagnose(job[1]))
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
 
 
 def blind_check(
@@ -147,9 +142,8 @@ def blind_check(
     data, keys = draw_cases(draw, counts, listed, seed)
     answers: dict[str, Answer | None] = {}
     failed: dict[str, str] = {}
-    for (name, _), found in each(
-        _Diagnosing(diagnose), list(data.items()), cores, executor=executor, name=lambda case: case[0]
-    ):
+    work = partial(_diagnosed, diagnose)
+    for (name, _), found in each(work, list(data.items()), cores, executor=executor, name=lambda job: job[0]):
         if isinstance(found, str):
             failed[name] = found
         answers[name] = None if isinstance(found, str) else found

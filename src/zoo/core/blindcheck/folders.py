@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -39,24 +40,6 @@ def digest_of(files: Mapping[str, bytes]) -> str:
     return digests.of_json({name: digests.of_bytes(content) for name, content in files.items()})
 
 
-def check_outputs(folder: Path, key: Path) -> None:
-    """Refuse a folder that is not empty, a key that is there or lies with the cases, and unwritable ones.
-
-    Raises
-    ------
-    BlindError
-    zoo.core.outputs.OutputFileError
-    """
-    if folder.resolve() in key.resolve().parents:
-        raise BlindError(f"{key}: lies inside {folder}, where the cases are; put the key elsewhere")
-    if key.exists():
-        raise BlindError(f"{key}: is there already; give another --key, or remove it with its cases")
-    output_file(key)
-    output_folder(folder, deep=True)
-    if folder.is_dir() and (rest := sorted(p.name for p in folder.iterdir())):
-        raise BlindError(f"{folder}: holds {rest[0]}; give a new or empty folder")
-
-
 def write_cases(
     folder: Path,
     key: Path,
@@ -76,7 +59,7 @@ def write_cases(
     Parameters
     ----------
     folder, key : Path
-        As `check_outputs` allows.
+        New, or an empty folder; the key's file is new and not inside it.
     jobs : sequence
         One for each case, in the order of the key.
     make : callable
@@ -86,8 +69,21 @@ def write_cases(
     cores : int
     done : callable
         Told the name of each finished case.
+
+    Raises
+    ------
+    BlindError
+    zoo.core.outputs.OutputFileError
+        If the folder or the key cannot be written, or something would be lost.
     """
-    check_outputs(folder, key)
+    if folder.resolve() in key.resolve().parents:
+        raise BlindError(f"{key}: lies inside {folder}, where the cases are; put the key elsewhere")
+    if key.exists():
+        raise BlindError(f"{key}: is there already; give another --key, or remove it with its cases")
+    output_file(key)
+    output_folder(folder, deep=True)
+    if folder.is_dir() and (rest := sorted(p.name for p in folder.iterdir())):
+        raise BlindError(f"{folder}: holds {rest[0]}; give a new or empty folder")
     made = []
     for _, one in each(make, jobs, cores):
         files = {name: text.encode() for name, text in one.files.items()}
@@ -128,41 +124,29 @@ class CaseDiagnosis(Protocol):
         """Diagnose the case; what it writes into the folder `answer` is kept beside its answer."""
 
 
-@dataclass(frozen=True)
-class _Parcel:
-    """A case as it travels to a worker, which sees nothing but the case's own files."""
+def _diagnose(
+    diagnosis: CaseDiagnosis, parcel: tuple[str, Mapping[str, bytes]]
+) -> tuple[dict[str, Any], Mapping[str, bytes]]:
+    """Diagnose a case in a folder of the worker, which sees nothing but the case's own files.
 
-    diagnosis: CaseDiagnosis
-    name: str
-    files: Mapping[str, bytes]
-
-
-@dataclass(frozen=True)
-class _Returned:
-    """What comes back: the answer as text, or why there is none, and the files that were written with it."""
-
-    identity: Mapping[str, Any]
-    answer: str
-    failed: str
-    files: Mapping[str, bytes]
-
-
-def _diagnose(parcel: _Parcel) -> _Returned:
-    """Diagnose a case in a folder of the worker."""
-    identity, answer, failed = parcel.diagnosis.identity(), "", ""
+    What answer.json will hold comes back, or with `failed` why there is no answer, and the files beside it.
+    """
+    name, files = parcel
+    about = {"case": digest_of(files), "asked": dict(diagnosis.identity())}
     with tempfile.TemporaryDirectory(prefix="zoo-") as folder:
-        case, out = Path(folder, "case", parcel.name), Path(folder, "answer", parcel.name)
+        case, out = Path(folder, "case", name), Path(folder, "answer", name)
         for place in (case, out):
             place.mkdir(parents=True)
-        for name, content in parcel.files.items():
-            (case / name).write_bytes(content)
+        for one, content in files.items():
+            (case / one).write_bytes(content)
         try:
-            answer = parcel.diagnosis(case, out).model_dump_json(exclude_defaults=True)
+            answer = json.loads(diagnosis(case, out).model_dump_json(exclude_defaults=True))
         except Exception as error:
             reason = " ".join(str(error).split()) or type(error).__name__
-            failed = f"{reason}\n\n{traceback.format_exc()}"
-        files = {p.name: p.read_bytes() for p in sorted(out.iterdir()) if p.is_file()}
-    return _Returned(identity, answer, failed, {} if failed else files)
+            return {**about, "failed": f"{reason}\n\n{traceback.format_exc()}"}, {}
+        beside = {p.name: p.read_bytes() for p in sorted(out.iterdir()) if p.is_file()}
+    written = {one: digests.of_bytes(content) for one, content in beside.items()}
+    return {**about, "written": written, "answer": answer}, beside
 
 
 @dataclass(frozen=True)
@@ -259,20 +243,23 @@ def run_cases(
             kept.append(case.name)
             done(case.name)
         else:
-            waiting.append(_Parcel(diagnosis, case.name, files))
+            waiting.append((case.name, files))
     answers.mkdir(parents=True, exist_ok=True)
     if (cases / KEY_DIGEST).is_file():
         write_file(answers / KEY_DIGEST, (cases / KEY_DIGEST).read_bytes())
-    for parcel, back in each(_diagnose, waiting, cores, executor=executor, name=lambda one: one.name):
-        if back.identity != identity:
+    work = partial(_diagnose, diagnosis)
+    for (name, _), (stored, beside) in each(
+        work, waiting, cores, executor=executor, name=lambda parcel: parcel[0]
+    ):
+        if stored["asked"] != identity:
             raise BlindError(
-                f"{parcel.name}: was diagnosed by a worker with other versions than this program's; "
+                f"{name}: was diagnosed by a worker with other versions than this program's; "
                 "install the same on all machines, and start the workers again"
             )
-        _write_answer(answers / parcel.name, digest_of(parcel.files), back)
-        if back.failed:
-            failed[parcel.name] = back.failed.splitlines()[0]
-        done(parcel.name)
+        _write_answer(answers / name, stored, beside)
+        if "failed" in stored:
+            failed[name] = stored["failed"].splitlines()[0]
+        done(name)
     diagnosed = tuple(case.name for case in found if case.name not in failed)
     return Ran(diagnosed, tuple(kept), dict(sorted(failed.items())))
 
@@ -309,18 +296,15 @@ def _is_answered(folder: Path, files: str, identity: Mapping[str, Any], *, fresh
     return False
 
 
-def _write_answer(folder: Path, files: str, back: _Returned) -> None:
+def _write_answer(folder: Path, stored: Mapping[str, Any], beside: Mapping[str, bytes]) -> None:
     """Write what came back; until the answer is whole, failed.txt says that it is not."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_file(folder / FAILED, back.failed or "interrupted\n")
+    write_file(folder / FAILED, stored.get("failed", "interrupted\n"))
     (folder / ANSWER).unlink(missing_ok=True)
-    if back.failed:
+    if "failed" in stored:
         return
-    for name, content in back.files.items():
+    for name, content in beside.items():
         write_file(folder / name, content)
-    written = {name: digests.of_bytes(content) for name, content in back.files.items()}
-    stored = {"case": files, "asked": dict(back.identity), "written": written}
-    stored["answer"] = json.loads(back.answer)
     write_file(folder / ANSWER, digests.to_text(stored, indent=None))
     (folder / FAILED).unlink()
 
