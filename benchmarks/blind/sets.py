@@ -37,7 +37,6 @@ from zoo.blood.diagnosis import effects_for
 from zoo.core.blindcheck import BlindError
 from zoo.core.blindcheck.folders import MadeCase, write_cases
 from zoo.core.diagnosis.hypothesis import NULL
-from zoo.core.effects import EVERYWHERE
 
 KINDS = ("component", "pair", "small", "coloured")
 LAYOUTS = ("MPA", "MPA+daughters", "MPA+distal", "MPA+flows")
@@ -88,7 +87,7 @@ def draw_cause(
     for i in rng.permutation(len(causes)):
         for _ in range(DRAWS):
             effect, size, shape = causes[int(i)].draw(rng)
-            added: Added = ((effect, (size,), EVERYWHERE),)
+            added: Added = ((effect.at(), (size,)),)
             waves = bench.solve(added)
             gap = bench.gap(waves)
             if waves is not None and limits[0] <= gap <= limits[1]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -135,10 +136,8 @@ def run(
             pool = _stored_pool(studies, truth, points, folder, cores, progress)
             found = [score_pool(pool, truth, i) for i in range(data_sets)]
         else:
-            jobs = [
-                Chains(folder, i, scenario.model, study, truth, settings) for i, study in enumerate(studies)
-            ]
-            done = {job.number: row for job, row in each(_sampled, jobs, cores)}
+            work = partial(_sampled, folder, scenario.model, truth, settings)
+            done = {i: row for (i, _), row in each(work, list(enumerate(studies)), cores)}
             found = [done[i] for i in range(data_sets)]
         rows += [{"scenario": scenario.name, "data_set": i, **row} for i, row in enumerate(found)]
     scores = pd.DataFrame(rows)
@@ -146,28 +145,20 @@ def run(
     return scores
 
 
-@dataclass(frozen=True)
-class Chains:
-    """A fit by chains of its own, sent to a process."""
-
-    folder: Path
-    number: int
-    model: str
-    study: Study
-    truth: Truth
-    settings: dict[str, Any]
-
-
-def _sampled(job: Chains) -> dict[str, Any]:
-    model = get_model(job.model)(job.study)
-    path = job.folder / f"{job.model}-{len(job.study.series)}-{job.number:02d}.nc"
+def _sampled(
+    folder: Path, name: str, truth: Truth, settings: dict[str, Any], job: tuple[int, Study]
+) -> dict[str, Any]:
+    """The score of a fit by chains of its own, to a data set and its number."""
+    number, study = job
+    model = get_model(name)(study)
+    path = folder / f"{name}-{len(study.series)}-{number:02d}.nc"
     idata = matching(path, model)
     if idata is None:
-        idata = sample_to(path, model, cores=0, progress=False, seed=1 + job.number, **job.settings)
+        idata = sample_to(path, model, cores=0, progress=False, seed=1 + number, **settings)
     found, posterior = verdict(idata), idata["posterior"]
     draws = {name: posterior[name].to_numpy().ravel() for name in THETA if name in posterior}
     judged = {"converged": found.passes, "ess_min": found.min_ess}
-    return {**score(draws, job.truth), "joint_direct": np.nan, **judged}
+    return {**score(draws, truth), "joint_direct": np.nan, **judged}
 
 
 def _stored_pool(

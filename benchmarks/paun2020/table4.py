@@ -240,30 +240,23 @@ def table4_rows(parameters: pd.DataFrame, scores: pd.DataFrame) -> tuple[list[st
     for model, theirs in published_table4().items():
         if model not in scores.index:
             continue
-        score = scores.loc[model]
-        above, below = [model, "published"], ["", "zoo"]
+        score, pairs = scores.loc[model], [(model, ""), ("published", "zoo")]
         for name in PARAMETERS:
-            if (model, name) not in cells.index:
-                above.append("")
-                below.append("")
-                continue
-            cell = cells.loc[(model, name)]
-            above.append(format_cell(name, theirs.parameters[name]))
-            below.append(
-                f"{format_cell(name, cell[['median', 'low', 'high']])} {'=' if cell['agrees'] else 'x'}"
-            )
-        above.append(f"{theirs.waic:.0f}")
-        below.append(f"{score['waic_one_observation']:.0f}")
+            pair = "", ""
+            if (model, name) in cells.index:
+                cell = cells.loc[(model, name)]
+                own = format_cell(name, cell[["median", "low", "high"]])
+                pair = format_cell(name, theirs.parameters[name]), f"{own} {'=' if cell['agrees'] else 'x'}"
+            pairs.append(pair)
+        pairs.append((f"{theirs.waic:.0f}", f"{score['waic_one_observation']:.0f}"))
+        pair = "", ""
         if "difference" in scores.columns:
-            above.append(f"{score['published_difference']:+.0f}")
             error = f" ± {score['difference_mcse']:.1f}" if model != REFERENCE else ""
-            below.append(f"{score['difference']:+.1f}{error} {'=' if score['agrees'] else 'x'}")
-        else:
-            above.append("")
-            below.append("")
-        above.append(f"{theirs.sse:.0f}")
-        below.append(f"{score['sse']:.0f} ± {score['sse_mcse']:.0f}")
-        rows += [above, below]
+            own = f"{score['difference']:+.1f}{error} {'=' if score['agrees'] else 'x'}"
+            pair = f"{score['published_difference']:+.0f}", own
+        pairs.append(pair)
+        pairs.append((f"{theirs.sse:.0f}", f"{score['sse']:.0f} ± {score['sse_mcse']:.0f}"))
+        rows += [[pair[i] for pair in pairs] for i in (0, 1)]
     return ["model", "", *units, "WAIC", "WAIC - B", "SSE"], rows
 
 

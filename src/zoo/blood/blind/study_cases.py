@@ -30,12 +30,12 @@ from zoo.core.blindcheck.cases import BlindError, CaseKey
 from zoo.core.blindcheck.drawing import LinearBaseline, draw_effect, told_of
 from zoo.core.blindcheck.folders import MadeCase
 from zoo.core.diagnosis.hypothesis import CORRELATED, NULL
-from zoo.core.effects import Effect, EffectError, Location, in_order
+from zoo.core.effects import AddedEffect, EffectError, with_effects
 from zoo.core.forward import Outputs, SolveError
 from zoo.core.parameters import pack
 
 Array = NDArray[np.float64]
-Added = tuple[tuple[Effect, tuple[float, ...], Location], ...]
+Added = tuple[tuple[AddedEffect, tuple[float, ...]], ...]
 
 BASELINE = "linear-constant"
 GENERATOR = SolverOptions(dx_cm=0.019, refine=2, cfl=0.8, tolerance_mmHg=2e-4)
@@ -113,12 +113,8 @@ class Bench:
     def solve(self, added: Added) -> Array | None:
         """Waveforms with these effects, or None where the solve fails."""
         try:
-            case = self.flow.configure(self.values)
-            for i in in_order(self.flow, [effect.at(location) for effect, _, location in added]):
-                effect, values, location = added[i]
-                assert effect.apply is not None
-                case = effect.apply(case, values, location)
-            return self.flow.solve(case)
+            more = with_effects(self.flow, [one for one, _ in added])
+            return more.solve(more.configure(np.concatenate([self.values, *(x for _, x in added)])))
         except (EffectError, SolveError, SolverArgumentError):
             return None
 
@@ -219,19 +215,18 @@ def draw_listed(
         if tried % DRAWS == 0:
             name = str(rng.choice(names)) if tried else names[0]
         effect = CATALOGUE[name]
-        location, values = draw_effect(effect, bench.flow, rng)
+        made, values = draw_effect(effect, bench.flow, rng)
         if effect.apply is None:  # correlated errors
             noise = np.zeros_like(bench.clean)
             shape = (len(bench.pressures), SAMPLES)
             noise[bench.pressures] = values[0] * periodic_noise(rng, values[1], bench.study.period_s, shape)
             waves: Array | None = bench.clean + noise
         else:
-            waves = bench.solve(((effect, values, location),))
+            waves = bench.solve(((made, values),))
         gap = bench.gap(waves)
         if waves is not None and limits[0] <= gap <= limits[1]:
             part = component_of(effect)
-            told = {"redrawn": {} | redrawn}
-            added = ((effect, values, location),)
+            told, added = {"redrawn": {} | redrawn}, ((made, values),)
             return Cause("listed", name, (name,), (part,) if part else (), added, waves, gap, told)
         redrawn[f"{name} {'below' if gap < limits[0] else 'above'}"] += 1
     return None
@@ -294,16 +289,16 @@ def case_of(
     digits = [DIGITS[q] for _, _, q in bench.sensors]
     data = np.array([np.round(row, d) for row, d in zip(cause.waves + noise, digits, strict=True)])
     # errors that are the effect are no part of what an answer should fit
-    exact = bench.clean if any(effect.apply is None for effect, _, _ in cause.added) else cause.waves
+    exact = bench.clean if any(one.effect.apply is None for one, _ in cause.added) else cause.waves
     told: dict[str, Any] = {}
     if cause.kind == "listed":
-        told = told_of(*cause.added[0][:1], cause.added[0][2], cause.added[0][1])
+        told = told_of(*cause.added[0])
         if cause.label in (CORRELATED, "coarse-grid"):  # their size depends on more than the effect
             told["parameter"] = None
     effects = [
-        {"effect": e.name, "vessel": at.part, "subtree": at.subtree}
-        | {"amplitudes": {p.name: x for p, x in zip(e.parameters, values, strict=True)}}
-        for e, values, at in cause.added
+        {"effect": one.name, "vessel": one.location.part, "subtree": one.location.subtree}
+        | {"amplitudes": {p.name: x for p, x in zip(one.effect.parameters, values, strict=True)}}
+        for one, values in cause.added
     ]
     drawn = {
         "effects": effects,

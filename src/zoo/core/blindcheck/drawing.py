@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zoo.core.blindcheck.cases import BlindError
 from zoo.core.derivatives import jacobian, scales_of
-from zoo.core.effects import Effect, EffectError, Location, with_effects
+from zoo.core.effects import AddedEffect, Effect, EffectError, with_effects
 from zoo.core.forward import ForwardModel, SolveError
 from zoo.core.parameters import draw_prior
 
@@ -117,11 +117,11 @@ class ModelDraw:
                 baseline = LinearBaseline(self.model, theta)
                 series, gap = baseline.series, 0.0
                 if effect is not None:
-                    location, values = draw_effect(effect, self.model, rng)
-                    more = with_effects(self.model, [effect.at(location)])
+                    added, values = draw_effect(effect, self.model, rng)
+                    more = with_effects(self.model, [added])
                     series = more.solve(more.configure(np.append(theta, values)))
                     gap = float(np.sqrt(np.mean(baseline.left(series) ** 2)))
-                    told = told_of(effect, location, values)
+                    told = told_of(added, values)
             except (EffectError, SolveError):
                 continue
             if effect is None or self.limits[0] * self.noise <= gap <= self.limits[1] * self.noise:
@@ -135,19 +135,19 @@ class ModelDraw:
 
 def draw_effect(
     effect: Effect, model: ForwardModel, rng: np.random.Generator
-) -> tuple[Location, tuple[float, ...]]:
-    """A location of an effect, uniform over all that it can have, and its parameters from their priors."""
+) -> tuple[AddedEffect, tuple[float, ...]]:
+    """An effect at a location, uniform over all that it can have, and its parameters from their priors."""
     locations = effect.locations(model)
     location = locations[int(rng.integers(len(locations)))]
-    return location, tuple(float(f"{p.prior.draw(rng, 1, {})[0]:.6g}") for p in effect.parameters)
+    return effect.at(location), tuple(float(f"{p.prior.draw(rng, 1, {})[0]:.6g}") for p in effect.parameters)
 
 
-def told_of(effect: Effect, location: Location, values: Sequence[float]) -> dict[str, Any]:
+def told_of(added: AddedEffect, values: Sequence[float]) -> dict[str, Any]:
     """Fields of a `CaseKey` about an effect."""
-    low, high = (float(x) for x in effect.parameters[0].prior.quantile(CENTRAL))
+    low, high = (float(x) for x in added.effect.parameters[0].prior.quantile(CENTRAL))
     return {
-        "place": location.part,
-        "subtree": location.subtree,
+        "place": added.location.part,
+        "subtree": added.location.subtree,
         "parameter": values[0],
         "prior_95": (low, high),
     }

@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from zoo.core.blindcheck.scoring import Rate, ReliabilityBin, Score
+from zoo.core.blindcheck.scoring import Rate, Score
 from zoo.core.inference.record import versions
 from zoo.core.outputs import write_file
 
@@ -81,21 +81,14 @@ def _table(heads: str, rows: list[str]) -> list[str]:
     return ["", f"| {heads} |", "|---" * (heads.count(" | ") + 1) + "|", *(f"| {row} |" for row in rows)]
 
 
-def reliability_rows(bins: list[ReliabilityBin]) -> list[str]:
-    """Bins of stated probability as rows of a Markdown table."""
-    return [
-        f"{b.low:g} to {b.high:g} | {b.n} | {b.stated:.3f} | {b.right} | {b.band[0]} to {b.band[1]}"
-        for b in bins
-    ]
-
-
-def group_row(name: str, s: Mapping[str, Any]) -> str:
+def _group_row(name: str, s: Mapping[str, Any]) -> str:
     """A summary in a row of a Markdown table, under `GROUP_HEADS`."""
-    best, sure = s["constant"], s["sure"]
-    cells = [name, str(s["n"]), log_text(s), f"{best['log_score']:.3f}", f"{s['brier']:.3f}"]
-    cells += [f"{best['brier']:.3f}", f"{s['first'].count}, {s['group_first'].count} of {s['first'].n}"]
-    cells += [f"{best['first'].count} ({best['always']})", f"{sure.count} of {sure.n}"]
-    return " | ".join(cells)
+    best, first, sure = s["constant"], s["first"], s["sure"]
+    return (
+        f"{name} | {s['n']} | {log_text(s)} | {best['log_score']:.3f} "
+        f"| {s['brier']:.3f} | {best['brier']:.3f} | {first.count}, {s['group_first'].count} of {first.n} "
+        f"| {best['first'].count} ({best['always']}) | {sure.count} of {sure.n}"
+    )
 
 
 GROUP_HEADS = (
@@ -114,9 +107,13 @@ def score_table(score: Score) -> str:
         rows = [" | ".join(row) for row in summary_rows(s, sizes=part is score)]
         lines += _table(f"{s['n']} {title}, {s['failed']} without an answer | | {CONSTANT}", rows)
         for what, groups in part.by.items():
-            lines += _table(GROUP_HEADS.format(what), [group_row(v, own) for v, own in groups.items()])
+            lines += _table(GROUP_HEADS.format(what), [_group_row(v, own) for v, own in groups.items()])
         heads = "stated probability of the leading group | cases | mean stated | right | 95 % range"
-        lines += _table(heads, reliability_rows(part.reliability))
+        rows = [
+            f"{b.low:g} to {b.high:g} | {b.n} | {b.stated:.3f} | {b.right} | {b.band[0]} to {b.band[1]}"
+            for b in part.reliability
+        ]
+        lines += _table(heads, rows)
         if s["impossible"]:
             rows = [
                 f"{c['case']} | {c['label']} | {' or '.join(c['right'])} | {c['probability']:.1e} "
@@ -142,25 +139,21 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def score_record(score: Score) -> dict[str, Any]:
-    """Content of score.json."""
-    parts = {"": score} | ({"components": score.components} if score.components else {})
-    found: dict[str, Any] = {"format": FORMAT, "versions": versions(), "without_key": score.without_key}
-    for name, part in parts.items():
-        own = {
-            "summary": part.summary,
-            "by": part.by,
-            "reliability": [asdict(b) | {"inside": b.inside} for b in part.reliability],
-            "cases": [{**c, "right": " ".join(c["right"])} for c in part.cases],
-        }
-        found |= {name: own} if name else own
-    return dict(_plain(found))
+def _record(score: Score) -> dict[str, Any]:
+    """What score.json has of a score."""
+    return {
+        "summary": score.summary,
+        "by": score.by,
+        "reliability": [asdict(b) | {"inside": b.inside} for b in score.reliability],
+        "cases": [{**c, "right": " ".join(c["right"])} for c in score.cases],
+    }
 
 
 def write_score(score: Score, out: Path) -> None:
     """Write score.json, score.md and cases.csv into a folder, which is made if it is not there."""
     out.mkdir(parents=True, exist_ok=True)
-    record = score_record(score)
+    record = {"format": FORMAT, "versions": versions(), "without_key": score.without_key, **_record(score)}
+    record = _plain(record | ({"components": _record(score.components)} if score.components else {}))
     write_file(out / "score.json", json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     write_file(out / "score.md", score_table(score))
     table = pd.DataFrame(record["cases"], dtype=object)
