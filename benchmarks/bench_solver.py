@@ -12,9 +12,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from benchmarks.measured import CASES, keep, options, processor_times, yardsticks
-from rich.console import Console
-from rich.table import Table
 
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import load_study
@@ -25,17 +24,13 @@ PUBLISHED_PER_S = {"linear": 0.15, "tangent": 0.065}
 FLOPS = {"linear": 55, "tangent": 99}
 ROOTS = {"linear": 2, "tangent": 2}
 DIVISIONS = {"linear": 2, "tangent": 4}
-COLUMNS = "wall,solves /s,x published,beats,steps/beat,error mmHg,of peak,double roots and divides"
 
 
 def main() -> None:
     given = options(__doc__, study="demo", repeats=31)
     study = load_study(given.study)
     core = yardsticks()
-    result: dict[str, Any] = {"study": study.name, "machine": platform.machine(), **core}
-    table = Table(title=f"one core, study {study.name}, default accuracy")
-    for column in COLUMNS.split(","):
-        table.add_column(column, justify="right")
+    rows: dict[str, dict[str, Any]] = {}
     for wall, values in CASES.items():
         of = partial(Solver.for_study, study, wall, series=[(1, 0.0)], times_s=study.time_s)
         solver = of()
@@ -50,30 +45,21 @@ def main() -> None:
             ROOTS[wall] / core["square_roots_per_s"] + DIVISIONS[wall] / core["divisions_per_s"]
         )
         of_peak = FLOPS[wall] * node_steps * rate / 1e9 / core["matrix_product_gflop_per_s"]
-        result |= {
-            f"solve_{wall}_per_s": rate,
-            f"error_{wall}_mmHg": error,
-            f"beats_{wall}": solution.beats,
-            f"beats_reference_{wall}": reference.beats,
-            f"steps_per_beat_{wall}": solution.steps_per_beat,
-            f"fraction_of_matrix_product_{wall}": of_peak,
-            f"double_roots_and_divides_over_time_{wall}": limit * rate,
-            f"ratio_to_published_{wall}": rate / PUBLISHED_PER_S[wall],
+        rows[wall] = {
+            "solve_{}_per_s": rate,
+            "error_{}_mmHg": error,
+            "beats_{}": solution.beats,
+            "beats_reference_{}": reference.beats,
+            "steps_per_beat_{}": solution.steps_per_beat,
+            "fraction_of_matrix_product_{}": of_peak,
+            "double_roots_and_divides_over_time_{}": limit * rate,
+            "ratio_to_published_{}": rate / PUBLISHED_PER_S[wall],
         }
-        table.add_row(
-            wall,
-            f"{rate:.0f}",
-            f"{rate / PUBLISHED_PER_S[wall]:.0f}",
-            str(solution.beats),
-            str(solution.steps_per_beat),
-            f"{error:.4f}",
-            f"{of_peak:.0%}",
-            f"{limit * rate:.0%}",
-        )
-    keep(result, given.output)
-    console = Console(width=130)
-    console.print(table)
-    console.print(
+    result = {name.format(wall): value for wall, row in rows.items() for name, value in row.items()}
+    keep({"study": study.name, "machine": platform.machine(), **core, **result}, given.output)
+    print(f"one core, study {study.name}, default accuracy; in {given.output.name} a wall stands for {{}}")
+    print(pd.DataFrame(rows).to_string(float_format="{:.4g}".format))
+    print(
         f"yardsticks of this core: {core['matrix_product_gflop_per_s']:.1f} Gflop/s in a matrix product, "
         f"{core['square_roots_per_s'] / 1e9:.2f} G square roots/s, "
         f"{core['divisions_per_s'] / 1e9:.2f} G divisions/s; kept in {given.output}"
