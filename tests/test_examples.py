@@ -20,7 +20,7 @@ from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
 from zoo.core.diagnosis.search import Search
 from zoo.core.effects import EffectParameter, Location, effect, with_effects
 from zoo.core.errors.spectral import Cosines
-from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.forward import FunctionModel, Outputs, from_pints
 from zoo.core.parameters import Parameter, Uniform
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -189,6 +189,36 @@ def test_effects_that_differ_in_a_constant_differ_in_their_keys() -> None:
     line = FunctionModel(lambda c, t: c["k"] * t, (Parameter("k", Uniform(0, 2)),), Outputs(("y",), t))
     keys = [with_effects(line, [made(factor).at()]).key for factor in (2.0, 2.0, 3.0)]
     assert keys[0] == keys[1] != keys[2]
+
+
+class Decay:
+    """A model as PINTS has them: two counts and `simulate`."""
+
+    def __init__(self, start: float) -> None:
+        self.start = start
+
+    def n_parameters(self) -> int:
+        return 1
+
+    def n_outputs(self) -> int:
+        return 2
+
+    def simulate(self, parameters: Any, times: Any) -> Any:
+        one = self.start * np.exp(-parameters[0] * np.asarray(times))
+        return np.column_stack([one, self.start - one])
+
+
+def test_a_pints_model_is_a_forward_model() -> None:
+    t = np.linspace(0.0, 2.0, 9)
+    rate = Parameter("rate", Uniform(0.1, 5.0), "1/s")
+    model = from_pints(Decay(2.0), t, [rate], labels=("left", "gone"))
+    found = model.solve(model.configure([0.7]))
+    np.testing.assert_allclose(found, [2 * np.exp(-0.7 * t), 2 - 2 * np.exp(-0.7 * t)])
+    assert model.outputs.series == ("left", "gone")
+    assert model.name == "Decay"
+    assert model.key != from_pints(Decay(3.0), t, [rate], labels=("left", "gone")).key
+    with pytest.raises(ValueError, match="2 parameters for 1: give one for each"):
+        from_pints(Decay(2.0), t, [rate, rate])
 
 
 # ---------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import FunctionType
 from typing import Any, Protocol, runtime_checkable
@@ -277,3 +277,50 @@ def function_text(function: Any) -> bytes:
         return bytes(cloudpickle.dumps(function))
     except Exception:
         return f"{function!r} at {id(function)}".encode()
+
+
+def from_pints(
+    model: Any,
+    times: ArrayLike,
+    priors: Sequence[Parameter],
+    *,
+    labels: Sequence[str] = (),
+    name: str = "",
+) -> FunctionModel:
+    """A model of PINTS as a forward model.
+
+    Parameters
+    ----------
+    model : pints.ForwardModel
+        With `n_parameters()`, `n_outputs()` and `simulate(parameters, times)`.
+    times : array (n_times,)
+    priors : sequence of Parameter
+        One number for each of the model's parameters, in their order.
+    labels : sequence of str
+        Of its outputs.
+    name : str
+
+    Returns
+    -------
+    FunctionModel
+
+    Raises
+    ------
+    ValueError
+        If the number of parameters differs.
+
+    References
+    ----------
+    Clerx et al. 2019, doi 10.5334/jors.252.
+    """
+    if len(priors) != model.n_parameters():
+        raise ValueError(f"{len(priors)} parameters for {model.n_parameters()}: give one for each")
+    names = [p.name for p in priors]
+
+    def simulate(configuration: Any, at: Array) -> Array:
+        values = np.asarray(model.simulate([float(configuration[n]) for n in names], at))
+        return values.reshape(len(at), -1).T
+
+    series = tuple(labels) or tuple(f"y{i}" for i in range(getattr(model, "n_outputs", lambda: 1)()))
+    outputs = Outputs(series, np.asarray(times, dtype=np.float64))
+    return FunctionModel(simulate, tuple(priors), outputs, name or type(model).__name__)
