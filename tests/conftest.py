@@ -70,15 +70,6 @@ def blind_cases(data_dir: Path) -> list[Path]:
 
 
 @pytest.fixture(scope="session")
-def blind_key(data_dir: Path) -> Path:
-    """Key of half of the independent simulator's cases; for tests marked needs_data."""
-    folder = data_dir.parent / "blind" / "key"
-    if not folder.is_dir():
-        pytest.skip(f"{folder} does not exist")
-    return folder
-
-
-@pytest.fixture(scope="session")
 def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[], Any]], Any]:
     """What a function makes, for a name that is its own: made by one worker, and read by the others."""
     folder = tmp_path_factory.getbasetemp()

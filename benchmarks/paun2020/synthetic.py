@@ -19,7 +19,8 @@ from scipy.linalg import solve_triangular
 from zoo.blood.ejection import PERIOD_S, ejection
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
-from zoo.blood.study import Series, Study, read_network, save_study
+from zoo.blood.study import Series, Study, save_study
+from zoo.blood.study.tree import read_network_file
 from zoo.core.errors.gaussian_process import NOISE, neural_network_kernel
 
 Array = NDArray[np.float64]
@@ -130,9 +131,9 @@ DEMO_TIMES = 256
 
 def demo_study() -> Study:
     """The embedded study: the mouse's vessels, our own inflow, pressure in the MPA and its daughters."""
-    blood, vessels = read_network(Path(str(files("zoo") / "data" / "mouse-c6" / "network.toml")))
+    tree = read_network_file(Path(str(files("zoo") / "data" / "mouse-c6" / "network.toml")))
     time, flow = ejection()
-    base = Study("demo", PERIOD_S, blood, vessels, time, np.round(flow, 6), np.array([]), ())
+    base = Study("demo", PERIOD_S, tree.blood, tree.vessels, time, np.round(flow, 6), np.array([]), ())
     return synthetic_study(base, name="demo", sites=DEMO_SITES, n_times=DEMO_TIMES, seed=DEMO_SEED)
 
 

@@ -335,15 +335,9 @@ def _geometry(vessel: Vessel) -> tuple[int | None, list[float]]:
     return vessel.parent, [vessel.length_cm, vessel.radius_cm, vessel.radius_out_cm]
 
 
-def prior_words(study: Study, base: str, priors: Mapping[str, Any] | None = None) -> dict[str, str]:
-    """Priors of a baseline's parameters in words, as the record of a diagnosis has them."""
-    given = get_baseline(base).priors(study, priors=priors)
-    return {one.parameter.name: one.parameter.prior.text for one in given}
-
-
-def of_study(found: Diagnosis, study: Study, priors: Mapping[str, str] | None = None) -> StudyDiagnosis:
+def of_study(found: Diagnosis, study: Study, priors: Mapping[str, str]) -> StudyDiagnosis:
     """A diagnosis of a study's data with the study, its checksum, and the baseline's priors in words."""
-    record = found.file.record | ({"priors": dict(priors)} if priors else {})
+    record = found.file.record | {"priors": dict(priors)}
     update = {"study": study.name, "study_checksum": study.checksum, "record": record}
     file = found.file.model_copy(update=update)
     values: dict[str, Any] = {f.name: getattr(found, f.name) for f in fields(Diagnosis)}

@@ -21,7 +21,7 @@ from zoo.blood.study.samples import INFLOW_COLUMNS, MIN_SAMPLES, OBSERVATION_COL
 from zoo.blood.study.saving import STUDY_FILES, save_study
 from zoo.blood.study.study import JUNCTION_PRESSURES, Study
 from zoo.blood.study.suspicion import Suspicion, UnitWarning, suspect_units
-from zoo.blood.study.tree import check_physics, read_network, sort_vessels
+from zoo.blood.study.tree import check_physics, sort_vessels
 
 __all__ = [
     "INFLOW_COLUMNS",
@@ -44,7 +44,6 @@ __all__ = [
     "even_samples",
     "list_studies",
     "load_study",
-    "read_network",
     "read_only",
     "root_pressure",
     "save_study",

@@ -235,24 +235,3 @@ def read_network_file(path: Path, settings: Mapping[str, Any] | None = None) -> 
     return NetworkFile(
         Blood(**blood.model_dump()), tuple(vessels), where, junctions.pressure, surroundings, nominal
     )
-
-
-def read_network(path: str | Path) -> tuple[Blood, tuple[Vessel, ...]]:
-    """Blood and vessels of a network.toml.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    blood : Blood
-    vessels : tuple of Vessel
-
-    Raises
-    ------
-    StudyError
-        If the file cannot be read or a field is wrong.
-    """
-    file = read_network_file(Path(path))
-    return file.blood, file.vessels
