@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from docs.tables import component_table
 from scipy.interpolate import CubicSpline
 
 from zoo.blood.baseline import get_baseline
@@ -16,7 +17,6 @@ from zoo.blood.components import COMPONENTS, component_of, components, plausible
 from zoo.blood.components.curves import curve, delay_response, gain_response, minimum_phase
 from zoo.blood.components.outlets import log_impedance_change
 from zoo.blood.components.plausibility import LIMITS
-from zoo.blood.components.tables import component_table
 from zoo.blood.components.wall import added_law, added_pressure
 from zoo.blood.diagnosis import HOOKS
 from zoo.blood.effects import CATALOGUE

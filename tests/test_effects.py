@@ -11,6 +11,7 @@ from typing import Any
 import cloudpickle
 import numpy as np
 import pytest
+from docs.tables import catalogue_table, signature_table, signatures, typical_values
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.special import jv
@@ -22,7 +23,6 @@ from zoo.blood.effects import CATALOGUE, FAMILIES, Effect, EffectError, EffectPa
 from zoo.blood.effects.fluid import relative_viscosity
 from zoo.blood.effects.outflow import ladder_sections
 from zoo.blood.effects.structured_tree import foster_fit, tree_impedance
-from zoo.blood.effects.tables import catalogue_table, signature_table, signatures, typical_values
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Blood, Study, StudyError, Vessel, Windkessel, load_study

@@ -56,7 +56,7 @@ def _effects_table(chosen: Sequence[Effect]) -> Any:
     """An effect a row, by family, with all but the name in one column."""
     from rich.text import Text
 
-    from zoo.blood.effects import FAMILIES, prior_text
+    from zoo.blood.effects import FAMILIES
 
     table = plain_table("effect", "parameter, prior, locations, what it does to a beat")
     for family in FAMILIES:
@@ -64,9 +64,7 @@ def _effects_table(chosen: Sequence[Effect]) -> Any:
         if members:
             table.add_row(Text(family, style="bold"))
         for effect in members:
-            lines = [
-                f"{p.name} ({p.unit}) ~ {prior_text(p).removesuffix(f' {p.unit}')}" for p in effect.parameters
-            ]
+            lines = [f"{p.name} ({p.unit}) ~ {p.prior.text}" for p in effect.parameters]
             table.add_row(f"  {effect.name}", "\n".join((*lines, _locations(effect), effect.signature)))
     return table
 
@@ -74,12 +72,10 @@ def _effects_table(chosen: Sequence[Effect]) -> Any:
 def _effect_lines(effect: Effect) -> list[Any]:
     from rich.text import Text
 
-    from zoo.blood.effects import prior_text
-
     table = plain_table("", "", heads=False)
     rows = [(n, str(getattr(effect, n))) for n in ("family", "statement", "equation", "signature")]
     for parameter in effect.parameters:
-        words = [f"{parameter.name} ({parameter.unit}) ~ {prior_text(parameter)}", parameter.why]
+        words = [f"{parameter.name} ({parameter.unit}) ~ {parameter.text}", parameter.why]
         words.append("0 is the baseline" if parameter.zero_is_base else "a shape, which no baseline has")
         rows.append(("parameter", "; ".join(word for word in words if word)))
     rows += [("locations", _locations(effect)), ("baselines", ", ".join(effect.baselines) or "all")]

@@ -67,6 +67,11 @@ class EffectParameter:
         return Normal(self.centre, self.scale, self.low, self.high)
 
     @property
+    def text(self) -> str:
+        """Its prior in words, such as "normal(0, 0.5) in [-1, 1] s"."""
+        return f"{self.prior.text} {self.unit}".removesuffix(" 1")
+
+    @property
     def start(self) -> float:
         """The first of its starts, or the centre of a shape."""
         return self.starts[0] if self.zero_is_base else self.centre

@@ -16,7 +16,6 @@ from zoo.core.effects import Effect, EffectError, EffectParameter, Location, eve
 # in the order in which those of a family are applied
 from zoo.blood.effects import geometry, wall, fluid, junctions, outflow, structured_tree  # isort: skip
 from zoo.blood.effects import surroundings, inflow, sensor, noise, numerics  # isort: skip
-from zoo.blood.effects.tables import prior_text  # isort: skip
 
 __all__ = [
     "CATALOGUE",
@@ -39,7 +38,6 @@ __all__ = [
     "noise",
     "numerics",
     "outflow",
-    "prior_text",
     "sensor",
     "sides_and_terminals",
     "structured_tree",

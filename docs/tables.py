@@ -1,16 +1,26 @@
-"""The catalogue as tables in Markdown: what each effect is, and how large it is in a study."""
+"""Tables of the documents, in Markdown: the catalogue of effects, how large each is, the free functions.
+
+python docs/tables.py effects|signatures|components
+"""
 
 from __future__ import annotations
 
 import math
+import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo import load_study
+from zoo.blood.baseline import get_baseline
+from zoo.blood.components import components
+from zoo.blood.components.plausibility import LIMITS, amount
 from zoo.blood.effects.catalogue import CATALOGUE
-from zoo.blood.forward import BloodFlow
-from zoo.core.effects import Effect, EffectParameter, Location
+from zoo.blood.forward import BloodFlow, study_data
+from zoo.core.components import FreeFunction
+from zoo.core.effects import Effect, Location
 from zoo.core.forward import Outputs, SolveError
 from zoo.core.parameters import pack, start_of
 
@@ -119,11 +129,6 @@ def signature_table(model: BloodFlow) -> str:
     return "\n".join(lines)
 
 
-def prior_text(parameter: EffectParameter) -> str:
-    """An effect parameter's prior in words, such as "normal(0, 0.5) in [-1, 1] s"."""
-    return f"{parameter.prior.text} {parameter.unit}".removesuffix(" 1")
-
-
 def catalogue_table() -> str:
     """The catalogue as a table in Markdown, a row for each parameter."""
 
@@ -140,6 +145,63 @@ def catalogue_table() -> str:
             rest = (made.signature, made.source) if k == 0 else ("", "")
             name = f"`{made.name}`" if k == 0 else ""
             kind = made.family if k == 0 else ""
-            cells = (name, kind, *what, parameter.name, prior_text(parameter), parameter.why, *rest)
+            cells = (name, kind, *what, parameter.name, parameter.text, parameter.why, *rest)
             lines.append("| " + " | ".join(cell(c) if not c.startswith("`") else c for c in cells) + " |")
     return "\n".join(lines)
+
+
+def component_table(functions: Iterable[FreeFunction]) -> str:
+    """A row for each function: its equation, argument, prior size and source, and what is believed.
+
+    Parameters
+    ----------
+    functions : iterable of FreeFunction
+        Such as ``components(model, theta, data)``.
+
+    Returns
+    -------
+    str
+    """
+    lines = [
+        "| component | function | equation | argument | values | prior size | lengths | why this size "
+        "| believed up to |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    component = ""
+    for one in functions:
+        unit = "" if one.argument_unit == "1" else f", {one.argument_unit}"
+        where = f"each {one.argument}" if one.labels else f"{one.argument}{unit}"
+        lengths = ", ".join(f"{length:.2g}" for length in one.lengths) or "none: independent"
+        cells = (
+            one.component if one.component != component else "",
+            f"`{one.name}`",
+            f"`{one.equation}`".replace("|", "\\|"),
+            where,
+            f"{len(one.at)}, {one.unit}",
+            f"{one.size:.2g} ({amount(one.size, one.unit)})"
+            if one.unit.startswith("log ")
+            else amount(one.size, one.unit),
+            lengths,
+            one.why.replace("|", "\\|"),
+            amount(LIMITS[one.name].sizes * one.size, one.unit),
+        )
+        component = one.component
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main(table: str) -> None:
+    """Print one of them, of `demo`."""
+    study = load_study("demo")
+    if table == "effects":
+        print(catalogue_table())
+    elif table == "signatures":
+        print(signature_table(get_baseline("B").forward(study)))
+    else:
+        model = get_baseline("linear-constant").forward(study)
+        start = pack(model.parameters, start_of(model.parameters))
+        print(component_table(components(model, start, study_data(study))))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
