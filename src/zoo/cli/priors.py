@@ -49,14 +49,13 @@ def priors(
 
     from zoo.blood.prior_predictive import prior_predictive, prior_rows
     from zoo.cli.sample import build_model
-    from zoo.core.inference.progress import bar
+    from zoo.core.inference.progress import Display
 
     built = build_model(name, loaded)
     rows = prior_rows(built)
     say(_table(rows, name, loaded))
-    with bar(not quiet) as progress:
-        task = progress.add_task("prior draws", total=n_draws)
-        found = prior_predictive(built, n_draws, seed, lambda done: progress.update(task, completed=done))
+    with Display(not quiet) as tell:
+        found = prior_predictive(built, n_draws, seed, lambda done: tell("prior draws", done / n_draws))
     say(*_summary(found, loaded))
     if output is not None:
         output.mkdir(exist_ok=True)

@@ -14,7 +14,7 @@ import xarray as xr
 from zoo.core.errors.base import ErrorModel
 from zoo.core.inference import methods, sampling
 from zoo.core.inference.messages import without_messages
-from zoo.core.inference.progress import bar
+from zoo.core.inference.progress import Display
 from zoo.core.inference.record import RunRecord
 from zoo.core.model import ModelRecord, record_of
 from zoo.core.parameters import variable_name
@@ -77,12 +77,11 @@ def add_groups(
     if seed is None:
         seed = _seed_of(idata)
     kept = thin(idata, n_draws)
-    with bar(progress) as shown:
-        task = shown.add_task("log-likelihood and predictions", total=None)
+    with Display(progress) as shown:
         means = posterior_means(
             model,
             kept,
-            progress=lambda done, total: shown.update(task, completed=done, total=total),
+            progress=lambda done, total: shown("log-likelihood and predictions", done / total),
             library=library,
         )
     values = error_parameters(kept, record)
