@@ -41,6 +41,7 @@ from zoo.core.data import Data
 from zoo.core.diagnosis import diagnose
 from zoo.core.effects import EffectParameter, effect
 from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.outputs import OutputFileError, Run
 from zoo.core.parameters import Normal, Parameter
 
 
@@ -287,6 +288,39 @@ def test_an_interrupted_run_goes_on(
     assert {p.name for p in (answers / "b").iterdir()} == {"failed.txt", "notes.txt"}
     assert run_cases(cases, answers, Scales(broken=())).kept == ("a",)
     assert run_cases(cases, answers, Scales(broken=())).kept == ("a", "b", "c")
+
+
+@pytest.mark.parametrize("name", ["failed.txt", "answer.json", "notes.txt"])
+def test_files_of_others_where_an_answer_goes_stay(name: str, weighed: tuple[Path, Path, Path]) -> None:
+    cases, _, answers = weighed
+    folder = answers / "a"
+    folder.mkdir(parents=True)
+    for other in {"failed.txt", name}:
+        (folder / other).write_text("mine")
+    with Run({"command": "blind run"}, fresh=True), pytest.raises(OutputFileError, match="not as zoo wrote"):
+        run_cases(cases, answers, Scales(broken=()), fresh=True)
+    assert (folder / name).read_text() == "mine"
+    (folder / name).unlink()
+    (folder / name).symlink_to(cases / "a" / "weight.txt")
+    with pytest.raises(BlindError, match=f"{name}: is a link"):
+        run_cases(cases, answers, Scales(broken=()), fresh=True)
+    assert (cases / "a" / "weight.txt").read_text() != "mine"
+
+
+def test_a_command_replaces_its_own_answers(weighed: tuple[Path, Path, Path]) -> None:
+    """What failed is tried again by the same command; another one asks for --fresh."""
+    cases, _, answers = weighed
+    for broken, diagnosed in (("c",), 2), ((), 3):
+        with Run({"command": "blind run"}):
+            assert len(run_cases(cases, answers, Scales(broken=broken)).diagnosed) == diagnosed
+    with Run({"command": "blind run", "--base": "B"}, fresh=True):
+        assert run_cases(cases, answers, Scales(seed=2, broken=()), fresh=True).kept == ()
+
+
+def test_the_key_is_not_the_folder_of_the_cases(tmp_path: Path) -> None:
+    with pytest.raises(BlindError, match="put the key elsewhere"):
+        write_cases(tmp_path / "x", tmp_path / "x", ["b"], weigh, head={})
+    assert not (tmp_path / "x").exists()
 
 
 def test_no_answer_of_another_run_is_replaced_unasked(weighed: tuple[Path, Path, Path]) -> None:

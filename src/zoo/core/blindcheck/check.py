@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import closing
 from functools import partial
 from typing import Any
 
@@ -143,11 +144,14 @@ def blind_check(
     answers: dict[str, Answer | None] = {}
     failed: dict[str, str] = {}
     work = partial(_diagnosed, diagnose)
-    for (name, _), found in each(work, list(data.items()), cores, executor=executor, name=lambda job: job[0]):
-        if isinstance(found, str):
-            failed[name] = found
-        answers[name] = None if isinstance(found, str) else found
-        done(name)
+    with closing(
+        each(work, list(data.items()), cores, executor=executor, name=lambda job: job[0])
+    ) as results:
+        for (name, _), found in results:
+            if isinstance(found, str):
+                failed[name] = found
+            answers[name] = None if isinstance(found, str) else found
+            done(name)
     if len(failed) == len(data):
         raise BlindError(f"no case could be diagnosed; the first: {failed[keys[0].case]}")
     return score_answers(keys, answers, by=by, failed=dict(sorted(failed.items())))

@@ -9,6 +9,7 @@ import tempfile
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +20,7 @@ from pydantic import ValidationError
 from zoo.core import digests
 from zoo.core.blindcheck.cases import Answer, BlindError, CaseKey
 from zoo.core.inference.workers import each
-from zoo.core.outputs import output_file, output_folder, write_file
+from zoo.core.outputs import RECORD, output_file, output_folder, write_file
 
 KEY_DIGEST = "KEY.sha256"
 ANSWER, FAILED = "answer.json", "failed.txt"
@@ -76,7 +77,7 @@ def write_cases(
     zoo.core.outputs.OutputFileError
         If the folder or the key cannot be written, or something would be lost.
     """
-    if folder.resolve() in key.resolve().parents:
+    if folder.resolve() in (key.resolve(), *key.resolve().parents):
         raise BlindError(f"{key}: lies inside {folder}, where the cases are; put the key elsewhere")
     if key.exists():
         raise BlindError(f"{key}: is there already; give another --key, or remove it with its cases")
@@ -85,10 +86,11 @@ def write_cases(
     if folder.is_dir() and (rest := sorted(p.name for p in folder.iterdir())):
         raise BlindError(f"{folder}: holds {rest[0]}; give a new or empty folder")
     made = []
-    for _, one in each(make, jobs, cores):
-        files = {name: text.encode() for name, text in one.files.items()}
-        made.append((one.key.model_copy(update={"files": digest_of(files)}), files))
-        done(one.key.case)
+    with closing(each(make, jobs, cores)) as found:
+        for _, one in found:
+            files = {name: text.encode() for name, text in one.files.items()}
+            made.append((one.key.model_copy(update={"files": digest_of(files)}), files))
+            done(one.key.case)
     made.sort(key=lambda one: one[0].case)
     contents = [(folder / own.case / name, content) for own, files in made for name, content in files.items()]
     random.SystemRandom().shuffle(contents)
@@ -238,28 +240,31 @@ def run_cases(
             files = case_files(case)
         except BlindError as error:
             failed[case.name] = str(error)
+            done(case.name)
             continue
         if _is_answered(answers / case.name, digest_of(files), identity, fresh=fresh):
             kept.append(case.name)
             done(case.name)
         else:
+            folder = answers / case.name
+            there = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
+            output_folder(folder, [name for name in there if name != RECORD], "answer", deep=True)
             waiting.append((case.name, files))
     answers.mkdir(parents=True, exist_ok=True)
     if (cases / KEY_DIGEST).is_file():
         write_file(answers / KEY_DIGEST, (cases / KEY_DIGEST).read_bytes())
     work = partial(_diagnose, diagnosis)
-    for (name, _), (stored, beside) in each(
-        work, waiting, cores, executor=executor, name=lambda parcel: parcel[0]
-    ):
-        if stored["asked"] != identity:
-            raise BlindError(
-                f"{name}: was diagnosed by a worker with other versions than this program's; "
-                "install the same on all machines, and start the workers again"
-            )
-        _write_answer(answers / name, stored, beside)
-        if "failed" in stored:
-            failed[name] = stored["failed"].splitlines()[0]
-        done(name)
+    with closing(each(work, waiting, cores, executor=executor, name=lambda parcel: parcel[0])) as results:
+        for (name, _), (stored, beside) in results:
+            if stored["asked"] != identity:
+                raise BlindError(
+                    f"{name}: was diagnosed by a worker with other versions than this program's; "
+                    "install the same on all machines, and start the workers again"
+                )
+            _write_answer(answers / name, stored, beside)
+            if "failed" in stored:
+                failed[name] = stored["failed"].splitlines()[0]
+            done(name)
     diagnosed = tuple(case.name for case in found if case.name not in failed)
     return Ran(diagnosed, tuple(kept), dict(sorted(failed.items())))
 
@@ -278,9 +283,13 @@ def _is_answered(folder: Path, files: str, identity: Mapping[str, Any], *, fresh
     """Whether the answer is there; refuses what this run did not write, and may not replace."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise BlindError(f"{folder}: is a link or no folder; give another folder for the answers")
-    if not folder.exists() or (folder / FAILED).is_file():
+    there = [path for path in folder.iterdir() if path.name != RECORD] if folder.exists() else []
+    for path in there:
+        if path.is_symlink() or not path.is_file():
+            raise BlindError(f"{path}: is a link or no file; give another folder for the answers")
+    if not there or (folder / FAILED).is_file():
         return False
-    if not (folder / ANSWER).is_file() and any(folder.iterdir()):
+    if not (folder / ANSWER).is_file():
         raise BlindError(f"{folder}: holds other files than an answer's; give another folder")
     try:
         stored, _ = stored_answer(folder)
@@ -288,7 +297,7 @@ def _is_answered(folder: Path, files: str, identity: Mapping[str, Any], *, fresh
             return True
     except BlindError:
         pass
-    if not fresh and any(folder.iterdir()):
+    if not fresh:
         raise BlindError(
             f"{folder}: holds an answer to other data or settings, of another version, or a damaged one; "
             "give another folder, or --fresh to replace it"

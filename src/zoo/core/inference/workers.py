@@ -13,7 +13,7 @@ import threading
 import traceback
 import types
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -50,8 +50,8 @@ def each(
     *,
     executor: Executor | None = None,
     name: Callable[[J], str] = str,
-) -> Iterator[tuple[J, R]]:
-    """Jobs and what they gave, as they finish.
+) -> Generator[tuple[J, R], None, None]:
+    """Jobs and what they gave, as they finish; to be closed where what is done with them may fail.
 
     The tasks of one process take turns, with one thread for linear algebra each: the same digits come out
     wherever they run. A task whose worker dies is run again, at most `TRIES` times in all.
@@ -226,8 +226,8 @@ class _Process:
     def run(self, task: bytes) -> Any:
         """The result of a task; it is run again if the process dies."""
         for _ in range(TRIES):
+            self._start()
             try:
-                self._start()
                 self._pipe.send_bytes(task)
                 done, found = self._pipe.recv()
             except (EOFError, OSError):
@@ -243,21 +243,23 @@ class _Process:
     def _start(self) -> None:
         with _starting:
             if self._ended:
-                raise EOFError
+                raise CancelledError
             if self._process is None:
                 context = mp.get_context("spawn")
-                self._pipe, theirs = context.Pipe()
-                self._process = context.Process(target=_serve, args=(theirs,))
+                ours, theirs = context.Pipe()
+                process = context.Process(target=_serve, args=(theirs,))
                 with _as_for_workers():
-                    self._process.start()
+                    process.start()
                 theirs.close()
+                self._process, self._pipe = process, ours
 
     def _stop(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.join()
-            self._pipe.close()
-            self._process = None
+        with _starting:
+            if self._process is not None:
+                self._process.kill()
+                self._process.join()
+                self._pipe.close()
+                self._process = None
 
     def end(self) -> None:
         """Kill the process, which no further task starts again."""
