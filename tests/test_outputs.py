@@ -202,3 +202,34 @@ def test_a_posterior_reads_back_as_it_was(tmp_path):
     assert again.attrs == idata.attrs
     for group in idata.groups():
         assert again[group].identical(idata[group]), group
+
+
+@pytest.mark.parametrize("asked", ["file", "folder"])
+def test_a_link_that_is_changed_meanwhile_leads_to_no_file_of_others(tmp_path, asked):
+    for name in ("ours", "theirs"):
+        (tmp_path / name).mkdir()
+    theirs, latest = tmp_path / "theirs" / "w.csv", tmp_path / "latest"
+    theirs.write_text("mine")
+    latest.symlink_to(tmp_path / "ours")
+    with Run({"command": "simulate"}, fresh=True):
+        if asked == "file":
+            output_file(latest / "w.csv", "--output")
+        else:
+            output_folder(latest, ["w.csv"], "--output")
+        latest.unlink()
+        latest.symlink_to(tmp_path / "theirs")
+        with pytest.raises(OutputFileError, match="not as zoo wrote it"):
+            write_file(latest / "w.csv", "new")
+    assert theirs.read_text() == "mine"
+
+
+def test_a_link_among_ones_own_outputs_leads_to_no_file_of_others(tmp_path):
+    theirs = tmp_path / "theirs.txt"
+    theirs.write_text("mine")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "KEY").symlink_to(theirs)
+    with Run({"command": "blind run"}):
+        output_folder(tmp_path / "out", (), "--output")
+        with pytest.raises(OutputFileError, match="not as zoo wrote it"):
+            write_file(tmp_path / "out" / "KEY", "new")
+    assert theirs.read_text() == "mine"

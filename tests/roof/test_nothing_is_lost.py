@@ -320,3 +320,12 @@ def test_names_with_markup_print_as_they_are(tmp_path: Path, tiny: Path) -> None
     shown = run("priors", folder, "--model", "A", "--n-draws", 10, "-q")
     assert "on [bold]tiny[x] :lung:, set study" in shown
     assert "[/y]" in fails("simulate", "[/y]")
+
+
+def test_two_outputs_are_two_files(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("p.svg").symlink_to("w.csv")
+    before = state(tmp_path)
+    said = fails("simulate", tiny, "--stiffness", "5e4", "-o", "w.csv", "--plot", "p.svg")
+    assert "--plot p.svg: is the path of --output w.csv too; choose another" in said
+    assert state(tmp_path) == before

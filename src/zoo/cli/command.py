@@ -118,10 +118,14 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
                     function(**given)
                     return
                 with _run_of(function.__name__.strip("_"), asked, roles, flags) as this:
+                    taken: dict[str, str] = {}
                     for name in (name for name, role in roles.items() if Role.WRITES in role):
                         if asked[name] is not None:
-                            real = Path(os.path.realpath(asked[name]))
-                            this.add(real, f"{flags.get(name, '')} {asked[name]}".strip())
+                            named = f"{flags.get(name, '')} {asked[name]}".strip()
+                            other = taken.setdefault(os.path.realpath(asked[name]), named)
+                            if other != named:
+                                raise UsageError(f"{named}: is the path of {other} too; choose another")
+                            this.add(Path(asked[name]), named)
                     function(**given)
         except typer.Exit:
             raise

@@ -54,14 +54,18 @@ class Run:
     def __exit__(self, *_: object) -> None:
         _running.remove(self)
 
-    def add(self, real: Path, named: str) -> None:
+    def add(self, path: Path, named: str) -> None:
         """Take a file or folder as an output, if nothing is lost by that."""
-        self._outputs.add(real)
-        self.check(real, named)
+        self._outputs |= {Path(os.path.realpath(path)), Path(os.path.abspath(path))}
+        self.check(path, named)
 
-    def check(self, real: Path, named: str, content: bytes | memoryview | None = None) -> None:
-        """Refuse an output by which something would be lost; record one that is about to be written."""
-        if not {real, real.parent} & self._outputs:
+    def check(self, path: Path, named: str, content: bytes | memoryview | None = None) -> None:
+        """Refuse an output by which something would be lost; record one that is about to be written.
+
+        A path is known by its name and by what it leads to: links may be changed while a command works.
+        """
+        real, name = Path(os.path.realpath(path)), Path(os.path.abspath(path))
+        if not {real, real.parent, name, name.parent} & self._outputs:
             return
         for read in self.inputs:
             if real.exists() and read.exists() and real.samefile(read):
@@ -194,7 +198,7 @@ def write_file(path: str | Path, content: str | bytes | memoryview, *, private: 
     raw = content.encode() if isinstance(content, str) else content
     try:
         for run in _running:
-            run.check(real, str(path), raw)
+            run.check(path, str(path), raw)
         temporary = real.with_name(f".zoo-{secrets.token_hex(8)}.part")
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
         file = os.open(temporary, flags, 0o600 if private else 0o666)
@@ -236,7 +240,7 @@ def _checked(path: Path, option: str = "", *, folder: bool = False, deep: bool =
     if not os.access(there, os.W_OK | os.X_OK):
         raise OutputFileError(f"{named}: cannot be written (Permission denied); choose another path")
     for run in _running:
-        (run.add if option else run.check)(real, named)
+        (run.add if option else run.check)(path, named)
     return real
 
 
