@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import arviz as az
 import numpy as np
 import pandas as pd
 import pytest
 from commands import TRUE, fails, run
 
 from zoo.blood.study import load_study, save_study
+from zoo.cli.command import UsageError
+from zoo.cli.sample import _keeps_what_is_there
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import find
 from zoo.core.posterior.storage import load
@@ -64,6 +69,19 @@ def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Pat
     np.testing.assert_array_equal(after.posterior.c[:, :60], before)
     assert RunRecord.of(after).sittings == 2
     assert "model A on tiny" not in output  # -q
+
+
+@pytest.mark.parametrize(("goal", "refused"), [(None, False), (5000.0, True)])
+def test_draws_up_to_a_goal_are_not_replaced_by_those_of_the_first_check(
+    goal: float | None, refused: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = az.from_dict(posterior={"a": np.zeros((2, 40))})
+    record = SimpleNamespace(settings={"first check": 10, "until_ess": goal})
+    monkeypatch.setattr("zoo.core.posterior.storage.load", lambda path: held)
+    monkeypatch.setattr(RunRecord, "of", lambda idata: record)
+    wanted = {"draws": 10, "until_ess": None}
+    with pytest.raises(UsageError, match="holds 40 draws") if refused else contextlib.nullcontext():
+        _keeps_what_is_there(Path("A.nc"), wanted)
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,8 @@ def _keeps_what_is_there(path: Path, settings: Mapping[str, Any]) -> None:
     held, goal = idata["posterior"].sizes["draw"], settings["until_ess"]
     before = RunRecord.of(idata).settings
     if goal is None:
-        less = held > settings["draws"] != before.get("first check")
+        again = (settings["draws"], None) == (before.get("first check"), before.get("until_ess"))
+        less = held > settings["draws"] and not again
     else:
         less = goal != before.get("until_ess") and not checkpoint_of(path).is_dir()
     if less:

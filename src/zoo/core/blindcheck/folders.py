@@ -94,6 +94,8 @@ def write_cases(
     made.sort(key=lambda one: one[0].case)
     contents = [(folder / own.case / name, content) for own, files in made for name, content in files.items()]
     random.SystemRandom().shuffle(contents)
+    if key.exists():  # of another run that was made meanwhile
+        raise BlindError(f"{key}: is there by now; give another --key")
     folder.mkdir(parents=True, exist_ok=True)
     for path in dict.fromkeys(path.parent for path, _ in contents):
         path.mkdir()
