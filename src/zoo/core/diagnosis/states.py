@@ -28,7 +28,7 @@ from zoo.core.diagnosis.screening import BaseFits, Screening
 from zoo.core.diagnosis.search import Search, SearchError
 from zoo.core.effects import AddedEffect
 from zoo.core.errors.spectral import Spectral, spectral_errors
-from zoo.core.forward import ForwardModel, Outputs, content_key
+from zoo.core.forward import Around, ForwardModel, content_key
 
 Array = NDArray[np.float64]
 Change = Callable[[Any], Any]
@@ -84,28 +84,19 @@ class StateResult:
     warnings: tuple[str, ...] = ()
 
 
-class _Changed:
+class _Changed(Around):
     """A forward model whose configuration is changed before each solve; itself a forward model."""
 
     def __init__(self, model: ForwardModel, changes: Sequence[Change], text: bytes) -> None:
-        self.model, self._changes = model, tuple(changes)
+        super().__init__(model)
+        self._changes, self.parameters = tuple(changes), model.parameters
         self.key = content_key(model.key, text)
-        self.name, self.parameters = model.name, model.parameters
-        self.outputs, self.families = model.outputs, model.families
 
     def configure(self, theta: Array) -> Any:
         configuration = self.model.configure(theta)
         for change in self._changes:
             configuration = change(configuration)
         return configuration
-
-    def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
-        return self.model.solve(configuration, outputs)
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name == "model":
-            raise AttributeError(name)
-        return getattr(self.model, name)
 
 
 @dataclass(frozen=True, eq=False)

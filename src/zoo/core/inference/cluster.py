@@ -11,6 +11,7 @@ from zoo.core.words import OneLineError
 
 PATIENCE_S = 20
 MOST_WAITING = 64
+"""Tasks of a cluster whose results are waited for at once."""
 
 
 class SchedulerError(OneLineError, RuntimeError):
