@@ -10,19 +10,14 @@ from numpy.typing import NDArray
 
 from zoo.blood.case import Case, with_network, with_true_lengths
 from zoo.blood.components.curves import curve, factors
-from zoo.blood.components.setting import RADIUS, RADIUS_LENGTHS, RADIUS_UNIT, Setting
+from zoo.blood.components.setting import Setting
+from zoo.blood.components.table import free_function
 from zoo.blood.solver import PUBLISHED_CELLS_PER_CM
 from zoo.core.components import FreeFunction
 
 Array = NDArray[np.float64]
-RADIUS_SIZE = 0.1
-LENGTH_SIZE = 0.2
 SHORTEST_CELL = 0.85
 """Cells may shrink to this part of the tree's shortest before a vessel has fewer of them."""
-IMAGE = (
-    "Karau et al. 2001, doi 10.1152/ajpheart.2001.281.6.H2747, has the method, micro-CT of an excised lung; "
-    "its segmentation is uncertain, Colebank et al. 2019, doi 10.1098/rsif.2019.0284"
-)
 
 
 def scaled_radii(case: Case, values: Array) -> Case:
@@ -60,55 +55,14 @@ def scaled_lengths(case: Case, values: Array) -> Case:
 
 def functions(setting: Setting) -> tuple[FreeFunction, ...]:
     """Radii of each vessel and by size, and lengths of each vessel."""
-    index = np.arange(float(len(setting.vessels)))
-    knots = setting.radius_knots()
+    vessels = setting.vessels
+    index = np.arange(float(len(vessels)))
     found = [
-        FreeFunction(
-            "radius-scatter",
-            "geometry",
-            index,
-            RADIUS_SIZE,
-            scaled_radii,
-            "vessel",
-            "1",
-            "log radius",
-            why="10 %: half a voxel of 40 um (assumed; 30 to 50 um are usual for a mouse) is 4 to 15 % of "
-            f"radii of 0.5 to 0.13 mm. {IMAGE}",
-            labels=setting.vessels,
-            equation="r0 -> r0 exp(v) in each vessel, independent",
-        ),
-        FreeFunction(
-            "length-scatter",
-            "geometry",
-            index,
-            LENGTH_SIZE,
-            scaled_lengths,
-            "vessel",
-            "1",
-            "log length",
-            why="assumed: where a vessel ends in a branching is known to about a diameter, a fifth of its "
-            f"length. {IMAGE}",
-            labels=setting.vessels,
-            equation="L -> L exp(v) in each vessel, independent",
-        ),
+        free_function("radius-scatter", index, scaled_radii, labels=vessels),
+        free_function("length-scatter", index, scaled_lengths, labels=vessels),
     ]
+    knots = setting.radius_knots()
     if knots is not None:
-        found.append(
-            FreeFunction(
-                "radius-by-size",
-                "geometry",
-                knots,
-                RADIUS_SIZE,
-                functools.partial(scaled_radii_by_size, basis=curve(knots, setting.log_radius)),
-                RADIUS,
-                RADIUS_UNIT,
-                "log radius",
-                why="10 %: an image taken 5 mmHg from the pressure that is assumed shows radii 10 % off at a "
-                "distensibility of 2 % for each mmHg (Krenz & Dawson 2003, "
-                "doi 10.1152/ajpheart.00762.2002), and the edge of a narrow vessel is blurred over a larger "
-                "part of it",
-                lengths=RADIUS_LENGTHS,
-                equation="r0 -> r0 exp(v(log r0))",
-            )
-        )
+        apply = functools.partial(scaled_radii_by_size, basis=curve(knots, setting.log_radius))
+        found.append(free_function("radius-by-size", knots, apply))
     return tuple(found)

@@ -10,24 +10,12 @@ from numpy.typing import NDArray
 
 from zoo.blood.case import Case, filtered
 from zoo.blood.components.curves import curve, delay_response, gain_response
-from zoo.blood.components.setting import (
-    DELAY_KNOTS,
-    DELAY_LENGTHS,
-    FREQUENCY,
-    FREQUENCY_UNIT,
-    GAIN_KNOTS,
-    GAIN_LENGTHS,
-    Setting,
-)
+from zoo.blood.components.setting import DELAY_KNOTS, GAIN_KNOTS, Setting
+from zoo.blood.components.table import free_function
 from zoo.core.components import FreeFunction
 
 Array = NDArray[np.float64]
 FLOW_KNOTS = 40
-FLOW_LENGTHS_BEATS = (0.025, 0.05, 0.1, 0.2)
-FLOW_PART = 0.06
-"""Of the inflow's range."""
-GAIN_SIZE = 0.1
-DELAY_BEATS = 0.02
 
 
 def added_flow(case: Case, values: Array, at: Array) -> Case:
@@ -58,47 +46,14 @@ def functions(setting: Setting) -> tuple[FreeFunction, ...]:
     times: Array = np.arange(float(FLOW_KNOTS)) * (period / FLOW_KNOTS)
     gains, delays = setting.frequency_knots(GAIN_KNOTS), setting.frequency_knots(DELAY_KNOTS)
     return (
-        FreeFunction(
+        free_function(
             "flow-record",
-            "inflow",
             times,
-            FLOW_PART * float(np.ptp(setting.case.inflow_ml_s)),
             functools.partial(added_flow, at=times),
-            "time",
-            "s",
-            "ml/s",
-            why="6 % of the record's range: systematic errors of flow by Doppler ultrasound are 6 % or less "
-            "with suitable equipment, and random ones come on top (Gill 1985, "
-            "doi 10.1016/0301-5629(85)90035-3)",
-            lengths=tuple(part * period for part in FLOW_LENGTHS_BEATS),
+            size_of=float(np.ptp(setting.case.inflow_ml_s)),
+            lengths_of=period,
             period=period,
-            equation="q(t) -> q(t) + delta(t), periodic",
         ),
-        FreeFunction(
-            "flow-filter",
-            "inflow",
-            gains,
-            GAIN_SIZE,
-            functools.partial(filtered_flow, at=gains),
-            FREQUENCY,
-            FREQUENCY_UNIT,
-            "log gain",
-            why="assumed: a tenth in the gain of a harmonic; records are smoothed and means of many beats",
-            lengths=GAIN_LENGTHS,
-            equation="q_k -> H(f_k) q_k, log|H| free, H causal, H(0) = 1",
-        ),
-        FreeFunction(
-            "flow-timing",
-            "inflow",
-            delays,
-            DELAY_BEATS * period,
-            functools.partial(delayed_flow, at=delays),
-            FREQUENCY,
-            FREQUENCY_UNIT,
-            "s",
-            why="assumed: 2 % of a beat, what two records aligned by their upstrokes or by the ECG may "
-            "differ",
-            lengths=DELAY_LENGTHS,
-            equation="q_k -> exp(-2 pi i f_k tau(f_k)) q_k",
-        ),
+        free_function("flow-filter", gains, functools.partial(filtered_flow, at=gains)),
+        free_function("flow-timing", delays, functools.partial(delayed_flow, at=delays), size_of=period),
     )

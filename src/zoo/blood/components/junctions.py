@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from zoo.blood.case import Case, with_physics
 from zoo.blood.components.curves import curve
-from zoo.blood.components.setting import Setting, range_knots, range_lengths
+from zoo.blood.components.setting import Setting, range_knots, span_of
+from zoo.blood.components.table import free_function
 from zoo.blood.functions import JunctionFunction
 from zoo.core.components import FreeFunction
 
 Array = NDArray[np.float64]
 LOSS_KNOTS = 8
-LOSS_SIZE = 0.5
 FINE_KNOTS = 33
 """Of the solver's function."""
 
@@ -40,20 +40,5 @@ def functions(setting: Setting) -> tuple[FreeFunction, ...]:
     if not len(parents):
         return ()
     velocities = range_knots(np.append(setting.beat["velocity"][parents, 1], 0.0), LOSS_KNOTS)
-    return (
-        FreeFunction(
-            "junction-loss",
-            "junctions",
-            velocities,
-            LOSS_SIZE,
-            functools.partial(lost_pressure, at=velocities),
-            "velocity",
-            "cm/s",
-            "dynamic pressure",
-            why="half of the dynamic pressure at the largest velocity: losses at a branching are of the "
-            "order of the dynamic pressure (Mynard & Valen-Sendstad 2015, doi 10.1002/cnm.2717)",
-            lengths=range_lengths(velocities),
-            equation="p(daughter) = p(parent) - k(u) (u/U) rho U^2/2, u the parent's, U its largest; a "
-            "constant k is a loss in proportion to u, k as u one as u^2",
-        ),
-    )
+    apply = functools.partial(lost_pressure, at=velocities)
+    return (free_function("junction-loss", velocities, apply, lengths_of=span_of(velocities)),)

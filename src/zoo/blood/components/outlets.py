@@ -11,22 +11,14 @@ from numpy.typing import NDArray
 
 from zoo.blood.case import Case, with_physics
 from zoo.blood.components.curves import curve, factors, minimum_phase
-from zoo.blood.components.setting import (
-    FREQUENCY,
-    FREQUENCY_UNIT,
-    MOST_HARMONICS,
-    Setting,
-    range_knots,
-    range_lengths,
-)
+from zoo.blood.components.setting import MOST_HARMONICS, Setting, range_knots, span_of
+from zoo.blood.components.table import free_function
 from zoo.blood.functions import OutletFunction
 from zoo.blood.loads import with_impedance_change
 from zoo.core.components import FreeFunction
 
 Array = NDArray[np.float64]
 IMPEDANCE_KNOTS = 10
-IMPEDANCE_SIZE = 0.2
-IMPEDANCE_LENGTHS = (1.0, 1.6, 2.8)
 LOWEST_HARMONIC = 0.1
 """Below this part of the beat's frequency an outlet's impedance is steady."""
 POLES = 8
@@ -34,10 +26,6 @@ POLES = 8
 FITTED = 60
 """Frequencies at which a circuit is fitted to an impedance."""
 STATE_KNOTS, STATE_TABLE = 8, 33
-STATE_PER_MMHG = 0.08
-"""Change of a resistance's logarithm: four times the distensibility of a radius."""
-SCATTER_SIZE = 0.4
-FIRST_SIZE = 0.3
 
 
 def _spread(case: Case, values: Array) -> Array:
@@ -92,86 +80,27 @@ def functions(setting: Setting) -> tuple[FreeFunction, ...]:
     labels = tuple(setting.vessels[i] for i in terminals)
     index = np.arange(float(len(terminals)))
 
-    def scatter(name: str, size: float, of: tuple[str, ...], unit: str, why: str) -> FreeFunction:
-        letters = {"psi1": "R1", "psi2": "R2", "c": "C"}
-        changed = ", ".join(f"{letters[one]} -> {letters[one]} exp(v)" for one in of)
-        return FreeFunction(
-            name,
-            "outlets",
-            index,
-            size,
-            functools.partial(scaled_loads, of=of),
-            "terminal",
-            "1",
-            unit,
-            why=why,
-            labels=labels,
-            equation=f"{changed} at each terminal, independent",
-        )
+    def scatter(name: str, of: tuple[str, ...]) -> FreeFunction:
+        return free_function(name, index, functools.partial(scaled_loads, of=of), labels=labels)
 
-    found = [
-        scatter(
-            "outlet-resistance",
-            SCATTER_SIZE,
-            ("psi1", "psi2"),
-            "log resistance",
-            "0.4: nominal shares follow Poiseuille's law, r^4 (Qureshi et al. 2018, "
-            "doi 10.1007/s10237-018-1078-8), and 10 % of a radius is 0.4 in its fourth power",
-        )
-    ]
-    if np.all(network.R2[terminals] > 0):
-        found += [
-            scatter(
-                "outlet-first-resistance",
-                FIRST_SIZE,
-                ("psi1",),
-                "log resistance",
-                "assumed: 0.3; nominal R1 is a fifth of the total by rule, and the characteristic impedance "
-                "for which it stands goes with r^-2.5: 10 % of a radius is 0.25",
-            ),
-            scatter(
-                "outlet-compliance",
-                SCATTER_SIZE,
-                ("c",),
-                "log compliance",
-                "assumed: 0.4, as for resistances: nominal compliances are one time constant over them",
-            ),
-        ]
+    resistance = scatter("outlet-resistance", ("psi1", "psi2"))
     if not np.all(network.R2[terminals] > 0):
-        return tuple(found)
+        return (resistance,)
     frequencies = np.linspace(math.log(LOWEST_HARMONIC), math.log(MOST_HARMONICS), IMPEDANCE_KNOTS)
     frequencies -= math.log(setting.period_s)
     pressure, flow = (setting.beat[name][terminals, 1] for name in ("pressure", "flow"))
     first = (setting.case.psi1 * network.R1)[terminals, None] / setting.case.conventions.mmhg
     behind = range_knots(pressure - first * flow, STATE_KNOTS)
-    whole = (
-        FreeFunction(
-            "outlet-impedance",
-            "outlets",
-            frequencies,
-            IMPEDANCE_SIZE,
-            functools.partial(changed_impedance, at=frequencies),
-            FREQUENCY,
-            FREQUENCY_UNIT,
-            "log impedance",
-            why="0.2; a tree of small arteries (Olufsen et al. 2000, doi 10.1114/1.1326031, as the effect "
-            "structured-tree has it) differs from the nearest three-element circuit by up to 0.27",
-            lengths=IMPEDANCE_LENGTHS,
-            equation="Z(f) -> Z(f) exp(v(f)), v real, with the phase that goes with it; at all terminals",
-        ),
-        FreeFunction(
+    return (
+        free_function("outlet-impedance", frequencies, functools.partial(changed_impedance, at=frequencies)),
+        free_function(
             "outlet-state",
-            "outlets",
             behind,
-            STATE_PER_MMHG * 0.5 * float(np.ptp(behind)),
             functools.partial(changed_state, at=behind),
-            "pressure behind R1",
-            "mmHg",
-            "log resistance",
-            why="8 % for each mmHg, over half of the range: resistance goes with r^-4, at a "
-            "distensibility of 2 % for each mmHg (Krenz & Dawson 2003, doi 10.1152/ajpheart.00762.2002)",
-            lengths=range_lengths(behind),
-            equation="R2 -> R2 exp(v(p)), p the pressure behind R1; one v for all terminals",
+            size_of=0.5 * float(np.ptp(behind)),
+            lengths_of=span_of(behind),
         ),
+        resistance,
+        scatter("outlet-first-resistance", ("psi1",)),
+        scatter("outlet-compliance", ("c",)),
     )
-    return (*whole, *found)

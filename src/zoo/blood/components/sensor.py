@@ -10,25 +10,15 @@ from numpy.typing import NDArray
 
 from zoo.blood.case import Case, Wave, with_wave
 from zoo.blood.components.curves import curve, delay_response, gain_response
-from zoo.blood.components.setting import (
-    DELAY_KNOTS,
-    DELAY_LENGTHS,
-    FREQUENCY,
-    FREQUENCY_UNIT,
-    GAIN_KNOTS,
-    GAIN_LENGTHS,
-    Setting,
-)
+from zoo.blood.components.setting import DELAY_KNOTS, GAIN_KNOTS, Setting
+from zoo.blood.components.table import free_function
 from zoo.blood.effects.responses import filter_wave
 from zoo.core.components import FreeFunction
 
 Array = NDArray[np.float64]
-GAIN_SIZE = 0.1
-DELAY_BEATS = 0.01
 CURVE_KNOTS = 9
 CURVE_MARGIN = 0.1
 """Part of the observed pressures' range by which the curve's knots go beyond it."""
-CURVE_LENGTH_PARTS = (0.25, 0.5, 1.0)
 CURVE_MMHG, CURVE_PART = 0.5, 0.005
 """Half of a transducer's tolerance: of 1 mmHg, and of 1 % of the reading."""
 
@@ -76,46 +66,15 @@ def functions(setting: Setting) -> tuple[FreeFunction, ...]:
     readings = np.linspace(low, high, CURVE_KNOTS)
     gains, delays = setting.frequency_knots(GAIN_KNOTS), setting.frequency_knots(DELAY_KNOTS)
     return (
-        FreeFunction(
-            "sensor-filter",
-            "sensor",
-            gains,
-            GAIN_SIZE,
-            functools.partial(sensed_gain, at=gains),
-            FREQUENCY,
-            FREQUENCY_UNIT,
-            "log gain",
-            why="a tenth: a fluid-filled line with its resonance at 67 Hz and a damping of 0.3 raises a "
-            "mouse's first four harmonics by 2 to 29 % (Gardner 1981, doi 10.1097/00000542-198103000-00010); "
-            "a pressure-tip catheter has less",
-            lengths=GAIN_LENGTHS,
-            equation="y_k = H(f_k) p_k, log|H| free, H causal, H(0) = 1",
+        free_function("sensor-filter", gains, functools.partial(sensed_gain, at=gains)),
+        free_function(
+            "sensor-timing", delays, functools.partial(sensed_delay, at=delays), size_of=setting.period_s
         ),
-        FreeFunction(
-            "sensor-timing",
-            "sensor",
-            delays,
-            DELAY_BEATS * setting.period_s,
-            functools.partial(sensed_delay, at=delays),
-            FREQUENCY,
-            FREQUENCY_UNIT,
-            "s",
-            why="assumed: 1 % of a beat; delays of a line and of amplifiers beyond those of a causal filter",
-            lengths=DELAY_LENGTHS,
-            equation="y_k = exp(-2 pi i f_k tau(f_k)) p_k",
-        ),
-        FreeFunction(
+        free_function(
             "sensor-curve",
-            "sensor",
             readings,
-            CURVE_MMHG + CURVE_PART * abs(middle),
             functools.partial(sensed_curve, at=readings),
-            "pressure",
-            "mmHg",
-            "mmHg",
-            why="half of the tolerance of a transducer by ANSI/AAMI BP22, 1 mmHg and 1 % of the reading, "
-            "non-linearity and hysteresis included",
-            lengths=tuple(part * span for part in CURVE_LENGTH_PARTS),
-            equation="y = p + delta(p)",
+            size_of=CURVE_MMHG + CURVE_PART * abs(middle),
+            lengths_of=span,
         ),
     )

@@ -17,17 +17,10 @@ Array = NDArray[np.float64]
 MOST_HARMONICS = 20
 """Beyond this harmonic a filter's gain and delay no longer change."""
 GAIN_KNOTS, DELAY_KNOTS, RADIUS_KNOTS = 10, 6, 6
-GAIN_LENGTHS = (0.35, 0.7, 1.4)
-DELAY_LENGTHS = (0.7, 1.4, 2.8)
-RADIUS_LENGTHS = (0.3, 0.6, 1.2)
 SAMPLES = 256
 """Of a beat, where the ranges are read off that a function's argument has."""
 RANGE_MARGIN = 0.15
 """Part of such a range by which knots go beyond it."""
-RANGE_LENGTHS = (0.25, 0.5, 1.0)
-"""Correlation lengths over a range, as parts of it."""
-FREQUENCY, FREQUENCY_UNIT = "log frequency", "log Hz"
-RADIUS, RADIUS_UNIT = "log radius", "log cm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +101,6 @@ def range_knots(values: Array, n: int) -> Array:
     return np.linspace(low - margin, high + margin, n)
 
 
-def range_lengths(at: Array) -> tuple[float, ...]:
-    """`RANGE_LENGTHS` of the range of knots."""
-    return tuple(part * float(at[-1] - at[0]) for part in RANGE_LENGTHS)
+def span_of(at: Array) -> float:
+    """The range of knots."""
+    return float(at[-1] - at[0])

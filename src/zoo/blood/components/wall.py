@@ -11,21 +11,14 @@ from numpy.typing import NDArray
 
 from zoo.blood.case import Case, with_physics
 from zoo.blood.components.curves import curve, factors
-from zoo.blood.components.setting import (
-    RADIUS,
-    RADIUS_LENGTHS,
-    RADIUS_UNIT,
-    Setting,
-    range_knots,
-    range_lengths,
-)
+from zoo.blood.components.setting import Setting, range_knots, span_of
+from zoo.blood.components.table import free_function
 from zoo.blood.forward import stiffness_of_each_vessel
 from zoo.blood.functions import WallFunction
 from zoo.core.components import FreeFunction
 
 Array = NDArray[np.float64]
 LAW_KNOTS = 10
-LAW_SIZE = 0.4
 LAW_TABLE, FINE_KNOTS = 129, 513
 """Stretches at which the solver is told what is added to the law, and on which it is integrated."""
 BELOW_REST = 0.1
@@ -35,9 +28,6 @@ WIDEST_PART = 0.95
 TIME_KNOTS = 24
 TIME_SAMPLES = 256
 """Times of the beat at which the solver is told the stiffness, linear between."""
-TIME_LENGTHS_BEATS = (0.05, 0.1, 0.2)
-TIME_SIZE = 0.025
-SCATTER_SIZE = 0.2
 
 
 def law_slope(case: Case, stretch: Array) -> Array:
@@ -121,72 +111,25 @@ def functions(setting: Setting) -> tuple[FreeFunction, ...]:
         stretches = np.linspace(stretches[0], min(stretches[-1], widest), LAW_KNOTS)
     times: Array = np.arange(float(TIME_KNOTS)) * (period / TIME_KNOTS)
     found = [
-        FreeFunction(
-            "wall-law",
-            "wall",
-            stretches,
-            LAW_SIZE,
-            functools.partial(added_law, at=stretches),
-            "stretch",
-            "1",
-            "log stiffness",
-            why="assumed: 0.4 in the logarithm of the law's slope; the tangent wall with the published "
-            "1/gamma of 0.2 (Paun et al. 2020, doi 10.1098/rsif.2020.0886) is 0.3 to 0.9 above the linear "
-            "one of the same stiffness at rest where arteries are stretched by 20 to 45 %",
-            lengths=range_lengths(stretches),
-            equation="dp/ds -> exp(v(s)) dp/ds, s = sqrt(A/A0), p = 0 at s = 1; one v for all vessels",
+        free_function(
+            "wall-law", stretches, functools.partial(added_law, at=stretches), lengths_of=span_of(stretches)
         ),
-        FreeFunction(
+        free_function(
             "wall-in-time",
-            "wall",
             times,
-            TIME_SIZE,
             functools.partial(stiffness_in_time, at=times),
-            "time",
-            "s",
-            "log stiffness",
-            why="2.5 %: a wall's radius lags little behind the pressure (Bergel 1961, "
-            "doi 10.1113/jphysiol.1961.sp006687); assumed a viscous stress of a tenth of the pulsatile one, "
-            "whose root mean square is a fourth of the mean; muscle is slower than a mouse's beat",
-            lengths=tuple(part * period for part in TIME_LENGTHS_BEATS),
+            lengths_of=period,
             period=period,
-            equation="p = exp(v(t)) wall(A), v periodic, one for all vessels",
         ),
     ]
     if getattr(setting.model, "stiffness", None) is stiffness_of_each_vessel:
         return tuple(found)
+    vessels = setting.vessels
     found.append(
-        FreeFunction(
-            "stiffness-scatter",
-            "wall",
-            np.arange(float(len(setting.vessels))),
-            SCATTER_SIZE,
-            scaled_stiffness,
-            "vessel",
-            "1",
-            "log stiffness",
-            why="assumed: 20 %; the medians of 21 separate stiffnesses are nearly alike, and their common "
-            "prior is a factor of 2.2 either way (Paun et al. 2020, doi 10.1098/rsif.2020.0886, models F, G)",
-            labels=setting.vessels,
-            equation="chi -> chi exp(v) in each vessel, independent",
-        )
+        free_function("stiffness-scatter", np.arange(float(len(vessels))), scaled_stiffness, labels=vessels)
     )
     knots = setting.radius_knots()
     if knots is not None:
-        found.append(
-            FreeFunction(
-                "stiffness-by-radius",
-                "wall",
-                knots,
-                SCATTER_SIZE,
-                functools.partial(scaled_stiffness_by_radius, basis=curve(knots, setting.log_radius)),
-                RADIUS,
-                RADIUS_UNIT,
-                "log stiffness",
-                why="assumed: 20 %; the distensibility of the lung's arteries hardly depends on their "
-                "diameter (Krenz & Dawson 2003, doi 10.1152/ajpheart.00762.2002)",
-                lengths=RADIUS_LENGTHS,
-                equation="chi -> chi exp(v(log r0))",
-            )
-        )
+        apply = functools.partial(scaled_stiffness_by_radius, basis=curve(knots, setting.log_radius))
+        found.append(free_function("stiffness-by-radius", knots, apply))
     return tuple(found)
