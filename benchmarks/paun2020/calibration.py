@@ -294,9 +294,9 @@ def uniform(ranks: pd.DataFrame, ranked: int, prob: float = 0.95) -> pd.Series:
     return pd.Series(inside)
 
 
-def passes(ranks: pd.DataFrame, ranked: int, alpha: float = 0.01) -> bool:
-    """Whether all columns are uniform at level `alpha`, divided by their number (Bonferroni)."""
-    return bool(uniform(ranks, ranked, 1 - alpha / ranks.shape[1]).all())
+def passes(ranks: pd.DataFrame, ranked: int) -> bool:
+    """Whether all columns are uniform at level 0.01, divided by their number (Bonferroni)."""
+    return bool(uniform(ranks, ranked, 1 - 0.01 / ranks.shape[1]).all())
 
 
 def rank_table(replicates: Sequence[Replicate], ranked: int) -> pd.DataFrame:

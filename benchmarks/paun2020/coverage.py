@@ -222,17 +222,13 @@ def tables(scores: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def coverage(
-    scores: pd.DataFrame, names: Sequence[str] = IDENTIFIABLE, levels: Sequence[float] = LEVELS
-) -> pd.DataFrame:
+def coverage(scores: pd.DataFrame) -> pd.DataFrame:
     """How often central intervals hold the truth, with the range that chance allows.
 
     Parameters
     ----------
     scores : DataFrame
         A row for each fit: scenario, and rank_NAME, the share of draws below the truth.
-    names : sequence of str
-    levels : sequence of float
 
     Returns
     -------
@@ -243,9 +239,9 @@ def coverage(
     rows = []
     for scenario, group in scores.groupby("scenario", sort=False):
         n = len(group)
-        for name in names:
+        for name in IDENTIFIABLE:
             away = np.abs(group[f"rank_{name}"].to_numpy() - 0.5)
-            for level in levels:
+            for level in LEVELS:
                 covered = int(np.sum(away <= level / 2))
                 low, high = (int(x) for x in binom.interval(0.95, n, level))
                 rows.append((scenario, name, level, covered, n, low, high, low <= covered <= high))

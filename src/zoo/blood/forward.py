@@ -240,7 +240,7 @@ class BloodFlow:
             return None
         return self._with(options, self.resolution)
 
-    def pinned(self, configuration: Case, *, margin: float = PINNED_MARGIN) -> BloodFlow:
+    def pinned(self, configuration: Case) -> BloodFlow:
         """The same with as many steps a beat, whatever the parameters, as this solve takes and some more.
 
         Its solutions are then smooth functions of the parameters; one whose waves outrun the steps is a
@@ -249,9 +249,7 @@ class BloodFlow:
         Parameters
         ----------
         configuration : Case
-            At which steps are counted.
-        margin : float
-            Steps to spare, as a part of them.
+            At which steps are counted; `PINNED_MARGIN` of them are to spare.
 
         Raises
         ------
@@ -261,7 +259,7 @@ class BloodFlow:
         places = tuple(dict.fromkeys((v, x) for v, x, _ in cast("tuple[Place, ...]", self.outputs.series)))
         solved = self._solver(configuration, places, self._times).solve(**configuration.parameters)
         refine = configuration.options.refine
-        taken = math.ceil((1.0 + margin) * solved.steps_per_beat / (STEP_UNIT * refine)) * STEP_UNIT
+        taken = math.ceil((1.0 + PINNED_MARGIN) * solved.steps_per_beat / (STEP_UNIT * refine)) * STEP_UNIT
         steps = min(taken, self.options.max_steps // refine)
         return self._with(replace(self.options, steps_per_beat=steps), self.resolution)
 

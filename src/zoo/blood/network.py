@@ -338,11 +338,10 @@ def diastolic_tau(
     inflow_time_s: ArrayLike,
     inflow: ArrayLike,
     period_s: float,
-    quiet: float = QUIET_SHARE,
 ) -> float:
     """Time constant of the exponential decay of the pressure in diastole: p = p0 exp(-t/tau).
 
-    Diastole is the longest part of the beat in which abs(inflow) stays below `quiet` times its peak, which
+    Diastole is the longest part of the beat in which abs(inflow) stays below `QUIET_SHARE` of its peak, which
     may reach over the end of the beat, and ends where the pressure is lowest in it. Least squares on log p.
 
     Parameters
@@ -355,8 +354,6 @@ def diastolic_tau(
         Times (s) and flow into the root, any unit, over one period.
     period_s : float
         s.
-    quiet : float
-        Share of the peak.
 
     Returns
     -------
@@ -374,7 +371,7 @@ def diastolic_tau(
     """
     t, p, q = (np.asarray(a, dtype=np.float64) for a in (time_s, pressure, inflow))
     at_pressure = np.interp(t, np.asarray(inflow_time_s, dtype=np.float64), np.abs(q), period=period_s)
-    still = at_pressure < quiet * np.max(np.abs(q))
+    still = at_pressure < QUIET_SHARE * np.max(np.abs(q))
     n = len(t)
     best, run, start = 0, 0, 0
     for i in range(2 * n):
@@ -386,8 +383,8 @@ def diastolic_tau(
         rows = rows[: int(np.argmin(p[rows % n])) + 1]
     if len(rows) < MIN_DIASTOLE_SAMPLES or best == n:
         raise StudyError(
-            f"diastole: {len(rows)} of {n} pressure samples are usable, the inflow being below {quiet:g} of "
-            "its peak: tau cannot be fitted; give every terminal a windkessel"
+            f"diastole: {len(rows)} of {n} pressure samples are usable, the inflow being below "
+            f"{QUIET_SHARE:g} of its peak: tau cannot be fitted; give every terminal a windkessel"
         )
     falling = p[rows % n]
     if np.min(falling) <= 0:

@@ -304,14 +304,12 @@ def study_physics(
     return Physics(**given) if given else NO_PHYSICS
 
 
-def physics_words(study: Study, *, along: bool = True) -> list[str]:
+def physics_words(study: Study) -> list[str]:
     """What `study_physics` holds, in words, one line for each part.
 
     Parameters
     ----------
     study : Study
-    along : bool
-        As in `study_physics`.
 
     Returns
     -------
@@ -339,7 +337,7 @@ def physics_words(study: Study, *, along: bool = True) -> list[str]:
         found = [study.pressure_mmHg(name, v) for v in vessels]
         if any(found):
             words.append(f"pressure {where}: {_range(found)} mmHg")
-    if along and study.vessels[0].stiffness:
+    if study.vessels[0].stiffness:
         source = ", E h/r" if study.vessels[0].youngs_modulus_g_cm_s2 else ""
         ends = [x for v in study.vessels for x in v.stiffness or ()]
         words.append(f"stiffness: {_range(ends)} g/(cm s2){source}")

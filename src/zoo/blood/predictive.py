@@ -41,7 +41,7 @@ class PredictiveError(ValueError):
 
 
 def predictive_draws(
-    model: pm.Model, idata: az.InferenceData, *, n_draws: int | None = 200, seed: int = 0
+    model: pm.Model, idata: az.InferenceData, *, n_draws: int | None = 200
 ) -> tuple[Array, Array]:
     """Waveforms of posterior draws at the observed series, without and with the model's errors.
 
@@ -56,8 +56,6 @@ def predictive_draws(
         Its posterior.
     n_draws : int or None
         Draws of all chains together; None takes all.
-    seed : int
-        Of the errors.
 
     Returns
     -------
@@ -76,7 +74,7 @@ def predictive_draws(
     variance = _variances(record.errors, errors, len(means))
     good = np.isfinite(means).all(axis=(1, 2))
     means, variance = means[good], variance[good]
-    noise = np.random.default_rng(seed).standard_normal((10, *means.shape))
+    noise = np.random.default_rng(0).standard_normal((10, *means.shape))
     predictions = means + np.sqrt(variance) * noise
     return means, predictions.reshape(-1, *means.shape[1:])
 

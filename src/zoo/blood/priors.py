@@ -110,12 +110,11 @@ def prior_table(study: Study) -> PriorTable:
         raise PriorsError(f"{study.source or study.name}: priors: {error}") from None
 
 
-def stiffness_of_wave_speed(
-    speed_m_s: float, wall: str, density: float, wall_factor: float = 1.0, gamma: float = GAMMA.centre
-) -> float:
+def stiffness_of_wave_speed(speed_m_s: float, wall: str, density: float, wall_factor: float = 1.0) -> float:
     """Stiffness chi (g cm-1 s-2) of a wall in which pulse waves travel at this speed at rest.
 
-    rho c^2 = dp/d(A/A0) = (2/3) chi of the linear wall, k chi pi/gamma of the tangent one.
+    rho c^2 = dp/d(A/A0) = (2/3) chi of the linear wall, k chi pi/gamma of the tangent one, with gamma the
+    median of its prior.
 
     Parameters
     ----------
@@ -125,8 +124,6 @@ def stiffness_of_wave_speed(
         g/cm3.
     wall_factor : float
         k of the conventions.
-    gamma : float
-        Of the tangent wall.
 
     Examples
     --------
@@ -134,7 +131,7 @@ def stiffness_of_wave_speed(
     50140
     """
     slope = density * (100.0 * speed_m_s) ** 2
-    return 1.5 * slope if wall == "linear" else slope * gamma / (math.pi * wall_factor)
+    return 1.5 * slope if wall == "linear" else slope * GAMMA.centre / (math.pi * wall_factor)
 
 
 def study_parameters(

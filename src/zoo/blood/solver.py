@@ -113,8 +113,7 @@ class Solution:
     """A solve at one set of parameters.
 
     `pressure_mmHg`, `flow_ml_s` and `area_cm2` have shape (n_series, n_times) and are NaN when it failed.
-    `change_mmHg` is the largest difference between the end and the start of the last beat,
-    `distance_mmHg` the estimated distance from the periodic state; `inflow_ml` and `outflow_ml` are
+    `distance_mmHg` is the estimated distance from the periodic state; `inflow_ml` and `outflow_ml` are
     volumes over the last beat, `junction_defect_ml_s` the largest flow that a junction lost or made.
     `fastest_cm_s`, (n_vessels,), is the largest abs(u) + c of each vessel in the last beat.
     """
@@ -129,7 +128,6 @@ class Solution:
     beats: int
     steps_per_beat: int
     total_steps: int
-    change_mmHg: float
     distance_mmHg: float
     max_cfl: float
     inflow_ml: float
@@ -611,7 +609,6 @@ class Solver:
             beats=report.beats,
             steps_per_beat=report.steps_per_beat,
             total_steps=report.total_steps,
-            change_mmHg=cgs_to_mmhg(report.change, mmhg),
             distance_mmHg=cgs_to_mmhg(report.distance, mmhg),
             max_cfl=report.max_cfl,
             inflow_ml=report.inflow,

@@ -93,11 +93,9 @@ def refuse_where(
         raise error(f"{field}{place} = {float(values[at])!r}: must be {words}; correct it")
 
 
-def finite_array(
-    field: str, values: ArrayLike, *, ndim: int | None = 1, error: type[Exception] = ValueError
-) -> Array:
-    """As `real_array`, and every number finite."""
-    found = real_array(field, values, ndim=ndim, error=error)
+def finite_array(field: str, values: ArrayLike, *, error: type[Exception] = ValueError) -> Array:
+    """As `real_array` with one axis, and every number finite."""
+    found = real_array(field, values, ndim=1, error=error)
     refuse_where(field, found, ~np.isfinite(found), "finite", error=error)
     return found
 

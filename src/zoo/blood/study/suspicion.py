@@ -304,14 +304,12 @@ def _suspicion(look: _Look, names: Sequence[str], unit: str, factors: Mapping[st
     return Suspicion(tuple(_GROUPS[n].field for n in names), unit, tuple(factors[n] for n in names), text)
 
 
-def warn_of_units(study: Study, stacklevel: int = 2) -> None:
+def warn_of_units(study: Study) -> None:
     """Warn of each of `suspect_units`; ``warnings.simplefilter("ignore", UnitWarning)`` silences that.
 
     Parameters
     ----------
     study : Study
-    stacklevel : int
-        As of `warnings.warn`, counted from the caller.
     """
     for suspicion in suspect_units(study):
-        warnings.warn(f"{study.source}: {suspicion}", UnitWarning, stacklevel=stacklevel + 1)
+        warnings.warn(f"{study.source}: {suspicion}", UnitWarning, stacklevel=3)

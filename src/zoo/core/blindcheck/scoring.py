@@ -76,27 +76,24 @@ class ReliabilityBin:
         return self.band[0] <= self.right <= self.band[1]
 
 
-def reliability(
-    stated: Sequence[float], right: Sequence[bool], edges: Sequence[float] = BIN_EDGES
-) -> list[ReliabilityBin]:
-    """Stated probabilities against how often they came true, by bins that hold any.
+def reliability(stated: Sequence[float], right: Sequence[bool]) -> list[ReliabilityBin]:
+    """Stated probabilities against how often they came true, by the bins of `BIN_EDGES` that hold any.
 
     Parameters
     ----------
     stated : sequence of float
     right : sequence of bool
-    edges : sequence of float
-        A bin begins at its lower edge; the last one holds its upper edge, too.
 
     Returns
     -------
     list of ReliabilityBin
-        The range is that of a binomial count with the bin's mean stated probability.
+        A bin begins at its lower edge; the last one holds its upper edge, too. The range is
+        that of a binomial count with the bin's mean stated probability.
     """
     p, hits = np.clip(np.asarray(stated, dtype=float), 0, 1), np.asarray(right, dtype=bool)
-    at = np.clip(np.searchsorted(edges, p, side="right") - 1, 0, len(edges) - 2)
+    at = np.clip(np.searchsorted(BIN_EDGES, p, side="right") - 1, 0, len(BIN_EDGES) - 2)
     found = []
-    for i, (low, high) in enumerate(pairwise(edges)):
+    for i, (low, high) in enumerate(pairwise(BIN_EDGES)):
         inside = at == i
         n = int(inside.sum())
         if n:
