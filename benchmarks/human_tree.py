@@ -19,16 +19,17 @@ from __future__ import annotations
 
 import argparse
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from benchmarks.figure11 import differences
 
 from zoo import load_study, sample
 from zoo.blood.importing.openbf import import_openbf
 from zoo.blood.network import Network
 from zoo.blood.solver import Solver
+from zoo.blood.study import Series, save_study
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.storage import save
@@ -50,23 +51,11 @@ def make(folder: Path) -> None:
     factors = {name: np.full(n, value) for name, value in {"psi1": 0.9, "psi2": 1.15, "c": 1.2}.items()}
     found = solver.solve(stiffness, **factors)
     rng = np.random.default_rng(3)
-    tables = []
+    series = []
     for i, (vessel, position, quantity, noise) in enumerate(OBSERVED):
         values = getattr(found, quantity)[i] + noise * rng.standard_normal(SAMPLES)
-        tables.append(
-            pd.DataFrame(
-                {
-                    "vessel": vessel,
-                    "position": position,
-                    "quantity": quantity,
-                    "time_s": times,
-                    "value": values,
-                }
-            )
-        )
-    pd.concat(tables).to_csv(folder / "observations.csv", index=False)
-    with open(folder / "study.toml", "a", encoding="utf-8") as file:
-        file.write('observations = "observations.csv"\n')
+        series.append(Series(vessel, position, quantity, values))
+    save_study(replace(study, time_s=times, series=tuple(series)), folder)
 
 
 def main() -> None:
