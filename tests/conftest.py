@@ -17,6 +17,8 @@ SHARED = ROOT.parent / "shared"
 
 if "ZOO_DATA_DIR" not in os.environ and (SHARED / "data").is_dir():
     os.environ["ZOO_DATA_DIR"] = str(SHARED / "data")
+# workers are as many as cores, and the threads of each would wait for one another
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def _missing() -> str | None:

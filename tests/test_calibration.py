@@ -159,7 +159,7 @@ def test_a_likelihood_of_half_the_variance_is_flagged() -> None:
 def test_finished_replicates_are_kept(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A killed run goes on, a replicate depends on its seed and number only, and others are refused."""
     asked = quick("A", settings={**QUICK, "tune": 20, "draws": 20})
-    [first, second] = simulate_and_rank(asked, 2, tmp_path)
+    [first, second] = simulate_and_rank(asked, 2, tmp_path, cores=2)
     assert set(first.rank) == {"f3", "psi1", "psi2", "c", "sigma2", LOG_POSTERIOR}
     (tmp_path / "0000.json").unlink()
     before = (tmp_path / "0001.json").stat().st_mtime_ns
@@ -173,10 +173,7 @@ def test_finished_replicates_are_kept(tmp_path, monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.slow
-def test_processes_and_a_surrogate() -> None:
-    """Ranks are the same in other processes; a surrogate's draws are made exact and converge."""
-    [one, other] = simulate_and_rank(quick("A"), 2, cores=2)
-    assert [one.rank, other.rank] == [r.rank for r in simulate_and_rank(quick("A"), 2)]
-    [made] = simulate_and_rank(quick("B", settings=calibration.SURROGATE), 1)
+def test_draws_of_a_surrogate_are_made_exact_and_converge() -> None:
+    [made] = simulate_and_rank(quick("B", settings=calibration.SURROGATE | {"chains": 2}), 1)
     assert made.correction == ""
     assert made.ess > 160

@@ -304,16 +304,11 @@ def test_the_next_round_begins_with_what_was_found() -> None:
     assert left[2] == pytest.approx(oscillator.NOISE_M, rel=0.1)
 
 
-def test_some_drawn_cases_are_told_apart() -> None:
-    score = oscillator.main({"cubic-stiffness": 1, "quadratic-drag": 1, "no-gap": 1, "delayed-drive": 1})
-    assert score.by["kind"]["listed"]["first"].share == 1
-    assert score.by["kind"]["none"]["group_first"].share == 1
-
-
 @pytest.mark.slow
-def test_forty_drawn_cases() -> None:
-    score = oscillator.main(oscillator.COUNTS)
-    assert score.by["kind"]["listed"]["first"].count >= 27
+def test_causes_of_drawn_cases_are_found() -> None:
+    score = oscillator.main({"cubic-stiffness": 8, "quadratic-drag": 8, "no-gap": 4, "delayed-drive": 3})
+    assert score.by["kind"]["listed"]["first"].count >= 15
+    assert score.by["kind"]["none"]["group_first"].share == 1
     assert score.summary["false_alarms"].count == 0
 
 
