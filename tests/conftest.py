@@ -57,6 +57,14 @@ def own_effects_and_models_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
+def study() -> Any:
+    """The study of three vessels of `test_op`, unless a file has one of its own."""
+    from test_op import small_study
+
+    return small_study()
+
+
+@pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder with the measured data and the published solver's waveforms; for tests marked needs_data."""
     return Path(os.environ["ZOO_DATA_DIR"])

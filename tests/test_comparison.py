@@ -54,11 +54,6 @@ def posterior(model: pm.Model, n_draws: int = 40, seed: int = 0, spread: float =
 
 
 @pytest.fixture(scope="module")
-def study() -> Study:
-    return small_study()
-
-
-@pytest.fixture(scope="module")
 def models(study: Study) -> dict[str, pm.Model]:
     return {name: get_model(name)(study) for name in ("A", "B")}
 
@@ -125,16 +120,6 @@ def test_points_of_vectors_and_scalars(study: Study) -> None:
     }
     points = forward_points(model, az.from_dict(posterior=draws).posterior)
     np.testing.assert_array_equal(points, [[1e5, 4e4, 0.1, 0.2, 0.3], [2e5, 5e4, 0.4, 0.5, 0.6]])
-    cases = [model.zoo.forward.configure(point) for point in points]
-    stiffness, gamma, psi1_in, psi2, c = (
-        np.array([getattr(case, name) for case in cases])
-        for name in ("stiffness", "gamma", "psi1", "psi2", "c")
-    )
-    radius = np.array([0.047, 0.026, 0.037])
-    np.testing.assert_allclose(stiffness[1], 2e5 * np.exp(-50 * radius) + 5e4)
-    np.testing.assert_allclose(psi1_in, draws["psi1"][0])
-    for values, constant in ((gamma, 2.0), (psi2, 0.9), (c, 1.2)):
-        np.testing.assert_array_equal(values, np.full((2, 3), constant))
 
 
 def test_means_are_the_solver_s_at_each_draw(study: Study, models, idatas) -> None:

@@ -14,7 +14,7 @@ import pytest
 from pytensor.gradient import verify_grad
 
 from made import SEARCH, THETA, baseline_of
-from test_op import POINT, at, flow, small_study
+from test_op import POINT, at, flow
 from zoo.blood.baseline import get_baseline
 from zoo.blood.case import Case, same_run, with_physics
 from zoo.blood.directions import Derivatives, Point
@@ -31,11 +31,6 @@ from zoo.core.parameters import Parameter, Uniform, pack
 
 EXACT = SolverOptions(dx_cm=0.05, steps_per_beat=2048, tolerance_mmHg=1e-10, max_beats=300)
 """Fixed steps, and so near the periodic state that differences are of the discrete solution's rounding."""
-
-
-@pytest.fixture(scope="module")
-def study() -> Study:
-    return small_study()
 
 
 def differences(solve: Any, theta: np.ndarray, i: int, h: float) -> np.ndarray:

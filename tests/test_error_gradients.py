@@ -12,7 +12,6 @@ import pymc as pm
 import pytensor
 import pytensor.tensor as pt
 import pytest
-from pytensor.gradient import verify_grad
 
 import zoo
 from test_errors import CASES, StudentT, some_data, some_errors
@@ -25,8 +24,6 @@ from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.groups import GroupProcess
 from zoo.core.errors.variables import ErrorGradientOp, ErrorsRV, ErrorTermsOp
 from zoo.core.forward import Outputs, content_key
-from zoo.core.inference.logposterior import LogPosterior
-from zoo.core.inference.mode import find_mode
 from zoo.core.inference.sampling import has_gradient
 from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.model import bayesian_model
@@ -94,19 +91,6 @@ def test_a_known_noise_is_not_differentiated() -> None:
         return float((ALIKE * errors.terms(residual, {**values, "noise_u": 0.4 + h})).sum())
 
     assert found == pytest.approx(extrapolated(total, 0.01), rel=1e-6)
-
-
-@pytest.mark.parametrize("name", PROCESSES)
-def test_the_operation_has_the_gradient_of_its_terms(name: str) -> None:
-    errors, values = CASES[name]
-    residual = some_errors(errors, values)
-    start = np.array(list(values.values()))
-
-    def terms(residual: Any, logs: Any) -> Any:  # alike in size, as differences of one step ask for
-        return ErrorTermsOp(errors)(residual, *(start[i] * pt.exp(logs[i]) for i in range(len(start))))
-
-    point = [residual, 0.1 * np.random.default_rng(2).standard_normal(len(start))]
-    verify_grad(terms, point, rng=np.random.default_rng(1), eps=1e-7, rel_tol=1e-4, abs_tol=1e-4)
 
 
 def test_terms_and_gradient_are_those_of_plain_pytensor() -> None:
@@ -223,20 +207,14 @@ def wave_model(parameters: tuple[Parameter, ...]) -> pm.Model:
     return bayesian_model("waves", forward, Data(TIMES, truth + errors, units=["V"] * N), LAW)
 
 
-@pytest.fixture(scope="module")
-def one() -> pm.Model:
-    return wave_model((SPEED, LEVEL))
-
-
-@pytest.mark.parametrize("parameters", [(SPEED, LEVEL), (*POPULATION, LEVEL)], ids=["one", "population"])
 @pytest.mark.filterwarnings("ignore")
-def test_nuts_has_the_moments_of_the_exact_sampler(parameters: tuple[Parameter, ...]) -> None:
-    model = wave_model(parameters)
-    settings: dict[str, Any] = {"chains": 2, "cores": 1, "progress": False}
-    exact = sample_exact(model, draws=2500, seed=2, **settings)
+def test_nuts_has_the_moments_of_the_exact_sampler() -> None:
+    model = wave_model((*POPULATION, LEVEL))
+    settings: dict[str, Any] = {"chains": 2, "cores": 0, "progress": False}
+    exact = sample_exact(model, draws=1800, seed=2, **settings)
     with model:
         nuts = pm.sample(
-            400, tune=300, chains=2, cores=1, step=pm.NUTS(), random_seed=1, progressbar=False,
+            250, tune=250, chains=2, cores=1, step=pm.NUTS(), random_seed=1, progressbar=False,
         )  # fmt: skip
     assert float(nuts.sample_stats["diverging"].mean()) < 0.02
     for name in (rv.name for rv in model.free_RVs):
@@ -255,23 +233,3 @@ def test_nuts_has_the_moments_of_the_exact_sampler(parameters: tuple[Parameter, 
         assert np.all(np.abs(np.log(sd / spread)) < 4 * np.sqrt(1 / n + 1 / m)), (
             name
         )  # sd of log sd: < 1/sqrt(ess)
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_find_map_and_the_curvature_of_the_mode(one: pm.Model) -> None:
-    mode = find_mode(one)
-    logp = LogPosterior(one)
-    with one:
-        best = pm.find_MAP(progressbar=False)
-        slope = one.compile_dlogp()
-    # find_MAP leaves out the Jacobian of the transformations, so their modes differ by a part of an sd
-    sd = np.sqrt(np.diag(mode.covariance))
-    at_best = logp.from_values({name: best[name] for name in ("speed", "level", "w", "b")})
-    assert np.all(np.abs(at_best - mode.vector) < sd)
-    steps = 1e-3 * np.diag(sd)
-    curvature = [
-        (slope(logp.point(mode.vector - h)) - slope(logp.point(mode.vector + h))) / 2e-3 for h in steps
-    ]
-    laplace = np.linalg.inv(np.array(curvature) / sd[:, None])
-    speed = [v.name for v in logp.variables].index("speed_interval__")
-    assert laplace[speed, speed] == pytest.approx(mode.covariance[speed, speed], rel=0.1)

@@ -35,11 +35,6 @@ from zoo.models import MODELS, PAPER, get_model
 QUANTITIES = ("pressure_mmHg", "flow_ml_s", "area_cm2")
 
 
-@pytest.fixture(scope="module")
-def study() -> Study:
-    return small_study()
-
-
 @pytest.mark.parametrize("wall", ["linear", "tangent"])
 @pytest.mark.parametrize("conventions", [PRINTED, PUBLISHED_CODE])
 @pytest.mark.parametrize("options", [None, SolverOptions(dx_cm=0.05, steps_per_beat=2048)])
@@ -141,15 +136,6 @@ def test_loads_may_differ_by_vessel_and_be_of_known_value(study: Study) -> None:
     exact = Solver.for_study(study).solve(5e4, 2.0, 0.3, np.array([1.0, 0.8, 0.9]), 1.2)
     found = model.solve(model.configure([5e4, 1.0, 0.8, 0.9]))
     np.testing.assert_array_equal(found, exact.pressure_mmHg)
-
-
-def test_a_pickled_model_solves_alike(study: Study) -> None:
-    model = flow(study)
-    copy = pickle.loads(pickle.dumps(model))
-    assert copy.key == model.key
-    np.testing.assert_array_equal(
-        copy.solve(copy.configure(at(POINT))), model.solve(model.configure(at(POINT)))
-    )
 
 
 def test_study_data() -> None:

@@ -98,19 +98,15 @@ def test_yaml_values(tmp_path: Path) -> None:
     ("text", "said"),
     [
         ("a: !!python/object/apply:os.system ['true']", "row 1: an anchor, an alias or a tag is not read"),
-        ("a: &x 1\nb: *x", "row 1: an anchor"),
         ("a: 1\nb: *x", "row 2: an anchor"),
         ("a: 1\na: 2", "row 2: a: the key occurs twice"),
         ("? [a]\n: b\n", "row 1: a key that is no text"),
         ("a:\n\tb: 1", "row 2: not read as YAML"),
-        ("a: 1\n   b: 2", "row 2: not read as YAML"),
-        ("a: 'x", "row 1: not read as YAML"),
         ("a: 1\nnonsense\n", "row 3: not read as YAML: could not find expected ':'"),
         ("a: \0", "not read as YAML"),
         ("", "holds 0 documents"),
         ("a: 1\n---\na: 2\n", "holds 2 documents"),
         ("".join(" " * i + "a:\n" for i in range(MAX_DEPTH + 1)), f"nested more than {MAX_DEPTH} deep"),
-        ("- " * 900 + "1", f"nested more than {MAX_DEPTH} deep"),
         ("[" * 900, f"nested more than {MAX_DEPTH} deep"),
         ("#" * 6_000_000, "6 MB: must be at most 5 MB"),
     ],
@@ -260,12 +256,7 @@ NOT_EXPRESSED = [
     (ONE + "    inlet: P\n" + WK3, "inlet = 'P': Input should be 'Q'"),
     (ONE + "    visco-elastic: true\n" + WK3, "visco_elastic = True: a viscoelastic wall"),
     (ONE + "    Rc: 0.01\n" + WK3, "walls that buckle"),
-    (ONE + "    R_1: 2\n", "R_1: unknown field; did you mean 'R1'"),
     (ONE, "vessel trunk: R1: is missing"),
-    (ONE.replace("rho: 1060.0", "rho: -1"), "blood: rho = -1: must be positive"),
-    (ONE.replace("E: 700.0e3", "E: stiff") + WK3, "vessel trunk: E = 'stiff': must be a number"),
-    (ONE.replace("    E: 700.0e3\n", "") + WK3, "vessel trunk: E: is missing"),
-    (ONE.replace("sn: 1", "sn: 1.5") + WK3, "sn = 1.5: must be a whole number"),
     (
         ONE + DAUGHTERS.replace("gamma_profile: 2", "gamma_profile: 9"),
         "gamma_profile = 9, but 2 in vessel trunk",
@@ -273,7 +264,6 @@ NOT_EXPRESSED = [
     (ONE + "    R1: 1.0e6\n    Cc: 1e-10\n", "is below the vessel's impedance"),
     (ONE.replace("trunk", "tr\tunk") + WK3, r"name = 'tr\\tunk': must be one line of visible text"),
     ("- 1\n- 2\n", "the file: must be a table"),
-    ("blood:\n  rho: 1\n  mu: 1\n", "network: is missing; add it"),
 ]
 
 
@@ -461,13 +451,9 @@ def test_a_table_of_vessels(tmp_path: Path) -> None:
     [
         (TABLE.replace("radius_cm,", "radius_mm,", 1), "row 1: 'radius_mm': unknown column; did you mean"),
         (TABLE.replace(",", ";"), "row 1: the columns are separated by semicolons"),
-        (TABLE.replace("0.4,,900", "-0.4,,900"), r"row 3: vessel 2: radius_cm = -0.4: must be positive"),
         (TABLE.replace("900,8000,4e-5", "900,,4e-5"), "row 3: vessel 2: windkessel.R2: is missing"),
-        (TABLE.replace("2,1,,6", "2,x,,6"), "row 3: vessel 2: parent = 'x': must be a whole number"),
-        (TABLE.replace("3,1,right", "3,7,right"), "row 4: vessel 3: parent = 7: no such vessel"),
         (TABLE.replace(",,9000,3e6", ",,,3e6"), "row 4: vessel 3: windkessel: is missing at a terminal"),
         (TABLE.replace("9000,3e6", "9000,"), "row 4: vessel 3: stiffness_g_cm_s2: is missing"),
-        (TABLE.replace("5,0.6", "long,0.6"), "row 2: vessel 1: length_cm = 'long': not a number"),
         (TABLE.splitlines()[0] + "\n", "no vessels"),
     ],
 )

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dying import wait_for
 from gaussian import gaussian_model
 from test_kept_solves import Slow, model_of
 from test_nuts import smooth_model
@@ -83,13 +84,6 @@ def alive(group: int) -> set[int]:
 def written(folder: Path) -> int:
     """Bytes of all memos."""
     return sum(file.stat().st_size for file in folder.glob("*.memo"))
-
-
-def wait_for(condition, seconds: float = 300.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited too long"
-        time.sleep(0.005)
 
 
 def test_killed_again_and_again_the_draws_are_the_same(tmp_path: Path) -> None:

@@ -101,22 +101,6 @@ def test_gauss_newton_reaches_the_mode_of_a_hierarchical_model():
     np.testing.assert_allclose(values["sigma2"], 0.01, rtol=0.4)
 
 
-def test_search_of_many_parameters_starts_from_the_prior():
-    """And from the point given, with its error parameters; each start can be solved."""
-    study = three_vessels(np.array([4.0e4, 5.0e4, 6.0e4]), psi1=0.4, psi2=0.7, c=1.2)
-    logp = LogPosterior(model_F(study, options=cheap_options()))
-    q = logp.from_values({"sigma2": 0.3})
-    points = mode_module._prior_points(logp, q, seed=1)
-    assert len(points) == mode_module.STARTS + 1
-    np.testing.assert_array_equal(points[0][0], q)
-    for point, value in points:
-        assert value == logp(point)
-        assert np.isfinite(value)
-        assert float(logp.to_values(point)["sigma2"]) == pytest.approx(0.3)  # errors are fitted to each
-    stiffness = np.array([logp.to_values(point)["chi"] for point, _ in points[1:]])
-    assert 1e4 < stiffness.std() < 5e4  # of the prior: 2.4e4
-
-
 def test_search_of_many_parameters_keeps_the_highest_end(monkeypatch):
     """A scalar and a vector of two; the highest mode is only seen from where the vector is low."""
     initial = {"scalar": np.zeros(()), "vector": np.zeros(2)}

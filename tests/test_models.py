@@ -61,11 +61,6 @@ ERROR_PARAMETERS = {"iid": ("sigma2",), "gp": ("w", "b")}
 TRUTH = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.0025, "w": 5e4, "b": 100.0}
 
 
-@pytest.fixture(scope="module")
-def study() -> Study:
-    return small_study()
-
-
 def shape_of(model: pm.Model, name: str) -> tuple[int, ...]:
     """Of one free parameter."""
     return tuple(int(n) for n in model[name].shape.eval())
@@ -207,7 +202,7 @@ def test_likelihood_of_b(study: Study) -> None:
 def sample(model: pm.Model, draws: int = 30, **settings: Any) -> az.InferenceData:
     with model:
         settings |= {"progressbar": False, "compute_convergence_checks": False, "random_seed": 3}
-        return pm.sample(draws, tune=draws, chains=2, cores=2, step=pm.DEMetropolisZ(), **settings)
+        return pm.sample(draws, tune=draws, chains=2, cores=1, step=pm.DEMetropolisZ(), **settings)
 
 
 def start(model: pm.Model) -> dict[str, Any]:
@@ -216,9 +211,10 @@ def start(model: pm.Model) -> dict[str, Any]:
     return {name: np.broadcast_to(value, shape_of(model, name)) for name, value in values.items()}
 
 
-def test_sampling_waic_and_predictive_draws_of_all(study: Study) -> None:
-    idatas = {}
-    for name in NAMES:
+def test_sampling_waic_and_predictive_draws(study: Study) -> None:
+    """Of both walls, both errors, and all three laws of the stiffness."""
+    names, idatas = ("A", "G", "I"), {}
+    for name in names:
         model = get_model(name)(study)
         idata = sample(model, initvals=start(model))
         assert set(idata.posterior) == set(model.zoo.parameters)
@@ -232,7 +228,7 @@ def test_sampling_waic_and_predictive_draws_of_all(study: Study) -> None:
         assert np.all(np.isfinite(predictive))
         idatas[name] = idata
     table = az.compare(idatas, ic="waic", scale="deviance")
-    assert set(table.index) == set(NAMES)
+    assert set(table.index) == set(names)
     assert np.all(np.isfinite(table["elpd_waic"]))
 
 

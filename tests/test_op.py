@@ -63,11 +63,6 @@ def small_study(n_times: int = 32, quantities: tuple[str, ...] = ("pressure_mmHg
     return replace(study, series=tuple(series))
 
 
-@pytest.fixture(scope="module")
-def study() -> Study:
-    return small_study()
-
-
 @pytest.fixture
 def op(study: Study) -> ForwardOp:
     return ForwardOp(flow(study))

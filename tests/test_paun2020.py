@@ -245,7 +245,7 @@ def test_pool_agrees_with_chains():
     assert row["pareto_k"] < K_LIMIT
     assert row["ess_min"] > 100
     draws, weights, _ = weighted(pool, 0)
-    idata = sample(model_E(study), draws=600, tune=400, thin=2, chains=4, cores=0, seed=2, progress=False)
+    idata = sample(model_E(study), draws=400, tune=400, thin=2, chains=4, cores=0, seed=2, progress=False)
     for name in IDENTIFIABLE:
         chain = idata["posterior"][name].to_numpy().ravel()
         theirs = np.quantile(chain, (0.1, 0.5, 0.9))

@@ -521,18 +521,11 @@ def test_vessels_may_stand_below_their_rest_state():
     ("bad", "match"),
     [
         ({"momentum_correction": 0.0}, r"momentum_correction = 0.0: must be positive"),
-        ({"stokes_friction": -1.0}, "stokes_friction = -1.0"),
-        ({"relaxation_time": 0.0}, "relaxation_time"),
-        ({"junction_loss": np.nan}, "junction_loss = nan"),
         ({"leak": [0.0, -1.0, 0.0]}, r"leak\[1\] = -1.0: must be zero or positive"),
-        ({"viscosity_factor": [1.0, 0.0, 1.0]}, r"viscosity_factor\[1\] = 0.0: must be positive"),
-        ({"offset_in": [np.inf, 0.0, 0.0]}, r"offset_in\[0\] = inf: must be finite"),
         ({"leak": [0.0, 0.0]}, r"leak has shape \(2,\): must have one row per vessel, 3"),
-        ({"stiffness_wave": [1.0, 0.0]}, r"stiffness_wave\[1\] = 0.0: must be positive"),
         ({"stiffness_wave": []}, r"stiffness_wave has shape \(0,\): must be \(n_times,\)"),
         ({"leak": [[0.0]]}, r"leak has shape \(1, 1\): must be \(n_vessels,\)"),
         ({"throat_severity": [0.0, 1.0, 0.0]}, r"throat_severity\[1\] = 1.0: must be at least 0 and below 1"),
-        ({"throat_position": [0.0, 1.5, 0.0]}, r"throat_position\[1\]"),
         ({"section_resistance": np.ones((3, 1))}, "given together"),
         ({"section_resistance": np.ones((3, 1)), "section_compliance": np.ones((3, 2))}, "must be that of"),
         (

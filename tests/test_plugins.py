@@ -88,11 +88,11 @@ def test_what_a_file_may_not_hold(tmp_path: Path) -> None:
         load_models(path)
 
 
-def test_a_model_and_an_effect_of_a_file_are_sampled_in_two_processes(file: Path) -> None:
-    """The processes know neither the file nor what it added to the catalogue here."""
+def test_a_model_and_an_effect_of_a_file_are_sampled_in_another_process(file: Path) -> None:
+    """Which knows neither the file nor what it added to the catalogue here."""
     load_models(file)
     model = get_model("area+damped")(small_study())
-    idata = sample(model, draws=20, tune=20, chains=2, cores=2, until_ess=None, seed=1, progress=False)
+    idata = sample(model, draws=20, tune=20, chains=2, cores=1, until_ess=None, seed=1, progress=False)
     assert set(idata.posterior) == {"k", "c", "damped.share", "sigma2"}
     assert RunRecord.of(idata).model == "area+damped"
     assert np.all(np.isfinite(idata.posterior["damped.share"]))
@@ -106,14 +106,14 @@ if __name__ == "__main__":
     import sys
     study = zoo.load_study(sys.argv[1])
     model = zoo.model_A(study, effects=[damped])
-    idata = zoo.sample(model, draws=10, tune=10, chains=2, cores=2, until_ess=None, seed=1, progress=False)
+    idata = zoo.sample(model, draws=10, tune=10, chains=2, cores=1, until_ess=None, seed=1, progress=False)
     print("sampled", model.zoo.name, float(idata.posterior["damped.share"].std()) > 0)
 """
 )
 
 
-def test_an_effect_of_a_script_is_sampled_in_two_processes(tmp_path: Path) -> None:
-    """Its function is of __main__, which the processes never import."""
+def test_an_effect_of_a_script_is_sampled_in_another_process(tmp_path: Path) -> None:
+    """Its function is of __main__, which that process never imports."""
     save_study(small_study(), tmp_path / "small")
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)

@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from test_op import STIFF, small_study
+from test_op import STIFF
 from walls import wall_pressure_mmHg
 from zoo.blood import predictive
 from zoo.blood.baseline import blood_model
@@ -46,11 +46,6 @@ ERRORS: dict[str, ErrorModel] = {
     "iid": Independent(),
     "gp": GaussianProcess(LogUniform(1e4, 9e4), LogUniform(1, 500), unit="mmHg"),
 }
-
-
-@pytest.fixture(scope="module")
-def study() -> Study:
-    return small_study()
 
 
 def posterior(model: pm.Model, n_draws: int = 20, spread: float = 0.02) -> az.InferenceData:
@@ -314,21 +309,3 @@ def test_what_is_wrong_is_said(study: Study) -> None:
     ):
         with pytest.raises(PredictiveError, match=text):
             vessel_waves(model, posterior(model, 2), **settings)
-
-
-@pytest.mark.parametrize("name", ["A", "E", "G"])
-def test_stiffness_of_every_kind_of_model(study: Study, name: str) -> None:
-    model = get_model(name)(study)
-    idata = posterior(model, 4)
-    draws = {p: idata["posterior"][p].to_numpy() for p in model.zoo.parameters}
-    expected = {
-        "A": lambda: np.repeat(draws["f3"][..., None], 3, axis=2),
-        "E": lambda: (
-            draws["f1"][..., None] * np.exp(draws["f2"][..., None] * np.array([0.047, 0.026, 0.037]))
-            + draws["f3"][..., None]
-        ),
-        "G": lambda: draws["chi"],
-    }[name]()
-    points = forward_points(model, idata["posterior"])
-    found = [model.zoo.forward.configure(point).stiffness for point in points]
-    np.testing.assert_allclose(found, expected.reshape(-1, 3))

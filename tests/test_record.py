@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from gaussian import a_record, independent_draws
-from zoo.core.inference import record as records
 from zoo.core.inference.record import ResultsError, RunRecord
 
 
@@ -62,7 +61,3 @@ def test_record_of_a_later_version_drops_what_it_does_not_know(record):
 def test_no_record(idata):
     with pytest.raises(ResultsError, match="no run record in this InferenceData"):
         RunRecord.of(idata)
-
-
-def test_version_of_what_is_not_installed():
-    assert records._version("no-such-distribution") == "unknown"

@@ -221,14 +221,9 @@ def test_a_model_has_what_was_chosen_in_its_record() -> None:
 
 MISTAKES = [
     ({"accuracy": 0.1}, "accuracy: unknown field; did you mean 'accuracy_percent'?"),
-    ({"accuracy_percent": 0}, "accuracy_percent = 0: must be positive"),
     ({"accuracy_percent": 20}, "accuracy_percent = 20: must be below 10"),
     ({"dx_cm": -1.0}, "dx_cm = -1.0: must be positive"),
-    ({"dx_cm": "fine"}, "dx_cm = 'fine': must be a number"),
     ({"steps_per_beat": 8}, "steps_per_beat = 8: must be at least 32"),
-    ({"steps_per_beat": 100.5}, "steps_per_beat = 100.5: must be a whole number"),
-    ({"tolerance_mmHg": 0.0}, "tolerance_mmHg = 0.0: must be positive"),
-    ({"max_beats": 0}, "max_beats = 0: must be at least 1"),
     ({"dx_cm": 1.0, "accuracy_percent": 0.1}, "two ways to say how long cells are; leave one out"),
 ]
 

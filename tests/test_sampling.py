@@ -17,6 +17,7 @@ import numpy as np
 import pymc as pm
 import pytest
 
+from dying import wait_for
 from gaussian import (
     DATA,
     SETTINGS,
@@ -37,8 +38,8 @@ def uninterrupted():
     return sample(gaussian_model(), cores=2, **SETTINGS)
 
 
-def test_posterior_is_the_analytic_one(uninterrupted):
-    idata = sample(gaussian_model(), cores=2, draws=700, tune=600, chains=2, seed=4, progress=False)
+def test_posterior_is_the_analytic_one():
+    idata = sample(gaussian_model(), cores=0, draws=700, tune=600, chains=2, seed=4, progress=False)
     mean, covariance = gaussian_posterior()
     p = idata.posterior
     columns = [p.a.to_numpy(), p.bc.to_numpy()[..., 0], p.bc.to_numpy()[..., 1]]
@@ -67,13 +68,6 @@ def test_statistics_and_record(uninterrupted):
     assert uninterrupted.observed_data.y.to_numpy() == pytest.approx(DATA)
 
 
-def wait_for(condition, seconds=60.0):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "waited too long"
-        time.sleep(0.02)
-
-
 def group_is_gone(group: int) -> bool:
     try:
         os.killpg(group, 0)
@@ -85,7 +79,7 @@ def group_is_gone(group: int) -> bool:
 @pytest.fixture(scope="module")
 def short_checkpoint(tmp_path_factory):
     folder = tmp_path_factory.mktemp("short") / "checkpoint"
-    sample(gaussian_model(), cores=2, checkpoint=folder, **{**SETTINGS, "draws": 40})
+    sample(gaussian_model(), cores=0, checkpoint=folder, **{**SETTINGS, "draws": 40})
     return folder
 
 
@@ -128,7 +122,7 @@ def test_checkpoint_in_use_or_no_folder_is_refused(short_checkpoint, tmp_path):
 
 
 def test_failed_solves_are_counted_and_never_accepted():
-    idata = sample(failing_model(), draws=200, tune=300, chains=1, thin=1, cores=1, seed=3, progress=False)
+    idata = sample(failing_model(), draws=200, tune=300, chains=1, thin=1, cores=0, seed=3, progress=False)
     s = idata.sample_stats
     failed = s.solver_failures.to_numpy()
     assert failed.sum() > 10
@@ -173,7 +167,7 @@ def test_chains_in_turns_draw_what_processes_draw(tmp_path, uninterrupted):
 
 
 def test_until_ess_goes_on_and_stops_at_the_limit(capsys):
-    few = {"tune": 200, "chains": 2, "thin": 1, "cores": 2, "seed": 2}
+    few = {"tune": 200, "chains": 2, "thin": 1, "cores": 0, "seed": 2}
     idata = sample(gaussian_model(), draws=100, until_ess=150, progress=True, **few)
     n = idata.posterior.sizes["draw"]
     assert n > 100
@@ -280,6 +274,6 @@ def test_a_run_ends_at_once_inside_a_solve_too(tmp_path, how):
     os.kill(run.pid, how)
     began = time.monotonic()
     run.wait()
-    wait_for(lambda: group_is_gone(run.pid), 60.0)
+    wait_for(lambda: group_is_gone(run.pid))
     assert time.monotonic() - began < 30.0  # the solve that it does not wait for takes ten minutes
     Folder(folder).close()  # no longer in use

@@ -7,7 +7,6 @@ import gzip
 import math
 import pickle
 import re
-import tomllib
 import warnings
 from collections.abc import Callable
 from dataclasses import astuple, replace
@@ -233,14 +232,11 @@ MISTAKES: list[tuple[str, Callable[[Files], None], str]] = [
     ("blank name", swap(TOP, "three vessels", " "), r"study\.toml: name = ' ': must be one line"),
     ("number as text", swap(TOP, "0.11", '"0.11"'),
      r"period_s = '0\.11': must be a number; write it without"),
-    ("name as number", swap(TOP, '"three vessels"', "3"), r"name = 3: must be text; write it in quotes"),
     ("period zero", swap(TOP, "0.11", "0.0"), r"period_s = 0\.0: must be positive; correct it"),
-    ("period nan", swap(TOP, "0.11", "nan"), r"period_s = nan: must be"),
     ("period inf", swap(TOP, "0.11", "inf"), r"period_s = inf: must be finite"),
     ("no network", swap(TOP, "network.toml", "net.toml"),
      r"network = 'net\.toml': no such file in .*; add it"),
     ("no inflow", remove(INF), r"study\.toml: inflow = 'inflow\.csv': no such file in"),
-    ("no observations", remove(OBS), r"study\.toml: observations = 'observations\.csv': no such file in"),
     ("inflow a number", swap(TOP, '"inflow.csv"', "3"), r"inflow = 3: must be a file name; write it"),
     ("conventions", add(TOP, 'conventions = "prnted"'),
      r"study\.toml: conventions: name = 'prnted': .*'printed'\?"),
@@ -251,22 +247,11 @@ MISTAKES: list[tuple[str, Callable[[Files], None], str]] = [
     ("fetch", swap(TOP, '"inflow.csv"', '{ fetsh = "x" }'),
      r"study\.toml: inflow: fetsh: unknown field; .*'fetch'"),
     # network.toml
-    ("no blood", swap(NET, "[blood]", "[blod]"),
-     r"network\.toml: blod: unknown field; did you mean 'blood'\?"),
     ("no vessels", put(NET, NETWORK.split("\n")[:3]), r"network\.toml: vessel: is missing; add it"),
     ("empty", put(NET, ["vessel = []", *NETWORK.split("\n")[:3]]), r"the list is empty"),
-    ("density", swap(NET, "1.055", "-1.055"), r"blood: density_g_cm3 = -1\.055: must be positive"),
-    ("viscosity", swap(NET, "viscosity_g_cm_s = 0.049\n", ""),
-     r"blood: viscosity_g_cm_s: is missing; add it"),
-    ("misspelt size", swap(NET, "length_cm = 0.445", "lenght_cm = 0.445"),
-     r"network\.toml, row 11: vessel 2: lenght_cm: unknown field; did you mean 'length_cm'\?"),
     ("length 0", swap(NET, "0.445", "0"), r"row 11: vessel 2: length_cm = 0: must be positive; correct it"),
-    ("length nan", swap(NET, "0.445", "nan"), r"row 11: vessel 2: length_cm = nan: must be"),
     ("radius", swap(NET, "0.026", "-0.026"), r"vessel 2: radius_cm = -0\.026: must be positive; correct it"),
-    ("outlet radius", swap(NET, "0.024", "0.0"), r"vessel 2: radius_out_cm = 0\.0: must be positive"),
-    ("radius inf", swap(NET, "0.037", "inf"), r"row 20: vessel 3: radius_cm = inf: must be finite"),
     ("id text", swap(NET, "id = 3", 'id = "3"'), r"row 20: vessel 3: id = '3': must be a whole number"),
-    ("id 0", swap(NET, "id = 3", "id = 0"), r"row 20: vessel 0: id = 0: must be at least 1"),
     ("no id", swap(NET, "id = 3\n", ""), r"row 20: vessel number 3: id: is missing"),
     ("same id", swap(NET, "id = 3", "id = 2"),
      r"row 20: vessel 2: id = 2: also the id of .*row 11.*; give each"),
@@ -281,15 +266,10 @@ MISTAKES: list[tuple[str, Callable[[Files], None], str]] = [
     ("load inside", add(NET, EXTRA.format(4) + "parent = 3\n" + LOAD),
      r"row 20: vessel 3: windkessel: only a terminal may have one, but this feeds 4; remove it"),
     ("load zero", swap(NET, "R2 = 2e5", "R2 = 0.0"), r"vessel 2: windkessel\.R2 = 0\.0: must be positive"),
-    ("load misspelt", swap(NET, "R2 = 2e5", "R3 = 2e5"),
-     r"vessel 2: windkessel\.R3: unknown field; did you mean"),
-    ("load without C", swap(NET, ", C = 1.6e-7", ""), r"vessel 2: windkessel\.C: is missing; add it"),
     ("load a number", swap(NET, "{ R1 = 5e4, R2 = 2e5, C = 1.6e-7 }", "3"),
      r"windkessel = 3: must be a table"),
     # inflow.csv
     ("empty file", put(INF, []), r"inflow\.csv: the file is empty; its first row is time_s,flow_ml_s"),
-    ("no rows", put(INF, ["time_s,flow_ml_s"]),
-     rf"inflow: 0 samples: too few for a beat; give at least {MIN_SAMPLES}"),
     ("no header", drop(INF, 1),
      r"inflow\.csv, row 1: '0\.00000000': unknown column; use one of time_s, flow_ml_s"),
     ("column", swap(INF, "flow_ml_s", "flow_mls"),
@@ -302,7 +282,6 @@ MISTAKES: list[tuple[str, Callable[[Files], None], str]] = [
      r"row 3: flow_ml_s = 'x0\.000722': not a number; correct"),
     ("nan", swap(INF, "0.00171875,0.000722", "0.00171875,nan"),
      r"row 3: flow_ml_s = 'nan': must be finite; inter"),
-    ("inf", swap(INF, "0.00171875,", "1e999,"), r"inflow\.csv, row 3: time_s = '1e999': must be finite"),
     ("quote", swap(INF, "0.00171875,", '"0.00171875'), r"inflow\.csv, row \d+: .*; correct that row"),
     ("few", put(INF, inflow_rows(15)),
      r"inflow\.csv: inflow: 15 samples: too few for a beat; give at least 16"),
@@ -311,19 +290,11 @@ MISTAKES: list[tuple[str, Callable[[Files], None], str]] = [
     ("backwards",
      lambda content: content.__setitem__(INF, [*content[INF][:10], "0.05,1.0", *content[INF][10:]]),
      r"inflow\.csv, row 12: time_s = 0\.01546875: inflow: before that of row 11; sort the rows by time"),
-    ("late and uneven",
-     lambda content: content.__setitem__(INF, [content[INF][0], *content[INF][2:10], *content[INF][11:]]),
-     r"inflow\.csv, row 2: time_s = 0\.00171875: inflow: the inflow must begin at time 0"),
-    ("no number", swap(INF, "0.00171875,", "nan,"), r"inflow\.csv, row 3: time_s = 'nan': must be finite"),
     ("same time", add(INF, "0.00171875,0.1"),
      r"row 66: time_s = 0\.00171875: inflow: a second sample .* row 3; keep"),
     ("period too long", swap(TOP, "0.11", "0.12"),
      r"inflow\.csv, row 65: time_s = 0\.10828125: inflow: 64 samples 0\.00171875 s apart make a beat "
      r"of 0\.11 s, but period_s = 0\.12 in study\.toml; correct period_s"),
-    ("period too short", swap(TOP, "0.11", "0.1"),
-     r"64 samples .* make a beat of 0\.11 s, but period_s = 0\.1 in"),
-    ("one sample missing at the end", drop(INF, 65),
-     r"63 samples .* make a beat of 0\.108281\d* s, but period_s"),
     ("last is not the first", add(INF, "0.11,0.2"),
      r"row 66: flow_ml_s = 0\.2: inflow: a period_s = 0\.11 after the first sample \(0\), so"),
     ("late", put(INF, ["time_s,flow_ml_s", *LATE]),
@@ -339,24 +310,19 @@ MISTAKES: list[tuple[str, Callable[[Files], None], str]] = [
      r"observations\.csv, row 34: vessel = 9: not in the network; use one of 1"),
     ("vessel text", swap(OBS, "\n2,0.5", "\nMPA,0.5"),
      r"row 34: vessel = 'MPA': not a whole number; use a vessel's id"),
-    ("vessel 1.5", swap(OBS, "\n2,0.5", "\n1.5,0.5"), r"row 34: vessel = '1\.5': not a whole number"),
     ("position", swap(OBS, "\n2,0.5", "\n2,1.5"), r"row 34: position = 1\.5: must be in \[0, 1\]"),
-    ("position < 0", swap(OBS, "\n2,0.5", "\n2,-0.1"), r"row 34: position = -0\.1: must be in \[0, 1\]"),
     ("position nan", swap(OBS, "\n2,0.5", "\n2,nan"), r"row 34: position = 'nan': must be finite"),
     ("quantity", swap(OBS, "\n2,0.5,pressure_mmHg", "\n2,0.5,presure_mmHg"),
      r"row 34: quantity = 'presure_mmHg': unknown; did you mean 'pressure_mmHg'\? use one of press"),
     ("value", swap(OBS, "0.00343750,11.1000", "0.00343750,"),
      r"observations\.csv, row 3: value = '': not a number"),
     ("underscore", swap(OBS, "11.1000", "11_1"), r"row 3: value = '11_1': not a number; correct it"),
-    ("value inf", swap(OBS, "11.1000", "-inf"), r"row 3: value = '-inf': must be finite"),
     ("duplicate", add(OBS, "2,0.50,pressure_mmHg,0.0,3"),
      r"row 66: time_s = 0: v2@0\.5 pressure_mmHg: a second sam"),
     ("sample missing", drop(OBS, 50),
      r"observations\.csv, row 50: time_s = .*v2@0\.5 pressure_mmHg: 0\.0068\d+ s after"),
     ("another grid", put(OBS, observation_rows()[:33] + observation_rows(64)[65:]),
      r"row 34: time_s = 0: v2@0\.5 pressure_mmHg: 64 samples from 0 s, but v1@0 pressure_mmHg has 32 from"),
-    ("shifted grid", put(OBS, observation_rows()[:33] + samples("2,0,flow_ml_s", 0.5)),
-     r"row 34: time_s = 0\.00171875: v2@0 flow_ml_s: 32 samples from 0\.00171875 s, but v1@0"),
     ("before the beat", put(OBS, observation_rows()[:1] + samples("1,0,flow_ml_s", -0.5)),
      r"row 2: time_s = -0\.00171875: v1@0 flow_ml_s: before the beat; count from its start"),
     ("after the beat", put(OBS, observation_rows()[:1] + samples("1,0,flow_ml_s", 3)),
@@ -739,16 +705,3 @@ def test_blind_cases(blind_cases: list[Path]) -> None:
             assert (own.length_cm, own.radius_cm) == (other.length_cm, other.radius_cm)
             loads = [v.windkessel and astuple(v.windkessel) for v in (own, other)]
             assert loads[0] == (loads[1] and pytest.approx(loads[1], rel=1e-8))
-
-
-def test_mouse_c6_network_in_the_package() -> None:
-    """The published number of vessels and of outlets, and loads with the published share and tau."""
-    folder = Path(zoo.__file__).parent / "data" / "mouse-c6"
-    table = tomllib.loads((folder / "network.toml").read_text())
-    assert len(table["vessel"]) == 21
-    loads = [v["windkessel"] for v in table["vessel"] if "windkessel" in v]
-    assert len(loads) == 11
-    for load in loads:
-        total = load["R1"] + load["R2"]
-        assert load["R1"] / total == pytest.approx(0.2, rel=1e-9)
-        assert min(abs(total * load["C"] - tau) for tau in (0.1341, 0.1402525)) < 1e-7

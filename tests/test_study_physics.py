@@ -186,12 +186,8 @@ V1 = r"network\.toml, row \d+: vessel 1: "
 # fmt: off
 MISTAKES = [
     ("order = 9", "order = 0", r"blood: velocity_profile_order = 0: must be positive; correct it"),
-    ("correction = 1.0", "correction = 0.9", r"blood: momentum_correction = 0\.9: must be at least 1;"),
     ('"total"', '"totl"', r"junctions: pressure = 'totl': unknown; did you mean 'total'\? use one of static"),
     ('pressure = "', 'presure = "', r"junctions: presure: unknown field; did you mean 'pressure'\?"),
-    ("external_pressure_mmHg = 0", "external_pressure = 0",
-     r"surroundings: external_pressure: unknown field"),
-    ("external_pressure_mmHg = 0", 'external_pressure_mmHg = "0"', r"surroundings: .*'0': must be a number"),
     ("[surroundings]", "[surounding]",
      r"network\.toml: surounding: unknown field; did you mean 'surroundings'"),
     ("wall_thickness_cm = 0.05", "", V1 + r"youngs_modulus_g_cm_s2 = 4000000\.0: needs wall_thickness_cm"),
@@ -205,13 +201,9 @@ MISTAKES = [
      V2 + r"stiffness_g_cm_s2: is missing, but vessel 1 has a stiffness; give all vessels one"),
     ("resistance = 4000", "resistance = 4000\nwindkessel = { R1 = 1.0, R2 = 2.0, C = 1e-5 }",
      V2 + r"resistance = 4000\.0: a windkessel is the outlet already; give one of the two"),
-    ("resistance = 4000", "resistance = 0", V2 + r"resistance = 0: must be positive; correct it"),
     ("resistance = 4000", "", V2 + r"windkessel: is missing at a terminal, .* or a resistance, in cgs"),
     ("wall_thickness_cm = 0.05", "wall_thickness_cm = 0.05\nresistance = 10.0",
      V1 + r"resistance = 10\.0: only a terminal may have one, .*; remove it"),
-    ("wall_thickness_cm = 0.05", "wall_thickness_cm = 0.05\noutflow_pressure_mmHg = 1.0",
-     V1 + r"outflow_pressure_mmHg = 1\.0: only a terminal may have one"),
-    ("pressure_mmHg = 75", "pressure_mmHg = inf", r"radius_pressure_mmHg = inf: must be finite"),
     ("pressure_mmHg = 75", "pressure_mmHg = 600",
      V1 + r"radius_pressure_mmHg = 600\.0: .* must be below 500"),
 ]

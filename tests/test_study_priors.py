@@ -216,20 +216,14 @@ def test_rows_of_the_table_say_where_priors_came_from(example: Study) -> None:
     [
         ({"set": "paun"}, r"set = 'paun': unknown; did you mean 'paun2020'\? use one of"),
         ({"sett": "study"}, r"sett = 'study': did you mean the field 'set'\?"),
-        ({"f3": 3.0}, r"f3 = 3.0: a parameter has one law"),
         ({"f3": {"uniform": [1, 2], "normal": [1, 2]}}, "a parameter has one law"),
         ({"f3": {"loguniform": [1, 2]}}, r"f3: 'loguniform': unknown law; did you mean 'log_uniform'\?"),
-        ({"f3": {"uniform": [1]}}, r"f3: uniform = \[1\]: must be \[low, high\]"),
         ({"f3": {"normal": [1, 2, 3]}}, r"must be \[mean, sd\] or \[mean, sd, low, high\]"),
         ({"f3": {"uniform": [2, 1]}}, r"f3: uniform = \[2, 1\]: .*ascend"),
-        ({"f3": {"log_uniform": [0, 1]}}, r"f3: log_uniform = \[0, 1\]: .*positive"),
         ({"f3": {"log_normal": [1, 0]}}, r"f3: log_normal = \[1, 0\]: .*positive"),
-        ({"f3": {"inverse_gamma": [-1, 1]}}, r"f3: inverse_gamma = \[-1, 1\]: .*positive"),
-        ({"f3": {"uniform": ["a", "b"]}}, r"must be \[low, high\]"),
         ({"chi": {"uniform": [1, 2]}}, "chi: is a population of stiffnesses; give m_chi or v_chi"),
         ({"wave_speed_m_s": [4, 1]}, r"wave_speed_m_s = \[4, 1\]: must ascend"),
         ({"wave_speed_m_s": [100, 2000]}, r"correct the numbers or their unit"),
-        ({"wave_speed_m_s": 3}, "must be two numbers in m/s"),
         ({"set": "paun2020", "wave_speed_m_s": [1, 4]}, "has a stiffness of its own; leave out one"),
     ],
 )
@@ -308,7 +302,7 @@ def test_a_table_is_saved_and_read_back(example: Study, tmp_path: Path) -> None:
 
 
 def a_few(model: pm.Model) -> az.InferenceData:
-    return zoo.sample(model, draws=4, tune=8, chains=1, cores=1, progress=False, until_ess=None, seed=1)
+    return zoo.sample(model, draws=4, tune=8, chains=1, cores=0, progress=False, until_ess=None, seed=1)
 
 
 def test_a_posterior_of_other_priors_is_named_as_such(example: Study) -> None:

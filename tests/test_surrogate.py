@@ -354,7 +354,7 @@ def test_one_library_serves_another_error_model():
     builder_of(first, library)
     there = len(library)
     surrogate, _ = builder_of(bayesian_model("other", FORWARD, DATA, PROCESS), library).surrogate()
-    assert len(surrogate.map.points) > there
+    assert len(surrogate.map.points) > there > 100
     other = FunctionModel(decay, (RATE, LEVEL), Outputs(("y0",), T), name="another")
     with pytest.raises(SamplingError, match="library: is of"):
         sample_surrogate(first, library=Library(other), progress=False)

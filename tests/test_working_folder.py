@@ -81,7 +81,7 @@ FEW = ["--draws", "5", "--tune", "5", "--chains", "2", "--until", "none", "--qui
 
 
 def test_a_command_and_its_chains_run_nothing_of_the_working_folder(folder: Path) -> None:
-    done = run(folder, COMMAND, "sample", "A", "small", "-o", "a.nc", "--cores", "2", *FEW)
+    done = run(folder, COMMAND, "sample", "A", "small", "-o", "a.nc", "--cores", "1", *FEW)
     assert done.returncode == 0, done.stderr[-2000:]
     assert (folder / "a.nc").is_file()
 
@@ -97,7 +97,7 @@ def test_a_model_of_ones_own_imports_what_stands_beside_it_but_nothing_else(fold
     (folder / "beside.py").write_text(BESIDE)
     (folder / "further_beside.py").write_text("from numpy import mean\n")
     (folder / "beside_later.py").write_text(BESIDE_LATER)
-    words = ["sample", "mine", "small", "--models-from", "mine.py", "-o", "a.nc", "--cores", "2"]
+    words = ["sample", "mine", "small", "--models-from", "mine.py", "-o", "a.nc", "--cores", "1"]
     done = run(folder, COMMAND, *words, *FEW)
     assert done.returncode == 0, done.stderr[-2000:]
 

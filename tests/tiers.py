@@ -75,7 +75,6 @@ class Clock:
         self.own: dict[str, float] = {}
         self.uses: dict[str, list[str]] = {}
         self.fixtures: dict[str, float] = defaultdict(float)
-        self.slow: set[str] = set()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Iterator[None]:
@@ -101,15 +100,13 @@ class Clock:
             used = {(f[-1].baseid, name) for name, f in item._fixtureinfo.name2fixturedefs.items()}
             shared = {"::".join(key): self.shared[key] for key in used & self.shared.keys()}
             own = processor_seconds() - self.began - self.of_fixtures
-            slow = item.get_closest_marker("slow") is not None
-            item.user_properties.append(("seconds", [own, shared, slow]))
+            item.user_properties.append(("seconds", [own, shared]))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         for name, value in report.user_properties if report.when == "teardown" else ():
             if name == "seconds":
-                own, shared, slow = value
+                own, shared = value
                 self.own[report.nodeid], self.uses[report.nodeid] = own, list(shared)
-                self.slow |= {report.nodeid} if slow else set()
                 for fixture, seconds in shared.items():
                     self.fixtures[fixture] = max(self.fixtures[fixture], seconds)
 
@@ -131,15 +128,3 @@ class Clock:
             kept["files"][file] = round(files[file] + sum(self.fixtures[f] for f in of_it), 1)
         text = json.dumps({kind: dict(sorted(kept[kind].items())) for kind in kept}, indent=0)
         FILE.write_text(text + "\n", encoding="utf-8")
-
-    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        slow = sum(own for test, own in self.own.items() if test in self.slow)
-        fixtures = {
-            kind: {f for t, used in self.uses.items() if (t in self.slow) is kind for f in used}
-            for kind in (False, True)
-        }
-        fast = sum(self.own.values()) - slow + sum(self.fixtures[f] for f in fixtures[0])
-        slow += sum(self.fixtures[f] for f in fixtures[1] - fixtures[0])
-        terminalreporter.write_line(
-            f"processor seconds: {fast:.0f} of fast tests, {slow:.0f} more of slow ones"
-        )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from commands import fails, run
 from typer.testing import CliRunner
 
-from zoo import cli
 from zoo.blood.effects import CATALOGUE, FAMILIES
 from zoo.cli import app
 
@@ -37,8 +36,3 @@ def test_effects_tells_all_about_one() -> None:
         assert amplitude.why in found
     assert "linear-constant, linear-radius" in run("effects", "tangent-wall")
     assert "did you mean 'stenosis'?" in fails("effects", "stenoses")
-
-
-def test_locations_are_in_words() -> None:
-    found = {cli.effects._locations(effect) for effect in CATALOGUE.values()}
-    assert found <= set(cli.effects.LOCATION_WORDS.values())

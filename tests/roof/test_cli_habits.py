@@ -6,13 +6,10 @@ from pathlib import Path
 
 import pytest
 from commands import fails, run
-from rich.cells import cell_len
 from rich.text import Text
-from typer.testing import CliRunner
 
 import zoo
 import zoo.core.posterior.storage
-from zoo.cli import app
 from zoo.cli.screen import plain_table, say
 
 
@@ -71,11 +68,6 @@ def test_a_column_of_texts_is_folded_instead(capsys, monkeypatch) -> None:
     lines = printed(table, capsys, monkeypatch, 80)
     assert max(map(len, lines)) <= 80
     assert sum(line.startswith("name") for line in lines) == 1
-
-
-def test_tables_in_a_pipe_have_80_columns() -> None:
-    result = CliRunner().invoke(app, ["effects"], env={"COLUMNS": "80"})
-    assert max(cell_len(line) for line in result.output.splitlines()) <= 80
 
 
 EFFECT = '''

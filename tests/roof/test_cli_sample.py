@@ -21,7 +21,7 @@ from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import find
 from zoo.core.posterior.storage import load
 
-QUICK = ("--draws", 60, "--tune", 150, "--chains", 2, "--cores", 2, "--seed", 3)
+QUICK = ("--draws", 60, "--tune", 150, "--chains", 2, "--cores", 1, "--seed", 3)
 
 
 @pytest.fixture(scope="module")
@@ -136,19 +136,9 @@ def test_compare_samples_what_is_missing_and_writes_table_and_figures(
     sampled: tuple[Path, str], tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
-    output = run(
-        "compare",
-        tiny,
-        "--models",
-        "A,b",
-        "--posteriors",
-        sampled[0].parent,
-        "-o",
-        out,
-        "--n-draws",
-        40,
-        *QUICK,
-    )
+    compare = ("compare", tiny.resolve(), "--n-draws", 40)
+    into = ("--posteriors", sampled[0].parent, "-o", out)
+    output = run(*compare, "--models", "A,b", *into, *QUICK)
     assert f"model A: posterior of {sampled[0]}" in output
     assert "model B: sampled, wrote" in output
     table = pd.read_csv(out / "comparison.csv", index_col="model")
@@ -160,19 +150,7 @@ def test_compare_samples_what_is_missing_and_writes_table_and_figures(
     kinds = ("fit", "trace", "rank", "pair", "pressure", "flow")
     names = {"comparison", "pressure", "flow", "loops", *(f"{kind}-{m}" for kind in kinds for m in "AB")}
     assert {f.stem for f in out.glob("*.png")} == names
-    again = run(
-        "compare",
-        tiny,
-        "--models",
-        "A,B",
-        "--posteriors",
-        sampled[0],
-        "-o",
-        out,
-        "--n-draws",
-        40,
-        "--no-figures",
-    )
+    again = run(*compare, "--models", "A,B", "--posteriors", sampled[0], "-o", out, "--no-figures")
     assert "model B: posterior of" in again
     assert "sampled" not in again
     # posteriors in the working directory are found by their names, if they belong
@@ -181,40 +159,27 @@ def test_compare_samples_what_is_missing_and_writes_table_and_figures(
     shutil.copy(sampled[0], here / "A.nc")
     shutil.copy(out / "B.nc", here / "B.nc")
     monkeypatch.chdir(here)
-    found = run("compare", tiny.resolve(), "--models", "A,B", "--n-draws", 40, "--no-figures")
+    found = run(*compare, "--models", "A,B", "--no-figures")
     assert "model A: posterior of A.nc" in found
     assert "model B: posterior of B.nc" in found
 
 
 def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_path: Path) -> None:
     path = sampled[0]
-    assert "at least two different models" in fails("compare", tiny, "--models", "A")
     assert "at least two different models" in fails("compare", tiny, "--models", "A,A")
     assert "model 'Q': unknown" in fails("compare", tiny, "--models", "A,Q")
     assert "no such file or folder" in fails(
         "compare", tiny, "--posteriors", tmp_path / "no.nc", "-o", tmp_path / "o"
     )
     assert "--n-draws 3" in fails("compare", tiny, "--n-draws", 3)
-    changed = fails(
-        "compare",
-        tiny,
-        "--posteriors",
-        path,
-        "-o",
-        tmp_path / "p",
-        "--set",
-        "conventions.friction=rest",
-        "--models",
-        "A,B",
-    )
+    both = ("--models", "A,B", "--posteriors", path, "-o", tmp_path / "p")
+    changed = fails("compare", tiny, *both, "--set", "conventions.friction=rest")
     assert "conventions is printed, here it is custom (printed with friction=rest)" in changed
     other = tmp_path / "other"
     study = load_study(tiny)
     series = replace(study.series[0], value=study.series[0].value + 0.5)
     save_study(replace(study, series=(series,)), other)
-    assert "A.nc: is of model A on other data named tiny; sample again" in fails(
-        "compare", other, "--posteriors", path, "-o", tmp_path / "q", "--models", "A,B"
-    )
+    assert "A.nc: is of model A on other data named tiny; sample again" in fails("compare", other, *both)
     assert "--fresh: samples every model anew" in fails("compare", tiny, "--posteriors", path, "--fresh")
     file = tmp_path / "file"
     file.write_text("", encoding="utf-8")

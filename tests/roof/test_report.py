@@ -18,7 +18,6 @@ import pytest
 from pages import Element, check_tables, read, table_of
 from typer.testing import CliRunner
 
-from test_op import small_study
 from zoo import report
 from zoo.blood.fetch import FetchError
 from zoo.blood.study import Study, load_study, save_study
@@ -66,11 +65,6 @@ def drawn(model: pm.Model, *, apart: float = 0.0, n: int = 500) -> az.InferenceD
         started="2026-01-02T03:04:05+00:00",
     ).attach(idata)
     return idata
-
-
-@pytest.fixture(scope="module")
-def study() -> Study:
-    return small_study()
 
 
 @pytest.fixture(scope="module")
