@@ -102,9 +102,9 @@ def harmonics(values: Array) -> NDArray[np.complex128]:
 def test_every_entry_is_complete(name: str) -> None:
     effect = CATALOGUE[name]
     assert effect.family in FAMILIES
-    for text in (effect.statement, effect.equation, effect.signature):
-        assert text
-        assert text == text.strip()
+    assert all(
+        text and text == text.strip() for text in (effect.statement, effect.equation, effect.signature)
+    )
     assert effect.statement.endswith(".")
     assert re.search(r"doi 10\.\d{4,}/\S+|definition|Math\. Biosci\. Eng\.", effect.source)
     assert effect.parameters[0].zero_is_base

@@ -12,7 +12,7 @@ import pytest
 
 from test_op import POINT, at, flow, small_study
 from zoo.blood import forward as module
-from zoo.blood.baseline import HOMES, get_baseline
+from zoo.blood.baseline import get_baseline
 from zoo.blood.case import OutputError
 from zoo.blood.conventions import PRINTED, PUBLISHED_CODE
 from zoo.blood.effects import CATALOGUE, at_vessel
@@ -192,17 +192,6 @@ def test_draws_from_a_baselines_prior_have_a_population(study: Study) -> None:
     theta = draw_prior(forward.parameters, np.random.default_rng(2))
     assert theta.shape == (8,)
     np.testing.assert_array_equal(forward.configure(theta).stiffness, theta[2:5])
-
-
-def test_what_each_baseline_is_offered() -> None:
-    offered = {name: {n for n in CATALOGUE if not CATALOGUE[n].offered(name)} for name in HOMES}
-    assert offered == {
-        "linear-constant": set(),
-        "linear-radius": {"radius-dependent-stiffness"},
-        "linear-vessels": {"radius-dependent-stiffness", "local-stiffness"},
-        "tangent-constant": {"tangent-wall"},
-        "tangent-radius": {"tangent-wall", "radius-dependent-stiffness"},
-    }
 
 
 def test_conventions_of_a_baseline() -> None:

@@ -18,22 +18,9 @@ RUN = Path(__file__).parent / "fuzz" / "run.py"
 
 
 def test_a_slice_of_mutated_studies_and_damaged_files(tmp_path):
+    words = "--studies 250 --files 250 --seed 5 --save".split()
     ended = subprocess.run(
-        [
-            sys.executable,
-            str(RUN),
-            "--studies",
-            "250",
-            "--files",
-            "250",
-            "--seed",
-            "5",
-            "--save",
-            str(tmp_path),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, str(RUN), *words, str(tmp_path)], capture_output=True, text=True, check=False
     )
     assert ended.returncode == 0, ended.stdout + ended.stderr
     first, second = ended.stdout.splitlines()

@@ -15,10 +15,9 @@ from scipy import stats
 
 from test_op import STIFF, small_study
 from zoo.blood.baseline import blood_model, get_baseline
-from zoo.blood.conventions import PUBLISHED_CODE
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.network import Network
-from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.solver import Solver
 from zoo.blood.study import Study, StudyError, load_study
 from zoo.core.effects import EffectError, EffectParameter, Location, effect
 from zoo.core.errors.base import ErrorModel
@@ -162,23 +161,6 @@ def test_suggested_parameters_give_a_finite_density_that_a_pickle_keeps(name: st
     assert (copy.zoo.name, copy.zoo.parameters) == (model.zoo.name, model.zoo.parameters)
     assert copy.zoo.op == model.zoo.op
     assert copy.zoo.op.counts["solves"] == 1  # in one process copies share their solved points
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_dimensions_and_record(name: str, study: Study) -> None:
-    options = SolverOptions(dx_cm=0.05)
-    model = get_model(name)(study, options=options, conventions=PUBLISHED_CODE)
-    assert model.coords["vessel"] == tuple(Network.from_study(study).ids)
-    assert model.coords["series"] == tuple(series.label for series in study.series)
-    np.testing.assert_array_equal(model.coords["time"], study.time_s)
-    assert model.named_vars_to_dims["y"] == ("series", "time")
-    record = model.zoo
-    assert record.study is study
-    assert record.forward.options == options
-    assert record.forward.conventions == PUBLISHED_CODE
-    assert record.settings["conventions"]["name"] == "published-code"
-    assert record.settings["solver options"]["dx_cm"] == 0.05
-    assert record.error_parameters == ERROR_PARAMETERS[record.errors.name]
 
 
 def test_likelihood_of_a(study: Study) -> None:

@@ -94,15 +94,6 @@ def test_one_vessel_is_root_and_terminal() -> None:
             [vessel(1)],
             "vessel 1: windkessel: is missing at a terminal; give R1, R2 and C, or a resistance, in cgs",
         ),
-        ([vessel(1, load=LOAD), vessel(1, load=LOAD)], "vessel 1: id = 1: also the id of another vessel"),
-        (
-            [vessel(1, load=LOAD), vessel(2, load=LOAD)],
-            "vessel 2: parent: is missing, but vessel 1 is the root",
-        ),
-        (
-            [vessel(1, load=LOAD), vessel(2, 1, load=LOAD)],
-            "vessel 1: windkessel: only a terminal may have one",
-        ),
         ([vessel(1, load=LOAD, length=0.0)], r"vessel 1: length_cm = 0\.0: must be positive and finite"),
         ([vessel(1, load=replace(LOAD, C=math.inf))], "vessel 1: windkessel: C = inf: must be positive"),
     ],

@@ -323,11 +323,8 @@ def test_samples_do_not_depend_on_the_order_of_times():
 
 
 def test_failures_raise_named_errors_that_say_what_to_change():
-    solver = mouse()
-    with pytest.raises(SolverArgumentError, match="positive"):
-        solver.solve(-1.0)
     with pytest.raises(SolverArgumentError, match="one per vessel"):
-        solver.solve(np.ones(5))
+        mouse().solve(np.ones(5))
     with pytest.raises(NotPeriodicError, match="max_beats"):
         mouse(max_beats=1).solve(5e4)
     with pytest.raises(CFLError, match="steps_per_beat"):
@@ -339,10 +336,6 @@ def test_failures_raise_named_errors_that_say_what_to_change():
     backflow = 0.02 + 0.9 * np.sin(np.linspace(0, 2 * np.pi, 512, endpoint=False))
     with pytest.raises((CollapseError, SolverError), match="vessel"):
         mouse(flow=backflow).solve(2e4)
-    with pytest.raises(SolverArgumentError, match="linear, tangent"):
-        mouse("quadratic")
-    with pytest.raises(SolverArgumentError, match="not in the network"):
-        Solver(solver.network, solver.inflow_time_s, solver.inflow_ml_s, series=[(99, 0.0)], times_s=[0.0])
 
 
 def test_wall_limit_is_a_status_of_its_own():
