@@ -163,9 +163,7 @@ def test_baselines_by_name_and_letter() -> None:
         assert baseline.name == name
         assert get_baseline(letter.lower()) is baseline
         assert get_baseline(name) is baseline
-    with pytest.raises(
-        EffectError, match="baseline 'linear-constnt': unknown; did you mean 'linear-constant'"
-    ):
+    with pytest.raises(EffectError, match="baseline 'linear-constnt': unknown; did you mean"):
         get_baseline("linear-constnt")
 
 

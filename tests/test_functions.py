@@ -141,9 +141,7 @@ def test_pressure_is_that_of_the_whole_law_and_blood_is_kept(wall: str) -> None:
 def test_a_wall_that_falls_is_a_failed_solve_and_not_a_crash(wall: str) -> None:
     falls = at(WallFunction, 0.9, 1.3, 12, lambda s: -9 * (s - 1))
     s = solver(wall, options=QUICK, wall_function=falls)
-    with pytest.raises(
-        SolveError, match=r"pressure does not rise with its area in vessel 1; lower"
-    ) as caught:
+    with pytest.raises(SolveError, match=r"pressure does not rise with its area in vessel 1;") as caught:
         s.solve(STIFFNESS, GAMMA)
     assert caught.value.kind == "wall-falls"
     assert np.isnan(s.solve(STIFFNESS, GAMMA, check=False).pressure_mmHg).all()

@@ -242,25 +242,16 @@ LEFT = "  - label: a\n    sn: 2\n    tn: 3\n    L: 0.1\n    E: 5.0e5\n    R0: 2.
 
 NOT_EXPRESSED = [
     (ONE + DAUGHTERS + LEFT.replace("sn: 2", "sn: 3").replace("tn: 3", "tn: 4"), "tn = 4: .* a loop or"),
-    (
-        ONE + LEFT.replace("sn: 2", "sn: 7").replace("tn: 3", "tn: 8"),
-        r"several inlets \(vessel trunk, vessel a\)",
-    ),
+    (ONE + LEFT.replace("sn: 2", "sn: 7").replace("tn: 3", "tn: 8"), r"several inlets \(vessel trunk,"),
     (ONE + LEFT.replace("tn: 3", "tn: 1"), "the network is a loop"),
     (ONE.replace("tn: 2", "tn: 1") + WK3, "begins and ends at node 1"),
-    (
-        ONE + "    outlet: coronary\n" + WK3,
-        "row 1[0-9]: vessel trunk: outlet = 'coronary': Input should be 'none', 'wk2', 'wk3' or",
-    ),
+    (ONE + "    outlet: coronary\n" + WK3, "row 1[0-9]: vessel trunk: outlet = 'coronary': Input should be"),
     (ONE + "    outlet: reflection\n    Rt: 1.0\n", "Rt = 1.0: must be below 1"),
     (ONE + "    inlet: P\n" + WK3, "inlet = 'P': Input should be 'Q'"),
     (ONE + "    visco-elastic: true\n" + WK3, "visco_elastic = True: a viscoelastic wall"),
     (ONE + "    Rc: 0.01\n" + WK3, "walls that buckle"),
     (ONE, "vessel trunk: R1: is missing"),
-    (
-        ONE + DAUGHTERS.replace("gamma_profile: 2", "gamma_profile: 9"),
-        "gamma_profile = 9, but 2 in vessel trunk",
-    ),
+    (ONE + DAUGHTERS.replace("gamma_profile: 2", "gamma_profile: 9"), "gamma_profile = 9, but 2 in vessel"),
     (ONE + "    R1: 1.0e6\n    Cc: 1e-10\n", "is below the vessel's impedance"),
     (ONE.replace("trunk", "tr\tunk") + WK3, r"name = 'tr\\tunk': must be one line of visible text"),
     ("- 1\n- 2\n", "the file: must be a table"),
@@ -402,9 +393,7 @@ def test_published_networks_are_solved(
 
 @pytest.mark.needs_data
 def test_loops_are_refused(data_dir: Path) -> None:
-    with pytest.raises(
-        ImportedFileError, match=r"row 173: vessel 17-L-vertebral: tn = 15: vessel 14-R-vertebral .* a loop"
-    ):
+    with pytest.raises(ImportedFileError, match=r"row 173: .*: tn = 15: vessel 14-R-vertebral .* a loop"):
         import_openbf(data_dir / "benchmarks" / "openbf" / "circle_of_willis.yaml")
 
 

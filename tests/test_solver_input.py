@@ -203,9 +203,7 @@ def test_more_cells_than_an_int_holds_are_refused(options: dict[str, Any]) -> No
 def test_memory_that_is_not_there_is_one_line(solver: Solver, monkeypatch: pytest.MonkeyPatch) -> None:
     fresh = Solver(solver.network, solver.inflow_time_s, solver.inflow_ml_s)
     monkeypatch.setattr(np, "empty", lambda *_, **__: np.ones(2**60))
-    with pytest.raises(
-        SolverArgumentError, match=r"a solve needs .* GB, more than there are: lower"
-    ) as caught:
+    with pytest.raises(SolverArgumentError, match=r"a solve needs .* GB, more than there are:") as caught:
         fresh.solve(5e4)
     one_line(caught)
 

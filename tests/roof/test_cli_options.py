@@ -52,23 +52,11 @@ def test_what_is_set_takes_the_place_of_the_study_s_own() -> None:
     [
         ("friction", "--set 'friction': write KEY=VALUE, such as conventions.friction=rest"),
         ("frictio=rest", "'frictio': no field of a study"),
-        (
-            "numerics.dx=1",
-            "study.toml with numerics.dx=1: numerics: dx: unknown field; did you mean 'dx_cm'?",
-        ),
-        (
-            "conventions=printd",
-            "with conventions=printd: conventions: name = 'printd': unknown; did you mean 'p",
-        ),
-        (
-            "junctions.pressure=both",
-            "network.toml with junctions.pressure=both: junctions: pressure = 'both'",
-        ),
+        ("numerics.dx=1", "study.toml with numerics.dx=1: numerics: dx: unknown field; did you mean"),
+        ("conventions=printd", "with conventions=printd: conventions: name = 'printd': unknown; did you"),
+        ("junctions.pressure=both", "network.toml with junctions.pressure=both: junctions: pressure ="),
         ("vessel=3", "vessel: is set field by field, such as vessel.radius_cm=0.05"),
-        (
-            "vessel.radius_cm=1,2",
-            "vessel.radius_cm: 2 values; give one for all vessels, or one for each of the 21",
-        ),
+        ("vessel.radius_cm=1,2", "vessel.radius_cm: 2 values; give one for all vessels, or one for each of"),
         ("name.x=1", "name.x: name = 'demo': is no table; set name itself"),
     ],
 )
