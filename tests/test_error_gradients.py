@@ -160,7 +160,6 @@ TIMES = np.linspace(0.0, 0.1, 30)
 LAW = GaussianProcess(LogUniform(1e3, 9e4), LogUniform(1.0, 500.0), 2e4, 100.0, noise_variance=0.01)
 N = 3
 WAVES = Outputs(tuple(f"y{i}" for i in range(N)), TIMES)
-SPEED = Parameter("speed", Uniform(0.2, 3.0), start=1.0, log=True)
 LEVEL = Parameter("level", Uniform(-5.0, 5.0), start=0.2)
 POPULATION = (
     Parameter("mean", Uniform(0.2, 3.0), start=1.0, hyper=True),
@@ -171,7 +170,7 @@ POPULATION = (
 
 @dataclass(frozen=True)
 class Waves:
-    """y_s(t) = level + 2 sin(30 speed_s t), and its derivatives; the speed of all series, or of each."""
+    """y_s(t) = level + 2 sin(30 speed_s t), and its derivatives."""
 
     parameters: tuple[Parameter, ...]
     outputs: Outputs = WAVES
@@ -186,14 +185,12 @@ class Waves:
         return dict(unpack(self.parameters, theta))
 
     def solve(self, configuration: Any, outputs: Outputs | None = None) -> np.ndarray:
-        speed = np.broadcast_to(configuration["speed"], (N,))
-        return configuration["level"] + 2 * np.sin(30 * np.outer(speed, TIMES))
+        return configuration["level"] + 2 * np.sin(30 * np.outer(configuration["speed"], TIMES))
 
     def solve_derivatives(self, configure: Any, theta: Any, scales: Any, outputs: Any = None) -> Any:
         at = configure(theta)
-        turn = 60 * TIMES * np.cos(30 * np.outer(np.broadcast_to(at["speed"], (N,)), TIMES))
-        each = np.eye(N)[:, :, None] * turn
-        by = {"speed": each if np.ndim(at["speed"]) else turn[None], "level": np.ones((1, N, TIMES.size))}
+        turn = 60 * TIMES * np.cos(30 * np.outer(at["speed"], TIMES))
+        by = {"speed": np.eye(N)[:, :, None] * turn, "level": np.ones((1, N, TIMES.size))}
         none = np.zeros((1, N, TIMES.size))
         return self.solve(at), np.concatenate([by.get(p.name, none) for p in self.parameters])
 

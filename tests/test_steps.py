@@ -17,6 +17,8 @@ from gaussian import Doubling, gaussian_model, gaussian_posterior
 from zoo.core.inference.sampling import DEMetropolisZ
 from zoo.core.inference.spaces import ConstrainedSpace, Gaussian
 
+QUIET = {"progressbar": False, "compute_convergence_checks": False}
+
 
 def steps_of(step, point, n, seed=3, tune=0):
     """Draws of a step method in PyMC's own order of calls, and its statistics."""
@@ -82,16 +84,7 @@ def test_memory_knows_the_variables_of_other_steps():
         b = pm.Normal("b", a, 1.0)
         pm.Normal("y", b, 1.0, observed=1.0)
         step = pm.CompoundStep([DEMetropolisZ([a], scaling=0.5), DEMetropolisZ([b], scaling=0.5)])
-        idata = pm.sample(
-            300,
-            tune=300,
-            step=step,
-            chains=1,
-            cores=1,
-            random_seed=1,
-            progressbar=False,
-            compute_convergence_checks=False,
-        )
+        idata = pm.sample(300, tune=300, step=step, chains=1, cores=1, random_seed=1, **QUIET)
     logp = model.compile_logp()
     assert float(idata.posterior.a.std()) > 0 < float(idata.posterior.b.std())
     for draw in (0, 17, 299):  # PyMC keeps the log-posterior of the step that comes last
@@ -102,17 +95,9 @@ def test_memory_knows_the_variables_of_other_steps():
 
 def test_pm_sample_takes_the_step_in_several_processes():
     with gaussian_model():
-        idata = pm.sample(
-            1000,
-            tune=1000,
-            step=DEMetropolisZ(crank_nicolson=0.4, archive=np.random.default_rng(0).normal(size=(30, 3))),
-            chains=2,
-            cores=2,
-            mp_ctx="spawn",
-            random_seed=5,
-            progressbar=False,
-            compute_convergence_checks=False,
-        )
+        step = DEMetropolisZ(crank_nicolson=0.4, archive=np.random.default_rng(0).normal(size=(30, 3)))
+        settings = {"tune": 1000, "chains": 2, "cores": 2, "mp_ctx": "spawn", "random_seed": 5}
+        idata = pm.sample(1000, step=step, **settings, **QUIET)
     assert idata.sample_stats.solves.to_numpy()[:, 1:].max() == 1
     assert idata.sample_stats.solver_failures.to_numpy().sum() == 0
     mean, covariance = gaussian_posterior()

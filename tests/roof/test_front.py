@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
@@ -13,8 +12,6 @@ import zoo
 from zoo import front
 from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis, DiagnosisError
-
-SOURCE = Path(zoo.__file__).parent
 
 
 def test_a_diagnosis_draws_itself(one: Diagnosis, sampled: Diagnosis) -> None:

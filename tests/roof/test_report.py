@@ -18,6 +18,7 @@ import pytest
 from pages import Element, check_tables, read, table_of
 from typer.testing import CliRunner
 
+from gaussian import a_record
 from zoo import report
 from zoo.blood.fetch import FetchError
 from zoo.blood.study import Study, load_study, save_study
@@ -32,6 +33,8 @@ from zoo.report.sentences import summary
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 
+Models = dict[str, pm.Model]
+Posteriors = dict[str, az.InferenceData]
 CENTRE = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.0025, "w": 5e4, "b": 100.0}
 
 
@@ -46,48 +49,40 @@ def drawn(model: pm.Model, *, apart: float = 0.0, n: int = 500) -> az.InferenceD
     accepted = np.linspace(0.2, 0.4, 4)[:, None].repeat(n, 1)
     idata = az.from_dict(posterior=draws, sample_stats={"accepted": accepted})
     record = model.zoo
-    RunRecord(
+    replace(
+        a_record(),
         model=record.name,
         study=record.study.name,
         study_checksum=record.study.checksum,
         conventions={"name": record.study.conventions.name, "wall_factor": 1.0},
-        solver={"dx_cm": 0.025, "accelerate": True},
         settings={"chains": 4, "draws": n, "tune": 700, "thin": 3, "until_ess": None, "step": "nuts"},
         seed=11,
         solves=8123,
-        steps=8000,
         mode_evaluations=77,
         failures={"not-periodic": 5},
-        solves_per_draw=4.0,
-        solves_per_step=1.0,
         wall_seconds=90.0,
-        sittings=1,
-        started="2026-01-02T03:04:05+00:00",
     ).attach(idata)
     return idata
 
 
 @pytest.fixture(scope="module")
-def models(study: Study) -> dict[str, pm.Model]:
+def models(study: Study) -> Models:
     return {name: get_model(name)(study) for name in ("A", "B")}
 
 
 @pytest.fixture(scope="module")
-def posteriors(models: dict[str, pm.Model]) -> dict[str, az.InferenceData]:
+def posteriors(models: Models) -> Posteriors:
     return {name: drawn(model) for name, model in models.items()}
 
 
 @pytest.fixture(scope="module")
-def table(models: dict[str, pm.Model], posteriors: dict[str, az.InferenceData]) -> pd.DataFrame:
+def table(models: Models, posteriors: Posteriors) -> pd.DataFrame:
     return compare(posteriors, models, n_draws=40)
 
 
 @pytest.fixture(scope="module")
 def page(
-    tmp_path_factory: pytest.TempPathFactory,
-    study: Study,
-    models: dict[str, pm.Model],
-    posteriors: dict[str, az.InferenceData],
+    tmp_path_factory: pytest.TempPathFactory, study: Study, models: Models, posteriors: Posteriors
 ) -> Element:
     path = tmp_path_factory.mktemp("report") / "r.html"
     chapter = report.Chapter(study.name, posteriors, study, models, note="A note & more.")
@@ -114,7 +109,7 @@ def test_the_ranking_is_that_of_compare(page: Element, study: Study, table: pd.D
 
 
 def test_posteriors_and_convergence_are_those_of_the_draws(
-    page: Element, study: Study, posteriors: dict[str, az.InferenceData]
+    page: Element, study: Study, posteriors: Posteriors
 ) -> None:
     for name, idata in posteriors.items():
         rows = {row[0]: row for row in table_of(page, f"Posterior of model {name} on {study.name}")}
@@ -181,11 +176,7 @@ def test_the_head_says_what_was_done(page: Element, study: Study) -> None:
 
 
 def test_banner_exactly_when_a_verdict_fails(
-    tmp_path: Path,
-    page: Element,
-    study: Study,
-    models: dict[str, pm.Model],
-    posteriors: dict[str, az.InferenceData],
+    tmp_path: Path, page: Element, study: Study, models: Models, posteriors: Posteriors
 ) -> None:
     assert page.of_class("banner") == []
     assert report.chapters.BANNER not in page.text
@@ -200,9 +191,7 @@ def test_banner_exactly_when_a_verdict_fails(
     assert failed == set(models["B"].zoo.parameters)
 
 
-def test_a_name_with_markup_stays_text(
-    tmp_path: Path, posteriors: dict[str, az.InferenceData], page: Element
-) -> None:
+def test_a_name_with_markup_stays_text(tmp_path: Path, posteriors: Posteriors, page: Element) -> None:
     name = "<script>alert('x')</script>&\""
     both = [report.Chapter(name, {"A": posteriors["A"]}, note=name), report.Chapter(name, {})]
     path = report.write_chapters(tmp_path / "x.html", both, title=name, command=name)
@@ -250,9 +239,7 @@ def test_summary_tells_a_lead_from_a_tie() -> None:
     assert lines[1].startswith("For what such draws are worth, model H predicts")
 
 
-def test_faults_are_one_line(
-    tmp_path: Path, study: Study, posteriors: dict[str, az.InferenceData], models: dict[str, pm.Model]
-) -> None:
+def test_faults_are_one_line(tmp_path: Path, study: Study, posteriors: Posteriors, models: Models) -> None:
     with pytest.raises(OutputFileError, match="does not exist; create it"):
         report.write_report(tmp_path / "no" / "r.html", study, posteriors, models)
     with pytest.raises(report.ReportError, match="posterior 'B' has no model"):
@@ -278,11 +265,7 @@ def without_data(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Study]:
 
 @pytest.mark.usefixtures("without_data")
 def test_without_data_the_posteriors_are_shown(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    models: dict[str, pm.Model],
-    posteriors: dict[str, az.InferenceData],
-    study: Study,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, posteriors: Posteriors, study: Study
 ) -> None:
     save_study(study, tmp_path / "own")
     for name, idata in posteriors.items():
