@@ -174,6 +174,6 @@ def test_finished_replicates_are_kept(tmp_path, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.slow
 def test_draws_of_a_surrogate_are_made_exact_and_converge() -> None:
-    [made] = simulate_and_rank(quick("B", settings=calibration.SURROGATE | {"chains": 2}), 1)
+    [made] = simulate_and_rank(quick("B", settings={"method": "surrogate", "chains": 2, "draws": 250}), 1)
     assert made.correction == ""
     assert made.ess > 160
