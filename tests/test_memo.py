@@ -196,10 +196,10 @@ def test_a_folder_that_is_a_link_is_not_followed(mine: Path, tmp_path: Path) -> 
 
 
 def test_a_folder_or_a_pipe_in_a_checkpoint_is_named(tmp_path: Path) -> None:
-    (tmp_path / ".zoo-x.part").mkdir()
-    with pytest.raises(OutputFileError, match=r"\.zoo-x\.part: is a link, or no file"):
+    (tmp_path / "chain-0.memo").mkdir()
+    with pytest.raises(OutputFileError, match=r"chain-0\.memo: is a link, or no file"):
         Folder(tmp_path)
-    (tmp_path / ".zoo-x.part").rmdir()
+    (tmp_path / "chain-0.memo").rmdir()
     os.mkfifo(tmp_path / "lock")  # opened for writing, it waits for ever
     with pytest.raises(OutputFileError, match="lock: is a link, or no file"):
         Folder(tmp_path)

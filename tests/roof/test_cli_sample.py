@@ -111,12 +111,38 @@ def test_fresh_removes_only_a_checkpoint(tiny: Path, tmp_path: Path) -> None:
         if name != "run.json":
             assert "holds files that are not a checkpoint's" in fails(*words, "--fresh")
     assert {file.name for file in folder.iterdir()} - {"lock"} == {"chain-0.memo", "diary.txt", "run.json"}
+    (folder / "diary.txt").unlink()
+    for content in ("mine", "{}", '{"identity": {"format": 4}}'):  # of another program
+        (folder / "run.json").write_text(content)
+        assert "holds files that are not a checkpoint's; move chain-0.memo away" in fails(*words, "--fresh")
     folder.rename(tmp_path / "elsewhere")
-    (tmp_path / "elsewhere" / "diary.txt").unlink()
     folder.symlink_to(tmp_path / "elsewhere")
     for fresh in ([], ["--fresh"]):
         assert f"{folder} is a link" in fails(*words, *fresh)
     assert {file.name for file in folder.iterdir()} - {"lock"} == {"chain-0.memo", "run.json"}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (("--method", "guess"), "--method guess: must be one of"),
+        (("--method", "surrogate", "--thin", 2), "--thin 2: method surrogate has no use for it"),
+        (("--max-draws", 3), "--max-draws 3: must be a whole number of at least 60"),
+    ],
+)
+def test_fresh_removes_nothing_where_another_option_is_wrong(
+    sampled: tuple[Path, str], tiny: Path, tmp_path: Path, wrong: tuple[object, ...], said: str
+) -> None:
+    folder = Path(shutil.copytree(sampled[0].with_suffix(".checkpoint"), tmp_path / "A.checkpoint"))
+    before = sorted(folder.iterdir())
+    assert said in fails("sample", "A", tiny, "-o", tmp_path / "A.nc", "--fresh", *QUICK, *wrong)
+    assert sorted(folder.iterdir()) == before
+    for name in ("chain-theirs.memo", ".zoo-notes.part"):
+        (folder / name).write_text("mine")
+        refused = fails("sample", "A", tiny, "-o", tmp_path / "A.nc", "--fresh", *QUICK)
+        assert f"holds files that are not a checkpoint's; move {name} away" in refused
+        (folder / name).unlink()
+    assert sorted(folder.iterdir()) == before
 
 
 def test_fresh_does_not_take_a_checkpoint_from_a_running_job(tiny: Path, tmp_path: Path) -> None:

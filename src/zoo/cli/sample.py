@@ -101,7 +101,7 @@ def sample_with_checkpoint(
     name: str, study: Study, path: Path, settings: Mapping[str, Any], *, fresh: bool, progress: bool
 ) -> az.InferenceData:
     """Run a model with the checkpoint beside its output, and write the output."""
-    from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError, Folder
+    from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError
     from zoo.core.posterior.files import checkpoint_of, sample_to
 
     checkpoint = checkpoint_of(path)
@@ -110,9 +110,7 @@ def sample_with_checkpoint(
         raise UsageError(f"--output {path}: {wrong}; give a file such as {path.with_suffix('.other.nc')}")
     model = build_model(name, study)
     try:
-        if fresh and checkpoint.is_dir():
-            Folder(checkpoint).remove()  # refused while another run holds it
-        return sample_to(path, model, groups=True, progress=progress, **settings)
+        return sample_to(path, model, groups=True, progress=progress, fresh=fresh, **settings)
     except CheckpointInUseError as error:
         raise UsageError(str(error)) from None
     except CheckpointError as error:

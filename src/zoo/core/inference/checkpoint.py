@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -19,8 +20,8 @@ from zoo.core.inference.memo import REMEDY, CheckpointError
 from zoo.core.outputs import OutputFileError, write_file
 
 CHECKPOINT_FORMAT = 4
-FILES = ("run.json", "chain-*.memo", "solves.memo", ".zoo-*.part", "lock")
-"""Patterns of the files that a checkpoint folder holds."""
+FILES = re.compile(r"run\.json|chain-\d+\.memo|solves\.memo|\.zoo-[0-9a-f]{16}\.part|lock")
+"""Names of the files that a checkpoint folder holds."""
 
 
 class CheckpointInUseError(CheckpointError):
@@ -65,7 +66,8 @@ class Folder:
             ) from None
 
         for left in path.glob(".zoo-*.part"):  # of a run that was killed while it wrote
-            left.unlink(missing_ok=True)
+            if FILES.fullmatch(left.name):
+                left.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Give the folder free."""
@@ -116,9 +118,9 @@ class Folder:
         """
         try:
             files = sorted(self.path.iterdir())
-            begun = (self.path / "run.json").is_file()  # else whose files these are is not known
+            begun = self._begun()  # else whose files these are is not known
             for file in files:
-                if not any(map(file.match, FILES)) or not (begun or file.name == "lock"):
+                if not FILES.fullmatch(file.name) or not (begun or file.name == "lock"):
                     raise OutputFileError(
                         f"{self.path}: holds files that are not a checkpoint's; move {file.name} away"
                     )
@@ -128,11 +130,19 @@ class Folder:
             self.close()
         self.path.rmdir()
 
+    def _begun(self) -> bool:
+        """Whether run.json is of zoo, of whatever format and also if its content was changed since."""
+        try:
+            content = json.loads((self.path / "run.json").read_bytes())
+            return {"identity", digests.FIELD} <= content.keys() and "format" in content["identity"]
+        except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+            return False
+
 
 def _refuse_links(folder: Path) -> None:
     """What is written through a link that came with a checkpoint would replace a file somewhere else."""
     for file in sorted(folder.iterdir()):
-        if any(map(file.match, FILES)) and (file.is_symlink() or not file.is_file()):
+        if FILES.fullmatch(file.name) and (file.is_symlink() or not file.is_file()):
             raise OutputFileError(
                 f"{file}: is a link, or no file; a checkpoint holds nothing but files: remove it"
             )

@@ -131,7 +131,12 @@ def _no_surrogate(model: Any) -> str:
 
 
 def sample(
-    model: Any, *, method: str = "exact", checkpoint: str | Path | None = None, **settings: Any
+    model: Any,
+    *,
+    method: str = "exact",
+    checkpoint: str | Path | None = None,
+    fresh: bool = False,
+    **settings: Any,
 ) -> az.InferenceData:
     """Sample a posterior by one of `METHODS`.
 
@@ -143,6 +148,8 @@ def sample(
         made or does not serve, the forward model is sampled instead.
     checkpoint : path, optional
         Folder of the run, which goes on from there; of a surrogate it holds the solves.
+    fresh : bool
+        Remove what the folder holds of a run, once nothing speaks against this one.
     **settings
         Of `zoo.core.inference.sampling.sample` or `zoo.core.inference.surrogate.sample_surrogate`.
 
@@ -154,20 +161,22 @@ def sample(
     known = inspect.signature(check_settings).parameters
     check_settings(**{name: value for name, value in settings.items() if name in known})
     asked = {n: v for n, v in settings.items() if n in ONLY_EXACT and v not in ONLY_EXACT[n]}
-    taken, reason = choose(model, method, checkpoint=checkpoint)
+    taken, reason = choose(model, method, checkpoint=None if fresh else checkpoint)
     if method == "auto" and asked:
         taken, reason = "exact", f"{next(iter(asked))} is a setting of it"
+    if taken == "nuts":
+        asked.pop("executor", None)
+    for name, value in asked.items() if taken != "exact" else ():
+        raise SamplingError(
+            f"{name} = {value}: method {taken} has no use for it; leave it out, or use method exact"
+        )
+    if fresh and checkpoint is not None and Path(checkpoint).is_dir():
+        Folder(Path(checkpoint)).remove()  # refused while another run holds it
     words = f"model {model_name(model)}: method {taken}: {reason}" if method == "auto" else ""
     if taken == "exact":
         return sample_exact(model, checkpoint=checkpoint, preface=words, **_without(settings, "library"))
     if words and settings.get("progress", True):
         print(words, file=sys.stderr)
-    if taken == "nuts":
-        asked.pop("executor", None)
-    for name, value in asked.items():
-        raise SamplingError(
-            f"{name} = {value}: method {taken} has no use for it; leave it out, or use method exact"
-        )
     if taken == "nuts":
         own = _without(settings, "thin", "step_options", "library")
         return sample_exact(model, nuts=True, checkpoint=checkpoint, **own)

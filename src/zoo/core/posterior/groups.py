@@ -173,7 +173,8 @@ def sample(model: Any, *, groups: bool = True, progress: bool = True, **settings
     **settings
         Of `zoo.core.inference.sampling.sample`: draws, tune, chains, cores, step, thin, seed, checkpoint,
         until_ess, max_draws, start and so on. And `method`, "exact" if absent: "nuts", "surrogate" or "auto"
-        of `zoo.core.inference.methods.choose`, with `library`, solves that a surrogate may take.
+        of `zoo.core.inference.methods.choose`, with `library`, solves that a surrogate may take,
+        and `fresh`, to begin anew in a checkpoint folder that holds a run.
 
     Returns
     -------
@@ -189,7 +190,7 @@ def sample(model: Any, *, groups: bool = True, progress: bool = True, **settings
     TypeError
         For a setting that does not exist.
     """
-    own = [*inspect.signature(sampling.sample).parameters, "groups", "method", "library"][1:]
+    own = [*inspect.signature(sampling.sample).parameters, "groups", "method", "library", "fresh"][1:]
     refuse_unknown("sample", settings, own)
     record = getattr(model, "zoo", None)
     if not groups or not isinstance(record, ModelRecord):
