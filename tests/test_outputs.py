@@ -223,6 +223,43 @@ def test_a_link_that_is_changed_meanwhile_leads_to_no_file_of_others(tmp_path, a
     assert theirs.read_text() == "mine"
 
 
+@pytest.mark.parametrize("when", ["fsync", "link"])
+def test_what_comes_while_a_file_is_written_stays(tmp_path, monkeypatch, when):
+    path, real = tmp_path / "w.csv", getattr(os, when)
+
+    def meanwhile(*given):
+        path.write_text("mine")
+        return real(*given)
+
+    monkeypatch.setattr(os, when, meanwhile)
+    with Run({"command": "simulate"}, fresh=True):
+        output_file(path, "--output")
+        with pytest.raises(OutputFileError, match=r"not as zoo wrote it|File exists"):
+            write_file(path, "new")
+    assert path.read_text() == "mine"
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_file_is_new_also_where_there_are_no_hard_links(tmp_path, monkeypatch):
+    def refused(*given):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refused)
+    with Run({"command": "simulate"}):
+        assert write_file(output_file(tmp_path / "w.csv", "--output"), "new").read_text() == "new"
+
+
+def test_the_record_is_no_output_and_not_written_by_another_name(tmp_path):
+    for check in (output_file, output_folder, lambda path: write_file(path, "x")):
+        with pytest.raises(OutputFileError, match="is the name of the record of outputs; choose another"):
+            check(tmp_path / ".zoo-outputs")
+    (tmp_path / "theirs").write_text("mine")
+    (tmp_path / ".zoo-outputs").hardlink_to(tmp_path / "theirs")
+    with Run({"command": "x"}), pytest.raises(OutputFileError, match="is a link, or no file"):
+        write_file(output_file(tmp_path / "a.csv", "--output"), "x")
+    assert (tmp_path / "theirs").read_text() == "mine"
+
+
 def test_a_link_among_ones_own_outputs_leads_to_no_file_of_others(tmp_path):
     theirs = tmp_path / "theirs.txt"
     theirs.write_text("mine")

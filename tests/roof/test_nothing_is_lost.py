@@ -18,6 +18,7 @@ from zoo.blood.study import STUDY_FILES, load_study
 from zoo.cli import app
 from zoo.cli.command import Role
 from zoo.core.outputs import RECORD, OutputFileError, Run, output_file, output_folder, write_file
+from zoo.core.posterior.files import checkpoint_of
 
 INPUTS = {
     "study": "study",
@@ -162,7 +163,7 @@ def world(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "zoo.blood.blind.make_cases",
         "zoo.blood.blind.diagnose_cases",
         "zoo.blood.blind.score_cases",
-        "zoo.core.outputs.os.replace",
+        "zoo.core.outputs._put",
     ):
         monkeypatch.setattr(work, never)
     shutil.copytree(made, tmp_path / "world")
@@ -264,6 +265,28 @@ def test_the_same_words_on_other_data_are_another_run(tiny: Path, tmp_path: Path
     assert "is of another run: study was [" in fails(*words)
 
 
+def test_a_file_that_is_set_is_read_too(tiny: Path, tmp_path: Path, monkeypatch) -> None:
+    shutil.copytree(tiny, tmp_path / "study")
+    monkeypatch.chdir(tmp_path)
+    other = Path(shutil.copy("study/inflow.csv", "study/other.csv"))
+    words = (
+        "simulate",
+        "study",
+        "--stiffness",
+        "5e4",
+        "--times",
+        16,
+        "-o",
+        "w.csv",
+        "--set",
+        "inflow=other.csv",
+    )
+    run(*words)
+    run(*words)
+    other.write_text(other.read_text() + "\n")
+    assert "is of another run: study was [" in fails(*words)
+
+
 def test_the_record_itself_loses_nothing(tmp_path: Path) -> None:
     """It is added to, also after a line that was cut short; a link in its place is not followed."""
     out, record = tmp_path / "a.csv", tmp_path / RECORD
@@ -320,6 +343,23 @@ def test_names_with_markup_print_as_they_are(tmp_path: Path, tiny: Path) -> None
     shown = run("priors", folder, "--model", "A", "--n-draws", 10, "-q")
     assert "on [bold]tiny[x] :lung:, set study" in shown
     assert "[/y]" in fails("simulate", "[/y]")
+
+
+def test_a_checkpoint_lies_in_no_folder_that_is_read(tiny: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(tiny, "A.checkpoint")
+    before = state(tmp_path)
+    for fresh in ([], ["--fresh"]):
+        said = fails("sample", "A", "A.checkpoint", "-o", "A.nc", *fresh)
+        assert "--output A.checkpoint: is read here; choose" in said
+    assert state(tmp_path) == before
+
+
+def test_every_output_has_its_own_checkpoint() -> None:
+    names = ["post.1", "post.2", "post.nc", "A.netcdf", "A"]
+    assert [checkpoint_of(Path(name)).name for name in names] == [
+        f"{name}.checkpoint" for name in ("post.1", "post.2", "post", "A.netcdf", "A")
+    ]
 
 
 def test_two_outputs_are_two_files(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

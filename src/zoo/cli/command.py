@@ -176,9 +176,11 @@ def _run_of(
     name: str, given: Mapping[str, Any], roles: Mapping[str, Sequence[Any]], flags: Mapping[str, str]
 ) -> Run:
     """What a command reads, and what makes its run: its options, and what is in the files that they name."""
+    from zoo.cli.options import StudyOptions
     from zoo.core.digests import of_bytes
     from zoo.core.outputs import Run
 
+    changes = StudyOptions(settings=given.get("settings")).changes()
     inputs: list[Path] = []
     identity: dict[str, Any] = {"command": name}
     for option, value in given.items():
@@ -188,7 +190,7 @@ def _run_of(
             continue
         same: list[Any] = []
         for one in value if isinstance(value, list) else [value]:
-            paths = _read_by(one, role)
+            paths = _read_by(one, role, changes)
             inputs += paths
             whole = () if Role.SEARCHED in role else paths  # a page may be made again of new posteriors
             files = [of_bytes(path.read_bytes()) for path in whole if path.is_file()]
@@ -198,12 +200,12 @@ def _run_of(
     return Run(identity, inputs, fresh=given["fresh"])
 
 
-def _read_by(value: Any, role: Sequence[Any]) -> list[Path]:
+def _read_by(value: Any, role: Sequence[Any], changes: Mapping[str, Any]) -> list[Path]:
     """Files and folders that a command reads by an option's value."""
     if Role.STUDY in role:
         from zoo.blood.study import study_files
 
-        files = study_files(value)
+        files = study_files(value, changes)
         return [*files, *{file.parent for file in files[:1]}]
     if not isinstance(value, Path):
         return []

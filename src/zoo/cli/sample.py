@@ -19,7 +19,7 @@ from zoo.cli.options import (
     StudyOptions,
 )
 from zoo.cli.screen import plain_table, say
-from zoo.core.outputs import output_file
+from zoo.core.outputs import output_file, refuse_read
 
 if TYPE_CHECKING:
     import arviz as az
@@ -108,6 +108,7 @@ def sample_with_checkpoint(
     if checkpoint == path or checkpoint.is_symlink():
         wrong = "is the place of its own checkpoint" if checkpoint == path else f"{checkpoint} is a link"
         raise UsageError(f"--output {path}: {wrong}; give a file such as {path.with_suffix('.other.nc')}")
+    refuse_read(checkpoint, "--output")
     model = build_model(name, study)
     try:
         return sample_to(path, model, groups=True, progress=progress, fresh=fresh, **settings)

@@ -67,13 +67,9 @@ class Run:
         real, name = Path(os.path.realpath(path)), Path(os.path.abspath(path))
         if not {real, real.parent, name, name.parent} & self._outputs:
             return
-        for read in self.inputs:
-            if real.exists() and read.exists() and real.samefile(read):
-                raise OutputFileError(f"{named}: is read here; choose another path")
-            if read.is_dir() and real.is_relative_to(os.path.realpath(read)):
-                raise OutputFileError(f"{named}: lies in {read}, which is read here; choose a path outside")
+        self.refuse_read(path, named)
         record = real.with_name(RECORD)
-        if record.is_symlink() or (record.exists() and not record.is_file()):
+        if os.path.lexists(record) and leads_elsewhere(record):
             raise OutputFileError(f"{record}: is a link, or no file; remove it")
         if real.is_file():
             self._check_made(record, real, named)
@@ -83,6 +79,15 @@ class Run:
             line = {"file": real.name, "sha256": hashlib.sha256(content).hexdigest(), "run": self.identity}
             with record.open("a", encoding="utf-8") as file:
                 file.write("\n" + json.dumps(line))  # on its own also after one that was cut short
+
+    def refuse_read(self, path: Path, named: str) -> None:
+        """Refuse a file or folder that is read, or lies in a folder that is read."""
+        real = Path(os.path.realpath(path))
+        for read in self.inputs:
+            if real.exists() and read.exists() and real.samefile(read):
+                raise OutputFileError(f"{named}: is read here; choose another path")
+            if read.is_dir() and real.is_relative_to(os.path.realpath(read)):
+                raise OutputFileError(f"{named}: lies in {read}, which is read here; choose a path outside")
 
     def _check_made(self, record: Path, real: Path, named: str) -> None:
         text = record.read_text(encoding="utf-8", errors="replace") if record.exists() else ""
@@ -103,6 +108,17 @@ class Run:
 
 
 _running: list[Run] = []
+
+
+def leads_elsewhere(path: Path) -> bool:
+    """Whether what is added to a file in its place comes to another one too, or to no file."""
+    return path.is_symlink() or not path.is_file() or path.stat().st_nlink > 1
+
+
+def refuse_read(path: Path, option: str) -> None:
+    """Refuse a folder that is worked in, if it is read by a command that runs, or lies in what is read."""
+    for run in _running:
+        run.refuse_read(path, f"{option} {path}")
 
 
 def _is_record(line: str, mark: str) -> bool:
@@ -197,8 +213,6 @@ def write_file(path: str | Path, content: str | bytes | memoryview, *, private: 
     real = _checked(path)
     raw = content.encode() if isinstance(content, str) else content
     try:
-        for run in _running:
-            run.check(path, str(path), raw)
         temporary = real.with_name(f".zoo-{secrets.token_hex(8)}.part")
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
         file = os.open(temporary, flags, 0o600 if private else 0o666)
@@ -207,9 +221,12 @@ def write_file(path: str | Path, content: str | bytes | memoryview, *, private: 
                 opened.write(raw)
                 opened.flush()
                 os.fsync(opened.fileno())
-            if real.exists():
+            new = not real.exists()
+            if not new:
                 temporary.chmod(stat.S_IMODE(real.stat().st_mode))
-            os.replace(temporary, real)
+            for run in _running:
+                run.check(path, str(path), raw)
+            _put(temporary, real, new=new)
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
@@ -217,10 +234,24 @@ def write_file(path: str | Path, content: str | bytes | memoryview, *, private: 
     return path
 
 
+def _put(temporary: Path, real: Path, *, new: bool) -> None:
+    """Give a file its name; one that is new takes the place of none that came meanwhile."""
+    if new:
+        try:
+            os.link(temporary, real)
+            return
+        except OSError:  # a file came, or there are no hard links on this file system
+            if os.path.lexists(real):
+                raise
+    os.replace(temporary, real)
+
+
 def _checked(path: Path, option: str = "", *, folder: bool = False, deep: bool = False) -> Path:
     """What a path leads to past its links, if it can be written as a file or folder without a loss."""
     named = f"{option} {path}".strip()
     mode, real = _mode(path, named), Path(os.path.realpath(path))
+    if RECORD in (path.name, real.name):
+        raise OutputFileError(f"{named}: is the name of the record of outputs; choose another path")
     if mode is None and folder and path.is_symlink():
         raise OutputFileError(f"{named}: is a link to nothing; give a folder")
     if mode is not None and folder and not stat.S_ISDIR(mode):

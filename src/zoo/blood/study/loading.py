@@ -77,18 +77,20 @@ def _file(where: str, folder: Path, name: str, value: Any) -> Path:
     return folder / value
 
 
-def study_files(name_or_folder: str | Path) -> list[Path]:
+def study_files(name_or_folder: str | Path, settings: Mapping[str, Any] | None = None) -> list[Path]:
     """The files that a study is read from; none of a built-in one.
 
     Parameters
     ----------
-    name_or_folder : str or Path
-        As `load_study` takes it.
+    name_or_folder, settings
+        As `load_study` takes them.
     """
     folder, source = _find(name_or_folder)
     if source != folder:
         return []
-    table = validated(StudyTable, read_toml(folder / "study.toml")[0], str(folder / "study.toml"))
+    data = read_toml(folder / "study.toml")[0]
+    where = put_in(data, settings or {}, StudyTable, str(folder / "study.toml"))
+    table = validated(StudyTable, data, where)
     named = (table.network, table.inflow, table.observations)
     return [folder / name for name in ("study.toml", *named) if isinstance(name, str)]
 

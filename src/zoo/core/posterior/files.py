@@ -27,7 +27,7 @@ def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings:
     Parameters
     ----------
     path : path
-        ``X.nc``; the checkpoint is ``X.checkpoint``.
+        ``X.nc``; the checkpoint is ``X.checkpoint``, and ``X.1.checkpoint`` of ``X.1``.
     model : pymc.Model
         With a record.
     groups : bool
@@ -61,7 +61,8 @@ def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings:
 
 def checkpoint_of(path: Path) -> Path:
     """Folder of the checkpoint that belongs to a posterior's file."""
-    return path.with_suffix(".checkpoint")
+    name = path.stem if path.suffix in (".nc", ".checkpoint") else path.name
+    return path.with_name(f"{name}.checkpoint")
 
 
 def load_for(path: str | Path, model: Any) -> az.InferenceData:
