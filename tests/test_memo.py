@@ -187,6 +187,35 @@ def test_a_link_in_a_checkpoint_is_not_written_through(tmp_path: Path, name: str
     assert not there or elsewhere.read_text() == "years of work"
 
 
+@pytest.mark.parametrize("name", ["chain-0.memo", "solves.memo"])
+def test_a_file_of_two_names_in_a_checkpoint_is_not_written(tmp_path: Path, name: str) -> None:
+    elsewhere, checkpoint = tmp_path / "thesis.tex", tmp_path / "checkpoint"
+    checkpoint.mkdir()
+    elsewhere.write_text("years of work")
+    (checkpoint / name).hardlink_to(elsewhere)
+    with pytest.raises(OutputFileError, match=f"{name}: is a link"):
+        Folder(checkpoint)
+    assert elsewhere.read_text() == "years of work"
+
+
+@pytest.mark.parametrize("content", ["", "abc", "years of work", "0" * 24 + " of work", "a\nb"])
+def test_a_memo_of_others_stays_as_it_is(mine: Path, tmp_path: Path, content: str) -> None:
+    """In a folder without a run, and in one of a run, where it is only dropped if it can be zoo's own."""
+    (tmp_path / "new").mkdir()
+    for name in ("chain-0.memo", "solves.memo"):
+        file = tmp_path / "new" / name
+        file.write_text(content)
+        with pytest.raises(CheckpointError, match=f"{name}: is of no run"):
+            sample(gaussian_model(), checkpoint=tmp_path / "new", **FEW)
+        assert file.read_text() == content
+        file.unlink()
+    (mine / "chain-0.memo").write_text(content)
+    if content not in ("", "abc"):
+        with pytest.raises(CheckpointError, match=r"chain-0\.memo: (ends in what zoo did not|line 1 is dam)"):
+            sample(gaussian_model(), checkpoint=mine, **FEW)
+        assert (mine / "chain-0.memo").read_text() == content
+
+
 def test_a_folder_that_is_a_link_is_not_followed(mine: Path, tmp_path: Path) -> None:
     link, before = tmp_path / "link", sorted(mine.iterdir())
     link.symlink_to(mine)

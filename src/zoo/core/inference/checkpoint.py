@@ -17,7 +17,7 @@ from zoo.core import digests
 from zoo.core.draws import seed_or_drawn
 from zoo.core.inference.logposterior import LogPosterior, model_name
 from zoo.core.inference.memo import REMEDY, CheckpointError
-from zoo.core.outputs import OutputFileError, write_file
+from zoo.core.outputs import OutputFileError, leads_elsewhere, write_file
 
 CHECKPOINT_FORMAT = 4
 FILES = re.compile(r"run\.json|chain-\d+\.memo|solves\.memo|\.zoo-[0-9a-f]{16}\.part|lock")
@@ -142,7 +142,9 @@ class Folder:
 def _refuse_links(folder: Path) -> None:
     """What is written through a link that came with a checkpoint would replace a file somewhere else."""
     for file in sorted(folder.iterdir()):
-        if FILES.fullmatch(file.name) and (file.is_symlink() or not file.is_file()):
+        added_to = file.suffix == ".memo"  # others are replaced
+        wrong = leads_elsewhere(file) if added_to else file.is_symlink() or not file.is_file()
+        if FILES.fullmatch(file.name) and wrong:
             raise OutputFileError(
                 f"{file}: is a link, or no file; a checkpoint holds nothing but files: remove it"
             )
@@ -191,6 +193,9 @@ class Run:
         self.folder = None if checkpoint is None else Folder(Path(checkpoint))
         try:
             stored = None if self.folder is None else self.folder.run()
+            if self.folder is not None and stored is None:
+                for memo in sorted(self.folder.path.glob("*.memo")):
+                    raise CheckpointError(f"{memo}: is of no run, for there is no run.json; move it away")
             if seed is None and stored is not None:
                 seed = int(stored["identity"]["seed"])
             self.seed = seed_or_drawn(seed)

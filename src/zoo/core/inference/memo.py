@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from base64 import b64decode, b64encode
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -23,6 +24,8 @@ from zoo.core.outputs import OutputFileError
 
 REMEDY = "remove the folder to start afresh"
 _DIGITS = 24
+_BEGUN = re.compile(rb"[0-9a-f]{0,24}|[0-9a-f]{24} (\[.*)?")
+"""A line that was cut short."""
 
 
 class CheckpointError(SamplingError):
@@ -113,7 +116,10 @@ class Memo:
         except CheckpointError:
             self._file.close()
             raise
-        if len(self.lines) < len(raw):
+        if rest := raw[len(self.lines) :]:
+            if not _BEGUN.fullmatch(rest):
+                self._file.close()
+                raise CheckpointError(f"{path}: ends in what zoo did not write; {REMEDY}")
             self._file.truncate(len(self.lines))
 
     def add(self, lines: bytes) -> None:
