@@ -305,6 +305,15 @@ def test_files_of_others_where_an_answer_goes_stay(name: str, weighed: tuple[Pat
     assert (cases / "a" / "weight.txt").read_text() != "mine"
 
 
+def test_a_digest_of_the_key_that_is_a_link_is_not_followed(weighed: tuple[Path, Path, Path]) -> None:
+    cases, key, answers = weighed
+    (cases / "KEY.sha256").unlink()
+    (cases / "KEY.sha256").symlink_to(key)
+    with pytest.raises(BlindError, match=r"KEY\.sha256: is a link; put the file itself there"):
+        run_cases(cases, answers, Scales())
+    assert not answers.exists()
+
+
 def test_a_command_replaces_its_own_answers(weighed: tuple[Path, Path, Path]) -> None:
     """What failed is tried again by the same command; another one asks for --fresh."""
     cases, _, answers = weighed

@@ -233,6 +233,8 @@ def run_cases(
         raise BlindError(f"{answers}: lies inside {cases}, the cases; give another folder for the answers")
     output_folder(answers, deep=True)
     found = sorted(p for p in cases.iterdir() if (p / diagnosis.marker).is_file())
+    if (cases / KEY_DIGEST).is_symlink():
+        raise BlindError(f"{cases / KEY_DIGEST}: is a link; put the file itself there")
     if not found:
         raise BlindError(f"{cases}: holds no folder with a {diagnosis.marker}; give one of `zoo blind make`")
     identity = json.loads(json.dumps(diagnosis.identity()))
