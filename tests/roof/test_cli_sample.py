@@ -197,6 +197,9 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
     assert "no such file or folder" in fails(
         "compare", tiny, "--posteriors", tmp_path / "no.nc", "-o", tmp_path / "o"
     )
+    (tmp_path / "none.nc").write_text("no posterior")
+    fails("compare", tiny, "--posteriors", tmp_path / "none.nc", "-o", tmp_path / "o")
+    assert not (tmp_path / "o").exists()
     assert "--n-draws 3" in fails("compare", tiny, "--n-draws", 3)
     both = ("--models", "A,B", "--posteriors", path, "-o", tmp_path / "p")
     changed = fails("compare", tiny, *both, "--set", "conventions.friction=rest")

@@ -64,6 +64,8 @@ def compare(
     """
     if posteriors and fresh:
         raise UsageError("--fresh: samples every model anew; leave out --posteriors, or --fresh")
+    from zoo.core.posterior.files import find
+
     plugins.load()
     names = different_models(models)
     settings = sampling.settings()
@@ -76,13 +78,12 @@ def compare(
     for folder in folders:
         sampled = [f"{name}.nc" for name in names if fresh or not (folder / f"{name}.nc").is_file()]
         output_folder(folder, [*_file_names(names, loaded), *sampled], "--output", deep=True)
+    given = [find(posteriors or [], names, study, say=say) for study in loaded]
     for folder in folders:
         folder.mkdir(parents=True, exist_ok=True)
     converged = True
-    for study, folder in zip(loaded, folders, strict=True):
-        built, found = _posteriors_of(
-            study, names, posteriors or [], folder, settings, fresh, not sampling.quiet
-        )
+    for study, folder, files in zip(loaded, folders, given, strict=True):
+        built, found = _posteriors_of(study, names, files, folder, settings, fresh, not sampling.quiet)
         converged &= _compare_on(study, built, found, folder, criterion, n_draws, figures)
     if strict and not converged:
         raise typer.Exit(NOT_CONVERGED)
@@ -103,7 +104,7 @@ def _file_names(models: Sequence[str], studies: Sequence[Study]) -> list[str]:
 def _posteriors_of(
     study: Study,
     names: Sequence[str],
-    given: Sequence[Path],
+    given: Mapping[str, Path],
     output: Path,
     settings: Mapping[str, Any],
     fresh: bool,
@@ -112,11 +113,11 @@ def _posteriors_of(
     """Models on a study and their posteriors: given, of an earlier call, in the working directory, or new."""
     from zoo.core.inference.record import ResultsError
     from zoo.core.posterior.belonging import mismatch
-    from zoo.core.posterior.files import find, load_for
+    from zoo.core.posterior.files import load_for
     from zoo.core.posterior.storage import load
 
     files = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
-    files |= find(given, names, study, say=say)
+    files |= given
     built: dict[str, Any] = {}
     found: dict[str, Any] = {}
     for name in names:
