@@ -191,6 +191,14 @@ def test_what_cannot_be_reached_is_one_line(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr("zoo.core.inference.cluster.PATIENCE_S", 1)
     with pytest.raises(SchedulerError, match="no scheduler answers"), connect("tcp://127.0.0.1:9"):
         pass
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as empty:
+        address = empty.scheduler_address
+        with (
+            pytest.raises(SchedulerError, match=rf"{address}: the scheduler has no worker; start some: dask"),
+            connect(address),
+        ):
+            pass
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
         pytest.raises(SchedulerError, match=r"install it with: pip install 'zoo\[cluster\]'"),
