@@ -58,6 +58,15 @@ def test_fit_of_many_series_has_panels_for_each(tube):
     assert width < 14 < height
 
 
+def test_a_name_with_signs_of_mathtext_is_drawn_as_it_is(tube, tmp_path):
+    named = replace(tube, name="$^$ and $x$")
+    means = np.stack([series.value for series in tube.series])[None]
+    figure = plots.fit_figure(named, means, title=f"model A on {named.name}")
+    plots.save_figure(figure, tmp_path / "a.svg")
+    assert (tmp_path / "a.svg").is_file()
+    plots.save_figure(plots.priors_figure([], title=named.name), tmp_path / "b.svg")
+
+
 def test_fit_without_predictions(tube):
     figure = plots.fit_figure(tube, tube.values[None].repeat(5, axis=0))
     assert "95 % prediction" not in texts(figure)

@@ -56,6 +56,17 @@ def test_all_vessels_have_a_panel_and_areas_readable_numbers(tube):
     assert "95 % prediction" not in texts(drawn)
 
 
+def test_a_vessel_with_signs_of_mathtext_is_drawn_as_it_is(tube, tmp_path):
+    waves = fake_waves()
+    waves = waves.assign_coords(name=("vessel", ["$^$"] * waves.sizes["vessel"]))
+    shown = bands(waves, "pressure_mmHg", errors=True)
+    for figure in (
+        plots.all_vessels_figure(shown, tube, title="$^$"),
+        plots.models_figure({"A": median_waves(waves), "B": median_waves(waves)}, tube),
+    ):
+        assert plots.save_figure(figure, tmp_path / "a.svg").is_file()
+
+
 def test_models_share_panels_and_leave_residuals(tube):
     medians = {name: median_waves(fake_waves(level=15 + i)) for i, name in enumerate("ABH")}
     figure = plots.models_figure(medians, tube, vessels=(1, 2, 5))

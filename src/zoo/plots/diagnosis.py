@@ -312,5 +312,5 @@ def plot_diagnosis(d: Diagnosis) -> Figure:
         _draw_hypotheses(left, d)
         _draw_where(right, d)
         title = f"{d.file.study}, baseline {d.file.base}. {d.file.verdict}"
-        figure.suptitle(textwrap.fill(title, 150), x=0.01, ha="left")
+        figure.suptitle(textwrap.fill(title, 150), x=0.01, ha="left", parse_math=False)
     return figure

@@ -73,5 +73,5 @@ def fit_figure(
         figure.align_ylabels()
         legend_below(figure, handles_of(cells[0][0]), 4)
         if title:
-            figure.suptitle(title)
+            figure.suptitle(title, parse_math=False)
     return figure

@@ -47,7 +47,7 @@ def priors_figure(rows: Sequence[PriorRow], *, title: str = "") -> Figure:
         for row, [axes] in zip(rows, cells_of(figure, len(rows), COLUMNS), strict=True):
             _panel(axes, row)
         if title:
-            figure.suptitle(title)
+            figure.suptitle(title, parse_math=False)
     return figure
 
 
@@ -114,5 +114,5 @@ def prior_predictive_figure(study: Study, found: PriorPredictive, *, title: str 
             axes.set_ylabel(QUANTITY_LABELS[series.quantity])
         legend_below(figure, handles_of(*cells[0]), 4)
         if title:
-            figure.suptitle(title)
+            figure.suptitle(title, parse_math=False)
     return figure

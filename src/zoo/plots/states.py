@@ -57,7 +57,7 @@ def plot_states(d: Diagnosis) -> Figure:
                     colour = INK if k == 0 else COLOURS[(k - 1) % len(COLOURS)]
                     [lines[name]] = axes.plot(times, left, color=colour, lw=1.3 if k < 3 else 0.8)
                 axes.set_xlim(times[0], times[-1])
-                axes.set_title(f"{data.name}: {data.labels[i]}", fontsize=8)
+                axes.set_title(f"{data.name}: {data.labels[i]}", fontsize=8, parse_math=False)
                 if row == len(rows) - 1:
                     unit = "ms" if beat else d.data.time_unit
                     axes.set_xlabel(f"time ({unit})" if unit else "time")

@@ -58,7 +58,9 @@ def shown_vessels(
 
 def vessel_title(data: xr.Dataset, vessel: int) -> str:
     name = str(data["name"].sel(vessel=vessel).item()) if "name" in data.coords else ""
-    return f"vessel {vessel}" if name in ("", f"v{vessel}") else textwrap.fill(name.replace("_", " "), 24)
+    if name in ("", f"v{vessel}"):
+        return f"vessel {vessel}"
+    return textwrap.fill(name.replace("_", " "), 24).replace("$", r"\$")  # which else begins a formula
 
 
 def observed_at(study: Study | None, quantity: str, data: xr.Dataset, vessel: int) -> list[ArrayLike]:
@@ -387,5 +389,5 @@ def all_vessels_figure(bands: xr.Dataset, study: Study | None = None, *, title: 
         _label_all(figure, "time in the beat (ms)", quantity_label(quantity))
         rest[0].legend(handles=band_handles(data, colour, observed=observed), loc="center")
         if title:
-            figure.suptitle(title)
+            figure.suptitle(title, parse_math=False)
     return figure
