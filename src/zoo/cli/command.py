@@ -209,7 +209,25 @@ def _read_by(value: Any, role: Sequence[Any], changes: Mapping[str, Any]) -> lis
         return [*files, *{file.parent for file in files[:1]}]
     if not isinstance(value, Path):
         return []
-    return sorted(value.glob("*.nc")) if Role.SEARCHED in role and value.is_dir() else [value]
+    if Role.SEARCHED in role and value.is_dir():
+        return sorted(value.glob("*.nc"))
+    return [value, *_beside(value)]
+
+
+def _beside(file: Path) -> list[Path]:
+    """What a file reads from beside it: the modules of a Python file, the inflow of openBF's network."""
+    python, found = file.suffix == ".py", [file]
+    if not file.is_file() or not (python or file.suffix.lower() in (".yaml", ".yml")):
+        return []
+    for reader in found:  # which grows
+        text = reader.read_text(encoding="utf-8", errors="replace")
+        for path in sorted(set(file.parent.glob("*.py" if python else "*")) - set(found)):
+            name = path.stem if python else path.name.removesuffix("_inlet.dat")
+            if path.is_file() and re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text):
+                found.append(path)
+        if not python:
+            break
+    return found[1:]
 
 
 @contextmanager
