@@ -10,7 +10,7 @@ import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum, auto
 from pathlib import Path
@@ -176,11 +176,14 @@ def _run_of(
     name: str, given: Mapping[str, Any], roles: Mapping[str, Sequence[Any]], flags: Mapping[str, str]
 ) -> Run:
     """What a command reads, and what makes its run: its options, and what is in the files that they name."""
-    from zoo.cli.options import StudyOptions
+    from zoo.blood.study import StudyError
+    from zoo.blood.study.settings import read_setting
     from zoo.core.digests import of_bytes
     from zoo.core.outputs import Run
 
-    changes = StudyOptions(settings=given.get("settings")).changes()
+    changes: dict[str, Any] = {}
+    with suppress(StudyError):  # which the command itself tells
+        changes = dict(map(read_setting, given.get("settings") or []))
     inputs: list[Path] = []
     identity: dict[str, Any] = {"command": name}
     for option, value in given.items():
