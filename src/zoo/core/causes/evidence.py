@@ -1,0 +1,315 @@
+"""The evidence of one set of causes beside all errors: linear in what the set does, Laplace in the noise.
+
+For errors of variance V, parameters and weights x = (d, w) are normal, and with A = [J, R],
+
+    log p(r | S, s, V) = log N(r; 0, V) + b'H^-1 b / 2 - log |H| / 2 + log p0,    H = A'V^-1 A + P,
+
+b = A'V^-1 r - pull. The noise of each group is found by Fisher scoring and integrated by Laplace's method, the
+sizes s of free functions on a grid, that of the discrepancy by a cubic interpolation of the log evidence between
+sizes at which its slope is known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+from scipy.special import logsumexp
+
+from zoo.core.causes.family import (
+    CARICATURE,
+    COLOURED,
+    NOISE_SPREAD,
+    NUMERICS,
+    SIZES,
+    UNEXPLAINED,
+    UNEXPLAINED_ODDS,
+    ErrorFamily,
+    half_normal_mass,
+)
+from zoo.core.causes.problem import Cause, Problem
+from zoo.core.priors import log_normal_mass
+
+Array = NDArray[np.float64]
+Kinds = NDArray[np.int_]
+
+SCALES = 0.1 * 1.6 ** np.arange(8)
+"""Sizes of a free function that are integrated over, in its prior scale."""
+FEW_SCALES = SCALES[1::2]
+"""The same where three functions or more are free at once."""
+SCORING, LARGEST_STEP, CONVERGED = 12, 1.5, 0.01
+"""Steps of Fisher scoring at most, the largest of them in the logarithm of the noise, and the one that ends it."""
+
+
+def log_scale_masses(scales: Array) -> Array:
+    """Log masses of the cells around sizes of a half-normal distribution."""
+    edges = np.concatenate([[0.0], np.sqrt(scales[1:] * scales[:-1]), [np.inf]])
+    return np.log(half_normal_mass(edges, 1.0))
+
+
+@lru_cache(64)
+def _combinations(free: tuple[bool, ...]) -> tuple[Array, Array]:
+    """Sizes (n, n_causes) of all causes together, and their log masses (n,)."""
+    scales = SCALES if sum(free) < 3 else FEW_SCALES
+    logs = log_scale_masses(scales)
+    options = [list(zip(scales, logs, strict=True)) if one else [(1.0, 0.0)] for one in free]
+    rows = list(product(*options))
+    return (
+        np.array([[s for s, _ in row] for row in rows]).reshape(len(rows), len(free)),
+        np.array([sum(log for _, log in row) for row in rows]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SizePriors:
+    """Prior of the discrepancy's size: half-normal for the error of numerics and of causes, or one unexplained.
+
+    Parameters
+    ----------
+    numerics : float
+        Scale of the error of the simulator's numerics, in parts of the range.
+    caricature : float
+        Scale of the error of what causes do, in parts of their signal.
+    unexplained, odds : float
+        Scale of what nobody can name, and the odds that there is such.
+    """
+
+    numerics: float = NUMERICS
+    caricature: float = CARICATURE
+    unexplained: float = UNEXPLAINED
+    odds: float = UNEXPLAINED_ODDS
+
+    def scales(self, signal: float) -> dict[float, float]:
+        """Scales of the mixture with their weights, for causes of that signal in parts of the range."""
+        p = self.odds / (1.0 + self.odds)
+        found = {math.hypot(self.numerics, self.caricature * signal): 1.0 - p}
+        found[self.unexplained] = found.get(self.unexplained, 0.0) + p
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class SetEvidence:
+    """One set of causes beside all errors that were tried.
+
+    Parameters
+    ----------
+    family : ErrorFamily
+    kinds : int array (n,)
+        Which kinds of errors; log evidence, its slope in log size, and the noise's logarithm are of each.
+    signal : float
+        Rms of what the causes do and the baseline cannot take up, in parts of the range.
+    mean : array (n_kinds, k)
+        Step of the baseline's parameters, then weights of the causes in their order.
+    """
+
+    family: ErrorFamily
+    kinds: Kinds
+    log_z: Array = field(repr=False)
+    slope: Array = field(repr=False)
+    log_noise: Array = field(repr=False)
+    signal: float
+    mean: Array = field(repr=False)
+    covariance: Array = field(repr=False)
+
+    @property
+    def _first(self) -> int:
+        return 1 + len(self.family.colours)
+
+    @property
+    def shapes(self) -> Kinds:
+        """Indices of the shapes of discrepancies among the kinds."""
+        after = self.kinds[self.kinds >= self._first] - self._first
+        return np.unique(after // len(SIZES))
+
+    def interpolated(self) -> Array:
+        """Log evidence of each shape at the sizes of the family's grid, (n_shapes, n)."""
+        x, _ = self.family.grid
+        after = self.kinds >= self._first
+        L = self.log_z[after].reshape(-1, len(SIZES))
+        slope = self.slope[after].reshape(-1, len(SIZES))
+        none = float(self.log_z[self.kinds == 0][0])
+        nodes = np.concatenate([[x[0]], np.log(SIZES)])
+        L = np.concatenate([np.full((len(L), 1), none), L], axis=1)
+        slope = np.concatenate([np.zeros((len(slope), 1)), slope], axis=1)
+        return np.asarray(CubicHermiteSpline(nodes, L, slope, axis=1)(x))
+
+    def terms(self, priors: SizePriors) -> tuple[Array, Array]:
+        """Log prior plus log evidence of each correlated noise, (n,), and of each shape and size, (n, m)."""
+        shapes = self.shapes
+        smooth = self.interpolated() + self.family.log_sizes(priors.scales(self.signal))
+        smooth += self.family.log_shapes[shapes][:, None] + math.log(1.0 - COLOURED)
+        there = (self.kinds > 0) & (self.kinds < self._first)
+        colours = self.family.log_colours[self.kinds[there] - 1] + self.log_z[there] + math.log(COLOURED)
+        return colours, smooth
+
+    def total(self, priors: SizePriors) -> float:
+        """Log evidence of the set."""
+        colours, smooth = self.terms(priors)
+        return float(np.logaddexp(logsumexp(smooth), logsumexp(colours) if len(colours) else -np.inf))
+
+    def small(self, priors: SizePriors, size: float) -> float:
+        """Log of the part of the evidence whose discrepancy is below a size."""
+        colours, smooth = self.terms(priors)
+        below = smooth[:, self.family.grid[0] < math.log(size)]
+        parts = np.concatenate([colours, below.reshape(-1)])
+        return float(logsumexp(parts)) - self.total(priors)
+
+    def best(self, priors: SizePriors) -> int:
+        """Index among the kinds of the most probable one."""
+        shapes = self.shapes
+        score = np.full(len(self.kinds), -np.inf)
+        x, _ = self.family.grid
+        logs = np.interp(np.log(SIZES), x, self.family.log_sizes(priors.scales(self.signal)))
+        after = self.kinds >= self._first
+        score[after] = (
+            self.log_z[after]
+            + (self.family.log_shapes[shapes][:, None] + logs + math.log(1.0 - COLOURED)).reshape(-1)
+        )
+        score[0] = self.log_z[0] + logs[0] + math.log(1.0 - COLOURED)
+        there = (self.kinds > 0) & ~after
+        score[there] = self.log_z[there] + self.family.log_colours[self.kinds[there] - 1] + math.log(COLOURED)
+        return int(np.argmax(score))
+
+    def variances(self, kind: int) -> Array:
+        """Variances (n,) of the errors of one kind, by its index here."""
+        noise, discrepancy, _ = self.family.kinds
+        at = self.kinds[kind]
+        sigma2 = np.exp(2.0 * self.log_noise[kind])[self.family.member]
+        return np.asarray(sigma2 * noise[at] + discrepancy[at])
+
+
+class SetModel:
+    """A problem with some causes, and its evidence for many errors at once.
+
+    Parameters
+    ----------
+    problem : Problem
+    causes : sequence of Cause
+    family : ErrorFamily
+    """
+
+    def __init__(self, problem: Problem, causes: Sequence[Cause], family: ErrorFamily) -> None:
+        self.problem, self.causes, self.family = problem, causes, family
+        k = problem.jacobian.shape[1]
+        self.k, self.sizes = k, [one.columns.shape[1] for one in causes]
+        self.A = np.concatenate([problem.jacobian, *(one.columns for one in causes)], axis=1)
+        n, p = self.A.shape
+        self.products = (self.A[:, :, None] * self.A[:, None, :]).reshape(n, p * p)
+        self.Ar = self.A * problem.residual[:, None]
+        self.mean = np.concatenate([np.zeros(k), *(one.prior_mean for one in causes)])
+        self.P0 = np.zeros((p, p))
+        self.P0[:k, :k] = problem.P
+        self.pull = np.concatenate([problem.pull, np.zeros(p - k)])
+        self.owner = np.repeat(np.arange(len(causes)), self.sizes)
+        self.edges = np.cumsum([k, *self.sizes])
+
+    def precision(self, scales: Array) -> tuple[Array, Array]:
+        """Prior precision (..., p, p) and pull (..., p) for sizes (..., n_causes)."""
+        inverse = 1.0 / scales[..., self.owner] ** 2 if len(self.causes) else np.zeros((*scales.shape[:-1], 0))
+        diagonal = np.concatenate([np.zeros((*inverse.shape[:-1], self.k)), inverse], axis=-1)
+        P = self.P0 + diagonal[..., None] * np.eye(len(self.mean))
+        return P, self.pull - diagonal * self.mean
+
+    def solve(self, gram: Array, right: Array, scales: Array) -> tuple[Array, Array, Array]:
+        """Gain of log evidence (...,), mean (..., p) and covariance (..., p, p), of one size each."""
+        P, pull = self.precision(scales)
+        H, b = gram + P, right - pull
+        size = np.sqrt(np.maximum(np.einsum("...ii->...i", H), 1e-300))
+        C = np.linalg.inv(H / (size[..., :, None] * size[..., None, :])) / (size[..., :, None] * size[..., None, :])
+        mean = np.einsum("...ij,...j->...i", C, b)
+        _, logdet = np.linalg.slogdet(H / (size[..., :, None] * size[..., None, :]))
+        gain = 0.5 * np.sum(b * mean, axis=-1) - 0.5 * (logdet + 2.0 * np.log(size).sum(axis=-1))
+        gain = gain - np.sum(np.log(scales[..., self.owner]), axis=-1) if len(self.causes) else gain
+        gain = gain - 0.5 * float(self.mean @ self.mean) + 0.5 * self.k * math.log(2.0 * math.pi)
+        return gain + self._masses(mean, C), mean, C
+
+    def _masses(self, mean: Array, C: Array) -> Any:
+        """Log of the posterior's part inside the bounds over the prior's, as if bounded ones were independent."""
+        sd = np.sqrt(np.einsum("...ii->...i", C))
+        total: Any = 0.0
+        if self.problem.low is not None and self.problem.high is not None:
+            m, s = mean[..., : self.k], sd[..., : self.k]
+            total = np.sum(log_normal_mass((self.problem.low - m) / s, (self.problem.high - m) / s), axis=-1)
+        for one, at in zip(self.causes, self.edges[:-1], strict=True):
+            if math.isinf(one.low) and math.isinf(one.high):
+                continue
+            centre = float(one.prior_mean[0])
+            inside = log_normal_mass((one.low - mean[..., at]) / sd[..., at], (one.high - mean[..., at]) / sd[..., at])
+            total = total + inside - log_normal_mass(one.low - centre, one.high - centre)
+        return total
+
+    def _left(self, mean: Array, C: Array) -> Array:
+        """Expected squares (n_kinds, n) of what parameters and weights leave."""
+        e = self.problem.residual - mean @ self.A.T
+        p = len(self.mean)
+        return e**2 + C.reshape(-1, p * p) @ self.products.T
+
+    def evidence(self, kinds: Kinds, start: Array) -> SetEvidence:
+        """Evidence for some kinds of errors, from where the noise's logarithms (..., n_groups) may be."""
+        f, n = self.family, len(self.problem.residual)
+        noise, discrepancy, _ = (x[kinds] for x in f.kinds)
+        log_noise = np.array(np.broadcast_to(start, (len(kinds), len(f.groups))))
+        ones = np.ones((len(kinds), len(self.causes)))
+        active = np.arange(len(kinds))
+        for _ in range(SCORING):
+            own = np.exp(2.0 * log_noise[active])[:, f.member] * noise[active]
+            V = own + discrepancy[active]
+            gram, right = self._products(V)
+            _, mean, C = self.solve(gram, right, ones[active])
+            q = self._left(mean, C) / V
+            a = own / V
+            slope = (a * (q - 1.0)) @ f.one_of.T
+            bend = 2.0 * (a**2) @ f.one_of.T
+            slope -= (log_noise[active] - f.noise_centre) / NOISE_SPREAD**2
+            bend += 1.0 / NOISE_SPREAD**2
+            step = np.clip(slope / bend, -LARGEST_STEP, LARGEST_STEP) * f.noise_free
+            log_noise[active] += step
+            active = active[np.max(np.abs(step), axis=1) > CONVERGED]
+            if not len(active):
+                break
+        own = np.exp(2.0 * log_noise)[:, f.member] * noise
+        V = own + discrepancy
+        gram, right = self._products(V)
+        a = own / V
+        base = -0.5 * np.sum(self.problem.residual**2 / V + np.log(V), axis=1) - 0.5 * n * math.log(2.0 * math.pi)
+        bend = 2.0 * (a**2) @ f.one_of.T + 1.0 / NOISE_SPREAD**2
+        x = (log_noise - f.noise_centre) / NOISE_SPREAD
+        laplace = -0.5 * x**2 - math.log(NOISE_SPREAD) - 0.5 * np.log(bend)
+        base += laplace @ f.noise_free.astype(float) + self.problem.log_prior
+        scales, masses = _combinations(tuple(one.free for one in self.causes))
+        if len(scales) > 1:
+            gains = np.stack([self.solve(gram, right, np.broadcast_to(s, ones.shape))[0] for s in scales], axis=1)
+            gains += masses
+            best = scales[np.argmax(gains, axis=1)]
+            log_z = base + logsumexp(gains, axis=1)
+            _, mean, C = self.solve(gram, right, best)
+        else:
+            gain, mean, C = self.solve(gram, right, ones)
+            log_z = base + gain
+        slope = np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
+        found = SetEvidence(f, kinds, log_z, slope, log_noise, 0.0, mean, C)
+        if self.causes:
+            at = found.best(SizePriors())
+            found = SetEvidence(f, kinds, log_z, slope, log_noise, self._signal(mean[at], V[at]), mean, C)
+        return found
+
+    def _products(self, V: Array) -> tuple[Array, Array]:
+        p = len(self.mean)
+        inverse = 1.0 / V
+        return (inverse @ self.products).reshape(-1, p, p), inverse @ self.Ar
+
+    def _signal(self, mean: Array, V: Array) -> float:
+        """Rms of the causes' signal that the baseline's parameters cannot take up, in parts of the range."""
+        signal = self.A[:, self.k :] @ mean[self.k :]
+        J = self.problem.jacobian / V[:, None]
+        absorbed = np.linalg.lstsq(J.T @ self.problem.jacobian, J.T @ signal, rcond=None)[0]
+        left = signal - self.problem.jacobian @ absorbed
+        ranges = np.array([self.family.ranges[g] for g in self.family.groups])[self.family.member]
+        return float(np.sqrt(np.mean((left / ranges) ** 2)))

@@ -1,0 +1,94 @@
+"""All causes beside one error and beside some causes that are there: a quick evidence, by which sets are sought.
+
+With V given, the baseline's parameters are projected out of one matrix of products of all responses; a set S is a
+Cholesky factor of the size of its weights, and a further cause j costs the eigenvalues of its own block,
+
+    log p(r | S + j, s, V) - log p(r | S, V) = sum y^2 / (lambda + 1/s^2) / 2 - log(1 + lambda s^2) / 2,
+
+lambda, y those of the block given S, for all sizes s at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from zoo.core.causes.evidence import SCALES, log_scale_masses
+from zoo.core.causes.problem import Cause, Problem
+from zoo.core.priors import log_normal_mass
+
+Array = NDArray[np.float64]
+
+
+class Reference:
+    """Evidence beside errors of given variances, of any set and one cause more.
+
+    Parameters
+    ----------
+    problem : Problem
+    causes : sequence of Cause
+    V : array (n,)
+    """
+
+    def __init__(self, problem: Problem, causes: Sequence[Cause], V: Array) -> None:
+        self.causes = causes
+        root = 1.0 / np.sqrt(V)
+        J, r = problem.jacobian * root[:, None], problem.residual * root
+        X = np.concatenate([one.columns for one in causes], axis=1) * root[:, None]
+        H, b = J.T @ J + problem.P, J.T @ r - problem.pull
+        cross = np.linalg.solve(H, J.T @ X)
+        m = X.shape[1]
+        self.G, self.g = np.zeros((m + 1, m + 1)), np.zeros(m + 1)  # the last one stands for no weight
+        self.G[:m, :m] = X.T @ X - (J.T @ X).T @ cross
+        self.g[:m] = X.T @ r - cross.T @ b
+        sizes = [one.columns.shape[1] for one in causes]
+        edges = np.cumsum([0, *sizes])
+        self.at = np.full((len(causes), max(sizes)), m)
+        for i, (first, size) in enumerate(zip(edges[:-1], sizes, strict=True)):
+            self.at[i, :size] = np.arange(first, first + size)
+        self.means = np.zeros(m + 1)
+        self.means[:m] = np.concatenate([one.prior_mean for one in causes])
+        self.free = np.array([one.free for one in causes])
+        self.low, self.high = (np.array([getattr(one, x) for one in causes]) for x in ("low", "high"))
+        centre = self.means[self.at[:, 0]]
+        self.prior_mass = log_normal_mass(self.low - centre, self.high - centre)
+        self.bounded = np.isfinite(self.low) | np.isfinite(self.high)
+
+    def further(self, which: Sequence[int], scales: Sequence[float]) -> tuple[Array, Array]:
+        """Log evidence gained (n_causes,) by each cause beside those of `which`, and the size where it is largest."""
+        G = self.G[self.at[:, :, None], self.at[:, None, :]]
+        b = self.g[self.at]
+        if len(which):
+            own = np.concatenate([self.at[i] for i in which])
+            s = np.repeat(scales, self.at.shape[1])
+            H = self.G[np.ix_(own, own)] + np.diag(1.0 / s**2)
+            right = self.g[own] + self.means[own] / s**2
+            L = np.linalg.cholesky(H)
+            Y = np.linalg.solve(L, self.G[own])  # (m_own, m)
+            y = np.linalg.solve(L, right)
+            B = Y[:, self.at].transpose(1, 0, 2)  # (n_causes, m_own, m_each)
+            G = G - B.transpose(0, 2, 1) @ B
+            b = b - np.einsum("cij,i->cj", B, y)
+        lam, U = np.linalg.eigh(G)
+        lam = np.maximum(lam, 0.0)
+        mu = self.means[self.at]
+        listed = b + mu  # of prior mean mu and size 1
+        y = np.einsum("cij,ci->cj", U, np.where(self.free[:, None], b, listed))
+        inverse = 1.0 / SCALES**2
+        each = 0.5 * np.sum(y[:, None] ** 2 / (lam[:, None] + inverse[:, None]), axis=2)
+        each -= 0.5 * np.sum(np.log1p(lam[:, None] * SCALES[:, None] ** 2), axis=2)
+        each += log_scale_masses(SCALES)
+        free = np.asarray(logsumexp(each, axis=1))
+        one = 0.5 * np.sum(y**2 / (lam + 1.0), axis=1) - 0.5 * np.sum(np.log1p(lam), axis=1)
+        one = one - 0.5 * np.sum(mu**2, axis=1)
+        C = (U[:, 0] ** 2 / (lam + 1.0)).sum(axis=1)
+        mean = (U[:, 0] * y / (lam + 1.0)).sum(axis=1)
+        sd = np.sqrt(C)
+        mass = log_normal_mass((self.low - mean) / sd, (self.high - mean) / sd) - self.prior_mass
+        one = one + np.where(self.bounded, mass, 0.0)
+        return np.where(self.free, free, one), np.where(self.free, SCALES[np.argmax(each, axis=1)], 1.0)
+
+

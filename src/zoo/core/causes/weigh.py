@@ -1,0 +1,192 @@
+"""From causes to the posterior over their sets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+from zoo.core.causes.evidence import SetEvidence, SetModel, SizePriors
+from zoo.core.causes.family import ErrorFamily
+from zoo.core.causes.posterior import CausePosterior, SetRow
+from zoo.core.causes.problem import Cause, CauseError, Problem
+from zoo.core.causes.reference import Reference
+from zoo.core.causes.sets import CausePriors
+
+Array = NDArray[np.float64]
+Which = tuple[int, ...]
+
+WINDOW = 9.0
+"""Log posterior behind the best set within which a set is weighed beside all errors (Occam's window)."""
+SHAPES_WITHIN = 7.0
+"""Log evidence behind the best shape of errors within which a shape is kept."""
+BEAM = (40, 24, 10)
+"""Sets of one, two and three causes to which every further cause is added."""
+ROUNDS = 3
+"""Times that sets are sought beside the errors of the best set so far."""
+MOST_WEIGHED = 400
+"""Sets that are weighed beside all errors at most."""
+
+
+@dataclass(eq=False)
+class _Search:
+    """Sets that were found: their evidence beside all errors, or an estimate of it."""
+
+    problem: Problem
+    causes: Sequence[Cause]
+    family: ErrorFamily
+    priors: CausePriors
+    sizes: SizePriors
+    cores: int
+    weighed: dict[Which, SetEvidence] = field(default_factory=dict)
+    guessed: dict[Which, float] = field(default_factory=dict)
+
+    def total(self, which: Which) -> float:
+        """Log prior plus log evidence of a set, or plus an estimate of it."""
+        log = self.weighed[which].total(self.sizes) if which in self.weighed else self.guessed[which]
+        return log + self.priors.log_prior(which)
+
+    def start(self) -> None:
+        """The baseline alone beside all errors, whose shapes are then fewer."""
+        model = SetModel(self.problem, (), self.family)
+        everything = np.arange(self.family.n_kinds)
+        self.weighed[()] = model.evidence(everything, self.family.noise_start)
+        self.kinds = everything
+
+    def weigh(self, sets: Sequence[Which], kinds: NDArray[np.int_]) -> None:
+        """These sets beside some kinds of errors."""
+        start = self.weighed[()].log_noise[kinds]
+
+        def one(which: Which) -> SetEvidence:
+            return SetModel(self.problem, [self.causes[i] for i in which], self.family).evidence(kinds, start)
+
+        with ThreadPoolExecutor(max(1, self.cores)) as pool, threadpool_limits(1, user_api="blas"):
+            self.weighed.update(zip(sets, pool.map(one, sets), strict=True))
+
+    def seek(self, parent: Which) -> None:
+        """Guess the evidence of sets, beside the errors that are most probable with one of them."""
+        found = self.weighed[parent]
+        V = found.variances(found.best(self.sizes))
+        reference = Reference(self.problem, self.causes, V)
+        conditional: dict[Which, float] = {(): 0.0}
+        sizes: dict[Which, tuple[float, ...]] = {(): ()}
+        level: list[Which] = [()]
+        most = min(self.priors.most, len(self.priors.names))
+        for depth in range(most):
+            new: set[Which] = set()
+            for which in level:
+                gained, scales = reference.further(which, sizes[which])
+                taken = {self.causes[i].component for i in which}
+                for j, (more, scale) in enumerate(zip(gained, scales, strict=True)):
+                    if self.causes[j].component in taken:
+                        continue
+                    both = sorted(zip((*which, j), (*sizes[which], float(scale)), strict=True))
+                    key = tuple(i for i, _ in both)
+                    value = conditional[which] + float(more)
+                    if value > conditional.get(key, -np.inf):
+                        conditional[key], sizes[key] = value, tuple(s for _, s in both)
+                    new.add(key)
+            if depth >= len(BEAM):
+                break
+            ranked = sorted(new, key=lambda w: -(conditional[w] + self.priors.log_prior(w)))
+            level = ranked[: BEAM[depth]]
+        if parent not in conditional:  # the beam went past it
+            return
+        shift = found.total(self.sizes) - conditional[parent]
+        for key, value in conditional.items():
+            self.guessed[key] = max(self.guessed.get(key, -np.inf), value + shift)
+
+    def leading(self) -> list[Which]:
+        """Sets within the window of the best, that were not weighed yet."""
+        every = {which: self.total(which) for which in self.guessed}
+        top = max(*every.values(), self.total(()))
+        due = sorted((w for w in every if w not in self.weighed and every[w] > top - WINDOW), key=lambda w: -every[w])
+        return due[:MOST_WEIGHED]
+
+
+def weigh_causes(
+    problem: Problem,
+    causes: Sequence[Cause],
+    family: ErrorFamily,
+    *,
+    priors: CausePriors | None = None,
+    sizes: SizePriors | None = None,
+    cores: int = 2,
+    tick: Callable[[str, float], None] | None = None,
+) -> CausePosterior:
+    """The posterior over sets of causes of a linear problem.
+
+    Sets are sought beside the errors that are most probable with the best set so far; those within `WINDOW` of
+    the best are then weighed beside all errors. What was only guessed keeps its guess, and is told.
+
+    Parameters
+    ----------
+    problem : Problem
+    causes : sequence of Cause
+    family : ErrorFamily
+    priors : CausePriors, optional
+    sizes : SizePriors, optional
+        Of the discrepancy.
+    cores : int
+        Threads.
+    tick : callable, optional
+        Called with a text and the share done.
+
+    Returns
+    -------
+    CausePosterior
+
+    Raises
+    ------
+    CauseError
+        If the responses do not fit the data.
+    """
+    n = len(problem.residual)
+    for one in causes:
+        if len(one.columns) != n:
+            raise CauseError(f"{one.label}: columns: {len(one.columns)} coefficients, the data have {n}")
+    say = tick or (lambda text, share: None)
+    priors = priors or CausePriors(causes)
+    search = _Search(problem, causes, family, priors, sizes or SizePriors(), cores)
+    say("baseline beside all errors", 0.0)
+    search.start()
+    if causes:
+        parent: Which = ()
+        seen: set[Which] = set()
+        for round_ in range(ROUNDS):
+            say("seeking sets of causes", 0.2 + 0.2 * round_)
+            seen.add(parent)
+            search.seek(parent)
+            if round_ == 0:  # shapes that matter beside nothing or beside the best cause of each component
+                _fewer_kinds(search)
+            search.weigh(search.leading(), search.kinds)
+            ranked = sorted(search.weighed, key=lambda w: -search.total(w))
+            if ranked[0] in seen:
+                break
+            parent = ranked[0]
+        search.weigh(search.leading(), search.kinds)
+    rows = [SetRow(w, search.priors.log_prior(w), e) for w, e in search.weighed.items()]
+    guessed = {w: g + priors.log_prior(w) for w, g in search.guessed.items() if w not in search.weighed}
+    return CausePosterior(tuple(causes), priors, search.sizes, tuple(rows), guessed)
+
+
+def _fewer_kinds(search: _Search) -> None:
+    """Keep the shapes of errors that are likely beside nothing, or beside the best single cause of a component."""
+    best: dict[str, Which] = {}
+    for which in sorted(search.guessed, key=lambda w: -search.total(w)):
+        if len(which) == 1:
+            best.setdefault(search.causes[which[0]].component, which)
+    search.weigh(list(best.values()), np.arange(search.family.n_kinds))
+    kept: set[int] = set()
+    colours = False
+    for which in [(), *best.values()]:
+        log_colours, smooth = search.weighed[which].terms(search.sizes)
+        each = np.logaddexp.reduce(smooth, axis=1)
+        top = max(float(each.max()), float(log_colours.max()))
+        kept |= set(np.flatnonzero(each > top - SHAPES_WITHIN).tolist())
+        colours = colours or float(log_colours.max()) > top - SHAPES_WITHIN
+    search.kinds = search.family.kinds_of(np.array(sorted(kept) or [0]), colours)
