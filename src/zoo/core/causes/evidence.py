@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -127,6 +127,12 @@ class SetEvidence:
         """Indices of the shapes of discrepancies among the kinds."""
         after = self.kinds[self.kinds >= self._first] - self._first
         return np.unique(after // len(SIZES))
+
+    def only(self, kinds: Kinds) -> SetEvidence:
+        """The same beside some of its kinds of errors."""
+        at = np.searchsorted(self.kinds, kinds)
+        arrays = {name: getattr(self, name)[at] for name in ("log_z", "slope", "log_noise", "mean", "covariance")}
+        return replace(self, kinds=kinds, **arrays)
 
     def interpolated(self) -> Array:
         """Log evidence of each shape at the sizes of the family's grid, (n_shapes, n)."""
@@ -307,9 +313,10 @@ class SetModel:
 
     def _signal(self, mean: Array, V: Array) -> float:
         """Rms of the causes' signal that the baseline's parameters cannot take up, in parts of the range."""
-        signal = self.A[:, self.k :] @ mean[self.k :]
-        J = self.problem.jacobian / V[:, None]
-        absorbed = np.linalg.lstsq(J.T @ self.problem.jacobian, J.T @ signal, rcond=None)[0]
-        left = signal - self.problem.jacobian @ absorbed
-        ranges = np.array([self.family.ranges[g] for g in self.family.groups])[self.family.member]
-        return float(np.sqrt(np.mean((left / ranges) ** 2)))
+        return self.family.relative(without(self.problem.jacobian, self.A[:, self.k :] @ mean[self.k :], V))
+
+
+def without(jacobian: Array, signal: Array, V: Array) -> Array:
+    """What parameters cannot take up of a signal (n,), beside errors of variance V."""
+    J = jacobian / V[:, None]
+    return np.asarray(signal - jacobian @ np.linalg.lstsq(J.T @ jacobian, J.T @ signal, rcond=None)[0])

@@ -199,3 +199,8 @@ class ErrorFamily:
         """Log prior mass of each cell of the grid, for a mixture of half-normals: scale -> weight."""
         mass = sum(weight * half_normal_mass(self.grid[1], scale) for scale, weight in scales.items())
         return np.log(np.maximum(mass, 1e-300))
+
+    def relative(self, signal: Array) -> float:
+        """Rms of coefficients (n,) in parts of their groups' ranges."""
+        ranges = np.array([self.ranges[g] for g in self.groups])[self.member]
+        return float(np.sqrt(np.mean((signal / ranges) ** 2)))

@@ -32,12 +32,15 @@ class SetRow:
     evidence : SetEvidence
     solved : bool
         Whether it is linear around its own mode, found with the simulator.
+    shift : float
+        What is added to its log evidence, since sets like it delivered less or more than they promised.
     """
 
     which: tuple[int, ...]
     log_prior: float
     evidence: SetEvidence = field(repr=False)
     solved: bool = False
+    shift: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +58,8 @@ class CausePosterior:
         Sets weighed beside all errors.
     guessed : mapping of indices to float
         Log prior plus a guess of the log evidence of sets that were not.
+    shifts : mapping of indices to float
+        As `SetRow.shift`, of guesses.
     """
 
     causes: tuple[Cause, ...]
@@ -62,12 +67,13 @@ class CausePosterior:
     sizes: SizePriors
     rows: tuple[SetRow, ...] = field(repr=False)
     guessed: Mapping[tuple[int, ...], float] = field(repr=False, default_factory=dict)
+    shifts: Mapping[tuple[int, ...], float] = field(repr=False, default_factory=dict)
 
     @cached_property
     def log_joint(self) -> dict[tuple[int, ...], float]:
         """Log prior plus log evidence of every set."""
-        own = {row.which: row.log_prior + row.evidence.total(self.sizes) for row in self.rows}
-        return own | {w: g for w, g in self.guessed.items() if w not in own}
+        own = {row.which: row.log_prior + row.evidence.total(self.sizes) + row.shift for row in self.rows}
+        return own | {w: g + self.shifts.get(w, 0.0) for w, g in self.guessed.items() if w not in own}
 
     @cached_property
     def probability(self) -> dict[tuple[int, ...], float]:
@@ -117,5 +123,5 @@ class CausePosterior:
         """The same with another prior of the discrepancy's size or other odds of causes; guesses keep theirs."""
         priors = self.priors if odds is None else replace(self.priors, odds=odds)
         rows = tuple(replace(row, log_prior=priors.log_prior(row.which)) for row in self.rows)
-        shift = {w: g - self.priors.log_prior(w) + priors.log_prior(w) for w, g in self.guessed.items()}
-        return CausePosterior(self.causes, priors, sizes or self.sizes, rows, shift)
+        guessed = {w: g - self.priors.log_prior(w) + priors.log_prior(w) for w, g in self.guessed.items()}
+        return replace(self, priors=priors, sizes=sizes or self.sizes, rows=rows, guessed=guessed)

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
 from zoo.core.causes.evidence import SCALES, log_scale_masses
@@ -21,6 +22,9 @@ from zoo.core.causes.problem import Cause, Problem
 from zoo.core.priors import log_normal_mass
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int_]
+NARROW = 3
+"""Weights of a narrow block at most."""
 
 
 class Reference:
@@ -44,51 +48,59 @@ class Reference:
         self.G, self.g = np.zeros((m + 1, m + 1)), np.zeros(m + 1)  # the last one stands for no weight
         self.G[:m, :m] = X.T @ X - (J.T @ X).T @ cross
         self.g[:m] = X.T @ r - cross.T @ b
-        sizes = [one.columns.shape[1] for one in causes]
+        sizes = np.array([one.columns.shape[1] for one in causes])
         edges = np.cumsum([0, *sizes])
-        self.at = np.full((len(causes), max(sizes)), m)
-        for i, (first, size) in enumerate(zip(edges[:-1], sizes, strict=True)):
-            self.at[i, :size] = np.arange(first, first + size)
+        self.own = [np.arange(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        narrow = sizes <= NARROW  # wide blocks apart, so that narrow ones cost little
+        self.blocks = []
+        for part in (np.flatnonzero(narrow), np.flatnonzero(~narrow)):
+            if len(part):
+                at = np.full((len(part), int(sizes[part].max())), m)
+                for row, i in zip(at, part, strict=True):
+                    row[: sizes[i]] = self.own[i]
+                self.blocks.append((part, at))
         self.means = np.zeros(m + 1)
         self.means[:m] = np.concatenate([one.prior_mean for one in causes])
         self.free = np.array([one.free for one in causes])
         self.low, self.high = (np.array([getattr(one, x) for one in causes]) for x in ("low", "high"))
-        centre = self.means[self.at[:, 0]]
+        centre = self.means[edges[:-1]]
         self.prior_mass = log_normal_mass(self.low - centre, self.high - centre)
         self.bounded = np.isfinite(self.low) | np.isfinite(self.high)
 
     def further(self, which: Sequence[int], scales: Sequence[float]) -> tuple[Array, Array]:
         """Log evidence gained (n_causes,) by each cause beside those of `which`, and the size where it is largest."""
-        G = self.G[self.at[:, :, None], self.at[:, None, :]]
-        b = self.g[self.at]
+        Y = y = None
         if len(which):
-            own = np.concatenate([self.at[i] for i in which])
-            s = np.repeat(scales, self.at.shape[1])
-            H = self.G[np.ix_(own, own)] + np.diag(1.0 / s**2)
-            right = self.g[own] + self.means[own] / s**2
-            L = np.linalg.cholesky(H)
-            Y = np.linalg.solve(L, self.G[own])  # (m_own, m)
-            y = np.linalg.solve(L, right)
-            B = Y[:, self.at].transpose(1, 0, 2)  # (n_causes, m_own, m_each)
+            own = np.concatenate([self.own[i] for i in which])
+            s = np.concatenate([np.full(len(self.own[i]), x) for i, x in zip(which, scales, strict=True)])
+            L = np.linalg.cholesky(self.G[np.ix_(own, own)] + np.diag(1.0 / s**2))
+            Y = solve_triangular(L, self.G[own], lower=True)
+            y = solve_triangular(L, self.g[own] + self.means[own] / s**2, lower=True)
+        gained, best = np.empty(len(self.causes)), np.ones(len(self.causes))
+        for part, at in self.blocks:
+            gained[part], best[part] = self._each(part, at, Y, y)
+        return gained, best
+
+    def _each(self, part: Indices, at: Indices, Y: Array | None, y: Array | None) -> tuple[Array, Array]:
+        """The same of some causes, whose weights are at these places."""
+        G, b = self.G[at[:, :, None], at[:, None, :]], self.g[at]
+        if Y is not None:
+            B = Y[:, at].transpose(1, 0, 2)  # (n_causes, m_there, m_each)
             G = G - B.transpose(0, 2, 1) @ B
             b = b - np.einsum("cij,i->cj", B, y)
         lam, U = np.linalg.eigh(G)
         lam = np.maximum(lam, 0.0)
-        mu = self.means[self.at]
-        listed = b + mu  # of prior mean mu and size 1
-        y = np.einsum("cij,ci->cj", U, np.where(self.free[:, None], b, listed))
+        mu, free = self.means[at], self.free[part]
+        y = np.einsum("cij,ci->cj", U, np.where(free[:, None], b, b + mu))
         inverse = 1.0 / SCALES**2
         each = 0.5 * np.sum(y[:, None] ** 2 / (lam[:, None] + inverse[:, None]), axis=2)
         each -= 0.5 * np.sum(np.log1p(lam[:, None] * SCALES[:, None] ** 2), axis=2)
         each += log_scale_masses(SCALES)
-        free = np.asarray(logsumexp(each, axis=1))
         one = 0.5 * np.sum(y**2 / (lam + 1.0), axis=1) - 0.5 * np.sum(np.log1p(lam), axis=1)
-        one = one - 0.5 * np.sum(mu**2, axis=1)
-        C = (U[:, 0] ** 2 / (lam + 1.0)).sum(axis=1)
+        one -= 0.5 * np.sum(mu**2, axis=1)
         mean = (U[:, 0] * y / (lam + 1.0)).sum(axis=1)
-        sd = np.sqrt(C)
-        mass = log_normal_mass((self.low - mean) / sd, (self.high - mean) / sd) - self.prior_mass
-        one = one + np.where(self.bounded, mass, 0.0)
-        return np.where(self.free, free, one), np.where(self.free, SCALES[np.argmax(each, axis=1)], 1.0)
-
-
+        sd = np.sqrt((U[:, 0] ** 2 / (lam + 1.0)).sum(axis=1))
+        mass = log_normal_mass((self.low[part] - mean) / sd, (self.high[part] - mean) / sd)
+        one += np.where(self.bounded[part], mass - self.prior_mass[part], 0.0)
+        gained = np.where(free, logsumexp(each, axis=1), one)
+        return gained, np.where(free, SCALES[np.argmax(each, axis=1)], 1.0)

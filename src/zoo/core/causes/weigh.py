@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.causes.evidence import SetEvidence, SetModel, SizePriors
@@ -20,16 +22,18 @@ from zoo.core.causes.sets import CausePriors
 Array = NDArray[np.float64]
 Which = tuple[int, ...]
 
-WINDOW = 9.0
-"""Log posterior behind the best set within which a set is weighed beside all errors (Occam's window)."""
-SHAPES_WITHIN = 7.0
+MISSED = 0.005
+"""Probability that sets which are only guessed hold together at most, where guesses are right."""
+SHAPES_WITHIN = 5.0
 """Log evidence behind the best shape of errors within which a shape is kept."""
 BEAM = (40, 24, 10)
 """Sets of one, two and three causes to which every further cause is added."""
 ROUNDS = 3
 """Times that sets are sought beside the errors of the best set so far."""
-MOST_WEIGHED = 400
-"""Sets that are weighed beside all errors at most."""
+MOST_WEIGHED = 64
+"""Sets that are weighed beside all errors at most, in each round."""
+MOST_SHAPES = 12
+"""Shapes that are kept at most."""
 
 
 @dataclass(eq=False)
@@ -59,7 +63,8 @@ class _Search:
 
     def weigh(self, sets: Sequence[Which], kinds: NDArray[np.int_]) -> None:
         """These sets beside some kinds of errors."""
-        start = self.weighed[()].log_noise[kinds]
+        alone = self.weighed[()]
+        start = alone.log_noise[np.searchsorted(alone.kinds, kinds)]
 
         def one(which: Which) -> SetEvidence:
             return SetModel(self.problem, [self.causes[i] for i in which], self.family).evidence(kinds, start)
@@ -101,11 +106,12 @@ class _Search:
             self.guessed[key] = max(self.guessed.get(key, -np.inf), value + shift)
 
     def leading(self) -> list[Which]:
-        """Sets within the window of the best, that were not weighed yet."""
-        every = {which: self.total(which) for which in self.guessed}
-        top = max(*every.values(), self.total(()))
-        due = sorted((w for w in every if w not in self.weighed and every[w] > top - WINDOW), key=lambda w: -every[w])
-        return due[:MOST_WEIGHED]
+        """The most probable sets that were not weighed yet, but for those that hold `MISSED` together."""
+        every = {which: self.total(which) for which in [*self.guessed, *self.weighed]}
+        missed = logsumexp(list(every.values())) + math.log(MISSED)
+        due = sorted((w for w in every if w not in self.weighed), key=lambda w: every[w])
+        behind = np.logaddexp.accumulate([every[w] for w in due])
+        return due[::-1][: min(MOST_WEIGHED, int(np.sum(behind > missed)))]
 
 
 def weigh_causes(
@@ -120,8 +126,8 @@ def weigh_causes(
 ) -> CausePosterior:
     """The posterior over sets of causes of a linear problem.
 
-    Sets are sought beside the errors that are most probable with the best set so far; those within `WINDOW` of
-    the best are then weighed beside all errors. What was only guessed keeps its guess, and is told.
+    Sets are sought beside the errors that are most probable with the best set so far; the most
+    probable are then weighed beside all errors. What was only guessed keeps its guess, and is told.
 
     Parameters
     ----------
@@ -181,12 +187,15 @@ def _fewer_kinds(search: _Search) -> None:
         if len(which) == 1:
             best.setdefault(search.causes[which[0]].component, which)
     search.weigh(list(best.values()), np.arange(search.family.n_kinds))
-    kept: set[int] = set()
+    behind = np.full(len(search.family.shapes), np.inf)
     colours = False
     for which in [(), *best.values()]:
         log_colours, smooth = search.weighed[which].terms(search.sizes)
         each = np.logaddexp.reduce(smooth, axis=1)
         top = max(float(each.max()), float(log_colours.max()))
-        kept |= set(np.flatnonzero(each > top - SHAPES_WITHIN).tolist())
+        behind = np.minimum(behind, top - each)
         colours = colours or float(log_colours.max()) > top - SHAPES_WITHIN
-    search.kinds = search.family.kinds_of(np.array(sorted(kept) or [0]), colours)
+    order = np.argsort(behind, kind="stable")[:MOST_SHAPES]
+    kept = order[(behind[order] < SHAPES_WITHIN) | (behind[order] == behind[order[0]])]
+    search.kinds = search.family.kinds_of(np.sort(kept), colours)
+    search.weighed = {which: one.only(search.kinds) for which, one in search.weighed.items()}

@@ -1,0 +1,315 @@
+"""The posterior over sets of causes of a simulator: responses, then the leading sets at their modes.
+
+Responses of listed effects are secants to where each fits best by itself, those of free functions derivatives at
+the baseline's fit. The sets that hold the mass are taken to their mode with the simulator and weighed there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+from zoo.core.causes.evidence import SetEvidence, SetModel, SizePriors, without
+from zoo.core.causes.family import ErrorFamily
+from zoo.core.causes.posterior import CausePosterior, SetRow
+from zoo.core.causes.problem import Cause, Problem
+from zoo.core.causes.sets import CausePriors
+from zoo.core.causes.weigh import weigh_causes
+from zoo.core.components import FreeFunction
+from zoo.core.diagnosis.components.response import Linearised, linearise, on_a_grid
+from zoo.core.diagnosis.components.subsets import signatures_of
+from zoo.core.diagnosis.evidence import Fit
+from zoo.core.diagnosis.hooks import Hooks
+from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
+from zoo.core.diagnosis.screening import Screened
+from zoo.core.diagnosis.search import Point, Search, SearchError
+from zoo.core.effects import NUMERICS, AddedEffect
+from zoo.core.forward import ForwardModel
+
+Array = NDArray[np.float64]
+Which = tuple[int, ...]
+
+MASS, MOST_SOLVED = 0.97, 10
+"""Probability that the sets which are solved hold together, and how many are at most."""
+STEPS_LINEAR, STEPS_FRESH = 6, 5
+"""Steps of a descent with the linear model's derivatives, and of one with fresh ones."""
+NEARER = (1.0, 0.5, 0.2)
+"""Parts of the linear model's step from which a descent begins."""
+SIZE_PRIORS = SizePriors()
+OTHER_ERRORS = 0.2
+"""Change of a logarithm of the errors' variance after which a mode is sought again beside them."""
+WAVES = 4
+"""Times that new leading sets are solved."""
+
+
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """What a cause is in the simulator: a listed effect with its parameters, or a function of some length."""
+
+    added: AddedEffect | None = None
+    values: Array | None = None
+    function: FreeFunction | None = None
+    length: float | None = None
+
+    def effect(self) -> AddedEffect:
+        """As an effect, a function by standard normal weights."""
+        if self.added is not None:
+            return self.added
+        assert self.function is not None
+        return self.function.effect(self.function.size, self.length)
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A set at its mode: the fit, its evidence there, and what the linear model had promised."""
+
+    fit: Fit = field(repr=False)
+    evidence: SetEvidence = field(repr=False)
+    promised: float
+
+    @property
+    def gained(self) -> float:
+        """Log evidence by the solve over that of the linear model."""
+        return self.evidence.total(SIZE_PRIORS) - self.promised
+
+
+@dataclass(eq=False)
+class CauseSearch:
+    """Causes of one screening, linear and then solved.
+
+    Parameters
+    ----------
+    screened : Screened
+    functions : sequence of FreeFunction
+    hooks : Hooks
+    cores : int
+    """
+
+    screened: Screened
+    functions: Sequence[FreeFunction]
+    hooks: Hooks
+    cores: int = 2
+
+    def __post_init__(self) -> None:
+        screening = self.screened.screening
+        self.screening, self.base = screening, screening.base.fit
+        self.family = ErrorFamily(screening.errors, screening.range, dict(screening.errors.known))
+        self.grid = on_a_grid(screening, self.base)
+        self.linear: Linearised = linearise(
+            screening, self.base, self.functions, self.screened.noise, cores=self.cores, forward=self.grid
+        )
+        computed = self.grid(self.base.u)
+        assert computed is not None
+        self.shift = self.base.computed - computed
+        self.problem = self._problem(self.base.forward, self.base.u, self.base.residual, self.linear.jacobian)
+        pairs = [*self._listed(), *self._free()]
+        self.causes = [cause for cause, _ in pairs]
+        self.origins = [origin for _, origin in pairs]
+        self.solved: dict[Which, Solved] = {}
+
+    @staticmethod
+    def _problem(forward: HypothesisModel, u: Array, residual: Array, jacobian: Array) -> Problem:
+        log_prior, precision, pull = forward.prior(u)
+        return Problem(residual, jacobian, precision, pull, log_prior, forward.low - u, forward.high - u)
+
+    def _listed(self) -> list[tuple[Cause, Origin]]:
+        found = []
+        fits = {h.added[-1]: fit for h, fit in self.screened.fits.items()}
+        belongs = {n: self.hooks.component_of(e) or n for n, e in self.screening.effects.items()}
+        for one in signatures_of(self.screened):
+            first, *others = one.added.effect.parameters
+            fit = fits.get(one.added)
+            columns, mean = [one.change * first.scale], [0.0]
+            if fit is not None:
+                for i, p in enumerate(others):
+                    at = fit.forward.asked + 1 + i
+                    columns.append(fit.jacobian[:, at] * p.scale)
+                    mean.append((p.centre - fit.u[at]) / p.scale)
+            start = fit.u[fit.forward.asked :] if fit is not None else np.array([first.starts[0], *one.others])
+            cause = Cause(
+                one.name, belongs[one.name], np.stack(columns, axis=1), place=one.added.location.suffix,
+                low=first.low / first.scale, high=first.high / first.scale, mean=np.array(mean),
+            )  # fmt: skip
+            found.append((cause, Origin(added=one.added, values=np.asarray(start))))
+        return found
+
+    def _free(self) -> list[tuple[Cause, Origin]]:
+        found = []
+        for block in self.linear.blocks:
+            f = block.function
+            for length in f.lengths or (None,):
+                columns = block.columns @ (f.size * f.root(length))
+                place = "" if length is None else f"({length:.3g} {f.argument_unit})"
+                found.append((Cause(f.name, f.component, columns, free=True, place=place), Origin(function=f, length=length)))
+        return found
+
+    def run(self, tick: Callable[[str, float], None] | None = None) -> CausePosterior:
+        """The posterior, its leading sets solved."""
+        found = weigh_causes(
+            self.problem, self.causes, self.family, priors=CausePriors(self.causes), cores=self.cores, tick=tick
+        )
+        linear = {row.which: row for row in found.rows}
+        tried: set[Which] = set()
+        for wave in range(WAVES):
+            due = self._due(found, tried)
+            if not due:
+                break
+            tried |= set(due)
+            if tick is not None:
+                tick(f"solving {len(due)} sets of causes", wave / WAVES)
+            with ThreadPoolExecutor(max(1, self.cores)) as pool, threadpool_limits(1, user_api="blas"):
+                results = list(pool.map(lambda which: self.solve(which, linear[which].evidence), due))
+            self.solved |= {w: one for w, one in zip(due, results, strict=True) if one is not None}
+            found = self._corrected(found, linear)
+        return found
+
+    def _corrected(self, found: CausePosterior, linear: Mapping[Which, SetRow]) -> CausePosterior:
+        """With what was solved; what was not is shifted as the solved set is that shares most causes with it."""
+        others = [w for w in linear if w not in self.solved]
+        shifts = dict(zip(others, self.shortfall(others), strict=True))
+        rows = [
+            replace(row, shift=shifts[w])
+            if w in shifts
+            else replace(row, evidence=self.solved[w].evidence, solved=True)
+            for w, row in linear.items()
+        ]
+        guesses = self.shortfall(list(found.guessed))
+        return replace(found, rows=tuple(rows), shifts=dict(zip(found.guessed, guesses, strict=True)))
+
+    def shortfall(self, sets: Sequence[Which], *, others: bool = False) -> Array:
+        """What a solve adds to the log evidence of sets (n,), by the solved set most like each; 0 of none alike.
+
+        With `others`, by one that is not the very same.
+        """
+        known = list(self.solved)
+        if not known or not sets:
+            return np.zeros(len(sets))
+        asked, there = (self._members(x) for x in (sets, known))
+        both = asked @ there.T
+        like = both / np.maximum(asked.sum(axis=1)[:, None] + there.sum(axis=1) - both, 1.0)
+        if others:
+            like[like == 1.0] = 0.0
+        nearest = np.argmax(like, axis=1)
+        gained = np.array([self.solved[w].gained for w in known])
+        return np.where(like[np.arange(len(sets)), nearest] > 0.0, gained[nearest], 0.0)
+
+    def _members(self, sets: Sequence[Which]) -> Array:
+        found = np.zeros((len(sets), len(self.causes)))
+        for row, which in zip(found, sets, strict=True):
+            row[list(which)] = 1.0
+        return found
+
+    @property
+    def linear_error(self) -> float:
+        """Rms error of the log evidence of sets that were not solved, by those that were."""
+        errors = np.array([one.gained for one in self.solved.values()])
+        errors -= self.shortfall(list(self.solved), others=True)
+        return float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0
+
+    def _due(self, found: CausePosterior, tried: set[Which]) -> list[Which]:
+        """Leading sets that were not tried yet; at first the best alone of each component among them."""
+        weighed = {row.which for row in found.rows if row.which}
+        due: list[Which] = []
+        total, best = 0.0, dict[str, Which]()
+        for which, p in found.probability.items():
+            if which in weighed and which not in tried and total < MASS and len(due) < MOST_SOLVED:
+                due.append(which)
+            total += p
+            if which in weighed and len(which) == 1:
+                best.setdefault(self.causes[which[0]].component, which)
+        return due if tried else due + [w for w in best.values() if w not in due]
+
+    # -- one set with the simulator ----------------------------------------------------------------
+
+    def solve(self, which: Which, linear: SetEvidence) -> Solved | None:
+        """A set at its mode; None where nothing can be solved on the way."""
+        order = sorted(which, key=lambda i: self.origins[i].added is None)  # listed effects first
+        added = tuple(self.origins[i].effect() for i in order)
+        numerical = any(one.effect.family == NUMERICS for one in added)  # which mean something on their own grid
+        baseline = self.screening.baseline if numerical else self.grid.baseline
+        shift = np.zeros_like(self.shift) if numerical else self.shift
+        forward = HypothesisModel(baseline, Hypothesis(added), self.screening.errors)
+        self.screening.forwards.append(forward)
+        best = linear.best(SIZE_PRIORS)
+        V = linear.variances(best)
+        origin, start, jacobian = self._start(which, order, linear.mean[best])
+        search = Search(forward, self.screening.coefficients - shift, V)
+        point: Point | None = None
+        for part in NEARER:
+            try:
+                tried = search.at(np.clip(origin + part * (start - origin), forward.low, forward.high), jacobian)
+            except SearchError:
+                continue
+            if point is None or tried.cost < point.cost:
+                point = tried
+        if point is None:
+            return None
+        point = search.descend(point, STEPS_LINEAR)
+        point = replace(point, jacobian=search.differences(point, point.jacobian))
+        point = search.descend(point, STEPS_FRESH)
+        found = self._around(order, baseline, shift, point, linear)
+        now = found.variances(found.best(SIZE_PRIORS))
+        if float(np.max(np.abs(np.log(now / V)))) > OTHER_ERRORS:
+            search = Search(forward, self.screening.coefficients - shift, now)
+            point = search.descend(search.resume(point), STEPS_FRESH)
+            point = replace(point, jacobian=search.differences(point, point.jacobian))
+            point = search.descend(point, STEPS_FRESH)
+            found = self._around(order, baseline, shift, point, linear)
+        computed = point.computed + shift
+        fit = Fit(
+            forward.hypothesis, forward, point.u, computed, point.jacobian, self.screening.coefficients - computed,
+            {}, {}, found.total(SIZE_PRIORS), point.u, np.zeros((len(point.u), len(point.u))),
+        )  # fmt: skip
+        return Solved(fit, found, linear.total(SIZE_PRIORS))
+
+    def _start(self, which: Which, order: Sequence[int], mean: Array) -> tuple[Array, Array, Array]:
+        """Coordinates without and with causes, and derivatives, of the linear model."""
+        k = len(self.base.u)
+        sizes = [self.causes[i].columns.shape[1] for i in which]
+        weights = dict(zip(which, np.split(mean[k:], np.cumsum(sizes)[:-1]), strict=True)) if which else {}
+        origins, starts, columns = [self.base.u], [self.base.u + mean[:k]], [self.linear.jacobian]
+        for i in order:
+            own, R, w = self.origins[i], self.causes[i].columns, weights[i]
+            if own.added is None:
+                origins.append(np.zeros(len(w)))
+                starts.append(w)
+                columns.append(R)
+                continue
+            parameters = own.added.effect.parameters
+            scales = np.array([p.scale for p in parameters])
+            at = np.array(own.values, dtype=float)
+            origins.append(np.concatenate([[0.0], at[1:]]))
+            at[: len(w)] = np.concatenate([[0.0], at[1 : len(w)]]) + w * scales[: len(w)]
+            starts.append(at)
+            block = np.zeros((len(R), len(parameters)))
+            block[:, : len(w)] = R / scales[: len(w)]
+            columns.append(block)
+        return np.concatenate(origins), np.concatenate(starts), np.concatenate(columns, axis=1)
+
+    def _around(
+        self, order: Sequence[int], baseline: ForwardModel, shift: Array, point: Point, linear: SetEvidence
+    ) -> SetEvidence:
+        """Evidence of a set, linear around a point: listed effects among the parameters, functions seen from 0."""
+        listed = [i for i in order if self.origins[i].added is not None]
+        hypothesis = Hypothesis(tuple(self.origins[i].effect() for i in listed))
+        forward = HypothesisModel(baseline, hypothesis, self.screening.errors)
+        k = len(forward.low)
+        residual = self.screening.coefficients - shift - point.computed
+        causes, at = [], k
+        for i in order[len(listed) :]:
+            after = at + self.causes[i].columns.shape[1]
+            Z = point.jacobian[:, at:after]
+            residual = residual + Z @ point.u[at:after]
+            causes.append(replace(self.causes[i], columns=Z))
+            at = after
+        problem = self._problem(forward, point.u[:k], residual, point.jacobian[:, :k])
+        start = linear.log_noise[linear.best(SIZE_PRIORS)]
+        found = SetModel(problem, causes, self.family).evidence(linear.kinds, start)
+        V = found.variances(found.best(SIZE_PRIORS))
+        change = point.computed + shift - self.base.computed
+        return replace(found, signal=self.family.relative(without(self.linear.jacobian, change, V)))
