@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +18,14 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from zoo.core.causes.evidence import SetEvidence, SetModel, SizePriors, without
 from zoo.core.causes.family import ErrorFamily
 from zoo.core.causes.posterior import CausePosterior, SetRow
-from zoo.core.causes.problem import Cause, Problem
-from zoo.core.causes.sets import CausePriors
+from zoo.core.causes.problem import Cause, Problem, without_doubles
+from zoo.core.causes.sets import ODDS, CausePriors
 from zoo.core.causes.weigh import weigh_causes
 from zoo.core.components import FreeFunction
 from zoo.core.diagnosis.components.response import Linearised, linearise, on_a_grid
 from zoo.core.diagnosis.components.subsets import signatures_of
 from zoo.core.diagnosis.evidence import Fit
+from zoo.core.diagnosis.file import unit_suffix
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
 from zoo.core.diagnosis.screening import Screened
@@ -78,6 +80,112 @@ class Solved:
         return self.evidence.total(SIZE_PRIORS) - self.promised
 
 
+@dataclass(frozen=True, eq=False)
+class CauseSets:
+    """The posterior over sets of causes of a simulator, with the sets that were solved.
+
+    Parameters
+    ----------
+    posterior : CausePosterior
+    solved : mapping of indices to Solved
+    linear_error : float
+        Rms error of the log evidence of sets that were not solved, by those that were.
+    """
+
+    posterior: CausePosterior
+    solved: Mapping[Which, Solved] = field(repr=False)
+    linear_error: float
+    search: CauseSearch = field(repr=False)
+
+    def __repr__(self) -> str:
+        first, p = next(iter(self.posterior.probability.items()))
+        return f"<CauseSets: {self.name(first)} {p:.0%}; {len(self.solved)} sets solved>"
+
+    def name(self, which: Which) -> str:
+        """The causes of a set."""
+        return " + ".join(self.posterior.causes[i].label for i in which) or "nothing"
+
+    @property
+    def missed(self) -> float:
+        """Probability that sets which were not solved may hold, two errors of the linear model up."""
+        p = self.posterior.probability
+        others = sum(x for w, x in p.items() if w and w not in self.solved)
+        raised = others * float(np.exp(2.0 * self.linear_error))
+        return raised / (raised + 1.0 - others) if others < 1.0 else 1.0
+
+    def gap_after(self, which: Which) -> Array | None:
+        """Rms (n_groups,) of what a solved set leaves beyond the noise, in the groups' units; None if not solved."""
+        if which not in self.solved:
+            return None
+        one = self.solved[which]
+        family, errors = self.search.family, self.search.screening.errors
+        at = one.evidence.best(SIZE_PRIORS)
+        noise, _, _ = family.kinds
+        kept = noise[one.evidence.kinds[at]] * np.exp(2.0 * one.evidence.log_noise[at])[family.member]
+        left = [np.mean(errors.part(one.fit.residual**2 - kept, g)) for g in family.groups]
+        return np.sqrt(np.maximum(left, 0.0))
+
+    def table(self, least: float = 1e-3) -> Any:
+        """Sets with at least some probability, as a pandas table: prior, evidence and what each leaves.
+
+        Parameters
+        ----------
+        least : float
+
+        Returns
+        -------
+        pandas.DataFrame
+        """
+        import pandas as pd
+
+        found, rows = self.posterior, []
+        units = [self.search.screening.data.unit(g) for g in self.search.family.groups]
+        for which, p in found.probability.items():
+            if p < least:
+                break
+            log_prior = found.priors.log_prior(which)
+            left = self.gap_after(which)
+            rows.append(
+                {
+                    "causes": self.name(which),
+                    "components": " + ".join(found.causes[i].component for i in which),
+                    "probability": p,
+                    "log_prior": log_prior,
+                    "log_evidence": found.log_joint[which] - log_prior,
+                    "solved": which in self.solved,
+                }
+                | {
+                    f"gap_after{unit_suffix(unit)}": None if left is None else float(left[i])
+                    for i, unit in enumerate(units)
+                }
+            )
+        return pd.DataFrame(rows)
+
+    def sensitivity(self) -> Any:
+        """Probability of each component under other priors, as a pandas table; nothing is solved again.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each prior: odds of causes, size and odds of the unexplained, error of what causes do.
+        """
+        import pandas as pd
+
+        found, sizes = self.posterior, SIZE_PRIORS
+        priors = {
+            "as stated": found,
+            "odds of causes halved": found.under(odds=0.5 * ODDS),
+            "odds of causes doubled": found.under(odds=2.0 * ODDS),
+            "unexplained half as large": found.under(replace(sizes, unexplained=0.5 * sizes.unexplained)),
+            "unexplained twice as large": found.under(replace(sizes, unexplained=2.0 * sizes.unexplained)),
+            "odds of the unexplained 1": found.under(replace(sizes, odds=1.0)),
+            "no error of what causes do": found.under(replace(sizes, caricature=0.0)),
+            "that error doubled": found.under(replace(sizes, caricature=2.0 * sizes.caricature)),
+        }
+        rows = {name: one.components | {"nothing": one.probability[()]} for name, one in priors.items()}
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+
 @dataclass(eq=False)
 class CauseSearch:
     """Causes of one screening, linear and then solved.
@@ -107,9 +215,9 @@ class CauseSearch:
         assert computed is not None
         self.shift = self.base.computed - computed
         self.problem = self._problem(self.base.forward, self.base.u, self.base.residual, self.linear.jacobian)
-        pairs = [*self._listed(), *self._free()]
-        self.causes = [cause for cause, _ in pairs]
-        self.origins = [origin for _, origin in pairs]
+        origins = dict([*self._listed(), *self._free()])
+        self.causes, self.doubles = without_doubles(list(origins))
+        self.origins = [origins[one] for one in self.causes]
         self.solved: dict[Which, Solved] = {}
 
     @staticmethod
@@ -148,7 +256,7 @@ class CauseSearch:
                 found.append((Cause(f.name, f.component, columns, free=True, place=place), Origin(function=f, length=length)))
         return found
 
-    def run(self, tick: Callable[[str, float], None] | None = None) -> CausePosterior:
+    def run(self, tick: Callable[[str, float], None] | None = None) -> CauseSets:
         """The posterior, its leading sets solved."""
         found = weigh_causes(
             self.problem, self.causes, self.family, priors=CausePriors(self.causes), cores=self.cores, tick=tick
@@ -166,7 +274,7 @@ class CauseSearch:
                 results = list(pool.map(lambda which: self.solve(which, linear[which].evidence), due))
             self.solved |= {w: one for w, one in zip(due, results, strict=True) if one is not None}
             found = self._corrected(found, linear)
-        return found
+        return CauseSets(found, self.solved, self.linear_error, self)
 
     def _corrected(self, found: CausePosterior, linear: Mapping[Which, SetRow]) -> CausePosterior:
         """With what was solved; what was not is shifted as the solved set is that shares most causes with it."""
