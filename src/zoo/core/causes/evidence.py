@@ -276,6 +276,7 @@ class SetModel:
             slope -= (log_noise[active] - f.noise_centre) / NOISE_SPREAD**2
             bend += 1.0 / NOISE_SPREAD**2
             step = np.clip(slope / bend, -LARGEST_STEP, LARGEST_STEP) * f.noise_free
+            step = np.maximum(step, f.least_noise - log_noise[active])
             log_noise[active] += step
             active = active[np.max(np.abs(step), axis=1) > CONVERGED]
             if not len(active):

@@ -176,6 +176,11 @@ class ErrorFamily:
         return np.array([g not in self.known for g in self.groups])
 
     @cached_property
+    def least_noise(self) -> Array:
+        """Logarithm (n_groups,) of the noise below which none is found; a known one is kept."""
+        return np.log([min(LEAST_NOISE * self.ranges[g], self.known.get(g, np.inf)) for g in self.groups])
+
+    @cached_property
     def noise_start(self) -> Array:
         """Logarithms (n_groups,) of the known noise, or of what the finest coefficients have."""
         values = self.errors.flat(self.errors.on.values)

@@ -29,7 +29,7 @@ from zoo.core.diagnosis.file import unit_suffix
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
 from zoo.core.diagnosis.screening import Screened
-from zoo.core.diagnosis.search import Point, Search, SearchError
+from zoo.core.diagnosis.search import SETTLED, Point, Search, SearchError
 from zoo.core.effects import NUMERICS, AddedEffect
 from zoo.core.forward import ForwardModel
 
@@ -38,8 +38,8 @@ Which = tuple[int, ...]
 
 MASS, MOST_SOLVED = 0.97, 10
 """Probability that the sets which are solved hold together, and how many are at most."""
-STEPS_LINEAR, STEPS_FRESH = 6, 5
-"""Steps of a descent with the linear model's derivatives, and of one with fresh ones."""
+STEPS, ROUNDS, TURNS = 6, 4, 3
+"""Steps of a descent, descents with fresh derivatives, and turns of the mode and of the errors beside it."""
 NEARER = (1.0, 0.5, 0.2)
 """Parts of the linear model's step from which a descent begins."""
 SIZE_PRIORS = SizePriors()
@@ -73,6 +73,7 @@ class Solved:
     fit: Fit = field(repr=False)
     evidence: SetEvidence = field(repr=False)
     promised: float
+    order: Which
 
     @property
     def gained(self) -> float:
@@ -271,8 +272,10 @@ class CauseSearch:
             if tick is not None:
                 tick(f"solving {len(due)} sets of causes", wave / WAVES)
             with ThreadPoolExecutor(max(1, self.cores)) as pool, threadpool_limits(1, user_api="blas"):
-                results = list(pool.map(lambda which: self.solve(which, linear[which].evidence), due))
-            self.solved |= {w: one for w, one in zip(due, results, strict=True) if one is not None}
+                for size in sorted({len(w) for w in due}):  # what fewer causes found, more begin with
+                    now = [w for w in due if len(w) == size]
+                    results = list(pool.map(lambda which: self.solve(which, linear[which].evidence), now))
+                    self.solved |= {w: one for w, one in zip(now, results, strict=True) if one is not None}
             found = self._corrected(found, linear)
         return CauseSets(found, self.solved, self.linear_error, self)
 
@@ -343,37 +346,56 @@ class CauseSearch:
         shift = np.zeros_like(self.shift) if numerical else self.shift
         forward = HypothesisModel(baseline, Hypothesis(added), self.screening.errors)
         self.screening.forwards.append(forward)
+        data = self.screening.coefficients - shift
         best = linear.best(SIZE_PRIORS)
         V = linear.variances(best)
-        origin, start, jacobian = self._start(which, order, linear.mean[best])
-        search = Search(forward, self.screening.coefficients - shift, V)
+        search = Search(forward, data, V)
         point: Point | None = None
-        for part in NEARER:
+        for u, jacobian in self._starts(which, order, linear.mean[best]):
             try:
-                tried = search.at(np.clip(origin + part * (start - origin), forward.low, forward.high), jacobian)
+                tried = search.at(np.clip(u, forward.low, forward.high), jacobian)
             except SearchError:
                 continue
             if point is None or tried.cost < point.cost:
                 point = tried
         if point is None:
             return None
-        point = search.descend(point, STEPS_LINEAR)
-        point = replace(point, jacobian=search.differences(point, point.jacobian))
-        point = search.descend(point, STEPS_FRESH)
-        found = self._around(order, baseline, shift, point, linear)
-        now = found.variances(found.best(SIZE_PRIORS))
-        if float(np.max(np.abs(np.log(now / V)))) > OTHER_ERRORS:
-            search = Search(forward, self.screening.coefficients - shift, now)
-            point = search.descend(search.resume(point), STEPS_FRESH)
-            point = replace(point, jacobian=search.differences(point, point.jacobian))
-            point = search.descend(point, STEPS_FRESH)
+        point = search.refine(search.descend(point, STEPS), 1, STEPS)
+        for _ in range(TURNS):
             found = self._around(order, baseline, shift, point, linear)
+            now = found.variances(found.best(SIZE_PRIORS))
+            search = Search(forward, data, now)
+            before = search.resume(point)
+            point = search.refine(before, ROUNDS, STEPS)
+            if before.cost - point.cost < SETTLED and float(np.max(np.abs(np.log(now / V)))) < OTHER_ERRORS:
+                break
+            V = now
+        found = self._around(order, baseline, shift, point, linear)
         computed = point.computed + shift
         fit = Fit(
             forward.hypothesis, forward, point.u, computed, point.jacobian, self.screening.coefficients - computed,
             {}, {}, found.total(SIZE_PRIORS), point.u, np.zeros((len(point.u), len(point.u))),
         )  # fmt: skip
-        return Solved(fit, found, linear.total(SIZE_PRIORS))
+        return Solved(fit, found, linear.total(SIZE_PRIORS), tuple(order))
+
+    def _starts(self, which: Which, order: Sequence[int], mean: Array) -> list[tuple[Array, Array]]:
+        """Where a search may begin, with derivatives: parts of the linear step, and where a solved subset ended."""
+        origin, start, jacobian = self._start(which, order, mean)
+        found = [(origin + part * (start - origin), jacobian) for part in NEARER]
+        inside = [w for w in self.solved if set(w) < set(which)]
+        if inside:
+            one = self.solved[max(inside, key=lambda w: (len(w), self.solved[w].fit.log_z))]
+            k = len(self.base.u)
+            sizes = {i: len(self.origins[i].effect().effect.parameters) for i in order}
+            at = dict(zip(order, np.cumsum([k, *sizes.values()]), strict=False))
+            there = dict(zip(one.order, np.cumsum([k, *(sizes[i] for i in one.order)]), strict=False))
+            u, J = origin.copy(), jacobian.copy()
+            u[:k], J[:, :k] = one.fit.u[:k], one.fit.jacobian[:, :k]
+            for i in one.order:
+                to, of = (slice(x[i], x[i] + sizes[i]) for x in (at, there))
+                u[to], J[:, to] = one.fit.u[of], one.fit.jacobian[:, of]
+            found.append((u, J))
+        return found
 
     def _start(self, which: Which, order: Sequence[int], mean: Array) -> tuple[Array, Array, Array]:
         """Coordinates without and with causes, and derivatives, of the linear model."""
