@@ -183,12 +183,12 @@ class SetEvidence:
         score[there] = self.log_z[there] + self.family.log_colours[self.kinds[there] - 1] + math.log(COLOURED)
         return int(np.argmax(score))
 
-    def variances(self, kind: int) -> Array:
-        """Variances (n,) of the errors of one kind, by its index here."""
+    def variances(self, kind: int, *, alone: bool = False) -> Array:
+        """Variances (n,) of the errors of one kind, by its index here, or of its noise alone."""
         noise, discrepancy, _ = self.family.kinds
         at = self.kinds[kind]
         sigma2 = np.exp(2.0 * self.log_noise[kind])[self.family.member]
-        return np.asarray(sigma2 * noise[at] + discrepancy[at])
+        return np.asarray(sigma2 * noise[at] + (0.0 if alone else discrepancy[at]))
 
 
 class SetModel:

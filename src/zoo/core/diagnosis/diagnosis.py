@@ -36,6 +36,7 @@ from zoo.core.outputs import output_folder, write_file
 
 if TYPE_CHECKING:
     from zoo.core.diagnosis.posteriors import SampledExplanations
+    from zoo.core.diagnosis.sets import CauseSets
 
 Array = NDArray[np.float64]
 
@@ -134,6 +135,24 @@ class Diagnosis:
         record = self.file.record | {"posterior_seconds": time.monotonic() - began}
         content = self.file.model_copy(update={"posteriors": found.summary(), "record": record})
         return replace(self, file=content, sampled=found)
+
+    def sets(self, *, cores: int = 2, tick: Callable[[str, float], None] | None = None) -> CauseSets:
+        """The posterior over sets of causes, of which every probability is a sum (docs/causes.md).
+
+        Parameters
+        ----------
+        cores : int
+            Threads.
+        tick : callable, optional
+            Called with a text and the share done.
+
+        Returns
+        -------
+        CauseSets
+        """
+        from zoo.core.diagnosis.sets import cause_sets
+
+        return cause_sets(self.rounds[0].screened, self.hooks, cores=cores, tick=tick)
 
     confirmed = with_posteriors
     """The former name of `with_posteriors`."""

@@ -29,7 +29,7 @@ from zoo.core.diagnosis.file import unit_suffix
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
 from zoo.core.diagnosis.screening import Screened
-from zoo.core.diagnosis.search import SETTLED, Point, Search, SearchError
+from zoo.core.diagnosis.search import Point, Search, SearchError
 from zoo.core.effects import NUMERICS, AddedEffect
 from zoo.core.forward import ForwardModel
 
@@ -38,13 +38,11 @@ Which = tuple[int, ...]
 
 MASS, MOST_SOLVED = 0.97, 10
 """Probability that the sets which are solved hold together, and how many are at most."""
-STEPS, ROUNDS, TURNS = 6, 4, 3
-"""Steps of a descent, descents with fresh derivatives, and turns of the mode and of the errors beside it."""
+STEPS, ROUNDS = 6, 4
+"""Steps of a descent, and descents with fresh derivatives."""
 NEARER = (1.0, 0.5, 0.2)
 """Parts of the linear model's step from which a descent begins."""
 SIZE_PRIORS = SizePriors()
-OTHER_ERRORS = 0.2
-"""Change of a logarithm of the errors' variance after which a mode is sought again beside them."""
 WAVES = 4
 """Times that new leading sets are solved."""
 
@@ -348,8 +346,7 @@ class CauseSearch:
         self.screening.forwards.append(forward)
         data = self.screening.coefficients - shift
         best = linear.best(SIZE_PRIORS)
-        V = linear.variances(best)
-        search = Search(forward, data, V)
+        search = Search(forward, data, linear.variances(best))
         point: Point | None = None
         for u, jacobian in self._starts(which, order, linear.mean[best]):
             try:
@@ -360,17 +357,19 @@ class CauseSearch:
                 point = tried
         if point is None:
             return None
-        point = search.refine(search.descend(point, STEPS), 1, STEPS)
-        for _ in range(TURNS):
+        point = search.descend(point, STEPS)
+        kept: tuple[Point, SetEvidence] | None = None
+        reference = linear
+        # beside a discrepancy a lesser mode costs little: the noise alone is the first to say where the mode is
+        for alone in (True, False):
+            search = Search(forward, data, reference.variances(reference.best(SIZE_PRIORS), alone=alone))
+            point = search.refine(search.resume(point), ROUNDS, STEPS)
             found = self._around(order, baseline, shift, point, linear)
-            now = found.variances(found.best(SIZE_PRIORS))
-            search = Search(forward, data, now)
-            before = search.resume(point)
-            point = search.refine(before, ROUNDS, STEPS)
-            if before.cost - point.cost < SETTLED and float(np.max(np.abs(np.log(now / V)))) < OTHER_ERRORS:
-                break
-            V = now
-        found = self._around(order, baseline, shift, point, linear)
+            if kept is None or found.total(SIZE_PRIORS) > kept[1].total(SIZE_PRIORS):
+                kept = point, found
+            reference = found
+        assert kept is not None
+        point, found = kept
         computed = point.computed + shift
         fit = Fit(
             forward.hypothesis, forward, point.u, computed, point.jacobian, self.screening.coefficients - computed,
@@ -443,3 +442,39 @@ class CauseSearch:
         V = found.variances(found.best(SIZE_PRIORS))
         change = point.computed + shift - self.base.computed
         return replace(found, signal=self.family.relative(without(self.linear.jacobian, change, V)))
+
+
+def cause_sets(
+    screened: Screened,
+    hooks: Hooks,
+    *,
+    cores: int = 2,
+    tick: Callable[[str, float], None] | None = None,
+) -> CauseSets:
+    """The posterior over sets of causes of a screening's baseline.
+
+    Parameters
+    ----------
+    screened : Screened
+        Gives the data, the baseline's fit, and where each listed effect fits best by itself.
+    hooks : Hooks
+        Gives the free functions, and the component of each effect.
+    cores : int
+        Threads.
+    tick : callable, optional
+        Called with a text and the share done.
+
+    Returns
+    -------
+    CauseSets
+
+    Raises
+    ------
+    SolveError
+        If the baseline cannot be solved on a grid that is kept.
+    """
+    screening = screened.screening
+    functions = (
+        hooks.components(screening.baseline, screened.base.values, screening.data) if hooks.components else ()
+    )
+    return CauseSearch(screened, functions, hooks, cores).run(tick)

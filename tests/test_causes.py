@@ -1,0 +1,225 @@
+"""The posterior over sets of causes beside direct integrals, and under changes that must not matter."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from benchmarks.causes import RANGE, LinearToy
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal, norm
+
+from zoo.core.causes import Cause, CauseError, CausePriors, Problem, weigh_causes
+from zoo.core.causes.evidence import SetModel, SizePriors
+from zoo.core.causes.family import COLOURED, NOISE_SPREAD
+from zoo.core.causes.problem import without_doubles
+from zoo.core.causes.reference import Reference
+
+
+@pytest.fixture(scope="module")
+def toy() -> LinearToy:
+    return LinearToy(n_series=2, n_times=16)
+
+
+def marginal_normal(problem: Problem, causes, scales, V: np.ndarray) -> float:
+    """log N(r; 0, V + J P^-1 J' + sum s^2 R R'), of parameters with a proper normal prior."""
+    covariance = np.diag(V) + problem.jacobian @ np.linalg.inv(problem.P) @ problem.jacobian.T
+    for one, s in zip(causes, scales, strict=True):
+        covariance += s**2 * one.columns @ one.columns.T
+    return float(multivariate_normal.logpdf(problem.residual, cov=covariance))
+
+
+def direct(toy: LinearToy, problem: Problem, causes, sizes: SizePriors, signal: float) -> float:
+    """The evidence of a set by plain sums over fine grids of noise, sizes and functions' sizes."""
+    f = toy.family
+    x = np.linspace(-3.5, 3.5, 57)
+    log_noise = f.noise_centre[0] + NOISE_SPREAD * x
+    log_w = norm.logpdf(x) + math.log(x[1] - x[0])
+    free = [one for one in causes if one.free]
+    s_grid = np.linspace(0.1, 3.3, 17) if free else np.ones(1)
+    log_s = norm.logpdf(s_grid) + math.log(2 * (s_grid[1] - s_grid[0])) if free else np.zeros(1)
+    d_grid = np.concatenate([[0.0], np.geomspace(1e-4, 0.6, 30)])
+    edges = np.concatenate([[0.0], np.sqrt(d_grid[1:-1] * d_grid[2:]), [np.inf]])
+    edges = np.concatenate([[0.0, 0.5e-4], edges[1:]])
+    log_d = np.log(
+        np.maximum(sum(w * 2 * np.diff(norm.cdf(edges / scale)) for scale, w in sizes.scales(signal).items()), 1e-300)
+    )
+    terms = []
+    for s, ls in zip(s_grid, log_s, strict=True):
+        scales = [s if one.free else 1.0 for one in causes]
+        C = problem.jacobian @ np.linalg.inv(problem.P) @ problem.jacobian.T
+        C = C + sum(k**2 * one.columns @ one.columns.T for one, k in zip(causes, scales, strict=True))
+
+        def log_density(V: np.ndarray, C: np.ndarray = C) -> np.ndarray:
+            K = C + V[:, :, None] * np.eye(V.shape[1])
+            L = np.linalg.cholesky(K)
+            y = np.linalg.solve(L, np.broadcast_to(problem.residual, V.shape)[..., None])[..., 0]
+            logdet = 2 * np.log(np.einsum("nii->ni", L)).sum(axis=1)
+            return -0.5 * np.sum(y**2, axis=1) - 0.5 * logdet - 0.5 * V.shape[1] * math.log(2 * math.pi)
+
+        noise = np.exp(2 * log_noise)
+        for shape, ratio in enumerate(f.log_colours):
+            V = noise[:, None] * f.kinds[0][1 + shape]
+            terms.append(logsumexp(log_density(V) + log_w) + ratio + ls + math.log(COLOURED))
+        for shape in range(len(f.shapes)):
+            for d, ld in zip(d_grid, log_d, strict=True):
+                V = noise[:, None] + d**2 * f.discrepancies[shape]
+                own = f.log_shapes[shape] + ld + ls + math.log(1 - COLOURED)
+                if own > -25:
+                    terms.append(logsumexp(log_density(V) + log_w) + own)
+    return float(logsumexp(terms))
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_the_evidence_of_nothing_is_that_of_plain_sums(toy, seed):
+    rng = np.random.default_rng(seed)
+    problem = toy.problem(toy.drawn(rng)[1])
+    found = SetModel(problem, (), toy.family).evidence(np.arange(toy.family.n_kinds), toy.family.noise_start)
+    assert found.total(toy.sizes) == pytest.approx(direct(toy, problem, (), toy.sizes, 0.0), abs=0.35)
+
+
+def test_the_evidence_of_a_function_is_that_of_plain_sums():
+    toy = LinearToy(n_series=1, n_times=24, n_components=2, n_causes=6)
+    one = next(c for c in toy.causes if c.free)
+    problem = toy.problem(toy.drawn(np.random.default_rng(3))[1])
+    found = SetModel(problem, [one], toy.family).evidence(np.arange(toy.family.n_kinds), toy.family.noise_start)
+    alone = SetModel(problem, (), toy.family).evidence(np.arange(toy.family.n_kinds), toy.family.noise_start)
+    gained = found.total(toy.sizes) - alone.total(toy.sizes)
+    beside = direct(toy, problem, [one], toy.sizes, found.signal) - direct(toy, problem, (), toy.sizes, 0.0)
+    assert gained == pytest.approx(beside, abs=0.35)
+
+
+def test_sets_beside_one_error_are_those_of_the_joint_normal_distribution(toy):
+    listed = [i for i, one in enumerate(toy.causes) if not one.free and math.isinf(one.low)]
+    free = [i for i, one in enumerate(toy.causes) if one.free]
+    problem = toy.problem(toy.drawn(np.random.default_rng(5))[1])
+    V = np.full(len(problem.residual), 0.1**2)
+    reference = Reference(problem, toy.causes, V)
+    first, second = listed[0], listed[1]
+    alone = reference.further((), ())[0][first]
+    both = alone + reference.further((first,), (1.0,))[0][second]
+    nothing = marginal_normal(problem, (), (), V)
+    pair = marginal_normal(problem, [toy.causes[first], toy.causes[second]], (1.0, 1.0), V)
+    assert both == pytest.approx(pair - nothing, rel=1e-8)
+    gained, scale = (x[free[0]] for x in reference.further((first,), (1.0,)))
+    values = np.linspace(0.01, 5.0, 800)
+    each = [marginal_normal(problem, [toy.causes[first], toy.causes[free[0]]], (1.0, s), V) for s in values]
+    one = marginal_normal(problem, [toy.causes[first]], (1.0,), V)
+    direct_gain = logsumexp(np.array(each) + norm.logpdf(values) + math.log(2 * (values[1] - values[0]))) - one
+    assert gained == pytest.approx(direct_gain, abs=0.1)
+    assert scale == pytest.approx(values[np.argmax(np.array(each) - 0.5 * values**2)], rel=0.6)
+
+
+def test_a_bounded_amplitude_has_the_mass_inside(toy):
+    i = next(i for i, one in enumerate(toy.causes) if one.low == 0.0)
+    problem = toy.problem(toy.drawn(np.random.default_rng(6))[1])
+    V = np.full(len(problem.residual), 0.3**2)
+    values = np.linspace(0.0, 4.0, 4001)
+    each = [
+        marginal_normal(replace(problem, residual=problem.residual - toy.causes[i].columns[:, 0] * w), (), (), V)
+        for w in values
+    ]
+    prior = norm.logpdf(values) - math.log(norm.cdf(4) - 0.5)
+    expected = logsumexp(np.array(each) + prior + math.log(1e-3)) - marginal_normal(problem, (), (), V)
+    assert Reference(problem, toy.causes, V).further((), ())[0][i] == pytest.approx(expected, abs=0.01)
+
+
+def with_a_cause(toy: LinearToy, i: int, noise: float = 0.1) -> np.ndarray:
+    rng = np.random.default_rng(2)
+    return 2.0 * toy.causes[i].columns[:, 0] + noise * rng.standard_normal(len(toy.jacobian))
+
+
+def test_a_cause_that_is_there_is_found_and_a_probability_is_a_sum(toy):
+    found = weigh_causes(toy.problem(with_a_cause(toy, 4)), toy.causes, toy.family)
+    assert found.components["c4"] > 0.99
+    assert next(iter(found.probability)) == (4,)
+    log = np.array([row.log_prior + row.evidence.total(found.sizes) for row in found.rows])
+    guesses = np.array(list(found.guessed.values()))
+    total = logsumexp(np.concatenate([log, guesses]))
+    for name in found.priors.names:
+        inside = [any(found.causes[i].component == name for i in row.which) for row in found.rows]
+        guessed = [any(found.causes[i].component == name for i in which) for which in found.guessed]
+        expected = np.exp(log - total)[inside].sum() + np.exp(guesses - total)[guessed].sum()
+        assert found.components[name] == pytest.approx(expected, rel=1e-9, abs=1e-300)
+    assert found.number.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("change", ["given twice", "renamed", "other unit"])
+def test_totals_of_components_do_not_change(toy, change):
+    residual = with_a_cause(toy, 4)
+    before = weigh_causes(toy.problem(residual), toy.causes, toy.family)
+    causes, problem, family = list(toy.causes), toy.problem(residual), toy.family
+    if change == "given twice":
+        causes, left = without_doubles([*causes, replace(causes[4], name="again")])
+        assert left == {"again": "e4"}
+    elif change == "renamed":
+        causes[4] = replace(causes[4], name="z")
+    else:
+        causes = [replace(one, columns=7.5 * one.columns) for one in causes]
+        family = replace(family, ranges={"y": 7.5 * RANGE})
+        problem = replace(problem, residual=7.5 * residual, jacobian=7.5 * problem.jacobian)
+    after = weigh_causes(problem, causes, family)
+    assert after.components == pytest.approx(before.components, rel=1e-5, abs=1e-8)
+
+
+@pytest.mark.parametrize("coloured", [False, True])
+def test_noise_alone_is_no_gap(toy, coloured):
+    rng = np.random.default_rng(8)
+    V = 0.1**2 * toy.family.kinds[0][1 + toy.family.colours.index((1.0, 0.03))] if coloured else 0.1**2
+    residual = np.sqrt(V) * rng.standard_normal(len(toy.jacobian))
+    found = weigh_causes(toy.problem(residual), toy.causes, toy.family)
+    assert max(found.components.values()) < 0.2
+    assert found.no_gap(0.01, 1e-3) > 0.4
+
+
+def test_prior_probabilities_sum_to_one_and_give_a_component_its_odds(toy):
+    sets = {(): toy.priors.log_prior(())}
+    order = list(range(len(toy.causes)))
+    for size in range(1, 5):
+        for which in combinations(order, size):
+            if len({toy.causes[i].component for i in which}) == size:
+                sets[which] = toy.priors.log_prior(which)
+    assert logsumexp(list(sets.values())) == pytest.approx(0.0, abs=1e-9)
+    own = sum(math.exp(x) for w, x in sets.items() if any(toy.causes[i].component == "c2" for i in w))
+    assert own == pytest.approx(toy.priors.inclusion()["c2"], rel=1e-9)
+    assert own == pytest.approx(1 / 11, rel=0.01)
+
+
+def test_responses_that_do_not_fit_are_named(toy):
+    with pytest.raises(CauseError, match=r"odd: columns: 3 coefficients, the data have 32"):
+        weigh_causes(toy.problem(with_a_cause(toy, 4)), [Cause("odd", "c0", np.ones((3, 1)))], toy.family)
+    with pytest.raises(CauseError, match=r"odd: bounds \[1, 1\]: low must be below high"):
+        Cause("odd", "c0", np.ones((3, 1)), low=1.0, high=1.0)
+
+
+def test_other_odds_need_no_new_evidence(toy):
+    found = weigh_causes(toy.problem(with_a_cause(toy, 4, noise=1.0)), toy.causes, toy.family)
+    doubled = found.under(odds=0.2)
+    first = [w for w in found.probability if len(w) == 1][0]
+    ratio = [p.probability[first] / p.probability[()] for p in (found, doubled)]
+    assert ratio[1] == pytest.approx(2.0 * ratio[0])
+    assert CausePriors(toy.causes, odds=0.2).log_prior(first) == pytest.approx(doubled.priors.log_prior(first))
+
+
+def test_causes_are_as_probable_as_they_are_frequent():
+    """Calibration under the prior of all: sets, sizes and errors; `benchmarks/causes.py` has 2,000 such."""
+    toy = LinearToy(n_times=16, n_causes=10, n_components=5)
+    rng = np.random.default_rng(11)
+    stated, true = [], []
+    for _ in range(40):
+        which, residual = toy.drawn(rng)
+        found = weigh_causes(toy.problem(residual), toy.causes, toy.family, priors=toy.priors, cores=1)
+        p = found.included(lambda one: one.name)
+        stated.append([p.get(one.name, 0.0) for one in toy.causes])
+        true.append([i in which for i in range(len(toy.causes))])
+    p, there = np.array(stated), np.array(true, dtype=float)
+    sd = math.sqrt(float(np.sum(p * (1 - p))))
+    assert abs(p.sum() - there.sum()) < 3.5 * sd
+    high = p > 0.5
+    assert abs(p[high].sum() - there[high].sum()) < 3.5 * math.sqrt(float(np.sum((p * (1 - p))[high])) + 0.05)
+    score = np.mean(there * np.log(np.maximum(p, 1e-300)) + (1 - there) * np.log(np.maximum(1 - p, 1e-300)))
+    rate = there.mean()
+    assert score > rate * math.log(rate) + (1 - rate) * math.log(1 - rate) + 0.05
