@@ -142,7 +142,9 @@ def calibrate(replicates: int, seed: int) -> None:
     print("causes at once: stated, true, difference in standard errors")
     for k in range(5):
         off = each[:, k] - (count == k)
-        print(f"  {k}: {each[:, k].mean():.4f} {(count == k).mean():.4f} {off.mean() / off.std() * replicates**0.5:+.1f}")
+        print(
+            f"  {k}: {each[:, k].mean():.4f} {(count == k).mean():.4f} {off.mean() / off.std() * replicates**0.5:+.1f}"
+        )
     print("stated probability of a cause: number, mean, frequency, difference in standard errors")
     for low, high in zip(BINS[:-1], BINS[1:], strict=True):
         inside = (p >= low) & (p < high)
@@ -176,13 +178,20 @@ def frozen(out: Path, each: int, cores: int) -> None:
             with out.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(line) + "\n")
             found[key.case] = line
-            print(key.case, key.label, {k: round(v, 2) for k, v in line["components"].items() if v > 0.02}, flush=True)
+            print(
+                key.case,
+                key.label,
+                {k: round(v, 2) for k, v in line["components"].items() if v > 0.02},
+                flush=True,
+            )
     _scores([key for key in chosen if key.case in found], found)
 
 
 def _scores(keys: list[CaseKey], found: Mapping[str, Any]) -> None:
     former = frozen_answers()
-    print("set: cases | log score of a component's inclusion, without floor | Brier score | first right | wrong above 0.9")
+    print(
+        "set: cases | log score of a component's inclusion, without floor | Brier score | first right | wrong above 0.9"
+    )
     rows: dict[str, list[list[float]]] = {}
     for key in keys:
         answer = former[key.case]
@@ -196,7 +205,12 @@ def _scores(keys: list[CaseKey], found: Mapping[str, Any]) -> None:
             good = first in key.components if key.components else p[first] < 0.5
             wrong = sum(p[n] > 0.9 for n in names if n not in key.components)
             with np.errstate(divide="ignore"):
-                row += [float(np.log(right).mean()), float(np.mean((1.0 - right) ** 2)), float(good), float(wrong)]
+                row += [
+                    float(np.log(right).mean()),
+                    float(np.mean((1.0 - right) ** 2)),
+                    float(good),
+                    float(wrong),
+                ]
         rows.setdefault(key.case.split("-")[0], []).append(row)
         rows.setdefault("all", []).append(row)
     for name, each in rows.items():

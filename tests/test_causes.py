@@ -45,7 +45,9 @@ def direct(toy: LinearToy, problem: Problem, causes, sizes: SizePriors, signal: 
     edges = np.concatenate([[0.0], np.sqrt(d_grid[1:-1] * d_grid[2:]), [np.inf]])
     edges = np.concatenate([[0.0, 0.5e-4], edges[1:]])
     log_d = np.log(
-        np.maximum(sum(w * 2 * np.diff(norm.cdf(edges / scale)) for scale, w in sizes.scales(signal).items()), 1e-300)
+        np.maximum(
+            sum(w * 2 * np.diff(norm.cdf(edges / scale)) for scale, w in sizes.scales(signal).items()), 1e-300
+        )
     )
     terms = []
     for s, ls in zip(s_grid, log_s, strict=True):
@@ -85,7 +87,9 @@ def test_the_evidence_of_a_function_is_that_of_plain_sums():
     toy = LinearToy(n_series=1, n_times=24, n_components=2, n_causes=6)
     one = next(c for c in toy.causes if c.free)
     problem = toy.problem(toy.drawn(np.random.default_rng(3))[1])
-    found = SetModel(problem, [one], toy.family).evidence(np.arange(toy.family.n_kinds), toy.family.noise_start)
+    found = SetModel(problem, [one], toy.family).evidence(
+        np.arange(toy.family.n_kinds), toy.family.noise_start
+    )
     alone = SetModel(problem, (), toy.family).evidence(np.arange(toy.family.n_kinds), toy.family.noise_start)
     gained = found.total(toy.sizes) - alone.total(toy.sizes)
     beside = direct(toy, problem, [one], toy.sizes, found.signal) - direct(toy, problem, (), toy.sizes, 0.0)
@@ -108,7 +112,9 @@ def test_sets_beside_one_error_are_those_of_the_joint_normal_distribution(toy):
     values = np.linspace(0.01, 5.0, 800)
     each = [marginal_normal(problem, [toy.causes[first], toy.causes[free[0]]], (1.0, s), V) for s in values]
     one = marginal_normal(problem, [toy.causes[first]], (1.0,), V)
-    direct_gain = logsumexp(np.array(each) + norm.logpdf(values) + math.log(2 * (values[1] - values[0]))) - one
+    direct_gain = (
+        logsumexp(np.array(each) + norm.logpdf(values) + math.log(2 * (values[1] - values[0]))) - one
+    )
     assert gained == pytest.approx(direct_gain, abs=0.1)
     assert scale == pytest.approx(values[np.argmax(np.array(each) - 0.5 * values**2)], rel=0.6)
 
@@ -119,7 +125,9 @@ def test_a_bounded_amplitude_has_the_mass_inside(toy):
     V = np.full(len(problem.residual), 0.3**2)
     values = np.linspace(0.0, 4.0, 4001)
     each = [
-        marginal_normal(replace(problem, residual=problem.residual - toy.causes[i].columns[:, 0] * w), (), (), V)
+        marginal_normal(
+            replace(problem, residual=problem.residual - toy.causes[i].columns[:, 0] * w), (), (), V
+        )
         for w in values
     ]
     prior = norm.logpdf(values) - math.log(norm.cdf(4) - 0.5)
@@ -201,7 +209,9 @@ def test_other_odds_need_no_new_evidence(toy):
     first = [w for w in found.probability if len(w) == 1][0]
     ratio = [p.probability[first] / p.probability[()] for p in (found, doubled)]
     assert ratio[1] == pytest.approx(2.0 * ratio[0])
-    assert CausePriors(toy.causes, odds=0.2).log_prior(first) == pytest.approx(doubled.priors.log_prior(first))
+    assert CausePriors(toy.causes, odds=0.2).log_prior(first) == pytest.approx(
+        doubled.priors.log_prior(first)
+    )
 
 
 def test_causes_are_as_probable_as_they_are_frequent():

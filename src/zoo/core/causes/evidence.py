@@ -131,7 +131,9 @@ class SetEvidence:
     def only(self, kinds: Kinds) -> SetEvidence:
         """The same beside some of its kinds of errors."""
         at = np.searchsorted(self.kinds, kinds)
-        arrays = {name: getattr(self, name)[at] for name in ("log_z", "slope", "log_noise", "mean", "covariance")}
+        arrays = {
+            name: getattr(self, name)[at] for name in ("log_z", "slope", "log_noise", "mean", "covariance")
+        }
         return replace(self, kinds=kinds, **arrays)
 
     def interpolated(self) -> Array:
@@ -174,10 +176,9 @@ class SetEvidence:
         x, _ = self.family.grid
         logs = np.interp(np.log(SIZES), x, self.family.log_sizes(priors.scales(self.signal)))
         after = self.kinds >= self._first
-        score[after] = (
-            self.log_z[after]
-            + (self.family.log_shapes[shapes][:, None] + logs + math.log(1.0 - COLOURED)).reshape(-1)
-        )
+        score[after] = self.log_z[after] + (
+            self.family.log_shapes[shapes][:, None] + logs + math.log(1.0 - COLOURED)
+        ).reshape(-1)
         score[0] = self.log_z[0] + logs[0] + math.log(1.0 - COLOURED)
         there = (self.kinds > 0) & ~after
         score[there] = self.log_z[there] + self.family.log_colours[self.kinds[there] - 1] + math.log(COLOURED)
@@ -218,7 +219,9 @@ class SetModel:
 
     def precision(self, scales: Array) -> tuple[Array, Array]:
         """Prior precision (..., p, p) and pull (..., p) for sizes (..., n_causes)."""
-        inverse = 1.0 / scales[..., self.owner] ** 2 if len(self.causes) else np.zeros((*scales.shape[:-1], 0))
+        inverse = (
+            1.0 / scales[..., self.owner] ** 2 if len(self.causes) else np.zeros((*scales.shape[:-1], 0))
+        )
         diagonal = np.concatenate([np.zeros((*inverse.shape[:-1], self.k)), inverse], axis=-1)
         P = self.P0 + diagonal[..., None] * np.eye(len(self.mean))
         return P, self.pull - diagonal * self.mean
@@ -228,7 +231,9 @@ class SetModel:
         P, pull = self.precision(scales)
         H, b = gram + P, right - pull
         size = np.sqrt(np.maximum(np.einsum("...ii->...i", H), 1e-300))
-        C = np.linalg.inv(H / (size[..., :, None] * size[..., None, :])) / (size[..., :, None] * size[..., None, :])
+        C = np.linalg.inv(H / (size[..., :, None] * size[..., None, :])) / (
+            size[..., :, None] * size[..., None, :]
+        )
         mean = np.einsum("...ij,...j->...i", C, b)
         _, logdet = np.linalg.slogdet(H / (size[..., :, None] * size[..., None, :]))
         gain = 0.5 * np.sum(b * mean, axis=-1) - 0.5 * (logdet + 2.0 * np.log(size).sum(axis=-1))
@@ -247,7 +252,9 @@ class SetModel:
             if math.isinf(one.low) and math.isinf(one.high):
                 continue
             centre = float(one.prior_mean[0])
-            inside = log_normal_mass((one.low - mean[..., at]) / sd[..., at], (one.high - mean[..., at]) / sd[..., at])
+            inside = log_normal_mass(
+                (one.low - mean[..., at]) / sd[..., at], (one.high - mean[..., at]) / sd[..., at]
+            )
             total = total + inside - log_normal_mass(one.low - centre, one.high - centre)
         return total
 
@@ -285,14 +292,18 @@ class SetModel:
         V = own + discrepancy
         gram, right = self._products(V)
         a = own / V
-        base = -0.5 * np.sum(self.problem.residual**2 / V + np.log(V), axis=1) - 0.5 * n * math.log(2.0 * math.pi)
+        base = -0.5 * np.sum(self.problem.residual**2 / V + np.log(V), axis=1) - 0.5 * n * math.log(
+            2.0 * math.pi
+        )
         bend = 2.0 * (a**2) @ f.one_of.T + 1.0 / NOISE_SPREAD**2
         x = (log_noise - f.noise_centre) / NOISE_SPREAD
         laplace = -0.5 * x**2 - math.log(NOISE_SPREAD) - 0.5 * np.log(bend)
         base += laplace @ f.noise_free.astype(float) + self.problem.log_prior
         scales, masses = _combinations(tuple(one.free for one in self.causes))
         if len(scales) > 1:
-            gains = np.stack([self.solve(gram, right, np.broadcast_to(s, ones.shape))[0] for s in scales], axis=1)
+            gains = np.stack(
+                [self.solve(gram, right, np.broadcast_to(s, ones.shape))[0] for s in scales], axis=1
+            )
             gains += masses
             best = scales[np.argmax(gains, axis=1)]
             log_z = base + logsumexp(gains, axis=1)

@@ -99,7 +99,9 @@ class ErrorFamily:
     @cached_property
     def log_shapes(self) -> Array:
         """Log prior of each shape."""
-        log = np.array([-0.5 * (math.log(length / LENGTH[0]) / LENGTH[1]) ** 2 for _, length, _ in self.shapes])
+        log = np.array(
+            [-0.5 * (math.log(length / LENGTH[0]) / LENGTH[1]) ** 2 for _, length, _ in self.shapes]
+        )
         return np.asarray(log - logsumexp(log))
 
     @cached_property
@@ -143,7 +145,10 @@ class ErrorFamily:
         n, T = self.errors.size, self.errors.on.duration
         white = np.ones((1, n))
         coloured = np.stack(
-            [np.tile(1.0 + ratio**2 * self.errors.rough(t * T), self.errors.on.n_series) for ratio, t in self.colours]
+            [
+                np.tile(1.0 + ratio**2 * self.errors.rough(t * T), self.errors.on.n_series)
+                for ratio, t in self.colours
+            ]
         )
         each = (SIZES[None, :, None] ** 2 * self.discrepancies[:, None, :]).reshape(-1, n)
         noise = np.concatenate([white, coloured, np.ones_like(each)])

@@ -117,7 +117,9 @@ class CausePosterior:
             In parts of the range.
         """
         empty = next(row for row in self.rows if not row.which)
-        return self.probability[()] * math.exp(empty.evidence.small(self.sizes, max(NOTHING * noise, numerics)))
+        return self.probability[()] * math.exp(
+            empty.evidence.small(self.sizes, max(NOTHING * noise, numerics))
+        )
 
     def under(self, sizes: SizePriors | None = None, odds: float | None = None) -> CausePosterior:
         """The same with another prior of the discrepancy's size or other odds of causes; guesses keep theirs."""

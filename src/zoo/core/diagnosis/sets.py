@@ -28,7 +28,7 @@ from zoo.core.diagnosis.evidence import Fit
 from zoo.core.diagnosis.file import unit_suffix
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
-from zoo.core.diagnosis.screening import Screened
+from zoo.core.diagnosis.screening import PROMISED, Screened
 from zoo.core.diagnosis.search import Point, Search, SearchError
 from zoo.core.effects import NUMERICS, AddedEffect
 from zoo.core.forward import ForwardModel
@@ -43,6 +43,8 @@ STEPS, ROUNDS = 6, 4
 NEARER = (1.0, 0.5, 0.2)
 """Parts of the linear model's step from which a descent begins."""
 SIZE_PRIORS = SizePriors()
+VISIBLE = 3.0
+"""Log evidence of one more cause from which on a smaller set is sought again where the larger one ended."""
 WAVES = 4
 """Times that new leading sets are solved."""
 
@@ -237,7 +239,9 @@ class CauseSearch:
                     at = fit.forward.asked + 1 + i
                     columns.append(fit.jacobian[:, at] * p.scale)
                     mean.append((p.centre - fit.u[at]) / p.scale)
-            start = fit.u[fit.forward.asked :] if fit is not None else np.array([first.starts[0], *one.others])
+            start = (
+                fit.u[fit.forward.asked :] if fit is not None else np.array([first.starts[0], *one.others])
+            )
             cause = Cause(
                 one.name, belongs[one.name], np.stack(columns, axis=1), place=one.added.location.suffix,
                 low=first.low / first.scale, high=first.high / first.scale, mean=np.array(mean),
@@ -252,16 +256,26 @@ class CauseSearch:
             for length in f.lengths or (None,):
                 columns = block.columns @ (f.size * f.root(length))
                 place = "" if length is None else f"({length:.3g} {f.argument_unit})"
-                found.append((Cause(f.name, f.component, columns, free=True, place=place), Origin(function=f, length=length)))
+                found.append(
+                    (
+                        Cause(f.name, f.component, columns, free=True, place=place),
+                        Origin(function=f, length=length),
+                    )
+                )
         return found
 
     def run(self, tick: Callable[[str, float], None] | None = None) -> CauseSets:
         """The posterior, its leading sets solved."""
         found = weigh_causes(
-            self.problem, self.causes, self.family, priors=CausePriors(self.causes), cores=self.cores, tick=tick
+            self.problem,
+            self.causes,
+            self.family,
+            priors=CausePriors(self.causes),
+            cores=self.cores,
+            tick=tick,
         )
         linear = {row.which: row for row in found.rows}
-        tried: set[Which] = set()
+        tried, retried = set[Which](), set[Which]()
         for wave in range(WAVES):
             due = self._due(found, tried)
             if not due:
@@ -274,8 +288,20 @@ class CauseSearch:
                     now = [w for w in due if len(w) == size]
                     results = list(pool.map(lambda which: self.solve(which, linear[which].evidence), now))
                     self.solved |= {w: one for w, one in zip(now, results, strict=True) if one is not None}
+            again = [w for w in self.solved if w not in retried and self._outdone(w)]
+            retried |= set(again)
+            with ThreadPoolExecutor(max(1, self.cores)) as pool, threadpool_limits(1, user_api="blas"):
+                results = list(pool.map(lambda which: self.solve(which, linear[which].evidence), again))
+            for which, one in zip(again, results, strict=True):
+                if one is not None and one.fit.log_z > self.solved[which].fit.log_z:
+                    self.solved[which] = one
             found = self._corrected(found, linear)
         return CauseSets(found, self.solved, self.linear_error, self)
+
+    def _outdone(self, which: Which) -> bool:
+        """Whether a set with more causes was solved with visibly more evidence, as where a mode was missed."""
+        more = [one.fit.log_z for w, one in self.solved.items() if set(w) > set(which)]
+        return max(more, default=-np.inf) > self.solved[which].fit.log_z + VISIBLE
 
     def _corrected(self, found: CausePosterior, linear: Mapping[Which, SetRow]) -> CausePosterior:
         """With what was solved; what was not is shifted as the solved set is that shares most causes with it."""
@@ -339,7 +365,9 @@ class CauseSearch:
         """A set at its mode; None where nothing can be solved on the way."""
         order = sorted(which, key=lambda i: self.origins[i].added is None)  # listed effects first
         added = tuple(self.origins[i].effect() for i in order)
-        numerical = any(one.effect.family == NUMERICS for one in added)  # which mean something on their own grid
+        numerical = any(
+            one.effect.family == NUMERICS for one in added
+        )  # which mean something on their own grid
         baseline = self.screening.baseline if numerical else self.grid.baseline
         shift = np.zeros_like(self.shift) if numerical else self.shift
         forward = HypothesisModel(baseline, Hypothesis(added), self.screening.errors)
@@ -365,6 +393,7 @@ class CauseSearch:
             search = Search(forward, data, reference.variances(reference.best(SIZE_PRIORS), alone=alone))
             point = search.refine(search.resume(point), ROUNDS, STEPS)
             found = self._around(order, baseline, shift, point, linear)
+            found = self._delivered(found, forward, data, point, self._n_free(order))
             if kept is None or found.total(SIZE_PRIORS) > kept[1].total(SIZE_PRIORS):
                 kept = point, found
             reference = found
@@ -377,24 +406,52 @@ class CauseSearch:
         )  # fmt: skip
         return Solved(fit, found, linear.total(SIZE_PRIORS), tuple(order))
 
+    def _delivered(
+        self, found: SetEvidence, forward: HypothesisModel, data: Array, point: Point, n_free: int
+    ) -> SetEvidence:
+        """The evidence without what the linear model promises between the point and its mode, and no solve delivers."""
+        best = found.best(SIZE_PRIORS)
+        k = len(point.u) - n_free
+        seen = np.concatenate(
+            [np.zeros(k), point.u[k:]]
+        )  # weights are seen from 0, parameters from the point
+        step = np.clip(found.mean[best] + point.u - seen, forward.low, forward.high) - point.u
+        search = Search(forward, data, found.variances(best))
+        here = search.cost(point.u, point.computed)
+        promised = here - search.cost(point.u + step, point.computed + point.jacobian @ step)
+        if promised < PROMISED:
+            return found
+        computed = forward(point.u + step)
+        gained = 0.0 if computed is None else max(0.0, here - search.cost(point.u + step, computed))
+        return replace(found, log_z=found.log_z - max(0.0, promised - gained))
+
     def _starts(self, which: Which, order: Sequence[int], mean: Array) -> list[tuple[Array, Array]]:
         """Where a search may begin, with derivatives: parts of the linear step, and where a solved subset ended."""
         origin, start, jacobian = self._start(which, order, mean)
         found = [(origin + part * (start - origin), jacobian) for part in NEARER]
-        inside = [w for w in self.solved if set(w) < set(which)]
-        if inside:
-            one = self.solved[max(inside, key=lambda w: (len(w), self.solved[w].fit.log_z))]
-            k = len(self.base.u)
-            sizes = {i: len(self.origins[i].effect().effect.parameters) for i in order}
-            at = dict(zip(order, np.cumsum([k, *sizes.values()]), strict=False))
-            there = dict(zip(one.order, np.cumsum([k, *(sizes[i] for i in one.order)]), strict=False))
-            u, J = origin.copy(), jacobian.copy()
+        k = len(self.base.u)
+        sizes = {i: len(self.origins[i].effect().effect.parameters) for i in order}
+        at = dict(zip(order, np.cumsum([k, *sizes.values()]), strict=False))
+        for one in self._near(which):
+            of, u, J = k, origin.copy(), jacobian.copy()
             u[:k], J[:, :k] = one.fit.u[:k], one.fit.jacobian[:, :k]
             for i in one.order:
-                to, of = (slice(x[i], x[i] + sizes[i]) for x in (at, there))
-                u[to], J[:, to] = one.fit.u[of], one.fit.jacobian[:, of]
+                size = len(self.origins[i].effect().effect.parameters)
+                if i in at:
+                    to = slice(at[i], at[i] + size)
+                    u[to], J[:, to] = one.fit.u[of : of + size], one.fit.jacobian[:, of : of + size]
+                of += size
             found.append((u, J))
         return found
+
+    def _n_free(self, order: Sequence[int]) -> int:
+        return sum(self.causes[i].columns.shape[1] for i in order if self.origins[i].added is None)
+
+    def _near(self, which: Which) -> list[Solved]:
+        """The best solved set inside of a set, and the best around it."""
+        inside = [one for w, one in self.solved.items() if set(w) < set(which)]
+        around = [one for w, one in self.solved.items() if set(w) > set(which)]
+        return [max(part, key=lambda one: one.fit.log_z) for part in (inside, around) if part]
 
     def _start(self, which: Which, order: Sequence[int], mean: Array) -> tuple[Array, Array, Array]:
         """Coordinates without and with causes, and derivatives, of the linear model."""
