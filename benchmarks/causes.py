@@ -1,7 +1,7 @@
 """The posterior over sets of causes: calibrated under its own prior, and beside frozen answers.
 
-python -m benchmarks.causes calibrate [--replicates 500] [--seed 7]   linear problems of 20 causes, all drawn from the prior
-python -m benchmarks.causes frozen OUT.jsonl [--each 3]               frozen blind cases; goes on where it was interrupted
+python -m benchmarks.causes calibrate [--replicates 500] [--seed 7]   linear problems of 20 causes, all drawn
+python -m benchmarks.causes frozen OUT.jsonl [--each 3]               frozen blind cases; goes on where it was
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -142,11 +143,10 @@ def calibrate(replicates: int, seed: int) -> None:
     print("causes at once: stated, true, difference in standard errors")
     for k in range(5):
         off = each[:, k] - (count == k)
-        print(
-            f"  {k}: {each[:, k].mean():.4f} {(count == k).mean():.4f} {off.mean() / off.std() * replicates**0.5:+.1f}"
-        )
+        errors = off.mean() / off.std() * replicates**0.5
+        print(f"  {k}: {each[:, k].mean():.4f} {(count == k).mean():.4f} {errors:+.1f}")
     print("stated probability of a cause: number, mean, frequency, difference in standard errors")
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in pairwise(BINS):
         inside = (p >= low) & (p < high)
         if inside.any():
             q, t = p[inside], there[inside]
@@ -190,7 +190,7 @@ def frozen(out: Path, each: int, cores: int) -> None:
 def _scores(keys: list[CaseKey], found: Mapping[str, Any]) -> None:
     former = frozen_answers()
     print(
-        "set: cases | log score of a component's inclusion, without floor | Brier score | first right | wrong above 0.9"
+        "set: cases | log score of inclusion, no floor | Brier score | first right | wrong above 0.9"
     )
     rows: dict[str, list[list[float]]] = {}
     for key in keys:

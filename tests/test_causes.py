@@ -206,7 +206,7 @@ def test_responses_that_do_not_fit_are_named(toy):
 def test_other_odds_need_no_new_evidence(toy):
     found = weigh_causes(toy.problem(with_a_cause(toy, 4, noise=1.0)), toy.causes, toy.family)
     doubled = found.under(odds=0.2)
-    first = [w for w in found.probability if len(w) == 1][0]
+    first = next(w for w in found.probability if len(w) == 1)
     ratio = [p.probability[first] / p.probability[()] for p in (found, doubled)]
     assert ratio[1] == pytest.approx(2.0 * ratio[0])
     assert CausePriors(toy.causes, odds=0.2).log_prior(first) == pytest.approx(

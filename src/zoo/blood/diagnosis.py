@@ -363,6 +363,11 @@ def sets_of(study: Study, base: str = "linear-constant", *, cores: int = 2) -> C
     data = study_data(study)
     baseline = get_baseline(base).forward(study, share=SEARCH_SHARE)
     screening = Screening(
-        data, baseline, effects_for(baseline.name), errors=errors_of(study, data), smooth=HOOKS.smooth, cores=cores
+        data,
+        baseline,
+        effects_for(baseline.name),
+        errors=errors_of(study, data),
+        smooth=HOOKS.smooth,
+        cores=cores,
     )
     return cause_sets(freed(screening)[0].run(), HOOKS, cores=cores)

@@ -68,6 +68,13 @@ def diagnose(
             metavar="FACTOR",
         ),
     ] = 1.0,
+    sets: Annotated[
+        bool,
+        typer.Option(
+            "--sets",
+            help="Weigh sets of causes by one posterior too: sets.csv and sensitivity.csv (docs/causes.md).",
+        ),
+    ] = False,
     states: Annotated[
         list[str] | None,
         typer.Option(
@@ -110,6 +117,7 @@ def diagnose(
         from zoo.blood.forward import study_data
         from zoo.core.errors.spectral import Harmonics
         from zoo.report import diagnosis_files, write_diagnosis
+        from zoo.report.sets import sets_summary, write_sets
 
         output_folder(output, diagnosis_files(), "--output")
         # a study without observations, or of another tree, is refused before the work
@@ -131,6 +139,11 @@ def diagnose(
         )
         tell("figures and page", 1.0)
         written = write_diagnosis(found, output, command=typed_command())
+        told: list[str] = []
+        if sets:
+            weighed = found.sets(cores=cores, tick=tell)
+            written += write_sets(weighed, output)
+            told = sets_summary(weighed)
         if posteriors:  # takes longer and may be stopped: what was found is on disk
             folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
             output_folder(folder, option="--output", deep=True).mkdir(parents=True, exist_ok=True)
@@ -138,7 +151,7 @@ def diagnose(
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
             tell("figures and page", 1.0)
             written = write_diagnosis(found, output, command=typed_command())
-    say(*diagnosis_screen(found.file), f"wrote {output}: {', '.join(path.name for path in written)}")
+    say(*diagnosis_screen(found.file), *told, f"wrote {output}: {', '.join(path.name for path in written)}")
 
 
 def _effect_names(text: str | None, base: str) -> list[str] | None:

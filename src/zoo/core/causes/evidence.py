@@ -4,9 +4,9 @@ For errors of variance V, parameters and weights x = (d, w) are normal, and with
 
     log p(r | S, s, V) = log N(r; 0, V) + b'H^-1 b / 2 - log |H| / 2 + log p0,    H = A'V^-1 A + P,
 
-b = A'V^-1 r - pull. The noise of each group is found by Fisher scoring and integrated by Laplace's method, the
-sizes s of free functions on a grid, that of the discrepancy by a cubic interpolation of the log evidence between
-sizes at which its slope is known.
+b = A'V^-1 r - pull. The noise of each group is found by Fisher scoring and integrated by Laplace's method,
+the sizes s of free functions on a grid, that of the discrepancy by a cubic interpolation of the log evidence
+between sizes at which its slope is known.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from zoo.core.priors import log_normal_mass
 Array = NDArray[np.float64]
 Kinds = NDArray[np.int_]
 
-SCALES = 0.1 * 1.6 ** np.arange(8)
+SCALES: Array = 0.1 * 1.6 ** np.arange(8.0)
 """Sizes of a free function that are integrated over, in its prior scale."""
 FEW_SCALES = SCALES[1::2]
 """The same where three functions or more are free at once."""
 SCORING, LARGEST_STEP, CONVERGED = 12, 1.5, 0.01
-"""Steps of Fisher scoring at most, the largest of them in the logarithm of the noise, and the one that ends it."""
+"""Steps of Fisher scoring at most, the largest in the logarithm of the noise, and the one that ends it."""
 
 
 def log_scale_masses(scales: Array) -> Array:
@@ -69,7 +69,7 @@ def _combinations(free: tuple[bool, ...]) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class SizePriors:
-    """Prior of the discrepancy's size: half-normal for the error of numerics and of causes, or one unexplained.
+    """Prior of the discrepancy's size: the error of numerics and of causes, or what nobody can name.
 
     Parameters
     ----------
@@ -231,18 +231,17 @@ class SetModel:
         P, pull = self.precision(scales)
         H, b = gram + P, right - pull
         size = np.sqrt(np.maximum(np.einsum("...ii->...i", H), 1e-300))
-        C = np.linalg.inv(H / (size[..., :, None] * size[..., None, :])) / (
-            size[..., :, None] * size[..., None, :]
-        )
+        both = size[..., :, None] * size[..., None, :]
+        C = np.linalg.inv(H / both) / both
         mean = np.einsum("...ij,...j->...i", C, b)
-        _, logdet = np.linalg.slogdet(H / (size[..., :, None] * size[..., None, :]))
+        _, logdet = np.linalg.slogdet(H / both)
         gain = 0.5 * np.sum(b * mean, axis=-1) - 0.5 * (logdet + 2.0 * np.log(size).sum(axis=-1))
         gain = gain - np.sum(np.log(scales[..., self.owner]), axis=-1) if len(self.causes) else gain
         gain = gain - 0.5 * float(self.mean @ self.mean) + 0.5 * self.k * math.log(2.0 * math.pi)
         return gain + self._masses(mean, C), mean, C
 
     def _masses(self, mean: Array, C: Array) -> Any:
-        """Log of the posterior's part inside the bounds over the prior's, as if bounded ones were independent."""
+        """Log of the posterior's part inside the bounds over the prior's, as if these were independent."""
         sd = np.sqrt(np.einsum("...ii->...i", C))
         total: Any = 0.0
         if self.problem.low is not None and self.problem.high is not None:
@@ -262,7 +261,7 @@ class SetModel:
         """Expected squares (n_kinds, n) of what parameters and weights leave."""
         e = self.problem.residual - mean @ self.A.T
         p = len(self.mean)
-        return e**2 + C.reshape(-1, p * p) @ self.products.T
+        return np.asarray(e**2 + C.reshape(-1, p * p) @ self.products.T)
 
     def evidence(self, kinds: Kinds, start: Array) -> SetEvidence:
         """Evidence for some kinds of errors, from where the noise's logarithms (..., n_groups) may be."""

@@ -4,8 +4,8 @@ The variance of coefficient i, of the series of a group g, is
 
     V_i = sigma_g^2 (1 + ratio^2 g_i(tau_c)) + delta^2 range_g^2 lambda_i h_i(nu, length).
 
-g is the spectrum of an Ornstein-Uhlenbeck process, h a Matern one, h ~ (1 + (omega length)^2)^-(nu + 1/2), both
-of mean 1; lambda = 1 + (n - 1) rho for the mean of a group's n series, 1 - rho for their differences.
+g is the spectrum of an Ornstein-Uhlenbeck process, h a Matern one, h ~ (1 + (omega length)^2)^-(nu + 1/2),
+both of mean 1; lambda = 1 + (n - 1) rho for the mean of a group's n series, 1 - rho for their differences.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, logsumexp, ndtr
+from scipy.special import logsumexp, ndtr
 
 from zoo.core.errors.spectral import LEAST_NOISE, Spectral
 
@@ -200,7 +200,7 @@ class ErrorFamily:
         """Logarithms of the sizes at which evidence is integrated, and the edges of their cells."""
         first = math.log(SIZES[0]) - 1.5
         points = np.concatenate([[first], np.log(SIZES)])
-        x = np.concatenate([np.linspace(a, b, FINE, endpoint=False) for a, b in zip(points[:-1], points[1:])])
+        x = np.concatenate([np.linspace(a, b, FINE, endpoint=False) for a, b in pairwise(points)])
         x = np.append(x, points[-1])
         edges = np.concatenate([[-np.inf], 0.5 * (x[1:] + x[:-1]), [np.inf]])
         return x, np.exp(edges)

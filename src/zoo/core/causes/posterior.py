@@ -109,7 +109,7 @@ class CausePosterior:
         return found
 
     def no_gap(self, noise: float, numerics: float) -> float:
-        """Probability that there is no cause, and a discrepancy below the numerics' error or a tenth of the noise.
+        """Probability of no cause, and of a discrepancy below the numerics' error or a tenth of the noise.
 
         Parameters
         ----------
@@ -122,7 +122,7 @@ class CausePosterior:
         )
 
     def under(self, sizes: SizePriors | None = None, odds: float | None = None) -> CausePosterior:
-        """The same with another prior of the discrepancy's size or other odds of causes; guesses keep theirs."""
+        """The same with another prior of the discrepancy's size, or other odds; guesses stay."""
         priors = self.priors if odds is None else replace(self.priors, odds=odds)
         rows = tuple(replace(row, log_prior=priors.log_prior(row.which)) for row in self.rows)
         guessed = {w: g - self.priors.log_prior(w) + priors.log_prior(w) for w, g in self.guessed.items()}

@@ -1,7 +1,7 @@
-"""All causes beside one error and beside some causes that are there: a quick evidence, by which sets are sought.
+"""All causes beside one error and some causes that are there: a quick evidence, by which sets are sought.
 
-With V given, the baseline's parameters are projected out of one matrix of products of all responses; a set S is a
-Cholesky factor of the size of its weights, and a further cause j costs the eigenvalues of its own block,
+With V given, the baseline's parameters are projected out of one matrix of products of all responses; a set S
+is a Cholesky factor of the size of its weights, and a further cause j costs the eigenvalues of its own block,
 
     log p(r | S + j, s, V) - log p(r | S, V) = sum y^2 / (lambda + 1/s^2) / 2 - log(1 + lambda s^2) / 2,
 
@@ -11,6 +11,7 @@ lambda, y those of the block given S, for all sizes s at once.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,7 @@ class Reference:
         self.g[:m] = X.T @ r - cross.T @ b
         sizes = np.array([one.columns.shape[1] for one in causes])
         edges = np.cumsum([0, *sizes])
-        self.own = [np.arange(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        self.own = [np.arange(a, b) for a, b in pairwise(edges)]
         narrow = sizes <= NARROW  # wide blocks apart, so that narrow ones cost little
         self.blocks = []
         for part in (np.flatnonzero(narrow), np.flatnonzero(~narrow)):
@@ -68,26 +69,27 @@ class Reference:
         self.bounded = np.isfinite(self.low) | np.isfinite(self.high)
 
     def further(self, which: Sequence[int], scales: Sequence[float]) -> tuple[Array, Array]:
-        """Log evidence gained (n_causes,) by each cause beside those of `which`, and the size where it is largest."""
-        Y = y = None
+        """Log evidence gained (n_causes,) by each cause beside those of `which`, and its best size."""
+        there: tuple[Array, Array] | None = None
         if len(which):
             own = np.concatenate([self.own[i] for i in which])
             s = np.concatenate([np.full(len(self.own[i]), x) for i, x in zip(which, scales, strict=True)])
             L = np.linalg.cholesky(self.G[np.ix_(own, own)] + np.diag(1.0 / s**2))
             Y = solve_triangular(L, self.G[own], lower=True)
-            y = solve_triangular(L, self.g[own] + self.means[own] / s**2, lower=True)
+            there = Y, solve_triangular(L, self.g[own] + self.means[own] / s**2, lower=True)
         gained, best = np.empty(len(self.causes)), np.ones(len(self.causes))
         for part, at in self.blocks:
-            gained[part], best[part] = self._each(part, at, Y, y)
+            gained[part], best[part] = self._each(part, at, there)
         return gained, best
 
-    def _each(self, part: Indices, at: Indices, Y: Array | None, y: Array | None) -> tuple[Array, Array]:
+    def _each(self, part: Indices, at: Indices, there: tuple[Array, Array] | None) -> tuple[Array, Array]:
         """The same of some causes, whose weights are at these places."""
         G, b = self.G[at[:, :, None], at[:, None, :]], self.g[at]
-        if Y is not None:
+        if there is not None:
+            Y, left = there
             B = Y[:, at].transpose(1, 0, 2)  # (n_causes, m_there, m_each)
             G = G - B.transpose(0, 2, 1) @ B
-            b = b - np.einsum("cij,i->cj", B, y)
+            b = b - np.einsum("cij,i->cj", B, left)
         lam, U = np.linalg.eigh(G)
         lam = np.maximum(lam, 0.0)
         mu, free = self.means[at], self.free[part]

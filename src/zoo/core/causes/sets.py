@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 ODDS = 0.1
 """Of a component being wrong."""
 FREE = 0.5
-"""Part of a wrong component's probability that its free functions have; the rest is that of listed effects."""
+"""Part of a wrong component's probability that its free functions have; listed effects have the rest."""
 MOST = 4
 """Components that are wrong at once at most."""
 

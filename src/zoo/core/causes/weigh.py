@@ -181,7 +181,7 @@ def weigh_causes(
 
 
 def _fewer_kinds(search: _Search) -> None:
-    """Keep the shapes of errors that are likely beside nothing, or beside the best single cause of a component."""
+    """Keep the shapes of errors that are likely beside nothing or the best cause of some component."""
     best: dict[str, Which] = {}
     for which in sorted(search.guessed, key=lambda w: -search.total(w)):
         if len(which) == 1:

@@ -1,7 +1,8 @@
 """The posterior over sets of causes of a simulator: responses, then the leading sets at their modes.
 
-Responses of listed effects are secants to where each fits best by itself, those of free functions derivatives at
-the baseline's fit. The sets that hold the mass are taken to their mode with the simulator and weighed there.
+Responses of listed effects are secants to where each fits best by itself, those of free functions are
+derivatives at the baseline's fit. The sets that hold the mass are taken to their mode with the simulator and
+weighed there.
 """
 
 from __future__ import annotations
@@ -115,7 +116,7 @@ class CauseSets:
         return raised / (raised + 1.0 - others) if others < 1.0 else 1.0
 
     def gap_after(self, which: Which) -> Array | None:
-        """Rms (n_groups,) of what a solved set leaves beyond the noise, in the groups' units; None if not solved."""
+        """Rms (n_groups,) of what a solved set leaves beyond the noise, in the groups' units."""
         if which not in self.solved:
             return None
         one = self.solved[which]
@@ -299,12 +300,12 @@ class CauseSearch:
         return CauseSets(found, self.solved, self.linear_error, self)
 
     def _outdone(self, which: Which) -> bool:
-        """Whether a set with more causes was solved with visibly more evidence, as where a mode was missed."""
+        """Whether a larger set was solved with visibly more evidence, as where a mode was missed."""
         more = [one.fit.log_z for w, one in self.solved.items() if set(w) > set(which)]
         return max(more, default=-np.inf) > self.solved[which].fit.log_z + VISIBLE
 
     def _corrected(self, found: CausePosterior, linear: Mapping[Which, SetRow]) -> CausePosterior:
-        """With what was solved; what was not is shifted as the solved set is that shares most causes with it."""
+        """With what was solved; others are shifted as the solved set that is most like them."""
         others = [w for w in linear if w not in self.solved]
         shifts = dict(zip(others, self.shortfall(others), strict=True))
         rows = [
@@ -317,9 +318,9 @@ class CauseSearch:
         return replace(found, rows=tuple(rows), shifts=dict(zip(found.guessed, guesses, strict=True)))
 
     def shortfall(self, sets: Sequence[Which], *, others: bool = False) -> Array:
-        """What a solve adds to the log evidence of sets (n,), by the solved set most like each; 0 of none alike.
+        """What a solve adds to the log evidence of sets (n,), by the solved set most like each.
 
-        With `others`, by one that is not the very same.
+        0 of a set that no solved one is like; with `others`, by one that is not the very same.
         """
         known = list(self.solved)
         if not known or not sets:
@@ -388,7 +389,7 @@ class CauseSearch:
         point = search.descend(point, STEPS)
         kept: tuple[Point, SetEvidence] | None = None
         reference = linear
-        # beside a discrepancy a lesser mode costs little: the noise alone is the first to say where the mode is
+        # beside a discrepancy a lesser mode costs little: the noise alone says first where the mode is
         for alone in (True, False):
             search = Search(forward, data, reference.variances(reference.best(SIZE_PRIORS), alone=alone))
             point = search.refine(search.resume(point), ROUNDS, STEPS)
@@ -401,7 +402,7 @@ class CauseSearch:
         point, found = kept
         computed = point.computed + shift
         fit = Fit(
-            forward.hypothesis, forward, point.u, computed, point.jacobian, self.screening.coefficients - computed,
+            forward.hypothesis, forward, point.u, computed, point.jacobian, data - point.computed,
             {}, {}, found.total(SIZE_PRIORS), point.u, np.zeros((len(point.u), len(point.u))),
         )  # fmt: skip
         return Solved(fit, found, linear.total(SIZE_PRIORS), tuple(order))
@@ -409,7 +410,7 @@ class CauseSearch:
     def _delivered(
         self, found: SetEvidence, forward: HypothesisModel, data: Array, point: Point, n_free: int
     ) -> SetEvidence:
-        """The evidence without what the linear model promises between the point and its mode, and no solve delivers."""
+        """The evidence without what the linear model promises around the point and no solve delivers."""
         best = found.best(SIZE_PRIORS)
         k = len(point.u) - n_free
         seen = np.concatenate(
@@ -426,7 +427,7 @@ class CauseSearch:
         return replace(found, log_z=found.log_z - max(0.0, promised - gained))
 
     def _starts(self, which: Which, order: Sequence[int], mean: Array) -> list[tuple[Array, Array]]:
-        """Where a search may begin, with derivatives: parts of the linear step, and where a solved subset ended."""
+        """Where a search may begin, with derivatives: parts of the linear step, and ends of sets nearby."""
         origin, start, jacobian = self._start(which, order, mean)
         found = [(origin + part * (start - origin), jacobian) for part in NEARER]
         k = len(self.base.u)
@@ -480,7 +481,7 @@ class CauseSearch:
     def _around(
         self, order: Sequence[int], baseline: ForwardModel, shift: Array, point: Point, linear: SetEvidence
     ) -> SetEvidence:
-        """Evidence of a set, linear around a point: listed effects among the parameters, functions seen from 0."""
+        """Evidence of a set around a point: listed effects among the parameters, functions seen from 0."""
         listed = [i for i in order if self.origins[i].added is not None]
         hypothesis = Hypothesis(tuple(self.origins[i].effect() for i in listed))
         forward = HypothesisModel(baseline, hypothesis, self.screening.errors)
