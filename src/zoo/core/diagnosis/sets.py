@@ -31,7 +31,7 @@ from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
 from zoo.core.diagnosis.screening import PROMISED, Screened
 from zoo.core.diagnosis.search import Point, Search, SearchError
-from zoo.core.effects import NUMERICS, AddedEffect
+from zoo.core.effects import AddedEffect
 from zoo.core.forward import ForwardModel
 
 Array = NDArray[np.float64]
@@ -44,6 +44,8 @@ STEPS, ROUNDS = 6, 4
 NEARER = (1.0, 0.5, 0.2)
 """Parts of the linear model's step from which a descent begins."""
 SIZE_PRIORS = SizePriors()
+NEAR = 15.0
+"""Log evidence behind the best solved set within which solves tell the linear model's error."""
 VISIBLE = 3.0
 """Log evidence of one more cause from which on a smaller set is sought again where the larger one ended."""
 WAVES = 4
@@ -342,9 +344,10 @@ class CauseSearch:
 
     @property
     def linear_error(self) -> float:
-        """Rms error of the log evidence of sets that were not solved, by those that were."""
-        errors = np.array([one.gained for one in self.solved.values()])
-        errors -= self.shortfall(list(self.solved), others=True)
+        """Rms error of the log evidence of sets that were not solved, by the leading ones that were."""
+        best = max((one.fit.log_z for one in self.solved.values()), default=0.0)
+        near = [w for w, one in self.solved.items() if one.fit.log_z > best - NEAR]
+        errors = np.array([self.solved[w].gained for w in near]) - self.shortfall(near, others=True)
         return float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0
 
     def _due(self, found: CausePosterior, tried: set[Which]) -> list[Which]:
@@ -366,11 +369,10 @@ class CauseSearch:
         """A set at its mode; None where nothing can be solved on the way."""
         order = sorted(which, key=lambda i: self.origins[i].added is None)  # listed effects first
         added = tuple(self.origins[i].effect() for i in order)
-        numerical = any(
-            one.effect.family == NUMERICS for one in added
-        )  # which mean something on their own grid
-        baseline = self.screening.baseline if numerical else self.grid.baseline
-        shift = np.zeros_like(self.shift) if numerical else self.shift
+        # a listed effect may need another grid than the baseline; a function is a smooth change of it
+        listed = any(self.origins[i].added is not None for i in which)
+        baseline = self.screening.baseline if listed else self.grid.baseline
+        shift = np.zeros_like(self.shift) if listed else self.shift
         forward = HypothesisModel(baseline, Hypothesis(added), self.screening.errors)
         self.screening.forwards.append(forward)
         data = self.screening.coefficients - shift
