@@ -173,6 +173,8 @@ def test_options_reach_the_diagnosis(
 @pytest.mark.slow
 def test_demo_by_its_name(tmp_path: Path) -> None:
     options = ("--effects", "sensor-offset", "--component-sizes", 0, "-q")
-    screen = run("diagnose", "demo", *options, "-o", tmp_path / "gap")
+    screen = run("diagnose", "demo", *options, "--sets", "-o", tmp_path / "gap")
     assert read_diagnosis(tmp_path / "gap").study_checksum == load_study("demo").checksum
     assert "wrote" in screen
+    assert "components that are wrong (before the data): sensor" in screen
+    assert (tmp_path / "gap" / "sets.csv").read_text().startswith("causes,components,probability,")
