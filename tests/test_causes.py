@@ -96,6 +96,17 @@ def test_the_evidence_of_a_function_is_that_of_plain_sums():
     assert gained == pytest.approx(beside, abs=0.35)
 
 
+def test_the_slope_in_the_size_is_that_of_differences(toy):
+    """With the noise known, larger ranges are larger discrepancies and nothing else."""
+    problem = toy.problem(toy.drawn(np.random.default_rng(3))[1])
+    kinds = np.arange(toy.family.n_kinds)
+    h, found = 1e-4, []
+    for range_ in (RANGE, RANGE * math.exp(-h), RANGE * math.exp(h)):
+        family = replace(toy.family, ranges={"y": range_}, known={"y": 0.1})
+        found.append(SetModel(problem, toy.causes[1:2], family).evidence(kinds, family.noise_start))
+    assert found[0].slope == pytest.approx((found[2].log_z - found[1].log_z) / (2 * h), abs=1e-5)
+
+
 def test_sets_beside_one_error_are_those_of_the_joint_normal_distribution(toy):
     listed = [i for i, one in enumerate(toy.causes) if not one.free and math.isinf(one.low)]
     free = [i for i, one in enumerate(toy.causes) if one.free]
