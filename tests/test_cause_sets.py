@@ -45,7 +45,7 @@ def test_a_free_function_is_found_where_no_effect_is_the_cause():
     assert found.posterior.components["inflow"] > 0.8
     first = next(iter(found.posterior.probability))
     assert found.name(first).startswith("push")
-    assert first in found.solved
+    assert found.solved[first].gained == pytest.approx(0.0, abs=0.5)  # this simulator is linear in it
 
 
 def test_two_causes_are_two():
