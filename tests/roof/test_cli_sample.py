@@ -71,17 +71,34 @@ def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Pat
     assert "model A on tiny" not in output  # -q
 
 
-@pytest.mark.parametrize(("goal", "refused"), [(None, False), (5000.0, True)])
-def test_draws_up_to_a_goal_are_not_replaced_by_those_of_the_first_check(
-    goal: float | None, refused: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("before", "goal", "there", "refused"),
+    [
+        (None, None, "nothing", False),
+        (5000.0, None, "run.json", True),
+        (400.0, 400.0, "nothing", False),
+        (400.0, 300.0, "nothing", True),
+        (400.0, 300.0, "an empty folder", True),
+        (400.0, 300.0, "run.json", True),
+        (400.0, 500.0, "an empty folder", True),
+        (400.0, 500.0, "run.json", False),
+        (None, 300.0, "run.json", True),
+    ],
+)
+def test_draws_are_replaced_by_the_same_and_more_alone(
+    before: float | None, goal: float | None, there: str, refused: bool, tmp_path: Path, monkeypatch
 ) -> None:
     held = az.from_dict(posterior={"a": np.zeros((2, 40))})
-    record = SimpleNamespace(settings={"first check": 10, "until_ess": goal})
+    record = SimpleNamespace(settings={"first check": 10, "until_ess": before})
     monkeypatch.setattr("zoo.core.posterior.storage.load", lambda path: held)
     monkeypatch.setattr(RunRecord, "of", lambda idata: record)
-    wanted = {"draws": 10, "until_ess": None}
+    if there != "nothing":
+        (tmp_path / "A.checkpoint").mkdir()
+    if there == "run.json":
+        (tmp_path / "A.checkpoint" / "run.json").write_text("{}")
+    wanted = {"draws": 10, "until_ess": goal}
     with pytest.raises(UsageError, match="holds 40 draws") if refused else contextlib.nullcontext():
-        _keeps_what_is_there(Path("A.nc"), wanted)
+        _keeps_what_is_there(tmp_path / "A.nc", wanted)
 
 
 @pytest.mark.parametrize(

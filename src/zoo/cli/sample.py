@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -131,7 +132,9 @@ def _keeps_what_is_there(path: Path, settings: Mapping[str, Any]) -> None:
         again = (settings["draws"], None) == (before.get("first check"), before.get("until_ess"))
         less = held > settings["draws"] and not again
     else:
-        less = goal != before.get("until_ess") and not checkpoint_of(path).is_dir()
+        begun = (checkpoint_of(path) / "run.json").is_file()
+        more = held <= settings["draws"] or goal > (before.get("until_ess") or math.inf)
+        less = goal != before.get("until_ess") and not (begun and more)
     if less:
         raise UsageError(
             f"--output {path}: holds {held} draws of each chain, which this run would replace by others; add "
