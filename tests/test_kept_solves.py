@@ -15,9 +15,11 @@ from zoo.core.forward import FunctionModel, SolveError
 from zoo.core.inference import methods
 from zoo.core.inference import surrogate as correcting
 from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError, Folder
+from zoo.core.inference.logposterior import SamplingError
 from zoo.core.inference.methods import choose, sample
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.surrogate import sample_surrogate
+from zoo.core.inference.workers import Inline
 from zoo.core.model import bayesian_model
 from zoo.core.posterior.groups import N_PRIOR, add_groups
 from zoo.core.posterior.groups import sample as sample_with_groups
@@ -140,6 +142,13 @@ def test_a_run_goes_on_by_the_method_it_began_with(whole, tmp_path):
         assert choose(model, checkpoint=tmp_path)[0] == "exact"  # which says what is wrong with it
     with pytest.raises(CheckpointError, match="cannot be read"):
         sample(model, method="auto", checkpoint=tmp_path, **SETTINGS)
+
+
+def test_a_setting_of_another_method_does_not_change_that_of_a_run(whole, tmp_path):
+    shutil.copytree(whole[2], tmp_path / "c")
+    for setting in ({"thin": 2}, {"executor": Inline()}):
+        with pytest.raises(SamplingError, match=f"{next(iter(setting))} = .*: method surrogate has no use"):
+            sample(model_of(Counting()), method="auto", checkpoint=tmp_path / "c", **setting, **SETTINGS)
 
 
 def test_slow_solves_ask_for_a_surrogate(monkeypatch):

@@ -162,7 +162,8 @@ def sample(
     check_settings(**{name: value for name, value in settings.items() if name in known})
     asked = {n: v for n, v in settings.items() if n in ONLY_EXACT and v not in ONLY_EXACT[n]}
     taken, reason = choose(model, method, checkpoint=None if fresh else checkpoint)
-    if method == "auto" and asked:
+    begun = not fresh and checkpoint is not None and _begun(Path(checkpoint))
+    if method == "auto" and asked and not begun:
         taken, reason = "exact", f"{next(iter(asked))} is a setting of it"
     if taken == "nuts":
         asked.pop("executor", None)
