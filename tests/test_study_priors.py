@@ -199,7 +199,11 @@ def test_rows_of_the_table_say_where_priors_came_from(example: Study) -> None:
     model = zoo.model_B(replace(example, priors={"c": {"log_uniform": [0.5, 2.0]}}))
     rows = {row.parameter.name: row for row in prior_rows(model)}
     assert "wave speeds of 0.7 to 20 m/s" in rows["f3"].origin
-    assert (rows["psi1"].origin, rows["c"].origin) == ("nominal loads", "given")
+    assert (rows["psi1"].origin, rows["c"].origin) == ("given and nominal loads", "given")
+    for load, words in ((None, "nominal loads"), (Windkessel(3e4, 1e5, 7e-7), "given loads")):
+        vessels = tuple(replace(v, windkessel=v.parent and load) for v in example.vessels)
+        found = prior_rows(zoo.model_B(replace(example, vessels=vessels)))
+        assert {row.origin for row in found if row.parameter.name in ("psi1", "psi2", "c")} == {words}
     assert (rows["c"].median, rows["c"].low) == pytest.approx((1.0, 0.5 * 4**0.025))
     chi = {row.parameter.name: row for row in prior_rows(zoo.model_G(example))}["chi"]
     m_chi = {row.parameter.name: row for row in prior_rows(zoo.model_G(example))}["m_chi"]

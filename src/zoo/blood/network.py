@@ -475,7 +475,8 @@ def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
     bare = [v.id for v in study.vessels if v.id not in feeding and not (v.windkessel or v.resistance)]
     if not bare:
         return study.vessels
-    where = f"{study.source}: study {study.name!r}: vessel {bare[0]} has no windkessel"
+    file = f"{study.source}: study {study.name!r}: network.toml"
+    where = f"{file}: vessel {bare[0]}: windkessel: is nominal or absent"
     observed = root_pressure(study.vessels, study.series)
     if observed is None:
         raise StudyError(f"{where}, and no pressure_mmHg of the root is observed; add one of the two")
@@ -483,7 +484,7 @@ def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
     different = next((v for v in bare if behind[v] != behind[bare[0]]), None)
     if different is not None:
         raise StudyError(
-            f"{where}, and none can be derived: outflow_pressure_mmHg = {behind[different]!r} of vessel "
+            f"{where}, and cannot be derived: outflow_pressure_mmHg = {behind[different]!r} of vessel "
             f"{different} is not that of vessel {bare[0]}, {behind[bare[0]]!r}; give these vessels a "
             "windkessel"
         )
@@ -498,5 +499,5 @@ def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
             mmhg=study.conventions.mmhg,
         )
     except StudyError as error:
-        raise StudyError(f"{where}, and none can be derived: {error}") from None
+        raise StudyError(f"{where}, and cannot be derived from the observed pressure: {error}") from None
     return tuple(replace(v, windkessel=loads[v.id]) if v.id in bare else v for v in study.vessels)

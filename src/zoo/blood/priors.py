@@ -9,7 +9,7 @@ set "study", the default for any other study:
   it in narrow ones, and f2 counts in u/r, r the geometric mean of the widest and the narrowest radius.
 - Where each vessel has its own, log chi_i ~ N(log m_chi, v_chi): m_chi is the stiffness of above, and v_chi
   the variance of the logarithm between vessels.
-- The factors psi1, psi2 and c of the outlets are log-normal around 1, the nominal loads.
+- The factors psi1, psi2 and c of the outlets are log-normal around 1, the given or nominal loads.
 - gamma is log-normal around 3, a wall that can grow to two and a half times its area.
 """
 
@@ -35,7 +35,7 @@ NORMAL_95 = 1.959963984540054
 GAMMA = LogNormal(3.0, 0.5)
 """Of the tangent wall, whose largest area is A0 (1 + gamma/2): 95 % between 1.1 and 8."""
 LOADS = {"psi1": LogNormal(1.0, 1.0), "psi2": LogNormal(1.0, 0.7), "c": LogNormal(1.0, 1.0)}
-"""Factors on nominal loads; R1 + R2 is a mean pressure over a mean flow, hence the narrower psi2."""
+"""Factors on given or nominal loads; R1 + R2 is a mean pressure over a mean flow, hence the narrower psi2."""
 RADIUS_SHARE = 3.0
 """Median of f1 over that of f3: what the narrowest vessels could add, were their radius zero."""
 RADIUS_SPREAD = 1.0
@@ -242,4 +242,9 @@ def _derived(
     found |= {"v_chi": (BETWEEN_VESSELS, "vessels alike within a factor of about 2")}
     found |= {"chi": (LogPopulation("m_chi", "v_chi"), "m_chi and v_chi")}
     found |= {"gamma": (GAMMA, "a wall of up to 2.5 times its area")}
-    return found | {name: (prior, "nominal loads") for name, prior in LOADS.items()}
+    feeding = {v.parent for v in study.vessels}
+    loads = {
+        "given" if v.windkessel or v.resistance else "nominal" for v in study.vessels if v.id not in feeding
+    }
+    words = f"{' and '.join(sorted(loads))} loads"
+    return found | {name: (prior, words) for name, prior in LOADS.items()}
