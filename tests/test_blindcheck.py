@@ -305,6 +305,18 @@ def test_files_of_others_where_an_answer_goes_stay(name: str, weighed: tuple[Pat
     assert (cases / "a" / "weight.txt").read_text() != "mine"
 
 
+def test_an_answer_of_others_that_came_meanwhile_stays(weighed: tuple[Path, Path, Path]) -> None:
+    cases, _, answers = weighed
+
+    def come(case: str) -> None:
+        (answers / "b").mkdir(exist_ok=True)
+        (answers / "b" / "answer.json").write_text("mine")
+
+    with Run({"command": "blind run"}, fresh=True), pytest.raises(OutputFileError, match="not as zoo wrote"):
+        run_cases(cases, answers, Scales(broken=()), cores=1, done=come)
+    assert (answers / "b" / "answer.json").read_text() == "mine"
+
+
 def test_a_digest_of_the_key_that_is_a_link_is_not_followed(weighed: tuple[Path, Path, Path]) -> None:
     cases, key, answers = weighed
     (cases / "KEY.sha256").unlink()

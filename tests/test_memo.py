@@ -216,6 +216,16 @@ def test_a_memo_of_others_stays_as_it_is(mine: Path, tmp_path: Path, content: st
         assert (mine / "chain-0.memo").read_text() == content
 
 
+def test_what_a_killed_run_left_is_removed_where_there_is_a_run(mine: Path, tmp_path: Path) -> None:
+    (tmp_path / "new").mkdir()
+    for folder in (mine, tmp_path / "new"):
+        names = f".zoo-{'0' * 16}.part", ".zoo-mine.part"
+        for name in names:
+            (folder / name).write_text("mine")
+        Folder(folder).close()
+        assert [name for name in names if (folder / name).exists()] == list(names[folder == mine :])
+
+
 def test_a_folder_that_is_a_link_is_not_followed(mine: Path, tmp_path: Path) -> None:
     link, before = tmp_path / "link", sorted(mine.iterdir())
     link.symlink_to(mine)

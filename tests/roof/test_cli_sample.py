@@ -221,6 +221,7 @@ def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_
     both = ("--models", "A,B", "--posteriors", path, "-o", tmp_path / "p")
     changed = fails("compare", tiny, *both, "--set", "conventions.friction=rest")
     assert "conventions is printed, here it is custom (printed with friction=rest)" in changed
+    assert not (tmp_path / "p").exists()
     other = tmp_path / "other"
     study = load_study(tiny)
     series = replace(study.series[0], value=study.series[0].value + 0.5)

@@ -79,8 +79,6 @@ def compare(
         sampled = [f"{name}.nc" for name in names if fresh or not (folder / f"{name}.nc").is_file()]
         output_folder(folder, [*_file_names(names, loaded), *sampled], "--output", deep=True)
     given = [find(posteriors or [], names, study, say=say) for study in loaded]
-    for folder in folders:
-        folder.mkdir(parents=True, exist_ok=True)
     converged = True
     for study, folder, files in zip(loaded, folders, given, strict=True):
         built, found = _posteriors_of(study, names, files, folder, settings, fresh, not sampling.quiet)
@@ -135,11 +133,12 @@ def _posteriors_of(
         if name in files and not fresh:
             found[name] = load_for(files[name], built[name])
             say(f"model {name}: posterior of {files[name]}")
-        else:
-            path = output / f"{name}.nc"
-            found[name] = sample_with_checkpoint(name, study, path, settings, fresh=fresh, progress=progress)
-            say(f"model {name}: sampled, wrote {path}")
-    return built, found
+    output.mkdir(parents=True, exist_ok=True)
+    for name in [name for name in names if name not in found]:
+        path = output / f"{name}.nc"
+        found[name] = sample_with_checkpoint(name, study, path, settings, fresh=fresh, progress=progress)
+        say(f"model {name}: sampled, wrote {path}")
+    return built, {name: found[name] for name in names}
 
 
 def _compare_on(

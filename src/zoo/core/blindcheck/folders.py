@@ -313,7 +313,7 @@ def _write_answer(folder: Path, stored: Mapping[str, Any], beside: Mapping[str, 
     """Write what came back; until the answer is whole, failed.txt says that it is not."""
     folder.mkdir(parents=True, exist_ok=True)
     write_file(folder / FAILED, stored.get("failed", "interrupted\n"))
-    (folder / ANSWER).unlink(missing_ok=True)
+    output_file(folder / ANSWER).unlink(missing_ok=True)
     if "failed" in stored:
         return
     for name, content in beside.items():

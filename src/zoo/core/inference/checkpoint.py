@@ -66,7 +66,7 @@ class Folder:
             ) from None
 
         for left in path.glob(".zoo-*.part"):  # of a run that was killed while it wrote
-            if FILES.fullmatch(left.name):
+            if FILES.fullmatch(left.name) and self._begun():
                 left.unlink(missing_ok=True)
 
     def close(self) -> None:
