@@ -288,17 +288,21 @@ def test_a_file_that_is_set_is_read_too(tiny: Path, tmp_path: Path, monkeypatch)
 
 
 def test_what_a_file_reads_from_beside_it_is_read_too(tiny: Path, tmp_path: Path, monkeypatch) -> None:
-    """A module that is imported by one that is imported; the inflow of openBF's network."""
+    """A module of a package that is imported by one that is imported; the inflow of openBF's network."""
     monkeypatch.chdir(tmp_path)
     Path("more.py").write_text("import help_of_more\n" + EFFECTS)
-    Path("help_of_more.py").write_text("from deeper import X\n")
-    Path("deeper.py").write_text("X = 1\n")
+    Path("help_of_more.py").write_text("from deeper.most import X\n")
+    for package in ("deeper", "another"):
+        Path(package).mkdir()
+        Path(package, "__init__.py").write_text("")
+        Path(package, "most.py").write_text("X = 1\n")
     Path("other.py").write_text("")
     words = "priors", tiny, "--model", "A", "--n-draws", 10, "-q", "--effects-from", "more.py", "-o", "out"
     run(*words)
     Path("other.py").write_text("Y = 1\n")
+    Path("another/most.py").write_text("X = 2\n")
     run(*words)
-    Path("deeper.py").write_text("X = 2\n")
+    Path("deeper/most.py").write_text("X = 2\n")
     assert "is of another run: --effects-from was" in fails(*words)
     for text, name in (("inlet_file: flow.dat", "flow.dat"), ("project_name: lung", "lung_inlet.dat")):
         Path("net.yaml").write_text(text)

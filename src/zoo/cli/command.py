@@ -219,13 +219,16 @@ def _read_by(value: Any, role: Sequence[Any], changes: Mapping[str, Any]) -> lis
 
 def _beside(file: Path) -> list[Path]:
     """What a file reads from beside it: the modules of a Python file, the inflow of openBF's network."""
-    python, found = file.suffix == ".py", [file]
+    python, folder, found = file.suffix == ".py", file.parent, [file]
     if not file.is_file() or not (python or file.suffix.lower() in (".yaml", ".yml")):
         return []
+    there = set(folder.glob("*.py" if python else "*"))
+    for package in folder.glob("*/__init__.py") if python else ():
+        there |= set(package.parent.rglob("*.py"))
     for reader in found:  # which grows
         text = reader.read_text(encoding="utf-8", errors="replace")
-        for path in sorted(set(file.parent.glob("*.py" if python else "*")) - set(found)):
-            name = path.stem if python else path.name.removesuffix("_inlet.dat")
+        for path in sorted(there - set(found)):
+            name = path.relative_to(folder).parts[0].removesuffix(".py" if python else "_inlet.dat")
             if path.is_file() and re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text):
                 found.append(path)
         if not python:
