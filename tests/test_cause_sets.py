@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from toys import EFFECTS, FUNCTIONS, MODEL, NOISE, TIMES, data_of, hooks
 
+from toys import EFFECTS, FUNCTIONS, MODEL, NOISE, TIMES, data_of, hooks
 from zoo.core.diagnosis import diagnose
 from zoo.core.diagnosis.sets import CauseSets
 from zoo.report.sets import sets_summary, write_sets
