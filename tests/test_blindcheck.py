@@ -284,6 +284,8 @@ def test_an_interrupted_run_goes_on(
     with pytest.raises(KeyboardInterrupt):
         run_cases(cases, answers, Scales(broken=()))
     assert {p.name for p in (answers / "b").iterdir()} == {"failed.txt", "notes.txt"}
+    (answers / "b").mkdir(exist_ok=True)  # killed while it wrote
+    (answers / "b" / f".zoo-{'0' * 16}.part").write_text("half")
     assert run_cases(cases, answers, Scales(broken=())).kept == ("a",)
     assert run_cases(cases, answers, Scales(broken=())).kept == ("a", "b", "c")
 

@@ -216,14 +216,47 @@ def test_a_memo_of_others_stays_as_it_is(mine: Path, tmp_path: Path, content: st
         assert (mine / "chain-0.memo").read_text() == content
 
 
-def test_what_a_killed_run_left_is_removed_where_there_is_a_run(mine: Path, tmp_path: Path) -> None:
+def test_what_a_killed_run_left_is_removed(mine: Path, tmp_path: Path) -> None:
     (tmp_path / "new").mkdir()
     for folder in (mine, tmp_path / "new"):
         names = f".zoo-{'0' * 16}.part", ".zoo-mine.part"
         for name in names:
             (folder / name).write_text("mine")
         Folder(folder).close()
-        assert [name for name in names if (folder / name).exists()] == list(names[folder == mine :])
+        assert [name for name in names if (folder / name).exists()] == [names[1]]
+
+
+def test_a_run_killed_in_its_first_write_can_be_removed_and_a_lock_of_others_not(tmp_path: Path) -> None:
+    killed, theirs = tmp_path / "killed", tmp_path / "theirs"
+    for folder in (killed, theirs):
+        folder.mkdir()
+        (folder / "lock").touch()
+    (killed / f".zoo-{'0' * 16}.part").write_text("half")
+    Folder(killed).remove()
+    assert not killed.exists()
+    (theirs / "lock").write_text("of somebody")
+    with pytest.raises(OutputFileError, match="move lock away"):
+        Folder(theirs).remove()
+    assert (theirs / "lock").read_text() == "of somebody"
+
+
+def test_a_removal_that_was_killed_is_done_by_another(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (mine / "solves.memo").write_text("")
+    removed: list[str] = []
+
+    def killed(path: Path, *given: Any) -> None:
+        if len(removed) == 2:
+            raise KeyboardInterrupt
+        removed.append(path.name)
+        os.unlink(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", killed)
+        with pytest.raises(KeyboardInterrupt):
+            Folder(mine).remove()
+    assert (mine / "run.json").exists()
+    Folder(mine).remove()
+    assert not mine.exists()
 
 
 def test_a_folder_that_is_a_link_is_not_followed(mine: Path, tmp_path: Path) -> None:

@@ -234,7 +234,9 @@ def test_what_comes_while_a_file_is_written_stays(tmp_path, monkeypatch, when):
     monkeypatch.setattr(os, when, meanwhile)
     with Run({"command": "simulate"}, fresh=True):
         output_file(path, "--output")
-        with pytest.raises(OutputFileError, match=r"not as zoo wrote it|File exists"):
+        with pytest.raises(
+            OutputFileError, match=r"not as zoo wrote it|came while this worked"
+        ):
             write_file(path, "new")
     assert path.read_text() == "mine"
     assert not list(tmp_path.glob("*.part"))
@@ -270,3 +272,16 @@ def test_a_link_among_ones_own_outputs_leads_to_no_file_of_others(tmp_path):
         with pytest.raises(OutputFileError, match="not as zoo wrote it"):
             write_file(tmp_path / "out" / "KEY", "new")
     assert theirs.read_text() == "mine"
+
+
+def test_an_option_that_is_not_given_makes_no_other_run(tmp_path):
+    path = tmp_path / "w.csv"
+    with Run({"command": "x", "--former": False}):
+        write_file(output_file(path, "--output"), "first")
+    with Run({"command": "x", "--sets": False, "--name": None}):
+        write_file(output_file(path, "--output"), "second")
+    with (
+        Run({"command": "x", "--sets": True}),
+        pytest.raises(OutputFileError, match="--sets was None, here it is True"),
+    ):
+        output_file(path, "--output")

@@ -117,9 +117,9 @@ def diagnose(
         from zoo.blood.forward import study_data
         from zoo.core.errors.spectral import Harmonics
         from zoo.report import diagnosis_files, write_diagnosis
-        from zoo.report.sets import sets_summary, write_sets
+        from zoo.report.sets import SET_FILES, sets_summary, write_sets
 
-        output_folder(output, diagnosis_files(), "--output")
+        output_folder(output, (*diagnosis_files(), *(SET_FILES if sets else ())), "--output")
         # a study without observations, or of another tree, is refused before the work
         for one in (loaded, *(same_tree(loaded, other) for other in others)):
             Harmonics().bind(study_data(one))
@@ -140,10 +140,10 @@ def diagnose(
         tell("figures and page", 1.0)
         written = write_diagnosis(found, output, command=typed_command())
         told: list[str] = []
+        tables: list[Path] = []
         if sets:
             weighed = found.sets(cores=cores, tick=tell)
-            written += write_sets(weighed, output)
-            told = sets_summary(weighed)
+            tables, told = write_sets(weighed, output), sets_summary(weighed)
         if posteriors:  # takes longer and may be stopped: what was found is on disk
             folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
             output_folder(folder, option="--output", deep=True).mkdir(parents=True, exist_ok=True)
@@ -151,7 +151,8 @@ def diagnose(
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
             tell("figures and page", 1.0)
             written = write_diagnosis(found, output, command=typed_command())
-    say(*diagnosis_screen(found.file), *told, f"wrote {output}: {', '.join(path.name for path in written)}")
+    every = ", ".join(path.name for path in (*written, *tables))
+    say(*diagnosis_screen(found.file), *told, f"wrote {output}: {every}")
 
 
 def _effect_names(text: str | None, base: str) -> list[str] | None:

@@ -102,7 +102,7 @@ def sample_with_checkpoint(
     name: str, study: Study, path: Path, settings: Mapping[str, Any], *, fresh: bool, progress: bool
 ) -> az.InferenceData:
     """Run a model with the checkpoint beside its output, and write the output."""
-    from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError
+    from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError, foreign_in
     from zoo.core.posterior.files import checkpoint_of, sample_to
 
     checkpoint = checkpoint_of(path)
@@ -116,7 +116,8 @@ def sample_with_checkpoint(
     except CheckpointInUseError as error:
         raise UsageError(str(error)) from None
     except CheckpointError as error:
-        raise UsageError(f"{error} (--fresh removes it)") from None
+        removes = not fresh and checkpoint.is_dir() and foreign_in(checkpoint) is None
+        raise UsageError(f"{error}{' (--fresh removes it)' if removes else ''}") from None
 
 
 def _keeps_what_is_there(path: Path, settings: Mapping[str, Any]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import secrets
 import stat
 from collections.abc import Iterable, Mapping
@@ -19,6 +20,8 @@ from zoo.core.words import OneLineError, short
 
 RECORD = ".zoo-outputs"
 """File beside outputs with a line for each that was written: its name, its SHA-256, the run."""
+OURS = re.compile(rf"{re.escape(RECORD)}|\.zoo-[0-9a-f]{{16}}\.part")
+"""Names of what zoo keeps beside outputs: the record, and what a kill left of a file half written."""
 
 
 class OutputFileError(OneLineError, ValueError):
@@ -70,7 +73,7 @@ class Run:
         self.refuse_read(path, named)
         record = real.with_name(RECORD)
         if os.path.lexists(record) and leads_elsewhere(record):
-            raise OutputFileError(f"{record}: is a link, or no file; remove it")
+            raise OutputFileError(f"{record}: is a link, or no file; put a copy of it in its place")
         if real.is_file():
             self._check_made(record, real, named)
         elif real.exists() and not real.is_dir():
@@ -97,17 +100,22 @@ class Run:
             raise OutputFileError(
                 f"{named}: is there, and not as zoo wrote it; choose another path, or move it away"
             )
-        if not self.fresh and self.identity not in runs:
-            there = runs[-1]
-            differs = [n for n in (*self.identity, *there) if self.identity.get(n) != there.get(n)]
-            what = differs[0] if differs else "command"
+        own, told = _told(self.identity), [_told(run) for run in runs]
+        if not self.fresh and own not in told:
+            there = told[-1]
+            what = next(n for n in (*own, *there) if own.get(n) != there.get(n))
             raise OutputFileError(
                 f"{named}: is of another run: {what} was {short(there.get(what))}, here it is "
-                f"{short(self.identity.get(what))}; add --fresh to replace it, or choose another path"
+                f"{short(own.get(what))}; add --fresh to replace it, or choose another path"
             )
 
 
 _running: list[Run] = []
+
+
+def _told(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """What makes a run without options that are not given, which other versions may not know."""
+    return {name: value for name, value in identity.items() if value is not None and value is not False}
 
 
 def leads_elsewhere(path: Path) -> bool:
@@ -229,6 +237,10 @@ def write_file(path: str | Path, content: str | bytes | memoryview, *, private: 
             _put(temporary, real, new=new)
         finally:
             temporary.unlink(missing_ok=True)
+    except FileExistsError:
+        raise OutputFileError(
+            f"{path}: came while this worked; move it away, and give the same again"
+        ) from None
     except OSError as error:
         raise _unwritable(str(path), error) from None
     return path

@@ -28,7 +28,6 @@ from zoo.plots.subject import at_most, location_of, study_of, unit_words
 from zoo.report.components import TOLD, component_rows, function_rows
 from zoo.report.page import picture_of, write_page
 from zoo.report.parameters import MEANINGS
-from zoo.report.sets import SET_FILES
 from zoo.report.words import estimate, listed, percent, settings_text, span, value_text
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ MADE_UP = {
 def diagnosis_files() -> tuple[str, ...]:
     """Names of the files that `write_diagnosis` may write; not all are always there."""
     figures = (f"{name}.png" for name in (*FIGURES, "impedance", "diagnosis"))
-    return "diagnosis.json", "report.html", *SET_FILES, *figures
+    return "diagnosis.json", "report.html", *figures
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = "") -> list[Path]:

@@ -20,7 +20,7 @@ from pydantic import ValidationError
 from zoo.core import digests
 from zoo.core.blindcheck.cases import Answer, BlindError, CaseKey
 from zoo.core.inference.workers import each
-from zoo.core.outputs import RECORD, output_file, output_folder, write_file
+from zoo.core.outputs import OURS, output_file, output_folder, write_file
 
 KEY_DIGEST = "KEY.sha256"
 ANSWER, FAILED = "answer.json", "failed.txt"
@@ -252,7 +252,7 @@ def run_cases(
         else:
             folder = answers / case.name
             there = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
-            output_folder(folder, [name for name in there if name != RECORD], "answer", deep=True)
+            output_folder(folder, [name for name in there if not OURS.fullmatch(name)], "answer", deep=True)
             waiting.append((case.name, files))
     answers.mkdir(parents=True, exist_ok=True)
     if (cases / KEY_DIGEST).is_file():
@@ -287,7 +287,7 @@ def _is_answered(folder: Path, files: str, identity: Mapping[str, Any], *, fresh
     """Whether the answer is there; refuses what this run did not write, and may not replace."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise BlindError(f"{folder}: is a link or no folder; give another folder for the answers")
-    there = [path for path in folder.iterdir() if path.name != RECORD] if folder.exists() else []
+    there = [p for p in folder.iterdir() if not OURS.fullmatch(p.name)] if folder.exists() else []
     for path in there:
         if path.is_symlink() or not path.is_file():
             raise BlindError(f"{path}: is a link or no file; give another folder for the answers")

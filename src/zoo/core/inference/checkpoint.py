@@ -66,7 +66,7 @@ class Folder:
             ) from None
 
         for left in path.glob(".zoo-*.part"):  # of a run that was killed while it wrote
-            if FILES.fullmatch(left.name) and self._begun():
+            if FILES.fullmatch(left.name):
                 left.unlink(missing_ok=True)
 
     def close(self) -> None:
@@ -117,26 +117,30 @@ class Folder:
             If anything else than a checkpoint's files is there; then all stays as it is.
         """
         try:
-            files = sorted(self.path.iterdir())
-            begun = self._begun()  # else whose files these are is not known
-            for file in files:
-                if not FILES.fullmatch(file.name) or not (begun or file.name == "lock"):
-                    raise OutputFileError(
-                        f"{self.path}: holds files that are not a checkpoint's; move {file.name} away"
-                    )
-            for file in files:
+            if (foreign := foreign_in(self.path)) is not None:
+                raise OutputFileError(
+                    f"{self.path}: holds files that are not a checkpoint's; move {foreign} away"
+                )
+            # run.json last: without it nobody knows whose the others are
+            for file in sorted(self.path.iterdir(), key=lambda file: file.name == "run.json"):
                 file.unlink()
         finally:
             self.close()
         self.path.rmdir()
 
-    def _begun(self) -> bool:
-        """Whether run.json is of zoo, of whatever format and also if its content was changed since."""
-        try:
-            content = json.loads((self.path / "run.json").read_bytes())
-            return {"identity", digests.FIELD} <= content.keys() and "format" in content["identity"]
-        except (OSError, ValueError, TypeError, AttributeError, RecursionError):
-            return False
+
+def foreign_in(folder: Path) -> str | None:
+    """Name of a file that is no checkpoint's, so that its folder cannot be removed; None if all are."""
+    try:
+        content = json.loads((folder / "run.json").read_bytes())
+        begun = {"identity", digests.FIELD} <= content.keys() and "format" in content["identity"]
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        begun = False  # whose files these are is not known
+    for file in sorted(folder.iterdir()):
+        empty = file.name == "lock" and file.stat().st_size == 0
+        if not FILES.fullmatch(file.name) or not (begun or empty):
+            return file.name
+    return None
 
 
 def _refuse_links(folder: Path) -> None:
@@ -145,8 +149,9 @@ def _refuse_links(folder: Path) -> None:
         added_to = file.suffix == ".memo"  # others are replaced
         wrong = leads_elsewhere(file) if added_to else file.is_symlink() or not file.is_file()
         if FILES.fullmatch(file.name) and wrong:
+            remedy = "put a copy in its place" if file.is_file() and not file.is_symlink() else "remove it"
             raise OutputFileError(
-                f"{file}: is a link, or no file; a checkpoint holds nothing but files: remove it"
+                f"{file}: is a link, or no file; a checkpoint holds nothing but files: {remedy}"
             )
 
 
@@ -193,9 +198,9 @@ class Run:
         self.folder = None if checkpoint is None else Folder(Path(checkpoint))
         try:
             stored = None if self.folder is None else self.folder.run()
-            if self.folder is not None and stored is None:
-                for memo in sorted(self.folder.path.glob("*.memo")):
-                    raise CheckpointError(f"{memo}: is of no run, for there is no run.json; move it away")
+            ownerless = sorted(self.folder.path.glob("*.memo")) if self.folder and stored is None else []
+            if ownerless:
+                raise CheckpointError(f"{ownerless[0]}: is of no run, for there is no run.json; move it away")
             if seed is None and stored is not None:
                 seed = int(stored["identity"]["seed"])
             self.seed = seed_or_drawn(seed)
