@@ -39,7 +39,7 @@ def direct(toy: LinearToy, problem: Problem, causes, sizes: SizePriors, signal: 
     log_noise = f.noise_centre[0] + NOISE_SPREAD * x
     log_w = norm.logpdf(x) + math.log(x[1] - x[0])
     free = [one for one in causes if one.free]
-    s_grid = np.linspace(0.1, 3.3, 17) if free else np.ones(1)
+    s_grid = np.linspace(0.02, 3.2, 33) if free else np.ones(1)
     log_s = norm.logpdf(s_grid) + math.log(2 * (s_grid[1] - s_grid[0])) if free else np.zeros(1)
     d_grid = np.concatenate([[0.0], np.geomspace(1e-4, 0.6, 30)])
     edges = np.concatenate([[0.0], np.sqrt(d_grid[1:-1] * d_grid[2:]), [np.inf]])
@@ -226,7 +226,7 @@ def test_other_odds_need_no_new_evidence(toy):
 
 
 def test_causes_are_as_probable_as_they_are_frequent():
-    """Calibration under the prior of all: sets, sizes and errors; `benchmarks/causes.py` has 2,000 such."""
+    """Calibration under the prior of all: sets, sizes and errors; `benchmarks/causes.py` has more."""
     toy = LinearToy(n_times=16, n_causes=10, n_components=5)
     rng = np.random.default_rng(11)
     stated, true = [], []

@@ -27,7 +27,7 @@ def sets_summary(sets: CauseSets) -> list[str]:
     found = sets.posterior
     lines = ["", "one posterior over sets of causes (docs/causes.md)"]
     most = found.priors.most
-    if len(found.number) > most and found.number[most] > 0.5:
+    if most < len(found.priors.names) and len(found.number) > most and found.number[most] > 0.5:
         lines.append(
             f"more than {most} causes were not tried, and {most} are said to be there: do not believe it"
         )

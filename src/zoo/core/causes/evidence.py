@@ -2,7 +2,7 @@
 
 For errors of variance V, parameters and weights x = (d, w) are normal, and with A = [J, R],
 
-    log p(r | S, s, V) = log N(r; 0, V) + b'H^-1 b / 2 - log |H| / 2 + log p0,    H = A'V^-1 A + P,
+    log p(r | S, s, V) = log N(r; 0, V) + b'H^-1 b / 2 - log |H/2 pi| / 2 + log p0,    H = A'V^-1 A + P,
 
 b = A'V^-1 r - pull. The noise of each group is found by Fisher scoring and integrated by Laplace's method,
 the sizes s of free functions on a grid, that of the discrepancy by a cubic interpolation of the log evidence
@@ -40,7 +40,7 @@ from zoo.core.priors import log_normal_mass
 Array = NDArray[np.float64]
 Kinds = NDArray[np.int_]
 
-SCALES: Array = 0.1 * 1.6 ** np.arange(8.0)
+SCALES: Array = 0.03 * 1.6 ** np.arange(10.0)
 """Sizes of a free function that are integrated over, in its prior scale."""
 FEW_SCALES = SCALES[1::2]
 """The same where three functions or more are free at once."""
@@ -173,13 +173,13 @@ class SetEvidence:
         """Index among the kinds of the most probable one."""
         shapes = self.shapes
         score = np.full(len(self.kinds), -np.inf)
-        x, _ = self.family.grid
-        logs = np.interp(np.log(SIZES), x, self.family.log_sizes(priors.scales(self.signal)))
+        edges = np.concatenate([[0.0, SIZES[0]], np.sqrt(SIZES[1:] * SIZES[:-1]), [np.inf]])
+        mixture = priors.scales(self.signal).items()
+        mass = sum(weight * half_normal_mass(edges, scale) for scale, weight in mixture)
+        logs = np.log(np.maximum(mass, 1e-300)) + math.log(1.0 - COLOURED)
         after = self.kinds >= self._first
-        score[after] = self.log_z[after] + (
-            self.family.log_shapes[shapes][:, None] + logs + math.log(1.0 - COLOURED)
-        ).reshape(-1)
-        score[0] = self.log_z[0] + logs[0] + math.log(1.0 - COLOURED)
+        score[after] = self.log_z[after] + (self.family.log_shapes[shapes][:, None] + logs[1:]).reshape(-1)
+        score[0] = self.log_z[0] + logs[0]
         there = (self.kinds > 0) & ~after
         score[there] = self.log_z[there] + self.family.log_colours[self.kinds[there] - 1] + math.log(COLOURED)
         return int(np.argmax(score))

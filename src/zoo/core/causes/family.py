@@ -30,7 +30,7 @@ LENGTHS, LENGTH = (0.01, 0.02, 0.04, 0.08, 0.16), (0.05, 1.0)
 """Lengths in parts of the record; median and sd of the logarithm of their log-normal prior."""
 SHARED = (0.0, 0.5, 0.9)
 """Correlations between the series of a group, alike beforehand."""
-SIZES = 2.5e-4 * 2.5 ** np.arange(9)
+SIZES: Array = 4e-5 * 2.5 ** np.arange(11.0)
 """Sizes, in parts of a group's range, at which the evidence and its slope are computed."""
 NUMERICS = 1e-3
 """Scale of the half-normal error of a simulator's numerics, in parts of a group's range."""

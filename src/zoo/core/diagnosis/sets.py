@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, logit
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.causes.evidence import SetEvidence, SetModel, SizePriors, without
@@ -111,11 +112,10 @@ class CauseSets:
 
     @property
     def missed(self) -> float:
-        """Probability that sets which were not solved may hold, two errors of the linear model up."""
+        """Probability that causes which were not solved may have, two errors of the linear model up."""
         p = self.posterior.probability
         others = sum(x for w, x in p.items() if w and w not in self.solved)
-        raised = others * float(np.exp(2.0 * self.linear_error))
-        return raised / (raised + 1.0 - others) if others < 1.0 else 1.0
+        return float(expit(logit(others) + 2.0 * self.linear_error)) if 0.0 < others < 1.0 else others
 
     def gap_after(self, which: Which) -> Array | None:
         """Rms (n_groups,) of what a solved set leaves beyond the noise, in the groups' units."""
@@ -220,7 +220,7 @@ class CauseSearch:
         self.shift = self.base.computed - computed
         self.problem = self._problem(self.base.forward, self.base.u, self.base.residual, self.linear.jacobian)
         origins = dict([*self._listed(), *self._free()])
-        self.causes, self.doubles = without_doubles(list(origins))
+        self.causes, _ = without_doubles(list(origins))
         self.origins = [origins[one] for one in self.causes]
         self.solved: dict[Which, Solved] = {}
 
@@ -233,7 +233,11 @@ class CauseSearch:
         found = []
         fits = {h.added[-1]: fit for h, fit in self.screened.fits.items()}
         belongs = {n: self.hooks.component_of(e) or n for n, e in self.screening.effects.items()}
+        seen: set[AddedEffect] = set()
         for one in signatures_of(self.screened):
+            if one.added in seen:  # where it fits best comes first, then where a search of it began
+                continue
+            seen.add(one.added)
             first, *others = one.added.effect.parameters
             fit = fits.get(one.added)
             columns, mean = [one.change * first.scale], [0.0]
