@@ -195,8 +195,7 @@ def _run_of(
         for one in value if isinstance(value, list) else [value]:
             paths = _read_by(one, role, changes)
             inputs += paths
-            whole = paths if Role.STUDY in role else paths[:1]
-            whole = [] if Role.SEARCHED in role else whole  # a page may be made again of new posteriors
+            whole = () if Role.SEARCHED in role else paths  # a page may be made again of new posteriors
             files = [of_bytes(path.read_bytes()) for path in whole if path.is_file()]
             same.append(files or (str(one) if isinstance(one, Path) else one))
         if Role.ASIDE not in role:
