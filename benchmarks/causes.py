@@ -22,12 +22,18 @@ from benchmarks.blind.frozen.__main__ import frozen_answers, frozen_keys, sets, 
 from scipy.stats import truncnorm
 
 from zoo import load_study
-from zoo.blood.diagnosis import sets_of
+from zoo.blood.baseline import get_baseline
+from zoo.blood.diagnosis import HOOKS, SEARCH_SHARE, effects_for, errors_of
+from zoo.blood.forward import study_data
+from zoo.blood.study import Study
 from zoo.core.blindcheck import CaseKey
 from zoo.core.causes import Cause, CausePriors, ErrorFamily, Problem, weigh_causes
 from zoo.core.causes.evidence import SizePriors, without
 from zoo.core.causes.family import COLOURED, NOISE_SPREAD
 from zoo.core.data import Data
+from zoo.core.diagnosis.bounds import freed
+from zoo.core.diagnosis.screening import Screening
+from zoo.core.diagnosis.sets import CauseSets, cause_sets
 from zoo.core.errors.spectral import Harmonics
 
 RANGE = 10.0
@@ -154,6 +160,15 @@ def calibrate(replicates: int, seed: int) -> None:
             print(f"  {low:g} to {min(high, 1):g}: {q.size} {q.mean():.4f} {t.mean():.4f} {off:+.1f}")
 
 
+def sets_of(study: Study, cores: int) -> CauseSets:
+    """The posterior over sets of causes of a study, without the rest of a diagnosis."""
+    data = study_data(study)
+    model = get_baseline("linear-constant").forward(study, share=SEARCH_SHARE)
+    effects, errors = effects_for(model.name), errors_of(study, data)
+    screening = Screening(data, model, effects, errors=errors, smooth=HOOKS.smooth, cores=cores)
+    return cause_sets(freed(screening)[0].run(), HOOKS, cores=cores)
+
+
 def frozen(out: Path, each: int, cores: int) -> None:
     """Weigh frozen cases, drawn alike from every set, and score inclusion beside the former answers."""
     found = {}
@@ -189,9 +204,7 @@ def frozen(out: Path, each: int, cores: int) -> None:
 
 def _scores(keys: list[CaseKey], found: Mapping[str, Any]) -> None:
     former = frozen_answers()
-    print(
-        "set: cases | log score of inclusion, no floor | Brier score | first right | wrong above 0.9"
-    )
+    print("set: cases | log score of inclusion, no floor | Brier score | first right | wrong above 0.9")
     rows: dict[str, list[list[float]]] = {}
     for key in keys:
         answer = former[key.case]

@@ -23,10 +23,7 @@ from zoo.core.components import FreeFunction
 from zoo.core.data import Data
 from zoo.core.diagnosis import Candidate, Diagnosis, DiagnosisError, Hooks, OtherState
 from zoo.core.diagnosis import diagnose as diagnose_data
-from zoo.core.diagnosis.bounds import freed
 from zoo.core.diagnosis.hooks import NOISE_PART
-from zoo.core.diagnosis.screening import Screening
-from zoo.core.diagnosis.sets import CauseSets, cause_sets
 from zoo.core.effects import Effect, EffectError
 from zoo.core.errors.spectral import Spectral, spectral_errors
 from zoo.core.forward import ForwardModel
@@ -345,29 +342,3 @@ def of_study(found: Diagnosis, study: Study, priors: Mapping[str, str]) -> Study
     file = found.file.model_copy(update=update)
     values: dict[str, Any] = {f.name: getattr(found, f.name) for f in fields(Diagnosis)}
     return StudyDiagnosis(**(values | {"file": file}), study=study)
-
-
-def sets_of(study: Study, base: str = "linear-constant", *, cores: int = 2) -> CauseSets:
-    """The posterior over sets of causes of a study alone, without the rest of a diagnosis.
-
-    Parameters
-    ----------
-    study : Study
-    base : str
-    cores : int
-
-    Returns
-    -------
-    zoo.core.diagnosis.sets.CauseSets
-    """
-    data = study_data(study)
-    baseline = get_baseline(base).forward(study, share=SEARCH_SHARE)
-    screening = Screening(
-        data,
-        baseline,
-        effects_for(baseline.name),
-        errors=errors_of(study, data),
-        smooth=HOOKS.smooth,
-        cores=cores,
-    )
-    return cause_sets(freed(screening)[0].run(), HOOKS, cores=cores)

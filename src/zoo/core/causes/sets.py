@@ -32,15 +32,12 @@ class CausePriors:
     Parameters
     ----------
     causes : sequence of Cause
-    components : int, optional
-        Number of components that could be wrong; those that have a cause, if absent.
     odds : float
     most : int
         Components that are wrong at once at most.
     """
 
     causes: Sequence[Cause]
-    components: int | None = None
     odds: float = ODDS
     most: int = MOST
 
@@ -67,16 +64,15 @@ class CausePriors:
     @property
     def log_nothing(self) -> float:
         """Log prior of the empty set."""
-        n, k = self.components or len(self.names), self.most
+        n, k = len(self.names), self.most
         return -math.log(sum(math.comb(n, i) * self.odds**i for i in range(min(n, k) + 1)))
 
-    def log_prior(self, which: Sequence[int], odds: float | None = None) -> float:
+    def log_prior(self, which: Sequence[int]) -> float:
         """Log prior of a set of causes by their indices, each of another component."""
-        given = self if odds is None else CausePriors(self.causes, self.components, odds, self.most)
-        return given.log_nothing + sum(math.log(given.odds) + float(self.log_shares[i]) for i in which)
+        return self.log_nothing + sum(math.log(self.odds) + float(self.log_shares[i]) for i in which)
 
     def inclusion(self) -> Mapping[str, float]:
         """Prior probability that each component is wrong."""
-        n = self.components or len(self.names)
+        n = len(self.names)
         terms = [math.comb(n - 1, i - 1) * self.odds**i for i in range(1, min(n, self.most) + 1)]
         return dict.fromkeys(self.names, sum(terms) * math.exp(self.log_nothing))

@@ -290,20 +290,22 @@ class CauseSearch:
             tried |= set(due)
             if tick is not None:
                 tick(f"solving {len(due)} sets of causes", wave / WAVES)
-            with ThreadPoolExecutor(max(1, self.cores)) as pool, threadpool_limits(1, user_api="blas"):
-                for size in sorted({len(w) for w in due}):  # what fewer causes found, more begin with
-                    now = [w for w in due if len(w) == size]
-                    results = list(pool.map(lambda which: self.solve(which, linear[which].evidence), now))
-                    self.solved |= {w: one for w, one in zip(now, results, strict=True) if one is not None}
+            for size in sorted({len(w) for w in due}):  # what fewer causes found, more begin with
+                self._solve([w for w in due if len(w) == size], linear)
             again = [w for w in self.solved if w not in retried and self._outdone(w)]
             retried |= set(again)
-            with ThreadPoolExecutor(max(1, self.cores)) as pool, threadpool_limits(1, user_api="blas"):
-                results = list(pool.map(lambda which: self.solve(which, linear[which].evidence), again))
-            for which, one in zip(again, results, strict=True):
-                if one is not None and one.fit.log_z > self.solved[which].fit.log_z:
-                    self.solved[which] = one
+            self._solve(again, linear)
             found = self._corrected(found, linear)
         return CauseSets(found, self.solved, self.linear_error, self)
+
+    def _solve(self, sets: Sequence[Which], linear: Mapping[Which, SetRow]) -> None:
+        """Take sets to their modes at once, and keep the better one of those that were solved before."""
+        with ThreadPoolExecutor(max(1, self.cores)) as pool, threadpool_limits(1, user_api="blas"):
+            results = list(pool.map(lambda which: self.solve(which, linear[which].evidence), sets))
+        for which, one in zip(sets, results, strict=True):
+            if one is None or (which in self.solved and one.fit.log_z <= self.solved[which].fit.log_z):
+                continue
+            self.solved[which] = one
 
     def _outdone(self, which: Which) -> bool:
         """Whether a larger set was solved with visibly more evidence, as where a mode was missed."""
