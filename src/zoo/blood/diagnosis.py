@@ -193,8 +193,6 @@ def diagnose(
     *,
     effects: Iterable[str | Effect] | None = None,
     posteriors: bool = False,
-    max_effects: int = 3,
-    exhaust: bool = False,
     conventions: Conventions | None = None,
     options: SolverOptions | None = None,
     priors: Mapping[str, Any] | None = None,
@@ -230,7 +228,7 @@ def diagnose(
     states : sequence of Study
         The same vessels and sensors in other states, such as at another heart rate: what was learned is fixed
         there, and compared with the baseline and with the discrepancy that was seen at the sensor.
-    max_effects, exhaust, cores, seed, tick, folder
+    cores, seed, tick, folder
         As in `zoo.core.diagnosis.diagnose`.
 
     Returns
@@ -284,8 +282,6 @@ def diagnose(
         errors=errors_of(study, data),
         hooks=replace(HOOKS, warnings=tuple(odd), components=_of_size(component_sizes)),
         states=others,
-        max_effects=max_effects,
-        exhaust=exhaust,
         posteriors=posteriors,
         cores=cores,
         seed=seed,
@@ -338,7 +334,6 @@ def _geometry(vessel: Vessel) -> tuple[int | None, list[float]]:
 def of_study(found: Diagnosis, study: Study, priors: Mapping[str, str]) -> StudyDiagnosis:
     """A diagnosis of a study's data with the study, its checksum, and the baseline's priors in words."""
     record = found.file.record | {"priors": dict(priors)}
-    update = {"study": study.name, "study_checksum": study.checksum, "record": record}
-    file = found.file.model_copy(update=update)
+    found = found.with_file(study=study.name, study_checksum=study.checksum, record=record)
     values: dict[str, Any] = {f.name: getattr(found, f.name) for f in fields(Diagnosis)}
-    return StudyDiagnosis(**(values | {"file": file}), study=study)
+    return StudyDiagnosis(**values, study=study)

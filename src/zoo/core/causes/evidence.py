@@ -169,20 +169,28 @@ class SetEvidence:
         parts = np.concatenate([colours, below.reshape(-1)])
         return float(logsumexp(parts)) - self.total(priors)
 
-    def best(self, priors: SizePriors) -> int:
-        """Index among the kinds of the most probable one."""
-        shapes = self.shapes
-        score = np.full(len(self.kinds), -np.inf)
+    def _log_weights(self, priors: SizePriors) -> Array:
+        """Log prior plus log evidence (n,) of each error model, a size standing for those around it."""
+        found = np.full(len(self.kinds), -np.inf)
         edges = np.concatenate([[0.0, SIZES[0]], np.sqrt(SIZES[1:] * SIZES[:-1]), [np.inf]])
         mixture = priors.scales(self.signal).items()
         mass = sum(weight * half_normal_mass(edges, scale) for scale, weight in mixture)
         logs = np.log(np.maximum(mass, 1e-300)) + math.log(1.0 - COLOURED)
         after = self.kinds >= self._first
-        score[after] = self.log_z[after] + (self.family.log_shapes[shapes][:, None] + logs[1:]).reshape(-1)
-        score[0] = self.log_z[0] + logs[0]
+        found[after] = (self.family.log_shapes[self.shapes][:, None] + logs[1:]).reshape(-1)
+        found[0] = logs[0]
         there = (self.kinds > 0) & ~after
-        score[there] = self.log_z[there] + self.family.log_colours[self.kinds[there] - 1] + math.log(COLOURED)
-        return int(np.argmax(score))
+        found[there] = self.family.log_colours[self.kinds[there] - 1] + math.log(COLOURED)
+        return np.asarray(self.log_z + found)
+
+    def best(self, priors: SizePriors) -> int:
+        """Index of the most probable error model."""
+        return int(np.argmax(self._log_weights(priors)))
+
+    def weights(self, priors: SizePriors) -> Array:
+        """Probability (n,) of each error model, given the set."""
+        log = self._log_weights(priors)
+        return np.asarray(np.exp(log - logsumexp(log)))
 
     def variances(self, kind: int, *, alone: bool = False) -> Array:
         """Variances (n,) of the errors of one kind, by its index here, or of its noise alone."""

@@ -1,457 +1,587 @@
-"""The answer of a diagnosis: where the discrepancy lies, what causes it, how far it shrinks, in words."""
+"""The answer of a diagnosis as sums over the posterior of sets of causes, and in words."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from fractions import Fraction
-from itertools import combinations, pairwise
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.causes.posterior import CausePosterior
+from zoo.core.causes.problem import Problem
+from zoo.core.causes.reference import Reference
+from zoo.core.causes.sets import ODDS
+from zoo.core.components import FreeFunction
 from zoo.core.diagnosis.bounds import Excluded, at_bounds
-from zoo.core.diagnosis.component_answer import component_results, several_result
-from zoo.core.diagnosis.components.learned import plausible
-from zoo.core.diagnosis.components.pairs import SERIES
-from zoo.core.diagnosis.discrepancy import model_discrepancy, smooth_part
-from zoo.core.diagnosis.estimates import INTERVAL, linearised, posteriors_of
-from zoo.core.diagnosis.evidence import Fit
+from zoo.core.diagnosis.draws import (
+    CauseDraws,
+    Discrepancy,
+    SetDraws,
+    discrepancies,
+    draw_causes,
+    draw_set,
+    interval_of,
+)
 from zoo.core.diagnosis.file import (
-    AddedStep,
+    CauseResult,
     ComponentResult,
     DiagnosisFile,
     Estimate,
     ExcludedFit,
     Gap,
-    HypothesisResult,
     Interval,
+    LearnedFunction,
     LiftedBound,
     LocationShare,
+    NextMeasurement,
+    SensitivityRow,
     SeriesGap,
+    SetResult,
     Where,
 )
 from zoo.core.diagnosis.heldout import hold_out
-from zoo.core.diagnosis.hooks import Hooks, next_measurement
-from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
-from zoo.core.diagnosis.scoring import DOUBT, VISIBLE, Scored
-from zoo.core.diagnosis.screening import Screened, Screening
+from zoo.core.diagnosis.hooks import Hooks
+from zoo.core.diagnosis.sets import SIZE_PRIORS, CauseSets, Which
 from zoo.core.effects import Location
-from zoo.core.inference.record import versions
+from zoo.core.forward import Outputs
 
 Array = NDArray[np.float64]
 
+LEAST = 1e-6
+"""Probability of the least probable set of the table, over which all probabilities are normalised."""
+TOLD = 1e-3
+"""Least probability of a cause or place that is told."""
+DOUBT = 0.01
+"""Least probability of a rival that a next measurement is to rule out."""
+CONFOUNDED = 3.0
+"""Log evidence that a cause may lose in another's place, on data that the other predicts, to be confounded."""
 MAX_HARMONIC = 10
 """Harmonics whose shares are told one by one."""
-DRAWS = 400
-"""Draws of a discrepancy from which its interval is made."""
-TOLD = 1e-3
-"""Least probability of a location that is told, and nearness of a probability to a simple fraction."""
 POOR_FIT = 0.2
-"""Discrepancy over the data's range above which input is suspected: four prior sds of a free discrepancy."""
-SCANNED = 1e-3
-"""Probability from which on the sizes of an effect come from a scan and not from the linearised model."""
+"""Residual over the data's range above which input is suspected: four prior sds of the unexplained."""
+STUCK = 0.5
+"""Part of the series' variance that a best fit should explain at least."""
+OUTLIER = 8.0
+"""Residual of a sample in robust standard deviations from which on it is named as an outlier."""
 WRONG_NOISE = 2.0
 """Factor between the noise that is stated and the fine scatter of the series above which that is said."""
 SAME_NOISE, LEAST_FINE = 0.95, 8
 """Correlation of two series' fine scatter above which they are copies, and coefficients that tell it."""
-SIMPLE_FRACTION = 20
-"""Largest denominator of a fraction in a verdict."""
-LITTLE = 0.5
-"""Part of the discrepancy that an explanation should remove at least, lest a warning is given."""
-NEARLY_ALL = 0.9
-"""Upper end of the part removed from which on it is not known whether the explanation leaves most."""
+WRONG = 3.0
+"""Log evidence that the linear model may be wrong by, and other sets be given too much, unsaid."""
+IMPLAUSIBLE = 2.5
+"""Rms of a learned function, in its prior's scale, above which it is said that it can hardly be."""
 
 
 @dataclass(frozen=True, eq=False)
-class FitDiscrepancy:
-    """The model discrepancy beside a fit, with bands; series in their own units."""
+class Answer:
+    """A diagnosis' file, the discrepancies of baseline and leading set, and the draws they are made of."""
 
-    mean: Array  # (n_series, n_times)
-    sd: Array
-    rms: Array  # (n_draws, n_series)
-    unabsorbed: Array  # (n_draws, n_series), rms of what a fit to data without noise would leave
-    residual: Array  # (n_series, n_times)
-
-    def pooled(self, rows: list[int]) -> Array:
-        """Rms over some series together, (n_draws,)."""
-        return _over(self.rms, rows)
-
-    def interval(self, rows: list[int]) -> Interval:
-        """Of that rms; from what a fit to data without noise would leave to what this fit leaves.
-
-        Where the noise is correlated the fits weigh the series otherwise, and the first may leave more.
-        """
-        draws = self.pooled(rows)
-        both = np.stack([draws, _over(self.unabsorbed, rows)])
-        low, high = np.quantile(both.min(axis=0), INTERVAL[0]), np.quantile(draws, INTERVAL[1])
-        return Interval(mean=float(np.mean(draws)), low=float(low), high=float(high))
-
-    def removed(self, rows: list[int], before: FitDiscrepancy) -> Interval:
-        """Part of the discrepancy that this fit removes; its interval holds both meanings of what is left."""
-        size = np.maximum(before.pooled(rows), 1e-12)
-        fitted, free = (1.0 - _over(x, rows) / size for x in (self.rms, self.unabsorbed))
-        low, high = np.quantile(fitted, INTERVAL[0]), np.quantile(np.maximum(fitted, free), INTERVAL[1])
-        return Interval(mean=float(fitted.mean()), low=float(low), high=float(high))
+    file: DiagnosisFile
+    before: Discrepancy
+    after: Discrepancy
+    draws: CauseDraws
 
 
-def _over(rms: Array, rows: list[int]) -> Array:
-    return np.asarray(np.sqrt(np.mean(rms[:, rows] ** 2, axis=1)))
-
-
-def discrepancy_of(
-    screened: Screened, fit: Fit, seed: int = 0, *, known_noise: bool = False
-) -> FitDiscrepancy:
-    """Posterior of the truth minus the fitted series: what is smooth in the residual beside the noise, and
-    the error of the fitted parameters, which does not show there.
+def table_of(found: CauseSets, about: int) -> tuple[list[SetResult], dict[Which, float]]:
+    """The table of sets, most probable first, and their probabilities normalised over it.
 
     Parameters
     ----------
-    screened : Screened
-    fit : Fit
-    seed : int
-        Of the draws that give its size an interval.
-    known_noise : bool
-        Take the noise as fitted, which is faster.
-
-    Returns
-    -------
-    FitDiscrepancy
+    found : CauseSets
+    about : int
+        Index of the group whose gap is told.
     """
-    errors = screened.screening.errors
-    rng = np.random.default_rng(seed)
-    noise = {q: [(0.0, e)] for q, e in screened.noise.items()} if known_noise else screened.possible_noise
-    found = model_discrepancy(fit, noise, rng, DRAWS)
-    series = errors.unflat(found.draws)
-    rms, unabsorbed = (np.sqrt(np.mean(x**2, axis=2)) for x in (series, errors.unflat(found.unabsorbed)))
-    mean, residual = errors.unflat(found.mean), errors.unflat(fit.residual)
-    return FitDiscrepancy(mean, series.std(axis=0), rms, unabsorbed, residual)
+    posterior = found.posterior
+    kept = {w: p for w, p in posterior.probability.items() if p >= LEAST or not w}
+    total, rows = sum(kept.values()), []
+    unit = found.search.fitting.data.unit(found.search.family.groups[about])
+    for which, p in kept.items():
+        log_prior, solved = posterior.priors.log_prior(which), which in found.solved
+        rows.append(
+            SetResult(
+                causes=[posterior.causes[i].label for i in which],
+                names=[posterior.causes[i].name for i in which],
+                components=list(found.components(which)),
+                log_prior=log_prior,
+                log_evidence=posterior.log_joint[which] - log_prior,
+                log_evidence_error=0.0 if solved else found.linear_error,
+                probability=p / total,
+                solved=solved,
+                gap_after=float(found.gap_after(which)[about]) if solved else None,
+                negligible=None if which else _negligible(found),
+                unit=unit,
+            )
+        )
+    return rows, {which: p / total for which, p in kept.items()}
+
+
+def _negligible(found: CauseSets) -> float:
+    """Part of the empty set's probability in which what is left does not matter."""
+    family = found.search.family
+    noise = min(found.noise[g] / family.ranges[g] for g in family.groups)
+    return found.posterior.no_gap(noise, SIZE_PRIORS.numerics) / found.posterior.probability[()]
+
+
+def _gap(found: CauseSets, before: Discrepancy, after: Discrepancy, rows: list[int]) -> Gap:
+    data, noise = found.search.fitting.data, found.noise
+    b, a = before.interval(rows), after.interval(rows)
+    size = max(b.mean, 1e-300)
+    removed = interval_of(1.0 - after.rms(rows) / size, after.weights) if found.leader else None
+    held = hold_out(found, rows) if found.leader else None
+    return Gap(
+        unit=data.units[rows[0]],
+        before=b.mean,
+        before_interval=(b.low, b.high),
+        noise_floor=noise[data.groups[rows[0]]],
+        after=a.mean,
+        after_interval=(a.low, a.high),
+        residual_rms_before=_rms(before.residual[rows]),
+        residual_rms_after=_rms(after.residual[rows]),
+        removed=removed.mean if removed else 0.0,
+        removed_interval=(removed.low, removed.high) if removed else (0.0, 0.0),
+        held_out_before=held.before if held else None,
+        held_out_after=held.after if held else None,
+        held_out_removed=held.removed if held else None,
+        held_out=held.what if held else "",
+        per_series=[
+            SeriesGap(
+                series=label,
+                unit=data.units[i],
+                before=before.interval([i]),
+                after=after.interval([i]),
+                noise_floor=noise[data.groups[i]],
+                residual_rms_before=_rms(before.residual[i]),
+                residual_rms_after=_rms(after.residual[i]),
+            )
+            for i, label in enumerate(data.labels)
+        ],
+    )
 
 
 def _rms(values: Array) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
-def _noun(scored: Scored) -> str:
-    """What a part of the simulator is called."""
-    nouns = [at.noun for found in scored.locations.values() for at, _ in found if at.noun]
-    return nouns[0] if nouns else "part"
-
-
-def _location_posterior(scored: Scored) -> list[LocationShare]:
-    """Everywhere alike, or a part; what is missing to 1 is the probability of no listed effect."""
-    shares: dict[Location, float] = {}
-    for name, locations in scored.locations.items():
-        for location, weight in locations:
-            shares[location] = shares.get(location, 0.0) + weight * scored.probability[name]
-    found = [
-        LocationShare(part=at.part, subtree=at.subtree, probability=w, noun=_noun(scored))
-        for at, w in sorted(shares.items(), key=lambda x: -x[1])
-    ]
-    return [p for p in found if p.probability >= TOLD]
-
-
-def _where(scored: Scored, d: FitDiscrepancy, hooks: Hooks) -> Where:
-    data = scored.screened.screening.data
+def _where(found: CauseSets, p: dict[Which, float], d: Discrepancy, hooks: Hooks) -> Where:
+    data, errors = found.search.fitting.data, found.search.family.errors
     rows = hooks.rows(data)
     energy = d.mean**2
     total = float(energy[rows].sum()) or 1.0
     names, phase = hooks.phases_of(data, rows)
-    by_phase = {p: float(energy[rows][:, phase == i].sum()) / total for i, p in enumerate(names)}
-    errors = scored.screened.screening.errors
-    coefficients = errors.transform(d.mean)[rows]
     power = np.zeros(int(errors.k.max()) + 1)
-    np.add.at(power, errors.k, np.sum(coefficients**2, axis=0))
+    np.add.at(power, errors.k, np.sum(errors.transform(d.mean)[rows] ** 2, axis=0))
     power /= float(power.sum()) or 1.0
     by_harmonic = {str(k): float(power[k]) for k in range(min(MAX_HARMONIC + 1, len(power)))}
     by_harmonic[f"above {MAX_HARMONIC}"] = float(power[MAX_HARMONIC + 1 :].sum())
-    by_series = {data.labels[i]: float(energy[i].sum()) / total for i in rows}
-    return Where(series=by_series, phase=by_phase, harmonic=by_harmonic, place=_location_posterior(scored))
-
-
-def _estimates(scored: Scored, name: str) -> list[Estimate]:
-    """Of an effect's parameters; from a scan where the effect is not improbable."""
-    fit = scored.best[name]
-    leads = scored.group[name] == scored.group[scored.leader]
-    scanned = leads or scored.probability[name] >= SCANNED
-    found = posteriors_of(scored.screened.screening, fit) if scanned else linearised(fit)
-    return [
-        Estimate(name=p.name, mean=x.mean, sd=x.sd, interval=(x.low, x.high), unit=p.unit)
-        for p, x in zip(fit.hypothesis.effect.parameters, found, strict=True)
-    ]
-
-
-def _free_estimates(fit: Fit) -> list[Estimate]:
-    data, found = fit.forward.errors.on, []
-    for q, e in fit.errors.items():
-        found.append(Estimate(name=f"sd of {q}", mean=e.delta, sd=0.0, unit=data.unit(q)))
-        found.append(Estimate(name=f"length scale of {q}", mean=e.length, sd=0.0, unit=data.time_unit))
-    return found
-
-
-def _results(
-    scored: Scored, seed: int, known: Mapping[str, FitDiscrepancy], hooks: Hooks
-) -> list[HypothesisResult]:
-    screened = scored.screened
-    data = screened.screening.data
-    rows = hooks.rows(data)
-    found = []
-    top = max(z for name, z in scored.log_z.items() if name not in scored.invisible)
-    for name in scored.names:
-        if name in scored.components:
-            continue
-        fit = scored.best[name]
-        if name in (NONPARAMETRIC, CORRELATED):
-            mean, _ = smooth_part(fit)
-            noise_left = screened.screening.errors.unflat(fit.residual - mean)
-            after = np.array([0.0, 0.0, 0.0])
-            rms = _rms(noise_left[rows])
-        else:
-            improbable = scored.standing(name) < DOUBT
-            d = known.get(name) or discrepancy_of(screened, fit, seed, known_noise=improbable)
-            if name in scored.locations:
-                d = _no_more(d, known[NULL], rows)
-            size = d.interval(rows)
-            after = np.array([size.mean, size.low, size.high])
-            rms = _rms(d.residual[rows])
-        listed = name in scored.locations
-        estimates = [] if name == NULL else _estimates(scored, name) if listed else _free_estimates(fit)
-        shift = {}
-        if listed:
-            base = screened.least
-            for i, p in enumerate(fit.forward.parameters[: fit.forward.n_base]):
-                shift[p.name] = float(fit.values[i] - base.values[i])
-        locations = scored.locations.get(name, [])
-        found.append(
-            HypothesisResult(
-                name=name,
-                place=fit.hypothesis.location.part if listed else None,
-                subtree=fit.hypothesis.location.subtree if listed else False,
-                probability=scored.probability[name],
-                prior_probability=scored.prior_share[name],
-                prior_made=scored.prior_made(name),
-                and_more=scored.more.get(name),
-                group=scored.group[name],
-                log_evidence=scored.log_z[name],
-                log10_bayes_factor=(scored.log_z[name] - scored.log_z[NULL]) / math.log(10.0),
-                log10_bayes_factor_to_best=(scored.log_z[name] - top) / math.log(10.0),
-                amplitude=estimates[0] if estimates else None,
-                other_amplitudes=estimates[1:],
-                gap_after=float(after[0]),
-                gap_after_interval=(float(after[1]), float(after[2])),
-                searched_twice=not listed or fit.hypothesis in screened.twice,
-                residual_rms=rms,
-                unit=data.units[rows[0]],
-                shift_of_base=shift,
-                places=[
-                    LocationShare(part=at.part, subtree=at.subtree, probability=w, noun=at.noun or "part")
-                    for at, w in locations
-                    if w >= TOLD and len(locations) > 1
-                ],
-            )
-        )
-    return found
-
-
-def _no_more(d: FitDiscrepancy, baseline: FitDiscrepancy, rows: list[int]) -> FitDiscrepancy:
-    """What a cause leaves: it can be 0, so that none leaves more than the baseline."""
-    return baseline if d.pooled(rows).mean() > baseline.pooled(rows).mean() else d
-
-
-def _left(
-    scored: Scored, seed: int, known: Mapping[str, FitDiscrepancy], rows: list[int]
-) -> dict[str, Interval]:
-    """What the best function of each component leaves; none leaves more than the baseline."""
-    found = {}
-    for name, component in scored.components.items():
-        fit = component.best.fit
-        d = known.get(name) if scored.best[name] is fit else None
-        d = d or discrepancy_of(scored.screened, fit, seed, known_noise=True)
-        d = _no_more(d, known[NULL], rows)
-        found[name] = d.interval(rows)
-    return found
-
-
-def _prior_words(scored: Scored) -> str:
-    """The beginning of a verdict whose probability the prior made."""
-    share = scored.prior_share[scored.leader]
-    if share is None or not scored.prior_made(scored.leader):
-        return ""
-    simple = Fraction(share).limit_denominator(SIMPLE_FRACTION)
-    own = f" {simple}" if abs(share - simple) < TOLD and simple.denominator > 1 else ""
-    others = scored.tied(scored.leader) or ["others of the same evidence"]
-    return (
-        f"these data do not tell {scored.leader} from {' or '.join(others)}: "
-        f"{scored.probability[scored.leader]:.0%} is the prior's own{own}; "
+    return Where(
+        series={data.labels[i]: float(energy[i].sum()) / total for i in rows},
+        phase={name: float(energy[rows][:, phase == i].sum()) / total for i, name in enumerate(names)},
+        harmonic=by_harmonic,
+        place=_places(found, p, range(len(found.posterior.causes))),
     )
 
 
-def _verdict(scored: Scored, gap: Gap) -> str:
-    unit = "" if gap.unit == "1" else f" {gap.unit}"
-    leader, p = scored.leader, scored.probability[scored.leader]
-    if leader == NULL:
-        return f"no gap: noise of {gap.noise_floor:.3g}{unit} explains what the baseline leaves ({p:.0%})"
-    if leader in (NONPARAMETRIC, CORRELATED):
-        text = "none of the listed effects" if leader == NONPARAMETRIC else "correlated noise"
-        told = set() if _prior_words(scored) == "" else {leader, *scored.tied(leader)}
-        twin = [n for n in scored.twins(leader) if n not in told]
-        return f"{text} ({p:.0%}): a smooth discrepancy of {gap.before:.2g}{unit}" + (
-            f"; these data cannot tell it from {' or '.join(twin)}" if twin else ""
-        )
-    members = [leader, *scored.twins(leader)]
-    twins = f", which these data cannot tell from {', '.join(members[1:])}" if len(members) > 1 else ""
-    grouped = " with its group" if twins else ""
-    shrinks = f"the discrepancy of {gap.before:.2g}{unit} shrinks to {gap.after:.2g}{unit}"
-    if scored.pair:
-        p = dict(scored.pairs)[scored.pair]
-        return _undecided(p) + (
-            f"the components {' and '.join(scored.pair.names)} are not as the baseline has them, and no "
-            f"listed effect is what they lack ({p:.0%}){twins}: with "
-            f"{' and '.join(scored.pair.functions)} learned from the data {shrinks}"
-        )
-    if leader in scored.components:
-        function = scored.components[leader].best.function
-        beside = scored.more.get(leader, 0.0) > scored.probability[leader]
-        rest = ", and something else remains" if beside else ""
-        total = scored.of_component[leader] + sum(scored.probability[m] for m in members[1:])
-        return _undecided(total) + (
-            f"the component {leader} is not as the baseline has it, and no listed effect is what it lacks "
-            f"({total:.0%}{grouped}){twins}: with a {function.name} learned from the data {shrinks}{rest}"
-        )
-    fit = scored.best[leader]
-    at = fit.hypothesis.location
-    where = f" in {at}" if at.part is not None else ""
-    total = sum(scored.probability[m] for m in members)
-    more = scored.more.get(leader, 0.0)
-    if more > scored.probability[leader]:
-        return (
-            f"{leader}{where} and something else ({more:.0%}; alone {total:.0%}{grouped}){twins}: {shrinks}"
-        )
-    return f"{leader}{where} ({total:.0%}{grouped}){twins}: {shrinks}"
-
-
-def _undecided(p: float) -> str:
-    """The beginning of a verdict that is less probable than not."""
-    return "these data do not decide; most probable is that " if p < 0.5 else ""
-
-
-def _several(components: Sequence[ComponentResult]) -> str:
-    """The end of a verdict where more than one component holds part of the gap for certain."""
-    found = [one for one in components if one.one_of_several and one.share is not None]
-    if any(one.share.low <= 0.0 for one in found if one.share):
-        return ""
-    found.sort(key=lambda one: -one.share.mean if one.share else 0.0)
-    held = [f"{x.name} ({x.share.low:.0%} to {x.share.high:.0%})" for x in found if x.share]
-    return f"; of its energy {' and '.join(held)} each hold a part" if held else ""
-
-
-def _warnings(gap: Gap, scored: Scored, hooks: Hooks) -> list[str]:
-    """What should be looked at before the answer is believed."""
-    data = scored.screened.screening.data
-    rows, found = hooks.rows(data), list[str]()
-    unit = "" if gap.unit == "1" else f" {gap.unit}"
-    spread = float(max(np.ptp(data.values[i]) for i in rows))
-    if gap.before > POOR_FIT * spread:
-        found.append(
-            f"the baseline misses the data by {gap.before:.2g}{unit}, {gap.before / spread:.0%} of "
-            f"their range, more than any effect of the catalogue should: {hooks.advice}"
-        )
-    found += _noise(scored)
-    found += _together(scored)
-    leader = scored.leader
-    stuck = {p.name for p, _ in at_bounds(scored.screened.least)}
-    found += [one.text for _, one in at_bounds(scored.screened.least)]
-    learned = (scored.pair.first, scored.pair.second) if scored.pair else ()
-    if leader in scored.components:
-        for kind in learned or (scored.components[leader].best,):
-            told = plausible(kind, hooks.plausible)
-            if not told.value:
-                name = kind.function.component
-                found.append(f"{name}: what was learned can hardly be: {told.why}")
-    if not scored.is_cause(leader):
-        return found
-    if gap.removed < LITTLE and gap.removed_interval[1] > NEARLY_ALL:
-        low, high = (f"{share:.0%}" for share in gap.removed_interval)
-        found.append(
-            f"how much of the discrepancy goes with {leader} cannot be told from these data: {low} to {high}"
-        )
-    elif gap.removed < LITTLE:
-        found.append(
-            f"{leader} explains the data best of what is listed, but only {max(gap.removed, 0.0):.0%} of the "
-            "discrepancy goes with it: most has another cause"
-        )
-    if data.n_series < SERIES and scored.components:
-        found.append(f"from one series two causes at once cannot be told from one: {_two(scored.untold)}")
-    found += _bounds_beside(scored, leader, stuck)
-    if leader in scored.locations:
-        found += _bounds_of_effect(scored, leader)
-    elif scored.locations:  # a bound may hold a listed effect back
-        found += _bounds_of_effect(scored, max(scored.locations, key=lambda n: scored.log_z[n]))
-    return found
-
-
-def _two(untold: float) -> str:
-    """What the probabilities of components of one series say where two are wrong."""
-    if (share := f"{untold:.0%}") == "0%":
-        return "each probability is that of a component that is wrong, alone or beside something else"
-    return f"the probability that two components are wrong, {share}, is shared equally by all components"
-
-
-def _bounds_beside(scored: Scored, name: str, stuck: set[str]) -> list[str]:
-    """Bounds at which parameters of the baseline stand with an explanation, and not without it."""
-    base = {p.name for p in scored.screened.least.forward.parameters} - stuck
-    return [f"with {name}, {one.text}" for p, one in at_bounds(scored.best[name]) if p.name in base]
-
-
-def _bounds_of_effect(scored: Scored, name: str) -> list[str]:
-    """Bounds at which parameters of a listed effect stand."""
-    forward = scored.best[name].forward
-    own = {p.name for p in forward.parameters[forward.asked :]}
+def _places(found: CauseSets, p: dict[Which, float], causes: Sequence[int]) -> list[LocationShare]:
+    """Probability that one of some listed effects is there, at each of its places."""
+    asked, shares = set(causes), dict[Location, float]()
+    for which, x in p.items():
+        at = {found.search.origins[i].added for i in which if i in asked}
+        for location in {one.location for one in at if one is not None}:
+            shares[location] = shares.get(location, 0.0) + x
+    noun = next((at.noun for at in shares if at.noun), "part")
     return [
-        f"{p.name} of {name} stands at the {one.side} bound of its prior, {one.bound:g} {p.unit}: the data "
-        "ask for more than the catalogue allows"
-        for p, one in at_bounds(scored.best[name])
-        if p.name in own
+        LocationShare(part=at.part, subtree=at.subtree, probability=x, noun=noun)
+        for at, x in sorted(shares.items(), key=lambda item: -item[1])
+        if x >= TOLD
     ]
 
 
-def _noise(scored: Scored) -> list[str]:
+def _holding(found: CauseSets, p: dict[Which, float], names: set[str], of: str) -> float:
+    """Probability of the sets that hold a cause or component of some names."""
+    causes = found.posterior.causes
+    return math.fsum(x for which, x in p.items() if any(getattr(causes[i], of) in names for i in which))
+
+
+def _causes(found: CauseSets, p: dict[Which, float], draws: CauseDraws) -> list[CauseResult]:
+    posterior, rows = found.posterior, []
+    prior = posterior.priors.inclusion()
+    for name in dict.fromkeys(one.name for one in posterior.causes):
+        own = [i for i, one in enumerate(posterior.causes) if one.name == name]
+        probability = _holding(found, p, {name}, "name")
+        first = posterior.causes[own[0]]
+        share = sum(math.exp(posterior.priors.log_shares[i]) for i in own)
+        places = [] if first.free else _places(found, p, own)
+        rows.append(
+            CauseResult(
+                name=name,
+                component=first.component,
+                free=first.free,
+                probability=probability,
+                prior_probability=prior[first.component] * share,
+                places=[
+                    one.model_copy(update={"probability": one.probability / probability}) for one in places
+                ]
+                if probability > TOLD
+                else [],
+                estimates=[] if first.free else _estimates(found, draws, set(own)),
+            )
+        )
+    return sorted(rows, key=lambda one: -one.probability)
+
+
+def _estimates(found: CauseSets, draws: CauseDraws, own: set[int]) -> list[Estimate]:
+    """Of an effect's parameters over all drawn sets that hold it; alone at its mode where none does."""
+    holding = draws.holding(lambda which: bool(own & set(which)))
+    if not holding:
+        return []
+    values, weights, parameters = list[Array](), list[Array](), ()
+    for one in holding:
+        places = one.solved.places(found.search.causes, found.search.origins)
+        i = next(i for i in one.which if i in own)
+        values.append(one.values(places[i]))
+        weights.append(one.weights)
+        parameters = found.search.origins[i].effect().effect.parameters
+    x, w = np.concatenate(values), np.concatenate(weights)
+    estimates = []
+    for p, draws_ in zip(parameters, x.T, strict=True):
+        one_ = interval_of(draws_, w)
+        sd = math.sqrt(float(w @ (draws_ - one_.mean) ** 2 / w.sum()))
+        estimates.append(
+            Estimate(name=p.name, mean=one_.mean, sd=sd, interval=(one_.low, one_.high), unit=p.unit)
+        )
+    return estimates
+
+
+def _share(found: CauseSets, draws: CauseDraws, component: str, group: str) -> Interval:
+    """Shapley's share of a component in the energy of truth minus baseline, 0 in sets without it."""
+    search = found.search
+
+    def of(one: SetDraws) -> Array:
+        index = next((i for i in one.which if search.causes[i].component == component), None)
+        if index is None:
+            return np.zeros(len(one.x))
+        part = one.solved.places(search.causes, search.origins)[index]
+        V = one.solved.evidence.variances(one.solved.evidence.best(SIZE_PRIORS))
+        J = search.jacobian / V[:, None]
+        signal = one.signal(part)
+        taken = np.linalg.lstsq(J.T @ search.jacobian, J.T @ signal.T, rcond=None)[0]
+        errors = search.family.errors
+        own = errors.part(signal - (search.jacobian @ taken).T, group)
+        gap = errors.part(one.computed + one.left - search.base.computed, group)
+        energy = np.maximum(np.sum(gap**2, axis=(1, 2)), 1e-300)
+        return np.asarray(np.sum(own * gap, axis=(1, 2)) / energy)
+
+    return draws.interval(of)
+
+
+def confounded(found: CauseSets) -> dict[str, list[str]]:
+    """For each component of the leading set, others that can stand in for it there.
+
+    On data that the leading set predicts, without noise, a cause of theirs in the place of its own loses less
+    than 3 in log evidence, in the linear model.
+    """
+    search, which = found.search, found.leader
+    if not which:
+        return {}
+    one = found.solved[which]
+    V = one.evidence.variances(one.evidence.best(SIZE_PRIORS))
+    predicted = one.point.computed - search.base.computed
+    p = search.problem
+    problem = Problem(predicted, p.jacobian, p.precision, p.pull, p.log_prior, p.low, p.high)
+    reference = Reference(problem, search.causes, V)
+    groups = {}
+    for i in which:
+        rest = [j for j in which if j != i]
+        gained, _ = reference.further(rest, [1.0] * len(rest))
+        own = search.causes[i].component
+        members = [j for j, one_ in enumerate(search.causes) if one_.component == own]
+        top = max(gained[j] for j in members)
+        others = {search.causes[j].component for j in rest} | {own}
+        near = [
+            c.component
+            for j, c in enumerate(search.causes)
+            if c.component not in others and gained[j] > top - CONFOUNDED
+        ]
+        groups[own] = list(dict.fromkeys(near))
+    return groups
+
+
+def _learned(found: CauseSets, p: dict[Which, float], one: SetDraws, index: int) -> LearnedFunction:
+    cause, origin = found.search.causes[index], found.search.origins[index]
+    f = origin.function
+    assert f is not None
+    part = one.solved.places(found.search.causes, found.search.origins)[index]
+    values = one.x[:, part] @ (f.size * f.root(origin.length)).T
+    low, high = np.quantile(values, (0.025, 0.975), axis=0)
+    return LearnedFunction(
+        name=f.name,
+        argument=f.argument,
+        argument_unit=f.argument_unit,
+        unit=f.unit,
+        values=f.at.tolist(),
+        labels=list(f.labels),
+        mean=values.mean(axis=0).tolist(),
+        low=low.tolist(),
+        high=high.tolist(),
+        prior_sd=(f.size * np.sqrt(np.diag(f.correlation(origin.length)))).tolist(),
+        location=f.location.part,
+        equation=f.equation,
+        prior_size=f.size,
+        length=origin.length,
+        probability=_holding(found, p, {cause.name}, "name"),
+    )
+
+
+def _functions(
+    found: CauseSets, p: dict[Which, float], draws: CauseDraws, component: str
+) -> list[LearnedFunction]:
+    """Each free function of a component, from the most probable drawn set that holds it."""
+    learned: dict[str, LearnedFunction] = {}
+    for one in draws.sets:
+        for i in one.which:
+            cause = found.search.causes[i]
+            if cause.component == component and cause.free and cause.name not in learned:
+                learned[cause.name] = _learned(found, p, one, i)
+    return sorted(learned.values(), key=lambda f: -f.probability)
+
+
+def _components(
+    found: CauseSets, p: dict[Which, float], draws: CauseDraws, group: str
+) -> list[ComponentResult]:
+    prior, groups = found.posterior.priors.inclusion(), confounded(found)
+    rows = [
+        ComponentResult(
+            name=name,
+            probability=_holding(found, p, {name}, "component"),
+            prior_probability=prior[name],
+            share=_share(found, draws, name, group),
+            confounded=groups.get(name, []),
+            group_probability=_holding(found, p, {name, *groups.get(name, [])}, "component"),
+            functions=_functions(found, p, draws, name),
+        )
+        for name in found.posterior.priors.names
+    ]
+    return sorted(rows, key=lambda one: -one.probability)
+
+
+def sensitivity(posterior: CausePosterior) -> list[SensitivityRow]:
+    """Probabilities under other priors; nothing is solved again."""
+    sizes = SIZE_PRIORS
+    under = {
+        "as stated": posterior,
+        "odds of causes halved": posterior.under(odds=0.5 * ODDS),
+        "odds of causes doubled": posterior.under(odds=2.0 * ODDS),
+        "unexplained half as large": posterior.under(replace(sizes, unexplained=0.5 * sizes.unexplained)),
+        "unexplained twice as large": posterior.under(replace(sizes, unexplained=2.0 * sizes.unexplained)),
+        "odds of the unexplained 1": posterior.under(replace(sizes, odds=1.0)),
+        "causes exact": posterior.under(replace(sizes, caricature=0.0)),
+        "causes twice as inexact": posterior.under(replace(sizes, caricature=2.0 * sizes.caricature)),
+    }
+    return [
+        SensitivityRow(prior=name, nothing=one.probability[()], components=one.components)
+        for name, one in under.items()
+    ]
+
+
+def _leading(row: SensitivityRow) -> frozenset[str]:
+    return frozenset(name for name, x in row.components.items() if x > 0.5)
+
+
+def next_measurement(found: CauseSets, hooks: Hooks) -> NextMeasurement | None:
+    """The candidate in which the leading set and the most probable one of other components differ most.
+
+    Expected log odds: half the squared difference of their series over the variance of the noise. That the
+    parameters would move again is not counted, so it is an upper estimate.
+    """
+    if not found.leader or hooks.candidates is None:
+        return None
+    own = set(found.components(found.leader))
+    rival = next(
+        (
+            which
+            for which, p in found.posterior.probability.items()
+            if p >= DOUBT and which and which in found.solved and set(found.components(which)) != own
+        ),
+        None,
+    )
+    fitting = found.search.fitting
+    seen = set(fitting.data.outputs)
+    candidates = [c for c in hooks.candidates(fitting.data, fitting.baseline) if c.output not in seen]
+    if rival is None or not candidates:
+        return None
+    wanted = Outputs(tuple(c.output for c in candidates), fitting.baseline.outputs.times)
+    solved = [found.solved[which] for which in (found.leader, rival)]
+    first, second = (one.forward.series(one.point.u, wanted) for one in solved)
+    if first is None or second is None:
+        return None
+    noise = found.noise
+    noises = np.array(
+        [
+            noise.get(c.group, c.noise_part * float(np.abs(series).max()))
+            for c, series in zip(candidates, first, strict=True)
+        ]
+    )
+    gain = 0.5 * np.sum((first - second) ** 2, axis=1) / noises**2
+    i = int(np.argmax(np.where(np.isfinite(gain), gain, -math.inf)))
+    return NextMeasurement(
+        separates=(found.name(found.leader), found.name(rival)),
+        expected_log_odds=float(gain[i]),
+        **dict(candidates[i].words),
+    )
+
+
+def _verdict(file: DiagnosisFile, leader: Sequence[str]) -> str:
+    gap, unit = file.gap, "" if file.gap.unit == "1" else f" {file.gap.unit}"
+    wrong = [c for c in file.components if c.probability > 0.5]
+    nothing = next(row.probability for row in file.sets if not row.causes)
+    if not wrong and nothing > 0.5:
+        if file.no_gap > 0.5:
+            return f"no gap ({file.no_gap:.0%}): noise of {gap.noise_floor:.3g}{unit} explains what is left"
+        return (
+            f"none of the listed effects or components ({nothing:.0%}): a discrepancy of "
+            f"{gap.before:.2g}{unit} that nothing here explains"
+        )
+    named = ", ".join(f"{c.name} {c.probability:.0%}" for c in wrong)
+    best = file.sets[0] if file.sets[0].causes else next(row for row in file.sets if row.causes)
+    by = " and ".join(leader or best.causes)
+    left = f"{by} ({best.probability:.0%}) takes the gap of {gap.before:.2g}{unit} to {gap.after:.2g}{unit}"
+    if not wrong:
+        others = ", ".join(f"{c.name} {c.probability:.0%}" for c in file.components[:3])
+        return f"these data do not decide (nothing {nothing:.0%}; {others}): most probable is that {left}"
+    groups = "; ".join(
+        f"{c.name} cannot be told from {' or '.join(c.confounded)} (any of them {c.group_probability:.0%})"
+        for c in wrong
+        if c.confounded
+    )
+    return f"wrong is {named}: {left}" + (f"; {groups}" if groups else "")
+
+
+def _not_decided(file: DiagnosisFile, most: int) -> list[str]:
+    """What the answer depends on, first and aloud."""
+    told = []
+    stated, *others = file.sensitivity
+    moved = [row.prior for row in others if _leading(row) != _leading(stated)]
+    if moved:
+        told.append(f"the answer depends on the prior: it is another with {', '.join(moved)}")
+    if len(file.number) > most and file.number[most] > 0.5:
+        told.append(
+            f"{most} components are said to be wrong, the most that may be: no set of causes is right at "
+            "this noise, and the least wrong one is picked; do not believe it"
+        )
+    if file.linear_error > WRONG:
+        told.append(
+            f"sets that were not solved may be better or worse than stated by {file.linear_error:.0f} in log "
+            f"evidence: {file.missed:.0%} of the probability may be missed"
+        )
+    return told
+
+
+def _warnings(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: Hooks) -> list[str]:
+    """What should be looked at before the answer is believed."""
+    data, told = found.search.fitting.data, list[str]()
+    rows, gap = hooks.rows(data), file.gap
+    unit = "" if gap.unit == "1" else f" {gap.unit}"
+    spread = float(max(np.ptp(data.values[i]) for i in rows))
+    if gap.residual_rms_before > POOR_FIT * spread:
+        told.append(
+            f"the baseline misses the data by {gap.residual_rms_before:.2g}{unit}, "
+            f"{gap.residual_rms_before / spread:.0%} of their range: {hooks.advice}"
+        )
+    for i, label in enumerate(data.labels):
+        explained = 1.0 - float(np.var(before.residual[i]) / np.var(data.values[i]))
+        if explained < STUCK:
+            told.append(
+                f"{label}: the best fit of the baseline explains {max(explained, 0.0):.0%} of its variance, "
+                "hardly more than a constant would: it may not have been found; give priors nearer to it"
+            )
+    told += [one.text for _, one in at_bounds(found.search.fitting.forward, found.search.base.u)]
+    for name in found.search.idle:
+        told.append(
+            f"effect {name}: none of its starts changes any sample: the simulator does not read what it sets"
+        )
+    told += _outliers(found) + _noise(found)
+    if not found.leader:
+        return told
+    leader = found.solved[found.leader]
+    stuck = {p.name for p, _ in at_bounds(found.search.fitting.forward, found.search.base.u)}
+    n = leader.n_listed
+    for p, one in at_bounds(leader.forward, leader.point.u):
+        index = [q.name for q in leader.forward.parameters].index(p.name)
+        if p.name not in stuck and index < n:
+            told.append(f"with {found.name(found.leader)}, {one.text}")
+    for c in file.components:
+        for f in c.functions[:1] if c.probability > 0.5 else ():
+            told += _implausible(found, f, hooks)
+    return told
+
+
+def _implausible(found: CauseSets, learned: LearnedFunction, hooks: Hooks) -> list[str]:
+    function = next(
+        o.function for o in found.search.origins if o.function and o.function.name == learned.name
+    )
+    assert function is not None
+    good, why = (hooks.plausible or expected)(function, np.asarray(learned.mean))
+    return [] if good else [f"{function.component}: what was learned can hardly be: {why}"]
+
+
+def expected(function: FreeFunction, values: Array) -> tuple[bool, str]:
+    """Whether the values of a function are of the size that its prior expects, and a sentence about it."""
+    rms, unit = _rms(values), "" if function.unit == "1" else f" {function.unit}"
+    why = f" ({function.why})" if function.why else ""
+    text = (
+        f"{function.name} would have an rms of {rms:.2g}{unit}, {rms / function.size:.1f} times the "
+        f"{function.size:.2g}{unit} that is expected{why}"
+    )
+    return rms <= IMPLAUSIBLE * function.size, text
+
+
+def _outliers(found: CauseSets) -> list[str]:
+    """Samples far from their neighbours in what the leading set leaves."""
+    data, told = found.search.fitting.data, []
+    left = found.search.family.errors.unflat(found.search.data - found.solved[found.leader].point.computed)
+    for label, series, values in zip(data.labels, left, data.values, strict=True):
+        step = 0.5 * (np.roll(series, 1) + np.roll(series, -1))
+        odd = series - step
+        scale = 1.4826 * float(np.median(np.abs(odd - np.median(odd)))) + 1e-12 * float(np.ptp(values))
+        at = np.flatnonzero(np.abs(odd) > OUTLIER * scale)
+        if 0 < len(at) < 0.1 * len(series):
+            told.append(
+                f"{label}: samples {', '.join(map(str, at[:10]))} stand out from their "
+                "neighbours: if they are outliers, correct them; they count here as all others do"
+            )
+    return told
+
+
+def _noise(found: CauseSets) -> list[str]:
     """That a stated noise does not fit the fine scatter of the data, or that two series share theirs."""
-    screening, found = scored.screened.screening, list[str]()
-    data, errors, residual = screening.data, screening.errors, scored.screened.least.residual
+    fitting, told = found.search.fitting, list[str]()
+    data, errors = fitting.data, fitting.errors
+    residual = found.search.data - found.search.base.computed
     for group, rows in data.rows.items():
         fine, unit = errors.fine(residual, group), data.unit(group)
         if fine.shape[1] < LEAST_FINE:
             continue
         known, scatter = errors.known.get(group), float(np.sqrt(np.mean(fine**2)))
         if known is not None and not known / WRONG_NOISE < scatter < known * WRONG_NOISE:
-            found.append(
+            told.append(
                 f"noise_sd of {group} is {known:.3g} {unit}, but its series scatter by {scatter:.3g} {unit} "
                 "from sample to sample: correct it, or leave it out and it is fitted; all probabilities "
                 "here hold for that noise alone"
             )
         waves = np.fft.rfft(errors.unflat(residual)[rows])[:, -fine.shape[1] // 2 :]
-        for i, j in combinations(range(len(rows)), 2):
-            size = float(np.linalg.norm(waves[i]) * np.linalg.norm(waves[j]))
-            if size > 0 and float(np.vdot(waves[i], waves[j]).real) > SAME_NOISE * size:
-                names = f"{data.labels[rows[i]]} and {data.labels[rows[j]]}"
-                found.append(
-                    f"{names} have the same noise, as copies of one record have: leave one out, for what "
-                    "they share looks like an effect"
-                )
-    return found
-
-
-def _together(scored: Scored) -> list[str]:
-    """That several listed effects together explain what none does alone."""
-    several = scored.several
-    if several is None or several.gain < VISIBLE:
-        return []
-    return [
-        f"{' and '.join(several.names)} together are more probable than any effect alone, by "
-        f"{several.gain:.1f} in log odds: there may be more than one cause"
-    ]
+        for i in range(len(rows)):
+            for j in range(i + 1, len(rows)):
+                size = float(np.linalg.norm(waves[i]) * np.linalg.norm(waves[j]))
+                if size > 0 and float(np.vdot(waves[i], waves[j]).real) > SAME_NOISE * size:
+                    told.append(
+                        f"{data.labels[rows[i]]} and {data.labels[rows[j]]} have the same noise, as "
+                        "copies of one record have: leave one out, for what they share looks like an effect"
+                    )
+    return told
 
 
 def _beyond(excluded: Excluded | None, gap: Gap) -> str:
@@ -470,164 +600,108 @@ def _beyond(excluded: Excluded | None, gap: Gap) -> str:
     )
 
 
-def _lifted_warnings(excluded: Excluded | None, hooks: Hooks) -> list[str]:
+def _lifted(excluded: Excluded | None, hooks: Hooks) -> list[str]:
     if excluded is None:
         return []
     return [
-        f"{one.text} in other commands too; here the explanations are weighed with it free; if {value:.3g} "
+        f"{one.text} in other commands too; here causes are weighed with it free; if {value:.3g} "
         f"cannot be, {hooks.advice}"
         for one, value in zip(excluded.bounds, excluded.values, strict=True)
     ]
 
 
-def _excluded(
-    excluded: Excluded | None, screening: Screening, rows: list[int], unit: str
-) -> ExcludedFit | None:
+def _excluded(excluded: Excluded | None, found: CauseSets, rows: list[int], unit: str) -> ExcludedFit | None:
     if excluded is None:
         return None
-    within, free = (_rms(screening.errors.unflat(f.residual)[rows]) for f in (excluded.within, excluded.free))
+    unflat = found.search.family.errors.unflat
     bounds = [
         LiftedBound.model_validate(
-            {
-                "parameter": one.parameter,
-                "unit": one.unit,
-                "side": one.side,
-                "bound": one.bound,
-                "best": value,
-            }
+            {"parameter": b.parameter, "unit": b.unit, "side": b.side, "bound": b.bound, "best": value}
         )
-        for one, value in zip(excluded.bounds, excluded.values, strict=True)
+        for b, value in zip(excluded.bounds, excluded.values, strict=True)
     ]
-    return ExcludedFit(unit=unit, bounds=bounds, residual_rms_within=within, residual_rms_free=free)
+    return ExcludedFit(
+        unit=unit,
+        bounds=bounds,
+        residual_rms_within=_rms(unflat(excluded.within)[rows]),
+        residual_rms_free=_rms(unflat(excluded.free)[rows]),
+    )
+
+
+def _parameters(found: CauseSets, draws: CauseDraws) -> dict[str, dict[str, float]]:
+    """Of the baseline: at its best fit, and over all sets of causes, with standard deviations."""
+    forward = found.search.fitting.forward
+    names = [p.name for p in forward.parameters]
+    n, rows = len(names), {}
+    alone = draws.holding(lambda which: not which) or [draw_set(found, (), 1.0, np.random.default_rng(0))]
+    for label, sets in (("base", alone), ("over all sets", draws.sets)):
+        u = np.concatenate([one.values(slice(0, n)) for one in sets])
+        w = np.concatenate([one.weights for one in sets])
+        x = np.stack([np.asarray(p.value(u[:, i])) for i, p in enumerate(forward.parameters)], axis=1)
+        mean = w @ x / w.sum()
+        sd = np.sqrt(w @ (x - mean) ** 2 / w.sum())
+        rows[label] = dict(zip(names, mean.tolist(), strict=True)) | {
+            f"{name} sd": float(s) for name, s in zip(names, sd, strict=True)
+        }
+    return rows
 
 
 def answer(
-    rounds: Sequence[Scored],
-    hooks: Hooks,
-    seed: int,
-    started: str,
-    seconds: float,
-    excluded: Excluded | None = None,
-) -> tuple[DiagnosisFile, FitDiscrepancy, FitDiscrepancy]:
-    """The content of diagnosis.json, and the discrepancy before and after.
+    found: CauseSets, hooks: Hooks, seed: int, record: dict[str, Any], excluded: Excluded | None = None
+) -> Answer:
+    """The content of diagnosis.json, and the discrepancies and draws behind it.
 
     Parameters
     ----------
-    rounds : sequence of Scored
-        One for each effect that was added, the first of which has the verdict.
+    found : CauseSets
     hooks : Hooks
     seed : int
         Of the draws.
-    started : str
-        When.
-    seconds : float
-        What the screening took.
+    record : dict
+        How it was made.
     excluded : Excluded, optional
-        What the baseline's prior excluded; the rounds are of the baseline with these bounds lifted.
+        What the baseline's prior excluded; the sets are of the baseline with these bounds lifted.
 
     Returns
     -------
-    DiagnosisFile
-    before, after : FitDiscrepancy
-        Of the baseline, and of the leading explanation where that is an effect.
+    Answer
     """
-    first = rounds[0]
-    single = first.best[first.leader]
-    screenings = [scored.screened.screening for scored in rounds]
-    data = screenings[0].data
+    data = found.search.fitting.data
     rows = hooks.rows(data)
-    unit = data.units[rows[0]]
-    screened = first.screened
-    before = discrepancy_of(screened, screened.least, seed)
-    caused = first.is_cause(first.leader)
-    after = _no_more(discrepancy_of(screened, single, seed), before, rows) if caused else before
-    held = hold_out(first, single, rows) if caused else None
-    b, a, removed = before.interval(rows), after.interval(rows), after.removed(rows, before)
-    gap = Gap(
-        unit=unit,
-        before=b.mean,
-        before_interval=(b.low, b.high),
-        noise_floor=screened.noise[data.groups[rows[0]]].noise,
-        after=a.mean,
-        after_interval=(a.low, a.high),
-        residual_rms_before=_rms(before.residual[rows]),
-        residual_rms_after=_rms(after.residual[rows]),
-        removed=removed.mean if caused else 0.0,
-        removed_interval=(removed.low, removed.high) if caused else (0.0, 0.0),
-        held_out_before=held.before if held else None,
-        held_out_after=held.after if held else None,
-        held_out_removed=held.removed if held else None,
-        held_out=held.what if held else "",
-        per_series=[
-            SeriesGap(
-                series=label,
-                unit=data.units[i],
-                before=before.interval([i]),
-                after=after.interval([i]),
-                noise_floor=screened.noise[data.groups[i]].noise,
-                residual_rms_before=_rms(before.residual[i]),
-                residual_rms_after=_rms(after.residual[i]),
-            )
-            for i, label in enumerate(data.labels)
-        ],
-    )
-    steps = []
-    for now, then in pairwise(rounds):
-        one = then.screened.screening.added[-1]
-        fits = (now.screened.least, then.screened.least)
-        sizes = [float(discrepancy_of(now.screened, f, seed).pooled(rows).mean()) for f in fits]
-        steps.append(
-            AddedStep(
-                name=one.name, place=one.location.part, subtree=one.location.subtree, unit=unit,
-                probability=now.probability[one.name], amplitudes=_estimates(now, one.name),
-                gap_before=sizes[0], gap_after=sizes[1],
-            )
-        )  # fmt: skip
-    parameters = {}
-    for label, fit in (("base", screened.least), ("with cause", single)):
-        values = fit.values
-        sds = fit.sd
-        # weights of a free function mean nothing one by one
-        shown = fit.forward.parameters[: fit.forward.n_base if first.leader in first.components else None]
-        parameters[label] = {p.name: float(values[i]) for i, p in enumerate(shown)} | {
-            f"{p.name} sd": float(sds[i] * (values[i] if p.log else 1.0)) for i, p in enumerate(shown)
-        }
-    known = {NULL: before} | ({first.leader: after} if caused else {})
-    components = component_results(
-        first, _left(first, seed, known, rows), unit, data.groups[rows[0]], hooks.plausible, seed
-    )
+    group = data.groups[rows[0]]
+    draws = draw_causes(found, seed)
+    before, after = discrepancies(draws)
+    sets, p = table_of(found, found.search.family.groups.index(group))
+    number = np.zeros(1 + max(len(which) for which in p))
+    for which, x in p.items():
+        number[len(which)] += x
+    gap = _gap(found, before, after, rows)
+    leader = next(row for row in sets if row.solved)
     file = DiagnosisFile(
         study=data.name,
         study_checksum=data.checksum,
-        base=screenings[0].baseline.name,
+        base=found.search.fitting.baseline.name,
+        verdict="",
+        decided=True,
+        cause=leader.causes,
+        excluded=_excluded(excluded, found, rows, data.units[rows[0]]),
         gap=gap,
-        where=_where(first, before, hooks),
-        cause=first.members(first.leader),
-        verdict=_beyond(excluded, gap) + _prior_words(first) + _verdict(first, gap) + _several(components),
-        warnings=[
-            *hooks.warnings,
-            *_lifted_warnings(excluded, hooks),
-            *_warnings(gap, first, hooks),
-        ],
-        excluded=_excluded(excluded, screenings[0], rows, unit),
-        hypotheses=_results(first, seed, known, hooks),
-        components=components,
-        steps=steps,
-        several=several_result(first.several),
-        invisible=list(first.invisible),
-        failed=list(first.failed),
-        next_measurement=next_measurement(first, hooks),
-        base_parameters=parameters,
-        record={
-            "versions": versions(),
-            "seed": seed,
-            "started": started,
-            "screening_seconds": seconds,
-            "solves": sum(s.solves for s in screenings),
-            "failed_solves": sum(s.failures for s in screenings),
-            "cores": screenings[0].cores,
-            "noise": {q: vars(e) for q, e in screened.noise.items()},
-            "gap_unit": unit,
-        },
+        where=_where(found, p, before, hooks),
+        no_gap=p[()] * (next(row.negligible for row in sets if not row.causes) or 0.0),
+        number=number.tolist(),
+        sets=sets,
+        missed=found.missed,
+        linear_error=found.linear_error,
+        components=_components(found, p, draws, group),
+        causes=_causes(found, p, draws),
+        sensitivity=sensitivity(found.posterior),
+        failed=list(found.search.failed),
+        next_measurement=next_measurement(found, hooks),
+        base_parameters=_parameters(found, draws),
+        record=record | {"noise": found.noise},
     )
-    return file, before, after
+    doubts = _not_decided(file, found.posterior.priors.most)
+    warnings = [*hooks.warnings, *_lifted(excluded, hooks), *doubts, *_warnings(found, file, before, hooks)]
+    verdict = _beyond(excluded, gap) + _verdict(file, leader.causes)
+    update = {"verdict": verdict, "decided": not doubts, "warnings": warnings}
+    return Answer(file.model_copy(update=update), before, after, draws)

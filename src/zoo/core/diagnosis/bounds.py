@@ -7,18 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zoo.core.diagnosis.evidence import Fit
-from zoo.core.diagnosis.hypothesis import Coordinate
-from zoo.core.diagnosis.scoring import VISIBLE
-from zoo.core.diagnosis.screening import Screening
+from zoo.core.diagnosis.coordinates import Coordinate, SearchModel
+from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.search import SearchError
 from zoo.core.forward import ForwardModel, WithPriors
 from zoo.core.inference.prior_check import AtBound
 from zoo.core.parameters import LogNormal, LogUniform, Normal, Prior, Uniform
 
+Array = NDArray[np.float64]
+
 AT_BOUND = 0.01
 """How near to a bound a mode stands at it, in units of the search: some thousandth of the prior's width."""
+VISIBLE = 3.0
+"""Gain of the log-likelihood beyond a bound from which on the bound is said to be in the way."""
 WIDENING = 10.0
 """Factor by which a positive bound is moved."""
 WIDTHS = 2.0
@@ -29,28 +32,20 @@ WIDENINGS = 3
 
 @dataclass(frozen=True, eq=False)
 class Excluded:
-    """What a baseline's prior excludes: the bounds, the fit within them and the one beyond."""
+    """What a baseline's prior excludes: the bounds, what fits best, and residuals (n,) within and beyond."""
 
     bounds: tuple[AtBound, ...]
-    within: Fit
-    free: Fit
-
-    @property
-    def values(self) -> list[float]:
-        """What fits best, one for each bound."""
-        names = [p.name for p in self.free.forward.parameters]
-        return [float(self.free.values[names.index(one.parameter)]) for one in self.bounds]
+    values: tuple[float, ...]
+    within: Array
+    free: Array
 
 
-def at_bounds(fit: Fit) -> list[tuple[Coordinate, AtBound]]:
-    """Coordinates of a fit that stand at a bound of their prior; zero is where a positive number ends."""
+def at_bounds(forward: SearchModel, u: Array) -> list[tuple[Coordinate, AtBound]]:
+    """Coordinates of a point that stand at a bound of their prior; zero is where a positive number ends."""
     found = []
-    for i, p in enumerate(fit.forward.parameters):
-        for side, bound, end in (
-            ("lower", p.low, fit.forward.low[i]),
-            ("upper", p.high, fit.forward.high[i]),
-        ):
-            if bound != 0.0 and abs(fit.u[i] - end) <= AT_BOUND * fit.forward.units[i]:
+    for i, p in enumerate(forward.parameters):
+        for side, bound, end in (("lower", p.low, forward.low[i]), ("upper", p.high, forward.high[i])):
+            if bound != 0.0 and abs(u[i] - end) <= AT_BOUND * forward.units[i]:
                 found.append((p, AtBound(p.name, side, bound, p.unit)))
     return found
 
@@ -81,36 +76,34 @@ def lifted(model: ForwardModel, bounds: Sequence[tuple[Coordinate, AtBound]]) ->
     return WithPriors(model, priors) if priors else None
 
 
-def _stuck(screening: Screening) -> list[tuple[Coordinate, AtBound]]:
-    return at_bounds(screening.base.alone) or at_bounds(screening.base.fit)
+def _stuck(fitting: Fitting) -> list[tuple[Coordinate, AtBound]]:
+    return at_bounds(fitting.forward, fitting.start.u)
 
 
-def freed(screening: Screening) -> tuple[Screening, Excluded | None]:
-    """A screening whose baseline is free to fit best, and what its prior excluded.
+def freed(fitting: Fitting) -> tuple[Fitting, Excluded | None]:
+    """A baseline that is free to fit best, and what its prior excluded.
 
-    Where the baseline's mode stands at a bound of its prior, the bound is moved and the baseline fitted
+    Where the baseline's best fit stands at a bound of its prior, the bound is moved and the baseline fitted
     again, a few times. If that raises the log-likelihood visibly, the bound was in the way.
 
     Parameters
     ----------
-    screening : Screening
-        Not run yet.
+    fitting : Fitting
 
     Returns
     -------
-    Screening
+    Fitting
         The same, or one of the baseline with wider priors.
     Excluded or None
     """
-    if not (stuck := _stuck(screening)):
-        return screening, None
-    bounds = tuple(one for _, one in stuck)
-    free = screening
+    if not (stuck := _stuck(fitting)):
+        return fitting, None
+    bounds, free = tuple(one for _, one in stuck), fitting
     for _ in range(WIDENINGS):
         model = lifted(free.baseline, stuck)
         if model is None:
             break
-        wider = free.with_baseline(model, start=free.base.alone.u)
+        wider = replace(free, baseline=model, start_at=free.start.u)
         try:
             stuck = _stuck(wider)
         except SearchError:  # no solution there: as far as it goes
@@ -118,11 +111,13 @@ def freed(screening: Screening) -> tuple[Screening, Excluded | None]:
         free = wider
         if not stuck:
             break
-    if free is screening:
-        return screening, None
-    fits = (screening.base.alone, free.base.alone)
-    S = free.errors.variances(fits[1].errors)
-    costs = [0.5 * float(np.sum(fit.residual**2 / S)) for fit in fits]
-    if costs[0] - costs[1] < VISIBLE:
-        return screening, None
-    return free, Excluded(bounds, *fits)
+    if free is fitting:
+        return fitting, None
+    within, beyond = (f.coefficients - f.start.computed for f in (fitting, free))
+    sigma2 = np.maximum(float(np.mean(beyond**2)), 0.0)
+    if 0.5 * float(np.sum(within**2 - beyond**2)) < VISIBLE * sigma2:
+        return fitting, None
+    names = [p.name for p in free.forward.parameters]
+    theta = free.forward.theta(free.start.u)
+    values = tuple(float(theta[names.index(one.parameter)]) for one in bounds)
+    return free, Excluded(bounds, values, within, beyond)

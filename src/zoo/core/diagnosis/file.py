@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import (
-    AliasChoices,
     BaseModel,
     ConfigDict,
     Field,
@@ -19,7 +18,7 @@ from pydantic import (
 from zoo.core import digests
 from zoo.core.words import OneLineError
 
-FORMAT = 2
+FORMAT = 3
 
 
 class DiagnosisError(OneLineError, ValueError):
@@ -166,39 +165,44 @@ class Estimate(_Part):
     unit: str
 
 
-class HypothesisResult(_Amounts):
-    """One explanation of the data."""
+class SetResult(_Amounts):
+    """A set of causes: prior, evidence and their product, normalised over the table.
 
-    amounts = ("gap_after", "gap_after_interval", "residual_rms")
-    name: str
-    place: int | str | None
-    subtree: bool = False
-    probability: float
-    prior_probability: float | None = None
-    prior_made: bool = False
-    and_more: float | None = None
-    group: int
+    `gap_after` is by simulation at the set's mode, and missing where it was not solved; `negligible` is the
+    part of the empty set's probability in which what is left is below the numerics' error or a tenth of the
+    noise.
+    """
+
+    amounts = ("gap_after",)
+    causes: list[str]
+    names: list[str]
+    components: list[str]
+    log_prior: float
     log_evidence: float
-    log10_bayes_factor: float | None = None
-    log10_bayes_factor_to_best: float | None = None
-    amplitude: Estimate | None
-    other_amplitudes: list[Estimate] = []
-    gap_after: float
-    gap_after_interval: tuple[float, float]
-    searched_twice: bool = True
-    residual_rms: float
-    shift_of_base: dict[str, float] = {}
+    log_evidence_error: float
+    probability: float
+    solved: bool
+    gap_after: float | None = None
+    negligible: float | None = None
+
+
+class CauseResult(_Part):
+    """An effect or free function: the probability that it is there, and beforehand; its size where it is.
+
+    `places` are where it is, given that it is there.
+    """
+
+    name: str
+    component: str
+    free: bool
+    probability: float
+    prior_probability: float
     places: list[LocationShare] = []
+    estimates: list[Estimate] = []
 
 
 class LearnedFunction(_Part):
-    """A function that a component lacks, as learned: values of its argument, mean and 95 % band there.
-
-    `narrowed` are directions in which the data halve the prior's standard deviation: for each the values of
-    the function along it, of norm 1. `bent` is by how much, in parts, the response to one prior sd of its
-    strongest direction differs from that to the opposite. `beside` are the baseline's parameters with it: a
-    function that they can partly stand in for is one only together with them.
-    """
+    """A function that a component lacks, as learned: values of its argument, mean and 95 % band there."""
 
     name: str
     argument: str
@@ -209,65 +213,36 @@ class LearnedFunction(_Part):
     mean: list[float]
     low: list[float]
     high: list[float]
-    prior_sd: list[float] = []
+    prior_sd: list[float]
     location: int | str | None = None
     equation: str = ""
-    size: float | None = None
-    prior_size: float | None = None
+    prior_size: float
     length: float | None = None
-    probability: float | None = None
-    narrowed: list[list[float]] = []
-    bent: float | None = None
-    beside: dict[str, float] = {}
+    probability: float
 
 
-class NearestEffect(_Part):
-    """A listed effect and the part of a learned signal's energy that its own explains."""
+class ComponentResult(_Part):
+    """One component of the simulator: the probability that it is wrong, and beforehand; what was learned.
 
-    name: str
-    share: float
-    opposite_sign: bool = False
+    `share` is its part of the gap's energy, 0 in sets without it; `confounded` are components that can stand
+    in for it, and `group_probability` that of any of them.
+    """
 
-
-class Plausible(_Part):
-    """Whether what was learned is of a size that the component's error can have."""
-
-    value: bool
-    why: str = ""
-
-
-class HeldOutComponentResult(_Amounts):
-    """Rms of residuals in data that were held out: baseline, free discrepancy at the sensor, component."""
-
-    amounts = ("baseline", "sensor", "component")
-    baseline: Interval
-    sensor: Interval
-    component: Interval
-    found: bool
-    what: str = ""
-
-
-class ComponentResult(_Amounts):
-    """One component of the simulator: how probable an error in it is, and what was learned of it."""
-
-    amounts = ("gap_after", "gap_after_interval")
     name: str
     probability: float
-    own_probability: float | None = None
-    log_evidence: float | None
-    log10_bayes_factor: float | None = None
-    group: int
-    share: Interval | None = None
-    one_of_several: bool = False
-    together: dict[str, float] = {}
-    gap_after: float | None = None
-    gap_after_interval: tuple[float, float] | None = None
-    plausible: Plausible | None = None
+    prior_probability: float
+    share: Interval
+    confounded: list[str] = []
+    group_probability: float
     functions: list[LearnedFunction] = []
-    nearest_effects: list[NearestEffect] = []
-    angles: dict[str, tuple[float, float]] = {}
-    refined: bool = False
-    held_out: HeldOutComponentResult | None = None
+
+
+class SensitivityRow(_Part):
+    """Probabilities under another prior: of no cause, and that each component is wrong."""
+
+    prior: str
+    nothing: float
+    components: dict[str, float]
 
 
 class CarriedResult(_Amounts):
@@ -300,15 +275,6 @@ class StateFile(_Amounts):
     failed: list[str] = []
 
 
-class SeveralResult(_Part):
-    """The best set of several listed effects: log odds and log Bayes factor over the best one alone."""
-
-    names: list[str]
-    log_odds: float
-    log_bayes_factor: float
-    weighed: int
-
-
 class NextMeasurement(BaseModel):
     """The measurement that would best tell the leading explanations apart; further fields say what it is."""
 
@@ -320,19 +286,6 @@ class NextMeasurement(BaseModel):
     if TYPE_CHECKING:  # the further fields
 
         def __getattr__(self, name: str) -> Any: ...
-
-
-class AddedStep(_Amounts):
-    """An effect that was added, and what it left."""
-
-    amounts = ("gap_before", "gap_after")
-    name: str
-    place: int | str | None
-    subtree: bool
-    probability: float
-    amplitudes: list[Estimate] = []
-    gap_before: float
-    gap_after: float
 
 
 class LiftedBound(_Part):
@@ -355,48 +308,42 @@ class ExcludedFit(_Amounts):
 
 
 class DiagnosisFile(_Part):
-    """Content of diagnosis.json; documented in docs/diagnosis.md."""
+    """Content of diagnosis.json; documented in docs/diagnosis.md.
 
-    format: Literal[1, 2] = 2
+    Every probability of causes and components is a sum over `sets`.
+    """
+
+    format: Literal[3] = 3
     study: str
     study_checksum: str
     base: str
-    gap: Gap
-    where: Where
-    cause: list[str]
     verdict: str
+    decided: bool
+    cause: list[str]
     warnings: list[str] = []
     excluded: ExcludedFit | None = None
-    hypotheses: list[HypothesisResult]
-    components: list[ComponentResult] = []
-    several: SeveralResult | None = None
+    gap: Gap
+    where: Where
+    no_gap: float
+    number: list[float]
+    sets: list[SetResult]
+    missed: float
+    linear_error: float
+    components: list[ComponentResult]
+    causes: list[CauseResult]
+    sensitivity: list[SensitivityRow]
     states: list[StateFile] = []
-    steps: list[AddedStep]
-    invisible: list[str]
-    failed: list[str]
-    next_measurement: NextMeasurement | None
+    failed: list[str] = []
+    next_measurement: NextMeasurement | None = None
     base_parameters: dict[str, dict[str, float]]
-    posteriors: dict[str, Any] | None = Field(
-        default=None, validation_alias=AliasChoices("posteriors", "confirmation")
-    )
+    posteriors: dict[str, Any] | None = None
     record: dict[str, Any]
 
     @model_validator(mode="before")
     @classmethod
     def _older(cls, given: Any) -> Any:
-        """In the first format the names said mmHg whatever the unit was; the record has it."""
-        if isinstance(given, dict) and given.get("format", 1) == 1 and isinstance(given.get("record"), dict):
-            unit = given["record"].get("gap_unit")
-            lists = [given.get(name) or [] for name in ("hypotheses", "steps")]
-            if unit and all(isinstance(found, list) for found in lists):
-                parts = [given.get("gap"), *lists[0], *lists[1]]
-                renewed = [p | {"unit": unit} if isinstance(p, dict) else p for p in parts]
-                n = len(lists[0])
-                given = given | {
-                    "gap": renewed[0],
-                    "hypotheses": renewed[1 : n + 1],
-                    "steps": renewed[n + 1 :],
-                }
+        if isinstance(given, dict) and given.get("format", FORMAT) != FORMAT:
+            raise ValueError(f"format {given['format']} is of an older program; this one reads {FORMAT}")
         return given
 
 

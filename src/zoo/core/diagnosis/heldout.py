@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.diagnosis.evidence import Fit
-from zoo.core.diagnosis.scoring import Scored
-from zoo.core.diagnosis.screening import Screening
+from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.search import Search, SearchError
+from zoo.core.diagnosis.sets import CauseSets, SolvedSet
 
 Array = NDArray[np.float64]
 
@@ -36,14 +35,13 @@ class HeldOut:
         return 1.0 - self.after / self.before if self.before > 0 else 0.0
 
 
-def hold_out(scored: Scored, fit: Fit, rows: list[int]) -> HeldOut | None:
+def hold_out(found: CauseSets, rows: list[int]) -> HeldOut | None:
     """Discrepancy before and after in data that a refit does not see: each series in turn, or blocks of one.
 
     Parameters
     ----------
-    scored : Scored
-    fit : Fit
-        The hypothesis with its effect.
+    found : CauseSets
+        Its leading set is compared with the baseline.
     rows : list of int
         Series that are held out.
 
@@ -52,8 +50,8 @@ def hold_out(scored: Scored, fit: Fit, rows: list[int]) -> HeldOut | None:
     HeldOut or None
         Rms of smooth residuals, sqrt(max(0, rms^2 - noise^2)); None where a refit fails.
     """
-    screening, base = scored.screened.screening, scored.screened.base
-    data = screening.data
+    fitting, leader = found.search.fitting, found.solved[found.leader]
+    data = fitting.data
     n = data.n_times
     if len(rows) > 1:
         folds = [np.repeat(np.arange(data.n_series)[:, None] == i, n, axis=1) for i in rows]
@@ -63,16 +61,15 @@ def hold_out(scored: Scored, fit: Fit, rows: list[int]) -> HeldOut | None:
         one = (np.arange(data.n_series) == rows[0])[:, None]
         folds = [np.tile(block == b, (data.n_series, 1)) & one for b in range(BLOCKS)]
         what = f"{BLOCKS} blocks of the {'beat' if data.period is not None else 'record'} in turn"
-    noise = np.array([scored.screened.noise[g].noise for g in data.groups])[:, None]
+    noise = np.array([found.noise[group] for group in data.groups])[:, None] * np.ones(n)
     sums = {0: [0.0, 0], 1: [0.0, 0]}
     for out in folds:
-        for which, start in enumerate((base, fit)):
-            found = _refit(screening, start, ~out, noise)
-            if found is None:
+        for which, start in enumerate((found.solved[()], leader)):
+            series = _refit(fitting, start, ~out, noise)
+            if series is None:
                 return None
-            left = (data.values - found)[out]
-            sums[which][0] += float(np.sum(left**2 - (noise * np.ones_like(data.values))[out] ** 2))
-            sums[which][1] += left.size
+            sums[which][0] += float(np.sum((data.values - series)[out] ** 2 - noise[out] ** 2))
+            sums[which][1] += int(out.sum())
     before, after = (math.sqrt(max(0.0, total / count)) for total, count in sums.values())
     return HeldOut(before, after, what)
 
@@ -96,14 +93,13 @@ class _Kept:
         return np.asarray(series[self.kept])
 
 
-def _refit(screening: Screening, start: Fit, kept: NDArray[np.bool_], noise: Array) -> Array | None:
-    """All series as computed by a hypothesis that was fitted to the kept samples only."""
+def _refit(fitting: Fitting, start: SolvedSet, kept: NDArray[np.bool_], noise: Array) -> Array | None:
+    """All series as computed by a set that was fitted to the kept samples only."""
     forward = _Kept(start.forward, kept)
-    S = (noise * np.ones(kept.shape))[kept] ** 2
-    search = Search(forward, screening.data.values[kept], S)
-    jacobian = screening.errors.unflat(start.jacobian.T)[:, kept].T
+    search = Search(forward, fitting.data.values[kept], noise[kept] ** 2)
+    jacobian = fitting.errors.unflat(start.point.jacobian.T)[:, kept].T
     try:
-        point = search.at(start.u, jacobian)
+        point = search.at(start.point.u, jacobian)
     except SearchError:
         return None
     point = search.descend(point, STEPS)

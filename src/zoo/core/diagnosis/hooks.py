@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -13,10 +12,8 @@ from numpy.typing import NDArray
 
 from zoo.core.components import FreeFunction
 from zoo.core.data import Data
-from zoo.core.diagnosis.file import NextMeasurement
-from zoo.core.diagnosis.scoring import DOUBT, Scored
 from zoo.core.effects import Effect
-from zoo.core.forward import ForwardModel, Outputs
+from zoo.core.forward import ForwardModel
 
 Array = NDArray[np.float64]
 NOISE_PART = 0.01
@@ -66,10 +63,6 @@ class Hooks:
     smooth : bool
         Whether solutions are smooth in the parameters down to rounding, so that a fit may end with
         differences as fine as its posterior; false for a solver whose time step follows its parameters.
-    kinks : bool
-        Whether solutions have kinks in the parameters, as where a level reaches a rim. Searches of the best
-        explanations then go on without derivatives where these promise what no solve delivers, and start
-        where the best rival ended too; their evidence counts no more than was delivered.
     components : callable
         ``components(baseline, theta (n_values,), data) -> sequence of FreeFunction``: functions that
         components of the simulator may lack, for the baseline at those values of its parameters; none if
@@ -88,7 +81,6 @@ class Hooks:
     advice: str = "check units, inputs and parameters"
     warnings: tuple[str, ...] = ()
     smooth: bool = True
-    kinks: bool = False
     components: Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]] | None = None
     component_of: Callable[[Effect], str] = attrgetter("family")
     plausible: Callable[[FreeFunction, Array], tuple[bool, str]] | None = None
@@ -103,49 +95,3 @@ class Hooks:
             return QUARTERS, np.arange(data.n_times) * len(QUARTERS) // data.n_times
         names, index = self.phases(data, rows)
         return tuple(names), np.asarray(index)
-
-
-def next_measurement(scored: Scored, hooks: Hooks) -> NextMeasurement | None:
-    """The candidate in which the leading explanation and its nearest rival, as fitted, differ most.
-
-    Rivals are the other members of the leader's group, or what else is not improbable; without any, None.
-
-    Expected log odds: half the squared difference of their series over the variance of the noise. That the
-    baseline's parameters would move again is not counted, so it is an upper estimate.
-    """
-    screened = scored.screened
-    first = scored.leader
-    if not scored.is_cause(first) or hooks.candidates is None:
-        return None
-    own = scored.belongs.get(first, first)
-    rivals = [n for n in scored.twins(first) if scored.is_cause(n)]
-    rivals += [
-        n
-        for n in scored.names
-        if scored.is_cause(n) and scored.standing(n) > DOUBT and scored.belongs.get(n, n) != own
-    ]
-    rivals += [n for n in scored.names if n in scored.locations and scored.standing(n) > DOUBT and n != first]
-    data = screened.screening.data
-    seen = set(data.outputs)
-    candidates = [c for c in hooks.candidates(data, screened.screening.baseline) if c.output not in seen]
-    if not rivals or not candidates:
-        return None
-    second = rivals[0]
-    baseline = screened.screening.baseline
-    wanted = Outputs(tuple(c.output for c in candidates), baseline.outputs.times)
-    both = [scored.best[n].forward.series(scored.best[n].u, wanted) for n in (first, second)]
-    if both[0] is None or both[1] is None:
-        return None
-    noises = np.array(
-        [
-            screened.noise[c.group].noise
-            if c.group in screened.noise
-            else c.noise_part * float(np.abs(series).max())
-            for c, series in zip(candidates, both[0], strict=True)
-        ]
-    )
-    gain = 0.5 * np.sum((both[0] - both[1]) ** 2, axis=1) / noises**2
-    i = int(np.argmax(np.where(np.isfinite(gain), gain, -math.inf)))
-    return NextMeasurement(
-        separates=(first, second), expected_log_odds=float(gain[i]), **dict(candidates[i].words)
-    )

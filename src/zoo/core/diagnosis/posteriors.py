@@ -14,11 +14,8 @@ import pymc as pm
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from zoo.core.diagnosis.evidence import Fit
-from zoo.core.diagnosis.hypothesis import NULL
-from zoo.core.diagnosis.scoring import DOUBT, Scored
-from zoo.core.diagnosis.screening import Screened
-from zoo.core.errors.spectral import GroupPriors
+from zoo.core.diagnosis.sets import SIZE_PRIORS, CauseSets, Which
+from zoo.core.errors.spectral import GroupErrors, GroupPriors
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.sampling import sample
@@ -30,7 +27,7 @@ from zoo.core.posterior.files import sample_to
 Array = NDArray[np.float64]
 
 LEADING = 2
-"""Explanations that are sampled besides the baseline."""
+"""Sets of listed effects that are sampled besides the baseline."""
 WEIGHED = 600
 """Solves spent on a marginal likelihood."""
 SCORED_DRAWS = 500
@@ -43,18 +40,17 @@ INSIDE = 1e-3
 """How far inside its bounds a start is, in parts of their distance."""
 
 
-def explanation_model(screened: Screened, fit: Fit) -> tuple[pm.Model, dict[str, Any]]:
-    """A baseline with its effects as a PyMC model, its errors in the screening's coefficients.
+def explanation_model(found: CauseSets, which: Which) -> tuple[pm.Model, dict[str, Any]]:
+    """A baseline with listed effects as a PyMC model, its errors in the coefficients of a diagnosis.
 
-    z_k ~ N(z_k(theta, effect parameters), S_k), S as in `zoo.core.errors.spectral.GroupErrors`, with noise
-    and allowance as in the screening.
+    z_k ~ N(z_k(theta, effect parameters), S_k), S as in `zoo.core.errors.spectral.GroupErrors`: noise around
+    what was found, and a discrepancy of the size that these causes may leave.
 
     Parameters
     ----------
-    screened : Screened
-        Gives data and scales.
-    fit : Fit
-        Gives the hypothesis and where a search for the mode may start.
+    found : CauseSets
+    which : tuple of int
+        A solved set of listed effects.
 
     Returns
     -------
@@ -63,23 +59,30 @@ def explanation_model(screened: Screened, fit: Fit) -> tuple[pm.Model, dict[str,
     dict
         Values that a search for the mode may start from.
     """
-    screening = screened.screening
+    one, fitting = found.solved[which], found.search.fitting
+    part = max(
+        SIZE_PRIORS.scales(one.evidence.signal), key=SIZE_PRIORS.scales(one.evidence.signal).__getitem__
+    )
     priors = {
         group: GroupPriors(
-            LogNormal(screened.noise[group].sigma, 1.0), Normal(0.0, fit.allowances[group], 0.0)
+            LogNormal(found.noise[group], 1.0), Normal(0.0, part * found.search.family.ranges[group], 0.0)
         )
-        for group in screening.errors.groups
+        for group in fitting.errors.groups
     }
-    errors = replace(screening.errors, priors=priors)
-    forward = fit.forward.model
-    model = bayesian_model(fit.hypothesis.name, forward, screening.data, errors)
-    values = fit.values.copy()
-    for i, p in enumerate(fit.forward.parameters):
+    errors = replace(fitting.errors, priors=priors)
+    forward = one.forward.model
+    model = bayesian_model(found.name(which), forward, fitting.data, errors)
+    values = one.forward.theta(one.point.u)
+    for i, p in enumerate(one.forward.parameters):
         if math.isfinite(p.low) and math.isfinite(p.high):
             span = INSIDE * (p.high - p.low)
             values[i] = np.clip(values[i], p.low + span, p.high - span)
     start = {variable_name(name): value for name, value in unpack(forward.parameters, values).items()}
-    return model, start | errors.suggested(fit.errors)
+    noise = {
+        group: GroupErrors(found.noise[group], delta=0.0, length=errors.typical_length)
+        for group in errors.groups
+    }
+    return model, start | errors.suggested(noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +90,6 @@ class SampledExplanation:
     """One explanation's posterior, its marginal likelihood, and whether it counts."""
 
     name: str
-    fit: Fit
     idata: Any
     log_marginal: float
     log_marginal_se: float
@@ -176,7 +178,7 @@ def pointwise(model: pm.Model, idata: Any) -> Any:
 
 
 def sample_explanations(
-    scored: Scored,
+    sets: CauseSets,
     *,
     cores: int = 2,
     seed: int = 1,
@@ -186,12 +188,11 @@ def sample_explanations(
     progress: bool = False,
     tick: Callable[[str, float], None] | None = None,
 ) -> SampledExplanations:
-    """Sample the baseline and the leading listed explanations, and compare WAIC, LOO and marginal likelihood.
+    """Sample the baseline and the leading sets of listed effects, and compare them by WAIC, LOO and evidence.
 
     Parameters
     ----------
-    scored : Scored
-        A screening with probabilities.
+    sets : CauseSets
     cores : int
     seed : int
     folder : path, optional
@@ -209,19 +210,18 @@ def sample_explanations(
     """
     import arviz as az
 
-    screened = scored.screened
-    listed = [n for n in scored.names if n in scored.locations and n not in scored.invisible]
-    # a rival that the screening has ruled out needs no posterior
-    rivals = [
-        n for n in listed[1:] if scored.probability[n] > DOUBT or scored.group[n] == scored.group[listed[0]]
+    listed = [
+        which
+        for which in sets.posterior.probability
+        if which and which in sets.solved and all(sets.search.origins[i].added for i in which)
     ]
-    chosen = {NULL: screened.base} | {n: scored.best[n] for n in [*listed[:1], *rivals][:LEADING]}
+    chosen: dict[str, Which] = {"baseline": ()} | {sets.name(which): which for which in listed[:LEADING]}
     found: dict[str, SampledExplanation] = {}
     scores: dict[str, Any] = {}
-    for done, (name, fit) in enumerate(chosen.items()):
+    for done, (name, which) in enumerate(chosen.items()):
         if tick is not None:
             tick(f"posterior of {name}", (done + 0.01) / len(chosen))
-        model, start = explanation_model(screened, fit)
+        model, start = explanation_model(sets, which)
         settings: dict[str, Any] = {
             "draws": draws, "max_draws": max_draws, "until_ess": ENOUGH, "cores": cores, "seed": seed,
             "start": start, "progress": progress,
@@ -232,7 +232,7 @@ def sample_explanations(
             idata = sample_to(Path(folder) / f"{name}.nc", model, **settings)
         v = verdict(idata)
         log_z, se = log_marginal_likelihood(model, idata, seed=seed)
-        found[name] = SampledExplanation(name, fit, idata, log_z, se, v.text, v.passes)
+        found[name] = SampledExplanation(name, idata, log_z, se, v.text, v.passes)
         scores[name] = pointwise(model, idata)
     with warnings.catch_warnings():  # they come back as a column of the comparison
         warnings.simplefilter("ignore")

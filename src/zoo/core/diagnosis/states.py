@@ -18,25 +18,26 @@ from numpy.typing import NDArray
 from zoo.core.components import FreeFunction
 from zoo.core.data import Data
 from zoo.core.diagnosis.bounds import at_bounds
-from zoo.core.diagnosis.component_answer import ranked
-from zoo.core.diagnosis.components.heldout import PARTS, SMALLER, SURE, intervals_of
-from zoo.core.diagnosis.evidence import Fit
-from zoo.core.diagnosis.file import CarriedResult, DiagnosisError, StateFile
-from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
-from zoo.core.diagnosis.scoring import Scored
-from zoo.core.diagnosis.screening import BaseFits, Screening
+from zoo.core.diagnosis.draws import INTERVAL
+from zoo.core.diagnosis.file import CarriedResult, DiagnosisError, Interval, StateFile
+from zoo.core.diagnosis.fitting import Fitting
+from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.search import Search, SearchError
+from zoo.core.diagnosis.sets import SIZE_PRIORS, CauseSearch, CauseSets, SolvedSet, Which
 from zoo.core.effects import AddedEffect
 from zoo.core.errors.spectral import Spectral, spectral_errors
 from zoo.core.forward import Around, ForwardModel, content_key
 
 Array = NDArray[np.float64]
 Change = Callable[[Any], Any]
-Functions = Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]]
 STEPS = 8
 """Steps of a refit of the baseline's parameters beside what is fixed."""
 SAME = 1e-9
 """Relative difference up to which series are the very same ones."""
+PARTS, RESAMPLED = 8, 2000
+"""Contiguous parts of each series that are drawn with replacement, and draws."""
+SURE, SMALLER = 0.975, 0.9
+"""Part of the draws in which what holds leaves less, and of what the others leave at most."""
 BASELINE, SEEN = "baseline", "sensor's discrepancy"
 """Names of what learned functions are compared with."""
 
@@ -125,34 +126,31 @@ class _Explanation:
         return (*(f.name for f, _ in self.functions), *(one.name for one, _ in self.effects))
 
 
-def explanations(scored: Scored) -> list[_Explanation]:
-    """The leader and every component by its most probable function, the most probable first."""
-    base = scored.screened.base
-    n = base.forward.n_base
-    found: list[_Explanation] = []
-    if scored.pair is not None:
-        kinds = (scored.pair.first, scored.pair.second)
-        shift = scored.pair.fit.u[:n] - base.u[:n]
-        functions = tuple((k.function, np.asarray(k.learned.mean)) for k in kinds)
-        found.append(_Explanation(scored.pair.names, functions, shift=shift))
-    leader = scored.leader
-    if leader in scored.locations:
-        fit = scored.best[leader]
-        found.append(_Explanation((leader,), effects=_fixed_effects(fit), shift=fit.u[:n] - base.u[:n]))
-    for name in ranked(scored):
-        kind = scored.components[name].best
-        shift = kind.fit.u[:n] - base.u[:n]
-        found.append(_Explanation((name,), ((kind.function, np.asarray(kind.learned.mean)),), shift=shift))
-    return found
+def explanations(found: CauseSets) -> list[_Explanation]:
+    """The leading set, and of each further component the most probable solved set that holds it."""
+    chosen: list[Which] = [found.leader] if found.leader else []
+    told = set(found.components(found.leader))
+    for which in found.posterior.probability:
+        if which in found.solved and set(found.components(which)) - told:
+            chosen.append(which)
+            told |= set(found.components(which))
+    return [_explanation(found, which) for which in chosen]
 
 
-def _fixed_effects(fit: Fit) -> tuple[tuple[AddedEffect, tuple[float, ...]], ...]:
-    at, found = fit.forward.n_base, []
-    for one in fit.hypothesis.added:
-        size = len(one.effect.parameters)
-        found.append((one, tuple(float(x) for x in fit.values[at : at + size])))
-        at += size
-    return tuple(found)
+def _explanation(found: CauseSets, which: Which) -> _Explanation:
+    """A solved set, with what its causes are at its mode."""
+    one, search = found.solved[which], found.search
+    values, n = one.forward.theta(one.point.u), one.forward.n_base
+    functions, effects = [], []
+    for i, part in one.places(search.causes, search.origins).items():
+        origin = search.origins[i]
+        if origin.added is not None:
+            effects.append((origin.added, tuple(float(x) for x in values[part])))
+        elif origin.function is not None:
+            f = origin.function
+            functions.append((f, f.size * f.root(origin.length) @ values[part]))
+    shift = one.point.u[:n] - search.base.u
+    return _Explanation(found.components(which), tuple(functions), tuple(effects), shift)
 
 
 def _apply(function: FreeFunction, values: Array, configuration: Any) -> Any:
@@ -199,16 +197,24 @@ def _beyond(one: _Explanation, again: Mapping[str, FreeFunction]) -> float | Non
     return max(parts, default=None)
 
 
-def seen_at_sensor(scored: Scored) -> Array:
-    """Posterior mean of the free discrepancy at the sensor, (n_series, n_times).
+def seen_at_sensor(found: CauseSets) -> Array:
+    """Posterior mean of the discrepancy beside no cause, as a sensor would draw it, (n_series, n_times).
 
-    s = C (C + N)^-1 (r - J d), C its covariance, N that of the noise, at the mode of the parameters.
+    s = C (C + N)^-1 (r - J d), C its covariance, N that of the noise, at the mode of the parameters; of the
+    most probable errors that have a discrepancy.
     """
-    fit = scored.screened.nonparametric
-    errors = scored.screened.screening.errors
-    left = fit.residual - fit.jacobian @ (fit.mean - fit.u)
-    part = errors.variances(fit.errors, noise=False) / errors.variances(fit.errors)
-    return errors.unflat(part * left)
+    one = found.solved[()]
+    weights = np.where(_has_discrepancy(one), one.evidence.weights(SIZE_PRIORS), 0.0)
+    kind = int(np.argmax(weights))
+    left = found.search.data - one.series(one.evidence.mean[kind])
+    both = one.evidence.variances(kind)
+    part = 1.0 - one.evidence.variances(kind, alone=True) / both
+    return found.search.family.errors.unflat(part * left)
+
+
+def _has_discrepancy(one: SolvedSet) -> NDArray[np.bool_]:
+    _, discrepancy, _ = one.evidence.family.kinds
+    return np.asarray(discrepancy[one.evidence.kinds].any(axis=1))
 
 
 def _at_same_part(values: Array, first: Data, here: Data) -> Array | None:
@@ -228,29 +234,27 @@ class _Refitted:
 
     def __init__(self, state: OtherState, smooth: bool, cores: int) -> None:
         errors = spectral_errors(state.data) if state.errors is None else state.errors
-        self.screening = Screening(state.data, state.model, [], errors=errors, smooth=smooth, cores=cores)
-        self.fits: BaseFits = self.screening.base
-        noise = self.fits.noise
-        self.S = self.screening.beside(noise, self.screening.numerics())
-        self.noise = {q: e.noise for q, e in noise.items()}
+        self.fitting = Fitting(state.data, state.model, errors.bind(state.data), smooth=smooth, cores=cores)
+        search = CauseSearch(self.fitting, (), Hooks(smooth=smooth), lambda text, share: None)
+        found = CauseSets(search.run().posterior, search)
+        self.base, self.noise = search.base, found.noise
+        one = search.solved[()].evidence
+        self.S = one.variances(one.best(SIZE_PRIORS), alone=True)
 
     def computed(self, model: ForwardModel, data: Array, starts: Sequence[Array]) -> Array | None:
         """Series (n_series, n_times) of the best refit to `data`; None where nothing can be solved."""
-        errors = self.screening.errors
-        forward = HypothesisModel(model, Hypothesis(), errors)
+        errors, forward = self.fitting.errors, self.fitting.model(baseline=model)
         search = Search(forward, errors.flat(data), self.S)
         points = []
         for u in starts:
             try:
-                point = search.at(np.clip(u, forward.low, forward.high), self.fits.fit.jacobian)
+                point = search.at(np.clip(u, forward.low, forward.high), self.base.jacobian)
                 points.append(search.descend(point, STEPS))
             except SearchError:
                 continue
         if not points:
             return None
-        best = search.refine(min(points, key=lambda p: p.cost), 2, STEPS)
-        self.screening.forwards.append(forward)
-        return errors.unflat(best.computed)
+        return errors.unflat(search.refine(min(points, key=lambda p: p.cost), 2, STEPS).computed)
 
 
 def same_system(data: Data, model: ForwardModel, state: OtherState) -> None:
@@ -285,12 +289,11 @@ def same_system(data: Data, model: ForwardModel, state: OtherState) -> None:
 
 
 def hold_in(
-    scored: Scored,
+    found: CauseSets,
     state: OtherState,
     group: str,
-    functions: Functions | None,
+    hooks: Hooks,
     *,
-    smooth: bool = True,
     cores: int = 2,
     seed: int = 0,
     tick: Callable[[str, float], None] | None = None,
@@ -303,16 +306,14 @@ def hold_in(
 
     Parameters
     ----------
-    scored : Scored
+    found : CauseSets
         Of the first state.
     state : OtherState
         Of the `same_system`.
     group : str
         Whose errors are told; the other state's first group where it has none of it.
-    functions : callable or None
-        ``functions(baseline, theta, data)``, as `Hooks.components`.
-    smooth : bool
-        As in `Hooks`.
+    hooks : Hooks
+        Give the free functions there, and whether solutions are smooth.
     cores, seed : int
     tick : callable, optional
         Called with a text and the share done.
@@ -326,32 +327,64 @@ def hold_in(
     zoo.core.diagnosis.search.SearchError, zoo.core.forward.SolveError
         If the baseline cannot be solved there.
     """
-    first, here = scored.screened.screening, state.data
+    here = state.data
     say = tick or (lambda text, share: None)
     say(f"state {here.name}: baseline", 0.0)
-    refitted = _Refitted(state, smooth, cores)
+    refitted = _Refitted(state, hooks.smooth, cores)
     group = group if group in here.rows else here.groups[0]
-    base = refitted.fits.fit
-    made = functions(state.model, base.values, here) if functions is not None else ()
+    base = refitted.base
+    theta = refitted.fitting.forward.theta(base.u)
+    made = hooks.components(state.model, theta, here) if hooks.components is not None else ()
     again = {f.name: f for f in made}
-    wanted = explanations(scored)
-    computed = {BASELINE: refitted.screening.errors.unflat(base.computed)}
-    drawn = _at_same_part(seen_at_sensor(scored), first.data, here)
+    wanted = explanations(found)
+    computed = {BASELINE: refitted.fitting.errors.unflat(base.computed)}
+    drawn = _at_same_part(seen_at_sensor(found), found.search.fitting.data, here)
     if drawn is not None:
-        found = refitted.computed(state.model, here.values - drawn, [base.u])
-        if found is not None:
-            computed[SEEN] = found + drawn
+        series = refitted.computed(state.model, here.values - drawn, [base.u])
+        if series is not None:
+            computed[SEEN] = series + drawn
     for i, one in enumerate(wanted):
         say(f"state {here.name}: {one.name}", (i + 1) / (len(wanted) + 1))
         changes = _changes(one, again)
         starts = [base.u] if one.shift is None else [base.u + one.shift, base.u]
         model = None if changes is None else _Changed(state.model, changes, one.text)
-        found = None if model is None else refitted.computed(model, here.values, starts)
-        if found is not None:
-            computed[one.name] = found
+        series = None if model is None else refitted.computed(model, here.values, starts)
+        if series is not None:
+            computed[one.name] = series
     file = _compared(here, group, refitted.noise[group], computed, wanted, again, seed)
-    bounds = tuple(f"in {here.name}, {one.text}" for _, one in at_bounds(base))
+    bounds = tuple(f"in {here.name}, {one.text}" for _, one in at_bounds(refitted.fitting.forward, base.u))
     return StateResult(here, group, file, computed, bounds)
+
+
+def intervals_of(units: Array, noise: float, seed: int = 0) -> tuple[list[Interval], Array]:
+    """Rms errors beyond the noise with their intervals, and mean squares of draws of the parts.
+
+    Parameters
+    ----------
+    units : array (n_parts, 1 + n)
+        Of each part of a series: its samples, then the sum of squared errors of each explanation.
+    noise : float
+        Variance of a sample.
+    seed : int
+        Of the draws of parts with replacement.
+
+    Returns
+    -------
+    list of Interval
+    mse : array (n_draws, n)
+    """
+    rng = np.random.default_rng(seed)
+    drawn = units[rng.integers(0, len(units), (RESAMPLED, len(units)))].sum(axis=1)
+    mse = drawn[:, 1:] / drawn[:, :1]
+    rms = np.sqrt(np.maximum(mse - noise, 0.0))
+    total = units.sum(axis=0)
+    mean = np.sqrt(np.maximum(total[1:] / total[0] - noise, 0.0))
+    low, high = np.quantile(rms, INTERVAL, axis=0)
+    intervals = [
+        Interval(mean=float(m), low=float(min(a, m)), high=float(max(b, m)))
+        for m, a, b in zip(mean, low, high, strict=True)
+    ]
+    return intervals, mse
 
 
 def _compared(

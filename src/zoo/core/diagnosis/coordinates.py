@@ -1,4 +1,4 @@
-"""Hypotheses: a baseline model with effects, in the coordinates of a search."""
+"""A baseline with effects, in the coordinates in which a search steps."""
 
 from __future__ import annotations
 
@@ -11,17 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.data import Data
-from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, Location, with_effects
+from zoo.core.effects import AddedEffect, with_effects
 from zoo.core.errors.spectral import Spectral
-from zoo.core.forward import ForwardModel, Outputs, SolveError, refined
-from zoo.core.parameters import LogNormal, LogUniform, Normal, Parameter, log_normal_mass, start_of, unpack
+from zoo.core.forward import ForwardModel, Outputs, SolveError
+from zoo.core.parameters import LogNormal, LogUniform, Normal, Parameter, start_of, unpack
 
 Array = NDArray[np.float64]
 
 UNIT = 0.1
 """Unit of a search: of a logarithm, and in parts of a flat prior's width; a normal one's is its sd."""
-NULL, NONPARAMETRIC, CORRELATED = "no-gap", "unlisted", "correlated-noise"
-"""Labels of the null hypothesis (noise is enough), a nonparametric discrepancy, and correlated noise."""
 
 
 @dataclass(frozen=True)
@@ -77,46 +75,22 @@ def coordinates(parameters: Sequence[Parameter]) -> tuple[Coordinate, ...]:
     return tuple(found)
 
 
-@dataclass(frozen=True)
-class Hypothesis:
-    """A baseline model with effects, the last of which is asked about; without effects it is the baseline."""
-
-    added: tuple[AddedEffect, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Of the effect asked about."""
-        return self.added[-1].name if self.added else NULL
-
-    @property
-    def effect(self) -> Effect:
-        """The effect asked about."""
-        return self.added[-1].effect
-
-    @property
-    def location(self) -> Location:
-        """Where it acts."""
-        return self.added[-1].location if self.added else EVERYWHERE
-
-
-class HypothesisModel:
-    """The series under a hypothesis as coefficients, a function of the search's coordinates.
+class SearchModel:
+    """The series of a baseline with effects as coefficients, a function of the search's coordinates.
 
     Parameters
     ----------
     baseline : ForwardModel
-    hypothesis : Hypothesis
+    added : sequence of AddedEffect
     errors : Spectral
         Bound to the data.
     """
 
-    def __init__(self, baseline: ForwardModel, hypothesis: Hypothesis, errors: Spectral) -> None:
-        self.baseline, self.hypothesis, self.errors = baseline, hypothesis, errors
-        self.model = with_effects(baseline, hypothesis.added)
+    def __init__(self, baseline: ForwardModel, added: Sequence[AddedEffect], errors: Spectral) -> None:
+        self.added, self.errors = tuple(added), errors
+        self.model = with_effects(baseline, self.added)
         self.parameters = coordinates(self.model.parameters)
         self.n_base = len(coordinates(baseline.parameters))
-        self.asked = len(self.parameters) - (len(hypothesis.effect.parameters) if hypothesis.added else 0)
-        """Index of the first parameter of the effect asked about."""
         self.low = np.array([p.coordinate(p.low) for p in self.parameters])
         self.high = np.array([p.coordinate(p.high) for p in self.parameters])
         self.units = np.array([p.unit_step for p in self.parameters])
@@ -131,11 +105,6 @@ class HypothesisModel:
         values = start_of(self.model.parameters)
         theta = np.concatenate([np.atleast_1d(values[p.name]) for p in self.model.parameters])
         return np.array([p.coordinate(float(x)) for p, x in zip(self.parameters, theta, strict=True)])
-
-    def refined(self) -> HypothesisModel | None:
-        """The same on a finer grid; None where the forward model has none."""
-        finer = None if refined(self.model) is None else refined(self.baseline)
-        return None if finer is None else HypothesisModel(finer, self.hypothesis, self.errors)
 
     def theta(self, u: Array) -> Array:
         """Search coordinates to values (n_values,) of the forward model's parameters."""
@@ -204,21 +173,6 @@ class HypothesisModel:
         eigenvalues, vectors = np.linalg.eigh(P * np.outer(size, size))
         P = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T / np.outer(size, size)
         return total, P, pull
-
-    def log_mass(self, mean: Array, covariance: Array) -> Any:
-        """Log of the part of normal posteriors inside the bounds, as if the parameters were independent.
-
-        Parameters
-        ----------
-        mean : array (..., n_dim)
-        covariance : array (..., n_dim, n_dim)
-
-        Returns
-        -------
-        array (...,)
-        """
-        sd = np.sqrt(np.einsum("...dd->...d", covariance))
-        return np.sum(log_normal_mass((self.low - mean) / sd, (self.high - mean) / sd), axis=-1)
 
 
 def ranges(data: Data) -> dict[str, float]:

@@ -1,0 +1,179 @@
+"""Draws from the posterior over sets of causes: what is true beside what the baseline computes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.diagnosis.file import Interval
+from zoo.core.diagnosis.sets import SIZE_PRIORS, CauseSets, SolvedSet, Which
+
+Array = NDArray[np.float64]
+
+DRAWS, TOLD, MOST = 400, 3e-3, 30
+"""Draws of each set, the least probability of a set that is drawn from, and how many are at most."""
+INTERVAL = (0.025, 0.975)
+"""Probabilities at the ends of an interval."""
+
+
+def interval_of(draws: Array, weights: Array) -> Interval:
+    """Mean and 95 % interval of weighted draws (n,)."""
+    order = np.argsort(draws)
+    total = np.cumsum(weights[order])
+    low, high = np.interp(INTERVAL, (total - 0.5 * weights[order]) / total[-1], draws[order])
+    return Interval(mean=float(weights @ draws / weights.sum()), low=float(low), high=float(high))
+
+
+@dataclass(frozen=True, eq=False)
+class SetDraws:
+    """Draws of one solved set.
+
+    Parameters
+    ----------
+    which : tuple of int
+    solved : SolvedSet
+    weight : float
+        Probability of the set among those that are drawn from.
+    x : array (n_draws, p)
+        Steps and weights, as `SolvedSet.series` takes them.
+    computed : array (n_draws, n)
+        Coefficients that the set computes.
+    left : array (n_draws, n)
+        What is true beyond that: the discrepancy that nobody can name.
+    """
+
+    which: Which
+    solved: SolvedSet = field(repr=False)
+    weight: float
+    x: Array = field(repr=False)
+    computed: Array = field(repr=False)
+    left: Array = field(repr=False)
+
+    @property
+    def weights(self) -> Array:
+        """Of each draw."""
+        return np.full(len(self.x), self.weight / len(self.x))
+
+    def values(self, part: slice) -> Array:
+        """Coordinates of the forward model (n_draws, m), inside their bounds."""
+        point = self.solved.point.u - self.solved.seen
+        forward = self.solved.forward
+        return np.clip((self.x + point)[:, part], forward.low[part], forward.high[part])
+
+    def signal(self, part: slice) -> Array:
+        """What the coordinates of a cause do to the coefficients, (n_draws, n)."""
+        origin = np.zeros(self.x.shape[1])
+        if part.start < self.solved.n_listed:  # an effect is there from its first parameter's 0 on
+            origin[part.start] = -self.solved.point.u[part.start]
+        return np.asarray((self.x - origin)[:, part] @ self.solved.point.jacobian[:, part].T)
+
+
+def draw_set(found: CauseSets, which: Which, weight: float, rng: np.random.Generator) -> SetDraws:
+    """Draws of a solved set, over all errors that it was weighed beside."""
+    one = found.solved[which]
+    evidence = one.evidence
+    kinds = rng.choice(len(evidence.kinds), DRAWS, p=evidence.weights(SIZE_PRIORS))
+    x = np.empty((DRAWS, evidence.mean.shape[1]))
+    computed = np.empty((DRAWS, len(found.search.data)))
+    left = np.empty_like(computed)
+    for kind in np.unique(kinds):
+        at = np.flatnonzero(kinds == kind)
+        x[at] = rng.multivariate_normal(
+            evidence.mean[kind], evidence.covariance[kind], len(at), method="eigh", check_valid="ignore"
+        )
+        computed[at] = one.series(x[at])
+        noise, both = evidence.variances(kind, alone=True), evidence.variances(kind)
+        part = 1.0 - noise / both
+        missed = found.search.data - computed[at]
+        left[at] = part * missed + np.sqrt(part * noise) * rng.standard_normal(missed.shape)
+    return SetDraws(which, one, weight, x, computed, left)
+
+
+@dataclass(frozen=True, eq=False)
+class CauseDraws:
+    """Draws of the sets that were solved and are not improbable, each set's with its probability.
+
+    Parameters
+    ----------
+    found : CauseSets
+    seed : int
+    """
+
+    found: CauseSets
+    sets: tuple[SetDraws, ...] = field(repr=False)
+
+    def interval(self, of: Callable[[SetDraws], Array]) -> Interval:
+        """Mean and 95 % interval, over all sets, of a number for each draw."""
+        return interval_of(
+            np.concatenate([of(one) for one in self.sets]), np.concatenate([s.weights for s in self.sets])
+        )
+
+    def holding(self, holds: Callable[[Which], bool]) -> list[SetDraws]:
+        """Sets that have something, the most probable first."""
+        return [one for one in self.sets if holds(one.which)]
+
+
+def draw_causes(found: CauseSets, seed: int) -> CauseDraws:
+    """Draws of the leading solved sets of a posterior."""
+    p = {which: p for which, p in found.posterior.probability.items() if which in found.solved}
+    kept = [which for which, x in p.items() if x >= TOLD][:MOST] or [found.leader]
+    total, rng = sum(p[which] for which in kept), np.random.default_rng(seed)
+    return CauseDraws(found, tuple(draw_set(found, which, p[which] / total, rng) for which in kept))
+
+
+@dataclass(frozen=True, eq=False)
+class Discrepancy:
+    """Truth minus series that were computed, with bands; in the series' own units.
+
+    Parameters
+    ----------
+    draws : array (n_draws, n_series, n_times)
+    weights : array (n_draws,)
+    residual : array (n_series, n_times)
+        Measured minus computed.
+    """
+
+    draws: Array = field(repr=False)
+    weights: Array = field(repr=False)
+    residual: Array = field(repr=False)
+
+    @property
+    def mean(self) -> Array:
+        """(n_series, n_times)."""
+        return np.asarray(np.tensordot(self.weights, self.draws, 1) / self.weights.sum())
+
+    @property
+    def sd(self) -> Array:
+        """(n_series, n_times)."""
+        squares = np.tensordot(self.weights, self.draws**2, 1) / self.weights.sum()
+        return np.asarray(np.sqrt(np.maximum(squares - self.mean**2, 0.0)))
+
+    def rms(self, rows: Sequence[int]) -> Array:
+        """Over some series together, (n_draws,)."""
+        return np.asarray(np.sqrt(np.mean(self.draws[:, list(rows)] ** 2, axis=(1, 2))))
+
+    def interval(self, rows: Sequence[int]) -> Interval:
+        """Of that rms."""
+        return interval_of(self.rms(rows), self.weights)
+
+
+def discrepancies(drawn: CauseDraws) -> tuple[Discrepancy, Discrepancy]:
+    """Of the baseline over all sets, and of the leading set: what it leaves."""
+    found = drawn.found
+    errors, base = found.search.family.errors, found.search.base
+    truth = np.concatenate([one.computed + one.left - base.computed for one in drawn.sets])
+    weights = np.concatenate([one.weights for one in drawn.sets])
+    residual = errors.unflat(found.search.data - base.computed)
+    before = Discrepancy(errors.unflat(truth), weights, residual)
+    leader = next(one for one in drawn.sets if one.which == found.leader)
+    if not found.leader:
+        return before, before
+    point = leader.solved.point
+    left = leader.computed + leader.left - point.computed
+    after = Discrepancy(
+        errors.unflat(left), leader.weights, errors.unflat(found.search.data - point.computed)
+    )
+    return before, after
