@@ -45,7 +45,7 @@ from zoo.core.diagnosis.file import (
 from zoo.core.diagnosis.heldout import hold_out
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.sets import SIZE_PRIORS, CauseSets, Which
-from zoo.core.effects import Location
+from zoo.core.effects import EffectParameter, Location
 from zoo.core.forward import Outputs
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ TOLD = 1e-3
 DOUBT = 0.01
 """Least probability of a rival that a next measurement is to rule out."""
 CONFOUNDED = 3.0
-"""Log evidence that a cause may lose in another's place, on data that the other predicts, to be confounded."""
+"""Log evidence that a cause may lose in place of another, on data that this predicts, to be confounded."""
 MAX_HARMONIC = 10
 """Harmonics whose shares are told one by one."""
 POOR_FIT = 0.2
@@ -238,7 +238,8 @@ def _estimates(found: CauseSets, draws: CauseDraws, own: set[int]) -> list[Estim
     holding = draws.holding(lambda which: bool(own & set(which)))
     if not holding:
         return []
-    values, weights, parameters = list[Array](), list[Array](), ()
+    values, weights = list[Array](), list[Array]()
+    parameters: tuple[EffectParameter, ...] = ()
     for one in holding:
         places = one.solved.places(found.search.causes, found.search.origins)
         i = next(i for i in one.which if i in own)

@@ -27,7 +27,7 @@ LEAST = 1e-6
 TRIED, DESCENDED = 32, 3
 """Points of the prior that are solved, and how many of the best a descent starts from, besides the median."""
 CENTRAL = 0.9
-"""Part of a bounded prior's range, or twice as many units on either side of an unbounded one's, in which they are."""
+"""Part of a bounded prior's range in which they are; two units on either side of an unbounded one's start."""
 STEPS, GAIN, ROUNDS = 10, 1e-3, 4
 """Steps of a first descent, the gain that ends it, and rounds of fresh differences after the best one."""
 ALIKE = 0.1

@@ -35,7 +35,7 @@ SMALLEST = 0.02
 RESOLVED = 1e-4
 """Part of the largest variance of a function's shortest length below which a direction is left out."""
 DIFFERENCE, HEARD, LOUD, SHORTEST, LONGEST = 0.05, 0.2, 5.0, 1e-3, 0.5
-"""Step of a difference in prior sds, rms of its change in noise sds within which it is kept, least and most."""
+"""Step of a difference in prior sds, rms of its change in noise sds to be kept, least and largest step."""
 STRAIGHT = 0.1
 """Difference between a response and that of the opposite step, in parts of it, that is taken for linear."""
 RETREAT = (1.0, -1.0, 0.2, -0.2)
