@@ -33,9 +33,9 @@ from zoo.core.forward import SolveError, pinned
 Array = NDArray[np.float64]
 Which = tuple[int, ...]
 
-MASS, MOST_SOLVED = 0.97, 10
+MASS, MOST_SOLVED = 0.9, 10
 """Probability that the sets which are solved hold together, and how many are at most."""
-STEPS, ROUNDS, TURNS = 6, 4, 2
+STEPS, ROUNDS, TURNS = 6, 3, 2
 """Steps of a descent, descents with fresh derivatives, and turns of the baseline's fit and its errors."""
 NEARER = (1.0, 0.5, 0.2)
 """Parts of the linear model's step from which a descent begins."""
@@ -316,13 +316,18 @@ class CauseSearch:
         # beside a discrepancy a lesser mode costs little: noise alone says first where the mode is
         for alone in (True, False):
             search = Search(forward, data, reference.variances(reference.best(SIZE_PRIORS), alone=alone))
-            point = search.refine(search.resume(point), ROUNDS, STEPS, fine=self.fitting.smooth and not order)
+            point = search.resume(point)
+            if kept is None:
+                point = search.refine(point, ROUNDS, STEPS, fine=self.fitting.smooth and not order)
+            else:  # the derivatives are fresh
+                moved = search.descend(point, STEPS)
+                point = search.refine(moved, 1, STEPS) if point.cost - moved.cost > PROMISED else point
             found, n_listed = self._around(order, forward, data, point, linear)
             reference = self._delivered(found, forward, data, point, n_listed)
             if kept is None or reference.total(SIZE_PRIORS) > kept.log_z:
-                moved = replace(point, computed=point.computed + shift)
+                whole = replace(point, computed=point.computed + shift)
                 promised = linear.total(SIZE_PRIORS)
-                kept = SolvedSet(order, forward, moved, reference, n_listed, promised)
+                kept = SolvedSet(order, forward, whole, reference, n_listed, promised)
         assert kept is not None
         return kept
 
