@@ -111,7 +111,7 @@ def test_sets_beside_one_error_are_those_of_the_joint_normal_distribution(toy):
     listed = [i for i, one in enumerate(toy.causes) if not one.free and math.isinf(one.low)]
     free = [i for i, one in enumerate(toy.causes) if one.free]
     problem = toy.problem(toy.drawn(np.random.default_rng(5))[1])
-    V = np.full(len(problem.residual), 0.1**2)
+    V = np.full(len(problem.residual), 0.5**2)
     reference = Reference(problem, toy.causes, V)
     first, second = listed[0], listed[1]
     alone = reference.further((), ())[0][first]
@@ -222,6 +222,50 @@ def test_other_odds_need_no_new_evidence(toy):
     assert ratio[1] == pytest.approx(2.0 * ratio[0])
     assert CausePriors(toy.causes, odds=0.2).log_prior(first) == pytest.approx(
         doubled.priors.log_prior(first)
+    )
+
+
+def scaled(one: Cause, factor: float) -> Cause:
+    """The same cause with a prior sd times a factor."""
+    return replace(one, columns=factor * one.columns, low=one.low / factor, high=one.high / factor)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_other_sizes_of_causes_are_those_of_new_evidence(toy, factor):
+    problem = toy.problem(with_a_cause(toy, 0, noise=1.0))
+    effects, function = [toy.causes[0], toy.causes[1]], toy.causes[-1]  # the first is bounded
+    assert effects[0].low == 0.0
+    assert function.free
+    kinds = np.arange(toy.family.n_kinds)
+
+    def evidence(problem, causes):
+        return SetModel(problem, causes, toy.family).evidence(kinds, toy.family.noise_start)
+
+    stated = evidence(problem, [*effects, function])
+    larger = [scaled(one, factor) for one in effects], scaled(function, factor)
+    cases = {
+        "effects": evidence(problem, [*larger[0], function]),
+        "functions": evidence(problem, [*effects, larger[1]]),
+    }
+    for name, new in cases.items():
+        sizes, new = replace(toy.sizes, **{name: factor}), replace(new, signal=stated.signal)
+        assert stated.total(sizes) == pytest.approx(
+            new.total(toy.sizes), abs=0.03 if name == "effects" else 0.1
+        )
+    # an amplitude among the parameters, as around a set's own mode
+    k, w = problem.jacobian.shape[1], 0.7
+    J = np.concatenate([problem.jacobian, effects[0].columns], axis=1)
+    around = replace(
+        problem, residual=problem.residual - w * effects[0].columns[:, 0], jacobian=J,
+        precision=np.ones(k + 1),
+        pull=np.append(np.zeros(k), w), low=np.append(np.full(k, -np.inf), -w),
+        high=np.append(np.full(k, np.inf), 4.0 - w), amplitudes=(k,),
+    )  # fmt: skip
+    sizes = replace(toy.sizes, effects=factor)
+    inside, beside = evidence(around, [function]), evidence(problem, [effects[0], function])
+    beside = replace(beside, signal=inside.signal)
+    assert inside.total(sizes) - inside.total(toy.sizes) == pytest.approx(
+        beside.total(sizes) - beside.total(toy.sizes), abs=1e-6
     )
 
 

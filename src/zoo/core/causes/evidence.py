@@ -40,7 +40,7 @@ from zoo.core.priors import log_normal_mass
 Array = NDArray[np.float64]
 Kinds = NDArray[np.int_]
 
-SCALES: Array = 0.03 * 1.6 ** np.arange(10.0)
+SCALES: Array = 0.03 * 1.6 ** np.arange(11.0)
 """Sizes of a free function that are integrated over, in its prior scale."""
 FEW_SCALES = SCALES[1::2]
 """The same where three functions or more are free at once."""
@@ -55,10 +55,10 @@ def log_scale_masses(scales: Array) -> Array:
 
 
 @lru_cache(64)
-def _combinations(free: tuple[bool, ...]) -> tuple[Array, Array]:
-    """Sizes (n, n_causes) of all causes together, and their log masses (n,)."""
+def _combinations(free: tuple[bool, ...], factor: float = 1.0) -> tuple[Array, Array]:
+    """Sizes (n, n_causes) of all causes, and their log masses (n,), their prior scale times a factor."""
     scales = SCALES if sum(free) < 3 else FEW_SCALES
-    logs = log_scale_masses(scales)
+    logs = log_scale_masses(scales / factor)
     options = [list(zip(scales, logs, strict=True)) if one else [(1.0, 0.0)] for one in free]
     rows = list(product(*options))
     return (
@@ -69,7 +69,9 @@ def _combinations(free: tuple[bool, ...]) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class SizePriors:
-    """Prior of the discrepancy's size: the error of numerics and of causes, or what nobody can name.
+    """Priors of sizes: of the discrepancy, and of what causes do in parts of what they state.
+
+    The discrepancy is the error of numerics and of causes, or what nobody can name.
 
     Parameters
     ----------
@@ -79,12 +81,16 @@ class SizePriors:
         Scale of the error of what causes do, in parts of their signal.
     unexplained, odds : float
         Scale of what nobody can name, and the odds that there is such.
+    effects, functions : float
+        Factors on the prior sd of listed effects' amplitudes, and on the scale of functions' sizes.
     """
 
     numerics: float = NUMERICS
     caricature: float = CARICATURE
     unexplained: float = UNEXPLAINED
     odds: float = UNEXPLAINED_ODDS
+    effects: float = 1.0
+    functions: float = 1.0
 
     def scales(self, signal: float) -> dict[float, float]:
         """Scales of the mixture with their weights, for causes of that signal in parts of the range."""
@@ -92,6 +98,51 @@ class SizePriors:
         found = {math.hypot(self.numerics, self.caricature * signal): 1.0 - p}
         found[self.unexplained] = found.get(self.unexplained, 0.0) + p
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class Amplitudes:
+    """Amplitudes of a set's listed effects: their normal prior with its bounds, and their posterior.
+
+    Parameters
+    ----------
+    centre, precision, low, high : array (a,)
+    mean : array (n_kinds, n_sizes, a)
+        Without the bounds, for each combination of the sizes of the set's functions.
+    covariance : array (n_kinds, n_sizes, a, a)
+    """
+
+    centre: Array
+    precision: Array
+    low: Array
+    high: Array
+    mean: Array = field(repr=False)
+    covariance: Array = field(repr=False)
+
+    def change(self, factor: float) -> Array:
+        """Change (n_kinds, n_sizes) of the log evidence with the prior sd times a factor.
+
+        The mean, over the posterior, of the new prior's density over the old one's, and the same of the
+        masses inside the bounds.
+        """
+        D = (1.0 / factor**2 - 1.0) * self.precision
+        M = np.eye(len(D)) + self.covariance * D
+        off = self.mean - self.centre
+        moved = np.linalg.solve(M, off[..., None])[..., 0]
+        gain = -0.5 * np.linalg.slogdet(M)[1] - len(D) * math.log(factor)
+        gain = gain - 0.5 * np.sum(off * D * moved, axis=-1)
+        now = np.linalg.solve(M, self.covariance)
+        prior_sd = 1.0 / np.sqrt(self.precision)
+        for sign, mean, C, sd in (
+            (1.0, self.centre + moved, now, factor * prior_sd),
+            (-1.0, self.mean, self.covariance, prior_sd),
+        ):
+            posterior = self._inside(mean, np.sqrt(np.einsum("...ii->...i", C)))
+            gain = gain + sign * (posterior - self._inside(self.centre, sd))
+        return np.asarray(gain)
+
+    def _inside(self, mean: Array, sd: Array) -> Any:
+        return np.sum(log_normal_mass((self.low - mean) / sd, (self.high - mean) / sd), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +158,11 @@ class SetEvidence:
         Rms of what the causes do and the baseline cannot take up, in parts of the range.
     mean : array (n_kinds, k)
         Step of the baseline's parameters, then weights of the causes in their order.
+    free : tuple of bool
+        Which causes are functions.
+    gains : array (n_kinds, n_sizes)
+        Terms of the log evidence for each combination of the functions' sizes, up to a constant.
+    amplitudes : Amplitudes
     """
 
     family: ErrorFamily
@@ -117,6 +173,9 @@ class SetEvidence:
     signal: float
     mean: Array = field(repr=False)
     covariance: Array = field(repr=False)
+    free: tuple[bool, ...]
+    gains: Array = field(repr=False)
+    amplitudes: Amplitudes = field(repr=False)
 
     @property
     def _first(self) -> int:
@@ -131,18 +190,28 @@ class SetEvidence:
     def only(self, kinds: Kinds) -> SetEvidence:
         """The same beside some of its kinds of errors."""
         at = np.searchsorted(self.kinds, kinds)
-        arrays = {
-            name: getattr(self, name)[at] for name in ("log_z", "slope", "log_noise", "mean", "covariance")
-        }
-        return replace(self, kinds=kinds, **arrays)
+        names = ("log_z", "slope", "log_noise", "mean", "covariance", "gains")
+        a = self.amplitudes
+        a = replace(a, mean=a.mean[at], covariance=a.covariance[at])
+        return replace(self, kinds=kinds, amplitudes=a, **{name: getattr(self, name)[at] for name in names})
 
-    def interpolated(self) -> Array:
+    def log_evidence(self, priors: SizePriors) -> Array:
+        """Log evidence (n_kinds,) with the prior sizes of causes times their factors, the noise held."""
+        if priors.effects == priors.functions == 1.0:
+            return self.log_z
+        gains = self.gains + _combinations(self.free, priors.functions)[1] - _combinations(self.free)[1]
+        gains = gains + self.amplitudes.change(priors.effects)
+        return np.asarray(self.log_z + logsumexp(gains, axis=1) - logsumexp(self.gains, axis=1))
+
+    def interpolated(self, priors: SizePriors) -> Array:
         """Log evidence of each shape at the sizes of the family's grid, (n_shapes, n)."""
         x, _ = self.family.grid
         after = self.kinds >= self._first
-        L = self.log_z[after].reshape(-1, len(SIZES))
-        slope = self.slope[after].reshape(-1, len(SIZES))
-        none = float(self.log_z[self.kinds == 0][0])
+        log_z = self.log_evidence(priors)
+        L = log_z[after].reshape(-1, len(SIZES))
+        change = L - self.log_z[after].reshape(-1, len(SIZES))
+        slope = self.slope[after].reshape(-1, len(SIZES)) + np.gradient(change, np.log(SIZES), axis=1)
+        none = float(log_z[self.kinds == 0][0])
         nodes = np.concatenate([[x[0]], np.log(SIZES)])
         L = np.concatenate([np.full((len(L), 1), none), L], axis=1)
         slope = np.concatenate([np.zeros((len(slope), 1)), slope], axis=1)
@@ -151,10 +220,11 @@ class SetEvidence:
     def terms(self, priors: SizePriors) -> tuple[Array, Array]:
         """Log prior plus log evidence of each correlated noise, (n,), and of each shape and size, (n, m)."""
         shapes = self.shapes
-        smooth = self.interpolated() + self.family.log_sizes(priors.scales(self.signal))
+        smooth = self.interpolated(priors) + self.family.log_sizes(priors.scales(self.signal))
         smooth += self.family.log_shapes[shapes][:, None] + math.log(1.0 - COLOURED)
         there = (self.kinds > 0) & (self.kinds < self._first)
-        colours = self.family.log_colours[self.kinds[there] - 1] + self.log_z[there] + math.log(COLOURED)
+        colours = self.log_evidence(priors)[there] + math.log(COLOURED)
+        colours += self.family.log_colours[self.kinds[there] - 1]
         return colours, smooth
 
     def total(self, priors: SizePriors) -> float:
@@ -172,16 +242,16 @@ class SetEvidence:
     def best(self, priors: SizePriors) -> int:
         """Index among the kinds of the most probable one."""
         shapes = self.shapes
-        score = np.full(len(self.kinds), -np.inf)
+        log_z, score = self.log_evidence(priors), np.full(len(self.kinds), -np.inf)
         edges = np.concatenate([[0.0, SIZES[0]], np.sqrt(SIZES[1:] * SIZES[:-1]), [np.inf]])
         mixture = priors.scales(self.signal).items()
         mass = sum(weight * half_normal_mass(edges, scale) for scale, weight in mixture)
         logs = np.log(np.maximum(mass, 1e-300)) + math.log(1.0 - COLOURED)
         after = self.kinds >= self._first
-        score[after] = self.log_z[after] + (self.family.log_shapes[shapes][:, None] + logs[1:]).reshape(-1)
-        score[0] = self.log_z[0] + logs[0]
+        score[after] = log_z[after] + (self.family.log_shapes[shapes][:, None] + logs[1:]).reshape(-1)
+        score[0] = log_z[0] + logs[0]
         there = (self.kinds > 0) & ~after
-        score[there] = self.log_z[there] + self.family.log_colours[self.kinds[there] - 1] + math.log(COLOURED)
+        score[there] = log_z[there] + self.family.log_colours[self.kinds[there] - 1] + math.log(COLOURED)
         return int(np.argmax(score))
 
     def variances(self, kind: int, *, alone: bool = False) -> Array:
@@ -216,6 +286,8 @@ class SetModel:
         self.pull = np.concatenate([problem.pull, np.zeros(p - k)])
         self.owner = np.repeat(np.arange(len(causes)), self.sizes)
         self.edges = np.cumsum([k, *self.sizes])
+        listed = [at for one, at in zip(causes, self.edges[:-1], strict=True) if not one.free]
+        self.listed = np.array([*problem.amplitudes, *listed], int)
 
     def precision(self, scales: Array) -> tuple[Array, Array]:
         """Prior precision (..., p, p) and pull (..., p) for sizes (..., n_causes)."""
@@ -298,24 +370,39 @@ class SetModel:
         x = (log_noise - f.noise_centre) / NOISE_SPREAD
         laplace = -0.5 * x**2 - math.log(NOISE_SPREAD) - 0.5 * np.log(bend)
         base += laplace @ f.noise_free.astype(float) + self.problem.log_prior
-        scales, masses = _combinations(tuple(one.free for one in self.causes))
+        free = tuple(one.free for one in self.causes)
+        scales, masses = _combinations(free)
+        own_mean, own_C, gains = [], [], np.empty((len(kinds), len(scales)))
+        for i, s in enumerate(scales):
+            gains[:, i], mean, C = self.solve(gram, right, np.broadcast_to(s, ones.shape))
+            own_mean.append(mean[:, self.listed])
+            own_C.append(C[:, self.listed[:, None], self.listed])
+        gains += masses
+        log_z = base + logsumexp(gains, axis=1)
         if len(scales) > 1:
-            gains = np.stack(
-                [self.solve(gram, right, np.broadcast_to(s, ones.shape))[0] for s in scales], axis=1
-            )
-            gains += masses
-            best = scales[np.argmax(gains, axis=1)]
-            log_z = base + logsumexp(gains, axis=1)
-            _, mean, C = self.solve(gram, right, best)
-        else:
-            gain, mean, C = self.solve(gram, right, ones)
-            log_z = base + gain
+            _, mean, C = self.solve(gram, right, scales[np.argmax(gains, axis=1)])
+        amplitudes = self._amplitudes(np.stack(own_mean, axis=1), np.stack(own_C, axis=1))
         slope = np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
-        found = SetEvidence(f, kinds, log_z, slope, log_noise, 0.0, mean, C)
+        found = SetEvidence(f, kinds, log_z, slope, log_noise, 0.0, mean, C, free, gains, amplitudes)
         if self.causes:
             at = found.best(SizePriors())
-            found = SetEvidence(f, kinds, log_z, slope, log_noise, self._signal(mean[at], V[at]), mean, C)
+            found = replace(found, signal=self._signal(mean[at], V[at]))
         return found
+
+    def _amplitudes(self, mean: Array, C: Array) -> Amplitudes:
+        n, k = len(self.problem.amplitudes), self.k
+        P, low, high = self.P0.diagonal(), np.full(k, -np.inf), np.full(k, np.inf)
+        if self.problem.low is not None and self.problem.high is not None:
+            low, high = self.problem.low, self.problem.high
+        at, causes = self.listed[:n], [one for one in self.causes if not one.free]
+        return Amplitudes(
+            np.concatenate([-self.pull[at] / P[at], self.mean[self.listed[n:]]]),
+            np.concatenate([P[at], np.ones(len(causes))]),
+            np.concatenate([low[at], [one.low for one in causes]]),
+            np.concatenate([high[at], [one.high for one in causes]]),
+            mean,
+            C,
+        )
 
     def _products(self, V: Array) -> tuple[Array, Array]:
         p = len(self.mean)

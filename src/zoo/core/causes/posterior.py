@@ -122,7 +122,7 @@ class CausePosterior:
         )
 
     def under(self, sizes: SizePriors | None = None, odds: float | None = None) -> CausePosterior:
-        """The same with another prior of the discrepancy's size, or other odds; guesses stay."""
+        """The same with other priors of sizes, or other odds; guesses stay."""
         priors = self.priors if odds is None else replace(self.priors, odds=odds)
         rows = tuple(replace(row, log_prior=priors.log_prior(row.which)) for row in self.rows)
         guessed = {w: g - self.priors.log_prior(w) + priors.log_prior(w) for w, g in self.guessed.items()}

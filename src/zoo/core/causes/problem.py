@@ -93,6 +93,8 @@ class Problem:
     log_prior : float
     low, high : array (k,), optional
         Bounds of the step.
+    amplitudes : sequence of int
+        Which parameters are amplitudes of listed effects, of independent normal priors.
     """
 
     residual: Array = field(repr=False)
@@ -102,6 +104,7 @@ class Problem:
     log_prior: float = 0.0
     low: Array | None = field(default=None, repr=False)
     high: Array | None = field(default=None, repr=False)
+    amplitudes: Sequence[int] = ()
 
     @property
     def P(self) -> Array:
