@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 from zoo.core.causes import Cause, CauseError, CausePriors, Problem, weigh_causes
-from zoo.core.causes.evidence import SetModel, SizePriors
+from zoo.core.causes.evidence import SetModel, SizePriors, _combinations
 from zoo.core.causes.family import COLOURED, NOISE_SPREAD
 from zoo.core.causes.problem import without_doubles
 from zoo.core.causes.reference import Reference
@@ -94,6 +94,30 @@ def test_the_evidence_of_a_function_is_that_of_plain_sums():
     gained = found.total(toy.sizes) - alone.total(toy.sizes)
     beside = direct(toy, problem, [one], toy.sizes, found.signal) - direct(toy, problem, (), toy.sizes, 0.0)
     assert gained == pytest.approx(beside, abs=0.35)
+
+
+@pytest.mark.parametrize("white", [0.1, 1e-5], ids=["free", "least"])
+def test_the_noise_is_integrated_where_weights_are_many(white):
+    """Beside quadrature over its logarithm: 20 weights of a small function take up a third of the record."""
+    toy, rng = LinearToy(), np.random.default_rng(2)
+    f, n = toy.family, len(toy.jacobian)
+    function = Cause("w", "c0", rng.standard_normal((n, 20)) * 0.3, free=True)
+    residual = toy.jacobian @ rng.standard_normal(3) + white * rng.standard_normal(n)
+    errors = np.array([0, 5])
+    x = np.linspace(f.least_noise[0], f.noise_centre[0] + NOISE_SPREAD, 1001)
+    log_w = norm.logpdf(x, f.noise_centre[0], NOISE_SPREAD) + math.log(x[1] - x[0])
+    log_w[0] -= math.log(2.0)
+    for causes in ((), (function,)):
+        model = SetModel(toy.problem(residual), causes, f)
+        found = model.evidence(np.arange(f.n_kinds), f.noise_start).log_z[errors]
+        scales, masses = _combinations(tuple(one.free for one in causes))
+        for error, log_z in zip(errors, found, strict=True):
+            V = np.exp(2 * x)[:, None] * f.kinds[0][error]
+            gram, right = model._products(V)
+            gains = [model.solve(gram, right, np.broadcast_to(s, (len(x), len(causes))))[0] for s in scales]
+            each = logsumexp(np.stack(gains, axis=1) + masses, axis=1) + log_w
+            each -= 0.5 * np.sum(residual**2 / V + np.log(2 * math.pi * V), axis=1)
+            assert log_z == pytest.approx(logsumexp(each) + model.problem.log_prior, abs=0.1)
 
 
 def test_the_slope_in_the_size_is_that_of_differences(toy):
