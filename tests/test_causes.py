@@ -254,6 +254,75 @@ def scaled(one: Cause, factor: float) -> Cause:
     return replace(one, columns=factor * one.columns, low=one.low / factor, high=one.high / factor)
 
 
+@pytest.mark.parametrize("power", [0.5, 0.125])
+def test_a_power_of_the_likelihood_is_that_of_plain_sums(toy, power):
+    problem, f, effect = toy.problem(with_a_cause(toy, 1, noise=0.5)), toy.family, toy.causes[1]
+    assert math.isinf(effect.low)
+    x = f.noise_centre[0] + NOISE_SPREAD * np.linspace(-3.4, 3.5, 700)
+    log_w = norm.logpdf((x - f.noise_centre[0]) / NOISE_SPREAD) + math.log((x[1] - x[0]) / NOISE_SPREAD)
+    n = len(problem.residual)
+    for causes in ((), (effect,)):
+        terms = []
+        for log_noise, w in zip(x, log_w, strict=True):
+            V = np.full(n, math.exp(2 * log_noise))
+            tempered = marginal_normal(problem, causes, [1.0] * len(causes), V / power)
+            # N(r; A w, V)^power = N(r; A w, V / power) times this
+            constant = 0.5 * (1 - power) * np.sum(np.log(2 * math.pi * V)) - 0.5 * n * math.log(power)
+            terms.append(tempered + w + constant)
+        model = SetModel(problem, causes, f)
+        found = model.evidence(np.arange(f.n_kinds), f.noise_start, power).log_z[0]
+        assert found == pytest.approx(logsumexp(terms), abs=0.1)
+
+
+def no_set_is_right(toy: LinearToy) -> np.ndarray:
+    """A response that no cause has, at a noise of a ten-thousandth of the range."""
+    rng = np.random.default_rng(0)
+    weights = rng.standard_normal((1, toy.n_series, len(toy.waves))) / 5
+    residual = toy.errors.flat(weights @ toy.waves).T[:, 0]
+    return np.asarray(residual + 1e-3 * rng.standard_normal(len(residual)))
+
+
+def test_certainty_about_a_set_that_is_wrong_is_undone_where_less_is_believed():
+    toy = LinearToy()
+    found = weigh_causes(toy.problem(no_set_is_right(toy)), toy.causes, toy.family)
+    table = found.coarsening((1.0, 0.0625))
+    assert table.drop(columns="nothing").max(axis=1).tolist() == [
+        pytest.approx(1.0, abs=0.01),
+        pytest.approx(0.15, abs=0.15),
+    ]
+    prior = found.coarsened(1e-6)
+    assert prior.components == pytest.approx(toy.priors.inclusion(), abs=0.06)
+
+
+def test_what_solves_gained_is_coarsened_in_proportion(toy):
+    found = weigh_causes(toy.problem(with_a_cause(toy, 4, noise=1.0)), toy.causes, toy.family)
+    first, *others = found.rows
+    raised = replace(first, evidence=replace(first.evidence, log_z=first.evidence.log_z + 3.0))
+    shifted = replace(found, rows=(raised, *(replace(row, shift=2.0) for row in others)))
+    a, b = found.coarsened(0.5).log_joint, shifted.coarsened(0.5).log_joint
+    assert b[first.which] - a[first.which] == pytest.approx(1.5)
+    assert b[others[0].which] - a[others[0].which] == pytest.approx(1.0)
+
+
+def test_a_guess_moves_as_the_weighed_set_most_like_it(toy):
+    found = weigh_causes(toy.problem(with_a_cause(toy, 4, noise=1.0)), toy.causes, toy.family)
+    guessed = next(row for row in found.rows if len(row.which) == 1)
+    rows = tuple(row for row in found.rows if row is not guessed)
+    less = replace(found, rows=rows, guessed={guessed.which: found.log_joint[guessed.which]})
+    i = guessed.which[0]
+    sort = toy.causes[i].component, toy.causes[i].free
+    more = [row.which for row in rows if i in row.which]
+    alike = [w for w in [row.which for row in rows if len(row.which) == 1]
+             if (toy.causes[w[0]].component, toy.causes[w[0]].free) == sort]  # fmt: skip
+    expected = min(more, key=len) if more else (alike or [()])[0]
+    sizes = replace(toy.sizes, effects=0.5, functions=0.5, unexplained=0.2)
+    after = less.under(sizes, odds=0.2)
+    moved = [after.log_joint[w] - after.priors.log_prior(w) - less.log_joint[w] + less.priors.log_prior(w)
+             for w in (guessed.which, expected)]  # fmt: skip
+    assert moved[0] == pytest.approx(moved[1])
+    assert moved[0] != pytest.approx(0.0, abs=1e-3)
+
+
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_other_sizes_of_causes_are_those_of_new_evidence(toy, factor):
     problem = toy.problem(with_a_cause(toy, 0, noise=1.0))

@@ -163,6 +163,10 @@ class SetEvidence:
     gains : array (n_kinds, n_sizes)
         Terms of the log evidence for each combination of the functions' sizes, up to a constant.
     amplitudes : Amplitudes
+    problem : Problem
+    causes : tuple of Cause
+    computed : array (n_kinds,)
+        Log evidence of the model alone; `log_z` may be corrected.
     """
 
     family: ErrorFamily
@@ -176,6 +180,9 @@ class SetEvidence:
     free: tuple[bool, ...]
     gains: Array = field(repr=False)
     amplitudes: Amplitudes = field(repr=False)
+    problem: Problem = field(repr=False)
+    causes: tuple[Cause, ...] = field(repr=False)
+    computed: Array = field(repr=False)
 
     @property
     def _first(self) -> int:
@@ -190,10 +197,17 @@ class SetEvidence:
     def only(self, kinds: Kinds) -> SetEvidence:
         """The same beside some of its kinds of errors."""
         at = np.searchsorted(self.kinds, kinds)
-        names = ("log_z", "slope", "log_noise", "mean", "covariance", "gains")
+        names = ("log_z", "slope", "log_noise", "mean", "covariance", "gains", "computed")
         a = self.amplitudes
         a = replace(a, mean=a.mean[at], covariance=a.covariance[at])
         return replace(self, kinds=kinds, amplitudes=a, **{name: getattr(self, name)[at] for name in names})
+
+    def coarsened(self, power: float) -> SetEvidence:
+        """The same with the likelihood to a power; what corrects the linear model is taken in proportion."""
+        model = SetModel(self.problem, self.causes, self.family)
+        found = model.evidence(self.kinds, self.log_noise, power)
+        log_z = found.log_z + power * (self.log_z - self.computed)
+        return replace(found, log_z=log_z, signal=self.signal)
 
     def log_evidence(self, priors: SizePriors) -> Array:
         """Log evidence (n_kinds,) with the prior sizes of causes times their factors, the noise held."""
@@ -335,8 +349,12 @@ class SetModel:
         p = len(self.mean)
         return np.asarray(e**2 + C.reshape(-1, p * p) @ self.products.T)
 
-    def evidence(self, kinds: Kinds, start: Array) -> SetEvidence:
-        """Evidence for some kinds of errors, from where the noise's logarithms (..., n_groups) may be."""
+    def evidence(self, kinds: Kinds, start: Array, power: float = 1.0) -> SetEvidence:
+        """Evidence for some kinds of errors, from where the noise's logarithms (..., n_groups) may be.
+
+        With the likelihood to a power: p(r | w, V)^power is N(r; A w, V / power) times |V|^((1 - power) / 2)
+        and a constant. The former factor is not the same for all sets, since V is found with each.
+        """
         f = self.family
         noise, discrepancy, _ = (x[kinds] for x in f.kinds)
         log_noise = np.array(np.broadcast_to(start, (len(kinds), len(f.groups))))
@@ -345,12 +363,12 @@ class SetModel:
         for _ in range(SCORING):
             own = np.exp(2.0 * log_noise[active])[:, f.member] * noise[active]
             V = own + discrepancy[active]
-            gram, right = self._products(V)
+            gram, right = self._products(V / power)
             _, mean, C = self.solve(gram, right, ones[active])
             q = self._left(mean, C) / V
             a = own / V
-            slope = (a * (q - 1.0)) @ f.one_of.T
-            bend = 2.0 * (a**2) @ f.one_of.T
+            slope = power * (a * (q - 1.0)) @ f.one_of.T
+            bend = 2.0 * power * (a**2) @ f.one_of.T
             slope -= (log_noise[active] - f.noise_centre) / NOISE_SPREAD**2
             bend += 1.0 / NOISE_SPREAD**2
             step = np.clip(slope / bend, -LARGEST_STEP, LARGEST_STEP) * f.noise_free
@@ -361,10 +379,10 @@ class SetModel:
                 break
         own = np.exp(2.0 * log_noise)[:, f.member] * noise
         V = own + discrepancy
-        gram, right = self._products(V)
-        base = -0.5 * np.sum(self.problem.residual**2 / V + np.log(2.0 * math.pi * V), axis=1)
+        gram, right = self._products(V / power)
+        base = -0.5 * power * np.sum(self.problem.residual**2 / V + np.log(2.0 * math.pi * V), axis=1)
         base += self.problem.log_prior
-        integral = NoiseIntegral(self, own / V, V, log_noise)
+        integral = NoiseIntegral(self, own / V, V, log_noise, power)
         free = tuple(one.free for one in self.causes)
         scales, masses = _combinations(free)
         own_mean, own_C, gains = [], [], np.empty((len(kinds), len(scales)))
@@ -378,8 +396,23 @@ class SetModel:
         if len(scales) > 1:
             _, mean, C = self.solve(gram, right, scales[np.argmax(gains, axis=1)])
         amplitudes = self._amplitudes(np.stack(own_mean, axis=1), np.stack(own_C, axis=1))
-        slope = np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
-        found = SetEvidence(f, kinds, log_z, slope, log_noise, 0.0, mean, C, free, gains, amplitudes)
+        slope = power * np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
+        found = SetEvidence(
+            f,
+            kinds,
+            log_z,
+            slope,
+            log_noise,
+            0.0,
+            mean,
+            C,
+            free,
+            gains,
+            amplitudes,
+            self.problem,
+            tuple(self.causes),
+            log_z,
+        )
         if self.causes:
             at = found.best(SizePriors())
             found = replace(found, signal=self._signal(mean[at], V[at]))
@@ -413,9 +446,10 @@ class SetModel:
 class NoiseIntegral:
     """Laplace's integral over the noise's logarithms x, from where they were held to where their mode is.
 
-    With a = own part of V, D = diag(a / V) in a group and e = r - A w, w ~ N(mean, C), the log evidence has
+    With a the noise's part of V, D = diag(a / V) in a group, e = r - A w, w ~ N(mean, C), and the likelihood
+    to a power c, the log evidence has
 
-        slope g = sum(a (E[e^2] / V - 1)),    curvature -I = -2 (sum a^2 - tr (C A'DA)^2),
+        slope g = c sum(a (E[e^2] / V - 1)),    curvature -I = -2 (c sum a^2 - c^2 tr (C A'DA)^2),
 
     the latter where E[e^2] = V: n coefficients less those that the weights take up. Sizes of functions have
     their mode elsewhere than the x given; the log evidence gains I (u - log(1 + u)) / 4 on the way there,
@@ -428,17 +462,19 @@ class NoiseIntegral:
     a, V : array (n_kinds, n)
         Noise's part of the variances, and these.
     log_noise : array (n_kinds, n_groups)
+    power : float
+        Of the likelihood.
     """
 
-    def __init__(self, model: SetModel, a: Array, V: Array, log_noise: Array) -> None:
+    def __init__(self, model: SetModel, a: Array, V: Array, log_noise: Array, power: float = 1.0) -> None:
         f, p = model.family, len(model.mean)
         self.free, self.least = f.noise_free, f.least_noise
         self.x, self.prior = log_noise, (log_noise - f.noise_centre) / NOISE_SPREAD
-        D = (a / V)[:, None, :] * f.one_of
+        D = power * (a / V)[:, None, :] * f.one_of
         self.gram = (D @ model.products).reshape(*D.shape[:2], p, p)
         self.right = D @ model.Ar
-        self.none = D @ model.problem.residual**2 - a @ f.one_of.T
-        self.information = 2.0 * (a**2) @ f.one_of.T
+        self.none = D @ model.problem.residual**2 - power * a @ f.one_of.T
+        self.information = 2.0 * power * (a**2) @ f.one_of.T
 
     def __call__(self, mean: Array, C: Array) -> Array:
         """Log of the integral (n_kinds,), given the weights' posterior."""
