@@ -1,4 +1,4 @@
-"""The evidence of one set of causes beside all errors: linear in what the set does, Laplace in the noise.
+"""Evidence of one set of causes given each error model: linear in what the set does, Laplace in the noise.
 
 For errors of variance V, parameters and weights x = (d, w) are normal, and with A = [J, R],
 
@@ -78,7 +78,7 @@ class SizePriors:
     numerics : float
         Scale of the error of the simulator's numerics, in parts of the range.
     caricature : float
-        Scale of the error of what causes do, in parts of their signal.
+        Scale of the model error of causes: the discrepancy of their response, in parts of its signal.
     unexplained, odds : float
         Scale of what nobody can name, and the odds that there is such.
     effects, functions : float
@@ -147,13 +147,13 @@ class Amplitudes:
 
 @dataclass(frozen=True, eq=False)
 class SetEvidence:
-    """One set of causes beside all errors that were tried.
+    """One set of causes given each error model that was tried.
 
     Parameters
     ----------
     family : ErrorFamily
     kinds : int array (n,)
-        Which kinds of errors; log evidence, its slope in log size, and the noise's logarithm are of each.
+        Which error models; log evidence, its slope in log size, and the noise's logarithm are of each.
     signal : float
         Rms of what the causes do and the baseline cannot take up, in parts of the range.
     mean : array (n_kinds, k)
@@ -190,12 +190,12 @@ class SetEvidence:
 
     @property
     def shapes(self) -> Kinds:
-        """Indices of the shapes of discrepancies among the kinds."""
+        """Indices of the discrepancy's spectra among the error models."""
         after = self.kinds[self.kinds >= self._first] - self._first
         return np.unique(after // len(SIZES))
 
     def only(self, kinds: Kinds) -> SetEvidence:
-        """The same beside some of its kinds of errors."""
+        """The same given some of its error models."""
         at = np.searchsorted(self.kinds, kinds)
         names = ("log_z", "slope", "log_noise", "mean", "covariance", "gains", "computed")
         a = self.amplitudes
@@ -218,7 +218,7 @@ class SetEvidence:
         return np.asarray(self.log_z + logsumexp(gains, axis=1) - logsumexp(self.gains, axis=1))
 
     def interpolated(self, priors: SizePriors) -> Array:
-        """Log evidence of each shape at the sizes of the family's grid, (n_shapes, n)."""
+        """Log evidence of each spectrum at the sizes of the family's grid, (n_shapes, n)."""
         x, _ = self.family.grid
         after = self.kinds >= self._first
         log_z = self.log_evidence(priors)
@@ -232,7 +232,7 @@ class SetEvidence:
         return np.asarray(CubicHermiteSpline(nodes, L, slope, axis=1)(x))
 
     def terms(self, priors: SizePriors) -> tuple[Array, Array]:
-        """Log prior plus log evidence of each correlated noise, (n,), and of each shape and size, (n, m)."""
+        """Log prior plus log evidence: each correlated noise (n,), each spectrum and size (n, m)."""
         shapes = self.shapes
         smooth = self.interpolated(priors) + self.family.log_sizes(priors.scales(self.signal))
         smooth += self.family.log_shapes[shapes][:, None] + math.log(1.0 - COLOURED)
@@ -254,7 +254,7 @@ class SetEvidence:
         return float(logsumexp(parts)) - self.total(priors)
 
     def best(self, priors: SizePriors) -> int:
-        """Index among the kinds of the most probable one."""
+        """Index of the most probable error model."""
         shapes = self.shapes
         log_z, score = self.log_evidence(priors), np.full(len(self.kinds), -np.inf)
         edges = np.concatenate([[0.0, SIZES[0]], np.sqrt(SIZES[1:] * SIZES[:-1]), [np.inf]])
@@ -269,7 +269,7 @@ class SetEvidence:
         return int(np.argmax(score))
 
     def variances(self, kind: int, *, alone: bool = False) -> Array:
-        """Variances (n,) of the errors of one kind, by its index here, or of its noise alone."""
+        """Variances (n,) of one error model, by its index here, or of its noise alone."""
         noise, discrepancy, _ = self.family.kinds
         at = self.kinds[kind]
         sigma2 = np.exp(2.0 * self.log_noise[kind])[self.family.member]
@@ -277,7 +277,7 @@ class SetEvidence:
 
 
 class SetModel:
-    """A problem with some causes, and its evidence for many errors at once.
+    """A problem with some causes, and its evidence given many error models at once.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ class SetModel:
         return np.asarray(e**2 + C.reshape(-1, p * p) @ self.products.T)
 
     def evidence(self, kinds: Kinds, start: Array, power: float = 1.0) -> SetEvidence:
-        """Evidence for some kinds of errors, from where the noise's logarithms (..., n_groups) may be.
+        """Evidence given some error models, from where the noise's logarithms (..., n_groups) may be.
 
         With the likelihood to a power: p(r | w, V)^power is N(r; A w, V / power) times |V|^((1 - power) / 2)
         and a constant. The former factor is not the same for all sets, since V is found with each.
@@ -494,6 +494,6 @@ class NoiseIntegral:
 
 
 def without(jacobian: Array, signal: Array, V: Array) -> Array:
-    """What parameters cannot take up of a signal (n,), beside errors of variance V."""
+    """What parameters cannot take up of a signal (n,), given errors of variance V."""
     J = jacobian / V[:, None]
     return np.asarray(signal - jacobian @ np.linalg.lstsq(J.T @ jacobian, J.T @ signal, rcond=None)[0])

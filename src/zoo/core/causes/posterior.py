@@ -28,7 +28,7 @@ PARTS = (1.0, 1 / 2, 1 / 4, 1 / 8, 1 / 16)
 
 @dataclass(frozen=True, eq=False)
 class SetRow:
-    """A set of causes that was weighed beside all errors.
+    """A set of causes that was weighed given all error models.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class CausePosterior:
     priors : CausePriors
     sizes : SizePriors
     rows : tuple of SetRow
-        Sets weighed beside all errors.
+        Sets weighed given all error models.
     guessed : mapping of indices to float
         Log prior plus a guess of the log evidence of sets that were not.
     shifts : mapping of indices to float
@@ -90,7 +90,7 @@ class CausePosterior:
 
     @property
     def guessed_mass(self) -> float:
-        """Probability of the sets that were not weighed beside all errors."""
+        """Probability of the sets that were not weighed given all error models."""
         return sum(self.probability[w] for w in self.guessed)
 
     def included(self, of: Callable[[Cause], str]) -> dict[str, float]:

@@ -79,7 +79,7 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The data beside a baseline that is linear in its parameters: r = J d + what causes do + errors.
+    """Data given a baseline that is linear in its parameters: r = J d + what causes do + errors.
 
     The prior density of the step d is exp(log_prior - d'P d / 2 - pull'd).
 
