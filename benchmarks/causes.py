@@ -140,8 +140,14 @@ def calibrate(replicates: int, seed: int) -> None:
         true.append([k in which for k in range(len(toy.causes))])
         numbers.append(np.pad(found.number, (0, 5 - len(found.number))))
         n_true.append(len(which))
-        if (i + 1) % 50 == 0:
-            print(f"{i + 1} of {replicates}, {time.monotonic() - began:.0f} s", flush=True)
+        if (i + 1) % 50 == 0 or i + 1 == replicates:
+            print(f"{i + 1} of {replicates}, {time.monotonic() - began:.0f} s")
+            _compare(stated, true, numbers, n_true)
+
+
+def _compare(
+    stated: list[list[float]], true: list[list[bool]], numbers: list[np.ndarray], n_true: list[int]
+) -> None:
     p, there = np.array(stated), np.array(true, dtype=float)
     each, count = np.array(numbers), np.array(n_true)
     z = (p.sum(axis=0) - there.sum(axis=0)) / np.sqrt(np.sum(p * (1 - p), axis=0))
@@ -149,7 +155,7 @@ def calibrate(replicates: int, seed: int) -> None:
     print("causes at once: stated, true, difference in standard errors")
     for k in range(5):
         off = each[:, k] - (count == k)
-        errors = off.mean() / off.std() * replicates**0.5
+        errors = off.mean() / off.std() * len(off) ** 0.5
         print(f"  {k}: {each[:, k].mean():.4f} {(count == k).mean():.4f} {errors:+.1f}")
     print("stated probability of a cause: number, mean, frequency, difference in standard errors")
     for low, high in pairwise(BINS):
@@ -157,7 +163,10 @@ def calibrate(replicates: int, seed: int) -> None:
         if inside.any():
             q, t = p[inside], there[inside]
             off = (q.sum() - t.sum()) / math.sqrt(float(np.sum(q * (1 - q))) + 1e-9)
-            print(f"  {low:g} to {min(high, 1):g}: {q.size} {q.mean():.4f} {t.mean():.4f} {off:+.1f}")
+            print(
+                f"  {low:g} to {min(high, 1):g}: {q.size} {q.mean():.4f} {t.mean():.4f} {off:+.1f}",
+                flush=True,
+            )
 
 
 def sets_of(study: Study, cores: int) -> CauseSets:

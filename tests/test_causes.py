@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 from zoo.core.causes import Cause, CauseError, CausePriors, Problem, weigh_causes
-from zoo.core.causes.evidence import SetModel, SizePriors
+from zoo.core.causes.evidence import SetModel, SizePriors, _combinations
 from zoo.core.causes.family import COLOURED, NOISE_SPREAD
 from zoo.core.causes.problem import without_doubles
 from zoo.core.causes.reference import Reference
@@ -96,6 +96,30 @@ def test_the_evidence_of_a_function_is_that_of_plain_sums():
     assert gained == pytest.approx(beside, abs=0.35)
 
 
+@pytest.mark.parametrize("white", [0.1, 1e-5], ids=["free", "least"])
+def test_the_noise_is_integrated_where_weights_are_many(white):
+    """Beside quadrature over its logarithm: 20 weights of a small function take up a third of the record."""
+    toy, rng = LinearToy(), np.random.default_rng(2)
+    f, n = toy.family, len(toy.jacobian)
+    function = Cause("w", "c0", rng.standard_normal((n, 20)) * 0.3, free=True)
+    residual = toy.jacobian @ rng.standard_normal(3) + white * rng.standard_normal(n)
+    errors = np.array([0, 5])
+    x = np.linspace(f.least_noise[0], f.noise_centre[0] + NOISE_SPREAD, 1001)
+    log_w = norm.logpdf(x, f.noise_centre[0], NOISE_SPREAD) + math.log(x[1] - x[0])
+    log_w[0] -= math.log(2.0)
+    for causes in ((), (function,)):
+        model = SetModel(toy.problem(residual), causes, f)
+        found = model.evidence(np.arange(f.n_kinds), f.noise_start).log_z[errors]
+        scales, masses = _combinations(tuple(one.free for one in causes))
+        for error, log_z in zip(errors, found, strict=True):
+            V = np.exp(2 * x)[:, None] * f.kinds[0][error]
+            gram, right = model._products(V)
+            gains = [model.solve(gram, right, np.broadcast_to(s, (len(x), len(causes))))[0] for s in scales]
+            each = logsumexp(np.stack(gains, axis=1) + masses, axis=1) + log_w
+            each -= 0.5 * np.sum(residual**2 / V + np.log(2 * math.pi * V), axis=1)
+            assert log_z == pytest.approx(logsumexp(each) + model.problem.log_prior, abs=0.1)
+
+
 def test_the_slope_in_the_size_is_that_of_differences(toy):
     """With the noise known, larger ranges are larger discrepancies and nothing else."""
     problem = toy.problem(toy.drawn(np.random.default_rng(3))[1])
@@ -111,7 +135,7 @@ def test_sets_beside_one_error_are_those_of_the_joint_normal_distribution(toy):
     listed = [i for i, one in enumerate(toy.causes) if not one.free and math.isinf(one.low)]
     free = [i for i, one in enumerate(toy.causes) if one.free]
     problem = toy.problem(toy.drawn(np.random.default_rng(5))[1])
-    V = np.full(len(problem.residual), 0.1**2)
+    V = np.full(len(problem.residual), 0.5**2)
     reference = Reference(problem, toy.causes, V)
     first, second = listed[0], listed[1]
     alone = reference.further((), ())[0][first]
@@ -222,6 +246,119 @@ def test_other_odds_need_no_new_evidence(toy):
     assert ratio[1] == pytest.approx(2.0 * ratio[0])
     assert CausePriors(toy.causes, odds=0.2).log_prior(first) == pytest.approx(
         doubled.priors.log_prior(first)
+    )
+
+
+def scaled(one: Cause, factor: float) -> Cause:
+    """The same cause with a prior sd times a factor."""
+    return replace(one, columns=factor * one.columns, low=one.low / factor, high=one.high / factor)
+
+
+@pytest.mark.parametrize("power", [0.5, 0.125])
+def test_a_power_of_the_likelihood_is_that_of_plain_sums(toy, power):
+    problem, f, effect = toy.problem(with_a_cause(toy, 1, noise=0.5)), toy.family, toy.causes[1]
+    assert math.isinf(effect.low)
+    x = f.noise_centre[0] + NOISE_SPREAD * np.linspace(-3.4, 3.5, 700)
+    log_w = norm.logpdf((x - f.noise_centre[0]) / NOISE_SPREAD) + math.log((x[1] - x[0]) / NOISE_SPREAD)
+    n = len(problem.residual)
+    for causes in ((), (effect,)):
+        terms = []
+        for log_noise, w in zip(x, log_w, strict=True):
+            V = np.full(n, math.exp(2 * log_noise))
+            tempered = marginal_normal(problem, causes, [1.0] * len(causes), V / power)
+            # N(r; A w, V)^power = N(r; A w, V / power) times this
+            constant = 0.5 * (1 - power) * np.sum(np.log(2 * math.pi * V)) - 0.5 * n * math.log(power)
+            terms.append(tempered + w + constant)
+        model = SetModel(problem, causes, f)
+        found = model.evidence(np.arange(f.n_kinds), f.noise_start, power).log_z[0]
+        assert found == pytest.approx(logsumexp(terms), abs=0.1)
+
+
+def no_set_is_right(toy: LinearToy) -> np.ndarray:
+    """A response that no cause has, at a noise of a ten-thousandth of the range."""
+    rng = np.random.default_rng(0)
+    weights = rng.standard_normal((1, toy.n_series, len(toy.waves))) / 5
+    residual = toy.errors.flat(weights @ toy.waves).T[:, 0]
+    return np.asarray(residual + 1e-3 * rng.standard_normal(len(residual)))
+
+
+def test_certainty_about_a_set_that_is_wrong_is_undone_where_less_is_believed():
+    toy = LinearToy()
+    found = weigh_causes(toy.problem(no_set_is_right(toy)), toy.causes, toy.family)
+    table = found.coarsening((1.0, 0.0625))
+    assert table.drop(columns="nothing").max(axis=1).tolist() == [
+        pytest.approx(1.0, abs=0.01),
+        pytest.approx(0.15, abs=0.15),
+    ]
+    prior = found.coarsened(1e-6)
+    assert prior.components == pytest.approx(toy.priors.inclusion(), abs=0.06)
+
+
+def test_what_solves_gained_is_coarsened_in_proportion(toy):
+    found = weigh_causes(toy.problem(with_a_cause(toy, 4, noise=1.0)), toy.causes, toy.family)
+    first, *others = found.rows
+    raised = replace(first, evidence=replace(first.evidence, log_z=first.evidence.log_z + 3.0))
+    shifted = replace(found, rows=(raised, *(replace(row, shift=2.0) for row in others)))
+    a, b = found.coarsened(0.5).log_joint, shifted.coarsened(0.5).log_joint
+    assert b[first.which] - a[first.which] == pytest.approx(1.5)
+    assert b[others[0].which] - a[others[0].which] == pytest.approx(1.0)
+
+
+def test_a_guess_moves_as_the_weighed_set_most_like_it(toy):
+    found = weigh_causes(toy.problem(with_a_cause(toy, 4, noise=1.0)), toy.causes, toy.family)
+    guessed = next(row for row in found.rows if len(row.which) == 1)
+    rows = tuple(row for row in found.rows if row is not guessed)
+    less = replace(found, rows=rows, guessed={guessed.which: found.log_joint[guessed.which]})
+    i = guessed.which[0]
+    sort = toy.causes[i].component, toy.causes[i].free
+    more = [row.which for row in rows if i in row.which]
+    alike = [w for w in [row.which for row in rows if len(row.which) == 1]
+             if (toy.causes[w[0]].component, toy.causes[w[0]].free) == sort]  # fmt: skip
+    expected = min(more, key=len) if more else (alike or [()])[0]
+    sizes = replace(toy.sizes, effects=0.5, functions=0.5, unexplained=0.2)
+    after = less.under(sizes, odds=0.2)
+    moved = [after.log_joint[w] - after.priors.log_prior(w) - less.log_joint[w] + less.priors.log_prior(w)
+             for w in (guessed.which, expected)]  # fmt: skip
+    assert moved[0] == pytest.approx(moved[1])
+    assert moved[0] != pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_other_sizes_of_causes_are_those_of_new_evidence(toy, factor):
+    problem = toy.problem(with_a_cause(toy, 0, noise=1.0))
+    effects, function = [toy.causes[0], toy.causes[1]], toy.causes[-1]  # the first is bounded
+    assert effects[0].low == 0.0
+    assert function.free
+    kinds = np.arange(toy.family.n_kinds)
+
+    def evidence(problem, causes):
+        return SetModel(problem, causes, toy.family).evidence(kinds, toy.family.noise_start)
+
+    stated = evidence(problem, [*effects, function])
+    larger = [scaled(one, factor) for one in effects], scaled(function, factor)
+    cases = {
+        "effects": evidence(problem, [*larger[0], function]),
+        "functions": evidence(problem, [*effects, larger[1]]),
+    }
+    for name, new in cases.items():
+        sizes, new = replace(toy.sizes, **{name: factor}), replace(new, signal=stated.signal)
+        assert stated.total(sizes) == pytest.approx(
+            new.total(toy.sizes), abs=0.03 if name == "effects" else 0.1
+        )
+    # an amplitude among the parameters, as around a set's own mode
+    k, w = problem.jacobian.shape[1], 0.7
+    J = np.concatenate([problem.jacobian, effects[0].columns], axis=1)
+    around = replace(
+        problem, residual=problem.residual - w * effects[0].columns[:, 0], jacobian=J,
+        precision=np.ones(k + 1),
+        pull=np.append(np.zeros(k), w), low=np.append(np.full(k, -np.inf), -w),
+        high=np.append(np.full(k, np.inf), 4.0 - w), amplitudes=(k,),
+    )  # fmt: skip
+    sizes = replace(toy.sizes, effects=factor)
+    inside, beside = evidence(around, [function]), evidence(problem, [effects[0], function])
+    beside = replace(beside, signal=inside.signal)
+    assert inside.total(sizes) - inside.total(toy.sizes) == pytest.approx(
+        beside.total(sizes) - beside.total(toy.sizes), abs=1e-6
     )
 
 

@@ -1,4 +1,4 @@
-"""One posterior over sets of causes: what a simulator may lack, beside what nobody can name and noise."""
+"""One posterior over sets of causes: what a simulator may lack, given a discrepancy and noise."""
 
 from zoo.core.causes.family import ErrorFamily
 from zoo.core.causes.posterior import CausePosterior, SetRow

@@ -1,4 +1,4 @@
-"""The evidence of one set of causes beside all errors: linear in what the set does, Laplace in the noise.
+"""Evidence of one set of causes given each error model: linear in what the set does, Laplace in the noise.
 
 For errors of variance V, parameters and weights x = (d, w) are normal, and with A = [J, R],
 
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
-from scipy.special import logsumexp
+from scipy.special import log_ndtr, logsumexp
 
 from zoo.core.causes.family import (
     CARICATURE,
@@ -40,7 +40,7 @@ from zoo.core.priors import log_normal_mass
 Array = NDArray[np.float64]
 Kinds = NDArray[np.int_]
 
-SCALES: Array = 0.03 * 1.6 ** np.arange(10.0)
+SCALES: Array = 0.03 * 1.6 ** np.arange(11.0)
 """Sizes of a free function that are integrated over, in its prior scale."""
 FEW_SCALES = SCALES[1::2]
 """The same where three functions or more are free at once."""
@@ -55,10 +55,10 @@ def log_scale_masses(scales: Array) -> Array:
 
 
 @lru_cache(64)
-def _combinations(free: tuple[bool, ...]) -> tuple[Array, Array]:
-    """Sizes (n, n_causes) of all causes together, and their log masses (n,)."""
+def _combinations(free: tuple[bool, ...], factor: float = 1.0) -> tuple[Array, Array]:
+    """Sizes (n, n_causes) of all causes, and their log masses (n,), their prior scale times a factor."""
     scales = SCALES if sum(free) < 3 else FEW_SCALES
-    logs = log_scale_masses(scales)
+    logs = log_scale_masses(scales / factor)
     options = [list(zip(scales, logs, strict=True)) if one else [(1.0, 0.0)] for one in free]
     rows = list(product(*options))
     return (
@@ -69,22 +69,28 @@ def _combinations(free: tuple[bool, ...]) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class SizePriors:
-    """Prior of the discrepancy's size: the error of numerics and of causes, or what nobody can name.
+    """Priors of sizes: of the discrepancy, and of what causes do in parts of what they state.
+
+    The discrepancy is the error of numerics and of causes, or what nobody can name.
 
     Parameters
     ----------
     numerics : float
         Scale of the error of the simulator's numerics, in parts of the range.
     caricature : float
-        Scale of the error of what causes do, in parts of their signal.
+        Scale of the model error of causes: the discrepancy of their response, in parts of its signal.
     unexplained, odds : float
         Scale of what nobody can name, and the odds that there is such.
+    effects, functions : float
+        Factors on the prior sd of listed effects' amplitudes, and on the scale of functions' sizes.
     """
 
     numerics: float = NUMERICS
     caricature: float = CARICATURE
     unexplained: float = UNEXPLAINED
     odds: float = UNEXPLAINED_ODDS
+    effects: float = 1.0
+    functions: float = 1.0
 
     def scales(self, signal: float) -> dict[float, float]:
         """Scales of the mixture with their weights, for causes of that signal in parts of the range."""
@@ -95,18 +101,72 @@ class SizePriors:
 
 
 @dataclass(frozen=True, eq=False)
+class Amplitudes:
+    """Amplitudes of a set's listed effects: their normal prior with its bounds, and their posterior.
+
+    Parameters
+    ----------
+    centre, precision, low, high : array (a,)
+    mean : array (n_kinds, n_sizes, a)
+        Without the bounds, for each combination of the sizes of the set's functions.
+    covariance : array (n_kinds, n_sizes, a, a)
+    """
+
+    centre: Array
+    precision: Array
+    low: Array
+    high: Array
+    mean: Array = field(repr=False)
+    covariance: Array = field(repr=False)
+
+    def change(self, factor: float) -> Array:
+        """Change (n_kinds, n_sizes) of the log evidence with the prior sd times a factor.
+
+        The mean, over the posterior, of the new prior's density over the old one's, and the same of the
+        masses inside the bounds.
+        """
+        D = (1.0 / factor**2 - 1.0) * self.precision
+        M = np.eye(len(D)) + self.covariance * D
+        off = self.mean - self.centre
+        moved = np.linalg.solve(M, off[..., None])[..., 0]
+        gain = -0.5 * np.linalg.slogdet(M)[1] - len(D) * math.log(factor)
+        gain = gain - 0.5 * np.sum(off * D * moved, axis=-1)
+        now = np.linalg.solve(M, self.covariance)
+        prior_sd = 1.0 / np.sqrt(self.precision)
+        for sign, mean, C, sd in (
+            (1.0, self.centre + moved, now, factor * prior_sd),
+            (-1.0, self.mean, self.covariance, prior_sd),
+        ):
+            posterior = self._inside(mean, np.sqrt(np.einsum("...ii->...i", C)))
+            gain = gain + sign * (posterior - self._inside(self.centre, sd))
+        return np.asarray(gain)
+
+    def _inside(self, mean: Array, sd: Array) -> Any:
+        return np.sum(log_normal_mass((self.low - mean) / sd, (self.high - mean) / sd), axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
 class SetEvidence:
-    """One set of causes beside all errors that were tried.
+    """One set of causes given each error model that was tried.
 
     Parameters
     ----------
     family : ErrorFamily
     kinds : int array (n,)
-        Which kinds of errors; log evidence, its slope in log size, and the noise's logarithm are of each.
+        Which error models; log evidence, its slope in log size, and the noise's logarithm are of each.
     signal : float
         Rms of what the causes do and the baseline cannot take up, in parts of the range.
     mean : array (n_kinds, k)
         Step of the baseline's parameters, then weights of the causes in their order.
+    free : tuple of bool
+        Which causes are functions.
+    gains : array (n_kinds, n_sizes)
+        Terms of the log evidence for each combination of the functions' sizes, up to a constant.
+    amplitudes : Amplitudes
+    problem : Problem
+    causes : tuple of Cause
+    computed : array (n_kinds,)
+        Log evidence of the model alone; `log_z` may be corrected.
     """
 
     family: ErrorFamily
@@ -117,6 +177,12 @@ class SetEvidence:
     signal: float
     mean: Array = field(repr=False)
     covariance: Array = field(repr=False)
+    free: tuple[bool, ...]
+    gains: Array = field(repr=False)
+    amplitudes: Amplitudes = field(repr=False)
+    problem: Problem = field(repr=False)
+    causes: tuple[Cause, ...] = field(repr=False)
+    computed: Array = field(repr=False)
 
     @property
     def _first(self) -> int:
@@ -124,37 +190,55 @@ class SetEvidence:
 
     @property
     def shapes(self) -> Kinds:
-        """Indices of the shapes of discrepancies among the kinds."""
+        """Indices of the discrepancy's spectra among the error models."""
         after = self.kinds[self.kinds >= self._first] - self._first
         return np.unique(after // len(SIZES))
 
     def only(self, kinds: Kinds) -> SetEvidence:
-        """The same beside some of its kinds of errors."""
+        """The same given some of its error models."""
         at = np.searchsorted(self.kinds, kinds)
-        arrays = {
-            name: getattr(self, name)[at] for name in ("log_z", "slope", "log_noise", "mean", "covariance")
-        }
-        return replace(self, kinds=kinds, **arrays)
+        names = ("log_z", "slope", "log_noise", "mean", "covariance", "gains", "computed")
+        a = self.amplitudes
+        a = replace(a, mean=a.mean[at], covariance=a.covariance[at])
+        return replace(self, kinds=kinds, amplitudes=a, **{name: getattr(self, name)[at] for name in names})
 
-    def interpolated(self) -> Array:
-        """Log evidence of each shape at the sizes of the family's grid, (n_shapes, n)."""
+    def coarsened(self, power: float) -> SetEvidence:
+        """The same with the likelihood to a power; what corrects the linear model is taken in proportion."""
+        model = SetModel(self.problem, self.causes, self.family)
+        found = model.evidence(self.kinds, self.log_noise, power)
+        log_z = found.log_z + power * (self.log_z - self.computed)
+        return replace(found, log_z=log_z, signal=self.signal)
+
+    def log_evidence(self, priors: SizePriors) -> Array:
+        """Log evidence (n_kinds,) with the prior sizes of causes times their factors, the noise held."""
+        if priors.effects == priors.functions == 1.0:
+            return self.log_z
+        gains = self.gains + _combinations(self.free, priors.functions)[1] - _combinations(self.free)[1]
+        gains = gains + self.amplitudes.change(priors.effects)
+        return np.asarray(self.log_z + logsumexp(gains, axis=1) - logsumexp(self.gains, axis=1))
+
+    def interpolated(self, priors: SizePriors) -> Array:
+        """Log evidence of each spectrum at the sizes of the family's grid, (n_shapes, n)."""
         x, _ = self.family.grid
         after = self.kinds >= self._first
-        L = self.log_z[after].reshape(-1, len(SIZES))
-        slope = self.slope[after].reshape(-1, len(SIZES))
-        none = float(self.log_z[self.kinds == 0][0])
+        log_z = self.log_evidence(priors)
+        L = log_z[after].reshape(-1, len(SIZES))
+        change = L - self.log_z[after].reshape(-1, len(SIZES))
+        slope = self.slope[after].reshape(-1, len(SIZES)) + np.gradient(change, np.log(SIZES), axis=1)
+        none = float(log_z[self.kinds == 0][0])
         nodes = np.concatenate([[x[0]], np.log(SIZES)])
         L = np.concatenate([np.full((len(L), 1), none), L], axis=1)
         slope = np.concatenate([np.zeros((len(slope), 1)), slope], axis=1)
         return np.asarray(CubicHermiteSpline(nodes, L, slope, axis=1)(x))
 
     def terms(self, priors: SizePriors) -> tuple[Array, Array]:
-        """Log prior plus log evidence of each correlated noise, (n,), and of each shape and size, (n, m)."""
+        """Log prior plus log evidence: each correlated noise (n,), each spectrum and size (n, m)."""
         shapes = self.shapes
-        smooth = self.interpolated() + self.family.log_sizes(priors.scales(self.signal))
+        smooth = self.interpolated(priors) + self.family.log_sizes(priors.scales(self.signal))
         smooth += self.family.log_shapes[shapes][:, None] + math.log(1.0 - COLOURED)
         there = (self.kinds > 0) & (self.kinds < self._first)
-        colours = self.family.log_colours[self.kinds[there] - 1] + self.log_z[there] + math.log(COLOURED)
+        colours = self.log_evidence(priors)[there] + math.log(COLOURED)
+        colours += self.family.log_colours[self.kinds[there] - 1]
         return colours, smooth
 
     def total(self, priors: SizePriors) -> float:
@@ -181,7 +265,7 @@ class SetEvidence:
         found[0] = logs[0]
         there = (self.kinds > 0) & ~after
         found[there] = self.family.log_colours[self.kinds[there] - 1] + math.log(COLOURED)
-        return np.asarray(self.log_z + found)
+        return np.asarray(self.log_evidence(priors) + found)
 
     def best(self, priors: SizePriors) -> int:
         """Index of the most probable error model."""
@@ -193,7 +277,7 @@ class SetEvidence:
         return np.asarray(np.exp(log - logsumexp(log)))
 
     def variances(self, kind: int, *, alone: bool = False) -> Array:
-        """Variances (n,) of the errors of one kind, by its index here, or of its noise alone."""
+        """Variances (n,) of one error model, by its index here, or of its noise alone."""
         noise, discrepancy, _ = self.family.kinds
         at = self.kinds[kind]
         sigma2 = np.exp(2.0 * self.log_noise[kind])[self.family.member]
@@ -201,7 +285,7 @@ class SetEvidence:
 
 
 class SetModel:
-    """A problem with some causes, and its evidence for many errors at once.
+    """A problem with some causes, and its evidence given many error models at once.
 
     Parameters
     ----------
@@ -224,6 +308,8 @@ class SetModel:
         self.pull = np.concatenate([problem.pull, np.zeros(p - k)])
         self.owner = np.repeat(np.arange(len(causes)), self.sizes)
         self.edges = np.cumsum([k, *self.sizes])
+        listed = [at for one, at in zip(causes, self.edges[:-1], strict=True) if not one.free]
+        self.listed = np.array([*problem.amplitudes, *listed], int)
 
     def precision(self, scales: Array) -> tuple[Array, Array]:
         """Prior precision (..., p, p) and pull (..., p) for sizes (..., n_causes)."""
@@ -271,9 +357,13 @@ class SetModel:
         p = len(self.mean)
         return np.asarray(e**2 + C.reshape(-1, p * p) @ self.products.T)
 
-    def evidence(self, kinds: Kinds, start: Array) -> SetEvidence:
-        """Evidence for some kinds of errors, from where the noise's logarithms (..., n_groups) may be."""
-        f, n = self.family, len(self.problem.residual)
+    def evidence(self, kinds: Kinds, start: Array, power: float = 1.0) -> SetEvidence:
+        """Evidence given some error models, from where the noise's logarithms (..., n_groups) may be.
+
+        With the likelihood to a power: p(r | w, V)^power is N(r; A w, V / power) times |V|^((1 - power) / 2)
+        and a constant. The former factor is not the same for all sets, since V is found with each.
+        """
+        f = self.family
         noise, discrepancy, _ = (x[kinds] for x in f.kinds)
         log_noise = np.array(np.broadcast_to(start, (len(kinds), len(f.groups))))
         ones = np.ones((len(kinds), len(self.causes)))
@@ -281,12 +371,12 @@ class SetModel:
         for _ in range(SCORING):
             own = np.exp(2.0 * log_noise[active])[:, f.member] * noise[active]
             V = own + discrepancy[active]
-            gram, right = self._products(V)
+            gram, right = self._products(V / power)
             _, mean, C = self.solve(gram, right, ones[active])
             q = self._left(mean, C) / V
             a = own / V
-            slope = (a * (q - 1.0)) @ f.one_of.T
-            bend = 2.0 * (a**2) @ f.one_of.T
+            slope = power * (a * (q - 1.0)) @ f.one_of.T
+            bend = 2.0 * power * (a**2) @ f.one_of.T
             slope -= (log_noise[active] - f.noise_centre) / NOISE_SPREAD**2
             bend += 1.0 / NOISE_SPREAD**2
             step = np.clip(slope / bend, -LARGEST_STEP, LARGEST_STEP) * f.noise_free
@@ -297,33 +387,59 @@ class SetModel:
                 break
         own = np.exp(2.0 * log_noise)[:, f.member] * noise
         V = own + discrepancy
-        gram, right = self._products(V)
-        a = own / V
-        base = -0.5 * np.sum(self.problem.residual**2 / V + np.log(V), axis=1) - 0.5 * n * math.log(
-            2.0 * math.pi
-        )
-        bend = 2.0 * (a**2) @ f.one_of.T + 1.0 / NOISE_SPREAD**2
-        x = (log_noise - f.noise_centre) / NOISE_SPREAD
-        laplace = -0.5 * x**2 - math.log(NOISE_SPREAD) - 0.5 * np.log(bend)
-        base += laplace @ f.noise_free.astype(float) + self.problem.log_prior
-        scales, masses = _combinations(tuple(one.free for one in self.causes))
+        gram, right = self._products(V / power)
+        base = -0.5 * power * np.sum(self.problem.residual**2 / V + np.log(2.0 * math.pi * V), axis=1)
+        base += self.problem.log_prior
+        integral = NoiseIntegral(self, own / V, V, log_noise, power)
+        free = tuple(one.free for one in self.causes)
+        scales, masses = _combinations(free)
+        own_mean, own_C, gains = [], [], np.empty((len(kinds), len(scales)))
+        for i, s in enumerate(scales):
+            gains[:, i], mean, C = self.solve(gram, right, np.broadcast_to(s, ones.shape))
+            gains[:, i] += integral(mean, C)
+            own_mean.append(mean[:, self.listed])
+            own_C.append(C[:, self.listed[:, None], self.listed])
+        gains += masses
+        log_z = base + logsumexp(gains, axis=1)
         if len(scales) > 1:
-            gains = np.stack(
-                [self.solve(gram, right, np.broadcast_to(s, ones.shape))[0] for s in scales], axis=1
-            )
-            gains += masses
-            best = scales[np.argmax(gains, axis=1)]
-            log_z = base + logsumexp(gains, axis=1)
-            _, mean, C = self.solve(gram, right, best)
-        else:
-            gain, mean, C = self.solve(gram, right, ones)
-            log_z = base + gain
-        slope = np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
-        found = SetEvidence(f, kinds, log_z, slope, log_noise, 0.0, mean, C)
+            _, mean, C = self.solve(gram, right, scales[np.argmax(gains, axis=1)])
+        amplitudes = self._amplitudes(np.stack(own_mean, axis=1), np.stack(own_C, axis=1))
+        slope = power * np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
+        found = SetEvidence(
+            f,
+            kinds,
+            log_z,
+            slope,
+            log_noise,
+            0.0,
+            mean,
+            C,
+            free,
+            gains,
+            amplitudes,
+            self.problem,
+            tuple(self.causes),
+            log_z,
+        )
         if self.causes:
             at = found.best(SizePriors())
-            found = SetEvidence(f, kinds, log_z, slope, log_noise, self._signal(mean[at], V[at]), mean, C)
+            found = replace(found, signal=self._signal(mean[at], V[at]))
         return found
+
+    def _amplitudes(self, mean: Array, C: Array) -> Amplitudes:
+        n, k = len(self.problem.amplitudes), self.k
+        P, low, high = self.P0.diagonal(), np.full(k, -np.inf), np.full(k, np.inf)
+        if self.problem.low is not None and self.problem.high is not None:
+            low, high = self.problem.low, self.problem.high
+        at, causes = self.listed[:n], [one for one in self.causes if not one.free]
+        return Amplitudes(
+            np.concatenate([-self.pull[at] / P[at], self.mean[self.listed[n:]]]),
+            np.concatenate([P[at], np.ones(len(causes))]),
+            np.concatenate([low[at], [one.low for one in causes]]),
+            np.concatenate([high[at], [one.high for one in causes]]),
+            mean,
+            C,
+        )
 
     def _products(self, V: Array) -> tuple[Array, Array]:
         p = len(self.mean)
@@ -335,7 +451,57 @@ class SetModel:
         return self.family.relative(without(self.problem.jacobian, self.A[:, self.k :] @ mean[self.k :], V))
 
 
+class NoiseIntegral:
+    """Laplace's integral over the noise's logarithms x, from where they were held to where their mode is.
+
+    With a the noise's part of V, D = diag(a / V) in a group, e = r - A w, w ~ N(mean, C), and the likelihood
+    to a power c, the log evidence has
+
+        slope g = c sum(a (E[e^2] / V - 1)),    curvature -I = -2 (c sum a^2 - c^2 tr (C A'DA)^2),
+
+    the latter where E[e^2] = V: n coefficients less those that the weights take up. Sizes of functions have
+    their mode elsewhere than the x given; the log evidence gains I (u - log(1 + u)) / 4 on the way there,
+    u = 2 g / I, as for white noise. Only x above the least noise counts: at it, falling, the integral is that
+    of exp(g t - I t^2 / 2), t > 0. Off-diagonal terms between groups are left out.
+
+    Parameters
+    ----------
+    model : SetModel
+    a, V : array (n_kinds, n)
+        Noise's part of the variances, and these.
+    log_noise : array (n_kinds, n_groups)
+    power : float
+        Of the likelihood.
+    """
+
+    def __init__(self, model: SetModel, a: Array, V: Array, log_noise: Array, power: float = 1.0) -> None:
+        f, p = model.family, len(model.mean)
+        self.free, self.least = f.noise_free, f.least_noise
+        self.x, self.prior = log_noise, (log_noise - f.noise_centre) / NOISE_SPREAD
+        D = power * (a / V)[:, None, :] * f.one_of
+        self.gram = (D @ model.products).reshape(*D.shape[:2], p, p)
+        self.right = D @ model.Ar
+        self.none = D @ model.problem.residual**2 - power * a @ f.one_of.T
+        self.information = 2.0 * power * (a**2) @ f.one_of.T
+
+    def __call__(self, mean: Array, C: Array) -> Array:
+        """Log of the integral (n_kinds,), given the weights' posterior."""
+        CB = C[:, None] @ self.gram
+        square = C + mean[:, :, None] * mean[:, None, :]
+        slope = self.none + np.einsum("kgij,kij->kg", self.gram, square) - self.prior / NOISE_SPREAD
+        slope -= 2.0 * np.einsum("kgi,ki->kg", self.right, mean)
+        taken = 2.0 * np.einsum("kgij,kgji->kg", CB, CB)
+        information = np.maximum(self.information - taken, 0.0) + 1.0 / NOISE_SPREAD**2
+        u = np.maximum(2.0 * slope / information, -0.9)
+        found = 0.25 * information * (u - np.log1p(u))
+        found += log_ndtr((self.x + 0.5 * np.log1p(u) - self.least) * np.sqrt(information))
+        z = slope / np.sqrt(information)
+        found = np.where((self.x < self.least + 1e-9) & (z < 0.0), 0.5 * z**2 + log_ndtr(z), found)
+        found -= 0.5 * np.log(information) + 0.5 * self.prior**2 + math.log(NOISE_SPREAD)
+        return np.asarray(found @ self.free.astype(float))
+
+
 def without(jacobian: Array, signal: Array, V: Array) -> Array:
-    """What parameters cannot take up of a signal (n,), beside errors of variance V."""
+    """What parameters cannot take up of a signal (n,), given errors of variance V."""
     J = jacobian / V[:, None]
     return np.asarray(signal - jacobian @ np.linalg.lstsq(J.T @ jacobian, J.T @ signal, rcond=None)[0])

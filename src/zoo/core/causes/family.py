@@ -37,7 +37,7 @@ NUMERICS = 1e-3
 UNEXPLAINED, UNEXPLAINED_ODDS = 0.05, 0.1
 """Scale of the half-normal size of what nobody can name, and the odds that there is such."""
 CARICATURE = 0.1
-"""Scale of the half-normal error of a cause's response, in parts of its signal."""
+"""Scale of the half-normal model error of a cause (of its response), in parts of its signal."""
 COLOURED = 0.5
 """Prior probability that noise is correlated."""
 RATIOS, TIMES = (0.25, 0.5, 1.0, 2.0, 4.0), (0.012, 0.03, 0.075)
@@ -98,7 +98,7 @@ class ErrorFamily:
 
     @cached_property
     def log_shapes(self) -> Array:
-        """Log prior of each shape."""
+        """Log prior of each spectrum."""
         log = np.array(
             [-0.5 * (math.log(length / LENGTH[0]) / LENGTH[1]) ** 2 for _, length, _ in self.shapes]
         )
@@ -132,7 +132,7 @@ class ErrorFamily:
 
     @cached_property
     def kinds(self) -> tuple[Array, Array, Array]:
-        """All kinds of errors: none, each correlated noise, each shape at each size.
+        """All error models: white noise, each correlated noise, each spectrum of discrepancy at each size.
 
         Returns
         -------
@@ -162,7 +162,7 @@ class ErrorFamily:
         return 1 + len(self.colours) + len(self.shapes) * len(SIZES)
 
     def kinds_of(self, shapes: NDArray[np.int_], colours: bool = True) -> NDArray[np.int_]:
-        """Indices of the kinds of some shapes, with none and, if wanted, the correlated noises."""
+        """Indices of the error models of some spectra, with white and, if wanted, correlated noises."""
         first = 1 + len(self.colours)
         before = np.arange(first) if colours else np.arange(1)
         after = first + shapes[:, None] * len(SIZES) + np.arange(len(SIZES))

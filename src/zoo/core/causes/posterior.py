@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.causes.evidence import SetEvidence, SizePriors
 from zoo.core.causes.problem import Cause
 from zoo.core.causes.sets import CausePriors
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int_]
 NOTHING = 0.1
 """Part of the noise below which a discrepancy does not matter."""
+PARTS = (1.0, 1 / 2, 1 / 4, 1 / 8, 1 / 16)
+"""Parts of the record's information that are believed."""
 
 
 @dataclass(frozen=True, eq=False)
 class SetRow:
-    """A set of causes that was weighed beside all errors.
+    """A set of causes that was weighed given all error models.
 
     Parameters
     ----------
@@ -55,7 +61,7 @@ class CausePosterior:
     priors : CausePriors
     sizes : SizePriors
     rows : tuple of SetRow
-        Sets weighed beside all errors.
+        Sets weighed given all error models.
     guessed : mapping of indices to float
         Log prior plus a guess of the log evidence of sets that were not.
     shifts : mapping of indices to float
@@ -84,7 +90,7 @@ class CausePosterior:
 
     @property
     def guessed_mass(self) -> float:
-        """Probability of the sets that were not weighed beside all errors."""
+        """Probability of the sets that were not weighed given all error models."""
         return sum(self.probability[w] for w in self.guessed)
 
     def included(self, of: Callable[[Cause], str]) -> dict[str, float]:
@@ -122,8 +128,90 @@ class CausePosterior:
         )
 
     def under(self, sizes: SizePriors | None = None, odds: float | None = None) -> CausePosterior:
-        """The same with another prior of the discrepancy's size, or other odds; guesses stay."""
+        """The same with other priors of sizes, or other odds; guesses move as the set most like each."""
         priors = self.priors if odds is None else replace(self.priors, odds=odds)
         rows = tuple(replace(row, log_prior=priors.log_prior(row.which)) for row in self.rows)
-        guessed = {w: g - self.priors.log_prior(w) + priors.log_prior(w) for w, g in self.guessed.items()}
-        return replace(self, priors=priors, sizes=sizes or self.sizes, rows=rows, guessed=guessed)
+        return self._with(rows, sizes or self.sizes, priors)
+
+    def coarsened(self, part: float, *, cores: int = 2) -> CausePosterior:
+        """The same where only a part of the record's information is believed.
+
+        The likelihood is taken to the power `part` = alpha / (alpha + n), as by Miller and Dunson (2019, doi
+        10.1080/01621459.2018.1469995): p(S | data coarsened) for distances of the data from the model, in
+        relative entropy, of mean 1 / alpha beforehand. Each weighed set is computed again, its noise found
+        again; solves are not done again, what they gained is taken in proportion. A guess keeps its
+        difference from the weighed set most like it, in proportion.
+
+        Parameters
+        ----------
+        part : float
+            Between 0, the prior, and 1, the posterior.
+        cores : int
+            Threads.
+
+        Returns
+        -------
+        CausePosterior
+        """
+        if part == 1.0:
+            return self
+
+        def one(row: SetRow) -> SetRow:
+            return replace(row, evidence=row.evidence.coarsened(part), shift=part * row.shift)
+
+        with ThreadPoolExecutor(max(1, cores)) as pool, threadpool_limits(1, user_api="blas"):
+            rows = tuple(pool.map(one, self.rows))
+        return self._with(rows, self.sizes, self.priors, part)
+
+    def coarsening(self, parts: Sequence[float] = PARTS, *, cores: int = 2) -> Any:
+        """Probability of each component, and of nothing, by the part of the information that is believed.
+
+        Parameters
+        ----------
+        parts : sequence of float
+        cores : int
+            Threads.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each part.
+        """
+        import pandas as pd
+
+        found = {part: self.coarsened(part, cores=cores) for part in parts}
+        rows = {part: one.components | {"nothing": one.probability[()]} for part, one in found.items()}
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("part")
+
+    def _with(
+        self, rows: tuple[SetRow, ...], sizes: SizePriors, priors: CausePriors, power: float = 1.0
+    ) -> CausePosterior:
+        """With other rows; a guess keeps its difference, to a power, from the weighed set most like it."""
+        new = replace(self, rows=rows, sizes=sizes, priors=priors, guessed={}, shifts={})
+        sets = [w for w in self.guessed if w not in new.log_joint]
+        known = [row.which for row in rows]
+        before = np.array([self.log_joint[w] - self.priors.log_prior(w) for w in known])
+        after = np.array([new.log_joint[w] - priors.log_prior(w) for w in known])
+        guesses = np.array([self.log_joint[w] - self.priors.log_prior(w) for w in sets])
+        near = self._most_like(sets, known)
+        guesses = after[near] + power * (guesses - before[near])
+        return replace(new, guessed={w: g + priors.log_prior(w) for w, g in zip(sets, guesses, strict=True)})
+
+    def _most_like(self, sets: Sequence[tuple[int, ...]], known: Sequence[tuple[int, ...]]) -> Indices:
+        """Index (n,) of the known set most like each: in causes, then in components by the sort of cause."""
+        sorts = {sort: i for i, sort in enumerate(dict.fromkeys((c.component, c.free) for c in self.causes))}
+        of = np.array([sorts[c.component, c.free] for c in self.causes], int)
+
+        def members(which: Sequence[tuple[int, ...]]) -> Array:
+            found = np.zeros((len(which), len(self.causes) + len(sorts)))
+            for row, w in zip(found, which, strict=True):
+                at = list(w)
+                row[at] = 1.0
+                row[len(self.causes) + of[at]] = 1.0
+            return found
+
+        asked, there = members(sets), members(known)
+        both = asked @ there.T
+        like = both / np.maximum(asked.sum(axis=1)[:, None] + there.sum(axis=1) - both, 1.0)
+        like[:, [not w for w in known]] = 1e-9  # nothing, where no other is like it
+        return np.asarray(np.argmax(like, axis=1))

@@ -79,7 +79,7 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The data beside a baseline that is linear in its parameters: r = J d + what causes do + errors.
+    """Data given a baseline that is linear in its parameters: r = J d + what causes do + errors.
 
     The prior density of the step d is exp(log_prior - d'P d / 2 - pull'd).
 
@@ -93,6 +93,8 @@ class Problem:
     log_prior : float
     low, high : array (k,), optional
         Bounds of the step.
+    amplitudes : sequence of int
+        Which parameters are amplitudes of listed effects, of independent normal priors.
     """
 
     residual: Array = field(repr=False)
@@ -102,6 +104,7 @@ class Problem:
     log_prior: float = 0.0
     low: Array | None = field(default=None, repr=False)
     high: Array | None = field(default=None, repr=False)
+    amplitudes: Sequence[int] = ()
 
     @property
     def P(self) -> Array:

@@ -1,4 +1,4 @@
-"""All causes beside one error and some causes that are there: a quick evidence, by which sets are sought.
+"""All causes given one error model and the causes of a set: a quick evidence, by which sets are sought.
 
 With V given, the baseline's parameters are projected out of one matrix of products of all responses; a set S
 is a Cholesky factor of the size of its weights, and a further cause j costs the eigenvalues of its own block,
@@ -29,7 +29,7 @@ NARROW = 3
 
 
 class Reference:
-    """Evidence beside errors of given variances, of any set and one cause more.
+    """Evidence given errors of some variances, of any set and one cause more.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Reference:
         self.bounded = np.isfinite(self.low) | np.isfinite(self.high)
 
     def further(self, which: Sequence[int], scales: Sequence[float]) -> tuple[Array, Array]:
-        """Log evidence gained (n_causes,) by each cause beside those of `which`, and its best size."""
+        """Log evidence gained (n_causes,) by each cause given those of `which`, and its best size."""
         there: tuple[Array, Array] | None = None
         if len(which):
             own = np.concatenate([self.own[i] for i in which])

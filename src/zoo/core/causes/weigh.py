@@ -25,20 +25,20 @@ Which = tuple[int, ...]
 MISSED = 0.005
 """Probability that sets which are only guessed hold together at most, where guesses are right."""
 SHAPES_WITHIN = 5.0
-"""Log evidence behind the best shape of errors within which a shape is kept."""
+"""Log evidence behind the best spectrum within which a spectrum is kept."""
 BEAM = (40, 24, 10)
 """Sets of one, two and three causes to which every further cause is added."""
 ROUNDS = 3
-"""Times that sets are sought beside the errors of the best set so far."""
+"""Times that sets are sought given the error model of the best set so far."""
 MOST_WEIGHED = 64
-"""Sets that are weighed beside all errors at most, in each round."""
+"""Sets that are weighed given all error models at most, in each round."""
 MOST_SHAPES = 12
-"""Shapes that are kept at most."""
+"""Spectra that are kept at most."""
 
 
 @dataclass(eq=False)
 class _Search:
-    """Sets that were found: their evidence beside all errors, or an estimate of it."""
+    """Sets that were found: their evidence given all error models, or an estimate of it."""
 
     problem: Problem
     causes: Sequence[Cause]
@@ -55,14 +55,14 @@ class _Search:
         return log + self.priors.log_prior(which)
 
     def start(self) -> None:
-        """The baseline alone beside all errors, whose shapes are then fewer."""
+        """The baseline alone given all error models, whose spectra are then fewer."""
         model = SetModel(self.problem, (), self.family)
         everything = np.arange(self.family.n_kinds)
         self.weighed[()] = model.evidence(everything, self.family.noise_start)
         self.kinds = everything
 
     def weigh(self, sets: Sequence[Which], kinds: NDArray[np.int_]) -> None:
-        """These sets beside some kinds of errors."""
+        """These sets given some error models."""
         alone = self.weighed[()]
         start = alone.log_noise[np.searchsorted(alone.kinds, kinds)]
 
@@ -73,7 +73,7 @@ class _Search:
             self.weighed.update(zip(sets, pool.map(one, sets), strict=True))
 
     def seek(self, parent: Which) -> None:
-        """Guess the evidence of sets, beside the errors that are most probable with one of them."""
+        """Guess the evidence of sets, given the error model that is most probable with one of them."""
         found = self.weighed[parent]
         V = found.variances(found.best(self.sizes))
         reference = Reference(self.problem, self.causes, V)
@@ -126,8 +126,8 @@ def weigh_causes(
 ) -> CausePosterior:
     """The posterior over sets of causes of a linear problem.
 
-    Sets are sought beside the errors that are most probable with the best set so far; the most
-    probable are then weighed beside all errors. What was only guessed keeps its guess, and is told.
+    Sets are sought given the error model that is most probable with the best set so far; the most
+    probable are then weighed given all error models. What was only guessed keeps its guess, and is told.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def weigh_causes(
     say = tick or (lambda text, share: None)
     priors = priors or CausePriors(causes)
     search = _Search(problem, causes, family, priors, sizes or SizePriors(), cores)
-    say("baseline beside all errors", 0.0)
+    say("baseline given all error models", 0.0)
     search.start()
     if causes:
         parent: Which = ()
@@ -167,7 +167,7 @@ def weigh_causes(
             say("seeking sets of causes", 0.2 + 0.2 * round_)
             seen.add(parent)
             search.seek(parent)
-            if round_ == 0:  # shapes that matter beside nothing or beside the best cause of each component
+            if round_ == 0:  # spectra that matter given nothing or the best cause of each component
                 _fewer_kinds(search)
             search.weigh(search.leading(), search.kinds)
             ranked = sorted(search.weighed, key=lambda w: -search.total(w))
@@ -181,7 +181,7 @@ def weigh_causes(
 
 
 def _fewer_kinds(search: _Search) -> None:
-    """Keep the shapes of errors that are likely beside nothing or the best cause of some component."""
+    """Keep the spectra that are likely given nothing or the best cause of some component."""
     best: dict[str, Which] = {}
     for which in sorted(search.guessed, key=lambda w: -search.total(w)):
         if len(which) == 1:
