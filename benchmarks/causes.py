@@ -173,7 +173,7 @@ def sets_of(study: Study, cores: int) -> CauseSets:
     """The posterior over sets of causes of a study, without the rest of a diagnosis."""
     data = study_data(study)
     model = get_baseline("linear-constant").forward(study, share=SEARCH_SHARE)
-    effects, errors = effects_for(model.name), errors_of(study, data)
+    effects, errors = effects_for(model), errors_of(study, data)
     screening = Screening(data, model, effects, errors=errors, smooth=HOOKS.smooth, cores=cores)
     return cause_sets(freed(screening)[0].run(), HOOKS, cores=cores)
 

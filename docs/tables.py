@@ -97,7 +97,7 @@ def signatures(model: BloodFlow, *, n_times: int = 256) -> list[Signature]:
             continue
         found = []
         for location in made.locations(model):
-            values, changed = typical_values(made), np.full(n_times, np.nan)
+            values, changed = typical_values(made.of(model)), np.full(n_times, np.nan)
             for _ in range(6):
                 try:
                     changed = model.solve(made.apply(case, values, location), outputs)[0]
@@ -196,7 +196,7 @@ def main(table: str) -> None:
     if table == "effects":
         print(catalogue_table())
     elif table == "signatures":
-        print(signature_table(get_baseline("B").forward(study)))
+        print(signature_table(get_baseline("B").forward(study, priors={"set": "paun2020"})))
     else:
         model = get_baseline("linear-constant").forward(study)
         start = pack(model.parameters, start_of(model.parameters))

@@ -64,15 +64,14 @@ def made(
 
 def screening_of(study: Study, effects: list[str], baseline: str = "linear-constant") -> Screening:
     """All hypotheses about a study with some effects of the catalogue."""
-    return Screening(
-        study_data(study), baseline_of(study, baseline), effects_for(baseline, effects), errors=Harmonics()
-    )
+    model = baseline_of(study, baseline)
+    return Screening(study_data(study), model, effects_for(model, effects), errors=Harmonics())
 
 
 def hypothesis_model(
     study: Study, added: tuple[tuple[str, Location], ...] = (), **settings: object
 ) -> HypothesisModel:
     """Coefficients of a study under a hypothesis."""
-    hypothesis = Hypothesis(tuple(CATALOGUE[name].at(location) for name, location in added))
-    errors = Harmonics().bind(study_data(study))
-    return HypothesisModel(baseline_of(study, **settings), hypothesis, errors)  # type: ignore[arg-type]
+    model = baseline_of(study, **settings)  # type: ignore[arg-type]
+    hypothesis = Hypothesis(tuple(CATALOGUE[name].of(model).at(location) for name, location in added))
+    return HypothesisModel(model, hypothesis, Harmonics().bind(study_data(study)))

@@ -201,7 +201,7 @@ NONE_AT_ZERO = ("tangent-wall", "velocity-profile")
 def test_an_effect_has_its_derivative_where_it_begins(name: str) -> None:
     """At size zero many are absent from the run, whose state may then be another; samplers begin there."""
     base = baseline_of(load_study("demo"))
-    effect = CATALOGUE[name]
+    effect = CATALOGUE[name].of(base)
     model = with_effects(base, [effect.at(effect.locations(base)[0])])
     theta, shape = pack(base.parameters, THETA), [p.centre for p in effect.parameters[1:]]
 

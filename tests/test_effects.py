@@ -19,6 +19,7 @@ from scipy.special import jv
 from walls import wall_pressure_mmHg
 from zoo.blood.baseline import get_baseline
 from zoo.blood.case import Case, Wave, members, simulate, total_resistance
+from zoo.blood.diagnosis import effects_for
 from zoo.blood.effects import CATALOGUE, FAMILIES, Effect, EffectError, EffectParameter, Location, at_vessel
 from zoo.blood.effects.fluid import relative_viscosity
 from zoo.blood.effects.outflow import ladder_sections
@@ -72,7 +73,7 @@ def solved(case: Case, series: list[tuple[int, float, str]], n: int = 256) -> Ar
 
 def added(case: Case, name: str, *values: float, place: Location | None = None) -> Case:
     """With one effect; the values of its shapes are their centres unless given."""
-    effect = CATALOGUE[name]
+    effect = CATALOGUE[name].of(case)
     rest = tuple(a.centre for a in effect.parameters[len(values) :])
     return effect.apply(case, (*values, *rest), place or effect.locations(case)[0])
 
@@ -167,10 +168,88 @@ def test_places(case: Case) -> None:
 def test_pickles(name: str, case: Case) -> None:
     assert pickle.loads(pickle.dumps(CATALOGUE[name])) is CATALOGUE[name]
     if name in SOLVED:
-        changed = added(case, name, *typical_values(CATALOGUE[name])[:1])
+        changed = added(case, name, *typical_values(CATALOGUE[name].of(case))[:1])
         again = pickle.loads(pickle.dumps(changed))
         assert len(again.waves) == len(changed.waves)
         np.testing.assert_array_equal(again.stiffness, changed.stiffness)
+
+
+def one_vessel(period_s: float, radius_cm: float) -> Any:
+    """The baseline of a study of one vessel."""
+    load = Windkessel(180.0, 4400.0, 4.5e-4)
+    vessel = Vessel(1, "aorta", length_cm=6.0, radius_cm=radius_cm, radius_out_cm=radius_cm, windkessel=load)
+    time = np.arange(64) * (period_s / 64)
+    study = Study("one", period_s, Blood(1.055, 0.04), (vessel,), time, 90 + 80 * np.sin(time), time, ())
+    return get_baseline("linear-constant").forward(study)
+
+
+def test_sizes_follow_the_study() -> None:
+    """A beat 7.6 times as long has a prior 7.6 times as wide; what is not a time is the same in both."""
+    mouse, man = get_baseline("linear-constant").forward(load_study("demo")), one_vessel(0.84, 1.1)
+    wanted = {
+        "inflow-shift": (0.0033, 0.0252),
+        "inflow-bandwidth": (0.00297, 0.02268),
+        "viscoelastic-wall": (0.00297, 0.02268),
+        "beat-jitter": (0.00396, 0.03024),
+        "catheter-resonance": (0.0154, 0.1176),
+        "terminal-inertance": (0.49364, 33.0),
+        "sensor-offset": (2.0, 2.0),
+        "minor-losses": (2.0, 2.0),
+    }
+    for name, sizes in wanted.items():
+        for model, size in zip((mouse, man), sizes, strict=True):
+            first = CATALOGUE[name].of(model).parameters[0]
+            assert first.scale == pytest.approx(size, rel=1e-4), name
+            ratio = first.scale / CATALOGUE[name].parameters[0].scale
+            assert first.high == pytest.approx(CATALOGUE[name].parameters[0].high * ratio)
+            assert first.starts == pytest.approx([s * ratio for s in CATALOGUE[name].parameters[0].starts])
+    for name, centres in (
+        ("correlated-noise", (0.00297, 0.02268)),
+        ("radius-dependent-stiffness", (0.0164, 0.814)),
+    ):
+        for model, centre in zip((mouse, man), centres, strict=True):
+            assert CATALOGUE[name].of(model).parameters[1].centre == pytest.approx(centre, rel=2e-3)
+
+
+def test_a_flow_that_came_3_per_cent_of_a_beat_late_is_what_the_prior_believes() -> None:
+    """26 ms of 845 ms, measured in a pig, and 25 ms of 840 ms: 0.9 to 1.1 sd; a mouse's 3 ms are 8 sd."""
+    for late_s, period_s in ((0.026, 0.845), (0.025, 0.84)):
+        shift = CATALOGUE["inflow-shift"].of(one_vessel(period_s, 1.1)).parameters[0]
+        assert 0.9 < late_s / shift.scale < 1.1
+        assert shift.low < -late_s - 0.003
+    throat = CATALOGUE["stenosis"].apply(_configured(one_vessel(0.84, 1.1)), (0.5,), at_vessel(1))
+    assert throat.physics.throat_length[0] == pytest.approx(3.2 * 1.1)
+
+
+def _configured(model: Any) -> Case:
+    return model.configure(pack(model.parameters, start_of(model.parameters)))
+
+
+def test_a_model_with_effects_has_their_sizes_in_its_units(study: Study) -> None:
+    model = get_baseline("linear-constant").forward(study)
+    plain = CATALOGUE["inflow-shift"]
+    for one in (plain, plain.of(model)):
+        parameter = with_effects(model, [one.at()]).parameters[-1]
+        assert parameter.prior.sd == pytest.approx(0.0033)
+        assert parameter.start == pytest.approx(0.0022)
+    own = Effect("own", (EffectParameter("a", "s", 0.003, -0.02, 0.02, (0.002,)),), plain.apply)
+    assert own.of(model) is own
+    with pytest.raises(EffectError, match="given twice"):
+        with_effects(model, [plain.at(), plain.of(model).at()])
+    sized = plain.of(model)
+    assert sized.parameters[0].text == "normal(0, 0.0033) in [-0.022, 0.022] s"
+    assert plain.parameters[0].text == "normal(0, 0.03) in [-0.2, 0.2] beats"
+    assert pickle.loads(pickle.dumps(sized)) == sized
+    assert pickle.loads(pickle.dumps(sized)).parameters[0].scale == pytest.approx(0.0033)
+
+
+def test_a_diagnosis_is_offered_the_sizes_of_its_study(study: Study) -> None:
+    model = get_baseline("linear-constant").forward(study)
+    named = {one.name: one for one in effects_for("linear-constant")}
+    sized = {one.name: one for one in effects_for(model)}
+    assert named.keys() == sized.keys()
+    assert named["beat-jitter"].parameters[0].measure is not None
+    assert all(p.measure is None for one in sized.values() for p in one.parameters)
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -179,7 +258,7 @@ def test_pickles(name: str, case: Case) -> None:
 
 @pytest.mark.parametrize("name", SOLVED)
 def test_amplitude_0_is_the_base(name: str, case: Case) -> None:
-    effect = CATALOGUE[name]
+    effect = CATALOGUE[name].of(case)
     zero = (0.0, *typical_values(effect)[1:])
     assert all(effect.apply(case, zero, place) is case for place in effect.locations(case))
 
@@ -194,7 +273,7 @@ def test_the_order_of_effects_does_not_matter(study: Study, case: Case) -> None:
         model = with_effects(get_baseline("B").forward(study), order)
         theta = start_of(model.parameters)
         for one in order:
-            values = typical_values(one.effect)
+            values = typical_values(one.effect.of(case))
             theta |= {p.name: np.asarray(v) for p, v in zip(one.parameters, values, strict=True)}
         found.append(solved(model.configure(pack(model.parameters, theta)), ROOT))
     np.testing.assert_array_equal(*found)
@@ -203,7 +282,8 @@ def test_the_order_of_effects_does_not_matter(study: Study, case: Case) -> None:
 
 def test_an_effect_twice_adds_up(case: Case) -> None:
     for name in ("external-pressure", "minor-losses", "viscoelastic-wall", "side-branches", "hydrostatic"):
-        a, b = 0.2 * typical_values(CATALOGUE[name])[0], 0.3 * typical_values(CATALOGUE[name])[0]
+        typical = typical_values(CATALOGUE[name].of(case))[0]
+        a, b = 0.2 * typical, 0.3 * typical
         twice, once = added(added(case, name, a), name, b), added(case, name, a + b)
         np.testing.assert_allclose(solved(twice, ROOT), solved(once, ROOT), atol=1e-3)
 
@@ -225,7 +305,7 @@ def test_geometry_changes_what_it_says(case: Case) -> None:
     assert throat.throat_severity[net.index(5)] == 0.5
     assert throat.throat_severity.sum() == 0.5
     assert throat.throat_length[net.index(5)] == pytest.approx(0.8 * 0.052)
-    assert throat.throat_length[net.index(1)] == 0.15
+    assert throat.throat_length[net.index(1)] == pytest.approx(3.2 * 0.047)
 
 
 def test_what_the_solver_does_with_its_physics_is_given_as_it_is(case: Case) -> None:

@@ -48,7 +48,7 @@ TRUE_VALUES = {
 
 
 def true_values(name: str) -> tuple[float, ...]:
-    first = CATALOGUE[name].parameters[0]
+    first = CATALOGUE[name].of(baseline_of(load_study("demo"))).parameters[0]
     return TRUE_VALUES.get(name, (min(first.scale, 0.6 * first.high),))
 
 
@@ -77,7 +77,7 @@ def test_effect_parameter_is_recovered_from_noise_free_data(name: str) -> None:
     if name in HARDLY_SHOWN:
         assert math.sqrt(float(np.mean((data - alone.computed) ** 2))) < 0.005
         return
-    first, *shapes = CATALOGUE[name].parameters
+    first, *shapes = CATALOGUE[name].of(forward.baseline).parameters
     starts = [np.array([*alone.u, a, *(p.centre for p in shapes)]) for a in first.starts]
     points = []
     for u in starts:

@@ -72,7 +72,7 @@ def test_cases_are_studies_and_the_key_is_apart(made: tuple[Path, Path]) -> None
         flow = get_baseline("linear-constant").forward(study, options=GENERATOR)
         case = flow.configure(pack(flow.parameters, key.drawn["base_parameters"]))
         [effect] = key.drawn["effects"]
-        known = CATALOGUE[effect["effect"]]
+        known = CATALOGUE[effect["effect"]].of(flow)
         assert all(a.low <= effect["amplitudes"][a.name] <= a.high for a in known.parameters)
         assert (key.accepted, key.parameter) == ((known.name,), next(iter(effect["amplitudes"].values())))
         at = Location(key.place, key.subtree)

@@ -19,7 +19,7 @@ def test_effects_lists_the_catalogue_by_family() -> None:
         lines = [line.strip() for line in result.output.splitlines()]
         assert [line for line in lines if line in FAMILIES] == list(FAMILIES)
         assert "tau (s)" in result.output
-        assert "normal(0, 0.003) in [0, 0.03]" in result.output
+        assert "normal(0, 0.027) in [0, 0.27] beats" in result.output
         assert "…" not in result.output
 
 

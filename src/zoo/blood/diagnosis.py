@@ -132,13 +132,15 @@ class StudyDiagnosis(Diagnosis):
     study: Study = field(kw_only=True)
 
 
-def effects_for(baseline: str, given: Iterable[str | Effect] | None = None) -> tuple[Effect, ...]:
+def effects_for(
+    baseline: str | ForwardModel, given: Iterable[str | Effect] | None = None
+) -> tuple[Effect, ...]:
     """Effects that a baseline can take, once each; all of the catalogue if none are given.
 
     Parameters
     ----------
-    baseline : str
-        Its name.
+    baseline : str or ForwardModel
+        Its name, or itself: only then are sizes those of its study, such as seconds and not parts of a beat.
     given : iterable of str or Effect, optional
         Names in the catalogue, or effects.
 
@@ -147,14 +149,16 @@ def effects_for(baseline: str, given: Iterable[str | Effect] | None = None) -> t
     zoo.core.effects.EffectError
         For a name that is not in the catalogue, or an effect that the baseline cannot take.
     """
+    name = baseline if isinstance(baseline, str) else baseline.name
     if given is None:
-        return tuple(one for one in CATALOGUE.values() if one.offered(baseline))
-    found = CATALOGUE.resolve(given)
+        found = tuple(one for one in CATALOGUE.values() if one.offered(name))
+    else:
+        found = CATALOGUE.resolve(given)
     for one in found:
-        if not one.offered(baseline):
+        if not one.offered(name):
             only = ", ".join(one.baselines)
-            raise EffectError(f"effect {one.name}: cannot be added to {baseline}, only to {only}")
-    return found
+            raise EffectError(f"effect {one.name}: cannot be added to {name}, only to {only}")
+    return found if isinstance(baseline, str) else tuple(one.of(baseline) for one in found)
 
 
 def _of_size(factor: float) -> Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]] | None:
@@ -278,7 +282,7 @@ def diagnose(
     found = diagnose_data(
         data,
         forward,
-        effects_for(forward.name, effects),
+        effects_for(forward, effects),
         errors=errors_of(study, data),
         hooks=replace(HOOKS, warnings=tuple(odd), components=_of_size(component_sizes)),
         states=others,

@@ -64,7 +64,9 @@ def _effects_table(chosen: Sequence[Effect]) -> Any:
         if members:
             table.add_row(Text(family, style="bold"))
         for effect in members:
-            lines = [f"{p.name} ({p.unit}) ~ {p.prior.text}" for p in effect.parameters]
+            lines = [
+                f"{p.name} ({p.unit}) ~ {p.text if p.measure else p.prior.text}" for p in effect.parameters
+            ]
             table.add_row(f"  {effect.name}", "\n".join((*lines, _locations(effect), effect.signature)))
     return table
 

@@ -28,12 +28,29 @@ class EffectError(ValueError):
 
 
 @dataclass(frozen=True)
+class Measure:
+    """What sizes are parts of where a simulator's own size is the natural one, such as its beat.
+
+    Parameters
+    ----------
+    text : str
+        For tables, such as "beats".
+    of : function
+        From a forward model to that size in the parameter's unit.
+    """
+
+    text: str
+    of: Callable[[Any], float]
+
+
+@dataclass(frozen=True)
 class EffectParameter:
     """A parameter of an effect, with its prior: normal(centre, scale), truncated to [low, high].
 
     Parameters
     ----------
     name, unit : str
+        The unit is that of the values that the effect is applied with.
     scale : float
         Standard deviation of the prior before truncation.
     low, high : float
@@ -48,6 +65,8 @@ class EffectParameter:
         False for a shape, which says nothing while the effect's first parameter is 0.
     continuous : bool
         False for a switch: the smallest nonzero value is already far from the baseline.
+    measure : Measure, optional
+        What scale, bounds, starts and centre are parts of; if absent they are in the unit.
     """
 
     name: str
@@ -60,16 +79,33 @@ class EffectParameter:
     centre: float = 0.0
     zero_is_base: bool = True
     continuous: bool = True
+    measure: Measure | None = field(default=None, repr=False)
 
     @property
     def prior(self) -> Normal:
-        """The truncated normal."""
+        """The truncated normal, in parts of the measure where there is one."""
         return Normal(self.centre, self.scale, self.low, self.high)
 
     @property
     def text(self) -> str:
-        """Its prior in words, such as "normal(0, 0.5) in [-1, 1] s"."""
-        return f"{self.prior.text} {self.unit}".removesuffix(" 1")
+        """Its prior in words, such as "normal(0, 0.5) in [-1, 1] s" or "normal(0, 0.03) in [0, 1] beats"."""
+        unit = self.measure.text if self.measure else self.unit
+        return f"{self.prior.text} {unit}".removesuffix(" 1")
+
+    def of(self, model: Any) -> EffectParameter:
+        """The same in its unit, for a forward model; itself where it has no measure."""
+        if self.measure is None:
+            return self
+        size = self.measure.of(model)
+        return replace(
+            self,
+            scale=self.scale * size,
+            low=self.low * size,
+            high=self.high * size,
+            starts=tuple(start * size for start in self.starts),
+            centre=self.centre * size,
+            measure=None,
+        )
 
     @property
     def start(self) -> float:
@@ -184,23 +220,31 @@ class Effect:
         if self.home:
             module, _, attribute = self.home.partition(":")
             catalogue = getattr(importlib.import_module(module), attribute)
-            if catalogue.get(self.name) is self:
+            known = catalogue.get(self.name)
+            if known is self:
                 return _from_home, (self.home, self.name)
+            if known is not None and replace(known, parameters=self.parameters) == self:
+                return _from_home, (self.home, self.name, self.parameters)
         return Effect, tuple(getattr(self, f.name) for f in fields(self))
 
     def offered(self, baseline: str) -> bool:
         """Whether it can be added to a forward model, by that model's name."""
         return not self.baselines or baseline in self.baselines
 
+    def of(self, model: Any) -> Effect:
+        """The effect with its parameters in their units, for a forward model; itself if they are."""
+        found = tuple(p.of(model) for p in self.parameters)
+        return self if found == self.parameters else replace(self, parameters=found)
+
     def at(self, location: Location = EVERYWHERE) -> AddedEffect:
         """The effect at a location, as what is added to a forward model."""
         return AddedEffect(self, location)
 
 
-def _from_home(home: str, name: str) -> Effect:
+def _from_home(home: str, name: str, parameters: tuple[EffectParameter, ...] | None = None) -> Effect:
     module, _, attribute = home.partition(":")
     made: Effect = getattr(importlib.import_module(module), attribute)[name]
-    return made
+    return made if parameters is None else replace(made, parameters=parameters)
 
 
 @dataclass(frozen=True)
@@ -342,7 +386,7 @@ class WithEffects(Around):
 
     def __init__(self, model: ForwardModel, added: Sequence[AddedEffect]) -> None:
         super().__init__(model)
-        self.added = tuple(added)
+        self.added = tuple(one.effect.of(model).at(one.location) for one in added)
         for i, one in enumerate(self.added):
             if one.effect.apply is None:
                 raise EffectError(f"effect {one.name}: is part of the errors; it cannot be added to a solve")

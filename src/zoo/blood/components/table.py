@@ -39,7 +39,6 @@ def free_function(
         Period or labels.
     """
     said = {key: value for key, value in TABLE[name].items() if key != "limit"}
-    parts = said.pop("lengths", ()) if len(at) > 1 else ()
-    size = said.pop("size") * size_of
-    lengths = tuple(part * lengths_of for part in parts)
+    size, parts = said.pop("size") * size_of, said.pop("lengths", ())
+    lengths = tuple(part * lengths_of for part in parts) if len(at) > 1 else ()
     return FreeFunction(name, at=at, apply=apply, size=size, lengths=lengths, **said, **given)

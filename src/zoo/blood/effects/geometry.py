@@ -11,6 +11,9 @@ from zoo.blood.effects.catalogue import effect
 from zoo.blood.effects.locations import each_vessel
 from zoo.core.effects import EffectParameter, Location
 
+THROAT_RADII = 3.2
+"""Length of a throat, in radii of the root; at most 0.8 of its vessel."""
+
 
 @effect(
     "vessel-radius",
@@ -80,5 +83,5 @@ def stenosis(case: Case, values: tuple[float, ...], location: Location) -> Case:
     return with_physics(
         case,
         throat_severity=np.where(inside, 1 - (1 - old) * (1 - values[0]), old),
-        throat_length=np.minimum(0.15, 0.8 * case.network.length_cm),
+        throat_length=np.minimum(THROAT_RADII * case.network.radius_in_cm[0], 0.8 * case.network.length_cm),
     )

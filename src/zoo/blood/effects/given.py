@@ -56,7 +56,7 @@ def _added(one: Given, model: ForwardModel) -> AddedEffect:
         where = "everywhere" if set(known) == {EVERYWHERE} else f"at {', '.join(map(str, known))}"
         what = "the location is missing" if location == EVERYWHERE else f"cannot act at {location}"
         raise EffectError(f"effect {made.name}: {what}; it acts {where}")
-    return made.at(known[location])
+    return made.of(model).at(known[location])
 
 
 def _location(given: Any) -> Location:

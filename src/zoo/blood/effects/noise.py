@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from zoo.blood.effects.catalogue import CATALOGUE
+from zoo.blood.effects.measures import BEATS
 from zoo.core.effects import Effect, EffectParameter
 
 CATALOGUE.add(
@@ -18,13 +19,14 @@ CATALOGUE.add(
             EffectParameter(
                 "length",
                 "s",
-                0.003,
-                0.0002,
-                0.03,
-                (0.003,),
-                "from a few samples to the length of an upstroke",
-                centre=0.003,
+                0.027,
+                0.0018,
+                0.27,
+                (0.027,),
+                "from a few samples of the beat to the length of an upstroke",
+                centre=0.027,
                 zero_is_base=False,
+                measure=BEATS,
             ),
         ),
         apply=None,

@@ -21,6 +21,7 @@ from zoo.blood.case import (
 )
 from zoo.blood.effects.catalogue import effect
 from zoo.blood.effects.locations import sides_and_terminals, windkessels_only
+from zoo.blood.effects.measures import TERMINAL_RADII
 from zoo.blood.effects.responses import add_to_pressures
 from zoo.core.effects import EffectError, EffectParameter, EverywhereIf, Location
 
@@ -112,8 +113,8 @@ def uneven_resistance(case: Case, values: tuple[float, ...], location: Location)
     equation="p = v + R1 q + L dq/dt, L = rho l/A0 of the terminal, with 6 rho c/A0 parallel to L",
     source="Westerhof et al. 2009, doi 10.1007/s11517-008-0359-2",
     signature="high harmonics are reflected at the outlets; ripples after the upstroke",
-    parameters=[EffectParameter("length", "cm", 0.5, 0.0, 2.0, (0.1, 0.3))],
-    why="as long a column as the vessel before it has, a few tenths of a cm in a mouse",
+    parameters=[EffectParameter("length", "cm", 30.0, 0.0, 120.0, (6.0, 18.0), measure=TERMINAL_RADII)],
+    why="a small artery is 15 to 60 radii long (Colebank 2025, doi 10.1371/journal.pcbi.1013553)",
 )
 def terminal_inertance(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """Blood behind the outlets has inertia."""

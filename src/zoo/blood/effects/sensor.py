@@ -6,6 +6,7 @@ import functools
 
 from zoo.blood.case import Case, with_wave
 from zoo.blood.effects.catalogue import effect
+from zoo.blood.effects.measures import BEATS
 from zoo.blood.effects.responses import add_to_pressures, filter_wave, jitter, resonance, scale_pressures
 from zoo.core.effects import EffectParameter, Location
 
@@ -17,7 +18,7 @@ from zoo.core.effects import EffectParameter, Location
     source="Gardner 1981, doi 10.1097/00000542-198103000-00010",
     signature="overshoot and ringing after the upstroke and the incisura, or a lag when damped",
     parameters=[
-        EffectParameter("1/f_n", "s", 0.015, 0.0, 0.08, (0.01, 0.03)),
+        EffectParameter("1/f_n", "s", 0.14, 0.0, 0.73, (0.09, 0.27), measure=BEATS),
         EffectParameter(
             "damping",
             "1",
@@ -30,7 +31,7 @@ from zoo.core.effects import EffectParameter, Location
             zero_is_base=False,
         ),
     ],
-    why="a resonance at 67 Hz; fluid-filled lines have theirs at some tens of Hz, the bound is 12 Hz",
+    why="a resonance at the 7th harmonic, 8 Hz in man: lines fall from 18 to 7 Hz (Anesthesiology 92, 208)",
 )
 def catheter_resonance(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """The catheter is a mass on a spring."""
@@ -72,8 +73,8 @@ def sensor_offset(case: Case, values: tuple[float, ...], location: Location) -> 
     equation="y -> y * normal(0, sd) in time, around the beat",
     source="definition: the mean of copies shifted by normal(0, sd)",
     signature="lower peak, slower upstroke, shallower incisura; mean and phase unchanged",
-    parameters=[EffectParameter("sd", "s", 0.004, 0.0, 0.02, (0.002, 0.006))],
-    why="beats of a mouse at rest differ by a few per cent of 0.11 s",
+    parameters=[EffectParameter("sd", "s", 0.036, 0.0, 0.18, (0.018, 0.055), measure=BEATS)],
+    why="3.6 % of the beat: beats at rest differ by a few per cent of their length",
 )
 def beat_jitter(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """The recorded beat is a mean of beats that were not aligned."""

@@ -10,6 +10,7 @@ import numpy as np
 from zoo.blood.case import Case, members, wall_slope, with_physics
 from zoo.blood.effects.catalogue import effect
 from zoo.blood.effects.locations import vessels_and_subtrees
+from zoo.blood.effects.measures import BEATS, MEAN_RADII
 from zoo.core.effects import EffectError, EffectParameter, Location
 
 CONSTANT = ("linear-constant", "tangent-constant")
@@ -48,13 +49,14 @@ def tangent_wall(case: Case, values: tuple[float, ...], location: Location) -> C
         EffectParameter(
             "decay",
             "cm",
-            0.006,
-            0.003,
-            0.06,
-            (0.0164,),
-            "model I's median f2 is -6 per 0.1 cm, and a third of it either way",
-            centre=0.0164,
+            0.27,
+            0.14,
+            2.7,
+            (0.74,),
+            "model I's median f2 is -6 per 0.1 cm where the mean radius is 0.22 mm, and a third either way",
+            centre=0.74,
             zero_is_base=False,
+            measure=MEAN_RADII,
         ),
     ],
     why="the narrowest vessels twice as stiff as wide ones; model I's medians give 1.3",
@@ -91,8 +93,8 @@ def local_stiffness(case: Case, values: tuple[float, ...], location: Location) -
     equation="p = p_e + tau dp_e/dt, p_e the elastic wall's pressure",
     source="Alastruey et al. 2011, doi 10.1016/j.jbiomech.2011.05.041",
     signature="damps high harmonics, the more the farther the wave has run; pressure leads area",
-    parameters=[EffectParameter("tau", "s", 3e-3, 0.0, 0.03, (2e-3, 8e-3))],
-    why="pressure leads area by 2 pi tau/T in the first harmonic: 0.17 rad in a mouse's 0.11 s",
+    parameters=[EffectParameter("tau", "s", 0.027, 0.0, 0.27, (0.018, 0.072), measure=BEATS)],
+    why="pressure leads area by 2 pi tau/T in the first harmonic: 0.17 rad",
 )
 def viscoelastic_wall(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """The wall resists fast stretching (Kelvin-Voigt)."""

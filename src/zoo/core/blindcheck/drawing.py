@@ -137,7 +137,7 @@ def draw_effect(
     effect: Effect, model: ForwardModel, rng: np.random.Generator
 ) -> tuple[AddedEffect, tuple[float, ...]]:
     """An effect at a location, uniform over all that it can have, and its parameters from their priors."""
-    locations = effect.locations(model)
+    effect, locations = effect.of(model), effect.locations(model)
     location = locations[int(rng.integers(len(locations)))]
     return effect.at(location), tuple(float(f"{p.prior.draw(rng, 1, {})[0]:.6g}") for p in effect.parameters)
 
