@@ -379,6 +379,10 @@ def sensitivity(posterior: CausePosterior) -> list[SensitivityRow]:
         "unexplained half as large": posterior.under(replace(sizes, unexplained=0.5 * sizes.unexplained)),
         "unexplained twice as large": posterior.under(replace(sizes, unexplained=2.0 * sizes.unexplained)),
         "odds of the unexplained 1": posterior.under(replace(sizes, odds=1.0)),
+        "effects half as large": posterior.under(replace(sizes, effects=0.5)),
+        "effects twice as large": posterior.under(replace(sizes, effects=2.0)),
+        "functions half as large": posterior.under(replace(sizes, functions=0.5)),
+        "functions twice as large": posterior.under(replace(sizes, functions=2.0)),
         "causes exact": posterior.under(replace(sizes, caricature=0.0)),
         "causes twice as inexact": posterior.under(replace(sizes, caricature=2.0 * sizes.caricature)),
     }

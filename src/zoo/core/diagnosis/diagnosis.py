@@ -329,7 +329,7 @@ def diagnose(
     excluded: Excluded | None = None
     try:
         fitting, excluded = freed(fitting)
-        offered = [e for e in effects if e.apply is not None and e.offered(model.name)]
+        offered = [e.of(model) for e in effects if e.apply is not None and e.offered(model.name)]
         sets = CauseSearch(fitting, offered, hooks, tick or _silent).run()
     except (SearchError, SolveError) as error:
         raise DiagnosisError(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from zoo.core.diagnosis.file import Interval
 from zoo.core.diagnosis.sets import SIZE_PRIORS, CauseSets, SolvedSet, Which
@@ -118,8 +119,10 @@ class CauseDraws:
 
 def draw_causes(found: CauseSets, seed: int) -> CauseDraws:
     """Draws of the leading solved sets of a posterior."""
-    p = {which: p for which, p in found.posterior.probability.items() if which in found.solved}
-    kept = [which for which, x in p.items() if x >= TOLD][:MOST] or [found.leader]
+    log = {which: x for which, x in found.posterior.log_joint.items() if which in found.solved}
+    total = logsumexp(list(log.values()))
+    p = {which: float(np.exp(x - total)) for which, x in log.items()}
+    kept = sorted((which for which in p if p[which] >= TOLD), key=lambda which: -p[which])[:MOST]
     total, rng = sum(p[which] for which in kept), np.random.default_rng(seed)
     return CauseDraws(found, tuple(draw_set(found, which, p[which] / total, rng) for which in kept))
 

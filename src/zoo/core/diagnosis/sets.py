@@ -407,6 +407,8 @@ class CauseSearch:
             causes.append(replace(self.causes[i], columns=Z))
             at = after
         problem = self._problem(own, point.u[:n_listed], residual, point.jacobian[:, :n_listed])
+        firsts = np.cumsum([forward.n_base, *sizes])[: len(order) - len(free)]
+        problem = replace(problem, amplitudes=tuple(int(i) for i in firsts))
         start = linear.log_noise[linear.best(SIZE_PRIORS)]
         found = SetModel(problem, causes, self.family).evidence(linear.kinds, start)
         if not order:
@@ -447,7 +449,7 @@ class CauseSets:
     @cached_property
     def leader(self) -> Which:
         """The most probable set of those that were solved."""
-        return next(which for which in self.posterior.probability if which in self.solved)
+        return max(self.solved, key=lambda which: self.posterior.log_joint[which])
 
     def name(self, which: Which) -> str:
         """The causes of a set."""
