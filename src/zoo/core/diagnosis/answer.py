@@ -576,10 +576,7 @@ def _outliers(found: CauseSets) -> list[str]:
     left = found.search.family.errors.unflat(found.search.data - found.solved[found.leader].point.computed)
     for label, series, values in zip(data.labels, left, data.values, strict=True):
         k = NEIGHBOURS
-        if data.period is not None:
-            around = np.pad(series, k, mode="wrap")
-        else:  # a line goes on at the ends
-            around = np.pad(series, k, mode="reflect", reflect_type="odd")
+        around = np.pad(series, k, mode="reflect" if data.period is None else "wrap")
         odd = series - np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * k + 1), axis=1)
         steps = np.abs(np.diff(around))
         scale = ROBUST / math.sqrt(2.0) * float(np.median(steps)) + 1e-12 * float(np.ptp(values))
