@@ -8,13 +8,11 @@ import numpy as np
 
 from zoo import load_study
 from zoo.blood.baseline import get_baseline
-from zoo.blood.diagnosis import effects_for
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.forward import study_data
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Series, Study
-from zoo.core.diagnosis.hypothesis import Hypothesis, HypothesisModel
-from zoo.core.diagnosis.screening import Screening
+from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.effects import Location, with_effects
 from zoo.core.errors.spectral import Harmonics
 from zoo.core.forward import ForwardModel, Outputs
@@ -62,16 +60,10 @@ def made(
     )
 
 
-def screening_of(study: Study, effects: list[str], baseline: str = "linear-constant") -> Screening:
-    """All hypotheses about a study with some effects of the catalogue."""
-    model = baseline_of(study, baseline)
-    return Screening(study_data(study), model, effects_for(model, effects), errors=Harmonics())
-
-
-def hypothesis_model(
+def search_model(
     study: Study, added: tuple[tuple[str, Location], ...] = (), **settings: object
-) -> HypothesisModel:
-    """Coefficients of a study under a hypothesis."""
+) -> SearchModel:
+    """Coefficients of a study by linear-constant with some effects of the catalogue."""
     model = baseline_of(study, **settings)  # type: ignore[arg-type]
-    hypothesis = Hypothesis(tuple(CATALOGUE[name].of(model).at(location) for name, location in added))
-    return HypothesisModel(model, hypothesis, Harmonics().bind(study_data(study)))
+    effects = [CATALOGUE[name].of(model).at(location) for name, location in added]
+    return SearchModel(model, effects, Harmonics().bind(study_data(study)))

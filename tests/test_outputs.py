@@ -234,9 +234,7 @@ def test_what_comes_while_a_file_is_written_stays(tmp_path, monkeypatch, when):
     monkeypatch.setattr(os, when, meanwhile)
     with Run({"command": "simulate"}, fresh=True):
         output_file(path, "--output")
-        with pytest.raises(
-            OutputFileError, match=r"not as zoo wrote it|came while this worked"
-        ):
+        with pytest.raises(OutputFileError, match=r"not as zoo wrote it|came while this worked"):
             write_file(path, "new")
     assert path.read_text() == "mine"
     assert not list(tmp_path.glob("*.part"))

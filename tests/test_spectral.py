@@ -1,16 +1,11 @@
 """Spectral error models, against dense covariance matrices."""
 
-import math
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy.linalg import circulant
 from scipy.stats import multivariate_normal
 
 from zoo.core.data import Data
-from zoo.core.diagnosis.discrepancy import smooth_part
-from zoo.core.diagnosis.evidence import marginal
 from zoo.core.errors.base import ErrorModelError
 from zoo.core.errors.spectral import Cosines, GroupErrors, Harmonics, Spectral, log_density, spectral_errors
 from zoo.core.parameters import variable_name
@@ -76,43 +71,6 @@ def test_density_is_that_of_the_dense_covariance(n: int) -> None:
     errors = GroupErrors(0.5, 0.8, 0.004, 0.7, 0.01, 0.6)
     wanted = multivariate_normal(np.zeros(3 * n), dense(H, errors, 3)).logpdf(y.ravel())
     assert log_density(H.flat(y), H.variances({GROUP: errors})) == pytest.approx(wanted, rel=1e-10)
-
-
-def test_smooth_part_is_the_conditional_mean() -> None:
-    rng = np.random.default_rng(3)
-    y = rng.standard_normal((2, 16))
-    H = bound(y)
-    errors = GroupErrors(0.5, 0.3, 0.004, 0.9, 0.02, 0.4)
-    own, total = dense(H, errors, 2, noise=False), dense(H, errors, 2)
-    fit = SimpleNamespace(forward=SimpleNamespace(errors=H), residual=H.flat(y), errors={GROUP: errors})
-    mean, variance = smooth_part(fit)  # type: ignore[arg-type]
-    np.testing.assert_allclose(H.unflat(mean).ravel(), own @ np.linalg.solve(total, y.ravel()), atol=1e-10)
-    wanted = np.trace(own - own @ np.linalg.solve(total, own))
-    assert variance.sum() == pytest.approx(wanted, rel=1e-9)
-
-
-def test_marginal_likelihood_is_that_of_the_joint_normal() -> None:
-    """With a normal prior of mean m: r = J d + e is normal with covariance S + J P^-1 J'."""
-    rng = np.random.default_rng(4)
-    J, r, S = rng.standard_normal((20, 3)), rng.standard_normal(20), rng.uniform(0.5, 2, 20)
-    precision, mean = np.array([1.0, 4.0, 0.25]), np.array([0.3, -0.2, 1.0])
-    log_z, step, C = marginal(r, J, S, precision, -precision * mean)
-    # the prior density at d = 0, which `marginal` leaves out
-    constant = float(np.sum(0.5 * np.log(precision / (2 * math.pi)) - 0.5 * precision * mean**2))
-    wanted = multivariate_normal(J @ mean, np.diag(S) + J @ np.diag(1 / precision) @ J.T).logpdf(r)
-    assert log_z + constant == pytest.approx(wanted, rel=1e-10)
-    H = J.T @ (J / S[:, None]) + np.diag(precision)
-    np.testing.assert_allclose(C, np.linalg.inv(H), rtol=1e-8)
-    np.testing.assert_allclose(step, np.linalg.solve(H, J.T @ (r / S) + precision * mean), rtol=1e-8)
-
-
-def test_many_variances_at_once_give_the_same() -> None:
-    rng = np.random.default_rng(6)
-    J, r, S = rng.standard_normal((20, 3)), rng.standard_normal(20), rng.uniform(0.5, 2, (4, 2, 20))
-    together = marginal(r, J, S, np.ones(3), np.zeros(3))
-    for i, j in np.ndindex(4, 2):
-        for whole, one in zip(together, marginal(r, J, S[i, j], np.ones(3), np.zeros(3)), strict=True):
-            np.testing.assert_allclose(whole[i, j], one, rtol=1e-9)
 
 
 @pytest.mark.parametrize("kind", [Harmonics, Cosines])

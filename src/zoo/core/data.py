@@ -75,6 +75,8 @@ class Data:
     checksum: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
+        if np.ma.is_masked(self.values) or np.ma.is_masked(self.times):
+            raise DataError(f"{self._where}values are masked: fill them in, or cut the record where they are")
         times, values = (np.array(x, dtype=np.float64) for x in (self.times, self.values))
         if values.ndim == 1:
             values = values[None]

@@ -318,6 +318,11 @@ def from_pints(
     names = [p.name for p in priors]
 
     def simulate(configuration: Any, at: Array) -> Array:
+        if unknown := [key for key in configuration if key not in names]:
+            raise ValueError(
+                f"{', '.join(map(str, unknown))}: no parameter of {type(model).__name__}, which has "
+                f"{', '.join(names)}; to add a term, give a FunctionModel whose function calls `simulate`"
+            )
         values = np.asarray(model.simulate([float(configuration[n]) for n in names], at))
         return values.reshape(len(at), -1).T
 

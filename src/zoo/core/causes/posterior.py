@@ -114,8 +114,8 @@ class CausePosterior:
             found[len(which)] += p
         return found
 
-    def no_gap(self, noise: float, numerics: float) -> float:
-        """Probability of no cause, and of a discrepancy below the numerics' error or a tenth of the noise.
+    def negligible(self, noise: float, numerics: float) -> float:
+        """Probability, given no cause, of a discrepancy below the numerics' error or a tenth of the noise.
 
         Parameters
         ----------
@@ -123,9 +123,11 @@ class CausePosterior:
             In parts of the range.
         """
         empty = next(row for row in self.rows if not row.which)
-        return self.probability[()] * math.exp(
-            empty.evidence.small(self.sizes, max(NOTHING * noise, numerics))
-        )
+        return math.exp(empty.evidence.small(self.sizes, max(NOTHING * noise, numerics)))
+
+    def no_gap(self, noise: float, numerics: float) -> float:
+        """Probability of no cause and of a `negligible` discrepancy."""
+        return self.probability[()] * self.negligible(noise, numerics)
 
     def under(self, sizes: SizePriors | None = None, odds: float | None = None) -> CausePosterior:
         """The same with other priors of sizes, or other odds; guesses move as the set most like each."""

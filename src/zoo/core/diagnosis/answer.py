@@ -64,14 +64,24 @@ POOR_FIT = 0.2
 """Residual over the data's range above which input is suspected: four prior sds of the unexplained."""
 STUCK = 0.5
 """Part of the series' variance that a best fit should explain at least."""
+STEADY = 1e-6
+"""Rms difference of two solves at the same parameters, in parts of the range, up to which they are one."""
 OUTLIER = 8.0
 """Residual of a sample in robust standard deviations from which on it is named as an outlier."""
+NEIGHBOURS, ROBUST = 3, 1.4826
+"""Samples on either side whose median it is compared with, and sds over the median of absolute values."""
 WRONG_NOISE = 2.0
 """Factor between the noise that is stated and the fine scatter of the series above which that is said."""
 SAME_NOISE, LEAST_FINE = 0.95, 8
 """Correlation of two series' fine scatter above which they are copies, and coefficients that tell it."""
 WRONG = 3.0
 """Log evidence that the linear model may be wrong by, and other sets be given too much, unsaid."""
+MISSED = 0.05
+"""Probability that may be missed up to which it is not said."""
+RIVAL = 0.1
+"""Probability of a component from which on the verdict names it, though another one is more probable."""
+FAILING = 0.05
+"""Part of the solves that fail from which on it is said."""
 IMPLAUSIBLE = 2.5
 """Rms of a learned function, in its prior's scale, above which it is said that it can hardly be."""
 
@@ -123,7 +133,7 @@ def _negligible(found: CauseSets) -> float:
     """Part of the empty set's probability in which what is left does not matter."""
     family = found.search.family
     noise = min(found.noise[g] / family.ranges[g] for g in family.groups)
-    return found.posterior.no_gap(noise, SIZE_PRIORS.numerics) / found.posterior.probability[()]
+    return found.posterior.negligible(noise, SIZE_PRIORS.numerics)
 
 
 def _gap(found: CauseSets, before: Discrepancy, after: Discrepancy, rows: list[int]) -> Gap:
@@ -462,7 +472,10 @@ def _verdict(file: DiagnosisFile, leader: Sequence[str]) -> str:
         for c in wrong
         if c.confounded
     )
-    return f"wrong is {named}: {left}" + (f"; {groups}" if groups else "")
+    others = [c for c in file.components if RIVAL < c.probability <= 0.5]
+    rivals = ", ".join(f"{c.name} {c.probability:.0%}" for c in others)
+    told = [f"wrong is {named}: {left}", groups, rivals and f"it may also be {rivals}"]
+    return "; ".join(filter(None, told))
 
 
 def _not_decided(file: DiagnosisFile, most: int) -> list[str]:
@@ -477,7 +490,7 @@ def _not_decided(file: DiagnosisFile, most: int) -> list[str]:
             f"{most} components are said to be wrong, the most that may be: no set of causes is right at "
             "this noise, and the least wrong one is picked; do not believe it"
         )
-    if file.linear_error > WRONG:
+    if file.linear_error > WRONG and file.missed > MISSED:
         told.append(
             f"sets that were not solved may be better or worse than stated by {file.linear_error:.0f} in log "
             f"evidence: {file.missed:.0%} of the probability may be missed"
@@ -508,7 +521,7 @@ def _warnings(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks:
         told.append(
             f"effect {name}: none of its starts changes any sample: the simulator does not read what it sets"
         )
-    told += _outliers(found) + _noise(found)
+    told += _solves(found, hooks) + _outliers(found) + _noise(found)
     if not found.leader:
         return told
     leader = found.solved[found.leader]
@@ -544,14 +557,33 @@ def expected(function: FreeFunction, values: Array) -> tuple[bool, str]:
     return rms <= IMPLAUSIBLE * function.size, text
 
 
+def _solves(found: CauseSets, hooks: Hooks) -> list[str]:
+    """That the simulator is not the same each time, or fails often."""
+    fitting, told = found.search.fitting, []
+    if found.search.unsteady > STEADY:
+        told.append(
+            f"two solves of {fitting.baseline.name} at the same parameters differ by "
+            f"{found.search.unsteady:.2g} of the range: probabilities and sizes here cannot be believed; fix "
+            "its random numbers"
+        )
+    if fitting.failures > FAILING * fitting.solves:
+        told.append(
+            f"{fitting.failures} of {fitting.solves} solves failed ({fitting.last_failure}): what lies there "
+            f"counts as impossible, which may cut a cause off; {hooks.advice}"
+        )
+    return told
+
+
 def _outliers(found: CauseSets) -> list[str]:
     """Samples far from their neighbours in what the leading set leaves."""
     data, told = found.search.fitting.data, []
     left = found.search.family.errors.unflat(found.search.data - found.solved[found.leader].point.computed)
     for label, series, values in zip(data.labels, left, data.values, strict=True):
-        step = 0.5 * (np.roll(series, 1) + np.roll(series, -1))
-        odd = series - step
-        scale = 1.4826 * float(np.median(np.abs(odd - np.median(odd)))) + 1e-12 * float(np.ptp(values))
+        k = NEIGHBOURS
+        around = np.pad(series, k, mode="reflect" if data.period is None else "wrap")
+        odd = series - np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * k + 1), axis=1)
+        steps = np.abs(np.diff(around))
+        scale = ROBUST / math.sqrt(2.0) * float(np.median(steps)) + 1e-12 * float(np.ptp(values))
         at = np.flatnonzero(np.abs(odd) > OUTLIER * scale)
         if 0 < len(at) < 0.1 * len(series):
             told.append(

@@ -18,6 +18,8 @@ from zoo.core.parameters import LogNormal, LogUniform, Normal, Parameter, start_
 
 Array = NDArray[np.float64]
 
+FAILURES = (ArithmeticError, RuntimeError, np.linalg.LinAlgError)
+"""What numerics raise where there is no solution; any other exception is a mistake in a simulator's code."""
 UNIT = 0.1
 """Unit of a search: of a logarithm, and in parts of a flat prior's width; a normal one's is its sd."""
 
@@ -116,8 +118,14 @@ class SearchModel:
         try:
             found = self.model.solve(self.model.configure(self.theta(u)), outputs)
             reason = None if np.all(np.isfinite(found)) else "the solution is not finite"
-        except SolveError as error:
-            found, reason = np.empty(0), str(error) or error.kind
+        except FAILURES as error:
+            told = f"{type(error).__name__}: {error}"
+            found, reason = np.empty(0), (str(error) or error.kind) if isinstance(error, SolveError) else told
+        except Exception as error:
+            values = zip(self.parameters, self.theta(u), strict=True)
+            at = ", ".join(f"{p.name} = {x:.6g}" for p, x in values)
+            error.add_note(f"{self.model.name} was solved with {at}; raise SolveError if none exists there")
+            raise
         if reason is not None:
             self.failures += 1
             self.last_failure = reason

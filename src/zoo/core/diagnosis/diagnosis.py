@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from zoo.core.diagnosis.posteriors import SampledExplanations
 
 Array = NDArray[np.float64]
+SAME_TIMES = 1e-3
+"""Difference of times, in parts of the record, up to which they are the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +196,7 @@ def _checked(
             f"{data.source or data.name}: {model.name} gives series {model.outputs.shape}, the data are "
             f"{data.values.shape}: ask the forward model for the data's series and times"
         )
+    _same_outputs(data, model)
     if isinstance(effects, str | Effect) or not all(isinstance(one, Effect) for one in effects):
         raise DiagnosisError(f"effects = {effects!r}: give a list of effects")
     for one in effects:
@@ -213,6 +216,23 @@ def _checked(
                 "varies, or leave it out"
             )
     return chosen
+
+
+def _same_outputs(data: Data, model: ForwardModel) -> None:
+    """Refuse a model that is asked for other series or times than were measured."""
+    where, outputs = data.source or data.name, model.outputs
+    off = np.abs((outputs.times - outputs.times[0]) - (data.times - data.times[0])).max()
+    if off > SAME_TIMES * data.duration:
+        raise DiagnosisError(
+            f"{where}: {model.name} is solved at times {outputs.times[0]:g} to {outputs.times[-1]:g}, the "
+            f"data are of {data.times[0]:g} to {data.times[-1]:g} {data.time_unit}: ask it for these times"
+        )
+    if tuple(outputs.series) != tuple(data.outputs):
+        asked, measured = (", ".join(map(str, x)) for x in (outputs.series, data.outputs))
+        raise DiagnosisError(
+            f"{where}: {model.name} gives series {asked}, the data are {measured}: give Outputs of the "
+            "data's series in their order, or Data(outputs=...) if only the labels differ"
+        )
 
 
 def _in_states(

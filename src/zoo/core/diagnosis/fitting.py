@@ -81,6 +81,11 @@ class Fitting:
         """Solves that failed so far."""
         return sum(model.failures for model in self.models)
 
+    @property
+    def last_failure(self) -> str:
+        """Why one of them did."""
+        return next((model.last_failure for model in self.models if model.last_failure), "")
+
     @cached_property
     def forward(self) -> SearchModel:
         """The baseline alone."""

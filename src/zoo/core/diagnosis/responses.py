@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from zoo.core.causes.problem import Cause, Problem
 from zoo.core.components import FreeFunction
-from zoo.core.diagnosis.coordinates import SearchModel
+from zoo.core.diagnosis.coordinates import FAILURES, SearchModel
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.search import Point
 from zoo.core.effects import AddedEffect, Effect
-from zoo.core.forward import SolveError
 
 Array = NDArray[np.float64]
 Tick = Callable[[str, float], None]
@@ -242,7 +241,7 @@ class _Differences:
         forward.solves += 1
         try:
             series = model.solve(function.apply(model.configure(forward.theta(self.at)), values))
-        except SolveError:
+        except FAILURES:
             forward.failures += 1
             return None
         return np.asarray(forward.errors.flat(series) - self.base)

@@ -8,7 +8,6 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 Array = NDArray[np.float64]
 
@@ -26,8 +25,6 @@ GAIN, STANDSTILL = 0.02, 1e-5
 """Gain of the log posterior, and step in units of the search, below which a descent ends."""
 SETTLED = 0.1
 """Gain below which a search with fresh differences ends."""
-LARGEST_SIMPLEX = 0.25
-"""Largest side of the first simplex of a search without derivatives, in parts of a coordinate's range."""
 ROUNDS, ITERATIONS = 3, 6
 """Rounds of fresh differences, and steps in each, where no other number is given."""
 DAMPING, NO_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e4
@@ -222,36 +219,6 @@ class Search(Generic[F]):
                 break
             point = moved
         return point
-
-    def polish(self, point: Point, sd: Array, evaluations: int) -> Point:
-        """The simplex search of Nelder and Mead from a point, for a posterior with kinks; no derivatives.
-
-        The first simplex has the size of the posterior, `sd` (d,), or `LARGEST_SIMPLEX` of the range; it ends
-        after `evaluations` solves a parameter. The Jacobian stays that of the point.
-        """
-        low, high = self.forward.low, self.forward.high
-        step = np.minimum(sd, LARGEST_SIMPLEX * (high - low))
-        step = np.where(point.u + step > high, -step, step)
-
-        def cost(u: Array) -> float:
-            computed = self.forward(u)
-            return math.inf if computed is None else self.cost(u, computed)
-
-        found = minimize(
-            cost,
-            point.u,
-            method="Nelder-Mead",
-            bounds=list(zip(low, high, strict=True)),
-            options={
-                "initial_simplex": np.vstack([point.u, point.u + np.diag(step)]),
-                "maxfev": evaluations * len(step),
-                "fatol": GAIN,
-                "xatol": math.inf,
-                "adaptive": True,
-            },
-        )
-        computed = self.forward(found.x) if found.fun < point.cost else None
-        return point if computed is None else Point(found.x, computed, point.jacobian, float(found.fun))
 
 
 def as_matrix(precision: Array) -> Array:

@@ -139,6 +139,8 @@ class CauseSearch:
         nothing = self._nothing()
         self.solved: dict[Which, SolvedSet] = {(): nothing}
         self.base = nothing.point
+        again = f.forward(self.base.u)
+        self.unsteady = 0.0 if again is None else self.family.relative(again - self.base.computed)
         best = nothing.evidence.best(SIZE_PRIORS)
         noise = nothing.evidence.variances(best, alone=True)
         residual = self.data - self.base.computed

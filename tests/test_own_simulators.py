@@ -1,0 +1,263 @@
+"""Simulators of one's own with something amiss: the right cause is named, or what is amiss is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from zoo.core.data import Data, DataError
+from zoo.core.diagnosis import Diagnosis, DiagnosisError, diagnose
+from zoo.core.effects import Effect, EffectParameter, effect
+from zoo.core.forward import FunctionModel, Outputs, SolveError, from_pints
+from zoo.core.parameters import LogUniform, Normal, Parameter
+
+MINUTES = np.arange(0.0, 30.0, 1.0 / 3.0)
+NOISE = 0.1
+
+
+def adds(name: str, key: str, unit: str, scale: float, low: float, high: float, *starts: float) -> Effect:
+    """An effect that sets one key of a configuration."""
+
+    @effect(name, parameters=[EffectParameter("size", unit, scale, low, high, starts)])
+    def change(c, values, at):  # type: ignore[no-untyped-def]
+        """Sets one number."""
+        return {**c, key: values[0]}
+
+    return change
+
+
+# -- a cup that cools, and steams ------------------------------------------------------------------
+
+
+def cup(c, t):  # type: ignore[no-untyped-def]
+    """In K above the room, which may itself warm."""
+    decay, steam = np.exp(-c["rate"] * t), c.get("steam", 0.0)
+    return c["start"] * decay / (1 + steam / c["rate"] * c["start"] * (1 - decay)) + c.get("drift", 0.0) * t
+
+
+STEAM = adds("steam", "steam", "1/(min K)", 1e-3, 0.0, 1e-2, 3e-4, 1e-3)
+DRIFT = adds("drift", "drift", "K/min", 0.06, -0.3, 0.3, 0.03, -0.03)
+PRIORS = (
+    Parameter("rate", LogUniform(6e-3, 0.6), "1/min", log=True),
+    Parameter("start", Normal(60.0, 5.0), "K"),
+)
+
+
+def cups(function=cup, times=MINUTES, series=("tea",)) -> FunctionModel:  # type: ignore[no-untyped-def]
+    return FunctionModel(function, PRIORS, Outputs(series, times), "cup")
+
+
+def tea(odd: tuple[int, ...] = (), **added: float) -> Data:
+    values = cup({"rate": 0.06, "start": 61.0, **added}, MINUTES)
+    values = values + NOISE * np.random.default_rng(1).standard_normal(len(MINUTES))
+    values[list(odd)] += 8.0
+    return Data(MINUTES, values, labels=["tea"], units=["K"], time_unit="min")
+
+
+def told(data: Data, model: FunctionModel | None = None, effects=(STEAM, DRIFT)) -> Diagnosis:  # type: ignore[no-untyped-def]
+    return diagnose(data, model or cups(), list(effects), cores=1)
+
+
+def test_steam_is_found() -> None:
+    found = told(tea(steam=6e-4))
+    assert found.cause == ["steam"]
+    assert found.components[0].probability > 0.95
+    assert found.file.warnings == []
+    assert found.file.decided
+
+
+def test_samples_that_stand_out_are_named_and_no_others() -> None:
+    warnings = told(tea((20, 50, 51), steam=6e-4)).file.warnings
+    assert any("tea: samples 20, 50, 51 stand out from their neighbours" in text for text in warnings)
+
+
+@pytest.mark.parametrize("odd", [(0,), (89,), (44,)])
+def test_a_sample_that_stands_out_anywhere_is_named(odd: tuple[int, ...]) -> None:
+    warnings = told(tea(odd)).file.warnings
+    assert any(f"tea: samples {odd[0]} stand out" in text for text in warnings)
+
+
+def test_what_resembles_the_cause_is_not_named_in_its_place() -> None:
+    found = told(tea(steam=6e-4), effects=[DRIFT])
+    assert found.cause == []
+    assert found.causes[0].probability < 0.5
+    assert found.file.verdict.startswith("none of the listed effects or components")
+    assert found.file.no_gap < 0.01
+
+
+def test_the_second_of_two_that_the_data_do_not_tell_apart_is_named() -> None:
+    def laws(c, t):  # type: ignore[no-untyped-def]
+        y = [c["start"]]
+        for step in np.diff(t):  # two laws of loss, Heun's method
+
+            def rate(x: float) -> float:
+                return -c["rate"] * x - c.get("steam", 0.0) * x**2 - c.get("power", 0.0) * abs(x) ** 2.6
+
+            first = rate(y[-1])
+            y.append(y[-1] + 0.5 * step * (first + rate(y[-1] + step * first)))
+        return np.array(y)
+
+    power = adds("by-power", "power", "1", 1e-4, 0.0, 1e-3, 3e-5)
+    common = {"rate": 0.06, "start": 61.0}
+    both = 0.5 * laws({**common, "steam": 6e-4}, MINUTES) + 0.5 * laws({**common, "power": 5.4e-5}, MINUTES)
+    values = both + 0.03 * np.random.default_rng(1).standard_normal(len(MINUTES))
+    found = told(Data(MINUTES, values, labels=["tea"], units=["K"]), cups(laws), [STEAM, power])
+    shared = {one.name: one.probability for one in found.causes}
+    assert min(shared.values()) > 0.1, shared
+    for name, probability in shared.items():
+        assert f"{name} {probability:.0%}" in found.file.verdict
+
+
+def test_a_simulator_that_differs_each_time_is_told() -> None:
+    rng = np.random.default_rng(0)
+
+    def restless(c, t):  # type: ignore[no-untyped-def]
+        return cup(c, t) + 0.02 * rng.standard_normal(len(t))
+
+    warnings = told(tea(steam=6e-4), cups(restless)).file.warnings
+    assert any("two solves of cup at the same parameters differ by" in text for text in warnings)
+
+
+@pytest.mark.parametrize(
+    ("model", "text"),
+    [
+        (cups(times=60.0 * MINUTES), "cup is solved at times 0 to 1780, the data are of 0 to 29.6"),
+        (cups(series=("coffee",)), "cup gives series coffee, the data are tea"),
+    ],
+)
+def test_a_model_of_other_times_or_series_is_refused(model: FunctionModel, text: str) -> None:
+    with pytest.raises(DiagnosisError, match=text):
+        told(tea(), model)
+
+
+def test_masked_samples_are_refused() -> None:
+    values = np.ma.array(tea().values, mask=np.arange(90)[None] == 40)
+    with pytest.raises(DataError, match="values are masked: fill them in"):
+        Data(MINUTES, values, labels=["tea"])
+
+
+@pytest.mark.parametrize("error", [RuntimeError, np.linalg.LinAlgError, ZeroDivisionError, SolveError])
+def test_solves_that_fail_are_counted_and_told(error: type[Exception]) -> None:
+    def brittle(c, t):  # type: ignore[no-untyped-def]
+        if c.get("steam", 0.0) > 5.4e-4:
+            raise error("did not converge")
+        return cup(c, t)
+
+    found = told(tea(steam=6e-4), cups(brittle))
+    assert found.file.record["failed_solves"] > 10
+    assert any("did not converge" in text and "solves failed" in text for text in found.file.warnings)
+
+
+def test_a_mistake_in_a_simulator_is_told_with_the_values_where_it_shows() -> None:
+    def mistaken(c, t):  # type: ignore[no-untyped-def]
+        return cup({**c, "rate": c["rte"]} if "steam" in c else c, t)
+
+    with pytest.raises(KeyError, match="rte") as caught:
+        told(tea(), cups(mistaken))
+    [note] = caught.value.__notes__
+    assert "was solved with rate = 0.0" in note
+    assert "steam.size = " in note
+
+
+def test_an_effect_that_reaches_nothing_is_told() -> None:
+    typo = adds("steam", "stream", "1/(min K)", 1e-3, 0.0, 1e-2, 3e-4)
+    warnings = told(tea(), effects=[typo, DRIFT]).file.warnings
+    assert any("effect steam: none of its starts changes any sample" in text for text in warnings)
+
+
+def test_a_key_that_a_pints_model_does_not_take_is_refused() -> None:
+    class Logistic:
+        def n_parameters(self) -> int:
+            return 2
+
+        def simulate(self, p, times):  # type: ignore[no-untyped-def]
+            return p[1] / (1 + (p[1] / 2.0 - 1) * np.exp(-p[0] * np.asarray(times)))
+
+    t = np.linspace(0.0, 100.0, 51)
+    rates = [Parameter("r", LogUniform(0.01, 1.0), log=True), Parameter("K", LogUniform(10, 1000), log=True)]
+    data = Data(t, Logistic().simulate([0.1, 50.0], t) + np.cos(t), labels=["y0"])
+    offset = adds("offset", "offset", "1", 5.0, -50.0, 50.0, 2.0)
+    with pytest.raises(ValueError, match="offset: no parameter of Logistic, which has r, K"):
+        diagnose(data, from_pints(Logistic(), t, rates), [offset])
+
+
+# -- a spring that is driven, fast beside the record -----------------------------------------------
+
+SAMPLES = np.arange(400) / 610.0
+PUSHES = np.repeat(np.random.default_rng(0).standard_normal(100), 4) * 0.06
+QUIET = 5e-4
+CUBIC = adds("cubic", "k3", "1", 3.0, -20.0, 20.0, 1.0, -1.0)
+OFFSET = adds("offset", "off", "V", 0.01, -0.1, 0.1, 3e-3, -3e-3)
+
+
+def ring(c, times):  # type: ignore[no-untyped-def]
+    """A resonator with a spring that may harden, by small steps."""
+    y = v = 0.0
+    f, g, k3, off = (float(c.get(key, 0.0)) for key in ("f", "g", "k3", "off"))
+    out, h, w = [], 1 / 610.0 / 4, 2 * np.pi * f
+    for u in PUSHES.tolist():
+        out.append(y)
+        for _ in range(4):
+            v += h * (w * w * (g * u - y - k3 * y**3) - 0.1 * w * v)
+            y += h * v
+    return np.array(out) + off
+
+
+def ringing(low: float, high: float, **added: float) -> tuple[Data, FunctionModel]:
+    f = Parameter("f", LogUniform(low, high), "Hz", log=True)
+    gain = Parameter("g", LogUniform(0.01, 10.0), "1", log=True, start=1.0)
+    truth = ring({"f": 68.0, "g": 1.0, **added}, SAMPLES)
+    values = truth + QUIET * np.random.default_rng(1).standard_normal(len(SAMPLES))
+    data = Data(SAMPLES, values, labels=["y"], units=["V"])
+    return data, FunctionModel(ring, (f, gain), Outputs(("y",), SAMPLES), "ring")
+
+
+def test_a_resonance_far_from_the_priors_median_is_found() -> None:
+    data, model = ringing(10.0, 200.0, k3=1.0)
+    found = told(data, model, [CUBIC])
+    assert found.cause == ["cubic"]
+    assert found.causes[0].estimates[0].mean == pytest.approx(1.0, abs=0.05)
+    assert found.file.base_parameters["over all sets"]["f"] == pytest.approx(68.0, abs=0.5)
+
+
+def test_a_best_fit_that_is_hardly_one_is_warned_of() -> None:
+    _, model = ringing(30.0, 120.0)
+    values = np.sin(2 * np.pi * 17.3 * SAMPLES) + QUIET * np.random.default_rng(0).standard_normal(400)
+    unlike = Data(SAMPLES, values, labels=["y"], units=["V"])
+    assert any("hardly more than a constant would" in text for text in told(unlike, model, []).file.warnings)
+
+
+def test_a_fast_discrepancy_is_gap_and_not_noise() -> None:
+    data, model = ringing(30.0, 120.0, k3=4.0, off=-0.005)
+    found = told(data, model, [CUBIC, OFFSET])
+    gap = found.file.gap
+    assert set(found.cause) == {"cubic", "offset"}
+    assert gap.before**2 + gap.noise_floor**2 == pytest.approx(gap.residual_rms_before**2, rel=0.02)
+    assert gap.noise_floor == pytest.approx(QUIET, rel=0.1)
+    assert gap.after < QUIET
+    alone = next(row for row in found.table if not row.causes)
+    assert alone.gap_after == pytest.approx(gap.before, rel=0.02)
+
+
+# -- a cause that switches every sample or two -----------------------------------------------------
+
+
+def test_a_second_cause_that_is_fast_is_found() -> None:
+    t = np.arange(400.0)
+    switch = np.sign(np.sin(2.2 * t))
+
+    def both(c, times):  # type: ignore[no-untyped-def]
+        smooth = c["a"] + c["b"] * np.sin(t / 30) + c.get("slow", 0.0) * np.sin(t / 11) ** 2
+        return smooth + c.get("fast", 0.0) * switch
+
+    effects = [adds(name, name, "V", 1.0, -10.0, 10.0, 0.5, -0.5) for name in ("slow", "fast")]
+    parameters = (Parameter("a", Normal(0, 10), "V"), Parameter("b", Normal(0, 10), "V"))
+    true = {"a": 1.0, "b": 2.0, "slow": 4.0, "fast": 0.3}
+    y = both(true, t) + 0.1 * np.random.default_rng(0).standard_normal(400)
+    model = FunctionModel(both, parameters, Outputs(("y",), t))
+    found = told(Data(t, y, labels=["y"], units=["V"]), model, effects)
+    assert set(found.cause) == {"slow", "fast"}
+    for one in found.causes:
+        assert one.probability > 0.99
+        [size] = one.estimates
+        assert abs(size.mean - true[one.name]) < 4 * size.sd < 0.1
