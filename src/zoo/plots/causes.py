@@ -1,92 +1,171 @@
-"""Components of the simulator in a diagnosis: which holds the discrepancy, and what was learned of each."""
+"""Causes in a diagnosis: probabilities of components and sets, their sensitivity, learned functions."""
 
 from __future__ import annotations
 
 import math
+import textwrap
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
-from zoo.core.diagnosis.file import ComponentResult, DiagnosisFile, LearnedFunction
-from zoo.plots.style import COLOURS, DOTTED, INK, cells_of, grid_behind, new_figure, size_of
-from zoo.plots.subject import unit_words
+from zoo.core.diagnosis.file import ComponentResult, LearnedFunction
+from zoo.plots.style import COLOURS, DOTTED, INK, cells_of, grid_behind, legend_below, new_figure, size_of
+from zoo.plots.subject import leading_sets, percent, set_name
 
 if TYPE_CHECKING:
     from zoo.core.diagnosis import Diagnosis
 
-SHOWN_FUNCTIONS = 6
-"""Panels of learned functions, those of the most probable components."""
+SHOWN_SETS, SHOWN_FUNCTIONS = 7, 6
+"""Sets of causes besides that of none, and panels of learned functions, the most probable."""
 TOLD_LABELS = 40
 """Most places that are named along an axis."""
 PROBABILITY_COLOUR, SHARE_COLOUR, PRIOR_COLOUR = COLOURS[0], COLOURS[1], "#9AA5B1"
 
 
-def plot_components(d: Diagnosis) -> Figure:
-    """Probability of each component, the share of the discrepancy that it holds, and what it would leave.
+def _draw_bars(axes: Axes, names: Sequence[str], found: Sequence[float], prior: Sequence[float]) -> None:
+    """Probabilities with their numbers, each beside its prior, from the top down."""
+    rows = np.arange(len(names))
+    percents = 100.0 * np.asarray(found)
+    axes.barh(rows - 0.14, percents, color=PROBABILITY_COLOUR, height=0.44)
+    axes.barh(rows + 0.24, 100.0 * np.asarray(prior), color=PRIOR_COLOUR, height=0.24)
+    for row, value in enumerate(percents):
+        axes.annotate(
+            percent(found[row]),
+            (value, row - 0.14),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=7,
+        )
+    axes.set_yticks(rows, [textwrap.fill(name, 34, break_on_hyphens=False) for name in names])
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.set_xlim(0, 100)
+    grid_behind(axes)
+
+
+def draw_causes(figure: Figure | SubFigure, d: Diagnosis) -> None:
+    """The panels of `plot_causes`."""
+    file = d.file
+    found, sets = file.components, leading_sets(file, SHOWN_SETS)
+    heights = (max(2, len(found)), len(sets))
+    (top, shares), (bottom, gaps) = figure.subplots(
+        2, 2, sharey="row", height_ratios=heights, width_ratios=(1.7, 1.0)
+    )
+    _draw_bars(
+        top,
+        [c.name for c in found],
+        [c.probability for c in found],
+        [c.prior_probability for c in found],
+    )
+    top.set_title("components that are wrong")
+    for row, c in enumerate(found):
+        span = (100.0 * c.share.low, 100.0 * c.share.high)
+        shares.plot(span, (row, row), color=SHARE_COLOUR, lw=2.0, alpha=0.5, solid_capstyle="butt")
+        shares.plot(100.0 * c.share.mean, row, "o", color=SHARE_COLOUR, ms=5, clip_on=False)
+    low, high = shares.get_xlim()
+    shares.set_xlim(0 if low > -10 else low, max(100, high))
+    shares.set_xlabel("share of the gap's energy (%)")
+    _draw_bars(
+        bottom,
+        [set_name(row) for row in sets],
+        [row.probability for row in sets],
+        [math.exp(row.log_prior) for row in sets],
+    )
+    bottom.set_title("sets of causes")
+    bottom.set_xlabel("probability (%)")
+    for y, one in enumerate(sets):
+        if one.gap_after is not None:
+            gaps.plot(one.gap_after, y, "o", color=SHARE_COLOUR, ms=5, clip_on=False)
+        else:
+            gaps.annotate(
+                "not solved", (0.04, y), xycoords=("axes fraction", "data"), va="center", fontsize=7
+            )
+    unit = "" if file.gap.unit == "1" else f" ({file.gap.unit})"
+    gaps.axvline(file.gap.before, color=INK, lw=1.0, ls=DOTTED)
+    gaps.set_xlim(0, None)
+    gaps.set_xlabel(f"gap left by simulation{unit}")
+    for axes in (shares, gaps):
+        grid_behind(axes)
+        axes.tick_params(left=False, labelleft=False)
+    handles = [
+        Patch(color=PROBABILITY_COLOUR, label="probability"),
+        Patch(color=PRIOR_COLOUR, label="prior alone"),
+        Line2D([], [], color=INK, lw=1.0, ls=DOTTED, label="gap of the baseline"),
+    ]
+    legend_below(figure, handles, 3)
+
+
+def causes_height(d: Diagnosis) -> float:
+    """Of the panels of `plot_causes`, in inches."""
+    return 1.9 + 0.34 * (max(2, len(d.file.components)) + len(leading_sets(d.file, SHOWN_SETS)))
+
+
+def plot_causes(d: Diagnosis) -> Figure:
+    """Probabilities of the components and of the leading sets of causes, each beside its prior.
 
     Parameters
     ----------
     d : Diagnosis
-        With components.
 
     Returns
     -------
     matplotlib.figure.Figure
-        A row for each component, most probable first; shares and discrepancies with 95 % intervals. A hollow
-        dot is a component that no held-out data confirm. Components of one group, which the data cannot tell
-        apart, have one number.
+        Above, the components with their shares of the gap's energy and 95 % intervals; below, the sets and
+        that of no cause, with the gap that the simulator leaves at their modes.
     """
-    file = d.file
-    found = sorted(file.components, key=lambda c: -c.probability)
-    with new_figure((8.4, 1.5 + 0.34 * len(found))) as figure:
-        first, second, third = figure.subplots(1, 3, sharey=True)
-        rows = np.arange(len(found))
-        first.barh(rows, [100 * c.probability for c in found], color=PROBABILITY_COLOUR, height=0.55)
-        first.set_xlim(0, 100)
-        first.set_xlabel("probability (%)")
-        first.set_yticks(rows, [f"{c.name} (group {c.group})" for c in found])
-        first.set_ylim(len(found) - 0.5, -0.5)
-        for row, c in enumerate(found):
-            if c.share is not None:
-                _interval(second, row, 100 * c.share.mean, 100 * c.share.low, 100 * c.share.high, c)
-            if c.gap_after is not None:
-                low, high = c.gap_after_interval or (c.gap_after, c.gap_after)
-                _interval(third, row, c.gap_after, low, high, c)
-        second.set_xlim(0, 100)
-        second.set_xlabel("share of the discrepancy (%)")
-        third.axvline(file.gap.before, color=INK, lw=1.0, ls=DOTTED)
-        third.set_xlim(0, None)
-        third.set_xlabel(f"discrepancy it leaves{f' ({file.gap.unit})' if file.gap.unit != '1' else ''}")
-        for axes in (first, second, third):
-            grid_behind(axes)
-        third.set_title(f"dotted: the baseline, {file.gap.before:.2g}{unit_words(file.gap.unit)}", fontsize=8)
+    with new_figure((8.4, causes_height(d))) as figure:
+        draw_causes(figure, d)
     return figure
 
 
-def _interval(axes: Axes, row: int, mean: float, low: float, high: float, c: ComponentResult) -> None:
-    held = c.held_out
-    axes.plot((low, high), (row, row), color=SHARE_COLOUR, lw=2.0, alpha=0.5, solid_capstyle="butt")
-    hollow = held is not None and not held.found
-    axes.plot(mean, row, "o", color=SHARE_COLOUR, mfc="white" if hollow else SHARE_COLOUR, ms=6)
-
-
-def learned_functions(file: DiagnosisFile) -> list[tuple[ComponentResult, LearnedFunction]]:
-    """The functions that are drawn: those of the most probable components, each with its component."""
-    found = [
-        (c, f) for c in sorted(file.components, key=lambda c: -c.probability) for f in c.functions if f.mean
-    ]
-    return found[:SHOWN_FUNCTIONS]
-
-
-def plot_functions(d: Diagnosis) -> Figure:
-    """What was learned of the most probable components: each function with its 95 % band and its prior's.
+def plot_sensitivity(d: Diagnosis) -> Figure:
+    """Probability of no cause, and that each component is wrong, under each prior.
 
     Parameters
     ----------
     d : Diagnosis
-        With components.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A row for each component: a bar under the stated prior, and a dot under each other one.
+    """
+    stated, *others = d.file.sensitivity
+    names = ["no cause", *(c.name for c in d.file.components)]
+    rows = np.arange(len(names))
+    offsets = np.linspace(-0.36, 0.36, len(others))
+    with new_figure((8.4, 1.5 + 0.5 * len(names))) as figure:
+        axes = figure.subplots()
+        for k, one in enumerate((stated, *others)):
+            values = [100.0 * x for x in (one.nothing, *(one.components[name] for name in names[1:]))]
+            if one is stated:
+                axes.barh(rows, values, color="#DDE2E8", height=0.86, label=one.prior)
+                continue
+            axes.plot(
+                values, rows + offsets[k - 1], "o", color=COLOURS[(k - 1) % len(COLOURS)], ms=4.5,
+                clip_on=False, zorder=3, label=one.prior,
+            )  # fmt: skip
+        axes.set_yticks(rows, names)
+        axes.set_ylim(len(names) - 0.4, -0.6)
+        axes.set_xlim(0, 100)
+        axes.set_xlabel("probability that the component is wrong (%)")
+        grid_behind(axes)
+        legend_below(figure, axes.get_legend_handles_labels()[0], 3)
+    return figure
+
+
+def plot_functions(d: Diagnosis) -> Figure:
+    """What was learned of components: the most probable functions with their 95 % bands and their priors'.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        With learned functions.
 
     Returns
     -------
@@ -94,7 +173,8 @@ def plot_functions(d: Diagnosis) -> Figure:
         A panel for each function, at most `SHOWN_FUNCTIONS`; the grey strip is 1.96 standard deviations of
         the prior, and 0 is the baseline.
     """
-    shown = learned_functions(d.file)
+    found = [(c, f) for c in d.file.components for f in c.functions]
+    shown = sorted(found, key=lambda pair: -pair[1].probability)[:SHOWN_FUNCTIONS]
     with new_figure(size_of(len(shown), 2, 4.3, 2.7, more=0.4)) as figure:
         for [axes], (component, function) in zip(cells_of(figure, len(shown), 2), shown, strict=True):
             _draw_function(axes, component, function)
@@ -103,7 +183,7 @@ def plot_functions(d: Diagnosis) -> Figure:
 
 def _draw_function(axes: Axes, component: ComponentResult, f: LearnedFunction) -> None:
     mean, low, high = (np.asarray(values) for values in (f.mean, f.low, f.high))
-    prior = 1.96 * np.asarray(f.prior_sd or np.full(len(mean), math.nan))
+    prior = 1.96 * np.asarray(f.prior_sd)
     axes.axhline(0.0, color="#888888", lw=0.7)
     if f.labels:
         x = np.arange(len(mean), dtype=float)
@@ -123,9 +203,8 @@ def _draw_function(axes: Axes, component: ComponentResult, f: LearnedFunction) -
         axes.fill_between(x, low[order], high[order], color=PROBABILITY_COLOUR, alpha=0.3, lw=0)
         axes.plot(x, mean[order], color=PROBABILITY_COLOUR, lw=1.4)
         axes.set_xlabel(_labelled(argument, unit))
-    axes.set_ylabel(_labelled(f.name.replace("-", " "), f.unit))
-    own = "" if f.probability is None else f", {100 * f.probability:.0f} % of it this"
-    axes.set_title(f"{component.name} {100 * component.probability:.0f} %{own}")
+    axes.set_ylabel(_labelled(f.name.replace("-", " "), f.unit), fontsize="small")
+    axes.set_title(f"{component.name}: this function {percent(f.probability)}")
 
 
 def _labelled(text: str, unit: str) -> str:

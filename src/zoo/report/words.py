@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from zoo.plots.subject import percent
+
 
 def listed(names: Iterable[Any]) -> str:
     """Such as "A, B and C"."""
@@ -32,12 +34,6 @@ def span(value: float, interval: Sequence[float]) -> str:
 def spanned(x: Any) -> str:
     """The same of what has a mean, a low and a high end."""
     return span(x.mean, (x.low, x.high))
-
-
-def percent(share: float) -> str:
-    """A share in percent; "<1 %" for what is little but not nothing."""
-    text = f"{100 * share:.0f}"
-    return f"{'<1' if text == '0' and share > 0 else text} %"
 
 
 def estimate(mean: float, sd: float, unit: str = "1") -> str:
