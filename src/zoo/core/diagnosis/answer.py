@@ -455,9 +455,13 @@ def _verdict(file: DiagnosisFile, leader: Sequence[str]) -> str:
             f"{gap.before:.2g}{unit} that nothing here explains"
         )
     named = ", ".join(f"{c.name} {c.probability:.0%}" for c in wrong)
-    best = file.sets[0] if file.sets[0].causes else next(row for row in file.sets if row.causes)
-    by = " and ".join(leader or best.causes)
-    left = f"{by} ({best.probability:.0%}) takes the gap of {gap.before:.2g}{unit} to {gap.after:.2g}{unit}"
+    held = [row for row in file.sets if row.causes]
+    best = next((row for row in held if row.solved), held[0])  # the leading set, where one leads
+    by, after = (
+        " and ".join(best.causes),
+        gap.after if leader else (best.gap_after if best.gap_after is not None else gap.after),
+    )
+    left = f"{by} ({best.probability:.0%}) takes the gap of {gap.before:.2g}{unit} to {after:.2g}{unit}"
     if not wrong:
         others = ", ".join(f"{c.name} {c.probability:.0%}" for c in file.components[:3])
         return f"these data do not decide (nothing {nothing:.0%}; {others}): most probable is that {left}"
