@@ -151,25 +151,22 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     """What the screen shows of a diagnosis."""
     from rich.text import Text
 
+    from zoo.report import diagnosis as told
     from zoo.report import tables
-    from zoo.report.diagnosis import (
-        diagnosis_summary,
-        next_measurement_words,
-        total_seconds,
-        where_sentences,
-    )
-    from zoo.report.words import maybe, with_error
 
-    verdict, *rest = diagnosis_summary(file)
-    lines: list[Any] = [Text(verdict, style="bold"), *rest, *where_sentences(file), ""]
+    verdict, *rest = told.diagnosis_summary(file)
+    lines: list[Any] = [Text(verdict, style="bold"), *rest, *told.where_sentences(file), ""]
     sets, found = tables.sets_table(file, LEADING), tables.components_table(file)
     causes = tables.causes_table(file)
-    shown = sum(c.probability >= PROBABLE for c in file.causes)
+    shown, sampled = sum(c.probability >= PROBABLE for c in file.causes), tables.posteriors_table(file)
     for table in (
         sets.only("causes", "probability", "prior", "log evidence", sets.heads[5]),
         found.only("component", "probability", "prior alone", "other priors", "share of the gap"),
         causes.only("cause", "probability", "prior alone", "size", "place", first=shown),
+        sampled.only(*sampled.heads[:4]),
     ):
+        if not table.rows:
+            continue
         drawn = plain_table(*table.heads, numbers=table.numbers, title=table.name)
         for row in table.rows:
             drawn.add_row(*row, style="bold" if row[0] in file.cause else None)
@@ -177,15 +174,8 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     if file.next_measurement is not None:
         m = file.next_measurement
         lines.append(
-            f"next measurement: {next_measurement_words(file)}, which tells "
+            f"next measurement: {told.next_measurement_words(file)}, which tells "
             f"{m.separates[0]} from {m.separates[1]} (expected log odds up to {m.expected_log_odds:.1f})"
         )
-    for name, row in (file.posteriors or {}).items():
-        converged = "converged" if row["converged"] else "not converged, see report.html"
-        lines.append(
-            f"posterior of {name}: log marginal likelihood "
-            f"{with_error(row['log_marginal_likelihood'], row['log_marginal_likelihood_se'])}, "
-            f"elpd (WAIC) {maybe(row['elpd_waic'])}; {converged}"
-        )
-    lines.append(f"{file.record['solves']} solves, {total_seconds(file.record):.0f} s in all")
+    lines.append(f"{file.record['solves']} solves, {told.total_seconds(file.record):.0f} s in all")
     return [Text(line) if isinstance(line, str) else line for line in lines]

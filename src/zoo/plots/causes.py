@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -22,46 +21,42 @@ if TYPE_CHECKING:
 
 SHOWN_SETS, SHOWN_FUNCTIONS = 7, 6
 """Sets of causes besides that of none, and panels of learned functions, the most probable."""
-TOLD_LABELS = 40
-"""Most places that are named along an axis."""
+TOLD_LABELS, MOST_WIDE = 40, 34
+"""Most places that are named along an axis, and most letters of a line of a set's name."""
 PROBABILITY_COLOUR, SHARE_COLOUR, PRIOR_COLOUR = COLOURS[0], COLOURS[1], "#9AA5B1"
 
 
-def _draw_bars(axes: Axes, names: Sequence[str], found: Sequence[float], prior: Sequence[float]) -> None:
-    """Probabilities with their numbers, each beside its prior, from the top down."""
-    rows = np.arange(len(names))
-    percents = 100.0 * np.asarray(found)
-    axes.barh(rows - 0.14, percents, color=PROBABILITY_COLOUR, height=0.44)
-    axes.barh(rows + 0.24, 100.0 * np.asarray(prior), color=PRIOR_COLOUR, height=0.24)
-    for row, value in enumerate(percents):
-        axes.annotate(
-            percent(found[row]),
-            (value, row - 0.14),
-            xytext=(4, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=7,
-        )
-    axes.set_yticks(rows, [textwrap.fill(name, 34, break_on_hyphens=False) for name in names])
-    axes.set_ylim(len(names) - 0.4, -0.6)
+def _draw_bars(axes: Axes, bars: Sequence[tuple[str, float, float]]) -> None:
+    """Name, probability and prior of each, from the top down; the probability with its number."""
+    for row, (_, probability, prior) in enumerate(bars):
+        axes.barh(row - 0.14, 100.0 * probability, color=PROBABILITY_COLOUR, height=0.44)
+        axes.barh(row + 0.24, 100.0 * prior, color=PRIOR_COLOUR, height=0.24)
+        at, text = (100.0 * probability, row - 0.14), percent(probability)
+        axes.annotate(text, at, xytext=(4, 0), textcoords="offset points", va="center", fontsize=7)
+    axes.set_yticks(range(len(bars)), [_folded(name) for name, *_ in bars])
+    axes.set_ylim(len(bars) - 0.4, -0.6)
     axes.set_xlim(0, 100)
     grid_behind(axes)
+
+
+def _folded(name: str) -> str:
+    """A set's name in lines that end between its causes."""
+    first, *rest = name.split(" + ")
+    lines = [first]
+    for cause in rest:
+        longer = f"{lines[-1]} + {cause}"
+        lines = [*lines[:-1], longer] if len(longer) <= MOST_WIDE else [*lines, f"+ {cause}"]
+    return "\n".join(lines)
 
 
 def draw_causes(figure: Figure | SubFigure, d: Diagnosis) -> None:
     """The panels of `plot_causes`."""
     file = d.file
     found, sets = file.components, leading_sets(file, SHOWN_SETS)
-    heights = (max(2, len(found)), len(sets))
-    (top, shares), (bottom, gaps) = figure.subplots(
-        2, 2, sharey="row", height_ratios=heights, width_ratios=(1.7, 1.0)
-    )
-    _draw_bars(
-        top,
-        [c.name for c in found],
-        [c.probability for c in found],
-        [c.prior_probability for c in found],
-    )
+    heights, widths = (max(2, len(found)), len(sets)), (1.7, 1.0)
+    grid = figure.subplots(2, 2, sharey="row", height_ratios=heights, width_ratios=widths)
+    (top, shares), (bottom, gaps) = grid
+    _draw_bars(top, [(c.name, c.probability, c.prior_probability) for c in found])
     top.set_title("components that are wrong")
     for row, c in enumerate(found):
         span = (100.0 * c.share.low, 100.0 * c.share.high)
@@ -70,12 +65,7 @@ def draw_causes(figure: Figure | SubFigure, d: Diagnosis) -> None:
     low, high = shares.get_xlim()
     shares.set_xlim(0 if low > -10 else low, max(100, high))
     shares.set_xlabel("share of the gap's energy (%)")
-    _draw_bars(
-        bottom,
-        [set_name(row) for row in sets],
-        [row.probability for row in sets],
-        [math.exp(row.log_prior) for row in sets],
-    )
+    _draw_bars(bottom, [(set_name(row), row.probability, math.exp(row.log_prior)) for row in sets])
     bottom.set_title("sets of causes")
     bottom.set_xlabel("probability (%)")
     for y, one in enumerate(sets):

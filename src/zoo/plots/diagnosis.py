@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
-from zoo.core.diagnosis.file import SeriesGap, unit_suffix
+from zoo.core.diagnosis.file import unit_suffix
 from zoo.plots.causes import causes_height, draw_causes
 from zoo.plots.style import (
     COLOURS,
@@ -96,18 +96,13 @@ def _draw_discrepancy(figure: Figure | SubFigure, d: Diagnosis) -> None:
             bottom.plot(times, mean, color=colour, lw=1.2, zorder=3, label=label)
         group = data.groups[i]
         label = data.labels[i].removesuffix(f" {group}")
-        top.set_title(f"{label}: {_shrinks(row, bool(causes))}", pad=24)
+        after = f" to {row.after.mean:.2g}" if causes else ""
+        top.set_title(f"{label}: gap {row.before.mean:.2g}{after}{unit_words(row.unit)}", pad=24)
         top.set_ylabel(QUANTITY_LABELS.get(group, f"{group} ({data.units[i]})"))
         top.tick_params(labelbottom=False)
         bottom.set_ylabel("gap" if row.unit == "1" else f"gap ({row.unit})")
         bottom.set_xlabel("time in the beat (ms)" if beat else f"time ({data.time_unit})")
     legend_below(figure, handles_of(*cells[0]), 3)
-
-
-def _shrinks(row: SeriesGap, cause: bool) -> str:
-    """Such as "gap 0.25 to 0.01 mmHg"."""
-    after = f" to {row.after.mean:.2g}" if cause else ""
-    return f"gap {row.before.mean:.2g}{after}{unit_words(row.unit)}"
 
 
 def _discrepancy_size(d: Diagnosis) -> tuple[float, float]:

@@ -134,4 +134,5 @@ def draw_locations(axes: Axes, d: Diagnosis) -> None:
     """Locations with the probability that a listed effect acts there, for data that are not of a tree."""
     shares = {location_of(p): p.probability for p in d.file.where.place}
     draw_shares(axes, shares, "location", LOCATION_COLOURS[1])
+    axes.set_ylim(max(len(shares), 6) - 0.4, -0.6)
     axes.set_xlabel("probability that an effect acts there (%)")

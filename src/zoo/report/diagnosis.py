@@ -11,6 +11,7 @@ from zoo.core.diagnosis import DiagnosisFile
 from zoo.core.diagnosis.file import StateFile
 from zoo.core.outputs import output_folder
 from zoo.plots import (
+    QUANTITY_LABELS,
     plot_causes,
     plot_diagnosis,
     plot_discrepancy,
@@ -21,10 +22,10 @@ from zoo.plots import (
     save_figure,
 )
 from zoo.plots.impedance import impedance_figure, impedances_of
-from zoo.plots.subject import TOLD, study_of, unit_words
+from zoo.plots.subject import TOLD, percent, study_of, unit_words
 from zoo.report import tables
 from zoo.report.page import picture_of, write_page
-from zoo.report.words import listed, percent, settings_text, span, value_text
+from zoo.report.words import listed, settings_text, span, value_text
 
 if TYPE_CHECKING:
     from zoo.core.diagnosis import Diagnosis
@@ -89,7 +90,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
         title=f"What {file.base} misses in {file.study}",
         file=file,
         study=study_of(diagnosis),
-        next=_next_words(file),
+        next=next_measurement_words(file),
         summary=diagnosis_summary(file),
         facts=_diagnosis_facts(diagnosis),
         where=where_sentences(file),
@@ -171,7 +172,7 @@ def diagnosis_summary(file: DiagnosisFile) -> list[str]:
 
 
 def next_measurement_words(file: DiagnosisFile) -> str:
-    """What to measure next: such as "flow_ml_s in vessel 5 at 0.5"; empty where nothing would tell.
+    """What to measure next: such as "flow in vessel 5 at 0.5 of its length"; empty where nothing would tell.
 
     Parameters
     ----------
@@ -181,21 +182,11 @@ def next_measurement_words(file: DiagnosisFile) -> str:
     -------
     str
     """
-    if file.next_measurement is None:
-        return ""
-    words = file.next_measurement.model_extra or {}
+    words = {} if file.next_measurement is None else file.next_measurement.model_extra or {}
     if {"quantity", "vessel", "position"} <= set(words):
-        return f"{words['quantity']} in vessel {words['vessel']} at {words['position']:g}"
+        quantity = QUANTITY_LABELS[words["quantity"]].partition(" (")[0]
+        return f"{quantity} in vessel {words['vessel']} at {words['position']:g} of its length"
     return ", ".join(f"{name} {value_text(value)}" for name, value in words.items())
-
-
-def _next_words(file: DiagnosisFile) -> str:
-    """The same as the beginning of a sentence."""
-    words = next_measurement_words(file)
-    for quantity, name in (("pressure_mmHg", "Pressure"), ("flow_ml_s", "Flow")):
-        if words.startswith(f"{quantity} in vessel"):
-            return words.replace(quantity, name, 1) + " of its length"
-    return words[:1].upper() + words[1:]
 
 
 def _diagnosis_facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:

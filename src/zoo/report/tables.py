@@ -16,9 +16,9 @@ from zoo.core.diagnosis.file import (
     LocationShare,
     SetResult,
 )
-from zoo.plots.subject import TOLD, leading_sets, location_of, set_name, unit_words
+from zoo.plots.subject import TOLD, leading_sets, location_of, percent, set_name, unit_words
 from zoo.report.parameters import MEANINGS
-from zoo.report.words import estimate, listed, maybe, percent, span, spanned, with_error
+from zoo.report.words import estimate, listed, span, spanned, with_error
 
 SHOWN_SETS, SHOWN_PLACES = 12, 3
 """Sets of causes, and places of an effect, that are told."""
@@ -28,7 +28,6 @@ class Table(NamedTuple):
     """Cells in words; columns whose heads are among `numbers` stand at the right."""
 
     name: str
-    caption: str
     heads: tuple[str, ...]
     numbers: tuple[str, ...]
     rows: list[list[str]]
@@ -67,12 +66,6 @@ def sets_table(file: DiagnosisFile, most: int = SHOWN_SETS) -> Table:
 
     return Table(
         "sets of causes",
-        "Sets of causes, most probable first, and that of none. Prior: probability before the data. Log"
-        " evidence (natural logarithm of the marginal likelihood) beside that of no cause; prior times "
-        "evidence, normalised over all sets, is the probability. Gap left: root mean square that the "
-        "simulator leaves beyond the noise at the set's mode. A set that was not solved is weighed by "
-        "the linear model, with its error. After a cause @3 is its place, @3+ the place and all below "
-        "it, and in brackets the correlation length of a free function.",
         ("causes", "components", "prior", "log evidence", "probability", left, "solved"),
         ("prior", "log evidence", "probability", left, "solved"),
         [cells(row) for row in leading_sets(file, most)],
@@ -98,11 +91,6 @@ def components_table(file: DiagnosisFile) -> Table:
     numbers = ("probability", "prior alone", "other priors", "share of the gap", "any of them")
     return Table(
         "components of the simulator",
-        "Probability that a component is wrong, by a listed effect or a free function; beside it what "
-        "the prior alone gives, and the least and most under the priors of the sensitivity table. "
-        "Share: part of the gap's energy that its causes make, 0 in sets without it, with 95 % "
-        "intervals. A component that cannot be told from others stands for them all: the last column is"
-        " the probability that any of them is wrong.",
         ("component", *numbers[:4], "cannot be told from", numbers[4]),
         numbers,
         [cells(c) for c in file.components],
@@ -126,9 +114,6 @@ def causes_table(file: DiagnosisFile) -> Table:
 
     return Table(
         "effects and free functions",
-        "Listed effects and free functions of the components, most probable first. Size, with its 95 % "
-        "interval, and places are given that the effect is there, and are missing where no probable set"
-        " holds it.",
         ("cause", "component", "probability", "prior alone", "size", "place", "is"),
         ("probability", "prior alone"),
         [cells(c) for c in file.causes],
@@ -163,8 +148,6 @@ def functions_table(file: DiagnosisFile) -> Table:
 
     return Table(
         "learned functions",
-        "Learned functions where they are largest, with 95 % intervals, from the most probable set that"
-        " holds each; and the size that the prior expects.",
         ("function", "component", "probability", "largest at", "value", "prior size"),
         ("probability", "value", "prior size"),
         [cells(c.name, f) for c in file.components for f in c.functions],
@@ -177,9 +160,6 @@ def sensitivity_table(file: DiagnosisFile) -> Table:
     rows = [[row.nothing, *(row.components[name] for name in heads[1:])] for row in file.sensitivity]
     return Table(
         "sensitivity to priors",
-        "Probability of no cause, and that each component is wrong, under other priors: of the odds "
-        "that a component is wrong, of the size and odds of the unexplained discrepancy, and of what a "
-        "cause leaves unexplained since it is but a caricature. Nothing is solved again.",
         ("prior", *heads),
         heads,
         [[one.prior, *map(percent, row)] for one, row in zip(file.sensitivity, rows, strict=True)],
@@ -191,9 +171,6 @@ def series_table(file: DiagnosisFile) -> Table:
     numbers = ("gap before", "gap after", "removed", "noise", "residual before", "residual after")
     return Table(
         "gap in each series",
-        "Gap in each observed series, in its unit: root mean square of the truth beyond the baseline, "
-        "and beyond the leading set of causes, with 95 % intervals. Beside it the noise (standard "
-        "deviation) and the root mean square of the whole residual.",
         ("series", "unit", *numbers),
         numbers,
         [
@@ -226,10 +203,6 @@ def states_table(file: DiagnosisFile) -> Table:
     left = f"left{_in(file.gap.unit)}"
     return Table(
         "other states",
-        "What is left in other states beyond the noise, the baseline's own parameters fitted again: "
-        f"what was learned in {file.study} is fixed there. It holds if it leaves less than nine tenths "
-        "of what both the baseline and the discrepancy that was seen at the sensor leave, in 97.5 % of "
-        "draws of the parts of the series.",
         ("state", "explanation", "fixed", left, "holds"),
         (left,),
         rows,
@@ -255,9 +228,6 @@ def parameters_table(file: DiagnosisFile) -> Table:
     numbers = ("baseline", "over all sets", "shift", "shift / sd")
     return Table(
         "parameters of the baseline",
-        "Parameters of the baseline without a cause, and over all sets of causes with their "
-        "probabilities, ± standard deviation. The last column is the shift in standard deviations of "
-        "the first: the bias that the missing effect had put there.",
         ("parameter", "is", "unit", *numbers),
         numbers,
         rows,
@@ -265,33 +235,19 @@ def parameters_table(file: DiagnosisFile) -> Table:
 
 
 def posteriors_table(file: DiagnosisFile) -> Table:
-    """Sampled posteriors, the largest marginal likelihood first, which may be missing."""
+    """Sampled posteriors of the baseline and the leading sets of listed effects."""
     numbers = ("log marginal likelihood ± SE", "elpd (WAIC)", "difference ± SE", "elpd (PSIS-LOO)")
-
-    def worth(name: str) -> float:
-        value = (file.posteriors or {})[name]["log_marginal_likelihood"]
-        return -math.inf if value is None else float(value)
-
-    rows = []
-    for name in sorted(file.posteriors or {}, key=worth, reverse=True):
-        one = (file.posteriors or {})[name]
-        rows.append(
-            [
-                name,
-                "yes" if one["converged"] else "no",
-                with_error(one["log_marginal_likelihood"], one["log_marginal_likelihood_se"]),
-                maybe(one["elpd_waic"]),
-                with_error(one["elpd_waic_difference"], one["elpd_waic_difference_se"]),
-                maybe(one["elpd_loo"]),
-                ", ".join(f"{k} {estimate(v['mean'], v['sd'])}" for k, v in one["parameters"].items()),
-            ]
-        )
-    return Table(
-        "sampled posteriors",
-        "The baseline and the leading sets of listed effects sampled in PyMC, largest marginal "
-        "likelihood first. Log scale, higher is better; differences of expected log predictive density "
-        "to the best by WAIC.",
-        ("set", "converged", *numbers, "parameters: mean ± sd"),
-        numbers,
-        rows,
-    )
+    rows = [
+        [
+            name,
+            "yes" if one["converged"] else "no",
+            with_error(one["log_marginal_likelihood"], one["log_marginal_likelihood_se"]),
+            with_error(one["elpd_waic"], None),
+            with_error(one["elpd_waic_difference"], one["elpd_waic_difference_se"]),
+            with_error(one["elpd_loo"], None),
+            ", ".join(f"{k} {estimate(v['mean'], v['sd'])}" for k, v in one["parameters"].items()),
+        ]
+        for name, one in (file.posteriors or {}).items()
+    ]
+    heads = ("set", "converged", *numbers, "parameters: mean ± sd")
+    return Table("sampled posteriors", heads, numbers, rows)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from zoo.plots.subject import percent
-
 
 def listed(names: Iterable[Any]) -> str:
     """Such as "A, B and C"."""
@@ -19,11 +17,6 @@ def with_error(value: float | None, error: float | None) -> str:
     if value is None:
         return "–"
     return f"{value:.1f}" if error is None else f"{value:.1f} ± {error:.1f}"
-
-
-def maybe(value: float | None) -> str:
-    """A number that may be missing."""
-    return with_error(value, None)
 
 
 def span(value: float, interval: Sequence[float]) -> str:
@@ -64,8 +57,5 @@ def value_text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-FILTERS = {
-    function.__name__: function
-    for function in (listed, with_error, maybe, spanned, percent, estimate, number, capital)
-}
+FILTERS = {function.__name__: function for function in (with_error, number, capital)}
 """What the templates write them with."""
