@@ -457,10 +457,8 @@ def _verdict(file: DiagnosisFile, leader: Sequence[str]) -> str:
     named = ", ".join(f"{c.name} {c.probability:.0%}" for c in wrong)
     held = [row for row in file.sets if row.causes]
     best = next((row for row in held if row.solved), held[0])  # the leading set, where one leads
-    by, after = (
-        " and ".join(best.causes),
-        gap.after if leader else (best.gap_after if best.gap_after is not None else gap.after),
-    )
+    by = " and ".join(best.causes)
+    after = gap.after if leader or best.gap_after is None else best.gap_after
     left = f"{by} ({best.probability:.0%}) takes the gap of {gap.before:.2g}{unit} to {after:.2g}{unit}"
     if not wrong:
         others = ", ".join(f"{c.name} {c.probability:.0%}" for c in file.components[:3])
