@@ -84,12 +84,9 @@ def test_a_bar_of_each_component_and_set_stands_beside_its_prior(three: Diagnosi
 
 
 def test_the_name_of_a_set_ends_its_lines_between_causes() -> None:
-    assert (
-        causes._folded("law (1 K) + push (0.12 s) + own (0.12 s)")
-        == "law (1 K) + push (0.12 s)\n+ own (0.12 s)"
-    )
-    long = "a-cause-whose-name-is-longer-than-a-line"
-    assert causes._folded(f"{long} + b") == f"{long}\n+ b"
+    assert causes._folded("law (1 K) + push (0.12 s)") == "law (1 K) + push (0.12 s)"
+    long = "a-cause-whose-name-is-longer-than-a-whole-line (2 s)"
+    assert causes._folded(f"{long} + b + c") == f"{long}\n+ b + c"
 
 
 def test_a_dot_of_each_component_under_each_other_prior(three: Diagnosis) -> None:

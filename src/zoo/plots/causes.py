@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 
 SHOWN_SETS, SHOWN_FUNCTIONS = 7, 6
 """Sets of causes besides that of none, and panels of learned functions, the most probable."""
-TOLD_LABELS, MOST_WIDE = 40, 34
+TOLD_LABELS, MOST_WIDE = 40, 44
 """Most places that are named along an axis, and most letters of a line of a set's name."""
+ROW, SET_ROW = 0.34, 0.46
+"""Heights of a component and of a set, in inches: names of sets may have three lines."""
 PROBABILITY_COLOUR, SHARE_COLOUR, PRIOR_COLOUR = COLOURS[0], COLOURS[1], "#9AA5B1"
 
 
@@ -33,7 +35,7 @@ def _draw_bars(axes: Axes, bars: Sequence[tuple[str, float, float]]) -> None:
         axes.barh(row + 0.24, 100.0 * prior, color=PRIOR_COLOUR, height=0.24)
         at, text = (100.0 * probability, row - 0.14), percent(probability)
         axes.annotate(text, at, xytext=(4, 0), textcoords="offset points", va="center", fontsize=7)
-    axes.set_yticks(range(len(bars)), [_folded(name) for name, *_ in bars])
+    axes.set_yticks(range(len(bars)), [_folded(name) for name, *_ in bars], fontsize="small")
     axes.set_ylim(len(bars) - 0.4, -0.6)
     axes.set_xlim(0, 100)
     grid_behind(axes)
@@ -53,7 +55,7 @@ def draw_causes(figure: Figure | SubFigure, d: Diagnosis) -> None:
     """The panels of `plot_causes`."""
     file = d.file
     found, sets = file.components, leading_sets(file, SHOWN_SETS)
-    heights, widths = (max(2, len(found)), len(sets)), (1.7, 1.0)
+    heights, widths = (ROW * max(2, len(found)), SET_ROW * len(sets)), (1.7, 1.0)
     grid = figure.subplots(2, 2, sharey="row", height_ratios=heights, width_ratios=widths)
     (top, shares), (bottom, gaps) = grid
     _draw_bars(top, [(c.name, c.probability, c.prior_probability) for c in found])
@@ -92,7 +94,7 @@ def draw_causes(figure: Figure | SubFigure, d: Diagnosis) -> None:
 
 def causes_height(d: Diagnosis) -> float:
     """Of the panels of `plot_causes`, in inches."""
-    return 1.9 + 0.34 * (max(2, len(d.file.components)) + len(leading_sets(d.file, SHOWN_SETS)))
+    return 1.9 + ROW * max(2, len(d.file.components)) + SET_ROW * len(leading_sets(d.file, SHOWN_SETS))
 
 
 def plot_causes(d: Diagnosis) -> Figure:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zoo.core.diagnosis import DiagnosisFile
+from zoo.core.diagnosis.answer import WRONG
 from zoo.core.diagnosis.file import StateFile
 from zoo.core.outputs import output_folder
 from zoo.plots import (
@@ -160,7 +161,7 @@ def diagnosis_summary(file: DiagnosisFile) -> list[str]:
         for c in file.components
         if c.confounded
     ]
-    if file.missed >= TOLD:
+    if file.missed >= TOLD and file.linear_error <= WRONG:  # else a warning says so
         lines.append(
             f"Sets of causes that were not solved by simulation may hold up to {percent(file.missed)} of the "
             f"probability: the linear model gives their log evidence to {file.linear_error:.1f}."
