@@ -192,6 +192,7 @@ def plot_diagnosis(d: Diagnosis) -> Figure:
         left, right = parts(bottom, 1, 2, width_ratios=(1, 1.1))
         draw_causes(left, d)
         _draw_where(right, d)
-        title = f"{d.file.study}, baseline {d.file.base}. {d.file.verdict}"
+        doubt = "" if d.file.decided else " (not decided: see the warnings)"
+        title = f"{d.file.study}, baseline {d.file.base}. {d.file.verdict}{doubt}"
         figure.suptitle(textwrap.fill(title, 150), x=0.01, ha="left", parse_math=False)
     return figure

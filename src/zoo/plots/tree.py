@@ -69,7 +69,7 @@ def draw_tree(axes: Axes, d: Diagnosis, study: Study) -> None:
         else:
             vessel_id = int(share.part)
             for v in _below(vessels, vessel_id) if share.subtree else {vessel_id}:
-                probability[v] = min(1.0, probability[v] + share.probability)
+                probability[v] += share.probability
     colours = mpl.colors.LinearSegmentedColormap.from_list("locations", LOCATION_COLOURS)
     layout = tree_layout(vessels)
     sensors = dict.fromkeys((s.vessel, s.position) for s in study.series)
