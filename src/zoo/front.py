@@ -25,7 +25,7 @@ diagnosis.Diagnosis.plotter = staticmethod(_plot)  # the core draws nothing itse
 
 
 def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
-    """Find where a baseline model misses data, which unmodelled effect explains it, and how well.
+    """Find where a baseline model misses data, which unmodelled causes explain it, and how well.
 
     Parameters
     ----------
@@ -33,14 +33,14 @@ def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
         What was measured: a study of blood flow (`zoo.load_study`), or series of anything else.
     *arguments, **settings
         For a study those of `zoo.blood.diagnosis.diagnose`: the baseline's name or the letter of a
-        model with that structure, `effects`, `max_effects` and so on. For other data those of
+        model with that structure, `effects`, `states` and so on. For other data those of
         `zoo.core.diagnosis.diagnose`: the forward model, the effects, `errors`, `hooks` and so on.
 
     Returns
     -------
     Diagnosis
-        `print` shows the verdict; `where`, `cause`, `shrinkage` and `hypotheses` say more, `plot()` draws it
-        on one page, `with_posteriors()` samples the posteriors of the leading explanations.
+        `print` shows the verdict; `table`, `components`, `causes`, `where` and `shrinkage` say more, `plot()`
+        draws it on one page, `with_posteriors()` samples the posteriors of the leading sets of effects.
 
     Raises
     ------

@@ -75,14 +75,14 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def three(made_once: Callable[[str, Callable[[], Any]], Any]) -> StudyDiagnosis:
     """Two pressures and a flow."""
     study = made((1, 0.0, "pressure_mmHg"), (4, 0.5, "pressure_mmHg"), (3, 0.5, "flow_ml_s"))
-    return made_once("three", lambda: diagnose(study, effects=TRIED))
+    return made_once("three", lambda: diagnose(study, effects=TRIED, component_sizes=0.0))
 
 
 @pytest.fixture(scope="session")
 def one(made_once: Callable[[str, Callable[[], Any]], Any]) -> StudyDiagnosis:
     """One pressure."""
     study = made((1, 0.0, "pressure_mmHg"))
-    return made_once("one", lambda: diagnose(study, effects=TRIED[:2], max_effects=1))
+    return made_once("one", lambda: diagnose(study, effects=TRIED[:2], component_sizes=0.0))
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,15 +59,17 @@ def cups() -> Diagnosis:
     values = values + 0.02 * np.random.default_rng(1).standard_normal(values.shape)
     data = Data(TIMES, values, ("one", "two"), ("K", "K"), ("T", "T"), time_unit="min", name="cups")
     found = zoo.diagnose(data, MODEL, [drift])
-    wanted = NextMeasurement(separates=("drift", "no-gap"), expected_log_odds=2.5, body="two", depth=0.25)
-    return replace(found, file=found.file.model_copy(update={"next_measurement": wanted}))
+    wanted = NextMeasurement(
+        separates=("drift @two", "nothing"), expected_log_odds=2.5, body="two", depth=0.25
+    )
+    return found.with_file(next_measurement=wanted)
 
 
 def test_the_whole_is_drawn_with_the_words_of_the_data(cups: Diagnosis) -> None:
     found = texts(cups.plot())
     row = cups.file.gap.per_series[1]
-    assert f"two: discrepancy {row.before.mean:.2g} to {row.after.mean:.2g} K" in found
-    assert {"T (K)", "discrepancy (K)", "time (min)", "phase", "first quarter", "drift, body two"} <= found
+    assert f"two: gap {row.before.mean:.2g} to {row.after.mean:.2g} K" in found
+    assert {"T (K)", "gap (K)", "time (min)", "phase", "first quarter", "drift @two"} <= found
     assert not {text for text in found if "beat" in text or "vessel" in text or "mmHg" in text}
 
 
@@ -85,7 +86,7 @@ def test_locations_are_bars_where_there_is_no_tree(cups: Diagnosis) -> None:
         LocationShare(part=None, subtree=False, probability=0.25, noun="body"),
     ]
     where = cups.file.where.model_copy(update={"place": shares})
-    figure = plots.plot_where(replace(cups, file=cups.file.model_copy(update={"where": where})))
+    figure = plots.plot_where(cups.with_file(where=where))
     axes = next(a for a in figure.axes if a.get_title(loc="left") == "location")
     assert [label.get_text() for label in axes.get_yticklabels()] == ["body two", "everywhere"]
     assert [bar.get_width() for bar in axes.patches] == [75.0, 25.0]
@@ -93,7 +94,7 @@ def test_locations_are_bars_where_there_is_no_tree(cups: Diagnosis) -> None:
 
 def test_phases_of_ones_own_are_not_shaded_where_they_are_unknown(cups: Diagnosis) -> None:
     where = cups.file.where.model_copy(update={"phase": {"early": 0.5, "late": 0.5}})
-    figure = plots.plot_discrepancy(replace(cups, file=cups.file.model_copy(update={"where": where})))
+    figure = plots.plot_discrepancy(cups.with_file(where=where))
     assert "early" not in texts(figure)
 
 
@@ -106,12 +107,14 @@ def test_page_and_screen_have_the_numbers(cups: Diagnosis, tmp_path: Path) -> No
         assert cups.file.verdict in shown
         assert "vessel" not in shown
         assert "mmHg" not in shown
-    assert "Body two, depth 0.25 would best tell drift from no-gap" in text
-    assert "next measurement: body two, depth 0.25, which tells drift from no-gap" in screen
-    rows = table_of(page, "Discrepancy in each observed series")
+    assert "Body two, depth 0.25 would best tell drift @two from nothing" in text
+    assert "next measurement: body two, depth 0.25, which tells drift @two from nothing" in screen
+    rows = table_of(page, "Gap in each observed series")
     assert [row[:2] for row in rows] == [["one", "K"], ["two", "K"]]
-    assert "body two" in table_of(page, "Explanations")[0]
-    slope = cups.hypotheses[0].amplitude
-    assert slope is not None
-    assert f"slope {slope.mean:.3g} ± {slope.sd:.2g} K/min" in screen
+    assert table_of(page, "Sets of causes")[0][0] == "drift @two"
+    assert table_of(page, "Listed effects and free functions")[0][5].startswith("body two (")
+    slope = cups.causes[0].estimates[0]
+    assert slope.interval is not None
+    size = f"slope {slope.mean:.2g} ({slope.interval[0]:.2g} to {slope.interval[1]:.2g}) K/min"
+    assert size in " ".join(screen.split())
     assert [row[0] for row in table_of(page, "Parameters of the baseline")] == ["a", "b"]

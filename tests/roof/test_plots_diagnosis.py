@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import matplotlib as mpl
@@ -17,8 +16,9 @@ from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis
 from zoo.core.diagnosis.file import Interval, LocationShare, StateFile
 from zoo.core.diagnosis.states import BASELINE, SEEN, StateResult
+from zoo.plots import causes, tree
 from zoo.plots import diagnosis as figures
-from zoo.plots import tree
+from zoo.plots.subject import leading_sets
 
 
 def words_of(figure: mpl.figure.Figure) -> str:
@@ -30,8 +30,8 @@ def test_the_discrepancy_figure_carries_the_numbers(three: Diagnosis) -> None:
     found = words_of(figure)
     for series, row in zip(three.study.series, three.file.gap.per_series, strict=True):
         label = series.label.rsplit(" ", 1)[0]
-        assert f"{label}: discrepancy {row.before.mean:.2g} to {row.after.mean:.2g} {row.unit}" in found
-    assert {"pressure (mmHg)", "flow (ml/s)", "discrepancy (ml/s)", *PHASES} <= {
+        assert f"{label}: gap {row.before.mean:.2g} to {row.after.mean:.2g} {row.unit}" in found
+    assert {"pressure (mmHg)", "flow (ml/s)", "gap (ml/s)", *PHASES} <= {
         t.get_text() for t in figure.findobj(mpl.text.Text)
     }
     top, bottom = figure.axes[0], figure.axes[3]
@@ -42,7 +42,7 @@ def test_the_discrepancy_figure_carries_the_numbers(three: Diagnosis) -> None:
         lines["baseline + viscoelastic-wall"], three.study.values[0] - three.after.residual[0]
     )
     left = {line.get_label(): line.get_ydata() for line in bottom.get_lines()}
-    np.testing.assert_array_equal(left["discrepancy of baseline, 95 %"], three.before.mean[0])
+    np.testing.assert_array_equal(left["gap of the baseline, 95 %"], three.before.mean[0])
     [band] = [c for c in bottom.collections if np.isclose(c.get_paths()[0].vertices[:, 1].max(),
               np.max(three.before.mean[0] + 1.96 * three.before.sd[0]))]  # fmt: skip
     assert band is not None
@@ -62,37 +62,48 @@ def test_phases_are_shaded_where_they_are(one: Diagnosis) -> None:
     np.testing.assert_allclose([(p.get_x(), p.get_width()) for p in shaded], expected)
 
 
-def test_hypotheses_are_ordered_coloured_and_marked(three: Diagnosis) -> None:
-    hypotheses = list(three.file.hypotheses)
-    # as if the second could not be told from the first, and the last could not be seen
-    hypotheses[1] = hypotheses[1].model_copy(update={"group": hypotheses[0].group})
-    hidden = hypotheses[-1].name
-    d = replace(three, file=three.file.model_copy(update={"hypotheses": hypotheses, "invisible": [hidden]}))
-    figure = plots.plot_hypotheses(d)
-    [axes] = figure.axes
-    dots = {line.get_label(): line for line in axes.get_lines()}
-    best = max(h.log_evidence for h in hypotheses)
-    assert axes.get_xscale() == "linear"
-    for row, h in enumerate(hypotheses):
-        [x], [y] = dots[h.name].get_data()
-        arrow = dots[h.name].get_marker() == ">"
-        assert x == pytest.approx(axes.get_xlim()[1] if arrow else best - h.log_evidence)
-        assert best - h.log_evidence >= x - 1e-9
-        assert y == row
-        named = h.name not in ("no-gap", "unlisted", "correlated-noise")
-        assert arrow or dots[h.name].get_marker() == ("o" if named else "D")
-        assert (
-            h.log_evidence == best or f"{h.log_evidence - best:.3g}: " in words_of(figure) or h.name == hidden
+def test_a_bar_of_each_component_and_set_stands_beside_its_prior(three: Diagnosis) -> None:
+    sets = list(three.file.sets)
+    sets[1] = sets[1].model_copy(update={"solved": False, "gap_after": None, "probability": 0.2})
+    figure = plots.plot_causes(three.with_file(sets=sets))
+    components, shares, bars, gaps = figure.axes
+    for axes, expected in (
+        (components, [(c.probability, c.prior_probability) for c in three.file.components]),
+        (
+            bars,
+            [(s.probability, np.exp(s.log_prior)) for s in leading_sets(three.with_file(sets=sets).file, 7)],
+        ),
+    ):
+        widths = [p.get_width() for p in axes.patches]
+        np.testing.assert_allclose(widths, 100 * np.array(expected).ravel())
+    first = three.file.components[0].share
+    np.testing.assert_allclose(shares.get_lines()[0].get_xdata(), (100 * first.low, 100 * first.high))
+    dots = [line.get_xdata()[0] for line in gaps.get_lines() if line.get_marker() == "o"]
+    assert dots == [s.gap_after for s in leading_sets(three.with_file(sets=sets).file, 7) if s.solved]
+    assert {"not solved", "no cause", "gap left by simulation (mmHg)"} <= texts(figure)
+
+
+def test_the_name_of_a_set_ends_its_lines_between_causes() -> None:
+    assert causes._folded("law (1 K) + push (0.12 s)") == "law (1 K) + push (0.12 s)"
+    long = "a-cause-whose-name-is-longer-than-a-whole-line (2 s)"
+    assert causes._folded(f"{long} + b + c") == f"{long}\n+ b + c"
+
+
+def test_a_dot_of_each_component_under_each_other_prior(three: Diagnosis) -> None:
+    [axes] = plots.plot_sensitivity(three).axes
+    stated, *others = three.file.sensitivity
+    names = [t.get_text() for t in axes.get_yticklabels()]
+    assert names == ["no cause", *(c.name for c in three.file.components)]
+    assert [bar.get_width() for bar in axes.patches] == pytest.approx(
+        [100 * stated.nothing, *(100 * stated.components[name] for name in names[1:])]
+    )
+    for line, one in zip(axes.get_lines(), others, strict=True):
+        assert line.get_label() == one.prior
+        np.testing.assert_allclose(
+            line.get_xdata(), [100 * one.nothing, *(100 * one.components[name] for name in names[1:])]
         )
-    first, second, last = (dots[hypotheses[i].name].get_markerfacecolor() for i in (0, 1, -1))
-    assert first == second != last
-    assert last == "white"
-    found = words_of(figure)
-    assert "invisible here" in found
-    assert "null hypothesis (no-gap)" in found
-    assert "nonparametric discrepancy (unlisted)" in found
-    assert "not told apart" in found
-    assert f"discrepancy {hypotheses[0].gap_after:.2g} mmHg" in found
+        np.testing.assert_array_equal(np.round(line.get_ydata()), range(len(names)))
+    assert len({line.get_color() for line in axes.get_lines()}) == len(others)
 
 
 def test_the_tree_is_coloured_by_the_probability_of_the_location(three: Diagnosis) -> None:
@@ -100,16 +111,17 @@ def test_the_tree_is_coloured_by_the_probability_of_the_location(three: Diagnosi
         LocationShare(noun="vessel", part=2, subtree=True, probability=0.5),
         LocationShare(noun="vessel", part=None, subtree=False, probability=0.3),
         LocationShare(noun="vessel", part=4, subtree=False, probability=0.2),
+        LocationShare(noun="vessel", part=5, subtree=False, probability=0.9),  # in sets with the first too
     ]
     where = three.file.where.model_copy(update={"place": shares})
-    figure = plots.plot_where(replace(three, file=three.file.model_copy(update={"where": where})))
+    figure = plots.plot_where(three.with_file(where=where))
     lines = {
         int(line.get_gid().removeprefix("vessel-")): line
         for line in figure.findobj(mpl.lines.Line2D)
         if line.get_gid()
     }
     colours = mpl.colors.LinearSegmentedColormap.from_list("locations", tree.LOCATION_COLOURS)
-    for vessel, p in {1: 0.0, 2: 0.5, 3: 0.0, 4: 0.7, 5: 0.5}.items():
+    for vessel, p in {1: 0.0, 2: 0.5, 3: 0.0, 4: 0.7, 5: 1.0}.items():
         assert lines[vessel].get_color() == pytest.approx(colours(p))
     assert lines[1].get_linewidth() > lines[5].get_linewidth()
     for vessel in three.study.vessels:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ast
 import json
+import math
 import random
 import re
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import get_args
@@ -36,7 +36,7 @@ def test_the_file_comes_back_as_it_was(three: Diagnosis, one: Diagnosis, tmp_pat
             content = json.loads(path.read_text("utf-8"))
             assert len(content.pop("sha256")) == 64
             assert json.loads(again.model_dump_json()) == content
-            assert again.hypotheses == d.file.hypotheses
+            assert again.sets == d.file.sets
             assert again.gap == d.file.gap
 
 
@@ -47,7 +47,11 @@ def test_a_file_that_does_not_fit_is_refused(one: Diagnosis, tmp_path: Path) -> 
     with pytest.raises(DiagnosisError, match="cannot be read"):
         read_diagnosis(tmp_path / "no.json")
     spoilt = {"gap": content["gap"] | {"before_mmHg": "large"}}
-    changes = [({"format": 3}, "format"), ({"gapp": 1}, "gapp"), ({"verdict": None}, "verdict")]
+    changes = [
+        ({"format": 2}, "the file"),
+        ({"gapp": 1}, "gapp"),
+        ({"verdict": None}, "verdict"),
+    ]
     for change, field in (*changes, (spoilt, r"gap\.before")):
         path.write_text(json.dumps(content | change), "utf-8")
         with pytest.raises(DiagnosisError, match=f"{field}: .*make it again") as error:
@@ -79,7 +83,7 @@ def test_no_damage_to_an_answer_goes_unseen(one: Diagnosis, tmp_path: Path) -> N
     content = json.loads(raw)
     path.write_text(json.dumps(content, indent=3, sort_keys=True), "utf-8")
     assert read_diagnosis(path) == whole  # how it is set does not matter
-    content["hypotheses"][0]["probability"] = 0.999
+    content["sets"][0]["probability"] = 0.999
     path.write_text(json.dumps(content), "utf-8")
     with pytest.raises(DiagnosisError, match="damaged, its content does not fit its digest"):
         read_diagnosis(path)
@@ -109,19 +113,19 @@ def fields(model: type[BaseModel]) -> set[str]:
 def test_readers_read_the_times_that_are_written(one: Diagnosis, sampled: Diagnosis, tmp_path: Path) -> None:
     before, after = one.file.record, sampled.file.record
     [written] = set(after) - set(before)
-    screening = before["screening_seconds"]
-    assert report.diagnosis.total_seconds(before) == screening
-    assert report.diagnosis.total_seconds(after) == screening + after[written] > screening
-    record = after | {written: 1000.0}
-    d = replace(sampled, file=sampled.file.model_copy(update={"record": record}))
-    assert report.diagnosis.total_seconds(record) == screening + 1000
-    assert screen_of(d.file).strip().endswith(f", {screening + 1000:.0f} s in all")
+    own = before["seconds"]
+    assert report.diagnosis.total_seconds(before) == own
+    assert report.diagnosis.total_seconds(after) == own + after[written] > own
+    record = after | {written: 1000.0, "states_seconds": 200.0}
+    d = sampled.with_file(record=record)
+    assert report.diagnosis.total_seconds(record) == own + 1200
+    assert screen_of(d.file).strip().endswith(f", {own + 1200:.0f} s in all")
     report.write_diagnosis(d, tmp_path / "x")
     [facts] = read(tmp_path / "x" / "report.html").of_class("facts")
     shown = dict(zip(*([e.text for e in facts.all(tag)] for tag in ("dt", "dd")), strict=True))
-    assert shown["screening seconds"] == f"{screening:.1f}"
+    assert shown["seconds"] == f"{own:.1f}"
     assert shown["posterior seconds"] == "1000.0"
-    assert shown["total seconds"] == f"{screening + 1000:.1f}"
+    assert shown["total seconds"] == f"{own + 1200:.1f}"
 
 
 def test_the_document_has_every_field(one: Diagnosis, sampled: Diagnosis) -> None:
@@ -130,7 +134,7 @@ def test_the_document_has_every_field(one: Diagnosis, sampled: Diagnosis) -> Non
     words |= {word.removesuffix("_mmHg") for word in words}  # amounts carry their unit in the file
     assert "vessel" in words  # what a part is called in a tree of vessels
     assert fields(DiagnosisFile) - {"low", "high", "mean", "part", "noun"} <= words
-    assert set(sampled.file.record) | set(POSTERIORS["no-gap"]) <= words
+    assert set(sampled.file.record) | set(POSTERIORS["nothing"]) <= words
     settings = re.findall(r"^\| `([a-z_]+)` \| ([\d., ]+) \| ", text, flags=re.M)
     assert len(settings) == 4
     for name, value in settings:
@@ -193,7 +197,7 @@ def page(three: Diagnosis, tmp_path_factory: pytest.TempPathFactory) -> Element:
 
 
 def test_the_page_is_whole_and_loads_nothing(page: Element) -> None:
-    assert [i.attributes["src"].startswith("data:image/png;base64,") for i in page.all("img")] == [True] * 6
+    assert [i.attributes["src"].startswith("data:image/png;base64,") for i in page.all("img")] == [True] * 5
     assert page.all("script") == []
     assert "url(" not in page.all("style")[0].text
     assert ".summary" in page.all("style")[0].text
@@ -208,37 +212,71 @@ def test_the_page_has_the_numbers(page: Element, three: Diagnosis) -> None:
     assert file.verdict in text
     for words in ("zoo diagnose <x>", file.study_checksum, *(f"{x} " for x in file.record["versions"])):
         assert words in text
-    rows = table_of(page, "Discrepancy in each observed series")
+    rows = table_of(page, "Gap in each observed series")
     assert [row[:2] for row in rows] == [[s.series, s.unit] for s in file.gap.per_series]
     assert rows[0][2].startswith(f"{file.gap.per_series[0].before.mean:.2g} (")
-    rows = table_of(page, "Explanations")
-    assert [row[0] for row in rows] == [h.name for h in file.hypotheses]
+    rows = table_of(page, "Probability that a component is wrong")
+    assert [row[0] for row in rows] == [c.name for c in file.components]
+    rows = table_of(page, "Listed effects and free functions")
+    assert [row[0] for row in rows] == [c.name for c in file.causes]
     assert "Kelvin-Voigt" in rows[0][-1]
-    tau = file.hypotheses[0].amplitude
-    assert tau is not None
-    assert f"tau {tau.mean:.3g} ± {tau.sd:.2g} s" in rows[0]
+    tau = file.causes[0].estimates[0]
+    assert tau.interval is not None
+    assert rows[0][4] == f"tau {tau.mean:.2g} ({tau.interval[0]:.2g} to {tau.interval[1]:.2g}) s"
     rows = table_of(page, "Parameters of the baseline")
     assert [row[0] for row in rows] == ["f3", "psi1", "psi2", "c"]
-    shift = file.base_parameters["with cause"]["c"] - file.base_parameters["base"]["c"]
+    shift = file.base_parameters["over all sets"]["c"] - file.base_parameters["base"]["c"]
     assert float(rows[3][5]) == pytest.approx(shift, rel=0.01)
-    assert [row[0] for row in table_of(page, "After each")] == [step.name for step in file.steps]
     [failed] = page.of_class("failed")
     assert failed.text == "viscoelastic-wall: not converged: R-hat of tau is 1.2"
-    rows = table_of(page, "The baseline and the leading explanations sampled")
-    assert [row[0] for row in rows] == ["viscoelastic-wall", "no-gap"]
-    assert rows[0][1:] == ["no", "60.0 ± 0.1", "65.0", "0.0", "–", "f3 4.3e+04 ± 3e+02"]
+    rows = table_of(page, "The baseline and the leading sets of listed effects sampled")
+    assert [row[0] for row in rows] == ["nothing", "viscoelastic-wall"]
+    assert rows[1][1:] == ["no", "60.0 ± 0.1", "65.0", "0.0", "–", "f3 4.3e+04 ± 3e+02"]
 
 
-def test_groups_are_explained(three: Diagnosis, tmp_path: Path) -> None:
-    hypotheses = [h.model_copy(update={"group": 0}) for h in three.file.hypotheses[:2]]
-    hypotheses += three.file.hypotheses[2:]
-    file = three.file.model_copy(update={"hypotheses": hypotheses, "invisible": ["inflow-shift"]})
-    report.write_diagnosis(replace(three, file=file), tmp_path / "x")
+def test_the_table_of_sets_is_that_of_the_file(page: Element, three: Diagnosis) -> None:
+    """Prior times evidence is the probability, by what the page says alone."""
+    rows = table_of(page, "Sets of causes")
+    nothing = next(row for row in three.file.sets if not row.causes)
+    told = [row for row in three.file.sets if row.probability >= 0.005 or row is nothing]
+    assert [row[0] for row in rows] == [" + ".join(one.causes) or "no cause" for one in told]
+    worth = [math.log(float(row[2].removesuffix(" %"))) + float(row[3].split(" ± ")[0]) for row in rows]
+    for row, one, log_odds in zip(rows, told, worth, strict=True):
+        expected = math.log(one.probability / told[0].probability)
+        assert log_odds - worth[0] == pytest.approx(expected, abs=0.15)
+        assert row[6] == ("yes" if one.solved else "no")
+        assert row[5] == ("" if one.gap_after is None else f"{one.gap_after:.2g}")
+
+
+def test_what_the_answer_depends_on_comes_first(one: Diagnosis, tmp_path: Path) -> None:
+    first = one.file.components[0].model_copy(update={"confounded": ["inflow"], "group_probability": 0.97})
+    changes = {"warnings": ["the answer depends on the prior"], "failed": ["taper"], "missed": 0.25}
+    d = one.with_file(components=[first, *one.file.components[1:]], decided=False, **changes)
+    report.write_diagnosis(d, tmp_path / "x")
     assert plt.get_fignums() == []  # nothing is left open
-    text = read(tmp_path / "x" / "report.html").text
-    names = f"{hypotheses[0].name} and {hypotheses[1].name}"
-    assert f"Group 0: {names} explain these data alike and cannot be told apart" in text
-    assert "inflow-shift: the baseline's parameters absorb what these do" in text
+    page = read(tmp_path / "x" / "report.html")
+    [summary] = page.of_class("summary")
+    verdict, warning, *_ = (p.text for p in summary.all("p"))
+    assert verdict.startswith("Verdict: ")
+    assert warning == "Warning: the answer depends on the prior."
+    for shown in (summary.text, " ".join(screen_of(d.file).split())):
+        assert f"The {first.name} cannot be told from the inflow in these data" in shown
+        assert "any of them is wrong has a probability of 97 %" in shown
+        assert "may hold up to 25 % of the probability" in shown
+        assert "The solver failed wherever these were tried: taper." in shown
+    assert table_of(page, "Probability that a component is wrong")[0][5:] == ["inflow", "97 %"]
+
+
+def test_sensitivity_is_told_beside_each_component_and_whole(one: Diagnosis, tmp_path: Path) -> None:
+    stated, *others = one.file.sensitivity
+    name = one.file.components[0].name
+    others[-1] = others[-1].model_copy(update={"components": stated.components | {name: 0.1234}})
+    report.write_diagnosis(one.with_file(sensitivity=[stated, *others]), tmp_path / "x")
+    page = read(tmp_path / "x" / "report.html")
+    assert table_of(page, "Probability that a component is wrong")[0][3].startswith("12 % to ")
+    rows = table_of(page, "Probability of no cause")
+    assert [row[0] for row in rows] == [stated.prior, *(row.prior for row in others)]
+    assert rows[-1][2] == "12 %"
 
 
 def test_a_page_needs_a_folder(one: Diagnosis, tmp_path: Path) -> None:

@@ -57,12 +57,12 @@ def made(*series: tuple[int, float, str], period: float = 0.11, more: float = 1.
     return replace(study, series=tuple(Series(*s, w) for s, w in zip(series, noisy, strict=True)))
 
 
-FIGURES = ["gap", "hypotheses", "where", "components", "functions", "impedance", "diagnosis"]
+FIGURES = ["gap", "causes", "sensitivity", "where", "impedance", "diagnosis"]
 FILES = ["diagnosis.json", "report.html", *(f"{name}.png" for name in FIGURES)]
 
 POSTERIORS = {
     name: {
-        "converged": name == "no-gap",
+        "converged": name == "nothing",
         "verdict": "not converged: R-hat of tau is 1.2",
         "log_marginal_likelihood": value,
         "log_marginal_likelihood_se": 0.1,
@@ -72,13 +72,13 @@ POSTERIORS = {
         "elpd_loo": None,
         "parameters": {"f3": {"mean": 4.3e4, "sd": 300.0}},
     }
-    for name, value in (("no-gap", -100.0), ("viscoelastic-wall", 60.0))
+    for name, value in (("nothing", -100.0), ("viscoelastic-wall", 60.0))
 }
 
 
 def as_if_sampled(d: StudyDiagnosis) -> StudyDiagnosis:
-    """As if the leading explanations had been sampled."""
-    return replace(d, file=d.file.model_copy(update={"posteriors": POSTERIORS}))
+    """As if the leading sets of effects had been sampled."""
+    return d.with_file(posteriors=POSTERIORS)
 
 
 def screen_of(file: DiagnosisFile) -> str:

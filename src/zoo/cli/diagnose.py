@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,8 +20,8 @@ if TYPE_CHECKING:
 
 EVERY_S = 1.5
 """Seconds between lines where there is no terminal."""
-LEADING = 8
-"""Explanations that the screen shows."""
+LEADING, PROBABLE = 5, 0.05
+"""Sets of causes that the screen shows, and least probability of an effect or function that it shows."""
 
 
 @command
@@ -41,7 +40,7 @@ def diagnose(
     ] = Path("gap"),
     posteriors: Annotated[
         bool,
-        typer.Option("--posteriors", help="Sample the posteriors of the leading explanations too."),
+        typer.Option("--posteriors", help="Sample the posteriors of the leading sets of effects too."),
         Role.ASIDE,
     ] = False,
     effects: Annotated[
@@ -52,14 +51,6 @@ def diagnose(
             metavar="NAMES",
         ),
     ] = None,
-    max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
-    exhaust: Annotated[
-        bool,
-        typer.Option(
-            "--exhaust",
-            help="Add the best listed effects even where a nonparametric discrepancy explains more.",
-        ),
-    ] = False,
     component_sizes: Annotated[
         float,
         typer.Option(
@@ -68,13 +59,6 @@ def diagnose(
             metavar="FACTOR",
         ),
     ] = 1.0,
-    sets: Annotated[
-        bool,
-        typer.Option(
-            "--sets",
-            help="Weigh sets of causes by one posterior too: sets.csv and sensitivity.csv (docs/causes.md).",
-        ),
-    ] = False,
     states: Annotated[
         list[str] | None,
         typer.Option(
@@ -93,12 +77,8 @@ def diagnose(
     plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
     """Find what a baseline misses in a study: where the discrepancy lies, its cause, how far it shrinks."""
-    for option, count, least in (
-        ("--max-effects", max_effects, 1),
-        ("--cores", cores, 1),
-        ("--seed", seed, 0),
-    ):
-        at_least(option, count, least)
+    at_least("--cores", cores, 1)
+    at_least("--seed", seed, 0)
     from zoo.core.inference.progress import Display
 
     with Display(not quiet, every_s=EVERY_S) as tell:
@@ -117,9 +97,8 @@ def diagnose(
         from zoo.blood.forward import study_data
         from zoo.core.errors.spectral import Harmonics
         from zoo.report import diagnosis_files, write_diagnosis
-        from zoo.report.sets import SET_FILES, sets_summary, write_sets
 
-        output_folder(output, (*diagnosis_files(), *(SET_FILES if sets else ())), "--output")
+        output_folder(output, diagnosis_files(), "--output")
         # a study without observations, or of another tree, is refused before the work
         for one in (loaded, *(same_tree(loaded, other) for other in others)):
             Harmonics().bind(study_data(one))
@@ -127,10 +106,8 @@ def diagnose(
         found = run(
             loaded,
             chosen.name,
-            max_effects=max_effects,
             component_sizes=component_sizes,
             states=others,
-            exhaust=exhaust,
             effects=names,
             conventions=own,
             cores=cores,
@@ -139,11 +116,6 @@ def diagnose(
         )
         tell("figures and page", 1.0)
         written = write_diagnosis(found, output, command=typed_command())
-        told: list[str] = []
-        tables: list[Path] = []
-        if sets:
-            weighed = found.sets(cores=cores, tick=tell)
-            tables, told = write_sets(weighed, output), sets_summary(weighed)
         if posteriors:  # takes longer and may be stopped: what was found is on disk
             folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
             output_folder(folder, option="--output", deep=True).mkdir(parents=True, exist_ok=True)
@@ -151,8 +123,7 @@ def diagnose(
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
             tell("figures and page", 1.0)
             written = write_diagnosis(found, output, command=typed_command())
-    every = ", ".join(path.name for path in (*written, *tables))
-    say(*diagnosis_screen(found.file), *told, f"wrote {output}: {every}")
+    say(*diagnosis_screen(found.file), f"wrote {output}: {', '.join(path.name for path in written)}")
 
 
 def _effect_names(text: str | None, base: str) -> list[str] | None:
@@ -180,59 +151,31 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     """What the screen shows of a diagnosis."""
     from rich.text import Text
 
-    from zoo.report.components import component_rows
-    from zoo.report.diagnosis import (
-        diagnosis_summary,
-        hypothesis_row,
-        next_measurement_words,
-        total_seconds,
-        where_sentences,
-    )
-    from zoo.report.words import maybe, with_error
+    from zoo.report import diagnosis as told
+    from zoo.report import tables
 
-    verdict, *rest = diagnosis_summary(file)
-    lines: list[Any] = [Text(verdict, style="bold"), *rest, ""]
-    if file.hypotheses[0].name != "no-gap":  # else there is nothing to locate
-        lines += [*where_sentences(file), ""]
-    left = f"left ({file.gap.unit})"
-    if file.components:
-        cells = [[row["name"], *(row["cells"][i] for i in (0, 3, 4))] for row in component_rows(file)]
-        title = "components of the simulator, listed effects included"
-        lines += [_table(title, ("component", "prob.", "share of the energy", left), cells, file.cause), ""]
-    rows = [h for k, h in enumerate(file.hypotheses) if k < LEADING or h.name in ("no-gap", "unlisted")]
-    every = [hypothesis_row(h, file) for h in rows]
-    cells = [[row["name"], *(row["cells"][i] for i in (1, 3, 0, 5, 6))] for row in every]
-    heads = ("explanation", "prob.", "group", "location", "effect parameter", left)
-    lines.append(_table("explanations, most probable first", heads, cells, file.cause))
-    if len(file.hypotheses) > len(rows):
-        lines.append(
-            f"and {len(file.hypotheses) - len(rows)} more; explanations of one group look alike here"
-        )
-    if not all(h.searched_twice for h in rows):
-        lines.append("≤: found by one search only, and not to be compared")
-    if file.invisible:
-        lines.append(f"these data cannot show: {', '.join(file.invisible)}")
+    verdict, *rest = told.diagnosis_summary(file)
+    lines: list[Any] = [Text(verdict, style="bold"), *rest, *told.where_sentences(file), ""]
+    sets, found = tables.sets_table(file, LEADING), tables.components_table(file)
+    causes = tables.causes_table(file)
+    shown, sampled = sum(c.probability >= PROBABLE for c in file.causes), tables.posteriors_table(file)
+    for table in (
+        sets.only("causes", "probability", "prior", "log evidence", sets.heads[5]),
+        found.only("component", "probability", "prior alone", "other priors", "share of the gap"),
+        causes.only("cause", "probability", "prior alone", "size", "place", first=shown),
+        sampled.only(*sampled.heads[:4]),
+    ):
+        if not table.rows:
+            continue
+        drawn = plain_table(*table.heads, numbers=table.numbers, title=table.name)
+        for row in table.rows:
+            drawn.add_row(*row, style="bold" if row[0] in file.cause else None)
+        lines += [drawn, ""]
     if file.next_measurement is not None:
         m = file.next_measurement
         lines.append(
-            f"next measurement: {next_measurement_words(file)}, which tells "
+            f"next measurement: {told.next_measurement_words(file)}, which tells "
             f"{m.separates[0]} from {m.separates[1]} (expected log odds up to {m.expected_log_odds:.1f})"
         )
-    for name, row in (file.posteriors or {}).items():
-        converged = "converged" if row["converged"] else "not converged, see report.html"
-        lines.append(
-            f"posterior of {name}: log marginal likelihood "
-            f"{with_error(row['log_marginal_likelihood'], row['log_marginal_likelihood_se'])}, "
-            f"elpd (WAIC) {maybe(row['elpd_waic'])}; {converged}"
-        )
-    solves, seconds = file.record.get("solves", 0), total_seconds(file.record)
-    lines.append(f"{solves} solves of the screening, {seconds:.0f} s in all")
+    lines.append(f"{file.record['solves']} solves, {told.total_seconds(file.record):.0f} s in all")
     return [Text(line) if isinstance(line, str) else line for line in lines]
-
-
-def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], bold: Sequence[str]) -> Any:
-    """A table of names and what belongs to them; texts may be folded, names and short numbers not."""
-    table = plain_table(*heads, numbers=("prob.", "group"), title=title)
-    for row in rows:
-        table.add_row(*row, style="bold" if row[0] in bold else None)
-    return table

@@ -4,10 +4,10 @@ A function takes results and returns a `matplotlib.figure.Figure`, which `save_f
 """
 
 from zoo.plots.blindcheck import score_figures
+from zoo.plots.causes import plot_causes, plot_functions, plot_sensitivity
 from zoo.plots.chains import pair_figure, rank_figure, trace_figure
 from zoo.plots.comparison import comparison_figure, forest_figure
-from zoo.plots.components import plot_components, plot_functions
-from zoo.plots.diagnosis import plot_diagnosis, plot_discrepancy, plot_hypotheses, plot_where
+from zoo.plots.diagnosis import plot_diagnosis, plot_discrepancy, plot_where
 from zoo.plots.fit import fit_figure
 from zoo.plots.priors import prior_predictive_figure, priors_figure
 from zoo.plots.states import plot_states
@@ -34,11 +34,11 @@ __all__ = [
     "model_style",
     "models_figure",
     "pair_figure",
-    "plot_components",
+    "plot_causes",
     "plot_diagnosis",
     "plot_discrepancy",
     "plot_functions",
-    "plot_hypotheses",
+    "plot_sensitivity",
     "plot_states",
     "plot_where",
     "prior_predictive_figure",

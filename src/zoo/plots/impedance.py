@@ -1,4 +1,4 @@
-"""Input impedance of a tree at its root: measured, of the baseline, and with the leading explanation."""
+"""Input impedance of a tree at its root: measured, of the baseline, and with the leading set of causes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from zoo.plots.subject import study_of
 
 
 def impedances_of(d: Any) -> dict[str, Impedance]:
-    """Input impedance of a study: measured, of the baseline, and with the leading explanation of a diagnosis.
+    """Input impedance of a study: measured, of the baseline, and with the leading set of causes.
 
     Parameters
     ----------
@@ -25,23 +25,21 @@ def impedances_of(d: Any) -> dict[str, Impedance]:
     dict of str to Impedance
         Empty where there is no study, or the pressure at the root's inlet is not observed.
     """
-    if study_of(d) is None or not d.rounds:
+    if study_of(d) is None or "pressure_mmHg" not in d.sets.noise:
         return {}
-    first = d.rounds[0]
-    base = first.screened.least
-    plain = first.screened.screening.baseline.configure(base.values[: base.forward.n_base])
-    noise = first.screened.noise
+    base = d.sets.solved[()]
+    plain = base.forward.model.configure(base.forward.theta(base.point.u))
     try:
-        found = {"measured": measured(d.data, plain, noise_mmHg=noise["pressure_mmHg"].noise)}
-    except (ImpedanceError, KeyError):
+        found = {"measured": measured(d.data, plain, noise_mmHg=d.sets.noise["pressure_mmHg"])}
+    except ImpedanceError:
         return {}
     last = len(found["measured"].value) - 1
-    fits = {"baseline": base}
-    if (leader := first.leader) in first.best and first.best[leader].hypothesis.added:
-        fits[f"baseline + {leader}"] = first.best[leader]
-    for name, fit in fits.items():
+    solved = {"baseline": base}
+    if d.sets.leader:
+        solved[f"baseline + {d.sets.name(d.sets.leader)}"] = d.sets.solved[d.sets.leader]
+    for name, one in solved.items():
         try:
-            case = fit.forward.model.configure(fit.values)
+            case = one.forward.model.configure(one.forward.theta(one.point.u))
             found[name] = modelled(case, recorded_ml_s=plain.inflow_ml_s, harmonics=last)
         except SolveError:
             continue

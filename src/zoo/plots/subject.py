@@ -1,12 +1,15 @@
-"""What figures and pages ask a diagnosis for: its data, the study if there is one, locations in words."""
+"""What figures and pages ask a diagnosis for: its study, locations, sets and numbers in words."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from zoo.core.diagnosis import DiagnosisFile
-from zoo.core.diagnosis.file import HypothesisResult
+from zoo.core.diagnosis.file import LocationShare, SetResult
 from zoo.core.effects import Location
+
+TOLD = 0.005
+"""Least probability or share that is told."""
 
 
 def study_of(d: Any) -> Any:
@@ -14,16 +17,26 @@ def study_of(d: Any) -> Any:
     return getattr(d, "study", None)
 
 
-def location_of(file: DiagnosisFile, part: int | str | None, subtree: bool) -> str:
+def location_of(share: LocationShare) -> str:
     """Such as "vessel 2 and below", with the simulator's word for a part."""
-    shares = [*file.where.place, *(share for h in file.hypotheses for share in h.places)]
-    noun = next((share.noun for share in shares if share.noun), "vessel")
-    return str(Location(part, subtree, noun))
+    return str(Location(share.part, share.subtree, share.noun))
 
 
-def at_most(h: HypothesisResult) -> str:
-    """What stands before the discrepancy that an explanation leaves: "≤" where it was searched once."""
-    return "" if h.searched_twice else "≤"
+def leading_sets(file: DiagnosisFile, most: int) -> list[SetResult]:
+    """The most probable sets of causes, at most so many, and that of none."""
+    told = [row for row in file.sets if row.probability >= TOLD][:most]
+    return told + [row for row in file.sets if not row.causes and row not in told]
+
+
+def set_name(row: SetResult) -> str:
+    """Its causes, or that there is none."""
+    return " + ".join(row.causes) or "no cause"
+
+
+def percent(share: float) -> str:
+    """A share in percent; "<1 %" for what is little but not nothing."""
+    text = f"{100 * share:.0f}".replace("-0", "0")
+    return f"{'<1' if text == '0' and share > 0 else text} %"
 
 
 def unit_words(unit: str) -> str:

@@ -1,4 +1,4 @@
-"""The tree of vessels, coloured by the probability that a cause acts in them."""
+"""The tree of vessels, coloured by the probability that a listed effect acts in them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def _below(vessels: Sequence[Vessel], vessel: int) -> set[int]:
 
 
 def draw_tree(axes: Axes, d: Diagnosis, study: Study) -> None:
-    """Vessels coloured by the probability that the cause acts in them, with the sensors."""
+    """Vessels coloured by the probability that a listed effect acts in them, with the sensors."""
     vessels = study.vessels
     probability = {v.id: 0.0 for v in vessels}
     everywhere = 0.0
@@ -112,7 +112,7 @@ def draw_tree(axes: Axes, d: Diagnosis, study: Study) -> None:
     )
     listed = [p for p in d.file.where.place if p.part is not None and p.probability >= 0.01][:3]
     axes.annotate(
-        "\n".join(f"{location_of(d.file, p.part, p.subtree)}: {100 * p.probability:.0f} %" for p in listed),
+        "\n".join(f"{location_of(p)}: {100 * p.probability:.0f} %" for p in listed),
         (0.01, 0.91),
         xycoords="axes fraction",
         va="top",
@@ -126,12 +126,13 @@ def draw_tree(axes: Axes, d: Diagnosis, study: Study) -> None:
     axes.legend(loc="lower left", fontsize="small")
     scale = mpl.cm.ScalarMappable(mpl.colors.Normalize(0, 1), colours)
     bar = axes.figure.colorbar(scale, ax=axes, shrink=0.6, aspect=30)
-    bar.set_label("probability that the cause acts in the vessel", fontsize="small")
+    bar.set_label("probability that an effect acts in the vessel", fontsize="small")
     bar.outline.set_visible(False)
 
 
 def draw_locations(axes: Axes, d: Diagnosis) -> None:
-    """Locations with the probability that the cause acts there, for data that are not of a tree."""
-    shares = {location_of(d.file, p.part, p.subtree): p.probability for p in d.file.where.place}
+    """Locations with the probability that a listed effect acts there, for data that are not of a tree."""
+    shares = {location_of(p): p.probability for p in d.file.where.place}
     draw_shares(axes, shares, "location", LOCATION_COLOURS[1])
-    axes.set_xlabel("probability that the cause acts there (%)")
+    axes.set_ylim(max(len(shares), 6) - 0.4, -0.6)
+    axes.set_xlabel("probability that an effect acts there (%)")

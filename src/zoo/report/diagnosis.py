@@ -4,51 +4,44 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zoo.blood.effects import CATALOGUE
 from zoo.core.diagnosis import DiagnosisFile
-from zoo.core.diagnosis.file import AddedStep, HypothesisResult, StateFile
-from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
+from zoo.core.diagnosis.answer import WRONG
+from zoo.core.diagnosis.file import StateFile
 from zoo.core.outputs import output_folder
 from zoo.plots import (
-    plot_components,
+    QUANTITY_LABELS,
+    plot_causes,
     plot_diagnosis,
     plot_discrepancy,
     plot_functions,
-    plot_hypotheses,
+    plot_sensitivity,
     plot_states,
     plot_where,
     save_figure,
 )
 from zoo.plots.impedance import impedance_figure, impedances_of
-from zoo.plots.subject import at_most, location_of, study_of, unit_words
-from zoo.report.components import TOLD, component_rows, function_rows
+from zoo.plots.subject import TOLD, percent, study_of, unit_words
+from zoo.report import tables
 from zoo.report.page import picture_of, write_page
-from zoo.report.parameters import MEANINGS
-from zoo.report.words import estimate, listed, percent, settings_text, span, value_text
+from zoo.report.words import listed, settings_text, span, value_text
 
 if TYPE_CHECKING:
     from zoo.core.diagnosis import Diagnosis
 
 FIGURES = {
     "gap": plot_discrepancy,
-    "hypotheses": plot_hypotheses,
-    "where": plot_where,
-    "components": plot_components,
+    "causes": plot_causes,
     "functions": plot_functions,
+    "sensitivity": plot_sensitivity,
+    "where": plot_where,
     "states": plot_states,
 }
 """Figure -> what draws it."""
 BEYOND = 0.1
 """Part of a state's range that was not visited before, from which on that is told."""
-MADE_UP = {
-    NULL: "Null hypothesis: noise explains what the baseline leaves.",
-    NONPARAMETRIC: "Nonparametric discrepancy: something smooth that is not listed.",
-}
-"""Explanations outside the catalogue."""
 
 
 def diagnosis_files() -> tuple[str, ...]:
@@ -81,7 +74,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
     folder = output_folder(folder, diagnosis_files())
     file = diagnosis.file
     written = [diagnosis.save(folder), folder / "report.html"]
-    lacking = set() if file.components else {"components", "functions"}
+    lacking = set() if any(c.functions for c in file.components) else {"functions"}
     lacking |= set() if diagnosis.states else {"states"}
     pictures = {}
     for name in (name for name in FIGURES if name not in lacking):
@@ -97,23 +90,14 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
         "diagnosis.html",
         title=f"What {file.base} misses in {file.study}",
         file=file,
-        unit=file.gap.unit,
         study=study_of(diagnosis),
-        nan=math.nan,
-        next=_next_words(file),
+        next=next_measurement_words(file),
         summary=diagnosis_summary(file),
         facts=_diagnosis_facts(diagnosis),
         where=where_sentences(file),
-        hypotheses=[hypothesis_row(h, file) for h in file.hypotheses],
-        components=component_rows(file),
-        told=TOLD,
-        unit_words=unit_words,
-        functions=function_rows(file),
+        tables=tables,
         state_sentences=state_sentences(file),
         spikes=impedances["measured"].sentences() if impedances else [],
-        meanings=MEANINGS,
-        location=partial(location_of, file),
-        posteriors=sorted((file.posteriors or {}).items(), key=_worth, reverse=True),
         pictures=pictures,
         command=command,
     )
@@ -121,7 +105,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path, *, command: str = 
 
 
 def total_seconds(record: Mapping[str, Any]) -> float:
-    """Time of a diagnosis: of its screening, and of sampling the posteriors if that was done.
+    """Time of a diagnosis, with that of other states and of sampling posteriors if that was done.
 
     Parameters
     ----------
@@ -131,13 +115,14 @@ def total_seconds(record: Mapping[str, Any]) -> float:
     Returns
     -------
     float
-        s; NaN if the record has no time of the screening.
+        s; NaN if the record has no time.
     """
-    return float(record.get("screening_seconds", math.nan)) + float(record.get("posterior_seconds", 0.0))
+    rest = sum(float(record.get(name, 0.0)) for name in ("states_seconds", "posterior_seconds"))
+    return float(record.get("seconds", math.nan)) + rest
 
 
 def diagnosis_summary(file: DiagnosisFile) -> list[str]:
-    """What a diagnosis found, as a few sentences: verdict, discrepancy, held-out data, what is left.
+    """What a diagnosis found, as a few sentences: verdict, what it depends on, gap, how many causes.
 
     Parameters
     ----------
@@ -150,45 +135,45 @@ def diagnosis_summary(file: DiagnosisFile) -> list[str]:
     gap, unit = file.gap, unit_words(file.gap.unit)
     lines = [f"Verdict: {file.verdict}.", *(f"Warning: {text}." for text in file.warnings)]
     before = f"{span(gap.before, gap.before_interval)}{unit}"
-    floor = f"the noise {gap.noise_floor:.2g}{unit}"
-    if file.hypotheses[0].name in (NULL, NONPARAMETRIC, CORRELATED):
-        lines.append(f"Beside the noise the baseline leaves a discrepancy of {before}; {floor}.")
+    noise = f"the noise is {gap.noise_floor:.2g}{unit}"
+    if not file.cause:
+        lines.append(f"The gap between baseline and data is {before}; {noise}.")
     else:
         lines.append(
-            f"The discrepancy of the baseline is {before}, with its cause "
-            f"{span(gap.after, gap.after_interval)}{unit}: {percent(gap.removed)} is removed "
-            f"({percent(gap.removed_interval[0])} to {percent(gap.removed_interval[1])}); {floor}."
+            f"The gap between baseline and data is {before}, and {span(gap.after, gap.after_interval)}{unit} "
+            f"with {listed(file.cause)}: {percent(gap.removed)} of it is removed "
+            f"({percent(gap.removed_interval[0])} to {percent(gap.removed_interval[1])}); {noise}."
         )
     if gap.held_out_before is not None and gap.held_out_after is not None:
         lines.append(
-            f"In data that were not fitted ({gap.held_out}) the discrepancy goes from "
+            f"In data that were not fitted ({gap.held_out}) the gap goes from "
             f"{gap.held_out_before:.2g} to {gap.held_out_after:.2g}{unit}"
-            + (", what it misses there being no more than the noise." if gap.held_out_after == 0.0 else ".")
+            + (", which is no more than the noise." if gap.held_out_after == 0.0 else ".")
+        )
+    number = [f"{k or 'none'} ({percent(p)})" for k, p in enumerate(file.number) if p >= TOLD]
+    lines.append(
+        f"Number of causes that act together: {listed(number)}. "
+        f"That noise alone explains the data has a probability of {percent(file.no_gap)}."
+    )
+    lines += [
+        f"The {c.name} cannot be told from the {' or the '.join(c.confounded)} in these data: that any of "
+        f"them is wrong has a probability of {percent(c.group_probability)}."
+        for c in file.components
+        if c.confounded
+    ]
+    if file.missed >= TOLD and file.linear_error <= WRONG:  # else a warning says so
+        lines.append(
+            f"Sets of causes that were not solved by simulation may hold up to {percent(file.missed)} of the "
+            f"probability: the linear model gives their log evidence to {file.linear_error:.1f}."
         )
     lines += state_sentences(file)
-    if len(file.steps) > 1:
-        lines.append(
-            f"One after the other were added: {'; '.join(_step(step, file) for step in file.steps)}."
-        )
     if file.failed:
         lines.append(f"The solver failed wherever these were tried: {listed(file.failed)}.")
     return lines
 
 
-def _sizes(step: AddedStep) -> str:
-    return ", ".join(f"{a.name} {estimate(a.mean, a.sd, a.unit)}" for a in step.amplitudes)
-
-
-def _step(step: AddedStep, file: DiagnosisFile) -> str:
-    where = "" if step.place is None else f" ({location_of(file, step.place, step.subtree)})"
-    return (
-        f"{step.name}{where}, {percent(step.probability)} probable, {_sizes(step)}: "
-        f"{step.gap_before:.2g} to {step.gap_after:.2g}{unit_words(file.gap.unit)}"
-    )
-
-
 def next_measurement_words(file: DiagnosisFile) -> str:
-    """What to measure next: such as "flow_ml_s in vessel 5 at 0.5"; empty where nothing would tell.
+    """What to measure next: such as "flow in vessel 5 at 0.5 of its length"; empty where nothing would tell.
 
     Parameters
     ----------
@@ -198,106 +183,62 @@ def next_measurement_words(file: DiagnosisFile) -> str:
     -------
     str
     """
-    if file.next_measurement is None:
-        return ""
-    words = file.next_measurement.model_extra or {}
+    words = {} if file.next_measurement is None else file.next_measurement.model_extra or {}
     if {"quantity", "vessel", "position"} <= set(words):
-        return f"{words['quantity']} in vessel {words['vessel']} at {words['position']:g}"
+        quantity = QUANTITY_LABELS[words["quantity"]].partition(" (")[0]
+        return f"{quantity} in vessel {words['vessel']} at {words['position']:g} of its length"
     return ", ".join(f"{name} {value_text(value)}" for name, value in words.items())
-
-
-def _next_words(file: DiagnosisFile) -> str:
-    """The same as the beginning of a sentence."""
-    words = next_measurement_words(file)
-    for quantity, name in (("pressure_mmHg", "Pressure"), ("flow_ml_s", "Flow")):
-        if words.startswith(f"{quantity} in vessel"):
-            return words.replace(quantity, name, 1) + " of its length"
-    return words[:1].upper() + words[1:]
 
 
 def _diagnosis_facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     data, file, study = diagnosis.data, diagnosis.file, study_of(diagnosis)
     series = ", ".join(f"{label} ({data.n_times} samples)" for label in data.labels)
     record = file.record
-    noise = [
-        f"{quantity}: " + ", ".join(f"{name} {value_text(value)}" for name, value in errors.items())
-        for quantity, errors in record.get("noise", {}).items()
-    ]
+    noise = ", ".join(f"{group} {value_text(rms)}" for group, rms in record["noise"].items())
     if study is None:
         facts = [("data", data.name)]
     else:
         facts = [("study", f"{study.name}, {len(study.vessels)} vessels, period {1e3 * study.period_s:g} ms")]
     facts += [("observed", series), ("checksum", file.study_checksum), ("baseline", file.base)]
     facts += [] if study is None else [("conventions", study.conventions.name)]
-    facts.append(("errors", "; ".join(noise)))
-    wanted = ("started", "seed", "cores", "solves", "failed_solves", "screening_seconds", "posterior_seconds")
-    told = {name: record.get(name) for name in wanted}
-    if told["posterior_seconds"] is not None:
-        told["total_seconds"] = total_seconds(record)
-    for name, value in told.items():
-        if value is not None:
-            facts.append((name.replace("_", " "), f"{value:.1f}" if isinstance(value, float) else str(value)))
+    facts.append(("noise, rms", noise))
+    seconds = ("seconds", "states_seconds", "posterior_seconds")
+    told = ("started", "seed", "cores", "solves", "failed_solves", "component_sizes", *seconds)
+    facts += [(name.replace("_", " "), _fact(record[name])) for name in told if name in record]
+    facts.append(("total seconds", _fact(total_seconds(record))))
     facts.append(("versions", settings_text(record.get("versions", {}))))
     return facts
 
 
+def _fact(value: Any) -> str:
+    return f"{value:.1f}" if isinstance(value, float) else str(value)
+
+
 def where_sentences(file: DiagnosisFile) -> list[str]:
-    """Where the discrepancy lies: a sentence each on phases, harmonics, series and locations."""
+    """Where the gap lies: a sentence each on phases, harmonics, series and locations."""
     where = file.where
     lines = []
     for what, shares in (("phase", where.phase), ("harmonic", where.harmonic), ("series", where.series)):
-        named = [f"{name} ({percent(share)})" for name, share in shares.items() if share >= 0.005]
+        named = [f"{name} ({percent(share)})" for name, share in shares.items() if share >= TOLD]
         lines.append(f"By {what}: {', '.join(named) or 'nothing'}.")
-    found = [f"{location_of(file, p.part, p.subtree)} ({percent(p.probability)})" for p in where.place[:5]]
-    lines.append(f"Location: {', '.join(found) or 'unknown'}.")
+    lines.append(f"Probability that a listed effect acts there: {tables.places_text(where.place) or 'none'}.")
     return lines
 
 
-def hypothesis_row(h: HypothesisResult, file: DiagnosisFile) -> dict[str, Any]:
-    """An explanation with the cells of its row."""
-    zero = next(x.log_evidence for x in file.hypotheses if x.name == NULL)
-    parameters = [a for a in (h.amplitude, *h.other_amplitudes) if a is not None]
-    free = h.name in (NONPARAMETRIC, CORRELATED)
-    size = ", ".join(
-        f"{a.name} " + (f"{a.mean:.3g} {a.unit}" if free else estimate(a.mean, a.sd, a.unit))
-        for a in parameters
-    )
-    return {
-        "name": h.name,
-        "statement": CATALOGUE[h.name].statement if h.name in CATALOGUE else MADE_UP.get(h.name, ""),
-        "hidden": h.name in file.invisible,
-        "cells": [
-            "" if h.place is None else location_of(file, h.place, h.subtree),
-            "invisible" if h.name in file.invisible else percent(h.probability),
-            "" if h.prior_probability is None else "= " * h.prior_made + percent(h.prior_probability),
-            str(h.group),
-            f"{(h.log_evidence - zero) / math.log(10.0):+.1f}",
-            size,
-            "" if free else at_most(h) + span(h.gap_after, h.gap_after_interval),
-            f"{h.residual_rms:.3g}",
-        ],
-    }
-
-
-def _worth(posterior: tuple[str, Mapping[str, Any]]) -> float:
-    """What posteriors are ordered by: the marginal likelihood, which may be missing."""
-    value = posterior[1]["log_marginal_likelihood"]
-    return -math.inf if value is None else float(value)
-
-
 def state_sentences(file: DiagnosisFile) -> list[str]:
-    """For each other state what is left there, and whose functions hold."""
-    return [_state_sentence(state, file.cause) for state in file.states]
+    """For each other state what is left there, and what holds."""
+    leading = next((row.components for row in file.sets if row.solved), [])
+    return [_state_sentence(state, set(leading)) for state in file.states]
 
 
-def _state_sentence(state: StateFile, cause: list[str]) -> str:
+def _state_sentence(state: StateFile, components: set[str]) -> str:
     unit = unit_words(state.unit)
     lines = [
         f"In {state.state}, its parameters fitted again, the baseline misses by {state.baseline.mean:.2g}"
     ]
     if state.sensor is not None:
         lines.append(f"with the discrepancy that was seen at the sensor by {state.sensor.mean:.2g}")
-    leader = next((c for c in state.carried if set(c.names) & set(cause)), None)
+    leader = next((c for c in state.carried if set(c.names) == components), None)
     if leader is not None:
         lines.append(f"with what was learned of {listed(leader.names)} by {leader.error.mean:.2g}")
     holding = [listed(c.names) for c in state.carried if c.holds]

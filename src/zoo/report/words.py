@@ -19,11 +19,6 @@ def with_error(value: float | None, error: float | None) -> str:
     return f"{value:.1f}" if error is None else f"{value:.1f} ± {error:.1f}"
 
 
-def maybe(value: float | None) -> str:
-    """A number that may be missing."""
-    return with_error(value, None)
-
-
 def span(value: float, interval: Sequence[float]) -> str:
     """An estimate with its interval."""
     return f"{value:.2g} ({interval[0]:.2g} to {interval[1]:.2g})"
@@ -32,12 +27,6 @@ def span(value: float, interval: Sequence[float]) -> str:
 def spanned(x: Any) -> str:
     """The same of what has a mean, a low and a high end."""
     return span(x.mean, (x.low, x.high))
-
-
-def percent(share: float) -> str:
-    """A share in percent; "<1 %" for what is little but not nothing."""
-    text = f"{100 * share:.0f}"
-    return f"{'<1' if text == '0' and share > 0 else text} %"
 
 
 def estimate(mean: float, sd: float, unit: str = "1") -> str:
@@ -68,8 +57,5 @@ def value_text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-FILTERS = {
-    function.__name__: function
-    for function in (listed, with_error, maybe, spanned, percent, estimate, number, capital)
-}
+FILTERS = {function.__name__: function for function in (with_error, number, capital)}
 """What the templates write them with."""

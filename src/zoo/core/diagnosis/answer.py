@@ -268,23 +268,31 @@ def _estimates(found: CauseSets, draws: CauseDraws, own: set[int]) -> list[Estim
 
 
 def _share(found: CauseSets, draws: CauseDraws, component: str, group: str) -> Interval:
-    """Shapley's share of a component in the energy of truth minus baseline, 0 in sets without it."""
-    search = found.search
+    """Shapley's share of a component in the energy of truth minus baseline, 0 in sets without it.
+
+    Signals are those of the linear model, less what the baseline's fit takes of them; what a set computes
+    beyond their sum is shared in proportion to their energies.
+    """
+    search, base = found.search, found.solved[()].evidence
+    J = search.jacobian / base.variances(base.best(SIZE_PRIORS))[:, None]
+
+    def own(one: SetDraws, part: slice) -> Array:
+        signal = one.signal(part)
+        taken = np.linalg.lstsq(J.T @ search.jacobian, J.T @ signal.T, rcond=None)[0]
+        return search.family.errors.part(signal - (search.jacobian @ taken).T, group)
 
     def of(one: SetDraws) -> Array:
         index = next((i for i in one.which if search.causes[i].component == component), None)
         if index is None:
             return np.zeros(len(one.x))
-        part = one.solved.places(search.causes, search.origins)[index]
-        V = one.solved.evidence.variances(one.solved.evidence.best(SIZE_PRIORS))
-        J = search.jacobian / V[:, None]
-        signal = one.signal(part)
-        taken = np.linalg.lstsq(J.T @ search.jacobian, J.T @ signal.T, rcond=None)[0]
-        errors = search.family.errors
-        own = errors.part(signal - (search.jacobian @ taken).T, group)
-        gap = errors.part(one.computed + one.left - search.base.computed, group)
-        energy = np.maximum(np.sum(gap**2, axis=(1, 2)), 1e-300)
-        return np.asarray(np.sum(own * gap, axis=(1, 2)) / energy)
+        signals = {i: own(one, p) for i, p in one.solved.places(search.causes, search.origins).items()}
+        energy = {i: np.sum(x**2, axis=(1, 2)) for i, x in signals.items()}
+        computed = search.family.errors.part(one.computed - search.base.computed, group)
+        gap = computed + search.family.errors.part(one.left, group)
+        beyond = np.sum((computed - sum(signals.values())) * gap, axis=(1, 2))
+        shared = np.sum(signals[index] * gap, axis=(1, 2))
+        shared += beyond * energy[index] / np.maximum(sum(energy.values()), 1e-300)
+        return np.asarray(shared / np.maximum(np.sum(gap**2, axis=(1, 2)), 1e-300))
 
     return draws.interval(of)
 
@@ -461,9 +469,11 @@ def _verdict(file: DiagnosisFile, leader: Sequence[str]) -> str:
             f"{gap.before:.2g}{unit} that nothing here explains"
         )
     named = ", ".join(f"{c.name} {c.probability:.0%}" for c in wrong)
-    best = file.sets[0] if file.sets[0].causes else next(row for row in file.sets if row.causes)
-    by = " and ".join(leader or best.causes)
-    left = f"{by} ({best.probability:.0%}) takes the gap of {gap.before:.2g}{unit} to {gap.after:.2g}{unit}"
+    held = [row for row in file.sets if row.causes]
+    best = next((row for row in held if row.solved), held[0])  # the leading set, where one leads
+    by = " and ".join(best.causes)
+    after = gap.after if leader or best.gap_after is None else best.gap_after
+    left = f"{by} ({best.probability:.0%}) takes the gap of {gap.before:.2g}{unit} to {after:.2g}{unit}"
     if not wrong:
         others = ", ".join(f"{c.name} {c.probability:.0%}" for c in file.components[:3])
         return f"these data do not decide (nothing {nothing:.0%}; {others}): most probable is that {left}"

@@ -139,7 +139,7 @@ class Diagnosis:
         return self.file.sets
 
     def plot(self) -> Any:
-        """Discrepancy, hypotheses and locations on one page, by the `plotter` that `zoo.front` sets."""
+        """Discrepancy, causes and locations on one page, by the `plotter` that `zoo.front` sets."""
         if Diagnosis.plotter is None:
             raise DiagnosisError("no figures here: call zoo.plots.plot_diagnosis(d)")
         return Diagnosis.plotter(self)

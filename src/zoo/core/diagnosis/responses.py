@@ -321,7 +321,7 @@ def free_causes(
         by_value = X @ np.linalg.pinv(D)
         for length in f.lengths or (None,):
             columns = by_value @ (f.size * f.root(length))
-            place = "" if length is None else f"({length:.3g} {f.argument_unit})"
+            place = "" if length is None else f"({f'{length:.3g} {f.argument_unit}'.removesuffix(' 1')})"
             cause = Cause(f.name, f.component, columns, free=True, place=place)
             found.append((cause, Origin(function=f, length=length)))
     return found

@@ -476,10 +476,9 @@ class CauseSets:
         return {g: float(np.sqrt(np.mean(family.errors.part(variances, g)))) for g in family.groups}
 
     def gap_after(self, which: Which) -> Array:
-        """Rms (n_groups,) of what a solved set leaves beyond the noise, in the groups' units."""
-        one, family = self.solved[which], self.search.family
-        at = one.evidence.best(SIZE_PRIORS)
-        noise = one.evidence.variances(at, alone=True)
-        residual = self.search.data - one.point.computed
+        """Rms (n_groups,) of what a solved set leaves beyond the leader's noise, in the groups' units."""
+        leader, family = self.solved[self.leader].evidence, self.search.family
+        noise = leader.variances(leader.best(SIZE_PRIORS), alone=True)
+        residual = self.search.data - self.solved[which].point.computed
         left = [np.mean(family.errors.part(residual**2 - noise, g)) for g in family.groups]
         return np.sqrt(np.maximum(left, 0.0))
