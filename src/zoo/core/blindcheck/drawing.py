@@ -146,6 +146,7 @@ def told_of(added: AddedEffect, values: Sequence[float]) -> dict[str, Any]:
     """Fields of a `CaseKey` about an effect."""
     low, high = (float(x) for x in added.effect.parameters[0].prior.quantile(CENTRAL))
     return {
+        "components": (added.effect.family or added.effect.name,),
         "place": added.location.part,
         "subtree": added.location.subtree,
         "parameter": values[0],
