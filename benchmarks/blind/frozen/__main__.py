@@ -26,12 +26,14 @@ from benchmarks.blind.other_keys import other_keys
 
 from zoo.blood.blind import diagnose_cases
 from zoo.core.blindcheck import Answer, CaseKey, Group, Score, paired_table, score_answers, score_table
-from zoo.core.blindcheck.cases import NOISE, REST
+from zoo.core.blindcheck.cases import NOISE, UNLISTED
 from zoo.core.blindcheck.folders import ANSWER, FAILED, read_answers
 
 HERE = Path(__file__).parent
 ELSEWHERE = ("blind", "blind2")
 """Sets by an independent simulator, whose cases and keys are not here."""
+REST = (*NOISE, UNLISTED)
+"""What former answers give probability to besides effects and components."""
 NUMERICS = "coarse-grid"
 """A listed effect in no component, which today is a component of its own."""
 

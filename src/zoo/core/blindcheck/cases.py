@@ -19,8 +19,7 @@ Place = int | str | None
 NULL = "no-gap"
 """Label of a case without a cause."""
 NOISE = (NULL, "correlated-noise")
-REST = (*NOISE, "unlisted")
-"""What former answers give probability to besides effects and components."""
+UNLISTED = "unlisted"
 DIGITS = 7
 
 
@@ -85,8 +84,8 @@ class CaseKey(_Record):
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Listed effects that are right: of what is accepted all but what older keys accept beside them."""
-        return tuple(name for name in self.accepted if name not in (*REST, *self.components))
+        """Listed effects that are right; older keys accept noise, and components beside "unlisted", too."""
+        return () if UNLISTED in self.accepted else tuple(x for x in self.accepted if x not in NOISE)
 
     @property
     def wrong(self) -> tuple[str, ...]:

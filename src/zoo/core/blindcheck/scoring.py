@@ -440,31 +440,39 @@ def score_answers(
     return Score(cases, summarise(cases), summaries, bins, without_key, failed or {})
 
 
-def paired(now: Score, then: Score, name: str = "kind") -> dict[str, dict[str, tuple[Mean, Mean]]]:
-    """Differences of log and Brier scores, now minus then, of cases that both answered.
+def paired(
+    now: Score, then: Score, name: str = "kind"
+) -> dict[str, dict[str, tuple[Asked, Asked, Mean, Mean]]]:
+    """Scores of the cases that both answered, and differences of log and Brier scores, now minus then.
 
     Returns
     -------
     dict
-        Value of the column `name`, or "all" -> question -> (log score, Brier score). A difference is lost
-        where either log score is -inf.
+        Value of the column `name`, or "all" -> question -> (now, then, log score, Brier score). The
+        difference of two log scores is infinite where one is.
     """
-    former = {row["case"]: row for row in then.cases}
-    found = {}
-    for value, rows in {**grouped(now.cases, name), "all": list(now.cases)}.items():
-        two = [(row, former[row["case"]]) for row in rows if row["case"] in former]
-        found[value] = {
-            question: (
-                Mean.of(_minus(a, b, f"{question}_log") for a, b in both),
-                Mean.of(_minus(a, b, f"{question}_brier") for a, b in both),
-            )
-            for question in QUESTIONS
-            if (both := [(a, b) for a, b in two if question in a["events"] and question in b["events"]])
-        }
+    former = {row["case"]: row for row in then.cases if row["answered"]}
+    rows = [row for row in now.cases if row["answered"] and row["case"] in former]
+    found: dict[str, dict[str, tuple[Asked, Asked, Mean, Mean]]] = {}
+    for value, own in {**grouped(rows, name), "all": rows}.items():
+        found[value] = {}
+        for question in QUESTIONS:
+            a = [
+                row for row in own if question in row["events"] and question in former[row["case"]]["events"]
+            ]
+            b = [former[row["case"]] for row in a]
+            one, other = ask(a, question), ask(b, question)
+            if one and other:
+                log, brier = (
+                    Mean.of(
+                        _minus(x[f"{question}_{s}"], y[f"{question}_{s}"]) for x, y in zip(a, b, strict=True)
+                    )
+                    for s in ("log", "brier")
+                )
+                found[value][question] = (one, other, log, brier)
     return found
 
 
-def _minus(a: Row, b: Row, column: str) -> float:
+def _minus(x: float, y: float) -> float:
     """A difference; infinite where either is."""
-    x, y = float(a[column]), float(b[column])
-    return x - y if math.isfinite(x) and math.isfinite(y) else (math.inf if x > y else -math.inf)
+    return x - y if math.isfinite(x) and math.isfinite(y) else math.copysign(math.inf, (x > y) - 0.5)

@@ -118,9 +118,7 @@ def paired_table(now: Score, then: Score, name: str = "kind") -> str:
     """Two programs' scores of the same cases beside each other, with differences, in Markdown."""
     rows = []
     for value, questions in paired(now, then, name).items():
-        for question, (log, brier) in questions.items():
-            a, b = ((s.by[name][value] if value != "all" else s.summary)["questions"] for s in (now, then))
-            x, y = a[question], b[question]
+        for question, (x, y, log, brier) in questions.items():
             rows.append(
                 f"{value} | {QUESTIONS[question]} | {log.n} | {x.log.text()} | {y.log.text()} "
                 f"| {log.text('+')} | {x.constant_log:.3f} | {x.brier.mean:.3f} | {y.brier.mean:.3f} "
