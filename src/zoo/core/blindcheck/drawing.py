@@ -121,7 +121,7 @@ class ModelDraw:
                     more = with_effects(self.model, [added])
                     series = more.solve(more.configure(np.append(theta, values)))
                     gap = float(np.sqrt(np.mean(baseline.left(series) ** 2)))
-                    told = told_of(added, values)
+                    told = {"components": (effect.family or label,), **told_of(added, values)}
             except (EffectError, SolveError):
                 continue
             if effect is None or self.limits[0] * self.noise <= gap <= self.limits[1] * self.noise:
@@ -146,7 +146,6 @@ def told_of(added: AddedEffect, values: Sequence[float]) -> dict[str, Any]:
     """Fields of a `CaseKey` about an effect."""
     low, high = (float(x) for x in added.effect.parameters[0].prior.quantile(CENTRAL))
     return {
-        "components": (added.effect.family or added.effect.name,),
         "place": added.location.part,
         "subtree": added.location.subtree,
         "parameter": values[0],
