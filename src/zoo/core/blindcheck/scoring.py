@@ -272,14 +272,23 @@ def _columns(name: str, size: Any) -> dict[str, float]:
 class Asked:
     """Scores of some cases in one question, beside the base rates of these cases given to each alike.
 
-    `unlikely` are the cases, events and probabilities of what is so and was given less than `UNLIKELY`.
+    `unlikely` are the cases, events and probabilities of what is so and was given less than `UNLIKELY`;
+    `likely` is the log score of the cases without such an event.
     """
 
     log: Mean
+    likely: Mean
     brier: Mean
     constant_log: float
     constant_brier: float
     unlikely: tuple[tuple[str, str, float], ...]
+
+    def log_text(self) -> str:
+        """The log score; where something was all but impossible, in how many cases, and of the others."""
+        if not self.unlikely:
+            return self.log.text()
+        lost = f"{self.log.n - self.likely.n} of {self.log.n} below 1e-6; the others {self.likely.text()}"
+        return f"{self.log.mean:.3f} ({lost})"
 
 
 def ask(cases: Sequence[Row], question: str) -> Asked | None:
@@ -294,17 +303,20 @@ def ask(cases: Sequence[Row], question: str) -> Asked | None:
         [Event(e.names, sum(true[name] for name in e.names) / len(given), e.true) for e in own]
         for own in events
     ]
+    unlikely = tuple(
+        (row["case"], f"{'' if e.true else 'not '}{' or '.join(e.names)}", e.so)
+        for row, own in zip(given, events, strict=True)
+        for e in own
+        if e.so < UNLIKELY
+    )
+    lost = {case for case, _, _ in unlikely}
     return Asked(
         Mean.of(row[f"{question}_log"] for row in given),
+        Mean.of(row[f"{question}_log"] for row in given if row["case"] not in lost),
         Mean.of(row[f"{question}_brier"] for row in given),
         float(np.mean([log_score(own) for own in flat])),
         float(np.mean([brier_score(own) for own in flat])),
-        tuple(
-            (row["case"], f"{'' if e.true else 'not '}{' or '.join(e.names)}", e.so)
-            for row, own in zip(given, events, strict=True)
-            for e in own
-            if e.so < UNLIKELY
-        ),
+        unlikely,
     )
 
 
@@ -451,8 +463,8 @@ def paired(
         Value of the column `name`, or "all" -> question -> (now, then, log score, Brier score). The
         difference of two log scores is infinite where one is.
     """
-    former = {row["case"]: row for row in then.cases if row["answered"]}
-    rows = [row for row in now.cases if row["answered"] and row["case"] in former]
+    former = {row["case"]: row for row in then.cases}
+    rows = [row for row in now.cases if row["case"] in former]
     found: dict[str, dict[str, tuple[Asked, Asked, Mean, Mean]]] = {}
     for value, own in {**grouped(rows, name), "all": rows}.items():
         found[value] = {}

@@ -33,7 +33,7 @@ def summary_rows(s: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     rows = []
     for question, one in s["questions"].items():
         words = QUESTIONS[question]
-        rows.append((f"{words}: log score", one.log.text(), f"{one.constant_log:.3f}"))
+        rows.append((f"{words}: log score", one.log_text(), f"{one.constant_log:.3f}"))
         rows.append((f"{words}: Brier score", one.brier.text(), f"{one.constant_brier:.3f}"))
     rows.append(("most probable is a component that is wrong, or nothing", str(s["first"]), always))
     if s["false_alarms"].n:
@@ -72,7 +72,7 @@ def table(heads: str, rows: Sequence[str]) -> str:
 
 def _asked(one: Asked) -> str:
     return (
-        f"{one.log.n} | {one.log.text()} | {one.constant_log:.3f} "
+        f"{one.log.n} | {one.log_text()} | {one.constant_log:.3f} "
         f"| {one.brier.text()} | {one.constant_brier:.3f}"
     )
 
@@ -120,7 +120,7 @@ def paired_table(now: Score, then: Score, name: str = "kind") -> str:
     for value, questions in paired(now, then, name).items():
         for question, (x, y, log, brier) in questions.items():
             rows.append(
-                f"{value} | {QUESTIONS[question]} | {log.n} | {x.log.text()} | {y.log.text()} "
+                f"{value} | {QUESTIONS[question]} | {log.n} | {x.log_text()} | {y.log_text()} "
                 f"| {log.text('+')} | {x.constant_log:.3f} | {x.brier.mean:.3f} | {y.brier.mean:.3f} "
                 f"| {brier.text('+')} | {x.constant_brier:.3f}"
             )
