@@ -1,39 +1,23 @@
-"""The posterior over sets of causes: calibrated under its own prior, and beside frozen answers.
+"""The posterior over sets of causes, calibrated under its own prior.
 
 python -m benchmarks.causes calibrate [--replicates 500] [--seed 7]   linear problems of 20 causes, all drawn
-python -m benchmarks.causes frozen OUT.jsonl [--each 3]               frozen blind cases; goes on where it was
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import tempfile
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-from benchmarks.blind.frozen.__main__ import frozen_answers, frozen_keys, sets, unpack
 from scipy.stats import truncnorm
 
-from zoo import load_study
-from zoo.blood.baseline import get_baseline
-from zoo.blood.diagnosis import HOOKS, SEARCH_SHARE, effects_for, errors_of
-from zoo.blood.forward import study_data
-from zoo.blood.study import Study
-from zoo.core.blindcheck import CaseKey
 from zoo.core.causes import Cause, CausePriors, ErrorFamily, Problem, weigh_causes
 from zoo.core.causes.evidence import SizePriors, without
 from zoo.core.causes.family import COLOURED, NOISE_SPREAD
 from zoo.core.data import Data
-from zoo.core.diagnosis.bounds import freed
-from zoo.core.diagnosis.screening import Screening
-from zoo.core.diagnosis.sets import CauseSets, cause_sets
 from zoo.core.errors.spectral import Harmonics
 
 RANGE = 10.0
@@ -169,82 +153,6 @@ def _compare(
             )
 
 
-def sets_of(study: Study, cores: int) -> CauseSets:
-    """The posterior over sets of causes of a study, without the rest of a diagnosis."""
-    data = study_data(study)
-    model = get_baseline("linear-constant").forward(study, share=SEARCH_SHARE)
-    effects, errors = effects_for(model), errors_of(study, data)
-    screening = Screening(data, model, effects, errors=errors, smooth=HOOKS.smooth, cores=cores)
-    return cause_sets(freed(screening)[0].run(), HOOKS, cores=cores)
-
-
-def frozen(out: Path, each: int, cores: int) -> None:
-    """Weigh frozen cases, drawn alike from every set, and score inclusion beside the former answers."""
-    found = {}
-    if out.exists():
-        found = {line["case"]: line for line in map(json.loads, out.read_text(encoding="utf-8").splitlines())}
-    by_set: dict[str, list[CaseKey]] = {}
-    for key in frozen_keys():
-        by_set.setdefault(key.case.split("/")[0], []).append(key)
-    rng = np.random.default_rng(3)
-    chosen = [keys[i] for _, keys in sorted(by_set.items()) for i in rng.permutation(len(keys))[:each]]
-    with tempfile.TemporaryDirectory() as folder:
-        unpack(Path(folder), sets())
-        for key in chosen:
-            if key.case in found:
-                continue
-            began = time.monotonic()
-            line: dict[str, Any] = {"case": key.case}
-            one = sets_of(load_study(Path(folder) / key.case), cores=cores)
-            line |= {"components": one.posterior.components, "number": one.posterior.number.tolist()}
-            line |= {"linear_error": one.linear_error, "seconds": time.monotonic() - began}
-            line["sets"] = one.table(0.01)[["causes", "probability", "solved"]].to_dict("records")
-            with out.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line) + "\n")
-            found[key.case] = line
-            print(
-                key.case,
-                key.label,
-                {k: round(v, 2) for k, v in line["components"].items() if v > 0.02},
-                flush=True,
-            )
-    _scores([key for key in chosen if key.case in found], found)
-
-
-def _scores(keys: list[CaseKey], found: Mapping[str, Any]) -> None:
-    former = frozen_answers()
-    print("set: cases | log score of inclusion, no floor | Brier score | first right | wrong above 0.9")
-    rows: dict[str, list[list[float]]] = {}
-    for key in keys:
-        answer = former[key.case]
-        then = {one.name: one.probability for one in answer.components} if answer else {}
-        now = found[key.case]["components"]
-        names = [name for name in now if name in then]
-        row = []
-        for p in (now, then):
-            right = np.array([p[n] if n in key.components else 1.0 - p[n] for n in names])
-            first = max(names, key=lambda n, p=p: p[n])
-            good = first in key.components if key.components else p[first] < 0.5
-            wrong = sum(p[n] > 0.9 for n in names if n not in key.components)
-            with np.errstate(divide="ignore"):
-                row += [
-                    float(np.log(right).mean()),
-                    float(np.mean((1.0 - right) ** 2)),
-                    float(good),
-                    float(wrong),
-                ]
-        rows.setdefault(key.case.split("-")[0], []).append(row)
-        rows.setdefault("all", []).append(row)
-    for name, each in rows.items():
-        a = np.array(each)
-        d = a[:, 1] - a[:, 5]
-        print(
-            f"{name}: {len(a)} | {a[:, 0].mean():.3f} (former {a[:, 4].mean():.3f}) | {a[:, 1].mean():.4f} "
-            f"(former {a[:, 5].mean():.4f}, difference {d.mean():+.4f} ± {d.std() / len(d) ** 0.5:.4f}) | "
-            f"{a[:, 2].sum():.0f} ({a[:, 6].sum():.0f}) | {a[:, 3].sum():.0f} ({a[:, 7].sum():.0f})"
-        )
-
-
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -252,15 +160,8 @@ def main() -> None:
     one = commands.add_parser("calibrate")
     one.add_argument("--replicates", type=int, default=500)
     one.add_argument("--seed", type=int, default=7)
-    other = commands.add_parser("frozen")
-    other.add_argument("out", type=Path)
-    other.add_argument("--each", type=int, default=3)
-    other.add_argument("--cores", type=int, default=2)
     args = parser.parse_args()
-    if args.command == "calibrate":
-        calibrate(args.replicates, args.seed)
-    else:
-        frozen(args.out, args.each, args.cores)
+    calibrate(args.replicates, args.seed)
 
 
 if __name__ == "__main__":

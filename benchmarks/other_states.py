@@ -25,7 +25,7 @@ from zoo.blood.blind.networks import inflow
 from zoo.blood.blind.study_cases import SAMPLES, Bench, Cause, stream
 from zoo.blood.diagnosis import diagnose
 from zoo.blood.study import Study
-from zoo.core.diagnosis import Diagnosis
+from zoo.core.diagnosis import DiagnosisFile
 from zoo.core.effects import EffectError
 
 FASTER, MORE = (0.8, 0.9), (1.1, 1.4)
@@ -56,21 +56,20 @@ def second_state(first: Bench, cause: Cause, rng: np.random.Generator) -> tuple[
     return None if waves is None else (bench, waves)
 
 
-def row_of(true: str, found: Diagnosis) -> dict[str, Any]:
+def row_of(true: str, file: DiagnosisFile) -> dict[str, Any]:
     """What leads, how probable it is, what is left in the second state, and what holds there."""
-    scored, state = found.rounds[0], found.file.states[0]
-    names = scored.own(scored.leader)
-    held = next(c for c in state.carried if set(c.names) == set(names))
-    holding = [set(c.names) for c in state.carried if c.holds]
+    first, state = next(one for one in file.sets if one.causes == file.cause), file.states[0]
+    held = next((c for c in state.carried if c.names == first.components), None)
+    holding = [c.names for c in state.carried if c.holds]
     return {
         "true": true,
-        "leader": "+".join(names),
-        "probability": dict(scored.pairs)[scored.pair] if scored.pair else scored.probability[scored.leader],
-        "right": true in (*names, scored.belongs.get(scored.leader)),
-        "holds": held.holds,
-        "errors": (state.baseline.mean, state.sensor.mean, held.error.mean),  # type: ignore[union-attr]
-        "holding": [" and ".join(sorted(one)) for one in holding],
-        "others hold": any(true not in (*one, *(scored.belongs.get(n) for n in one)) for one in holding),
+        "leader": "+".join(first.components) or "nothing",
+        "probability": first.probability,
+        "right": true in first.components,
+        "holds": held is not None and held.holds,
+        "errors": (state.baseline.mean, state.sensor.mean, (held.error if held else state.baseline).mean),  # type: ignore[union-attr]
+        "holding": [" and ".join(sorted(names)) for names in holding],
+        "others hold": any(true not in names for names in holding),
     }
 
 
@@ -94,7 +93,7 @@ def main() -> None:
             continue
         first = measured(bench, cause.waves, rng)
         found = diagnose(first, states=[measured(*second, rng)], cores=args.cores)
-        row = row_of(cause.components[0], found)
+        row = row_of(cause.components[0], found.file)
         rows.append(row)
         baseline, sensor, leader = row["errors"]
         print(

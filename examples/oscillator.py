@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from zoo.core.blindcheck import NULL as NO_GAP
 from zoo.core.blindcheck import DrawnCase, Score, blind_check
 from zoo.core.data import Data
 from zoo.core.diagnosis import diagnose
-from zoo.core.diagnosis.hypothesis import NULL as NO_GAP
 from zoo.core.effects import EffectParameter, Location, effect, with_effects
 from zoo.core.errors.spectral import Cosines
 from zoo.core.forward import FunctionModel, Outputs

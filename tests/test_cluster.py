@@ -67,7 +67,7 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def alone(cases: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Their answers, one after the other in this process."""
     answers = tmp_path_factory.mktemp("alone") / "answers"
-    assert diagnose_cases(cases, answers, effects=CHEAP, max_effects=1, cores=1).failed == {}
+    assert diagnose_cases(cases, answers, effects=CHEAP, cores=1).failed == {}
     return answers
 
 
@@ -178,7 +178,7 @@ def test_blind_check_with_a_worker_killed_twice(
     killer.start()
     try:
         with connect(cluster.scheduler_address) as executor:
-            found = diagnose_cases(cases, answers, effects=CHEAP, max_effects=1, executor=executor)
+            found = diagnose_cases(cases, answers, effects=CHEAP, executor=executor)
     finally:
         done.set()
         killer.join()

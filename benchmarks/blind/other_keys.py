@@ -12,8 +12,7 @@ import numpy as np
 
 from zoo.blood.components import component_of
 from zoo.blood.effects import CATALOGUE
-from zoo.core.blindcheck import BlindError, CaseKey
-from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
+from zoo.core.blindcheck import NULL, BlindError, CaseKey
 
 OTHER_NAMES = {
     "junction-loss": "minor-losses",
@@ -27,18 +26,9 @@ AMPLITUDES: dict[str, Callable[[float], float]] = {
     "velocity-profile": lambda zeta: 2 / zeta,
 }
 """Their amplitudes -> those of the catalogue; others are the same."""
-NO_SIZE = (CORRELATED, "coarse-grid")
+NO_SIZE = ("correlated-noise", "coarse-grid")
 """Effects whose size depends on more than the effect."""
 COUNTS = {1: "one", 2: "two"}
-
-
-def right_of(kind: str, label: str, components: tuple[str, ...], correlated: bool) -> tuple[str, ...]:
-    """Explanations that are right: none where the component has to be named."""
-    if kind == "none":
-        return (NULL, CORRELATED) if correlated else (NULL,)
-    if kind == "listed":
-        return (label,)
-    return (NONPARAMETRIC, *components) if kind == "outside" else ()
 
 
 def other_key(entry: Mapping[str, Any], case: str) -> CaseKey:
@@ -66,7 +56,7 @@ def other_key(entry: Mapping[str, Any], case: str) -> CaseKey:
         case=case,
         kind=kind,
         label=name,
-        accepted=right_of(kind, name, components, correlated > 0),
+        accepted=(name,) if kind == "listed" else (),
         components=components,
         place=where.get("vessel"),
         subtree=bool(where.get("subtree")),
@@ -88,7 +78,6 @@ def _component_key(entry: Mapping[str, Any], case: str) -> CaseKey:
         case=case,
         kind=kind,
         label="+".join(names) or NULL,
-        accepted=right_of(kind, NULL, components, correlated > 0),
         components=components,
         noise=math.hypot(white, correlated),
         gap=float(np.sqrt(np.mean(np.square([entry["base_fit"]["rms_noisefree"][i] for i in pressures])))),

@@ -34,9 +34,8 @@ from zoo.blood.blind.study_cases import (
     stream,
 )
 from zoo.blood.diagnosis import effects_for
-from zoo.core.blindcheck import BlindError
+from zoo.core.blindcheck import NULL, BlindError
 from zoo.core.blindcheck.folders import MadeCase, write_cases
-from zoo.core.diagnosis.hypothesis import NULL
 
 KINDS = ("component", "pair", "small", "coloured")
 LAYOUTS = ("MPA", "MPA+daughters", "MPA+distal", "MPA+flows")
@@ -140,7 +139,7 @@ def draw_truth(
             parts = [COMPONENTS[int(i)] for i in np.sort(effects.permutation(len(COMPONENTS))[: len(parts)])]
             first = PLUS.join(parts)
         bench, tags = draw_bench(network, f"case-{job.index + 1:03d}", layouts=job.layouts)
-        cause: Cause | None = nothing(bench, correlated[0])
+        cause: Cause | None = nothing(bench)
         if first != NULL and parts[0] not in COMPONENTS:
             names = (first, *(one.name for one in effects_for(study_cases.BASELINE)))
             cause = draw_listed(effects, bench, names, (low, high))

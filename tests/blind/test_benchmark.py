@@ -7,6 +7,7 @@ import math
 import sys
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import benchmarks.blind.frozen.__main__ as frozen
@@ -15,6 +16,7 @@ import pytest
 from benchmarks.blind.causes import CAUSES, COMPONENTS, SHORTEST, constant_phase_sections, ladder_sections
 from benchmarks.blind.other_keys import other_keys
 from benchmarks.blind.sets import COMPARABLE, KINDS, SMALL, make_set, plan
+from benchmarks.other_states import row_of
 
 from zoo.blood.baseline import get_baseline
 from zoo.blood.blind.study_cases import GAP_OVER_NOISE, GENERATOR
@@ -23,6 +25,7 @@ from zoo.blood.effects import CATALOGUE
 from zoo.blood.study import load_study
 from zoo.core.blindcheck import Answer, BlindError
 from zoo.core.blindcheck.folders import case_files, digest_of, read_key
+from zoo.core.blindcheck.scoring import QUESTIONS
 from zoo.core.effects import EVERYWHERE
 from zoo.core.parameters import pack, start_of
 
@@ -113,7 +116,7 @@ def test_keys_tell_components_and_gaps_in_range(sets: dict[str, tuple[Path, Path
             assert key.kind == "none" or low <= key.gap / key.noise <= high  # type: ignore[operator]
             assert len(key.components) == {"none": 0, "listed": 1, "component": 1, "pair": 2}[key.kind]
             if kind == "coloured":
-                assert key.accepted == ("no-gap", "correlated-noise")
+                assert key.accepted == ()
                 assert 0.3 <= correlated["mmHg"] / white <= 2.0
                 assert 1e-3 <= correlated["s"] <= 8e-3
     kinds = Counter(key.kind for key in read_key(sets["small"][1])[1])
@@ -164,24 +167,24 @@ def other(folder: Path, **changes: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("changes", "kind", "accepted", "amplitude"),
+    ("changes", "kind", "effects", "amplitude"),
     [
         ({}, "listed", ("minor-losses",), 3.0),
-        ({"effect": None, "amplitude": 0.0}, "none", ("no-gap", "correlated-noise"), None),
-        ({"effect": "active_tone", "in_library": False}, "outside", ("unlisted", "wall"), None),
+        ({"effect": None, "amplitude": 0.0}, "none", (), None),
+        ({"effect": "active_tone", "in_library": False}, "outside", (), None),
         ({"effect": "distributed_outflow", "amplitude": 4}, "listed", ("distributed-outflow",), 3.0),
         ({"effect": "velocity_profile", "amplitude": 2.0}, "listed", ("velocity-profile",), 1.0),
         ({"effect": "nonlinear_wall", "amplitude": 0.3}, "listed", ("tangent-wall",), 0.3),
         ({"effect": "catheter_gain", "amplitude": 0.2}, "listed", ("sensor-gain",), 0.2),
-        ({"effect": "correlated_noise"}, "listed", ("correlated-noise",), None),
+        ({"effect": "correlated_noise"}, "listed", (), None),
         ({"effect": "coarse_grid"}, "listed", ("coarse-grid",), None),
     ],
 )
 def test_keys_made_elsewhere(
-    changes: dict[str, Any], kind: str, accepted: tuple[str, ...], amplitude: float | None, tmp_path: Path
+    changes: dict[str, Any], kind: str, effects: tuple[str, ...], amplitude: float | None, tmp_path: Path
 ) -> None:
     found = other(tmp_path, **changes)
-    assert (found.case, found.kind, found.accepted) == ("blind/case-101", kind, accepted)
+    assert (found.case, found.kind, found.effects) == ("blind/case-101", kind, effects)
     assert found.parameter == amplitude
     assert found.noise == pytest.approx(0.05)
     assert found.gap == pytest.approx(math.sqrt((0.04 + 0.16) / 2))
@@ -213,27 +216,69 @@ def test_frozen_cases_are_those_of_their_keys(tmp_path: Path) -> None:
         assert np.shape(keys[name].truth) == study.values.shape
 
 
-def test_the_table_of_the_frozen_answers_and_of_today(
+def test_frozen_answers_are_shared_out_among_components_and_nothing() -> None:
+    """Rivals of which one is true: together they have all, whether by component, by name or by group."""
+    keys, lines = frozen.frozen_keys(), frozen.frozen_lines()
+    for case, answer in frozen.frozen_answers().items():
+        assert answer is not None
+        assert answer.nothing + sum(answer.components.values()) == pytest.approx(1.0, abs=0.005)
+        own = {e["name"]: e["probability"] for e in lines[case]["answer"]["explanations"]}
+        assert all(own[name] == p for name, p in answer.effects.items())
+        assert sorted(n for g in answer.groups for n in g.names) == sorted(answer.effects)
+        assert sum(g.probability for g in answer.groups) >= sum(answer.effects.values()) - 1e-9
+    score = frozen.score_of(keys, frozen.frozen_answers())
+    assert set(score.summary["questions"]) == set(QUESTIONS)
+    assert score.by["set"]["pair"]["questions"]["components"].log.mean < -10  # of two one has nearly all
+    assert score.summary["left"].n > 100
+
+
+def test_more_cases_of_a_seed_are_the_same_and_others() -> None:
+    keys = frozen.frozen_keys()
+    few, more = (frozen.chosen_keys(keys, n, 3) for n in (2, 4))
+    assert few.items() <= more.items()
+    assert set(Counter(key.tags["set"] for key in more.values()).values()) == {4}
+    assert few != frozen.chosen_keys(keys, 2, 4)
+    assert len(frozen.chosen_keys(keys, None, 3)) == len(keys)
+
+
+def test_today_s_answers_stand_beside_the_former_ones_and_a_run_goes_on(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    answers = frozen.frozen_answers()
-    score = frozen.score_of(frozen.frozen_keys(), answers)
-    assert score.summary["n"] > 0
-    assert math.isfinite(score.summary["constant"]["log_score"])
-    assert score.components is not None
-    for answer in answers.values():
-        if answer is not None:
-            total = sum(e.probability for e in answer.by_component())
-            total += sum(e.probability for e in answer.explanations if e.name == "coarse-grid")  # of none
-            assert total == pytest.approx(1.0, abs=0.005)
-    guess = Answer.ranked({"no-gap": 0.75, "correlated-noise": 0.25})
-    monkeypatch.setattr("zoo.blood.blind.StudyDiagnosis.__call__", lambda self, case, out: guess)
-    arguments = ["frozen", "--sets", "coloured-many", "--run", str(tmp_path), "--cores", "1"]
-    monkeypatch.setattr(sys, "argv", arguments)
+    asked: list[str] = []
+
+    def guess(self: Any, case: Path, out: Path) -> Answer:
+        asked.append(case.name)
+        return Answer(components={"wall": 0.25}, nothing=0.75)
+
+    monkeypatch.setattr("zoo.blood.blind.StudyDiagnosis.__call__", guess)
     monkeypatch.delenv("ZOO_DATA_DIR", raising=False)
-    frozen.main()
+    for each, diagnosed in ((2, 2), (3, 3)):
+        arguments = ["--kinds", "coloured", "--each", str(each), "--run", str(tmp_path), "--cores", "1"]
+        monkeypatch.setattr(sys, "argv", ["frozen", *arguments])
+        frozen.main()
+        assert len(asked) == len(set(asked)) == diagnosed
     printed = capsys.readouterr().out
     assert "c4fb767" in printed
-    assert "| 5 cases, 0 without an answer |" in printed
-    assert "| log score | 0.000 | " in printed  # by today's guess, that what is right has all
-    assert "| set | cases | log score | constant |" in printed
+    assert "| 3 cases, 0 without an answer |" in printed
+    assert "| coloured | that nothing is wrong | 3 | -0.288 ± 0.000 |" in printed
+
+
+def test_what_follows_from_one_state_in_another_is_read_from_the_file() -> None:
+    """The leader and whether it holds, and other components that hold where they are not true."""
+    left = [SimpleNamespace(mean=x) for x in (0.1, 0.08, 0.01, 0.02)]
+    carried = [
+        SimpleNamespace(names=[name], holds=True, error=error)
+        for name, error in zip(("wall", "geometry"), left[2:], strict=True)
+    ]
+    first = SimpleNamespace(causes=["law, softer"], components=["wall"], probability=0.8)
+    state = SimpleNamespace(carried=carried, baseline=left[0], sensor=left[1])
+    file: Any = SimpleNamespace(cause=first.causes, sets=[first], states=[state])
+    row = row_of("wall", file)
+    assert (row["right"], row["holds"], row["others hold"]) == (True, True, True)
+    assert row["errors"] == (0.1, 0.08, 0.01)
+    assert row_of("fluid", file)["right"] is False
+    nothing: Any = SimpleNamespace(
+        cause=[], sets=[first, SimpleNamespace(causes=[], components=[], probability=0.1)]
+    )
+    nothing.states = file.states
+    assert row_of("wall", nothing)["errors"] == (0.1, 0.08, 0.1)

@@ -151,7 +151,7 @@ def make(folder: Path) -> None:
         make_checkpoint(where, seed)
     content = types.SimpleNamespace(file=read_diagnosis(ANSWER))
     Diagnosis.save(content, folder / "answer")  # type: ignore[arg-type]
-    key = CaseKey(case="case-001", kind="none", label="no-gap", accepted=("no-gap",), noise=0.1)
+    key = CaseKey(case="case-001", kind="none", label="no-gap", noise=0.1)
     write_cases(folder / "cases", folder / "key.json", [key], one_case, head={"seed": 7})
     run_cases(folder / "cases", folder / "answers", Guess())
     for name in ("key.json", "cases/KEY.sha256"):
@@ -181,7 +181,7 @@ class Guess:
         from zoo.core.blindcheck import Answer
 
         (answer / "notes.txt").write_text("read\n")
-        return Answer.ranked({"no-gap": 0.75, "unlisted": 0.25})
+        return Answer.ranked({"no-gap": 0.75, "drift": 0.25})
 
 
 def make_checkpoint(folder: Path, seed: int) -> None:

@@ -110,7 +110,6 @@ def run(
         Path, typer.Option("--output", "-o", help="Folder for the answers."), Role.WRITES
     ] = Path("answers"),
     base: Annotated[str, typer.Option("--base", help="Baseline, as in `zoo diagnose`.")] = "linear-constant",
-    max_effects: Annotated[int, typer.Option("--max-effects", help="Most effects to add.")] = 3,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
     cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each."), Role.ASIDE] = 2,
     dask: DaskOption = None,
@@ -135,7 +134,6 @@ def run(
             cases,
             output,
             base=base,
-            max_effects=max_effects,
             effects_from=plugins.effects_from or (),
             seed=seed,
             priors=priors.table(),
@@ -182,10 +180,8 @@ def score(
     title = f"{found.summary['n']} cases, {found.summary['failed']} without an answer"
     if found.without_key:
         title += f"; {found.without_key} more answers have no key"
-    for words, part in ((title, found), ("by component", found.components)):
-        if part is not None:
-            table = plain_table("score", "", CONSTANT, title=words)
-            for row in summary_rows(part.summary, sizes=part is found):
-                table.add_row(*row)
-            say(table)
+    table = plain_table("score", "", CONSTANT, title=title)
+    for row in summary_rows(found.summary):
+        table.add_row(*row)
+    say(table)
     say(f"wrote {output}: score.json, score.md, cases.csv, {', '.join(figures)}")

@@ -32,15 +32,13 @@ def plot_reliability(score: Score) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Of the leading group of each case; right the same by component, where the answers know any. Hollow
-        bins have fewer than eight cases.
+        Of components, and of listed effects where one is true. Hollow bins have fewer than eight events.
     """
-    from zoo.core.blindcheck.scoring import FULL_BIN
+    from zoo.core.blindcheck.scoring import FULL_BIN, QUESTIONS
 
-    panels = [("leading explanation with its group", score.reliability)]
-    if score.components is not None:
-        panels.append(("leading component with its group", score.components.reliability))
-    with new_figure((4.3 * len(panels), 4.2)) as figure:
+    asked = [q for q in ("components", "effects") if q in score.reliability] or list(score.reliability)[:1]
+    panels = [(QUESTIONS[q], score.reliability[q]) for q in asked]
+    with new_figure((4.3 * max(1, len(panels)), 4.2)) as figure:
         for axes, (title, bins) in zip(
             figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
         ):
@@ -56,12 +54,12 @@ def plot_reliability(score: Score) -> Figure:
                 )
             axes.set(xlim=(-0.03, 1.05), ylim=(-0.03, 1.05), aspect="equal", xlabel="stated probability")
             axes.set_title(title)
-        figure.axes[0].set_ylabel("share that is true (number: cases)")
+        figure.axes[0].set_ylabel("share that is true (number: events)")
     return figure
 
 
 def plot_confusion(score: Score) -> Figure:
-    """What was ranked first, by what is true.
+    """What is most probable, by what is true.
 
     Parameters
     ----------
@@ -70,7 +68,7 @@ def plot_confusion(score: Score) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Rows are true, columns ranked first; framed cells are the right ones.
+        Rows are true, columns the most probable component or none; framed cells are the right ones.
     """
     count = Counter((c["label"], c["leader"] if c["answered"] else "failed") for c in score.cases)
     right = {(c["label"], name) for c in score.cases for name in c["right"]}
@@ -88,6 +86,6 @@ def plot_confusion(score: Score) -> Figure:
                 axes.add_patch(box)
         axes.set_xticks(range(len(said)), said, rotation=90, fontsize="small")
         axes.set_yticks(range(len(true)), true, fontsize="small")
-        axes.set_xlabel("ranked first")
+        axes.set_xlabel("most probable")
         axes.set_ylabel("true")
     return figure

@@ -37,11 +37,10 @@ from zoo.blood.plugins import add_effects
 from zoo.blood.solver import library_digest
 from zoo.blood.study import load_study
 from zoo.core import digests
-from zoo.core.blindcheck.cases import Answer, BlindError, as_answer
+from zoo.core.blindcheck.cases import NULL, Answer, BlindError, as_answer
 from zoo.core.blindcheck.folders import MadeCase, Ran, read_answers, read_sealed, run_cases, write_cases
 from zoo.core.blindcheck.scoring import Score, score_answers
 from zoo.core.blindcheck.tables import SCORE_FILES, write_score
-from zoo.core.diagnosis.hypothesis import NULL
 from zoo.core.inference.record import versions
 from zoo.core.outputs import output_folder
 
@@ -97,7 +96,7 @@ def draw_case(draw: Draw, job: tuple[int, str]) -> MadeCase:
         bench, tags = draw_bench(
             network, name, networks=draw.networks, layouts=draw.layouts, vessels=draw.vessels
         )
-        quiet = nothing(bench, correlated[0]) if first == NULL else None
+        quiet = nothing(bench) if first == NULL else None
         cause = quiet or draw_listed(effects, bench, (first, *draw.effects), (low, high))
         if cause is not None:
             return case_of(bench, cause, noises, correlated, tags)
@@ -188,14 +187,13 @@ class StudyDiagnosis:
     ----------
     base : str
         Name of the baseline model.
-    max_effects, seed, effects, priors
+    seed, effects, priors
         As in `zoo.blood.diagnosis.diagnose`.
     effects_from : sequence of path
         Python files that define effects, which every process runs; on every machine in the same place.
     """
 
     base: str = BASELINE
-    max_effects: int = 3
     seed: int = 1
     effects: Sequence[str] | None = None
     priors: Mapping[str, Any] | None = None
@@ -203,9 +201,8 @@ class StudyDiagnosis:
     marker: str = "study.toml"
 
     def __post_init__(self) -> None:
-        for what, count, least in (("max_effects", self.max_effects, 1), ("seed", self.seed, 0)):
-            if count < least:
-                raise BlindError(f"{what} = {count}: must be at least {least}")
+        if self.seed < 0:
+            raise BlindError(f"seed = {self.seed}: must be at least 0")
         self.base = get_baseline(self.base).name
         self.effects_from = [Path(path).resolve() for path in self.effects_from]  # workers are elsewhere
 
@@ -213,7 +210,6 @@ class StudyDiagnosis:
         """What was asked, and of which program."""
         return {
             "base": self.base,
-            "max_effects": self.max_effects,
             "seed": self.seed,
             "effects": None if self.effects is None else list(self.effects),
             "priors": {name: str(one) for name, one in sorted((self.priors or {}).items())},
@@ -228,7 +224,6 @@ class StudyDiagnosis:
         found = diagnose(
             load_study(case),
             self.base,
-            max_effects=self.max_effects,
             effects=self.effects,
             priors=self.priors,
             cores=1,

@@ -26,10 +26,9 @@ from zoo.blood.network import with_nominal_loads
 from zoo.blood.solver import SolverArgumentError, SolverOptions
 from zoo.blood.study import Blood, Series, Study, load_study, save_study
 from zoo.blood.units import MMHG, mmhg_to_cgs
-from zoo.core.blindcheck.cases import BlindError, CaseKey
+from zoo.core.blindcheck.cases import NULL, BlindError, CaseKey
 from zoo.core.blindcheck.drawing import LinearBaseline, draw_effect, told_of
 from zoo.core.blindcheck.folders import MadeCase
-from zoo.core.diagnosis.hypothesis import CORRELATED, NULL
 from zoo.core.effects import AddedEffect, EffectError, with_effects
 from zoo.core.forward import Outputs, SolveError
 from zoo.core.parameters import pack
@@ -232,9 +231,9 @@ def draw_listed(
     return None
 
 
-def nothing(bench: Bench, correlated: float) -> Cause:
-    """No cause: `correlated-noise` is right, too, where a part of the noise is."""
-    return Cause("none", NULL, (NULL, CORRELATED) if correlated else (NULL,), (), (), bench.clean, 0.0)
+def nothing(bench: Bench) -> Cause:
+    """No cause."""
+    return Cause("none", NULL, (), (), (), bench.clean, 0.0)
 
 
 def correlation(rng: np.random.Generator) -> tuple[float, float]:
@@ -293,7 +292,7 @@ def case_of(
     told: dict[str, Any] = {}
     if cause.kind == "listed":
         told = told_of(*cause.added[0])
-        if cause.label in (CORRELATED, "coarse-grid"):  # their size depends on more than the effect
+        if cause.label in ("correlated-noise", "coarse-grid"):  # their size depends on more than the effect
             told["parameter"] = None
     effects = [
         {"effect": one.name, "vessel": one.location.part, "subtree": one.location.subtree}

@@ -4,19 +4,20 @@
 that are folders, with a sealed key, are in `folders`; how an answer is scored is the same.
 """
 
-from zoo.core.blindcheck.cases import Answer, BlindError, CaseKey, Explanation, Fitted, Size, as_answer
+from zoo.core.blindcheck.cases import NULL, Answer, BlindError, CaseKey, Fitted, Group, Size, as_answer
 from zoo.core.blindcheck.check import blind_check, draw_cases
 from zoo.core.blindcheck.drawing import DrawnCase, LinearBaseline, ModelDraw
-from zoo.core.blindcheck.scoring import Score, score_answers
-from zoo.core.blindcheck.tables import score_table, write_score
+from zoo.core.blindcheck.scoring import Score, paired, score_answers
+from zoo.core.blindcheck.tables import paired_table, score_table, write_score
 
 __all__ = [
+    "NULL",
     "Answer",
     "BlindError",
     "CaseKey",
     "DrawnCase",
-    "Explanation",
     "Fitted",
+    "Group",
     "LinearBaseline",
     "ModelDraw",
     "Score",
@@ -24,6 +25,8 @@ __all__ = [
     "as_answer",
     "blind_check",
     "draw_cases",
+    "paired",
+    "paired_table",
     "score_answers",
     "score_table",
     "write_score",

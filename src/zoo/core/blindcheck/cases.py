@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from zoo.core.diagnosis.diagnosis import Diagnosis
-from zoo.core.diagnosis.hypothesis import CORRELATED, NONPARAMETRIC, NULL
+from zoo.core.diagnosis.file import DiagnosisFile
 from zoo.core.words import OneLineError
 
 Array = NDArray[np.float64]
 Place = int | str | None
-REST = (NULL, CORRELATED)
-"""What an answer gives probability to besides components; "unlisted" is the free function of one of these."""
+NULL = "no-gap"
+"""Label of a case without a cause."""
+NOISE = (NULL, "correlated-noise")
+UNLISTED = "unlisted"
 DIGITS = 7
 
 
@@ -40,9 +42,10 @@ class CaseKey(_Record):
     label : str
         What is true, in words.
     accepted : sequence of str
-        Names of explanations that are right; empty where no explanation is, and a component has to be named.
+        Names of listed effects that are right; empty where none is.
     components : sequence of str
-        Components of the simulator that the cause lies in.
+        Components of the simulator that the cause lies in; where neither is given, nothing that a diagnosis
+        can name is wrong.
     place, subtree
         Where the effect acts.
     parameter : float, optional
@@ -79,6 +82,16 @@ class CaseKey(_Record):
     drawn: dict[str, Any] = {}
     files: str = ""
 
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Listed effects that are right; older keys accept noise, and components beside "unlisted", too."""
+        return () if UNLISTED in self.accepted else tuple(x for x in self.accepted if x not in NOISE)
+
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """Components that are wrong; an effect in none is a component of its own."""
+        return self.components or self.effects
+
 
 class Size(_Record):
     """A stated size with its 95 % interval, and the true one where it is known already."""
@@ -89,23 +102,8 @@ class Size(_Record):
     true: float | None = None
 
 
-class Explanation(_Record):
-    """One explanation of the data: an effect or a component, "no-gap", "correlated-noise" or "unlisted".
-
-    Explanations of one `group` are those that the data cannot tell apart; one without is alone. The
-    `parameter` is the effect's first.
-    """
-
-    name: str
-    probability: float
-    group: int | str | None = None
-    place: Place = None
-    subtree: bool = False
-    parameter: Size | None = None
-
-
 class Fitted(_Record):
-    """Series that an answer fits to the data, of the baseline and of the leading explanation alone.
+    """Series that an answer fits to the data, of the baseline and with the leading causes.
 
     `rows` are the series that the stated discrepancy is of.
     """
@@ -130,40 +128,65 @@ class Fitted(_Record):
         return before, after
 
 
+class Group(_Record):
+    """Listed effects that an answer cannot tell apart, and the probability of any of them.
+
+    That holds what components lack by themselves, too, where the answer counts this to the group.
+    """
+
+    names: tuple[str, ...]
+    probability: float
+
+
 class Answer(_Record):
-    """What a diagnosis says of a case.
+    """What a diagnosis says of a case: inclusion probabilities, of which several may be near 1.
 
     Parameters
     ----------
-    explanations : sequence of Explanation
-        The leading one first.
-    components : sequence of Explanation
-        Components of the simulator, each with the probability of a cause in it, listed effects included;
-        empty where a diagnosis knows none.
+    components : mapping of str to float
+        Probability that each component of the simulator is wrong, by a listed effect or by something else.
+    nothing : float
+        Probability that nothing is wrong that the diagnosis can name.
+    effects : mapping of str to float
+        Probability of each listed effect.
+    groups : sequence of Group
+        Each listed effect is in one; those without are alone.
+    sizes : mapping of str to Size
+        Of the first parameter of listed effects.
     gap, left : Size, optional
-        Model discrepancy of the baseline, and with the leading explanation.
+        Model discrepancy of the baseline, and with the leading causes.
     fitted : Fitted, optional
         What these are compared with, beside the noise-free data.
     seconds : float, optional
     """
 
-    explanations: tuple[Explanation, ...] = Field(min_length=1)
-    components: tuple[Explanation, ...] = ()
+    components: dict[str, float]
+    nothing: float
+    effects: dict[str, float] = {}
+    groups: tuple[Group, ...] = ()
+    sizes: dict[str, Size] = {}
     gap: Size | None = None
     left: Size | None = None
     fitted: Fitted | None = Field(default=None, repr=False)
     seconds: float | None = None
 
     @classmethod
-    def ranked(cls, probabilities: Mapping[str, float]) -> Answer:
-        """The answer of probabilities by name alone, each explanation a group of its own."""
-        order = sorted(probabilities, key=lambda name: -probabilities[name])
-        return cls(explanations=tuple(Explanation(name=n, probability=probabilities[n]) for n in order))
+    def ranked(cls, probabilities: Mapping[str, float], of: Mapping[str, str] | None = None) -> Answer:
+        """The answer of probabilities by name, "no-gap" among them, of which one is true.
 
-    def by_component(self) -> tuple[Explanation, ...]:
-        """Components and what else there is, the most probable first."""
-        rest = [e.model_copy(update={"group": None}) for e in self.explanations if e.name in REST]
-        return tuple(sorted([*self.components, *rest], key=lambda e: -e.probability))
+        Parameters
+        ----------
+        probabilities : mapping
+            Name of an effect or of a component -> probability.
+        of : mapping, optional
+            Effect -> its component; one without is a component of its own.
+        """
+        of, components = of or {}, dict[str, float]()
+        effects = {name: p for name, p in probabilities.items() if name != NULL}
+        for name, p in effects.items():
+            part = of.get(name, name)
+            components[part] = components.get(part, 0.0) + p
+        return cls(components=components, nothing=probabilities.get(NULL, 0.0), effects=effects)
 
 
 def as_answer(found: Any) -> Answer:
@@ -181,44 +204,37 @@ def as_answer(found: Any) -> Answer:
     """
     if isinstance(found, Answer):
         return found
-    file = getattr(found, "file", found)
-    explanations = [
-        Explanation(
-            name=h.name,
-            probability=h.probability,
-            group=h.group,
-            place=h.place,
-            subtree=h.subtree,
-            parameter=_size(h.amplitude),
-        )
-        for h in file.hypotheses
-    ]
-    cause = set(file.cause)
-    group = next((e.group for e in explanations if e.name in cause), "cause")
-    for c in file.components:  # what a component lacks by itself is an explanation, too
-        own = c.probability if c.own_probability is None else c.own_probability
-        mine = group if c.name in cause else f"component {c.name}"
-        explanations.append(Explanation(name=c.name, probability=own, group=mine))
-    first = file.cause[0] if file.cause else ""
-    before, after = (
-        Size(mean=mean, low=interval[0], high=interval[1])
-        for mean, interval in (
-            (file.gap.before, file.gap.before_interval),
-            (file.gap.after, file.gap.after_interval),
-        )
-    )
-    leads = file.cause and first not in (NULL, NONPARAMETRIC, CORRELATED)
-    seconds = float(file.record.get("screening_seconds", math.nan))
+    file: DiagnosisFile = getattr(found, "file", found)
+    gap, listed = file.gap, [one for one in file.causes if not one.free]
+    before = Size(mean=gap.before, low=gap.before_interval[0], high=gap.before_interval[1])
+    after = Size(mean=gap.after, low=gap.after_interval[0], high=gap.after_interval[1])
+    sizes = {one.name: _size(one.estimates[0]) for one in listed if one.estimates}
     return Answer(
-        explanations=tuple(sorted(explanations, key=lambda e: (e.name != first, -e.probability))),
-        components=tuple(
-            Explanation(name=c.name, probability=c.probability, group=c.group) for c in file.components
-        ),
+        components={one.name: one.probability for one in file.components},
+        nothing=math.fsum(row.probability for row in file.sets if not row.causes),
+        effects={one.name: one.probability for one in listed},
+        groups=_groups(file),
+        sizes={name: one for name, one in sizes.items() if one},
         gap=before,
-        left=after if leads else None,
+        left=after if file.cause else None,
         fitted=_fitted(found) if isinstance(found, Diagnosis) else None,
-        seconds=None if math.isnan(seconds) else seconds,
+        seconds=file.record.get("seconds"),
     )
+
+
+def _groups(file: DiagnosisFile) -> tuple[Group, ...]:
+    """Listed effects of components that can stand in for one another."""
+    groups: list[set[str]] = []
+    for one in file.components:
+        if one.confounded:
+            new = {one.name, *one.confounded}
+            groups = [g for g in groups if not g & new] + [new.union(*(g for g in groups if g & new))]
+    found = []
+    for group in groups:
+        names = tuple(one.name for one in file.causes if one.component in group and not one.free)
+        p = math.fsum(row.probability for row in file.sets if group & set(row.components))
+        found.append(Group(names=names, probability=p))
+    return tuple(one for one in found if one.names)
 
 
 def _size(estimate: Any) -> Size | None:
@@ -233,11 +249,6 @@ def _size(estimate: Any) -> Size | None:
 
 
 def _fitted(found: Diagnosis) -> Fitted:
-    """The series that a diagnosis fitted with the baseline, and with its leading explanation alone."""
-    first = found.rounds[0]
-    fits = (first.screened.least, first.best[first.leader] if first.is_cause(first.leader) else None)
-    errors = first.screened.screening.errors
-    base, leader = (
-        tuple(map(tuple, np.round(errors.unflat((fit or fits[0]).computed), DIGITS).tolist())) for fit in fits
-    )
+    """The series that a diagnosis fitted with the baseline, and with its leading causes."""
+    base, leader = (tuple(map(tuple, np.round(one, DIGITS).tolist())) for one in found.computed)
     return Fitted(base=base, leader=leader, rows=tuple(found.hooks.rows(found.data)))

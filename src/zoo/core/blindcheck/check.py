@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from zoo.core.blindcheck.cases import Answer, BlindError, CaseKey, as_answer
+from zoo.core.blindcheck.cases import NULL, Answer, BlindError, CaseKey, as_answer
 from zoo.core.blindcheck.drawing import DrawnCase
 from zoo.core.blindcheck.scoring import Score, score_answers
-from zoo.core.diagnosis.hypothesis import NONPARAMETRIC, NULL
 from zoo.core.inference.workers import each
 
 
@@ -34,15 +33,11 @@ def draw_cases(
     Raises
     ------
     BlindError
-        If there is nothing to draw, or a label is "unlisted".
+        If there is nothing to draw.
     """
     if min(counts.values(), default=0) < 0 or not sum(counts.values()) or seed < 0:
         raise BlindError(
             f"counts = {dict(counts)}, seed = {seed}: give numbers of cases, and a seed from 0 on"
-        )
-    if NONPARAMETRIC in (*counts, *listed):
-        raise BlindError(
-            f"{NONPARAMETRIC!r} is an answer and no cause; give a cause that is not listed its name"
         )
     labels = [label for label, n in counts.items() for _ in range(n)]
     labels = [labels[i] for i in np.random.default_rng(seed).permutation(len(labels))]
@@ -50,8 +45,8 @@ def draw_cases(
     for i, label in enumerate(labels):
         drawn = draw(label, np.random.default_rng([seed, i]))
         kind = "none" if label == NULL else "listed" if label in listed else "outside"
-        right = NONPARAMETRIC if kind == "outside" else label
-        told = {"case": f"case-{i + 1:03d}", "kind": kind, "label": label, "accepted": (right,)}
+        accepted = (label,) if kind == "listed" else ()
+        told = {"case": f"case-{i + 1:03d}", "kind": kind, "label": label, "accepted": accepted}
         keys.append(CaseKey(**(told | dict(drawn.withheld))))
         data[keys[-1].case] = drawn.data
     return data, keys
@@ -94,7 +89,8 @@ def blind_check(
         Label -> how many cases: names of effects, "no-gap" for no effect, any other name for a cause that
         the diagnosis does not know.
     listed : sequence of str
-        Effects that the diagnosis knows; any other label counts as outside, and should be called "unlisted".
+        Effects that the diagnosis knows; any other label counts as outside: unless the case tells the
+        components that it lies in, nothing that the diagnosis can name is right.
     seed : int
         The same seed gives the same cases.
     cores, executor

@@ -121,7 +121,7 @@ class ModelDraw:
                     more = with_effects(self.model, [added])
                     series = more.solve(more.configure(np.append(theta, values)))
                     gap = float(np.sqrt(np.mean(baseline.left(series) ** 2)))
-                    told = told_of(added, values)
+                    told = {"components": (effect.family or label,), **told_of(added, values)}
             except (EffectError, SolveError):
                 continue
             if effect is None or self.limits[0] * self.noise <= gap <= self.limits[1] * self.noise:

@@ -1,4 +1,9 @@
-"""How near answers are to their keys: proper scores without a floor, each beside the best constant answer."""
+"""How near answers are to their keys: proper scores without a floor, each beside the best constant answer.
+
+An answer is asked four questions (`QUESTIONS`), each about events of which any number may be true. Its log
+score is the sum over the events of log p, p the probability of what is so; its Brier score the sum of
+(1 - p)^2.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +15,23 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy.stats import binom, binomtest
 
-from zoo.core.blindcheck.cases import Answer, CaseKey, Explanation, Size
-from zoo.core.diagnosis.hypothesis import NONPARAMETRIC
+from zoo.core.blindcheck.cases import NULL, Answer, CaseKey, Group
 
-BIN_EDGES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97, 1.0)
+QUESTIONS = {
+    "components": "components that are wrong",
+    "nothing": "that nothing is wrong",
+    "effects": "listed effects, where one is true",
+    "groups": "the same, what cannot be told apart as one",
+}
+BIN_EDGES = (0.0, 0.01, 0.05, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0)
 """Of the reliability of stated probabilities."""
 FULL_BIN = 8
-"""Cases from which a bin of it counts."""
+"""Events from which a bin of it counts."""
 SURE = 0.9
-IMPOSSIBLE = 1e-6
-"""A truth of less probability is named: one of 0 makes the log score -inf."""
-ROUNDS = 2000
+UNLIKELY = 1e-6
+"""What is so and has less probability is named: one of 0 makes the log score -inf."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,41 @@ class Rate:
             return "–"
         low, high = self.interval
         return f"{100 * self.share:.0f} % ({self.count} of {self.n}; {100 * low:.0f} to {100 * high:.0f} %)"
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A mean over n cases with its standard error, NaN of less than two; -inf if one is.
+
+    `others` is the mean of the finite ones, of which `lost` are not.
+    """
+
+    mean: float
+    error: float
+    n: int
+    others: float
+    lost: int
+
+    @classmethod
+    def of(cls, values: Iterable[float]) -> Mean:
+        """Of values."""
+        x = np.array([v for v in values if not math.isnan(v)])
+        ends = {v for v in x.tolist() if math.isinf(v)}
+        finite = x[np.isfinite(x)]
+        others = float(finite.mean()) if len(finite) else math.nan
+        error = float(finite.std(ddof=1)) / math.sqrt(len(finite)) if len(finite) > 1 else math.nan
+        lost = len(x) - len(finite)
+        mean = ends.pop() if len(ends) == 1 else math.nan if ends else others
+        return cls(mean, error, len(x), others, lost)
+
+    def text(self, sign: str = "") -> str:
+        """The mean with its error; of those that are finite beside it."""
+        error = "" if math.isnan(self.error) else f" ± {self.error:.3f}"
+        if not self.n:
+            return "–"
+        if not self.lost:
+            return f"{self.mean:{sign}.3f}{error}"
+        return f"{self.mean:{sign}.3f} ({self.lost} of {self.n}; the others {self.others:{sign}.3f}{error})"
 
 
 @dataclass(frozen=True)
@@ -103,23 +146,73 @@ def reliability(stated: Sequence[float], right: Sequence[bool]) -> list[Reliabil
     return found
 
 
-COLUMNS = (
-    *("case", "kind", "label", "right", "gap_over_noise", "noise", "answered", "leader", "stated"),
-    *("group_size", "rank", "first", "group_first", "probability", "log_score", "brier", "false_alarm"),
-    *("true_parameter", "true_left", "seconds", "parameter_mean", "parameter_low", "parameter_high"),
-    *("left_mean", "left_low", "left_high", "prior_low", "prior_high"),
-)
-"""Of the table of cases, before its tags.
+@dataclass(frozen=True)
+class Event:
+    """Something that is so or not: the names of which any may be true, the stated probability, the truth."""
 
-`right` is what may be named, `leader` what is ranked first, `stated` the probability of its group; `rank`
-that of the best-placed group which holds what is true, `probability` that of what is true. `first` and
-`group_first` say whether what is true, or its group, is ranked first. The parameter is that of the true
-effect at the true location, whatever leads; `left` is the discrepancy that the leading effect leaves.
-Scores are None without an answer, `false_alarm` where there is an effect.
+    names: tuple[str, ...]
+    p: float
+    true: bool
+
+    @property
+    def so(self) -> float:
+        """The probability of what is so."""
+        p = min(max(self.p, 0.0), 1.0)
+        return p if self.true else 1.0 - p
+
+
+def log_score(events: Iterable[Event]) -> float:
+    """Sum of the log probabilities of what is so; -inf where one was impossible."""
+    return math.fsum(math.log(x) if x else -math.inf for x in (one.so for one in events))
+
+
+def brier_score(events: Iterable[Event]) -> float:
+    """Sum of the squares of the probabilities of what is not so."""
+    return math.fsum((1.0 - one.so) ** 2 for one in events)
+
+
+def asked(key: CaseKey, answer: Answer) -> dict[str, tuple[Event, ...]]:
+    """The events of each question that a case asks."""
+    found = {
+        "components": tuple(
+            Event((name,), answer.components.get(name, 0.0), name in key.wrong)
+            for name in dict.fromkeys((*answer.components, *key.wrong))
+        ),
+        "nothing": (Event((NULL,), answer.nothing, not key.wrong),),
+    }
+    if key.effects and answer.effects:
+        names = tuple(dict.fromkeys((*answer.effects, *key.effects)))
+        alone = set(names).difference(*(one.names for one in answer.groups))
+        singles = [Group(names=(n,), probability=answer.effects.get(n, 0.0)) for n in names if n in alone]
+        right = set(key.effects)
+        found["effects"] = tuple(Event((n,), answer.effects.get(n, 0.0), n in right) for n in names)
+        found["groups"] = tuple(
+            Event(one.names, one.probability, bool(right & set(one.names)))
+            for one in (*answer.groups, *singles)
+        )
+    return found
+
+
+Row = dict[str, Any]
+COLUMNS = (
+    *("case", "kind", "label", "right", "gap_over_noise", "noise", "answered", "leader", "stated", "first"),
+    *("false_alarm", "sure", "sure_right"),
+    *(f"{question}_{score}" for question in QUESTIONS for score in ("log", "brier")),
+    *("true_parameter", "parameter_mean", "parameter_low", "parameter_high", "prior_low", "prior_high"),
+    *("true_gap", "gap_mean", "gap_low", "gap_high", "true_left", "left_mean", "left_low", "left_high"),
+    *("seconds", "events"),
+)
+"""Of a case's row, before its tags.
+
+`right` are the components that are wrong, "no-gap" where none is; `leader` is the most probable of
+components and "no-gap", `stated` its probability, `first` whether it is right. `false_alarm` says, without a
+cause, whether a component has more than half; `sure` counts components above 0.9, `sure_right` those of them
+that are wrong indeed. Scores are None where a question is not asked. The parameter is that of the true
+effect; `gap` is what the baseline leaves, `left` what the leading causes leave.
 """
 
 
-def score_case(key: CaseKey, answer: Answer | None, *, by_component: bool = False) -> dict[str, Any] | None:
+def score_case(key: CaseKey, answer: Answer | None) -> Row:
     """Score one answer.
 
     Parameters
@@ -127,175 +220,161 @@ def score_case(key: CaseKey, answer: Answer | None, *, by_component: bool = Fals
     key : CaseKey
     answer : Answer or None
         None where the diagnosis failed.
-    by_component : bool
-        Ask for the component of every cause, listed effects too; else only where no explanation is right.
 
     Returns
     -------
-    dict or None
-        A row of the table of cases, by `COLUMNS` and the key's tags; None where the case cannot be asked for
-        so: it has no component.
+    dict
+        By `COLUMNS` and the key's tags.
     """
-    listed = answer.explanations if answer else ()
-    right = key.accepted
-    if by_component or not right:
-        right = key.components or tuple(name for name in right if key.kind == "none")
-        listed = answer.by_component() if answer else ()
-        if by_component and not right:
-            return None
-        if answer and not answer.components and not by_component:
-            right, listed = (NONPARAMETRIC,), answer.explanations  # a diagnosis that knows no components
-    noise = math.nan if key.noise is None else key.noise
-    ratio = math.nan if key.gap is None or not key.noise else key.gap / key.noise
-    row: dict[str, Any] = dict.fromkeys((*COLUMNS, *key.tags)) | key.tags
-    row |= {"case": key.case, "kind": key.kind, "label": key.label, "right": right, "noise": noise}
-    row |= {"gap_over_noise": ratio, "answered": False, "leader": "", "stated": 0.0, "group_size": 0}
-    row |= {"first": False, "group_first": False, "probability": 0.0}
-    row["false_alarm"] = False if key.kind == "none" else None
-    if answer is None or not listed:
+    right = key.wrong or (NULL,)
+    row: Row = {**dict.fromkeys(COLUMNS), **key.tags}
+    row |= {"case": key.case, "kind": key.kind, "label": key.label, "right": right, "noise": key.noise}
+    row |= {"answered": answer is not None, "leader": "", "first": False, "sure": 0, "sure_right": 0}
+    row |= {"events": {}, "false_alarm": False if right == (NULL,) else None}
+    if key.gap is not None and key.noise:
+        row["gap_over_noise"] = key.gap / key.noise
+    if answer is None:
         return row
-    groups = [(i,) if e.group is None else e.group for i, e in enumerate(listed)]
-    total: dict[Any, float] = {}
-    for group, e in zip(groups, listed, strict=True):
-        total[group] = total.get(group, 0.0) + e.probability
-    true = {group for group, e in zip(groups, listed, strict=True) if e.name in right}
-    p = min(1.0, sum(e.probability for e in listed if e.name in right))
-    others = sum(e.probability**2 for e in listed if e.name not in right)
-    ranks = [i + 1 for i, group in enumerate(total) if group in true]
-    return row | {
-        "answered": True,
-        "leader": listed[0].name,
-        "stated": min(1.0, total[groups[0]]),
-        "group_size": groups.count(groups[0]),
-        "rank": min(ranks, default=len(total) + 1),
-        "first": listed[0].name in right,
-        "group_first": groups[0] in true,
-        "probability": p,
-        "log_score": math.log(p) if p else -math.inf,
-        "brier": (p - 1) ** 2 + others,
-        "false_alarm": groups[0] not in true if key.kind == "none" else None,
-        "seconds": answer.seconds,
-        **_sizes(key, answer),
-    }
+    events = asked(key, answer)
+    for question, own in events.items():
+        row |= {f"{question}_log": log_score(own), f"{question}_brier": brier_score(own)}
+    stated = {NULL: answer.nothing, **answer.components}
+    leader = max(stated, key=lambda name: stated[name])
+    sure = [name for name, p in answer.components.items() if p > SURE]
+    if right == (NULL,):
+        row["false_alarm"] = any(p > 0.5 for p in answer.components.values())
+    row |= {"events": events, "leader": leader, "stated": stated[leader], "first": leader in right}
+    row |= {"sure": len(sure), "sure_right": sum(name in right for name in sure), "seconds": answer.seconds}
+    return row | _sizes(key, answer)
 
 
-def _sizes(key: CaseKey, answer: Answer) -> dict[str, Any]:
+def _sizes(key: CaseKey, answer: Answer) -> Row:
     """What is stated of sizes, and what is true of them."""
-    found: dict[str, Any] = {}
-    where = (key.label, key.place, key.subtree)
-    stated: Explanation | None = next(
-        (e for e in answer.explanations if (e.name, e.place, e.subtree) == where), None
-    )
-    if key.parameter is not None and stated and stated.parameter:
+    found: Row = {}
+    stated = answer.sizes.get(key.label)
+    if key.parameter is not None and stated:
         low, high = key.prior_95 or (None, None)
         found = {"true_parameter": key.parameter, "prior_low": low, "prior_high": high}
-        found |= _columns("parameter", stated.parameter)
-    left = None if answer.left is None else answer.left.true
-    if answer.left and left is None and answer.fitted and key.truth:
-        left = answer.fitted.left(key.truth)[1]
-    if answer.left and left is not None:
-        found |= {"true_left": left, **_columns("left", answer.left)}
+        found |= _columns("parameter", stated)
+    true = answer.fitted.left(key.truth) if answer.fitted and key.truth else (None, None)
+    for name, size, left in (("gap", answer.gap, true[0]), ("left", answer.left, true[1])):
+        left = left if size is None or size.true is None else size.true
+        if size and left is not None:
+            found |= {f"true_{name}": left, **_columns(name, size)}
     return found
 
 
-def _columns(name: str, size: Size) -> dict[str, float]:
+def _columns(name: str, size: Any) -> dict[str, float]:
     return {f"{name}_{x}": getattr(size, x) for x in ("mean", "low", "high")}
 
 
-def constant_shares(rights: Sequence[Sequence[str]]) -> dict[str, float]:
-    """The probabilities that, given to every case alike, have the best log score.
+@dataclass(frozen=True)
+class Asked:
+    """Scores of some cases in one question, beside the base rates of these cases given to each alike.
 
-    Where one name is right in each case they are the frequencies; where several are, the fixed point of
-    expectation and maximisation.
-
-    Parameters
-    ----------
-    rights : sequence of sequence of str
-        What is right in each case.
+    `unlikely` are the cases, events and probabilities of what is so and was given less than `UNLIKELY`;
+    `likely` is the log score of the cases without such an event.
     """
-    names = sorted({name for right in rights for name in right})
-    member = np.array([[name in right for name in names] for right in rights], dtype=float)
-    shares = np.full(len(names), 1 / max(1, len(names)))
-    for _ in range(ROUNDS if rights else 0):
-        weight = member * shares
-        shares = (weight / weight.sum(axis=1, keepdims=True)).mean(axis=0)
-    return dict(zip(names, shares.tolist(), strict=True))
+
+    log: Mean
+    likely: Mean
+    brier: Mean
+    constant_log: float
+    constant_brier: float
+    unlikely: tuple[tuple[str, str, float], ...]
+
+    def log_text(self) -> str:
+        """The log score; where something was all but impossible, in how many cases, and of the others."""
+        if not self.unlikely:
+            return self.log.text()
+        lost = f"{self.log.n - self.likely.n} of {self.log.n} below 1e-6; the others {self.likely.text()}"
+        return f"{self.log.mean:.3f} ({lost})"
 
 
-def _mean(values: Iterable[float]) -> float:
+def ask(cases: Sequence[Row], question: str) -> Asked | None:
+    """Scores of the cases that are asked a question; None where none is."""
+    given = [row for row in cases if question in row["events"]]
+    if not given:
+        return None
+    events: list[tuple[Event, ...]] = [row["events"][question] for row in given]
+    single = "effects" if question == "groups" else question
+    true = Counter(n for row in given for one in row["events"][single] if one.true for n in one.names)
+    flat = [
+        [Event(e.names, sum(true[name] for name in e.names) / len(given), e.true) for e in own]
+        for own in events
+    ]
+    unlikely = tuple(
+        (row["case"], f"{'' if e.true else 'not '}{' or '.join(e.names)}", e.so)
+        for row, own in zip(given, events, strict=True)
+        for e in own
+        if e.so < UNLIKELY
+    )
+    lost = {case for case, _, _ in unlikely}
+    return Asked(
+        Mean.of(row[f"{question}_log"] for row in given),
+        Mean.of(row[f"{question}_log"] for row in given if row["case"] not in lost),
+        Mean.of(row[f"{question}_brier"] for row in given),
+        float(np.mean([log_score(own) for own in flat])),
+        float(np.mean([brier_score(own) for own in flat])),
+        unlikely,
+    )
+
+
+def _median(values: Iterable[float]) -> float:
     given = list(values)
-    return float(np.mean(given)) if given else math.nan
+    return float(np.median(given)) if given else math.nan
 
 
-def _median(values: pd.Series) -> float:
-    return float(np.median(values.astype(float))) if len(values) else math.nan
+def _with(cases: Sequence[Row], *columns: str) -> list[Row]:
+    return [row for row in cases if all(row[name] is not None for name in columns)]
 
 
-def summarise(cases: pd.DataFrame) -> dict[str, Any]:
+def _inside(cases: Sequence[Row], low: str, true: str, high: str) -> Rate:
+    return Rate.of(row[low] <= row[true] <= row[high] for row in cases)
+
+
+def summarise(cases: Sequence[Row]) -> dict[str, Any]:
     """Rates and mean scores of some cases, and those of the best constant answers.
 
     Parameters
     ----------
-    cases : pandas.DataFrame
-        A row for each case, as of `score_case`.
+    cases : sequence of dict
+        Of `score_case`.
 
     Returns
     -------
     dict
         docs/blind.md says what each is; "constant" has the best constant answer by the same names.
     """
-    given = cases[cases["answered"].astype(bool)]
-    shares = constant_shares(given["right"].tolist())
-    commonest = Counter(name for right in cases["right"] for name in right).most_common(1)
+    commonest = Counter(name for row in cases for name in row["right"]).most_common(1)
     always = commonest[0][0] if commonest else ""
-    p = [sum(shares[name] for name in right) for right in given["right"]]
-    squares = sum(x**2 for x in shares.values())
-    sure, rare = given[given["stated"] > SURE], given["probability"] < IMPOSSIBLE
-    sized, left = cases[cases["parameter_mean"].notna()], cases[cases["true_left"].notna()]
-    known = sized[sized["prior_low"].notna()]
-    middle = _median(left["true_left"])
-    hit = Rate.of(always in right for right in cases["right"])
+    sized, left = _with(cases, "parameter_mean"), _with(cases, "true_left")
+    known, gaps = _with(sized, "prior_low"), _with(cases, "true_gap")
+    both = [row for row in _with(left, "true_gap") if row["true_gap"] and row["gap_mean"]]
     return {
         "n": len(cases),
-        "failed": len(cases) - len(given),
-        "log_score": _mean(given["log_score"]),
-        "log_score_of_possible": _mean(given["log_score"][~rare]),
-        "impossible": given["case"][rare].tolist(),
-        "brier": _mean(given["brier"]),
-        "first": Rate.of(cases["first"]),
-        "group_first": Rate.of(cases["group_first"]),
-        "mean_rank": _mean(given["rank"]),
-        "group_size": _mean(given["group_size"]),
-        "false_alarms": Rate.of(cases["false_alarm"]),
-        "sure": Rate.of(sure["group_first"]),
-        "sure_stated": _mean(sure["stated"]),
+        "failed": sum(not row["answered"] for row in cases),
+        "questions": {q: found for q in QUESTIONS if (found := ask(cases, q))},
+        "first": Rate.of(row["first"] for row in cases),
+        "false_alarms": Rate.of(row["false_alarm"] for row in cases),
+        "sure": Rate(sum(row["sure_right"] for row in cases), sum(row["sure"] for row in cases)),
         "parameter": _inside(sized, "parameter_low", "true_parameter", "parameter_high"),
         "parameter_width": _median(
-            (known["parameter_high"] - known["parameter_low"]) / (known["prior_high"] - known["prior_low"])
+            (row["parameter_high"] - row["parameter_low"]) / (row["prior_high"] - row["prior_low"])
+            for row in known
         ),
+        "gap": _inside(gaps, "gap_low", "true_gap", "gap_high"),
         "left": _inside(left, "left_low", "true_left", "left_high"),
-        "left_error": _median((left["left_mean"] - left["true_left"]).abs()),
-        "seconds": _median(given["seconds"].dropna()),
+        "left_error": _median(abs(row["left_mean"] - row["true_left"]) for row in left),
+        "removed": _median(1 - row["left_mean"] / row["gap_mean"] for row in both),
+        "true_removed": _median(1 - row["true_left"] / row["true_gap"] for row in both),
+        "seconds": _median(row["seconds"] for row in _with(cases, "seconds")),
         "constant": {
             "always": always,
-            "shares": shares,
-            "log_score": _mean(math.log(x) for x in p),
-            "brier": _mean(
-                (x - 1) ** 2 + squares - sum(shares[n] ** 2 for n in right)
-                for x, right in zip(p, given["right"], strict=True)
-            ),
-            "first": hit,
-            "group_first": hit,
-            "false_alarms": Rate(0, int(cases["false_alarm"].notna().sum())),
+            "first": Rate.of(always in row["right"] for row in cases),
             "parameter": _inside(known, "prior_low", "true_parameter", "prior_high"),
-            "left_error": _median((left["true_left"] - middle).abs()),
-            "left": middle,
         },
     }
-
-
-def _inside(cases: pd.DataFrame, low: str, true: str, high: str) -> Rate:
-    return Rate.of(((cases[low] <= cases[true]) & (cases[true] <= cases[high])).tolist())
 
 
 @dataclass(frozen=True)
@@ -305,26 +384,23 @@ class Score:
     Attributes
     ----------
     cases : tuple of dict
-        Rows of the table of cases, as of `score_case`.
+        Of `score_case`.
     summary : dict
         Of all cases, as of `summarise`.
     by : dict
         What it is grouped by -> value -> summary.
-    reliability : list of ReliabilityBin
-        Of the leading group's probability, a case each.
-    components : Score or None
-        The same cases asked for the component of their cause, listed effects too.
+    reliability : dict
+        Question -> list of ReliabilityBin, over all its events.
     without_key : int
         Answers that the key says nothing about.
     failed : mapping
         Case without an answer -> reason, where it is known.
     """
 
-    cases: tuple[dict[str, Any], ...]
+    cases: tuple[Row, ...]
     summary: dict[str, Any]
     by: dict[str, dict[str, dict[str, Any]]]
-    reliability: list[ReliabilityBin]
-    components: Score | None = None
+    reliability: dict[str, list[ReliabilityBin]]
     without_key: int = 0
     failed: Mapping[str, str] = field(default_factory=dict)
 
@@ -334,23 +410,12 @@ class Score:
         return score_text(self)
 
 
-def assemble(
-    cases: Sequence[dict[str, Any]],
-    *,
-    by: Sequence[str] = ("kind",),
-    components: Score | None = None,
-    without_key: int = 0,
-    failed: Mapping[str, str] | None = None,
-) -> Score:
-    """Put the scores of cases together, grouped by "kind", "label" and tags that all cases have."""
-    heads = None if cases else list(dict.fromkeys((*COLUMNS, *by)))  # those of rows, of which there are none
-    table = pd.DataFrame(list(cases), columns=heads, dtype=object)
-    grouped = {
-        name: {value: summarise(part) for value, part in table.groupby(table[name].map(str))} for name in by
-    }
-    told = table[table["answered"].astype(bool)]
-    bins = reliability(told["stated"].tolist(), told["group_first"].tolist())
-    return Score(tuple(cases), summarise(table), grouped, bins, components, without_key, failed or {})
+def grouped(cases: Sequence[Row], name: str) -> dict[str, list[Row]]:
+    """Rows by the value of a column, in its order."""
+    found: dict[str, list[Row]] = {}
+    for value in sorted({str(row[name]) for row in cases}):
+        found[value] = [row for row in cases if str(row[name]) == value]
+    return found
 
 
 def score_answers(
@@ -368,17 +433,58 @@ def score_answers(
     keys : sequence of CaseKey
     answers : mapping
         Case -> its answer; None (or nothing) where the diagnosis failed.
-    by, without_key, failed
-        As in `assemble`.
+    by : sequence of str
+        What to group by: "kind", "label" and tags that all cases have.
+    without_key, failed
+        As in `Score`.
 
     Returns
     -------
     Score
     """
-    named = [score_case(key, answers.get(key.case)) for key in keys]
-    parts = [score_case(key, answers.get(key.case), by_component=True) for key in keys]
-    placed = [c for c in parts if c is not None]
-    knows = any(a is not None and a.components for a in answers.values())
-    components = assemble(placed, by=by) if placed and knows else None
-    cases = [c for c in named if c is not None]
-    return assemble(cases, by=by, components=components, without_key=without_key, failed=failed)
+    cases = tuple(score_case(key, answers.get(key.case)) for key in keys)
+    bins = {}
+    for question in QUESTIONS:
+        events = [e for row in cases for e in row["events"].get(question, ())]
+        if events:
+            bins[question] = reliability([e.p for e in events], [e.true for e in events])
+    summaries = {name: {value: summarise(own) for value, own in grouped(cases, name).items()} for name in by}
+    return Score(cases, summarise(cases), summaries, bins, without_key, failed or {})
+
+
+def paired(
+    now: Score, then: Score, name: str = "kind"
+) -> dict[str, dict[str, tuple[Asked, Asked, Mean, Mean]]]:
+    """Scores of the cases that both answered, and differences of log and Brier scores, now minus then.
+
+    Returns
+    -------
+    dict
+        Value of the column `name`, or "all" -> question -> (now, then, log score, Brier score). The
+        difference of two log scores is infinite where one is.
+    """
+    former = {row["case"]: row for row in then.cases}
+    rows = [row for row in now.cases if row["case"] in former]
+    found: dict[str, dict[str, tuple[Asked, Asked, Mean, Mean]]] = {}
+    for value, own in {**grouped(rows, name), "all": rows}.items():
+        found[value] = {}
+        for question in QUESTIONS:
+            a = [
+                row for row in own if question in row["events"] and question in former[row["case"]]["events"]
+            ]
+            b = [former[row["case"]] for row in a]
+            one, other = ask(a, question), ask(b, question)
+            if one and other:
+                log, brier = (
+                    Mean.of(
+                        _minus(x[f"{question}_{s}"], y[f"{question}_{s}"]) for x, y in zip(a, b, strict=True)
+                    )
+                    for s in ("log", "brier")
+                )
+                found[value][question] = (one, other, log, brier)
+    return found
+
+
+def _minus(x: float, y: float) -> float:
+    """A difference; infinite where either is."""
+    return x - y if math.isfinite(x) and math.isfinite(y) else math.copysign(math.inf, (x > y) - 0.5)

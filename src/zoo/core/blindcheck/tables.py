@@ -4,66 +4,53 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from zoo.core.blindcheck.scoring import Rate, Score
+from zoo.core.blindcheck.scoring import QUESTIONS, Asked, Event, Rate, Score, paired
 from zoo.core.inference.record import versions
 from zoo.core.outputs import write_file
 
 SCORE_FILES = "score.json", "score.md", "cases.csv"
 """What `write_score` writes."""
-FORMAT = 3
+FORMAT = 4
 CONSTANT = "best constant answer"
-RATES = (
-    ("first", "what is true first"),
-    ("group_first", "what is true, or its group, first"),
-    ("false_alarms", "no effect, and something else first"),
+HALVES = (
+    ("parameter", "95 % interval of the effect's parameter holds the true one"),
+    ("gap", "95 % interval of the gap holds the true one"),
+    ("left", "95 % interval of what the leading causes leave holds it"),
 )
 
 
-def log_text(summary: Mapping[str, Any]) -> str:
-    """The log score; where a truth was impossible, how many were and the mean of the others."""
-    if not summary["impossible"]:
-        return f"{summary['log_score']:.3f}"
-    least = f"{len(summary['impossible'])} below 1e-6"
-    return f"{summary['log_score']:.3f} ({least}; the others {summary['log_score_of_possible']:.3f})"
-
-
-def summary_rows(s: Mapping[str, Any], *, sizes: bool = True) -> list[tuple[str, str, str]]:
-    """A summary in words: what, its figure, that of the best constant answer; with or without sizes."""
-    best, always = s["constant"], f"always {s['constant']['always']}"
-    rows = [
-        ("log score", log_text(s), f"{best['log_score']:.3f}"),
-        ("Brier score", f"{s['brier']:.3f}", f"{best['brier']:.3f}"),
-    ]
-    for name, words in RATES:
-        if s[name].n:
-            constant = "always no-gap" if name == "false_alarms" else always
-            rows.append((words, str(s[name]), f"{100 * best[name].share:.0f} % ({constant})"))
-            if name == "group_first":
-                rows.append(("mean rank of its group", f"{s['mean_rank']:.2f}", "–"))
-                rows.append(("mean size of the leading group", f"{s['group_size']:.1f}", "1"))
+def summary_rows(s: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """A summary in words: what, its figure, that of the best constant answer."""
+    best = s["constant"]
+    always = f"{100 * best['first'].share:.0f} % (always {best['always']})"
+    rows = []
+    for question, one in s["questions"].items():
+        words = QUESTIONS[question]
+        rows.append((f"{words}: log score", one.log_text(), f"{one.constant_log:.3f}"))
+        rows.append((f"{words}: Brier score", one.brier.text(), f"{one.constant_brier:.3f}"))
+    rows.append(("most probable is a component that is wrong, or nothing", str(s["first"]), always))
+    if s["false_alarms"].n:
+        rows.append(("nothing wrong, and a component above 50 %", str(s["false_alarms"]), "0 %"))
     if s["sure"].n:
-        text = f"{s['sure'].count} of {s['sure'].n} ({s['sure_stated']:.3f} stated)"
-        rows.append(("stated with more than 90 %, right", text, "–"))
-    if sizes and s["parameter"].n:
-        words = "95 % interval of the effect parameter holds the true one"
-        prior = best["parameter"]
-        rows.append(
-            (words, str(s["parameter"]), f"{100 * prior.share:.0f} % (the prior's)" if prior.n else "–")
-        )
-        if prior.n:
-            rows.append(("its width over the prior's, median", f"{s['parameter_width']:.3f}", "1"))
-    if sizes and s["left"].n:
-        words = "95 % interval of what the leader leaves holds what it leaves"
-        rows.append((words, str(s["left"]), "–"))
-        constant = f"{best['left_error']:.3g} (always {best['left']:.3g})"
-        rows.append(("size of the error of what it leaves, median", f"{s['left_error']:.3g}", constant))
+        rows.append(("components above 90 % that are wrong indeed", str(s["sure"]), "–"))
+    for name, words in HALVES:
+        if s[name].n:
+            prior = best["parameter"] if name == "parameter" else Rate(0, 0)
+            rows.append((words, str(s[name]), f"{100 * prior.share:.0f} % (the prior's)" if prior.n else "–"))
+    if not math.isnan(s["parameter_width"]):
+        rows.append(("width of the parameter's over the prior's, median", f"{s['parameter_width']:.3f}", "1"))
+    if s["left"].n:
+        rows.append(("error of what the leading causes leave, median", f"{s['left_error']:.3g}", "–"))
+    if not math.isnan(s["removed"]):
+        text = f"{s['removed']:.3f} (true {s['true_removed']:.3f})"
+        rows.append(("part of the gap that they remove, median", text, "0"))
     return rows
 
 
@@ -77,52 +64,68 @@ def score_text(score: Score) -> str:
     return "\n".join(lines + [f"{a:<{wide}}  {b:<{middle}}  {c}" for a, b, c in rows])
 
 
-def _table(heads: str, rows: list[str]) -> list[str]:
-    return ["", f"| {heads} |", "|---" * (heads.count(" | ") + 1) + "|", *(f"| {row} |" for row in rows)]
+def table(heads: str, rows: Sequence[str]) -> str:
+    """A Markdown table."""
+    lines = [f"| {heads} |", "|---" * (heads.count(" | ") + 1) + "|", *(f"| {row} |" for row in rows)]
+    return "\n".join(lines) + "\n"
 
 
-def _group_row(name: str, s: Mapping[str, Any]) -> str:
-    """A summary in a row of a Markdown table, under `GROUP_HEADS`."""
-    best, first, sure = s["constant"], s["first"], s["sure"]
+def _asked(one: Asked) -> str:
     return (
-        f"{name} | {s['n']} | {log_text(s)} | {best['log_score']:.3f} "
-        f"| {s['brier']:.3f} | {best['brier']:.3f} | {first.count}, {s['group_first'].count} of {first.n} "
-        f"| {best['first'].count} ({best['always']}) | {sure.count} of {sure.n}"
+        f"{one.log.n} | {one.log_text()} | {one.constant_log:.3f} "
+        f"| {one.brier.text()} | {one.constant_brier:.3f}"
     )
 
 
-GROUP_HEADS = (
-    "{} | cases | log score | constant | Brier | constant | it, or its group, first | constant "
-    "| right of those above 90 %"
-)
-
-
 def score_table(score: Score) -> str:
-    """A score in Markdown: all cases, each grouping, reliability; then the same by component."""
-    lines = []
-    for title, part in (("cases", score), ("cases, by component", score.components)):
-        if part is None:
-            continue
-        s = part.summary
-        rows = [" | ".join(row) for row in summary_rows(s, sizes=part is score)]
-        lines += _table(f"{s['n']} {title}, {s['failed']} without an answer | | {CONSTANT}", rows)
-        for what, groups in part.by.items():
-            lines += _table(GROUP_HEADS.format(what), [_group_row(v, own) for v, own in groups.items()])
-        heads = "stated probability of the leading group | cases | mean stated | right | 95 % range"
+    """A score in Markdown: all cases, each grouping, reliability, and what was called impossible."""
+    s, rows = score.summary, [" | ".join(row) for row in summary_rows(score.summary)]
+    found = [table(f"{s['n']} cases, {s['failed']} without an answer | | {CONSTANT}", rows)]
+    for what, groups in score.by.items():
         rows = [
-            f"{b.low:g} to {b.high:g} | {b.n} | {b.stated:.3f} | {b.right} | {b.band[0]} to {b.band[1]}"
-            for b in part.reliability
+            f"{value} | {QUESTIONS[question]} | {_asked(one)}"
+            for value, own in groups.items()
+            for question, one in own["questions"].items()
         ]
-        lines += _table(heads, rows)
-        if s["impossible"]:
-            rows = [
-                f"{c['case']} | {c['label']} | {' or '.join(c['right'])} | {c['probability']:.1e} "
-                f"| {c['leader']} ({c['stated']:.3f})"
-                for c in part.cases
-                if c["case"] in s["impossible"]
-            ]
-            lines += _table("below 1e-6 | true | asked for | probability | said", rows)
-    return "\n".join(lines[1:]) + "\n"
+        found.append(table(f"{what} | asked | cases | log score | constant | Brier | constant", rows))
+        rows = [
+            f"{value} | {own['n']} | {own['first'].count} of {own['first'].n} "
+            f"| {own['constant']['first'].count} ({own['constant']['always']}) "
+            f"| {own['sure'].count} of {own['sure'].n} "
+            f"| {own['false_alarms'].count} of {own['false_alarms'].n}"
+            for value, own in groups.items()
+        ]
+        heads = "cases | most probable is right | constant | right of those above 90 % | false alarms"
+        found.append(table(f"{what} | {heads}", rows))
+    rows = [
+        f"{QUESTIONS[question]} | {b.low:g} to {b.high:g} | {b.n} | {b.stated:.4f} | {b.right} "
+        f"| {b.band[0]} to {b.band[1]}{'' if b.inside else ' (outside)'}"
+        for question, bins in score.reliability.items()
+        for b in bins
+    ]
+    found.append(table("asked | stated probability | events | mean stated | true | 95 % range", rows))
+    rows = [
+        f"{case} | {QUESTIONS[question]} | {what} | {p:.1e}"
+        for question, one in s["questions"].items()
+        for case, what, p in one.unlikely
+    ]
+    if rows:
+        found.append(table("below 1e-6 | asked | what is so | its probability", rows))
+    return "\n".join(found)
+
+
+def paired_table(now: Score, then: Score, name: str = "kind") -> str:
+    """Two programs' scores of the same cases beside each other, with differences, in Markdown."""
+    rows = []
+    for value, questions in paired(now, then, name).items():
+        for question, (x, y, log, brier) in questions.items():
+            rows.append(
+                f"{value} | {QUESTIONS[question]} | {log.n} | {x.log_text()} | {y.log_text()} "
+                f"| {log.text('+')} | {x.constant_log:.3f} | {x.brier.mean:.3f} | {y.brier.mean:.3f} "
+                f"| {brier.text('+')} | {x.constant_brier:.3f}"
+            )
+    heads = "cases | log score | former | difference | constant | Brier | former | difference | constant"
+    return table(f"{name} | asked | {heads}", rows)
 
 
 def _plain(value: Any) -> Any:
@@ -130,6 +133,10 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Rate):
         low, high = value.interval
         return _plain(asdict(value) | {"share": value.share, "low": low, "high": high})
+    if isinstance(value, Event):
+        return {"names": list(value.names), "probability": value.p, "true": value.true}
+    if hasattr(value, "__dataclass_fields__"):
+        return _plain(vars(value))
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -139,22 +146,14 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _record(score: Score) -> dict[str, Any]:
-    """What score.json has of a score."""
-    return {
-        "summary": score.summary,
-        "by": score.by,
-        "reliability": [asdict(b) | {"inside": b.inside} for b in score.reliability],
-        "cases": [{**c, "right": " ".join(c["right"])} for c in score.cases],
-    }
-
-
 def write_score(score: Score, out: Path) -> None:
     """Write score.json, score.md and cases.csv into a folder, which is made if it is not there."""
     out.mkdir(parents=True, exist_ok=True)
-    record = {"format": FORMAT, "versions": versions(), "without_key": score.without_key, **_record(score)}
-    record = _plain(record | ({"components": _record(score.components)} if score.components else {}))
+    told = ("without_key", "summary", "by", "reliability", "cases")
+    record: dict[str, Any] = {"format": FORMAT, "versions": versions()}
+    record |= {name: _plain(getattr(score, name)) for name in told}
     write_file(out / "score.json", json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     write_file(out / "score.md", score_table(score))
-    table = pd.DataFrame(record["cases"], dtype=object)
-    write_file(out / "cases.csv", table.to_csv(index=False, lineterminator="\r\n"))
+    rows = [{**row, "right": " ".join(row["right"])} | {"events": ""} for row in record["cases"]]
+    cases = pd.DataFrame(rows, dtype=object).drop(columns="events", errors="ignore")
+    write_file(out / "cases.csv", cases.to_csv(index=False, lineterminator="\r\n"))
