@@ -454,6 +454,8 @@ def report(found: Diagnosis, record: dict[str, Array]) -> str:
         lines.append(
             f"{row.log_prior:9.1f}  {row.log_evidence:12.1f}  {row.probability:11.3f}  {left:>8}  {names}"
         )
+    guessed = found.sets.posterior.guessed_mass
+    lines += [f"{guessed:.1%} of the probability is of sets whose evidence is only estimated"]
     lines += ["", "inclusion probability"]
     for cause in found.causes[:LEADING]:
         sizes = ", ".join(f"{e.name} = {e.mean:.3g} ± {e.sd:.2g} {e.unit}" for e in cause.estimates)
