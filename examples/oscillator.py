@@ -108,6 +108,8 @@ def delayed_drive(c: dict[str, Any], values: tuple[float, ...], at: Location) ->
 
 SEED = 20160401
 NOISE_M = 0.02
+NO_GAP = "no-gap"
+"""Label of a case without a cause."""
 VISIBLE = 0.5
 """Parameters are drawn again until the rms of what the refitted equation leaves of the noise-free record is
 at least this many sds of the noise."""
@@ -115,7 +117,7 @@ COUNTS = {"cubic-stiffness": 15, "quadratic-drag": 15, NO_GAP: 5, "delayed-drive
 
 
 def draw_case(cause: str, rng: np.random.Generator) -> DrawnCase:
-    """A record with a cause, or none ("no-gap"); its parameters and the amplitude come from their priors."""
+    """A record with a cause, or none; its parameters and the amplitude come from their priors."""
     known = {e.name: e for e in (*EFFECTS, delayed_drive)}
     truth = with_effects(MODEL, [known[cause].at()] if cause in known else [])
     gap = -1.0

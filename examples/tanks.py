@@ -31,7 +31,7 @@ from scipy.signal import lfilter
 
 from zoo.blood.fetch import fetch_file
 from zoo.core.data import Data
-from zoo.core.diagnosis import Diagnosis, Hooks, diagnose
+from zoo.core.diagnosis import Diagnosis, diagnose
 from zoo.core.effects import Effect, EffectParameter, Location, effect, with_effects
 from zoo.core.errors.spectral import Cosines
 from zoo.core.forward import FunctionModel, Outputs
@@ -411,33 +411,26 @@ EFFECTS: tuple[Effect, ...] = (
 # The diagnosis of the estimation record, and the prediction of the test record
 
 
-ERRORS = Cosines(largest_ratio=30.0)
-"""Errors of the record: white noise of the sensor, some 0.02 V from sample to sample, and an
-Ornstein-Uhlenbeck process up to 30 times as large. Water flows over partly at random, and a tank keeps what
-it got for some 100 s (2 sqrt(x)/k), the default's 0.03 of the record. Without that process such a wander has
-no place but in the effects."""
-
-
 def diagnosed(record: dict[str, Array]) -> Diagnosis:
-    """The diagnosis of the estimation record; a level that reaches a rim makes a kink in the parameters."""
-    return diagnose(
-        data(record["yEst"]), tanks(record["uEst"]), EFFECTS, errors=ERRORS, hooks=Hooks(kinks=True)
-    )
+    """The diagnosis of the estimation record.
+
+    Its errors are white noise of the sensor, some 0.02 V, and a model discrepancy or a correlated noise: a
+    part of the overflow is random, and a tank keeps what it got for some 100 s (2 sqrt(x)/k).
+    """
+    return diagnose(data(record["yEst"]), tanks(record["uEst"]), EFFECTS, errors=Cosines())
 
 
 def predictions(found: Diagnosis, u: Array) -> dict[str, Array]:
-    """The level (n,) for another voltage by the baseline, and by it with one, two, ... effects as fitted.
+    """The level (n,) for another voltage by the baseline and by the leading set of causes, as fitted.
 
     All parameters, the initial levels too, are those of the estimation record.
     """
     series = {}
-    for scored in found.rounds:
-        fit = scored.screened.base
-        added = fit.hypothesis.added
-        model = with_effects(tanks(u), added)
-        series[" + ".join(one.name for one in added) or "baseline"] = model.solve(
-            model.configure(fit.values)
-        )[0]
+    for which in dict.fromkeys(((), found.sets.leader)):
+        solved = found.sets.solved[which]
+        model = with_effects(tanks(u), solved.forward.added)
+        name = found.sets.name(which) if which else "baseline"
+        series[name] = model.solve(model.configure(solved.forward.theta(solved.point.u)))[0]
     return series
 
 
@@ -446,41 +439,37 @@ def rms(values: Array) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
+LEADING = 8
+"""Sets of causes and effects that are told."""
+
+
 def report(found: Diagnosis, record: dict[str, Array]) -> str:
-    """What was found, in words and a table of root mean square errors."""
-    gap = found.file.gap
-    rest = found.rounds[-1]
-    lines = [
-        found.file.verdict,
-        "added: "
-        + ", ".join(f"{step.name} ({step.probability:.0%})" for step in found.file.steps)
-        + f"; then {rest.leader} ({rest.probability[rest.leader]:.0%})",
-        *(f"warning: {text}" for text in found.file.warnings),
-        f"cause: {', '.join(found.cause)}",
-        f"discrepancy {gap.before:.3f} V, after {gap.after:.3f} V; noise {gap.noise_floor:.3f} V",
-        "where: " + ", ".join(f"{name} {share:.0%}" for name, share in found.where.phase.items()),
-        f"cannot be seen: {', '.join(found.file.invisible) or 'none'}",
-        "",
-        "explanation          probability  log evidence  group  rms left (V)  parameters",
-    ]
-    for h in found.hypotheses:
-        sizes = [a for a in (h.amplitude, *h.other_amplitudes) if a]
-        values = ", ".join(f"{a.name} = {a.mean:.3g} ± {a.sd:.2g} {a.unit}" for a in sizes)
+    """What was found, in words and tables: sets of causes, effects, root mean square errors."""
+    file = found.file
+    lines = [file.verdict, *(f"warning: {text}" for text in file.warnings), ""]
+    lines.append("log prior  log evidence  probability  left (V)  set of causes")
+    for row in found.table[:LEADING]:
+        left = "" if row.gap_after is None else f"{row.gap_after:.3f}"
+        names = " + ".join(row.causes) or "none"
         lines.append(
-            f"{h.name:20} {h.probability:11.3f}  {h.log_evidence:12.1f}  {h.group:5d}  {h.residual_rms:12.3f}"
-            f"  {values}"
+            f"{row.log_prior:9.1f}  {row.log_evidence:12.1f}  {row.probability:11.3f}  {left:>8}  {names}"
         )
+    guessed = found.sets.posterior.guessed_mass
+    lines += [f"{guessed:.1%} of the probability is of sets whose evidence is only estimated"]
+    lines += ["", "inclusion probability"]
+    for cause in found.causes[:LEADING]:
+        sizes = ", ".join(f"{e.name} = {e.mean:.3g} ± {e.sd:.2g} {e.unit}" for e in cause.estimates)
+        lines.append(f"{cause.name:20} {cause.probability:6.3f}  {sizes}")
     lines += ["", "rms error (V)                                        estimation   test"]
     for (name, test), fitted in zip(
         predictions(found, record["uVal"]).items(), predictions(found, record["uEst"]).values(), strict=True
     ):
         lines.append(f"{name:52} {rms(record['yEst'] - fitted):10.3f} {rms(record['yVal'] - test):6.3f}")
-    seconds = found.file.record.get("screening_seconds", math.nan)
-    return "\n".join([*lines, "", f"{seconds:.0f} s"])
+    return "\n".join([*lines, "", f"{file.record['seconds']:.0f} s"])
 
 
 def figure(found: Diagnosis, record: dict[str, Array], path: Path) -> None:
-    """The test record with its predictions, what they leave, and the evidence for each explanation."""
+    """The test record with its predictions, what they leave, and the probability of each effect."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -489,10 +478,7 @@ def figure(found: Diagnosis, record: dict[str, Array], path: Path) -> None:
     fig, axes = plt.subplots(3, 1, figsize=(7.2, 8.4), height_ratios=(2, 1.4, 2.4), layout="constrained")
     minutes = times(len(record["yVal"])) / 60.0
     axes[0].plot(minutes, record["yVal"], "k", lw=0.8, label="measured")
-    known = predictions(found, record["uVal"])
-    for i, (name, level) in enumerate(known.items()):
-        if i not in (0, len(known) - 1):
-            continue
+    for i, (name, level) in enumerate(predictions(found, record["uVal"]).items()):
         label = f"{name}: rms error {rms(record['yVal'] - level):.2f} V"
         axes[0].plot(minutes, level, f"C{i}", lw=0.9, label=label)
         axes[1].plot(minutes, record["yVal"] - level, f"C{i}", lw=0.9)
@@ -500,11 +486,9 @@ def figure(found: Diagnosis, record: dict[str, Array], path: Path) -> None:
     axes[0].legend(loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=1, frameon=False, fontsize=8)
     axes[1].axhline(0.0, color="0.6", lw=0.6)
     axes[1].set(ylabel="measured minus\npredicted (V)", xlabel="time (min)")
-    ranked = sorted(found.hypotheses, key=lambda h: h.log_evidence)
-    null = next(h.log_evidence for h in found.hypotheses if h.name == "no-gap")
-    bars = [h.log_evidence - null for h in ranked]
-    axes[2].barh([h.name for h in ranked], bars, color="C2", height=0.7)
-    axes[2].set(xlabel="log evidence above noise alone (no-gap), estimation record")
+    causes = found.causes[::-1]
+    axes[2].barh([one.name for one in causes], [one.probability for one in causes], color="C2", height=0.7)
+    axes[2].set(xlabel="inclusion probability, estimation record", xlim=(0.0, 1.0))
     axes[2].tick_params(axis="y", labelsize=7)
     for ax in axes:
         ax.spines[["top", "right"]].set_visible(False)

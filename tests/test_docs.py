@@ -7,16 +7,21 @@ import importlib
 import re
 import shutil
 from pathlib import Path
+from typing import get_args
 
+import numpy as np
 import pytest
+from pydantic import BaseModel
 
 from zoo.blood.conventions import SWITCHES
 from zoo.blood.solver import STATUS_NAMES, Solver, SolverOptions
 from zoo.blood.study import StudyError, load_study
+from zoo.core.diagnosis import DiagnosisFile
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 EXAMPLE = ROOT / "docs" / "example-study"
+DIAGNOSIS = ROOT / "docs" / "diagnosis.md"
 
 
 def anchors(path: Path) -> set[str]:
@@ -154,3 +159,73 @@ def test_the_network_with_all_of_the_physics_solves(tmp_path: Path) -> None:
     solution = solver.solve(solver.network.stiffness_in)
     pressure, flow = solution.pressure_mmHg[1, 0], solution.flow_ml_s[1, 0]
     assert pressure == pytest.approx(8 + 31700 * flow / 1333.22, rel=1e-6)
+
+
+# ---------------------------------------------------------------------------------------------------
+# docs/diagnosis.md
+
+
+def fields(model: type[BaseModel]) -> set[str]:
+    """Names of a model's fields and of those inside it, as the file of a study with pressures has them."""
+    found = set()
+    for name, field in model.model_fields.items():
+        if field.exclude:
+            continue
+        found.add("vessel" if name == "part" else name + "_mmHg" * (name in getattr(model, "amounts", ())))
+        kinds = [field.annotation]
+        while kinds:
+            kind = kinds.pop()
+            kinds += get_args(kind)
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                found |= fields(kind)
+    return found
+
+
+def test_every_field_of_a_diagnosis_is_documented() -> None:
+    words = set(re.findall(r"`([\w.]+)`", DIAGNOSIS.read_text(encoding="utf-8")))
+    words |= {
+        word.removesuffix("_mmHg") for word in words
+    }  # amounts of one series have no unit in their name
+    assert fields(DiagnosisFile) <= words
+
+
+def stated(value: object) -> str:
+    """A constant as the document has it."""
+    if isinstance(value, np.ndarray) and np.allclose(value, np.geomspace(value[0], value[-1], len(value))):
+        return f"{value[0]:g} to {value[-1]:g} in {len(value)} steps of the logarithm"
+    return ", ".join(f"{x:g}" for x in (value if isinstance(value, tuple) else (value,)))
+
+
+def constants(path: Path) -> dict[tuple[str, str], str]:
+    """(Module, name) of every number that a module names, as the document has it."""
+    module = importlib.import_module(".".join(path.relative_to(ROOT / "src").with_suffix("").parts))
+    found = {}
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or "range(5)" in ast.unparse(node):
+            continue
+        for one in ast.walk(node.targets[0] if isinstance(node, ast.Assign) else node.target):
+            name = getattr(one, "id", "")
+            value = getattr(module, name, None)
+            numbers = value if isinstance(value, tuple | np.ndarray) else (value,)
+            if name.isupper() and name != "FORMAT" and all(isinstance(x, int | float) for x in numbers):
+                of = "causes." * (path.parent.name == "causes") + path.stem
+                found[of, name] = stated(value)
+    return found
+
+
+def test_every_constant_of_a_diagnosis_is_documented_with_its_value() -> None:
+    told = {}
+    name = r"`[A-Z_]+`(?:, `[A-Z_]+`)*"
+    for line in DIAGNOSIS.read_text(encoding="utf-8").splitlines():
+        row = re.fullmatch(
+            rf"\| `(?P<module>[\w.]+)` \| (?P<names>{name}) \| (?P<values>[^|]+) \| .{{10,}} \|", line
+        ) or re.fullmatch(
+            rf"\| (?P<names>{name}) \| (?P<values>[^|]+) \| `(?P<module>[\w.]+)` \| .{{10,}} \|", line
+        )
+        if row:
+            names = row["names"].split(", ")
+            values = row["values"].split("; ") if len(names) > 1 else [row["values"]]
+            told |= {(row["module"], n.strip("`")): v for n, v in zip(names, values, strict=True)}
+    rooms = [sorted((ROOT / "src" / "zoo" / "core" / room).glob("*.py")) for room in ("causes", "diagnosis")]
+    sources = [*rooms[0], *rooms[1], ROOT / "src" / "zoo" / "blood" / "diagnosis.py"]
+    assert told == {key: value for path in sources for key, value in constants(path).items()}
