@@ -35,8 +35,8 @@ Which = tuple[int, ...]
 
 MASS, MOST_SOLVED = 0.9, 10
 """Probability that the sets which are solved hold together, and how many are at most."""
-STEPS, ROUNDS, TURNS = 6, 3, 2
-"""Steps of a descent, descents with fresh derivatives, and turns of the baseline's fit and its errors."""
+STEPS, ROUNDS = 6, 3
+"""Steps of a descent, and descents with fresh derivatives."""
 NEARER = (1.0, 0.5, 0.2)
 """Parts of the linear model's step from which a descent begins."""
 SIZE_PRIORS = SizePriors()
@@ -174,19 +174,13 @@ class CauseSearch:
         return Problem(residual, jacobian, precision, pull, log_prior, forward.low - u, forward.high - u)
 
     def _nothing(self) -> SolvedSet:
-        """The baseline at its mode, with no cause."""
+        """The baseline at its best fit, with no cause."""
         f, point = self.fitting, self.fitting.start
         problem = self._problem(f.forward, point.u, self.data - point.computed, point.jacobian)
-        evidence = SetModel(problem, (), self.family).evidence(
+        found = SetModel(problem, (), self.family).evidence(
             np.arange(self.family.n_kinds), self.family.noise_start
         )
-        found = self._to_mode((), f.forward, np.zeros(len(self.data)), point, evidence)
-        for _ in range(TURNS - 1):
-            before = found.log_z
-            found = self._to_mode((), f.forward, np.zeros(len(self.data)), found.point, found.evidence)
-            if found.log_z < before + PROMISED:
-                break
-        return found
+        return SolvedSet((), f.forward, point, found, len(point.u), found.total(SIZE_PRIORS))
 
     def run(self) -> CauseSets:
         """The posterior, its leading sets solved."""
@@ -205,6 +199,7 @@ class CauseSearch:
             due = self._due(found, tried)
             if not due:
                 break
+            linear |= self._weighed([w for w in due if w not in linear], found)
             tried |= set(due)
             self.tick(f"solving {len(due)} sets of causes", 0.6 + 0.4 * wave / WAVES)
             for size in sorted({len(w) for w in due}):  # what fewer causes found, more begin with
@@ -224,6 +219,17 @@ class CauseSearch:
                 continue
             self.solved[which] = one
 
+    def _weighed(self, sets: Sequence[Which], found: CausePosterior) -> dict[Which, SetRow]:
+        """Sets of which only a guess was known, by the linear model."""
+        like = found.rows[-1].evidence
+        start = like.log_noise[like.best(SIZE_PRIORS)]
+
+        def one(which: Which) -> SetRow:
+            model = SetModel(self.problem, [self.causes[i] for i in which], self.family)
+            return SetRow(which, found.priors.log_prior(which), model.evidence(like.kinds, start))
+
+        return {which: one(which) for which in sets}
+
     def _outdone(self, which: Which) -> bool:
         """Whether a larger set was solved with visibly more evidence, as where a mode was missed."""
         more = [one.log_z for w, one in self.solved.items() if set(w) > set(which)]
@@ -239,8 +245,9 @@ class CauseSearch:
             else replace(row, evidence=self.solved[w].evidence if w else row.evidence, solved=True)
             for w, row in linear.items()
         ]
-        guesses = self.shortfall(list(found.guessed))
-        return replace(found, rows=tuple(rows), shifts=dict(zip(found.guessed, guesses, strict=True)))
+        guessed = {w: x for w, x in found.guessed.items() if w not in linear}
+        shifts = dict(zip(guessed, self.shortfall(list(guessed)), strict=True))
+        return replace(found, rows=tuple(rows), guessed=guessed, shifts=shifts)
 
     def shortfall(self, sets: Sequence[Which], *, others: bool = False) -> Array:
         """What a solve adds to the log evidence of sets (n,), by the solved set most like each.
@@ -275,14 +282,13 @@ class CauseSearch:
 
     def _due(self, found: CausePosterior, tried: set[Which]) -> list[Which]:
         """Leading sets that were not tried yet; at first the best alone of each component among them."""
-        weighed = {row.which for row in found.rows if row.which}
         due: list[Which] = []
         total, best = 0.0, dict[str, Which]()
         for which, p in found.probability.items():
-            if which in weighed and which not in tried and total < MASS and len(due) < MOST_SOLVED:
+            if which not in tried and total < MASS and len(due) < MOST_SOLVED:
                 due.append(which)
             total += p
-            if which in weighed and len(which) == 1:
+            if len(which) == 1:
                 best.setdefault(self.causes[which[0]].component, which)
         return due if len(tried) > 1 else due + [w for w in best.values() if w not in due]
 
@@ -320,7 +326,7 @@ class CauseSearch:
             search = Search(forward, data, reference.variances(reference.best(SIZE_PRIORS), alone=alone))
             point = search.resume(point)
             if kept is None:
-                point = search.refine(point, ROUNDS, STEPS, fine=self.fitting.smooth and not order)
+                point = search.refine(point, ROUNDS, STEPS, fine=self.fitting.smooth)
             else:  # the derivatives are fresh
                 moved = search.descend(point, STEPS)
                 point = search.refine(moved, 1, STEPS) if point.cost - moved.cost > PROMISED else point
