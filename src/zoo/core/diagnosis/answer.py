@@ -282,7 +282,7 @@ def _share(found: CauseSets, draws: CauseDraws, component: str, group: str) -> I
         taken = np.linalg.lstsq(J.T @ search.jacobian, J.T @ signal.T, rcond=None)[0]
         errors = search.family.errors
         own = errors.part(signal - (search.jacobian @ taken).T, group)
-        gap = errors.part(one.computed + one.left - search.base.computed, group)
+        gap = errors.part(one.computed + one.left - search.fitting.start.computed, group)
         energy = np.maximum(np.sum(gap**2, axis=(1, 2)), 1e-300)
         return np.asarray(np.sum(own * gap, axis=(1, 2)) / energy)
 

@@ -473,6 +473,7 @@ class CauseSets:
         one, family = self.solved[which], self.search.family
         at = one.evidence.best(SIZE_PRIORS)
         noise = one.evidence.variances(at, alone=True)
-        residual = self.search.data - one.point.computed
+        point = one.point if which else self.search.fitting.start  # beside a discrepancy none fits best
+        residual = self.search.data - point.computed
         left = [np.mean(family.errors.part(residual**2 - noise, g)) for g in family.groups]
         return np.sqrt(np.maximum(left, 0.0))
