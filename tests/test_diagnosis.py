@@ -87,9 +87,9 @@ def test_the_file_comes_back_and_places_are_vessels(jitter: StudyDiagnosis, tmp_
 
 def test_two_effects_are_found_together() -> None:
     """Of two components: each is wrong by one cause."""
-    study = made([("beat-jitter", (0.004,), EVERYWHERE), ("tangent-wall", (0.4,), EVERYWHERE)])
+    study = made([("beat-jitter", (0.004,), EVERYWHERE), ("inflow-shift", (0.006,), EVERYWHERE)])
     found = diagnose(study, effects=FEW)
-    assert set(found.cause) == {"beat-jitter", "tangent-wall"}
+    assert set(found.cause) == {"beat-jitter", "inflow-shift"}
     assert found.file.number[2] > 0.5
 
 
