@@ -292,9 +292,8 @@ def test_a_search_with_fine_steps_ends_where_another_one_does() -> None:
 def test_two_causes_of_one_record_are_one_set() -> None:
     rng = np.random.default_rng(2)
     both = with_effects(oscillator.MODEL, [one.at() for one in oscillator.EFFECTS])
-    y = both.solve(both.configure(np.array([2.1, 0.05, 1.0, 0.15, 0.2]))) + 0.02 * rng.standard_normal(
-        (1, 241)
-    )
+    y = both.solve(both.configure(np.array([2.1, 0.05, 1.0, 0.15, 0.2])))
+    y = y + 0.02 * rng.standard_normal((1, 241))
     found = oscillator.diagnosed(Data(oscillator.TIMES, y, labels=("displacement",), units=("m",)))
     assert set(found.cause) == {"cubic-stiffness", "quadratic-drag"}
     assert found.file.number[2] > 0.9

@@ -60,7 +60,7 @@ def of_the_law():  # type: ignore[no-untyped-def]
 
 def test_a_law_of_the_system_holds_in_another_state(of_the_law) -> None:  # type: ignore[no-untyped-def]
     found, state, carried = of_the_law
-    assert found.cause == ["wall"]
+    assert found.sets.components(found.sets.leader) == ("wall",)
     assert carried[("wall",)].holds
     assert carried[("wall",)].better == 1.0
     exact = faster({"level": 1.05, **LAW}, LATER)
@@ -85,7 +85,7 @@ def test_the_baseline_is_fitted_again_by_least_squares(of_the_law) -> None:  # t
 
 def test_an_error_of_one_record_does_not_hold_in_another_state() -> None:
     found, state, carried = found_in({"push": BUMP}, in_state_two({}))
-    assert found.cause == ["inflow"]
+    assert found.sets.components(found.sets.leader) == ("inflow",)
     assert not carried[("inflow",)].holds
     assert state.file.baseline.mean < 0.5 * NOISE < carried[("inflow",)].error.mean
     [warning] = [w for w in found.file.warnings if "does not hold in faster" in w]
@@ -103,7 +103,7 @@ def test_a_discrepancy_that_belongs_to_the_sensor_is_told_from_a_function() -> N
     own = 0.3 * np.sin(6 * np.pi * TIMES)
     there = in_state_two({"own": np.interp(LATER / PERIOD, TIMES, own, period=1.0)})
     found, state, carried = found_in({"own": own}, there)
-    drawn = seen_at_sensor(found.rounds[0])
+    drawn = seen_at_sensor(found.sets)
     assert np.sqrt(np.mean((drawn - [0 * own, own]) ** 2)) < NOISE
     assert state.file.sensor.mean < 0.2 * state.file.baseline.mean
     assert not carried[("wall",)].holds
@@ -187,7 +187,7 @@ def test_a_state_that_cannot_be_solved_costs_nothing_but_itself() -> None:
         hooks=replace(hooks([]), components=known),
         states=[broken, in_state_two(LAW)],
     )
-    assert found.cause == ["wall"]
+    assert found.sets.components(found.sets.leader) == ("wall",)
     assert [one.state for one in found.file.states] == ["faster"]
     [warning] = [w for w in found.file.warnings if "cannot be solved" in w]
     assert "in faster the baseline cannot be solved" in warning

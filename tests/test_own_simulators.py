@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from zoo.core.data import Data, DataError
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, diagnose
@@ -83,6 +84,12 @@ def test_what_resembles_the_cause_is_not_named_in_its_place() -> None:
     assert found.causes[0].probability < 0.5
     assert found.file.verdict.startswith("none of the listed effects or components")
     assert found.file.no_gap < 0.01
+    # the gap is what a best fit misses, and no more
+    data = found.data.values[0]
+    left = least_squares(lambda x: data - cup({"rate": x[0], "start": x[1]}, MINUTES), [0.07, 60.0])
+    rms = np.sqrt(np.mean(left.fun**2))
+    assert found.file.gap.residual_rms_before == pytest.approx(rms, rel=0.01)
+    assert found.file.gap.before == pytest.approx(rms, rel=0.03)
 
 
 def test_the_second_of_two_that_the_data_do_not_tell_apart_is_named() -> None:

@@ -23,7 +23,6 @@ SLOW_FILES = (
     "calibration",
     "contributing",
     "documents_run",
-    "explanations",
     "kills",
     "notebooks",
     "recovery",

@@ -482,8 +482,8 @@ def _verdict(file: DiagnosisFile, leader: Sequence[str]) -> str:
         for c in wrong
         if c.confounded
     )
-    others = [c for c in file.components if RIVAL < c.probability <= 0.5]
-    rivals = ", ".join(f"{c.name} {c.probability:.0%}" for c in others)
+    near = [c for c in file.components if RIVAL < c.probability <= 0.5]
+    rivals = ", ".join(f"{c.name} {c.probability:.0%}" for c in near)
     told = [f"wrong is {named}: {left}", groups, rivals and f"it may also be {rivals}"]
     return "; ".join(filter(None, told))
 

@@ -166,7 +166,7 @@ class Discrepancy:
 def discrepancies(drawn: CauseDraws) -> tuple[Discrepancy, Discrepancy]:
     """Of the baseline over all sets, and of the leading set: what it leaves."""
     found = drawn.found
-    errors, base = found.search.family.errors, found.search.base
+    errors, base = found.search.family.errors, found.search.fitting.start  # what a best fit misses
     truth = np.concatenate([one.computed + one.left - base.computed for one in drawn.sets])
     weights = np.concatenate([one.weights for one in drawn.sets])
     residual = errors.unflat(found.search.data - base.computed)

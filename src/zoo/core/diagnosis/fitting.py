@@ -13,7 +13,7 @@ from zoo.core.causes.family import ErrorFamily
 from zoo.core.data import Data
 from zoo.core.diagnosis.coordinates import SearchModel, ranges
 from zoo.core.diagnosis.file import DiagnosisError
-from zoo.core.diagnosis.search import Point, Search, SearchError
+from zoo.core.diagnosis.search import Point, Search, SearchError, as_matrix
 from zoo.core.effects import AddedEffect
 from zoo.core.errors.spectral import Spectral
 from zoo.core.forward import ForwardModel
@@ -30,6 +30,8 @@ CENTRAL = 0.9
 """Part of a bounded prior's range in which they are; two units on either side of an unbounded one's start."""
 STEPS, GAIN, ROUNDS = 10, 1e-3, 4
 """Steps of a first descent, the gain that ends it, and rounds of fresh differences after the best one."""
+SINGULAR = 1e-12
+"""Least eigenvalue of the information on parameters, each in its own sds, that tells them."""
 ALIKE = 0.1
 """Part in the direction that the series tell least, above which a parameter is named as not told."""
 
@@ -115,11 +117,11 @@ class Fitting:
                 found.append(search.descend(search.at(u), STEPS, GAIN))
             except SearchError:
                 continue
-            except np.linalg.LinAlgError:
-                raise DiagnosisError(self._not_told(search, u)) from None
         if not found:
             raise SearchError(self.forward.last_failure)
         best = search.refine(min(found, key=lambda point: point.cost), ROUNDS)
+        if not self._told(best):
+            raise DiagnosisError(self._not_told(search, best.u))
         left = Search(self.forward, self.coefficients, self._left(best))  # as noise, all that it leaves
         return left.refine(left.resume(best), ROUNDS, fine=self.smooth)
 
@@ -141,6 +143,14 @@ class Fitting:
         low = np.where(bounded, f.low, np.maximum(f.low, f.start - 2.0 * f.units))
         high = np.where(bounded, f.high, np.minimum(f.high, f.start + 2.0 * f.units))
         return np.asarray(low + (high - low) * (0.5 + CENTRAL * (q - 0.5)))
+
+    def _told(self, point: Point) -> bool:
+        """Whether series and priors tell all parameters."""
+        units = self.forward.units
+        J = point.jacobian * units / np.sqrt(self._loose)[:, None]
+        H = J.T @ J + as_matrix(self.forward.prior(point.u)[1]) * np.outer(units, units)
+        size = np.sqrt(np.diag(H))
+        return bool(np.all(size > 0.0) and np.linalg.eigvalsh(H / np.outer(size, size))[0] > SINGULAR)
 
     def _not_told(self, search: Search[SearchModel], u: Array) -> str:
         """Which parameters the series do not tell."""

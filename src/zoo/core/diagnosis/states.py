@@ -337,7 +337,8 @@ def hold_in(
     made = hooks.components(state.model, theta, here) if hooks.components is not None else ()
     again = {f.name: f for f in made}
     wanted = explanations(found)
-    computed = {BASELINE: refitted.fitting.errors.unflat(base.computed)}
+    alone = refitted.computed(state.model, here.values, [base.u])  # by least squares, as all that follows
+    computed = {BASELINE: refitted.fitting.errors.unflat(base.computed) if alone is None else alone}
     drawn = _at_same_part(seen_at_sensor(found), found.search.fitting.data, here)
     if drawn is not None:
         series = refitted.computed(state.model, here.values - drawn, [base.u])
