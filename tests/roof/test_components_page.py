@@ -102,3 +102,9 @@ def replace_outputs(d: Diagnosis) -> Data:
     return Data(
         data.times, data.values, groups=data.groups, period=data.period, outputs=[(1, 1.0, "flow_ml_s")]
     )
+
+
+def test_one_cause_has_the_whole_gap_and_no_cause_leaves_it(one: Diagnosis) -> None:
+    assert one.file.components[0].share.mean == pytest.approx(1.0, abs=0.1)
+    nothing = next(row for row in one.file.sets if not row.causes)
+    assert nothing.gap_after == pytest.approx(one.file.gap.before, rel=0.2)

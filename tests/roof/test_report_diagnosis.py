@@ -250,7 +250,12 @@ def test_the_table_of_sets_is_that_of_the_file(page: Element, three: Diagnosis) 
 
 def test_what_the_answer_depends_on_comes_first(one: Diagnosis, tmp_path: Path) -> None:
     first = one.file.components[0].model_copy(update={"confounded": ["inflow"], "group_probability": 0.97})
-    changes = {"warnings": ["the answer depends on the prior"], "failed": ["taper"], "missed": 0.25}
+    changes = {
+        "warnings": ["the answer depends on the prior"],
+        "failed": ["taper"],
+        "missed": 0.25,
+        "linear_error": 1.0,
+    }
     d = one.with_file(components=[first, *one.file.components[1:]], decided=False, **changes)
     report.write_diagnosis(d, tmp_path / "x")
     assert plt.get_fignums() == []  # nothing is left open
