@@ -171,22 +171,10 @@ class Answer(_Record):
     seconds: float | None = None
 
     @classmethod
-    def ranked(cls, probabilities: Mapping[str, float], of: Mapping[str, str] | None = None) -> Answer:
-        """The answer of probabilities by name, "no-gap" among them, of which one is true.
-
-        Parameters
-        ----------
-        probabilities : mapping
-            Name of an effect or of a component -> probability.
-        of : mapping, optional
-            Effect -> its component; one without is a component of its own.
-        """
-        of, components = of or {}, dict[str, float]()
+    def ranked(cls, probabilities: Mapping[str, float]) -> Answer:
+        """The answer of probabilities of effects, each a component of its own, and of "no-gap"."""
         effects = {name: p for name, p in probabilities.items() if name != NULL}
-        for name, p in effects.items():
-            part = of.get(name, name)
-            components[part] = components.get(part, 0.0) + p
-        return cls(components=components, nothing=probabilities.get(NULL, 0.0), effects=effects)
+        return cls(components=effects, nothing=probabilities.get(NULL, 0.0), effects=effects)
 
 
 def as_answer(found: Any) -> Answer:
@@ -208,13 +196,18 @@ def as_answer(found: Any) -> Answer:
     gap, listed = file.gap, [one for one in file.causes if not one.free]
     before = Size(mean=gap.before, low=gap.before_interval[0], high=gap.before_interval[1])
     after = Size(mean=gap.after, low=gap.after_interval[0], high=gap.after_interval[1])
-    sizes = {one.name: _size(one.estimates[0]) for one in listed if one.estimates}
+    first = {one.name: one.estimates[0] for one in listed if one.estimates}
+    sizes = {
+        name: Size(mean=x.mean, low=x.interval[0], high=x.interval[1])
+        for name, x in first.items()
+        if x.interval
+    }
     return Answer(
         components={one.name: one.probability for one in file.components},
         nothing=math.fsum(row.probability for row in file.sets if not row.causes),
         effects={one.name: one.probability for one in listed},
         groups=_groups(file),
-        sizes={name: one for name, one in sizes.items() if one},
+        sizes=sizes,
         gap=before,
         left=after if file.cause else None,
         fitted=_fitted(found) if isinstance(found, Diagnosis) else None,
@@ -235,17 +228,6 @@ def _groups(file: DiagnosisFile) -> tuple[Group, ...]:
         p = math.fsum(row.probability for row in file.sets if group & set(row.components))
         found.append(Group(names=names, probability=p))
     return tuple(one for one in found if one.names)
-
-
-def _size(estimate: Any) -> Size | None:
-    """The 95 % interval of an estimate, as stated or of its standard deviation; None without either."""
-    if estimate is None or (estimate.interval is None and not estimate.sd):
-        return None
-    low, high = estimate.interval or (
-        estimate.mean - 1.96 * estimate.sd,
-        estimate.mean + 1.96 * estimate.sd,
-    )
-    return Size(mean=estimate.mean, low=low, high=high)
 
 
 def _fitted(found: Diagnosis) -> Fitted:

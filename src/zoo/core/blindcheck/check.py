@@ -120,19 +120,21 @@ def blind_check(
     ...     t = np.linspace(-1, 1, 100)
     ...     return DrawnCase(slope * t + jump * (t > 0) + 0.01 * rng.standard_normal(100))
     >>> def diagnose(data):
-    ...     p = 0.98 if abs(data[-1] - data[50]) > 0.5 else 0.02 if data.std() < 0.1 else 0.1
-    ...     rest = ("unlisted", "no-gap") if data.std() > 0.1 else ("no-gap", "unlisted")
-    ...     return Answer.ranked({"drift": p, rest[0]: 0.99 - p, rest[1]: 0.01})
+    ...     p = 0.98 if abs(data[-1] - data[50]) > 0.5 else 0.02
+    ...     return Answer.ranked({"drift": p, "no-gap": 1 - p})
     >>> print(blind_check(draw, diagnose, {"drift": 2, "no-gap": 1, "step": 1}, listed=["drift"]))
-    4 cases, 0 without an answer                                        best constant answer
-    log score                            -0.047                       -1.040
-    Brier score                          0.006                        0.625
-    what is true first                   100 % (4 of 4; 51 to 100 %)  50 % (always drift)
-    what is true, or its group, first    100 % (4 of 4; 51 to 100 %)  50 % (always drift)
-    mean rank of its group               1.00                         –
-    mean size of the leading group       1.0                          1
-    no effect, and something else first  0 % (0 of 1; 0 to 79 %)      0 % (always no-gap)
-    stated with more than 90 %, right    3 of 3 (0.977 stated)        –
+    4 cases, 0 without an answer                                                   best constant answer
+    components that are wrong: log score            -0.020 ± 0.000               -0.693
+    components that are wrong: Brier score          0.000 ± 0.000                0.250
+    that nothing is wrong: log score                -0.020 ± 0.000               -0.693
+    that nothing is wrong: Brier score              0.000 ± 0.000                0.250
+    listed effects, where one is true: log score    -0.020 ± 0.000               0.000
+    listed effects, where one is true: Brier score  0.000 ± 0.000                0.000
+    listed effects, alike ones as one: log score    -0.020 ± 0.000               0.000
+    listed effects, alike ones as one: Brier score  0.000 ± 0.000                0.000
+    most probable is right, a component or nothing  100 % (4 of 4; 51 to 100 %)  50 % (always drift)
+    nothing wrong, and a component above 50 %       0 % (0 of 2; 0 to 66 %)      0 %
+    components above 90 % that are wrong indeed     100 % (2 of 2; 34 to 100 %)  –
     """
     if cores < 1:
         raise BlindError(f"cores = {cores}: must be at least 1")

@@ -23,7 +23,7 @@ QUESTIONS = {
     "components": "components that are wrong",
     "nothing": "that nothing is wrong",
     "effects": "listed effects, where one is true",
-    "groups": "the same, what cannot be told apart as one",
+    "groups": "listed effects, alike ones as one",
 }
 BIN_EDGES = (0.0, 0.01, 0.05, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0)
 """Of the reliability of stated probabilities."""

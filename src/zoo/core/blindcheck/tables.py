@@ -35,7 +35,7 @@ def summary_rows(s: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         words = QUESTIONS[question]
         rows.append((f"{words}: log score", one.log_text(), f"{one.constant_log:.3f}"))
         rows.append((f"{words}: Brier score", one.brier.text(), f"{one.constant_brier:.3f}"))
-    rows.append(("most probable is a component that is wrong, or nothing", str(s["first"]), always))
+    rows.append(("most probable is right, a component or nothing", str(s["first"]), always))
     if s["false_alarms"].n:
         rows.append(("nothing wrong, and a component above 50 %", str(s["false_alarms"]), "0 %"))
     if s["sure"].n:
