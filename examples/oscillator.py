@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from zoo.core.blindcheck import NULL as NO_GAP
 from zoo.core.blindcheck import DrawnCase, Score, blind_check
 from zoo.core.data import Data
 from zoo.core.diagnosis import diagnose
@@ -107,8 +108,6 @@ def delayed_drive(c: dict[str, Any], values: tuple[float, ...], at: Location) ->
 
 SEED = 20160401
 NOISE_M = 0.02
-NO_GAP = "no-gap"
-"""Label of a case without a cause."""
 VISIBLE = 0.5
 """Parameters are drawn again until the rms of what the refitted equation leaves of the noise-free record is
 at least this many sds of the noise."""
