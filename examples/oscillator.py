@@ -108,8 +108,6 @@ def delayed_drive(c: dict[str, Any], values: tuple[float, ...], at: Location) ->
 
 SEED = 20160401
 NOISE_M = 0.02
-NO_GAP = "no-gap"
-"""Label of a case without a cause."""
 VISIBLE = 0.5
 """Parameters are drawn again until the rms of what the refitted equation leaves of the noise-free record is
 at least this many sds of the noise."""
