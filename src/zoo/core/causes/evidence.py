@@ -57,8 +57,8 @@ def log_scale_masses(scales: Array) -> Array:
 def hermite(nodes: Array, values: Array, slopes: Array) -> Array:
     """Cubic interpolation (..., n) at `FINE` points from each node (m,) on, and the last, without overshoot.
 
-    Where the slopes at both ends of an interval have one sign they are at most three times its secant (Fritsch
-    and Carlson 1980, doi 10.1137/0717021); a peak between nodes stays below the tangents at both.
+    Where the slopes at both ends of an interval have one sign they are at most three times its secant (by
+    Fritsch and Carlson 1980, doi 10.1137/0717021); a peak between nodes stays below the tangents at both.
     """
     h, low, high = np.diff(nodes), slopes[..., :-1], slopes[..., 1:]
     secant = np.diff(values, axis=-1) / h
