@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import dct, idct
 from scipy.linalg import helmert
-from scipy.optimize import minimize
 
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel, ErrorModelError
@@ -30,8 +29,6 @@ FINE = 0.6
 """Part of the largest frequency above which a residual is taken for noise alone."""
 LEAST_NOISE = 1e-5
 """Noise in parts of a group's range below which none is fitted: series are not told more exactly."""
-LARGEST_DELTA = 2.0
-"""Largest discrepancy beside a hypothesis, in units of the sd of its half-normal prior: 95 % of it."""
 
 
 @dataclass(frozen=True)
@@ -232,87 +229,12 @@ class Spectral(ErrorModel):
             S[rows] = self.spectrum(errors[group], len(rows), noise=noise)
         return S.reshape(self.size)
 
-    # -- priors of the screening ------------------------------------------------------------------
+    # -- scales -----------------------------------------------------------------------------------
 
     @property
     def typical_length(self) -> float:
         """Median of the discrepancy's length scale, in the data's unit of time."""
         return self.length[0] * self.on.duration
-
-    @property
-    def length_grid(self) -> Array:
-        """Length scales (7,) that are integrated over, in the data's unit of time."""
-        median, spread = self.length
-        return np.exp(np.linspace(-1.5, 1.5, 7) * spread) * median * self.on.duration
-
-    def noise_log_prior(self, errors: GroupErrors) -> float:
-        """Log-prior of the noise: flat in log sigma, half-normal in the ratio, log-normal in tau."""
-        median, spread, _ = self.correlation_time
-        x = math.log(errors.tau / (median * self.on.duration)) / spread
-        return -0.5 * (errors.ratio / self.largest_ratio) ** 2 - 0.5 * x * x
-
-    def length_log_prior(self, length: float) -> float:
-        """Log-prior of a discrepancy's length scale: log-normal, without its constant."""
-        median, spread = self.length
-        x = math.log(length / (median * self.on.duration)) / spread
-        return -0.5 * x * x
-
-    def fit_noise(
-        self,
-        residual: Array,
-        group: str,
-        start: GroupErrors,
-        *,
-        free_delta: bool = False,
-        scale: float = 0.0,
-    ) -> GroupErrors:
-        """Noise that makes one group's residual most probable, beside a discrepancy that is given or free.
-
-        Parameters
-        ----------
-        residual : array (n_series * n_times,)
-            Flat coefficients of measured minus computed.
-        group : str
-        start : GroupErrors
-            Where the search starts; its discrepancy is kept unless `free_delta`.
-        free_delta : bool
-            Fit its size as well, with a half-normal prior of sd `scale`.
-        scale : float
-            In the group's unit.
-
-        Returns
-        -------
-        GroupErrors
-        """
-        part = self.part(residual, group)
-        power = part**2
-        T = self.on.duration
-        high = self.fine(residual, group) ** 2
-        least = LEAST_NOISE * float(np.ptp(self.on.values[self.rows[group]]))
-        floor = max(math.sqrt(float(high.mean())), least, 1e-9)
-        median, _, top = self.correlation_time
-
-        def errors_at(x: Array) -> GroupErrors:
-            found = replace(start, sigma=math.exp(x[0]), ratio=float(x[1]), tau=math.exp(x[2]))
-            return replace(found, delta=float(x[3]) * scale) if free_delta else found
-
-        def cost(x: Array) -> float:
-            e = errors_at(x)
-            S = self.spectrum(e, len(part))
-            value = 0.5 * float(np.sum(power / S + np.log(S))) - self.noise_log_prior(e)
-            return value + (0.5 * float(x[3]) ** 2 if free_delta else 0.0)
-
-        size, below, above = math.log(self.known.get(group, floor)), 2.0, 3.0
-        if group in self.known:
-            below = above = 0.0
-        bounds = [(size - below, size + above), (0.0, self.largest_ratio)]
-        bounds += [(math.log(0.1 * median * T), math.log(top * T))]
-        x0 = [size, 0.5, math.log(median * T)]
-        if free_delta:
-            bounds.append((0.0, LARGEST_DELTA))
-            x0.append(1.0)
-        found = minimize(cost, np.array(x0), method="L-BFGS-B", bounds=bounds)
-        return errors_at(found.x)
 
     def fine(self, residual: Array, group: str) -> Array:
         """Coefficients (n_series, n) of one group's residual whose frequencies are those of noise alone."""
