@@ -236,13 +236,13 @@ def test_what_a_set_leaves_is_that_of_a_solve_at_its_mode() -> None:
     found = found_in(BULGED, [], errors=Harmonics(known={"y": NOISE}))
     [which] = [w for w in found.sets.solved if found.sets.name(w) == "kick"]
     [gap] = found.sets.gap_after(which)
-    one = found.sets.solved[which]
+    one, noise = found.sets.solved[which], found.sets.noise["y"]
 
     def left(x: np.ndarray) -> np.ndarray:
         return np.asarray((found.data.values - solve({"level": x[0], "kick": x[1]}, TIMES)).ravel())
 
     at = left(one.forward.theta(one.point.u))
-    assert gap == pytest.approx(np.sqrt(np.mean(at**2) - NOISE**2), rel=1e-6)
+    assert gap == pytest.approx(np.sqrt(np.mean(at**2) - noise**2), rel=1e-6)
     least = least_squares(left, [1.0, 0.1]).fun
     assert np.sqrt(np.mean(least**2) - NOISE**2) == pytest.approx(gap, rel=0.1)
     assert np.mean(least**2) <= np.mean(at**2)

@@ -144,10 +144,8 @@ def test_misspelt_settings_are_refused_with_the_nearest(model):
         zoo.sample(model, drws=10)
     with pytest.raises(TypeError, match="model_B: setting 'efects': unknown; did you mean 'effects'"):
         zoo.model_B(study, efects=["taper"])
-    with pytest.raises(
-        TypeError, match="diagnose: setting 'max_efects': unknown; did you mean 'max_effects'"
-    ):
-        zoo.diagnose(study, base="B", max_efects=1)
+    with pytest.raises(TypeError, match="diagnose: setting 'statez': unknown; did you mean 'states'"):
+        zoo.diagnose(study, base="B", statez=[])
 
 
 def test_a_study_without_observations_is_solved_at_every_inlet():

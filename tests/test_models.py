@@ -290,7 +290,9 @@ def test_effects_go_into_any_model(name: str, study: Study) -> None:
     assert model.zoo.name == "+".join([name, "viscoelastic-wall", *["local-stiffness@2" for _ in local]])
     assert np.isfinite(model.compile_logp()(model.initial_point()))
     prior = pm.logp(model["viscoelastic-wall.tau"], 2e-3).eval()
-    assert prior == pytest.approx(stats.truncnorm(0, 10, scale=3e-3).logpdf(2e-3))
+    scale = CATALOGUE["viscoelastic-wall"].of(plain.zoo.forward).parameters[0].scale
+    assert scale == pytest.approx(0.027 * study.period_s)
+    assert prior == pytest.approx(stats.truncnorm(0, 10, scale=scale).logpdf(2e-3), rel=1e-3)
     off = {**suggested(name), **dict.fromkeys(extra, 0.0)}
     np.testing.assert_array_equal(likelihood_terms(model, off), likelihood_terms(plain, suggested(name)))
     on = {**suggested(name), **dict.fromkeys(extra, 2e-3)}

@@ -13,7 +13,7 @@ from zoo import load_study
 from zoo.blood.effects import CATALOGUE
 from zoo.core.diagnosis.coordinates import SearchModel, coordinates
 from zoo.core.diagnosis.search import Point, Search, SearchError
-from zoo.core.effects import EVERYWHERE, EffectParameter
+from zoo.core.effects import EVERYWHERE, Effect, EffectParameter
 from zoo.core.errors.spectral import GroupErrors
 from zoo.core.forward import Outputs
 from zoo.core.parameters import InverseGamma, Normal, Parameter, Population, Uniform, log_prior
@@ -32,9 +32,9 @@ TRUE_VALUES = {
 }
 
 
-def true_values(name: str) -> tuple[float, ...]:
-    first = CATALOGUE[name].parameters[0]
-    return TRUE_VALUES.get(name, (min(first.scale, 0.6 * first.high),))
+def true_values(effect: Effect) -> tuple[float, ...]:
+    first = effect.parameters[0]
+    return TRUE_VALUES.get(effect.name, (min(first.scale, 0.6 * first.high),))
 
 
 HARDLY_SHOWN = {"radius-dependent-viscosity", "coarse-grid"}
@@ -51,9 +51,11 @@ def mode(search: Search, start: np.ndarray) -> Point:
 @pytest.mark.parametrize("name", [n for n, e in CATALOGUE.items() if e.apply is not None])
 def test_effect_parameter_is_recovered_from_noise_free_data(name: str) -> None:
     """To 1 %, from the baseline's start and each of the effect's own, which know nothing of the truth."""
-    locations = CATALOGUE[name].locations(baseline_of(load_study("demo")))
+    baseline = baseline_of(load_study("demo"))
+    effect = CATALOGUE[name].of(baseline)
+    locations = effect.locations(baseline)
     location = locations[min(2, len(locations) - 1)]
-    wanted = true_values(name)
+    wanted = true_values(effect)
     study = made([(name, wanted, location)], noise=0.0)
     forward, base = search_model(study, ((name, location),)), search_model(study)
     S = forward.errors.variances({QUANTITY: GroupErrors(0.01)})
@@ -62,7 +64,7 @@ def test_effect_parameter_is_recovered_from_noise_free_data(name: str) -> None:
     if name in HARDLY_SHOWN:
         assert math.sqrt(float(np.mean((data - alone.computed) ** 2))) < 0.005
         return
-    first, *shapes = CATALOGUE[name].parameters
+    first, *shapes = effect.parameters
     starts = [np.array([*alone.u, a, *(p.centre for p in shapes)]) for a in first.starts]
     points = []
     for u in starts:

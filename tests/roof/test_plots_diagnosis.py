@@ -103,7 +103,7 @@ def test_a_dot_of_each_component_under_each_other_prior(three: Diagnosis) -> Non
             line.get_xdata(), [100 * one.nothing, *(100 * one.components[name] for name in names[1:])]
         )
         np.testing.assert_array_equal(np.round(line.get_ydata()), range(len(names)))
-    assert len({line.get_color() for line in axes.get_lines()}) == len(others)
+    assert len({(line.get_color(), line.get_marker()) for line in axes.get_lines()}) == len(others)
 
 
 def test_the_tree_is_coloured_by_the_probability_of_the_location(three: Diagnosis) -> None:

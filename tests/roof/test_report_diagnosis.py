@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import math
 import random
 import re
-from importlib import import_module
 from pathlib import Path
 from typing import get_args
 
@@ -140,51 +138,6 @@ def test_the_document_has_every_field(one: Diagnosis, sampled: Diagnosis) -> Non
     for name, value in settings:
         expected = np.atleast_1d(getattr(Harmonics(), name))
         assert [float(x) for x in value.split(",")] == pytest.approx(list(expected)), name
-
-
-SOURCES = [*sorted((ROOT / "src/zoo/core/diagnosis").rglob("*.py")), ROOT / "src/zoo/blood/diagnosis.py"]
-
-
-def stated(value: object) -> str:
-    """A constant as the document has it."""
-    if isinstance(value, np.ndarray):
-        for grid, words in ((np.linspace, "steps"), (np.geomspace, "steps of the logarithm")):
-            possible = value[0] > 0.0 or grid is np.linspace
-            if possible and np.allclose(value, grid(value[0], value[-1], len(value))):
-                return f"{value[0]:g} to {value[-1]:g} in {len(value)} {words}"
-    values = value if isinstance(value, tuple | np.ndarray) else (value,)
-    return ", ".join(f"{x:g}" for x in values)
-
-
-def constants(path: Path) -> dict[tuple[str, str], str]:
-    """(Name, module) of every number that a module names, as the document has it."""
-    module = import_module(".".join(path.relative_to(ROOT / "src").with_suffix("").parts))
-    found = {}
-    for node in ast.parse(path.read_text("utf-8")).body:
-        if not isinstance(node, ast.Assign) or "range" in ast.dump(node.value):
-            continue
-        [target] = node.targets
-        for one in target.elts if isinstance(target, ast.Tuple) else [target]:
-            name = getattr(one, "id", "")
-            value = getattr(module, name, None)
-            numbers = value if isinstance(value, tuple | np.ndarray) else (value,)
-            if name.isupper() and name != "FORMAT" and all(isinstance(x, int | float) for x in numbers):
-                inside = "components." * (path.parent.name == "components")
-                found[name, inside + path.stem] = stated(value)
-    return found
-
-
-def test_the_document_has_every_constant_with_its_value() -> None:
-    rows = re.findall(
-        r"^\| (`[A-Z_]+`(?:, `[A-Z_]+`)*) \| ([^|]+) \| `([\w.]+)` \| (.+) \|$", DOC.read_text("utf-8"), re.M
-    )
-    told = {}
-    for names, values, module, reason in rows:
-        several = names.split(", ")
-        each = values.split("; ") if len(several) > 1 else [values]
-        assert len(reason) > 10
-        told |= {(n.strip("`"), module): v for n, v in zip(several, each, strict=True)}
-    assert told == {key: value for path in SOURCES for key, value in constants(path).items()}
 
 
 @pytest.fixture(scope="module")

@@ -139,8 +139,8 @@ def plot_sensitivity(d: Diagnosis) -> Figure:
                 axes.barh(rows, values, color="#DDE2E8", height=0.86, label=one.prior)
                 continue
             axes.plot(
-                values, rows + offsets[k - 1], "o", color=COLOURS[(k - 1) % len(COLOURS)], ms=4.5,
-                clip_on=False, zorder=3, label=one.prior,
+                values, rows + offsets[k - 1], "oD"[(k - 1) // len(COLOURS)], ms=4.5,
+                color=COLOURS[(k - 1) % len(COLOURS)], clip_on=False, zorder=3, label=one.prior,
             )  # fmt: skip
         axes.set_yticks(rows, names)
         axes.set_ylim(len(names) - 0.4, -0.6)

@@ -33,7 +33,7 @@ from zoo.core.forward import SolveError, pinned
 Array = NDArray[np.float64]
 Which = tuple[int, ...]
 
-MASS, MOST_SOLVED = 0.9, 10
+MASS, MOST_SOLVED = 0.97, 10
 """Probability that the sets which are solved hold together, and how many are at most."""
 STEPS, ROUNDS = 6, 3
 """Steps of a descent, and descents with fresh derivatives."""
@@ -281,11 +281,16 @@ class CauseSearch:
         return float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0
 
     def _due(self, found: CausePosterior, tried: set[Which]) -> list[Which]:
-        """Leading sets that were not tried yet; at first the best alone of each component among them."""
-        due: list[Which] = []
+        """Leading sets that were not tried yet, and the leader without each of its causes.
+
+        At first the best alone of each component is among them.
+        """
+        leader = max(self.solved, key=lambda which: found.log_joint[which])
+        parts = [tuple(i for i in leader if i != left) for left in leader]
+        due = [which for which in parts if which not in tried]
         total, best = 0.0, dict[str, Which]()
         for which, p in found.probability.items():
-            if which not in tried and total < MASS and len(due) < MOST_SOLVED:
+            if which not in tried and which not in due and total < MASS and len(due) < MOST_SOLVED:
                 due.append(which)
             total += p
             if len(which) == 1:
