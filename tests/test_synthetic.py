@@ -60,7 +60,7 @@ def test_the_study_for_the_diagnosis_is_what_the_command_makes():
 def test_the_diagnosis_names_its_cause():
     found = diagnose(load_study("demo-gap"))
     assert found.cause == ["viscoelastic-wall"]
-    assert found.hypotheses[0].amplitude.mean == pytest.approx(0.004, rel=0.1)
+    assert found.causes[0].estimates[0].mean == pytest.approx(0.004, rel=0.1)
 
 
 def test_embedded_study_is_what_the_command_makes(tmp_path: Path):
