@@ -100,7 +100,8 @@ class CauseDraws:
     Parameters
     ----------
     found : CauseSets
-    seed : int
+    sets : tuple of SetDraws
+        The most probable first.
     """
 
     found: CauseSets

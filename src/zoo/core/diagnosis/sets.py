@@ -165,7 +165,7 @@ class CauseSearch:
             f, self.grid, pinned_base, functions, near, lambda name, part: self.tick(name, 0.3 + 0.15 * part)
         )
         origins = dict([*listed, *free])
-        self.causes, self.same = without_doubles(list(origins))
+        self.causes, _ = without_doubles(list(origins))
         self.origins = [origins[one] for one in self.causes]
 
     @staticmethod
@@ -481,15 +481,21 @@ class CauseSets:
 
     @cached_property
     def noise(self) -> dict[str, float]:
-        """Rms noise of each group beside the leading set, in the group's unit."""
-        one, family = self.solved[self.leader], self.search.family
-        variances = one.evidence.variances(one.evidence.best(SIZE_PRIORS), alone=True)
-        return {g: float(np.sqrt(np.mean(family.errors.part(variances, g)))) for g in family.groups}
+        """Rms noise of each group given the leading set, in the group's unit."""
+        family = self.search.family
+        parts = {g: family.errors.part(self._noise_variances, g) for g in family.groups}
+        return {g: float(np.sqrt(np.mean(part))) for g, part in parts.items()}
+
+    @cached_property
+    def _noise_variances(self) -> Array:
+        """Of the noise given the leading set, (n,)."""
+        leader = self.solved[self.leader].evidence
+        return leader.variances(leader.best(SIZE_PRIORS), alone=True)
 
     def gap_after(self, which: Which) -> Array:
         """Rms (n_groups,) of what a solved set leaves beyond the leader's noise, in the groups' units."""
-        leader, family = self.solved[self.leader].evidence, self.search.family
-        noise = leader.variances(leader.best(SIZE_PRIORS), alone=True)
+        family = self.search.family
         residual = self.search.data - self.solved[which].point.computed
-        left = [np.mean(family.errors.part(residual**2 - noise, g)) for g in family.groups]
+        beyond = residual**2 - self._noise_variances
+        left = [np.mean(family.errors.part(beyond, g)) for g in family.groups]
         return np.sqrt(np.maximum(left, 0.0))
