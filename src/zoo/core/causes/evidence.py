@@ -88,7 +88,7 @@ def _combinations(free: tuple[bool, ...], factor: float = 1.0) -> tuple[Array, A
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class SizePriors:
     """Priors of sizes: of the discrepancy, and of what causes do in parts of what they state.
 
@@ -188,6 +188,8 @@ class SetEvidence:
     causes : tuple of Cause
     computed : array (n_kinds,)
         Log evidence of the model alone; `log_z` may be corrected.
+    totals : dict
+        Log evidence by the priors of sizes that it was asked for.
     """
 
     family: ErrorFamily
@@ -204,6 +206,7 @@ class SetEvidence:
     problem: Problem = field(repr=False)
     causes: tuple[Cause, ...] = field(repr=False)
     computed: Array = field(repr=False)
+    totals: dict[SizePriors, float] = field(init=False, repr=False, default_factory=dict)
 
     @property
     def _first(self) -> int:
@@ -235,7 +238,8 @@ class SetEvidence:
         if priors.effects == priors.functions == 1.0:
             return self.log_z
         gains = self.gains + _combinations(self.free, priors.functions)[1] - _combinations(self.free)[1]
-        gains = gains + self.amplitudes.change(priors.effects)
+        if priors.effects != 1.0:
+            gains = gains + self.amplitudes.change(priors.effects)
         return np.asarray(self.log_z + logsumexp(gains, axis=1) - logsumexp(self.gains, axis=1))
 
     def interpolated(self, priors: SizePriors) -> Array:
@@ -264,8 +268,11 @@ class SetEvidence:
 
     def total(self, priors: SizePriors) -> float:
         """Log evidence of the set."""
-        colours, smooth = self.terms(priors)
-        return float(np.logaddexp(logsumexp(smooth), logsumexp(colours) if len(colours) else -np.inf))
+        if priors not in self.totals:
+            colours, smooth = self.terms(priors)
+            both = np.logaddexp(logsumexp(smooth), logsumexp(colours) if len(colours) else -np.inf)
+            self.totals[priors] = float(both)
+        return self.totals[priors]
 
     def small(self, priors: SizePriors, size: float) -> float:
         """Log of the part of the evidence whose discrepancy is below a size."""
@@ -331,6 +338,10 @@ class SetModel:
         self.edges = np.cumsum([k, *self.sizes])
         listed = [at for one, at in zip(causes, self.edges[:-1], strict=True) if not one.free]
         self.listed = np.array([*problem.amplitudes, *listed], int)
+        free = [i for i, one in enumerate(causes) if one.free]
+        self.widest = max(free, key=lambda i: self.sizes[i]) if free else None
+        wide = np.concatenate([np.zeros(k, bool), self.owner == self.widest])
+        self.wide, self.narrow = np.flatnonzero(wide), np.flatnonzero(~wide)
 
     def precision(self, scales: Array) -> tuple[Array, Array]:
         """Prior precision (..., p, p) and pull (..., p) for sizes (..., n_causes)."""
@@ -341,36 +352,41 @@ class SetModel:
         P = self.P0 + diagonal[..., None] * np.eye(len(self.mean))
         return P, self.pull - diagonal * self.mean
 
-    def solve(self, gram: Array, right: Array, scales: Array) -> tuple[Array, Array, Array]:
-        """Gain of log evidence (...,), mean (..., p) and covariance (..., p, p), of one size each."""
+    def solve(self, gram: Array, right: Array, scales: Array) -> tuple[Array, Array]:
+        """Mean (..., p) and covariance (..., p, p) of parameters and weights, of one size of each cause."""
         P, pull = self.precision(scales)
-        H, b = gram + P, right - pull
+        H = gram + P
         size = np.sqrt(np.maximum(np.einsum("...ii->...i", H), 1e-300))
         both = size[..., :, None] * size[..., None, :]
         C = np.linalg.inv(H / both) / both
-        mean = np.einsum("...ij,...j->...i", C, b)
-        _, logdet = np.linalg.slogdet(H / both)
-        gain = 0.5 * np.sum(b * mean, axis=-1) - 0.5 * (logdet + 2.0 * np.log(size).sum(axis=-1))
-        gain = gain - np.sum(np.log(scales[..., self.owner]), axis=-1) if len(self.causes) else gain
-        gain = gain - 0.5 * float(self.mean @ self.mean) + 0.5 * self.k * math.log(2.0 * math.pi)
-        return gain + self._masses(mean, C), mean, C
+        return np.einsum("...ij,...j->...i", C, right - pull), C
 
-    def _masses(self, mean: Array, C: Array) -> Any:
-        """Log of the posterior's part inside the bounds over the prior's, as if these were independent."""
-        sd = np.sqrt(np.einsum("...ii->...i", C))
+    def inside(self, mean: Array, sd: Array) -> Any:
+        """Log of the posterior's part inside the bounds over the prior's, as if these were independent.
+
+        Parameters
+        ----------
+        mean, sd : array (..., q)
+            Of parameters and weights but those of the `widest` function.
+        """
         total: Any = 0.0
         if self.problem.low is not None and self.problem.high is not None:
             m, s = mean[..., : self.k], sd[..., : self.k]
             total = np.sum(log_normal_mass((self.problem.low - m) / s, (self.problem.high - m) / s), axis=-1)
-        for one, at in zip(self.causes, self.edges[:-1], strict=True):
+        places = np.searchsorted(self.narrow, self.edges[:-1])
+        for one, at in zip(self.causes, places, strict=True):
             if math.isinf(one.low) and math.isinf(one.high):
                 continue
-            centre = float(one.prior_mean[0])
-            inside = log_normal_mass(
-                (one.low - mean[..., at]) / sd[..., at], (one.high - mean[..., at]) / sd[..., at]
-            )
-            total = total + inside - log_normal_mass(one.low - centre, one.high - centre)
+            centre, m, s = float(one.prior_mean[0]), mean[..., at], sd[..., at]
+            total = total + log_normal_mass((one.low - m) / s, (one.high - m) / s)
+            total = total - log_normal_mass(one.low - centre, one.high - centre)
         return total
+
+    def _alike(self, scales: Array) -> list[Kinds]:
+        """Rows of sizes (n, n_causes) that differ in the size of the widest function only."""
+        others = np.delete(scales, [] if self.widest is None else self.widest, axis=1)
+        _, which = np.unique(others, axis=0, return_inverse=True)
+        return [np.flatnonzero(which == i) for i in range(which.max() + 1)]
 
     def _left(self, mean: Array, C: Array) -> Array:
         """Expected squares (n_kinds, n) of what parameters and weights leave."""
@@ -393,7 +409,7 @@ class SetModel:
             own = np.exp(2.0 * log_noise[active])[:, f.member] * noise[active]
             V = own + discrepancy[active]
             gram, right = self._products(V / power)
-            _, mean, C = self.solve(gram, right, ones[active])
+            mean, C = self.solve(gram, right, ones[active])
             q = self._left(mean, C) / V
             a = own / V
             slope = power * (a * (q - 1.0)) @ f.one_of.T
@@ -414,17 +430,17 @@ class SetModel:
         integral = NoiseIntegral(self, own / V, V, log_noise, power)
         free = tuple(one.free for one in self.causes)
         scales, masses = _combinations(free)
-        own_mean, own_C, gains = [], [], np.empty((len(kinds), len(scales)))
-        for i, s in enumerate(scales):
-            gains[:, i], mean, C = self.solve(gram, right, np.broadcast_to(s, ones.shape))
-            gains[:, i] += integral(mean, C)
-            own_mean.append(mean[:, self.listed])
-            own_C.append(C[:, self.listed[:, None], self.listed])
+        gains = np.empty((len(kinds), len(scales)))
+        own_mean = np.empty((*gains.shape, len(self.listed)))
+        own_C = np.empty((*own_mean.shape, len(self.listed)))
+        for alike in self._alike(scales):  # all sizes of the widest function at once
+            basis = SizeBasis(self, gram, right, scales[alike])
+            gains[:, alike] = basis.gain + integral(basis)
+            own_mean[:, alike], own_C[:, alike] = basis.moments(np.searchsorted(self.narrow, self.listed))
         gains += masses
         log_z = base + logsumexp(gains, axis=1)
-        if len(scales) > 1:
-            _, mean, C = self.solve(gram, right, scales[np.argmax(gains, axis=1)])
-        amplitudes = self._amplitudes(np.stack(own_mean, axis=1), np.stack(own_C, axis=1))
+        mean, C = self.solve(gram, right, scales[np.argmax(gains, axis=1)])
+        amplitudes = self._amplitudes(own_mean, own_C)
         slope = power * np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
         found = SetEvidence(
             f,
@@ -472,6 +488,71 @@ class SetModel:
         return self.family.relative(without(self.problem.jacobian, self.A[:, self.k :] @ mean[self.k :], V))
 
 
+class SizeBasis:
+    """Coordinates z in which H is diagonal for all sizes s of the widest function F at once.
+
+    With R all else, H_RR = L L', T = L^-1 H_RF and H_FF - T'T = U lambda U' where s is infinite,
+
+        (d, w)_R = L^-T (z_R - T U z_F),    w_F = U z_F,    H = diag(1, lambda + 1 / s^2),
+
+    the other sizes being held.
+
+    Parameters
+    ----------
+    model : SetModel
+    gram, right : array (n_kinds, p, p) and (n_kinds, p)
+    scales : array (n_sizes, n_causes)
+        Differing in the widest function only.
+
+    Attributes
+    ----------
+    gain : array (n_kinds, n_sizes)
+        Of the log evidence, but for what only the error model decides.
+    """
+
+    def __init__(self, model: SetModel, gram: Array, right: Array, scales: Array) -> None:
+        R, F = model.narrow, model.wide
+        P, pull = model.precision(scales[0])
+        H = gram[:, R[:, None], R] + P[R[:, None], R]
+        size = np.sqrt(np.maximum(np.einsum("kii->ki", H), 1e-300))
+        values, Q = np.linalg.eigh(H / (size[:, :, None] * size[:, None, :]))
+        values = np.maximum(values, 1e-15)
+        self.over = Q / np.sqrt(values)[:, None, :] / size[:, :, None]
+        T = self.over.swapaxes(1, 2) @ gram[:, R[:, None], F]
+        z = np.einsum("kij,ki->kj", self.over, right[:, R] - pull[R])
+        lam, U = np.linalg.eigh(gram[:, F[:, None], F] - T.swapaxes(1, 2) @ T)
+        y = np.einsum("kij,ki->kj", U, right[:, F] - np.einsum("kij,ki->kj", T, z))
+        s = np.ones(len(scales)) if model.widest is None else scales[:, model.widest]
+        self.D = 1.0 / (np.maximum(lam, 0.0)[:, None, :] + 1.0 / s[:, None] ** 2)
+        self.cross = -self.over @ (T @ U)
+        self.z, self.y, self.U = z, y, U
+        logdet = np.sum(np.log(values) + 2.0 * np.log(size), axis=1)[:, None] - np.log(self.D).sum(axis=2)
+        self.gain = 0.5 * np.sum(z**2, axis=1)[:, None] + 0.5 * np.sum(self.D * y[:, None, :] ** 2, axis=2)
+        self.gain -= 0.5 * logdet + np.log(scales[:, model.owner]).sum(axis=1)
+        self.gain += 0.5 * model.k * math.log(2.0 * math.pi) - 0.5 * float(model.mean @ model.mean)
+        variance = np.sum(self.over**2, axis=2)[:, None, :] + self.D @ (self.cross**2).swapaxes(1, 2)
+        self.gain += model.inside(self._mean(np.arange(len(R))), np.sqrt(variance))
+
+    def _mean(self, at: Kinds) -> Array:
+        first = np.einsum("kij,kj->ki", self.over[:, at], self.z)[:, None, :]
+        return np.asarray(first + (self.D * self.y[:, None, :]) @ self.cross[:, at].swapaxes(1, 2))
+
+    def moments(self, at: Kinds) -> tuple[Array, Array]:
+        """Mean (n_kinds, n_sizes, q) and covariance of some of R, by their places in it."""
+        over, cross = self.over[:, None, at], self.cross[:, None, at]
+        C = over @ over.swapaxes(2, 3) + (cross * self.D[:, :, None, :]) @ cross.swapaxes(2, 3)
+        return self._mean(at), C
+
+    def matrix(self, model: SetModel) -> Array:
+        """The coordinates (n_kinds, p, p) as columns."""
+        R, F = model.narrow, model.wide
+        W = np.zeros((len(self.U), len(model.mean), len(model.mean)))
+        W[:, R[:, None], np.arange(len(R))] = self.over
+        W[:, R[:, None], np.arange(len(R), len(model.mean))] = self.cross
+        W[:, F[:, None], np.arange(len(R), len(model.mean))] = self.U
+        return W
+
+
 class NoiseIntegral:
     """Laplace's integral over the noise's logarithms x, from where they were held to where their mode is.
 
@@ -497,7 +578,7 @@ class NoiseIntegral:
 
     def __init__(self, model: SetModel, a: Array, V: Array, log_noise: Array, power: float = 1.0) -> None:
         f, p = model.family, len(model.mean)
-        self.free, self.least = f.noise_free, f.least_noise
+        self.model, self.free, self.least = model, f.noise_free, f.least_noise
         self.x, self.prior = log_noise, (log_noise - f.noise_centre) / NOISE_SPREAD
         D = power * (a / V)[:, None, :] * f.one_of
         self.gram = (D @ model.products).reshape(*D.shape[:2], p, p)
@@ -505,21 +586,28 @@ class NoiseIntegral:
         self.none = D @ model.problem.residual**2 - power * a @ f.one_of.T
         self.information = 2.0 * power * (a**2) @ f.one_of.T
 
-    def __call__(self, mean: Array, C: Array) -> Array:
-        """Log of the integral (n_kinds,), given the weights' posterior."""
-        CB = C[:, None] @ self.gram
-        square = C + mean[:, :, None] * mean[:, None, :]
-        slope = self.none + np.einsum("kgij,kij->kg", self.gram, square) - self.prior / NOISE_SPREAD
-        slope -= 2.0 * np.einsum("kgi,ki->kg", self.right, mean)
-        taken = 2.0 * np.einsum("kgij,kgji->kg", CB, CB)
-        information = np.maximum(self.information - taken, 0.0) + 1.0 / NOISE_SPREAD**2
+    def __call__(self, basis: SizeBasis) -> Array:
+        """Log of the integral (n_kinds, n_sizes), given the weights' posterior."""
+        W = basis.matrix(self.model)[:, None]
+        gram = W.swapaxes(2, 3) @ self.gram @ W
+        right = (self.right[:, :, None, :] @ W)[:, :, 0]
+        ones = np.ones((*basis.D.shape[:2], basis.z.shape[1]))
+        D = np.concatenate([ones, basis.D], axis=2).swapaxes(1, 2)
+        mean = D * np.concatenate([basis.z, basis.y], axis=1)[:, :, None]
+        each = gram @ mean[:, None] * mean[:, None]
+        slope = each.sum(axis=2) + np.einsum("kgii->kgi", gram) @ D - 2.0 * right @ mean
+        prior = self.prior[:, :, None]
+        slope += self.none[:, :, None] - prior / NOISE_SPREAD
+        taken = 2.0 * np.sum(gram**2 @ D[:, None] * D[:, None], axis=2)
+        information = np.maximum(self.information[:, :, None] - taken, 0.0) + 1.0 / NOISE_SPREAD**2
         u = np.maximum(2.0 * slope / information, -0.9)
         found = 0.25 * information * (u - np.log1p(u))
-        found += log_ndtr((self.x + 0.5 * np.log1p(u) - self.least) * np.sqrt(information))
+        above = (self.x - self.least)[:, :, None]
+        found += log_ndtr((above + 0.5 * np.log1p(u)) * np.sqrt(information))
         z = slope / np.sqrt(information)
-        found = np.where((self.x < self.least + 1e-9) & (z < 0.0), 0.5 * z**2 + log_ndtr(z), found)
-        found -= 0.5 * np.log(information) + 0.5 * self.prior**2 + math.log(NOISE_SPREAD)
-        return np.asarray(found @ self.free.astype(float))
+        found = np.where((above < 1e-9) & (z < 0.0), 0.5 * z**2 + log_ndtr(z), found)
+        found -= 0.5 * np.log(information) + 0.5 * prior**2 + math.log(NOISE_SPREAD)
+        return np.asarray(found[:, self.free].sum(axis=1))
 
 
 def without(jacobian: Array, signal: Array, V: Array) -> Array:

@@ -189,18 +189,19 @@ class CausePosterior:
         self, rows: tuple[SetRow, ...], sizes: SizePriors, priors: CausePriors, power: float = 1.0
     ) -> CausePosterior:
         """With other rows; a guess keeps its difference, to a power, from the weighed set most like it."""
-        new = replace(self, rows=rows, sizes=sizes, priors=priors, guessed={}, shifts={})
-        sets = [w for w in self.guessed if w not in new.log_joint]
-        known = [row.which for row in rows]
-        before = np.array([self.log_joint[w] - self.priors.log_prior(w) for w in known])
-        after = np.array([new.log_joint[w] - priors.log_prior(w) for w in known])
+        sets, near = self._most_like
+        before = np.array([self.log_joint[row.which] - row.log_prior for row in self.rows])
+        after = np.array([row.evidence.total(sizes) + row.shift for row in rows])
         guesses = np.array([self.log_joint[w] - self.priors.log_prior(w) for w in sets])
-        near = self._most_like(sets, known)
         guesses = after[near] + power * (guesses - before[near])
-        return replace(new, guessed={w: g + priors.log_prior(w) for w, g in zip(sets, guesses, strict=True)})
+        guessed = {w: g + priors.log_prior(w) for w, g in zip(sets, guesses, strict=True)}
+        return replace(self, rows=rows, sizes=sizes, priors=priors, guessed=guessed, shifts={})
 
-    def _most_like(self, sets: Sequence[tuple[int, ...]], known: Sequence[tuple[int, ...]]) -> Indices:
-        """Index (n,) of the known set most like each: in causes, then in components by the sort of cause."""
+    @cached_property
+    def _most_like(self) -> tuple[list[tuple[int, ...]], Indices]:
+        """Guessed sets, and the index of the row most like each: in causes, then in components by sort."""
+        known = [row.which for row in self.rows]
+        sets = [w for w in self.guessed if w not in set(known)]
         sorts = {sort: i for i, sort in enumerate(dict.fromkeys((c.component, c.free) for c in self.causes))}
         of = np.array([sorts[c.component, c.free] for c in self.causes], int)
 
@@ -216,4 +217,4 @@ class CausePosterior:
         both = asked @ there.T
         like = both / np.maximum(asked.sum(axis=1)[:, None] + there.sum(axis=1) - both, 1.0)
         like[:, [not w for w in known]] = 1e-9  # nothing, where no other is like it
-        return np.asarray(np.argmax(like, axis=1))
+        return sets, np.asarray(np.argmax(like, axis=1))

@@ -61,7 +61,7 @@ class CausePriors:
             found.append(math.log(half) - math.log(len(names)) - math.log(names[one.name]))
         return np.array(found)
 
-    @property
+    @cached_property
     def log_nothing(self) -> float:
         """Log prior of the empty set."""
         n, k = len(self.names), self.most
