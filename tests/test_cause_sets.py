@@ -147,7 +147,7 @@ def test_a_free_function_is_found_where_no_effect_is_the_cause() -> None:
     learned = found.components[0].functions[0]
     inside = (np.array(learned.low) <= true) & (true <= np.array(learned.high))
     assert inside.mean() > 0.8
-    assert found.sets.solved[found.sets.leader].gained == pytest.approx(0.0, abs=0.5)  # linear in it
+    assert found.sets.search.gained(found.sets.leader) == pytest.approx(0.0, abs=0.5)  # linear in it
 
 
 def test_two_causes_are_two() -> None:
@@ -319,8 +319,9 @@ def test_solved_evidence_is_that_of_the_joint_normal(names: list[str]) -> None:
 def test_solves_add_nothing_to_a_linear_model() -> None:
     found = of_the_line(3, bump=0.15, wiggle=0.05)
     assert len(found.sets.solved) >= 4
-    for which, one in found.sets.solved.items():
-        assert one.gained == pytest.approx(0.0, abs=0.05), found.sets.name(which)
+    for which in found.sets.solved:
+        gained = found.sets.search.gained(which)
+        assert gained == pytest.approx(0.0, abs=0.05), found.sets.name(which)
     assert found.file.linear_error < 0.05
 
 

@@ -46,6 +46,7 @@ class _Search:
     priors: CausePriors
     sizes: SizePriors
     cores: int
+    always: Which = ()
     weighed: dict[Which, SetEvidence] = field(default_factory=dict)
     guessed: dict[Which, float] = field(default_factory=dict)
 
@@ -55,15 +56,15 @@ class _Search:
         return log + self.priors.log_prior(which)
 
     def start(self) -> None:
-        """The baseline alone given all error models, whose spectra are then fewer."""
-        model = SetModel(self.problem, (), self.family)
+        """The smallest set given all error models, whose spectra are then fewer."""
+        model = SetModel(self.problem, [self.causes[i] for i in self.always], self.family)
         everything = np.arange(self.family.n_kinds)
-        self.weighed[()] = model.evidence(everything, self.family.noise_start)
+        self.weighed[self.always] = model.evidence(everything, self.family.noise_start)
         self.kinds = everything
 
     def weigh(self, sets: Sequence[Which], kinds: NDArray[np.int_]) -> None:
         """These sets given some error models."""
-        alone = self.weighed[()]
+        alone = self.weighed[self.always]
         start = alone.log_noise[np.searchsorted(alone.kinds, kinds)]
 
         def one(which: Which) -> SetEvidence:
@@ -77,16 +78,22 @@ class _Search:
         found = self.weighed[parent]
         V = found.variances(found.best(self.sizes))
         reference = Reference(self.problem, self.causes, V)
-        conditional: dict[Which, float] = {(): 0.0}
-        sizes: dict[Which, tuple[float, ...]] = {(): ()}
-        level: list[Which] = [()]
+        scales: tuple[float, ...] = ()
+        gain = 0.0
+        for i in range(len(self.always)):
+            gained, best = reference.further(self.always[:i], scales)
+            gain += float(gained[self.always[i]])
+            scales = (*scales, float(best[self.always[i]]))
+        conditional: dict[Which, float] = {self.always: gain}
+        sizes: dict[Which, tuple[float, ...]] = {self.always: scales}
+        level: list[Which] = [self.always]
         most = min(self.priors.most, len(self.priors.names))
-        for depth in range(most):
+        for depth in range(most - len(self.always)):
             new: set[Which] = set()
             for which in level:
-                gained, scales = reference.further(which, sizes[which])
+                gained, best = reference.further(which, sizes[which])
                 taken = {self.causes[i].component for i in which}
-                for j, (more, scale) in enumerate(zip(gained, scales, strict=True)):
+                for j, (more, scale) in enumerate(zip(gained, best, strict=True)):
                     if self.causes[j].component in taken:
                         continue
                     both = sorted(zip((*which, j), (*sizes[which], float(scale)), strict=True))
@@ -121,6 +128,7 @@ def weigh_causes(
     *,
     priors: CausePriors | None = None,
     sizes: SizePriors | None = None,
+    always: Which = (),
     cores: int = 2,
     tick: Callable[[str, float], None] | None = None,
 ) -> CausePosterior:
@@ -137,6 +145,8 @@ def weigh_causes(
     priors : CausePriors, optional
     sizes : SizePriors, optional
         Of the discrepancy.
+    always : tuple of int
+        Causes that all sets have.
     cores : int
         Threads.
     tick : callable, optional
@@ -157,11 +167,11 @@ def weigh_causes(
             raise CauseError(f"{one.label}: columns: {len(one.columns)} coefficients, the data have {n}")
     say = tick or (lambda text, share: None)
     priors = priors or CausePriors(causes)
-    search = _Search(problem, causes, family, priors, sizes or SizePriors(), cores)
+    search = _Search(problem, causes, family, priors, sizes or SizePriors(), cores, always)
     say("baseline given all error models", 0.0)
     search.start()
     if causes:
-        parent: Which = ()
+        parent = always
         seen: set[Which] = set()
         for round_ in range(ROUNDS):
             say("seeking sets of causes", 0.2 + 0.2 * round_)
@@ -181,15 +191,16 @@ def weigh_causes(
 
 
 def _fewer_kinds(search: _Search) -> None:
-    """Keep the spectra that are likely given nothing or the best cause of some component."""
+    """Keep the spectra that are likely given the smallest set, or with the best cause of some component."""
     best: dict[str, Which] = {}
     for which in sorted(search.guessed, key=lambda w: -search.total(w)):
-        if len(which) == 1:
-            best.setdefault(search.causes[which[0]].component, which)
+        added = set(which).difference(search.always)
+        if len(added) == 1:
+            best.setdefault(search.causes[added.pop()].component, which)
     search.weigh(list(best.values()), np.arange(search.family.n_kinds))
     behind = np.full(len(search.family.shapes), np.inf)
     colours = False
-    for which in [(), *best.values()]:
+    for which in [search.always, *best.values()]:
         log_colours, smooth = search.weighed[which].terms(search.sizes)
         each = np.logaddexp.reduce(smooth, axis=1)
         top = max(float(each.max()), float(log_colours.max()))

@@ -44,7 +44,8 @@ from zoo.core.diagnosis.file import (
 )
 from zoo.core.diagnosis.heldout import hold_out
 from zoo.core.diagnosis.hooks import Hooks
-from zoo.core.diagnosis.sets import SIZE_PRIORS, CauseSets, Which
+from zoo.core.diagnosis.sets import CauseSets
+from zoo.core.diagnosis.solved import SIZE_PRIORS, Which
 from zoo.core.effects import EffectParameter, Location
 from zoo.core.forward import Outputs
 
@@ -118,7 +119,7 @@ def table_of(found: CauseSets, about: int) -> tuple[list[SetResult], dict[Which,
                 components=list(found.components(which)),
                 log_prior=log_prior,
                 log_evidence=posterior.log_joint[which] - log_prior,
-                log_evidence_error=0.0 if solved else found.linear_error,
+                log_evidence_error=found.error(which),
                 probability=p / total,
                 solved=solved,
                 gap_after=float(found.gap_after(which)[about]) if solved else None,
@@ -251,7 +252,7 @@ def _estimates(found: CauseSets, draws: CauseDraws, own: set[int]) -> list[Estim
     values, weights = list[Array](), list[Array]()
     parameters: tuple[EffectParameter, ...] = ()
     for one in holding:
-        places = one.solved.places(found.search.causes, found.search.origins)
+        places = one.solved.places(found.search.origins)
         i = next(i for i in one.which if i in own)
         values.append(one.values(places[i]))
         weights.append(one.weights)
@@ -285,7 +286,7 @@ def _share(found: CauseSets, draws: CauseDraws, component: str, group: str) -> I
         index = next((i for i in one.which if search.causes[i].component == component), None)
         if index is None:
             return np.zeros(len(one.x))
-        signals = {i: own(one, p) for i, p in one.solved.places(search.causes, search.origins).items()}
+        signals = {i: own(one, p) for i, p in one.solved.places(search.origins).items()}
         energy = {i: np.sum(x**2, axis=(1, 2)) for i, x in signals.items()}
         computed = search.family.errors.part(one.computed - search.base.computed, group)
         gap = computed + search.family.errors.part(one.left, group)
@@ -333,7 +334,7 @@ def _learned(found: CauseSets, p: dict[Which, float], one: SetDraws, index: int)
     cause, origin = found.search.causes[index], found.search.origins[index]
     f = origin.function
     assert f is not None
-    part = one.solved.places(found.search.causes, found.search.origins)[index]
+    part = one.solved.places(found.search.origins)[index]
     values = one.x[:, part] @ (f.size * f.root(origin.length)).T
     low, high = np.quantile(values, (0.025, 0.975), axis=0)
     return LearnedFunction(

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from zoo.core.diagnosis.file import Interval
-from zoo.core.diagnosis.sets import SIZE_PRIORS, CauseSets, SolvedSet, Which
+from zoo.core.diagnosis.sets import CauseSets
+from zoo.core.diagnosis.solved import SIZE_PRIORS, SolvedSet, Which
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.search import Search, SearchError
-from zoo.core.diagnosis.sets import CauseSets, SolvedSet
+from zoo.core.diagnosis.sets import CauseSets
+from zoo.core.diagnosis.solved import SolvedSet
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,8 @@ import pymc as pm
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from zoo.core.diagnosis.sets import SIZE_PRIORS, CauseSets, Which
+from zoo.core.diagnosis.sets import CauseSets
+from zoo.core.diagnosis.solved import SIZE_PRIORS, Which
 from zoo.core.errors.spectral import GroupErrors, GroupPriors
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.logposterior import LogPosterior

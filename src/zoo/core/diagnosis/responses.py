@@ -6,7 +6,9 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ from zoo.core.effects import AddedEffect, Effect
 
 Array = NDArray[np.float64]
 Tick = Callable[[str, float], None]
+Effects = tuple[AddedEffect, ...]
 
 SHAPES = (0.0, -0.7, 1.5)
 """Shapes of an effect from which a fit starts: prior standard deviations away from the centre."""
@@ -77,12 +80,29 @@ class Projected:
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """What a cause is in the simulator: a listed effect with its parameters, or a function of some length."""
+    """What a cause is in the simulator: a listed effect at a place, or a function of some length."""
 
     added: AddedEffect | None = None
-    values: Array | None = None
     function: FreeFunction | None = None
     length: float | None = None
+
+    @property
+    def scales(self) -> Array:
+        """Of the values of one weight each, in the parameters' units."""
+        return np.array([p.scale for p in self.effect().effect.parameters])
+
+    @property
+    def centres(self) -> Array:
+        """Prior means of the values."""
+        return np.array([p.centre for p in self.effect().effect.parameters])
+
+    @cached_property
+    def key(self) -> tuple[Any, ...]:
+        """By which it is known elsewhere."""
+        if self.added is not None:
+            return (self.added.name, self.added.location)
+        assert self.function is not None
+        return (self.function.name, self.length)
 
     def effect(self) -> AddedEffect:
         """As an effect, a function by standard normal weights."""
@@ -103,15 +123,17 @@ class _Tried:
 
 
 class _Listed:
-    """One effect at one place, around the baseline's fit."""
+    """One effect at one place, around a fit of the baseline with other effects."""
 
-    def __init__(self, fitting: Fitting, base: Point, added: AddedEffect, projected: Projected) -> None:
+    def __init__(
+        self, fitting: Fitting, base: Point, others: Effects, added: AddedEffect, projected: Projected
+    ) -> None:
         self.base, self.added, self.projected = base, added, projected
         self.parameters = added.effect.parameters
         self.scales = np.array([p.scale for p in self.parameters])
         self.centres = np.array([0.0, *(p.centre for p in self.parameters[1:])])
         self.low, self.high = (np.array([getattr(p, x) for p in self.parameters]) for x in ("low", "high"))
-        self.forward = fitting.model((added,))
+        self.forward = fitting.model((*others, added))
 
     def solve(self, values: Array) -> Array | None:
         """Change of the series (n,) by the effect of these parameters."""
@@ -166,8 +188,8 @@ class _Listed:
             best = new
         return best
 
-    def cause(self, best: _Tried, component: str) -> tuple[Cause, Origin]:
-        """The response there as a cause."""
+    def cause(self, best: _Tried, component: str) -> tuple[Cause, Array]:
+        """The response there as a cause, and the values from which its weights count."""
         first = self.parameters[0]
         mean = (self.centres - best.values) / self.scales
         mean[0] = 0.0
@@ -175,30 +197,34 @@ class _Listed:
             self.added.name, component, best.columns, place=self.added.location.suffix,
             low=first.low / first.scale, high=first.high / first.scale, mean=mean,
         )  # fmt: skip
-        return cause, Origin(added=self.added, values=best.values)
+        return cause, np.concatenate([[0.0], best.values[1:]])
 
 
 def listed_causes(
     fitting: Fitting,
     base: Point,
-    effects: Sequence[Effect],
+    others: Effects,
+    added: Effects,
     problem: Problem,
     V: Array,
     component_of: Callable[[Effect], str],
     tick: Tick,
-) -> tuple[list[tuple[Cause, Origin]], list[str], list[str]]:
-    """Listed effects at all their places, each by its response at the size that fits best.
+) -> list[tuple[Cause, Array] | None]:
+    """Listed effects at their places, each by its response at the size that fits best.
 
-    The response of the first parameter is a secant from the baseline, those of shapes are differences.
+    The response of the first parameter is a secant from where the effect is absent, those of shapes are
+    differences.
 
     Parameters
     ----------
     fitting : Fitting
     base : Point
-        The baseline at its mode.
-    effects : sequence of Effect
+        The baseline at its mode, with other effects.
+    others : tuple of AddedEffect
+        These.
+    added : tuple of AddedEffect
     problem : Problem
-        The baseline, linear there.
+        The baseline and the other effects, linear there.
     V : array (n,)
         Variances of the errors in which a size is sought.
     component_of : callable
@@ -206,27 +232,19 @@ def listed_causes(
 
     Returns
     -------
-    causes : list of (Cause, Origin)
-    failed, idle : list of str
-        Effects for which no start could be solved, and those whose starts change no sample at all.
+    list of (Cause, array) or None
+        For each effect its response and the values from which its weights count, which may change nothing at
+        all; None where no start could be solved.
     """
     projected = Projected(problem, V)
-    jobs = [one.at(place) for one in effects for place in one.locations(fitting.baseline)]
-    listed = [_Listed(fitting, base, added, projected) for added in jobs]
-    found: list[tuple[Cause, Origin]] = []
-    solved, moved = set[str](), set[str]()
+    listed = [_Listed(fitting, base, others, one, projected) for one in added]
+    found: list[tuple[Cause, Array] | None] = []
     with ThreadPoolExecutor(max(1, fitting.cores)) as pool:
         for done, (one, best) in enumerate(zip(listed, pool.map(_Listed.found, listed), strict=True), 1):
             tick(one.added.name, done / len(listed))
-            if best is None:
-                continue
-            solved.add(one.added.name)
-            if not np.any(best.change):
-                continue
-            moved.add(one.added.name)
-            found.append(one.cause(best, component_of(one.added.effect) or one.added.name))
-    names = [one.name for one in effects]
-    return found, [n for n in names if n not in solved], [n for n in names if n in solved and n not in moved]
+            component = component_of(one.added.effect) or one.added.name
+            found.append(None if best is None else one.cause(best, component))
+    return found
 
 
 class _Differences:
@@ -276,7 +294,7 @@ def free_causes(
     S: Array,
     tick: Tick,
 ) -> list[tuple[Cause, Origin]]:
-    """Free functions of components, of each of their lengths, by derivatives at the baseline's fit.
+    """Free functions of components, of each of their lengths, by derivatives at a fit.
 
     Differences are taken along the directions that a function's prior allows at its shortest length, of
     solves whose discretisation is kept.
@@ -285,7 +303,7 @@ def free_causes(
     ----------
     fitting : Fitting
     forward : SearchModel
-        The baseline on one discretisation.
+        The baseline, or with effects, on one discretisation.
     base : Point
         Solved there.
     functions : sequence of FreeFunction

@@ -7,17 +7,18 @@ weighed there.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logit
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from zoo.core.causes.evidence import SetEvidence, SetModel, SizePriors, without
+from zoo.core.causes.evidence import SetEvidence, SetModel, without
 from zoo.core.causes.posterior import CausePosterior, SetRow
 from zoo.core.causes.problem import Cause, Problem, without_doubles
 from zoo.core.causes.sets import CausePriors
@@ -27,11 +28,11 @@ from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.responses import Origin, free_causes, listed_causes
 from zoo.core.diagnosis.search import Point, Search, SearchError
+from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear, SolvedSet, Which, tangents
 from zoo.core.effects import Effect
 from zoo.core.forward import SolveError, pinned
 
 Array = NDArray[np.float64]
-Which = tuple[int, ...]
 
 MASS, MOST_SOLVED = 0.97, 10
 """Probability that the sets which are solved hold together, and how many are at most."""
@@ -39,74 +40,20 @@ STEPS, ROUNDS = 6, 3
 """Steps of a descent, and descents with fresh derivatives."""
 NEARER = (1.0, 0.5, 0.2)
 """Parts of the linear model's step from which a descent begins."""
-SIZE_PRIORS = SizePriors()
 NEAR = 15.0
 """Log evidence behind the best solved set within which solves tell the linear model's error."""
+LARGEST = 100.0
+"""Log evidence that the error of a linear model is taken for at most."""
 PROMISED = 1.0
 """Gain of the log posterior that a linearisation may promise unchecked; above it, a solve is what counts."""
 LEFT = 0.1
 """Part of the baseline's residual that a listed effect may leave where its size is sought."""
 VISIBLE = 3.0
 """Log evidence of one more cause from which on a smaller set is sought again where the larger one ended."""
+KNOWN, CHECKED = 0.5, 5
+"""Error of the log evidence below which a linear model is right, by how many solved sets at least."""
 WAVES = 4
 """Times that new leading sets are solved."""
-
-
-@dataclass(frozen=True, eq=False)
-class SolvedSet:
-    """A set of causes at its mode: the point, its evidence there, and what the linear model had promised.
-
-    Parameters
-    ----------
-    order : tuple of int
-        Its causes as the forward model has them, listed effects before functions.
-    forward : SearchModel
-    point : Point
-        `computed` includes what the baseline's own discretisation adds.
-    evidence : SetEvidence
-        Of listed effects by steps from the point, of functions by their weights, in the order of `order`.
-    n_listed : int
-        Coordinates before those of functions.
-    promised : float
-        Log evidence of the linear model.
-    """
-
-    order: Which
-    forward: SearchModel = field(repr=False)
-    point: Point = field(repr=False)
-    evidence: SetEvidence = field(repr=False)
-    n_listed: int
-    promised: float
-
-    @cached_property
-    def log_z(self) -> float:
-        """Log evidence."""
-        return self.evidence.total(SIZE_PRIORS)
-
-    @property
-    def gained(self) -> float:
-        """Log evidence by the solve over that of the linear model."""
-        return self.log_z - self.promised
-
-    def series(self, x: Array) -> Array:
-        """Linear predictions (..., n) at steps and weights (..., p), as `SetEvidence.mean` has them."""
-        return np.asarray(self.point.computed + (x - self.seen) @ self.point.jacobian.T)
-
-    @property
-    def seen(self) -> Array:
-        """The point itself as steps and weights, (p,)."""
-        found = self.point.u.copy()
-        found[: self.n_listed] = 0.0
-        return found
-
-    def places(self, causes: Sequence[Cause], origins: Sequence[Origin]) -> dict[int, slice]:
-        """Coordinates of each cause by its index."""
-        found, at = {}, self.forward.n_base
-        for i in self.order:
-            size = len(origins[i].effect().effect.parameters)
-            found[i] = slice(at, at + size)
-            at += size
-        return found
 
 
 @dataclass(eq=False)
@@ -141,11 +88,6 @@ class CauseSearch:
         self.base = nothing.point
         again = f.forward(self.base.u)
         self.unsteady = 0.0 if again is None else self.family.relative(again - self.base.computed)
-        best = nothing.evidence.best(SIZE_PRIORS)
-        noise = nothing.evidence.variances(best, alone=True)
-        residual = self.data - self.base.computed
-        spectrum = np.exp(self.family.log_shapes) @ self.family.discrepancies
-        near = noise + (LEFT * self.family.relative(residual)) ** 2 * spectrum
         configuration = f.forward.model.configure(f.forward.theta(self.base.u))
         self.grid = f.model(baseline=pinned(f.baseline, configuration))
         computed = self.grid(self.base.u)
@@ -153,20 +95,85 @@ class CauseSearch:
             raise SolveError(self.grid.last_failure)
         self.shift = self.base.computed - computed
         pinned_base = replace(self.base, computed=computed)
-        self.jacobian = Search(self.grid, computed, near).differences(pinned_base, self.base.jacobian)
-        self.problem = self._problem(f.forward, self.base.u, residual, self.jacobian)
-        listed, self.failed, self.idle = listed_causes(
-            f, self.base, self.effects, self.problem, near, self.hooks.component_of,
-            lambda name, part: self.tick(name, 0.05 + 0.25 * part),
-        )  # fmt: skip
+        self.jacobian = Search(self.grid, computed, self._heard(nothing)).differences(
+            pinned_base, self.base.jacobian
+        )
         theta = f.forward.theta(self.base.u)
         functions = self.hooks.components(f.baseline, theta, f.data) if self.hooks.components else ()
+        every = [Origin(added=one.at(at)) for one in self.effects for at in one.locations(f.baseline)]
+        every += [Origin(function=g, length=length) for g in functions for length in g.lengths or (None,)]
+        on_grid = replace(nothing, point=replace(self.base, jacobian=self.jacobian))
+        found = self._responses(on_grid, every, 0.05)
+        names = [one.name for one in self.effects]
+        solved = {origin.added.name for origin in every if origin.added and origin.key in found}
+        moved = {
+            origin.added.name for origin in every
+            if origin.added and origin.key in found and np.any(found[origin.key][0].columns)
+        }  # fmt: skip
+        self.failed = [name for name in names if name not in solved]
+        self.idle = [name for name in names if name in solved and name not in moved]
+        there = {
+            found[origin.key][0]: origin
+            for origin in every
+            if origin.key in found and np.any(found[origin.key][0].columns)
+        }
+        self.causes, _ = without_doubles(list(there))
+        self.origins = [there[one] for one in self.causes]
+        values = tuple(found[origin.key][1] for origin in self.origins)
+        residual = self.data - self.base.computed
+        self.problem = self._problem(f.forward, self.base.u, residual, self.jacobian)
+        self.linears = [Linear((), self.base.u, self.problem, tuple(self.causes), values)]
+        self.rows: dict[Which, SetRow] = {}
+
+    def _heard(self, centre: SolvedSet) -> Array:
+        """Variances (n,) of the errors in which sizes are sought around a set."""
+        noise = centre.evidence.variances(centre.evidence.best(SIZE_PRIORS), alone=True)
+        left = LEFT * self.family.relative(self.data - centre.point.computed)
+        return np.asarray(noise + left**2 * (np.exp(self.family.log_shapes) @ self.family.discrepancies))
+
+    def _responses(
+        self, centre: SolvedSet, origins: Sequence[Origin], done: float
+    ) -> dict[tuple[Any, ...], tuple[Cause, Array]]:
+        """What further causes do around a set, and the values from which their weights count."""
+        f, point, V = self.fitting, centre.point, self._heard(centre)
+        others = centre.forward.added
+        problem = self._problem(centre.forward, point.u, self.data - point.computed, point.jacobian)
+        own = f.model(others)
+        computed = own(point.u)
+        configuration = own.model.configure(own.theta(point.u))
+        grid = f.model(others, pinned(f.baseline, configuration))
+        on_grid = grid(point.u)
+        if computed is None or on_grid is None:
+            raise SolveError(own.last_failure or grid.last_failure)
+        added = [one for one in origins if one.added is not None]
+        listed = listed_causes(
+            f, replace(point, computed=computed), others, tuple(one.effect() for one in added), problem, V,
+            self.hooks.component_of, lambda name, part: self.tick(name, done + 0.25 * part),
+        )  # fmt: skip
+        found = {one.key: x for one, x in zip(added, listed, strict=True) if x is not None}
+        functions = tuple(dict.fromkeys(one.function for one in origins if one.function is not None))
         free = free_causes(
-            f, self.grid, pinned_base, functions, near, lambda name, part: self.tick(name, 0.3 + 0.15 * part)
-        )
-        origins = dict([*listed, *free])
-        self.causes, _ = without_doubles(list(origins))
-        self.origins = [origins[one] for one in self.causes]
+            f, grid, replace(point, computed=on_grid), functions, V,
+            lambda name, part: self.tick(name, done + 0.25 + 0.15 * part),
+        )  # fmt: skip
+        return found | {origin.key: (cause, np.zeros(cause.columns.shape[1])) for cause, origin in free}
+
+    def _linear(self, centre: SolvedSet) -> Linear:
+        """The simulator around a solved set."""
+        taken = {self.causes[i].component for i in centre.order}
+        there = [o for o, c in zip(self.origins, self.causes, strict=True) if c.component not in taken]
+        found = self._responses(centre, there, 0.6)
+        k, point = self.fitting.forward.n_base, centre.point
+        residual, own = tangents(centre, self.data - point.computed, self.causes, self.origins)
+        problem = self._problem(self.fitting.forward, point.u[:k], residual, point.jacobian[:, :k])
+        causes, values = [], []
+        for i, (cause, origin) in enumerate(zip(self.causes, self.origins, strict=True)):
+            nothing = Cause(cause.name, cause.component, np.zeros((len(residual), 1)), place=cause.place)
+            one, value = own[i] if i in own else found.get(origin.key, (nothing, np.zeros(1)))
+            causes.append(one)
+            values.append(value)
+        which = tuple(sorted(centre.order))
+        return Linear(which, point.u[:k], problem, tuple(causes), tuple(values))
 
     @staticmethod
     def _problem(forward: SearchModel, u: Array, residual: Array, jacobian: Array) -> Problem:
@@ -180,79 +187,127 @@ class CauseSearch:
         found = SetModel(problem, (), self.family).evidence(
             np.arange(self.family.n_kinds), self.family.noise_start
         )
-        return SolvedSet((), f.forward, point, found, len(point.u), found.total(SIZE_PRIORS))
+        return SolvedSet((), f.forward, point, found, len(point.u))
 
     def run(self) -> CauseSets:
         """The posterior, its leading sets solved."""
-        found = weigh_causes(
-            self.problem,
-            self.causes,
-            self.family,
-            priors=CausePriors(self.causes),
-            cores=self.fitting.cores,
-            tick=lambda text, share: self.tick(text, 0.45 + 0.15 * share),
-        )
-        linear = {row.which: row for row in found.rows}
+        found = self._weigh(self.linears[0], 0.45)
+        self.rows = {row.which: row for row in found.rows}
         tried: set[Which] = {()}
         retried: set[Which] = set()
         for wave in range(WAVES):
             due = self._due(found, tried)
             if not due:
                 break
-            linear |= self._weighed([w for w in due if w not in linear], found)
+            self._weigh_more(due)
             tried |= set(due)
             self.tick(f"solving {len(due)} sets of causes", 0.6 + 0.4 * wave / WAVES)
             for size in sorted({len(w) for w in due}):  # what fewer causes found, more begin with
-                self._solve([w for w in due if len(w) == size], linear)
+                self._solve([w for w in due if len(w) == size])
             again = [w for w in self.solved if w and w not in retried and self._outdone(w)]
             retried |= set(again)
-            self._solve(again, linear)
-            found = self._corrected(found, linear)
+            self._solve(again)
+            found = self._corrected(found)
+            centre = self._next_centre(found) if wave < WAVES - 1 else None
+            if centre is not None:
+                found = self._around_another(found, centre)
         return CauseSets(found, self)
 
-    def _solve(self, sets: Sequence[Which], linear: Mapping[Which, SetRow]) -> None:
+    def _weigh(self, linear: Linear, done: float) -> CausePosterior:
+        return weigh_causes(
+            linear.problem,
+            linear.causes,
+            self.family,
+            priors=CausePriors(self.causes),
+            always=linear.centre,
+            cores=self.fitting.cores,
+            tick=lambda text, share: self.tick(text, done + 0.15 * share),
+        )
+
+    def linear_of(self, which: Which) -> Linear:
+        """Around which a set is linear: the largest centre that it holds."""
+        around = (one for one in self.linears if set(one.centre) <= set(which))
+        return max(around, key=lambda one: len(one.centre))
+
+    def _next_centre(self, found: CausePosterior) -> Which | None:
+        """The leader, or it without one cause: where most may be missed that is not linear around it yet."""
+        leader = max(self.solved, key=lambda which: found.log_joint[which])
+        parts = [leader, *(tuple(i for i in leader if i != left) for left in leader)]
+        done = {one.centre for one in self.linears}
+        best, most = None, 1.0 - MASS
+        missed = self.missed_by_set(found)
+        for centre in (w for w in parts if w and w in self.solved and w not in done):
+            held = [
+                w for w in missed if set(centre) <= set(w) and len(self.linear_of(w).centre) < len(centre)
+            ]
+            mass = sum(missed[w] for w in held)
+            if mass > most:
+                best, most = centre, mass
+        return best
+
+    def _around_another(self, found: CausePosterior, centre: Which) -> CausePosterior:
+        """With sets that hold a solved one weighed linear around it."""
+        try:
+            linear = self._linear(self.solved[centre])
+        except SolveError:
+            return found
+        own = self._weigh(linear, 0.7)
+        self.linears.append(linear)
+        here = [row for row in own.rows if self.linear_of(row.which) is linear]
+        self.rows = {w: row for w, row in self.rows.items() if self.linear_of(w) is not linear}
+        self.rows |= {row.which: row for row in here}
+        self._weigh_more(list(self.solved))
+        guessed = {w: x for w, x in found.guessed.items() if self.linear_of(w) is not linear}
+        guessed |= {w: x for w, x in own.guessed.items() if self.linear_of(w) is linear}
+        return self._corrected(replace(found, guessed=guessed))
+
+    def _solve(self, sets: Sequence[Which]) -> None:
         """Take sets to their modes at once, and keep the better one of those that were solved before."""
         with ThreadPoolExecutor(max(1, self.fitting.cores)) as pool, threadpool_limits(1, user_api="blas"):
-            results = list(pool.map(lambda which: self.solve(which, linear[which].evidence), sets))
+            results = list(pool.map(lambda which: self.solve(which, self.rows[which].evidence), sets))
         for which, one in zip(sets, results, strict=True):
             if one is None or (which in self.solved and one.log_z <= self.solved[which].log_z):
                 continue
             self.solved[which] = one
 
-    def _weighed(self, sets: Sequence[Which], found: CausePosterior) -> dict[Which, SetRow]:
+    def _weigh_more(self, sets: Sequence[Which]) -> None:
         """Sets of which only a guess was known, by the linear model."""
-        like = found.rows[-1].evidence
-        start = like.log_noise[like.best(SIZE_PRIORS)]
-
-        def one(which: Which) -> SetRow:
-            model = SetModel(self.problem, [self.causes[i] for i in which], self.family)
-            return SetRow(which, found.priors.log_prior(which), model.evidence(like.kinds, start))
-
-        return {which: one(which) for which in sets}
+        priors = CausePriors(self.causes)
+        for which in (w for w in sets if w not in self.rows):
+            linear = self.linear_of(which)
+            like = self.rows[linear.centre].evidence
+            model = SetModel(linear.problem, [linear.causes[i] for i in which], self.family)
+            evidence = model.evidence(like.kinds, like.log_noise)
+            self.rows[which] = SetRow(which, priors.log_prior(which), evidence)
 
     def _outdone(self, which: Which) -> bool:
         """Whether a larger set was solved with visibly more evidence, as where a mode was missed."""
         more = [one.log_z for w, one in self.solved.items() if set(w) > set(which)]
         return max(more, default=-np.inf) > self.solved[which].log_z + VISIBLE
 
-    def _corrected(self, found: CausePosterior, linear: Mapping[Which, SetRow]) -> CausePosterior:
+    def _corrected(self, found: CausePosterior) -> CausePosterior:
         """With what was solved; others are shifted as the solved set that is most like them."""
-        others = [w for w in linear if w not in self.solved]
+        others = [w for w in self.rows if w not in self.solved]
         shifts = dict(zip(others, self.shortfall(others), strict=True))
         rows = [
             replace(row, shift=shifts[w])
             if w in shifts
             else replace(row, evidence=self.solved[w].evidence if w else row.evidence, solved=True)
-            for w, row in linear.items()
+            for w, row in self.rows.items()
         ]
-        guessed = {w: x for w, x in found.guessed.items() if w not in linear}
+        guessed = {w: x for w, x in found.guessed.items() if w not in self.rows}
         shifts = dict(zip(guessed, self.shortfall(list(guessed)), strict=True))
         return replace(found, rows=tuple(rows), guessed=guessed, shifts=shifts)
+
+    def gained(self, which: Which) -> float:
+        """Log evidence of a solved set over that of the linear model."""
+        return self.solved[which].log_z - self.rows[which].evidence.total(SIZE_PRIORS)
 
     def shortfall(self, sets: Sequence[Which], *, others: bool = False) -> Array:
         """What a solve adds to the log evidence of sets (n,), by the solved set most like each.
 
-        0 of a set that no solved one is like; with `others`, by one that is not the very same.
+        It is sought among those that are linear around the same one; 0 of a set that none of them is like.
+        With `others`, it is not the set itself.
         """
         known = [w for w in self.solved if w]
         if not known or not sets:
@@ -260,10 +315,12 @@ class CauseSearch:
         asked, there = (self._members(x) for x in (sets, known))
         both = asked @ there.T
         like = both / np.maximum(asked.sum(axis=1)[:, None] + there.sum(axis=1) - both, 1.0)
+        at, of = (np.array([self.linears.index(self.linear_of(w)) for w in x]) for x in (sets, known))
+        like[at[:, None] != of] = 0.0
         if others:
             like[like == 1.0] = 0.0
         nearest = np.argmax(like, axis=1)
-        gained = np.array([self.solved[w].gained for w in known])
+        gained = np.array([self.gained(w) for w in known])
         return np.where(like[np.arange(len(sets)), nearest] > 0.0, gained[nearest], 0.0)
 
     def _members(self, sets: Sequence[Which]) -> Array:
@@ -273,24 +330,47 @@ class CauseSearch:
         return found
 
     @property
-    def linear_error(self) -> float:
-        """Rms error of the log evidence of sets that were not solved, by the leading ones that were."""
-        best = max(one.log_z for one in self.solved.values())
-        near = [w for w, one in self.solved.items() if w and one.log_z > best - NEAR]
-        errors = np.array([self.solved[w].gained for w in near]) - self.shortfall(near, others=True)
-        return float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0
+    def errors(self) -> dict[Which, float]:
+        """Rms error of the log evidence of sets that were not solved, by what they are linear around."""
+        found = {}
+        for linear in self.linears:
+            own = [w for w in self.solved if w and self.linear_of(w) is linear]
+            best = max((self.solved[w].log_z for w in own), default=0.0)
+            near = [w for w in own if self.solved[w].log_z > best - NEAR]
+            errors = np.array([self.gained(w) for w in near]) - self.shortfall(near, others=True)
+            found[linear.centre] = float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0
+        return found
+
+    @property
+    def known(self) -> set[Which]:
+        """Centres around which the linear model was seen to be right: solves would tell nothing new."""
+        solved = [self.linear_of(w).centre for w in self.solved]
+        return {w for w, error in self.errors.items() if error < KNOWN and solved.count(w) >= CHECKED}
+
+    def missed_by_set(self, found: CausePosterior) -> dict[Which, float]:
+        """Probability that each set may have which was not solved, two errors of the linear model up."""
+        errors, p = self.errors, found.probability
+        more = {
+            w: x * math.exp(min(2.0 * errors[self.linear_of(w).centre], LARGEST))
+            for w, x in p.items()
+            if w not in self.solved
+        }
+        total = math.fsum(more.values()) + math.fsum(x for w, x in p.items() if w in self.solved)
+        return {w: x / total for w, x in more.items()}
 
     def _due(self, found: CausePosterior, tried: set[Which]) -> list[Which]:
         """Leading sets that were not tried yet, and the leader without each of its causes.
 
-        At first the best alone of each component is among them.
+        None where the linear model is `known` to be right. At first the best alone of each component is
+        among them.
         """
         leader = max(self.solved, key=lambda which: found.log_joint[which])
         parts = [tuple(i for i in leader if i != left) for left in leader]
         due = [which for which in parts if which not in tried]
-        total, best = 0.0, dict[str, Which]()
+        total, best, known = 0.0, dict[str, Which](), self.known
         for which, p in found.probability.items():
-            if which not in tried and which not in due and total < MASS and len(due) < MOST_SOLVED:
+            new = which not in tried and which not in due and self.linear_of(which).centre not in known
+            if new and total < MASS and len(due) < MOST_SOLVED:
                 due.append(which)
             total += p
             if len(which) == 1:
@@ -339,8 +419,7 @@ class CauseSearch:
             reference = self._delivered(found, forward, data, point, n_listed)
             if kept is None or reference.total(SIZE_PRIORS) > kept.log_z:
                 whole = replace(point, computed=point.computed + shift)
-                promised = linear.total(SIZE_PRIORS)
-                kept = SolvedSet(order, forward, whole, reference, n_listed, promised)
+                kept = SolvedSet(order, forward, whole, reference, n_listed)
         assert kept is not None
         return kept
 
@@ -361,9 +440,9 @@ class CauseSearch:
         gained = 0.0 if computed is None else max(0.0, here - search.cost(point.u + step, computed))
         return replace(found, log_z=found.log_z - max(0.0, promised - gained))
 
-    def _starts(self, which: Which, order: Sequence[int], mean: Array) -> list[tuple[Array, Array]]:
+    def _starts(self, which: Which, order: Which, mean: Array) -> list[tuple[Array, Array]]:
         """Where a search may begin, with derivatives: parts of the linear step, and ends of sets nearby."""
-        origin, start, jacobian = self._start(which, order, mean)
+        origin, start, jacobian = self.linear_of(which).start(which, order, mean, self.origins)
         found = [(origin + part * (start - origin), jacobian) for part in NEARER]
         k = len(self.base.u)
         sizes = {i: len(self.origins[i].effect().effect.parameters) for i in order}
@@ -371,7 +450,7 @@ class CauseSearch:
         for one in self._near(which):
             u, J = origin.copy(), jacobian.copy()
             u[:k], J[:, :k] = one.point.u[:k], one.point.jacobian[:, :k]
-            for i, of in one.places(self.causes, self.origins).items():
+            for i, of in one.places(self.origins).items():
                 if i in at:
                     to = slice(at[i], at[i] + sizes[i])
                     u[to], J[:, to] = one.point.u[of], one.point.jacobian[:, of]
@@ -383,26 +462,6 @@ class CauseSearch:
         inside = [one for w, one in self.solved.items() if w and set(w) < set(which)]
         around = [one for w, one in self.solved.items() if set(w) > set(which)]
         return [max(part, key=lambda one: one.log_z) for part in (inside, around) if part]
-
-    def _start(self, which: Which, order: Sequence[int], mean: Array) -> tuple[Array, Array, Array]:
-        """Coordinates without and with causes, and derivatives, of the linear model."""
-        k = len(self.base.u)
-        sizes = [self.causes[i].columns.shape[1] for i in which]
-        weights = dict(zip(which, np.split(mean[k:], np.cumsum(sizes)[:-1]), strict=True)) if which else {}
-        origins, starts, columns = [self.base.u], [self.base.u + mean[:k]], [self.jacobian]
-        for i in order:
-            own, R, w = self.origins[i], self.causes[i].columns, weights[i]
-            if own.added is None:
-                origins.append(np.zeros(len(w)))
-                starts.append(w)
-                columns.append(R)
-                continue
-            scales = np.array([p.scale for p in own.added.effect.parameters])
-            values = np.asarray(own.values)
-            origins.append(np.concatenate([[0.0], values[1:]]))
-            starts.append(origins[-1] + w * scales)
-            columns.append(R / scales)
-        return np.concatenate(origins), np.concatenate(starts), np.concatenate(columns, axis=1)
 
     def _around(
         self, order: Which, forward: SearchModel, data: Array, point: Point, linear: SetEvidence
@@ -455,11 +514,6 @@ class CauseSets:
         return self.search.solved
 
     @cached_property
-    def linear_error(self) -> float:
-        """Rms error of the log evidence of sets that were not solved, by those that were."""
-        return self.search.linear_error
-
-    @cached_property
     def leader(self) -> Which:
         """The most probable set of those that were solved."""
         return max(self.solved, key=lambda which: self.posterior.log_joint[which])
@@ -472,12 +526,30 @@ class CauseSets:
         """The components of a set."""
         return tuple(self.posterior.causes[i].component for i in which)
 
+    @cached_property
+    def _missed(self) -> dict[Which, float]:
+        return self.search.missed_by_set(self.posterior)
+
     @property
     def missed(self) -> float:
         """Probability that causes which were not solved may have, two errors of the linear model up."""
-        p = self.posterior.probability
-        others = sum(x for w, x in p.items() if w not in self.solved)
-        return float(expit(logit(others) + 2.0 * self.linear_error)) if 0.0 < others < 1.0 else others
+        return math.fsum(self._missed.values())
+
+    def error(self, which: Which) -> float:
+        """Rms error of the log evidence of a set."""
+        return 0.0 if which in self.solved else self._errors[self.search.linear_of(which).centre]
+
+    @cached_property
+    def _errors(self) -> dict[Which, float]:
+        return self.search.errors
+
+    @property
+    def linear_error(self) -> float:
+        """Rms error of the log evidence where most is missed of sets that were not solved."""
+        found = dict.fromkeys(self._errors, 0.0)
+        for which, mass in self._missed.items():
+            found[self.search.linear_of(which).centre] += mass
+        return self._errors[max(found, key=lambda centre: found[centre])]
 
     @cached_property
     def noise(self) -> dict[str, float]:

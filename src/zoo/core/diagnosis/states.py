@@ -23,7 +23,8 @@ from zoo.core.diagnosis.file import CarriedResult, DiagnosisError, Interval, Sta
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.search import Search, SearchError
-from zoo.core.diagnosis.sets import SIZE_PRIORS, CauseSearch, CauseSets, SolvedSet, Which
+from zoo.core.diagnosis.sets import CauseSearch, CauseSets
+from zoo.core.diagnosis.solved import SIZE_PRIORS, SolvedSet, Which
 from zoo.core.effects import AddedEffect
 from zoo.core.errors.spectral import Spectral, spectral_errors
 from zoo.core.forward import Around, ForwardModel, content_key
@@ -142,7 +143,7 @@ def _explanation(found: CauseSets, which: Which) -> _Explanation:
     one, search = found.solved[which], found.search
     values, n = one.forward.theta(one.point.u), one.forward.n_base
     functions, effects = [], []
-    for i, part in one.places(search.causes, search.origins).items():
+    for i, part in one.places(search.origins).items():
         origin = search.origins[i]
         if origin.added is not None:
             effects.append((origin.added, tuple(float(x) for x in values[part])))
