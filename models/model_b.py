@@ -5,9 +5,7 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 
 from __future__ import annotations
 
-from typing import Unpack
-
-import pymc as pm
+from typing import TYPE_CHECKING, Unpack
 
 from zoo.blood.baseline import Baseline, Settings, blood_model
 from zoo.blood.errors import by_prior_set
@@ -15,6 +13,9 @@ from zoo.blood.forward import constant_stiffness
 from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.parameters import LogUniform, Parameter, Uniform
+
+if TYPE_CHECKING:
+    import pymc as pm
 
 # starts are published posterior medians
 BASELINE = Baseline(

@@ -5,9 +5,7 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 
 from __future__ import annotations
 
-from typing import Unpack
-
-import pymc as pm
+from typing import TYPE_CHECKING, Unpack
 
 from zoo.blood.baseline import Baseline, Settings, blood_model
 from zoo.blood.errors import by_prior_set
@@ -15,6 +13,9 @@ from zoo.blood.forward import radius_dependent_stiffness
 from zoo.blood.study import Study
 from zoo.core.errors.independent import Independent
 from zoo.core.parameters import InverseGamma, Parameter, Uniform
+
+if TYPE_CHECKING:
+    import pymc as pm
 
 # starts are published posterior medians; sigma2's is the published sum of squared errors over 512 samples
 BASELINE = Baseline(
