@@ -2,6 +2,7 @@
 
 A name is loaded when it is first used. `name as name` is how a stub exports a name.
 """
+# ruff: noqa: I001
 
 # Data, priors and forward models of any simulator
 from .core.data import Data as Data
@@ -25,6 +26,7 @@ from .core.priors import Prior as Prior
 from .core.priors import Uniform as Uniform
 
 # What a simulator may lack
+from .core.components import free_function as free_function
 from .core.effects import Effect as Effect
 from .core.effects import EffectError as EffectError
 from .core.effects import EffectParameter as EffectParameter
