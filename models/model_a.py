@@ -1,21 +1,15 @@
-"""Model A: linear wall, one stiffness, independent errors.
+"""Model A: linear wall, the same stiffness in every vessel, independent errors.
 
 Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Unpack
-
-from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import constant_stiffness
-from zoo.blood.study import Study
 from zoo.core.errors.independent import Independent
 from zoo.core.parameters import InverseGamma, Parameter, Uniform
-
-if TYPE_CHECKING:
-    import pymc as pm
 
 # starts are published posterior medians; sigma2's is the published sum of squared errors over 512 samples
 BASELINE = Baseline(
@@ -33,7 +27,4 @@ BASELINE = Baseline(
 )
 ERRORS = Independent(sigma2=InverseGamma(0.001, 0.001), start=0.13)  # variance, mmHg2
 
-
-def model_A(study: Study, **settings: Unpack[Settings]) -> pm.Model:
-    """Linear wall, the same stiffness in every vessel, independent errors."""
-    return blood_model("A", study, BASELINE, by_prior_set(ERRORS), **settings)
+model_A = study_model("A", BASELINE, by_prior_set(ERRORS))

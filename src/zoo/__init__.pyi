@@ -45,6 +45,9 @@ from .core.diagnosis import read_diagnosis as read_diagnosis
 from .front import diagnose as diagnose
 
 # Studies of blood flow
+from .blood.baseline import Baseline as Baseline
+from .blood.baseline import get_baseline as get_baseline
+from .blood.baseline import study_model as study_model
 from .blood.conventions import PRINTED as PRINTED
 from .blood.conventions import PUBLISHED_CODE as PUBLISHED_CODE
 from .blood.conventions import Conventions as Conventions

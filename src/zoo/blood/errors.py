@@ -14,7 +14,7 @@ from zoo.core.errors.independent import Independent
 
 
 def by_prior_set(paper: ErrorModel) -> Callable[[Study], ErrorModel]:
-    """`errors_for` of these errors, for `zoo.blood.baseline.blood_model`, which knows the study's priors."""
+    """`errors_for` of these errors, for `zoo.blood.baseline.study_model`, which knows the study's priors."""
     return partial(errors_for, paper=paper)
 
 

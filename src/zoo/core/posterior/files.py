@@ -21,7 +21,9 @@ class PosteriorError(OneLineError, ValueError):
     """A stored posterior that does not belong; its text says to what, and what to change."""
 
 
-def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings: Any) -> az.InferenceData:
+def sample_to(
+    path: str | Path, model: Any, *, groups: bool = False, method: str = "exact", **settings: Any
+) -> az.InferenceData:
     """Sample a model into a NetCDF file, with the checkpoint in a folder beside it.
 
     Parameters
@@ -32,8 +34,8 @@ def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings:
         With a record.
     groups : bool
         Store ArviZ's groups too, see `zoo.core.posterior.groups.add_groups`.
-    **settings
-        Of `zoo.sample`.
+    method : str
+        Of `zoo.sample`, as are the other settings.
 
     Returns
     -------
@@ -49,7 +51,7 @@ def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings:
     """
     path = output_file(path)
     checkpoint = checkpoint_of(path)
-    idata = sample(model, groups=groups, checkpoint=checkpoint, **settings)
+    idata = sample(model, groups=groups, method=method, checkpoint=checkpoint, **settings)
     try:
         save(idata, path)
     except OutputFileError as error:
