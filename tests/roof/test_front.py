@@ -102,7 +102,8 @@ def test_any_function_is_diagnosed_and_a_free_function_of_it_is_learned() -> Non
     [state] = found.file.states
     assert state.state == "pushed harder"
     assert state.carried[0].error.mean < 0.5 * state.baseline.mean
-    assert isinstance(found.plot(), Figure)
+    drawn = [axes for axes in found.plot().axes if axes.get_xlabel() == "velocity (m/s)"]
+    assert [axes.get_ylabel() for axes in drawn] == ["friction (N)"]
 
 
 def test_a_free_function_that_the_simulator_never_asks_for_is_told() -> None:
