@@ -520,6 +520,20 @@ class Catalogue(Mapping[str, Effect]):
         self._entry_points = entry_points
         self._effects: dict[str, Effect] = {}
 
+    def check(self, made: Effect) -> Effect:
+        """An effect, which may be a user's, of one of the families, or of none.
+
+        Raises
+        ------
+        EffectError
+            If its family is unknown.
+        """
+        if self.families and made.family and made.family not in self.families:
+            raise EffectError(
+                f"effect {made.name}: family = {made.family!r}: {nearest(made.family, self.families)}"
+            )
+        return made
+
     def add(self, made: Effect) -> Effect:
         """Put an effect into the catalogue, in place of one of the same name; returns it with its position.
 
@@ -528,10 +542,7 @@ class Catalogue(Mapping[str, Effect]):
         EffectError
             If its family is unknown.
         """
-        if self.families and made.family not in self.families:
-            raise EffectError(
-                f"effect {made.name}: family = {made.family!r}: {nearest(made.family, self.families)}"
-            )
+        self.check(made)
         old = self._effects.get(made.name)
         change = getattr(made.apply, "change", made.apply)
         module = self.home.partition(":")[0]
@@ -588,7 +599,7 @@ class Catalogue(Mapping[str, Effect]):
         EffectError
             For a name that is not there.
         """
-        found = [self[one] if isinstance(one, str) else one for one in given]
+        found = [self[one] if isinstance(one, str) else self.check(one) for one in given]
         return tuple({made.name: made for made in found}.values())
 
 
