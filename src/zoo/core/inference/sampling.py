@@ -296,7 +296,7 @@ def _check_model(model: Any) -> None:
 
     if not isinstance(model, pm.Model):
         raise SamplingError(
-            f"model = {model!r:.80}: give a PyMC model, such as that of zoo.core.model.bayesian_model"
+            f"model = {model!r:.80}: give a PyMC model, such as that of zoo.bayesian_model"
         )
 
 
