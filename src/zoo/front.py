@@ -205,6 +205,7 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
     if isinstance(first, str | Study):
         function, known = diagnose_study, [*inspect.signature(diagnose_study).parameters]
     refuse_unknown("diagnose", settings, [name for name in known if name != "settings"])
+    inspect.signature(function).bind(*arguments, **settings)  # names what is missing
     if isinstance(first, str):
         arguments = (load_study(first), *arguments[1:])
     return function(*arguments, **settings)
@@ -252,6 +253,8 @@ def _diagnose_data(
     hooks: Hooks | None = None,
     **settings: Any,
 ) -> Diagnosis:
+    if isinstance(effects, str | Effect | FunctionOf):
+        raise diagnosis.DiagnosisError(f"effects = {effects!r:.60}: give a list of effects")
     free = [one for one in effects if isinstance(one, FunctionOf)]
     listed = [one for one in effects if not isinstance(one, FunctionOf)]
     if free:
