@@ -8,7 +8,7 @@ free_threaded = sysconfig.get_config_var("Py_GIL_DISABLED")
 
 setup(
     cffi_modules=["native/build_ffi.py:ffibuilder"],
-    packages=sorted({*find_packages("src"), "zoo.models"}),
-    package_dir={"": "src", "zoo.models": "models"},
+    packages=find_packages("src"),  # src/zoo/models is a link to models
+    package_dir={"": "src"},
     options={} if free_threaded else {"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -25,7 +25,7 @@ from zoo import load_study, sample
 from zoo.blood import predictive
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.record import RunRecord
-from zoo.core.posterior.storage import load, save
+from zoo.core.posterior.storage import load, save_posterior
 from zoo.models import get_model
 from zoo.plots import save_figure
 
@@ -46,7 +46,7 @@ def posterior(
         get_model(name)(study), method=method, draws=1000, until_ess=ess, max_draws=40_000, cores=given.cores,
         seed=given.seed, checkpoint=path.with_suffix(".checkpoint"),
     )  # fmt: skip
-    save(idata, path)
+    save_posterior(idata, path)
     return idata
 
 

@@ -32,7 +32,7 @@ from zoo.blood.solver import Solver
 from zoo.blood.study import Series, save_study
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.record import RunRecord
-from zoo.core.posterior.storage import save
+from zoo.core.posterior.storage import save_posterior
 from zoo.models import get_model
 
 OBSERVED = ((1, 0.0, "pressure_mmHg", 1.0), (10, 0.5, "flow_ml_s", 0.3), (60, 0.5, "pressure_mmHg", 1.0))
@@ -74,7 +74,7 @@ def main() -> None:
         path = given.folder / f"A-{method}.nc"
         checkpoint = path.with_suffix(".checkpoint")
         idata = sample(model, method=method, seed=given.seed, groups=False, checkpoint=checkpoint, **settings)
-        save(idata, path)
+        save_posterior(idata, path)
         record = RunRecord.of(idata)
         print(f"{method}: {record.solves} solves, {record.wall_seconds / 60:.1f} min; {verdict(idata).text}")
         both.append(idata)

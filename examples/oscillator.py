@@ -13,14 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from zoo.core.blindcheck import NULL as NO_GAP
-from zoo.core.blindcheck import DrawnCase, Score, blind_check
-from zoo.core.data import Data
-from zoo.core.diagnosis import diagnose
-from zoo.core.effects import EffectParameter, Location, effect, with_effects
-from zoo.core.errors.spectral import Cosines
-from zoo.core.forward import FunctionModel, Outputs
-from zoo.core.parameters import LogUniform, Normal, Parameter, draw_prior
+import zoo
+from zoo import Data, LogUniform, Normal, Parameter
 
 Array = NDArray[np.float64]
 
@@ -57,14 +51,14 @@ def oscillate(c: dict[str, Any], times: Array) -> Array:
     return np.asarray(found[::2])
 
 
-MODEL = FunctionModel(
+MODEL = zoo.FunctionModel(
     oscillate,
     (
         Parameter("w", Normal(2.0, 0.2, 1.0, 3.0), "rad/s"),
         Parameter("z", LogUniform(0.01, 0.2), log=True),
         Parameter("g", Normal(1.0, 0.1, 0.5, 1.5)),
     ),
-    Outputs(("displacement",), TIMES),
+    zoo.Outputs(("displacement",), TIMES),
     "oscillator",
 )
 
@@ -72,35 +66,31 @@ MODEL = FunctionModel(
 # What it may lack
 
 
-@effect(
-    "cubic-stiffness",
-    parameters=[EffectParameter("cubic", "1/m2", 0.1, 0.0, 0.5, (0.03, 0.1), "a spring 10 % stiffer at 1 m")],
-    equation="w^2 x (1 + b x^2) for w^2 x",
-)
-def cubic_stiffness(c: dict[str, Any], values: tuple[float, ...], at: Location) -> dict[str, Any]:
+@zoo.effect(
+    "cubic-stiffness", unit="1/m2", size=0.1, low=0.0, high=0.5, starts=(0.03, 0.1),
+    why="a spring 10 % stiffer at 1 m", equation="w^2 x (1 + b x^2) for w^2 x",
+)  # fmt: skip
+def cubic_stiffness(c: dict[str, Any], size: float) -> dict[str, Any]:
     """The spring hardens."""
-    return {**c, "cubic": values[0]}
+    return {**c, "cubic": size}
 
 
-@effect(
-    "quadratic-drag",
-    parameters=[
-        EffectParameter("drag", "1/m", 0.1, 0.0, 0.5, (0.02, 0.1), "as large as the linear damping at 1 m/s")
-    ],
-    equation="(2 z w + d |x'|) x' for 2 z w x'",
-)
-def quadratic_drag(c: dict[str, Any], values: tuple[float, ...], at: Location) -> dict[str, Any]:
+@zoo.effect(
+    "quadratic-drag", unit="1/m", size=0.1, low=0.0, high=0.5, starts=(0.02, 0.1),
+    why="as large as the linear damping at 1 m/s", equation="(2 z w + d |x'|) x' for 2 z w x'",
+)  # fmt: skip
+def quadratic_drag(c: dict[str, Any], size: float) -> dict[str, Any]:
     """The air resists by the square of the velocity."""
-    return {**c, "drag": values[0]}
+    return {**c, "drag": size}
 
 
 EFFECTS = (cubic_stiffness, quadratic_drag)
 
 
-@effect("delayed-drive", parameters=[EffectParameter("delay", "s", 0.2, 0.0, 1.0, (0.2,))])
-def delayed_drive(c: dict[str, Any], values: tuple[float, ...], at: Location) -> dict[str, Any]:
+@zoo.effect("delayed-drive", unit="s", size=0.2, low=0.0, high=1.0)
+def delayed_drive(c: dict[str, Any], size: float) -> dict[str, Any]:
     """The force arrives late; no diagnosis is offered this one."""
-    return {**c, "delay": values[0]}
+    return {**c, "delay": size}
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -111,22 +101,22 @@ NOISE_M = 0.02
 VISIBLE = 0.5
 """Parameters are drawn again until the rms of what the refitted equation leaves of the noise-free record is
 at least this many sds of the noise."""
-COUNTS = {"cubic-stiffness": 15, "quadratic-drag": 15, NO_GAP: 5, "delayed-drive": 5}
+COUNTS = {"cubic-stiffness": 15, "quadratic-drag": 15, "no-gap": 5, "delayed-drive": 5}
 
 
-def draw_case(cause: str, rng: np.random.Generator) -> DrawnCase:
+def draw_case(cause: str, rng: np.random.Generator) -> zoo.DrawnCase:
     """A record with a cause, or none; its parameters and the amplitude come from their priors."""
     known = {e.name: e for e in (*EFFECTS, delayed_drive)}
-    truth = with_effects(MODEL, [known[cause].at()] if cause in known else [])
+    truth = zoo.with_effects(MODEL, [known[cause].at()] if cause in known else [])
     gap = -1.0
     while gap < (VISIBLE * NOISE_M if cause in known else 0.0):
-        theta = draw_prior(truth.parameters, rng)
+        theta = zoo.draw_prior(truth.parameters, rng)
         series = truth.solve(truth.configure(theta))
         gap = visible_gap(theta[: len(MODEL.parameters)], series[0])
     noisy = series + NOISE_M * rng.standard_normal(series.shape)
     data = Data(TIMES, noisy, labels=("displacement",), units=("m",), name="oscillator")
     size = float(theta[-1]) if cause in known else None
-    return DrawnCase(data, {"parameter": size, "noise": NOISE_M, "gap": gap})
+    return zoo.DrawnCase(data, {"parameter": size, "noise": NOISE_M, "gap": gap})
 
 
 def visible_gap(theta: Array, series: Array) -> float:
@@ -140,12 +130,12 @@ def visible_gap(theta: Array, series: Array) -> float:
 
 def diagnosed(data: Data) -> Any:
     """The diagnosis of one record, which is told nothing of its cause."""
-    return diagnose(data, MODEL, EFFECTS, errors=Cosines())
+    return zoo.diagnose(data, MODEL, EFFECTS, errors=zoo.Cosines())
 
 
-def main(counts: dict[str, int], seed: int = SEED) -> Score:
+def main(counts: dict[str, int], seed: int = SEED) -> zoo.Score:
     """The blind check."""
-    return blind_check(draw_case, diagnosed, counts, listed=[e.name for e in EFFECTS], seed=seed)
+    return zoo.blind_check(draw_case, diagnosed, counts, listed=[e.name for e in EFFECTS], seed=seed)
 
 
 if __name__ == "__main__":

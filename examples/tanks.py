@@ -29,13 +29,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from zoo.blood.fetch import fetch_file
-from zoo.core.data import Data
-from zoo.core.diagnosis import Diagnosis, diagnose
-from zoo.core.effects import Effect, EffectParameter, Location, effect, with_effects
-from zoo.core.errors.spectral import Cosines
-from zoo.core.forward import FunctionModel, Outputs
-from zoo.core.parameters import LogUniform, Parameter, Uniform
+from zoo import (
+    Cosines,
+    Data,
+    Diagnosis,
+    Effect,
+    EffectParameter,
+    FunctionModel,
+    Location,
+    LogUniform,
+    Outputs,
+    Parameter,
+    Uniform,
+    diagnose,
+    effect,
+    fetch_file,
+    with_effects,
+)
 
 Array = NDArray[np.float64]
 

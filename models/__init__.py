@@ -44,8 +44,7 @@ def get_model(name: str) -> Callable[..., pm.Model]:
     Returns
     -------
     callable
-        ``model_X(study, *, effects=(), options=None, conventions=None) -> pm.Model``, with settings as in
-        `zoo.blood.baseline.Settings`.
+        ``model_X(study, *, effects=(), options=None, conventions=None, priors=None) -> pm.Model``.
 
     Raises
     ------

@@ -1,18 +1,13 @@
-"""Model A: linear wall, one stiffness, independent errors.
+"""Model A: linear wall, the same stiffness in every vessel, independent errors.
 
 Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 """
 
 from __future__ import annotations
 
-from typing import Unpack
-
-import pymc as pm
-
-from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import constant_stiffness
-from zoo.blood.study import Study
 from zoo.core.errors.independent import Independent
 from zoo.core.parameters import InverseGamma, Parameter, Uniform
 
@@ -32,7 +27,4 @@ BASELINE = Baseline(
 )
 ERRORS = Independent(sigma2=InverseGamma(0.001, 0.001), start=0.13)  # variance, mmHg2
 
-
-def model_A(study: Study, **settings: Unpack[Settings]) -> pm.Model:
-    """Linear wall, the same stiffness in every vessel, independent errors."""
-    return blood_model("A", study, BASELINE, by_prior_set(ERRORS), **settings)
+model_A = study_model("A", BASELINE, by_prior_set(ERRORS))

@@ -1,18 +1,13 @@
-"""Model B: linear wall, one stiffness, correlated errors.
+"""Model B: linear wall, the same stiffness in every vessel, a Gaussian process for the errors.
 
 Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 """
 
 from __future__ import annotations
 
-from typing import Unpack
-
-import pymc as pm
-
-from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import constant_stiffness
-from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.parameters import LogUniform, Parameter, Uniform
 
@@ -34,7 +29,4 @@ ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; i
     w=LogUniform(1e4, 9e4), w_start=5.36e4, b=LogUniform(1, 500), b_start=137.0, unit="mmHg"
 )
 
-
-def model_B(study: Study, **settings: Unpack[Settings]) -> pm.Model:
-    """Linear wall, the same stiffness in every vessel, a Gaussian process for the errors."""
-    return blood_model("B", study, BASELINE, by_prior_set(ERRORS), **settings)
+model_B = study_model("B", BASELINE, by_prior_set(ERRORS))

@@ -1,18 +1,15 @@
-"""Model C: model B sampled without an emulator.
+"""Model C: linear wall, one stiffness, a Gaussian process for the errors: the density of model B.
+
+The paper keeps the two apart to show that its emulator of B adds no bias.
 
 Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 """
 
 from __future__ import annotations
 
-from typing import Unpack
-
-import pymc as pm
-
-from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import constant_stiffness
-from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.parameters import LogUniform, Parameter, Uniform
 
@@ -34,10 +31,4 @@ ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; i
     w=LogUniform(1e4, 9e4), w_start=5.41e4, b=LogUniform(1, 500), b_start=138.0, unit="mmHg"
 )
 
-
-def model_C(study: Study, **settings: Unpack[Settings]) -> pm.Model:
-    """Linear wall, one stiffness, a Gaussian process for the errors: the density of model B.
-
-    The paper keeps the two apart to show that its emulator of B adds no bias.
-    """
-    return blood_model("C", study, BASELINE, by_prior_set(ERRORS), **settings)
+model_C = study_model("C", BASELINE, by_prior_set(ERRORS))

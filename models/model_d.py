@@ -1,18 +1,13 @@
-"""Model D: linear wall, stiffness by radius, independent errors.
+"""Model D: linear wall, stiffness by radius (eq. 3.5), independent errors.
 
 Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 """
 
 from __future__ import annotations
 
-from typing import Unpack
-
-import pymc as pm
-
-from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import radius_dependent_stiffness
-from zoo.blood.study import Study
 from zoo.core.errors.independent import Independent
 from zoo.core.parameters import InverseGamma, Parameter, Uniform
 
@@ -35,7 +30,4 @@ BASELINE = Baseline(
 )
 ERRORS = Independent(sigma2=InverseGamma(0.001, 0.001), start=0.125)  # variance, mmHg2
 
-
-def model_D(study: Study, **settings: Unpack[Settings]) -> pm.Model:
-    """Linear wall, stiffness by radius (eq. 3.5), independent errors."""
-    return blood_model("D", study, BASELINE, by_prior_set(ERRORS), **settings)
+model_D = study_model("D", BASELINE, by_prior_set(ERRORS))

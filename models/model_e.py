@@ -1,18 +1,13 @@
-"""Model E: linear wall, stiffness by radius, correlated errors.
+"""Model E: linear wall, stiffness by radius (eq. 3.5), a Gaussian process for the errors.
 
 Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 """
 
 from __future__ import annotations
 
-from typing import Unpack
-
-import pymc as pm
-
-from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import radius_dependent_stiffness
-from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.parameters import LogUniform, Parameter, Uniform
 
@@ -37,7 +32,4 @@ ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; i
     w=LogUniform(1e4, 9e4), w_start=5.39e4, b=LogUniform(1, 500), b_start=138.0, unit="mmHg"
 )
 
-
-def model_E(study: Study, **settings: Unpack[Settings]) -> pm.Model:
-    """Linear wall, stiffness by radius (eq. 3.5), a Gaussian process for the errors."""
-    return blood_model("E", study, BASELINE, by_prior_set(ERRORS), **settings)
+model_E = study_model("E", BASELINE, by_prior_set(ERRORS))

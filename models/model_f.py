@@ -1,18 +1,17 @@
-"""Model F: linear wall, a stiffness for each vessel, independent errors.
+"""Model F: linear wall, a stiffness for each vessel from one normal population, independent errors.
+
+With these hyperpriors 90 % of the prior of each stiffness lies in (2e4, 1e5), as Table 2 asks; how the
+paper divides that between the population's mean and its variance is only in its supplement, as are the
+parameters of its beta priors of psi1, psi2 and c, here uniform.
 
 Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 """
 
 from __future__ import annotations
 
-from typing import Unpack
-
-import pymc as pm
-
-from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import stiffness_of_each_vessel
-from zoo.blood.study import Study
 from zoo.core.errors.independent import Independent
 from zoo.core.parameters import InverseGamma, Normal, Parameter, Population, Uniform
 
@@ -44,12 +43,4 @@ BASELINE = Baseline(
 )
 ERRORS = Independent(sigma2=InverseGamma(0.001, 0.001), start=0.05)  # variance, mmHg2
 
-
-def model_F(study: Study, **settings: Unpack[Settings]) -> pm.Model:
-    """Linear wall, a stiffness for each vessel from one normal population, independent errors.
-
-    With these hyperpriors 90 % of the prior of each stiffness lies in (2e4, 1e5), as Table 2 asks; how the
-    paper divides that between the population's mean and its variance is only in its supplement, as are the
-    parameters of its beta priors of psi1, psi2 and c, here uniform.
-    """
-    return blood_model("F", study, BASELINE, by_prior_set(ERRORS), **settings)
+model_F = study_model("F", BASELINE, by_prior_set(ERRORS))

@@ -1,18 +1,17 @@
-"""Model G: linear wall, a stiffness for each vessel, correlated errors.
+"""Model G: linear wall, a stiffness for each vessel from one normal population, correlated errors.
+
+With these hyperpriors 90 % of the prior of each stiffness lies in (2e4, 1e5), as Table 2 asks; how the
+paper divides that between the population's mean and its variance is only in its supplement, as are the
+parameters of its beta priors of psi1, psi2 and c, here uniform.
 
 Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 """
 
 from __future__ import annotations
 
-from typing import Unpack
-
-import pymc as pm
-
-from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import stiffness_of_each_vessel
-from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.parameters import InverseGamma, LogUniform, Normal, Parameter, Population, Uniform
 
@@ -40,12 +39,4 @@ ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; i
     w=LogUniform(1e4, 9e4), w_start=4.65e4, b=LogUniform(1, 500), b_start=161.0, unit="mmHg"
 )
 
-
-def model_G(study: Study, **settings: Unpack[Settings]) -> pm.Model:
-    """Linear wall, a stiffness for each vessel from one normal population, a Gaussian process for the errors.
-
-    With these hyperpriors 90 % of the prior of each stiffness lies in (2e4, 1e5), as Table 2 asks; how the
-    paper divides that between the population's mean and its variance is only in its supplement, as are the
-    parameters of its beta priors of psi1, psi2 and c, here uniform.
-    """
-    return blood_model("G", study, BASELINE, by_prior_set(ERRORS), **settings)
+model_G = study_model("G", BASELINE, by_prior_set(ERRORS))

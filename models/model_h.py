@@ -1,4 +1,6 @@
-"""Model H: tangent wall, one stiffness, correlated errors.
+"""Model H: tangent wall, the same stiffness in every vessel, a Gaussian process for the errors.
+
+`wall_factor` of the conventions, 1 as printed or 1/pi as in the published code, is the wall's own.
 
 Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 """
@@ -6,14 +8,10 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 from __future__ import annotations
 
 import math
-from typing import Unpack
 
-import pymc as pm
-
-from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import constant_stiffness
-from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.parameters import LogUniform, Parameter, Uniform
 
@@ -37,10 +35,4 @@ ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; i
     w=LogUniform(1e4, 9e4), w_start=4.91e4, b=LogUniform(1, 500), b_start=178.0, unit="mmHg"
 )
 
-
-def model_H(study: Study, **settings: Unpack[Settings]) -> pm.Model:
-    """Tangent wall, the same stiffness in every vessel, a Gaussian process for the errors.
-
-    `wall_factor` of the conventions, 1 as printed or 1/pi as in the published code, is the wall's own.
-    """
-    return blood_model("H", study, BASELINE, by_prior_set(ERRORS), **settings)
+model_H = study_model("H", BASELINE, by_prior_set(ERRORS))

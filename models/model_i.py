@@ -1,4 +1,7 @@
-"""Model I: tangent wall, stiffness by radius, correlated errors.
+"""Model I: tangent wall, stiffness by radius (eq. 3.5), a Gaussian process for the errors.
+
+Unless conventions are given, `wall_factor` is 1, the printed one, also in a study of the published
+code's conventions: only so do the published medians fit the measured pressures.
 
 Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 """
@@ -6,14 +9,10 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 from __future__ import annotations
 
 import math
-from typing import Unpack
 
-import pymc as pm
-
-from zoo.blood.baseline import Baseline, Settings, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.errors import by_prior_set
 from zoo.blood.forward import radius_dependent_stiffness
-from zoo.blood.study import Study
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.parameters import LogUniform, Parameter, Uniform
 
@@ -41,11 +40,4 @@ ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; i
     w=LogUniform(1e4, 9e4), w_start=4.45e4, b=LogUniform(1, 500), b_start=196.0, unit="mmHg"
 )
 
-
-def model_I(study: Study, **settings: Unpack[Settings]) -> pm.Model:
-    """Tangent wall, stiffness by radius (eq. 3.5), a Gaussian process for the errors.
-
-    Unless conventions are given, `wall_factor` is 1, the printed one, also in a study of the published
-    code's conventions: only so do the published medians fit the measured pressures.
-    """
-    return blood_model("I", study, BASELINE, by_prior_set(ERRORS), **settings)
+model_I = study_model("I", BASELINE, by_prior_set(ERRORS))

@@ -96,7 +96,7 @@ def test_hooks_name_phases_and_the_next_measurement() -> None:
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"data": np.zeros(3)}, "give a zoo.core.data.Data"),
+        ({"data": np.zeros(3)}, "give a zoo.Data"),
         ({"model": 3}, "has not all of name, parameters"),
         ({"effects": ["drift"]}, "give a list of effects"),
         ({"errors": Independent()}, "give Harmonics"),

@@ -28,7 +28,7 @@ from benchmarks.paun2020.calibration import (
 )
 from scipy import stats
 
-from zoo.blood.baseline import blood_model, get_baseline
+from zoo.blood.baseline import get_baseline, study_model
 from zoo.blood.solver import Solver
 from zoo.blood.study import Study
 from zoo.core.errors.independent import Independent
@@ -145,7 +145,7 @@ class Halved(Independent):
 
 def half_variance(study: Study) -> pm.Model:
     """Model A, with errors of half the variance."""
-    return blood_model("half", study, get_baseline("A"), Halved(), options=cheap_options())
+    return study_model("half", get_baseline("A"), Halved())(study, options=cheap_options())
 
 
 @pytest.mark.slow

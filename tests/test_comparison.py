@@ -13,7 +13,7 @@ from scipy import stats
 
 from gaussian import a_record
 from test_op import small_study
-from zoo.blood.baseline import Baseline, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.forward import radius_dependent_stiffness
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Study
@@ -111,7 +111,7 @@ def test_points_of_vectors_and_scalars(study: Study) -> None:
     )
     fixed = {"f2": -50.0, "psi2": 0.9, "c": 1.2}
     baseline = Baseline("E-like", "linear", radius_dependent_stiffness, parameters, fixed=fixed)
-    model = blood_model("E-like", study, baseline, Independent())
+    model = study_model("E-like", baseline, Independent())(study)
     draws = {
         "f1": np.array([[1e5, 2e5]]),
         "f3": np.array([[4e4, 5e4]]),

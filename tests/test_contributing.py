@@ -48,7 +48,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Copy:
     """The package with the model and the effect of the recipes, and nothing else."""
     made = Copy(tmp_path_factory.mktemp("copy"))
     [model], [effect] = (snippets(heading, "diff") for heading in ("A model", "An effect"))
-    assert made.apply(model) == ["models/model_j.py"]
+    assert made.apply(model) == ["models/model_j.py", "src/zoo/__init__.pyi"]
     assert made.apply(effect) == ["src/zoo/blood/effects/outflow.py"]
     return made
 

@@ -59,6 +59,9 @@ def test_the_simulator_of_the_readme_gives_what_the_readme_prints(capsys: pytest
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(readme.splitlines()) <= 150
     [(code, shown)] = re.findall(r"```python\n(import numpy.*?)```\n\n```text\n(.*?)```", readme, flags=re.S)
+    lines = [line for line in code.splitlines() if line]
+    assert [line for line in lines if "import" in line] == ["import numpy as np", "import zoo"]
+    assert len(lines) - 2 <= 15
     exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
     assert capsys.readouterr().out == shown
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.special import jv
 
+import zoo
 from walls import wall_pressure_mmHg
 from zoo.blood.baseline import get_baseline
 from zoo.blood.case import Case, Wave, members, simulate, total_resistance
@@ -28,7 +29,7 @@ from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Blood, Study, StudyError, Vessel, Windkessel, load_study
 from zoo.blood.units import MMHG
-from zoo.core.effects import with_effects
+from zoo.core.effects import effect, with_effects
 from zoo.core.forward import SolveError
 from zoo.core.parameters import pack, start_of
 
@@ -719,12 +720,57 @@ def test_the_document_holds_the_signatures(study: Study) -> None:
 
 def test_the_documents_own_effect_works(case: Case, plain: Array) -> None:
     blocks = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), flags=re.S)
-    before = set(CATALOGUE)
+    there: dict[str, object] = {}
     for block in blocks:
-        exec(compile(block, str(DOCUMENT), "exec"), {})
-    (name,) = set(CATALOGUE) - before
-    values = typical_values(CATALOGUE[name])
-    changed = solved(added(case, name, *values), ROOT)
+        exec(compile(block, str(DOCUMENT), "exec"), there)
+    own = next(one for one in there.values() if isinstance(one, Effect))
+    assert own.name not in CATALOGUE
+    values = typical_values(own)
+    changed = solved(own.apply(case, values, Location()), ROOT)
     assert np.max(np.abs(changed - plain)) > 0.01
-    again = pickle.loads(cloudpickle.dumps(CATALOGUE[name]))
+    again = pickle.loads(cloudpickle.dumps(own))
     np.testing.assert_array_equal(solved(again.apply(case, values, Location()), ROOT), changed)
+
+
+def test_an_effect_of_an_unknown_family_is_refused_where_it_is_given(study: Study) -> None:
+    @effect("crowded", "outflows", size=0.1)
+    def crowded(case: Case, size: float) -> Case:
+        """No family has this name."""
+        return case
+
+    with pytest.raises(EffectError, match="family = 'outflows': unknown; did you mean 'outflow'"):
+        zoo.model_B(study, effects=[crowded])
+    with pytest.raises(EffectError, match="effect crowded: family = 'outflows'"):
+        effects_for("linear-constant", [crowded])
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {"size": -1.0}, {"size": 0.1, "parameters": [EffectParameter("a", "1", 1, 0, 1, (1,))]}]
+)
+def test_an_effect_has_a_size_or_parameters(given: dict[str, Any]) -> None:
+    with pytest.raises(EffectError, match=r"effect leak: size = .*: give a positive size, or parameters"):
+        effect("leak", **given)
+
+
+def test_an_effect_by_its_size_acts_where_it_is() -> None:
+    @effect("leak", size=0.1, low=0.0, unit="1/s", locations=lambda model: (Location("lid"),))
+    def leak(c: dict[str, Any], size: float, location: Location) -> dict[str, Any]:
+        """Somewhere."""
+        return {**c, location.part: size}
+
+    [size] = leak.parameters
+    assert (size.name, size.unit, size.scale, size.low, size.high, size.starts) == (
+        "size",
+        "1/s",
+        0.1,
+        0.0,
+        1.0,
+        (0.1,),
+    )
+    assert leak.apply({}, (0.3,), Location("lid")) == {"lid": 0.3}
+    assert leak.apply({}, (0.0,), Location("lid")) == {}
+    with pytest.raises(EffectError, match="effect leak: location: is missing"):
+        leak.apply({}, (0.3,), Location())
+    two_sided = effect("drift", size=2.0)(lambda c, size: {**c, "drift": size})
+    assert two_sided.parameters[0].starts == (2.0, -2.0)
+    assert two_sided.parameters[0].prior.support == (-20.0, 20.0)

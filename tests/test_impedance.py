@@ -13,7 +13,7 @@ from zoo.blood.case import Case, simulate, wall_slope
 from zoo.blood.components import components
 from zoo.blood.conventions import PRINTED
 from zoo.blood.forward import study_data
-from zoo.blood.impedance import ImpedanceError, measured, modelled
+from zoo.blood.impedance import ImpedanceError, measured_impedance, modelled_impedance
 from zoo.blood.network import Network
 from zoo.blood.physics import NO_PHYSICS
 from zoo.blood.solver import SolverOptions
@@ -64,7 +64,7 @@ def line_impedance(case: Case, omega: np.ndarray) -> np.ndarray:
 
 def test_the_modelled_impedance_of_one_vessel_is_that_of_a_lossy_line_before_its_windkessel():
     case = line()
-    found = modelled(case, harmonics=8)
+    found = modelled_impedance(case, harmonics=8)
     omega = 2 * np.pi * found.frequency_Hz[1:]
     expected = line_impedance(case, omega)
     np.testing.assert_allclose(found.value[1:], expected, rtol=0.015)
@@ -90,19 +90,19 @@ def data_of(case: Case, noise: float = 0.0, lag: float = 0.0, n: int = 256, seed
 def test_the_measured_impedance_of_exact_series_is_the_modelled_one(lag):
     case = line()
     case = replace(case, conventions=case.conventions.replace(sample_lag_beats=lag))
-    found = measured(data_of(case, lag=lag), case, noise_mmHg=0.0, flow_noise_ml_s=0.0, harmonics=8)
-    np.testing.assert_allclose(found.value, modelled(case, harmonics=8).value, rtol=2e-3)
+    found = measured_impedance(data_of(case, lag=lag), case, noise_mmHg=0.0, flow_noise_ml_s=0.0, harmonics=8)
+    np.testing.assert_allclose(found.value, modelled_impedance(case, harmonics=8).value, rtol=2e-3)
 
 
 def test_the_intervals_hold_the_truth_as_often_as_they_say():
     """Noise in the pressure and in the flow; 40 data sets of 8 harmonics."""
     case, inside = line(), []
-    truth = modelled(case, harmonics=8)
+    truth = modelled_impedance(case, harmonics=8)
     sd, sd_q = 0.005, 0.0003
     for seed in range(40):
         random = np.random.default_rng(1000 + seed)
         seen = replace(case, inflow_ml_s=case.inflow_ml_s + sd_q * random.standard_normal(1024) * 2)
-        found = measured(
+        found = measured_impedance(
             data_of(case, noise=sd, seed=seed), seen, noise_mmHg=sd, flow_noise_ml_s=sd_q, harmonics=8
         )
         assert np.all(found.modulus_low <= found.modulus)
@@ -117,15 +117,15 @@ def test_a_spike_where_the_flows_harmonic_is_nearly_zero_points_to_the_record():
     harmonics = np.fft.rfft(case.inflow_ml_s)
     harmonics[3] *= 0.2
     recorded = np.fft.irfft(harmonics, 1024)
-    found = modelled(case, recorded_ml_s=recorded, harmonics=8)
+    found = modelled_impedance(case, recorded_ml_s=recorded, harmonics=8)
     assert found.weak.tolist() == [k == 3 for k in range(9)]
     assert found.spike.tolist() == found.weak.tolist()
     assert found.flow_part[3] == pytest.approx(0.2, rel=1e-3)
     assert "harmonic 3" in found.sentences()[0]
     # with the flow that enters there is none, and a weak harmonic alone is no spike
-    assert not modelled(case, harmonics=8).spike.any()
+    assert not modelled_impedance(case, harmonics=8).spike.any()
     entering = replace(case, inflow_ml_s=recorded)
-    alone = modelled(entering, harmonics=8)
+    alone = modelled_impedance(entering, harmonics=8)
     assert alone.weak[3]
     assert not alone.spike.any()
     assert alone.sentences() == []
@@ -133,7 +133,7 @@ def test_a_spike_where_the_flows_harmonic_is_nearly_zero_points_to_the_record():
 
 def test_noise_that_hides_a_harmonic_makes_it_weak():
     case = line(harmonics=4)
-    found = measured(data_of(case), case, noise_mmHg=0.005, harmonics=8)
+    found = measured_impedance(data_of(case), case, noise_mmHg=0.005, harmonics=8)
     assert found.weak[5:].all()
     assert not found.weak[:5].any()
 
@@ -142,7 +142,7 @@ def test_what_has_no_impedance_is_refused():
     case = line()
     data = data_of(case)
     with pytest.raises(ImpedanceError, match="position 0 of vessel 1"):
-        measured(replace(data, outputs=((1, 1.0, "pressure_mmHg"),)), case, noise_mmHg=0.1)
+        measured_impedance(replace(data, outputs=((1, 1.0, "pressure_mmHg"),)), case, noise_mmHg=0.1)
 
 
 @pytest.mark.needs_data
@@ -151,16 +151,16 @@ def test_the_measured_mouse_has_a_spike_at_its_third_harmonic_that_an_inflow_exp
     model = get_baseline("linear-constant").forward(study, options=SolverOptions())
     theta = pack(model.parameters, THETA)
     case, data = model.configure(theta), study_data(study)
-    found = measured(data, case, noise_mmHg=0.1)
+    found = measured_impedance(data, case, noise_mmHg=0.1)
     assert np.flatnonzero(found.spike).tolist() == [3], "others are lost in the flow's noise"
     assert found.flow_part[3] == pytest.approx(1 / 12, rel=0.05)
     assert found.modulus[3] > 1.5 * math.sqrt(found.modulus[2] * found.modulus[4])
-    plain = modelled(case)
+    plain = modelled_impedance(case)
     assert not plain.spike[3]
     # a flow that enters with more of its third harmonic than the record shows looks like the measured one
     record = next(f for f in components(model, theta, data) if f.name == "flow-record")
     third = np.fft.rfft(case.inflow_ml_s)[3] * 2 / len(case.inflow_ml_s)
     values = np.real(third * np.exp(2j * np.pi * 3 * record.at / record.period))
-    changed = modelled(record.apply(case, values), recorded_ml_s=case.inflow_ml_s)
+    changed = modelled_impedance(record.apply(case, values), recorded_ml_s=case.inflow_ml_s)
     assert changed.modulus[3] == pytest.approx(2 * plain.modulus[3], rel=0.1)
     assert changed.spike[3]

@@ -14,7 +14,7 @@ import pytest
 from scipy import stats
 
 from test_op import STIFF, small_study
-from zoo.blood.baseline import blood_model, get_baseline
+from zoo.blood.baseline import get_baseline, study_model
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.network import Network
 from zoo.blood.solver import Solver
@@ -218,7 +218,7 @@ def test_sampling_waic_and_predictive_draws(study: Study) -> None:
     "errors", [Independent(), GaussianProcess(LogUniform(1e4, 9e4), LogUniform(1, 500), unit="mmHg")]
 )
 def test_no_density_where_the_solve_fails_and_finite_elsewhere(errors: ErrorModel, study: Study) -> None:
-    model = blood_model("stiff", study, STIFF, errors)
+    model = study_model("stiff", STIFF, errors)(study)
     record = model.zoo
     assert record.name == "stiff"
     record.op._state.clear()
@@ -232,10 +232,10 @@ def test_errors_refuse_what_they_cannot_hold_for() -> None:
     mixed = small_study(quantities=("pressure_mmHg", "flow_ml_s"))
     baseline = get_baseline("B")
     with pytest.raises(ValueError, match="observes flow_ml_s and pressure_mmHg: one sigma2 cannot hold for"):
-        blood_model("own", mixed, baseline, Independent())
+        study_model("own", baseline, Independent())(mixed)
     process = GaussianProcess(LogUniform(1e4, 9e4), LogUniform(1, 500), unit="mmHg")
     with pytest.raises(ValueError, match=r"observes v2@0.5 flow_ml_s: the Gaussian process' amplitude"):
-        blood_model("own", mixed, baseline, process)
+        study_model("own", baseline, process)(mixed)
     with pytest.raises(StudyError, match=r"'paun2020': its errors are of one quantity, the study observes"):
         get_model("A")(mixed)
     known = replace(small_study(), noise_sd={"pressure_mmHg": 0.05})

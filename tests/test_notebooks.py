@@ -14,7 +14,7 @@ from nbclient import NotebookClient
 from zoo import load_study
 from zoo.core.inference.convergence import diagnostics
 from zoo.core.inference.record import RunRecord
-from zoo.core.posterior.storage import load, save, slim
+from zoo.core.posterior.storage import load, save_posterior, slim_posterior
 from zoo.models import MODELS, get_model, suggested
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
@@ -51,7 +51,7 @@ def store(folder: Path, letter: str) -> None:
         letter, study.name, study.checksum, {"name": conventions}, {}, {}, 1, 10, 10, 1, {}, 1.0, 1.0, 9.0,
         1, "",
     ).attach(idata)  # fmt: skip
-    save(slim(idata), folder / f"{letter}.nc")
+    save_posterior(slim_posterior(idata), folder / f"{letter}.nc")
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda p: p.name)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from zoo.core.outputs import OutputFileError, Run, output_file, output_folder, write_file
-from zoo.core.posterior.storage import load, save
+from zoo.core.posterior.storage import load, save_posterior
 
 AS_ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
 NOBODY = 65534
@@ -148,7 +148,7 @@ import resource, sys
 import numpy as np
 import arviz as az
 from zoo.core.outputs import OutputFileError, write_file
-from zoo.core.posterior.storage import save
+from zoo.core.posterior.storage import save_posterior
 import zoo.plots as plots
 
 what, path = sys.argv[1:]
@@ -158,7 +158,7 @@ with plots.style.new_figure((8, 8)) as figure:
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # as a full disk: writing ends after 4 kB
 try:
     if what == "posterior":
-        save(idata, path)
+        save_posterior(idata, path)
     elif what == "text":
         write_file(path, "x" * 100_000)
     else:
@@ -197,7 +197,7 @@ def test_a_posterior_reads_back_as_it_was(tmp_path):
         dims={"a": ["vessel"]},
     )
     idata.attrs["record"] = "{}"
-    again = load(save(idata, tmp_path / "a.nc"))
+    again = load(save_posterior(idata, tmp_path / "a.nc"))
     assert again.groups() == idata.groups()
     assert again.attrs == idata.attrs
     for group in idata.groups():

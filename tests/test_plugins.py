@@ -33,7 +33,7 @@ def damped(case, values, location):
     return replace(case, inflow_ml_s=flow + GAIN * values[0] * (np.mean(flow) - flow))
 """
 MODEL = """
-from zoo.blood.baseline import Baseline, blood_model
+from zoo.blood.baseline import Baseline, study_model
 from zoo.core.errors.independent import Independent
 from zoo.core.parameters import InverseGamma, LogUniform, Parameter, Uniform
 
@@ -46,8 +46,7 @@ BASELINE = Baseline(
     fixed={"psi1": 0.3, "psi2": 0.9},
 )
 
-def model_area(study, **settings):
-    return blood_model("area", study, BASELINE, Independent(InverseGamma(2, 0.1)), **settings)
+model_area = study_model("area", BASELINE, Independent(InverseGamma(2, 0.1)))
 """
 
 
@@ -172,7 +171,10 @@ def test_a_model_that_takes_no_effects_or_gives_no_model_is_named(tmp_path: Path
     file = tmp_path / "mine.py"
     file.write_text("def model_bare(study):\n    return None\n")
     load_models(file)
-    with pytest.raises(EffectError, match=r"model bare: its function takes no effects; write model_bare\("):
+    with pytest.raises(
+        EffectError,
+        match=r"takes no effects; make it by model_bare = zoo.study_model\(",
+    ):
         get_model("bare+taper")
     folder = tmp_path / "study"
     save_study(small_study(), folder)

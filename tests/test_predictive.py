@@ -15,7 +15,7 @@ from scipy import stats
 from test_op import STIFF
 from walls import wall_pressure_mmHg
 from zoo.blood import predictive
-from zoo.blood.baseline import blood_model
+from zoo.blood.baseline import study_model
 from zoo.blood.forward import study_data
 from zoo.blood.network import stiffness_profile
 from zoo.blood.predictive import (
@@ -119,7 +119,7 @@ def test_waves_conserve_volume_and_survive_a_file(study: Study, tmp_path) -> Non
 
 
 def test_draws_that_do_not_solve_are_left_out_and_counted(study: Study) -> None:
-    model = blood_model("stiff", study, STIFF, Independent())
+    model = study_model("stiff", STIFF, Independent())(study)
     f3_draws = np.array([[5e4, 1e11, 6e4], [1e11, 4e4, 1e11]])
     idata = az.from_dict(posterior={"f3": f3_draws, "sigma2": np.arange(1.0, 7.0).reshape(2, 3)})
     waves = vessel_waves(model, idata, n_times=32)

@@ -23,7 +23,7 @@ from zoo.core.inference.sampling import sample
 from zoo.core.model import bayesian_model
 from zoo.core.parameters import InverseGamma, LogUniform, Normal, Parameter, Prior, Uniform
 from zoo.core.posterior.comparison import compare
-from zoo.core.posterior.storage import load, save, slim
+from zoo.core.posterior.storage import load, save_posterior, slim_posterior
 
 TIMES = np.linspace(0.1, 1.0, 20)
 
@@ -183,8 +183,8 @@ def test_files_slim_files_and_comparisons_keep_it(
     idata: az.InferenceData, model: pm.Model, tmp_path: Path
 ) -> None:
     for kept in (
-        load(save(idata, tmp_path / "whole.nc")),
-        load(save(slim(idata, 200), tmp_path / "slim.nc")),
+        load(save_posterior(idata, tmp_path / "whole.nc")),
+        load(save_posterior(slim_posterior(idata, 200), tmp_path / "slim.nc")),
     ):
         assert diagnostics(kept).verdict.text == verdict(idata).text
     table = compare({"line": idata}, {"line": model}, n_draws=100)
@@ -199,7 +199,7 @@ def test_a_posterior_of_before_is_heard_by_its_model(idata: az.InferenceData, mo
     replace(RunRecord.of(idata), prior_check=None).attach(older)
     assert not verdict(older).bounds
     assert verdict(older, model=model).text == verdict(idata).text
-    found = diagnostics(slim(older, 400), model=model).verdict
+    found = diagnostics(slim_posterior(older, 400), model=model).verdict
     assert found.bounds
     assert found.uninformed == ("idle",)
 

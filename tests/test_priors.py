@@ -21,9 +21,11 @@ from zoo.core.parameters import (
     LogUniform,
     Normal,
     Parameter,
+    ParameterError,
     Population,
     Prior,
     Uniform,
+    as_prior,
     random_variables,
 )
 from zoo.models import MODELS, get_model
@@ -208,3 +210,39 @@ def test_bounds_that_count_are_told() -> None:
     assert LogNormal(1e5, 1.0).text == "log-normal(100000, 1)"
     assert LogNormal(1e5, 1.0, 1e2).text == "log-normal(100000, 1)"  # a thousandth of the mass at most
     assert LogNormal(1e5, 1.0, 2e4, 4e5).text == "log-normal(100000, 1) in [20000, 400000]"
+
+
+@pytest.mark.parametrize(
+    ("frozen", "ours"),
+    [
+        (stats.norm(2.0, 0.5), Normal(2.0, 0.5)),
+        (stats.uniform(loc=1.0, scale=3.0), Uniform(1.0, 4.0)),
+        (stats.invgamma(3.0, scale=2.0), InverseGamma(3.0, 2.0)),
+        (stats.lognorm(0.4, scale=2.0), LogNormal(2.0, 0.4)),
+    ],
+    ids=lambda x: getattr(x, "text", ""),
+)
+def test_a_frozen_distribution_of_scipy_is_the_prior_of_its_name(frozen: Any, ours: Prior) -> None:
+    """Against the priors of zoo, whose derivatives are exact."""
+    theirs = as_prior(frozen)
+    assert as_prior(ours) is ours
+    assert theirs == as_prior(frozen)
+    assert theirs.support == pytest.approx(ours.support)
+    p = np.array([0.05, 0.3, 0.5, 0.9])
+    x = ours.quantile(p)
+    np.testing.assert_allclose(theirs.quantile(p), x)
+    assert theirs.log_density(x, {}) == pytest.approx(ours.log_density(x, {}))
+    for mine, exact in zip(theirs.curvature(x, {}), ours.curvature(x, {}), strict=True):
+        np.testing.assert_allclose(mine, exact, rtol=1e-3, atol=1e-3)
+    with pm.Model() as model:
+        theirs.variable("x", {})
+    drawn = pm.draw(model["x"], 4000, random_seed=1)
+    assert stats.kstest(drawn, frozen.cdf).pvalue > 1e-3
+    log_density = pm.logp(model["x"], x[1:3]).eval()
+    np.testing.assert_allclose(log_density, frozen.logpdf(x[1:3]), atol=0.01)
+
+
+def test_what_is_no_continuous_distribution_is_no_prior() -> None:
+    for given in (stats.poisson(3.0), stats.norm, 2.0):
+        with pytest.raises(ParameterError, match="or a frozen continuous distribution of SciPy"):
+            as_prior(given)

@@ -14,7 +14,7 @@ from gaussian import a_record, autoregressive, independent_draws
 from zoo.core.inference.convergence import diagnostics, verdict
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import OutputFileError
-from zoo.core.posterior.storage import NoDigestWarning, digest_of, load, save, slim
+from zoo.core.posterior.storage import NoDigestWarning, digest_of, load, save_posterior, slim_posterior
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def idata() -> az.InferenceData:
 
 def test_record_survives_the_file(tmp_path, idata, record):
     record.attach(idata)
-    path = save(idata, tmp_path / "B.nc")
+    path = save_posterior(idata, tmp_path / "B.nc")
     again = load(path)
     assert RunRecord.of(again) == record
     np.testing.assert_array_equal(again.posterior.chi, idata.posterior.chi)
@@ -40,7 +40,7 @@ def test_record_survives_the_file(tmp_path, idata, record):
 
 def test_save_and_load_say_what_is_wrong(tmp_path, idata):
     with pytest.raises(OutputFileError, match=r"folder .*nowhere does not exist; create it"):
-        save(idata, tmp_path / "nowhere" / "A.nc")
+        save_posterior(idata, tmp_path / "nowhere" / "A.nc")
     with pytest.raises(ResultsError, match=r"A\.nc: no such file; `zoo sample MODEL STUDY -o A\.nc`"):
         load(tmp_path / "A.nc")
     (tmp_path / "text.nc").write_text("not a posterior")
@@ -65,7 +65,7 @@ def test_slim_keeps_parameters_record_and_the_verdict_on_all_draws(tmp_path, rec
         coords={"time": np.arange(7.0)},
     )
     record.attach(whole)
-    small = load(save(slim(whole, 200), tmp_path / "B.nc"))
+    small = load(save_posterior(slim_posterior(whole, 200), tmp_path / "B.nc"))
     assert small.groups() == ["posterior"]
     assert set(small.posterior.data_vars) == {"c", "chi"}
     assert "time" not in small.posterior.coords
@@ -80,17 +80,17 @@ def test_slim_keeps_parameters_record_and_the_verdict_on_all_draws(tmp_path, rec
     judged = verdict(whole)
     assert found.verdict == judged
     np.testing.assert_allclose(found.acceptance, np.linspace(0.1, 0.4, 4))
-    assert diagnostics(slim(small, 40)).verdict.draws == 1000  # still of the whole run
+    assert diagnostics(slim_posterior(small, 40)).verdict.draws == 1000  # still of the whole run
     assert verdict(small).draws == 50
     assert whole.posterior.sizes["draw"] == 1000
 
 
 def test_slim_refuses(idata, record):
     with pytest.raises(ResultsError, match="no run record"):
-        slim(idata)
+        slim_posterior(idata)
     record.attach(idata)
     with pytest.raises(ResultsError, match="n_draws = 0: keep at least one"):
-        slim(idata, 0)
+        slim_posterior(idata, 0)
     idata.attrs["diagnostics_of_the_whole_run"] = "{}"
     with pytest.raises(ResultsError, match="slim the posterior again"):
         diagnostics(idata)
@@ -102,7 +102,7 @@ def stored(tmp_path, idata, record):
     few = idata.posterior.isel(draw=slice(30)).assign_coords(chi_dim_0=["one", "two"])
     small = az.InferenceData(posterior=few, sample_stats=az.from_dict({"diverging": few.c > 0}).posterior)
     record.attach(small)
-    return save(small, tmp_path / "B.nc")
+    return save_posterior(small, tmp_path / "B.nc")
 
 
 def test_no_damage_to_a_posterior_goes_unseen(tmp_path, stored):
@@ -160,7 +160,7 @@ def test_a_posterior_of_another_program_is_read_and_said_to_hold_no_digest(tmp_p
     idata.to_netcdf(str(file))
     with pytest.warns(NoDigestWarning, match=r"other\.nc: holds no digest of its content"):
         found = load(file)
-    assert digest_of(found) == digest_of(load(save(found, tmp_path / "ours.nc")))
+    assert digest_of(found) == digest_of(load(save_posterior(found, tmp_path / "ours.nc")))
 
 
 def test_other_programs_read_a_posterior_with_a_digest(stored, idata):

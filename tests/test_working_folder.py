@@ -14,7 +14,7 @@ from test_op import small_study
 from zoo.blood.study import save_study
 
 TESTS = Path(__file__).parent
-TRAP = "from pathlib import Path\nPath({marker!r}).touch()\nraise SystemExit('run from the working folder')\n"
+TRAP = "open({marker!r}, 'w').close()\nraise SystemExit('run from the working folder')\n"
 COMMAND = "from zoo.cli import app\napp()\n"
 POOL = f"""
 import sys

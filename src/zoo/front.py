@@ -3,16 +3,53 @@
 from __future__ import annotations
 
 import inspect
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from zoo.core import diagnosis
+from zoo.core.components import FreeFunction, FunctionOf
 from zoo.core.data import Data
+from zoo.core.diagnosis import Diagnosis, Hooks, OtherState
+from zoo.core.effects import Effect
+from zoo.core.errors.spectral import Spectral
+from zoo.core.forward import ForwardModel, FunctionModel, Outputs
+from zoo.core.parameters import Parameter, Prior, as_parameters
 from zoo.core.words import refuse_unknown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from zoo.blood.conventions import Conventions
+    from zoo.blood.diagnosis import StudyDiagnosis
+    from zoo.blood.solver import SolverOptions
     from zoo.blood.study import Study
+
+Array = NDArray[np.float64]
+Simulate = Callable[[dict[str, Any], Array], ArrayLike]
+Priors = Mapping[str, Prior | Parameter] | Mapping[str, Any]
+Causes = Sequence[Effect | FunctionOf]
+
+
+class Running(TypedDict, total=False):
+    """How a diagnosis is run, of whatever data."""
+
+    posteriors: bool
+    cores: int
+    seed: int
+    tick: Callable[[str, float], None] | None
+    folder: str | Path | None
+
+
+class Weighing(Running, total=False):
+    """What a diagnosis of other data than a study is told, too."""
+
+    errors: Spectral | None
+    hooks: Hooks | None
 
 
 def _plot(found: Any) -> Figure:
@@ -21,20 +58,118 @@ def _plot(found: Any) -> Figure:
     return plot_diagnosis(found)
 
 
-diagnosis.Diagnosis.plotter = staticmethod(_plot)  # the core draws nothing itself
+Diagnosis.plotter = staticmethod(_plot)  # the core draws nothing itself
 
 
-def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
-    """Find where a baseline model misses data, which unmodelled causes explain it, and how well.
+@overload
+def diagnose(
+    study: Study | str,
+    base: str = "linear-constant",
+    *,
+    effects: Iterable[str | Effect] | None = None,
+    conventions: Conventions | None = None,
+    options: SolverOptions | None = None,
+    priors: Mapping[str, Any] | None = None,
+    component_sizes: float = 1.0,
+    states: Sequence[Study] = (),
+    **settings: Unpack[Running],
+) -> StudyDiagnosis: ...
+
+
+@overload
+def diagnose(
+    data: Data,
+    model: ForwardModel,
+    effects: Causes = (),
+    *,
+    states: Sequence[OtherState] = (),
+    **settings: Unpack[Weighing],
+) -> Diagnosis: ...
+
+
+@overload
+def diagnose(
+    times: ArrayLike,
+    measured: ArrayLike,
+    simulate: Simulate,
+    priors: Priors,
+    effects: Causes = (),
+    *,
+    labels: Sequence[str] = (),
+    units: Sequence[str] = (),
+    period: float | None = None,
+    name: str = "data",
+    held_out: Mapping[str, tuple[ArrayLike, ArrayLike, Simulate]] | None = None,
+    **settings: Unpack[Weighing],
+) -> Diagnosis: ...
+
+
+def diagnose(*arguments: Any, **settings: Any) -> Any:
+    """Find what a simulator lacks that data show, with a probability for every set of causes.
+
+    p(S | y) is proportional to p(S) p(y | S), S a set of causes: effects and free functions, beside noise and
+    a discrepancy that belongs to no cause. There are three ways to call it::
+
+        diagnose(times, measured, simulate, priors, effects)    any function that simulates
+        diagnose(data, model, effects)                          a `Data` and a `ForwardModel`
+        diagnose(study, base)                                   a study of blood flow, or its name
 
     Parameters
     ----------
-    data : Study or Data
-        What was measured: a study of blood flow (`zoo.load_study`), or series of anything else.
-    *arguments, **settings
-        For a study those of `zoo.blood.diagnosis.diagnose`: the baseline's name or the letter of a
-        model with that structure, `effects`, `states` and so on. For other data those of
-        `zoo.core.diagnosis.diagnose`: the forward model, the effects, `errors`, `hooks` and so on.
+    times : array (n_times,)
+        Evenly spaced, in s.
+    measured : array (n_times,) or (n_series, n_times)
+        A row for each series, in its own unit.
+    simulate : function
+        ``simulate(parameters, times) -> array`` of the shape of `measured`. `parameters` is a dict of numbers
+        by name, which effects change and add to.
+    priors : mapping
+        By name of parameter: a prior such as `zoo.Normal`, a frozen distribution of SciPy, or a
+        `zoo.Parameter`, which has a unit too. Of a study: instead of some of its own.
+    effects : sequence of Effect or free function
+        What the simulator may lack, by `zoo.effect` and `zoo.free_function`. Of a study: names of the
+        catalogue, too; all that fit the baseline if absent.
+    labels, units : sequence of str
+        Of each series; "y0", "y1" and so on, and "1", if absent.
+    period : float, optional
+        Of a record that repeats itself, in s; `times` then cover it once.
+    name : str
+        Of the data.
+    held_out : mapping, optional
+        Other records of the same system, ``{"name": (times, measured, simulate)}``. What was learned is fixed
+        and checked there; they change no probability.
+    data : Data
+        Series of several groups, or with another unit of time.
+    model : ForwardModel
+        A simulator with parameters and priors of its own; its outputs are the data's series and times.
+    errors : Harmonics or Cosines, optional
+        Noise and discrepancy of periodic series, and of others; chosen by the data if absent.
+    hooks : Hooks, optional
+        Phases of the record, candidate measurements, words of the field.
+    study : Study or str
+        As `zoo.load_study` gives it or takes its name.
+    base : str
+        Baseline: the letter of a model, or "linear-constant", "linear-radius", "linear-vessels",
+        "tangent-constant", "tangent-radius".
+    conventions : Conventions, optional
+        Instead of the study's own.
+    options : SolverOptions, optional
+        Numerical settings instead of those that follow from the study.
+    component_sizes : float
+        Factor of the prior sizes of the free functions of blood flow; 0 leaves them out, and saves most of
+        the time.
+    states : sequence of Study, or of OtherState
+        Other states of the same system, for a study and for a `Data`; see `held_out`.
+    posteriors : bool
+        Sample the posteriors of the leading sets of effects in PyMC too.
+    cores : int
+        Threads, and processes of the sampling.
+    seed : int
+        Of the draws.
+    tick : function, optional
+        Called with a text and the share done.
+    folder : path, optional
+        Where the sampling stores posteriors and checkpoints.
 
     Returns
     -------
@@ -46,13 +181,15 @@ def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
     ------
     DiagnosisError
         If an argument is out of range, a series does not vary, or the baseline cannot be fitted.
+    DataError
+        If times and measured values do not fit together.
     TypeError
         For a setting that does not exist.
 
     Examples
     --------
     >>> import zoo
-    >>> found = zoo.diagnose(zoo.load_study("demo"), base="B")  # doctest: +SKIP
+    >>> found = zoo.diagnose("demo", base="B")  # doctest: +SKIP
     >>> found.plot().savefig("gap.png")  # doctest: +SKIP
 
     References
@@ -60,14 +197,74 @@ def diagnose(data: Study | Data, *arguments: Any, **settings: Any) -> Any:
     Kennedy and O'Hagan 2001, doi 10.1111/1467-9868.00294.
     """
     from zoo.blood.diagnosis import diagnose as diagnose_study
-    from zoo.blood.study import Study
+    from zoo.blood.study import Study, load_study
 
-    if not isinstance(data, Study | Data):
-        raise diagnosis.DiagnosisError(
-            f"data = {data!r:.60}: give a study, such as zoo.load_study('demo'), or a zoo.core.data.Data "
-            "(times, values, labels, units)"
+    first = arguments[0] if arguments else settings.get("study", settings.get("data"))
+    function: Any = _diagnose_data if isinstance(first, Data) else _diagnose_series
+    known = [*inspect.signature(function).parameters, *inspect.signature(diagnosis.diagnose).parameters]
+    if isinstance(first, str | Study):
+        function, known = diagnose_study, [*inspect.signature(diagnose_study).parameters]
+    refuse_unknown("diagnose", settings, [name for name in known if name != "settings"])
+    inspect.signature(function).bind(*arguments, **settings)  # names what is missing
+    if isinstance(first, str):
+        arguments = (load_study(first), *arguments[1:])
+    return function(*arguments, **settings)
+
+
+def _diagnose_series(
+    times: ArrayLike,
+    measured: ArrayLike,
+    simulate: Simulate,
+    priors: Priors,
+    effects: Causes = (),
+    *,
+    labels: Sequence[str] = (),
+    units: Sequence[str] = (),
+    period: float | None = None,
+    name: str = "data",
+    held_out: Mapping[str, tuple[ArrayLike, ArrayLike, Simulate]] | None = None,
+    **settings: Any,
+) -> Diagnosis:
+    parameters = as_parameters(priors)
+
+    def bound(
+        name: str, times: ArrayLike, measured: ArrayLike, simulate: Simulate, period: float | None
+    ) -> OtherState:
+        data = Data(np.asarray(times), np.asanyarray(measured), labels, units, period=period, name=name)
+        called = getattr(simulate, "__name__", "simulator")
+        return OtherState(
+            data, FunctionModel(simulate, parameters, Outputs(tuple(data.outputs), data.times), called)
         )
 
-    function: Any = diagnosis.diagnose if isinstance(data, Data) else diagnose_study
-    refuse_unknown("diagnose", settings, inspect.signature(function).parameters)
-    return function(data, *arguments, **settings)
+    here = bound(name, times, measured, simulate, period)
+    others = []
+    for other, (t, values, function) in (held_out or {}).items():
+        own = None if period is None else len(np.asarray(t)) * float(np.diff(t)[0])
+        others.append(bound(other, t, values, function, own))
+    return _diagnose_data(here.data, here.model, effects, states=others, **settings)
+
+
+def _diagnose_data(
+    data: Data,
+    model: ForwardModel,
+    effects: Causes = (),
+    *,
+    states: Sequence[OtherState] = (),
+    hooks: Hooks | None = None,
+    **settings: Any,
+) -> Diagnosis:
+    if isinstance(effects, str | Effect | FunctionOf):
+        raise diagnosis.DiagnosisError(f"effects = {effects!r:.60}: give a list of effects")
+    free = [one for one in effects if isinstance(one, FunctionOf)]
+    listed = [one for one in effects if not isinstance(one, FunctionOf)]
+    if free:
+
+        def components(model: ForwardModel, theta: Array, data: Data) -> list[FreeFunction]:
+            return [one.on(model, theta) for one in free]
+
+        def knowing(model: Any) -> Any:
+            return replace(model, functions=tuple(one.name for one in free))
+
+        model, states = knowing(model), [replace(one, model=knowing(one.model)) for one in states]
+        hooks = replace(hooks or Hooks(), components=components)
+    return diagnosis.diagnose(data, model, listed, states=states, hooks=hooks, **settings)

@@ -130,7 +130,7 @@ def make(folder: Path) -> None:
     from zoo.core.blindcheck import CaseKey
     from zoo.core.blindcheck.folders import run_cases, write_cases
     from zoo.core.diagnosis import Diagnosis, read_diagnosis
-    from zoo.core.posterior.storage import save
+    from zoo.core.posterior.storage import save_posterior
 
     sys.path.insert(0, str(ROOT / "tests"))
     from gaussian import a_record
@@ -146,7 +146,7 @@ def make(folder: Path) -> None:
         dims={"chi": ["vessel"]},
     )
     a_record().attach(idata)
-    save(idata, folder / "posterior" / "A.nc")
+    save_posterior(idata, folder / "posterior" / "A.nc")
     for seed, where in ((1, folder / "checkpoint" / "A.checkpoint"), (2, folder / "another")):
         make_checkpoint(where, seed)
     content = types.SimpleNamespace(file=read_diagnosis(ANSWER))

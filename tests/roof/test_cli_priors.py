@@ -44,6 +44,12 @@ def test_the_table_fits_a_terminal_of_80_columns() -> None:
         (["sample", "A"], "f3=loguniform(1,2)", "--prior f3: 'loguniform': unknown law; did you mean 'log_u"),
         (["diagnose", "-q"], "f3=uniform(2,1)", "--prior f3: uniform = [2.0, 1.0]: "),
         (["sample", "A"], "psi3=uniform(1,2)", "psi3: unknown; did you mean"),
+        (["priors"], "w_presure_mmHg=uniform(1,2)", "did you mean 'w_pressure_mmHg'?"),
+        (
+            ["priors", "--model", "D"],
+            "f4=uniform(1,2)",
+            "psi1, psi2, c, noise_pressure_mmHg, stiffness",
+        ),
         (["compare"], "f3", "--prior 'f3': write NAME=LAW(NUMBERS)"),
         (["report"], "set=paun", "--prior set = 'paun': unknown; did you mean 'paun2020'?"),
     ],

@@ -27,7 +27,7 @@ from zoo.core.inference.convergence import Diagnostics, check_convergence
 from zoo.core.inference.record import RunRecord, versions
 from zoo.core.outputs import OutputFileError
 from zoo.core.posterior.comparison import compare
-from zoo.core.posterior.storage import save, slim
+from zoo.core.posterior.storage import save_posterior, slim_posterior
 from zoo.models import get_model
 from zoo.report.sentences import summary
 
@@ -269,10 +269,10 @@ def test_without_data_the_posteriors_are_shown(
 ) -> None:
     save_study(study, tmp_path / "own")
     for name, idata in posteriors.items():
-        save(slim(idata, 100), tmp_path / f"{name}.nc")
-    away = slim(posteriors["A"], 100)
+        save_posterior(slim_posterior(idata, 100), tmp_path / f"{name}.nc")
+    away = slim_posterior(posteriors["A"], 100)
     replace(RunRecord.of(away), study="mouse-c6", study_checksum="abc").attach(away)
-    save(away, tmp_path / "mouse.nc")
+    save_posterior(away, tmp_path / "mouse.nc")
     (tmp_path / "other.nc").write_text("not a posterior")
     target = tmp_path / "r.html"
     words = ["report", str(tmp_path / "own"), "mouse-c6", "--posteriors", str(tmp_path), "-o", str(target)]

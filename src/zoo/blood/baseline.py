@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Protocol
 
 from zoo.blood.conventions import Conventions
 from zoo.blood.effects.given import Given, added_effects
@@ -16,7 +18,7 @@ from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study
 from zoo.core.effects import EffectError, with_effects
 from zoo.core.parameters import Parameter
-from zoo.core.words import nearest, refuse_unknown
+from zoo.core.words import nearest
 
 if TYPE_CHECKING:
     import pymc as pm
@@ -143,29 +145,18 @@ class Baseline:
         return flow if options is not None else flow.resolved(share=share)
 
 
-class Settings(TypedDict, total=False):
-    """What every function that makes a model takes besides the study.
+class StudyModel(Protocol):
+    """A function that makes a PyMC model of a study, as `study_model` gives it."""
 
-    Parameters
-    ----------
-    effects : iterable
-        Added to the baseline, their parameters sampled beside its own: names such as "viscoelastic-wall" or
-        "local-stiffness@2" (vessel 2), pairs such as ("local-stiffness", 2), or effects with a location; see
-        `zoo.blood.effects.added_effects`.
-    options : SolverOptions
-        Numerical settings; chosen for the study's accuracy if absent, as `zoo.blood.resolution` says.
-    conventions : Conventions
-        Instead of the study's own.
-    priors : mapping
-        Instead of some of the study's own: by parameter ("stiffness" is the overall one), each a `Prior` or
-        as in study.toml, ``{"f3": LogUniform(2e4, 4e5), "c": {"log_normal": [1, 0.5]}}``; also "set" and
-        "wave_speed_m_s".
-    """
-
-    effects: Iterable[Given]
-    options: SolverOptions | None
-    conventions: Conventions | None
-    priors: Mapping[str, Any] | None
+    def __call__(
+        self,
+        study: Study,
+        *,
+        effects: Iterable[Given] = (),
+        options: SolverOptions | None = None,
+        conventions: Conventions | None = None,
+        priors: Mapping[str, Any] | None = None,
+    ) -> pm.Model: ...
 
 
 def get_baseline(name: str) -> Baseline:
@@ -211,70 +202,101 @@ def _declared(letter: str) -> Baseline:
     return found
 
 
-def blood_model(
+def study_model(
     name: str,
-    study: Study,
     baseline: Baseline,
     errors: ErrorModel | Callable[[Study], ErrorModel],
-    **settings: Unpack[Settings],
-) -> pm.Model:
-    """A PyMC model of a study: priors, the baseline with effects, and errors.
+) -> StudyModel:
+    """Make the function that builds a model of any study; its help begins with the docstring of its module.
 
     Parameters
     ----------
     name : str
-        Of the model, such as "B"; with effects its record has "B+viscoelastic-wall".
-    study : Study
-        With at least one observed series.
+        Such as "B"; the function is named "model_B".
     baseline : Baseline
     errors : ErrorModel, or function of a study
         A function, such as `zoo.blood.errors.by_prior_set` makes, gives the errors of the study at hand.
-    **settings
-        Effects, options, conventions, priors, as in `Settings`.
 
     Returns
     -------
-    pm.Model
-        ``model.zoo`` is its record.
-
-    Raises
-    ------
-    EffectError
-        If an effect does not exist, cannot act there or cannot be added to this baseline.
-    ValueError
-        If the study has no observations, or the errors cannot hold for them.
-    TypeError
-        If a setting is none of `Settings`.
+    StudyModel
     """
-    import zoo.core.inference.pymc_step  # noqa: F401  for pm.sample() without a step method
-    from zoo.core.model import bayesian_model
 
-    refuse_unknown(f"model_{name}", settings, Settings.__annotations__)
-    study = with_priors(study, settings.get("priors"))
-    data = study_data(study)
-    law = _with_own_priors(errors(study) if callable(errors) else errors, study, data)
-    conventions = settings.get("conventions")
-    flow = baseline.forward(study, conventions=conventions, options=settings.get("options"))
-    given = baseline.priors(study, conventions=conventions)
-    added = added_effects(settings.get("effects") or (), flow)
-    return bayesian_model(
-        "+".join([name, *(one.name + one.location.suffix for one in added)]),
-        with_effects(flow, added),
-        data,
-        law,
-        coords={"vessel": [int(vessel) for vessel in flow.network.ids]},
-        study=study,
-        constants=_constants(study, flow.network),
-        settings={
-            "conventions": asdict(flow.conventions),
-            "solver options": asdict(flow.options)
-            | ({} if flow.resolution is None else flow.resolution.record()),
-            "prior origins": {
-                **dict.fromkeys(prior_table(study).own, "given"),
-                **{one.parameter.name: one.origin for one in given},
+    def build(
+        study: Study,
+        *,
+        effects: Iterable[Given] = (),
+        options: SolverOptions | None = None,
+        conventions: Conventions | None = None,
+        priors: Mapping[str, Any] | None = None,
+    ) -> pm.Model:
+        """Parameters
+        ----------
+        study : Study
+            With at least one observed series.
+        effects : iterable
+            Added to the baseline, their parameters sampled beside its own: names such as "viscoelastic-wall"
+            or "local-stiffness@2" (vessel 2), pairs such as ("local-stiffness", 2), effects with a location.
+        options : SolverOptions, optional
+            Numerical settings; chosen for the study's accuracy if absent.
+        conventions : Conventions, optional
+            Instead of the study's own.
+        priors : mapping, optional
+            Instead of some of the study's own: by parameter ("stiffness" is the overall one), each a prior or
+            as in study.toml, ``{"f3": LogUniform(2e4, 4e5), "c": {"log_normal": [1, 0.5]}}``; also "set" and
+            "wave_speed_m_s".
+
+        Returns
+        -------
+        pm.Model
+            ``model.zoo`` is its record; with effects its name there is such as "B+viscoelastic-wall".
+
+        Raises
+        ------
+        EffectError
+            If an effect does not exist, cannot act there or cannot be added to this baseline.
+        ValueError
+            If the study has no observations, or the errors cannot hold for them.
+
+        Examples
+        --------
+        >>> import zoo
+        >>> model = zoo.model_B(zoo.load_study("demo"), effects=["viscoelastic-wall"])  # doctest: +SKIP
+        """
+        import zoo.core.inference.pymc_step  # noqa: F401  for pm.sample() without a step method
+        from zoo.core.model import bayesian_model
+
+        study = with_priors(study, priors)
+        data = study_data(study)
+        law = _with_own_priors(errors(study) if callable(errors) else errors, study, data)
+        check_names(study, baseline.parameters, law.bind(data).parameter_names)
+        flow = baseline.forward(study, conventions=conventions, options=options)
+        given = baseline.priors(study, conventions=conventions)
+        added = added_effects(effects, flow)
+        return bayesian_model(
+            "+".join([name, *(one.name + one.location.suffix for one in added)]),
+            with_effects(flow, added),
+            data,
+            law,
+            coords={"vessel": [int(vessel) for vessel in flow.network.ids]},
+            study=study,
+            constants=_constants(study, flow.network),
+            settings={
+                "conventions": asdict(flow.conventions),
+                "solver options": asdict(flow.options)
+                | ({} if flow.resolution is None else flow.resolution.record()),
+                "prior origins": {
+                    **dict.fromkeys(prior_table(study).own, "given"),
+                    **{one.parameter.name: one.origin for one in given},
+                },
             },
-        },
-    )
+        )
+
+    home = sys._getframe(1).f_globals  # the module that defines the model, where pickle finds it too
+    build.__name__ = build.__qualname__ = f"model_{name}"
+    build.__module__ = str(home.get("__name__"))
+    build.__doc__ = "\n\n".join(inspect.cleandoc(text or "") for text in (home.get("__doc__"), build.__doc__))
+    return build
 
 
 def _constants(study: Study, network: Network) -> dict[str, tuple[tuple[str, ...], Any, str]]:

@@ -225,7 +225,7 @@ def diagnose(
     options : SolverOptions, optional
         Numerical settings; those of the study, with a tighter tolerance than for sampling, if absent.
     priors : mapping, optional
-        Instead of some of the study's own, as in `zoo.blood.baseline.Settings`.
+        Instead of some of the study's own, as a model takes them.
     component_sizes : float
         Factor of the prior sizes of what components may lack (docs/components.md): half and double tell how
         much of an answer they made, 0 leaves components out, and saves most of the time.

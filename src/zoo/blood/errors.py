@@ -14,7 +14,7 @@ from zoo.core.errors.independent import Independent
 
 
 def by_prior_set(paper: ErrorModel) -> Callable[[Study], ErrorModel]:
-    """`errors_for` of these errors, for `zoo.blood.baseline.blood_model`, which knows the study's priors."""
+    """Make the function from a study to its errors: these in the set "paun2020", else those of any study."""
     return partial(errors_for, paper=paper)
 
 

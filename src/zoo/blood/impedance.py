@@ -88,7 +88,7 @@ class Impedance:
         ]
 
 
-def measured(
+def measured_impedance(
     data: Data,
     case: Case,
     *,
@@ -142,7 +142,9 @@ def measured(
     return _ratio(pressure, flow, period, noise_mmHg * math.sqrt(2 / n), sd_q * math.sqrt(2 / n), seed)
 
 
-def modelled(case: Case, *, recorded_ml_s: ArrayLike | None = None, harmonics: int = HARMONICS) -> Impedance:
+def modelled_impedance(
+    case: Case, *, recorded_ml_s: ArrayLike | None = None, harmonics: int = HARMONICS
+) -> Impedance:
     """Impedance of the solved pressure at the root's inlet.
 
     Parameters

@@ -105,8 +105,8 @@ def get_model(name: str) -> Builder:
     build: Builder = of_package(bare) if bare in MODELS else USER_MODELS[bare]
     if effects and not _takes(build, "effects"):
         raise EffectError(
-            f"model {bare}: its function takes no effects; write model_{bare}(study, **settings) and hand "
-            "the settings on, as zoo.blood.baseline.blood_model takes them"
+            f"model {bare}: its function takes no effects; make it by "
+            f"model_{bare} = zoo.study_model(...), or let it take effects=()"
         )
     return partial(build, effects=effects) if effects else build
 

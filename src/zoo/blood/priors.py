@@ -193,21 +193,28 @@ def _called(name: str, parameters: Sequence[Parameter]) -> str:
     return "m_chi" if "m_chi" in names else "f3"
 
 
-def check_names(study: Study, parameters: Sequence[Parameter]) -> None:
+def check_names(study: Study, parameters: Sequence[Parameter], of_errors: Sequence[str] = ()) -> None:
     """Refuse priors of parameters that no model has.
+
+    Parameters
+    ----------
+    study : Study
+    parameters : sequence of Parameter
+        Of the baseline.
+    of_errors : sequence of str
+        Names of the errors' parameters, where they are known.
 
     Raises
     ------
     PriorsError
-        With the nearest name.
+        With the nearest name that the model has.
     """
-    known = [*dict.fromkeys([*(p.name for p in parameters), *OF_MODELS])]
+    there = [*(p.name for p in parameters), *of_errors]
     for name in prior_table(study).own:
-        if name not in known:
-            noises = [f"noise_{quantity}" for quantity in dict.fromkeys(s.quantity for s in study.series)]
-            there = [p.name for p in parameters if p.name != "chi"]
-            there = [*dict.fromkeys([*there, STIFFNESS, *noises, "set", "wave_speed_m_s"])]
-            raise PriorsError(f"{study.source or study.name}: priors: {name}: {nearest(name, there)}")
+        if name not in {*there, *OF_MODELS}:
+            own = [one for one in dict.fromkeys([*there, STIFFNESS]) if one != "chi"]
+            words = nearest(name, [*own, "set", "wave_speed_m_s"])
+            raise PriorsError(f"{study.source or study.name}: priors: {name}: {words}")
 
 
 def without_use(study: Study, names: Sequence[str]) -> list[str]:

@@ -111,7 +111,7 @@ def _posteriors_of(
     """Models on a study and their posteriors: given, of an earlier call, in the working directory, or new."""
     from zoo.core.inference.record import ResultsError
     from zoo.core.posterior.belonging import mismatch
-    from zoo.core.posterior.files import load_for
+    from zoo.core.posterior.files import load_posterior
     from zoo.core.posterior.storage import load
 
     files = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
@@ -131,7 +131,7 @@ def _posteriors_of(
             else:
                 files[name] = here
         if name in files and not fresh:
-            found[name] = load_for(files[name], built[name])
+            found[name] = load_posterior(files[name], built[name])
             say(f"model {name}: posterior of {files[name]}")
     output.mkdir(parents=True, exist_ok=True)
     for name in [name for name in names if name not in found]:

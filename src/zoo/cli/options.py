@@ -19,9 +19,6 @@ from zoo.cli.command import Role, UsageError
 if TYPE_CHECKING:
     from zoo.blood.study import Study
 
-DEFAULT_ESS = 400.0
-FIRST_CHECK = 500
-
 StudyArgument = Annotated[
     str, typer.Argument(metavar="STUDY", help="A built-in study (see `zoo studies`) or a folder."), Role.STUDY
 ]
@@ -220,6 +217,8 @@ class SamplingOptions:
         UsageError
             If `--until` cannot be read, or a number is too small.
         """
+        from zoo.core.inference.convergence import FIRST_CHECK
+
         for option, value in (("--draws", self.draws), ("--cores", self.cores)):
             if value is not None and value < 1:
                 raise UsageError(f"{option} {value}: must be at least 1")
@@ -238,7 +237,9 @@ class SamplingOptions:
     def ess_target(self) -> float | None:
         """Effective sample size to reach; None for a fixed number of draws."""
         if self.until is None:
-            return DEFAULT_ESS if self.draws is None else None
+            from zoo.core.inference.convergence import ESS_TARGET
+
+            return ESS_TARGET if self.draws is None else None
         if self.until.lower() == "none":
             return None
         name, _, number = self.until.partition("=")

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, EffectParameter, Location
+from zoo.core.forward import ForwardModel
 
 Array = NDArray[np.float64]
 ROUNDING = 1e-10
 """Part of the largest eigenvalue of a correlation below which a direction is taken as absent."""
 REACH = 8.0
 """Bounds of standard normal weights, so that a search stays where a simulator can be solved."""
+
+
+POINTS = 9
+"""Points at which a function of a simulator's own quantity is free."""
+MARGIN = 0.05
+"""Part of the range of that quantity that is added at both ends."""
+LENGTHS = (1 / 6, 1 / 3, 2 / 3)
+"""Correlation lengths of such a function, in parts of the range."""
 
 
 class ComponentError(ValueError):
@@ -114,3 +124,94 @@ class FreeFunction:
         return Effect(f"{self.component}:{self.name}", weights, change, equation=self.equation).at(
             self.location
         )
+
+
+@dataclass(frozen=True)
+class FunctionOf:
+    """A free function of a quantity inside a simulator whose range is not known yet, by `free_function`."""
+
+    name: str
+    along: str
+    size: float
+    unit: str
+    along_unit: str
+    component: str
+    why: str
+
+    def on(self, model: ForwardModel, theta: Array) -> FreeFunction:
+        """The function with its points over the values for which the simulator asks at `theta` (n_values,).
+
+        Raises
+        ------
+        ComponentError
+            If the simulator never asks for it, or for one value only.
+        """
+        asked: list[Array] = []
+
+        def listen(x: ArrayLike) -> Array:
+            asked.append(np.ravel(np.asarray(x, dtype=np.float64)))
+            return np.zeros(np.shape(x))
+
+        model.solve({**model.configure(theta), self.name: listen})
+        values = np.concatenate(asked) if asked else np.zeros(1)
+        low, high = float(np.min(values)), float(np.max(values))
+        if not low < high < np.inf:
+            raise ComponentError(
+                f"free function {self.name}: the simulator asks for it at no more than one value; let it add "
+                f"parameters[{self.name!r}](x), where x is the {self.along}"
+            )
+        edge = MARGIN * (high - low)
+        at = np.linspace(low - edge, high + edge, POINTS)
+        return FreeFunction(
+            self.name, self.component, at, self.size, partial(_interpolate, self.name, at),
+            argument=self.along, argument_unit=self.along_unit, unit=self.unit, why=self.why,
+            lengths=tuple(part * (high - low) for part in LENGTHS),
+        )  # fmt: skip
+
+
+def _interpolate(name: str, at: Array, configuration: Any, values: Array) -> Any:
+    """The configuration with a function, which beyond its last points keeps its values there."""
+    return {**configuration, name: partial(np.interp, xp=at, fp=values)}
+
+
+def free_function(
+    name: str,
+    *,
+    along: str,
+    size: float,
+    unit: str = "1",
+    along_unit: str = "1",
+    component: str = "",
+    why: str = "",
+) -> FunctionOf:
+    """Make a function that a simulator may lack and that no listed effect describes.
+
+    It is learned from the data: f(x) ~ N(0, s^2) with s half-normal of scale `size`, smooth over a sixth, a
+    third or two thirds of the values that x takes in the baseline. The simulator says where it acts: it adds
+    ``parameters[name](x)``, which is 0 in the baseline.
+
+    Parameters
+    ----------
+    name : str
+        Under which the simulator finds the function among its parameters.
+    along : str
+        What x is, for axes and tables, such as "velocity".
+    size : float
+        Scale of the function's standard deviation, in `unit`.
+    unit, along_unit : str
+        Of the function and of x.
+    component : str
+        Part of the simulator that it belongs to, as an effect's family; its own name if absent.
+    why : str
+        Reason for the size.
+
+    Returns
+    -------
+    FunctionOf
+        To be given to `zoo.diagnose` among the effects.
+
+    Examples
+    --------
+    >>> friction = free_function("friction", along="velocity", size=15.0, unit="N", along_unit="m/s")
+    """
+    return FunctionOf(name, along, size, unit, along_unit, component or name, why)

@@ -144,6 +144,8 @@ class Location:
 
 EVERYWHERE = Location()
 Apply = Callable[[Any, tuple[float, ...], Location], Any]
+BySize = Callable[[Any, float], Any] | Callable[[Any, float, Location], Any]
+Change = Apply | BySize
 Locations = Callable[[Any], tuple[Location, ...]]
 
 
@@ -278,49 +280,93 @@ def effect(
     name: str,
     family: str = "",
     *,
-    parameters: Sequence[EffectParameter],
+    size: float = 0.0,
+    unit: str = "1",
+    low: float | None = None,
+    high: float | None = None,
+    starts: Sequence[float] = (),
+    parameters: Sequence[EffectParameter] = (),
     equation: str = "",
     source: str = "",
     signature: str = "",
     why: str = "",
     locations: Locations = everywhere,
     baselines: Sequence[str] = (),
-) -> Callable[[Apply], Effect]:
-    """Make an effect of the function that changes the configuration: a decorator.
+) -> Callable[[Change], Effect]:
+    """Make an effect of a function that changes what a simulator solves: a decorator.
+
+    An effect of one size has the prior normal(0, size), truncated to [low, high]::
+
+        change(parameters, size) -> parameters
+        change(parameters, size, location) -> parameters        with `locations`
+
+    An effect of several numbers has `parameters` instead of a size::
+
+        change(parameters, values, location) -> parameters
 
     Parameters
     ----------
-    name, family, parameters, equation, source, signature, locations, baselines
-        As in `Effect`; its statement is the function's docstring.
+    name : str
+        Such as "evaporation".
+    family : str
+        Effects of one family belong to one component, of which at most one is wrong in one way; an effect
+        without a family is a component by itself.
+    size : float
+        Standard deviation of the prior, before truncation, in `unit`.
+    unit : str
+        "1" for a pure number.
+    low, high : float, optional
+        Bounds of the prior, in `unit`; ten times `size` either way if absent.
+    starts : sequence of float
+        Sizes from which a search begins, none of them 0; `size` and `-size` inside the bounds if absent.
+    parameters : sequence of EffectParameter
+        Instead of a size; the first is 0 where there is no effect.
+    equation, source, signature : str
+        Its equation, where that comes from, and what it does to the series.
     why : str
-        Reason for the scale of the first parameter.
+        Reason for the prior's size.
+    locations : function
+        From a forward model to the locations at which the effect can act; everywhere if absent.
+    baselines : sequence of str
+        Names of the forward models that it can be added to; all if absent.
 
     Returns
     -------
     function
-        From ``change(configuration, values, location) -> configuration`` to the `Effect`. `change` is called
-        only when the first value is not 0.
+        From `change` to the `Effect`. `change` returns a changed copy and is called only when the size is not
+        0; its docstring is the effect's statement.
+
+    Raises
+    ------
+    EffectError
+        If neither or both of `size` and `parameters` are given, or the size is not positive.
 
     Examples
     --------
-    >>> @effect("leak", parameters=[EffectParameter("rate", "1/s", 0.1, 0.0, 1.0, (0.1,))])
-    ... def leak(configuration, values, location):
+    >>> @effect("leak", unit="1/s", size=0.1, low=0.0)
+    ... def leak(parameters, size):
     ...     "The tank leaks."
-    ...     return {**configuration, "leak": values[0]}
+    ...     return {**parameters, "leak": size}
     >>> leak.apply({"k": 1.0}, (0.2,), Location())
     {'k': 1.0, 'leak': 0.2}
+    >>> leak.parameters[0].text
+    'normal(0, 0.1) in [0, 1] 1/s'
     """
+    if bool(parameters) == (size != 0.0) or not 0.0 <= size < math.inf:
+        raise EffectError(f"effect {name}: size = {size}: give a positive size, or parameters instead of it")
+    known = tuple(parameters)
+    if not known:
+        low, high = (-10.0 * size if low is None else low), (10.0 * size if high is None else high)
+        starts = starts or tuple(start for start in (size, -size) if low <= start <= high)
+        known = (EffectParameter("size", unit, size, low, high, tuple(starts)),)
+    if why:
+        known = (replace(known[0], why=why), *known[1:])
+    located = not (locations is everywhere or isinstance(locations, EverywhereIf))
 
-    def make(change: Apply) -> Effect:
-        known = tuple(parameters)
-        if why:
-            known = (replace(known[0], why=why), *known[1:])
-        guarded = _Guarded(
-            name, known, change, not (locations is everywhere or isinstance(locations, EverywhereIf))
-        )
+    def make(change: Change) -> Effect:
         return Effect(
-            name, known, guarded, locations, family, (change.__doc__ or "").strip(), equation, source,
-            signature, tuple(baselines),
+            name, known, _Guarded(name, known, change, located, not parameters), locations, family,
+            (change.__doc__ or "").strip(), equation, source, signature, tuple(baselines),
         )  # fmt: skip
 
     return make
@@ -332,8 +378,9 @@ class _Guarded:
 
     name: str
     parameters: tuple[EffectParameter, ...]
-    change: Apply
+    change: Change
     located: bool
+    by_size: bool = False
 
     def __call__(self, configuration: Any, values: tuple[float, ...], location: Location) -> Any:
         if len(values) != len(self.parameters) or not all(math.isfinite(value) for value in values):
@@ -343,7 +390,13 @@ class _Guarded:
             raise EffectError(f"effect {self.name}: location: is missing; give where it acts")
         if not values[0]:
             return configuration
-        changed = self.change(configuration, values, location)
+        change: Callable[..., Any] = self.change
+        if not self.by_size:
+            changed = change(configuration, values, location)
+        elif self.located:
+            changed = change(configuration, values[0], location)
+        else:
+            changed = change(configuration, values[0])
         if changed is None:
             raise EffectError(
                 f"effect {self.name}: its function returns None; let it return the changed configuration"
@@ -467,6 +520,20 @@ class Catalogue(Mapping[str, Effect]):
         self._entry_points = entry_points
         self._effects: dict[str, Effect] = {}
 
+    def check(self, made: Effect) -> Effect:
+        """An effect, which may be a user's, of one of the families, or of none.
+
+        Raises
+        ------
+        EffectError
+            If its family is unknown.
+        """
+        if self.families and made.family and made.family not in self.families:
+            raise EffectError(
+                f"effect {made.name}: family = {made.family!r}: {nearest(made.family, self.families)}"
+            )
+        return made
+
     def add(self, made: Effect) -> Effect:
         """Put an effect into the catalogue, in place of one of the same name; returns it with its position.
 
@@ -475,10 +542,7 @@ class Catalogue(Mapping[str, Effect]):
         EffectError
             If its family is unknown.
         """
-        if self.families and made.family not in self.families:
-            raise EffectError(
-                f"effect {made.name}: family = {made.family!r}: {nearest(made.family, self.families)}"
-            )
+        self.check(made)
         old = self._effects.get(made.name)
         change = getattr(made.apply, "change", made.apply)
         module = self.home.partition(":")[0]
@@ -488,7 +552,7 @@ class Catalogue(Mapping[str, Effect]):
         self._effects[made.name] = made
         return made
 
-    def effect(self, *args: Any, **settings: Any) -> Callable[[Apply], Effect]:
+    def effect(self, *args: Any, **settings: Any) -> Callable[[Change], Effect]:
         """The decorator `effect`, which also adds the effect to this catalogue."""
         decorate = effect(*args, **settings)
         return lambda change: self.add(decorate(change))
@@ -535,7 +599,7 @@ class Catalogue(Mapping[str, Effect]):
         EffectError
             For a name that is not there.
         """
-        found = [self[one] if isinstance(one, str) else one for one in given]
+        found = [self[one] if isinstance(one, str) else self.check(one) for one in given]
         return tuple({made.name: made for made in found}.values())
 
 

@@ -202,6 +202,8 @@ class FunctionModel:
     outputs : Outputs
     name : str
     families : tuple of str
+    functions : tuple of str
+        Names in the configuration of free functions (`zoo.free_function`); those of the baseline are 0.
 
     Examples
     --------
@@ -219,15 +221,17 @@ class FunctionModel:
     outputs: Outputs
     name: str = "function"
     families: tuple[str, ...] = ()
+    functions: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
         """Digest of the function with all that it refers to, the parameters and the outputs."""
-        return content_key(function_text(self.function), self.name, repr(self.parameters), self.outputs)
+        text = function_text(self.function)
+        return content_key(text, self.name, repr(self.parameters), self.outputs, *self.functions)
 
     def configure(self, theta: ArrayLike) -> dict[str, Any]:
-        """Parameters by name."""
-        return dict(unpack(self.parameters, theta))
+        """Parameters by name, and free functions that are 0."""
+        return {**unpack(self.parameters, theta), **dict.fromkeys(self.functions, np.zeros_like)}
 
     def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
         """The function's series, checked for shape and finiteness.

@@ -175,7 +175,7 @@ def record_of(model: pm.Model) -> ModelRecord:
     """
     record = getattr(model, "zoo", None)
     if not isinstance(record, ModelRecord):
-        raise ModelError("this PyMC model has no record: make it with zoo.core.model.bayesian_model")
+        raise ModelError("this PyMC model has no record: make it with zoo.bayesian_model")
     return record
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from zoo.core.priors import FrozenPrior as FrozenPrior
 from zoo.core.priors import InverseGamma as InverseGamma
 from zoo.core.priors import LogNormal as LogNormal
 from zoo.core.priors import LogPopulation as LogPopulation
@@ -19,6 +20,7 @@ from zoo.core.priors import ParameterError as ParameterError
 from zoo.core.priors import Population as Population
 from zoo.core.priors import Prior as Prior
 from zoo.core.priors import Uniform as Uniform
+from zoo.core.priors import as_prior as as_prior
 from zoo.core.priors import log_normal_mass as log_normal_mass
 from zoo.core.priors import log_normal_tails as log_normal_tails
 
@@ -81,6 +83,23 @@ class Parameter:
     def first(self) -> float:
         """Where a search begins."""
         return self.prior.median if self.start is None else float(self.start)
+
+
+def as_parameters(priors: Mapping[str, Any]) -> tuple[Parameter, ...]:
+    """Parameters from priors by name: each a prior, a frozen distribution of SciPy, or a `Parameter`.
+
+    Raises
+    ------
+    ParameterError
+        If one is none of these, or a `Parameter` has another name.
+    """
+    found = []
+    for name, given in priors.items():
+        p = given if isinstance(given, Parameter) else Parameter(name, as_prior(given))
+        if p.name != name:
+            raise ParameterError(f"prior {name!r} is of a parameter named {p.name!r}: give both one name")
+        found.append(p)
+    return tuple(found)
 
 
 def n_values(parameters: Iterable[Parameter]) -> int:

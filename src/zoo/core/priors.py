@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,8 @@ from zoo.core.draws import LARGEST_DRAW, inverse_gamma_draws
 Array = NDArray[np.float64]
 
 _LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
+DIFFERENCE, KNOTS = 1e-3, 2001
+"""Step of differences of a log-density, in sds; quantiles between which a PyMC variable interpolates."""
 
 
 class ParameterError(ValueError):
@@ -526,3 +528,92 @@ class LogPopulation(_Hierarchical):
     def text(self) -> str:
         """Such as "log-normal(m_chi, sqrt(v_chi))"."""
         return f"log-normal({self.median_name}, sqrt({self.variance}))"
+
+
+@dataclass(frozen=True)
+class FrozenPrior(Prior):
+    """A frozen continuous distribution of SciPy.
+
+    Parameters
+    ----------
+    words : str
+        Its name and arguments; two priors of the same words are equal.
+    distribution : scipy.stats.rv_continuous_frozen
+    """
+
+    words: str
+    distribution: Any = field(repr=False, compare=False)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Bounds, in the parameter's unit."""
+        low, high = self.distribution.support()
+        return float(low), float(high)
+
+    @property
+    def law(self) -> Any:
+        """The distribution."""
+        return self.distribution
+
+    @cached_property
+    def sd(self) -> float:
+        """Half the width of the central 68 %, which every distribution has."""
+        low, high = self.quantile([0.16, 0.84])
+        return 0.5 * float(high - low)
+
+    def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
+        """Sum of the elements' log-densities."""
+        return float(np.sum(self.distribution.logpdf(x)))
+
+    def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Central differences of the log-density, inside the bounds."""
+        step = DIFFERENCE * self.sd
+        low, high = self.support
+        at = np.clip(np.asarray(x, dtype=np.float64), low + 2.0 * step, high - 2.0 * step)
+        before, here, after = (self.distribution.logpdf(at + k * step) for k in (-1, 0, 1))
+        return (after - before) / (2.0 * step), (2.0 * here - before - after) / step**2
+
+    def variable(self, name: str, given: Mapping[str, Any], **settings: Any) -> Any:
+        """``pm.Interpolated`` between `KNOTS` quantiles."""
+        import pymc as pm
+
+        at = np.unique(self.quantile(np.linspace(1e-6, 1.0 - 1e-6, KNOTS)))
+        return pm.Interpolated(name, at, self.distribution.pdf(at), **settings)
+
+    @property
+    def text(self) -> str:
+        """Such as "gamma(2, scale=0.5)"."""
+        return self.words
+
+
+def as_prior(given: Any) -> Prior:
+    """A prior from itself or from a frozen continuous distribution of SciPy.
+
+    Parameters
+    ----------
+    given : Prior or scipy.stats.rv_continuous_frozen
+
+    Returns
+    -------
+    Prior
+
+    Raises
+    ------
+    ParameterError
+        If it is neither.
+
+    Examples
+    --------
+    >>> from scipy import stats
+    >>> as_prior(stats.gamma(2, scale=0.5)).text
+    'gamma(2, scale=0.5)'
+    """
+    if isinstance(given, Prior):
+        return given
+    if not (hasattr(given, "logpdf") and hasattr(given, "dist")):
+        raise ParameterError(
+            f"prior {given!r}: give one of zoo, such as zoo.Normal(80, 5), or a frozen continuous "
+            "distribution of SciPy, such as scipy.stats.gamma(2, scale=0.5)"
+        )
+    words = [f"{x:g}" for x in given.args] + [f"{name}={x:g}" for name, x in given.kwds.items()]
+    return FrozenPrior(f"{given.dist.name}({', '.join(words)})", given)

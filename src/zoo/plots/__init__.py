@@ -20,32 +20,3 @@ from zoo.plots.style import (
     save_figure,
 )
 from zoo.plots.waves import all_vessels_figure, loops_figure, models_figure, waves_figure
-
-__all__ = [
-    "PARAMETER_LABELS",
-    "QUANTITY_LABELS",
-    "FigureError",
-    "all_vessels_figure",
-    "comparison_figure",
-    "figure_path",
-    "fit_figure",
-    "forest_figure",
-    "loops_figure",
-    "model_style",
-    "models_figure",
-    "pair_figure",
-    "plot_causes",
-    "plot_diagnosis",
-    "plot_discrepancy",
-    "plot_functions",
-    "plot_sensitivity",
-    "plot_states",
-    "plot_where",
-    "prior_predictive_figure",
-    "priors_figure",
-    "rank_figure",
-    "save_figure",
-    "score_figures",
-    "trace_figure",
-    "waves_figure",
-]

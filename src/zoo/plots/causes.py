@@ -25,6 +25,7 @@ TOLD_LABELS, MOST_WIDE = 40, 44
 """Most places that are named along an axis, and most letters of a line of a set's name."""
 ROW, SET_ROW = 0.34, 0.46
 """Heights of a component and of a set, in inches: names of sets may have three lines."""
+Learned = tuple[ComponentResult, LearnedFunction]
 PROBABILITY_COLOUR, SHARE_COLOUR, PRIOR_COLOUR = COLOURS[0], COLOURS[1], "#9AA5B1"
 
 
@@ -165,12 +166,22 @@ def plot_functions(d: Diagnosis) -> Figure:
         A panel for each function, at most `SHOWN_FUNCTIONS`; the grey strip is 1.96 standard deviations of
         the prior, and 0 is the baseline.
     """
-    found = [(c, f) for c in d.file.components for f in c.functions]
-    shown = sorted(found, key=lambda pair: -pair[1].probability)[:SHOWN_FUNCTIONS]
+    shown = learned_functions(d)[:SHOWN_FUNCTIONS]
     with new_figure(size_of(len(shown), 2, 4.3, 2.7, more=0.4)) as figure:
-        for [axes], (component, function) in zip(cells_of(figure, len(shown), 2), shown, strict=True):
-            _draw_function(axes, component, function)
+        draw_functions(figure, shown, 2)
     return figure
+
+
+def learned_functions(d: Diagnosis, least: float = 0.0) -> list[Learned]:
+    """Functions with their components that are more probable than `least`, the most probable first."""
+    found = [(c, f) for c in d.file.components for f in c.functions if f.probability > least]
+    return sorted(found, key=lambda pair: -pair[1].probability)
+
+
+def draw_functions(figure: Figure | SubFigure, shown: Sequence[Learned], abreast: int) -> None:
+    """The panels of `plot_functions`."""
+    for [axes], (component, function) in zip(cells_of(figure, len(shown), abreast), shown, strict=True):
+        _draw_function(axes, component, function)
 
 
 def _draw_function(axes: Axes, component: ComponentResult, f: LearnedFunction) -> None:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from zoo.core.diagnosis.file import unit_suffix
-from zoo.plots.causes import causes_height, draw_causes
+from zoo.plots.causes import causes_height, draw_causes, draw_functions, learned_functions
 from zoo.plots.style import (
     COLOURS,
     DASHED,
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from zoo.core.diagnosis import Diagnosis
 
 BASELINE_COLOUR, CAUSE_COLOUR = COLOURS[1], COLOURS[0]
+LIKELY, ABREAST = 0.5, 3
+"""Probability above which a learned function is on the page, and how many of them there are at most."""
 
 
 def _spans(index: NDArray[np.int_]) -> list[tuple[int, int, int]]:
@@ -175,7 +177,7 @@ def plot_where(d: Diagnosis) -> Figure:
 
 
 def plot_diagnosis(d: Diagnosis) -> Figure:
-    """The whole diagnosis on one page: `plot_discrepancy`, `plot_causes`, `plot_where` under the verdict.
+    """The whole diagnosis on one page: `plot_discrepancy`, `plot_causes`, `plot_where`, and what was learned.
 
     Parameters
     ----------
@@ -185,13 +187,16 @@ def plot_diagnosis(d: Diagnosis) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    heights = (_discrepancy_size(d)[1], max(causes_height(d), _where_height(d)))
+    learned = learned_functions(d, LIKELY)[:ABREAST]
+    heights = [_discrepancy_size(d)[1], max(causes_height(d), _where_height(d)), *[3.0] * bool(learned)]
     with new_figure((17.0, 0.6 + sum(heights))) as figure:
-        top, bottom = parts(figure, 2, 1, height_ratios=heights)
+        top, bottom, *below = parts(figure, len(heights), 1, height_ratios=heights)
         _draw_discrepancy(top, d)
         left, right = parts(bottom, 1, 2, width_ratios=(1, 1.1))
         draw_causes(left, d)
         _draw_where(right, d)
+        for part in below:
+            draw_functions(part, learned, ABREAST)
         doubt = "" if d.file.decided else " (not decided: see the warnings)"
         title = f"{d.file.study}, baseline {d.file.base}. {d.file.verdict}{doubt}"
         figure.suptitle(textwrap.fill(title, 150), x=0.01, ha="left", parse_math=False)

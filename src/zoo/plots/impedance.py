@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from zoo.blood.impedance import Impedance, ImpedanceError, measured, modelled
+from zoo.blood.impedance import Impedance, ImpedanceError, measured_impedance, modelled_impedance
 from zoo.core.forward import SolveError
 from zoo.plots.style import COLOURS, DASHED, INK, grid_behind, handles_of, legend_below, new_figure
 from zoo.plots.subject import study_of
@@ -30,7 +30,7 @@ def impedances_of(d: Any) -> dict[str, Impedance]:
     base = d.sets.solved[()]
     plain = base.forward.model.configure(base.forward.theta(base.point.u))
     try:
-        found = {"measured": measured(d.data, plain, noise_mmHg=d.sets.noise["pressure_mmHg"])}
+        found = {"measured": measured_impedance(d.data, plain, noise_mmHg=d.sets.noise["pressure_mmHg"])}
     except ImpedanceError:
         return {}
     last = len(found["measured"].value) - 1
@@ -40,7 +40,7 @@ def impedances_of(d: Any) -> dict[str, Impedance]:
     for name, one in solved.items():
         try:
             case = one.forward.model.configure(one.forward.theta(one.point.u))
-            found[name] = modelled(case, recorded_ml_s=plain.inflow_ml_s, harmonics=last)
+            found[name] = modelled_impedance(case, recorded_ml_s=plain.inflow_ml_s, harmonics=last)
         except SolveError:
             continue
     return found

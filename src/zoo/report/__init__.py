@@ -4,13 +4,3 @@ from zoo.report.chapter import Chapter
 from zoo.report.chapters import gather, write_chapters, write_report
 from zoo.report.diagnosis import diagnosis_files, write_diagnosis
 from zoo.report.page import ReportError
-
-__all__ = [
-    "Chapter",
-    "ReportError",
-    "diagnosis_files",
-    "gather",
-    "write_chapters",
-    "write_diagnosis",
-    "write_report",
-]

@@ -15,7 +15,7 @@ from zoo.core.inference.convergence import ESS_TARGET, RHAT_LIMIT
 from zoo.core.inference.record import ResultsError, RunRecord, versions
 from zoo.core.outputs import output_file
 from zoo.core.posterior import storage
-from zoo.core.posterior.files import find, load_for
+from zoo.core.posterior.files import find, load_posterior
 from zoo.models import MODELS
 from zoo.report.chapter import Chapter, part_of
 from zoo.report.page import ReportError, write_page
@@ -220,7 +220,7 @@ def gather(
             continue
         files_found = find(folders, letters, study, say=say)
         models = {letter: get_model(letter)(study) for letter in letters if letter in files_found}
-        posteriors = {letter: load_for(files_found[letter], model) for letter, model in models.items()}
+        posteriors = {letter: load_posterior(files_found[letter], model) for letter, model in models.items()}
         commands = [] if posteriors else [f"zoo sample {x} {study.name} --seed 1 -o {x}.nc" for x in letters]
         chapters.append(Chapter(study.name, posteriors, study, models, commands=commands))
     if not any(chapter.posteriors for chapter in chapters):

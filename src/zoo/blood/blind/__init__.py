@@ -44,8 +44,6 @@ from zoo.core.blindcheck.tables import SCORE_FILES, write_score
 from zoo.core.inference.record import versions
 from zoo.core.outputs import output_folder
 
-__all__ = ["BlindError", "StudyDiagnosis", "diagnose_cases", "make_cases", "score_cases"]
-
 FORMAT = 3
 SECRET = re.compile(r"[0-9a-f]{32}")
 """128 bits in hexadecimal digits."""

@@ -32,8 +32,6 @@ _OF_FAMILY = {
     "sensor": "sensor",
 }
 
-__all__ = ["COMPONENTS", "component_of", "components", "plausible"]
-
 
 def components(model: Any, theta: ArrayLike, data: Data) -> tuple[FreeFunction, ...]:
     """The free functions of a study's simulator, component by component.

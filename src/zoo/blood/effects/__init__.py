@@ -16,32 +16,3 @@ from zoo.core.effects import Effect, EffectError, EffectParameter, Location, eve
 # in the order in which those of a family are applied
 from zoo.blood.effects import geometry, wall, fluid, junctions, outflow, structured_tree  # isort: skip
 from zoo.blood.effects import surroundings, inflow, sensor, noise, numerics  # isort: skip
-
-__all__ = [
-    "CATALOGUE",
-    "FAMILIES",
-    "Case",
-    "Effect",
-    "EffectError",
-    "EffectParameter",
-    "Location",
-    "Wave",
-    "added_effects",
-    "at_vessel",
-    "each_vessel",
-    "effect",
-    "everywhere",
-    "fluid",
-    "geometry",
-    "inflow",
-    "junctions",
-    "noise",
-    "numerics",
-    "outflow",
-    "sensor",
-    "sides_and_terminals",
-    "structured_tree",
-    "surroundings",
-    "vessels_and_subtrees",
-    "wall",
-]

@@ -48,7 +48,7 @@ def _added(one: Given, model: ForwardModel) -> AddedEffect:
         if isinstance(name, str) and "@" in name and not rest:
             name, _, part = name.partition("@")
             location = _location(part)
-        made = name if isinstance(name, Effect) else CATALOGUE[name]
+        made = CATALOGUE.check(name) if isinstance(name, Effect) else CATALOGUE[name]
     known = {place: place for place in made.locations(model)}
     if not known:
         raise EffectError(f"effect {made.name}: cannot be added to this study, which leaves no room for it")

@@ -22,32 +22,3 @@ from zoo.blood.study.saving import STUDY_FILES, save_study
 from zoo.blood.study.study import JUNCTION_PRESSURES, Study
 from zoo.blood.study.suspicion import Suspicion, UnitWarning, suspect_units
 from zoo.blood.study.tree import check_physics, sort_vessels
-
-__all__ = [
-    "INFLOW_COLUMNS",
-    "JUNCTION_PRESSURES",
-    "MIN_SAMPLES",
-    "OBSERVATION_COLUMNS",
-    "QUANTITIES",
-    "STUDY_FILES",
-    "Blood",
-    "LoadWarning",
-    "ReadOnlyArrays",
-    "Series",
-    "Study",
-    "StudyError",
-    "Suspicion",
-    "UnitWarning",
-    "Vessel",
-    "Windkessel",
-    "check_physics",
-    "even_samples",
-    "list_studies",
-    "load_study",
-    "read_only",
-    "root_pressure",
-    "save_study",
-    "sort_vessels",
-    "study_files",
-    "suspect_units",
-]

@@ -9,25 +9,3 @@ from zoo.core.blindcheck.check import blind_check, draw_cases
 from zoo.core.blindcheck.drawing import DrawnCase, LinearBaseline, ModelDraw
 from zoo.core.blindcheck.scoring import Score, paired, score_answers
 from zoo.core.blindcheck.tables import paired_table, score_table, write_score
-
-__all__ = [
-    "NULL",
-    "Answer",
-    "BlindError",
-    "CaseKey",
-    "DrawnCase",
-    "Fitted",
-    "Group",
-    "LinearBaseline",
-    "ModelDraw",
-    "Score",
-    "Size",
-    "as_answer",
-    "blind_check",
-    "draw_cases",
-    "paired",
-    "paired_table",
-    "score_answers",
-    "score_table",
-    "write_score",
-]

@@ -14,7 +14,7 @@ from zoo.core.data import Data
 from zoo.core.effects import AddedEffect, with_effects
 from zoo.core.errors.spectral import Spectral
 from zoo.core.forward import ForwardModel, Outputs, SolveError
-from zoo.core.parameters import LogNormal, LogUniform, Normal, Parameter, start_of, unpack
+from zoo.core.parameters import FrozenPrior, LogNormal, LogUniform, Normal, Parameter, start_of, unpack
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class Coordinate:
         if self.log:
             return UNIT
         prior = self.parameter.prior
-        return prior.sd if isinstance(prior, Normal) else UNIT * (self.high - self.low)
+        return prior.sd if isinstance(prior, Normal | FrozenPrior) else UNIT * (self.high - self.low)
 
     def value(self, u: Array | float) -> Any:
         """Search coordinate to value."""

@@ -185,11 +185,11 @@ def _checked(
     data: Data, model: ForwardModel, effects: Sequence[Effect], errors: ErrorModel | None
 ) -> Spectral:
     if not isinstance(data, Data):
-        raise DiagnosisError(f"data = {data!r}: give a zoo.core.data.Data (times, values, labels, units)")
+        raise DiagnosisError(f"data = {data!r}: give a zoo.Data (times, values, labels, units)")
     if not isinstance(model, ForwardModel):
         raise DiagnosisError(
             f"model = {model!r}: has not all of name, parameters, outputs, families, key, configure and "
-            "solve; give a zoo.core.forward.ForwardModel, such as a FunctionModel"
+            "solve; give a zoo.ForwardModel, such as a zoo.FunctionModel"
         )
     if model.outputs.shape != data.values.shape:
         raise DiagnosisError(

@@ -359,7 +359,7 @@ class GaussianProcess(ErrorModel):
                 raise ErrorModelError(
                     f"{data.source or 'data'}: {data.name!r} observes {label}: the Gaussian process' "
                     f"amplitude and noise are in {self.unit}2; keep the series in {self.unit} only, or use "
-                    "zoo.core.errors.groups.GroupProcess()"
+                    "zoo.GroupProcess()"
                 )
         return super().bind(data)
 

@@ -70,7 +70,7 @@ class Independent(ErrorModel):
         if len(groups) > 1:
             raise ErrorModelError(
                 f"{data.source or 'data'}: {data.name!r} observes {' and '.join(groups)}: one sigma2 cannot "
-                "hold for both; keep the series of one quantity, or use zoo.core.errors.groups.GroupNoise()"
+                "hold for both; keep the series of one quantity, or use zoo.GroupNoise()"
             )
         return super().bind(data)
 

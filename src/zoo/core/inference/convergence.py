@@ -17,6 +17,8 @@ RHAT_LIMIT = 1.01
 """Largest rank-normalised R-hat of a converged parameter (Vehtari et al. 2021)."""
 ESS_TARGET = 400.0
 """Smallest bulk and tail effective sample size of a converged parameter (Vehtari et al. 2021)."""
+FIRST_CHECK = 500
+"""Draws of each chain after which convergence is first judged, where no number of draws is given."""
 MIN_CHAINS = 4
 """Fewest chains from which R-hat is trusted."""
 

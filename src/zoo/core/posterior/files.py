@@ -10,7 +10,7 @@ from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import OutputFileError, output_file
 from zoo.core.posterior.belonging import mismatch
 from zoo.core.posterior.groups import sample
-from zoo.core.posterior.storage import load, save
+from zoo.core.posterior.storage import load, save_posterior
 from zoo.core.words import OneLineError
 
 if TYPE_CHECKING:
@@ -21,7 +21,9 @@ class PosteriorError(OneLineError, ValueError):
     """A stored posterior that does not belong; its text says to what, and what to change."""
 
 
-def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings: Any) -> az.InferenceData:
+def sample_to(
+    path: str | Path, model: Any, *, groups: bool = False, method: str = "exact", **settings: Any
+) -> az.InferenceData:
     """Sample a model into a NetCDF file, with the checkpoint in a folder beside it.
 
     Parameters
@@ -32,8 +34,8 @@ def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings:
         With a record.
     groups : bool
         Store ArviZ's groups too, see `zoo.core.posterior.groups.add_groups`.
-    **settings
-        Of `zoo.sample`.
+    method : str
+        Of `zoo.sample`, as are the other settings.
 
     Returns
     -------
@@ -49,9 +51,9 @@ def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings:
     """
     path = output_file(path)
     checkpoint = checkpoint_of(path)
-    idata = sample(model, groups=groups, checkpoint=checkpoint, **settings)
+    idata = sample(model, groups=groups, method=method, checkpoint=checkpoint, **settings)
     try:
-        save(idata, path)
+        save_posterior(idata, path)
     except OutputFileError as error:
         raise OutputFileError(
             f"{error}; the draws are in {checkpoint}, from where the same call goes on"
@@ -65,18 +67,29 @@ def checkpoint_of(path: Path) -> Path:
     return path.with_name(f"{name}.checkpoint")
 
 
-def load_for(path: str | Path, model: Any) -> az.InferenceData:
-    """Read a posterior that was drawn from this model, study and conventions.
+def load_posterior(path: str | Path, model: Any = None) -> az.InferenceData:
+    """Read a stored posterior.
+
+    Parameters
+    ----------
+    path : path
+        NetCDF file.
+    model : pm.Model, optional
+        That it must belong to, by its study and conventions.
+
+    Returns
+    -------
+    InferenceData
 
     Raises
     ------
     PosteriorError
-        If it was drawn from others.
+        If it was drawn from another model.
     zoo.core.inference.record.ResultsError
         If the file is no posterior.
     """
     idata: az.InferenceData = load(path)
-    if wrong := mismatch(idata, model):
+    if model is not None and (wrong := mismatch(idata, model)):
         raise PosteriorError(f"{path}: {wrong}; sample again, or give those that belong")
     return idata
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
 import logging
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,8 @@ import pymc as pm
 import xarray as xr
 
 from zoo.core.errors.base import ErrorModel
-from zoo.core.inference import methods, sampling
+from zoo.core.inference import methods
+from zoo.core.inference.convergence import ESS_TARGET, FIRST_CHECK
 from zoo.core.inference.messages import without_messages
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record import RunRecord
@@ -20,10 +22,14 @@ from zoo.core.model import ModelRecord, record_of
 from zoo.core.parameters import variable_name
 from zoo.core.posterior.comparison import error_parameters, posterior_means, thin
 from zoo.core.surrogate.library import Library
-from zoo.core.words import refuse_unknown
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     import arviz as az
+    from numpy.typing import ArrayLike
+
+    from zoo.core.inference.mode import Mode
 
 N_TERMS = 1000
 """Posterior draws, of all chains together, in log_likelihood and posterior_predictive."""
@@ -159,27 +165,82 @@ def _described(found: xr.Dataset, record: ModelRecord) -> xr.Dataset:
     return found
 
 
-def sample(model: Any, *, groups: bool = True, progress: bool = True, **settings: Any) -> az.InferenceData:
-    """Sample a model's posterior, as `zoo.core.inference.sampling.sample` does, and add ArviZ's groups.
+def sample(
+    model: Any,
+    *,
+    draws: int | None = None,
+    tune: int | None = None,
+    chains: int = 4,
+    cores: int | None = None,
+    method: str = "auto",
+    thin: int | None = None,
+    seed: int | None = None,
+    until_ess: float | None = None,
+    max_draws: int | None = None,
+    executor: Executor | None = None,
+    checkpoint: str | Path | None = None,
+    fresh: bool = False,
+    start: Mapping[str, ArrayLike] | Mode | None = None,
+    step_options: Mapping[str, Any] | None = None,
+    library: Library | None = None,
+    groups: bool = True,
+    progress: bool = True,
+) -> az.InferenceData:
+    """Sample a model's posterior, with a process for each chain, and add ArviZ's groups.
+
+    The draws depend on the model, the seed and the settings, not on `cores`, on interruptions or on how long
+    anything took. The defaults are those of the command ``zoo sample``.
 
     Parameters
     ----------
     model : pm.Model
+        With continuous free variables only.
+    draws : int, optional
+        Stored draws of each chain. If absent they go on until `until_ess`, which is then 400 if absent too,
+        with a first check after 500.
+    tune : int, optional
+        Steps of each chain that are thrown away while the step method adapts; if absent 100 for each
+        dimension, at least 600; of NUTS 500.
+    chains : int
+        Fewer than four cannot pass the verdict.
+    cores : int, optional
+        Processes at work at a time, with one thread each; those of the machine if absent. 0 runs the chains
+        in this process, in turns, which starts sooner and suits many short runs.
+    method : {"auto", "exact", "nuts", "surrogate"}
+        "exact": chains with the forward model itself, without derivatives; "nuts": with its derivatives;
+        "surrogate": NUTS on a surrogate, each stored draw corrected with the forward model; "auto" chooses by
+        the model.
+    thin : int, optional
+        Steps for each stored draw; a quarter of the number of dimensions if absent, of NUTS 1.
+    seed : int, optional
+        Drawn and recorded if absent; a resumed run takes that of its checkpoint.
+    until_ess : float, optional
+        Keep going until every parameter has R-hat <= 1.01 and bulk and tail effective sample sizes of this
+        much, or `max_draws` are reached; the first check is after `draws`.
+    max_draws : int, optional
+        Limit of the stored draws of each chain; 40 times the first check if absent, of NUTS 8.
+    executor : concurrent.futures.Executor, optional
+        Runs the chains instead, each as a task; `cores` is not read.
+    checkpoint : path, optional
+        Folder of the run, which goes on from there.
+    fresh : bool
+        Begin anew in a checkpoint folder that holds a run.
+    start : mapping or Mode, optional
+        Values to search the mode from, or the result of `zoo.find_mode`.
+    step_options : mapping, optional
+        Arguments of the step method instead of the defaults, such as ``{"crank_nicolson": 0}``.
+    library : Library, optional
+        Solves that a surrogate may take.
     groups : bool
-        Add the groups of `add_groups`; it costs a solve for each of `N_TERMS` draws, but for those that a
+        Add the groups of `zoo.add_groups`; it costs a solve for each of `N_TERMS` draws, but for those that a
         surrogate's correction has solved.
     progress : bool
         Show progress on standard error.
-    **settings
-        Of `zoo.core.inference.sampling.sample`: draws, tune, chains, cores, step, thin, seed, checkpoint,
-        until_ess, max_draws, start and so on. And `method`, "exact" if absent: "nuts", "surrogate" or "auto"
-        of `zoo.core.inference.methods.choose`, with `library`, solves that a surrogate may take,
-        and `fresh`, to begin anew in a checkpoint folder that holds a run.
 
     Returns
     -------
     InferenceData
-        posterior, sample_stats, observed_data, and those of `add_groups`.
+        posterior, sample_stats, observed_data, and those of `zoo.add_groups`.
 
     Raises
     ------
@@ -187,16 +248,28 @@ def sample(model: Any, *, groups: bool = True, progress: bool = True, **settings
         For a setting out of range, a model that cannot be sampled, or a chain that fails.
     CheckpointError
         If the checkpoint belongs to another model, study or settings, or is in use.
-    TypeError
-        For a setting that does not exist.
+
+    Examples
+    --------
+    >>> import zoo
+    >>> posterior = zoo.sample(zoo.model_A(zoo.load_study("demo")), seed=1)  # doctest: +SKIP
+
+    References
+    ----------
+    ter Braak, Vrugt (2008), doi 10.1007/s11222-008-9104-9; Hoffman, Gelman (2014), Journal of Machine
+    Learning Research 15; Vehtari et al. (2021), doi 10.1214/20-BA1221.
     """
-    own = [*inspect.signature(sampling.sample).parameters, "groups", "method", "library", "fresh"][1:]
-    refuse_unknown("sample", settings, own)
+    if draws is None:
+        draws, until_ess = FIRST_CHECK, ESS_TARGET if until_ess is None else until_ess
     record = getattr(model, "zoo", None)
-    if not groups or not isinstance(record, ModelRecord):
-        return methods.sample(model, progress=progress, **settings)
-    library = settings.pop("library", None)
-    if library is None:
+    if groups and library is None and isinstance(record, ModelRecord):
         library = Library(record.forward)
-    idata = methods.sample(model, progress=progress, library=library, **settings)
+    idata = methods.sample(
+        model, method=method, checkpoint=checkpoint, fresh=fresh, draws=draws, tune=tune, chains=chains,
+        cores=max(1, min(chains, os.cpu_count() or 1)) if cores is None else cores, thin=thin, seed=seed,
+        until_ess=until_ess, max_draws=max_draws, executor=executor, start=start, step_options=step_options,
+        library=library, progress=progress,
+    )  # fmt: skip
+    if not groups or not isinstance(record, ModelRecord):
+        return idata
     return add_groups(idata, model, progress=progress, library=library)

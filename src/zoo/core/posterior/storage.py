@@ -25,7 +25,7 @@ class NoDigestWarning(UserWarning):
     """A posterior's file that holds no digest, so that damage to it is not seen."""
 
 
-def save(idata: Any, path: str | Path) -> Path:
+def save_posterior(idata: Any, path: str | Path) -> Path:
     """Write an InferenceData as one NetCDF file with the digest of its content, whole or not at all.
 
     The file is made in memory first: HDF5 itself ends the process where a disk is full.
@@ -147,7 +147,7 @@ def load(path: str | Path) -> Any:
     Parameters
     ----------
     path : str or Path
-        A file written by `save` or by `arviz.InferenceData.to_netcdf`.
+        A file written by `save_posterior` or by `arviz.InferenceData.to_netcdf`.
 
     Returns
     -------
@@ -185,7 +185,7 @@ def load(path: str | Path) -> Any:
     return idata
 
 
-def slim(idata: Any, n_draws: int = 1000) -> Any:
+def slim_posterior(idata: Any, n_draws: int = 1000) -> Any:
     """A posterior small enough to keep beside the code: evenly spaced draws in single precision.
 
     Only parameters, their coordinates, the run record and the diagnostics of the whole run stay. Observed
