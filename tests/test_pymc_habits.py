@@ -61,7 +61,7 @@ def test_chains_of_a_known_law_start_apart_and_end_together():
     step = zoo.step(model)
     firsts, draws = [], []
     for seed in range(4):
-        step.set_rng(np.random.default_rng(seed))
+        step.rng = np.random.default_rng(seed)
         first, kept = moments_of(model, model.initial_point(), 1500, step)
         firsts.append(first)
         draws.append(kept)
@@ -79,7 +79,7 @@ def test_starts_that_are_given_are_kept():
     model = gaussian_model()
     step = zoo.step(model, scaling=1e-12, lamb=1e-12, crank_nicolson=0.0)
     start = {name: value + 0.25 for name, value in model.initial_point().items()}
-    step.set_rng(np.random.default_rng(0))
+    step.rng = np.random.default_rng(0)
     first, _ = moments_of(model, start, 1, step)
     given = np.concatenate([np.ravel(start[v.name]) for v in step.vars])
     np.testing.assert_allclose(first, given, atol=1e-6)

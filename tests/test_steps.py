@@ -22,7 +22,7 @@ QUIET = {"progressbar": False, "compute_convergence_checks": False}
 
 def steps_of(step, point, n, seed=3, tune=0):
     """Draws of a step method in PyMC's own order of calls, and its statistics."""
-    step.set_rng(np.random.default_rng(seed))
+    step.rng = np.random.default_rng(seed)
     step.tune = tune > 0
     step.reset_tuning()
     rows, records = [], []
@@ -113,7 +113,7 @@ def test_sampling_state_continues_identically():
         return DEMetropolisZ(model=model, crank_nicolson=0.5, reference=reference)
 
     step = make()
-    step.set_rng(np.random.default_rng(1))
+    step.rng = np.random.default_rng(1)
     point = model.initial_point()
     for _ in range(350):
         point, _ = step.step(point)

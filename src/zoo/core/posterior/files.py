@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import OutputFileError, output_file
 from zoo.core.posterior.belonging import mismatch
@@ -13,15 +14,12 @@ from zoo.core.posterior.groups import sample
 from zoo.core.posterior.storage import load, save
 from zoo.core.words import OneLineError
 
-if TYPE_CHECKING:
-    import arviz as az
-
 
 class PosteriorError(OneLineError, ValueError):
     """A stored posterior that does not belong; its text says to what, and what to change."""
 
 
-def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings: Any) -> az.InferenceData:
+def sample_to(path: str | Path, model: Any, *, groups: bool = False, **settings: Any) -> InferenceData:
     """Sample a model into a NetCDF file, with the checkpoint in a folder beside it.
 
     Parameters
@@ -65,7 +63,7 @@ def checkpoint_of(path: Path) -> Path:
     return path.with_name(f"{name}.checkpoint")
 
 
-def load_for(path: str | Path, model: Any) -> az.InferenceData:
+def load_for(path: str | Path, model: Any) -> InferenceData:
     """Read a posterior that was drawn from this model, study and conventions.
 
     Raises
@@ -75,16 +73,16 @@ def load_for(path: str | Path, model: Any) -> az.InferenceData:
     zoo.core.inference.record.ResultsError
         If the file is no posterior.
     """
-    idata: az.InferenceData = load(path)
+    idata: InferenceData = load(path)
     if wrong := mismatch(idata, model):
         raise PosteriorError(f"{path}: {wrong}; sample again, or give those that belong")
     return idata
 
 
-def matching(path: Path, model: Any) -> az.InferenceData | None:
+def matching(path: Path, model: Any) -> InferenceData | None:
     """A stored posterior if it is there and of this model, study and conventions, else None."""
     try:
-        idata: az.InferenceData | None = load(path) if path.is_file() else None
+        idata: InferenceData | None = load(path) if path.is_file() else None
     except ResultsError:
         return None
     return idata if idata is not None and mismatch(idata, model) is None else None

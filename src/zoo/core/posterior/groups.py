@@ -5,12 +5,13 @@ from __future__ import annotations
 import inspect
 import logging
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pymc as pm
 import xarray as xr
 
+from zoo.core.arviz_lines import InferenceData, dataset, datasets, made
 from zoo.core.errors.base import ErrorModel
 from zoo.core.inference import methods, sampling
 from zoo.core.inference.messages import without_messages
@@ -22,9 +23,6 @@ from zoo.core.posterior.comparison import error_parameters, posterior_means, thi
 from zoo.core.surrogate.library import Library
 from zoo.core.words import refuse_unknown
 
-if TYPE_CHECKING:
-    import arviz as az
-
 N_TERMS = 1000
 """Posterior draws, of all chains together, in log_likelihood and posterior_predictive."""
 N_PRIOR = 200
@@ -33,7 +31,7 @@ DIMS = ("series", "time")
 
 
 def add_groups(
-    idata: az.InferenceData,
+    idata: InferenceData,
     model: pm.Model,
     *,
     n_draws: int | None = N_TERMS,
@@ -41,7 +39,7 @@ def add_groups(
     seed: int | None = None,
     progress: bool = False,
     library: Library | None = None,
-) -> az.InferenceData:
+) -> InferenceData:
     """Add log_likelihood, posterior_predictive, prior, prior_predictive, data groups and units.
 
     The log-likelihood is that of the terms log p(y_i | y_<i), whose sum is the joint one. It and the
@@ -71,8 +69,6 @@ def add_groups(
         numbers of the posterior draws as coordinate; where a solve fails -inf and NaN. Variables have their
         unit as the attribute "units"; "y" has them as the coordinate "unit" of its series.
     """
-    import arviz as az
-
     record = record_of(model)
     if seed is None:
         seed = _seed_of(idata)
@@ -87,7 +83,7 @@ def add_groups(
     values = error_parameters(kept, record)
     terms = record.errors.pointwise(means, values, ("sequential",))["sequential"]
     drawn = _with_errors(record.errors, means, values, np.random.default_rng(seed))
-    groups = {name: idata[name].copy() for name in idata.groups()}
+    groups = {name: group.copy() for name, group in datasets(idata).items()}
     groups["log_likelihood"] = _series(terms, kept, record)
     groups["posterior_predictive"] = _series(drawn, kept, record)
     groups["observed_data"] = _described(xr.Dataset({"y": (DIMS, record.data.values)}), record)
@@ -100,13 +96,12 @@ def add_groups(
     if n_prior:
         with without_messages("pymc.sampling.forward", logging.WARNING):
             prior = pm.sample_prior_predictive(n_prior, model=model, random_seed=seed)
-        groups["prior"] = prior["prior"]
-        groups["prior_predictive"] = _described(prior["prior_predictive"], record)
+        groups["prior"] = dataset(prior, "prior")
+        groups["prior_predictive"] = _described(dataset(prior, "prior_predictive"), record)
     for name in ("posterior", "prior"):
         if name in groups:
             groups[name] = with_units(groups[name], record)
-    found: az.InferenceData = az.InferenceData(attrs=dict(idata.attrs), **groups)  # type: ignore[arg-type]
-    return found
+    return made(groups, idata.attrs)
 
 
 def with_units(draws: xr.Dataset, record: ModelRecord) -> xr.Dataset:
@@ -118,7 +113,7 @@ def with_units(draws: xr.Dataset, record: ModelRecord) -> xr.Dataset:
     return found
 
 
-def _seed_of(idata: az.InferenceData) -> int:
+def _seed_of(idata: InferenceData) -> int:
     try:
         return RunRecord.of(idata).seed
     except ValueError:
@@ -159,7 +154,7 @@ def _described(found: xr.Dataset, record: ModelRecord) -> xr.Dataset:
     return found
 
 
-def sample(model: Any, *, groups: bool = True, progress: bool = True, **settings: Any) -> az.InferenceData:
+def sample(model: Any, *, groups: bool = True, progress: bool = True, **settings: Any) -> InferenceData:
     """Sample a model's posterior, as `zoo.core.inference.sampling.sample` does, and add ArviZ's groups.
 
     Parameters
