@@ -219,13 +219,13 @@ def test_table_ranked_by_loo_with_given_verdicts(models, idatas) -> None:
     rng = np.random.default_rng(0)
     good = check_convergence({"x": rng.standard_normal((4, 1000))})
     assert good.passes
-    table = compare(idatas, models, ic="loo", n_draws=20, verdicts={"A": good})
+    table = compare(idatas, models, ic="loo", n_draws=40, verdicts={"A": good})
     assert table.loc["A", "converged"]
     assert not table.loc["B", "converged"]
     difference = table["loo"].iloc[1] - table["loo"].iloc[0]
     assert table["difference"].iloc[1] == pytest.approx(difference)
     for name in models:  # only terms given all other points have weights that leave a point out
-        scored = with_terms(idatas[name], models[name], "leave-one-out", n_draws=20)
+        scored = with_terms(idatas[name], models[name], "leave-one-out", n_draws=40)
         wanted = float(az.loo(scored).elpd if ARVIZ_1 else az.loo(scored).elpd_loo)
         assert table.loc[name, "loo"] == pytest.approx(-2 * wanted, rel=1e-9)
 
@@ -253,9 +253,9 @@ def test_weights_and_differences_are_arviz_s(models, idatas) -> None:
     """ArviZ 1 has no WAIC of its own."""
     ic, terms, elpd = ("loo", "leave-one-out", "elpd") if ARVIZ_1 else ("waic", "sequential", "elpd_waic")
     settings = {"round_to": "none"} if ARVIZ_1 else {"ic": ic, "scale": "log"}
-    scored = {name: with_terms(idatas[name], models[name], terms, n_draws=20) for name in models}
+    scored = {name: with_terms(idatas[name], models[name], terms, n_draws=40) for name in models}
     theirs = az.compare(scored, **settings)
-    ours = compare(idatas, models, ic=ic, n_draws=20)
+    ours = compare(idatas, models, ic=ic, n_draws=40)
     assert list(ours.index) == list(theirs.index)
     np.testing.assert_allclose(ours[ic], -2 * theirs[elpd], rtol=1e-6)
     np.testing.assert_allclose(ours["difference"], 2 * abs(theirs["elpd_diff"]), rtol=1e-6)

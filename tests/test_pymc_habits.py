@@ -14,6 +14,8 @@ from gaussian import gaussian_model
 from zoo.core.inference.pymc_step import DEMetropolisZFromMode
 from zoo.core.model import ModelError
 
+PYMC_6 = "ignore:`find_MAP` will return an `InferenceData`:FutureWarning"
+
 
 @pytest.fixture(scope="module")
 def model_a():
@@ -95,6 +97,7 @@ def test_a_variable_added_to_the_model_gets_pymcs_own_step(mode_a):
     np.testing.assert_allclose(ours._around.mean, mode_a.vector, atol=0.02)
 
 
+@pytest.mark.filterwarnings(PYMC_6)
 def test_find_map_with_the_solvers_gradient_finds_the_mode(model_a, mode_a):
     with model_a:
         best = pm.find_MAP(progressbar=False)
@@ -102,6 +105,7 @@ def test_find_map_with_the_solvers_gradient_finds_the_mode(model_a, mode_a):
         assert float(best[name]) == pytest.approx(float(mode_a.values[name]), rel=0.05)
 
 
+@pytest.mark.filterwarnings(PYMC_6)
 def test_find_map_says_what_to_do_without_a_gradient(model_a, monkeypatch):
     monkeypatch.setattr("zoo.core.model.has_jacobian", lambda forward: False)
     with model_a, pytest.raises(ModelError, match=r"model A: .* use zoo\.find_mode\(model\)"):

@@ -48,7 +48,10 @@ def of_draws(
 ) -> InferenceData:
     """The same of arrays: group -> variable -> values, draws as (n_chains, n_draws, ...)."""
     filled = {group: dict(content) for group, content in groups.items() if content}
-    settings = {"coords": coords, "dims": {name: list(names) for name, names in (dims or {}).items()}}
+    settings = {
+        "coords": {name: np.asarray(values) for name, values in (coords or {}).items() if values is not None},
+        "dims": {name: list(names) for name, names in (dims or {}).items()},
+    }
     return _arviz().from_dict(filled, **settings) if ARVIZ_1 else _arviz().from_dict(**filled, **settings)
 
 
@@ -89,21 +92,30 @@ def netcdf_bytes(idata: InferenceData) -> memoryview:
 
 def split_rhat(draws: Array) -> float:
     """Rank-normalised split R-hat of draws (n_chains, n_draws)."""
-    return float(_arviz().rhat(draws))
+    with np.errstate(divide="ignore", invalid="ignore"):  # of chains that stay where they are
+        return float(_arviz().rhat(draws))
 
 
 def effective(draws: Array, method: str = "bulk") -> float:
     """Effective sample size of draws (n_chains, n_draws): "bulk", or "tail", of quantiles 0.05 and 0.95."""
     prob = {"prob": (0.05, 0.95)} if method == "tail" else {}
-    return float(_arviz().ess(draws, method=method, **prob))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(_arviz().ess(draws, method=method, **prob))
 
 
-def smoothed(log_weights: Array) -> tuple[Array, float]:
-    """Pareto-smoothed logarithms of importance weights (n,), normalised, and their k-hat."""
-    if ARVIZ_1:  # of log-likelihoods, which are less the logarithms of the weights
-        weights, k = _arviz("arviz_stats.base").array_stats.psislw(-log_weights)
-    else:
-        weights, k = _arviz().psislw(log_weights.copy())
+def smoothed(log_weights: Array, efficiency: float = 1.0) -> tuple[Array, float]:
+    """Pareto-smoothed logarithms of importance weights (n,), normalised, and their k-hat.
+
+    The efficiency is the effective share of the draws. With too few weights for a tail, or a tail of equal
+    ones, they are left as they are, and k-hat is infinite.
+    """
+    if not ARVIZ_1:
+        weights, k = _arviz().psislw(log_weights.copy(), efficiency)
+        return np.asarray(weights), float(k)
+    try:  # of log-likelihoods, which are less the logarithms of the weights
+        weights, k = _arviz("arviz_stats.base").array_stats.psislw(-log_weights, efficiency)
+    except ValueError:
+        weights, k = log_weights - logsumexp(log_weights), math.inf
     return np.asarray(weights), float(k)
 
 
@@ -134,6 +146,20 @@ class Score:
     good_k: float = math.nan
 
 
+def _score(terms: Array, lppd: Array, draws: int, **rest: Any) -> Score:
+    """A score whose effective number of parameters is what the terms are below log mean p(y_i | s)."""
+    elpd = float(np.sum(terms))
+    se = math.sqrt(len(terms) * float(np.var(terms)))
+    return Score(elpd=elpd, se=se, p=float(np.sum(lppd - terms)), terms=terms, draws=draws, **rest)
+
+
+def _draws_of_terms(log_likelihood: ArrayLike) -> tuple[Array, Array]:
+    """(n_chains, n_draws, ...) as (n, n_observations), and log mean p(y_i | s) of each observation."""
+    values = np.asarray(log_likelihood, dtype=np.float64)
+    values = values.reshape(values.shape[0] * values.shape[1], -1)
+    return values, logsumexp(values, axis=0) - math.log(len(values))
+
+
 def waic(log_likelihood: ArrayLike) -> Score:
     """WAIC of the log-likelihood of each observation: sum_i (log mean_s p(y_i | s) - var_s log p(y_i | s)).
 
@@ -145,42 +171,36 @@ def waic(log_likelihood: ArrayLike) -> Score:
     ----------
     Watanabe 2010; Vehtari, Gelman and Gabry 2017, doi 10.1007/s11222-016-9696-4.
     """
-    values = np.asarray(log_likelihood, dtype=np.float64)
-    values = values.reshape(values.shape[0] * values.shape[1], -1)
+    values, lppd = _draws_of_terms(log_likelihood)
     variances = np.var(values, axis=0)
-    terms = logsumexp(values, axis=0) - math.log(len(values)) - variances
-    return Score(
-        elpd=float(np.sum(terms)),
-        se=math.sqrt(len(terms) * float(np.var(terms))),
-        p=float(np.sum(variances)),
-        terms=terms,
-        draws=len(values),
-        warning=bool(np.any(variances > _VARIANCE)),
-        pareto_k=np.full(len(terms), np.nan),
-    )
+    none = np.full(len(lppd), np.nan)
+    doubtful = bool(np.any(variances > _VARIANCE))
+    return _score(lppd - variances, lppd, len(values), warning=doubtful, pareto_k=none)
 
 
-def psis_loo(posterior: xr.Dataset, log_likelihood: xr.DataArray) -> Score:
-    """PSIS-LOO of the log-likelihood of each observation, by ArviZ; draws count by those of the posterior."""
-    idata = made({"posterior": posterior, "log_likelihood": log_likelihood.to_dataset(name="y")})
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they become `warning`
-        if ARVIZ_1:
-            found = _arviz().loo(idata, pointwise=True)
-            elpd, p, terms = found.elpd, found.p, found.elpd_i
-        else:
-            found = _arviz().loo(idata, pointwise=True, scale="log")
-            elpd, p, terms = found.elpd_loo, found.p_loo, found.loo_i
-    return Score(
-        elpd=float(elpd),
-        se=float(found.se),
-        p=float(p),
-        terms=terms.to_numpy().ravel(),
-        draws=int(found.n_samples),
-        warning=bool(found.warning),
-        pareto_k=found.pareto_k.to_numpy().ravel(),
-        good_k=float(found.good_k),
+def psis_loo(posterior: xr.Dataset, log_likelihood: ArrayLike) -> Score:
+    """PSIS-LOO of the log-likelihood of each observation; the posterior tells what its draws are worth.
+
+    Parameters
+    ----------
+    posterior : Dataset
+    log_likelihood : array (n_chains, n_draws, ...)
+
+    References
+    ----------
+    Vehtari, Simpson, Gelman, Yao, Gabry (2024), Journal of Machine Learning Research 25(72).
+    """
+    values, lppd = _draws_of_terms(log_likelihood)
+    n, efficiency = len(values), 1.0
+    if posterior.sizes["chain"] > 1:
+        sizes = _arviz().ess(posterior, method="mean")
+        efficiency = float(np.concatenate([np.ravel(size) for size in sizes.data_vars.values()]).mean()) / n
+    found = [smoothed(-column, efficiency) for column in values.T]
+    terms = np.array(
+        [logsumexp(weights + column) for (weights, _), column in zip(found, values.T, strict=True)]
     )
+    k, good_k = np.array([k for _, k in found]), min(1 - 1 / math.log10(n), 0.7)
+    return _score(terms, lppd, n, warning=bool(np.any(k > good_k)), pareto_k=k, good_k=good_k)
 
 
 def ranked(scores: Mapping[str, Score], method: str) -> pd.DataFrame:
@@ -201,7 +221,7 @@ def ranked(scores: Mapping[str, Score], method: str) -> pd.DataFrame:
     best = np.max([score.terms for score in scores.values()], axis=0)
     given = {name: _elpd(score, score.terms - best) for name, score in scores.items()}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pandas, and what the scores warn of already
+        warnings.simplefilter("ignore")  # what the scores warn of already
         if ARVIZ_1:
             table: pd.DataFrame = _arviz().compare(given, method=method, round_to="none")
         else:

@@ -43,7 +43,8 @@ def _draw(op: Any, node: Any) -> Any:
     scalar = numba.from_dtype(dtype)
 
     def values(inputs: Any) -> Any:
-        drawn = np.ascontiguousarray(op.rng_fn(*inputs, size=None), dtype=dtype)
+        rng, *parameters = inputs
+        drawn = np.ascontiguousarray(op.rng_fn(rng, *map(np.asarray, parameters), size=None), dtype=dtype)
         return drawn if op.ndim_supp else drawn.item()
 
     kind = numba.types.Array(scalar, op.ndim_supp, "C") if op.ndim_supp else scalar

@@ -30,8 +30,7 @@ def inference_data(
         "sample_stats": {n: v.astype(_WHOLE.get(n, v.dtype)) for n, v in stats.items()},
         "observed_data": find_observations(model),
     }
-    coords = {name: np.asarray(values) for name, values in model.coords.items() if values is not None}
-    return of_draws(groups, coords, model.named_vars_to_dims)
+    return of_draws(groups, model.coords, model.named_vars_to_dims)
 
 
 def attach_record(
