@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 
-from gaussian import a_record
 from lines import FOLDER, LINES, OURS, posterior_with_groups, waic_of_nine
 from zoo.core.arviz_lines import datasets
 from zoo.core.inference.record import RunRecord
@@ -26,7 +25,7 @@ def test_waic_of_the_nine_models_is_that_of_both_lines() -> None:
 @pytest.mark.parametrize("line", LINES)
 def test_a_posterior_of_each_line_is_read_and_written_by_this_one(line: str, tmp_path) -> None:
     found = load(FOLDER / f"{line}.nc")
-    assert RunRecord.of(found) == a_record()
+    assert RunRecord.of(found).versions["pymc"].startswith(line.removeprefix("pymc-"))
     again = load(save(found, tmp_path / "again.nc"))
     ours = posterior_with_groups()
     assert set(datasets(found)) == set(datasets(ours))
