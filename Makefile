@@ -9,7 +9,7 @@ LOCK := $(shell $(or $(wildcard $(BIN)/python),$(PYTHON)) -c 'import sys; \
     print("requirements-py313.lock" if sys.version_info >= (3, 12) else "requirements.lock")')
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
-.PHONY: setup test test-all native-test durations readme check fuzz nightly demo report bench reproduce mutants clean
+.PHONY: setup test test-all test-next native-test durations readme check fuzz nightly demo report bench reproduce mutants clean
 setup: $(STAMP)
 
 # Versions come from the lock file, those of the build tools too.
@@ -30,6 +30,13 @@ test: native-test
 # Both tiers.
 test-all: native-test
 	$(BIN)/pytest $(PYTEST_ARGS) --ignore tests/test_readme.py
+
+# What differs between the lines of PyMC, and the snippets of README.md, one of which is a diagnosis: four minutes
+# on two cores. `.ci/run` does it with PYTHON and VENV of the line that `make test` is not for.
+NEXT := lines models op storage comparison sampling
+test-next: setup
+	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow" -k "not readme or snippet" tests/test_readme.py \
+	    $(NEXT:%=tests/test_%.py)
 
 # Both tiers, and how long each test took into tests/durations.json, which says what is slow and what is first.
 durations: setup

@@ -14,7 +14,7 @@ from gaussian import gaussian_model
 from zoo.core.inference.pymc_step import DEMetropolisZFromMode
 from zoo.core.model import ModelError
 
-PYMC_6 = "ignore:`find_MAP` will return an `InferenceData`:FutureWarning"
+PYMC_6 = "ignore:`find_MAP` will:FutureWarning"
 
 
 @pytest.fixture(scope="module")
