@@ -4,17 +4,20 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.zoo-setup
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
+# Of the Python that is there: PyMC 5 on 3.11, PyMC 6 on later ones.
+LOCK := $(shell $(or $(wildcard $(BIN)/python),$(PYTHON)) -c 'import sys; \
+    print("requirements-py313.lock" if sys.version_info >= (3, 12) else "requirements.lock")')
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
-.PHONY: setup test test-all native-test durations readme check fuzz nightly demo report bench reproduce mutants clean
+.PHONY: setup test test-all test-next native-test durations readme check fuzz nightly demo report bench reproduce mutants clean
 setup: $(STAMP)
 
-# Versions come from requirements.lock, those of the build tools too.
-$(STAMP): pyproject.toml setup.py requirements.lock src/zoo/__init__.py $(NATIVE)
+# Versions come from the lock file, those of the build tools too.
+$(STAMP): pyproject.toml setup.py $(LOCK) src/zoo/__init__.py $(NATIVE)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "zoo needs Python 3.11 or newer, this is " + sys.version)'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint requirements.lock setuptools cffi
-	$(BIN)/python -m pip install --quiet --constraint requirements.lock --no-build-isolation --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --constraint $(LOCK) setuptools cffi
+	$(BIN)/python -m pip install --quiet --constraint $(LOCK) --no-build-isolation --editable '.[dev]'
 	@touch $@
 
 native-test: setup
@@ -27,6 +30,13 @@ test: native-test
 # Both tiers.
 test-all: native-test
 	$(BIN)/pytest $(PYTEST_ARGS) --ignore tests/test_readme.py
+
+# What differs between the lines of PyMC, and the snippets of README.md, one of which is a diagnosis: four minutes
+# on two cores, with PYTHON and VENV of the line that `make test` is not for.
+NEXT := lines models op storage comparison sampling
+test-next: setup
+	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow" -k "not readme or snippet" tests/test_readme.py \
+	    $(NEXT:%=tests/test_%.py)
 
 # Both tiers, and how long each test took into tests/durations.json, which says what is slow and what is first.
 durations: setup

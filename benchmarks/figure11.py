@@ -23,7 +23,9 @@ from benchmarks.paun2020.figures import posteriors_figure, uncertainty_figure
 
 from zoo import load_study, sample
 from zoo.blood import predictive
+from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.convergence import verdict
+from zoo.core.inference.elements import arrays, scalars
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.storage import load, save_posterior
 from zoo.models import get_model
@@ -35,9 +37,7 @@ if TYPE_CHECKING:
 ENDS = (0.025, 0.5, 0.975)
 
 
-def posterior(
-    name: str, study: Study, method: str, path: Path, given: argparse.Namespace
-) -> az.InferenceData:
+def posterior(name: str, study: Study, method: str, path: Path, given: argparse.Namespace) -> InferenceData:
     """Of one model, stored as it was made."""
     if path.exists():
         return load(path)
@@ -50,10 +50,10 @@ def posterior(
     return idata
 
 
-def differences(one: az.InferenceData, other: az.InferenceData) -> pd.DataFrame:
+def differences(one: InferenceData, other: InferenceData) -> pd.DataFrame:
     """Quantiles of all scalars that both have, and differences in combined Monte Carlo standard errors."""
     rows = []
-    first, second = (scalars(idata) for idata in (one, other))
+    first, second = (dict(scalars(arrays(idata))) for idata in (one, other))
     for name in first.keys() & second.keys():
         for p in ENDS:
             both = first[name], second[name]
@@ -64,16 +64,6 @@ def differences(one: az.InferenceData, other: az.InferenceData) -> pd.DataFrame:
                 {"parameter": name, "quantile": p, "surrogate": values[0], "exact": values[1], "z": z}
             )
     return pd.DataFrame(rows).sort_values(["parameter", "quantile"])
-
-
-def scalars(idata: az.InferenceData) -> dict[str, np.ndarray]:
-    """Draws (n_chains, n_draws) of every number, such as "chi[3]"."""
-    found = {}
-    for name, values in idata.posterior.data_vars.items():
-        draws = values.transpose("chain", "draw", ...).to_numpy()
-        for at in np.ndindex(draws.shape[2:]):
-            found[f"{name}{list(at) if at else ''}"] = draws[(..., *at)]
-    return found
 
 
 def main() -> None:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import time
 from collections import Counter
 
-import arviz as az
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
 from pytensor.graph.basic import Apply
 from pytensor.graph.op import Op
 
+from zoo.core.arviz_lines import InferenceData, of_draws
+from zoo.core.in_numba import called_as_python
 from zoo.core.inference.record import RunRecord
 
 
+@called_as_python
 class Doubling(Op):
     """A gradient-free operation that doubles its input, counts its solves and fails below a limit."""
 
@@ -43,8 +45,8 @@ class Doubling(Op):
         output_storage[0][0] = inputs[0] * 2.0
         output_storage[1][0] = np.asarray(ok, dtype=np.int8)
 
-    def infer_shape(self, fgraph, node, shapes):
-        return [shapes[0], ()]
+    def infer_shape(self, *node_and_shapes):
+        return [node_and_shapes[-1][0], ()]
 
 
 PRIOR_SD = np.array([1.0, 2.0, 0.5])
@@ -114,9 +116,7 @@ def a_record() -> RunRecord:
     )
 
 
-def independent_draws() -> az.InferenceData:
+def independent_draws() -> InferenceData:
     rng = np.random.default_rng(0)
-    return az.from_dict(
-        posterior={"c": rng.normal(size=(4, 1000)), "chi": rng.normal(size=(4, 1000, 2))},
-        sample_stats={"lp": rng.normal(size=(4, 1000))},
-    )
+    draws = {"c": rng.normal(size=(4, 1000)), "chi": rng.normal(size=(4, 1000, 2))}
+    return of_draws({"posterior": draws, "sample_stats": {"lp": rng.normal(size=(4, 1000))}})

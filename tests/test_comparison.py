@@ -17,6 +17,7 @@ from zoo.blood.baseline import Baseline, study_model
 from zoo.blood.forward import radius_dependent_stiffness
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Study
+from zoo.core.arviz_lines import ARVIZ_1, InferenceData, dataset, made, of_draws
 from zoo.core.errors.independent import Independent
 from zoo.core.inference.convergence import check_convergence
 from zoo.core.model import ModelError
@@ -43,14 +44,14 @@ pytestmark = pytest.mark.filterwarnings(
 CENTRE = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.0025, "w": 5e4, "b": 100.0}
 
 
-def posterior(model: pm.Model, n_draws: int = 40, seed: int = 0, spread: float = 0.003) -> az.InferenceData:
+def posterior(model: pm.Model, n_draws: int = 40, seed: int = 0, spread: float = 0.003) -> InferenceData:
     """Draws scattered around the truth, two chains, every draw twice as Metropolis leaves them."""
     rng = np.random.default_rng(seed)
     draws = {
         name: CENTRE[name] * np.exp(spread * rng.standard_normal((2, n_draws // 2))).repeat(2, axis=1)
         for name in model.zoo.parameters
     }
-    return az.from_dict(posterior=draws)
+    return of_draws({"posterior": draws})
 
 
 @pytest.fixture(scope="module")
@@ -59,14 +60,14 @@ def models(study: Study) -> dict[str, pm.Model]:
 
 
 @pytest.fixture(scope="module")
-def idatas(models: dict[str, pm.Model]) -> dict[str, az.InferenceData]:
+def idatas(models: dict[str, pm.Model]) -> dict[str, InferenceData]:
     return {name: posterior(model) for name, model in models.items()}
 
 
-def with_terms(idata, model, decomposition="sequential", n_draws=None) -> az.InferenceData:
+def with_terms(idata, model, decomposition="sequential", n_draws=None) -> InferenceData:
     """What ArviZ's own functions take."""
     terms = log_likelihoods(idata, model, n_draws=n_draws)[decomposition]
-    return az.InferenceData(posterior=thin(idata, n_draws), log_likelihood=terms.to_dataset(name="y"))
+    return made({"posterior": thin(idata, n_draws), "log_likelihood": terms.to_dataset(name="y")})
 
 
 # WAIC with one observation
@@ -118,7 +119,7 @@ def test_points_of_vectors_and_scalars(study: Study) -> None:
         "psi1": np.array([[[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]]),
         "sigma2": np.ones((1, 2)),
     }
-    points = forward_points(model, az.from_dict(posterior=draws).posterior)
+    points = forward_points(model, dataset(of_draws({"posterior": draws})))
     np.testing.assert_array_equal(points, [[1e5, 4e4, 0.1, 0.2, 0.3], [2e5, 5e4, 0.4, 0.5, 0.6]])
 
 
@@ -218,15 +219,15 @@ def test_table_ranked_by_loo_with_given_verdicts(models, idatas) -> None:
     rng = np.random.default_rng(0)
     good = check_convergence({"x": rng.standard_normal((4, 1000))})
     assert good.passes
-    table = compare(idatas, models, ic="loo", n_draws=20, verdicts={"A": good})
+    table = compare(idatas, models, ic="loo", n_draws=40, verdicts={"A": good})
     assert table.loc["A", "converged"]
     assert not table.loc["B", "converged"]
     difference = table["loo"].iloc[1] - table["loo"].iloc[0]
     assert table["difference"].iloc[1] == pytest.approx(difference)
     for name in models:  # only terms given all other points have weights that leave a point out
-        scored = with_terms(idatas[name], models[name], "leave-one-out", n_draws=20)
-        wanted = az.loo(scored, scale="deviance").elpd_loo
-        assert table.loc[name, "loo"] == pytest.approx(wanted, rel=1e-9)
+        scored = with_terms(idatas[name], models[name], "leave-one-out", n_draws=40)
+        wanted = float(az.loo(scored).elpd if ARVIZ_1 else az.loo(scored).elpd_loo)
+        assert table.loc[name, "loo"] == pytest.approx(-2 * wanted, rel=1e-9)
 
 
 def test_one_model_and_two_fits_of_it(models, idatas) -> None:
@@ -249,24 +250,29 @@ def test_weights_do_not_underflow(models, idatas) -> None:
 
 
 def test_weights_and_differences_are_arviz_s(models, idatas) -> None:
-    scored = {name: with_terms(idatas[name], models[name], n_draws=20) for name in models}
-    theirs = az.compare(scored, ic="waic", scale="deviance")
-    ours = compare(idatas, models, n_draws=20)
+    """ArviZ 1 has no WAIC of its own."""
+    ic, terms, elpd = ("loo", "leave-one-out", "elpd") if ARVIZ_1 else ("waic", "sequential", "elpd_waic")
+    settings = {"round_to": "none"} if ARVIZ_1 else {"ic": ic, "scale": "log"}
+    scored = {name: with_terms(idatas[name], models[name], terms, n_draws=40) for name in models}
+    theirs = az.compare(scored, **settings)
+    ours = compare(idatas, models, ic=ic, n_draws=40)
     assert list(ours.index) == list(theirs.index)
-    for column, its in {"waic": "elpd_waic", "difference": "elpd_diff", "difference_se": "dse"}.items():
-        np.testing.assert_allclose(ours[column], theirs[its], rtol=1e-6, err_msg=column)
+    np.testing.assert_allclose(ours[ic], -2 * theirs[elpd], rtol=1e-6)
+    np.testing.assert_allclose(ours["difference"], 2 * abs(theirs["elpd_diff"]), rtol=1e-6)
+    np.testing.assert_allclose(ours["difference_se"], 2 * theirs["dse"], rtol=1e-6)
     np.testing.assert_allclose(ours["weight"], theirs["weight"], atol=0.02)
 
 
 def test_arviz_names_stand_beside_ours(models, idatas) -> None:
     for ic in ("waic", "loo"):
         table = compare(idatas, models, ic=ic)
-        wanted = {"rank", f"elpd_{ic}", f"p_{ic}", "elpd_diff", "weight", "se", "dse", "warning", "scale"}
-        assert wanted <= set(table)
-        for theirs, ours in {f"elpd_{ic}": ic, "elpd_diff": "difference", "dse": "difference_se"}.items():
-            np.testing.assert_array_equal(table[theirs], table[ours])
-        np.testing.assert_allclose(table["se"], table[f"{ic}_se"], rtol=1e-12)
-        assert set(table["scale"]) == {"deviance"}
+        elpd, per_elpd, scale = ("elpd", -2, "log") if ARVIZ_1 else (f"elpd_{ic}", 1, "deviance")
+        assert {"rank", f"p_{ic}", "weight", "warning", "scale"} <= set(table)
+        for theirs, ours in {elpd: ic, "elpd_diff": "difference"}.items():
+            np.testing.assert_array_equal(per_elpd * table[theirs], table[ours])
+        for theirs, ours in {"se": f"{ic}_se", "dse": "difference_se"}.items():
+            np.testing.assert_allclose(abs(per_elpd) * table[theirs], table[ours], rtol=1e-12)
+        assert set(table["scale"]) == {scale}
         az.plot_compare(table)
 
 

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from gaussian import autoregressive, independent_draws
+from zoo.core.arviz_lines import InferenceData, dataset, made
 from zoo.core.inference.convergence import check_convergence, verdict
 from zoo.core.inference.record import ResultsError
 
 
 @pytest.fixture
-def idata() -> az.InferenceData:
+def idata() -> InferenceData:
     return independent_draws()
 
 
@@ -22,7 +23,7 @@ def test_independent_draws_pass(idata):
     assert [p.name for p in found.parameters] == ["c", "chi[0]", "chi[1]"]
     assert (found.chains, found.draws) == (4, 1000)
     assert found.text.startswith("converged: R-hat at most 1.0")
-    assert found["chi[1]"].rhat == pytest.approx(float(az.rhat(idata.posterior).chi[1]))
+    assert found["chi[1]"].rhat == pytest.approx(float(az.rhat(dataset(idata)).chi[1]))
     assert found.max_rhat <= 1.01
     assert found.min_ess > 3000
 
@@ -96,6 +97,6 @@ def test_verdict_on_chosen_variables(idata):
     with pytest.raises(ResultsError, match="no parameter 'zz' in the posterior; it has c, chi"):
         verdict(idata, var_names=["zz"])
     with pytest.raises(ResultsError, match="no group 'posterior'"):
-        verdict(az.InferenceData())
+        verdict(made({}))
     with pytest.raises(KeyError):
         verdict(idata)["zz"]

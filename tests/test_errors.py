@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import arviz as az
 import cloudpickle
 import numpy as np
 import pymc as pm
@@ -19,6 +18,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from zoo.core.arviz_lines import InferenceData, dataset
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel, ErrorModelError
 from zoo.core.errors.gaussian_process import GaussianProcess
@@ -311,7 +311,7 @@ SETTINGS = {"draws": 150, "tune": 300, "chains": 2, "thin": 2, "seed": 3, "progr
 
 
 @pytest.fixture(scope="module")
-def sampled() -> dict[str, tuple[pm.Model, az.InferenceData]]:
+def sampled() -> dict[str, tuple[pm.Model, InferenceData]]:
     """The first in this process, the other in two worker processes."""
     laws = {"iid": Independent(), "student-t": StudentT(SCALE, dof=3.0)}
     models = {name: decay_posterior_model(errors) for name, errors in laws.items()}
@@ -336,7 +336,7 @@ def test_an_error_model_of_one_s_own_is_compared(sampled) -> None:
     assert table.index[0] == "student-t"  # the noise has heavy tails
     model, idata = sampled["student-t"]
     terms = log_likelihoods(idata, model, n_draws=20)
-    scored = az.InferenceData(posterior=idata.posterior.isel(draw=[0, 149]))
+    scored = made({"posterior": dataset(idata).isel(draw=[0, 149])})
     pm.compute_log_likelihood(scored, model=model, progressbar=False)
     np.testing.assert_allclose(
         terms["sequential"].isel(draw=[0, -1]), scored.log_likelihood["y"], rtol=1e-12, atol=1e-12
@@ -354,7 +354,7 @@ def test_an_error_model_of_one_s_own_is_predicted_with(sampled) -> None:
         predicted = pm.sample_posterior_predictive(
             idata, var_names=["y"], progressbar=False, random_seed=1
         ).posterior_predictive["y"]
-    draws = idata.posterior
+    draws = dataset(idata)
     times = predicted["time"]
     mean = draws["scales"].rename(probe="series") * np.exp(-draws["rate"] * times)
     standard = (predicted - mean) / draws["scale"]

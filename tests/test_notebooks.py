@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import arviz as az
 import nbformat
 import numpy as np
 import pytest
 from nbclient import NotebookClient
 
 from zoo import load_study
+from zoo.core.arviz_lines import datasets, of_draws
 from zoo.core.inference.convergence import diagnostics
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.storage import load, save_posterior, slim_posterior
@@ -45,7 +45,7 @@ def store(folder: Path, letter: str) -> None:
     rng = np.random.default_rng(3)
     values = suggested(letter)
     draws = {name: values[name] * np.exp(0.002 * rng.normal(size=(4, 60))) for name in model.zoo.parameters}
-    idata = az.from_dict(posterior=draws)
+    idata = of_draws({"posterior": draws})
     study, conventions = model.zoo.study, model.zoo.forward.conventions.name
     RunRecord(
         letter, study.name, study.checksum, {"name": conventions}, {}, {}, 1, 10, 10, 1, {}, 1.0, 1.0, 9.0,
@@ -104,7 +104,7 @@ def test_nine_models_without_posteriors_says_so(tmp_path: Path, monkeypatch: pyt
 def test_stored_posteriors_hold_parameters_only(path: Path) -> None:
     assert path.stat().st_size < 500_000
     idata = load(path)
-    assert idata.groups() == ["posterior"]
+    assert list(datasets(idata)) == ["posterior"]
     record = RunRecord.of(idata)
     assert (record.model, record.study) == (path.stem, "mouse-c6")
     assert {str(v.dtype) for v in idata.posterior.data_vars.values()} == {"float32"}

@@ -13,6 +13,7 @@ import pymc as pm
 import pytensor
 import pytensor.tensor as pt
 import pytest
+from pymc.step_methods import STEP_METHODS
 from pytensor.graph.traversal import ancestors
 
 from zoo.blood.baseline import Baseline
@@ -260,14 +261,14 @@ def linear_model(study: Study, forward: Any = None) -> pm.Model:
     return model
 
 
-def test_sampling_without_a_step_stops_where_pymc_knows_none_but_slice(
-    study: Study, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    others = [method for method in pm.STEP_METHODS if not getattr(method, "for_forward_models", False)]
-    monkeypatch.setattr(pm, "STEP_METHODS", others)
-    blind = WithoutDerivatives(flow(study))
-    with linear_model(study, blind), pytest.raises(MissingGradientError, match=r"step=zoo\.step"):
-        pm.sample(draws=5, tune=5, chains=1, progressbar=False)
+def test_sampling_without_a_step_stops_where_pymc_knows_none_but_slice(study: Study) -> None:
+    blind, known = WithoutDerivatives(flow(study)), list(STEP_METHODS)
+    STEP_METHODS[:] = [method for method in known if not getattr(method, "for_forward_models", False)]
+    try:
+        with linear_model(study, blind), pytest.raises(MissingGradientError, match=r"step=zoo\.step"):
+            pm.sample(draws=5, tune=5, chains=1, progressbar=False)
+    finally:
+        STEP_METHODS[:] = known
 
 
 # processes

@@ -6,7 +6,6 @@ import csv
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import arviz as az
 import numpy as np
 import pandas as pd
 import pytest
@@ -29,6 +28,7 @@ from benchmarks.paun2020.truth import PAPER_TRUTH, THETA, kernel_density, score
 from scipy import stats
 
 from zoo import load_study, model_E, sample
+from zoo.core.arviz_lines import InferenceData, of_draws
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import PosteriorError
 
@@ -59,7 +59,7 @@ def test_published_numbers_are_those_of_the_tables(data_dir: Path):
             assert (mine.waic, mine.sse) == (float(row["waic"]), float(row["euclidean_distance"]))
 
 
-def posterior(model: str, shift: float = 0.0, widen: float = 1.0) -> az.InferenceData:
+def posterior(model: str, shift: float = 0.0, widen: float = 1.0) -> InferenceData:
     """Normal draws with the published medians and widths of a model, moved by `shift` interval widths."""
     rng = np.random.default_rng(4)
     draws = {}
@@ -67,7 +67,7 @@ def posterior(model: str, shift: float = 0.0, widen: float = 1.0) -> az.Inferenc
         z = rng.standard_normal((4, 500))
         z = (z - np.median(z)) / z.std()
         draws[name] = median + shift * (high - low) + widen * (high - low) / 3.92 * z
-    idata = az.from_dict(posterior=draws)
+    idata = of_draws({"posterior": draws})
     RunRecord(
         model, "mouse", "x", {}, {}, {}, 1, 4000, 4000, 100, {"collapse": 3}, 2.0, 1.0, 120.0, 1, "2026"
     ).attach(idata)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
-import arviz as az
 import numpy as np
 import pymc as pm
 import pytest
@@ -29,6 +28,7 @@ from zoo.blood.predictive import (
 )
 from zoo.blood.solver import Physics, Solver
 from zoo.blood.study import Study
+from zoo.core.arviz_lines import InferenceData, of_draws
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.gaussian_process import GaussianProcess, neural_network_kernel
@@ -48,14 +48,14 @@ ERRORS: dict[str, ErrorModel] = {
 }
 
 
-def posterior(model: pm.Model, n_draws: int = 20, spread: float = 0.02) -> az.InferenceData:
+def posterior(model: pm.Model, n_draws: int = 20, spread: float = 0.02) -> InferenceData:
     """Draws scattered around a point, two chains; a stiffness of each vessel has its own."""
     rng = np.random.default_rng(0)
     draws = {}
     for name in model.zoo.parameters:
         shape = (2, n_draws, *((3,) if name == "chi" else ()))
         draws[name] = CENTRE[name] * np.exp(spread * rng.standard_normal(shape))
-    return az.from_dict(posterior=draws)
+    return of_draws({"posterior": draws})
 
 
 @pytest.mark.parametrize("name", ["B", "I"])
@@ -121,13 +121,13 @@ def test_waves_conserve_volume_and_survive_a_file(study: Study, tmp_path) -> Non
 def test_draws_that_do_not_solve_are_left_out_and_counted(study: Study) -> None:
     model = study_model("stiff", STIFF, Independent())(study)
     f3_draws = np.array([[5e4, 1e11, 6e4], [1e11, 4e4, 1e11]])
-    idata = az.from_dict(posterior={"f3": f3_draws, "sigma2": np.arange(1.0, 7.0).reshape(2, 3)})
+    idata = of_draws({"posterior": {"f3": f3_draws, "sigma2": np.arange(1.0, 7.0).reshape(2, 3)}})
     waves = vessel_waves(model, idata, n_times=32)
     assert waves.attrs["draws_failed"] == 3
     assert waves.sigma2.to_numpy().tolist() == [1.0, 3.0, 5.0]
     systolic = waves.pressure_mmHg.sel(vessel=1, position=0.0).max("time").to_numpy()
     assert list(np.argsort(systolic)) == [2, 0, 1]  # stiffer, higher
-    only = az.from_dict(posterior={"f3": f3_draws[1:, [0, 2]], "sigma2": np.ones((1, 2))})
+    only = of_draws({"posterior": {"f3": f3_draws[1:, [0, 2]], "sigma2": np.ones((1, 2))}})
     with pytest.raises(PredictiveError, match="model stiff: none of 2 posterior draws solves"):
         vessel_waves(model, only)
 
@@ -137,7 +137,7 @@ def test_effects_are_in_the_predictions(study: Study) -> None:
     model = get_model("A")(study, effects=["viscoelastic-wall", "local-stiffness@2"])
     values = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.1}
     values |= {"viscoelastic-wall.tau": 2e-3, "local-stiffness@2.log-stiffness": 0.4}
-    idata = az.from_dict(posterior={name: np.array([[value]]) for name, value in values.items()})
+    idata = of_draws({"posterior": {name: np.array([[value]]) for name, value in values.items()}})
     waves = vessel_waves(model, idata, n_times=32)
     chi = np.array([5e4, 5e4 * np.exp(0.4), 5e4])
     [point] = forward_points(model, idata["posterior"])
@@ -245,7 +245,7 @@ def test_predictions_have_the_variance_of_the_error_model(study: Study, monkeypa
     means[3] = np.nan
     errors = {"iid": ("sigma2",), "gp": ("w", "b")}[error]
     values = {"sigma2": np.full((4, n), 0.09), "w": np.full((4, n), 5e4), "b": np.full((4, n), 130.0)}
-    idata = az.from_dict(posterior={name: values[name] for name in errors})
+    idata = of_draws({"posterior": {name: values[name] for name in errors}})
     record = SimpleNamespace(errors=ERRORS[error].bind(study_data(study)), error_parameters=errors)
     monkeypatch.setattr(predictive, "record_of", lambda model: record)
     monkeypatch.setattr(predictive, "posterior_means", lambda model, posterior: means)

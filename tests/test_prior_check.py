@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import arviz as az
 import numpy as np
 import pymc as pm
 import pytest
 from scipy import stats
 
 from gaussian import autoregressive
+from zoo.core.arviz_lines import InferenceData
 from zoo.core.data import Data
 from zoo.core.effects import EffectParameter, effect, with_effects
 from zoo.core.errors.independent import Independent
@@ -164,11 +164,11 @@ def model() -> pm.Model:
 
 
 @pytest.fixture(scope="module")
-def idata(model: pm.Model) -> az.InferenceData:
+def idata(model: pm.Model) -> InferenceData:
     return sample(model, draws=500, until_ess=400, max_draws=4000, cores=0, seed=1, progress=False)
 
 
-def test_a_run_stores_what_it_heard_and_its_verdict_says_it_first(idata: az.InferenceData) -> None:
+def test_a_run_stores_what_it_heard_and_its_verdict_says_it_first(idata: InferenceData) -> None:
     stored = PriorCheck.from_dict(RunRecord.of(idata).prior_check or {})
     assert [(f.parameter, f.side, f.bound, f.unit) for f in stored.bounds] == [("slope", "upper", 1.0, "V/s")]
     assert stored.uninformed == ("idle",)
@@ -180,7 +180,7 @@ def test_a_run_stores_what_it_heard_and_its_verdict_says_it_first(idata: az.Infe
 
 
 def test_files_slim_files_and_comparisons_keep_it(
-    idata: az.InferenceData, model: pm.Model, tmp_path: Path
+    idata: InferenceData, model: pm.Model, tmp_path: Path
 ) -> None:
     for kept in (
         load(save_posterior(idata, tmp_path / "whole.nc")),
@@ -192,7 +192,7 @@ def test_files_slim_files_and_comparisons_keep_it(
     assert table.loc["line", "uninformed"] == "idle"
 
 
-def test_a_posterior_of_before_is_heard_by_its_model(idata: az.InferenceData, model: pm.Model) -> None:
+def test_a_posterior_of_before_is_heard_by_its_model(idata: InferenceData, model: pm.Model) -> None:
     from dataclasses import replace
 
     older = idata.copy()
@@ -230,7 +230,7 @@ def test_what_cannot_be_sampled_or_read_is_named() -> None:
         PriorCheck.from_dict({"bounds": [{"parameter": "a"}], "uninformed": []})
 
 
-def test_reports_and_comparisons_on_screen_warn(idata: az.InferenceData, model: pm.Model) -> None:
+def test_reports_and_comparisons_on_screen_warn(idata: InferenceData, model: pm.Model) -> None:
     from types import SimpleNamespace
 
     from zoo.cli.compare import _comparison_summary

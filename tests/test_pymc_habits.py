@@ -14,6 +14,8 @@ from gaussian import gaussian_model
 from zoo.core.inference.pymc_step import DEMetropolisZFromMode
 from zoo.core.model import ModelError
 
+PYMC_6 = "ignore:`find_MAP` will:FutureWarning"
+
 
 @pytest.fixture(scope="module")
 def model_a():
@@ -61,7 +63,7 @@ def test_chains_of_a_known_law_start_apart_and_end_together():
     step = zoo.step(model)
     firsts, draws = [], []
     for seed in range(4):
-        step.set_rng(np.random.default_rng(seed))
+        step.rng = np.random.default_rng(seed)
         first, kept = moments_of(model, model.initial_point(), 1500, step)
         firsts.append(first)
         draws.append(kept)
@@ -79,7 +81,7 @@ def test_starts_that_are_given_are_kept():
     model = gaussian_model()
     step = zoo.step(model, scaling=1e-12, lamb=1e-12, crank_nicolson=0.0)
     start = {name: value + 0.25 for name, value in model.initial_point().items()}
-    step.set_rng(np.random.default_rng(0))
+    step.rng = np.random.default_rng(0)
     first, _ = moments_of(model, start, 1, step)
     given = np.concatenate([np.ravel(start[v.name]) for v in step.vars])
     np.testing.assert_allclose(first, given, atol=1e-6)
@@ -95,6 +97,7 @@ def test_a_variable_added_to_the_model_gets_pymcs_own_step(mode_a):
     np.testing.assert_allclose(ours._around.mean, mode_a.vector, atol=0.02)
 
 
+@pytest.mark.filterwarnings(PYMC_6)
 def test_find_map_with_the_solvers_gradient_finds_the_mode(model_a, mode_a):
     with model_a:
         best = pm.find_MAP(progressbar=False)
@@ -102,6 +105,7 @@ def test_find_map_with_the_solvers_gradient_finds_the_mode(model_a, mode_a):
         assert float(best[name]) == pytest.approx(float(mode_a.values[name]), rel=0.05)
 
 
+@pytest.mark.filterwarnings(PYMC_6)
 def test_find_map_says_what_to_do_without_a_gradient(model_a, monkeypatch):
     monkeypatch.setattr("zoo.core.model.has_jacobian", lambda forward: False)
     with model_a, pytest.raises(ModelError, match=r"model A: .* use zoo\.find_mode\(model\)"):

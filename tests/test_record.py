@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 
-import arviz as az
 import numpy as np
 import pytest
 
 from gaussian import a_record, independent_draws
+from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.record import ResultsError, RunRecord
 
 
@@ -18,7 +18,7 @@ def record() -> RunRecord:
 
 
 @pytest.fixture
-def idata() -> az.InferenceData:
+def idata() -> InferenceData:
     return independent_draws()
 
 

@@ -11,9 +11,11 @@ import pymc as pm
 import pytensor.tensor as pt
 import pytest
 from pymc.blocking import RaveledVars
+from pymc.step_methods import CompoundStep
 from scipy import stats
 
 from gaussian import Doubling, gaussian_model, gaussian_posterior
+from zoo.core.arviz_lines import effective
 from zoo.core.inference.sampling import DEMetropolisZ
 from zoo.core.inference.spaces import ConstrainedSpace, Gaussian
 
@@ -22,7 +24,7 @@ QUIET = {"progressbar": False, "compute_convergence_checks": False}
 
 def steps_of(step, point, n, seed=3, tune=0):
     """Draws of a step method in PyMC's own order of calls, and its statistics."""
-    step.set_rng(np.random.default_rng(seed))
+    step.rng = np.random.default_rng(seed)
     step.tune = tune > 0
     step.reset_tuning()
     rows, records = [], []
@@ -83,7 +85,7 @@ def test_memory_knows_the_variables_of_other_steps():
         a = pm.Normal("a")
         b = pm.Normal("b", a, 1.0)
         pm.Normal("y", b, 1.0, observed=1.0)
-        step = pm.CompoundStep([DEMetropolisZ([a], scaling=0.5), DEMetropolisZ([b], scaling=0.5)])
+        step = CompoundStep([DEMetropolisZ([a], scaling=0.5), DEMetropolisZ([b], scaling=0.5)])
         idata = pm.sample(300, tune=300, step=step, chains=1, cores=1, random_seed=1, **QUIET)
     logp = model.compile_logp()
     assert float(idata.posterior.a.std()) > 0 < float(idata.posterior.b.std())
@@ -113,7 +115,7 @@ def test_sampling_state_continues_identically():
         return DEMetropolisZ(model=model, crank_nicolson=0.5, reference=reference)
 
     step = make()
-    step.set_rng(np.random.default_rng(1))
+    step.rng = np.random.default_rng(1)
     point = model.initial_point()
     for _ in range(350):
         point, _ = step.step(point)
@@ -247,7 +249,7 @@ def test_a_ridge_at_a_bound_mixes_better_in_the_constrained_space():
     for share in (0.0, 0.5):
         step = DEMetropolisZ(model=model, crank_nicolson=0.5, constrained=share)
         q, _ = steps_of(step, model.initial_point(), 20_000, seed=3, tune=4000)
-        sizes[share] = float(az.ess(space.values(q[4000:])[None, :, 0], method="tail"))
+        sizes[share] = effective(space.values(q[4000:])[None, :, 0], "tail")
     assert sizes[0.5] > 1.5 * sizes[0.0]
 
 

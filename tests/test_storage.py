@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 
 from gaussian import a_record, autoregressive, independent_draws
+from zoo.core.arviz_lines import InferenceData, dataset, datasets, made, of_draws
 from zoo.core.inference.convergence import diagnostics, verdict
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import OutputFileError
@@ -23,7 +24,7 @@ def record() -> RunRecord:
 
 
 @pytest.fixture
-def idata() -> az.InferenceData:
+def idata() -> InferenceData:
     return independent_draws()
 
 
@@ -46,27 +47,27 @@ def test_save_and_load_say_what_is_wrong(tmp_path, idata):
     (tmp_path / "text.nc").write_text("not a posterior")
     with pytest.raises(ResultsError, match=r"text\.nc: not a readable NetCDF file"):
         load(tmp_path / "text.nc")
-    az.from_dict(prior={"a": np.zeros((1, 3))}).to_netcdf(str(tmp_path / "prior.nc"))
+    of_draws({"prior": {"a": np.zeros((1, 3))}}).to_netcdf(str(tmp_path / "prior.nc"))
     with pytest.raises(ResultsError, match="no group 'posterior'"):
         load(tmp_path / "prior.nc")
 
 
 def test_slim_keeps_parameters_record_and_the_verdict_on_all_draws(tmp_path, record):
     rng = np.random.default_rng(5)
-    whole = az.from_dict(
-        posterior={
-            "c": autoregressive(rng, 4, 1000, 0.5),
-            "chi": 5e4 + rng.normal(size=(4, 1000, 3)),
-            "waves": rng.normal(size=(4, 1000, 7)),
-        },
-        sample_stats={"accepted": np.linspace(0.1, 0.4, 4)[:, None].repeat(1000, 1)},
-        observed_data={"y": np.arange(7.0)},
+    draws = {
+        "c": autoregressive(rng, 4, 1000, 0.5),
+        "chi": 5e4 + rng.normal(size=(4, 1000, 3)),
+        "waves": rng.normal(size=(4, 1000, 7)),
+    }
+    stats = {"accepted": np.linspace(0.1, 0.4, 4)[:, None].repeat(1000, 1)}
+    whole = of_draws(
+        {"posterior": draws, "sample_stats": stats, "observed_data": {"y": np.arange(7.0)}},
         dims={"waves": ["time"], "y": ["time"]},
         coords={"time": np.arange(7.0)},
     )
     record.attach(whole)
     small = load(save_posterior(slim_posterior(whole, 200), tmp_path / "B.nc"))
-    assert small.groups() == ["posterior"]
+    assert list(datasets(small)) == ["posterior"]
     assert set(small.posterior.data_vars) == {"c", "chi"}
     assert "time" not in small.posterior.coords
     assert small.posterior.sizes == {"chain": 4, "draw": 50, "chi_dim_0": 3}
@@ -99,8 +100,8 @@ def test_slim_refuses(idata, record):
 @pytest.fixture
 def stored(tmp_path, idata, record):
     """A small posterior's file, with text, truth values and numbers among its content."""
-    few = idata.posterior.isel(draw=slice(30)).assign_coords(chi_dim_0=["one", "two"])
-    small = az.InferenceData(posterior=few, sample_stats=az.from_dict({"diverging": few.c > 0}).posterior)
+    few = dataset(idata).isel(draw=slice(30)).assign_coords(chi_dim_0=["one", "two"])
+    small = made({"posterior": few, "sample_stats": (few[["c"]] > 0).rename(c="diverging")})
     record.attach(small)
     return save_posterior(small, tmp_path / "B.nc")
 
@@ -125,8 +126,8 @@ def test_no_damage_to_a_posterior_goes_unseen(tmp_path, stored):
             refused.append(str(error))
         else:
             assert i >= 200
-            assert found.groups() == whole.groups()
-            assert all(found[name].identical(whole[name]) for name in whole.groups())
+            assert list(datasets(found)) == list(datasets(whole))
+            assert all(found[name].identical(whole[name]) for name in datasets(whole))
     assert len(refused) >= 230
     assert all(text.startswith(str(damaged)) and "\n" not in text for text in refused)
 

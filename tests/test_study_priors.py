@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import arviz as az
 import numpy as np
 import pymc as pm
 import pytest
@@ -22,6 +21,7 @@ from zoo.blood.prior_tables import PriorsError, read_option, read_priors, table_
 from zoo.blood.priors import GAMMA, stiffness_of_wave_speed, with_priors
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Blood, Study, StudyError, Vessel, Windkessel, save_study
+from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.record import RunRecord
 from zoo.core.parameters import (
     InverseGamma,
@@ -305,7 +305,7 @@ def test_a_table_is_saved_and_read_back(example: Study, tmp_path: Path) -> None:
 # The record of a run
 
 
-def a_few(model: pm.Model) -> az.InferenceData:
+def a_few(model: pm.Model) -> InferenceData:
     return zoo.sample(model, draws=4, tune=8, chains=1, cores=0, progress=False, until_ess=None, seed=1)
 
 

@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from arviz.stats.ecdf_utils import ecdf_confidence_band
 from numpy.typing import NDArray
+from scipy import stats
+from scipy.optimize import minimize_scalar
 
 from zoo import sample
 from zoo.blood.ejection import PERIOD_S, ejection
@@ -278,6 +279,28 @@ def ranks_of(replicates: Sequence[Replicate]) -> pd.DataFrame:
     return pd.DataFrame([one.rank for one in replicates])
 
 
+def confidence_band(n: int, points: Array, prob: float) -> tuple[Array, Array]:
+    """Least and largest share of n uniform numbers below each point: a band that holds all with `prob`.
+
+    It has the same probability at each point, chosen for all of them together: the number below a point is
+    binomial given that below the last one.
+    """
+    before = np.concatenate([[0.0], points[:-1]])
+
+    def misses(at_each: float) -> float:
+        low, high = np.asarray(stats.binom.interval(at_each, n, points), dtype=int)
+        counts, inside = np.zeros(1, dtype=int), np.ones(1)
+        for a, b, part in zip(low, high, (points - before) / (1 - before), strict=True):
+            now = np.arange(a, b + 1)
+            inside = inside @ stats.binom.pmf(now, n - counts[:, None], part, loc=counts[:, None])
+            counts = now
+        return abs(float(inside.sum()) - prob)
+
+    at_each = minimize_scalar(misses, bounds=(prob, 1), method="bounded").x
+    low, high = stats.binom.interval(at_each, n, points)
+    return low / n, high / n
+
+
 def uniform(ranks: pd.DataFrame, ranked: int, prob: float = 0.95) -> pd.Series:
     """Whether the ECDF of each column is in the band where that of uniform ranks is with probability `prob`.
 
@@ -285,8 +308,8 @@ def uniform(ranks: pd.DataFrame, ranked: int, prob: float = 0.95) -> pd.Series:
     ----------
     Säilynoja, Bürkner, Vehtari 2022, doi 10.1007/s11222-022-10090-6.
     """
-    n, points = len(ranks), np.arange(1, ranked + 1) / (ranked + 1)
-    low, high = ecdf_confidence_band(n, points, points, prob=prob, method="optimized")
+    n = len(ranks)
+    low, high = confidence_band(n, np.arange(1, ranked + 1) / (ranked + 1), prob)
     inside = {}
     for name, column in ranks.items():
         share = np.searchsorted(np.sort(column), np.arange(ranked), side="right") / n

@@ -21,6 +21,7 @@ from scipy.stats import binom
 from zoo.blood.prior_tables import PAPER_SET
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study
+from zoo.core.arviz_lines import dataset
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.workers import each
 from zoo.core.outputs import write_file
@@ -155,7 +156,7 @@ def _sampled(
     idata = matching(path, model)
     if idata is None:
         idata = sample_to(path, model, cores=0, progress=False, seed=1 + number, **settings)
-    found, posterior = verdict(idata), idata["posterior"]
+    found, posterior = verdict(idata), dataset(idata)
     draws = {name: posterior[name].to_numpy().ravel() for name in THETA if name in posterior}
     judged = {"converged": found.passes, "ess_min": found.min_ess}
     return {**score(draws, truth), "joint_direct": np.nan, **judged}

@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-import arviz as az
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from zoo.blood.predictive import one_place
+from zoo.core.arviz_lines import InferenceData, dataset
+from zoo.plots.chains import density_of
 from zoo.plots.style import QUANTITY_LABELS, SCALES, legend_below, model_style, new_figure, parameter_label
 from zoo.plots.waves import band_handles, draw_bands, draw_observed, shown_vessels, vessel_title
 
@@ -54,7 +55,7 @@ def uncertainty_figure(bands: Mapping[str, xr.Dataset], study: Study) -> Figure:
 
 
 def posteriors_figure(
-    posteriors: Mapping[str, az.InferenceData], var_names: Sequence[str] | None = None
+    posteriors: Mapping[str, InferenceData], var_names: Sequence[str] | None = None
 ) -> Figure:
     """Marginal densities and pairs of the scalars that several posteriors share (figure 4).
 
@@ -63,7 +64,7 @@ def posteriors_figure(
     """
     draws = {}
     for name, idata in posteriors.items():
-        data = idata["posterior"]
+        data = dataset(idata)
         scalars = [str(v) for v in data.data_vars if set(data[v].dims) == {"chain", "draw"}]
         draws[name] = {v: data[v].to_numpy().ravel() / 10.0 ** SCALES.get(v, 0) for v in scalars}
     every = list(draws.values())
@@ -75,7 +76,7 @@ def posteriors_figure(
             colour = model_style(name, k)[0]
             step = max(1, math.ceil(len(values[names[0]]) / 1000))
             for i, below in enumerate(names):
-                x, density = az.kde(values[below])
+                x, density = density_of(values[below])
                 grid[i, i].plot(x, density / density.max(), color=colour, lw=1.5)
                 grid[i, i].fill_between(x, density / density.max(), color=colour, alpha=0.2, lw=0)
                 for j, across in enumerate(names[:i]):

@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
-import arviz as az
 import numpy as np
 from benchmarks.paun2020.synthetic import Truth, whitened
 from benchmarks.paun2020.truth import SCALES, THETA, score
@@ -19,6 +18,7 @@ from scipy.stats import multivariate_t
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver
 from zoo.blood.study import Study
+from zoo.core.arviz_lines import smoothed
 from zoo.core.errors.gaussian_process import NOISE, gp_sequential, neural_network_kernel
 from zoo.core.inference.convergence import ESS_TARGET
 from zoo.models import model_e
@@ -177,11 +177,11 @@ def weighted(pool: Pool, data_set: int) -> tuple[dict[str, Array], Array, float]
     """
     log_weights = pool.log_likelihood[:, data_set] + pool.log_theta + pool.log_eta
     possible = np.isfinite(log_weights)
-    smooth, k = az.psislw(log_weights[possible].copy())
-    weights = np.exp(np.asarray(smooth))
+    smooth, k = smoothed(log_weights[possible])
+    weights = np.exp(smooth)
     draws = dict(zip(THETA, pool.theta[possible].T, strict=True))
     draws |= dict(zip(("w", "b"), np.exp(pool.eta[possible].T), strict=True))
-    return draws, weights / weights.sum(), float(k)
+    return draws, weights / weights.sum(), k
 
 
 def score_pool(pool: Pool, truth: Truth, data_set: int) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import arviz as az
 import pandas as pd
 from benchmarks.paun2020.figures import posteriors_figure, uncertainty_figure
 from benchmarks.paun2020.table4 import (
@@ -25,6 +24,7 @@ from benchmarks.paun2020.truth import THETA
 from zoo import plots
 from zoo.blood import predictive
 from zoo.blood.prior_tables import PAPER_SET
+from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.convergence import diagnostics
 from zoo.core.inference.record import RunRecord
 from zoo.core.outputs import write_file
@@ -102,7 +102,7 @@ def nine_posteriors(
     *,
     say: Callable[[str], None] = print,
     **settings: Any,
-) -> tuple[dict[str, az.InferenceData], dict[str, pm.Model]]:
+) -> tuple[dict[str, InferenceData], dict[str, pm.Model]]:
     """Posteriors by letter, those in `folder` and the others sampled into it, and the models."""
     folder.mkdir(parents=True, exist_ok=True)
     posteriors, models = {}, {}
@@ -143,7 +143,7 @@ def _text(parameters: pd.DataFrame, scores: pd.DataFrame, costs: pd.DataFrame) -
 
 
 def _figures(
-    study: Study, posteriors: Mapping[str, az.InferenceData], models: Mapping[str, pm.Model], folder: Path
+    study: Study, posteriors: Mapping[str, InferenceData], models: Mapping[str, pm.Model], folder: Path
 ) -> None:
     folder.mkdir(exist_ok=True)
     medians, pressures, at_medians = {}, {}, {}

@@ -16,6 +16,7 @@ import arviz as az
 import numpy as np
 import pandas as pd
 
+from zoo.core.arviz_lines import InferenceData, dataset
 from zoo.core.inference.convergence import diagnostics
 from zoo.core.inference.record import RunRecord
 
@@ -77,7 +78,7 @@ def reasons() -> dict[str, str]:
     return dict(numbers().get("reasons", {}))
 
 
-def parameter_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
+def parameter_table(posteriors: Mapping[str, InferenceData]) -> pd.DataFrame:
     """Medians and 95 % intervals, published and obtained, one row for each printed cell.
 
     Two medians agree if each lies in the other's interval and they are at most a quarter of the published
@@ -95,12 +96,12 @@ def parameter_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
     for model, row in published_table4().items():
         if model not in posteriors:
             continue
-        posterior = posteriors[model]["posterior"]
+        posterior = dataset(posteriors[model])
         converged = diagnostics(posteriors[model]).verdict.passes
         for name, theirs in row.parameters.items():
             draws = posterior[name]
             ours = Interval(*np.quantile(draws.to_numpy(), (0.5, 0.025, 0.975)))
-            mcse = float(az.mcse(draws, method="median")[name])
+            mcse = float(az.mcse(draws.transpose("chain", "draw").to_numpy(), method="median"))
             widths = (ours.median - theirs.median) / (theirs.high - theirs.low)
             rounded = _rounding(theirs.median)
             inside = (
@@ -182,7 +183,7 @@ def score_table(comparison: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("model")
 
 
-def cost_table(posteriors: Mapping[str, az.InferenceData]) -> pd.DataFrame:
+def cost_table(posteriors: Mapping[str, InferenceData]) -> pd.DataFrame:
     """What each posterior cost, beside the paper's iterations.
 
     Returns

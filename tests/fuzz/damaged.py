@@ -48,6 +48,7 @@ def plain(value: Any) -> Any:
 
 def read_posterior(folder: Path) -> Any:
     """Groups, variables and attributes."""
+    from zoo.core.arviz_lines import datasets
     from zoo.core.posterior.storage import load
 
     found = load(folder / "A.nc")
@@ -55,11 +56,11 @@ def read_posterior(folder: Path) -> Any:
         group: (
             {
                 name: (values.dims, plain(np.asarray(values.values)), repr(sorted(values.attrs.items())))
-                for name, values in found[group].variables.items()
+                for name, values in content.variables.items()
             },
-            repr(sorted(found[group].attrs.items())),
+            repr(sorted(content.attrs.items())),
         )
-        for group in found.groups()
+        for group, content in datasets(found).items()
     } | {"": repr(sorted(found.attrs.items()))}
 
 
@@ -125,8 +126,7 @@ def all_kinds() -> dict[str, Kind]:
 
 def make(folder: Path) -> None:
     """Write undamaged files of each kind."""
-    import arviz as az
-
+    from zoo.core.arviz_lines import of_draws
     from zoo.core.blindcheck import CaseKey
     from zoo.core.blindcheck.folders import run_cases, write_cases
     from zoo.core.diagnosis import Diagnosis, read_diagnosis
@@ -138,10 +138,10 @@ def make(folder: Path) -> None:
     for name in ("posterior", "checkpoint", "answer", "key"):
         (folder / name).mkdir(parents=True)
     rng = np.random.default_rng(SEED)
-    idata = az.from_dict(
-        posterior={"chi": rng.normal(size=(2, 40, 3)), "c": rng.normal(size=(2, 40))},
-        sample_stats={"accepted": rng.random((2, 40)) < 0.3},
-        observed_data={"y": rng.normal(size=9)},
+    draws = {"chi": rng.normal(size=(2, 40, 3)), "c": rng.normal(size=(2, 40))}
+    stats = {"accepted": rng.random((2, 40)) < 0.3}
+    idata = of_draws(
+        {"posterior": draws, "sample_stats": stats, "observed_data": {"y": rng.normal(size=9)}},
         coords={"vessel": ["trunk", "left", "right"]},
         dims={"chi": ["vessel"]},
     )

@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import arviz as az
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -20,6 +19,7 @@ from zoo.blood.diagnosis import StudyDiagnosis, diagnose
 from zoo.blood.ejection import ejection
 from zoo.blood.solver import Solver
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel, save_study
+from zoo.core.arviz_lines import InferenceData, of_draws
 
 
 @pytest.fixture(autouse=True)
@@ -40,16 +40,14 @@ def tube() -> Study:
 
 
 @pytest.fixture
-def idata() -> az.InferenceData:
+def idata() -> InferenceData:
     rng = np.random.default_rng(0)
-    return az.from_dict(
-        posterior={
-            "f3": 5e4 + 1e3 * rng.normal(size=(4, 200)),
-            "c": rng.normal(size=(4, 200)),
-            "mean": rng.normal(size=(4, 200, 40)),
-        },
-        dims={"mean": ["time"]},
-    )
+    draws = {
+        "f3": 5e4 + 1e3 * rng.normal(size=(4, 200)),
+        "c": rng.normal(size=(4, 200)),
+        "mean": rng.normal(size=(4, 200, 40)),
+    }
+    return of_draws({"posterior": draws}, dims={"mean": ["time"]})
 
 
 @pytest.fixture(scope="session")

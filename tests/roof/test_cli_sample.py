@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import arviz as az
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,6 +16,7 @@ from commands import TRUE, fails, run
 from zoo.blood.study import load_study, save_study
 from zoo.cli.command import UsageError
 from zoo.cli.sample import _keeps_what_is_there
+from zoo.core.arviz_lines import of_draws
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import find
 from zoo.core.posterior.storage import load
@@ -88,7 +88,7 @@ def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Pat
 def test_draws_are_replaced_by_the_same_and_more_alone(
     before: float | None, goal: float | None, there: str, refused: bool, tmp_path: Path, monkeypatch
 ) -> None:
-    held = az.from_dict(posterior={"a": np.zeros((2, 40))})
+    held = of_draws({"posterior": {"a": np.zeros((2, 40))}})
     record = SimpleNamespace(settings={"first check": 10, "until_ess": before})
     monkeypatch.setattr("zoo.core.posterior.storage.load", lambda path: held)
     monkeypatch.setattr(RunRecord, "of", lambda idata: record)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import arviz as az
 import numpy as np
 import pandas as pd
 import pytest
 from drawn import band_of, texts
 
 from zoo import plots
+from zoo.core.arviz_lines import of_draws
 from zoo.core.outputs import OutputFileError
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -156,7 +156,7 @@ def test_forest_has_the_quantiles_of_each_model() -> None:
     rng = np.random.default_rng(5)
     names = {"A": ["f3", "c"], "B": ["f3", "c", "w"]}
     posteriors = {
-        model: az.from_dict(posterior={name: rng.normal(size=(4, 100)) for name in own})
+        model: of_draws({"posterior": {name: rng.normal(size=(4, 100)) for name in own}})
         for model, own in names.items()
     }
     figure = plots.forest_figure(posteriors)

@@ -23,6 +23,7 @@ from zoo import report
 from zoo.blood.fetch import FetchError
 from zoo.blood.study import Study, load_study, save_study
 from zoo.cli import app
+from zoo.core.arviz_lines import InferenceData, of_draws
 from zoo.core.inference.convergence import Diagnostics, check_convergence
 from zoo.core.inference.record import RunRecord, versions
 from zoo.core.outputs import OutputFileError
@@ -34,11 +35,11 @@ from zoo.report.sentences import summary
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 
 Models = dict[str, pm.Model]
-Posteriors = dict[str, az.InferenceData]
+Posteriors = dict[str, InferenceData]
 CENTRE = {"f3": 5e4, "psi1": 0.3, "psi2": 0.9, "c": 1.2, "sigma2": 0.0025, "w": 5e4, "b": 100.0}
 
 
-def drawn(model: pm.Model, *, apart: float = 0.0, n: int = 500) -> az.InferenceData:
+def drawn(model: pm.Model, *, apart: float = 0.0, n: int = 500) -> InferenceData:
     """Independent draws of four chains whose means are `apart` standard deviations from each other."""
     rng = np.random.default_rng(4)
     shift = apart * np.arange(4)[:, None]
@@ -47,7 +48,7 @@ def drawn(model: pm.Model, *, apart: float = 0.0, n: int = 500) -> az.InferenceD
         for name in model.zoo.parameters
     }
     accepted = np.linspace(0.2, 0.4, 4)[:, None].repeat(n, 1)
-    idata = az.from_dict(posterior=draws, sample_stats={"accepted": accepted})
+    idata = of_draws({"posterior": draws, "sample_stats": {"accepted": accepted}})
     record = model.zoo
     replace(
         a_record(),

@@ -16,6 +16,7 @@ from scipy.special import ndtr, ndtri
 
 from zoo.blood.case import UNITS
 from zoo.blood.network import Network
+from zoo.core.arviz_lines import InferenceData, dataset, made
 from zoo.core.data import squared
 from zoo.core.errors.base import ErrorModel
 from zoo.core.forward import ForwardModel, Outputs, SolveError
@@ -23,7 +24,6 @@ from zoo.core.inference.record import versions
 from zoo.core.posterior.comparison import Progress, forward_points, posterior_means, record_of, thin
 
 if TYPE_CHECKING:
-    import arviz as az
     import pymc as pm
 
 
@@ -41,7 +41,7 @@ class PredictiveError(ValueError):
 
 
 def predictive_draws(
-    model: pm.Model, idata: az.InferenceData, *, n_draws: int | None = 200
+    model: pm.Model, idata: InferenceData, *, n_draws: int | None = 200
 ) -> tuple[Array, Array]:
     """Waveforms of posterior draws at the observed series, without and with the model's errors.
 
@@ -91,7 +91,7 @@ def _variances(errors: ErrorModel, parameters: Mapping[str, Array], n_draws: int
 
 def vessel_waves(
     model: pm.Model,
-    idata: az.InferenceData,
+    idata: InferenceData,
     *,
     n_draws: int = 200,
     n_times: int = 256,
@@ -199,9 +199,9 @@ def vessel_waves(
     return xr.Dataset(kept, coords=coords, attrs=attributes)
 
 
-def _pick(idata: az.InferenceData, n_draws: int, seed: int) -> xr.Dataset:
+def _pick(idata: InferenceData, n_draws: int, seed: int) -> xr.Dataset:
     """Evenly spaced draws of the joined chains from a random first one, as a single chain."""
-    posterior: xr.Dataset = idata["posterior"]
+    posterior = dataset(idata)
     total = posterior.sizes["chain"] * posterior.sizes["draw"]
     n = min(n_draws, total)
     start = np.random.default_rng(seed).random()
@@ -278,7 +278,7 @@ def median_waves(waves: xr.Dataset) -> xr.Dataset:
     return found
 
 
-def waves_at_medians(model: pm.Model, idata: az.InferenceData, *, n_times: int = 256) -> xr.Dataset:
+def waves_at_medians(model: pm.Model, idata: InferenceData, *, n_times: int = 256) -> xr.Dataset:
     """Pressure, flow and area with every parameter at its posterior median, one place a vessel.
 
     Unlike pointwise medians these are one solve: pressure and area belong together (figure 9).
@@ -302,11 +302,9 @@ def waves_at_medians(model: pm.Model, idata: az.InferenceData, *, n_times: int =
     PredictiveError
         If it does not solve.
     """
-    import arviz as az
-
-    median = idata["posterior"].median(("chain", "draw")).expand_dims(("chain", "draw"))
+    median = dataset(idata).median(("chain", "draw")).expand_dims(("chain", "draw"))
     at = median.assign_coords(chain=[0], draw=[0])
-    waves = vessel_waves(model, az.InferenceData(posterior=at), n_draws=1, n_times=n_times)
+    waves = vessel_waves(model, made({"posterior": at}), n_draws=1, n_times=n_times)
     return one_place(waves)[list(UNITS)].isel(draw=0, drop=True)
 
 

@@ -23,9 +23,8 @@ from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file, refuse_read
 
 if TYPE_CHECKING:
-    import arviz as az
-
     from zoo.blood.study import Study
+    from zoo.core.arviz_lines import InferenceData
     from zoo.core.inference.convergence import Verdict
 
 
@@ -75,7 +74,7 @@ def sample(
         raise typer.Exit(NOT_CONVERGED)
 
 
-def verdict_of(idata: az.InferenceData, goal: float | None) -> Verdict:
+def verdict_of(idata: InferenceData, goal: float | None) -> Verdict:
     """Have the chains converged, with the effective sample size that was asked for."""
     from zoo.core.inference.convergence import ess_to_count, verdict
 
@@ -100,7 +99,7 @@ def build_model(name: str, study: Study) -> Any:
 
 def sample_with_checkpoint(
     name: str, study: Study, path: Path, settings: Mapping[str, Any], *, fresh: bool, progress: bool
-) -> az.InferenceData:
+) -> InferenceData:
     """Run a model with the checkpoint beside its output, and write the output."""
     from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError, foreign_in
     from zoo.core.posterior.files import checkpoint_of, sample_to
@@ -143,7 +142,7 @@ def _keeps_what_is_there(path: Path, settings: Mapping[str, Any]) -> None:
         )
 
 
-def _posterior_summary(idata: az.InferenceData, found: Verdict) -> list[Any]:
+def _posterior_summary(idata: InferenceData, found: Verdict) -> list[Any]:
     import numpy as np
     from rich.text import Text
 

@@ -18,10 +18,12 @@ from pytensor.tensor.random.op import RandomVariable
 from scipy.stats import truncnorm
 
 from zoo.core.draws import inverse_gamma_draws
+from zoo.core.in_numba import called_as_python
 
 Array = NDArray[np.float64]
 
 
+@called_as_python
 class LogUniformRV(RandomVariable):
     """Draws of `LogUniform`."""
 
@@ -54,6 +56,7 @@ class LogUniform(pm.Continuous):
         return pt.switch(inside, -pt.log(value) - pt.log(pt.log(upper / lower)), -np.inf)
 
 
+@called_as_python
 class InverseGammaRV(InvGammaRV):
     """Draws of `InverseGamma`."""
 
@@ -69,6 +72,7 @@ class InverseGamma(pm.InverseGamma):
     rv_op = InverseGammaRV()
 
 
+@called_as_python
 class PositiveNormalRV(TruncatedNormalRV):
     """Draws of `PositiveNormal`."""
 
@@ -83,6 +87,7 @@ class PositiveNormal(pm.TruncatedNormal):
         return pt.zeros_like(rv) + pt.switch(mu > 0, mu, sigma)
 
 
+@called_as_python
 class TruncatedLogNormalRV(RandomVariable):
     """Draws of `TruncatedLogNormal`."""
 

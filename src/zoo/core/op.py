@@ -22,6 +22,7 @@ from pytensor.tensor.variable import TensorVariable
 from zoo.core.arrays import real_array
 from zoo.core.derivatives import has_jacobian, jacobian
 from zoo.core.forward import ForwardModel, SolveError, content_key
+from zoo.core.in_numba import called_as_python
 from zoo.core.parameters import n_values
 
 Array = NDArray[np.float64]
@@ -48,9 +49,9 @@ def missing_gradient(op: str) -> MissingGradientError:
     PyMC takes a NotImplementedError as "use another step method". It would choose Slice, which solves 18
     times a step without a word, so it only gets one when `zoo.core.inference.pymc_step` is among its methods.
     """
-    import pymc as pm
+    from pymc.step_methods import STEP_METHODS
 
-    known = any(getattr(method, "for_forward_models", False) for method in pm.STEP_METHODS)
+    known = any(getattr(method, "for_forward_models", False) for method in STEP_METHODS)
     return (OtherStepError if known else MissingGradientError)(op)
 
 
@@ -98,6 +99,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_clear_states)
 
 
+@called_as_python
 class ForwardOp(Op):
     """A forward model's observed series as a PyTensor operation.
 
@@ -298,12 +300,6 @@ class ForwardOp(Op):
         output_storage[0][0] = mean.copy()
         output_storage[1][0] = np.asarray(ok, dtype=np.int8)
 
-    def infer_shape(
-        self, fgraph: Any, node: Apply, input_shapes: list[tuple[Variable, ...]]
-    ) -> list[tuple[Any, ...]]:
-        """Known before any solve."""
-        return [self.shape, ()]
-
     def connection_pattern(self, node: Apply) -> list[list[bool]]:
         """Every parameter moves the mean; none moves ok."""
         return [[True, False] for _ in node.inputs]
@@ -332,6 +328,7 @@ class ForwardOp(Op):
     pullback = L_op  # its name in PyTensor 3
 
 
+@called_as_python
 class SlopesOp(Op):
     """Derivatives of a forward model's series, (n_values, n_series, n_times), zero where a solve fails.
 
@@ -358,12 +355,6 @@ class SlopesOp(Op):
     def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[Any]]) -> None:
         """Evaluate."""
         output_storage[0][0] = self.forward.slopes(np.concatenate([np.ravel(x) for x in inputs])).copy()
-
-    def infer_shape(
-        self, fgraph: Any, node: Apply, input_shapes: list[tuple[Variable, ...]]
-    ) -> list[tuple[Any, ...]]:
-        """Known before any solve."""
-        return [self.shape]
 
     def L_op(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]

@@ -3,45 +3,45 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.stats import gaussian_kde, rankdata
 
-from zoo.plots.style import COLOURS, PARAMETER_LABELS, SCALES, STYLE, parameter_label
+from zoo.core.arviz_lines import InferenceData, dataset
+from zoo.core.inference.elements import arrays, scalars
+from zoo.plots.style import COLOURS, PARAMETER_LABELS, SCALES, Array, cells_of, new_figure, parameter_label
 
-if TYPE_CHECKING:
-    import arviz as az
-
-
-def _names(idata: az.InferenceData, var_names: Iterable[str] | None) -> list[str]:
-    """Variables to show: those asked for, or all that are not waveforms."""
-    if var_names is not None:
-        return list(var_names)
-    posterior = idata["posterior"]
-    return [str(name) for name in posterior.data_vars if "time" not in posterior[name].dims]
+BINS = 20
+"""Of a rank plot."""
+FINE = 200
+"""Points of a density."""
 
 
-def _arviz(function: Any, *args: Any, labels: Mapping[str, str] | None = None, **kwargs: Any) -> Figure:
-    """Call an ArviZ plot in our style, and take its figure from pyplot so that its last user frees it."""
-    import arviz as az
-    import matplotlib.pyplot as plt
-
-    with (
-        mpl.rc_context({**STYLE, "figure.constrained_layout.use": True}),
-        az.rc_context({"plot.max_subplots": 100}),
-    ):
-        labeller = az.labels.MapLabeller(var_name_map=labels or PARAMETER_LABELS)
-        axes = np.atleast_1d(function(*args, labeller=labeller, **kwargs))
-        figure: Figure = axes.flat[0].figure
-        plt.close(figure)
-    return figure
+def _draws(idata: InferenceData, var_names: Iterable[str] | None) -> dict[str, Array]:
+    """Draws (n_chains, n_draws, ...) of those asked for, or of all that are not waveforms."""
+    if var_names is None:
+        posterior = dataset(idata)
+        var_names = [str(name) for name in posterior.data_vars if "time" not in posterior[name].dims]
+    return arrays(idata, list(var_names))
 
 
-def trace_figure(idata: az.InferenceData, var_names: Iterable[str] | None = None) -> Figure:
-    """Marginal densities and traces of each chain.
+def _label(element: str, labels: Callable[[str], str]) -> str:
+    """Label of a variable, with the index of an element: such as that of chi, [3]."""
+    name, bracket, index = element.partition("[")
+    return labels(name) + (f" {bracket}{index}" if bracket else "")
+
+
+def density_of(values: Array) -> tuple[Array, Array]:
+    """Points from the smallest to the largest value, and the density there; 0 where all are the same."""
+    x = np.linspace(values.min(), values.max(), FINE)
+    return x, gaussian_kde(values)(x) if x[0] < x[-1] else np.zeros(FINE)
+
+
+def trace_figure(idata: InferenceData, var_names: Iterable[str] | None = None) -> Figure:
+    """Marginal densities and traces of each chain; elements of a vector share a row, each of its colour.
 
     Parameters
     ----------
@@ -54,45 +54,73 @@ def trace_figure(idata: az.InferenceData, var_names: Iterable[str] | None = None
     -------
     matplotlib.figure.Figure
     """
-    import arviz as az
+    draws = _draws(idata, var_names)
+    with new_figure((9.0, 1.5 * len(draws))) as figure:
+        rows = figure.subplots(len(draws), 2, squeeze=False)
+        for (left, right), (name, values) in zip(rows, draws.items(), strict=True):
+            elements = [chains for _, chains in scalars({name: values})]
+            for i, chains in enumerate(elements):
+                for k, chain in enumerate(chains):
+                    colour = COLOURS[(i if len(elements) > 1 else k) % len(COLOURS)]
+                    left.plot(*density_of(chain), color=colour, lw=1.0)
+                    right.plot(chain, color=colour, lw=0.5, alpha=0.7)
+            left.set_yticks([])
+            left.set_xlabel(PARAMETER_LABELS.get(name, name))
+            right.set_xlabel("draw")
+    return figure
 
-    names = _names(idata, var_names)
-    return _arviz(az.plot_trace, idata, var_names=names, compact=True, figsize=(9.0, 1.5 * len(names)))
 
-
-def rank_figure(idata: az.InferenceData, var_names: Iterable[str] | None = None) -> Figure:
+def rank_figure(idata: InferenceData, var_names: Iterable[str] | None = None) -> Figure:
     """Rank plots: flat bars if the chains agree (Vehtari et al. 2021, doi 10.1214/20-BA1221).
 
     Parameters and returns as `trace_figure`.
     """
-    import arviz as az
+    found = dict(scalars(_draws(idata, var_names)))
+    with new_figure((9.0, 2.2 * math.ceil(len(found) / 3))) as figure:
+        for [axes], (name, chains) in zip(cells_of(figure, len(found), 3), found.items(), strict=True):
+            edges = np.linspace(0.5, chains.size + 0.5, BINS + 1)
+            level = chains.shape[1] / BINS
+            for row, ranks in enumerate(rankdata(chains).reshape(chains.shape)):
+                counts, _ = np.histogram(ranks, edges)
+                look: Any = {
+                    "color": COLOURS[row % len(COLOURS)],
+                    "align": "edge",
+                    "width": 0.95 * np.diff(edges),
+                }
+                axes.bar(edges[:-1], 0.8 * counts / level, bottom=1.3 * row, **look)
+                axes.axhline(1.3 * row + 0.8, color="#888888", lw=0.8, ls="--")
+            axes.set_yticks(1.3 * np.arange(len(chains)) + 0.4, [str(chain) for chain in range(len(chains))])
+            axes.set_ylabel("chain")
+            axes.set_xlabel("rank of all draws", fontsize="small")
+            axes.set_title(_label(name, lambda name: PARAMETER_LABELS.get(name, name)))
+    return figure
 
-    names = _names(idata, var_names)
-    size = (9.0, 2.2 * math.ceil(len(names) / 3))
-    return _arviz(az.plot_rank, idata, var_names=names, kind="bars", figsize=size)
 
-
-def pair_figure(idata: az.InferenceData, var_names: Iterable[str] | None = None) -> Figure:
+def pair_figure(idata: InferenceData, var_names: Iterable[str] | None = None) -> Figure:
     """Scatter plots of pairs of parameters, marginal densities on the diagonal.
 
     Parameters and returns as `trace_figure`; at least two variables.
     """
-    import arviz as az
-
-    names = _names(idata, var_names)
-    posterior = idata["posterior"][names]
-    size = 1.7 * sum(int(np.prod(posterior[name].shape[2:])) for name in names)
-    figure = _arviz(
-        az.plot_pair,
-        az.InferenceData(posterior=posterior.map(lambda values: values / 10.0 ** SCALES.get(values.name, 0))),
-        var_names=names,
-        labels={name: parameter_label(name) for name in names},
-        figsize=(size, size),
-        textsize=8,
-        marginals=True,
-        kind="scatter",
-        scatter_kwargs={"alpha": 0.25, "s": 9, "color": COLOURS[0]},
-        marginal_kwargs={"color": COLOURS[0]},
-    )
-    figure.axes[0].set_yticks([])
+    draws = _draws(idata, var_names)
+    scaled = {name: values / 10.0 ** SCALES.get(name, 0) for name, values in draws.items()}
+    found = {name: values.ravel() for name, values in scalars(scaled)}
+    labels = [_label(name, parameter_label) for name in found]
+    n = len(found)
+    with new_figure((1.7 * n, 1.7 * n)) as figure:
+        panels = figure.subplots(n, n, squeeze=False, sharex="col")
+        for (row, column), axes in np.ndenumerate(panels):
+            x, y = (list(found.values())[i] for i in (column, row))
+            if row < column:
+                axes.set_axis_off()
+            elif row == column:
+                axes.plot(*density_of(x), color=COLOURS[0])
+                axes.set_yticks([])
+            else:
+                axes.scatter(x, y, alpha=0.25, s=9, color=COLOURS[0])
+            if row == n - 1:
+                axes.set_xlabel(labels[column], fontsize="small")
+            if column == 0 < row:
+                axes.set_ylabel(labels[row], fontsize="small")
+            elif column < row:
+                axes.set_yticklabels([])
     return figure

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from zoo.core.arviz_lines import InferenceData, dataset
 from zoo.plots.style import (
     COLOURS,
     PARAMETER_LABELS,
@@ -24,7 +25,6 @@ from zoo.plots.style import (
 )
 
 if TYPE_CHECKING:
-    import arviz as az
     import pandas as pd
 
 NEAR = 10.0
@@ -87,7 +87,7 @@ def comparison_figure(table: pd.DataFrame) -> Figure:
     return figure
 
 
-def forest_figure(posteriors: Mapping[str, az.InferenceData]) -> Figure:
+def forest_figure(posteriors: Mapping[str, InferenceData]) -> Figure:
     """Medians, 50 % and 95 % intervals of the parameters that are single numbers, by model.
 
     Parameters
@@ -102,7 +102,7 @@ def forest_figure(posteriors: Mapping[str, az.InferenceData]) -> Figure:
     """
     found: dict[str, dict[str, Array]] = {}
     for model, idata in posteriors.items():
-        posterior = idata["posterior"]
+        posterior = dataset(idata)
         for name in map(str, posterior.data_vars):
             if set(posterior[name].dims) == {"chain", "draw"}:
                 found.setdefault(name, {})[model] = posterior[name].to_numpy().ravel()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from zoo.blood.predictive import median_waves, one_place, predictive_draws, vessel_waves
 from zoo.blood.study import suspect_units
+from zoo.core.arviz_lines import InferenceData, dataset
 from zoo.core.inference.convergence import Diagnostics, diagnostics
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.comparison import compare
@@ -19,7 +20,6 @@ from zoo.report.sentences import CRITERION, summary
 from zoo.report.words import listed, settings_text
 
 if TYPE_CHECKING:
-    import arviz as az
     import pymc as pm
 
     from zoo.blood.study import Study
@@ -48,7 +48,7 @@ class Chapter:
     """
 
     name: str
-    posteriors: Mapping[str, az.InferenceData]
+    posteriors: Mapping[str, InferenceData]
     study: Study | None = None
     models: Mapping[str, pm.Model] = field(default_factory=dict)
     note: str = ""
@@ -167,7 +167,7 @@ def _solver_text(solver: Mapping[str, Any]) -> str:
 
 def _model_part(name: str, chapter: Chapter, check: Diagnostics, anchor: str) -> dict[str, Any]:
     idata, model = chapter.posteriors[name], chapter.models.get(name)
-    posterior = idata["posterior"]
+    posterior = dataset(idata)
     shown = [str(n) for n in posterior.data_vars if "time" not in posterior[n].dims]
     single = [n for n in shown if posterior[n].ndim == 2]
     pictures = {"ranks": picture_of(rank_figure(idata, single))}

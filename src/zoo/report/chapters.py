@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from zoo.blood.fetch import FetchError
 from zoo.blood.plugins import get_model
 from zoo.blood.study import load_study
+from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.convergence import ESS_TARGET, RHAT_LIMIT
 from zoo.core.inference.record import ResultsError, RunRecord, versions
 from zoo.core.outputs import output_file
@@ -21,7 +22,6 @@ from zoo.report.chapter import Chapter, part_of
 from zoo.report.page import ReportError, write_page
 
 if TYPE_CHECKING:
-    import arviz as az
     import pymc as pm
 
     from zoo.blood.study import Study
@@ -32,7 +32,7 @@ BANNER = "not converged: do not cite"
 def write_report(
     path: str | Path,
     study: Study,
-    posteriors: Mapping[str, az.InferenceData],
+    posteriors: Mapping[str, InferenceData],
     models: Mapping[str, pm.Model],
     **options: Any,
 ) -> Path:
@@ -136,9 +136,7 @@ def _anchor(name: str, taken: set[str]) -> str:
     return anchor
 
 
-def stored(
-    folders: Iterable[Path], study: str, letters: Sequence[str] = MODELS
-) -> dict[str, az.InferenceData]:
+def stored(folders: Iterable[Path], study: str, letters: Sequence[str] = MODELS) -> dict[str, InferenceData]:
     """Posteriors of a study in folders, by the name in their records: for when its data are not here.
 
     Parameters

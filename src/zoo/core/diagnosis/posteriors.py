@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import pymc as pm
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from zoo.core.arviz_lines import Score, dataset, made, psis_loo, ranked, waic
 from zoo.core.diagnosis.sets import CauseSets
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Which
 from zoo.core.errors.spectral import GroupErrors, GroupPriors
@@ -110,16 +110,16 @@ class SampledExplanations:
         """What diagnosis.json keeps."""
         rows: dict[str, Any] = {}
         for name, c in self.found.items():
-            posterior = c.idata.posterior
+            posterior = dataset(c.idata)
             rows[name] = {
                 "converged": c.passed,
                 "verdict": c.text,
                 "log_marginal_likelihood": c.log_marginal,
                 "log_marginal_likelihood_se": c.log_marginal_se,
-                "elpd_waic": float(self.waic.loc[name, "elpd_waic"]),
+                "elpd_waic": float(self.waic.loc[name, "elpd"]),
                 "elpd_waic_difference": float(self.waic.loc[name, "elpd_diff"]),
                 "elpd_waic_difference_se": float(self.waic.loc[name, "dse"]),
-                "elpd_loo": float(self.loo.loc[name, "elpd_loo"]),
+                "elpd_loo": float(self.loo.loc[name, "elpd"]),
                 "waic_warning": bool(self.waic.loc[name, "warning"]),
                 "loo_warning": bool(self.loo.loc[name, "warning"]),
                 "parameters": {
@@ -156,8 +156,9 @@ def log_marginal_likelihood(
     from scipy.stats import multivariate_t
 
     logp = LogPosterior(model)
-    names = list(idata.posterior.data_vars)
-    stacked = idata.posterior.stack(sample=("chain", "draw"))
+    posterior = dataset(idata)
+    names = [str(name) for name in posterior.data_vars]
+    stacked = posterior.stack(sample=("chain", "draw"))
     q = logp.from_draws({n: np.moveaxis(stacked[n].values, -1, 0) for n in names})
     proposal = multivariate_t(loc=q.mean(axis=0), shape=WIDER * np.cov(q.T), df=DEGREES, seed=seed)
     points = proposal.rvs(draws)
@@ -169,13 +170,13 @@ def log_marginal_likelihood(
     return log_z, se
 
 
-def pointwise(model: pm.Model, idata: Any) -> Any:
-    """A thinned posterior with the log-likelihood of each coefficient, independent given the parameters."""
-    import arviz as az
-
-    kept = az.InferenceData(posterior=thin(idata, SCORED_DRAWS))
+def scores_of(model: pm.Model, idata: Any) -> tuple[Score, Score]:
+    """WAIC and PSIS-LOO of a thinned posterior by each coefficient, independent given the parameters."""
+    kept = thin(idata, SCORED_DRAWS)
     with model:
-        return pm.compute_log_likelihood(kept, progressbar=False)
+        scored = pm.compute_log_likelihood(made({"posterior": kept}), progressbar=False)
+    terms = dataset(scored, "log_likelihood")["y"]
+    return waic(terms), psis_loo(kept, terms)
 
 
 def sample_explanations(
@@ -209,8 +210,6 @@ def sample_explanations(
     -------
     SampledExplanations
     """
-    import arviz as az
-
     listed = [
         which
         for which in sets.posterior.probability
@@ -218,7 +217,7 @@ def sample_explanations(
     ]
     chosen: dict[str, Which] = {"baseline": ()} | {sets.name(which): which for which in listed[:LEADING]}
     found: dict[str, SampledExplanation] = {}
-    scores: dict[str, Any] = {}
+    scores: dict[str, tuple[Score, Score]] = {}
     for done, (name, which) in enumerate(chosen.items()):
         if tick is not None:
             tick(f"posterior of {name}", (done + 0.01) / len(chosen))
@@ -234,9 +233,6 @@ def sample_explanations(
         v = verdict(idata)
         log_z, se = log_marginal_likelihood(model, idata, seed=seed)
         found[name] = SampledExplanation(name, idata, log_z, se, v.text, v.passes)
-        scores[name] = pointwise(model, idata)
-    with warnings.catch_warnings():  # they come back as a column of the comparison
-        warnings.simplefilter("ignore")
-        waic = az.compare(scores, ic="waic", method="pseudo-BMA")
-        loo = az.compare(scores, ic="loo", method="pseudo-BMA")
-    return SampledExplanations(found, waic, loo)
+        scores[name] = scores_of(model, idata)
+    by_waic, by_loo = (ranked({name: both[i] for name, both in scores.items()}, "pseudo-BMA") for i in (0, 1))
+    return SampledExplanations(found, by_waic, by_loo)

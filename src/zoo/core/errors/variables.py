@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, cast
 
 import numpy as np
+import pytensor
 import pytensor.tensor as pt
 from numpy.typing import NDArray
 from pymc.distributions.distribution import Continuous
@@ -20,6 +21,7 @@ from pytensor.graph.op import Op
 from pytensor.tensor.random.op import RandomVariable
 
 from zoo.core.errors.base import ErrorModel
+from zoo.core.in_numba import called_as_python
 from zoo.core.op import mark_without_gradient, missing_gradient
 
 Array = NDArray[np.float64]
@@ -27,6 +29,7 @@ Array = NDArray[np.float64]
 _LOG_2PI = math.log(2.0 * math.pi)
 
 
+@called_as_python
 class IidErrorsRV(RandomVariable):
     """Draws of `IidErrors`."""
 
@@ -65,6 +68,7 @@ def _values(errors: ErrorModel, parameters: Sequence[Any]) -> dict[str, Any]:
     return dict(zip(errors.parameter_names, parameters, strict=True))
 
 
+@called_as_python
 class ErrorTermsOp(Op):
     """Sequential terms of an error model: residual (n_series, n_times), parameters.
 
@@ -97,10 +101,6 @@ class ErrorTermsOp(Op):
         terms = self.errors.terms(residual, _values(self.errors, parameters))
         output_storage[0][0] = np.asarray(terms, dtype=np.float64)
 
-    def infer_shape(self, fgraph: Any, node: Apply, input_shapes: list[tuple[Variable, ...]]) -> list[Any]:
-        """That of the residual."""
-        return [input_shapes[0]]
-
     def L_op(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
     ) -> list[Variable]:
@@ -120,6 +120,7 @@ class ErrorTermsOp(Op):
     pullback = L_op  # its name in PyTensor 3
 
 
+@called_as_python
 class ErrorGradientOp(Op):
     """Gradient of sum_i g_i term_i of an error model, by the residual and by each parameter.
 
@@ -149,10 +150,6 @@ class ErrorGradientOp(Op):
         for storage, gradient in zip(output_storage, gradients, strict=True):
             storage[0] = np.asarray(gradient, dtype=np.float64)
 
-    def infer_shape(self, fgraph: Any, node: Apply, input_shapes: list[tuple[Variable, ...]]) -> list[Any]:
-        """Those of the inputs."""
-        return list(input_shapes[:-1])
-
     def L_op(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
     ) -> NoReturn:
@@ -162,6 +159,7 @@ class ErrorGradientOp(Op):
     pullback = L_op
 
 
+@called_as_python
 class ErrorsRV(RandomVariable):
     """Draws of `Errors`.
 
@@ -206,9 +204,10 @@ class Errors(Continuous):
     rv_type = ErrorsRV
 
     @classmethod
-    def rv_op(cls, *inputs: Any, errors: ErrorModel, size: Any = None, **kwargs: Any) -> Any:
+    def rv_op(cls, *inputs: Any, errors: ErrorModel, size: Any = None, rng: Any = None) -> Any:
         """Variable of mean, ok and the errors' parameters."""
-        return ErrorsRV(errors)(*inputs, size=size, **kwargs)
+        rng = pytensor.shared(np.random.default_rng()) if rng is None else rng
+        return ErrorsRV(errors).make_node(rng, size, *inputs).default_output()
 
     @classmethod
     def dist(cls, mean: Any, ok: Any, *parameters: Any, errors: ErrorModel, **kwargs: Any) -> Any:

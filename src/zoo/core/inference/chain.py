@@ -90,8 +90,6 @@ class Chain:
         self._sums = dict.fromkeys(self._summed, 0.0)
         self.accepted = 0.0
         self.seconds = 0.0
-        step_seed = np.random.SeedSequence(task.seed, spawn_key=(task.chain, 1))
-        self.step.set_rng(np.random.default_rng(step_seed))
         self.step.tune = task.tune > 0
         if task.tune == 0:
             self.step.stop_tuning()
@@ -243,6 +241,7 @@ def forget(run: str) -> None:
 
 def _make_step(task: Task, point: Point) -> Any:
     kwargs: dict[str, Any] = {"model": task.model, "initial_point": point, "reference": task.reference}
+    kwargs["rng"] = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.chain, 1)))
     if task.step == "nuts":
         return Nuts(**kwargs, **task.options)
     return DEMetropolisZ(archive=task.archive, **kwargs, **task.options)

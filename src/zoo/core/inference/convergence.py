@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from zoo.core.arviz_lines import dataset, effective, split_rhat
 from zoo.core.inference.elements import arrays, scalars
 from zoo.core.inference.prior_check import PriorCheck, check_priors, priors_of
 from zoo.core.inference.record import ResultsError, RunRecord, plain
@@ -129,8 +130,6 @@ def check_convergence(
     ----------
     Vehtari, Gelman, Simpson, Carpenter, Bürkner (2021), doi 10.1214/20-BA1221.
     """
-    import arviz as az
-
     found: list[ParameterVerdict] = []
     shape = (0, 0)
     for name, values in scalars(draws):
@@ -140,9 +139,9 @@ def check_convergence(
         if shape[1] < 4:
             rhat = bulk = tail = float("nan")
         else:
-            rhat = float(az.rhat(values)) if shape[0] > 1 else float("nan")
-            bulk = float(az.ess(values, method="bulk"))
-            tail = float(az.ess(values, method="tail"))
+            rhat = split_rhat(values) if shape[0] > 1 else float("nan")
+            bulk = effective(values)
+            tail = effective(values, "tail")
         good = bool(rhat <= RHAT_LIMIT and bulk >= ess and tail >= ess)
         found.append(ParameterVerdict(name, rhat, bulk, tail, good))
     return _judgement(tuple(found), *shape, ess, priors or PriorCheck())
@@ -218,14 +217,14 @@ def verdict(
     ResultsError
         If there is no posterior or a variable is not in it.
     """
-    if "posterior" not in idata.groups():
+    if "posterior" not in idata:
         raise ResultsError("no group 'posterior' in this InferenceData; sample first")
-    posterior = idata.posterior
-    names = list(posterior.data_vars) if var_names is None else var_names
+    posterior = dataset(idata)
+    names = [str(name) for name in posterior.data_vars] if var_names is None else var_names
     for name in names:
         if name not in posterior:
             raise ResultsError(
-                f"no parameter {name!r} in the posterior; it has {', '.join(posterior.data_vars)}"
+                f"no parameter {name!r} in the posterior; it has {', '.join(map(str, posterior.data_vars))}"
             )
     return check_convergence(arrays(idata, names), ess=ess, priors=prior_check(idata, model))
 
@@ -298,8 +297,8 @@ def diagnostics(idata: Any, *, var_names: list[str] | None = None, model: Any = 
         return replace(found, verdict=_told(found.verdict, prior_check(idata, model)))
     judged = verdict(idata, var_names=var_names, model=model)
     acceptance: tuple[float, ...] = ()
-    if "sample_stats" in idata.groups() and "accepted" in idata.sample_stats:
-        accepted = idata.sample_stats["accepted"]
+    if "sample_stats" in idata and "accepted" in idata["sample_stats"]:
+        accepted = idata["sample_stats"]["accepted"]
         acceptance = tuple(
             accepted.mean([d for d in accepted.dims if d != "chain"]).to_numpy().astype(float).tolist()
         )

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.arviz_lines import smoothed
+
 Array = NDArray[np.float64]
 
 K_LIMIT = 0.7
@@ -57,16 +59,14 @@ def pareto_weights(log_weights: Array) -> Weights:
     ----------
     Vehtari, Simpson, Gelman, Yao, Gabry (2024), Journal of Machine Learning Research 25(72).
     """
-    import arviz as az
-
     flat = np.asarray(log_weights, dtype=np.float64).ravel()
     possible = np.isfinite(flat)
     if possible.sum() < 5:
         return Weights(np.full(np.shape(log_weights), 1.0 / flat.size), np.inf, 0.0)
     w, k = np.exp(np.where(possible, flat - flat[possible].max(), -np.inf)), -np.inf
     if _kish(w) < ALL_EFFECTIVE or w.max() > ABOVE_MEAN * w.mean():
-        smooth, k = az.psislw(flat[possible].copy())
-        w[possible], k = np.exp(smooth), float(k)
+        smooth, k = smoothed(flat[possible])
+        w[possible] = np.exp(smooth)
     w /= w.sum()
     return Weights(w.reshape(np.shape(log_weights)), k, _kish(w))
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
+
+from zoo.core.arviz_lines import InferenceData, dataset
 
 
 def scalars(draws: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
@@ -30,8 +31,8 @@ def scalars(draws: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]
             yield f"{name}[{', '.join(str(i) for i in index)}]", values[(slice(None), slice(None), *index)]
 
 
-def arrays(idata: Any, var_names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+def arrays(idata: InferenceData, var_names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
     """Draws of a posterior's variables, or of those that are named, as arrays (n_chains, n_draws, ...)."""
-    posterior = idata.posterior
+    posterior = dataset(idata)
     names = posterior.data_vars if var_names is None else var_names
     return {str(name): posterior[name].transpose("chain", "draw", ...).to_numpy() for name in names}

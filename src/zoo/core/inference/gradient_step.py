@@ -39,7 +39,7 @@ class Nuts(pm.NUTS):
     reference : Gaussian
         Of the posterior, about: the metric begins with its covariance.
     **kwargs
-        As `pm.NUTS`: target_accept, max_treedepth.
+        As `pm.NUTS`: target_accept, max_treedepth, rng.
 
     References
     ----------
@@ -53,6 +53,7 @@ class Nuts(pm.NUTS):
             potential=dense_metric(reference.mean, reference.covariance),
             **{"target_accept": TARGET_ACCEPT, **kwargs},
         )
+        self.potential.set_rng(self.rng.spawn(1)[0])
         self.replace_logp(self._logp_dlogp_func._pytensor_function)
 
     def replace_logp(self, function: Any) -> None:

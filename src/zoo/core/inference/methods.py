@@ -9,8 +9,9 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from zoo.core.arviz_lines import InferenceData
 from zoo.core.forward import SolveError
 from zoo.core.inference.checkpoint import Folder
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
@@ -22,9 +23,6 @@ from zoo.core.model import ModelError, ModelRecord, record_of, theta_of
 from zoo.core.surrogate.likelihood import no_table
 from zoo.core.surrogate.model import errors_in_graph
 from zoo.core.surrogate.waveform import SurrogateError
-
-if TYPE_CHECKING:
-    import arviz as az
 
 METHODS = ("auto", "exact", "nuts", "surrogate")
 FEW = 8
@@ -137,7 +135,7 @@ def sample(
     checkpoint: str | Path | None = None,
     fresh: bool = False,
     **settings: Any,
-) -> az.InferenceData:
+) -> InferenceData:
     """Sample a posterior by one of `METHODS`.
 
     Parameters

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.arviz_lines import dataset
 from zoo.core.inference.gradient_step import TARGET_ACCEPT, dense_metric
 from zoo.core.inference.messages import without_messages
 
@@ -71,5 +72,5 @@ def nuts(
             progressbar=False,
             compute_convergence_checks=False,
         )
-    posterior = found["posterior"]
+    posterior = dataset(found)
     return {name: posterior[name].transpose("chain", "draw", ...).to_numpy() for name in names}

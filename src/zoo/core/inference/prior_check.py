@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.arviz_lines import effective, split_rhat
 from zoo.core.effects import WithEffects
 from zoo.core.inference.elements import scalars
 from zoo.core.inference.record import ResultsError
@@ -202,8 +203,6 @@ def check_priors(
     -------
     PriorCheck
     """
-    import arviz as az
-
     bounds: list[AtBound] = []
     uninformed: list[str] = []
     without = frozenset(effects)
@@ -227,9 +226,9 @@ def check_priors(
             information = float(np.sum(part * np.log(np.where(part > 0.0, BINS * part, 1.0))))
             if information > 2.0 * UNINFORMED:  # by far the most are; spares the rest of the work
                 continue
-            ess = float(az.ess(x))
+            ess = effective(x)
             by_chance = (BINS - 1) / (2.0 * ess)
-            settled = ess >= LEAST_ESS and float(az.rhat(x)) <= MOST_RHAT
+            settled = ess >= LEAST_ESS and split_rhat(x) <= MOST_RHAT
             if settled and information - by_chance < UNINFORMED:
                 uninformed.append(label)
     return PriorCheck(tuple(bounds), tuple(uninformed))

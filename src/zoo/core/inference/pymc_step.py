@@ -13,6 +13,7 @@ import pymc as pm
 from numpy.typing import ArrayLike
 from pymc.blocking import RaveledVars
 from pymc.pytensorf import floatX
+from pymc.step_methods import STEP_METHODS
 from pymc.step_methods.compound import Competence
 from pymc.step_methods.state import dataclass_state
 from pymc.util import get_value_vars_from_user_vars
@@ -150,5 +151,5 @@ def _elements(logp: LogPosterior, chosen: Sequence[Any]) -> Array:
     return np.concatenate([at[v.name] for v in chosen])
 
 
-if DEMetropolisZFromMode not in pm.STEP_METHODS:
-    pm.STEP_METHODS.append(DEMetropolisZFromMode)
+if DEMetropolisZFromMode not in STEP_METHODS:
+    STEP_METHODS.append(DEMetropolisZFromMode)

@@ -140,7 +140,7 @@ class RunRecord:
             If there is none (the draws were not made by `zoo.sample`).
         """
         text = idata.attrs.get(_RECORD_ATTR)
-        if text is None and "posterior" in idata.groups():
+        if text is None and "posterior" in idata:
             text = idata.posterior.attrs.get(_RECORD_ATTR)
         if text is None:
             raise ResultsError("no run record in this InferenceData; only zoo.sample writes one")
@@ -149,7 +149,7 @@ class RunRecord:
     def attach(self, idata: Any) -> None:
         """Store the record in an InferenceData, at the root and in the posterior group."""
         idata.attrs[_RECORD_ATTR] = self.to_json()
-        if "posterior" in idata.groups():
+        if "posterior" in idata:
             idata.posterior.attrs[_RECORD_ATTR] = self.to_json()
 
 

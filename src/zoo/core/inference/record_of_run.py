@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from zoo.core.arviz_lines import InferenceData, of_draws
 from zoo.core.inference.checkpoint import Run
 from zoo.core.inference.convergence import check_convergence, ess_to_count
 from zoo.core.inference.elements import arrays
@@ -15,31 +16,25 @@ from zoo.core.inference.logposterior import LogPosterior, model_name
 from zoo.core.inference.prior_check import AtBound, check_priors, exactness_at, priors_of
 from zoo.core.inference.record import RunRecord
 
-if TYPE_CHECKING:
-    import arviz as az
-
 _WHOLE = {"solves": np.int64, "solver_failures": np.int64, "gradients": np.int64, "diverging": np.bool_}
 
 
 def inference_data(
     model: Any, draws: Mapping[str, np.ndarray], stats: Mapping[str, np.ndarray]
-) -> az.InferenceData:
+) -> InferenceData:
     """Draws and statistics (n_chains, n_draws, ...) with the model's dimensions and observed data."""
-    import arviz as az
     from pymc.backends.arviz import find_observations
 
-    found: az.InferenceData = az.from_dict(
-        posterior=dict(draws),
-        sample_stats={n: v.astype(_WHOLE.get(n, v.dtype)) for n, v in stats.items()} or None,
-        observed_data=find_observations(model) or None,
-        coords={name: np.asarray(values) for name, values in model.coords.items() if values is not None},
-        dims={name: list(names) for name, names in model.named_vars_to_dims.items()},
-    )
-    return found
+    groups = {
+        "posterior": draws,
+        "sample_stats": {n: v.astype(_WHOLE.get(n, v.dtype)) for n, v in stats.items()},
+        "observed_data": find_observations(model),
+    }
+    return of_draws(groups, model.coords, model.named_vars_to_dims)
 
 
 def attach_record(
-    idata: az.InferenceData,
+    idata: InferenceData,
     logp: LogPosterior,
     run: Run,
     settings: Mapping[str, Any],

@@ -10,11 +10,12 @@ from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from zoo.core.arviz_lines import InferenceData, dataset
 from zoo.core.inference.chain import Task
 from zoo.core.inference.checkpoint import CheckpointInUseError, Run
 from zoo.core.inference.convergence import ESS_TARGET, check_convergence
@@ -29,9 +30,6 @@ from zoo.core.inference.starts import Start, disperse, start_settings
 from zoo.core.inference.steps import DEMETROPOLISZ, DEMetropolisZ
 from zoo.core.model import ModelError
 from zoo.core.op import MissingGradientError
-
-if TYPE_CHECKING:
-    import arviz as az
 
 __all__ = [
     "CheckpointError",
@@ -67,7 +65,7 @@ def sample(
     start: Mapping[str, ArrayLike] | Mode | None = None,
     step_options: Mapping[str, Any] | None = None,
     preface: str = "",
-) -> az.InferenceData:
+) -> InferenceData:
     """Sample a model's posterior, resumably, with a process for each chain.
 
     The mode is found first; the chains start from a t distribution twice as wide as the Gaussian around it.
@@ -118,7 +116,7 @@ def sample(
 
     Returns
     -------
-    arviz.InferenceData
+    InferenceData
         posterior; sample_stats (for each stored draw: lp, accept, accepted, solves, solver_failures, and of
         NUTS gradients and whether its trajectory diverged);
         observed_data; attributes with the run record (`zoo.core.inference.record.RunRecord.of`).
@@ -185,7 +183,7 @@ def sample(
             with Chains(tasks, cores, show, executor, files, run.owner) as pool:
                 kept = _run(model, pool, draws, until_ess, max_draws)
             idata = inference_data(model, pool.draws(kept), pool.stats(kept))
-            if diverged := int(idata["sample_stats"].get("diverging", np.zeros(1)).sum()):
+            if diverged := int(dataset(idata, "sample_stats").get("diverging", np.zeros(1)).sum()):
                 show.say(
                     f"warning: {diverged} of {chains * kept} trajectories diverged: a part of the posterior "
                     "may be out of reach of NUTS; compare with method exact"

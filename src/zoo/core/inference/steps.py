@@ -10,7 +10,7 @@ import numpy as np
 import pymc as pm
 from numpy.typing import ArrayLike
 from pymc.blocking import RaveledVars
-from pymc.pytensorf import floatX
+from pymc.pytensorf import floatX, make_shared_replacements
 from pymc.step_methods.arraystep import metrop_select
 from pymc.step_methods.metropolis import DEMetropolisZState
 from pymc.step_methods.state import dataclass_state
@@ -133,7 +133,7 @@ class DEMetropolisZ(pm.DEMetropolisZ):
         quick = {"mode": CompileMode(linker="py", optimizer=None)}  # type: ignore[arg-type]
         super().__init__(vars, model=model, initial_point=point, compile_kwargs=quick, **kwargs)
         del self.delta_logp  # PyMC's own, in the instance; the method below takes its place
-        shared = pm.make_shared_replacements(point, self.vars, model)
+        shared = make_shared_replacements(point, self.vars, model)
         self.shared = {var.name: value for var, value in shared.items()}
         self._logp: Any = compile_logp(model, self.vars, point, shared, compile_kwargs)
         self._memory: dict[bytes, float] = {}

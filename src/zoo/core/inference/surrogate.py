@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.building import Builder, Weighed
 from zoo.core.inference.checkpoint import Run
 from zoo.core.inference.convergence import check_convergence, ess_to_count
@@ -23,9 +24,6 @@ from zoo.core.inference.starts import start_settings
 from zoo.core.model import record_of
 from zoo.core.surrogate.library import Library
 from zoo.core.surrogate.waveform import SurrogateError
-
-if TYPE_CHECKING:
-    import arviz as az
 
 Array = NDArray[np.float64]
 
@@ -61,7 +59,7 @@ def sample_surrogate(
     start: Mapping[str, Any] | None = None,
     library: Library | None = None,
     checkpoint: str | Path | None = None,
-) -> az.InferenceData:
+) -> InferenceData:
     """Sample a posterior by NUTS on a surrogate of the forward model, and make its draws exact.
 
     A surrogate is built around the posterior (`Builder`). Every stored draw of NUTS is then solved with the
@@ -85,7 +83,7 @@ def sample_surrogate(
 
     Returns
     -------
-    arviz.InferenceData
+    InferenceData
         As of `sample`; sample_stats also has log_weight of each stored draw. The run record's settings tell
         how many solves there were, k-hat, the effective and the missed share and each round.
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.record import RunRecord
 from zoo.core.words import short
 
-if TYPE_CHECKING:
-    import arviz as az
 
-
-def mismatch(idata: az.InferenceData, model: Any) -> str | None:
+def mismatch(idata: InferenceData, model: Any) -> str | None:
     """What a stored posterior has otherwise than a model, in words; or None.
 
     Parameters

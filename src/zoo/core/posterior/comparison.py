@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal, NamedTuple
 
-import arviz as az
 import numpy as np
 import pandas as pd
 import pymc as pm
@@ -17,6 +15,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
+from zoo.core.arviz_lines import InferenceData, Score, dataset, for_plot_compare, psis_loo, ranked, waic
 from zoo.core.data import squared
 from zoo.core.draws import evenly
 from zoo.core.forward import SolveError
@@ -74,7 +73,7 @@ def waic_one_observation(joint: ArrayLike) -> OneObservation:
     return OneObservation(_DEVIANCE * (lppd - p), p)
 
 
-def thin(idata: az.InferenceData, n_draws: int | None = N_DRAWS) -> xr.Dataset:
+def thin(idata: InferenceData, n_draws: int | None = N_DRAWS) -> xr.Dataset:
     """Evenly spaced draws of the posterior, as many from each chain.
 
     Parameters
@@ -89,7 +88,7 @@ def thin(idata: az.InferenceData, n_draws: int | None = N_DRAWS) -> xr.Dataset:
     Dataset
         Dimensions chain, draw, ...
     """
-    posterior: xr.Dataset = idata["posterior"]
+    posterior = dataset(idata)
     available = posterior.sizes["draw"]
     wanted = available if n_draws is None else math.ceil(n_draws / posterior.sizes["chain"])
     return posterior.isel(draw=evenly(available, wanted))
@@ -183,7 +182,7 @@ def posterior_means(
 
 
 def log_likelihoods(
-    idata: az.InferenceData,
+    idata: InferenceData,
     model: pm.Model,
     *,
     n_draws: int | None = N_DRAWS,
@@ -238,10 +237,6 @@ def log_likelihoods(
     return xr.Dataset(terms, coords=coords)
 
 
-def _scored(posterior: xr.Dataset, terms: xr.DataArray) -> az.InferenceData:
-    return az.InferenceData(posterior=posterior, log_likelihood=terms.to_dataset(name="y"))
-
-
 class SumOfSquares(NamedTuple):
     """Sum of squared errors at the posterior medians, and its Monte Carlo standard error."""
 
@@ -249,7 +244,7 @@ class SumOfSquares(NamedTuple):
     mcse: float
 
 
-def sse_at_median(idata: az.InferenceData, model: pm.Model) -> dict[str, SumOfSquares]:
+def sse_at_median(idata: InferenceData, model: pm.Model) -> dict[str, SumOfSquares]:
     """Sum of squared errors of each group of series, with every parameter at its posterior median.
 
     The paper's "Euclidean distance": the sum over series and times of (y - mean(median))^2. Its error is the
@@ -268,7 +263,7 @@ def sse_at_median(idata: az.InferenceData, model: pm.Model) -> dict[str, SumOfSq
     dict of group to SumOfSquares
         In the squared unit of the series; NaN when a solve fails, and the error with one chain.
     """
-    draws = idata["posterior"]
+    draws = dataset(idata)
     whole = draws.median(("chain", "draw")).expand_dims(("chain", "draw")).assign_coords(chain=[-1], draw=[0])
     alone = draws.median("draw").expand_dims("draw", axis=1).assign_coords(draw=[0])
     means = posterior_means(model, xr.concat([whole, alone], "chain"))
@@ -287,7 +282,7 @@ def _error_of_mean(values: Sequence[float]) -> float:
 
 
 def compare(
-    idatas: Mapping[str, az.InferenceData],
+    idatas: Mapping[str, InferenceData],
     models: Mapping[str, pm.Model],
     *,
     ic: Literal["waic", "loo"] = "waic",
@@ -323,8 +318,9 @@ def compare(
         `sse_G_mcse` its Monte Carlo standard error; `one_observation_mcse` is that of
         `waic_one_observation`. Both are taken from the values of each chain alone. `at_bounds` warns of
         priors' bounds that the posterior leans on, `uninformed` names parameters whose posterior is like
-        their prior. ArviZ's own columns stand beside these, so that ``az.plot_compare`` takes the table:
-        rank, elpd_waic (or elpd_loo: those of `ic`), p_waic, elpd_diff, weight, se, dse, warning, scale.
+        their prior. Beside these stand the columns that ``az.plot_compare`` reads: elpd_diff, se, dse,
+        warning, scale, and elpd_waic (or elpd_loo: those of `ic`) on the deviance scale; with ArviZ 1 elpd,
+        and all of them on the log scale.
 
     Raises
     ------
@@ -340,41 +336,36 @@ def compare(
         raise ComparisonError(f"ic = {ic!r}: must be one of {', '.join(CRITERIA)}")
     _check_comparable(idatas, models)
     rows: dict[str, dict[str, Any]] = {}
-    scores: dict[str, Any] = {}
+    scores: dict[str, Score] = {}
     for name, idata in idatas.items():
         model = models[name]
         terms = log_likelihoods(idata, model, n_draws=n_draws)
         posterior = thin(idata, n_draws)[list(record_of(model).parameters)]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # they become columns
-            waic = az.waic(_scored(posterior, terms["sequential"]), pointwise=True, scale="deviance")
-            left_out = _scored(posterior, terms["leave-one-out"])
-            waic_left_out = az.waic(left_out, pointwise=True, scale="deviance")
-            loo = az.loo(left_out, pointwise=True, scale="deviance")
+        sequential = waic(terms["sequential"])
+        loo = psis_loo(posterior, terms["leave-one-out"])
         joint = terms["joint"].to_numpy()
         one = waic_one_observation(joint)
         one_of_each = [waic_one_observation(chain).waic for chain in joint]
-        pareto_k = loo.pareto_k.to_numpy()
         squares = sse_at_median(idata, model)
         found = (verdicts or {}).get(name)
         if found is None:
             own = list(record_of(model).parameters)
             found = diagnostics(idata, var_names=own, model=model).verdict
-        scores[name] = waic if ic == "waic" else loo
+        scores[name] = sequential if ic == "waic" else loo
         rows[name] = {
-            "waic": waic.elpd_waic,
-            "waic_se": waic.se,
-            "p_waic": waic.p_waic,
-            "waic_warning": bool(waic.warning),
-            "waic_leave_one_out": waic_left_out.elpd_waic,
+            "waic": _DEVIANCE * sequential.elpd,
+            "waic_se": 2 * sequential.se,
+            "p_waic": sequential.p,
+            "waic_warning": sequential.warning,
+            "waic_leave_one_out": _DEVIANCE * waic(terms["leave-one-out"]).elpd,
             "waic_one_observation": one.waic,
             "one_observation_mcse": _error_of_mean(one_of_each),
             "p_one_observation": one.p_waic,
-            "loo": loo.elpd_loo,
-            "loo_se": loo.se,
-            "p_loo": loo.p_loo,
-            "pareto_k_max": float(np.max(pareto_k)),
-            "pareto_k_bad": int(np.sum(pareto_k > loo.good_k)),
+            "loo": _DEVIANCE * loo.elpd,
+            "loo_se": 2 * loo.se,
+            "p_loo": loo.p,
+            "pareto_k_max": float(np.max(loo.pareto_k)),
+            "pareto_k_bad": int(np.sum(loo.pareto_k > loo.good_k)),
             **{f"sse_{group}": sums.value for group, sums in squares.items()},
             **{f"sse_{group}_mcse": sums.mcse for group, sums in squares.items()},
             "draws": terms.sizes["chain"] * terms.sizes["draw"],
@@ -385,38 +376,25 @@ def compare(
             "at_bounds": "; ".join(found.bounds),
             "uninformed": ", ".join(found.uninformed),
         }
-    _shift_terms(scores, f"{ic}_i")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ArviZ' use of pandas
-        ranked = az.compare(scores, ic=ic, method="stacking", scale="deviance", seed=0)
-    table: pd.DataFrame = pd.DataFrame.from_dict(rows, orient="index").loc[ranked.index]
-    table.insert(0, "rank", ranked["rank"])
-    table.insert(1, "difference", ranked["elpd_diff"])
-    table.insert(2, "difference_se", ranked["dse"])
-    table.insert(3, "weight", ranked["weight"])
+    order = ranked(scores, "stacking")
+    table: pd.DataFrame = pd.DataFrame.from_dict(rows, orient="index").loc[order.index]
+    table.insert(0, "rank", order["rank"])
+    table.insert(1, "difference", 2 * order["elpd_diff"])
+    table.insert(2, "difference_se", 2 * order["dse"])
+    table.insert(3, "weight", order["weight"])
     standing = [
         "best" if rank == 0 else describe_difference(difference, se)
-        for rank, difference, se in zip(ranked["rank"], ranked["elpd_diff"], ranked["dse"], strict=True)
+        for rank, difference, se in zip(
+            table["rank"], table["difference"], table["difference_se"], strict=True
+        )
     ]
     table.insert(4, "standing", standing)
-    as_arviz = {f"elpd_{ic}": table[ic], "elpd_diff": ranked["elpd_diff"], "se": ranked["se"]}
-    as_arviz |= {name: ranked[name] for name in ("dse", "warning", "scale")}
-    table = table.assign(**as_arviz)
+    table = table.assign(**for_plot_compare(order, ic))
     table.index.name = "model"
     data = record_of(models[next(iter(idatas))]).data
     sums = {f"sse_{group}": squared(data.unit(group)) for group in data.rows}
     table.attrs.update({"ic": ic, "scale": "deviance", "sums_of_squares": sums})
     return table
-
-
-def _shift_terms(scores: Mapping[str, Any], terms: str) -> None:
-    """Take the best model's term from every model's at each observation.
-
-    Differences and weights stay the same; without it exp(log p) underflows in the stacking weights.
-    """
-    best = np.min([score[terms] for score in scores.values()], axis=0)
-    for score in scores.values():
-        score[terms] = score[terms] - best
 
 
 def describe_difference(difference: float, se: float) -> str:
@@ -441,7 +419,7 @@ def describe_difference(difference: float, se: float) -> str:
     return f"{difference / se:.1f} SE behind the best"
 
 
-def _wrong(idata: az.InferenceData, model: pm.Model) -> str | None:
+def _wrong(idata: InferenceData, model: pm.Model) -> str | None:
     """What a posterior has otherwise than its model; draws of others than `zoo.sample` have no record."""
     try:
         return mismatch(idata, model)
@@ -449,7 +427,7 @@ def _wrong(idata: az.InferenceData, model: pm.Model) -> str | None:
         return None
 
 
-def _check_comparable(idatas: Mapping[str, az.InferenceData], models: Mapping[str, pm.Model]) -> None:
+def _check_comparable(idatas: Mapping[str, InferenceData], models: Mapping[str, pm.Model]) -> None:
     if not idatas:
         raise ComparisonError("no posteriors: give at least one")
     first: ModelRecord | None = None

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import OutputFileError, output_file
 from zoo.core.posterior.belonging import mismatch
 from zoo.core.posterior.groups import sample
 from zoo.core.posterior.storage import load, save_posterior
 from zoo.core.words import OneLineError
-
-if TYPE_CHECKING:
-    import arviz as az
 
 
 class PosteriorError(OneLineError, ValueError):
@@ -23,7 +21,7 @@ class PosteriorError(OneLineError, ValueError):
 
 def sample_to(
     path: str | Path, model: Any, *, groups: bool = False, method: str = "exact", **settings: Any
-) -> az.InferenceData:
+) -> InferenceData:
     """Sample a model into a NetCDF file, with the checkpoint in a folder beside it.
 
     Parameters
@@ -67,7 +65,7 @@ def checkpoint_of(path: Path) -> Path:
     return path.with_name(f"{name}.checkpoint")
 
 
-def load_posterior(path: str | Path, model: Any = None) -> az.InferenceData:
+def load_posterior(path: str | Path, model: Any = None) -> InferenceData:
     """Read a stored posterior.
 
     Parameters
@@ -88,16 +86,16 @@ def load_posterior(path: str | Path, model: Any = None) -> az.InferenceData:
     zoo.core.inference.record.ResultsError
         If the file is no posterior.
     """
-    idata: az.InferenceData = load(path)
+    idata: InferenceData = load(path)
     if model is not None and (wrong := mismatch(idata, model)):
         raise PosteriorError(f"{path}: {wrong}; sample again, or give those that belong")
     return idata
 
 
-def matching(path: Path, model: Any) -> az.InferenceData | None:
+def matching(path: Path, model: Any) -> InferenceData | None:
     """A stored posterior if it is there and of this model, study and conventions, else None."""
     try:
-        idata: az.InferenceData | None = load(path) if path.is_file() else None
+        idata: InferenceData | None = load(path) if path.is_file() else None
     except ResultsError:
         return None
     return idata if idata is not None and mismatch(idata, model) is None else None

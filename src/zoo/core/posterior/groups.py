@@ -12,6 +12,7 @@ import numpy as np
 import pymc as pm
 import xarray as xr
 
+from zoo.core.arviz_lines import InferenceData, dataset, datasets, made
 from zoo.core.errors.base import ErrorModel
 from zoo.core.inference import methods
 from zoo.core.inference.convergence import ESS_TARGET, FIRST_CHECK
@@ -26,7 +27,6 @@ from zoo.core.surrogate.library import Library
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    import arviz as az
     from numpy.typing import ArrayLike
 
     from zoo.core.inference.mode import Mode
@@ -39,7 +39,7 @@ DIMS = ("series", "time")
 
 
 def add_groups(
-    idata: az.InferenceData,
+    idata: InferenceData,
     model: pm.Model,
     *,
     n_draws: int | None = N_TERMS,
@@ -47,7 +47,7 @@ def add_groups(
     seed: int | None = None,
     progress: bool = False,
     library: Library | None = None,
-) -> az.InferenceData:
+) -> InferenceData:
     """Add log_likelihood, posterior_predictive, prior, prior_predictive, data groups and units.
 
     The log-likelihood is that of the terms log p(y_i | y_<i), whose sum is the joint one. It and the
@@ -77,8 +77,6 @@ def add_groups(
         numbers of the posterior draws as coordinate; where a solve fails -inf and NaN. Variables have their
         unit as the attribute "units"; "y" has them as the coordinate "unit" of its series.
     """
-    import arviz as az
-
     record = record_of(model)
     if seed is None:
         seed = _seed_of(idata)
@@ -93,7 +91,7 @@ def add_groups(
     values = error_parameters(kept, record)
     terms = record.errors.pointwise(means, values, ("sequential",))["sequential"]
     drawn = _with_errors(record.errors, means, values, np.random.default_rng(seed))
-    groups = {name: idata[name].copy() for name in idata.groups()}
+    groups = {name: group.copy() for name, group in datasets(idata).items()}
     groups["log_likelihood"] = _series(terms, kept, record)
     groups["posterior_predictive"] = _series(drawn, kept, record)
     groups["observed_data"] = _described(xr.Dataset({"y": (DIMS, record.data.values)}), record)
@@ -106,13 +104,12 @@ def add_groups(
     if n_prior:
         with without_messages("pymc.sampling.forward", logging.WARNING):
             prior = pm.sample_prior_predictive(n_prior, model=model, random_seed=seed)
-        groups["prior"] = prior["prior"]
-        groups["prior_predictive"] = _described(prior["prior_predictive"], record)
+        groups["prior"] = dataset(prior, "prior")
+        groups["prior_predictive"] = _described(dataset(prior, "prior_predictive"), record)
     for name in ("posterior", "prior"):
         if name in groups:
             groups[name] = with_units(groups[name], record)
-    found: az.InferenceData = az.InferenceData(attrs=dict(idata.attrs), **groups)  # type: ignore[arg-type]
-    return found
+    return made(groups, idata.attrs)
 
 
 def with_units(draws: xr.Dataset, record: ModelRecord) -> xr.Dataset:
@@ -124,7 +121,7 @@ def with_units(draws: xr.Dataset, record: ModelRecord) -> xr.Dataset:
     return found
 
 
-def _seed_of(idata: az.InferenceData) -> int:
+def _seed_of(idata: InferenceData) -> int:
     try:
         return RunRecord.of(idata).seed
     except ValueError:
@@ -185,7 +182,7 @@ def sample(
     library: Library | None = None,
     groups: bool = True,
     progress: bool = True,
-) -> az.InferenceData:
+) -> InferenceData:
     """Sample a model's posterior, with a process for each chain, and add ArviZ's groups.
 
     The draws depend on the model, the seed and the settings, not on `cores`, on interruptions or on how long

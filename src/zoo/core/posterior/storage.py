@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from zoo.core.arviz_lines import InferenceData, dataset, datasets, made, netcdf_bytes, read
 from zoo.core.digests import FIELD, of_bytes
 from zoo.core.draws import evenly
 from zoo.core.inference.convergence import DIAGNOSTICS_ATTR, diagnostics
@@ -25,7 +26,7 @@ class NoDigestWarning(UserWarning):
     """A posterior's file that holds no digest, so that damage to it is not seen."""
 
 
-def save_posterior(idata: Any, path: str | Path) -> Path:
+def save_posterior(idata: InferenceData, path: str | Path) -> Path:
     """Write an InferenceData as one NetCDF file with the digest of its content, whole or not at all.
 
     The file is made in memory first: HDF5 itself ends the process where a disk is full.
@@ -59,7 +60,7 @@ def _with_digest(netcdf: memoryview) -> memoryview:
     """
     import h5py  # type: ignore[import-untyped]
 
-    content = _read(io.BytesIO(netcdf))
+    content = read(io.BytesIO(netcdf))
     file = io.BytesIO(netcdf)
     with h5py.File(file, "r+") as opened:
         opened.attrs[FIELD] = digest_of(content)
@@ -76,16 +77,7 @@ def _whole(raw: bytes) -> bool:
     return raw[end:] == of_bytes(raw[: end - len(_MARK)]).encode()
 
 
-def _read(source: io.BytesIO) -> Any:
-    """An InferenceData in memory."""
-    import arviz as az
-
-    with az.rc_context({"data.load": "eager"}), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return az.from_netcdf(source, engine="h5netcdf")
-
-
-def digest_of(idata: Any) -> str:
+def digest_of(idata: InferenceData) -> str:
     """SHA-256 of all that an InferenceData holds: groups, dimensions, values, attributes.
 
     Parameters
@@ -104,10 +96,9 @@ def digest_of(idata: Any) -> str:
         found.update(json.dumps(words, sort_keys=True, default=str).encode() + b"\n")
 
     add({name: _as_json(value) for name, value in idata.attrs.items() if name != FIELD})
-    for group in sorted(idata.groups()):
-        content = idata[group]
+    for group, content in sorted(datasets(idata).items()):
         add("group", group, {name: _as_json(value) for name, value in content.attrs.items()})
-        for name in sorted(content.variables):
+        for name in sorted(map(str, content.variables)):
             values = content.variables[name]
             raw, text = np.asarray(values.values), values.dtype.kind in "OTUS"
             kind = "text" if text else raw.dtype.newbyteorder("<").str
@@ -126,22 +117,7 @@ def _as_json(attribute: Any) -> Any:
     return values.item() if values.size == 1 else values.tolist()
 
 
-def netcdf_bytes(idata: Any) -> memoryview:
-    """The NetCDF file of an InferenceData, compressed as ArviZ does it, for `arviz.from_netcdf` to read."""
-    import xarray as xr
-
-    groups = {f"/{name}": idata[name] for name in idata.groups()}
-    packed = {
-        place: {
-            name: {"zlib": True} for name, values in group.variables.items() if values.dtype.kind in "biufc"
-        }
-        for place, group in groups.items()
-    }
-    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs=idata.attrs), **groups})
-    return tree.to_netcdf(engine="h5netcdf", encoding=packed)
-
-
-def load(path: str | Path) -> Any:
+def load(path: str | Path) -> InferenceData:
     """Read an InferenceData from a NetCDF file into memory.
 
     Parameters
@@ -167,7 +143,7 @@ def load(path: str | Path) -> Any:
         raw = path.read_bytes()
         fits, digest = _whole(raw), None
         if fits:
-            idata = _read(io.BytesIO(raw))
+            idata = read(io.BytesIO(raw))
             digest = idata.attrs.pop(FIELD, None)
             fits = digest is None or digest == digest_of(idata)
     except Exception as error:  # of a damaged file, the libraries that read it raise anything
@@ -175,7 +151,7 @@ def load(path: str | Path) -> Any:
         raise ResultsError(f"{path}: not a readable NetCDF file ({reason}); sample again") from None
     if not fits:
         raise ResultsError(f"{path}: damaged, its content does not fit its digest; sample again")
-    if "posterior" not in idata.groups():
+    if "posterior" not in idata:
         raise ResultsError(
             f"{path}: no group 'posterior'; `zoo sample MODEL STUDY -o {path.name}` writes one"
         )
@@ -185,7 +161,7 @@ def load(path: str | Path) -> Any:
     return idata
 
 
-def slim_posterior(idata: Any, n_draws: int = 1000) -> Any:
+def slim_posterior(idata: InferenceData, n_draws: int = 1000) -> InferenceData:
     """A posterior small enough to keep beside the code: evenly spaced draws in single precision.
 
     Only parameters, their coordinates, the run record and the diagnostics of the whole run stay. Observed
@@ -208,18 +184,16 @@ def slim_posterior(idata: Any, n_draws: int = 1000) -> Any:
     ResultsError
         If there is no posterior, no run record, or fewer than one draw is asked for.
     """
-    import arviz as az
-
     if n_draws < 1:
         raise ResultsError(f"n_draws = {n_draws}: keep at least one draw")
     found, record = diagnostics(idata), RunRecord.of(idata)
-    posterior = idata.posterior
+    posterior = dataset(idata)
     available = posterior.sizes["draw"]
     kept = evenly(available, -(-n_draws // posterior.sizes["chain"]))
     names = [name for name in posterior.data_vars if "time" not in posterior[name].dims]
     few = posterior[names].isel(draw=kept).drop_vars("time", errors="ignore").astype(np.float32)
     created = posterior.attrs.get("created_at")
     few.attrs = {} if created is None else {"created_at": created}
-    small = az.InferenceData(posterior=few, attrs={DIAGNOSTICS_ATTR: found.to_json()})
+    small = made({"posterior": few}, {DIAGNOSTICS_ATTR: found.to_json()})
     record.attach(small)
     return small
