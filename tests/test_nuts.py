@@ -26,6 +26,8 @@ class SmoothDoubling(Doubling):
     def L_op(self, inputs, outputs, output_grads):
         return [2.0 * output_grads[0]]
 
+    pullback = L_op  # its name in PyTensor 3
+
 
 def smooth_model(limit: float = -np.inf, seconds: float = 0.0) -> pm.Model:
     """`gaussian_model` with a gradient."""
