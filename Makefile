@@ -33,10 +33,11 @@ test-all: native-test
 
 # What differs between the lines of PyMC, and the snippets of README.md, one of which is a diagnosis: four minutes
 # on two cores, with PYTHON and VENV of the line that `make test` is not for.
-NEXT := lines models op storage comparison sampling
+NEXT := $(patsubst %,tests/test_%.py,lines op storage comparison) \
+    tests/test_models.py::test_log_posterior_is_that_of_the_model_written_out \
+    tests/test_sampling.py::test_chains_in_turns_draw_what_processes_draw
 test-next: setup
-	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow" -k "not readme or snippet" tests/test_readme.py \
-	    $(NEXT:%=tests/test_%.py)
+	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow" -k "not readme or snippet" tests/test_readme.py $(NEXT)
 
 # Both tiers, and how long each test took into tests/durations.json, which says what is slow and what is first.
 durations: setup
@@ -52,7 +53,7 @@ readme: setup
 
 check: setup
 	$(BIN)/ruff check .
-	$(BIN)/mypy src/zoo examples
+	$(BIN)/mypy src/zoo models examples
 	rm -rf build/imports
 	$(BIN)/python setup.py -q build_py --build-lib build/imports
 	cd build/imports && $(abspath $(BIN))/lint-imports --no-cache --no-logo --config $(CURDIR)/pyproject.toml
