@@ -53,7 +53,7 @@ readme: setup
 
 check: setup
 	$(BIN)/ruff check .
-	$(BIN)/mypy src/zoo models examples
+	$(BIN)/mypy src/zoo examples
 	rm -rf build/imports
 	$(BIN)/python setup.py -q build_py --build-lib build/imports
 	cd build/imports && $(abspath $(BIN))/lint-imports --no-cache --no-logo --config $(CURDIR)/pyproject.toml
