@@ -104,19 +104,13 @@ class CauseSearch:
         every += [Origin(function=g, length=length) for g in functions for length in g.lengths or (None,)]
         on_grid = replace(nothing, point=replace(self.base, jacobian=self.jacobian))
         found = self._responses(on_grid, every, 0.05)
+        there = {one: origin for origin in every if (one := found.get(origin.key, (None,))[0])}
         names = [one.name for one in self.effects]
-        solved = {origin.added.name for origin in every if origin.added and origin.key in found}
-        moved = {
-            origin.added.name for origin in every
-            if origin.added and origin.key in found and np.any(found[origin.key][0].columns)
-        }  # fmt: skip
+        solved = {one.name for one in there}
+        there = {one: origin for one, origin in there.items() if np.any(one.columns)}
+        moved = {one.name for one in there}
         self.failed = [name for name in names if name not in solved]
         self.idle = [name for name in names if name in solved and name not in moved]
-        there = {
-            found[origin.key][0]: origin
-            for origin in every
-            if origin.key in found and np.any(found[origin.key][0].columns)
-        }
         self.causes, _ = without_doubles(list(there))
         self.origins = [there[one] for one in self.causes]
         values = tuple(found[origin.key][1] for origin in self.origins)
@@ -166,14 +160,12 @@ class CauseSearch:
         k, point = self.fitting.forward.n_base, centre.point
         residual, own = tangents(centre, self.data - point.computed, self.causes, self.origins)
         problem = self._problem(self.fitting.forward, point.u[:k], residual, point.jacobian[:, :k])
-        causes, values = [], []
+        pairs = []
         for i, (cause, origin) in enumerate(zip(self.causes, self.origins, strict=True)):
-            nothing = Cause(cause.name, cause.component, np.zeros((len(residual), 1)), place=cause.place)
-            one, value = own[i] if i in own else found.get(origin.key, (nothing, np.zeros(1)))
-            causes.append(one)
-            values.append(value)
-        which = tuple(sorted(centre.order))
-        return Linear(which, point.u[:k], problem, tuple(causes), tuple(values))
+            silent = replace(cause, columns=np.zeros_like(cause.columns)), self.linears[0].values[i]
+            pairs.append(own[i] if i in own else found.get(origin.key, silent))
+        causes, values = zip(*pairs, strict=True)
+        return Linear(tuple(sorted(centre.order)), point.u[:k], problem, causes, values)
 
     @staticmethod
     def _problem(forward: SearchModel, u: Array, residual: Array, jacobian: Array) -> Problem:
