@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from zoo.core.arviz_lines import InferenceData, dataset
+from zoo.core.arviz_lines import made as inference_data
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel, ErrorModelError
 from zoo.core.errors.gaussian_process import GaussianProcess
@@ -336,7 +337,7 @@ def test_an_error_model_of_one_s_own_is_compared(sampled) -> None:
     assert table.index[0] == "student-t"  # the noise has heavy tails
     model, idata = sampled["student-t"]
     terms = log_likelihoods(idata, model, n_draws=20)
-    scored = made({"posterior": dataset(idata).isel(draw=[0, 149])})
+    scored = inference_data({"posterior": dataset(idata).isel(draw=[0, 149])})
     pm.compute_log_likelihood(scored, model=model, progressbar=False)
     np.testing.assert_allclose(
         terms["sequential"].isel(draw=[0, -1]), scored.log_likelihood["y"], rtol=1e-12, atol=1e-12

@@ -101,6 +101,10 @@ class ErrorTermsOp(Op):
         terms = self.errors.terms(residual, _values(self.errors, parameters))
         output_storage[0][0] = np.asarray(terms, dtype=np.float64)
 
+    def infer_shape(self, *graph_node_shapes: Any) -> list[Any]:
+        """That of the residual; PyTensor 3 does not give the graph."""
+        return [graph_node_shapes[-1][0]]
+
     def L_op(
         self, inputs: Sequence[Variable], outputs: Sequence[Variable], output_grads: Sequence[Variable]
     ) -> list[Variable]:
