@@ -146,7 +146,9 @@ def test_parameters_that_do_the_same_are_named() -> None:
 
 
 def test_effects_that_cannot_act_are_named() -> None:
-    with pytest.raises(EffectError, match=r"effect nothing: size = 0\.0: give a positive size, or parameters"):
+    with pytest.raises(
+        EffectError, match=r"effect nothing: size = 0\.0: give a positive size, or parameters"
+    ):
         effect("nothing", parameters=[])(lambda configuration, values, location: configuration)
     forgot = effect("forgot", parameters=drift.parameters)(lambda configuration, values, location: None)
     with pytest.raises(EffectError, match="effect forgot: its function returns None"):
