@@ -19,6 +19,7 @@ from zoo.core.causes.evidence import SetModel
 from zoo.core.causes.posterior import SetRow
 from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, diagnose, read_diagnosis
+from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear
 from zoo.core.effects import Effect, EffectParameter, effect
 from zoo.core.errors.spectral import Cosines, Harmonics
 from zoo.core.forward import FunctionModel, Outputs
@@ -370,3 +371,29 @@ def test_the_missed_probability_is_below_what_is_stated(configuration: dict) -> 
     total = logsumexp(list(joint.values()))
     missed = sum(np.exp(x - total) for which, x in joint.items() if which not in known)
     assert missed <= found.missed + 1e-6
+
+
+def steeper(c, times):  # type: ignore[no-untyped-def]
+    """A wiggle counts exp(4 bump) times: what it does beside the bump is not what it does alone."""
+    return straight({**c, "wiggle": c.get("wiggle", 0.0) * np.exp(4.0 * c.get("bump", 0.0))}, times)
+
+
+def test_around_the_leading_set_the_linear_model_promises_what_solves_find() -> None:
+    """Around the baseline it is wrong by the logarithm of a response that is seven times as large."""
+    model = FunctionModel(steeper, LINEAR.parameters, LINEAR.outputs, "steeper")
+    data = linear_data(3, bump=0.5)
+    found = diagnose(data, model, [adding(x) for x in CAUSES], cores=1, errors=Cosines())
+    search, index = found.sets.search, {one.name: i for i, one in enumerate(found.sets.posterior.causes)}
+    bump, pair = (index["bump"],), tuple(sorted(index.values()))
+    assert found.sets.leader == bump
+
+    def promised(linear: Linear, which: tuple[int, ...]) -> float:
+        inside = SetModel(linear.problem, [linear.causes[i] for i in which], search.family)
+        return inside.evidence(search.rows[bump].evidence.kinds, search.family.noise_start).total(SIZE_PRIORS)
+
+    search._weigh_more([pair])
+    search._solve([pair])
+    around = search._linear(search.solved[bump])
+    for which in (bump, pair):
+        assert promised(around, which) == pytest.approx(search.solved[which].log_z, abs=0.3)
+    assert abs(promised(search.linears[0], pair) - search.solved[pair].log_z) > 1.0

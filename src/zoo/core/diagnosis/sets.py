@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.causes.evidence import SetEvidence, SetModel, without
@@ -42,8 +43,6 @@ NEARER = (1.0, 0.5, 0.2)
 """Parts of the linear model's step from which a descent begins."""
 NEAR = 15.0
 """Log evidence behind the best solved set within which solves tell the linear model's error."""
-LARGEST = 100.0
-"""Log evidence that the error of a linear model is taken for at most."""
 PROMISED = 1.0
 """Gain of the log posterior that a linearisation may promise unchecked; above it, a solve is what counts."""
 LEFT = 0.1
@@ -223,7 +222,7 @@ class CauseSearch:
 
     def _next_centre(self, found: CausePosterior) -> Which | None:
         """The leader, or it without one cause: where most may be missed that is not linear around it yet."""
-        leader = max(self.solved, key=lambda which: found.log_joint[which])
+        leader = self.leader(found)
         parts = [leader, *(tuple(i for i in leader if i != left) for left in leader)]
         done = {one.centre for one in self.linears}
         best, most = None, 1.0 - MASS
@@ -341,14 +340,17 @@ class CauseSearch:
 
     def missed_by_set(self, found: CausePosterior) -> dict[Which, float]:
         """Probability that each set may have which was not solved, two errors of the linear model up."""
-        errors, p = self.errors, found.probability
-        more = {
-            w: x * math.exp(min(2.0 * errors[self.linear_of(w).centre], LARGEST))
-            for w, x in p.items()
-            if w not in self.solved
+        errors = self.errors
+        log = {
+            w: x if w in self.solved else x + 2.0 * errors[self.linear_of(w).centre]
+            for w, x in found.log_joint.items()
         }
-        total = math.fsum(more.values()) + math.fsum(x for w, x in p.items() if w in self.solved)
-        return {w: x / total for w, x in more.items()}
+        total = logsumexp(list(log.values()))
+        return {w: math.exp(x - total) for w, x in log.items() if w not in self.solved}
+
+    def leader(self, found: CausePosterior) -> Which:
+        """The most probable set of those that were solved."""
+        return max(self.solved, key=lambda which: found.log_joint[which])
 
     def _due(self, found: CausePosterior, tried: set[Which]) -> list[Which]:
         """Leading sets that were not tried yet, and the leader without each of its causes.
@@ -356,7 +358,7 @@ class CauseSearch:
         None where the linear model is `known` to be right. At first the best alone of each component is
         among them.
         """
-        leader = max(self.solved, key=lambda which: found.log_joint[which])
+        leader = self.leader(found)
         parts = [tuple(i for i in leader if i != left) for left in leader]
         due = [which for which in parts if which not in tried]
         total, best, known = 0.0, dict[str, Which](), self.known
@@ -508,7 +510,7 @@ class CauseSets:
     @cached_property
     def leader(self) -> Which:
         """The most probable set of those that were solved."""
-        return max(self.solved, key=lambda which: self.posterior.log_joint[which])
+        return self.search.leader(self.posterior)
 
     def name(self, which: Which) -> str:
         """The causes of a set."""
