@@ -31,13 +31,14 @@ test: native-test
 test-all: native-test
 	$(BIN)/pytest $(PYTEST_ARGS) --ignore tests/test_readme.py
 
-# What differs between the lines of PyMC, and the snippets of README.md, one of which is a diagnosis: four minutes
-# on two cores, with PYTHON and VENV of the line that `make test` is not for.
+# What differs between the lines of PyMC, and the diagnosis that README.md ends with, with PYTHON and VENV of the
+# line that `make test` is not for.
 NEXT := $(patsubst %,tests/test_%.py,lines op storage comparison) \
     tests/test_models.py::test_log_posterior_is_that_of_the_model_written_out \
-    tests/test_sampling.py::test_chains_in_turns_draw_what_processes_draw
+    tests/test_sampling.py::test_chains_in_turns_draw_what_processes_draw \
+    tests/test_docs.py::test_the_simulator_of_the_readme_gives_what_the_readme_prints
 test-next: setup
-	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow" -k "not readme or snippet" tests/test_readme.py $(NEXT)
+	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow" $(NEXT)
 
 # Both tiers, and how long each test took into tests/durations.json, which says what is slow and what is first.
 durations: setup

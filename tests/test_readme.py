@@ -39,9 +39,7 @@ def test_make_commands_of_the_readme_are_targets() -> None:
         assert f"\n{target}: " in makefile
 
 
-@pytest.mark.parametrize(
-    "block", BLOCKS, ids=lambda b: f"{b}-{'snippet' if b.language == 'python' else 'commands'}"
-)
+@pytest.mark.parametrize("block", BLOCKS, ids=str)
 def test_what_the_readme_shows_is_what_comes_out(block: Block, folder: Path) -> None:
     assert not block.not_run, f"{block}: every block of the README is run; longer ones stand in docs/"
     start = processor_seconds()
