@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from zoo.core.causes import Cause, CauseError, CausePriors, Problem, weigh_causes
 from zoo.core.causes.evidence import SetModel, SizePriors, _combinations
-from zoo.core.causes.family import COLOURED, NOISE_SPREAD
+from zoo.core.causes.family import COLOURED, NOISE_SPREAD, SIZES
 from zoo.core.causes.problem import without_doubles
 from zoo.core.causes.reference import Reference
 
@@ -41,8 +41,8 @@ def direct(toy: LinearToy, problem: Problem, causes, sizes: SizePriors, signal: 
     log_noise = f.noise_centre[0] + NOISE_SPREAD * x
     log_w = norm.logpdf(x) + math.log(x[1] - x[0])
     free = [one for one in causes if one.free]
-    s_grid = np.linspace(0.02, 3.2, 33) if free else np.ones(1)
-    log_s = norm.logpdf(s_grid) + math.log(2 * (s_grid[1] - s_grid[0])) if free else np.zeros(1)
+    s_grid = np.geomspace(0.003, 4.0, 48) if free else np.ones(1)
+    log_s = np.log(np.gradient(s_grid)) + math.log(2) + norm.logpdf(s_grid) if free else np.zeros(1)
     d_grid = np.concatenate([[0.0], np.geomspace(1e-4, 0.6, 30)])
     edges = np.concatenate([[0.0], np.sqrt(d_grid[1:-1] * d_grid[2:]), [np.inf]])
     edges = np.concatenate([[0.0, 0.5e-4], edges[1:]])
@@ -105,7 +105,8 @@ def test_the_noise_is_integrated_where_weights_are_many(white):
     f, n = toy.family, len(toy.jacobian)
     function = Cause("w", "c0", rng.standard_normal((n, 20)) * 0.3, free=True)
     residual = toy.jacobian @ rng.standard_normal(3) + white * rng.standard_normal(n)
-    errors = np.array([0, 5])
+    first = 1 + len(f.colours)
+    errors = np.array([0, 5, *range(first, first + len(SIZES))])
     x = np.linspace(f.least_noise[0], f.noise_centre[0] + NOISE_SPREAD, 1001)
     log_w = norm.logpdf(x, f.noise_centre[0], NOISE_SPREAD) + math.log(x[1] - x[0])
     log_w[0] -= math.log(2.0)
@@ -114,10 +115,10 @@ def test_the_noise_is_integrated_where_weights_are_many(white):
         found = model.evidence(np.arange(f.n_kinds), f.noise_start).log_z[errors]
         scales, masses = _combinations(tuple(one.free for one in causes))
         for error, log_z in zip(errors, found, strict=True):
-            V = np.exp(2 * x)[:, None] * f.kinds[0][error]
+            V = np.exp(2 * x)[:, None] * f.kinds[0][error] + f.kinds[1][error]
             gains = [marginal_normal(model.problem, causes, s, V) for s in scales]
             each = logsumexp(np.stack(gains, axis=1) + masses, axis=1) + log_w
-            assert log_z == pytest.approx(logsumexp(each), abs=0.1)
+            assert log_z == pytest.approx(logsumexp(each), abs=0.2), error
 
 
 def test_the_slope_in_the_size_is_that_of_differences(toy):
@@ -271,7 +272,7 @@ def test_a_power_of_the_likelihood_is_that_of_plain_sums(toy, power):
             terms.append(tempered + w + constant)
         model = SetModel(problem, causes, f)
         found = model.evidence(np.arange(f.n_kinds), f.noise_start, power).log_z[0]
-        assert found == pytest.approx(logsumexp(terms), abs=0.1)
+        assert found == pytest.approx(logsumexp(terms), abs=0.15)
 
 
 def no_set_is_right(toy: LinearToy) -> np.ndarray:

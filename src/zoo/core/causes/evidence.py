@@ -1,11 +1,11 @@
-"""Evidence of one set of causes given each error model: linear in what the set does, Laplace in the noise.
+"""Evidence of one set of causes given each error model: linear in what the set does.
 
 For errors of variance V, parameters and weights x = (d, w) are normal, and with A = [J, R],
 
     log p(r | S, s, V) = log N(r; 0, V) + b'H^-1 b / 2 - log |H/2 pi| / 2 + log p0,    H = A'V^-1 A + P,
 
-b = A'V^-1 r - pull. The noise of each group is found by Fisher scoring and integrated by Laplace's method,
-the sizes s of free functions on a grid, that of the discrepancy by a cubic interpolation of the log evidence
+b = A'V^-1 r - pull. The noise of each group is found by Fisher scoring and integrated around its mode, the
+sizes s of free functions on a grid, that of the discrepancy by a cubic interpolation of the log evidence
 between sizes at which its slope is known.
 """
 
@@ -19,8 +19,9 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import logsumexp
 
 from zoo.core.causes.family import (
     CARICATURE,
@@ -45,7 +46,10 @@ SCALES: Array = 0.03 * 1.6 ** np.arange(11.0)
 FEW_SCALES = SCALES[1::2]
 """The same where three functions or more are free at once."""
 SCORING, LARGEST_STEP, CONVERGED = 12, 1.5, 0.01
-"""Steps of Fisher scoring at most, the largest in the logarithm of the noise, and the one that ends it."""
+"""Steps of scoring at most, the largest in the logarithm of the noise, and the one that ends it."""
+REACH, NODES, FEWEST = 6.0, 15, 1e-9
+"""Sds on either side of its mode over which the noise is integrated, at how many points; least number of
+coefficients that tell it."""
 
 
 def log_scale_masses(scales: Array) -> Array:
@@ -412,12 +416,12 @@ class SetModel:
             mean, C = self.solve(gram, right, ones[active])
             q = self._left(mean, C) / V
             a = own / V
-            slope = power * (a * (q - 1.0)) @ f.one_of.T
-            bend = 2.0 * power * (a**2) @ f.one_of.T
-            slope -= (log_noise[active] - f.noise_centre) / NOISE_SPREAD**2
-            bend += 1.0 / NOISE_SPREAD**2
-            step = np.clip(slope / bend, -LARGEST_STEP, LARGEST_STEP) * f.noise_free
-            step = np.maximum(step, f.least_noise - log_noise[active])
+            alike = AlikeCoefficients.of(
+                *(power * x @ f.one_of.T for x in (a, a**2, a * q)),
+                (log_noise[active] - f.noise_centre) / NOISE_SPREAD,
+                f.least_noise - log_noise[active],
+            )
+            step = np.clip(alike.mode() * f.noise_free, -LARGEST_STEP, LARGEST_STEP)
             log_noise[active] += step
             active = active[np.max(np.abs(step), axis=1) > CONVERGED]
             if not len(active):
@@ -553,18 +557,84 @@ class SizeBasis:
         return W
 
 
+@dataclass(frozen=True, eq=False)
+class AlikeCoefficients:
+    """Log likelihood of a group's noise as if all coefficients had one variance, and the noise's prior.
+
+    When the noise's logarithm changes by t,
+
+        log L(t) - log L(0) = -n (log v + q (1 / v - 1)) / 2,    v = 1 + m (exp(2 t) - 1),
+
+    n the number of coefficients, m the part of their variance that is noise, q their mean square in
+    variances.
+
+    Parameters
+    ----------
+    n, m, q : array
+    off : array
+        Of t = 0 from the prior's centre, in prior sds.
+    least : array
+        Least t.
+    """
+
+    n: Array
+    m: Array
+    q: Array
+    off: Array
+    least: Array
+
+    @classmethod
+    def of(cls, first: Array, second: Array, left: Array, off: Array, least: Array) -> AlikeCoefficients:
+        """With the slope and the information of coefficients that differ, of noise's parts a of variances V.
+
+        Parameters
+        ----------
+        first, second, left : array
+            n m, n m^2 and n m q: sums of a, a^2 and a r^2 / V.
+        """
+        first, second = (np.maximum(x, FEWEST) for x in (first, second))
+        m = np.minimum(second / first, 1.0)
+        return cls(first / m, m, np.maximum(left, 0.0) / first, off, least)
+
+    def mode(self) -> Array:
+        """Where the posterior of t is largest."""
+        t = np.broadcast_to(np.maximum(0.0, self.least), self.n.shape)
+        for _ in range(SCORING):
+            slope, bend, _ = self._slope(t)
+            t = np.maximum(t + np.clip(slope / bend, -LARGEST_STEP, LARGEST_STEP), self.least)
+        return np.asarray(t)
+
+    def integral(self) -> Array:
+        """Log of the likelihood integrated over the prior, by Gauss and Legendre around the mode."""
+        t = self.mode()
+        slope, _, bend = self._slope(t)
+        reach = REACH / (np.sqrt(bend) + np.abs(slope))
+        low = np.maximum(t - reach, self.least)
+        half = 0.5 * (t + reach - low)
+        points, weights = leggauss(NODES)
+        nodes = (low + half)[..., None] + half[..., None] * points
+        v = 1.0 + self.m[..., None] * np.expm1(2.0 * nodes)
+        log = -0.5 * self.n[..., None] * (np.log(v) + self.q[..., None] * (1.0 / v - 1.0))
+        log -= 0.5 * (self.off[..., None] + nodes / NOISE_SPREAD) ** 2
+        scale = half / (NOISE_SPREAD * math.sqrt(2.0 * math.pi))
+        return np.asarray(logsumexp(log, b=weights, axis=-1) + np.log(scale))
+
+    def _slope(self, t: Array) -> tuple[Array, Array, Array]:
+        """Slope of the log posterior, its bend for a step that does not overshoot, and as it is."""
+        v = 1.0 + self.m * np.expm1(2.0 * t)
+        a, q = self.m * np.exp(2.0 * t) / v, self.q / v
+        slope, fisher, least = self.n * a * (q - 1.0), 2.0 * self.n * a**2, NOISE_SPREAD**-2
+        bend = fisher * q - 2.0 * (1.0 - a) * slope + least
+        whole = slope - (self.off + t / NOISE_SPREAD) / NOISE_SPREAD
+        return whole, np.maximum(fisher, 2.0 * np.abs(slope)) + least, np.maximum(bend, 0.25 * least)
+
+
 class NoiseIntegral:
-    """Laplace's integral over the noise's logarithms x, from where they were held to where their mode is.
+    """The integral over the noise's logarithms, each from where it was held.
 
-    With a the noise's part of V, D = diag(a / V) in a group, e = r - A w, w ~ N(mean, C), and the likelihood
-    to a power c, the log evidence has
-
-        slope g = c sum(a (E[e^2] / V - 1)),    curvature -I = -2 (c sum a^2 - c^2 tr (C A'DA)^2),
-
-    the latter where E[e^2] = V: n coefficients less those that the weights take up. Sizes of functions have
-    their mode elsewhere than the x given; the log evidence gains I (u - log(1 + u)) / 4 on the way there,
-    u = 2 g / I, as for white noise. Only x above the least noise counts: at it, falling, the integral is that
-    of exp(g t - I t^2 / 2), t > 0. Off-diagonal terms between groups are left out.
+    With a the noise's part of V, D = diag(a / V) in a group, w ~ N(mean, C), the likelihood to a power c and
+    G = c A'DA, the weights take up tr CG of the sum of c a, and tr CGCG of that of c a^2. What one group's
+    noise does to another's is left out.
 
     Parameters
     ----------
@@ -578,13 +648,14 @@ class NoiseIntegral:
 
     def __init__(self, model: SetModel, a: Array, V: Array, log_noise: Array, power: float = 1.0) -> None:
         f, p = model.family, len(model.mean)
-        self.model, self.free, self.least = model, f.noise_free, f.least_noise
-        self.x, self.prior = log_noise, (log_noise - f.noise_centre) / NOISE_SPREAD
-        D = power * (a / V)[:, None, :] * f.one_of
+        self.model = model
+        self.least = (f.least_noise - log_noise)[:, f.noise_free, None]
+        self.off = (log_noise - f.noise_centre)[:, f.noise_free, None] / NOISE_SPREAD
+        one_of = f.one_of[f.noise_free]
+        D = power * (a / V)[:, None, :] * one_of
         self.gram = (D @ model.products).reshape(*D.shape[:2], p, p)
-        self.right = D @ model.Ar
-        self.none = D @ model.problem.residual**2 - power * a @ f.one_of.T
-        self.information = 2.0 * power * (a**2) @ f.one_of.T
+        self.right, self.squares = D @ model.Ar, (D @ model.problem.residual**2)[:, :, None]
+        self.first, self.second = ((power * x @ one_of.T)[:, :, None] for x in (a, a**2))
 
     def __call__(self, basis: SizeBasis) -> Array:
         """Log of the integral (n_kinds, n_sizes), given the weights' posterior."""
@@ -594,20 +665,11 @@ class NoiseIntegral:
         ones = np.ones((*basis.D.shape[:2], basis.z.shape[1]))
         D = np.concatenate([ones, basis.D], axis=2).swapaxes(1, 2)
         mean = D * np.concatenate([basis.z, basis.y], axis=1)[:, :, None]
-        each = gram @ mean[:, None] * mean[:, None]
-        slope = each.sum(axis=2) + np.einsum("kgii->kgi", gram) @ D - 2.0 * right @ mean
-        prior = self.prior[:, :, None]
-        slope += self.none[:, :, None] - prior / NOISE_SPREAD
-        taken = 2.0 * np.sum(gram**2 @ D[:, None] * D[:, None], axis=2)
-        information = np.maximum(self.information[:, :, None] - taken, 0.0) + 1.0 / NOISE_SPREAD**2
-        u = np.maximum(2.0 * slope / information, -0.9)
-        found = 0.25 * information * (u - np.log1p(u))
-        above = (self.x - self.least)[:, :, None]
-        found += log_ndtr((above + 0.5 * np.log1p(u)) * np.sqrt(information))
-        z = slope / np.sqrt(information)
-        found = np.where((above < 1e-9) & (z < 0.0), 0.5 * z**2 + log_ndtr(z), found)
-        found -= 0.5 * np.log(information) + 0.5 * prior**2 + math.log(NOISE_SPREAD)
-        return np.asarray(found[:, self.free].sum(axis=1))
+        left = np.sum(gram @ mean[:, None] * mean[:, None], axis=2) - 2.0 * right @ mean + self.squares
+        first = self.first - np.einsum("kgii->kgi", gram) @ D
+        second = self.second - np.sum(gram**2 @ D[:, None] * D[:, None], axis=2)
+        alike = AlikeCoefficients.of(first, second, left, self.off, self.least)
+        return np.asarray(alike.integral().sum(axis=1))
 
 
 def without(jacobian: Array, signal: Array, V: Array) -> Array:

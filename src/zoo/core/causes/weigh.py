@@ -22,7 +22,7 @@ from zoo.core.causes.sets import CausePriors
 Array = NDArray[np.float64]
 Which = tuple[int, ...]
 
-MISSED = 0.005
+MISSED = 0.02
 """Probability that sets which are only guessed hold together at most, where guesses are right."""
 SHAPES_WITHIN = 5.0
 """Log evidence behind the best spectrum within which a spectrum is kept."""
@@ -30,8 +30,8 @@ BEAM = (40, 24, 10)
 """Sets of one, two and three causes to which every further cause is added."""
 ROUNDS = 3
 """Times that sets are sought given the error model of the best set so far."""
-MOST_WEIGHED = 64
-"""Sets that are weighed given all error models at most, in each round."""
+FIRST_WEIGHED, MOST_WEIGHED = 12, 32
+"""Sets that are weighed given all error models at most, in each round and at the end."""
 MOST_SHAPES = 12
 """Spectra that are kept at most."""
 
@@ -64,13 +64,14 @@ class _Search:
 
     def weigh(self, sets: Sequence[Which], kinds: NDArray[np.int_]) -> None:
         """These sets given some error models."""
-        alone = self.weighed[self.always]
-        start = alone.log_noise[np.searchsorted(alone.kinds, kinds)]
+        like = max(self.weighed, key=self.total)
+        known = self.weighed[like]
+        start = known.log_noise[np.searchsorted(known.kinds, kinds)]
 
         def one(which: Which) -> SetEvidence:
             return SetModel(self.problem, [self.causes[i] for i in which], self.family).evidence(kinds, start)
 
-        with ThreadPoolExecutor(max(1, self.cores)) as pool, threadpool_limits(1, user_api="blas"):
+        with ThreadPoolExecutor(max(1, self.cores)) as pool:
             self.weighed.update(zip(sets, pool.map(one, sets), strict=True))
 
     def seek(self, parent: Which) -> None:
@@ -112,13 +113,13 @@ class _Search:
         for key, value in conditional.items():
             self.guessed[key] = max(self.guessed.get(key, -np.inf), value + shift)
 
-    def leading(self) -> list[Which]:
+    def leading(self, most: int) -> list[Which]:
         """The most probable sets that were not weighed yet, but for those that hold `MISSED` together."""
         every = {which: self.total(which) for which in [*self.guessed, *self.weighed]}
         missed = logsumexp(list(every.values())) + math.log(MISSED)
         due = sorted((w for w in every if w not in self.weighed), key=lambda w: every[w])
         behind = np.logaddexp.accumulate([every[w] for w in due])
-        return due[::-1][: min(MOST_WEIGHED, int(np.sum(behind > missed)))]
+        return due[::-1][: min(most, int(np.sum(behind > missed)))]
 
 
 def weigh_causes(
@@ -168,10 +169,18 @@ def weigh_causes(
     say = tick or (lambda text, share: None)
     priors = priors or CausePriors(causes)
     search = _Search(problem, causes, family, priors, sizes or SizePriors(), cores, always)
+    with threadpool_limits(1, user_api="blas"):  # the matrices are small
+        _find_sets(search, say)
+    rows = [SetRow(w, search.priors.log_prior(w), e) for w, e in search.weighed.items()]
+    guessed = {w: g + priors.log_prior(w) for w, g in search.guessed.items() if w not in search.weighed}
+    return CausePosterior(tuple(causes), priors, search.sizes, tuple(rows), guessed)
+
+
+def _find_sets(search: _Search, say: Callable[[str, float], None]) -> None:
     say("baseline given all error models", 0.0)
     search.start()
-    if causes:
-        parent = always
+    if search.causes:
+        parent = search.always
         seen: set[Which] = set()
         for round_ in range(ROUNDS):
             say("seeking sets of causes", 0.2 + 0.2 * round_)
@@ -179,15 +188,12 @@ def weigh_causes(
             search.seek(parent)
             if round_ == 0:  # spectra that matter given nothing or the best cause of each component
                 _fewer_kinds(search)
-            search.weigh(search.leading(), search.kinds)
+            search.weigh(search.leading(FIRST_WEIGHED), search.kinds)
             ranked = sorted(search.weighed, key=lambda w: -search.total(w))
             if ranked[0] in seen:
                 break
             parent = ranked[0]
-        search.weigh(search.leading(), search.kinds)
-    rows = [SetRow(w, search.priors.log_prior(w), e) for w, e in search.weighed.items()]
-    guessed = {w: g + priors.log_prior(w) for w, g in search.guessed.items() if w not in search.weighed}
-    return CausePosterior(tuple(causes), priors, search.sizes, tuple(rows), guessed)
+        search.weigh(search.leading(MOST_WEIGHED), search.kinds)
 
 
 def _fewer_kinds(search: _Search) -> None:

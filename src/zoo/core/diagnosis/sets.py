@@ -35,16 +35,19 @@ from zoo.core.forward import SolveError, pinned
 
 Array = NDArray[np.float64]
 
-MASS, MOST_SOLVED = 0.97, 10
+MASS, MOST_SOLVED = 0.97, 5
 """Probability that the sets which are solved hold together, and how many are at most."""
-STEPS, ROUNDS = 6, 3
-"""Steps of a descent, and descents with fresh derivatives."""
+STEPS = 6
+"""Steps of a descent."""
+TURNS = 4
+"""Times that a mode is sought given errors, and errors given the mode."""
 NEARER = (1.0, 0.5, 0.2)
 """Parts of the linear model's step from which a descent begins."""
 NEAR = 15.0
 """Log evidence behind the best solved set within which solves tell the linear model's error."""
 PROMISED = 1.0
-"""Gain of the log posterior that a linearisation may promise unchecked; above it, a solve is what counts."""
+"""Gain of the log posterior that a linearisation may promise unchecked; above it, a solve is what counts,
+and a set is sought again."""
 LEFT = 0.1
 """Part of the baseline's residual that a listed effect may leave where its size is sought."""
 VISIBLE = 3.0
@@ -401,19 +404,23 @@ class CauseSearch:
         """A set from a point near its mode, in turns of a search and of the errors beside it."""
         data, kept, reference = self.data - shift, None, linear
         # beside a discrepancy a lesser mode costs little: noise alone says first where the mode is
-        for alone in (True, False):
-            search = Search(forward, data, reference.variances(reference.best(SIZE_PRIORS), alone=alone))
+        for turn in range(TURNS):
+            errors = reference.variances(reference.best(SIZE_PRIORS), alone=turn == 0)
+            search = Search(forward, data, errors)
             point = search.resume(point)
-            if kept is None:
-                point = search.refine(point, ROUNDS, STEPS, fine=self.fitting.smooth)
+            if turn == 0:
+                point = search.refine(point, 1, STEPS, fine=self.fitting.smooth)
             else:  # the derivatives are fresh
                 moved = search.descend(point, STEPS)
-                point = search.refine(moved, 1, STEPS) if point.cost - moved.cost > PROMISED else point
+                point = search.refine(moved, 2, STEPS) if point.cost - moved.cost > PROMISED else point
             found, n_listed = self._around(order, forward, data, point, linear)
             reference = self._delivered(found, forward, data, point, n_listed)
-            if kept is None or reference.total(SIZE_PRIORS) > kept.log_z:
+            gained = math.inf if kept is None else reference.total(SIZE_PRIORS) - kept.log_z
+            if gained > 0.0:
                 whole = replace(point, computed=point.computed + shift)
                 kept = SolvedSet(order, forward, whole, reference, n_listed)
+            if gained < PROMISED:
+                break
         assert kept is not None
         return kept
 
