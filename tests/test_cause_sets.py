@@ -19,6 +19,7 @@ from zoo.core.causes.evidence import SetModel
 from zoo.core.causes.posterior import SetRow
 from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, diagnose, read_diagnosis
+from zoo.core.diagnosis.check import check_sets
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear
 from zoo.core.effects import Effect, EffectParameter, effect
 from zoo.core.errors.spectral import Cosines, Harmonics
@@ -397,3 +398,41 @@ def test_around_the_leading_set_the_linear_model_promises_what_solves_find() -> 
     for which in (bump, pair):
         assert promised(around, which) == pytest.approx(search.solved[which].log_z, abs=0.3)
     assert abs(promised(search.linears[0], pair) - search.solved[pair].log_z) > 1.0
+
+
+def test_a_check_by_importance_sampling_changes_nothing_of_a_linear_model() -> None:
+    found = of_the_line(3, bump=0.15, wiggle=0.05)
+    checked = check_sets(found.sets, draws=64)
+    assert {one.which for one in checked} >= {(), found.sets.leader}
+    for one in checked:
+        assert one.change == pytest.approx(0.0, abs=1e-6)
+        assert one.k < 0.7
+        assert one.after == pytest.approx(one.before, rel=1e-6, abs=1e-12)
+
+
+def test_a_check_by_importance_sampling_finds_what_the_linear_model_lacks() -> None:
+    """Beside sums over bump and wiggle, whose response bends; the baseline's two weights are normal."""
+    model = FunctionModel(steeper, LINEAR.parameters, LINEAR.outputs, "steeper")
+    data = linear_data(3, noise=0.2, bump=0.5, wiggle=0.8)
+    found = diagnose(data, model, [adding(x) for x in CAUSES], cores=1, errors=Cosines())
+    search, names = found.sets.search, [one.name for one in found.sets.posterior.causes]
+    pair = tuple(sorted(names.index(x) for x in CAUSES))
+    one = search.solved[pair]
+    best, problem = one.evidence.best(SIZE_PRIORS), one.evidence.problem
+    V = one.evidence.variances(best)
+    J, bound = problem.jacobian, Cosines().bind(data)
+    H, b = (J.T / V) @ J + problem.P, (J.T / V) @ problem.residual - problem.pull
+    linear = norm(0.0, np.sqrt(V)).logpdf(problem.residual).sum() + problem.log_prior
+    linear += 0.5 * b @ np.linalg.solve(H, b) - 0.5 * np.linalg.slogdet(H / (2 * np.pi))[1]
+    X = PRIOR_SD * np.stack([bound.flat(x[None]) for x in (WAVE, RAMP)], axis=1)
+    joint = multivariate_normal(np.zeros(len(V)), np.diag(V) + X @ X.T)
+    bumps, wiggles = np.linspace(-0.5, 1.5, 201), np.linspace(-2.0, 2.0, 401)
+    terms = []
+    for bump in bumps:
+        series = [steeper({"a": 1.0, "b": 1.0, "bump": bump, "wiggle": w}, T)[None] for w in wiggles]
+        each = joint.logpdf(bound.flat(data.values) - np.stack([bound.flat(x) for x in series]))
+        terms.append(each + norm(0, SCALE).logpdf(bump) + norm(0, SCALE).logpdf(wiggles))
+    exact = logsumexp(terms) + np.log((bumps[1] - bumps[0]) * (wiggles[1] - wiggles[0]))
+    checked = next(x for x in check_sets(found.sets, draws=2000) if x.which == pair)
+    assert checked.error < 0.1 < 0.3 < abs(exact - linear)
+    assert checked.change == pytest.approx(exact - linear, abs=4.0 * checked.error)

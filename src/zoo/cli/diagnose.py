@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 EVERY_S = 1.5
 """Seconds between lines where there is no terminal."""
+K_TRUSTED = 0.7
+"""Pareto's k up to which importance sampling is trusted (Vehtari et al. 2024, arXiv 1507.02646)."""
 LEADING, PROBABLE = 5, 0.05
 """Sets of causes that the screen shows, and least probability of an effect or function that it shows."""
 
@@ -41,6 +43,11 @@ def diagnose(
     posteriors: Annotated[
         bool,
         typer.Option("--posteriors", help="Sample the posteriors of the leading sets of effects too."),
+        Role.ASIDE,
+    ] = False,
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="Check the evidence of the leading sets by solves around their modes."),
         Role.ASIDE,
     ] = False,
     effects: Annotated[
@@ -114,6 +121,8 @@ def diagnose(
             seed=seed,
             tick=tell,
         )
+        if check:
+            found = found.with_check(seed=seed, tick=tell)
         tell("figures and page", 1.0)
         written = write_diagnosis(found, output, command=typed_command())
         if posteriors:  # takes longer and may be stopped: what was found is on disk
@@ -123,7 +132,21 @@ def diagnose(
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
             tell("figures and page", 1.0)
             written = write_diagnosis(found, output, command=typed_command())
-    say(*diagnosis_screen(found.file), f"wrote {output}: {', '.join(path.name for path in written)}")
+    files = ", ".join(path.name for path in written)
+    say(*diagnosis_screen(found.file), *_check_lines(found.file), f"wrote {output}: {files}")
+
+
+def _check_lines(file: DiagnosisFile) -> list[str]:
+    """What importance sampling said of the leading sets."""
+    lines = []
+    for one in file.record.get("check", ()):
+        doubt = "" if one["k"] <= K_TRUSTED else f"; its weights are too uneven to say (k = {one['k']:.2g})"
+        before, after = (f"{100.0 * one[name]:.3g} %" for name in ("before", "after"))
+        lines.append(
+            f"Check of {one['which']} by {one['draws']} solves: log evidence {one['change']:+.2f} +- "
+            f"{one['error']:.2f}, probability {before} -> {after}{doubt}."
+        )
+    return lines
 
 
 def _effect_names(text: str | None, base: str) -> list[str] | None:

@@ -416,12 +416,15 @@ class SetModel:
             mean, C = self.solve(gram, right, ones[active])
             q = self._left(mean, C) / V
             a = own / V
-            alike = AlikeCoefficients.of(
-                *(power * x @ f.one_of.T for x in (a, a**2, a * q)),
+            first, second, left = (power * x @ f.one_of.T for x in (a, a**2, a * q))
+            noises = AlikeCoefficients.of(
+                first,
+                second,
+                left,
                 (log_noise[active] - f.noise_centre) / NOISE_SPREAD,
                 f.least_noise - log_noise[active],
             )
-            step = np.clip(alike.mode() * f.noise_free, -LARGEST_STEP, LARGEST_STEP)
+            step = np.clip(noises.mode() * f.noise_free, -LARGEST_STEP, LARGEST_STEP)
             log_noise[active] += step
             active = active[np.max(np.abs(step), axis=1) > CONVERGED]
             if not len(active):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -17,6 +17,7 @@ from zoo.core import digests
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import Answer, answer
 from zoo.core.diagnosis.bounds import Excluded, freed
+from zoo.core.diagnosis.check import check_sets
 from zoo.core.diagnosis.draws import CauseDraws, Discrepancy
 from zoo.core.diagnosis.file import (
     CauseResult,
@@ -173,6 +174,28 @@ class Diagnosis:
         found = sample_explanations(self.sets, cores=cores, seed=seed, folder=folder, tick=tick)
         record = self.file.record | {"posterior_seconds": time.monotonic() - began}
         return replace(self.with_file(posteriors=found.summary(), record=record), sampled=found)
+
+    def with_check(
+        self, *, draws: int = 64, seed: int = 1, tick: Callable[[str, float], None] | None = None
+    ) -> Self:
+        """Solve the leading sets away from their modes too, which corrects their evidence.
+
+        Parameters
+        ----------
+        draws : int
+            Of each set.
+        seed : int
+        tick : callable, optional
+            Called with a text and the share done.
+
+        Returns
+        -------
+        Diagnosis
+            With what was found in the `record` of `file`, as "check".
+        """
+        checked = check_sets(self.sets, draws=draws, seed=seed, tick=tick or (lambda text, share: None))
+        told = [asdict(one) | {"which": self.sets.name(one.which)} for one in checked]
+        return self.with_file(record=self.file.record | {"check": told})
 
     def save(self, folder: str | Path) -> Path:
         """Write diagnosis.json, with the digest of its content, into a folder; returns its path."""
