@@ -382,3 +382,19 @@ def test_causes_are_as_probable_as_they_are_frequent():
     score = np.mean(there * np.log(np.maximum(p, 1e-300)) + (1 - there) * np.log(np.maximum(1 - p, 1e-300)))
     rate = there.mean()
     assert score > rate * math.log(rate) + (1 - rate) * math.log(1 - rate) + 0.05
+
+
+@pytest.mark.parametrize("between", [0.25, 0.5])
+def test_likely_errors_are_those_drawn_where_no_size_of_the_grid_is_near(between):
+    """Of 512 coefficients, so that the size is known to a few percent."""
+    toy, rng = LinearToy(n_series=4, n_times=128), np.random.default_rng(5)
+    f, size = toy.family, SIZES[7] ** (1 - between) * SIZES[8] ** between
+    shared = max(range(len(f.shapes)), key=lambda i: f.shapes[i][2])  # by series, as no noise is
+    V = 0.01**2 + size**2 * f.discrepancies[shared]
+    residual = np.sqrt(V) * rng.standard_normal(len(V)) + toy.jacobian @ rng.standard_normal(3)
+    one = SetModel(toy.problem(residual), (), f).evidence(np.arange(f.n_kinds), f.noise_start)
+    loud = V > 10 * 0.01**2
+    assert np.median(one.likely_variances(toy.sizes)[loud] / V[loud]) == pytest.approx(1.0, abs=0.2)
+    noise = one.likely_variances(toy.sizes, alone=True)
+    assert noise == pytest.approx(np.full(len(V), noise[0]))
+    assert 0.003 < np.sqrt(noise[0]) < 0.05

@@ -315,6 +315,24 @@ class SetEvidence:
         sigma2 = np.exp(2.0 * self.log_noise[kind])[self.family.member]
         return np.asarray(sigma2 * noise[at] + (0.0 if alone else discrepancy[at]))
 
+    def likely_variances(self, priors: SizePriors, *, alone: bool = False) -> Array:
+        """Variances (n,) of the most probable errors, the discrepancy's size between those tried.
+
+        With `alone`, of their noise.
+        """
+        colours, smooth = self.terms(priors)
+        if len(colours) and colours.max() > smooth.max():
+            return self.variances(self.best(priors), alone=alone)
+        shape, at = np.unravel_index(np.argmax(smooth), smooth.shape)
+        x, _ = self.family.grid
+        own = np.flatnonzero(self.kinds >= self._first).reshape(-1, len(SIZES))[shape]
+        tried = np.concatenate([x[:1], np.log(SIZES)])
+        held = np.concatenate([self.log_noise[self.kinds == 0], self.log_noise[own]])
+        log_noise = np.array([np.interp(x[at], tried, one) for one in held.T])
+        noise = np.exp(2.0 * log_noise)[self.family.member]
+        size = 0.0 if alone or at == 0 else math.exp(x[at])
+        return np.asarray(noise + size**2 * self.family.discrepancies[self.shapes[shape]])
+
 
 class SetModel:
     """A problem with some causes, and its evidence given many error models at once.

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.causes.evidence import SetEvidence, SizePriors
 from zoo.core.causes.problem import Cause
-from zoo.core.causes.sets import CausePriors
+from zoo.core.causes.sets import CausePriors, likeness
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int_]
@@ -202,19 +202,6 @@ class CausePosterior:
         """Guessed sets, and the index of the row most like each: in causes, then in components by sort."""
         known = [row.which for row in self.rows]
         sets = [w for w in self.guessed if w not in set(known)]
-        sorts = {sort: i for i, sort in enumerate(dict.fromkeys((c.component, c.free) for c in self.causes))}
-        of = np.array([sorts[c.component, c.free] for c in self.causes], int)
-
-        def members(which: Sequence[tuple[int, ...]]) -> Array:
-            found = np.zeros((len(which), len(self.causes) + len(sorts)))
-            for row, w in zip(found, which, strict=True):
-                at = list(w)
-                row[at] = 1.0
-                row[len(self.causes) + of[at]] = 1.0
-            return found
-
-        asked, there = members(sets), members(known)
-        both = asked @ there.T
-        like = both / np.maximum(asked.sum(axis=1)[:, None] + there.sum(axis=1) - both, 1.0)
+        like = likeness(sets, known, self.causes)
         like[:, [not w for w in known]] = 1e-9  # nothing, where no other is like it
         return sets, np.asarray(np.argmax(like, axis=1))

@@ -70,23 +70,29 @@ class Reference:
 
     def further(self, which: Sequence[int], scales: Sequence[float]) -> tuple[Array, Array]:
         """Log evidence gained (n_causes,) by each cause given those of `which`, and its best size."""
-        there: tuple[Array, Array] | None = None
+        there: tuple[Array, Array, Array] | None = None
+        bounded = [i for i in which if self.bounded[i]]
         if len(which):
             own = np.concatenate([self.own[i] for i in which])
             s = np.concatenate([np.full(len(self.own[i]), x) for i, x in zip(which, scales, strict=True)])
             L = np.linalg.cholesky(self.G[np.ix_(own, own)] + np.diag(1.0 / s**2))
             Y = solve_triangular(L, self.G[own], lower=True)
-            there = Y, solve_triangular(L, self.g[own] + self.means[own] / s**2, lower=True)
+            left = solve_triangular(L, self.g[own] + self.means[own] / s**2, lower=True)
+            first = np.flatnonzero(np.isin(own, [self.own[i][0] for i in bounded]))
+            rows = solve_triangular(L, np.eye(len(own))[:, first], lower=True).T
+            there = Y, left, rows
         gained, best = np.empty(len(self.causes)), np.ones(len(self.causes))
         for part, at in self.blocks:
-            gained[part], best[part] = self._each(part, at, there)
+            gained[part], best[part] = self._each(part, at, there, np.array(bounded, int))
         return gained, best
 
-    def _each(self, part: Indices, at: Indices, there: tuple[Array, Array] | None) -> tuple[Array, Array]:
+    def _each(
+        self, part: Indices, at: Indices, there: tuple[Array, Array, Array] | None, bounded: Indices
+    ) -> tuple[Array, Array]:
         """The same of some causes, whose weights are at these places."""
         G, b = self.G[at[:, :, None], at[:, None, :]], self.g[at]
         if there is not None:
-            Y, left = there
+            Y, left, rows = there
             B = Y[:, at].transpose(1, 0, 2)  # (n_causes, m_there, m_each)
             G = G - B.transpose(0, 2, 1) @ B
             b = b - np.einsum("cij,i->cj", B, left)
@@ -105,4 +111,20 @@ class Reference:
         mass = log_normal_mass((self.low[part] - mean) / sd, (self.high[part] - mean) / sd)
         one += np.where(self.bounded[part], mass - self.prior_mass[part], 0.0)
         gained = np.where(free, logsumexp(each, axis=1), one)
-        return gained, np.where(free, SCALES[np.argmax(each, axis=1)], 1.0)
+        best = np.where(free, SCALES[np.argmax(each, axis=1)], 1.0)
+        if there is not None and len(bounded):  # amplitudes that were there move, perhaps out of their bounds
+            moves = (rows @ B) @ U  # (n_causes, n_bounded, m_each)
+            D = 1.0 / (lam + 1.0 / best[:, None] ** 2)
+            mean = rows @ left - np.einsum("cbi,ci->cb", moves, D * y)
+            var = np.sum(rows**2, axis=1) + np.einsum("cbi,ci->cb", moves**2, D)
+            gained += np.sum(
+                self._inside(bounded, mean, var)
+                - self._inside(bounded, rows @ left, np.sum(rows**2, axis=1)),
+                axis=1,
+            )
+        return gained, best
+
+    def _inside(self, which: Indices, mean: Array, var: Array) -> Array:
+        """Log mass of bounded amplitudes inside their bounds."""
+        sd = np.sqrt(var)
+        return np.asarray(log_normal_mass((self.low[which] - mean) / sd, (self.high[which] - mean) / sd))

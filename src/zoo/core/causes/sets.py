@@ -13,12 +13,31 @@ from numpy.typing import NDArray
 from zoo.core.causes.problem import Cause
 
 Array = NDArray[np.float64]
+Which = tuple[int, ...]
 ODDS = 0.1
 """Of a component being wrong."""
 FREE = 0.5
 """Part of a wrong component's probability that its free functions have; listed effects have the rest."""
 MOST = 4
 """Components that are wrong at once at most."""
+
+
+def likeness(sets: Sequence[Which], known: Sequence[Which], causes: Sequence[Cause]) -> Array:
+    """Part (n_sets, n_known) of what two sets hold that both hold: causes, and components by sort."""
+    sorts = {sort: i for i, sort in enumerate(dict.fromkeys((c.component, c.free) for c in causes))}
+    of = np.array([sorts[c.component, c.free] for c in causes], int)
+
+    def members(which: Sequence[Which]) -> Array:
+        found = np.zeros((len(which), len(causes) + len(sorts)))
+        for row, w in zip(found, which, strict=True):
+            at = list(w)
+            row[at] = 1.0
+            row[len(causes) + of[at]] = 1.0
+        return found
+
+    asked, there = members(sets), members(known)
+    both = asked @ there.T
+    return np.asarray(both / np.maximum(asked.sum(axis=1)[:, None] + there.sum(axis=1) - both, 1.0))
 
 
 @dataclass(frozen=True, eq=False)

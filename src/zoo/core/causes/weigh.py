@@ -77,8 +77,7 @@ class _Search:
     def seek(self, parent: Which) -> None:
         """Guess the evidence of sets, given the error model that is most probable with one of them."""
         found = self.weighed[parent]
-        V = found.variances(found.best(self.sizes))
-        reference = Reference(self.problem, self.causes, V)
+        reference = Reference(self.problem, self.causes, found.likely_variances(self.sizes))
         scales: tuple[float, ...] = ()
         gain = 0.0
         for i in range(len(self.always)):

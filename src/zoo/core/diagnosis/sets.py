@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from zoo.core.causes.evidence import SetEvidence, SetModel, without
 from zoo.core.causes.posterior import CausePosterior, SetRow
 from zoo.core.causes.problem import Cause, Problem, without_doubles
-from zoo.core.causes.sets import CausePriors
+from zoo.core.causes.sets import CausePriors, likeness
 from zoo.core.causes.weigh import weigh_causes
 from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.fitting import Fitting
@@ -306,9 +306,7 @@ class CauseSearch:
         known = [w for w in self.solved if w]
         if not known or not sets:
             return np.zeros(len(sets))
-        asked, there = (self._members(x) for x in (sets, known))
-        both = asked @ there.T
-        like = both / np.maximum(asked.sum(axis=1)[:, None] + there.sum(axis=1) - both, 1.0)
+        like = likeness(sets, known, self.causes)
         at, of = (np.array([self.linears.index(self.linear_of(w)) for w in x]) for x in (sets, known))
         like[at[:, None] != of] = 0.0
         if others:
@@ -316,12 +314,6 @@ class CauseSearch:
         nearest = np.argmax(like, axis=1)
         gained = np.array([self.gained(w) for w in known])
         return np.where(like[np.arange(len(sets)), nearest] > 0.0, gained[nearest], 0.0)
-
-    def _members(self, sets: Sequence[Which]) -> Array:
-        found = np.zeros((len(sets), len(self.causes)))
-        for row, which in zip(found, sets, strict=True):
-            row[list(which)] = 1.0
-        return found
 
     @property
     def errors(self) -> dict[Which, float]:
@@ -385,7 +377,7 @@ class CauseSearch:
         shift = np.zeros_like(self.shift) if listed else self.shift
         forward = self.fitting.model(tuple(self.origins[i].effect() for i in order), baseline)
         best = linear.best(SIZE_PRIORS)
-        search = Search(forward, self.data - shift, linear.variances(best))
+        search = Search(forward, self.data - shift, linear.likely_variances(SIZE_PRIORS))
         point: Point | None = None
         for u, jacobian in self._starts(which, order, linear.mean[best]):
             try:
@@ -405,7 +397,7 @@ class CauseSearch:
         data, kept, reference = self.data - shift, None, linear
         # beside a discrepancy a lesser mode costs little: noise alone says first where the mode is
         for turn in range(TURNS):
-            errors = reference.variances(reference.best(SIZE_PRIORS), alone=turn == 0)
+            errors = reference.likely_variances(SIZE_PRIORS, alone=turn == 0)
             search = Search(forward, data, errors)
             point = search.resume(point)
             if turn == 0:
