@@ -53,7 +53,8 @@ LEFT = 0.1
 VISIBLE = 3.0
 """Log evidence of one more cause from which on a smaller set is sought again where the larger one ended."""
 KNOWN, CHECKED = 0.5, 5
-"""Error of the log evidence below which a linear model is right, by how many solved sets at least."""
+"""Error of the log evidence below which a linear model is right, by how many solved sets at least: then only
+the most probable set is still solved."""
 WAVES = 4
 """Times that new leading sets are solved."""
 
@@ -350,16 +351,17 @@ class CauseSearch:
     def _due(self, found: CausePosterior, tried: set[Which]) -> list[Which]:
         """Leading sets that were not tried yet, and the leader without each of its causes.
 
-        None where the linear model is `known` to be right. At first the best alone of each component is
-        among them.
+        Where the linear model is `known` to be right only the most probable one. At first the best alone of
+        each component is among them.
         """
         leader = self.leader(found)
         parts = [tuple(i for i in leader if i != left) for left in leader]
         due = [which for which in parts if which not in tried]
         total, best, known = 0.0, dict[str, Which](), self.known
         for which, p in found.probability.items():
-            new = which not in tried and which not in due and self.linear_of(which).centre not in known
-            if new and total < MASS and len(due) < MOST_SOLVED:
+            new = which not in tried and which not in due
+            right = total > 0.0 and self.linear_of(which).centre in known
+            if new and not right and total < MASS and len(due) < MOST_SOLVED:
                 due.append(which)
             total += p
             if len(which) == 1:
