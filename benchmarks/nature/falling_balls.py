@@ -1,0 +1,98 @@
+"""Balls dropped from a bridge, height in time: constant gravity as base, and eleven rivals.
+
+Prior sizes are from physics and from what an observer can be off by, and were chosen before any diagnosis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import zoo
+from zoo.core.diagnosis import Diagnosis
+
+Array = NDArray[np.float64]
+Parameters = Mapping[str, Any]
+
+GRAVITY = 9.81  # m/s2
+STEP = 1.0 / 150.0  # s
+TALL = 48.0  # m, to scale what depends on height
+
+
+def fall(c: Parameters, times: Array) -> Array:
+    """Height (n_times,) in m of a ball that is let go at a height, speed and time, and may bounce."""
+    clock = np.asarray(times) * (1.0 + c.get("fast", 0.0))
+    grid = np.arange(0.0, clock[-1] - min(clock[0], c["release"]) + 2 * STEP, STEP)
+    y, v, heights = c["height"], c["speed"], np.empty(len(grid))
+    for i, t in enumerate(grid):
+        heights[i] = y
+        k1 = _pull(c, t, v)
+        k2 = _pull(c, t + STEP, v + STEP * k1)
+        y, v = y + STEP * v + 0.5 * STEP**2 * k1, v + 0.5 * STEP * (k1 + k2)
+        if "rebound" in c and y < c.get("ground", 0.0) and v < 0.0:
+            v = -c["rebound"] * v
+    seen = np.interp(clock - c["release"], grid, heights, left=c["height"])
+    if c.get("lag", 0.0) != 0.0:
+        seen = seen - c["lag"] * np.gradient(seen, np.asarray(times))
+    seen = seen + c.get("tilt", 0.0) * (seen - TALL) * seen / TALL
+    return np.asarray(seen * (1.0 + c.get("ruler", 0.0)))
+
+
+def _pull(c: Parameters, t: float, v: float) -> float:
+    """Acceleration upwards in m/s2."""
+    a = c.get("mass", 0.0)  # of the displaced air over that of the ball
+    pull = -GRAVITY * (1.0 - a) / (1.0 + 0.5 * a)
+    if c.get("slow_release", 0.0) > 0.0:
+        pull *= 1.0 - np.exp(-t / c["slow_release"])
+    pull -= c.get("linear", 0.0) * v + c.get("quadratic", 0.0) * abs(v) * v
+    pull += c.get("gust", 0.0) * np.exp(-0.5 * ((t - c.get("gust_at", 1.0)) / 0.2) ** 2)
+    return float(pull + c.get("spin", 0.0) * abs(v) * np.sin(2.0 * np.pi * t))
+
+
+def _rival(name: str, key: str, unit: str, size: float, low: float | None = None) -> Any:
+    @zoo.effect(name, unit=unit, size=size, low=low)
+    def change(c: Parameters, value: float) -> dict[str, Any]:
+        return {**c, key: value}
+
+    return change
+
+
+@zoo.effect(
+    "wind-gust",
+    parameters=[
+        zoo.EffectParameter("acceleration", "m/s2", 2.0, -20.0, 20.0, (2.0, -2.0)),
+        zoo.EffectParameter("time", "s", 1.0, 0.0, 4.0, (), centre=1.5, zero_is_base=False),
+    ],
+)
+def wind_gust(c: Parameters, values: tuple[float, ...], at: Any) -> dict[str, Any]:
+    """A push upwards or downwards for some tenths of a second."""
+    return {**c, "gust": values[0], "gust_at": values[1]}
+
+
+RIVALS = [
+    _rival("linear-drag", "linear", "1/s", 0.2, 0.0),  # a terminal speed of 50 m/s
+    _rival("quadratic-drag", "quadratic", "1/m", 0.02, 0.0),  # 22 m/s; a whiffle ball's is some 10
+    _rival("added-mass", "mass", "1", 0.1, 0.0),  # a basketball's is 0.02
+    _rival("ruler-scale", "ruler", "1", 0.05),
+    _rival("frame-rate", "fast", "1", 0.02),
+    _rival("tilted-camera", "tilt", "1", 0.05),
+    _rival("late-release", "slow_release", "s", 0.1, 0.0),
+    wind_gust,
+    _rival("spin-lift", "spin", "1/s", 0.1),
+    _rival("tracker-lag", "lag", "s", 0.07),  # a frame
+    _rival("bounce", "rebound", "1", 0.5, 0.0),
+]
+PRIORS = {
+    "height": zoo.Parameter("height", zoo.Normal(47.0, 3.0), "m"),
+    "speed": zoo.Parameter("speed", zoo.Normal(0.0, 1.0), "m/s"),
+    "release": zoo.Parameter("release", zoo.Normal(0.2, 0.3), "s"),
+}
+
+
+def diagnose_ball(first: tuple[Array, Array], second: tuple[Array, Array] | None = None) -> Diagnosis:
+    """Times in s and heights in m of a drop, and of a second one on which what was learned is tried."""
+    held_out = None if second is None else {"second drop": (*second, fall)}
+    return zoo.diagnose(*first, fall, PRIORS, RIVALS, labels=["height"], units=["m"], held_out=held_out)
