@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -82,7 +84,7 @@ def test_what_resembles_the_cause_is_not_named_in_its_place() -> None:
     found = told(tea(steam=6e-4), effects=[DRIFT])
     assert found.cause == []
     assert found.causes[0].probability < 0.5
-    assert found.file.verdict.startswith("none of the listed effects or components")
+    assert found.file.verdict.startswith("No listed cause explains the model error of")
     assert found.file.no_gap < 0.01
     # the gap is what a best fit misses, and no more
     data = found.data.values[0]
@@ -111,8 +113,11 @@ def test_the_second_of_two_that_the_data_do_not_tell_apart_is_named() -> None:
     found = told(Data(MINUTES, values, labels=["tea"], units=["K"]), cups(laws), [STEAM, power])
     shared = {one.name: one.probability for one in found.causes}
     assert min(shared.values()) > 0.1, shared
+    leader, second, *_ = found.file.lines
+    assert leader.startswith("Most likely missing: ")
+    assert second.startswith("Runner-up: ")
     for name, probability in shared.items():
-        assert f"{name} {probability:.0%}" in found.file.verdict
+        assert re.search(rf"{name.replace('-', ' ')}.* \({100 * probability:.1f} %", f"{leader} {second}")
 
 
 def test_a_simulator_that_differs_each_time_is_told() -> None:

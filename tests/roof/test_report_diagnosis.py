@@ -150,7 +150,7 @@ def page(three: Diagnosis, tmp_path_factory: pytest.TempPathFactory) -> Element:
 
 
 def test_the_page_is_whole_and_loads_nothing(page: Element) -> None:
-    assert [i.attributes["src"].startswith("data:image/png;base64,") for i in page.all("img")] == [True] * 5
+    assert [i.attributes["src"].startswith("data:image/png;base64,") for i in page.all("img")] == [True] * 6
     assert page.all("script") == []
     assert "url(" not in page.all("style")[0].text
     assert ".summary" in page.all("style")[0].text
@@ -165,7 +165,7 @@ def test_the_page_has_the_numbers(page: Element, three: Diagnosis) -> None:
     assert file.verdict in text
     for words in ("zoo diagnose <x>", file.study_checksum, *(f"{x} " for x in file.record["versions"])):
         assert words in text
-    rows = table_of(page, "Gap in each observed series")
+    rows = table_of(page, "Model error in each observed series")
     assert [row[:2] for row in rows] == [[s.series, s.unit] for s in file.gap.per_series]
     assert rows[0][2].startswith(f"{file.gap.per_series[0].before.mean:.2g} (")
     rows = table_of(page, "Probability that a component is wrong")
@@ -214,14 +214,14 @@ def test_what_the_answer_depends_on_comes_first(one: Diagnosis, tmp_path: Path) 
     assert plt.get_fignums() == []  # nothing is left open
     page = read(tmp_path / "x" / "report.html")
     [summary] = page.of_class("summary")
-    verdict, warning, *_ = (p.text for p in summary.all("p"))
-    assert verdict.startswith("Verdict: ")
-    assert warning == "Warning: the answer depends on the prior."
+    verdict, *told = (p.text for p in summary.all("p"))
+    assert verdict == f"{d.file.verdict}."
+    assert told[-1] == "Warning: the answer depends on the prior."
     for shown in (summary.text, " ".join(screen_of(d.file).split())):
         assert f"The {first.name} cannot be told from the inflow in these data" in shown
-        assert "any of them is wrong has a probability of 97 %" in shown
+        assert "any of them is wrong with a probability of 97 %" in shown
         assert "may hold up to 25 % of the probability" in shown
-        assert "The solver failed wherever these were tried: taper." in shown
+        assert "The simulator failed wherever these were tried: taper." in shown
     assert table_of(page, "Probability that a component is wrong")[0][5:] == ["inflow", "97 %"]
 
 

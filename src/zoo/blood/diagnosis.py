@@ -103,11 +103,12 @@ def _candidates(data: Data, baseline: ForwardModel) -> list[Candidate]:
             {"vessel": int(vessel), "position": MIDWAY, "quantity": quantity},
             group,
             noise_part,
+            f"{word} midway in vessel {vessel}",
         )
         for vessel in baseline.network.ids  # type: ignore[attr-defined]
-        for quantity, group, noise_part in (
-            ("pressure_mmHg", "pressure_mmHg", NOISE_PART),
-            ("flow_ml_s", "", FLOW_NOISE_PART),
+        for word, quantity, group, noise_part in (
+            ("pressure", "pressure_mmHg", "pressure_mmHg", NOISE_PART),
+            ("flow", "flow_ml_s", "", FLOW_NOISE_PART),
         )
     ]
 
@@ -116,6 +117,17 @@ HOOKS = Hooks(
     about="pressure_mmHg",
     phases=_phases,
     candidates=_candidates,
+    labels={
+        "f1": "stiffness f1",
+        "f2": "stiffness f2",
+        "f3": "stiffness f3",
+        "m_chi": "mean stiffness",
+        "chi": "stiffness chi",
+        "gamma": "wall shape gamma",
+        "psi1": "factor psi1 of R1",
+        "psi2": "factor psi2 of R2",
+        "c": "factor c of C",
+    },
     advice="check the units in observations.csv, the inflow and the conventions",
     smooth=False,
     components=components,

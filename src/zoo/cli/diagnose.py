@@ -154,15 +154,15 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     from zoo.report import diagnosis as told
     from zoo.report import tables
 
-    verdict, *rest = told.diagnosis_summary(file)
-    lines: list[Any] = [Text(verdict, style="bold"), *rest, *told.where_sentences(file), ""]
+    verdict, *rest = file.lines
+    lines: list[Any] = [Text(verdict, style="bold"), *rest, ""]
     sets, found = tables.sets_table(file, LEADING), tables.components_table(file)
     causes = tables.causes_table(file)
     shown, sampled = sum(c.probability >= PROBABLE for c in file.causes), tables.posteriors_table(file)
     for table in (
-        sets.only("causes", "probability", "prior", "log evidence", sets.heads[5]),
-        found.only("component", "probability", "prior alone", "other priors", "share of the gap"),
-        causes.only("cause", "probability", "prior alone", "size", "place", first=shown),
+        sets.only("causes", "probability", "prior", "log evidence"),
+        found.only("component", "probability", "before the data", "other priors", "share of the error"),
+        causes.only("cause", "probability", "before the data", "size", "place", first=shown),
         sampled.only(*sampled.heads[:4]),
     ):
         if not table.rows:
@@ -171,11 +171,5 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
         for row in table.rows:
             drawn.add_row(*row, style="bold" if row[0] in file.cause else None)
         lines += [drawn, ""]
-    if file.next_measurement is not None:
-        m = file.next_measurement
-        lines.append(
-            f"next measurement: {told.next_measurement_words(file)}, which tells "
-            f"{m.separates[0]} from {m.separates[1]} (expected log odds up to {m.expected_log_odds:.1f})"
-        )
     lines.append(f"{file.record['solves']} solves, {told.total_seconds(file.record):.0f} s in all")
     return [Text(line) if isinstance(line, str) else line for line in lines]

@@ -31,6 +31,7 @@ from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.search import SearchError
 from zoo.core.diagnosis.sets import CauseSearch, CauseSets
 from zoo.core.diagnosis.states import OtherState, StateResult, hold_in, same_system, state_warning
+from zoo.core.diagnosis.wording import worded
 from zoo.core.effects import Effect, EffectError
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.spectral import Spectral, spectral_errors
@@ -76,7 +77,10 @@ class Diagnosis:
     states: tuple[StateResult, ...] = field(default=(), repr=False)
 
     def __repr__(self) -> str:
-        return f"<Diagnosis of {self.data.name!r}, baseline {self.file.base}: {self.file.verdict}>"
+        return str(self.file)
+
+    def _repr_html_(self) -> str:
+        return self.file._repr_html_()
 
     @property
     def file(self) -> DiagnosisFile:
@@ -84,8 +88,9 @@ class Diagnosis:
         return self.answer.file
 
     def with_file(self, **changes: Any) -> Self:
-        """The same with some fields of the file changed."""
-        return replace(self, answer=replace(self.answer, file=self.file.model_copy(update=changes)))
+        """The same with some fields of the file changed, and its answer in words again."""
+        file = worded(self.file.model_copy(update=changes))
+        return replace(self, answer=replace(self.answer, file=file))
 
     @property
     def before(self) -> Discrepancy:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     BaseModel,
@@ -19,6 +20,9 @@ from zoo.core import digests
 from zoo.core.words import OneLineError
 
 FORMAT = 3
+LINES = 20
+"""Lines that `print` shows of a diagnosis at most."""
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class DiagnosisError(OneLineError, ValueError):
@@ -127,7 +131,7 @@ class LocationShare(_Part):
 
     part: int | str | None
     subtree: bool
-    probability: float
+    probability: Probability
     noun: str = Field(default="", exclude=True)
 
     @model_validator(mode="before")
@@ -180,7 +184,7 @@ class SetResult(_Amounts):
     log_prior: float
     log_evidence: float
     log_evidence_error: float
-    probability: float
+    probability: Probability
     solved: bool
     gap_after: float | None = None
     negligible: float | None = None
@@ -195,8 +199,8 @@ class CauseResult(_Part):
     name: str
     component: str
     free: bool
-    probability: float
-    prior_probability: float
+    probability: Probability
+    prior_probability: Probability
     places: list[LocationShare] = []
     estimates: list[Estimate] = []
 
@@ -218,7 +222,7 @@ class LearnedFunction(_Part):
     equation: str = ""
     prior_size: float
     length: float | None = None
-    probability: float
+    probability: Probability
 
 
 class ComponentResult(_Part):
@@ -229,11 +233,11 @@ class ComponentResult(_Part):
     """
 
     name: str
-    probability: float
-    prior_probability: float
+    probability: Probability
+    prior_probability: Probability
     share: Interval
     confounded: list[str] = []
-    group_probability: float
+    group_probability: Probability
     functions: list[LearnedFunction] = []
 
 
@@ -241,8 +245,13 @@ class SensitivityRow(_Part):
     """Probabilities under another prior: of no cause, and that each component is wrong."""
 
     prior: str
-    nothing: float
-    components: dict[str, float]
+    nothing: Probability
+    components: dict[str, Probability]
+
+    @property
+    def wrong(self) -> frozenset[str]:
+        """Components that are more probably wrong than not."""
+        return frozenset(name for name, x in self.components.items() if x > 0.5)
 
 
 class CarriedResult(_Amounts):
@@ -282,6 +291,7 @@ class NextMeasurement(BaseModel):
 
     separates: tuple[str, str]
     expected_log_odds: float
+    text: str = ""
 
     if TYPE_CHECKING:  # the further fields
 
@@ -318,16 +328,17 @@ class DiagnosisFile(_Part):
     study_checksum: str
     base: str
     verdict: str
+    answer: list[str] = []
     decided: bool
     cause: list[str]
     warnings: list[str] = []
     excluded: ExcludedFit | None = None
     gap: Gap
     where: Where
-    no_gap: float
-    number: list[float]
+    no_gap: Probability
+    number: list[Probability]
     sets: list[SetResult]
-    missed: float
+    missed: Probability
     linear_error: float
     components: list[ComponentResult]
     causes: list[CauseResult]
@@ -336,8 +347,27 @@ class DiagnosisFile(_Part):
     failed: list[str] = []
     next_measurement: NextMeasurement | None = None
     base_parameters: dict[str, dict[str, float]]
+    labels: dict[str, tuple[str, str]] = {}
     posteriors: dict[str, Any] | None = None
     record: dict[str, Any]
+
+    @property
+    def lines(self) -> list[str]:
+        """The answer and its warnings, a line each: what command, page and `print` show."""
+        return [f"{text}." for text in [*self.answer, *(f"Warning: {text}" for text in self.warnings)]]
+
+    def __str__(self) -> str:
+        head = f"{self.study}, baseline {self.base}"
+        lines = [head, *self.lines]
+        if len(lines) > LINES:
+            lines = [*lines[: LINES - 1], f"and {len(lines) - LINES + 1} more lines in `lines`"]
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        first, *rest = (escape(line) for line in self.lines)
+        return f"<p><b>{first}</b></p><ul>{''.join(f'<li>{line}</li>' for line in rest)}</ul>"
 
     @model_validator(mode="before")
     @classmethod
