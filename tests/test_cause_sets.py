@@ -166,7 +166,7 @@ def test_without_a_cause_there_is_no_gap() -> None:
         found = diagnose(data_of({}, seed=seed), MODEL, EFFECTS, hooks=hooks(FUNCTIONS), cores=1)
         assert found.cause == []
         assert found.file.no_gap > 0.5
-        assert found.file.verdict.startswith("no gap")
+        assert found.file.verdict.startswith("Nothing is missing")
         assert max(one.probability for one in found.components) < 0.3
 
 
@@ -175,7 +175,7 @@ def test_without_anything_to_blame_there_is_nothing() -> None:
     assert [row.causes for row in found.table] == [[]]
     assert found.table[0].probability == 1.0
     assert found.file.no_gap < 0.01
-    assert found.file.verdict.startswith("none of the listed effects or components (100%)")
+    assert found.file.verdict.startswith("No listed cause explains the model error of")
 
 
 def test_components_of_one_response_are_told_to_be_one_group() -> None:

@@ -391,7 +391,7 @@ def sensitivity(posterior: CausePosterior) -> list[SensitivityRow]:
     return [
         SensitivityRow(
             prior=name,
-            nothing=one.probability[()],
+            nothing=min(1.0, one.probability[()]),
             components={component: min(1.0, p) for component, p in one.components.items()},
         )
         for name, one in under.items()
@@ -518,7 +518,7 @@ def answer(
         no_gap=p[()] * (next(row.negligible for row in sets if not row.causes) or 0.0),
         number=[min(1.0, x) for x in number],
         sets=sets,
-        missed=found.missed,
+        missed=min(1.0, found.missed),
         linear_error=found.linear_error,
         components=_components(found, p, draws, group),
         causes=_causes(found, p, draws),

@@ -17,7 +17,7 @@ from zoo.core import digests
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import Answer, answer
 from zoo.core.diagnosis.bounds import Excluded, freed
-from zoo.core.diagnosis.draws import CauseDraws, Discrepancy
+from zoo.core.diagnosis.draws import CauseDraws, Discrepancy, interval_of
 from zoo.core.diagnosis.file import (
     CauseResult,
     ComponentResult,
@@ -35,11 +35,13 @@ from zoo.core.diagnosis.wording import worded
 from zoo.core.effects import Effect, EffectError
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.spectral import Spectral, spectral_errors
-from zoo.core.forward import ForwardModel, SolveError, WithPriors
+from zoo.core.forward import ForwardModel, Outputs, SolveError, WithPriors
 from zoo.core.inference.record import versions
 from zoo.core.outputs import output_folder, write_file
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from zoo.core.diagnosis.posteriors import SampledExplanations
 
 Array = NDArray[np.float64]
@@ -148,6 +150,57 @@ class Diagnosis:
         if Diagnosis.plotter is None:
             raise DiagnosisError("no figures here: call zoo.plots.plot_diagnosis(d)")
         return Diagnosis.plotter(self)
+
+    def predict(self, outputs: Outputs | None = None, *, draws: int = 100, seed: int = 1) -> pd.DataFrame:
+        """Predict the true series over all solved sets of causes, where measured or elsewhere.
+
+        Parameters
+        ----------
+        outputs : Outputs, optional
+            Other series or times, solved at draws from the posterior. If absent those that were measured,
+            with the discrepancy that no cause explains, from the linear model around each set.
+        draws : int
+            Solves, where outputs are given.
+        seed : int
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns series, time, mean, low and high, the ends of the 95 % interval; noise is not included.
+
+        Raises
+        ------
+        DiagnosisError
+            If no solve succeeds.
+        """
+        import pandas as pd
+
+        sets = self.draws.sets
+        if outputs is None:
+            series = self.sets.search.family.errors.unflat(
+                np.concatenate([one.computed + one.left for one in sets])
+            )
+            weights = np.concatenate([one.weights for one in sets])
+            labels, times = self.data.labels, self.data.times
+        else:
+            rng, solved = np.random.default_rng(seed), []
+            for k in rng.choice(len(sets), draws, p=[one.weight for one in sets]):
+                u = sets[k].values(slice(None))[rng.integers(len(sets[k].x))]
+                if (one := sets[k].solved.forward.series(u, outputs)) is not None:
+                    solved.append(one)
+            if not solved:
+                raise DiagnosisError(f"outputs = {outputs.series}: no solve succeeds; ask for other series")
+            series, weights = np.array(solved), np.ones(len(solved))
+            labels, times = tuple(map(str, outputs.series)), outputs.times
+        bands = {
+            (label, time): interval_of(series[:, i, j], weights)
+            for i, label in enumerate(labels)
+            for j, time in enumerate(times.tolist())
+        }
+        return pd.DataFrame(
+            [(*at, band.mean, band.low, band.high) for at, band in bands.items()],
+            columns=["series", "time", "mean", "low", "high"],
+        )
 
     def with_posteriors(
         self,

@@ -112,7 +112,9 @@ def _headline(file: DiagnosisFile) -> str:
         text = f"Most likely missing: {best} ({_chance(held)})"
     elif wrong:
         parts = listed(f"{c.name} ({_chance(c.probability)})" for c in wrong)
-        text = f"Most likely wrong: {parts}; best explanation: {best} ({_chance(held, 0)})"
+        text = (
+            f"Most likely wrong: {parts}; best explanation verified by a solve: {best} ({_chance(held, 0)})"
+        )
     else:
         text = f"These data do not decide; best explanation: {best} ({_chance(held, 0)})"
     if not file.decided:
@@ -133,7 +135,7 @@ def _runner_up(file: DiagnosisFile) -> str:
     names, p = rival
     alone = " alone" if names and names < leader else ""
     odds = _holding(file, leader) / p if p > 0.0 else math.inf
-    against = f"odds {odds:.2g} to 1" if odds < 1e3 else "odds above 1000 to 1"
+    against = f"odds {odds:.{0 if odds >= 10 else 1}f} to 1" if odds < 1e3 else "odds above 1000 to 1"
     return f"Runner-up: {_causes(file, names)}{alone} ({_chance(p)}; {against} against it)"
 
 
@@ -145,10 +147,9 @@ def _further(file: DiagnosisFile) -> str:
     given = {c.name: _holding(file, leader | {c.name}) / whole for c in file.causes if c.name not in leader}
     near = sorted((name for name in given if given[name] >= FURTHER), key=lambda name: -given[name])[:NAMED]
     if not near:
-        return f"In addition to it: nothing with a probability of {percent(FURTHER)} or more"
-    return (
-        f"Possibly in addition: {listed(f'{_cause(file, name)} ({percent(given[name])})' for name in near)}"
-    )
+        return f"In addition to it: nothing with a probability of {percent(FURTHER)} or more" if given else ""
+    further = listed(f"{_cause(file, name)} ({percent(given[name])})" for name in near)
+    return f"Possibly in addition: {further}"
 
 
 def _components(file: DiagnosisFile) -> str:
@@ -174,11 +175,16 @@ def _error(file: DiagnosisFile) -> str:
     text += f"{span(gap.before, gap.before_interval)}{unit}"
     if not file.cause:
         return text
-    text += f" before, {span(gap.after, gap.after_interval)}{unit} with it; {percent(gap.removed)} removed"
+    after = span(gap.after, gap.after_interval)
+    return f"{text} before, {after}{unit} with it; {percent(gap.removed)} removed"
+
+
+def _held_out(file: DiagnosisFile) -> str:
+    gap = file.gap
     if gap.held_out_before is None or gap.held_out_after is None:
-        return text
-    held = f"{gap.held_out_before:.2g} before, {gap.held_out_after:.2g}{unit} with it"
-    return f"{text}. In held-out data ({gap.held_out}): {held}"
+        return ""
+    change = f"{gap.held_out_before:.2g} before, {gap.held_out_after:.2g}{unit_words(gap.unit)} with it"
+    return f"Model error in data left out of the fit ({gap.held_out}): {change}"
 
 
 def _parameters(file: DiagnosisFile) -> str:
@@ -271,5 +277,5 @@ def _state(state: StateFile, components: set[str]) -> str:
 
 
 SENTENCES = (
-    _runner_up, _further, _components, _alike, _error, _parameters, _sensitivity, _next, _unverified, _failed,
+    _runner_up, _further, _components, _alike, _error, _held_out, _parameters, _sensitivity, _next, _unverified, _failed,
 )  # fmt: skip
