@@ -62,8 +62,8 @@ def test_what_the_prior_excludes_is_no_gap_and_no_effect(prior: Prior, tmp_path:
     assert excluded.residual_rms_within > 20 * excluded.residual_rms_free
     assert excluded.residual_rms_free == pytest.approx(NOISE, rel=0.2)
     assert found.file.verdict.startswith(
-        f"The baseline's prior excludes its best fit, rate = {bound.best:.3g} (upper bound 0.6). Without that "
-        "bound: Nothing is missing"
+        f"The baseline's prior excludes its best fit, rate = {bound.best:.3g} (upper bound 0.6). Without "
+        "that bound: Nothing is missing"
     )
     assert "--prior rate=... lifts it" in found.file.warnings[0]
     assert read_diagnosis(found.save(str(tmp_path))).excluded == excluded

@@ -42,7 +42,9 @@ class Running(TypedDict, total=False):
     cores: int
     seed: int
     tick: Callable[[str, float], None] | None
+    progress: bool
     folder: str | Path | None
+    checkpoint: str | Path | None
 
 
 class Weighing(Running, total=False):
@@ -166,8 +168,13 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
         Threads, and processes of the sampling.
     seed : int
         Of the draws.
+    progress : bool
+        Show on standard error what is being done and how far it is.
     tick : function, optional
-        Called with a text and the share done.
+        Instead of that, called with a text and the share done.
+    checkpoint : path, optional
+        Folder in which solves are kept: a diagnosis that was interrupted goes on from there, and none is made
+        twice.
     folder : path, optional
         Where the sampling stores posteriors and checkpoints.
 

@@ -217,7 +217,9 @@ def diagnose(
     cores: int = 2,
     seed: int = 1,
     tick: Callable[[str, float], None] | None = None,
+    progress: bool = True,
     folder: str | Path | None = None,
+    checkpoint: str | Path | None = None,
 ) -> StudyDiagnosis:
     """Find where a baseline model misses a study's data, which unmodelled effect explains it, and how well.
 
@@ -244,7 +246,7 @@ def diagnose(
     states : sequence of Study
         The same vessels and sensors in other states, such as at another heart rate: what was learned is fixed
         there, and compared with the baseline and with the discrepancy that was seen at the sensor.
-    cores, seed, tick, folder
+    cores, seed, tick, progress, folder, checkpoint
         As in `zoo.core.diagnosis.diagnose`.
 
     Returns
@@ -302,7 +304,9 @@ def diagnose(
         cores=cores,
         seed=seed,
         tick=tick,
+        progress=progress,
         folder=folder,
+        checkpoint=checkpoint,
     )
     found.file.record["component_sizes"] = component_sizes
     return of_study(found, study, {p.name: p.prior.text for p in forward.parameters})

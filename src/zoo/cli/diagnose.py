@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 EVERY_S = 1.5
 """Seconds between lines where there is no terminal."""
+SOLVES = "solves"
+"""Folder in the output for solves of a diagnosis that is not done."""
 LEADING, PROBABLE = 5, 0.05
 """Sets of causes that the screen shows, and least probability of an effect or function that it shows."""
 
@@ -113,9 +116,11 @@ def diagnose(
             cores=cores,
             seed=seed,
             tick=tell,
+            checkpoint=output / SOLVES,
         )
         tell("figures and page", 1.0)
         written = write_diagnosis(found, output, command=typed_command())
+        shutil.rmtree(output / SOLVES, ignore_errors=True)  # what they were kept for is on disk
         if posteriors:  # takes longer and may be stopped: what was found is on disk
             folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
             output_folder(folder, option="--output", deep=True).mkdir(parents=True, exist_ok=True)

@@ -28,11 +28,9 @@ from zoo.report.page import picture_of, write_page
 from zoo.report.words import settings_text, value_text
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from zoo.core.diagnosis import Diagnosis
 
-FIGURES: dict[str, Callable[..., Figure]] = {
+FIGURES: dict[str, Callable[..., Any]] = {
     "gap": plot_discrepancy,
     "causes": plot_causes,
     "functions": plot_functions,

@@ -21,8 +21,6 @@ POOR_FIT = 0.2
 """Residual over the data's range above which input is suspected: four prior sds of the unexplained."""
 STUCK = 0.5
 """Part of the series' variance that a best fit should explain at least."""
-STEADY = 1e-6
-"""Rms difference of two solves at the same parameters, in parts of the range, up to which they are one."""
 OUTLIER = 8.0
 """Residual of a sample in robust standard deviations from which on it is named as an outlier."""
 NEIGHBOURS, ROBUST = 3, 1.4826
@@ -135,14 +133,8 @@ def expected(function: FreeFunction, values: Array) -> tuple[bool, str]:
 
 
 def _solves(found: CauseSets, hooks: Hooks) -> list[str]:
-    """That the simulator is not the same each time, or fails often."""
+    """That the simulator fails often."""
     fitting, told = found.search.fitting, []
-    if found.search.unsteady > STEADY:
-        told.append(
-            f"two solves of {fitting.baseline.name} at the same parameters differ by "
-            f"{found.search.unsteady:.2g} of the range: probabilities and sizes here cannot be believed; fix "
-            "its random numbers"
-        )
     if fitting.failures > FAILING * fitting.solves:
         told.append(
             f"{fitting.failures} of {fitting.solves} solves failed ({fitting.last_failure}): what lies there "

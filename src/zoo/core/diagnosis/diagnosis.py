@@ -28,14 +28,17 @@ from zoo.core.diagnosis.file import (
 )
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
+from zoo.core.diagnosis.preflight import preflight
 from zoo.core.diagnosis.search import SearchError
 from zoo.core.diagnosis.sets import CauseSearch, CauseSets
+from zoo.core.diagnosis.solve_store import SolveStore, StoredModel
 from zoo.core.diagnosis.states import OtherState, StateResult, hold_in, same_system, state_warning
 from zoo.core.diagnosis.wording import worded
 from zoo.core.effects import Effect, EffectError
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.spectral import Spectral, spectral_errors
 from zoo.core.forward import ForwardModel, Outputs, SolveError, WithPriors
+from zoo.core.inference.progress import Display
 from zoo.core.inference.record import versions
 from zoo.core.outputs import output_folder, write_file
 
@@ -45,6 +48,8 @@ if TYPE_CHECKING:
     from zoo.core.diagnosis.posteriors import SampledExplanations
 
 Array = NDArray[np.float64]
+EVERY_S = 5.0
+"""Seconds between lines on the progress where there is no terminal."""
 SAME_TIMES = 1e-3
 """Difference of times, in parts of the record, up to which they are the same."""
 
@@ -296,10 +301,10 @@ def _same_outputs(data: Data, model: ForwardModel) -> None:
 def _in_states(
     found: Diagnosis,
     states: Sequence[OtherState],
-    freed_model: ForwardModel | None,
+    store: SolveStore,
     cores: int,
     seed: int,
-    tick: Callable[[str, float], None] | None,
+    tick: Callable[[str, float], None],
 ) -> Diagnosis:
     """With what it leaves in other states; bounds that were lifted are lifted there too.
 
@@ -307,10 +312,12 @@ def _in_states(
     """
     began = time.monotonic()
     group = found.data.groups[found.hooks.rows(found.data)[0]]
-    priors = {} if freed_model is None else {p.name: p.prior for p in freed_model.parameters}
+    lifted = found.sets.search.fitting.baseline.parameters if found.file.excluded else ()
+    priors = {p.name: p.prior for p in lifted}
     results, warnings = [], []
     for state in states:
-        given = replace(state, model=WithPriors(state.model, priors)) if priors else state
+        model = StoredModel(state.model, store)
+        given = replace(state, model=WithPriors(model, priors) if priors else model)
         try:
             one = hold_in(found.sets, given, group, found.hooks, cores=cores, seed=seed, tick=tick)
         except (SearchError, SolveError) as error:
@@ -344,7 +351,9 @@ def diagnose(
     cores: int = 2,
     seed: int = 1,
     tick: Callable[[str, float], None] | None = None,
+    progress: bool = True,
     folder: str | Path | None = None,
+    checkpoint: str | Path | None = None,
 ) -> Diagnosis:
     """Find where a baseline model misses data, which unmodelled causes explain it, and how well.
 
@@ -374,8 +383,12 @@ def diagnose(
         Of the draws.
     tick : callable, optional
         Called with a text and the share of the screening that is done.
+    progress : bool
+        Without a `tick`, show on standard error what is being done.
     folder : path, optional
         Where the posterior sampling stores its posteriors and checkpoints.
+    checkpoint : path, optional
+        Folder in which solves are kept: a diagnosis that was interrupted goes on from there.
 
     Returns
     -------
@@ -403,32 +416,54 @@ def diagnose(
             raise DiagnosisError(f"{state.data.source or state.data.name}: given twice as another state")
     began = time.monotonic()
     started = datetime.now(UTC).isoformat(timespec="seconds")
-    fitting = Fitting(data, model, chosen.bind(data), smooth=hooks.smooth, cores=cores)
+    store = SolveStore(checkpoint)
+    try:
+        with Display(progress and tick is None, every_s=EVERY_S) as shown:
+            tell = tick or shown
+            stored = StoredModel(model, store)
+            fitting = Fitting(data, stored, chosen.bind(data), smooth=hooks.smooth, cores=cores)
+            offered = [e.of(model) for e in effects if e.apply is not None and e.offered(model.name)]
+            preflight(fitting, model, offered, tell)
+            found = _searched(fitting, offered, hooks, seed, tell)
+            record = found.file.record | {
+                "started": started, "solves": store.made, "seconds": time.monotonic() - began
+            }  # fmt: skip
+            found = found.with_file(record=record)
+            if states:
+                found = _in_states(found, states, store, cores, seed, tell)
+    finally:
+        store.close()
+    return found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tick) if posteriors else found
+
+
+def _searched(
+    fitting: Fitting,
+    effects: Sequence[Effect],
+    hooks: Hooks,
+    seed: int,
+    tick: Callable[[str, float], None],
+) -> Diagnosis:
+    """The diagnosis of one record."""
+    data = fitting.data
     excluded: Excluded | None = None
     try:
         fitting, excluded = freed(fitting)
-        offered = [e.of(model) for e in effects if e.apply is not None and e.offered(model.name)]
-        sets = CauseSearch(fitting, offered, hooks, tick or _silent).run()
+        sets = CauseSearch(fitting, effects, hooks, tick).run()
+        sets.search.tick = _silent  # a display cannot be sent to another process
     except (SearchError, SolveError) as error:
         raise DiagnosisError(
-            f"{data.source or data.name}: the baseline {model.name!r} cannot be solved ({error}); "
+            f"{data.source or data.name}: the baseline {fitting.baseline.name!r} cannot be solved ({error}); "
             f"{hooks.advice}"
         ) from None
     record = {
         "versions": versions(),
         "seed": seed,
-        "started": started,
-        "solves": fitting.solves,
         "failed_solves": fitting.failures,
-        "cores": cores,
+        "cores": fitting.cores,
         "gap_unit": data.units[hooks.rows(data)[0]],
     }
-    found = Diagnosis(data, answer(sets, hooks, seed, record, excluded), sets, hooks=hooks)
-    found = found.with_file(record=found.file.record | {"seconds": time.monotonic() - began})
-    if states:
-        found = _in_states(found, states, fitting.baseline if excluded else None, cores, seed, tick)
-    return found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tick) if posteriors else found
+    return Diagnosis(data, answer(sets, hooks, seed, record, excluded), sets, hooks=hooks)
 
 
 def _silent(text: str, share: float) -> None:
-    """Says nothing."""
+    """Say nothing."""

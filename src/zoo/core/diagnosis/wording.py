@@ -277,5 +277,6 @@ def _state(state: StateFile, components: set[str]) -> str:
 
 
 SENTENCES = (
-    _runner_up, _further, _components, _alike, _error, _held_out, _parameters, _sensitivity, _next, _unverified, _failed,
+    _runner_up, _further, _components, _alike, _error, _held_out, _parameters, _sensitivity, _next,
+    _unverified, _failed,
 )  # fmt: skip
