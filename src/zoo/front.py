@@ -275,3 +275,14 @@ def _diagnose_data(
         model, states = knowing(model), [replace(one, model=knowing(one.model)) for one in states]
         hooks = replace(hooks or Hooks(), components=components)
     return diagnosis.diagnose(data, model, listed, states=states, hooks=hooks, **settings)
+
+
+def _whole_signature() -> inspect.Signature:
+    """Of the first way to call it, with the settings of all three; `help` shows it."""
+    shown = inspect.signature(_diagnose_series)
+    own = [p for p in shown.parameters.values() if p.kind is not p.VAR_KEYWORD]
+    settings = inspect.signature(diagnosis.diagnose).parameters.values()
+    return shown.replace(parameters=[*own, *(p for p in settings if p.kind is p.KEYWORD_ONLY)])
+
+
+diagnose.__signature__ = _whole_signature()  # type: ignore[attr-defined]
