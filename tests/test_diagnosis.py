@@ -81,7 +81,7 @@ def test_the_file_comes_back_and_places_are_vessels(jitter: StudyDiagnosis, tmp_
     assert read_diagnosis(tmp_path / "gap").model_dump() == jitter.file.model_dump()
     assert {row["name"] for row in content["causes"]} <= set(FEW)
     assert content["gap"]["before_mmHg"] == jitter.file.gap.before
-    assert "gap_after_mmHg" in content["sets"][0]
+    assert "gap_after_mmHg" in content["sets"]["columns"]
     assert set(content["where"]["place"][0]) == {"vessel", "subtree", "probability"}
 
 

@@ -81,7 +81,7 @@ def test_no_damage_to_an_answer_goes_unseen(one: Diagnosis, tmp_path: Path) -> N
     content = json.loads(raw)
     path.write_text(json.dumps(content, indent=3, sort_keys=True), "utf-8")
     assert read_diagnosis(path) == whole  # how it is set does not matter
-    content["sets"][0]["probability"] = 0.999
+    content["components"][0]["probability"] = 0.999
     path.write_text(json.dumps(content), "utf-8")
     with pytest.raises(DiagnosisError, match="damaged, its content does not fit its digest"):
         read_diagnosis(path)

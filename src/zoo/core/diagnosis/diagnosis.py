@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -48,6 +49,8 @@ if TYPE_CHECKING:
     from zoo.core.diagnosis.posteriors import SampledExplanations
 
 Array = NDArray[np.float64]
+ROW = re.compile(r"\[\n[^\[\]{}]*\]|\[\n *\[[\d,\s]*\],[^\[\]{}]*\]")
+"""A list of numbers, or a row of the table of sets, over many lines of JSON."""
 EVERY_S = 5.0
 """Seconds between lines on the progress where there is no terminal."""
 SAME_TIMES = 1e-3
@@ -241,7 +244,8 @@ class Diagnosis:
         """Write diagnosis.json, with the digest of its content, into a folder; returns its path."""
         folder = output_folder(folder, ["diagnosis.json"], deep=True)
         folder.mkdir(parents=True, exist_ok=True)
-        return write_file(folder / "diagnosis.json", digests.to_text(json.loads(self.file.model_dump_json())))
+        text = digests.to_text(json.loads(self.file.model_dump_json()))
+        return write_file(folder / "diagnosis.json", ROW.sub(lambda m: " ".join(m[0].split()), text))
 
 
 def _checked(

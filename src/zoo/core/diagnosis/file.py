@@ -12,6 +12,8 @@ from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
     ValidationError,
+    field_serializer,
+    field_validator,
     model_serializer,
     model_validator,
 )
@@ -20,6 +22,8 @@ from zoo.core import digests
 from zoo.core.words import OneLineError
 
 FORMAT = 3
+OF_CAUSES = ("causes", "names", "components")
+"""Fields of a set that are of its causes."""
 LINES = 20
 """Lines that `print` shows of a diagnosis at most."""
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -350,6 +354,34 @@ class DiagnosisFile(_Part):
     labels: dict[str, tuple[str, str]] = {}
     posteriors: dict[str, Any] | None = None
     record: dict[str, Any]
+
+    @field_serializer("sets", mode="wrap")
+    def _as_table(self, sets: list[SetResult], handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Thousands of sets, each name once."""
+        rows = handler(sets)
+        of = [list(zip(*(row[name] for name in OF_CAUSES), strict=True)) for row in rows]
+        number = {cause: i for i, cause in enumerate(dict.fromkeys(cause for one in of for cause in one))}
+        columns = [name for name in rows[0] if name not in (*OF_CAUSES, "unit")]
+        table = [
+            [[number[cause] for cause in one], *(row[name] for name in columns)]
+            for one, row in zip(of, rows, strict=True)
+        ]
+        return {"unit": rows[0]["unit"], "of": [*map(list, number)], "columns": columns, "rows": table}
+
+    @field_validator("sets", mode="before")
+    @classmethod
+    def _from_table(cls, given: Any) -> Any:
+        if not isinstance(given, dict):
+            return given
+        try:
+            return [
+                {name: [given["of"][i][k] for i in which] for k, name in enumerate(OF_CAUSES)}
+                | {"unit": given["unit"]}
+                | dict(zip(given["columns"], values, strict=True))
+                for which, *values in given["rows"]
+            ]
+        except (KeyError, IndexError, TypeError) as error:
+            raise ValueError(f"is no table of sets ({type(error).__name__}: {error})") from None
 
     @property
     def lines(self) -> list[str]:
