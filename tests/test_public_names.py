@@ -209,7 +209,7 @@ def test_sampling_without_a_number_of_draws_is_that_of_the_command(monkeypatch: 
 # ---------------------------------------------------------------------------------------------------
 # The documents
 
-DEVELOPERS = {"CONTRIBUTING.md", "architecture.md", "blind.md", "diagnosis.md", "numerics.md"}
+DEVELOPERS = {"CONTRIBUTING.md", "architecture.md", "extending.md", "testing.md"}
 """Documents that describe the rooms of the code."""
 USERS = [
     path
