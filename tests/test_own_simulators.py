@@ -206,6 +206,10 @@ def test_no_solve_is_made_twice_and_an_interrupted_diagnosis_goes_on(tmp_path: P
     assert len(set(first.at) & set(second.at)) <= 1
     assert set(first.at) | set(second.at) == set(whole.at)
     assert found.file.sets == expected.file.sets
+    later = found.predict(
+        Outputs(("tea",), np.array([40.0])), draws=5
+    )  # solves on, though the file is closed
+    assert later["mean"].between(later["low"], later["high"]).all()
 
 
 def test_another_simulator_takes_nothing_from_a_store(tmp_path: Path) -> None:
@@ -256,9 +260,10 @@ def test_a_mistake_in_a_simulator_is_told_with_the_values_where_it_shows() -> No
 
     with pytest.raises(KeyError, match="rte") as caught:
         told(tea(), cups(mistaken))
-    [note] = caught.value.__notes__
-    assert "was solved with rate = 0.0" in note
-    assert "steam.size = " in note
+    where, kept = caught.value.__notes__
+    assert "was solved with rate = 0.0" in where
+    assert "steam.size = " in where
+    assert "solves were made until then: give checkpoint='FOLDER' to keep them" in kept
 
 
 def test_a_key_that_a_pints_model_does_not_take_is_refused() -> None:

@@ -39,7 +39,7 @@ def diagnose(
         ),
     ] = "linear-constant",
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for what is found."), Role.WRITES
+        Path, typer.Option("--output", "-o", help="Folder for page, figures and diagnosis.json."), Role.WRITES
     ] = Path("gap"),
     posteriors: Annotated[
         bool,
@@ -73,7 +73,7 @@ def diagnose(
         Role.STUDY,
     ] = None,
     cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time."), Role.ASIDE] = 2,
-    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 1,
     quiet: QuietOption = False,
     *,
     options: StudyOptions,

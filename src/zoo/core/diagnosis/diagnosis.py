@@ -430,11 +430,17 @@ def diagnose(
             preflight(fitting, model, offered, tell)
             found = _searched(fitting, offered, hooks, seed, tell)
             record = found.file.record | {
-                "started": started, "solves": store.made, "seconds": time.monotonic() - began
+                "started": started, "solves": store.made, "failed_solves": store.failed,
+                "seconds": time.monotonic() - began,
             }  # fmt: skip
             found = found.with_file(record=record)
             if states:
                 found = _in_states(found, states, store, cores, seed, tell)
+    except Exception as error:
+        if not isinstance(error, DiagnosisError):
+            kept = "give checkpoint='FOLDER' to keep them" if checkpoint is None else f"kept in {checkpoint}"
+            error.add_note(f"{store.made} solves were made until then: {kept}")
+        raise
     finally:
         store.close()
     return found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tick) if posteriors else found
@@ -462,7 +468,6 @@ def _searched(
     record = {
         "versions": versions(),
         "seed": seed,
-        "failed_solves": fitting.failures,
         "cores": fitting.cores,
         "gap_unit": data.units[hooks.rows(data)[0]],
     }

@@ -76,6 +76,5 @@ def preflight(
             )
     seconds = (time.monotonic() - began) / solves
     size = (len(baseline.low) + len(effects)) / 4.0
-    tick(
-        f"about {SEARCH * size:.0f} solves of {seconds:.2g} s, {SEARCH * size * seconds / 60.0:.1f} min", 0.0
-    )
+    least = SEARCH * size
+    tick(f"at least {least:.0f} solves of {seconds:.2g} s: {least * seconds / 60.0:.1g} min", 0.0)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.diagnosis.coordinates import FAILURES
 from zoo.core.forward import Around, ForwardModel, Outputs, SolveError, content_key, pinned
 from zoo.core.inference.memo import Found, Memo, to_line
 from zoo.core.outputs import output_folder
@@ -29,8 +30,8 @@ class SolveStore:
 
     Attributes
     ----------
-    made : int
-        Solves that were not known.
+    made, failed : int
+        Solves that were not known, and those of them that failed.
 
     Raises
     ------
@@ -43,20 +44,24 @@ class SolveStore:
         if folder is not None:
             output_folder(folder, deep=True).mkdir(parents=True, exist_ok=True)
             path = Path(folder) / FILE
-        self._memo, self._lock = Memo(path, FILE), threading.Lock()
-        self.known, self.made = self._memo.known, 0
+        self._memo: Memo | None = Memo(path, FILE)
+        self._lock = threading.Lock()
+        self.known, self.made, self.failed = self._memo.known, 0, 0
 
     def add(self, key: bytes, found: Found) -> None:
         """Keep what was solved."""
         with self._lock:
             self.made += 1
+            self.failed += bool(found.failures)
             self.known[key] = found
-            if self._memo.path is not None:
+            if self._memo is not None and self._memo.path is not None:
                 self._memo.add(to_line(FILE, key, found))
 
     def close(self) -> None:
-        """Close the file."""
-        self._memo.close()
+        """Close the file; further solves are kept in memory only."""
+        if self._memo is not None:
+            self._memo.close()
+        self._memo = None
 
 
 class StoredModel(Around):
@@ -93,8 +98,10 @@ class StoredModel(Around):
             return np.array(found.values[0])
         try:
             values = self.model.solve(configuration, outputs)
-        except SolveError as error:
-            self._store.add(key, Found((), failures={str(error) or error.kind: 1}))
+        except FAILURES as error:
+            told = str(error) or getattr(error, "kind", "")
+            reason = told if isinstance(error, SolveError) else f"{type(error).__name__}: {told}"
+            self._store.add(key, Found((), failures={reason: 1}))
             raise
         self._store.add(key, Found((np.asarray(values),)))
         return values
