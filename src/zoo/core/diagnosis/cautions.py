@@ -137,8 +137,8 @@ def _solves(found: CauseSets, hooks: Hooks) -> list[str]:
     fitting, told = found.search.fitting, []
     if fitting.failures > FAILING * fitting.solves:
         told.append(
-            f"{percent(fitting.failures / fitting.solves)} of the solves failed ({fitting.last_failure}): what "
-            f"lies there counts as impossible, which may cut a cause off; {hooks.advice}"
+            f"{percent(fitting.failures / fitting.solves)} of the solves failed ({fitting.last_failure}): "
+            f"what lies there counts as impossible, which may cut a cause off; {hooks.advice}"
         )
     return told
 
