@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,16 +62,6 @@ CONFOUNDED = 3.0
 """Log evidence that a cause may lose in place of another, on data that this predicts, to be confounded."""
 MAX_HARMONIC = 10
 """Harmonics whose shares are told one by one."""
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """A diagnosis' file, the discrepancies of baseline and leading set, and the draws they are made of."""
-
-    file: DiagnosisFile
-    before: Discrepancy
-    after: Discrepancy
-    draws: CauseDraws
 
 
 def table_of(found: CauseSets, about: int) -> tuple[list[SetResult], dict[Which, float]]:
@@ -480,7 +470,7 @@ def _parameters(found: CauseSets, draws: CauseDraws) -> dict[str, dict[str, floa
 
 def answer(
     found: CauseSets, hooks: Hooks, seed: int, record: dict[str, Any], excluded: Excluded | None = None
-) -> Answer:
+) -> tuple[DiagnosisFile, Discrepancy, Discrepancy, CauseDraws]:
     """The content of diagnosis.json, and the discrepancies and draws behind it.
 
     Parameters
@@ -496,7 +486,10 @@ def answer(
 
     Returns
     -------
-    Answer
+    file : DiagnosisFile
+    before, after : Discrepancy
+        Of the baseline, and of the leading set.
+    draws : CauseDraws
     """
     data = found.search.fitting.data
     rows = hooks.rows(data)
@@ -540,4 +533,4 @@ def answer(
         *cautions(found, file, before, hooks),
     ]
     file = file.model_copy(update={"decided": not doubts, "warnings": warnings})
-    return Answer(worded(file), before, after, draws)
+    return worded(file), before, after, draws

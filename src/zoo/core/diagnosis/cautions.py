@@ -53,7 +53,7 @@ def undecided(file: DiagnosisFile, most: int) -> list[str]:
         )
     if file.linear_error > WRONG and file.missed > MISSED:
         told.append(
-            f"the log evidence of sets that no solve verified may be off by {file.linear_error:.0f}: up to "
+            f"the log evidence of sets that no solve verified may be off by {file.linear_error:.0f}: "
             f"{percent(file.missed)} of the probability may be theirs"
         )
     return told
@@ -94,7 +94,7 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
     told += [one.text for _, one in at_bounds(found.search.fitting.forward, found.search.base.u)]
     for name in found.search.idle:
         told.append(
-            f"effect {name}: none of its starts changes any sample: the simulator does not read what it sets"
+            f"effect {name}: none of its starts changes any sample: it acts nowhere here, or is not read"
         )
     told += _solves(found, hooks) + _outliers(found) + _noise(found)
     if not found.leader:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from zoo.core import digests
 from zoo.core.data import Data
-from zoo.core.diagnosis.answer import Answer, answer
+from zoo.core.diagnosis.answer import answer
 from zoo.core.diagnosis.bounds import Excluded, freed
 from zoo.core.diagnosis.draws import CauseDraws, Discrepancy, interval_of
 from zoo.core.diagnosis.file import (
@@ -59,13 +59,17 @@ SAME_TIMES = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What `diagnose` found; `file` is the content of diagnosis.json.
+    """What `diagnose` found.
 
     Attributes
     ----------
     data : Data
-    answer : Answer
-        The file with the discrepancies of baseline and leading set, and draws from the posterior.
+    file : DiagnosisFile
+        The content of diagnosis.json.
+    before, after : Discrepancy
+        What is true beyond the baseline, and beyond the leading set of causes.
+    draws : CauseDraws
+        Draws from the posterior, with the sets' probabilities as weights.
     sets : CauseSets
         The posterior over sets of causes, and the sets that were solved.
     sampled : SampledExplanations or None
@@ -80,7 +84,10 @@ class Diagnosis:
     """Draws a diagnosis; figures are not of this package."""
 
     data: Data
-    answer: Answer = field(repr=False)
+    file: DiagnosisFile = field(repr=False)
+    before: Discrepancy = field(repr=False)
+    after: Discrepancy = field(repr=False)
+    draws: CauseDraws = field(repr=False)
     sets: CauseSets = field(repr=False)
     sampled: SampledExplanations | None = field(default=None, repr=False)
     hooks: Hooks = field(default_factory=Hooks, repr=False)
@@ -92,30 +99,9 @@ class Diagnosis:
     def _repr_html_(self) -> str:
         return self.file._repr_html_()
 
-    @property
-    def file(self) -> DiagnosisFile:
-        """Content of diagnosis.json."""
-        return self.answer.file
-
     def with_file(self, **changes: Any) -> Self:
         """The same with some fields of the file changed, and its answer in words again."""
-        file = worded(self.file.model_copy(update=changes))
-        return replace(self, answer=replace(self.answer, file=file))
-
-    @property
-    def before(self) -> Discrepancy:
-        """What is true beyond the baseline."""
-        return self.answer.before
-
-    @property
-    def after(self) -> Discrepancy:
-        """What is true beyond the leading set of causes."""
-        return self.answer.after
-
-    @property
-    def draws(self) -> CauseDraws:
-        """Draws from the posterior, with the sets' probabilities as weights."""
-        return self.answer.draws
+        return replace(self, file=worded(self.file.model_copy(update=changes)))
 
     @property
     def computed(self) -> tuple[Array, Array]:
@@ -471,7 +457,7 @@ def _searched(
         "cores": fitting.cores,
         "gap_unit": data.units[hooks.rows(data)[0]],
     }
-    return Diagnosis(data, answer(sets, hooks, seed, record, excluded), sets, hooks=hooks)
+    return Diagnosis(data, *answer(sets, hooks, seed, record, excluded), sets, hooks=hooks)
 
 
 def _silent(text: str, share: float) -> None:
