@@ -221,7 +221,7 @@ def test_what_the_answer_depends_on_comes_first(one: Diagnosis, tmp_path: Path) 
     assert verdict == f"{d.file.verdict}."
     assert told[-1] == "Warning: the answer depends on the prior."
     for shown in (summary.text, " ".join(screen_of(d.file).split())):
-        assert f"The {first.name} cannot be told from the inflow in these data" in shown
+        assert f"These data cannot distinguish {first.name} from inflow: any" in shown
         assert "any of them is wrong with a probability of 97 %" in shown
         assert "may hold up to 25 % of the probability" in shown
         assert "The simulator failed wherever these were tried: taper." in shown

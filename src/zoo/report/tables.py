@@ -98,7 +98,7 @@ def components_table(file: DiagnosisFile) -> Table:
     numbers = ("probability", "before the data", "other priors", "share of the error", "any of them")
     return Table(
         "components of the simulator",
-        ("component", *numbers[:4], "cannot be told from", numbers[4]),
+        ("component", *numbers[:4], "confounded with", numbers[4]),
         numbers,
         [cells(c) for c in file.components],
         _unlikely(file.components),

@@ -172,7 +172,7 @@ def _places(found: CauseSets, p: dict[Which, float], causes: Sequence[int]) -> l
             shares[location] = shares.get(location, 0.0) + x
     noun = next((at.noun for at in shares if at.noun), "part")
     return [
-        LocationShare(part=at.part, subtree=at.subtree, probability=min(1.0, x), noun=noun)
+        LocationShare(part=at.part, subtree=at.subtree, probability=x, noun=noun)
         for at, x in sorted(shares.items(), key=lambda item: -item[1])
         if x >= TOLD
     ]
@@ -181,8 +181,7 @@ def _places(found: CauseSets, p: dict[Which, float], causes: Sequence[int]) -> l
 def _holding(found: CauseSets, p: dict[Which, float], names: set[str], of: str) -> float:
     """Probability of the sets that hold a cause or component of some names."""
     causes = found.posterior.causes
-    held = math.fsum(x for which, x in p.items() if any(getattr(causes[i], of) in names for i in which))
-    return min(1.0, held)  # a sum may round up
+    return math.fsum(x for which, x in p.items() if any(getattr(causes[i], of) in names for i in which))
 
 
 def _causes(found: CauseSets, p: dict[Which, float], draws: CauseDraws) -> list[CauseResult]:
@@ -379,11 +378,7 @@ def sensitivity(posterior: CausePosterior) -> list[SensitivityRow]:
         "effects modelled half as well": posterior.under(replace(sizes, caricature=2.0 * sizes.caricature)),
     }
     return [
-        SensitivityRow(
-            prior=name,
-            nothing=min(1.0, one.probability[()]),
-            components={component: min(1.0, p) for component, p in one.components.items()},
-        )
+        SensitivityRow(prior=name, nothing=one.probability[()], components=one.components)
         for name, one in under.items()
     ]
 
@@ -509,9 +504,9 @@ def answer(
         gap=_gap(found, before, after, rows),
         where=_where(found, p, before, hooks),
         no_gap=p[()] * (next(row.negligible for row in sets if not row.causes) or 0.0),
-        number=[min(1.0, x) for x in number],
+        number=number,
         sets=sets,
-        missed=min(1.0, found.missed),
+        missed=found.missed,
         linear_error=found.linear_error,
         components=_components(found, p, draws, group),
         causes=_causes(found, p, draws),

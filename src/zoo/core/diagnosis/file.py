@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -26,7 +27,17 @@ OF_CAUSES = ("causes", "names", "components")
 """Fields of a set that are of its causes."""
 LINES = 20
 """Lines that `print` shows of a diagnosis at most."""
-Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+ROUNDING = 1e-9
+"""What a sum of thousands of probabilities may be above 1 by rounding."""
+
+
+def _probability(p: float) -> float:
+    if not 0.0 <= p <= 1.0 + ROUNDING:
+        raise ValueError(f"{p:g} is no probability")
+    return min(p, 1.0)
+
+
+Probability = Annotated[float, AfterValidator(_probability)]
 
 
 class DiagnosisError(OneLineError, ValueError):

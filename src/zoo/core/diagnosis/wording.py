@@ -162,8 +162,8 @@ def _components(file: DiagnosisFile) -> str:
 
 def _alike(file: DiagnosisFile) -> str:
     return "; ".join(
-        f"The {c.name} cannot be told from the {' or the '.join(c.confounded)} in these data: any of them is "
-        f"wrong with a probability of {percent(c.group_probability)}"
+        f"These data cannot distinguish {c.name} from {' or '.join(c.confounded)}: any of them is wrong with "
+        f"a probability of {percent(c.group_probability)}"
         for c in file.components
         if c.confounded
     )
