@@ -212,7 +212,7 @@ def test_no_solve_is_made_twice_and_an_interrupted_diagnosis_goes_on(tmp_path: P
     assert later["mean"].between(later["low"], later["high"]).all()
 
 
-def test_another_simulator_takes_nothing_from_a_store(tmp_path: Path) -> None:
+def test_another_simulator_or_time_takes_nothing_from_a_store(tmp_path: Path) -> None:
     def warmer(c, t):  # type: ignore[no-untyped-def]
         return cup(c, t) + 0.5
 
@@ -222,6 +222,7 @@ def test_another_simulator_takes_nothing_from_a_store(tmp_path: Path) -> None:
     for _ in range(2):
         np.testing.assert_allclose(other.solve(other.configure(theta)) - one.solve(one.configure(theta)), 0.5)
     assert store.made == 2
+    assert one.solve(one.configure(theta), Outputs(("tea",), MINUTES[:5])).shape == (1, 5)
 
 
 @pytest.mark.parametrize(
