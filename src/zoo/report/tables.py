@@ -145,13 +145,11 @@ def functions_table(file: DiagnosisFile) -> Table:
     """Each learned function where it is largest."""
 
     def cells(component: str, f: LearnedFunction) -> list[str]:
-        i = max(range(len(f.mean)), key=lambda k: abs(f.mean[k]))
         return [
             f.name.replace("-", " "),
             component,
             percent(f.probability),
-            f.labels[i] if f.labels else f"{f.values[i]:.3g}{unit_words(f.argument_unit)}",
-            f"{span(f.mean[i], (f.low[i], f.high[i]))}{unit_words(f.unit)}",
+            *f.largest,
             f"{f.prior_size:.2g}{unit_words(f.unit)}",
         ]
 

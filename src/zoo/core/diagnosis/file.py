@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 from zoo.core import digests
-from zoo.core.words import OneLineError
+from zoo.core.words import OneLineError, span, unit_words
 
 FORMAT = 3
 OF_CAUSES = ("causes", "names", "components")
@@ -238,6 +238,13 @@ class LearnedFunction(_Part):
     prior_size: float
     length: float | None = None
     probability: Probability
+
+    @property
+    def largest(self) -> tuple[str, str]:
+        """Where it is largest, and its value there with the 95 % interval, in words."""
+        i = max(range(len(self.mean)), key=lambda k: abs(self.mean[k]))
+        at = self.labels[i] if self.labels else f"{self.values[i]:.3g}{unit_words(self.argument_unit)}"
+        return at, f"{span(self.mean[i], (self.low[i], self.high[i]))}{unit_words(self.unit)}"
 
 
 class ComponentResult(_Part):

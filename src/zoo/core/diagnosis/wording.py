@@ -80,10 +80,13 @@ def _cause(file: DiagnosisFile, name: str, *, sized: bool = False) -> str:
     """A cause with its place, and with its size: "viscoelastic wall, tau = 4.3 ± 0.15 ms"."""
     one, text = next(c for c in file.causes if c.name == name), name.replace("-", " ")
     if one.free:
-        learned = (f for c in file.components for f in c.functions if f.name == name)
         text += "" if one.component == name else f" of the {one.component}"
-        argument = next((f.argument for f in learned), "")
-        return f"{text} as a learned function" + (f" of {argument}" if argument else "")
+        text += " as a learned function"
+        learned = next((f for c in file.components for f in c.functions if f.name == name), None)
+        if learned is None:
+            return text
+        where, value = learned.largest
+        return f"{text} of {learned.argument}" + (f", {value} at {where}" if sized else "")
     if one.places and one.places[0].part is not None:
         at = one.places[0]
         text += f" at {Location(at.part, at.subtree, at.noun)}"
