@@ -20,6 +20,7 @@ from zoo.core.causes.evidence import SetModel
 from zoo.core.causes.posterior import SetRow
 from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, DiagnosisFile, diagnose, read_diagnosis
+from zoo.core.diagnosis.answer import table_of
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear
 from zoo.core.effects import Effect, EffectParameter, effect
 from zoo.core.errors.spectral import Cosines, Harmonics
@@ -411,3 +412,12 @@ def test_a_table_of_sets_that_is_none_is_refused(bulged: Diagnosis) -> None:
     for change in ({"columns": []}, {"of": []}, {"rows": [1]}):
         with pytest.raises(ValidationError, match=r"is no table of sets|zip"):
             DiagnosisFile.model_validate(content | {"sets": content["sets"] | change})
+
+
+def test_the_leading_set_is_in_the_table_however_improbable(
+    bulged: Diagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("zoo.core.diagnosis.answer.LEAST", 2.0)
+    rows, p = table_of(bulged.sets, 0)
+    assert set(p) == {(), bulged.sets.leader}
+    assert [row.causes for row in rows] == [bulged.cause, []]

@@ -74,7 +74,8 @@ def table_of(found: CauseSets, about: int) -> tuple[list[SetResult], dict[Which,
         Index of the group whose gap is told.
     """
     posterior = found.posterior
-    kept = {w: p for w, p in posterior.probability.items() if p >= LEAST or not w}
+    told = ((), found.leader)  # however improbable
+    kept = {w: p for w, p in posterior.probability.items() if p >= LEAST or w in told}
     total, rows = sum(kept.values()), []
     unit = found.search.fitting.data.unit(found.search.family.groups[about])
     for which, p in kept.items():
