@@ -130,6 +130,18 @@ def span(value: float, interval: Sequence[float]) -> str:
     return f"{value:.2g} ({interval[0]:.2g} to {interval[1]:.2g})"
 
 
+def digits(value: float, most: int) -> str:
+    """A number with so many significant digits, in full up to 1e6.
+
+    Examples
+    --------
+    >>> digits(50407.8, 3), digits(0.72253, 3), digits(2.3e7, 3)
+    ('50400', '0.723', '2.3e+07')
+    """
+    text = f"{value:.{most}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text
+
+
 def estimate(mean: float, sd: float, unit: str = "1") -> str:
     """A mean with its standard deviation and unit; the unit 1 is left out."""
-    return f"{mean:.3g} ± {sd:.2g}{unit_words(unit)}"
+    return f"{digits(mean, 3)} ± {digits(sd, 2)}{unit_words(unit)}"

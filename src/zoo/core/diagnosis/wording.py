@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from zoo.core.diagnosis.cautions import WRONG
 from zoo.core.diagnosis.file import DiagnosisFile, Estimate, StateFile
 from zoo.core.effects import Location
-from zoo.core.words import estimate, listed, percent, span, unit_words
+from zoo.core.words import digits, estimate, listed, percent, span, unit_words
 
 FURTHER = 0.05
 """Least probability of a further cause, given the leading ones, from which on it is named."""
@@ -200,7 +200,7 @@ def _parameters(file: DiagnosisFile) -> str:
     told = []
     for name in moved:
         label, unit = file.labels.get(name, (name, "1"))
-        told.append(f"{label} {before[name]:.3g} → {estimate(after[name], after[f'{name} sd'], unit)}")
+        told.append(f"{label} {digits(before[name], 3)} → {estimate(after[name], after[f'{name} sd'], unit)}")
     if not told:
         return "Parameters of the baseline: none moves by more than its standard deviation"
     return f"Parameters of the baseline, before → with it: {', '.join(told)}"
