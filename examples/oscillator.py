@@ -130,7 +130,7 @@ def visible_gap(theta: Array, series: Array) -> float:
 
 def diagnosed(data: Data) -> Any:
     """The diagnosis of one record, which is told nothing of its cause."""
-    return zoo.diagnose(data, MODEL, EFFECTS, errors=zoo.Cosines())
+    return zoo.diagnose(data, MODEL, EFFECTS, errors=zoo.Cosines(), progress=False)
 
 
 def main(counts: dict[str, int], seed: int = SEED) -> zoo.Score:

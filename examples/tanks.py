@@ -456,7 +456,7 @@ LEADING = 8
 def report(found: Diagnosis, record: dict[str, Array]) -> str:
     """What was found, in words and tables: sets of causes, effects, root mean square errors."""
     file = found.file
-    lines = [file.verdict, *(f"warning: {text}" for text in file.warnings), ""]
+    lines = [*file.lines, ""]
     lines.append("log prior  log evidence  probability  left (V)  set of causes")
     for row in found.table[:LEADING]:
         left = "" if row.gap_after is None else f"{row.gap_after:.3f}"

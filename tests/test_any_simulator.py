@@ -71,7 +71,7 @@ def test_the_cause_is_found_and_the_unit_is_the_datas() -> None:
     assert found.cause == ["drift"]
     assert found.file.gap.unit == "K"
     assert abs(found.causes[0].estimates[0].mean - 0.15) < 0.01
-    assert "takes the gap of" in found.file.verdict
+    assert found.file.verdict.startswith("Most likely missing: drift, slope = 0.15")
     assert set(found.where.phase) == {"first quarter", "second quarter", "third quarter", "fourth quarter"}
     assert '"before_K"' in found.file.model_dump_json()
     assert {one.name: one.probability for one in found.causes}["wind"] < 0.2

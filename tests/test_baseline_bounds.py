@@ -62,8 +62,8 @@ def test_what_the_prior_excludes_is_no_gap_and_no_effect(prior: Prior, tmp_path:
     assert excluded.residual_rms_within > 20 * excluded.residual_rms_free
     assert excluded.residual_rms_free == pytest.approx(NOISE, rel=0.2)
     assert found.file.verdict.startswith(
-        f"the baseline's prior excludes what fits best: rate at 0.6 1/min ({bound.best:.3g} fits best); with "
-        "it free the gap is"
+        f"The baseline's prior excludes its best fit, rate = {bound.best:.3g} (upper bound 0.6). Without "
+        "that bound: Nothing is missing"
     )
     assert "--prior rate=... lifts it" in found.file.warnings[0]
     assert read_diagnosis(found.save(str(tmp_path))).excluded == excluded
@@ -82,7 +82,7 @@ def test_a_prior_that_holds_the_best_fit_is_left_alone() -> None:
     found = diagnosed(Uniform(0.05, 2.0))
     assert found.file.excluded is None
     assert found.file.warnings == []
-    assert found.file.verdict.startswith("no gap")
+    assert found.file.verdict.startswith("Nothing is missing")
 
 
 def test_a_bound_that_costs_nothing_is_told_and_not_lifted() -> None:

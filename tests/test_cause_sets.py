@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.optimize import least_squares
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
@@ -18,7 +19,8 @@ from toys import EFFECTS, FUNCTIONS, KNOTS, MODEL, NOISE, PUSH, TIMES, bulge, da
 from zoo.core.causes.evidence import SetModel
 from zoo.core.causes.posterior import SetRow
 from zoo.core.data import Data
-from zoo.core.diagnosis import Diagnosis, DiagnosisError, diagnose, read_diagnosis
+from zoo.core.diagnosis import Diagnosis, DiagnosisError, DiagnosisFile, diagnose, read_diagnosis
+from zoo.core.diagnosis.answer import table_of
 from zoo.core.diagnosis.check import check_sets
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear
 from zoo.core.effects import Effect, EffectParameter, effect
@@ -51,7 +53,12 @@ def between() -> Diagnosis:
 def test_every_probability_is_a_sum_over_the_table(which: str, request: pytest.FixtureRequest) -> None:
     """By the JSON alone."""
     content = json.loads(request.getfixturevalue(which).file.model_dump_json())
-    sets = content["sets"]
+    table = content["sets"]
+    sets = []
+    for numbers, *values in table["rows"]:
+        of = [table["of"][i] for i in numbers]
+        row = {name: [one[k] for one in of] for k, name in enumerate(("causes", "names", "components"))}
+        sets.append(row | dict(zip(table["columns"], values, strict=True)))
     joint = np.array([row["log_prior"] + row["log_evidence"] for row in sets])
     p = np.exp(joint - logsumexp(joint))
     assert p == pytest.approx([row["probability"] for row in sets], rel=1e-9, abs=1e-300)
@@ -86,7 +93,7 @@ def test_the_file_comes_back_and_amounts_carry_their_unit(bulged: Diagnosis, tmp
     assert read_diagnosis(tmp_path).model_dump() == bulged.file.model_dump()
     assert content["format"] == 3
     assert content["gap"]["before_K"] == bulged.file.gap.before
-    assert content["sets"][0]["gap_after_K"] == bulged.table[0].gap_after
+    assert "gap_after_K" in content["sets"]["columns"]
     assert {row["name"] for row in content["causes"]} == {"law", "push", "own", "bulge", "kick"}
 
 
@@ -167,7 +174,7 @@ def test_without_a_cause_there_is_no_gap() -> None:
         found = diagnose(data_of({}, seed=seed), MODEL, EFFECTS, hooks=hooks(FUNCTIONS), cores=1)
         assert found.cause == []
         assert found.file.no_gap > 0.5
-        assert found.file.verdict.startswith("no gap")
+        assert found.file.verdict.startswith("Nothing is missing")
         assert max(one.probability for one in found.components) < 0.3
 
 
@@ -176,7 +183,7 @@ def test_without_anything_to_blame_there_is_nothing() -> None:
     assert [row.causes for row in found.table] == [[]]
     assert found.table[0].probability == 1.0
     assert found.file.no_gap < 0.01
-    assert found.file.verdict.startswith("none of the listed effects or components (100%)")
+    assert found.file.verdict.startswith("No listed cause explains the model error of")
 
 
 def test_components_of_one_response_are_told_to_be_one_group() -> None:
@@ -436,3 +443,20 @@ def test_a_check_by_importance_sampling_finds_what_the_linear_model_lacks() -> N
     checked = next(x for x in check_sets(found.sets, draws=2000) if x.which == pair)
     assert checked.error < 0.1 < 0.3 < abs(exact - linear)
     assert checked.change == pytest.approx(exact - linear, abs=4.0 * checked.error)
+
+
+def test_a_table_of_sets_that_is_none_is_refused(bulged: Diagnosis) -> None:
+    content = json.loads(bulged.file.model_dump_json())
+    assert DiagnosisFile.model_validate(content).sets == bulged.file.sets
+    for change in ({"columns": []}, {"of": []}, {"rows": [1]}):
+        with pytest.raises(ValidationError, match=r"is no table of sets|zip"):
+            DiagnosisFile.model_validate(content | {"sets": content["sets"] | change})
+
+
+def test_the_leading_set_is_in_the_table_however_improbable(
+    bulged: Diagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("zoo.core.diagnosis.answer.LEAST", 2.0)
+    rows, p = table_of(bulged.sets, 0)
+    assert set(p) == {(), bulged.sets.leader}
+    assert [row.causes for row in rows] == [bulged.cause, []]

@@ -1,4 +1,4 @@
-"""The recipes of CONTRIBUTING.md, followed as they stand in a copy of the package."""
+"""The recipes of docs/extending.md, followed as they stand in a copy of the package."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def test_the_file_comes_back_and_places_are_vessels(jitter: StudyDiagnosis, tmp_
     assert read_diagnosis(tmp_path / "gap").model_dump() == jitter.file.model_dump()
     assert {row["name"] for row in content["causes"]} <= set(FEW)
     assert content["gap"]["before_mmHg"] == jitter.file.gap.before
-    assert "gap_after_mmHg" in content["sets"][0]
+    assert "gap_after_mmHg" in content["sets"]["columns"]
     assert set(content["where"]["place"][0]) == {"vessel", "subtree", "probability"}
 
 
@@ -98,7 +98,7 @@ def test_no_gap_has_no_cause() -> None:
     assert found.cause == []
     assert found.file.gap.removed == 0.0
     assert found.file.gap.before < 0.03
-    assert found.file.verdict.startswith("no gap")
+    assert found.file.verdict.startswith("Nothing is missing")
 
 
 def test_one_series_holds_out_blocks() -> None:
@@ -218,7 +218,7 @@ def test_the_papers_prior_excludes_the_hypoxic_mouse() -> None:
     assert bound.best == pytest.approx(1.75e5, rel=0.05)
     assert file.excluded.residual_rms_within > 0.9
     assert 0.2 < file.gap.before < 0.25
-    assert file.verdict.startswith("the baseline's prior excludes what fits best: f3 at 100000")
+    assert file.verdict.startswith("The baseline's prior excludes its best fit, f3 = 1.7")
     assert "--prior f3=... lifts it" in file.warnings[0]
 
 
@@ -243,5 +243,7 @@ def test_prior_sizes_of_components_have_a_factor(jitter: StudyDiagnosis) -> None
     assert jitter.file.record["component_sizes"] == 0.0
 
 
-def test_a_diagnosis_is_its_verdict_in_print(jitter: StudyDiagnosis) -> None:
-    assert repr(jitter) == f"<Diagnosis of 'demo', baseline linear-constant: {jitter.file.verdict}>"
+def test_a_diagnosis_is_its_answer_in_print(jitter: StudyDiagnosis) -> None:
+    lines = repr(jitter).splitlines()
+    assert lines == ["demo, baseline linear-constant", *jitter.file.lines]
+    assert len(lines) <= 20

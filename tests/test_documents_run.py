@@ -13,7 +13,7 @@ from snippets import ROOT, blocks, missing, run_command, run_python
 from zoo.cli import app
 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
-ELSEWHERE = {"bring-your-own-simulator.md"}
+ELSEWHERE = {"bring-your-own-simulator.md", "extending.md"}
 """Pages that a test of another file runs."""
 RUN = [
     p

@@ -365,7 +365,7 @@ def test_an_error_model_of_one_s_own_is_predicted_with(sampled) -> None:
 
 def test_the_error_model_of_the_contributing_guide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Written to a file of a user's, as it stands there."""
-    text = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
     [code] = [block for block in re.findall(r"```python\n(.*?)```", text, re.S) if "ErrorModel)" in block]
     (tmp_path / "heavy_tails.py").write_text(code, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)

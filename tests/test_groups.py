@@ -89,6 +89,7 @@ def test_units_are_attributes(whole):
         "a": "V", "b": "V/s", "sigma2": "V2",
     }  # fmt: skip
     assert whole.prior["b"].attrs["units"] == "V/s"
+    assert "units" not in whole.log_likelihood["y"].attrs
     for group in (whole.log_likelihood, whole.posterior_predictive, whole.prior_predictive):
         assert group["unit"].to_numpy().tolist() == ["V"]
     assert whole.observed_data["y"].attrs["units"] == "V"

@@ -121,6 +121,34 @@ def test_the_help_of_a_model_tells_what_can_be_given() -> None:
         assert re.search(rf"^{name} : ", told, flags=re.M), name
 
 
+def test_the_help_of_a_diagnosis_tells_what_can_be_given() -> None:
+    shown = inspect.signature(zoo.diagnose).parameters
+    assert list(shown)[:5] == ["times", "measured", "simulate", "priors", "effects"]
+    told = inspect.getdoc(zoo.diagnose) or ""
+    for name in shown:
+        assert re.search(rf"^({name}|\w+, {name})\b.* : ", told, flags=re.M), name
+
+
+def test_what_is_printed_of_a_public_object_is_short() -> None:
+    study = zoo.load_study("demo")
+    flow, solver = zoo.get_baseline("B").forward(study), zoo.Solver.for_study(study)
+    case = flow.configure(zoo.pack(flow.parameters, zoo.start_of(flow.parameters)))
+    data = zoo.Data(study.time_s, study.values)
+    objects = [study, study.series[0], study.vessels[0], study.conventions, solver, flow, flow.network, case]
+    objects += [
+        data,
+        flow.outputs,
+        solver.solve(stiffness=1e5),
+        zoo.model_A(study),
+        zoo.Hooks(),
+        zoo.Cosines(),
+    ]
+    for one in objects:
+        shown = repr(one)
+        assert len(shown) <= 1500, shown
+        assert len(shown.splitlines()) <= 20, shown
+
+
 DOCUMENTED = [name for name in zoo.__all__ if callable(getattr(zoo, name)) and name != "Any"]
 
 
@@ -181,7 +209,7 @@ def test_sampling_without_a_number_of_draws_is_that_of_the_command(monkeypatch: 
 # ---------------------------------------------------------------------------------------------------
 # The documents
 
-DEVELOPERS = {"CONTRIBUTING.md", "architecture.md", "blind.md", "diagnosis.md", "numerics.md"}
+DEVELOPERS = {"CONTRIBUTING.md", "architecture.md", "extending.md", "testing.md"}
 """Documents that describe the rooms of the code."""
 USERS = [
     path

@@ -110,3 +110,14 @@ def test_noise_that_is_known_is_not_fitted():
     np.testing.assert_allclose(errors.variance(values), [[0.64] * 256, [0.25] * 256])
     wanted = set(map(variable_name, names))
     assert set(errors.suggested({"p": GroupErrors(0.8), "q": GroupErrors(1.0)})) == wanted
+
+
+@pytest.mark.parametrize("duration", [0.1, 1800.0])
+def test_suggested_values_are_inside_their_priors_in_any_unit_of_time(duration: float) -> None:
+    """A start on a bound has no finite density."""
+    times = np.linspace(0.0, duration, 90, endpoint=False)
+    errors = Cosines().bind(Data(times, np.sin(times / duration), labels=["y"]))
+    start = errors.suggested({"y": GroupErrors(0.1, delta=0.0, length=errors.typical_length)})
+    for p in errors.parameters:
+        low, high = p.prior.support
+        assert low < start[p.name] < high, p.name

@@ -42,7 +42,9 @@ class Running(TypedDict, total=False):
     cores: int
     seed: int
     tick: Callable[[str, float], None] | None
+    progress: bool
     folder: str | Path | None
+    checkpoint: str | Path | None
 
 
 class Weighing(Running, total=False):
@@ -166,8 +168,13 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
         Threads, and processes of the sampling.
     seed : int
         Of the draws.
+    progress : bool
+        Show on standard error what is being done and how far it is.
     tick : function, optional
-        Called with a text and the share done.
+        Instead of that, called with a text and the share done.
+    checkpoint : path, optional
+        Folder in which solves are kept: a diagnosis that was interrupted goes on from there, and none is made
+        twice.
     folder : path, optional
         Where the sampling stores posteriors and checkpoints.
 
@@ -268,3 +275,14 @@ def _diagnose_data(
         model, states = knowing(model), [replace(one, model=knowing(one.model)) for one in states]
         hooks = replace(hooks or Hooks(), components=components)
     return diagnosis.diagnose(data, model, listed, states=states, hooks=hooks, **settings)
+
+
+def _whole_signature() -> inspect.Signature:
+    """Of the first way to call it, with the settings of all three; `help` shows it."""
+    shown = inspect.signature(_diagnose_series)
+    own = [p for p in shown.parameters.values() if p.kind is not p.VAR_KEYWORD]
+    settings = inspect.signature(diagnosis.diagnose).parameters.values()
+    return shown.replace(parameters=[*own, *(p for p in settings if p.kind is p.KEYWORD_ONLY)])
+
+
+diagnose.__signature__ = _whole_signature()  # type: ignore[attr-defined]

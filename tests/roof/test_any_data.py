@@ -68,8 +68,9 @@ def cups() -> Diagnosis:
 def test_the_whole_is_drawn_with_the_words_of_the_data(cups: Diagnosis) -> None:
     found = texts(cups.plot())
     row = cups.file.gap.per_series[1]
-    assert f"two: gap {row.before.mean:.2g} to {row.after.mean:.2g} K" in found
-    assert {"T (K)", "gap (K)", "time (min)", "phase", "first quarter", "drift @two"} <= found
+    assert f"two: error {row.before.mean:.2g} to {row.after.mean:.2g} K" in found
+    assert {"T (K)", "error (K)", "time (min)", "phase", "first quarter", "drift @two"} <= found
+    assert "harmonic" not in found  # the record has no period
     assert not {text for text in found if "beat" in text or "vessel" in text or "mmHg" in text}
 
 
@@ -107,9 +108,9 @@ def test_page_and_screen_have_the_numbers(cups: Diagnosis, tmp_path: Path) -> No
         assert cups.file.verdict in shown
         assert "vessel" not in shown
         assert "mmHg" not in shown
-    assert "Body two, depth 0.25 would best tell drift @two from nothing" in text
-    assert "next measurement: body two, depth 0.25, which tells drift @two from nothing" in screen
-    rows = table_of(page, "Gap in each observed series")
+        assert "What would decide: body two, depth 0.25, which tells drift @two from nothing" in shown
+        assert "By harmonic" not in shown
+    rows = table_of(page, "Model error in each observed series")
     assert [row[:2] for row in rows] == [["one", "K"], ["two", "K"]]
     assert table_of(page, "Sets of causes")[0][0] == "drift @two"
     assert table_of(page, "Listed effects and free functions")[0][5].startswith("body two (")

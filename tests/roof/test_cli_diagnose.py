@@ -39,7 +39,8 @@ def test_diagnose_writes_everything_and_says_what_it_found(commanded: tuple[Path
     [tau] = file.causes[0].estimates
     assert abs(tau.mean - TAU_S) < 4 * tau.sd
     assert file.verdict in screen
-    for words in ("upstroke", "harmonic", "v1@0 pressure_mmHg", "everywhere", "no cause", "prior alone"):
+    assert all(line in " ".join(screen.split()) for line in file.lines)
+    for words in ("everywhere", "no cause", "before the data"):
         assert words in screen
     assert tau.interval is not None
     size = f"tau {tau.mean:.2g} ({tau.interval[0]:.2g} to {tau.interval[1]:.2g}) s"
@@ -47,7 +48,7 @@ def test_diagnose_writes_everything_and_says_what_it_found(commanded: tuple[Path
     assert f"{file.gap.removed:.0%}".replace("%", " %") in screen
     assert f"{file.record['solves']} solves" in screen
     assert f"wrote {out}: {', '.join(FILES)}" in screen
-    assert "error" not in screen
+    assert "error:" not in screen
     command = read(out / "report.html").all("pre")[0].text
     assert command.startswith("zoo diagnose ")
     assert "--effects viscoelastic-wall,inflow-shift --component-sizes 0 --base a -q" in command
@@ -66,7 +67,7 @@ def test_another_state_is_fitted_with_what_was_learned(folder: Path, tmp_path: P
     held = {tuple(c.names): c for c in state.carried}
     assert held[("wall",)].holds
     assert held[("wall",)].error.mean < 0.5 * state.baseline.mean
-    assert "In faster, its parameters fitted again, the baseline misses by" in screen
+    assert "In faster, refitted: the baseline misses by" in screen
     assert "with what was learned of wall by" in screen
     assert "what holds there: wall" in screen
     page = read(out / "report.html")
@@ -82,12 +83,13 @@ def test_the_screen_tells_of_the_next_measurement_and_posteriors(three: Diagnosi
         vessel=5,
         position=0.5,
         quantity="flow_ml_s",
+        text="flow midway in vessel 5",
         separates=("taper", "minor-losses"),
         expected_log_odds=7.25,
     )
     file = as_if_sampled(three).with_file(next_measurement=measure).file
     screen = screen_of(file)
-    assert "flow in vessel 5 at 0.5 of its length, which tells taper from minor-losses" in screen
+    assert "What would decide: flow midway in vessel 5, which tells taper from minor-losses" in screen
     assert "7.2" in screen
     lines = [line.split() for line in screen.splitlines()]
     assert ["nothing", "yes", "-100.0", "±", "0.1", "-95.0"] in lines

@@ -74,7 +74,7 @@ def test_the_most_probable_function_is_drawn_first(found: Diagnosis) -> None:
     np.testing.assert_array_equal(line.get_xdata(), [1.0, 1.1, 1.2])
     np.testing.assert_array_equal(line.get_ydata(), [0.0, 0.25, 0.5])
     assert curve.get_ylabel() == "tube law (mmHg)"
-    assert curve.get_title(loc="left") == "wall: this function 70 %"
+    assert curve.get_title(loc="left") == "wall: probability 70 %"
     assert [t.get_text() for t in places.get_xticklabels()] == ["1", "2", "7"]
 
 

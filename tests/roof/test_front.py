@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from typing import Any
@@ -88,6 +89,8 @@ def test_any_function_is_diagnosed_and_a_free_function_of_it_is_learned() -> Non
         held_out={"pushed harder": (TIMES, recorded(hard, 2), hard)}, cores=1,
     )  # fmt: skip
     assert found.cause[0].startswith("friction")
+    headline = r"Most likely missing: friction as a learned function of velocity, .* N at .* m/s \(>99"
+    assert re.match(headline, found.file.verdict)
     probability = {c.name: c.probability for c in found.components}
     assert probability["friction"] > 0.99
     assert probability["slope"] < 0.5

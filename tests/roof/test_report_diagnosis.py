@@ -81,7 +81,7 @@ def test_no_damage_to_an_answer_goes_unseen(one: Diagnosis, tmp_path: Path) -> N
     content = json.loads(raw)
     path.write_text(json.dumps(content, indent=3, sort_keys=True), "utf-8")
     assert read_diagnosis(path) == whole  # how it is set does not matter
-    content["sets"][0]["probability"] = 0.999
+    content["components"][0]["probability"] = 0.999
     path.write_text(json.dumps(content), "utf-8")
     with pytest.raises(DiagnosisError, match="damaged, its content does not fit its digest"):
         read_diagnosis(path)
@@ -165,13 +165,16 @@ def test_the_page_has_the_numbers(page: Element, three: Diagnosis) -> None:
     assert file.verdict in text
     for words in ("zoo diagnose <x>", file.study_checksum, *(f"{x} " for x in file.record["versions"])):
         assert words in text
-    rows = table_of(page, "Gap in each observed series")
+    rows = table_of(page, "Model error in each observed series")
     assert [row[:2] for row in rows] == [[s.series, s.unit] for s in file.gap.per_series]
     assert rows[0][2].startswith(f"{file.gap.per_series[0].before.mean:.2g} (")
     rows = table_of(page, "Probability that a component is wrong")
-    assert [row[0] for row in rows] == [c.name for c in file.components]
+    assert [row[0] for row in rows] == [c.name for c in file.components if c.probability >= 0.01]
+    assert len(rows) < len(file.components)  # the rest is folded
+    for cell in (file.components[-1].name, "1 more below 1 %"):
+        assert any(cell in one.text for one in page.all("details"))
     rows = table_of(page, "Listed effects and free functions")
-    assert [row[0] for row in rows] == [c.name for c in file.causes]
+    assert [row[0] for row in rows] == [c.name for c in file.causes if c.probability >= 0.01]
     assert "Kelvin-Voigt" in rows[0][-1]
     tau = file.causes[0].estimates[0]
     assert tau.interval is not None
@@ -184,7 +187,7 @@ def test_the_page_has_the_numbers(page: Element, three: Diagnosis) -> None:
     assert failed.text == "viscoelastic-wall: not converged: R-hat of tau is 1.2"
     rows = table_of(page, "The baseline and the leading sets of listed effects sampled")
     assert [row[0] for row in rows] == ["nothing", "viscoelastic-wall"]
-    assert rows[1][1:] == ["no", "60.0 ± 0.1", "65.0", "0.0", "–", "f3 4.3e+04 ± 3e+02"]
+    assert rows[1][1:] == ["no", "60.0 ± 0.1", "65.0", "0.0", "–", "f3 43000 ± 300"]
 
 
 def test_the_table_of_sets_is_that_of_the_file(page: Element, three: Diagnosis) -> None:
@@ -214,14 +217,14 @@ def test_what_the_answer_depends_on_comes_first(one: Diagnosis, tmp_path: Path) 
     assert plt.get_fignums() == []  # nothing is left open
     page = read(tmp_path / "x" / "report.html")
     [summary] = page.of_class("summary")
-    verdict, warning, *_ = (p.text for p in summary.all("p"))
-    assert verdict.startswith("Verdict: ")
-    assert warning == "Warning: the answer depends on the prior."
+    verdict, *told = (p.text for p in summary.all("p"))
+    assert verdict == f"{d.file.verdict}."
+    assert told[-1] == "Warning: the answer depends on the prior."
     for shown in (summary.text, " ".join(screen_of(d.file).split())):
-        assert f"The {first.name} cannot be told from the inflow in these data" in shown
-        assert "any of them is wrong has a probability of 97 %" in shown
+        assert f"These data cannot distinguish {first.name} from inflow: any" in shown
+        assert "any of them is wrong with a probability of 97 %" in shown
         assert "may hold up to 25 % of the probability" in shown
-        assert "The solver failed wherever these were tried: taper." in shown
+        assert "The simulator failed wherever these were tried: taper." in shown
     assert table_of(page, "Probability that a component is wrong")[0][5:] == ["inflow", "97 %"]
 
 

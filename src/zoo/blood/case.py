@@ -15,6 +15,7 @@ from zoo.blood.directions import Derivatives, Point
 from zoo.blood.network import Network
 from zoo.blood.solver import PARAMETERS, PUBLISHED_CELLS_PER_CM, Physics, Solution, Solver, SolverOptions
 from zoo.blood.study import QUANTITIES
+from zoo.core.arrays import Brief
 from zoo.core.effects import Location
 from zoo.core.forward import SolveError
 from zoo.core.words import nearest
@@ -56,8 +57,8 @@ class Wave:
         return np.array([q == "pressure_mmHg" for q in self.quantity], dtype=bool)
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
+@dataclass(frozen=True, eq=False, repr=False)
+class Case(Brief):
     """A solve about to be made: what an effect may change.
 
     Parameters

@@ -103,11 +103,12 @@ def _candidates(data: Data, baseline: ForwardModel) -> list[Candidate]:
             {"vessel": int(vessel), "position": MIDWAY, "quantity": quantity},
             group,
             noise_part,
+            f"{word} midway in vessel {vessel}",
         )
         for vessel in baseline.network.ids  # type: ignore[attr-defined]
-        for quantity, group, noise_part in (
-            ("pressure_mmHg", "pressure_mmHg", NOISE_PART),
-            ("flow_ml_s", "", FLOW_NOISE_PART),
+        for word, quantity, group, noise_part in (
+            ("pressure", "pressure_mmHg", "pressure_mmHg", NOISE_PART),
+            ("flow", "flow_ml_s", "", FLOW_NOISE_PART),
         )
     ]
 
@@ -116,6 +117,17 @@ HOOKS = Hooks(
     about="pressure_mmHg",
     phases=_phases,
     candidates=_candidates,
+    labels={
+        "f1": "stiffness f1",
+        "f2": "stiffness f2",
+        "f3": "stiffness f3",
+        "m_chi": "mean stiffness",
+        "chi": "stiffness chi",
+        "gamma": "wall shape gamma",
+        "psi1": "factor psi1 of R1",
+        "psi2": "factor psi2 of R2",
+        "c": "factor c of C",
+    },
     advice="check the units in observations.csv, the inflow and the conventions",
     smooth=False,
     components=components,
@@ -205,7 +217,9 @@ def diagnose(
     cores: int = 2,
     seed: int = 1,
     tick: Callable[[str, float], None] | None = None,
+    progress: bool = True,
     folder: str | Path | None = None,
+    checkpoint: str | Path | None = None,
 ) -> StudyDiagnosis:
     """Find where a baseline model misses a study's data, which unmodelled effect explains it, and how well.
 
@@ -232,7 +246,7 @@ def diagnose(
     states : sequence of Study
         The same vessels and sensors in other states, such as at another heart rate: what was learned is fixed
         there, and compared with the baseline and with the discrepancy that was seen at the sensor.
-    cores, seed, tick, folder
+    cores, seed, tick, progress, folder, checkpoint
         As in `zoo.core.diagnosis.diagnose`.
 
     Returns
@@ -290,7 +304,9 @@ def diagnose(
         cores=cores,
         seed=seed,
         tick=tick,
+        progress=progress,
         folder=folder,
+        checkpoint=checkpoint,
     )
     found.file.record["component_sizes"] = component_sizes
     return of_study(found, study, {p.name: p.prior.text for p in forward.parameters})

@@ -41,7 +41,7 @@ _STIFFNESSES = ("stiffness_in", "stiffness_out")
 _NUMBERS = ("density", "viscosity", "period_s")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Network(ReadOnlyArrays):
     """The vessel tree as arrays, parents before their children; read-only.
 

@@ -39,6 +39,7 @@ from zoo.blood.units import cgs_to_mmhg
 from zoo.core import digests
 from zoo.core.arrays import (
     MOST_COUNT,
+    Brief,
     finite_array,
     real_array,
     real_number,
@@ -108,8 +109,8 @@ STATUS_NAMES: dict[int, str] = {lib.ZOO_OK: "ok", lib.ZOO_WORKSPACE: "workspace"
 }
 
 
-@dataclass(frozen=True)
-class Solution:
+@dataclass(frozen=True, repr=False)
+class Solution(Brief):
     """A solve at one set of parameters.
 
     `pressure_mmHg`, `flow_ml_s` and `area_cm2` have shape (n_series, n_times) and are NaN when it failed.

@@ -47,7 +47,7 @@ def make(
         str | None,
         typer.Option(
             "--secret",
-            help="Of an older key, to make its cases again; a new one is drawn if absent.",
+            help="Secret of an older key, to make its cases again; a new one is drawn if absent.",
             metavar="HEX",
             show_default=False,
         ),
@@ -110,7 +110,7 @@ def run(
         Path, typer.Option("--output", "-o", help="Folder for the answers."), Role.WRITES
     ] = Path("answers"),
     base: Annotated[str, typer.Option("--base", help="Baseline, as in `zoo diagnose`.")] = "linear-constant",
-    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 1,
     cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each."), Role.ASIDE] = 2,
     dask: DaskOption = None,
     fresh: FreshOption = False,
@@ -159,7 +159,7 @@ def score(
     answers: Annotated[Path, typer.Argument(metavar="ANSWERS", help="Folder of `zoo blind run`.")],
     key: Annotated[
         Path,
-        typer.Option("--key", help="Of `zoo blind make`."),
+        typer.Option("--key", help="Key that `zoo blind make` wrote."),
     ] = Path("key.json"),
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score."), Role.WRITES] = Path(
         "score"

@@ -45,7 +45,7 @@ def compare(
         Path, typer.Option("--output", "-o", help="Folder for table and figures."), Role.WRITES
     ] = Path("comparison"),
     criterion: Annotated[
-        Literal["waic", "loo"], typer.Option("--ic", help="What ranks: waic or loo."), Role.ASIDE
+        Literal["waic", "loo"], typer.Option("--ic", help="Criterion to rank by: waic or loo."), Role.ASIDE
     ] = "waic",
     n_draws: Annotated[
         int, typer.Option("--n-draws", help="Draws of each posterior that are scored."), Role.ASIDE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,6 +23,8 @@ EVERY_S = 1.5
 """Seconds between lines where there is no terminal."""
 K_TRUSTED = 0.7
 """Pareto's k up to which importance sampling is trusted (Vehtari et al. 2024, arXiv 1507.02646)."""
+SOLVES = "solves"
+"""Folder in the output for solves of a diagnosis that is not done."""
 LEADING, PROBABLE = 5, 0.05
 """Sets of causes that the screen shows, and least probability of an effect or function that it shows."""
 
@@ -38,7 +41,7 @@ def diagnose(
         ),
     ] = "linear-constant",
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for what is found."), Role.WRITES
+        Path, typer.Option("--output", "-o", help="Folder for page, figures and diagnosis.json."), Role.WRITES
     ] = Path("gap"),
     posteriors: Annotated[
         bool,
@@ -77,7 +80,7 @@ def diagnose(
         Role.STUDY,
     ] = None,
     cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time."), Role.ASIDE] = 2,
-    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 1,
     quiet: QuietOption = False,
     *,
     options: StudyOptions,
@@ -120,11 +123,13 @@ def diagnose(
             cores=cores,
             seed=seed,
             tick=tell,
+            checkpoint=output / SOLVES,
         )
         if check:
             found = found.with_check(seed=seed, tick=tell)
         tell("figures and page", 1.0)
         written = write_diagnosis(found, output, command=typed_command())
+        shutil.rmtree(output / SOLVES, ignore_errors=True)  # what they were kept for is on disk
         if posteriors:  # takes longer and may be stopped: what was found is on disk
             folder = output / "posteriors" / _run_name(loaded, chosen.name, own, seed)
             output_folder(folder, option="--output", deep=True).mkdir(parents=True, exist_ok=True)
@@ -177,15 +182,15 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     from zoo.report import diagnosis as told
     from zoo.report import tables
 
-    verdict, *rest = told.diagnosis_summary(file)
-    lines: list[Any] = [Text(verdict, style="bold"), *rest, *told.where_sentences(file), ""]
+    verdict, *rest = file.lines
+    lines: list[Any] = [Text(verdict, style="bold"), *rest, ""]
     sets, found = tables.sets_table(file, LEADING), tables.components_table(file)
     causes = tables.causes_table(file)
     shown, sampled = sum(c.probability >= PROBABLE for c in file.causes), tables.posteriors_table(file)
     for table in (
-        sets.only("causes", "probability", "prior", "log evidence", sets.heads[5]),
-        found.only("component", "probability", "prior alone", "other priors", "share of the gap"),
-        causes.only("cause", "probability", "prior alone", "size", "place", first=shown),
+        sets.only("causes", "probability", "prior", "log evidence"),
+        found.only("component", "probability", "before the data", "other priors", "share of the error"),
+        causes.only("cause", "probability", "before the data", "size", "place", first=shown),
         sampled.only(*sampled.heads[:4]),
     ):
         if not table.rows:
@@ -194,11 +199,5 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
         for row in table.rows:
             drawn.add_row(*row, style="bold" if row[0] in file.cause else None)
         lines += [drawn, ""]
-    if file.next_measurement is not None:
-        m = file.next_measurement
-        lines.append(
-            f"next measurement: {told.next_measurement_words(file)}, which tells "
-            f"{m.separates[0]} from {m.separates[1]} (expected log odds up to {m.expected_log_odds:.1f})"
-        )
     lines.append(f"{file.record['solves']} solves, {told.total_seconds(file.record):.0f} s in all")
     return [Text(line) if isinstance(line, str) else line for line in lines]

@@ -29,10 +29,10 @@ class TableOptions:
         Path | None, typer.Option("--observations", help="Observations of a .csv, as a study has them.")
     ] = None
     density_g_cm3: Annotated[
-        float | None, typer.Option("--density", help="Of blood, for a .csv; 1.06 g/cm3.")
+        float | None, typer.Option("--density", help="Density of blood, for a .csv; 1.06 g/cm3.")
     ] = None
     viscosity_g_cm_s: Annotated[
-        float | None, typer.Option("--viscosity", help="Of blood, for a .csv; 0.04 g/(cm s).")
+        float | None, typer.Option("--viscosity", help="Viscosity of blood, for a .csv; 0.04 g/(cm s).")
     ] = None
     velocity_profile_order: Annotated[
         float | None,
@@ -49,7 +49,7 @@ def import_(
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study."), Role.WRITES],
     name: Annotated[
-        str | None, typer.Option("--name", help="Of the study; that of the file if absent.")
+        str | None, typer.Option("--name", help="Name of the study; that of the file if absent.")
     ] = None,
     *,
     table: TableOptions,

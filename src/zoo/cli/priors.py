@@ -32,7 +32,7 @@ def priors(
         Role.WRITES,
     ] = None,
     n_draws: Annotated[int, typer.Option("--n-draws", help="Prior draws to solve.")] = 200,
-    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 1,
     quiet: QuietOption = False,
     *,
     options: StudyOptions,

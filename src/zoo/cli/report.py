@@ -34,12 +34,12 @@ def report(
         str, typer.Option("--models", help="Those to take, with commas.")
     ] = "A,B,C,D,E,F,G,H,I",
     criterion: Annotated[
-        Literal["waic", "loo"], typer.Option("--ic", help="What ranks: waic or loo.")
+        Literal["waic", "loo"], typer.Option("--ic", help="Criterion to rank by: waic or loo.")
     ] = "waic",
     n_draws: Annotated[
         int, typer.Option("--n-draws", help="Draws of each posterior that are scored.")
     ] = 1000,
-    title: Annotated[str, typer.Option("--title", help="Of the page.")] = "Models of blood flow",
+    title: Annotated[str, typer.Option("--title", help="Page title.")] = "Models of blood flow",
     quiet: QuietOption = False,
     *,
     options: StudyOptions,

@@ -42,7 +42,7 @@ def simulate(
     f2: Annotated[float | None, typer.Option("--f2", help="See --f1.")] = None,
     f3: Annotated[float | None, typer.Option("--f3", help="See --f1; alone it is the stiffness.")] = None,
     gamma: Annotated[
-        str | None, typer.Option("--gamma", help="Of the tangent wall: one value, or one per vessel.")
+        str | None, typer.Option("--gamma", help="Shape of the tangent wall: one value, or one per vessel.")
     ] = None,
     psi1: Annotated[str, typer.Option("--psi1", help="Factor on R1: one value, or one per vessel.")] = "1",
     psi2: Annotated[str, typer.Option("--psi2", help="Factor on R2.")] = "1",

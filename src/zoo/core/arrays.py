@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import reprlib
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -157,3 +158,15 @@ def whole_number(
     if found != math.floor(found) or not low <= found <= high:
         raise error(f"{field} = {shown(value)}: must be {words}; correct it")
     return int(found)
+
+
+class Brief:
+    """A dataclass whose `repr` has the shapes of its arrays, and what else is long cut."""
+
+    def __repr__(self) -> str:
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.repr}  # type: ignore[arg-type]
+        texts = (
+            f"{name}={f'<array {x.shape}>' if isinstance(x, np.ndarray) else shown(x)}"
+            for name, x in values.items()
+        )
+        return f"{type(self).__name__}({', '.join(texts)})"

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.arrays import Brief
+
 Array = NDArray[np.float64]
 
 
@@ -23,8 +25,8 @@ def squared(unit: str) -> str:
     return unit if unit == "1" else f"{unit}2" if unit.isalpha() else f"({unit})2"
 
 
-@dataclass(frozen=True, eq=False)
-class Data:
+@dataclass(frozen=True, eq=False, repr=False)
+class Data(Brief):
     """Series that were measured at the same times; frozen, with read-only arrays.
 
     Parameters

@@ -216,6 +216,13 @@ class Effect:
                 f"effect {self.name}: has no parameters; give at least one EffectParameter, 0 where "
                 "the effect is not there"
             )
+        first = self.parameters[0]
+        for start in first.starts:
+            if start == 0.0 or not first.low <= start <= first.high:
+                raise EffectError(
+                    f"effect {self.name}: parameter {first.name}: start {start:g}: give one between "
+                    f"{first.low:g} and {first.high:g} that is not 0, where there is no effect"
+                )
 
     # functions behind a decorator have no importable name: an effect of a catalogue is pickled by its own
     def __reduce__(self) -> Any:

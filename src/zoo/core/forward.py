@@ -11,6 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from zoo.core.arrays import Brief
 from zoo.core.parameters import Parameter, Prior, unpack
 
 Array = NDArray[np.float64]
@@ -34,8 +35,8 @@ class SolveError(RuntimeError):
         self.kind = kind
 
 
-@dataclass(frozen=True, eq=False)
-class Outputs:
+@dataclass(frozen=True, eq=False, repr=False)
+class Outputs(Brief):
     """What is asked of a solve: series and the times at which they are sampled.
 
     Parameters

@@ -98,3 +98,50 @@ def refuse_unknown(what: str, given: Iterable[str], known: Iterable[str]) -> Non
     for name in given:
         if name not in names:
             raise TypeError(f"{what}: setting {name!r}: {nearest(name, names)}")
+
+
+def listed(names: Iterable[object]) -> str:
+    """Such as "A, B and C"."""
+    words = [str(name) for name in names]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share in percent; "<1 %" for what is little but not nothing, ">99 %" for what is not all.
+
+    Examples
+    --------
+    >>> percent(0.5), percent(0.004), percent(0.9999), percent(0.9857, 1)
+    ('50 %', '<1 %', '>99 %', '98.6 %')
+    """
+    text, step = f"{100 * share:.{digits}f}", 10.0**-digits
+    if float(text) == 0.0:
+        return f"<{step:g} %" if share > 0.0 else "0 %"
+    return f">{100 - step:g} %" if float(text) == 100.0 and share < 1.0 else f"{text} %"
+
+
+def unit_words(unit: str) -> str:
+    """A unit after a number: " mmHg"; nothing for a pure number."""
+    return "" if unit == "1" else f" {unit}"
+
+
+def span(value: float, interval: Sequence[float]) -> str:
+    """An estimate with its interval."""
+    return f"{value:.2g} ({interval[0]:.2g} to {interval[1]:.2g})"
+
+
+def digits(value: float, most: int) -> str:
+    """A number with so many significant digits, in full up to 1e6.
+
+    Examples
+    --------
+    >>> digits(50407.8, 3), digits(0.72253, 3), digits(2.3e7, 3)
+    ('50400', '0.723', '2.3e+07')
+    """
+    text = f"{value:.{most}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text
+
+
+def estimate(mean: float, sd: float, unit: str = "1") -> str:
+    """A mean with its standard deviation and unit; the unit 1 is left out."""
+    return f"{digits(mean, 3)} ± {digits(sd, 2)}{unit_words(unit)}"

@@ -9,24 +9,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from zoo.core.diagnosis.file import ComponentResult, LearnedFunction
-from zoo.plots.style import COLOURS, DOTTED, INK, cells_of, grid_behind, legend_below, new_figure, size_of
-from zoo.plots.subject import leading_sets, percent, set_name
+from zoo.core.words import percent
+from zoo.plots.style import COLOURS, NARROW, cells_of, grid_behind, legend_below, new_figure, size_of
+from zoo.plots.subject import TOLD, leading_sets, set_name
 
 if TYPE_CHECKING:
     from zoo.core.diagnosis import Diagnosis
 
 SHOWN_SETS, SHOWN_FUNCTIONS = 7, 6
 """Sets of causes besides that of none, and panels of learned functions, the most probable."""
-TOLD_LABELS, MOST_WIDE = 40, 44
+TOLD_LABELS, MOST_WIDE = 40, 30
 """Most places that are named along an axis, and most letters of a line of a set's name."""
-ROW, SET_ROW = 0.34, 0.46
+ROW, SET_ROW = 0.28, 0.4
 """Heights of a component and of a set, in inches: names of sets may have three lines."""
 Learned = tuple[ComponentResult, LearnedFunction]
-PROBABILITY_COLOUR, SHARE_COLOUR, PRIOR_COLOUR = COLOURS[0], COLOURS[1], "#9AA5B1"
+PROBABILITY_COLOUR, PRIOR_COLOUR = COLOURS[0], "#9AA5B1"
 
 
 def _draw_bars(axes: Axes, bars: Sequence[tuple[str, float, float]]) -> None:
@@ -56,72 +56,52 @@ def draw_causes(figure: Figure | SubFigure, d: Diagnosis) -> None:
     """The panels of `plot_causes`."""
     file = d.file
     found, sets = file.components, leading_sets(file, SHOWN_SETS)
-    heights, widths = (ROW * max(2, len(found)), SET_ROW * len(sets)), (1.7, 1.0)
-    grid = figure.subplots(2, 2, sharey="row", height_ratios=heights, width_ratios=widths)
-    (top, shares), (bottom, gaps) = grid
+    heights = (ROW * max(2, len(found)), SET_ROW * len(sets))
+    top, bottom = figure.subplots(2, 1, height_ratios=heights)
     _draw_bars(top, [(c.name, c.probability, c.prior_probability) for c in found])
     top.set_title("components that are wrong")
-    for row, c in enumerate(found):
-        span = (100.0 * c.share.low, 100.0 * c.share.high)
-        shares.plot(span, (row, row), color=SHARE_COLOUR, lw=2.0, alpha=0.5, solid_capstyle="butt")
-        shares.plot(100.0 * c.share.mean, row, "o", color=SHARE_COLOUR, ms=5, clip_on=False)
-    low, high = shares.get_xlim()
-    shares.set_xlim(0 if low > -10 else low, max(100, high))
-    shares.set_xlabel("share of the gap's energy (%)")
     _draw_bars(bottom, [(set_name(row), row.probability, math.exp(row.log_prior)) for row in sets])
     bottom.set_title("sets of causes")
     bottom.set_xlabel("probability (%)")
-    for y, one in enumerate(sets):
-        if one.gap_after is not None:
-            gaps.plot(one.gap_after, y, "o", color=SHARE_COLOUR, ms=5, clip_on=False)
-        else:
-            gaps.annotate(
-                "not solved", (0.04, y), xycoords=("axes fraction", "data"), va="center", fontsize=7
-            )
-    unit = "" if file.gap.unit == "1" else f" ({file.gap.unit})"
-    gaps.axvline(file.gap.before, color=INK, lw=1.0, ls=DOTTED)
-    gaps.set_xlim(0, None)
-    gaps.set_xlabel(f"gap left by simulation{unit}")
-    for axes in (shares, gaps):
-        grid_behind(axes)
-        axes.tick_params(left=False, labelleft=False)
     handles = [
         Patch(color=PROBABILITY_COLOUR, label="probability"),
-        Patch(color=PRIOR_COLOUR, label="prior alone"),
-        Line2D([], [], color=INK, lw=1.0, ls=DOTTED, label="gap of the baseline"),
+        Patch(color=PRIOR_COLOUR, label="before the data"),
     ]
-    legend_below(figure, handles, 3)
+    legend_below(figure, handles, 2)
 
 
 def causes_height(d: Diagnosis) -> float:
     """Of the panels of `plot_causes`, in inches."""
-    return 1.9 + ROW * max(2, len(d.file.components)) + SET_ROW * len(leading_sets(d.file, SHOWN_SETS))
+    return 1.6 + ROW * max(2, len(d.file.components)) + SET_ROW * len(leading_sets(d.file, SHOWN_SETS))
 
 
-def plot_causes(d: Diagnosis) -> Figure:
+def plot_causes(d: Diagnosis, *, narrow: bool = False) -> Figure:
     """Probabilities of the components and of the leading sets of causes, each beside its prior.
 
     Parameters
     ----------
     d : Diagnosis
+    narrow : bool
+        For a narrow screen.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Above, the components with their shares of the gap's energy and 95 % intervals; below, the sets and
-        that of no cause, with the gap that the simulator leaves at their modes.
+        Above, the components; below, the sets and that of no cause.
     """
-    with new_figure((8.4, causes_height(d))) as figure:
+    with new_figure((NARROW if narrow else 8.4, causes_height(d))) as figure:
         draw_causes(figure, d)
     return figure
 
 
-def plot_sensitivity(d: Diagnosis) -> Figure:
+def plot_sensitivity(d: Diagnosis, *, narrow: bool = False) -> Figure:
     """Probability of no cause, and that each component is wrong, under each prior.
 
     Parameters
     ----------
     d : Diagnosis
+    narrow : bool
+        For a narrow screen.
 
     Returns
     -------
@@ -132,7 +112,8 @@ def plot_sensitivity(d: Diagnosis) -> Figure:
     names = ["no cause", *(c.name for c in d.file.components)]
     rows = np.arange(len(names))
     offsets = np.linspace(-0.36, 0.36, len(others))
-    with new_figure((8.4, 1.5 + 0.5 * len(names))) as figure:
+    size = (NARROW, 3.2 + 0.4 * len(names)) if narrow else (8.4, 1.5 + 0.4 * len(names))
+    with new_figure(size) as figure:
         axes = figure.subplots()
         for k, one in enumerate((stated, *others)):
             values = [100.0 * x for x in (one.nothing, *(one.components[name] for name in names[1:]))]
@@ -148,17 +129,19 @@ def plot_sensitivity(d: Diagnosis) -> Figure:
         axes.set_xlim(0, 100)
         axes.set_xlabel("probability that the component is wrong (%)")
         grid_behind(axes)
-        legend_below(figure, axes.get_legend_handles_labels()[0], 3)
+        legend_below(figure, axes.get_legend_handles_labels()[0], 1 if narrow else 3)
     return figure
 
 
-def plot_functions(d: Diagnosis) -> Figure:
+def plot_functions(d: Diagnosis, *, narrow: bool = False) -> Figure:
     """What was learned of components: the most probable functions with their 95 % bands and their priors'.
 
     Parameters
     ----------
     d : Diagnosis
         With learned functions.
+    narrow : bool
+        For a narrow screen.
 
     Returns
     -------
@@ -166,9 +149,9 @@ def plot_functions(d: Diagnosis) -> Figure:
         A panel for each function, at most `SHOWN_FUNCTIONS`; the grey strip is 1.96 standard deviations of
         the prior, and 0 is the baseline.
     """
-    shown = learned_functions(d)[:SHOWN_FUNCTIONS]
-    with new_figure(size_of(len(shown), 2, 4.3, 2.7, more=0.4)) as figure:
-        draw_functions(figure, shown, 2)
+    shown, abreast = learned_functions(d, TOLD)[:SHOWN_FUNCTIONS], 1 if narrow else 2
+    with new_figure(size_of(len(shown), abreast, NARROW, 2.7, more=0.4)) as figure:
+        draw_functions(figure, shown, abreast)
     return figure
 
 
@@ -207,7 +190,7 @@ def _draw_function(axes: Axes, component: ComponentResult, f: LearnedFunction) -
         axes.plot(x, mean[order], color=PROBABILITY_COLOUR, lw=1.4)
         axes.set_xlabel(_labelled(argument, unit))
     axes.set_ylabel(_labelled(f.name.replace("-", " "), f.unit), fontsize="small")
-    axes.set_title(f"{component.name}: this function {percent(f.probability)}")
+    axes.set_title(f"{component.name}: probability {percent(f.probability)}")
 
 
 def _labelled(text: str, unit: str) -> str:

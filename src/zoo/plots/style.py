@@ -81,6 +81,8 @@ MODEL_STYLES: dict[str, tuple[str, Any]] = {
     "I": ("#5B3A8E", SOLID),
 }
 """Each model's own colour, the same in every figure, and its line: dashes for independent errors."""
+NARROW = 4.2
+"""Width in inches of a figure for a narrow screen, one panel below the other."""
 FAR = 50.0
 """A value that is so many times the one before it lies beyond the axis of those before it."""
 

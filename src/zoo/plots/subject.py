@@ -8,7 +8,7 @@ from zoo.core.diagnosis import DiagnosisFile
 from zoo.core.diagnosis.file import LocationShare, SetResult
 from zoo.core.effects import Location
 
-TOLD = 0.005
+TOLD = 0.01
 """Least probability or share that is told."""
 
 
@@ -31,14 +31,3 @@ def leading_sets(file: DiagnosisFile, most: int) -> list[SetResult]:
 def set_name(row: SetResult) -> str:
     """Its causes, or that there is none."""
     return " + ".join(row.causes) or "no cause"
-
-
-def percent(share: float) -> str:
-    """A share in percent; "<1 %" for what is little but not nothing."""
-    text = f"{100 * share:.0f}".replace("-0", "0")
-    return f"{'<1' if text == '0' and share > 0 else text} %"
-
-
-def unit_words(unit: str) -> str:
-    """A unit after a number: " mmHg"; nothing for a pure number."""
-    return "" if unit == "1" else f" {unit}"

@@ -43,11 +43,12 @@ def write_page(path: Path, template: str, **values: Any) -> Path:
 
 
 class Picture(NamedTuple):
-    """A figure inside the page, with its size in CSS pixels."""
+    """A figure inside the page, with its size in CSS pixels, and the same for a narrow screen."""
 
     source: str
     width: int
     height: int
+    narrow: str = ""
 
 
 def picture_of(figure: Any) -> Picture:

@@ -16,21 +16,23 @@ from zoo.core.diagnosis.file import (
     LocationShare,
     SetResult,
 )
-from zoo.plots.subject import TOLD, leading_sets, location_of, percent, set_name, unit_words
+from zoo.core.words import estimate, listed, percent, span, unit_words
+from zoo.plots.subject import TOLD, leading_sets, location_of, set_name
 from zoo.report.parameters import MEANINGS
-from zoo.report.words import estimate, listed, span, spanned, with_error
+from zoo.report.words import spanned, with_error
 
 SHOWN_SETS, SHOWN_PLACES = 12, 3
 """Sets of causes, and places of an effect, that are told."""
 
 
 class Table(NamedTuple):
-    """Cells in words; columns whose heads are among `numbers` stand at the right."""
+    """Cells in words; columns whose heads are among `numbers` stand at the right; last rows are folded."""
 
     name: str
     heads: tuple[str, ...]
     numbers: tuple[str, ...]
     rows: list[list[str]]
+    folded: int = 0
 
     def only(self, *heads: str, first: int | None = None) -> Table:
         """Some of the columns of the first rows."""
@@ -42,6 +44,11 @@ def _in(unit: str) -> str:
     return "" if unit == "1" else f" ({unit})"
 
 
+def _unlikely(rows: Sequence[CauseResult | ComponentResult]) -> int:
+    """How many of them have a probability below 1 %."""
+    return sum(one.probability < TOLD for one in rows)
+
+
 def _prior(p: float) -> str:
     """In percent with two digits, since a prior may be small."""
     return f"{100 * p:.2g} %"
@@ -50,7 +57,7 @@ def _prior(p: float) -> str:
 def sets_table(file: DiagnosisFile, most: int = SHOWN_SETS) -> Table:
     """The leading sets of causes, and that of none."""
     zero = next(row.log_evidence for row in file.sets if not row.causes)
-    left = f"gap left{_in(file.gap.unit)}"
+    left = f"residual{_in(file.gap.unit)}"
 
     def cells(row: SetResult) -> list[str]:
         error = "" if row.solved else f" ± {row.log_evidence_error:.1f}"
@@ -88,12 +95,13 @@ def components_table(file: DiagnosisFile) -> Table:
             percent(c.group_probability) if c.confounded else "",
         ]
 
-    numbers = ("probability", "prior alone", "other priors", "share of the gap", "any of them")
+    numbers = ("probability", "before the data", "other priors", "share of the error", "any of them")
     return Table(
         "components of the simulator",
-        ("component", *numbers[:4], "cannot be told from", numbers[4]),
+        ("component", *numbers[:4], "confounded with", numbers[4]),
         numbers,
         [cells(c) for c in file.components],
+        _unlikely(file.components),
     )
 
 
@@ -114,9 +122,10 @@ def causes_table(file: DiagnosisFile) -> Table:
 
     return Table(
         "effects and free functions",
-        ("cause", "component", "probability", "prior alone", "size", "place", "is"),
-        ("probability", "prior alone"),
+        ("cause", "component", "probability", "before the data", "size", "place", "is"),
+        ("probability", "before the data"),
         [cells(c) for c in file.causes],
+        _unlikely(file.causes),
     )
 
 
@@ -136,13 +145,11 @@ def functions_table(file: DiagnosisFile) -> Table:
     """Each learned function where it is largest."""
 
     def cells(component: str, f: LearnedFunction) -> list[str]:
-        i = max(range(len(f.mean)), key=lambda k: abs(f.mean[k]))
         return [
             f.name.replace("-", " "),
             component,
             percent(f.probability),
-            f.labels[i] if f.labels else f"{f.values[i]:.3g}{unit_words(f.argument_unit)}",
-            f"{span(f.mean[i], (f.low[i], f.high[i]))}{unit_words(f.unit)}",
+            *f.largest,
             f"{f.prior_size:.2g}{unit_words(f.unit)}",
         ]
 
@@ -150,7 +157,7 @@ def functions_table(file: DiagnosisFile) -> Table:
         "learned functions",
         ("function", "component", "probability", "largest at", "value", "prior size"),
         ("probability", "value", "prior size"),
-        [cells(c.name, f) for c in file.components for f in c.functions],
+        [cells(c.name, f) for c in file.components for f in c.functions if f.probability >= TOLD],
     )
 
 
@@ -167,10 +174,10 @@ def sensitivity_table(file: DiagnosisFile) -> Table:
 
 
 def series_table(file: DiagnosisFile) -> Table:
-    """The gap in each observed series."""
-    numbers = ("gap before", "gap after", "removed", "noise", "residual before", "residual after")
+    """The model error in each observed series."""
+    numbers = ("error before", "error after", "removed", "noise", "residual before", "residual after")
     return Table(
-        "gap in each series",
+        "model error in each series",
         ("series", "unit", *numbers),
         numbers,
         [
@@ -218,7 +225,7 @@ def parameters_table(file: DiagnosisFile) -> Table:
         rows.append(
             [
                 name,
-                *MEANINGS.get(name, ("", "–")),
+                *MEANINGS.get(name, file.labels.get(name, ("", "–"))),
                 estimate(before[name], sd),
                 estimate(after[name], after[f"{name} sd"]),
                 f"{shift:+.3g}",

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-
-def listed(names: Iterable[Any]) -> str:
-    """Such as "A, B and C"."""
-    words = [str(name) for name in names]
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+from zoo.core.words import span
 
 
 def with_error(value: float | None, error: float | None) -> str:
@@ -19,19 +15,9 @@ def with_error(value: float | None, error: float | None) -> str:
     return f"{value:.1f}" if error is None else f"{value:.1f} ± {error:.1f}"
 
 
-def span(value: float, interval: Sequence[float]) -> str:
-    """An estimate with its interval."""
-    return f"{value:.2g} ({interval[0]:.2g} to {interval[1]:.2g})"
-
-
 def spanned(x: Any) -> str:
     """The same of what has a mean, a low and a high end."""
     return span(x.mean, (x.low, x.high))
-
-
-def estimate(mean: float, sd: float, unit: str = "1") -> str:
-    """A mean with its standard deviation and unit; the unit 1 is left out."""
-    return f"{mean:.3g} ± {sd:.2g} {unit}".removesuffix(" 1")
 
 
 def number(value: float) -> str:

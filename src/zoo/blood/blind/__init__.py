@@ -226,6 +226,7 @@ class StudyDiagnosis:
             priors=self.priors,
             cores=1,
             seed=self.seed,
+            progress=False,
         )
         found.save(answer)
         return as_answer(found)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from zoo.core.arrays import Brief
 from zoo.core.words import OneLineError
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ def read_only(values: ArrayLike, dtype: Any = np.float64) -> Any:
     return array
 
 
-class ReadOnlyArrays:
+class ReadOnlyArrays(Brief):
     """Pickles of frozen dataclasses come back with their arrays read-only."""
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -172,7 +173,7 @@ class Blood:
         return given if alpha == 1 else {**given, "momentum_correction": alpha}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Series(ReadOnlyArrays):
     """One observed quantity at one place over the beat.
 

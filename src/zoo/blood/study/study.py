@@ -18,7 +18,7 @@ JUNCTION_PRESSURES = ("static", "total")
 PRESSURES = ("external_pressure_mmHg", "outflow_pressure_mmHg", "radius_pressure_mmHg")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Study(ReadOnlyArrays):
     """A vessel tree, its inflow and its observations; frozen, with read-only arrays.
 

@@ -1,10 +1,10 @@
-"""The answer of a diagnosis as sums over the posterior of sets of causes, and in words."""
+"""The answer of a diagnosis as sums over the posterior of sets of causes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,8 @@ from zoo.core.causes.posterior import CausePosterior
 from zoo.core.causes.problem import Problem
 from zoo.core.causes.reference import Reference
 from zoo.core.causes.sets import ODDS
-from zoo.core.components import FreeFunction
-from zoo.core.diagnosis.bounds import Excluded, at_bounds
+from zoo.core.diagnosis.bounds import Excluded
+from zoo.core.diagnosis.cautions import cautions, lifted_bounds, undecided
 from zoo.core.diagnosis.draws import (
     CauseDraws,
     Discrepancy,
@@ -46,6 +46,7 @@ from zoo.core.diagnosis.heldout import hold_out
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.sets import CauseSets
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Which
+from zoo.core.diagnosis.wording import worded
 from zoo.core.effects import EffectParameter, Location
 from zoo.core.forward import Outputs
 
@@ -61,40 +62,6 @@ CONFOUNDED = 3.0
 """Log evidence that a cause may lose in place of another, on data that this predicts, to be confounded."""
 MAX_HARMONIC = 10
 """Harmonics whose shares are told one by one."""
-POOR_FIT = 0.2
-"""Residual over the data's range above which input is suspected: four prior sds of the unexplained."""
-STUCK = 0.5
-"""Part of the series' variance that a best fit should explain at least."""
-STEADY = 1e-6
-"""Rms difference of two solves at the same parameters, in parts of the range, up to which they are one."""
-OUTLIER = 8.0
-"""Residual of a sample in robust standard deviations from which on it is named as an outlier."""
-NEIGHBOURS, ROBUST = 3, 1.4826
-"""Samples on either side whose median it is compared with, and sds over the median of absolute values."""
-WRONG_NOISE = 2.0
-"""Factor between the noise that is stated and the fine scatter of the series above which that is said."""
-SAME_NOISE, LEAST_FINE = 0.95, 8
-"""Correlation of two series' fine scatter above which they are copies, and coefficients that tell it."""
-WRONG = 3.0
-"""Log evidence that the linear model may be wrong by, and other sets be given too much, unsaid."""
-MISSED = 0.05
-"""Probability that may be missed up to which it is not said."""
-RIVAL = 0.1
-"""Probability of a component from which on the verdict names it, though another one is more probable."""
-FAILING = 0.05
-"""Part of the solves that fail from which on it is said."""
-IMPLAUSIBLE = 2.5
-"""Rms of a learned function, in its prior's scale, above which it is said that it can hardly be."""
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """A diagnosis' file, the discrepancies of baseline and leading set, and the draws they are made of."""
-
-    file: DiagnosisFile
-    before: Discrepancy
-    after: Discrepancy
-    draws: CauseDraws
 
 
 def table_of(found: CauseSets, about: int) -> tuple[list[SetResult], dict[Which, float]]:
@@ -107,7 +74,8 @@ def table_of(found: CauseSets, about: int) -> tuple[list[SetResult], dict[Which,
         Index of the group whose gap is told.
     """
     posterior = found.posterior
-    kept = {w: p for w, p in posterior.probability.items() if p >= LEAST or not w}
+    told = ((), found.leader)  # however improbable
+    kept = {w: p for w, p in posterior.probability.items() if p >= LEAST or w in told}
     total, rows = sum(kept.values()), []
     unit = found.search.fitting.data.unit(found.search.family.groups[about])
     for which, p in kept.items():
@@ -234,7 +202,8 @@ def _causes(found: CauseSets, p: dict[Which, float], draws: CauseDraws) -> list[
                 probability=probability,
                 prior_probability=prior[first.component] * share,
                 places=[
-                    one.model_copy(update={"probability": one.probability / probability}) for one in places
+                    one.model_copy(update={"probability": min(1.0, one.probability / probability)})
+                    for one in places
                 ]
                 if probability > TOLD
                 else [],
@@ -395,24 +364,24 @@ def sensitivity(posterior: CausePosterior) -> list[SensitivityRow]:
         "as stated": posterior,
         "odds of causes halved": posterior.under(odds=0.5 * ODDS),
         "odds of causes doubled": posterior.under(odds=2.0 * ODDS),
-        "unexplained half as large": posterior.under(replace(sizes, unexplained=0.5 * sizes.unexplained)),
-        "unexplained twice as large": posterior.under(replace(sizes, unexplained=2.0 * sizes.unexplained)),
-        "odds of the unexplained 1": posterior.under(replace(sizes, odds=1.0)),
+        "unexplained discrepancy half as large": posterior.under(
+            replace(sizes, unexplained=0.5 * sizes.unexplained)
+        ),
+        "unexplained discrepancy twice as large": posterior.under(
+            replace(sizes, unexplained=2.0 * sizes.unexplained)
+        ),
+        "odds of an unexplained discrepancy 1": posterior.under(replace(sizes, odds=1.0)),
         "effects half as large": posterior.under(replace(sizes, effects=0.5)),
         "effects twice as large": posterior.under(replace(sizes, effects=2.0)),
         "functions half as large": posterior.under(replace(sizes, functions=0.5)),
         "functions twice as large": posterior.under(replace(sizes, functions=2.0)),
-        "causes exact": posterior.under(replace(sizes, caricature=0.0)),
-        "causes twice as inexact": posterior.under(replace(sizes, caricature=2.0 * sizes.caricature)),
+        "effects modelled exactly": posterior.under(replace(sizes, caricature=0.0)),
+        "effects modelled half as well": posterior.under(replace(sizes, caricature=2.0 * sizes.caricature)),
     }
     return [
         SensitivityRow(prior=name, nothing=one.probability[()], components=one.components)
         for name, one in under.items()
     ]
-
-
-def _leading(row: SensitivityRow) -> frozenset[str]:
-    return frozenset(name for name, x in row.components.items() if x > 0.5)
 
 
 def next_measurement(found: CauseSets, hooks: Hooks) -> NextMeasurement | None:
@@ -454,208 +423,9 @@ def next_measurement(found: CauseSets, hooks: Hooks) -> NextMeasurement | None:
     return NextMeasurement(
         separates=(found.name(found.leader), found.name(rival)),
         expected_log_odds=float(gain[i]),
+        text=candidates[i].text,
         **dict(candidates[i].words),
     )
-
-
-def _verdict(file: DiagnosisFile, leader: Sequence[str]) -> str:
-    gap, unit = file.gap, "" if file.gap.unit == "1" else f" {file.gap.unit}"
-    wrong = [c for c in file.components if c.probability > 0.5]
-    nothing = next(row.probability for row in file.sets if not row.causes)
-    if not wrong and nothing > 0.5:
-        if file.no_gap > 0.5:
-            return f"no gap ({file.no_gap:.0%}): noise of {gap.noise_floor:.3g}{unit} explains what is left"
-        return (
-            f"none of the listed effects or components ({nothing:.0%}): a discrepancy of "
-            f"{gap.before:.2g}{unit} that nothing here explains"
-        )
-    named = ", ".join(f"{c.name} {c.probability:.0%}" for c in wrong)
-    held = [row for row in file.sets if row.causes]
-    best = next((row for row in held if row.solved), held[0])  # the leading set, where one leads
-    by = " and ".join(best.causes)
-    after = gap.after if leader or best.gap_after is None else best.gap_after
-    left = f"{by} ({best.probability:.0%}) takes the gap of {gap.before:.2g}{unit} to {after:.2g}{unit}"
-    if not wrong:
-        others = ", ".join(f"{c.name} {c.probability:.0%}" for c in file.components[:3])
-        return f"these data do not decide (nothing {nothing:.0%}; {others}): most probable is that {left}"
-    groups = "; ".join(
-        f"{c.name} cannot be told from {' or '.join(c.confounded)} (any of them {c.group_probability:.0%})"
-        for c in wrong
-        if c.confounded
-    )
-    near = [c for c in file.components if RIVAL < c.probability <= 0.5]
-    rivals = ", ".join(f"{c.name} {c.probability:.0%}" for c in near)
-    told = [f"wrong is {named}: {left}", groups, rivals and f"it may also be {rivals}"]
-    return "; ".join(filter(None, told))
-
-
-def _not_decided(file: DiagnosisFile, most: int) -> list[str]:
-    """What the answer depends on, first and aloud."""
-    told = []
-    stated, *others = file.sensitivity
-    moved = [row.prior for row in others if _leading(row) != _leading(stated)]
-    if moved:
-        told.append(f"the answer depends on the prior: it is another with {', '.join(moved)}")
-    if len(file.number) > most and file.number[most] > 0.5:
-        told.append(
-            f"{most} components are said to be wrong, the most that may be: no set of causes is right at "
-            "this noise, and the least wrong one is picked; do not believe it"
-        )
-    if file.linear_error > WRONG and file.missed > MISSED:
-        told.append(
-            f"sets that were not solved may be better or worse than stated by {file.linear_error:.0f} in log "
-            f"evidence: {file.missed:.0%} of the probability may be missed"
-        )
-    return told
-
-
-def _warnings(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: Hooks) -> list[str]:
-    """What should be looked at before the answer is believed."""
-    data, told = found.search.fitting.data, list[str]()
-    rows, gap = hooks.rows(data), file.gap
-    unit = "" if gap.unit == "1" else f" {gap.unit}"
-    spread = float(max(np.ptp(data.values[i]) for i in rows))
-    if gap.residual_rms_before > POOR_FIT * spread:
-        told.append(
-            f"the baseline misses the data by {gap.residual_rms_before:.2g}{unit}, "
-            f"{gap.residual_rms_before / spread:.0%} of their range: {hooks.advice}"
-        )
-    for i, label in enumerate(data.labels):
-        explained = 1.0 - float(np.var(before.residual[i]) / np.var(data.values[i]))
-        if explained < STUCK:
-            told.append(
-                f"{label}: the best fit of the baseline explains {max(explained, 0.0):.0%} of its variance, "
-                "hardly more than a constant would: it may not have been found; give priors nearer to it"
-            )
-    told += [one.text for _, one in at_bounds(found.search.fitting.forward, found.search.base.u)]
-    for name in found.search.idle:
-        told.append(
-            f"effect {name}: none of its starts changes any sample: the simulator does not read what it sets"
-        )
-    told += _solves(found, hooks) + _outliers(found) + _noise(found)
-    if not found.leader:
-        return told
-    leader = found.solved[found.leader]
-    stuck = {p.name for p, _ in at_bounds(found.search.fitting.forward, found.search.base.u)}
-    n = leader.n_listed
-    for p, one in at_bounds(leader.forward, leader.point.u):
-        index = [q.name for q in leader.forward.parameters].index(p.name)
-        if p.name not in stuck and index < n:
-            told.append(f"with {found.name(found.leader)}, {one.text}")
-    for c in file.components:
-        for f in c.functions[:1] if c.probability > 0.5 else ():
-            told += _implausible(found, f, hooks)
-    return told
-
-
-def _implausible(found: CauseSets, learned: LearnedFunction, hooks: Hooks) -> list[str]:
-    function = next(
-        o.function for o in found.search.origins if o.function and o.function.name == learned.name
-    )
-    assert function is not None
-    good, why = (hooks.plausible or expected)(function, np.asarray(learned.mean))
-    return [] if good else [f"{function.component}: what was learned can hardly be: {why}"]
-
-
-def expected(function: FreeFunction, values: Array) -> tuple[bool, str]:
-    """Whether the values of a function are of the size that its prior expects, and a sentence about it."""
-    rms, unit = _rms(values), "" if function.unit == "1" else f" {function.unit}"
-    why = f" ({function.why})" if function.why else ""
-    text = (
-        f"{function.name} would have an rms of {rms:.2g}{unit}, {rms / function.size:.1f} times the "
-        f"{function.size:.2g}{unit} that is expected{why}"
-    )
-    return rms <= IMPLAUSIBLE * function.size, text
-
-
-def _solves(found: CauseSets, hooks: Hooks) -> list[str]:
-    """That the simulator is not the same each time, or fails often."""
-    fitting, told = found.search.fitting, []
-    if found.search.unsteady > STEADY:
-        told.append(
-            f"two solves of {fitting.baseline.name} at the same parameters differ by "
-            f"{found.search.unsteady:.2g} of the range: probabilities and sizes here cannot be believed; fix "
-            "its random numbers"
-        )
-    if fitting.failures > FAILING * fitting.solves:
-        told.append(
-            f"{fitting.failures} of {fitting.solves} solves failed ({fitting.last_failure}): what lies there "
-            f"counts as impossible, which may cut a cause off; {hooks.advice}"
-        )
-    return told
-
-
-def _outliers(found: CauseSets) -> list[str]:
-    """Samples far from their neighbours in what the leading set leaves."""
-    data, told = found.search.fitting.data, []
-    left = found.search.family.errors.unflat(found.search.data - found.solved[found.leader].point.computed)
-    for label, series, values in zip(data.labels, left, data.values, strict=True):
-        k = NEIGHBOURS
-        around = np.pad(series, k, mode="reflect" if data.period is None else "wrap")
-        odd = series - np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * k + 1), axis=1)
-        steps = np.abs(np.diff(around))
-        scale = ROBUST / math.sqrt(2.0) * float(np.median(steps)) + 1e-12 * float(np.ptp(values))
-        at = np.flatnonzero(np.abs(odd) > OUTLIER * scale)
-        if 0 < len(at) < 0.1 * len(series):
-            told.append(
-                f"{label}: samples {', '.join(map(str, at[:10]))} stand out from their "
-                "neighbours: if they are outliers, correct them; they count here as all others do"
-            )
-    return told
-
-
-def _noise(found: CauseSets) -> list[str]:
-    """That a stated noise does not fit the fine scatter of the data, or that two series share theirs."""
-    fitting, told = found.search.fitting, list[str]()
-    data, errors = fitting.data, fitting.errors
-    residual = found.search.data - found.search.base.computed
-    for group, rows in data.rows.items():
-        fine, unit = errors.fine(residual, group), data.unit(group)
-        if fine.shape[1] < LEAST_FINE:
-            continue
-        known, scatter = errors.known.get(group), float(np.sqrt(np.mean(fine**2)))
-        if known is not None and not known / WRONG_NOISE < scatter < known * WRONG_NOISE:
-            told.append(
-                f"noise_sd of {group} is {known:.3g} {unit}, but its series scatter by {scatter:.3g} {unit} "
-                "from sample to sample: correct it, or leave it out and it is fitted; all probabilities "
-                "here hold for that noise alone"
-            )
-        waves = np.fft.rfft(errors.unflat(residual)[rows])[:, -fine.shape[1] // 2 :]
-        for i in range(len(rows)):
-            for j in range(i + 1, len(rows)):
-                size = float(np.linalg.norm(waves[i]) * np.linalg.norm(waves[j]))
-                if size > 0 and float(np.vdot(waves[i], waves[j]).real) > SAME_NOISE * size:
-                    told.append(
-                        f"{data.labels[rows[i]]} and {data.labels[rows[j]]} have the same noise, as "
-                        "copies of one record have: leave one out, for what they share looks like an effect"
-                    )
-    return told
-
-
-def _beyond(excluded: Excluded | None, gap: Gap) -> str:
-    """The beginning of a verdict: what the baseline's prior excludes comes before any effect."""
-    if excluded is None:
-        return ""
-    where = " and ".join(
-        f"{one.place} ({value:.3g} fits best)"
-        for one, value in zip(excluded.bounds, excluded.values, strict=True)
-    )
-    unit = "" if gap.unit == "1" else f" {gap.unit}"
-    them = "it" if len(excluded.bounds) == 1 else "them"
-    return (
-        f"the baseline's prior excludes what fits best: {where}; with {them} free the gap is "
-        f"{gap.before:.2g}{unit}, and then: "
-    )
-
-
-def _lifted(excluded: Excluded | None, hooks: Hooks) -> list[str]:
-    if excluded is None:
-        return []
-    return [
-        f"{one.text} in other commands too; here causes are weighed with it free; if {value:.3g} "
-        f"cannot be, {hooks.advice}"
-        for one, value in zip(excluded.bounds, excluded.values, strict=True)
-    ]
 
 
 def _excluded(excluded: Excluded | None, found: CauseSets, rows: list[int], unit: str) -> ExcludedFit | None:
@@ -696,7 +466,7 @@ def _parameters(found: CauseSets, draws: CauseDraws) -> dict[str, dict[str, floa
 
 def answer(
     found: CauseSets, hooks: Hooks, seed: int, record: dict[str, Any], excluded: Excluded | None = None
-) -> Answer:
+) -> tuple[DiagnosisFile, Discrepancy, Discrepancy, CauseDraws]:
     """The content of diagnosis.json, and the discrepancies and draws behind it.
 
     Parameters
@@ -712,7 +482,10 @@ def answer(
 
     Returns
     -------
-    Answer
+    file : DiagnosisFile
+    before, after : Discrepancy
+        Of the baseline, and of the leading set.
+    draws : CauseDraws
     """
     data = found.search.fitting.data
     rows = hooks.rows(data)
@@ -720,23 +493,19 @@ def answer(
     draws = draw_causes(found, seed)
     before, after = discrepancies(draws)
     sets, p = table_of(found, found.search.family.groups.index(group))
-    number = np.zeros(1 + max(len(which) for which in p))
-    for which, x in p.items():
-        number[len(which)] += x
-    gap = _gap(found, before, after, rows)
-    leader = next(row for row in sets if row.solved)
+    number = [math.fsum(x for which, x in p.items() if len(which) == k) for k in range(1 + max(map(len, p)))]
     file = DiagnosisFile(
         study=data.name,
         study_checksum=data.checksum,
         base=found.search.fitting.baseline.name,
         verdict="",
         decided=True,
-        cause=leader.causes,
+        cause=[found.posterior.causes[i].label for i in found.leader],
         excluded=_excluded(excluded, found, rows, data.units[rows[0]]),
-        gap=gap,
+        gap=_gap(found, before, after, rows),
         where=_where(found, p, before, hooks),
         no_gap=p[()] * (next(row.negligible for row in sets if not row.causes) or 0.0),
-        number=number.tolist(),
+        number=number,
         sets=sets,
         missed=found.missed,
         linear_error=found.linear_error,
@@ -746,10 +515,18 @@ def answer(
         failed=list(found.search.failed),
         next_measurement=next_measurement(found, hooks),
         base_parameters=_parameters(found, draws),
+        labels={
+            p.name: (hooks.labels.get(p.name, p.name), p.unit)
+            for p in found.search.fitting.forward.parameters
+        },
         record=record | {"noise": found.noise},
     )
-    doubts = _not_decided(file, found.posterior.priors.most)
-    warnings = [*hooks.warnings, *_lifted(excluded, hooks), *doubts, *_warnings(found, file, before, hooks)]
-    verdict = _beyond(excluded, gap) + _verdict(file, leader.causes)
-    update = {"verdict": verdict, "decided": not doubts, "warnings": warnings}
-    return Answer(file.model_copy(update=update), before, after, draws)
+    doubts = undecided(file, found.posterior.priors.most)
+    warnings = [
+        *hooks.warnings,
+        *lifted_bounds(excluded, hooks),
+        *doubts,
+        *cautions(found, file, before, hooks),
+    ]
+    file = file.model_copy(update={"decided": not doubts, "warnings": warnings})
+    return worded(file), before, after, draws

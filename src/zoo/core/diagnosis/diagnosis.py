@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -15,10 +16,10 @@ from numpy.typing import NDArray
 
 from zoo.core import digests
 from zoo.core.data import Data
-from zoo.core.diagnosis.answer import Answer, answer
+from zoo.core.diagnosis.answer import answer
 from zoo.core.diagnosis.bounds import Excluded, freed
 from zoo.core.diagnosis.check import check_sets
-from zoo.core.diagnosis.draws import CauseDraws, Discrepancy
+from zoo.core.diagnosis.draws import CauseDraws, Discrepancy, interval_of
 from zoo.core.diagnosis.file import (
     CauseResult,
     ComponentResult,
@@ -29,33 +30,47 @@ from zoo.core.diagnosis.file import (
 )
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
+from zoo.core.diagnosis.preflight import preflight
 from zoo.core.diagnosis.search import SearchError
 from zoo.core.diagnosis.sets import CauseSearch, CauseSets
+from zoo.core.diagnosis.solve_store import SolveStore, StoredModel
 from zoo.core.diagnosis.states import OtherState, StateResult, hold_in, same_system, state_warning
+from zoo.core.diagnosis.wording import worded
 from zoo.core.effects import Effect, EffectError
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.spectral import Spectral, spectral_errors
-from zoo.core.forward import ForwardModel, SolveError, WithPriors
+from zoo.core.forward import ForwardModel, Outputs, SolveError, WithPriors
+from zoo.core.inference.progress import Display
 from zoo.core.inference.record import versions
 from zoo.core.outputs import output_folder, write_file
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from zoo.core.diagnosis.posteriors import SampledExplanations
 
 Array = NDArray[np.float64]
+ROW = re.compile(r"\[\n[^\[\]{}]*\]|\[\n *\[[\d,\s]*\],[^\[\]{}]*\]")
+"""A list of numbers, or a row of the table of sets, over many lines of JSON."""
+EVERY_S = 5.0
+"""Seconds between lines on the progress where there is no terminal."""
 SAME_TIMES = 1e-3
 """Difference of times, in parts of the record, up to which they are the same."""
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What `diagnose` found; `file` is the content of diagnosis.json.
+    """What `diagnose` found.
 
     Attributes
     ----------
     data : Data
-    answer : Answer
-        The file with the discrepancies of baseline and leading set, and draws from the posterior.
+    file : DiagnosisFile
+        The content of diagnosis.json.
+    before, after : Discrepancy
+        What is true beyond the baseline, and beyond the leading set of causes.
+    draws : CauseDraws
+        Draws from the posterior, with the sets' probabilities as weights.
     sets : CauseSets
         The posterior over sets of causes, and the sets that were solved.
     sampled : SampledExplanations or None
@@ -70,38 +85,24 @@ class Diagnosis:
     """Draws a diagnosis; figures are not of this package."""
 
     data: Data
-    answer: Answer = field(repr=False)
+    file: DiagnosisFile = field(repr=False)
+    before: Discrepancy = field(repr=False)
+    after: Discrepancy = field(repr=False)
+    draws: CauseDraws = field(repr=False)
     sets: CauseSets = field(repr=False)
     sampled: SampledExplanations | None = field(default=None, repr=False)
     hooks: Hooks = field(default_factory=Hooks, repr=False)
     states: tuple[StateResult, ...] = field(default=(), repr=False)
 
     def __repr__(self) -> str:
-        return f"<Diagnosis of {self.data.name!r}, baseline {self.file.base}: {self.file.verdict}>"
+        return str(self.file)
 
-    @property
-    def file(self) -> DiagnosisFile:
-        """Content of diagnosis.json."""
-        return self.answer.file
+    def _repr_html_(self) -> str:
+        return self.file._repr_html_()
 
     def with_file(self, **changes: Any) -> Self:
-        """The same with some fields of the file changed."""
-        return replace(self, answer=replace(self.answer, file=self.file.model_copy(update=changes)))
-
-    @property
-    def before(self) -> Discrepancy:
-        """What is true beyond the baseline."""
-        return self.answer.before
-
-    @property
-    def after(self) -> Discrepancy:
-        """What is true beyond the leading set of causes."""
-        return self.answer.after
-
-    @property
-    def draws(self) -> CauseDraws:
-        """Draws from the posterior, with the sets' probabilities as weights."""
-        return self.answer.draws
+        """The same with some fields of the file changed, and its answer in words again."""
+        return replace(self, file=worded(self.file.model_copy(update=changes)))
 
     @property
     def computed(self) -> tuple[Array, Array]:
@@ -144,6 +145,57 @@ class Diagnosis:
         if Diagnosis.plotter is None:
             raise DiagnosisError("no figures here: call zoo.plots.plot_diagnosis(d)")
         return Diagnosis.plotter(self)
+
+    def predict(self, outputs: Outputs | None = None, *, draws: int = 100, seed: int = 1) -> pd.DataFrame:
+        """Predict the true series over all solved sets of causes, where measured or elsewhere.
+
+        Parameters
+        ----------
+        outputs : Outputs, optional
+            Other series or times, solved at draws from the posterior. If absent those that were measured,
+            with the discrepancy that no cause explains, from the linear model around each set.
+        draws : int
+            Solves, where outputs are given.
+        seed : int
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns series, time, mean, low and high, the ends of the 95 % interval; noise is not included.
+
+        Raises
+        ------
+        DiagnosisError
+            If no solve succeeds.
+        """
+        import pandas as pd
+
+        sets = self.draws.sets
+        if outputs is None:
+            series = self.sets.search.family.errors.unflat(
+                np.concatenate([one.computed + one.left for one in sets])
+            )
+            weights = np.concatenate([one.weights for one in sets])
+            labels, times = self.data.labels, self.data.times
+        else:
+            rng, solved = np.random.default_rng(seed), []
+            for k in rng.choice(len(sets), draws, p=[one.weight for one in sets]):
+                u = sets[k].values(slice(None))[rng.integers(len(sets[k].x))]
+                if (one := sets[k].solved.forward.series(u, outputs)) is not None:
+                    solved.append(one)
+            if not solved:
+                raise DiagnosisError(f"outputs = {outputs.series}: no solve succeeds; ask for other series")
+            series, weights = np.array(solved), np.ones(len(solved))
+            labels, times = tuple(map(str, outputs.series)), outputs.times
+        bands = {
+            (label, time): interval_of(series[:, i, j], weights)
+            for i, label in enumerate(labels)
+            for j, time in enumerate(times.tolist())
+        }
+        return pd.DataFrame(
+            [(*at, band.mean, band.low, band.high) for at, band in bands.items()],
+            columns=["series", "time", "mean", "low", "high"],
+        )
 
     def with_posteriors(
         self,
@@ -201,7 +253,8 @@ class Diagnosis:
         """Write diagnosis.json, with the digest of its content, into a folder; returns its path."""
         folder = output_folder(folder, ["diagnosis.json"], deep=True)
         folder.mkdir(parents=True, exist_ok=True)
-        return write_file(folder / "diagnosis.json", digests.to_text(json.loads(self.file.model_dump_json())))
+        text = digests.to_text(json.loads(self.file.model_dump_json()))
+        return write_file(folder / "diagnosis.json", ROW.sub(lambda m: " ".join(m[0].split()), text))
 
 
 def _checked(
@@ -261,10 +314,10 @@ def _same_outputs(data: Data, model: ForwardModel) -> None:
 def _in_states(
     found: Diagnosis,
     states: Sequence[OtherState],
-    freed_model: ForwardModel | None,
+    store: SolveStore,
     cores: int,
     seed: int,
-    tick: Callable[[str, float], None] | None,
+    tick: Callable[[str, float], None],
 ) -> Diagnosis:
     """With what it leaves in other states; bounds that were lifted are lifted there too.
 
@@ -272,10 +325,12 @@ def _in_states(
     """
     began = time.monotonic()
     group = found.data.groups[found.hooks.rows(found.data)[0]]
-    priors = {} if freed_model is None else {p.name: p.prior for p in freed_model.parameters}
+    lifted = found.sets.search.fitting.baseline.parameters if found.file.excluded else ()
+    priors = {p.name: p.prior for p in lifted}
     results, warnings = [], []
     for state in states:
-        given = replace(state, model=WithPriors(state.model, priors)) if priors else state
+        model = StoredModel(state.model, store)
+        given = replace(state, model=WithPriors(model, priors) if priors else model)
         try:
             one = hold_in(found.sets, given, group, found.hooks, cores=cores, seed=seed, tick=tick)
         except (SearchError, SolveError) as error:
@@ -309,7 +364,9 @@ def diagnose(
     cores: int = 2,
     seed: int = 1,
     tick: Callable[[str, float], None] | None = None,
+    progress: bool = True,
     folder: str | Path | None = None,
+    checkpoint: str | Path | None = None,
 ) -> Diagnosis:
     """Find where a baseline model misses data, which unmodelled causes explain it, and how well.
 
@@ -339,8 +396,12 @@ def diagnose(
         Of the draws.
     tick : callable, optional
         Called with a text and the share of the screening that is done.
+    progress : bool
+        Without a `tick`, show on standard error what is being done.
     folder : path, optional
         Where the posterior sampling stores its posteriors and checkpoints.
+    checkpoint : path, optional
+        Folder in which solves are kept: a diagnosis that was interrupted goes on from there.
 
     Returns
     -------
@@ -368,32 +429,59 @@ def diagnose(
             raise DiagnosisError(f"{state.data.source or state.data.name}: given twice as another state")
     began = time.monotonic()
     started = datetime.now(UTC).isoformat(timespec="seconds")
-    fitting = Fitting(data, model, chosen.bind(data), smooth=hooks.smooth, cores=cores)
+    store = SolveStore(checkpoint)
+    try:
+        with Display(progress and tick is None, every_s=EVERY_S) as shown:
+            tell = tick or shown
+            stored = StoredModel(model, store)
+            fitting = Fitting(data, stored, chosen.bind(data), smooth=hooks.smooth, cores=cores)
+            offered = [e.of(model) for e in effects if e.apply is not None and e.offered(model.name)]
+            preflight(fitting, model, offered, tell)
+            found = _searched(fitting, offered, hooks, seed, tell)
+            record = found.file.record | {
+                "started": started, "solves": store.made, "failed_solves": store.failed,
+                "seconds": time.monotonic() - began,
+            }  # fmt: skip
+            found = found.with_file(record=record)
+            if states:
+                found = _in_states(found, states, store, cores, seed, tell)
+    except Exception as error:
+        if not isinstance(error, DiagnosisError):
+            kept = "give checkpoint='FOLDER' to keep them" if checkpoint is None else f"kept in {checkpoint}"
+            error.add_note(f"{store.made} solves were made until then: {kept}")
+        raise
+    finally:
+        store.close()
+    return found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tick) if posteriors else found
+
+
+def _searched(
+    fitting: Fitting,
+    effects: Sequence[Effect],
+    hooks: Hooks,
+    seed: int,
+    tick: Callable[[str, float], None],
+) -> Diagnosis:
+    """The diagnosis of one record."""
+    data = fitting.data
     excluded: Excluded | None = None
     try:
         fitting, excluded = freed(fitting)
-        offered = [e.of(model) for e in effects if e.apply is not None and e.offered(model.name)]
-        sets = CauseSearch(fitting, offered, hooks, tick or _silent).run()
+        sets = CauseSearch(fitting, effects, hooks, tick).run()
+        sets.search.tick = _silent  # a display cannot be sent to another process
     except (SearchError, SolveError) as error:
         raise DiagnosisError(
-            f"{data.source or data.name}: the baseline {model.name!r} cannot be solved ({error}); "
+            f"{data.source or data.name}: the baseline {fitting.baseline.name!r} cannot be solved ({error}); "
             f"{hooks.advice}"
         ) from None
     record = {
         "versions": versions(),
         "seed": seed,
-        "started": started,
-        "solves": fitting.solves,
-        "failed_solves": fitting.failures,
-        "cores": cores,
+        "cores": fitting.cores,
         "gap_unit": data.units[hooks.rows(data)[0]],
     }
-    found = Diagnosis(data, answer(sets, hooks, seed, record, excluded), sets, hooks=hooks)
-    found = found.with_file(record=found.file.record | {"seconds": time.monotonic() - began})
-    if states:
-        found = _in_states(found, states, fitting.baseline if excluded else None, cores, seed, tick)
-    return found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tick) if posteriors else found
+    return Diagnosis(data, *answer(sets, hooks, seed, record, excluded), sets, hooks=hooks)
 
 
 def _silent(text: str, share: float) -> None:
-    """Says nothing."""
+    """Say nothing."""

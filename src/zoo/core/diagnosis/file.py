@@ -2,23 +2,42 @@
 
 from __future__ import annotations
 
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
     ValidationError,
+    field_serializer,
+    field_validator,
     model_serializer,
     model_validator,
 )
 
 from zoo.core import digests
-from zoo.core.words import OneLineError
+from zoo.core.words import OneLineError, span, unit_words
 
 FORMAT = 3
+OF_CAUSES = ("causes", "names", "components")
+"""Fields of a set that are of its causes."""
+LINES = 20
+"""Lines that `print` shows of a diagnosis at most."""
+ROUNDING = 1e-9
+"""What a sum of thousands of probabilities may be above 1 by rounding."""
+
+
+def _probability(p: float) -> float:
+    if not 0.0 <= p <= 1.0 + ROUNDING:
+        raise ValueError(f"{p:g} is no probability")
+    return min(p, 1.0)
+
+
+Probability = Annotated[float, AfterValidator(_probability)]
 
 
 class DiagnosisError(OneLineError, ValueError):
@@ -127,7 +146,7 @@ class LocationShare(_Part):
 
     part: int | str | None
     subtree: bool
-    probability: float
+    probability: Probability
     noun: str = Field(default="", exclude=True)
 
     @model_validator(mode="before")
@@ -180,7 +199,7 @@ class SetResult(_Amounts):
     log_prior: float
     log_evidence: float
     log_evidence_error: float
-    probability: float
+    probability: Probability
     solved: bool
     gap_after: float | None = None
     negligible: float | None = None
@@ -195,8 +214,8 @@ class CauseResult(_Part):
     name: str
     component: str
     free: bool
-    probability: float
-    prior_probability: float
+    probability: Probability
+    prior_probability: Probability
     places: list[LocationShare] = []
     estimates: list[Estimate] = []
 
@@ -218,7 +237,14 @@ class LearnedFunction(_Part):
     equation: str = ""
     prior_size: float
     length: float | None = None
-    probability: float
+    probability: Probability
+
+    @property
+    def largest(self) -> tuple[str, str]:
+        """Where it is largest, and its value there with the 95 % interval, in words."""
+        i = max(range(len(self.mean)), key=lambda k: abs(self.mean[k]))
+        at = self.labels[i] if self.labels else f"{self.values[i]:.3g}{unit_words(self.argument_unit)}"
+        return at, f"{span(self.mean[i], (self.low[i], self.high[i]))}{unit_words(self.unit)}"
 
 
 class ComponentResult(_Part):
@@ -229,11 +255,11 @@ class ComponentResult(_Part):
     """
 
     name: str
-    probability: float
-    prior_probability: float
+    probability: Probability
+    prior_probability: Probability
     share: Interval
     confounded: list[str] = []
-    group_probability: float
+    group_probability: Probability
     functions: list[LearnedFunction] = []
 
 
@@ -241,8 +267,13 @@ class SensitivityRow(_Part):
     """Probabilities under another prior: of no cause, and that each component is wrong."""
 
     prior: str
-    nothing: float
-    components: dict[str, float]
+    nothing: Probability
+    components: dict[str, Probability]
+
+    @property
+    def wrong(self) -> frozenset[str]:
+        """Components that are more probably wrong than not."""
+        return frozenset(name for name, x in self.components.items() if x > 0.5)
 
 
 class CarriedResult(_Amounts):
@@ -282,6 +313,7 @@ class NextMeasurement(BaseModel):
 
     separates: tuple[str, str]
     expected_log_odds: float
+    text: str = ""
 
     if TYPE_CHECKING:  # the further fields
 
@@ -318,16 +350,17 @@ class DiagnosisFile(_Part):
     study_checksum: str
     base: str
     verdict: str
+    answer: list[str] = []
     decided: bool
     cause: list[str]
     warnings: list[str] = []
     excluded: ExcludedFit | None = None
     gap: Gap
     where: Where
-    no_gap: float
-    number: list[float]
+    no_gap: Probability
+    number: list[Probability]
     sets: list[SetResult]
-    missed: float
+    missed: Probability
     linear_error: float
     components: list[ComponentResult]
     causes: list[CauseResult]
@@ -336,8 +369,55 @@ class DiagnosisFile(_Part):
     failed: list[str] = []
     next_measurement: NextMeasurement | None = None
     base_parameters: dict[str, dict[str, float]]
+    labels: dict[str, tuple[str, str]] = {}
     posteriors: dict[str, Any] | None = None
     record: dict[str, Any]
+
+    @field_serializer("sets", mode="wrap")
+    def _as_table(self, sets: list[SetResult], handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Thousands of sets, each name once."""
+        rows = handler(sets)
+        of = [list(zip(*(row[name] for name in OF_CAUSES), strict=True)) for row in rows]
+        number = {cause: i for i, cause in enumerate(dict.fromkeys(cause for one in of for cause in one))}
+        columns = [name for name in rows[0] if name not in (*OF_CAUSES, "unit")]
+        table = [
+            [[number[cause] for cause in one], *(row[name] for name in columns)]
+            for one, row in zip(of, rows, strict=True)
+        ]
+        return {"unit": rows[0]["unit"], "of": [*map(list, number)], "columns": columns, "rows": table}
+
+    @field_validator("sets", mode="before")
+    @classmethod
+    def _from_table(cls, given: Any) -> Any:
+        if not isinstance(given, dict):
+            return given
+        try:
+            return [
+                {name: [given["of"][i][k] for i in which] for k, name in enumerate(OF_CAUSES)}
+                | {"unit": given["unit"]}
+                | dict(zip(given["columns"], values, strict=True))
+                for which, *values in given["rows"]
+            ]
+        except (KeyError, IndexError, TypeError) as error:
+            raise ValueError(f"is no table of sets ({type(error).__name__}: {error})") from None
+
+    @property
+    def lines(self) -> list[str]:
+        """The answer and its warnings, a line each: what command, page and `print` show."""
+        return [f"{text}." for text in [*self.answer, *(f"Warning: {text}" for text in self.warnings)]]
+
+    def __str__(self) -> str:
+        head = f"{self.study}, baseline {self.base}"
+        lines = [head, *self.lines]
+        if len(lines) > LINES:
+            lines = [*lines[: LINES - 1], f"and {len(lines) - LINES + 1} more lines in `lines`"]
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        first, *rest = (escape(line) for line in self.lines)
+        return f"<p><b>{first}</b></p><ul>{''.join(f'<li>{line}</li>' for line in rest)}</ul>"
 
     @model_validator(mode="before")
     @classmethod

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any
 
@@ -35,12 +35,15 @@ class Candidate:
         Group of observed series whose noise it would have; where none is observed, the next one counts.
     noise_part : float
         Noise as a part of its peak.
+    text : str
+        What it is in words, such as "flow midway in vessel 3".
     """
 
     output: Hashable
     words: Mapping[str, Any]
     group: str = ""
     noise_part: float = NOISE_PART
+    text: str = ""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,8 @@ class Hooks:
         ``candidates(data, baseline) -> sequence of Candidate``; none if absent.
     advice : str
         What to check where the baseline misses the data by far.
+    labels : mapping of str to str
+        What parameters of the baseline are called, by name; their own label or name if absent.
     warnings : tuple of str
         What is odd about the data themselves; they come first among the answer's.
     smooth : bool
@@ -79,6 +84,7 @@ class Hooks:
     phases: Callable[[Data, list[int]], tuple[Sequence[str], NDArray[np.int_]]] | None = None
     candidates: Callable[[Data, ForwardModel], Sequence[Candidate]] | None = None
     advice: str = "check units, inputs and parameters"
+    labels: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     smooth: bool = True
     components: Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]] | None = None

@@ -89,8 +89,6 @@ class CauseSearch:
         nothing = self._nothing()
         self.solved: dict[Which, SolvedSet] = {(): nothing}
         self.base = nothing.point
-        again = f.forward(self.base.u)
-        self.unsteady = 0.0 if again is None else self.family.relative(again - self.base.computed)
         configuration = f.forward.model.configure(f.forward.theta(self.base.u))
         self.grid = f.model(baseline=pinned(f.baseline, configuration))
         computed = self.grid(self.base.u)

@@ -327,7 +327,8 @@ class Spectral(ErrorModel):
             if group not in self.known:
                 found[f"sigma_{group}"] = e.sigma
             found[f"ratio_{group}"] = min(max(e.ratio, 0.05 * self.largest_ratio), 0.95 * self.largest_ratio)
-            found[f"tau_{group}"] = min(e.tau, 0.95 * self.correlation_time[2] * T)
+            median, _, limit = (T * part for part in self.correlation_time)
+            found[f"tau_{group}"] = min(max(e.tau, median), 0.95 * limit)  # in any unit of time
             if group in self.priors:
                 found[f"delta_{group}"] = max(e.delta, 0.1 * getattr(self.priors[group].delta, "sd", e.delta))
         return {variable_name(name): value for name, value in found.items()}

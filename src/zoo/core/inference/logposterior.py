@@ -13,12 +13,10 @@ from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import compile as compile_function
 from pymc.pytensorf import floatX, join_nonshared_inputs
 
+from zoo.core.inference.messages import SamplingError as SamplingError
+
 Array = NDArray[np.float64]
 Point = dict[str, np.ndarray]
-
-
-class SamplingError(RuntimeError):
-    """Sampling cannot start or go on; its text says why and what to change."""
 
 
 class LogPosterior:

@@ -18,10 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from zoo.core.inference.logposterior import Array, SamplingError, count, counting_ops
+from zoo.core.inference.messages import SamplingError
 from zoo.core.outputs import OutputFileError
 
+Array = NDArray[np.float64]
 REMEDY = "remove the folder to start afresh"
 _DIGITS = 24
 _BEGUN = re.compile(rb"[0-9a-f]{0,24}|[0-9a-f]{24} (\[.*)?")
@@ -98,7 +100,7 @@ class Memo:
     """
 
     def __init__(self, path: Path | None, owner: str) -> None:
-        self.owner = owner
+        self.owner, self.path = owner, path
         self.lines = bytearray()
         self.known: dict[bytes, Found] = {}
         self._file: Any = None
@@ -183,6 +185,9 @@ class Remembering:
         *,
         alone: bool = True,
     ) -> None:
+        from zoo.core.inference.logposterior import count, counting_ops
+
+        self._count = count
         self._function, self._known, self._told, self._kind = function, known, told, kind
         self._alone = alone
         self._ops = counting_ops(function) if ops is None else ops
@@ -197,9 +202,9 @@ class Remembering:
         key = self._kind + q.tobytes()
         found = self._known.get(key)
         if found is None:
-            solves, failed = count(self._ops)
+            solves, failed = self._count(self._ops)
             given = self._function(q)
-            after, failed_after = count(self._ops)
+            after, failed_after = self._count(self._ops)
             values = tuple(np.array(one) for one in (given if isinstance(given, list | tuple) else [given]))
             found = Found(values, after - solves if self._ops else 1, failed_after - failed)
             self._told(key, found)

@@ -25,3 +25,7 @@ def without_messages(logger: str, below: int) -> Iterator[None]:
         yield
     finally:
         found.setLevel(before)
+
+
+class SamplingError(RuntimeError):
+    """Sampling cannot start or go on; its text says why and what to change."""

@@ -93,6 +93,7 @@ def add_groups(
     drawn = _with_errors(record.errors, means, values, np.random.default_rng(seed))
     groups = {name: group.copy() for name, group in datasets(idata).items()}
     groups["log_likelihood"] = _series(terms, kept, record)
+    del groups["log_likelihood"]["y"].attrs["units"]  # a logarithm has none
     groups["posterior_predictive"] = _series(drawn, kept, record)
     groups["observed_data"] = _described(xr.Dataset({"y": (DIMS, record.data.values)}), record)
     if record.constants:

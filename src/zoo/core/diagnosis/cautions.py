@@ -1,0 +1,201 @@
+"""What should be looked at before an answer is believed: priors, data, noise, solves, learned functions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.components import FreeFunction
+from zoo.core.diagnosis.bounds import Excluded, at_bounds
+from zoo.core.diagnosis.draws import Discrepancy
+from zoo.core.diagnosis.file import DiagnosisFile, LearnedFunction
+from zoo.core.diagnosis.hooks import Hooks
+from zoo.core.diagnosis.sets import CauseSets
+from zoo.core.words import percent, unit_words
+
+Array = NDArray[np.float64]
+
+POOR_FIT = 0.2
+"""Residual over the data's range above which input is suspected: four prior sds of the unexplained."""
+STUCK = 0.5
+"""Part of the series' variance that a best fit should explain at least."""
+OUTLIER = 8.0
+"""Residual of a sample in robust standard deviations from which on it is named as an outlier."""
+NEIGHBOURS, ROBUST = 3, 1.4826
+"""Samples on either side whose median it is compared with, and sds over the median of absolute values."""
+WRONG_NOISE = 2.0
+"""Factor between the noise that is stated and the fine scatter of the series above which that is said."""
+SAME_NOISE, LEAST_FINE = 0.95, 8
+"""Correlation of two series' fine scatter above which they are copies, and coefficients that tell it."""
+WRONG = 3.0
+"""Log evidence that the linear model may be wrong by, and other sets be given too much, unsaid."""
+MISSED = 0.05
+"""Probability that may be missed up to which it is not said."""
+FAILING = 0.05
+"""Part of the solves that fail from which on it is said."""
+IMPLAUSIBLE = 2.5
+"""Rms of a learned function, in its prior's scale, above which it is said that it can hardly be."""
+
+
+def undecided(file: DiagnosisFile, most: int) -> list[str]:
+    """Why an answer is not decided; empty if it is."""
+    told = []
+    stated, *others = file.sensitivity
+    moved = [row.prior for row in others if row.wrong != stated.wrong]
+    if moved:
+        told.append(f"the answer depends on the prior: it changes with {', '.join(moved)}")
+    if len(file.number) > most and file.number[most] > 0.5:
+        told.append(
+            f"{most} components come out as wrong, the most that is allowed: no set of causes fits down to "
+            "the noise, and the least wrong one is picked; do not believe it"
+        )
+    if file.linear_error > WRONG and file.missed > MISSED:
+        told.append(
+            f"the log evidence of sets that no solve verified may be off by {file.linear_error:.0f}: "
+            f"{percent(file.missed)} of the probability may be theirs"
+        )
+    return told
+
+
+def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: Hooks) -> list[str]:
+    """What should be looked at before the answer is believed.
+
+    Parameters
+    ----------
+    found : CauseSets
+    file : DiagnosisFile
+        With gap and components.
+    before : Discrepancy
+        Of the baseline.
+    hooks : Hooks
+
+    Returns
+    -------
+    list of str
+    """
+    data, told = found.search.fitting.data, list[str]()
+    rows, gap = hooks.rows(data), file.gap
+    unit = unit_words(gap.unit)
+    spread = float(max(np.ptp(data.values[i]) for i in rows))
+    if gap.residual_rms_before > POOR_FIT * spread:
+        told.append(
+            f"the baseline misses the data by {gap.residual_rms_before:.2g}{unit}, "
+            f"{gap.residual_rms_before / spread:.0%} of their range: {hooks.advice}"
+        )
+    for i, label in enumerate(data.labels):
+        explained = 1.0 - float(np.var(before.residual[i]) / np.var(data.values[i]))
+        if explained < STUCK:
+            told.append(
+                f"{label}: the best fit of the baseline explains {max(explained, 0.0):.0%} of its variance, "
+                "hardly more than a constant would: it may not have been found; give priors nearer to it"
+            )
+    told += [one.text for _, one in at_bounds(found.search.fitting.forward, found.search.base.u)]
+    for name in found.search.idle:
+        told.append(
+            f"effect {name}: none of its starts changes any sample: it acts nowhere here, or is not read"
+        )
+    told += _solves(found, hooks) + _outliers(found) + _noise(found)
+    if not found.leader:
+        return told
+    leader = found.solved[found.leader]
+    stuck = {p.name for p, _ in at_bounds(found.search.fitting.forward, found.search.base.u)}
+    n = leader.n_listed
+    for p, one in at_bounds(leader.forward, leader.point.u):
+        index = [q.name for q in leader.forward.parameters].index(p.name)
+        if p.name not in stuck and index < n:
+            told.append(f"with {found.name(found.leader)}, {one.text}")
+    for c in file.components:
+        for f in c.functions[:1] if c.probability > 0.5 else ():
+            told += _implausible(found, f, hooks)
+    return told
+
+
+def _implausible(found: CauseSets, learned: LearnedFunction, hooks: Hooks) -> list[str]:
+    function = next(
+        o.function for o in found.search.origins if o.function and o.function.name == learned.name
+    )
+    assert function is not None
+    good, why = (hooks.plausible or expected)(function, np.asarray(learned.mean))
+    return [] if good else [f"{function.component}: the learned function is implausible: {why}"]
+
+
+def expected(function: FreeFunction, values: Array) -> tuple[bool, str]:
+    """Whether the values of a function are of the size that its prior expects, and a sentence about it."""
+    rms, unit = float(np.sqrt(np.mean(values**2))), unit_words(function.unit)
+    why = f" ({function.why})" if function.why else ""
+    text = (
+        f"{function.name} would have an rms of {rms:.2g}{unit}, {rms / function.size:.1f} times the "
+        f"{function.size:.2g}{unit} that its prior expects{why}"
+    )
+    return rms <= IMPLAUSIBLE * function.size, text
+
+
+def _solves(found: CauseSets, hooks: Hooks) -> list[str]:
+    """That the simulator fails often."""
+    fitting, told = found.search.fitting, []
+    if fitting.failures > FAILING * fitting.solves:
+        told.append(
+            f"{percent(fitting.failures / fitting.solves)} of the solves failed ({fitting.last_failure}): "
+            f"what lies there counts as impossible, which may cut a cause off; {hooks.advice}"
+        )
+    return told
+
+
+def _outliers(found: CauseSets) -> list[str]:
+    """Samples far from their neighbours in what the leading set leaves."""
+    data, told = found.search.fitting.data, []
+    left = found.search.family.errors.unflat(found.search.data - found.solved[found.leader].point.computed)
+    for label, series, values in zip(data.labels, left, data.values, strict=True):
+        k = NEIGHBOURS
+        around = np.pad(series, k, mode="reflect" if data.period is None else "wrap")
+        odd = series - np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * k + 1), axis=1)
+        steps = np.abs(np.diff(around))
+        scale = ROBUST / math.sqrt(2.0) * float(np.median(steps)) + 1e-12 * float(np.ptp(values))
+        at = np.flatnonzero(np.abs(odd) > OUTLIER * scale)
+        if 0 < len(at) < 0.1 * len(series):
+            told.append(
+                f"{label}: samples {', '.join(map(str, at[:10]))} stand out from their "
+                "neighbours: if they are outliers, correct them; they count here as all others do"
+            )
+    return told
+
+
+def _noise(found: CauseSets) -> list[str]:
+    """That a stated noise does not fit the fine scatter of the data, or that two series share theirs."""
+    fitting, told = found.search.fitting, list[str]()
+    data, errors = fitting.data, fitting.errors
+    residual = found.search.data - found.search.base.computed
+    for group, rows in data.rows.items():
+        fine, unit = errors.fine(residual, group), data.unit(group)
+        if fine.shape[1] < LEAST_FINE:
+            continue
+        known, scatter = errors.known.get(group), float(np.sqrt(np.mean(fine**2)))
+        if known is not None and not known / WRONG_NOISE < scatter < known * WRONG_NOISE:
+            told.append(
+                f"noise_sd of {group} is {known:.3g} {unit}, but its series scatter by {scatter:.3g} {unit} "
+                "from sample to sample: correct it, or leave it out and it is fitted; all probabilities "
+                "here hold for that noise alone"
+            )
+        waves = np.fft.rfft(errors.unflat(residual)[rows])[:, -fine.shape[1] // 2 :]
+        for i in range(len(rows)):
+            for j in range(i + 1, len(rows)):
+                size = float(np.linalg.norm(waves[i]) * np.linalg.norm(waves[j]))
+                if size > 0 and float(np.vdot(waves[i], waves[j]).real) > SAME_NOISE * size:
+                    told.append(
+                        f"{data.labels[rows[i]]} and {data.labels[rows[j]]} have the same noise, as "
+                        "copies of one record have: leave one out, for what they share looks like an effect"
+                    )
+    return told
+
+
+def lifted_bounds(excluded: Excluded | None, hooks: Hooks) -> list[str]:
+    """That the baseline's prior was widened for this diagnosis."""
+    if excluded is None:
+        return []
+    return [
+        f"{one.text} in other commands too; here the bound is lifted; if {value:.3g} "
+        f"is impossible, {hooks.advice}"
+        for one, value in zip(excluded.bounds, excluded.values, strict=True)
+    ]

@@ -1,0 +1,285 @@
+"""The answer of a diagnosis in sentences: the same for the command, `print`, the page and the file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from zoo.core.diagnosis.cautions import WRONG
+from zoo.core.diagnosis.file import DiagnosisFile, Estimate, StateFile
+from zoo.core.effects import Location
+from zoo.core.words import digits, estimate, listed, percent, span, unit_words
+
+FURTHER = 0.05
+"""Least probability of a further cause, given the leading ones, from which on it is named."""
+NAMED = 3
+"""Further causes, and parameters, that are named at most."""
+SURE_PLACE = 0.95
+"""Probability of a place from which on it is named without its probability."""
+MOVED = 1.0
+"""Shift of a parameter, in its standard deviations, from which on it is named."""
+UNVERIFIED = 0.005
+"""Probability of sets that no solve verified, from which on it is stated."""
+VISITED = 0.1
+"""Part of a state's range that the study does not visit, from which on it is stated."""
+MILLI = 0.1
+"""Time in s below which an estimate is in ms."""
+
+
+def worded(file: DiagnosisFile) -> DiagnosisFile:
+    """The same file with its verdict and answer in words.
+
+    Parameters
+    ----------
+    file : DiagnosisFile
+
+    Returns
+    -------
+    DiagnosisFile
+    """
+    verdict = _headline(file)
+    told = [verdict, *filter(None, (sentence(file) for sentence in SENTENCES)), *_states(file)]
+    return file.model_copy(update={"verdict": verdict, "answer": told})
+
+
+def _chance(p: float, digits: int = 1) -> str:
+    """A probability in percent, which data never make certain."""
+    return percent(min(p, 1.0 - 1e-12), digits)
+
+
+def _leader(file: DiagnosisFile) -> set[str]:
+    """Names of the causes of the leading set."""
+    return set(next(row.names for row in file.sets if row.causes == file.cause))
+
+
+def _holding(file: DiagnosisFile, names: set[str]) -> float:
+    """Probability of all sets that hold these causes; of the empty set where there are none."""
+    rows = (row for row in file.sets if (names <= set(row.names) if names else not row.names))
+    return min(1.0, math.fsum(row.probability for row in rows))
+
+
+def _rival(file: DiagnosisFile, leader: set[str]) -> tuple[set[str], float] | None:
+    """The most probable causes that do not include the leading ones, wherever they act."""
+    found: dict[frozenset[str], float] = {}
+    for row in file.sets:
+        if set(row.names) != leader and not (leader and leader <= set(row.names)):
+            names = frozenset(row.names)
+            found[names] = found.get(names, 0.0) + row.probability
+    if not found:
+        return None
+    best = max(found, key=lambda names: found[names])
+    return set(best), found[best]
+
+
+def _sized(one: Estimate) -> str:
+    factor, unit = (1e3, "ms") if one.unit == "s" and abs(one.mean) < MILLI else (1.0, one.unit)
+    return f"{one.name} = {estimate(factor * one.mean, factor * one.sd, unit)}"
+
+
+def _cause(file: DiagnosisFile, name: str, *, sized: bool = False) -> str:
+    """A cause with its place, and with its size: "viscoelastic wall, tau = 4.3 ± 0.15 ms"."""
+    one, text = next(c for c in file.causes if c.name == name), name.replace("-", " ")
+    if one.free:
+        text += "" if one.component == name else f" of the {one.component}"
+        text += " as a learned function"
+        learned = next((f for c in file.components for f in c.functions if f.name == name), None)
+        if learned is None:
+            return text
+        where, value = learned.largest
+        return f"{text} of {learned.argument}" + (f", {value} at {where}" if sized else "")
+    if one.places and one.places[0].part is not None:
+        at = one.places[0]
+        text += f" at {Location(at.part, at.subtree, at.noun)}"
+        text += "" if at.probability >= SURE_PLACE else f" ({percent(at.probability)})"
+    return ", ".join([text, *(_sized(e) for e in one.estimates if sized)])
+
+
+def _causes(file: DiagnosisFile, names: Iterable[str], *, sized: bool = False) -> str:
+    """Several of them, the most probable first; or that nothing is missing."""
+    known = [c.name for c in file.causes if c.name in set(names)]
+    return " and ".join(_cause(file, name, sized=sized) for name in known) or "nothing missing"
+
+
+def _headline(file: DiagnosisFile) -> str:
+    leader, unit = _leader(file), unit_words(file.gap.unit)
+    nothing, held = _holding(file, set()), _holding(file, leader)
+    wrong = [c for c in file.components if c.probability > 0.5]
+    best = _causes(file, leader, sized=True)
+    if not wrong and file.no_gap > 0.5:
+        noise = f"noise of {file.gap.noise_floor:.2g}{unit} explains what the baseline leaves"
+        text = f"Nothing is missing ({_chance(file.no_gap)}): {noise}"
+    elif not wrong and nothing > 0.5:
+        text = f"No listed cause explains the model error of {file.gap.before:.2g}{unit}"
+        text += f" ({_chance(nothing)})"
+    elif leader and held > 0.5:
+        text = f"Most likely missing: {best} ({_chance(held)})"
+    elif wrong:
+        parts = listed(f"{c.name} ({_chance(c.probability)})" for c in wrong)
+        text = (
+            f"Most likely wrong: {parts}; best explanation verified by a solve: {best} ({_chance(held, 0)})"
+        )
+    else:
+        text = f"These data do not decide; best explanation: {best} ({_chance(held, 0)})"
+    if not file.decided:
+        text += "; not decided, see the warnings"
+    if file.excluded is None:
+        return text
+    bounds = listed(
+        f"{b.parameter} = {b.best:.3g} ({b.side} bound {b.bound:.3g})" for b in file.excluded.bounds
+    )
+    return f"The baseline's prior excludes its best fit, {bounds}. Without that bound: {text}"
+
+
+def _runner_up(file: DiagnosisFile) -> str:
+    leader = _leader(file)
+    rival = _rival(file, leader)
+    if rival is None:
+        return ""
+    names, p = rival
+    alone = " alone" if names and names < leader else ""
+    odds = _holding(file, leader) / p if p > 0.0 else math.inf
+    against = f"odds {odds:.{0 if odds >= 10 else 1}f} to 1" if odds < 1e3 else "odds above 1000 to 1"
+    return f"Runner-up: {_causes(file, names)}{alone} ({_chance(p)}; {against} against it)"
+
+
+def _further(file: DiagnosisFile) -> str:
+    leader = _leader(file)
+    if not leader:
+        return ""
+    whole = _holding(file, leader)
+    given = {c.name: _holding(file, leader | {c.name}) / whole for c in file.causes if c.name not in leader}
+    near = sorted((name for name in given if given[name] >= FURTHER), key=lambda name: -given[name])[:NAMED]
+    if not near:
+        return f"In addition to it: nothing with a probability of {percent(FURTHER)} or more" if given else ""
+    further = listed(f"{_cause(file, name)} ({percent(given[name])})" for name in near)
+    return f"Possibly in addition: {further}"
+
+
+def _components(file: DiagnosisFile) -> str:
+    """Components by name, where these are more than the causes."""
+    likely = [c for c in file.components if c.probability >= FURTHER]
+    if not likely or {c.name for c in likely} <= {c.name for c in file.causes}:
+        return ""
+    return f"Wrong component: {listed(f'{c.name} ({_chance(c.probability, 0)})' for c in likely)}"
+
+
+def _alike(file: DiagnosisFile) -> str:
+    return "; ".join(
+        f"These data cannot distinguish {c.name} from {' or '.join(c.confounded)}: any of them is wrong with "
+        f"a probability of {percent(c.group_probability)}"
+        for c in file.components
+        if c.confounded
+    )
+
+
+def _error(file: DiagnosisFile) -> str:
+    gap, unit = file.gap, unit_words(file.gap.unit)
+    text = f"Model error (rms beyond the noise of {gap.noise_floor:.2g}{unit}): "
+    text += f"{span(gap.before, gap.before_interval)}{unit}"
+    if not file.cause:
+        return text
+    after = span(gap.after, gap.after_interval)
+    return f"{text} before, {after}{unit} with it; {percent(gap.removed)} removed"
+
+
+def _held_out(file: DiagnosisFile) -> str:
+    gap = file.gap
+    if gap.held_out_before is None or gap.held_out_after is None:
+        return ""
+    change = f"{gap.held_out_before:.2g} before, {gap.held_out_after:.2g}{unit_words(gap.unit)} with it"
+    return f"Model error in data left out of the fit ({gap.held_out}): {change}"
+
+
+def _parameters(file: DiagnosisFile) -> str:
+    if not file.cause:
+        return ""
+    before, after = file.base_parameters["base"], file.base_parameters["over all sets"]
+    names = [name for name in before if f"{name} sd" in before and before[f"{name} sd"] > 0.0]
+    shift = {name: abs(after[name] - before[name]) / before[f"{name} sd"] for name in names}
+    moved = sorted((name for name in names if shift[name] >= MOVED), key=lambda name: -shift[name])[:NAMED]
+    told = []
+    for name in moved:
+        label, unit = file.labels.get(name, (name, "1"))
+        told.append(f"{label} {digits(before[name], 3)} → {estimate(after[name], after[f'{name} sd'], unit)}")
+    if not told:
+        return "Parameters of the baseline: none moves by more than its standard deviation"
+    return f"Parameters of the baseline, before → with it: {', '.join(told)}"
+
+
+def _sensitivity(file: DiagnosisFile) -> str:
+    stated, *others = file.sensitivity
+    moved = [row.prior for row in others if row.wrong != stated.wrong]
+    if moved:
+        return f"Other priors: the answer changes with {listed(moved)}"
+    ranges = []
+    for name in sorted(stated.wrong, key=lambda name: -stated.components[name]):
+        low, *_, high = sorted(row.components[name] for row in file.sensitivity)
+        ends = dict.fromkeys(_chance(x, 0) for x in (low, high))
+        ranges.append(f"{name} {' to '.join(ends)}")
+    if not ranges:
+        ranges = [f"no cause {percent(min(row.nothing for row in file.sensitivity))} or more"]
+    return f"Other priors: the same answer with all {len(others)} ({', '.join(ranges)})"
+
+
+def _next(file: DiagnosisFile) -> str:
+    one = file.next_measurement
+    if one is None:
+        return ""
+    first, second = one.separates
+    return (
+        f"What would decide: {measurement(file)}, which tells {first} from {second} (expected log odds up to "
+        f"{one.expected_log_odds:.1f})"
+    )
+
+
+def measurement(file: DiagnosisFile) -> str:
+    """What to measure next, such as "flow in vessel 5 at 0.5 of its length"; empty where nothing would tell.
+
+    Parameters
+    ----------
+    file : DiagnosisFile
+
+    Returns
+    -------
+    str
+    """
+    if file.next_measurement is None:
+        return ""
+    words = file.next_measurement.model_extra or {}
+    return file.next_measurement.text or ", ".join(f"{name} {value}" for name, value in words.items())
+
+
+def _unverified(file: DiagnosisFile) -> str:
+    if file.missed < UNVERIFIED or file.linear_error > WRONG:  # above it a warning says so
+        return ""
+    return f"Sets of causes that no solve verified may hold up to {percent(file.missed)} of the probability"
+
+
+def _failed(file: DiagnosisFile) -> str:
+    return f"The simulator failed wherever these were tried: {listed(file.failed)}" if file.failed else ""
+
+
+def _states(file: DiagnosisFile) -> list[str]:
+    leading = set(next(row.components for row in file.sets if row.causes == file.cause))
+    return [_state(state, leading) for state in file.states]
+
+
+def _state(state: StateFile, components: set[str]) -> str:
+    unit = unit_words(state.unit)
+    told = [f"In {state.state}, refitted: the baseline misses by {state.baseline.mean:.2g}"]
+    if state.sensor is not None:
+        told.append(f"with the discrepancy seen at the sensor by {state.sensor.mean:.2g}")
+    leader = next((c for c in state.carried if set(c.names) == components), None)
+    if leader is not None:
+        told.append(f"with what was learned of {listed(leader.names)} by {leader.error.mean:.2g}")
+    holding = [listed(c.names) for c in state.carried if c.holds]
+    end = f"what holds there: {', '.join(holding)}" if holding else "nothing that was learned holds there"
+    if leader is not None and leader.beyond is not None and leader.beyond > VISITED:
+        end += f" ({percent(leader.beyond)} of the range there is new)"
+    return f"{', '.join(told)}{unit}; {end}"
+
+
+SENTENCES = (
+    _runner_up, _further, _components, _alike, _error, _held_out, _parameters, _sensitivity, _next,
+    _unverified, _failed,
+)  # fmt: skip

@@ -1,0 +1,105 @@
+"""The sentences of a diagnosis say what its numbers are, whichever way they fall."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from zoo.core.diagnosis import DiagnosisFile, read_diagnosis
+from zoo.core.diagnosis.file import NextMeasurement, SetResult
+from zoo.core.diagnosis.wording import worded
+from zoo.core.words import percent
+
+FILE = read_diagnosis(Path(__file__).parent / "data" / "diagnosis.json")
+"""A bulge of the wall, of size 0.298 ± 0.0028, and a kick of the inflow; the law is a free function."""
+COMPONENT = {"bulge": "wall", "law": "wall", "kick": "inflow"}
+
+
+def with_sets(**probabilities: float) -> DiagnosisFile:
+    """The file with other sets, their causes joined by `_and_`; `nothing` is the empty set."""
+    sets = []
+    for name, p in sorted(probabilities.items(), key=lambda item: -item[1]):
+        names = [] if name == "nothing" else name.split("_and_")
+        own: dict[str, Any] = {"unit": "K", "log_prior": 0.0, "log_evidence": 0.0, "log_evidence_error": 0.0}
+        of = {"causes": names, "names": names, "components": [COMPONENT[one] for one in names]}
+        sets.append(SetResult.model_validate(own | of | {"probability": p, "solved": True}))
+
+    def holding(names: set[str]) -> float:
+        return sum(one.probability for one in sets if names & set(one.names))
+
+    causes = [one.model_copy(update={"probability": holding({one.name})}) for one in FILE.causes]
+    components = [
+        one.model_copy(update={"probability": holding({n for n, c in COMPONENT.items() if c == one.name})})
+        for one in FILE.components
+    ]
+    changes = {"sets": sets, "causes": causes, "components": components, "cause": sets[0].causes}
+    return worded(FILE.model_copy(update=changes | {"decided": True, "no_gap": 0.0, "warnings": []}))
+
+
+def test_the_headline_has_size_and_probability_and_the_next_line_the_odds() -> None:
+    lines = with_sets(bulge=0.9, bulge_and_kick=0.06, law=0.03, nothing=0.01).lines
+    assert lines[0] == "Most likely missing: bulge, size = 0.298 ± 0.0028 (96.0 %)."
+    assert lines[1] == "Runner-up: law of the wall as a learned function (3.0 %; odds 32 to 1 against it)."
+    assert lines[2] == "Possibly in addition: kick (6 %)."  # 0.06 / 0.96
+    assert "Parameters of the baseline, before → with it: level 1.34 → 1.1 ± 0.0028." in lines
+    assert any(line.startswith("Model error (rms beyond the noise of ") for line in lines)
+
+
+def test_what_is_certain_to_all_digits_is_not_called_certain() -> None:
+    assert "(>99.9 %)" in with_sets(bulge=1.0 - 1e-12, nothing=1e-12).verdict
+    assert percent(0.99999) == ">99 %"
+    assert percent(1.0) == "100 %"
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "headline"),
+    [
+        ({"nothing": 0.8, "bulge": 0.2}, "No listed cause explains the model error of 0.25 K (80.0 %)"),
+        (
+            {"bulge": 0.4, "law": 0.35, "nothing": 0.25},
+            "Most likely wrong: wall (75.0 %); best explanation verified by a solve: bulge, size = 0.298 ± "
+            "0.0028 (40 %)",
+        ),
+        (
+            {"kick": 0.4, "nothing": 0.35, "law": 0.25},
+            "These data do not decide; best explanation: kick (40 %)",
+        ),
+        (
+            {"nothing": 0.4, "kick": 0.35, "law": 0.25},
+            "These data do not decide; best explanation: nothing missing (40 %)",
+        ),
+    ],
+)
+def test_the_headline_of_other_answers(probabilities: dict[str, float], headline: str) -> None:
+    assert with_sets(**probabilities).verdict == headline
+
+
+def test_noise_alone_doubt_and_a_next_measurement_are_told() -> None:
+    file = with_sets(nothing=0.9, bulge=0.1)
+    quiet = worded(file.model_copy(update={"no_gap": 0.7}))
+    assert quiet.verdict.startswith("Nothing is missing (70.0 %): noise of ")
+    measure = NextMeasurement(separates=("a", "b"), expected_log_odds=2.0, text="the level at night")
+    told = worded(file.model_copy(update={"decided": False, "next_measurement": measure, "warnings": ["w"]}))
+    assert told.verdict.endswith("; not decided, see the warnings")
+    decide = "What would decide: the level at night, which tells a from b (expected log odds up to 2.0)."
+    assert decide in told.lines
+    assert told.lines[-1] == "Warning: w."
+
+
+def test_a_long_answer_is_cut_where_it_is_printed() -> None:
+    file = worded(FILE.model_copy(update={"warnings": [f"warning {i}" for i in range(40)]}))
+    shown = str(file).splitlines()
+    assert len(shown) == 20
+    assert shown[-1] == f"and {len(file.lines) + 1 - 19} more lines in `lines`"
+
+
+def test_no_probability_is_above_one() -> None:
+    content = FILE.model_dump()
+    content["components"][0]["probability"] = 1.0000000000000016  # a sum that was rounded
+    assert DiagnosisFile.model_validate(content).components[0].probability == 1.0
+    content["components"][0]["probability"] = 1.01
+    with pytest.raises(ValidationError, match=r"1\.01 is no probability"):
+        DiagnosisFile.model_validate(content)
