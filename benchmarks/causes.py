@@ -1,6 +1,8 @@
 """The posterior over sets of causes, calibrated under its own prior.
 
-python -m benchmarks.causes calibrate [--replicates 500] [--seed 7]   linear problems of 20 causes, all drawn
+python -m benchmarks.causes calibrate [--replicates 500] [--seed 7]   linear problems of 20 causes
+python -m benchmarks.causes distorted [--replicates 40] [--seed 7]    one cause, its response off by 5, 10 %
+python -m benchmarks.causes noise [--replicates 30] [--seed 7]        white and AR(1) noise, no cause
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from scipy.stats import truncnorm
 from zoo.core.causes import Cause, CausePriors, ErrorFamily, Problem, weigh_causes
 from zoo.core.causes.evidence import SizePriors, without
 from zoo.core.causes.family import COLOURED, NOISE_SPREAD
+from zoo.core.causes.posterior import CausePosterior
 from zoo.core.data import Data
 from zoo.core.errors.spectral import Harmonics
 
@@ -153,15 +156,58 @@ def _compare(
             )
 
 
+def _weighed(toy: LinearToy, residual: np.ndarray) -> CausePosterior:
+    return weigh_causes(toy.problem(residual), toy.causes, toy.family, priors=toy.priors, cores=1)
+
+
+def distort(replicates: int, seed: int) -> None:
+    """One cause of its prior size, its response off, at a noise of a hundredth of what it does."""
+    toy, rng = LinearToy(), np.random.default_rng(seed)
+    print("off by: cases, true cause above 0.5, expected number of others, others above 0.5")
+    for off in (0.0, 0.05, 0.1):
+        stated, right, wrong = [], 0, 0
+        for k in rng.choice(len(toy.causes), replicates):
+            signal = toy.signal((int(k),), rng)
+            beside = toy.responses(1, 1.0)[:, 0]
+            signal = signal + off * np.linalg.norm(signal) / np.linalg.norm(beside) * beside
+            gap = without(toy.jacobian, signal, np.ones(len(signal)))
+            noise = 0.01 * math.sqrt(float(np.mean(gap**2)))
+            p = _weighed(toy, signal + noise * rng.standard_normal(len(signal))).components
+            own = p.pop(toy.causes[k].component)
+            right, wrong = right + (own > 0.5), wrong + sum(x > 0.5 for x in p.values())
+            stated.append(sum(p.values()))
+        print(f"{off:.0%}: {replicates} {right} {sum(stated):.2f} {wrong}", flush=True)
+
+
+def only_noise(replicates: int, seed: int) -> None:
+    """No cause, beside white noise and noise that is correlated in time, of one part of the range."""
+    toy, rng = LinearToy(), np.random.default_rng(seed)
+    n = toy.n_times
+    print("noise: cases, most probable is nothing, mean probability of it, a component above 0.5")
+    for name, rho in (("white", 0.0), ("AR(1), 0.5", 0.5), ("AR(1), 0.9", 0.9)):
+        nothing, above = [], 0
+        for _ in range(replicates):
+            e = rng.standard_normal((toy.n_series, 20 * n))
+            for t in range(1, e.shape[1]):
+                e[:, t] = rho * e[:, t - 1] + math.sqrt(1 - rho**2) * e[:, t]
+            found = _weighed(toy, toy.errors.flat(0.1 * e[:, -n:]))
+            nothing.append(found.probability[()])
+            above += max(found.components.values()) > 0.5
+        first = sum(x > 0.5 for x in nothing)
+        print(f"{name}: {replicates} {first} {np.mean(nothing):.3f} {above}", flush=True)
+
+
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
-    one = commands.add_parser("calibrate")
-    one.add_argument("--replicates", type=int, default=500)
-    one.add_argument("--seed", type=int, default=7)
+    runs = {"calibrate": (calibrate, 500), "distorted": (distort, 40), "noise": (only_noise, 30)}
+    for name, (_, replicates) in runs.items():
+        one = commands.add_parser(name)
+        one.add_argument("--replicates", type=int, default=replicates)
+        one.add_argument("--seed", type=int, default=7)
     args = parser.parse_args()
-    calibrate(args.replicates, args.seed)
+    runs[args.command][0](args.replicates, args.seed)
 
 
 if __name__ == "__main__":
