@@ -83,7 +83,7 @@ def test_noise_alone_doubt_and_a_next_measurement_are_told() -> None:
     assert quiet.verdict.startswith("Nothing is missing (70.0 %): noise of ")
     measure = NextMeasurement(separates=("a", "b"), expected_log_odds=2.0, text="the level at night")
     told = worded(file.model_copy(update={"decided": False, "next_measurement": measure, "warnings": ["w"]}))
-    assert told.verdict.endswith("; not decided, see the warnings")
+    assert told.verdict.startswith("Not decided, see the warnings. ")
     decide = "What would decide: the level at night, which tells a from b (expected log odds up to 2.0)."
     assert decide in told.lines
     assert told.lines[-1] == "Warning: w."

@@ -120,8 +120,8 @@ def _headline(file: DiagnosisFile) -> str:
         )
     else:
         text = f"These data do not decide; best explanation: {best} ({_chance(held, 0)})"
-    if not file.decided:
-        text += "; not decided, see the warnings"
+    if not file.decided:  # what must not be believed is said before what comes out
+        text = f"Not decided, see the warnings. {text}"
     if file.excluded is None:
         return text
     bounds = listed(
