@@ -258,8 +258,8 @@ def import_beats(
         ratio = float(np.mean(lengths["pressure_mmHg"])) / period
         read.append(
             "timing: the two clocks share no whole beat: each record is cut where it begins to rise itself, "
-            "so what lies between them is NOT measured, and no shift found later means anything; beats by the "
-            f"pressure's clock are {100 * (ratio - 1):+.2g} % longer"
+            "so what lies between them is NOT measured, and no shift found later means anything; beats by "
+            f"the pressure's clock are {100 * (ratio - 1):+.2g} % longer"
         )
     converted = tuple(
         f"{r.quantity}: from {r.unit}" for r in (p, q) if UNITS[r.quantity][r.unit.lower()] != 1.0
@@ -296,7 +296,9 @@ def read_record(path: Path, quantity: str) -> Record:
                 f"{path}, row {row}: {len(found)} cells; give two columns, times and {quantity}"
             )
     unit = _unit(path, cells[0][1][1], remarks, quantity)
-    times, values, missing, days = [], [], 0, 0.0
+    times: list[float] = []
+    values: list[float] = []
+    missing, days = 0, 0.0
     for row, (time, text) in cells[1:]:
         t = _seconds(f"{path}, row {row}", cells[0][1][0], time) + days
         if times and t < times[-1] - _DAY_S / 2:  # past midnight
