@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import numbers
-from zoo.cli.command import Role, UsageError, command
+from zoo.cli.command import Role, UsageError, Without, command
 from zoo.cli.options import StudyArgument, StudyOptions
 from zoo.cli.screen import say
 from zoo.core.outputs import output_file, write_file
@@ -57,7 +57,7 @@ def simulate(
     ] = None,
     times: Annotated[int, typer.Option("--times", help="Times in the beat, from its start.")] = 512,
     *,
-    options: StudyOptions,
+    options: Annotated[StudyOptions, Without("fix")],
 ) -> None:
     """Solve at one set of parameters: every vessel at positions 0, 0.5 and 1; pressure, flow and area."""
     import numpy as np
