@@ -30,8 +30,11 @@ def test_a_held_parameter_is_no_longer_free() -> None:
     assert [p.name for p in fewer.parameters] == ["psi2", "c"]
     assert free.key != fewer.key
     both = dict.fromkeys(("psi2", "c"), np.asarray(0.9))
-    theta = zoo.pack(free.parameters, {"f3": 6e4, "psi1": 1.3, **both})
-    assert free(theta) == pytest.approx(fewer(zoo.pack(fewer.parameters, both)), rel=1e-9)
+    whole = zoo.pack(free.parameters, {"f3": 6e4, "psi1": 1.3, **both})
+    less = fewer.configure(zoo.pack(fewer.parameters, both))
+    assert free.solve(free.configure(whole)) == pytest.approx(fewer.solve(less), rel=1e-4)
+    other = free.configure(zoo.pack(free.parameters, {"f3": 6e4, "psi1": 1.0, **both}))
+    assert free.solve(other) != pytest.approx(fewer.solve(less), rel=1e-3)
 
 
 def test_an_argument_in_python_and_its_record() -> None:
