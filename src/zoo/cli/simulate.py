@@ -126,7 +126,8 @@ def simulate(
         "grid": resolution.text,
     }
     for name, values in parameters.items():
-        waves[name] = ("vessel", values)
+        unit = "g cm-1 s-2" if name == "stiffness" else "1"
+        waves[name] = ("vessel", values, {"units": unit})
     if output is not None:
         _write_waves(waves, output)
     if plot is not None:
@@ -186,7 +187,7 @@ def _waves(solution: Solution, vessels: Sequence[int], time_s: np.ndarray) -> xr
         },
         coords={
             "vessel": list(vessels),
-            "position": list(POSITIONS),
+            "position": ("position", list(POSITIONS), {"units": "1"}),
             "time": ("time", time_s, {"units": "s"}),
         },
     )
