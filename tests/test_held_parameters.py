@@ -41,6 +41,7 @@ def test_an_argument_in_python_and_its_record() -> None:
     model = zoo.model_B(load_study("demo"), fixed={"psi1": 1.0})
     assert "psi1" not in {v.name for v in model.free_RVs}
     assert record_of(model).settings["held"] == {"psi1": 1.0}
+    assert record_of(model).priors["psi1"] == "held at 1"  # by which a posterior of another value is refused
     assert "held" not in record_of(zoo.model_B(load_study("demo"))).settings
 
 
