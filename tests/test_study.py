@@ -686,3 +686,25 @@ def test_blind_cases(blind_cases: list[Path]) -> None:
             assert (own.length_cm, own.radius_cm) == (other.length_cm, other.radius_cm)
             loads = [v.windkessel and astuple(v.windkessel) for v in (own, other)]
             assert loads[0] == (loads[1] and pytest.approx(loads[1], rel=1e-8))
+
+
+def test_everything_that_simulate_writes_has_its_unit(tmp_path: Path) -> None:
+    import xarray as xr
+    from typer.testing import CliRunner
+
+    from zoo.cli import app
+
+    path = tmp_path / "waves.nc"
+    done = CliRunner().invoke(app, ["simulate", "demo", "--stiffness", "6e4", "-o", str(path)])
+    assert done.exit_code == 0, done.output
+    waves = xr.load_dataset(path)
+    units = {name: waves[name].attrs.get("units") for name in (*waves.data_vars, "position", "time")}
+    assert units == {
+        "pressure_mmHg": "mmHg",
+        "flow_ml_s": "ml/s",
+        "area_cm2": "cm2",
+        "stiffness": "g cm-1 s-2",
+        **dict.fromkeys(("gamma", "psi1", "psi2", "c", "position"), "1"),
+        "time": "s",
+    }
+    assert waves["pressure_mmHg"].sel(vessel=1, position=0.5).dims == ("time",)

@@ -63,6 +63,7 @@ from .blood.conventions import get_conventions as get_conventions
 from .blood.fetch import FetchError as FetchError
 from .blood.fetch import fetch_dataset as fetch_dataset
 from .blood.fetch import fetch_file as fetch_file
+from .blood.importing.beats import import_beats as import_beats
 from .blood.importing.imported import ImportedFileError as ImportedFileError
 from .blood.importing.openbf import import_openbf as import_openbf
 from .blood.importing.table import import_table as import_table

@@ -72,6 +72,7 @@ def diagnose(
     conventions: Conventions | None = None,
     options: SolverOptions | None = None,
     priors: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, float] | None = None,
     component_sizes: float = 1.0,
     states: Sequence[Study] = (),
     **settings: Unpack[Running],
@@ -137,6 +138,8 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
         Of a record that repeats itself, in s; `times` then cover it once.
     name : str
         Of the data.
+    fixed : mapping, optional
+        Of a study: parameters that are held at a value, ``{"psi1": 1.0}``.
     held_out : mapping, optional
         Other records of the same system, ``{"name": (times, measured, simulate)}``. What was learned is fixed
         and checked there; they change no probability.

@@ -13,7 +13,14 @@ from zoo.blood.conventions import Conventions
 from zoo.blood.effects.given import Given, added_effects
 from zoo.blood.forward import BloodFlow, StiffnessLaw, study_data
 from zoo.blood.network import Network
-from zoo.blood.priors import GivenPrior, check_names, prior_table, study_parameters, with_priors
+from zoo.blood.priors import (
+    GivenPrior,
+    check_names,
+    held_parameters,
+    prior_table,
+    study_parameters,
+    with_priors,
+)
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study
 from zoo.core.effects import EffectError, with_effects
@@ -98,15 +105,23 @@ class Baseline:
         zoo.blood.prior_tables.PriorsError
             If the study's table of priors, or `priors`, cannot be used.
         """
+        given, held = self._given(with_priors(study, priors), conventions)
+        return tuple(one for one in given if one.parameter.name not in held)
+
+    def held(self, study: Study) -> dict[str, float]:
+        """The parameters that a study holds, by the baseline's own names."""
+        return self._given(study, None)[1]
+
+    def _given(
+        self, study: Study, conventions: Conventions | None
+    ) -> tuple[tuple[GivenPrior, ...], dict[str, float]]:
+        """All parameters with their priors, and the values of those that are held."""
         n = len(study.vessels)
         parameters = [replace(p, size=n) if p.dims == "vessel" else p for p in self.parameters]
-        return study_parameters(
-            parameters,
-            with_priors(study, priors),
-            self.wall,
-            self._conventions(study, conventions),
-            self.prior_set,
+        given = study_parameters(
+            parameters, study, self.wall, self._conventions(study, conventions), self.prior_set
         )
+        return given, held_parameters(study, given)
 
     def forward(
         self,
@@ -137,10 +152,11 @@ class Baseline:
         """
         study = with_priors(study, priors)
         parameters = [one.parameter for one in self.priors(study, conventions=conventions)]
-        check_names(study, parameters)
+        check_names(study, self.parameters)
         flow = BloodFlow(
             study, self.wall, self.stiffness, parameters, name=self.name,
-            conventions=self._conventions(study, conventions), options=options, fixed=self.fixed,
+            conventions=self._conventions(study, conventions), options=options,
+            fixed={**self.fixed, **self.held(study)},
         )  # fmt: skip
         return flow if options is not None else flow.resolved(share=share)
 
@@ -156,6 +172,7 @@ class StudyModel(Protocol):
         options: SolverOptions | None = None,
         conventions: Conventions | None = None,
         priors: Mapping[str, Any] | None = None,
+        fixed: Mapping[str, float] | None = None,
     ) -> pm.Model: ...
 
 
@@ -229,6 +246,7 @@ def study_model(
         options: SolverOptions | None = None,
         conventions: Conventions | None = None,
         priors: Mapping[str, Any] | None = None,
+        fixed: Mapping[str, float] | None = None,
     ) -> pm.Model:
         """Parameters
         ----------
@@ -245,6 +263,8 @@ def study_model(
             Instead of some of the study's own: by parameter ("stiffness" is the overall one), each a prior or
             as in study.toml, ``{"f3": LogUniform(2e4, 4e5), "c": {"log_normal": [1, 0.5]}}``; also "set" and
             "wave_speed_m_s".
+        fixed : mapping, optional
+            Parameters that are held at a value, ``{"psi1": 1.0}``, beside those that the study holds.
 
         Returns
         -------
@@ -266,7 +286,7 @@ def study_model(
         import zoo.core.inference.pymc_step  # noqa: F401  for pm.sample() without a step method
         from zoo.core.model import bayesian_model
 
-        study = with_priors(study, priors)
+        study = with_priors(study, priors, fixed)
         data = study_data(study)
         law = _with_own_priors(errors(study) if callable(errors) else errors, study, data)
         check_names(study, baseline.parameters, law.bind(data).parameter_names)
@@ -285,6 +305,7 @@ def study_model(
                 "conventions": asdict(flow.conventions),
                 "solver options": asdict(flow.options)
                 | ({} if flow.resolution is None else flow.resolution.record()),
+                **({"held": held} if (held := baseline.held(study)) else {}),
                 "prior origins": {
                     **dict.fromkeys(prior_table(study).own, "given"),
                     **{one.parameter.name: one.origin for one in given},

@@ -212,6 +212,7 @@ def diagnose(
     conventions: Conventions | None = None,
     options: SolverOptions | None = None,
     priors: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, float] | None = None,
     component_sizes: float = 1.0,
     states: Sequence[Study] = (),
     cores: int = 2,
@@ -240,6 +241,8 @@ def diagnose(
         Numerical settings; those of the study, with a tighter tolerance than for sampling, if absent.
     priors : mapping, optional
         Instead of some of the study's own, as a model takes them.
+    fixed : mapping, optional
+        Parameters that are held at a value, ``{"psi1": 1.0}``, beside those that the study holds.
     component_sizes : float
         Factor of the prior sizes of what components may lack (docs/components.md): half and double tell how
         much of an answer they made, 0 leaves components out, and saves most of the time.
@@ -276,7 +279,7 @@ def diagnose(
     if not 0.0 <= component_sizes < math.inf:
         raise DiagnosisError(f"component_sizes = {component_sizes}: must be finite, and not below 0")
     chosen = get_baseline(base)
-    study = with_priors(study, priors)
+    study = with_priors(study, priors, fixed)
     forward = chosen.forward(study, conventions=conventions, options=options, share=SEARCH_SHARE)
     data = study_data(study)
     if isinstance(states, Study | str):
@@ -284,7 +287,7 @@ def diagnose(
     own = suspect_units(study)
     others, odd = [], list(map(str, own))
     for state in states:
-        other = with_priors(same_tree(study, state), priors)
+        other = with_priors(same_tree(study, state), priors, fixed)
         suspicions = suspect_units(other)
         odd += [f"in {other.name}: {suspicion}" for suspicion in suspicions]
         if {one.unit for one in suspicions} - {one.unit for one in own}:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,6 +26,11 @@ _SPEEDS = (0.01, 1000.0)
 
 STIFFNESS = "stiffness"
 """What a model's overall stiffness is also called: f3, or m_chi."""
+
+OVERALL = ("f3", "m_chi")
+"""What it is called in the models that have one."""
+MOST_HELD = 1e30
+"""Largest size of a value that a parameter is held at."""
 
 LAWS: Mapping[str, tuple[type[Prior], tuple[str, ...], tuple[int, ...]]] = {
     "uniform": (Uniform, ("low", "high"), (2,)),
@@ -92,7 +97,67 @@ def read_priors(table: Mapping[str, Any]) -> PriorTable:
             )
         speeds = _wave_speeds(table["wave_speed_m_s"])
     own = {name: _prior(name, value) for name, value in table.items() if name not in FIELDS}
+    _refuse_twice(own)
     return PriorTable(str(chosen), speeds, own)
+
+
+def names_of(name: str) -> tuple[str, ...]:
+    """A parameter's name, and those under which some model has the same parameter."""
+    if name == STIFFNESS:
+        return (name, *OVERALL)
+    return (name, STIFFNESS) if name in OVERALL else (name,)
+
+
+def _refuse_twice(names: Iterable[str]) -> None:
+    """Raise where one parameter is given under two names."""
+    given = list(names)
+    for name in OVERALL:
+        if STIFFNESS in given and name in given:
+            raise PriorsError(
+                f"{name} and {STIFFNESS}: are one parameter under two names; keep one of them, also where a "
+                "study gives the one and an option the other"
+            )
+
+
+def check_held(held: Mapping[str, Any], priors: Mapping[str, Any]) -> None:
+    """Refuse values of parameters that are no numbers, are given twice, or have a prior beside them.
+
+    Raises
+    ------
+    PriorsError
+    """
+    _refuse_twice(held)
+    for name, value in held.items():
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (number and abs(value) <= MOST_HELD):
+            raise PriorsError(f"{name} = {short(value)}: must be a number to be held at; correct it")
+        for other in names_of(name):
+            if other in priors:
+                both = name if other == name else f"{name} and {other}"
+                raise PriorsError(f"{both}: has a prior and a value that it is held at; keep one of them")
+
+
+def read_held(text: str) -> tuple[str, float]:
+    """What `--fix` is given, as name and value.
+
+    Raises
+    ------
+    PriorsError
+        If it cannot be read.
+
+    Examples
+    --------
+    >>> read_held("psi1=1.0")
+    ('psi1', 1.0)
+    """
+    name, sign, value = (part.strip() for part in text.partition("="))
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not (name and sign and math.isfinite(number)):
+        raise PriorsError(f"{text!r}: write NAME=NUMBER, such as psi1=1.0")
+    return name, number
 
 
 def _numbers(value: Any) -> list[float] | None:

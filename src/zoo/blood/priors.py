@@ -24,7 +24,16 @@ import numpy as np
 
 from zoo.blood.conventions import Conventions
 from zoo.blood.network import Network
-from zoo.blood.prior_tables import PAPER_SET, STIFFNESS, PriorsError, PriorTable, read_priors, table_of
+from zoo.blood.prior_tables import (
+    PAPER_SET,
+    STIFFNESS,
+    PriorsError,
+    PriorTable,
+    check_held,
+    names_of,
+    read_priors,
+    table_of,
+)
 from zoo.blood.study import QUANTITIES, Study
 from zoo.core.effects import nearest
 from zoo.core.parameters import InverseGamma, LogNormal, LogPopulation, Normal, Parameter, Prior
@@ -52,6 +61,10 @@ OF_MODELS = (
 """Parameters of the models of the package, of which a study may give a prior."""
 
 
+OF_STRUCTURE = (*OF_MODELS[:9], STIFFNESS)
+"""Those of the forward models of the package, of which a study may hold some."""
+
+
 @dataclass(frozen=True)
 class GivenPrior:
     """A parameter with the prior that a study gives it.
@@ -67,31 +80,43 @@ class GivenPrior:
     origin: str
 
 
-def with_priors(study: Study, given: Mapping[str, Any] | None) -> Study:
-    """The study with some priors of its table changed.
+def with_priors(
+    study: Study, given: Mapping[str, Any] | None, fixed: Mapping[str, float] | None = None
+) -> Study:
+    """The study with some priors of its table changed, and some parameters held.
 
     Parameters
     ----------
     study : Study
     given : mapping
         As the table [priors] of study.toml, or with `Prior` objects: ``{"f3": LogUniform(2e4, 4e5)}``.
+        A parameter that the study holds is free again.
+    fixed : mapping
+        Parameters that are held, ``{"psi1": 1.0}``, in the place of the study's priors of them.
 
     Raises
     ------
     PriorsError
         If one cannot be used.
     """
-    if not given:
+    if fixed is not None and not isinstance(fixed, Mapping):
+        raise PriorsError(f"fixed = {fixed!r}: give a mapping, such as {{'psi1': 1.0}}")
+    if not (given or fixed):
         return study
+    given, fixed = given or {}, fixed or {}
     if not isinstance(given, Mapping):
         raise PriorsError(
             f"priors = {given!r}: give a mapping, such as {{'f3': {{'log_uniform': [2e4, 4e5]}}}}"
         )
     table = {name: table_of(value) if isinstance(value, Prior) else value for name, value in given.items()}
-    merged = {**study.priors, **table}
+    check_held(fixed, table)
+    replaced = {other for name in fixed for other in names_of(name)}
+    merged = {name: law for name, law in study.priors.items() if name not in replaced} | table
+    freed = {other for name in table for other in names_of(name)} | replaced
+    held = {name: value for name, value in study.parameters.items() if name not in freed} | dict(fixed)
     if table.get("set") == PAPER_SET and "wave_speed_m_s" not in table:
         merged.pop("wave_speed_m_s", None)
-    made = replace(study, priors=merged)
+    made = replace(study, priors=merged, parameters=held)
     prior_table(made)
     return made
 
@@ -215,6 +240,43 @@ def check_names(study: Study, parameters: Sequence[Parameter], of_errors: Sequen
             own = [one for one in dict.fromkeys([*there, STIFFNESS]) if one != "chi"]
             words = nearest(name, [*own, "set", "wave_speed_m_s"])
             raise PriorsError(f"{study.source or study.name}: priors: {name}: {words}")
+
+
+def held_parameters(study: Study, given: Sequence[GivenPrior]) -> dict[str, float]:
+    """Those of a model that a study holds, by the model's own names.
+
+    Parameters
+    ----------
+    study : Study
+    given : sequence of GivenPrior
+        All of the model, in whose priors the values must lie.
+
+    Raises
+    ------
+    PriorsError
+        If no model has one, its prior has no room for the value, or others depend on it.
+    """
+    by_name = {one.parameter.name: one.parameter for one in given}
+    where, found = f"{study.source or study.name}: parameters", {}
+    for called, value in study.parameters.items():
+        name = _called(called, [*by_name.values()])
+        p = by_name.get(name)
+        if p is None:
+            if called not in OF_STRUCTURE:
+                raise PriorsError(f"{where}: {called}: {nearest(called, [*by_name, STIFFNESS])}")
+            continue
+        if p.hyper or p.dims:
+            raise PriorsError(
+                f"{where}: {called} = {value:g}: is of a population, which cannot be held; hold the "
+                "stiffness of a model with the same one in all vessels, such as B"
+            )
+        low, high = p.prior.support
+        if not low <= value <= high or (p.log and value <= 0):
+            raise PriorsError(
+                f"{where}: {called} = {value:g}: lies outside its prior {p.prior.text}; correct one of them"
+            )
+        found[name] = float(value)
+    return found
 
 
 def without_use(study: Study, names: Sequence[str]) -> list[str]:

@@ -170,8 +170,10 @@ def _run_name(study: Study, base: str, conventions: Conventions | None, seed: in
     """Folder of a run's posteriors: another study, baseline, priors, conventions or seed has another one."""
     import hashlib
 
-    own = sorted(study.priors.items())
-    what = repr((study.checksum, study.conventions, conventions, seed, dict(study.numerics), *own)).encode()
+    own, held = sorted(study.priors.items()), sorted(study.parameters.items())
+    what = repr(
+        (study.checksum, study.conventions, conventions, seed, dict(study.numerics), *own, *held)
+    ).encode()
     return f"{base}-{hashlib.sha256(what).hexdigest()[:8]}"
 
 

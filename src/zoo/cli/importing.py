@@ -1,4 +1,4 @@
-"""`zoo import`: networks of other programs, and tables of vessels, as studies."""
+"""`zoo import`, `zoo import-beats`: networks, tables of vessels, and raw records, as studies."""
 
 from __future__ import annotations
 
@@ -85,3 +85,41 @@ def import_(
     say(*(f"  left out: {line}" for line in found.left_out))
     stiff = any(v.stiffness for v in study.vessels)
     say(f"wrote {output}", f"next: zoo simulate {output}" + ("" if stiff else " --stiffness 6e4"))
+
+
+@dataclass(frozen=True)
+class BeatOptions:
+    """What records of pressure and flow do not say themselves."""
+
+    length_cm: Annotated[float, typer.Option("--length", help="Of the vessel, cm.", metavar="CM")]
+    radius_cm: Annotated[float, typer.Option("--radius", help="Of the vessel, cm.", metavar="CM")]
+    position: Annotated[
+        float, typer.Option("--position", help="Of the pressure along the vessel, 0 (inlet) to 1.")
+    ] = 0.0
+    density_g_cm3: Annotated[float, typer.Option("--density", help="Of blood, g/cm3.")] = 1.06
+    viscosity_g_cm_s: Annotated[float, typer.Option("--viscosity", help="Of blood, g/(cm s).")] = 0.04
+
+
+@command
+def import_beats(
+    pressure: Annotated[Path, typer.Argument(metavar="PRESSURE", help=".csv: times, pressure over beats.")],
+    flow: Annotated[Path, typer.Argument(metavar="FLOW", help=".csv: times, flow into the vessel.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study."), Role.WRITES],
+    name: Annotated[
+        str | None, typer.Option("--name", help="Of the study; that of PRESSURE if absent.")
+    ] = None,
+    *,
+    beats: BeatOptions,
+) -> None:
+    """Make a study of raw records: find the beats, average them, tell their scatter and timing."""
+    from zoo.blood.importing.beats import COVARIANCE_FILES
+    from zoo.blood.importing.beats import import_beats as read
+    from zoo.blood.study import STUDY_FILES
+
+    output_folder(output, (*STUDY_FILES, *COVARIANCE_FILES.values()), "--output")
+    found = read(pressure, flow, name=name, **vars(beats))
+    study = found.save(output, replace=True)  # as checked above
+    say(study.name, *(f"  read: {line}" for line in found.read))
+    say(*(f"  converted: {line}" for line in found.converted))
+    say(*(f"  left out: {line}" for line in found.left_out))
+    say(f"wrote {output}", f"next: zoo diagnose {output}")

@@ -121,6 +121,15 @@ class PriorOptions:
 class StudyOptions(PriorOptions):
     """What stands in the place of a study's own fields."""
 
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fix",
+            help="Hold a parameter at a value, such as psi1=1.0 or stiffness=5e4, in the place of its prior. "
+            "May be repeated.",
+            metavar="NAME=NUMBER",
+        ),
+    ] = None
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -148,10 +157,12 @@ class StudyOptions(PriorOptions):
         UsageError
             If an option cannot be read.
         """
+        from zoo.blood.prior_tables import PriorsError, read_held
         from zoo.blood.priors import with_priors
         from zoo.blood.study import load_study
 
-        return with_priors(load_study(name, settings=self.changes()), self.table())
+        held = _each_once("--fix", self.fix, read_held, PriorsError)
+        return with_priors(load_study(name, settings=self.changes()), self.table(), held)
 
     def changes(self) -> dict[str, Any]:
         """The settings by their keys."""

@@ -84,6 +84,7 @@ def verdict_of(idata: InferenceData, goal: float | None) -> Verdict:
 def build_model(name: str, study: Study) -> Any:
     """A model on a study, by its name."""
     from zoo.blood.plugins import get_model
+    from zoo.blood.prior_tables import names_of
     from zoo.blood.priors import without_use
     from zoo.core.model import ModelError, record_of
 
@@ -94,6 +95,10 @@ def build_model(name: str, study: Study) -> Any:
         raise UsageError(f"model {name}: {error}") from None
     for parameter in without_use(study, there):
         say(f"model {name} has no {parameter}: the prior of {parameter} is not used")
+    held = record_of(model).settings.get("held", {})
+    for parameter in study.parameters:
+        if not {*names_of(parameter)} & held.keys():
+            say(f"model {name} has no {parameter}: the value that it is held at is not used")
     return model
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import numbers
-from zoo.cli.command import Role, UsageError, command
+from zoo.cli.command import Role, UsageError, Without, command
 from zoo.cli.options import StudyArgument, StudyOptions
 from zoo.cli.screen import say
 from zoo.core.outputs import output_file, write_file
@@ -57,7 +57,7 @@ def simulate(
     ] = None,
     times: Annotated[int, typer.Option("--times", help="Times in the beat, from its start.")] = 512,
     *,
-    options: StudyOptions,
+    options: Annotated[StudyOptions, Without("fix")],
 ) -> None:
     """Solve at one set of parameters: every vessel at positions 0, 0.5 and 1; pressure, flow and area."""
     import numpy as np
@@ -126,7 +126,8 @@ def simulate(
         "grid": resolution.text,
     }
     for name, values in parameters.items():
-        waves[name] = ("vessel", values)
+        unit = "g cm-1 s-2" if name == "stiffness" else "1"
+        waves[name] = ("vessel", values, {"units": unit})
     if output is not None:
         _write_waves(waves, output)
     if plot is not None:
@@ -186,7 +187,7 @@ def _waves(solution: Solution, vessels: Sequence[int], time_s: np.ndarray) -> xr
         },
         coords={
             "vessel": list(vessels),
-            "position": list(POSITIONS),
+            "position": ("position", list(POSITIONS), {"units": "1"}),
             "time": ("time", time_s, {"units": "s"}),
         },
     )

@@ -97,9 +97,10 @@ class ModelRecord:
 
     @property
     def priors(self) -> dict[str, str]:
-        """Prior of each variable in words, and what is known of the errors instead."""
+        """Prior of each variable in words, and what is known of the errors, or held, instead."""
         both = (*self.forward.parameters, *self.errors.parameters)
-        return {variable_name(p.name): p.prior.text for p in both} | self.errors.fixed
+        held = {name: f"held at {value:.10g}" for name, value in self.settings.get("held", {}).items()}
+        return {variable_name(p.name): p.prior.text for p in both} | self.errors.fixed | held
 
     @property
     def suggested(self) -> dict[str, Any]:

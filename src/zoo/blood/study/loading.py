@@ -183,7 +183,8 @@ def load_study(
         series=series,
         conventions=chosen,
         source=source,
-        priors=_checked_priors(where, table.priors),
+        priors=_checked_priors(where, table.priors, table.parameters),
+        parameters=table.parameters,
         noise_sd=_checked_noise(where, table.noise_sd, series),
         numerics=checked_numerics(f"{where}: numerics", table.numerics),
         junction_pressure=tree.junction_pressure,
@@ -196,14 +197,19 @@ def load_study(
     return study
 
 
-def _checked_priors(where: str, priors: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The table of priors, each of which can be read."""
-    if not priors:
+def _checked_priors(where: str, priors: Mapping[str, Any], held: Mapping[str, float]) -> Mapping[str, Any]:
+    """The table of priors, each of which can be read, and none of which is of a parameter that is held."""
+    if not (priors or held):
         return priors
-    from zoo.blood.prior_tables import PriorsError, read_priors  # not for all who import the package
+    from zoo.blood.prior_tables import (
+        PriorsError,
+        check_held,
+        read_priors,
+    )  # not for all who import the package
 
     try:
         read_priors(priors)
+        check_held(held, priors)
     except PriorsError as error:
         raise StudyError(f"{where}: priors: {error}") from None
     return priors

@@ -81,7 +81,7 @@ def save_study(study: Study, folder: str | Path) -> None:
     changes = "".join(f", {name} = {_value(value)}" for name, value in own.changes.items())
     named = f"{{ base = {_quoted(own.base)}{changes} }}" if changes else _quoted(own.name)
     lines.append(f"conventions = {named}")
-    for heading in ("priors", "noise_sd", "numerics"):
+    for heading in ("priors", "parameters", "noise_sd", "numerics"):
         table = getattr(study, heading)
         if table:
             lines += [

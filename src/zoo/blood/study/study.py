@@ -53,8 +53,10 @@ class Study(ReadOnlyArrays):
         Known standard deviations of the measurement noise: quantity, or label of a series -> its unit.
     numerics : mapping
         The table [numerics], as it stands there.
+    parameters : mapping of str to float
+        The table [parameters]: those of models that are held at a value, in their unit.
     checksum : str
-        SHA-256 over everything but the names, the conventions, the source and these three tables. It is
+        SHA-256 over everything but the names, the conventions, the source and these four tables. It is
         always computed: a value handed in is not read.
 
     Raises
@@ -76,6 +78,7 @@ class Study(ReadOnlyArrays):
     priors: Mapping[str, Any] = field(default_factory=dict, repr=False)
     noise_sd: Mapping[str, float] = field(default_factory=dict, repr=False)
     numerics: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    parameters: Mapping[str, float] = field(default_factory=dict, repr=False)
     junction_pressure: str = "static"
     external_pressure_mmHg: float = 0.0
     outflow_pressure_mmHg: float = 0.0
@@ -139,8 +142,8 @@ class Study(ReadOnlyArrays):
         return np.array([s.value for s in self.series]).reshape(len(self.series), len(self.time_s))
 
     def _identity(self) -> tuple[str, Conventions, str, str]:
-        tables = json.dumps([dict(self.priors), dict(self.noise_sd), dict(self.numerics)], sort_keys=True)
-        return self.name, self.conventions, self.checksum, tables
+        tables = [dict(one) for one in (self.priors, self.noise_sd, self.numerics, self.parameters)]
+        return self.name, self.conventions, self.checksum, json.dumps(tables, sort_keys=True)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Study) and self._identity() == other._identity()

@@ -32,6 +32,7 @@ class StudyTable(Table):
     period_s: Positive
     conventions: Any = "printed"
     priors: dict[str, Any] = Field(default_factory=dict)
+    parameters: dict[str, float] = Field(default_factory=dict)
     noise_sd: dict[str, Positive] = Field(default_factory=dict)
     numerics: dict[str, Any] = Field(default_factory=dict)
 
