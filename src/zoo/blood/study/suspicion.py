@@ -179,7 +179,7 @@ class _Look:
             self.sizes.append(_Size(words, unit, value, low, high, powers))
 
     def travel(self, speed_cm_s: float, **powers: float) -> None:
-        """The time that a wave of this speed takes to the furthest outlet; reflections come back in a beat."""
+        """The time that a wave of this speed takes to the furthest outlet, over the beat."""
         part = self.way_cm / (speed_cm_s or math.inf) / self.study.period_s
         words = "time of a wave to the furthest outlet"
         self.add(words, "of the beat", part, TRAVEL[0], TRAVEL[1], length=1, period=-1, **powers)
