@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from walls import wall_pressure_mmHg
 from zoo.blood.importing.imported import Imported, ImportedFileError
 from zoo.blood.importing.openbf import import_openbf, thickness
 from zoo.blood.importing.svonedsolver import import_svonedsolver
+from zoo.blood.importing.svzerodsolver import import_svzerodsolver
 from zoo.blood.importing.table import import_table
 from zoo.blood.importing.yaml import MAX_DEPTH, read_yaml
 from zoo.blood.network import Network
@@ -486,6 +488,55 @@ def test_a_network_of_svonedsolver(tmp_path: Path) -> None:
 def test_files_of_svonedsolver_that_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
     with pytest.raises(ImportedFileError, match=said):
         deck(tmp_path, DECK.replace(old, new, 1))
+
+
+# ---------------------------------------------------------------------------------------------------
+# svZeroDSolver
+
+
+def lumped(radius: float, length: float, chi: float, number: int, **more: object) -> dict[str, object]:
+    """A vessel's elements by the formulas of a tube."""
+    elements = {
+        "R_poiseuille": 8 * 0.04 * length / (math.pi * radius**4),
+        "C": 3 * math.pi * radius**2 * length / (2 * chi),
+        "L": 1.06 * length / (math.pi * radius**2),
+    }
+    return {"vessel_id": number, "vessel_name": f"b{number}", "zero_d_element_values": elements, **more}
+
+
+def test_a_tree_of_svzerodsolver(tmp_path: Path) -> None:
+    flow = {"t": [0.0, 0.2, 0.4, 1.0], "Q": [5.0, 65.0, 5.0, 5.0]}
+    load = {"Rp": 300.0, "Rd": 2700.0, "C": 1e-4, "Pd": 1333.22}
+    file = {
+        "boundary_conditions": [
+            {"bc_name": "IN", "bc_type": "FLOW", "bc_values": flow},
+            {"bc_name": "END", "bc_type": "RCR", "bc_values": load},
+        ],
+        "junctions": [{"junction_name": "J", "inlet_vessels": [0], "outlet_vessels": [1, 2]}],
+        "vessels": [
+            lumped(0.9, 8.0, 5e5, 0, boundary_conditions={"inlet": "IN"}, vessel_length=8.0),
+            lumped(0.6, 7.0, 6e5, 1, boundary_conditions={"outlet": "END"}),
+            lumped(0.5, 6.0, 7e5, 2, boundary_conditions={"outlet": "END"}),
+        ],
+    }
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(file))
+    found = import_svzerodsolver(path)
+    study = found.save(tmp_path / "study")
+    sizes = [(v.radius_cm, v.length_cm, v.stiffness[0]) for v in study.vessels]
+    assert np.array(sizes) == pytest.approx(np.array([(0.9, 8, 5e5), (0.6, 7, 6e5), (0.5, 6, 7e5)]))
+    assert [v.parent for v in study.vessels] == [None, 1, 1]
+    assert vars(study.vessels[1].windkessel) == {"R1": 300.0, "R2": 2700.0, "C": 1e-4}
+    assert study.vessels[2].outflow_pressure_mmHg == pytest.approx(1.0)
+    assert np.interp(0.1, study.inflow_time_s, study.inflow_ml_s) == pytest.approx(35)
+    assert "simulation_parameters" in found.left_out
+    file["junctions"].append({"junction_name": "K", "inlet_vessels": [1], "outlet_vessels": [2]})
+    path.write_text(json.dumps(file))
+    with pytest.raises(ImportedFileError, match="junction 'K': several vessels flow into it or out"):
+        import_svzerodsolver(path)
+    path.write_text("{}")
+    with pytest.raises(ImportedFileError, match="is this a file of svZeroDSolver"):
+        import_svzerodsolver(path)
 
 
 # ---------------------------------------------------------------------------------------------------

@@ -13,7 +13,10 @@ from zoo.cli.screen import say
 from zoo.core.outputs import output_folder
 
 YAML = (".yaml", ".yml")
-FILES = "openBF's or jaxFlowSim's .yaml, svOneDSolver's .in, or a .csv with a row for each vessel"
+FILES = (
+    "openBF's or jaxFlowSim's .yaml, svOneDSolver's .in, svZeroDSolver's .json, or a .csv with a row for each "
+    "vessel"
+)
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ def import_(
     """Make a study of another program's network, or of a CSV table of vessels."""
     from zoo.blood.importing.openbf import import_openbf
     from zoo.blood.importing.svonedsolver import import_svonedsolver
+    from zoo.blood.importing.svzerodsolver import import_svzerodsolver
     from zoo.blood.importing.table import import_table
     from zoo.blood.study import STUDY_FILES
 
@@ -64,7 +68,7 @@ def import_(
         raise UsageError(f"{file}: no such file; give {FILES}")
     suffix = file.suffix.lower()
     given: dict[str, Any] = {option: value for option, value in vars(table).items() if value is not None}
-    readers = {"yaml": import_openbf, "in": import_svonedsolver}
+    readers = {"yaml": import_openbf, "in": import_svonedsolver, "json": import_svzerodsolver}
     kind = "yaml" if suffix in YAML else suffix[1:]
     if kind in readers:
         for option, value in given.items():
