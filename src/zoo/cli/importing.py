@@ -14,8 +14,8 @@ from zoo.core.outputs import output_folder
 
 YAML = (".yaml", ".yml")
 FILES = (
-    "openBF's or jaxFlowSim's .yaml, svOneDSolver's .in, svZeroDSolver's .json, or a .csv with a row for each "
-    "vessel"
+    "openBF's or jaxFlowSim's .yaml, svOneDSolver's .in, svZeroDSolver's .json, or a .csv with a row "
+    "for each vessel"
 )
 
 
