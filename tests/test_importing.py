@@ -16,6 +16,7 @@ from zoo.blood.importing.openbf import import_openbf, thickness
 from zoo.blood.importing.svonedsolver import import_svonedsolver
 from zoo.blood.importing.svzerodsolver import import_svzerodsolver
 from zoo.blood.importing.table import import_table
+from zoo.blood.importing.vampy import import_vampy
 from zoo.blood.importing.yaml import MAX_DEPTH, read_yaml
 from zoo.blood.network import Network
 from zoo.blood.solver import Solution, Solver, SolverOptions
@@ -537,6 +538,52 @@ def test_a_tree_of_svzerodsolver(tmp_path: Path) -> None:
     path.write_text("{}")
     with pytest.raises(ImportedFileError, match="is this a file of svZeroDSolver"):
         import_svzerodsolver(path)
+
+
+CFG = """[Files]
+inlet = q.csv
+data_dir = d
+[Arteries]
+Ru = 0.4,0.2,0.3
+Rd = 0.4,0.15,0.25
+lam = 50,100,20
+rc = 1
+rho = 1.05
+nu = 0.045
+k1 = 2.0e7
+k2 = -20.0
+k3 = 9e5
+R1 = 2000
+R2 = 14000
+Ct = 1e-5
+depth = 2
+[Simulation]
+T = 0.8
+dt = 1e-5
+"""
+
+
+def test_a_fork_of_vampy(tmp_path: Path) -> None:
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "q.csv").write_text("0,2\n0.2,10\n0.4,2\n0.8,2\n")
+    path = tmp_path / "fork.cfg"
+    path.write_text(CFG)
+    found = import_vampy(path)
+    study = found.save(tmp_path / "study")
+    assert [v.length_cm for v in study.vessels] == pytest.approx([20, 20, 6])
+    assert [v.parent for v in study.vessels] == [None, 1, 1]
+    assert study.vessels[1].stiffness[1] == pytest.approx(2e7 * math.exp(-3) + 9e5)
+    assert vars(study.vessels[2].windkessel) == {"R1": 2000.0, "R2": 14000.0, "C": 1e-5}
+    assert study.period_s == 0.8
+    assert np.interp(0.1, study.inflow_time_s, study.inflow_ml_s) == pytest.approx(6)
+    assert "rc of [Arteries]" in found.left_out
+    for old, new, said in (
+        ("depth = 2", "depth = 3", "depth = 3"),
+        ("50,100,20", "50,100", "lam = '50,100'"),
+    ):
+        path.write_text(CFG.replace(old, new))
+        with pytest.raises(ImportedFileError, match=said):
+            import_vampy(path)
 
 
 # ---------------------------------------------------------------------------------------------------

@@ -14,8 +14,8 @@ from zoo.core.outputs import output_folder
 
 YAML = (".yaml", ".yml")
 FILES = (
-    "openBF's or jaxFlowSim's .yaml, svOneDSolver's .in, svZeroDSolver's .json, or a .csv with a row "
-    "for each vessel"
+    "openBF's or jaxFlowSim's .yaml, svOneDSolver's .in, svZeroDSolver's .json, VaMpy's .cfg, or a .csv with "
+    "a row for each vessel"
 )
 
 
@@ -61,6 +61,7 @@ def import_(
     from zoo.blood.importing.svonedsolver import import_svonedsolver
     from zoo.blood.importing.svzerodsolver import import_svzerodsolver
     from zoo.blood.importing.table import import_table
+    from zoo.blood.importing.vampy import import_vampy
     from zoo.blood.study import STUDY_FILES
 
     output_folder(output, STUDY_FILES, "--output")
@@ -68,7 +69,12 @@ def import_(
         raise UsageError(f"{file}: no such file; give {FILES}")
     suffix = file.suffix.lower()
     given: dict[str, Any] = {option: value for option, value in vars(table).items() if value is not None}
-    readers = {"yaml": import_openbf, "in": import_svonedsolver, "json": import_svzerodsolver}
+    readers = {
+        "yaml": import_openbf,
+        "in": import_svonedsolver,
+        "json": import_svzerodsolver,
+        "cfg": import_vampy,
+    }
     kind = "yaml" if suffix in YAML else suffix[1:]
     if kind in readers:
         for option, value in given.items():
