@@ -191,7 +191,7 @@ def study_parameters(
 def _must_be_positive(study: Study, parameter: Parameter, prior: Prior) -> None:
     """Refuse a given prior whose middle is not positive where a solve needs that."""
     low = prior.support[0]
-    if parameter.name in POSITIVE and low < 0 and not prior.depends_on and prior.centre <= 0:
+    if parameter.name in POSITIVE and low < 0 and not prior.depends_on and sum(prior.support) <= 0:
         raise PriorsError(
             f"{study.source or study.name}: priors: {parameter.name} = {table_of(prior)}: it is a "
             f"stiffness or a factor and must be positive, and begins at {low:g}; give it bounds above 0"
