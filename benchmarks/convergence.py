@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from zoo.blood.conventions import PUBLISHED_CODE
 from zoo.blood.fetch import FetchError
 from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.resolution import GIVEN_CELLS_MMHG
 from zoo.blood.solver import Solution, Solver, SolverError, SolverOptions
 from zoo.blood.study import Study, load_study
 from zoo.core.errors.gaussian_process import gp_sequential
@@ -292,7 +293,7 @@ def draw_beats(found: dict[str, dict[str, Array]], path: Path) -> None:
         ):
             for (kind, points), colour, mark in zip(kinds.items(), COLOURS, ("o-", "s-"), strict=False):
                 axes.semilogy(points[:, 0], points[:, 2], mark, color=colour, ms=3.5, lw=1.2, label=kind)
-            axes.axhline(SolverOptions().tolerance_mmHg, color=INK, lw=1, ls=":", label="default tolerance")
+            axes.axhline(GIVEN_CELLS_MMHG, color=INK, lw=1, ls=":", label="default tolerance")
             axes.set_title(case)
             axes.set_xlabel("beats")
             axes.set_xlim(0, None)

@@ -100,7 +100,8 @@ def main() -> None:
     print()
     print("first daughter's share at each junction, and the shift of radii and lengths that explains it, um")
     print(
-        f"{'vessel':>6} {'daughters':>10} {'derived':>8} {'published':>9} {'shift':>6}   (rounding allows 5)"
+        f"{'vessel':>6} {'daughters':>10} {'derived':>8} {'alone':>8} {'published':>9} {'shift':>6}   "
+        "(rounding allows 5)"
     )
     conductance = {i: 1 / r for i, r in total.items()}
     for i in vessels:
@@ -108,9 +109,11 @@ def main() -> None:
         if not pair:
             continue
         flows = [published_flow(vessels, conductance, v.id) for v in pair]
+        first, second = (v.radius_cm**4 / v.length_cm for v in pair)
+        alone = first / (first + second)
         shift = smallest_shift(flows[0] / flows[1], *pair)
         print(
-            f"{i:>6} {pair[0].id:>6}, {pair[1].id:>2} {share[pair[0].id] / share[i]:8.4f} "
+            f"{i:>6} {pair[0].id:>6}, {pair[1].id:>2} {share[pair[0].id] / share[i]:8.4f} {alone:8.4f} "
             f"{flows[0] / sum(flows):9.4f} {shift * 1e4:6.2f}   "
             f"{'within' if shift < GEOMETRY_ROUNDING_CM else 'beyond'}"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +11,12 @@ import numpy as np
 import pytest
 
 from walls import wall_pressure_mmHg
-from zoo.blood.importing.imported import ImportedFileError
+from zoo.blood.importing.imported import Imported, ImportedFileError
 from zoo.blood.importing.openbf import import_openbf, thickness
+from zoo.blood.importing.svonedsolver import import_svonedsolver
+from zoo.blood.importing.svzerodsolver import import_svzerodsolver
 from zoo.blood.importing.table import import_table
+from zoo.blood.importing.vampy import import_vampy
 from zoo.blood.importing.yaml import MAX_DEPTH, read_yaml
 from zoo.blood.network import Network
 from zoo.blood.solver import Solution, Solver, SolverOptions
@@ -397,6 +401,191 @@ def test_loops_are_refused(data_dir: Path) -> None:
         import_openbf(data_dir / "benchmarks" / "openbf" / "circle_of_willis.yaml")
 
 
+def test_jaxflowsims_names_and_numbers_of_kinds(tmp_path: Path) -> None:
+    """Its other keys, 1 for a flow, 3 and 1 for wk3 and reflection; four samples of the inflow are lines."""
+    text = (ONE + DAUGHTERS).replace("project_name", "proj_name")
+    text = text.replace("    R0: 3.0e-3\n", "    R0: 3.0e-3\n    inlet: 1\n    inlet file: few.dat\n", 1)
+    text = text.replace("    R1: 2.5e8\n", "    outlet: 3\n    R1: 2.5e8\n", 1)
+    head, _, _ = text.rpartition("    R1: 2.5e8\n")
+    path = write(tmp_path, head + "    outlet: 1\n    Rt: 0.25\n")
+    path.write_text(path.read_text().replace("  cycles: 10\n", "  num_snapshots: 100\n  conv_tol: 1.0\n"))
+    (tmp_path / "few.dat").write_text("0 1e-6\n0.25 5e-6\n0.5 2e-6\n0.75 1e-6\n1.0 1e-6\n")
+    study = import_openbf(path).save(tmp_path / "study")
+    assert study.name == "one"
+    assert study.vessels[1].windkessel is not None
+    assert study.vessels[2].resistance > 0
+    assert study.inflow_ml_s[:5] == pytest.approx([1, 2, 3, 4, 5])
+    path.write_text(path.read_text().replace("inlet: 1", "inlet: 2"))
+    with pytest.raises(StudyError, match="inlet = 'p'"):
+        import_openbf(path)
+
+
+# ---------------------------------------------------------------------------------------------------
+# svOneDSolver
+
+DECK = """MODEL two_
+NODE 0 0 0 0
+NODE 1 0 0 -5
+NODE 2 0 1 -9
+JOINT J 1 I O
+JOINTINLET I 1 7
+JOINTOUTLET O 1 9
+SEGMENT up 7 5.0 10 0 1 2.0 1.5 0.0 W NONE 0.0 0 0 NOBOUND NONE
+SEGMENT down 9 4.0 10 1 2 1.5 1.5 0.0 W NONE 0.0 0 0 RCR END
+DATATABLE END LIST
+0.0 300.0
+0.0 2e-4
+0.0 2500.0
+0.0 1333.22
+ENDDATATABLE
+DATATABLE Q LIST
+0.0 10.0
+0.2 90.0
+0.4 10.0
+0.8 10.0
+ENDDATATABLE
+SOLVEROPTIONS 0.001 10 4000 2 Q FLOW 1.0e-6 1 1
+MATERIAL W OLUFSEN 1.06 0.04 106657.6 2.0 2.0e7 -20.0 1.0e6 # stiff
+OUTPUT TEXT
+"""
+
+
+def deck(folder: Path, text: str = DECK) -> Imported:
+    (folder / "two.in").write_text(text)
+    return import_svonedsolver(folder / "two.in")
+
+
+def test_a_network_of_svonedsolver(tmp_path: Path) -> None:
+    found = deck(tmp_path)
+    study = found.save(tmp_path / "study")
+    up, down = study.vessels
+    assert (up.parent, down.parent, up.name, down.length_cm) == (None, 1, "up", 4.0)
+    assert np.pi * up.radius_cm**2 == pytest.approx(2.0)
+    assert np.pi * up.radius_out_cm**2 == pytest.approx(1.5)
+    assert up.stiffness[0] == pytest.approx(2e7 * math.exp(-20 * math.sqrt(2 / np.pi)) + 1e6)
+    assert vars(down.windkessel) == {"R1": 300.0, "R2": 2500.0, "C": 2e-4}
+    assert down.outflow_pressure_mmHg == pytest.approx(1.0)
+    assert study.radius_pressure_mmHg == pytest.approx(80.0)
+    assert study.blood.momentum_correction == pytest.approx(4 / 3)
+    assert study.period_s == 0.8
+    assert np.interp(0.1, study.inflow_time_s, study.inflow_ml_s) == pytest.approx(50)
+    assert any("became p0" in line for line in found.converted)
+    assert any("solver settings" in line for line in found.left_out)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("RCR END", "CORONARY END", "row 9: outlet 'CORONARY': a study has RCR and RESISTANCE"),
+        ("RCR END", "RCR NONE", "row 9: DATATABLE NONE: no such table"),
+        ("Q FLOW", "Q PRESSURE_WAVE", "inlet PRESSURE_WAVE: a study has a flow there"),
+        ("0.8 10.0", "0.8 11.0", "DATATABLE Q: must begin at 0, rise in time, and end with its first"),
+        ("1 2 1.5", "1 1 1.5", "node 1: another segment ends there too: a loop"),
+        ("5.0 10 0", "five 10 0", "row 8: 'five': must be a number"),
+        ("OUTPUT", "VALVE", "'VALVE': not known in a file of svOneDSolver"),
+        ("OLUFSEN", "LINEAR", "material 'W': there is no OLUFSEN material"),
+    ],
+)
+def test_files_of_svonedsolver_that_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    with pytest.raises(ImportedFileError, match=said):
+        deck(tmp_path, DECK.replace(old, new, 1))
+
+
+# ---------------------------------------------------------------------------------------------------
+# svZeroDSolver
+
+
+def lumped(radius: float, length: float, chi: float, number: int, **more: object) -> dict[str, object]:
+    """A vessel's elements by the formulas of a tube."""
+    elements = {
+        "R_poiseuille": 8 * 0.04 * length / (math.pi * radius**4),
+        "C": 3 * math.pi * radius**2 * length / (2 * chi),
+        "L": 1.06 * length / (math.pi * radius**2),
+    }
+    return {"vessel_id": number, "vessel_name": f"b{number}", "zero_d_element_values": elements, **more}
+
+
+def test_a_tree_of_svzerodsolver(tmp_path: Path) -> None:
+    flow = {"t": [0.0, 0.2, 0.4, 1.0], "Q": [5.0, 65.0, 5.0, 5.0]}
+    load = {"Rp": 300.0, "Rd": 2700.0, "C": 1e-4, "Pd": 1333.22}
+    file = {
+        "boundary_conditions": [
+            {"bc_name": "IN", "bc_type": "FLOW", "bc_values": flow},
+            {"bc_name": "END", "bc_type": "RCR", "bc_values": load},
+        ],
+        "junctions": [{"junction_name": "J", "inlet_vessels": [0], "outlet_vessels": [1, 2]}],
+        "vessels": [
+            lumped(0.9, 8.0, 5e5, 0, boundary_conditions={"inlet": "IN"}, vessel_length=8.0),
+            lumped(0.6, 7.0, 6e5, 1, boundary_conditions={"outlet": "END"}),
+            lumped(0.5, 6.0, 7e5, 2, boundary_conditions={"outlet": "END"}),
+        ],
+    }
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(file))
+    found = import_svzerodsolver(path)
+    study = found.save(tmp_path / "study")
+    sizes = [(v.radius_cm, v.length_cm, v.stiffness[0]) for v in study.vessels]
+    assert np.array(sizes) == pytest.approx(np.array([(0.9, 8, 5e5), (0.6, 7, 6e5), (0.5, 6, 7e5)]))
+    assert [v.parent for v in study.vessels] == [None, 1, 1]
+    assert vars(study.vessels[1].windkessel) == {"R1": 300.0, "R2": 2700.0, "C": 1e-4}
+    assert study.vessels[2].outflow_pressure_mmHg == pytest.approx(1.0)
+    assert np.interp(0.1, study.inflow_time_s, study.inflow_ml_s) == pytest.approx(35)
+    assert "simulation_parameters" in found.left_out
+    file["junctions"].append({"junction_name": "K", "inlet_vessels": [1], "outlet_vessels": [2]})
+    path.write_text(json.dumps(file))
+    with pytest.raises(ImportedFileError, match="junction 'K': several vessels flow into it or out"):
+        import_svzerodsolver(path)
+    path.write_text("{}")
+    with pytest.raises(ImportedFileError, match="is this a file of svZeroDSolver"):
+        import_svzerodsolver(path)
+
+
+CFG = """[Files]
+inlet = q.csv
+data_dir = d
+[Arteries]
+Ru = 0.4,0.2,0.3
+Rd = 0.4,0.15,0.25
+lam = 50,100,20
+rc = 1
+rho = 1.05
+nu = 0.045
+k1 = 2.0e7
+k2 = -20.0
+k3 = 9e5
+R1 = 2000
+R2 = 14000
+Ct = 1e-5
+depth = 2
+[Simulation]
+T = 0.8
+dt = 1e-5
+"""
+
+
+def test_a_fork_of_vampy(tmp_path: Path) -> None:
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "q.csv").write_text("0,2\n0.2,10\n0.4,2\n0.8,2\n")
+    path = tmp_path / "fork.cfg"
+    path.write_text(CFG)
+    found = import_vampy(path)
+    study = found.save(tmp_path / "study")
+    assert [v.length_cm for v in study.vessels] == pytest.approx([20, 20, 6])
+    assert [v.parent for v in study.vessels] == [None, 1, 1]
+    assert study.vessels[1].stiffness[1] == pytest.approx(2e7 * math.exp(-3) + 9e5)
+    assert vars(study.vessels[2].windkessel) == {"R1": 2000.0, "R2": 14000.0, "C": 1e-5}
+    assert study.period_s == 0.8
+    assert np.interp(0.1, study.inflow_time_s, study.inflow_ml_s) == pytest.approx(6)
+    assert "rc of [Arteries]" in found.left_out
+    for old, new, said in (
+        ("depth = 2", "depth = 3", "depth = 3"),
+        ("50,100,20", "50,100", "lam = '50,100'"),
+    ):
+        path.write_text(CFG.replace(old, new))
+        with pytest.raises(ImportedFileError, match=said):
+            import_vampy(path)
+
+
 # ---------------------------------------------------------------------------------------------------
 # Tables of vessels
 
@@ -433,6 +622,19 @@ def test_a_table_of_vessels(tmp_path: Path) -> None:
     assert study.blood.velocity_profile_order == 9
     assert [s.label for s in study.series] == ["v2@0.5 pressure_mmHg"]
     assert solve(study, [(1, 0.0)], dx_cm=0.5).ok
+
+
+def test_a_table_without_a_header_has_its_columns_by_their_number(tmp_path: Path) -> None:
+    (tmp_path / "inflow.csv").write_text(FLOW)
+    path = tmp_path / "vessels.csv"
+    path.write_text("1,,5,0.6,,,\n2,1,6,0.4,900,8000,4e-5\n")
+    found = import_table(path, tmp_path / "inflow.csv", 0.8)
+    assert [v.radius_cm for v in found.study.vessels] == [0.6, 0.4]
+    assert found.study.vessels[1].windkessel.R2 == 8000
+    assert "no header: columns taken for id, parent, length_cm, radius_cm, R1, R2, C" in found.converted
+    path.write_text("1,,5,0.6,,\n")
+    with pytest.raises(StudyError, match=r"row 1: no header, and 6 columns: .*; add a header"):
+        import_table(path, tmp_path / "inflow.csv", 0.8)
 
 
 @pytest.mark.parametrize(

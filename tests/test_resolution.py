@@ -14,8 +14,9 @@ from zoo.blood.effects import CATALOGUE
 from zoo.blood.network import Network
 from zoo.blood.resolution import ACCURACY_PERCENT, NOISE_SHARE, Resolution, resolve, resolve_solver
 from zoo.blood.solver import Physics, Solver, SolverArgumentError, SolverOptions
-from zoo.blood.study import Series, Study, StudyError, Vessel, Windkessel, load_study
+from zoo.blood.study import Blood, Series, Study, StudyError, Vessel, Windkessel, load_study
 from zoo.core.effects import EVERYWHERE
+from zoo.core.forward import SolveError
 from zoo.core.parameters import pack, start_of
 
 HUMAN = Path(__file__).parent / "data" / "human"
@@ -222,6 +223,7 @@ def test_a_model_has_what_was_chosen_in_its_record() -> None:
 MISTAKES = [
     ({"accuracy": 0.1}, "accuracy: unknown field; did you mean 'accuracy_percent'?"),
     ({"accuracy_percent": 20}, "accuracy_percent = 20: must be below 10"),
+    ({"max_beats": 2**31 - 1}, "max_beats = 2147483647: must be at most 268435456"),
     ({"dx_cm": -1.0}, "dx_cm = -1.0: must be positive"),
     ({"steps_per_beat": 8}, "steps_per_beat = 8: must be at least 32"),
     ({"dx_cm": 1.0, "accuracy_percent": 0.1}, "two ways to say how long cells are; leave one out"),
@@ -321,3 +323,63 @@ def test_a_simulation_is_looked_at_where_it_is_asked() -> None:
     )
     assert found.met
     assert ("pressure at" in found.text) != ("flow at" in found.text)
+
+
+# --- phantoms: walls that are nearly rigid, and flow without a pulse
+
+
+def tube(stiffness: float, flow: float = 50.0, swing: float = 0.0, **numerics: float) -> Study:
+    """A tube of 8 cm and 0.5 cm with a resistance of 200 dyn s/cm5 behind it."""
+    times = np.arange(40) / 40
+    vessel = Vessel(1, "tube", 8.0, 0.5, 0.5, None, None, resistance=200.0, stiffness_g_cm_s2=stiffness)
+    return Study(
+        "tube", 1.0, Blood(1.06, 0.04, velocity_profile_order=2.0), (vessel,), times,
+        flow + swing * np.sin(2 * np.pi * times), np.empty(0), (), source=Path("study"), numerics=numerics,
+    )  # fmt: skip
+
+
+def solved(study: Study) -> np.ndarray:
+    """The pressure at both ends, mmHg."""
+    solver = Solver.for_study(study)
+    chi = solver.network.stiffness_in
+    options = resolve_solver(
+        study, solver, stiffness=chi, gamma=2 + 0 * chi, psi1=1 + 0 * chi, psi2=1 + 0 * chi, c=1 + 0 * chi
+    ).options
+    ends = Solver.for_study(study, series=[(1, 0.0), (1, 1.0)], options=options)
+    return ends.solve(chi).pressure_mmHg
+
+
+@pytest.mark.parametrize("stiffness", [1e7, 1e9])
+def test_a_steady_flow_is_solved_and_has_poiseuilles_pressure(stiffness: float) -> None:
+    inlet, outlet = solved(tube(stiffness)).mean(axis=1)
+    assert outlet == pytest.approx(50 * 200 / 1333.22, rel=1e-4)
+    assert inlet - outlet == pytest.approx(50 * 8 * 8 * 0.04 / (np.pi * 0.5**4) / 1333.22, rel=2e-2)
+    almost = solved(tube(stiffness, swing=1e-9)).mean(axis=1)
+    np.testing.assert_allclose(almost, [inlet, outlet], rtol=1e-5)
+
+
+def test_a_wall_for_which_no_step_is_short_enough_is_told() -> None:
+    with pytest.raises(SolveError, match=r"waves cross vessel 1 at 3.55e.03 m/s, .* softer wall"):
+        solved(tube(2e11))
+
+
+def test_cells_too_short_for_a_rigid_wall_are_told_with_the_vessel_and_its_wave_speed() -> None:
+    with pytest.raises(
+        SolveError, match=r"CFL. in vessel 1, whose waves run at 251 m/s at rest, .* softer one"
+    ):
+        solved(tube(1e9, dx_cm=0.01))
+
+
+def test_the_default_tolerance_follows_the_pulse() -> None:
+    """The inflow less its mean, scaled by 1e-5: the pulse is that of a tight solve, not that of the start."""
+    study = load_study(HUMAN)
+    flow = study.inflow_ml_s.mean() + 1e-5 * (study.inflow_ml_s - study.inflow_ml_s.mean())
+    small = replace(study, inflow_ml_s=flow)
+    loose, tight = (
+        Solver.for_study(small, options=SolverOptions(dx_cm=1.0, tolerance_mmHg=t))
+        .solve(4e5)
+        .pressure_mmHg[0]
+        for t in (None, 1e-9)
+    )
+    assert np.ptp(tight) < 1e-2
+    assert np.abs(loose - tight).max() < 1e-3 * np.ptp(tight)

@@ -341,3 +341,11 @@ def test_a_posterior_of_another_noise_is_named_as_such(example: Study) -> None:
     assert mismatch(free, other) == f"noise of {label} is none, here it is known, 3 mmHg"
     said = mismatch(known, models[0]) or ""
     assert said.startswith("prior of noise_pressure_mmHg is none, here it is log-normal")
+
+
+def test_a_prior_that_reaches_below_zero_names_the_field(example: Study) -> None:
+    given = with_priors(example, {"f3": Uniform(-1.0, 1.0)})
+    with pytest.raises(
+        PriorsError, match=r"priors: f3 = .*must be positive, and begins at -1; give it bounds"
+    ):
+        priors_of(given)

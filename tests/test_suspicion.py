@@ -270,3 +270,24 @@ def test_warnings_in_the_documents_are_real(tmp_path: Path, mistake: str, monkey
         load_study("my-study")
     text = (ROOT / "docs" / "study-format.md").read_text(encoding="utf-8")
     assert f"warning: {caught[0].message}\n" in text
+
+
+@pytest.mark.parametrize(
+    ("study", "odd"),
+    [
+        ("demo", "the time of a wave to the furthest outlet would be 1.17 of the beat"),
+        (
+            str(ROOT / "docs" / "example-study"),
+            "the median length of the vessels would be 100 of their radii",
+        ),
+    ],
+)
+def test_lengths_ten_times_too_long_alone(study: str, odd: str) -> None:
+    """Radii are right, and the way to the outlets is one that some animal has."""
+    right = load_study(study)
+    assert suspect_units(right) == ()
+    long = tuple(replace(v, length_cm=10 * v.length_cm) for v in right.vessels)
+    (found,) = suspect_units(replace(right, vessels=long))
+    assert found.fields == ("network: length_cm",)
+    assert found.factors == (0.1,)
+    assert odd in found.text

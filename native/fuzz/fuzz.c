@@ -247,6 +247,7 @@ static void make(trial *t)
     count_of(&pr->numerics.max_steps, 512, STEPS);
     count_of(&pr->numerics.max_beats, 30, STEPS);
     real_of(&pr->numerics.tolerance, log_between(200.0, 5000.0));
+    real_of(&pr->numerics.relative, one_in(2) ? log_between(1e-3, 0.5) : 0.0);
     count_of(&pr->numerics.accelerate, !one_in(4), NUMBER_OF_KIND);
     count_of(&pr->numerics.additions, one_in(8), NUMBER_OF_KIND);
     if (one_in(3))
@@ -405,7 +406,8 @@ static int verdict(const trial *t)
     }
     const zoo_numerics *nu = &pr->numerics;
     if (!(nu->cfl > 0.0 && nu->cfl < 1.0) || !count_in(nu->max_steps, 32) || !count_in(nu->max_beats, 1) ||
-        !positive(nu->tolerance) || nu->steps_per_beat < 0 || nu->steps_per_beat > nu->max_steps || nu->least_steps < 0 ||
+        !positive(nu->tolerance) || !(nu->relative >= 0.0 && nu->relative < 1.0) ||
+        nu->steps_per_beat < 0 || nu->steps_per_beat > nu->max_steps || nu->least_steps < 0 ||
         nu->least_steps > nu->max_steps || (nu->steps_per_beat && nu->steps_per_beat < 32))
         return 1;
     if (nodes > 1 << 24) /* sizes that an int does not hold are refused, and nobody solves those in between here */
@@ -551,7 +553,7 @@ static void look_at(const trial *t, const answer *a)
     if (r->status == ZOO_OK) {
         const zoo_numerics *nu = &t->problem.numerics;
         EXPECT(r->beats >= 1 && r->beats <= nu->max_beats && r->steps_per_beat >= 32 && r->steps_per_beat <= nu->max_steps &&
-                   r->total_steps >= r->steps_per_beat && r->distance <= nu->tolerance && in_range(r->change, 0.0, DBL_MAX) &&
+                   r->total_steps >= r->steps_per_beat && r->distance <= r->tolerance && in_range(r->change, 0.0, DBL_MAX) &&
                    in_range(r->max_cfl, 0.0, DBL_MAX) && isfinite(r->inflow) && isfinite(r->outflow) &&
                    isfinite(r->junction_defect),
                "the report of a solve does not hold together");

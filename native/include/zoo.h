@@ -11,7 +11,7 @@
 #include <stdint.h>
 
 /* cffi:begin */
-enum { ZOO_ABI = 8 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
+enum { ZOO_ABI = 9 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
 
 enum zoo_status {
     ZOO_OK = 0,
@@ -139,6 +139,7 @@ typedef struct {
     int32_t max_steps;      /* upper limit of the steps in a beat */
     int32_t max_beats;
     double tolerance;       /* dyn/cm^2, on the estimated distance from the periodic state */
+    double relative;        /* where positive, the same as a part of the pressure's range at the root's inlet, instead */
     int32_t accelerate;     /* 1: extrapolate from beat to beat (Anderson), 0: plain beats */
     int32_t additions;      /* 1: take the loops with additions even if nothing is added, for tests */
 } zoo_numerics;
@@ -171,6 +172,7 @@ typedef struct {
     int32_t steps_per_beat; /* of the last beat */
     double change;          /* dyn/cm^2, largest difference between the last beat's end and its start */
     double distance;        /* dyn/cm^2, change / (1 - slowest decay per beat) */
+    double tolerance;       /* dyn/cm^2, that the distance was compared with; not less than rounding lets it become */
     double max_cfl;         /* largest (|u| + c) dt/dx at 32 times of the last beat */
     double inflow;          /* ml, into the root over the last beat */
     double outflow;         /* ml, out of all terminals over the last beat */

@@ -88,7 +88,7 @@ static int bad_numerics(const zoo_numerics *num)
 {
     return !(num->cfl > 0.0) || !(num->cfl < 1.0) || num->max_steps < ZOO_STEP_UNIT || num->max_steps > ZOO_MOST ||
            num->max_beats < 1 || num->max_beats > ZOO_MOST ||
-           value_bad(num->tolerance) || num->steps_per_beat < 0 || num->least_steps < 0 || num->least_steps > num->max_steps ||
+           value_bad(num->tolerance) || !(num->relative >= 0.0) || !(num->relative < 1.0) || num->steps_per_beat < 0 || num->least_steps < 0 || num->least_steps > num->max_steps ||
            num->steps_per_beat > num->max_steps ||
            (num->steps_per_beat != 0 && num->steps_per_beat < ZOO_CHECKS);
 }

@@ -7,7 +7,8 @@
  *            (areas through dp/dA, flows through rho c/A),
  *
  * and since a plain beat only removes the part 1 - exp(-T/tau) of the
- * distance, the run ends when change/(1 - exp(-T/tau)) is below the tolerance.
+ * distance, the run ends when change/(1 - exp(-T/tau)) is below the tolerance,
+ * or below what rounding leaves of it.
  * Between beats the start is extrapolated from the last few by Anderson's
  * method (Walker & Ni 2011, doi 10.1137/10078356X): past ends, combined with
  * the weights for which the combined change is least.  A beat from there would
@@ -22,6 +23,9 @@
 /* A beat is expected to be the last when the combined change is at most so many times the tolerance.  What the beat then
  * leaves was 0.7 of it at most, and mostly a tenth; with more, derivatives are of a run too far from periodic to search by. */
 static const double EXPECTED = 1.0;
+
+/* What rounding may leave of a change, as a part of the state's own size. */
+static const double ROUNDING = 1e-13;
 
 /* The parts of the state in their order; one that the run does not have is empty. */
 enum { PARTS = 5 };
@@ -85,6 +89,26 @@ static double largest_change(const zoo_sim *s, const double *end)
         if (d > worst)
             worst = d;
     }
+    return worst;
+}
+
+/* The accepted distance after a beat in which the root's pressure ranged from low to high. */
+static double tolerance_after(const zoo_sim *s, double low, double high)
+{
+    const zoo_numerics *num = &s->problem->numerics;
+    double size = 0.0;
+    for (int i = 0; i < s->n_nodes; i++)
+        size = fmax(size, s->weight[i] * s->A[i] + s->weight[s->n_nodes + i] * fabs(s->q[i]));
+    return fmax(num->relative > 0.0 ? num->relative * (high - low) : num->tolerance, ROUNDING * size);
+}
+
+/* The vessel whose waves cross most of a cell in a step, by the speeds met in the beat. */
+static int fastest_vessel(const zoo_sim *s)
+{
+    int worst = 0;
+    for (int k = 1; k < s->n_vessels; k++)
+        if (s->fastest[k] / s->dx[k] > s->fastest[worst] / s->dx[worst])
+            worst = k;
     return worst;
 }
 
@@ -203,14 +227,18 @@ static void find_failure(zoo_sim *s, int step)
 /* One beat from the state in the nodes, with what goes along or NULL.
  * Returns the largest speed (1/s) met, or a negative number if the beat must
  * be run again with more steps; then its size is the speed that asked for them. */
-static double beat(zoo_sim *s, double limit, const zoo_companion *with)
+static double beat(zoo_sim *s, double limit, const zoo_companion *with, double range[2])
 {
     zoo_report *r = &s->report;
     double fastest = 0.0;
     int every = s->n_steps / ZOO_CHECKS;
     memset(s->outlets.volume, 0, (size_t)s->outlets.count * sizeof(double));
     memset(s->fastest, 0, (size_t)s->n_vessels * sizeof(double));
+    const int finest = s->problem->numerics.steps_per_beat == 0 && s->n_steps >= s->problem->numerics.max_steps;
+    range[0] = INFINITY;
+    range[1] = -INFINITY;
     r->max_cfl = zoo_speed(s) * s->dt;
+    r->vessel = fastest_vessel(s);
     r->junction_defect = 0.0;
     r->steps_per_beat = s->n_steps;
     s->stuck = 0;
@@ -226,17 +254,25 @@ static double beat(zoo_sim *s, double limit, const zoo_companion *with)
             if (defect > r->junction_defect)
                 r->junction_defect = defect;
             /* a state that blew up says nothing about the speed that made it do so */
-            if (!wrong && speed * s->dt > r->max_cfl)
+            if (!wrong && speed * s->dt > r->max_cfl) {
                 r->max_cfl = speed * s->dt;
+                r->vessel = fastest_vessel(s);
+            }
             fastest = speed > fastest ? speed : fastest;
-            if (speed * s->dt > limit)
+            if (speed * s->dt > limit) {
+                /* no step is short enough for blood that outruns its waves: then the state is to blame */
+                if (finest && wrong && r->max_cfl <= limit)
+                    find_failure(s, step + 1);
                 return -fastest;
+            }
             if (wrong || s->no_root) {
                 find_failure(s, step + 1);
                 if (r->status != ZOO_OK)
                     return fastest;
             }
         }
+        range[0] = fmin(range[0], s->P[0]);
+        range[1] = fmax(range[1], s->P[0]);
         zoo_output_step(s, step + 1);
     }
     return fastest;
@@ -265,7 +301,7 @@ void zoo_periodic(zoo_sim *s, zoo_companion *with, double *pressure, double *flo
         zoo_set_step(s, steps_for(s, zoo_start_speed(s)));
     for (int n = 1; n <= num->max_beats; n++) {
         zoo_pack(s, s->start);
-        double fastest = beat(s, limit, expected ? with : NULL);
+        double range[2], fastest = beat(s, limit, expected ? with : NULL, range);
         if (expected)
             with->beat = fastest < 0.0 ? -1 : n;
         expected = 0;
@@ -273,14 +309,15 @@ void zoo_periodic(zoo_sim *s, zoo_companion *with, double *pressure, double *flo
         while (fastest < 0.0) {
             int more = steps_for(s, -1.05 * fastest);
             if (fixed || s->n_steps >= num->max_steps) {
-                fail(s, ZOO_CFL, -1, 0.0);
+                if (r->status == ZOO_OK)
+                    fail(s, ZOO_CFL, r->vessel, 0.0);
                 return;
             }
             if (more < s->n_steps + s->n_steps / 8)
                 more = s->n_steps + s->n_steps / 8;
             zoo_set_step(s, more > num->max_steps ? num->max_steps : more);
             zoo_unpack(s, s->start);
-            fastest = beat(s, limit, NULL);
+            fastest = beat(s, limit, NULL, range);
             steps += s->n_steps;
         }
         if (r->status != ZOO_OK)
@@ -301,8 +338,10 @@ void zoo_periodic(zoo_sim *s, zoo_companion *with, double *pressure, double *flo
         r->outflow = 0.0;
         for (int t = 0; t < s->outlets.count; t++)
             r->outflow += s->outlets.volume[t];
-        const int close = r->distance <= num->tolerance;
+        r->tolerance = tolerance_after(s, range[0], range[1]);
+        const int close = r->distance <= r->tolerance;
         if (close && told_finite(s)) {
+            r->vessel = -1;
             zoo_output_store(s, pressure, flow, area);
             return;
         }
@@ -316,7 +355,7 @@ void zoo_periodic(zoo_sim *s, zoo_companion *with, double *pressure, double *flo
         double left;
         if (num->accelerate && past > 1 && zoo_extrapolate(s, past, &left)) {
             zoo_refresh_nodes(s);
-            expected = with && with->beat == 0 && left / (1.0 - s->slow) <= EXPECTED * num->tolerance;
+            expected = with && with->beat == 0 && left / (1.0 - s->slow) <= EXPECTED * r->tolerance;
         }
     }
     fail(s, ZOO_NOT_PERIODIC, -1, 0.0);

@@ -44,6 +44,8 @@ static void problem(int added)
     REJECTS(t.times[10] = 0.0);
     REJECTS(t.problem.numerics.cfl = 1.0);
     REJECTS(t.problem.numerics.tolerance = 0.0);
+    REJECTS(t.problem.numerics.relative = 1.0);
+    REJECTS(t.problem.numerics.relative = NAN);
     REJECTS(t.problem.numerics.steps_per_beat = 31);
     REJECTS(t.problem.inlet.kind = ZOO_N_INLETS);
     REJECTS(t.problem.outlet.kind = -1);

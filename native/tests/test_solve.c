@@ -35,6 +35,18 @@ static void statuses(void)
     tree_make(&t, ZOO_WALL_LINEAR);
     t.problem.numerics.max_steps = 512;
     CHECK(run() == ZOO_CFL);
+    t.stiffness[3] *= 1e4; /* its waves are the fastest by far */
+    CHECK(run() == ZOO_CFL && report.vessel == 3 && report.max_cfl > 1.0);
+
+    /* a tolerance that follows the pulse, and one below what rounding leaves */
+    tree_make(&t, ZOO_WALL_LINEAR);
+    t.problem.numerics.tolerance = 1e6;
+    t.problem.numerics.relative = 1e-4;
+    CHECK(run() == ZOO_OK && report.tolerance < 10.0 && report.distance <= report.tolerance);
+    for (int i = 0; i < NSAMPLES; i++)
+        t.flow[i] = 0.17;
+    t.problem.numerics.max_beats = 500;
+    CHECK(run() == ZOO_OK && report.tolerance > 0.0 && report.tolerance < 1e-5);
 
     /* a backflow larger than the vessels hold empties them */
     tree_make(&t, ZOO_WALL_LINEAR);

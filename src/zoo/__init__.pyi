@@ -66,7 +66,10 @@ from .blood.fetch import fetch_file as fetch_file
 from .blood.importing.beats import import_beats as import_beats
 from .blood.importing.imported import ImportedFileError as ImportedFileError
 from .blood.importing.openbf import import_openbf as import_openbf
+from .blood.importing.svonedsolver import import_svonedsolver as import_svonedsolver
+from .blood.importing.svzerodsolver import import_svzerodsolver as import_svzerodsolver
 from .blood.importing.table import import_table as import_table
+from .blood.importing.vampy import import_vampy as import_vampy
 from .blood.network import Network as Network
 from .blood.solver import Solver as Solver
 from .blood.solver import SolverError as SolverError

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from zoo.blood.solve_errors import ArgumentError
 from zoo.blood.study import (
     Blood,
+    LoadWarning,
     ReadOnlyArrays,
     Study,
     StudyError,
@@ -30,6 +32,8 @@ Array = NDArray[np.float64]
 
 R1_SHARE = 0.2
 """R1/(R1 + R2) of a derived load."""
+FASTEST_CM_S = 100.0
+"""Mean velocity in a terminal above which its derived load is warned about."""
 QUIET_SHARE = 0.05
 """Diastole is where the inflow stays below this share of its peak."""
 MIN_DIASTOLE_SAMPLES = 8
@@ -297,8 +301,10 @@ def stiffness_profile(
 def poiseuille_split(vessels: Sequence[Vessel]) -> dict[int, float]:
     """Share of the root's mean flow in each vessel, split at each junction by Poiseuille's conductance.
 
-    q_k / q_parent = g_k / sum of g over the siblings, with g = r^4/L of the vessel alone; in a tapered one
-    r^4/L becomes 1/integral of dx/r^4 = 3 r1^3 r2^3 / (L (r1^2 + r1 r2 + r2^2)).
+    q_k / q_parent = G_k / sum of G over the siblings, where G is the conductance of a vessel with all that it
+    feeds, 1/G = 1/g + 1/(sum of G over its daughters), and g = r^4/L of the vessel alone; in a tapered one
+    r^4/L becomes 1/integral of dx/r^4 = 3 r1^3 r2^3 / (L (r1^2 + r1 r2 + r2^2)). So the split does not depend
+    on where a tree is cut into vessels.
 
     Parameters
     ----------
@@ -322,9 +328,11 @@ def poiseuille_split(vessels: Sequence[Vessel]) -> dict[int, float]:
     ordered = [vessels[i] for i in _sort_vessels(vessels)]
     conductance: dict[int, float] = {}
     total: dict[int | None, float] = {}
-    for v in ordered:
+    for v in reversed(ordered):  # what a vessel feeds stands after it
         r1, r2 = v.radius_cm, v.radius_out_cm
-        conductance[v.id] = 3 * r1**3 * r2**3 / (v.length_cm * (r1**2 + r1 * r2 + r2**2))
+        resistance = v.length_cm * (r1**2 + r1 * r2 + r2**2) / (3 * r1**3 * r2**3)
+        behind = 1 / total[v.id] if v.id in total else 0.0
+        conductance[v.id] = 1 / (resistance + behind)
         total[v.parent] = total.get(v.parent, 0.0) + conductance[v.id]
     share: dict[int, float] = {}
     for v in ordered:
@@ -470,6 +478,11 @@ def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
     ------
     StudyError
         If a load is needed and no pressure of the root is observed, or `diastolic_tau` cannot be fitted.
+
+    Warns
+    -----
+    zoo.blood.study.LoadWarning
+        If the blood would flow faster than `FASTEST_CM_S` through a terminal in the mean.
     """
     feeding = {v.parent for v in study.vessels}
     bare = [v.id for v in study.vessels if v.id not in feeding and not (v.windkessel or v.resistance)]
@@ -500,4 +513,26 @@ def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
         )
     except StudyError as error:
         raise StudyError(f"{where}, and cannot be derived from the observed pressure: {error}") from None
+    _warn_of_speed(study, bare, file)
     return tuple(replace(v, windkessel=loads[v.id]) if v.id in bare else v for v in study.vessels)
+
+
+def _warn_of_speed(study: Study, bare: Sequence[int], file: str) -> None:
+    """Warn of the terminal with a derived load through which the blood would flow fastest, if too fast."""
+    mean, share = float(study.inflow_ml_s.mean()), poiseuille_split(study.vessels)
+    speed = {
+        v.id: mean * share[v.id] / (math.pi * min(v.radius_cm, v.radius_out_cm) ** 2)
+        for v in study.vessels
+        if v.id in bare
+    }
+    fast = sorted((i for i in bare if speed[i] > FASTEST_CM_S), key=lambda i: -speed[i])
+    if not fast:
+        return
+    others = f" (and {len(fast) - 1} more terminals)" if len(fast) > 1 else ""
+    warnings.warn(
+        f"{file}: vessel {fast[0]}{others}: its nominal load is for {100 * share[fast[0]]:.3g} % of "
+        f"the inflow, a mean velocity of {speed[fast[0]] / 100:.3g} m/s, and should be at most "
+        f"{FASTEST_CM_S / 100:g} m/s; correct its radius_cm, or give it a windkessel",
+        LoadWarning,
+        stacklevel=3,
+    )

@@ -45,6 +45,8 @@ GAMMA = LogNormal(3.0, 0.5)
 """Of the tangent wall, whose largest area is A0 (1 + gamma/2): 95 % between 1.1 and 8."""
 LOADS = {"psi1": LogNormal(1.0, 1.0), "psi2": LogNormal(1.0, 0.7), "c": LogNormal(1.0, 1.0)}
 """Factors on given or nominal loads; R1 + R2 is a mean pressure over a mean flow, hence the narrower psi2."""
+POSITIVE = ("f3", "m_chi", "gamma", "psi1", "psi2", "c")
+"""Parameters that a solve takes only as positive numbers."""
 RADIUS_SHARE = 3.0
 """Median of f1 over that of f3: what the narrowest vessels could add, were their radius zero."""
 RADIUS_SPREAD = 1.0
@@ -202,12 +204,23 @@ def study_parameters(
             changed["prior"], origin = derived[p.name]
         if p.name in own:
             changed["prior"], origin = own[p.name], "given"
+            _must_be_positive(study, p, own[p.name])
         if changed:
             changed |= {"start": None, "log": p.log or changed["prior"].support[0] >= 0.0}
         if p.name == "v_chi" and p.name in derived:
             changed |= {"label": "variance of log chi between vessels"}
         found.append(GivenPrior(replace(p, **changed), origin))
     return tuple(found)
+
+
+def _must_be_positive(study: Study, parameter: Parameter, prior: Prior) -> None:
+    """Refuse a given prior whose middle is not positive where a solve needs that."""
+    low = prior.support[0]
+    if parameter.name in POSITIVE and low < 0 and not prior.depends_on and sum(prior.support) <= 0:
+        raise PriorsError(
+            f"{study.source or study.name}: priors: {parameter.name} = {table_of(prior)}: it is a "
+            f"stiffness or a factor and must be positive, and begins at {low:g}; give it bounds above 0"
+        )
 
 
 def _called(name: str, parameters: Sequence[Parameter]) -> str:

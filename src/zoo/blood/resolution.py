@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.blood.case import Case, Place, simulate, solver_of
+from zoo.blood.solve_errors import CFLError
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Study, StudyError
 from zoo.blood.study.tables import checked_numerics
@@ -40,6 +41,8 @@ REMAINDER = 1.5
 """Error over the difference from cells and steps of half the size; 4/3 at second order, 2 at first."""
 TOLERANCE_SHARE = 0.25
 """Accepted distance from the periodic state, as a part of the error that is asked for."""
+GIVEN_CELLS_MMHG = 2e-3
+"""The same where cells are given and no error is asked for."""
 FIRST_STEPS = 64
 STEP_UNIT = 32
 MOST_WORK = 6e8
@@ -152,7 +155,7 @@ def resolve(
         )
     if "dx_cm" in given or case.conventions.truncate_lengths:
         options = SolverOptions(dx_cm=given.get("dx_cm", SolverOptions.dx_cm), **plain)
-        tolerance = given.get("tolerance_mmHg", options.tolerance_mmHg) * share
+        tolerance = given.get("tolerance_mmHg", GIVEN_CELLS_MMHG) * share
         options = replace(options, tolerance_mmHg=tolerance)
         cells, _ = solver_of(replace(case, options=options), (), np.empty(0)).grid()
         return Resolution(options, tuple(int(n) for n in cells))
@@ -167,7 +170,8 @@ def resolve(
     if key not in _CHOSEN:
         _CHOSEN[key] = _chosen(case, tuple(series), times_s, accuracy, noise, plain)
     found = _CHOSEN[key]
-    tolerance = given.get("tolerance_mmHg", found.options.tolerance_mmHg) * share
+    tolerance = given.get("tolerance_mmHg") or found.options.tolerance_mmHg or GIVEN_CELLS_MMHG
+    tolerance *= share
     return replace(found, options=replace(found.options, tolerance_mmHg=tolerance))
 
 
@@ -204,6 +208,8 @@ def _chosen(
     fixed = int(plain.pop("steps_per_beat", 0))
     period, length = case.network.period_s, case.network.length_cm
     speed, waves = _look(case, series, times_s, plain)
+    if np.ptp(case.inflow_ml_s) == 0 and case.physics.stiffness_wave is None:
+        waves = np.stack([0.0 * waves[:, 0], waves[:, 0]], axis=1)  # no pulse: of the level itself
     limits, ranges = _limits((*series, _root(case)), waves, accuracy_percent, noise_sd)
     pressures = [limits[i] for i, (_, _, quantity) in enumerate(series) if quantity == "pressure_mmHg"]
     tolerance = TOLERANCE_SHARE * float(min(pressures, default=limits[-1]))
@@ -215,6 +221,14 @@ def _chosen(
             f"steps_per_beat = {fixed}: waves cross vessel {short} in less than a step; give at least "
             f"{math.ceil(crossed.max())}, or leave it out",
             "bad-argument",
+        )
+
+    if 2 * crossed.max() > SolverOptions.max_steps:
+        stiff = int(np.argmax(crossed))
+        raise CFLError(
+            f"waves cross vessel {int(case.network.ids[stiff])} at {speed[stiff] / 100:.3g} m/s, "
+            f"{crossed[stiff]:.3g} times in a beat, and at most {SolverOptions.max_steps // 2} steps are "
+            "taken; give it a softer wall, which changes little where it is nearly rigid, or a greater length"
         )
 
     def options(steps: float) -> SolverOptions:
@@ -238,6 +252,7 @@ def _chosen(
         if over <= 1 or fixed or trial == TRIALS:
             return found
         before, steps = steps, steps * min(max(1.05 * math.sqrt(over), 1.15), 3.0)
+        steps = min(steps, SolverOptions.max_steps / 2)
         while _work(options(steps)) > MOST_WORK:
             steps *= 0.95
         if steps < 1.1 * before:
@@ -274,12 +289,21 @@ def _look(
 ) -> tuple[Array, Array]:
     """On few cells: wave speeds (n_vessels,), and series with the root's pressure (n_series + 1, n_times)."""
     length = case.network.length_cm
-    for total in (64, 256, 1024):
+    totals, tried = [64, 256, 1024], 0
+    while totals:
+        total, tried = totals.pop(0), tried + 1
         cells = tuple(int(n) for n in np.maximum(1, np.rint(total * length / length.sum())))
         coarse = replace(case, options=SolverOptions(cells=cells, tolerance_mmHg=0.5, **plain))
-        looked = solver_of(coarse, (), np.empty(0)).solve(**case.parameters, check=total == 1024)
-        if looked.ok:
+        try:
+            looked = solver_of(coarse, (), np.empty(0)).solve(**case.parameters)
             break
+        except CFLError:  # waves too fast for more cells, as in walls that are nearly rigid
+            if tried > 1:
+                raise
+            totals = [len(length)]
+        except SolveError:
+            if not totals:
+                raise
     return looked.fastest_cm_s, simulate(coarse, (*series, _root(case)), times_s)
 
 
@@ -344,7 +368,8 @@ def _errors(
     softer: tuple[float, ...] = (SOFTER,),
 ) -> Array:
     """Estimated root mean square error of each series, at the stiffness or a softer one."""
-    fine = replace(options, refine=2, tolerance_mmHg=0.2 * options.tolerance_mmHg)
+    tolerance = options.tolerance_mmHg
+    fine = replace(options, refine=2, tolerance_mmHg=None if tolerance is None else 0.2 * tolerance)
     worst = np.zeros(len(series))
     for part in (1.0, *softer):
         try:

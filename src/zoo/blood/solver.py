@@ -33,8 +33,8 @@ from zoo.blood.solve_errors import (
     WallFallsError,
     WallLimitError,
 )
+from zoo.blood.solver_input import TOLERANCE_SHARE, checked_inflow, checked_places
 from zoo.blood.solver_input import SolverOptions as SolverOptions
-from zoo.blood.solver_input import checked_inflow, checked_places
 from zoo.blood.units import cgs_to_mmhg
 from zoo.core import digests
 from zoo.core.arrays import (
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ABI = 8
+ABI = 9
 if getattr(lib, "ZOO_ABI", 1) != ABI:
     raise ImportError(
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
@@ -93,8 +93,11 @@ _ERRORS: dict[int, tuple[type[SolverError], str]] = {
         SolverArgumentError,
         "stiffness, gamma, psi1, psi2 and c must be positive and finite",
     ),
-    lib.ZOO_CFL: (CFLError, "raise steps_per_beat, or set it to 0 to have it chosen"),
-    lib.ZOO_COLLAPSE: (CollapseError, "raise the stiffness or lower psi1 and psi2"),
+    lib.ZOO_CFL: (CFLError, "give longer cells, or a softer wall"),
+    lib.ZOO_COLLAPSE: (
+        CollapseError,
+        "raise its stiffness or radius, lower what flows through it, or lower psi1 and psi2",
+    ),
     lib.ZOO_WALL_LIMIT: (WallLimitError, "raise the stiffness, lower gamma, or lower psi1 and psi2"),
     lib.ZOO_NO_ROOT: (RootError, "check the stiffness and the Windkessel values around that vessel"),
     lib.ZOO_NOT_PERIODIC: (
@@ -397,7 +400,9 @@ class Solver:
         num.steps_per_beat = options.steps_per_beat * options.refine
         num.least_steps = options.least_steps * options.refine
         num.max_steps, num.max_beats = options.max_steps, options.max_beats
-        num.tolerance = options.tolerance_mmHg * conventions.mmhg
+        given = options.tolerance_mmHg
+        num.tolerance = conventions.mmhg if given is None else given * conventions.mmhg
+        num.relative = TOLERANCE_SHARE if given is None else 0.0
         num.accelerate = options.accelerate
         self._problem = problem
 
@@ -536,12 +541,39 @@ class Solver:
                 f" of {self.options.max_beats} beats (last change "
                 f"{cgs_to_mmhg(report.change, self.conventions.mmhg):.3g} mmHg)"
             )
+        change = _ERRORS[report.status][1]
+        if report.status in (lib.ZOO_CFL, lib.ZOO_COLLAPSE) and report.vessel >= 0:
+            speed = self._speed_at_rest(report.vessel, values)
+            where += f", whose waves run at {speed / 100:.3g} m/s at rest,"
         if report.status == lib.ZOO_CFL:
-            when = (
-                f": (|u| + c) dt/dx, which must stay below 1, stood at {report.max_cfl:.2f} "
-                f"with {report.steps_per_beat} steps"
-            )
-        return f"{text}{where}{when}; {_ERRORS[report.status][1]}"
+            when = f" with {report.steps_per_beat} steps in a beat"
+            if report.max_cfl > 1:
+                when += f": (|u| + c) dt/dx must stay below 1 and stood at {report.max_cfl:.2f}"
+            if self.options.steps_per_beat:
+                change = "raise steps_per_beat, or set it to 0 to have it chosen"
+            else:
+                chi = float(values["stiffness"][report.vessel])
+                softer = chi * min(1.0, (0.5 / max(report.max_cfl, 1.0)) ** 2)
+                change = (
+                    "give it longer cells (dx_cm, accuracy_percent), or, where its wall is nearly rigid, a "
+                    f"softer one, as stiffness = {softer:.1g} in place of {chi:.3g}"
+                )
+        return f"{text}{where}{when}; {change}"
+
+    def _speed_at_rest(self, vessel: int, values: dict[str, Array]) -> float:
+        """Wave speed of a vessel (an index) at its inlet at rest, cm/s, without what is added to its wall."""
+        shape = np.ascontiguousarray(values["gamma"][..., vessel]).reshape(-1)
+        rest = np.pi * float(self.network.radius_in_cm[vessel]) ** 2
+        found = lib.zoo_wave_speed(
+            WALLS[self.wall],
+            self.conventions.wall_factor,
+            float(values["stiffness"][vessel]),
+            ffi.from_buffer("double[]", shape),
+            rest,
+            rest,
+            self.network.density,
+        )
+        return float(found)
 
     def solve(
         self,

@@ -13,6 +13,9 @@ from zoo.core.arrays import finite_array, real_number, refuse_where, shown, whol
 
 Array = NDArray[np.float64]
 
+TOLERANCE_SHARE = 7.5e-5
+"""Accepted distance from the periodic state over the pulse: a quarter of the default accuracy, 0.03 %."""
+
 
 @dataclass(frozen=True)
 class SolverOptions:
@@ -37,7 +40,8 @@ class SolverOptions:
     max_steps, max_beats : int
         Limits beyond which a solve fails.
     tolerance_mmHg : float
-        Largest accepted distance from the periodic state, estimated from the last beat's change.
+        Largest accepted distance from the periodic state, estimated from the last beat's change; if absent,
+        a part `TOLERANCE_SHARE` of the pressure's range at the root's inlet.
     accelerate : bool
         Extrapolate from beat to beat.
     """
@@ -50,12 +54,14 @@ class SolverOptions:
     least_steps: int = 0
     max_steps: int = 65536
     max_beats: int = 500
-    tolerance_mmHg: float = 2e-3
+    tolerance_mmHg: float | None = None
     accelerate: bool = True
 
     def __post_init__(self) -> None:
         for name in ("dx_cm", "cfl", "tolerance_mmHg"):
             value = getattr(self, name)
+            if name == "tolerance_mmHg" and value is None:
+                continue
             real_number(name, value, "a positive and finite number", above=0.0, error=SolverArgumentError)
         least = {"refine": 1, "steps_per_beat": 0, "least_steps": 0, "max_steps": 32, "max_beats": 1}
         for name, low in least.items():

@@ -13,6 +13,10 @@ from zoo.cli.screen import say
 from zoo.core.outputs import output_folder
 
 YAML = (".yaml", ".yml")
+FILES = (
+    "openBF's or jaxFlowSim's .yaml, svOneDSolver's .in, svZeroDSolver's .json, VaMpy's .cfg, or a .csv with "
+    "a row for each vessel"
+)
 
 
 @dataclass(frozen=True)
@@ -44,9 +48,7 @@ class TableOptions:
 
 @command
 def import_(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="openBF's .yaml, or a .csv with a row for each vessel.")
-    ],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help=f"{FILES}.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study."), Role.WRITES],
     name: Annotated[
         str | None, typer.Option("--name", help="Name of the study; that of the file if absent.")
@@ -54,22 +56,32 @@ def import_(
     *,
     table: TableOptions,
 ) -> None:
-    """Make a study of openBF's YAML, or of a CSV table of vessels."""
+    """Make a study of another program's network, or of a CSV table of vessels."""
     from zoo.blood.importing.openbf import import_openbf
+    from zoo.blood.importing.svonedsolver import import_svonedsolver
+    from zoo.blood.importing.svzerodsolver import import_svzerodsolver
     from zoo.blood.importing.table import import_table
+    from zoo.blood.importing.vampy import import_vampy
     from zoo.blood.study import STUDY_FILES
 
     output_folder(output, STUDY_FILES, "--output")
     if not file.is_file():
-        raise UsageError(f"{file}: no such file; give openBF's .yaml, or a .csv of vessels")
+        raise UsageError(f"{file}: no such file; give {FILES}")
     suffix = file.suffix.lower()
     given: dict[str, Any] = {option: value for option, value in vars(table).items() if value is not None}
-    if suffix in YAML:
+    readers = {
+        "yaml": import_openbf,
+        "in": import_svonedsolver,
+        "json": import_svzerodsolver,
+        "cfg": import_vampy,
+    }
+    kind = "yaml" if suffix in YAML else suffix[1:]
+    if kind in readers:
         for option, value in given.items():
             raise UsageError(
                 f"{option} = {value}: belongs to a .csv; {file.name} says that itself: leave it out"
             )
-        found = import_openbf(file)
+        found = readers[kind](file)
         if name is not None:
             found = replace(found, study=replace(found.study, name=name))
     elif suffix == ".csv":
@@ -78,7 +90,7 @@ def import_(
             raise UsageError(f"{file}: a table of vessels has no inflow: add {lacking}")
         found = import_table(file, name=name, **given)
     else:
-        raise UsageError(f"{file}: unknown ending {file.suffix!r}; give openBF's .yaml, or a .csv of vessels")
+        raise UsageError(f"{file}: unknown ending {file.suffix!r}; give {FILES}")
     study = found.save(output, replace=True)  # as checked above
     say(study.name, *(f"  read: {line}" for line in found.read))
     say(*(f"  converted: {line}" for line in found.converted))

@@ -30,7 +30,8 @@ from zoo.blood.importing.yaml import Table as Rows
 from zoo.blood.importing.yaml import read_yaml
 from zoo.blood.study import Blood, Study, Vessel, Windkessel
 from zoo.blood.study.reading import inside, read_text
-from zoo.blood.study.resampling import even_samples
+from zoo.blood.study.resampling import denser, even_samples
+from zoo.blood.study.samples import MIN_SAMPLES
 from zoo.blood.study.tables import Table, Whole, validated, visible_name
 from zoo.core.words import short
 
@@ -106,6 +107,9 @@ class _Network(Table):
     network: Any
 
 
+_NAMES = {"proj_name": "project_name", "num_snapshots": "jump", "conv_tol": "convergence_tolerance"}
+_KINDS = {"inlet": {1: "Q", 2: "p"}, "outlet": {1: "reflection", 2: "wk2", 3: "wk3"}}
+"""Other names and numbers of the same things in jaxFlowSim's files."""
 _LEFT_OUT = ("M", "initial_flow", "initial_pressure", "to_save")
 _REFUSED = {
     "visco_elastic": "a viscoelastic wall is no part of a study's tree",
@@ -122,10 +126,13 @@ class _Part:
             raise ImportedFileError(
                 f"{path}: {what}: must be a table of keys and values; is this an openBF file?"
             )
-        names = {key: re.sub("[ -]", "_", key) for key in value}
+        names = {key: _NAMES.get(key, re.sub("[ -]", "_", key)) for key in value}
         self.path, self.what = path, what
         self.rows = {name: value.rows[key] for key, name in names.items()}
         self.given = {name: value[key] for key, name in names.items() if value[key] is not None}
+        for name, kinds in _KINDS.items():
+            if type(self.given.get(name)) is int and self.given[name] in kinds:
+                self.given[name] = kinds[self.given[name]]
         for name in _REFUSED.keys() & self.given.keys():
             if self.given[name]:
                 raise self.fail(
@@ -385,8 +392,11 @@ def _inflow(file: Path, name: str, notes: list[str]) -> tuple[Array, Array, floa
             f"{how}"
         )
         flow = np.append(even, even[0])
-    n = len(flow) - 1
-    return np.asarray(np.arange(n) * (period / n), dtype=np.float64), flow[:-1], period
+    flow = denser(flow[:-1], MIN_SAMPLES)
+    if len(gaps) < MIN_SAMPLES:
+        notes.append(f"inflow: {len(gaps)} samples, linear between, became {len(flow)}: the same curve")
+    n = len(flow)
+    return np.asarray(np.arange(n) * (period / n), dtype=np.float64), flow, period
 
 
 def _columns(path: Path) -> Array:

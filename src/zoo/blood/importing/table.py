@@ -22,6 +22,13 @@ REQUIRED = ("id", "parent", "length_cm", "radius_cm")
 OPTIONAL = ("name", "radius_out_cm", "R1", "R2", "C", *VESSEL_PHYSICS)
 """Columns of the table; R1, R2 and C are the Windkessel's, the others are fields of network.toml."""
 
+WITHOUT_HEADER = (
+    REQUIRED,
+    (*REQUIRED, "radius_out_cm"),
+    (*REQUIRED, "R1", "R2", "C"),
+    (*REQUIRED, "radius_out_cm", "R1", "R2", "C"),
+)
+"""Columns of a table of numbers alone, by how many there are."""
 DENSITY, VISCOSITY = 1.06, 0.04
 """Of blood where none are given, g/cm3 and g/(cm s)."""
 LEAST = 1e-30
@@ -82,7 +89,7 @@ def import_table(
                 "correct it"
             )
     found, places = [], []
-    table = read_csv(path, REQUIRED, OPTIONAL)
+    table = read_csv(path, REQUIRED, OPTIONAL, WITHOUT_HEADER)
     for i, row in enumerate(table.rows):
         cells = table.cells(i)
         where = f"{path}, row {row}: vessel {short(cells['id'], 20)[1:-1]}"
@@ -130,7 +137,9 @@ def import_table(
         f"inflow: period {period_s:g} s, mean {flow.mean():.4g} ml/s" + (f"; {note}" if note else ""),
         f"observed: {', '.join(s.label for s in series) or 'nothing'}",
     )
-    return Imported(study, read)
+    bare = table.rows[0] == 1
+    columns = (f"no header: columns taken for {', '.join(table.columns)}",) if bare else ()
+    return Imported(study, read, columns)
 
 
 def _fields(where: str, cells: dict[str, str]) -> dict[str, Any]:

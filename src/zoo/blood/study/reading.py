@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -88,8 +89,13 @@ class CsvTable:
         return {name: column[i] for name, column in self.columns.items()}
 
 
-def read_csv(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> CsvTable:
-    """Cells by column; row 1 is the header, blank rows are left out."""
+def read_csv(
+    path: Path, columns: Sequence[str], optional: Sequence[str] = (), orders: Sequence[Sequence[str]] = ()
+) -> CsvTable:
+    """Cells by column; row 1 is the header, blank rows are left out.
+
+    Where its cells are all numbers there is none, and the columns are those of `orders` of that length.
+    """
     reader = csv.reader(read_text(path).splitlines(), strict=True)
     try:
         lines = [(reader.line_num, cells) for row in reader if any(cells := [c.strip() for c in row])]
@@ -97,6 +103,15 @@ def read_csv(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -
         raise StudyError(f"{path}, row {reader.line_num}: {error}; correct that row") from None
     if not lines:
         raise StudyError(f"{path}: the file is empty; its first row is {','.join(columns)}")
+    if orders and all(re.fullmatch(r"[-+.\deE]*", cell) for cell in lines[0][1]):
+        taken = next((list(one) for one in orders if len(one) == len(lines[0][1])), None)
+        if taken is None:
+            said = "; ".join(",".join(one) for one in orders)
+            raise StudyError(
+                f"{path}, row {lines[0][0]}: no header, and {len(lines[0][1])} columns: without one they are "
+                f"{said}; add a header"
+            )
+        lines.insert(0, (0, taken))
     row, header = lines[0]
     for sign, words in ((";", "semicolons"), ("\t", "tabs")):
         if any(sign in cell for cell in header):

@@ -60,3 +60,11 @@ def even_samples(time_s: ArrayLike, value: ArrayLike, period_s: float) -> tuple[
     wanted = period_s * turn / (4 * _WANTED * float(np.ptp(values)))
     n = min(MOST_SAMPLES, max(1024, 1 << math.ceil(math.log2(min(wanted, MOST_SAMPLES)))))
     return np.interp(np.arange(n) * (period_s / n), at, own), turn * period_s / (4 * n)
+
+
+def denser(value: ArrayLike, least: int = 32) -> Array:
+    """At least so many even samples of a period, on the lines between those that are given."""
+    samples = np.asarray(value, dtype=np.float64)
+    while len(samples) < least:
+        samples = np.stack([samples, 0.5 * (samples + np.roll(samples, -1))], axis=1).ravel()
+    return samples

@@ -32,6 +32,9 @@ PRICE_OF_NEXT = 1.0
 SOFTNESS = 0.25
 """Standard deviation, of a logarithm, of the ends of the ranges."""
 
+TRAVEL = 1e-3, 0.4
+"""Part of the beat that a wave takes to the furthest outlet."""
+
 Array = NDArray[np.float64]
 
 _MMHG = 1333.22  # dyn/cm2; sizes do not need its last digits
@@ -154,8 +157,12 @@ class _Look:
         part = root.radius_cm / (1.4 * study.period_s**1.5)
         of_aorta = "of an aorta's at this heart rate"
         self.add("radius of the root", of_aorta, part, 1 / 40, 3.5, radius=1, period=-1.5)
-        path = max(way.values()) / root.radius_cm
+        self.way_cm = max(way.values())
+        path = self.way_cm / root.radius_cm
         self.add("way to the furthest outlet", "radii of the root", path, 2, 250, length=1, radius=-1)
+        if len(self.vessels) > 2:  # a single one may be any tube
+            each = float(np.median([v.length_cm / v.radius_cm for v in self.vessels]))
+            self.add("median length of the vessels", "of their radii", each, 0.1, 50, length=1, radius=-1)
         self.add("density", "g/cm3", blood.density_g_cm3, 0.9, 1.3, density=1)
         self.add("viscosity", "g/(cm s)", blood.viscosity_g_cm_s, 0.01, 0.25, viscosity=1)
         self._observed()
@@ -163,12 +170,19 @@ class _Look:
         if chi := [v.stiffness[0] for v in study.vessels if v.stiffness]:
             speed = float(np.median([math.sqrt(2 * x / (3 * blood.density_g_cm3)) for x in chi]))
             self.add("wave speed of the walls", "cm/s", speed, 60, 4000, stiffness=0.5, density=-0.5)
+            self.travel(speed, stiffness=-0.5, density=0.5)
             self.typical["stiffness"] = "stiffness has a median of", float(np.median(chi))
 
     def add(self, words: str, unit: str, value: float, low: float, high: float, **powers: float) -> None:
         """A size and its range; none that is zero or infinite."""
         if 0 < value < math.inf:
             self.sizes.append(_Size(words, unit, value, low, high, powers))
+
+    def travel(self, speed_cm_s: float, **powers: float) -> None:
+        """The time that a wave of this speed takes to the furthest outlet, over the beat."""
+        part = self.way_cm / (speed_cm_s or math.inf) / self.study.period_s
+        words = "time of a wave to the furthest outlet"
+        self.add(words, "of the beat", part, TRAVEL[0], TRAVEL[1], length=1, period=-1, **powers)
 
     def _series(self, quantity: str, group: str) -> tuple[Series, Vessel, float] | None:
         """The series of a quantity in the vessel with the largest share of the flow, that, and its mean."""
@@ -190,6 +204,7 @@ class _Look:
             self.add("mean pressure", "mmHg", abs(mean), 2.5, 250, pressure=1)
             self.add("pulse of the pressure", "mmHg", pulse, 1.5, 200, pressure=1)
             self.add(words, "cm/s", speed, 80, 3000, pressure=1, radius=2, inflow=-1, density=-1)
+            self.travel(speed, pressure=-1, radius=-2, inflow=1, density=1)
             fed = {one.parent for one in study.vessels}
             behind = max(study.pressure_mmHg("outflow", one) for one in study.vessels if one.id not in fed)
             self.typical["outflow_pressure"] = "outflow_pressure_mmHg is", behind

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from zoo.blood.study.parts import StudyError
+from zoo.core.arrays import MOST_COUNT
 from zoo.core.words import choices, one_line, short
 
 LONGEST_NAME = 100
@@ -103,7 +104,7 @@ class NumericsTable(Table):
     dx_cm: Size | None = None
     steps_per_beat: int | None = Field(default=None, ge=32, le=65536)
     tolerance_mmHg: Positive | None = None
-    max_beats: int | None = Field(default=None, ge=1, lt=2**31)
+    max_beats: int | None = Field(default=None, ge=1, le=MOST_COUNT)
 
 
 _MEANING = {
