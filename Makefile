@@ -104,6 +104,6 @@ reproduce: setup
 
 clean:
 	$(MAKE) --no-print-directory -C native clean
-	rm -rf build dist zoo.egg-info src/zoo.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis $(STAMP)
+	rm -rf build dist pymc_zoo.egg-info src/pymc_zoo.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis $(STAMP)
 	rm -f src/zoo/_native*.so native/src/*.o
 	find src models tests benchmarks -name __pycache__ -type d -exec rm -rf {} +

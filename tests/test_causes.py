@@ -171,6 +171,30 @@ def test_a_bounded_amplitude_has_the_mass_inside(toy):
     assert Reference(problem, toy.causes, V).further((), ())[0][i] == pytest.approx(expected, abs=0.01)
 
 
+def test_amplitudes_that_were_there_may_leave_their_bounds_when_a_cause_is_added(toy):
+    """Two alike responses, of which the second makes the first negative; masses are those of each alone."""
+    i, j = (k for k, one in enumerate(toy.causes[:9]) if one.low == 0.0 and k in (0, 3))
+    rng = np.random.default_rng(8)
+    first = toy.causes[i]
+    beside = replace(toy.causes[j], columns=first.columns + 0.3 * toy.causes[j].columns)
+    residual = (
+        1.5 * beside.columns[:, 0] - 0.8 * first.columns[:, 0] + 0.3 * rng.standard_normal(len(first.columns))
+    )
+    problem, V = toy.problem(residual), np.full(len(residual), 0.3**2)
+    reference = Reference(problem, [first, beside], V)
+    found = reference.further((), ())[0][0] + reference.further((0,), (1.0,))[0][1]
+    expected = marginal_normal(problem, (first, beside), (1.0, 1.0), V) - marginal_normal(problem, (), (), V)
+    A = np.concatenate([problem.jacobian, first.columns, beside.columns], axis=1)
+    P = np.zeros((A.shape[1],) * 2)
+    P[:-2, :-2], P[-2:, -2:] = problem.P, np.eye(2)
+    C = np.linalg.inv((A.T / V) @ A + P)
+    mean = C @ ((A.T / V) @ residual - np.append(problem.pull, [0.0, 0.0]))
+    assert mean[-2] < 0.0 < mean[-1]
+    for m, sd in zip(mean[-2:], np.sqrt(np.diag(C))[-2:], strict=True):
+        expected += norm.logcdf(m / sd) - math.log(0.5)
+    assert found == pytest.approx(expected, abs=1e-3)
+
+
 def with_a_cause(toy: LinearToy, i: int, noise: float = 0.1) -> np.ndarray:
     rng = np.random.default_rng(2)
     return 2.0 * toy.causes[i].columns[:, 0] + noise * rng.standard_normal(len(toy.jacobian))

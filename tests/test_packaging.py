@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tarfile
 import tomllib
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
@@ -33,6 +34,19 @@ def test_the_wheel_is_tagged_for_the_stable_interface_of_the_oldest_python() -> 
     command = [sys.executable, "-W", "ignore", "-c", TAG_OF]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.split()[-1] == wanted
+
+
+def test_the_source_distribution_has_the_models_as_files_and_what_a_build_needs(tmp_path: Path) -> None:
+    """`src/zoo/models` is a link here, which an archive of links alone would leave pointing at nothing."""
+    command = [sys.executable, "-m", "build", "--sdist", "--no-isolation", "--outdir", str(tmp_path), "."]
+    subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    [archive] = tmp_path.glob("pymc_zoo-*.tar.gz")
+    with tarfile.open(archive) as found:
+        members = {one.name.partition("/")[2]: one for one in found.getmembers()}
+    needed = ("src/zoo/models/model_g.py", "models/model_g.py", "native/build_ffi.py", "native/src/solve.c")
+    named = ("LICENSE", "CHANGELOG.md", "CITATION.cff", "Makefile", "requirements.lock", "examples/tanks.py")
+    for name in (*needed, *named):
+        assert members[name].isreg(), name
 
 
 def _where_arviz_was_never_imported(folder: Path, *command: str) -> str:
