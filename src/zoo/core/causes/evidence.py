@@ -619,7 +619,8 @@ class AlikeCoefficients:
 
     def mode(self) -> Array:
         """Where the posterior of t is largest."""
-        t = np.broadcast_to(np.maximum(0.0, self.least), self.n.shape)
+        louder = 0.5 * np.log1p(np.maximum(self.q - 1.0, 0.0) / self.m)  # where v = q
+        t = np.maximum(louder, self.least)
         for _ in range(SCORING):
             slope, bend, _ = self._slope(t)
             t = np.maximum(t + np.clip(slope / bend, -LARGEST_STEP, LARGEST_STEP), self.least)
