@@ -29,6 +29,8 @@ INPUTS = {
     "posteriors": "posteriors",
     "file": "vessels.csv",
     "inflow": "inflow.csv",
+    "pressure": "pressure.csv",
+    "flow": "inflow.csv",
     "observations": "observations.csv",
     "cases": "cases",
     "answers": "answers",
@@ -47,6 +49,7 @@ WORDS: dict[str, tuple[str, ...] | None] = {
     "diagnose": ("--quiet",),
     "report": (),
     "import": ("--period", "0.8"),
+    "import-beats": ("--length", "6", "--radius", "1.1"),
     "blind make": (),
     "blind run": (),
     "blind score": (),
@@ -57,6 +60,7 @@ FOREIGN = {
     "compare": ["comparison.csv", "fit-A.png", "flow.png", "loops.png"],
     "diagnose": ["diagnosis.json", "report.html", "gap.png", "states.png"],
     "import": list(STUDY_FILES),
+    "import-beats": list(STUDY_FILES),
     "blind score": ["score.json", "score.md", "cases.csv"],
 }
 """Command that writes into a folder -> files of someone else's that may be in its way there."""
@@ -139,6 +143,7 @@ def made(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (here / "vessels.csv").write_text("id,parent,length_cm,radius_cm,R1,R2,C\n1,,5,0.6,900,8000,4e-5\n")
     rows = "".join(f"{i * 0.05:.2f},{15 + i % 4}\n" for i in range(16))
     (here / "inflow.csv").write_text("time_s,flow_ml_s\n" + rows)
+    (here / "pressure.csv").write_text("time_s,pressure_mmHg\n" + rows)
     (here / "effects.py").write_text(EFFECTS)
     (here / "models.py").write_text(MODELS)
     return here
@@ -159,6 +164,7 @@ def world(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "zoo.core.posterior.storage.load",
         "zoo.report.gather",
         "zoo.blood.importing.table.import_table",
+        "zoo.blood.importing.beats.import_beats",
         "zoo.blood.diagnosis.diagnose",
         "zoo.blood.blind.make_cases",
         "zoo.blood.blind.diagnose_cases",

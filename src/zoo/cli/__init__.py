@@ -79,7 +79,7 @@ for function in (
 ):
     app.command()(function)
 app.command(name="import")(importing.import_)
-app.command()(importing.import_beats)
+app.command(name="import-beats")(importing.import_beats)
 for function in (blind.make, blind.run, blind.score):
     blind_app.command()(function)
 app.add_typer(blind_app)
