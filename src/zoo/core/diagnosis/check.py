@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
-from scipy.stats import multivariate_normal, multivariate_t
+from scipy.special import gammaln, logsumexp
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.arviz_lines import smoothed
@@ -131,12 +130,15 @@ def _log_ratios(sets: CauseSets, one: SolvedSet, draws: int, rng: np.random.Gene
     fitting, evidence, k = sets.search.fitting, one.evidence, one.n_listed
     best, problem, forward = evidence.best(SIZE_PRIORS), evidence.problem, one.forward
     mean, C = evidence.mean[best], evidence.covariance[best]
-    beside = multivariate_t(mean, C, HEAVY, seed=rng)
-    half = rng.multivariate_normal(mean, C, draws - draws // 2, method="cholesky")
-    x = np.concatenate([half, np.reshape(beside.rvs(draws // 2), (-1, len(mean)))])
+    z, d = rng.standard_normal((draws, len(mean))), len(mean)
+    z[: draws // 2] /= np.sqrt(rng.chisquare(HEAVY, draws // 2) / HEAVY)[:, None]
+    x = mean + z @ np.linalg.cholesky(C).T
     u = one.point.u + (x - one.seen)
-    x, u = (a[np.all((u >= forward.low) & (u <= forward.high), axis=1)] for a in (x, u))
-    log_weights = math.log(2.0) - np.logaddexp(0.0, beside.logpdf(x) - multivariate_normal(mean, C).logpdf(x))
+    x, u, z = (a[np.all((u >= forward.low) & (u <= forward.high), axis=1)] for a in (x, u, z))
+    square = np.sum(z**2, axis=1)  # log density of Student's t less that of the normal distribution
+    heavier = gammaln(0.5 * (HEAVY + d)) - gammaln(0.5 * HEAVY) - 0.5 * d * math.log(0.5 * HEAVY)
+    heavier += 0.5 * square - 0.5 * (HEAVY + d) * np.log1p(square / HEAVY)
+    log_weights = math.log(2.0) - np.logaddexp(0.0, heavier)
     A = np.concatenate([problem.jacobian, *(cause.columns for cause in evidence.causes)], axis=1)
     linear = problem.residual - x @ A.T
     n_effects = len(one.order) - len(evidence.causes)
@@ -150,7 +152,7 @@ def _log_ratios(sets: CauseSets, one: SolvedSet, draws: int, rng: np.random.Gene
         if series is None or at_mode is None:
             continue
         left = sets.search.data - (series + one.point.computed - at_mode)
-        d = x[i, :k]
-        quadratic = problem.log_prior - 0.5 * d @ problem.P @ d - problem.pull @ d
+        step = x[i, :k]
+        quadratic = problem.log_prior - 0.5 * step @ problem.P @ step - problem.pull @ step
         found[i] = 0.5 * np.sum((linear[i] ** 2 - left**2) / V) + own.prior(u[i, :k])[0] - quadratic
-    return found, np.atleast_1d(log_weights)
+    return found, log_weights
