@@ -14,9 +14,8 @@ import numpy as np
 
 from zoo.blood.conventions import PRINTED
 from zoo.blood.importing.cards import LEFT_OUT, Deck
-from zoo.blood.importing.imported import Imported
-from zoo.blood.study import Blood, Study, Vessel, Windkessel
-from zoo.blood.study.resampling import denser, even_samples
+from zoo.blood.importing.imported import Imported, study_of
+from zoo.blood.study import Blood, Vessel, Windkessel
 from zoo.core.words import short
 
 
@@ -44,22 +43,11 @@ def import_svonedsolver(path: str | Path) -> Imported:
     if wrong or curve[-1, 1] != curve[0, 1]:
         deck.fail(row, f"DATATABLE {options[4]}: must begin at 0, rise in time, and end with its first value")
     period = float(curve[-1, 0])
-    flow, distance = even_samples(curve[:-1, 0], curve[:-1, 1], period)
-    flow = denser(flow)
-    study = Study(
-        name=Path(path).stem,
-        period_s=period,
-        blood=Blood(
-            density, viscosity, velocity_profile_order=order, momentum_correction=(order + 2) / (order + 1)
-        ),
-        vessels=vessels,
-        inflow_time_s=np.asarray(np.arange(len(flow)) * (period / len(flow)), dtype=np.float64),
-        inflow_ml_s=flow,
-        time_s=np.empty(0),
-        series=(),
-        source=Path(path),
-        radius_pressure_mmHg=rest / PRINTED.mmhg,
+    blood = Blood(
+        density, viscosity, velocity_profile_order=order, momentum_correction=(order + 2) / (order + 1)
     )
+    study, distance = study_of(Path(path), vessels, blood, curve[:-1], period, rest / PRINTED.mmhg)
+    flow = study.inflow_ml_s
     kinds = Counter(words[14] for _, words in segments if words[14] != "NOBOUND")
     read = (
         f"{len(vessels)} vessels; outlets: {', '.join(f'{n} x {kind}' for kind, n in kinds.items())}",

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from zoo.blood.conventions import PRINTED
-from zoo.blood.importing.imported import Imported, ImportedFileError
-from zoo.blood.study import Blood, Study, Vessel, Windkessel
+from zoo.blood.importing.imported import Imported, ImportedFileError, study_of
+from zoo.blood.study import Blood, Vessel, Windkessel
 from zoo.blood.study.reading import read_text
-from zoo.blood.study.resampling import denser, even_samples
 from zoo.core.words import short
 
 DENSITY, VISCOSITY = 1.06, 0.04
@@ -56,19 +55,9 @@ def import_svzerodsolver(path: str | Path) -> Imported:
             f"{path}: {short(str(error))}: is missing or of another kind; is this a file of svZeroDSolver?"
         ) from None
     period = float(curve[-1, 0])
-    even, distance = even_samples(curve[:-1, 0], curve[:-1, 1], period)
-    flow = denser(even)
-    study = Study(
-        name=path.stem,
-        period_s=period,
-        blood=Blood(density, viscosity, velocity_profile_order=2.0),
-        vessels=found,
-        inflow_time_s=np.asarray(np.arange(len(flow)) * (period / len(flow)), dtype=np.float64),
-        inflow_ml_s=flow,
-        time_s=np.empty(0),
-        series=(),
-        source=path,
-    )
+    blood = Blood(density, viscosity, velocity_profile_order=2.0)
+    study, distance = study_of(path, found, blood, curve[:-1], period)
+    flow = study.inflow_ml_s
     converted = (
         "radii, lengths and stiffnesses from R_poiseuille, C and vessel_length, or L where that is absent",
         f"inflow: {len(curve) - 1} samples, became {len(flow)}, at most {distance:.2g} ml/s off",

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from zoo.blood.importing.imported import Imported, ImportedFileError
-from zoo.blood.study import Blood, Study, Vessel, Windkessel
+from zoo.blood.importing.imported import Imported, ImportedFileError, study_of
+from zoo.blood.study import Blood, Vessel, Windkessel
 from zoo.blood.study.reading import inside, read_text
-from zoo.blood.study.resampling import denser, even_samples
 from zoo.core.words import short
 
 USED = {"ru", "rd", "lam", "rho", "nu", "k1", "k2", "k3", "r1", "r2", "ct", "depth"}
@@ -77,19 +76,9 @@ def import_vampy(path: str | Path) -> Imported:
         raise ImportedFileError(
             f"{path}: inlet {short(name)}: must be rows of time,flow from 0 on; correct it"
         )
-    even, distance = even_samples(curve[:, 0], curve[:, 1], period)
-    flow = denser(even)
-    study = Study(
-        name=path.stem,
-        period_s=period,
-        blood=Blood(numbers(arteries, "rho")[0], numbers(arteries, "nu")[0]),
-        vessels=vessels,
-        inflow_time_s=np.asarray(np.arange(len(flow)) * (period / len(flow)), dtype=np.float64),
-        inflow_ml_s=flow,
-        time_s=np.empty(0),
-        series=(),
-        source=path,
-    )
+    blood = Blood(numbers(arteries, "rho")[0], numbers(arteries, "nu")[0])
+    study, distance = study_of(path, vessels, blood, curve, period)
+    flow = study.inflow_ml_s
     converted = (
         "lengths are lam times the upstream radius; chi = k1 exp(k2 r) + k3 at both ends",
         "the wall (4/3) chi (1 - sqrt(A0/A)) became (4/3) chi (sqrt(A/A0) - 1), alike near rest",
