@@ -207,9 +207,38 @@ def test_compare_samples_what_is_missing_and_writes_table_and_figures(
     assert "model B: posterior of B.nc" in found
 
 
+def test_compare_is_red_on_a_model_made_worse_and_green_again(
+    sampled: tuple[Path, str], tiny: Path, tmp_path: Path
+) -> None:
+    """As .github/workflows/model-comparison.yml does it, with a prior that is changed and changed back."""
+    base = tmp_path / "base.json"
+    words = ("compare", tiny, "--models", "A", "--no-figures", *QUICK, "--posteriors", sampled[0].parent)
+    assert f"wrote {base}" in run(*words, "-o", tmp_path / "first", "--json", base)
+
+    def gated(name: str, *more: object, code: int = 0) -> str:
+        out = [tmp_path / f"{name}.{end}" for end in ("", "json", "md", "xml")]
+        files = zip(("-o", "--json", "--markdown", "--junit"), out, strict=True)
+        gates = ("--baseline", base, "--fail-if", "waic > baseline + 2 se")
+        told = run(*words, *(x for pair in files for x in pair), *gates, *more, code=code)
+        return told + out[2].read_text(encoding="utf-8") + out[3].read_text(encoding="utf-8")
+
+    red = gated("red", "--prior", "c=uniform(3, 4)", code=3)
+    assert "error: tiny, model A: waic > baseline + 2 se (waic is" in red
+    assert "gates that failed: 1 of 1" in red
+    green = gated("green")
+    assert "error:" not in green
+    assert "sampled" not in green
+    assert "gates that failed: 0 of 1" in green
+    assert 'failures="0"' in green
+    strict = run(*words, "-o", tmp_path / "strict", "--strict", code=3)
+    assert "converged=no (converged is no)" in strict
+    assert "no.json: cannot be read" in fails(*words, "--baseline", tmp_path / "no.json")
+    assert "gate 'waic': is none" in fails(*words, "--fail-if", "waic")
+
+
 def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_path: Path) -> None:
     path = sampled[0]
-    assert "at least two different models" in fails("compare", tiny, "--models", "A,A")
+    assert "give each model once" in fails("compare", tiny, "--models", "A,A")
     assert "model 'Q': unknown" in fails("compare", tiny, "--models", "A,Q")
     assert "no such file or folder" in fails(
         "compare", tiny, "--posteriors", tmp_path / "no.nc", "-o", tmp_path / "o"

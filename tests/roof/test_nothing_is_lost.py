@@ -35,6 +35,7 @@ INPUTS = {
     "cases": "cases",
     "answers": "answers",
     "key": "key.json",
+    "baseline": "base.json",
 }
 """Parameter that is read -> what it is given here."""
 WORDS: dict[str, tuple[str, ...] | None] = {
@@ -136,7 +137,14 @@ def made(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for folder in ("study", "state", "cases/case-001", "answers/case-001"):
         shutil.copytree(tiny, here / folder)
     (here / "posteriors").mkdir()
-    for file in ("posteriors/A.nc", "posteriors/diary.txt", "observations.csv", "key.json", "diary.txt"):
+    for file in (
+        "posteriors/A.nc",
+        "posteriors/diary.txt",
+        "observations.csv",
+        "key.json",
+        "base.json",
+        "diary.txt",
+    ):
         (here / file).write_text(f"{file}, of someone")
     for file in ("answers/case-001/diagnosis.json", "cases/diary.txt", "answers/diary.txt"):
         (here / file).write_text("{}")

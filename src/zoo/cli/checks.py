@@ -49,10 +49,10 @@ def model_names(text: str) -> list[str]:
 
 
 def different_models(text: str) -> list[str]:
-    """Names of two models or more."""
+    """Names of models, each once."""
     names = model_names(text)
-    if len(names) < 2 or len(set(names)) < len(names):
-        raise UsageError(f"--models {text}: give at least two different models, such as --models A,B")
+    if len(set(names)) < len(names):
+        raise UsageError(f"--models {text}: give each model once, such as --models A,B")
     return names
 
 

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 _debug = False
 
 
-NOT_CONVERGED = 3
-"""Exit code of --strict when the chains have not converged."""
+GATE = 3
+"""Exit code of a gate that fails, such as --strict where chains have not converged."""
 
 
 class UsageError(ValueError):

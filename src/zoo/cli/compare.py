@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from zoo.cli.checks import at_least, different_models
-from zoo.cli.command import NOT_CONVERGED, FreshOption, Role, UsageError, Without, command
+from zoo.cli.command import GATE, FreshOption, Role, UsageError, Without, command
 from zoo.cli.options import PluginOptions, SamplingOptions, StrictOption, StudyOptions
 from zoo.cli.sample import build_model, sample_with_checkpoint
-from zoo.cli.screen import plain_table, say
-from zoo.core.outputs import output_folder, write_file
+from zoo.cli.screen import complain, plain_table, say
+from zoo.core.outputs import output_file, output_folder, write_file
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
+    from zoo.report.comparison import ComparisonFile, Gate
 
 
 @command
@@ -51,6 +52,28 @@ def compare(
         int, typer.Option("--n-draws", help="Draws of each posterior that are scored."), Role.ASIDE
     ] = 1000,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures."), Role.ASIDE] = True,
+    json: Annotated[
+        Path | None, typer.Option("--json", help="File for all numbers, to be a --baseline."), Role.WRITES
+    ] = None,
+    markdown: Annotated[
+        Path | None, typer.Option("--markdown", help="File for a summary of one screen."), Role.WRITES
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option("--junit", help="File for the gates as CI systems read tests."), Role.WRITES
+    ] = None,
+    baseline: Annotated[
+        Path | None, typer.Option("--baseline", help="An earlier file of --json to compare with."), Role.ASIDE
+    ] = None,
+    fail_if: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fail-if",
+            help="End with exit code 3 if this is so of a model, such as converged=no, 'ess_min < 400' or "
+            "'waic > baseline + 2 se'; may be given several times.",
+            metavar="GATE",
+        ),
+        Role.ASIDE,
+    ] = None,
     strict: StrictOption = False,
     fresh: FreshOption = False,
     *,
@@ -60,12 +83,16 @@ def compare(
 ) -> None:
     """Rank models by how well they predict a study; posteriors that are missing are sampled first.
 
-    The options of sampling are for those; posteriors that are there are taken as they are.
+    The options of sampling are for those; posteriors that are there are taken as they are. One model alone is
+    told too. Exit codes: 0, 2 for wrong input, 3 for a gate (--fail-if, --strict).
     """
     if posteriors and fresh:
         raise UsageError("--fresh: samples every model anew; leave out --posteriors, or --fresh")
     from zoo.core.posterior.files import find
+    from zoo.report.comparison import Gate, read_comparison
 
+    gates = [Gate.read(text) for text in [*(fail_if or ()), *(["converged=no"] if strict else [])]]
+    before = None if baseline is None else read_comparison(baseline)
     plugins.load()
     names = different_models(models)
     settings = sampling.settings()
@@ -75,16 +102,52 @@ def compare(
         raise UsageError(f"{', '.join(studies)}: two studies of one name; give each once")
     folders = [output if len(loaded) == 1 else output / study.name for study in loaded]
     output_folder(output, option="--output")
+    reports = {"json": json, "markdown": markdown, "junit": junit}
+    for kind, path in reports.items():
+        if path is not None:
+            output_file(path, f"--{kind}")
     for folder in folders:
         sampled = [f"{name}.nc" for name in names if fresh or not (folder / f"{name}.nc").is_file()]
         output_folder(folder, [*_file_names(names, loaded), *sampled], "--output", deep=True)
     given = [find(posteriors or [], names, study, say=say) for study in loaded]
-    converged = True
+    tables = {}
     for study, folder, files in zip(loaded, folders, given, strict=True):
-        built, found = _posteriors_of(study, names, files, folder, settings, fresh, not sampling.quiet)
-        converged &= _compare_on(study, built, found, folder, criterion, n_draws, figures)
-    if strict and not converged:
-        raise typer.Exit(NOT_CONVERGED)
+        built, found = _posteriors_of(
+            study, names, files, posteriors or (), folder, settings, fresh, not sampling.quiet
+        )
+        tables[study.name] = _compare_on(study, built, found, folder, criterion, n_draws, figures)
+    _tell_machines(tables, criterion, gates, before, reports)
+
+
+def _tell_machines(
+    tables: Mapping[str, Any],
+    criterion: Literal["waic", "loo"],
+    gates: Sequence[Gate],
+    baseline: ComparisonFile | None,
+    files: Mapping[str, Path | None],
+) -> None:
+    """Write what was asked for, and end with 3 if a gate fails."""
+    from zoo.report.comparison import comparison_file, judge
+    from zoo.report.comparison import junit as to_junit
+    from zoo.report.comparison import markdown as to_markdown
+
+    found = comparison_file(tables, criterion)
+    judged = judge(found, gates, baseline)
+    makers = {
+        "json": found.to_text,
+        "markdown": lambda: to_markdown(found, judged, baseline),
+        "junit": lambda: to_junit(judged),
+    }
+    for kind, path in files.items():
+        if path is not None:
+            say(f"wrote {write_file(path, makers[kind]())}")
+    for one in judged:
+        if one.failed:
+            complain(f"{one.study}, model {one.model}: {one.gate.text} ({one.why})")
+        elif one.failed is None:
+            say(f"not judged: {one.study}, model {one.model}: {one.gate.text} ({one.why})")
+    if any(one.failed for one in judged):
+        raise typer.Exit(GATE)
 
 
 KINDS = ("fit", "trace", "rank", "pair")
@@ -103,6 +166,7 @@ def _posteriors_of(
     study: Study,
     names: Sequence[str],
     given: Mapping[str, Path],
+    posteriors: Sequence[Path],
     output: Path,
     settings: Mapping[str, Any],
     fresh: bool,
@@ -115,21 +179,23 @@ def _posteriors_of(
     from zoo.core.posterior.storage import load
 
     files = {name: output / f"{name}.nc" for name in names if (output / f"{name}.nc").is_file()}
+    named = {*files.values(), *(path for path in given.values() if path in posteriors)}
     files |= given
     built: dict[str, Any] = {}
     found: dict[str, Any] = {}
     for name in names:
         built[name] = build_model(name, study)
-        here = Path(f"{name}.nc")
-        if name not in files and here.is_file():
+        there = files.pop(name, Path(f"{name}.nc"))
+        wrong = None
+        if there.is_file() and there not in named:  # of a folder: those that do not belong are passed over
             try:
-                wrong = mismatch(load(here), built[name])
+                wrong = mismatch(load(there), built[name])
             except ResultsError as error:
-                wrong = str(error).removeprefix(f"{here}: ")
-            if wrong:
-                say(f"passed over: {here}: {wrong}")
-            else:
-                files[name] = here
+                wrong = str(error).removeprefix(f"{there}: ")
+        if wrong:
+            say(f"passed over: {there}: {wrong}")
+        elif there.is_file():
+            files[name] = there
         if name in files and not fresh:
             found[name] = load_posterior(files[name], built[name])
             say(f"model {name}: posterior of {files[name]}")
@@ -149,8 +215,8 @@ def _compare_on(
     criterion: Literal["waic", "loo"],
     n_draws: int,
     figures: bool,
-) -> bool:
-    """Write the table and figures; returns whether all posteriors have converged."""
+) -> Any:
+    """Write the table and figures; returns the table."""
     from zoo.core.posterior.comparison import compare as rank
 
     table = rank(found, models, ic=criterion, n_draws=n_draws)
@@ -158,7 +224,7 @@ def _compare_on(
     say(*_comparison_summary(table, criterion, study), f"wrote {output / 'comparison.csv'}")
     if figures:
         _figures(table, models, found, study, output)
-    return bool(table["converged"].all())
+    return table
 
 
 def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import at_least
-from zoo.cli.command import Role, UsageError, Without, command, typed_command
+from zoo.cli.command import GATE, Role, UsageError, Without, command, typed_command
 from zoo.cli.options import PluginOptions, QuietOption, StudyArgument, StudyOptions
-from zoo.cli.screen import plain_table, say
+from zoo.cli.screen import complain, plain_table, say
 from zoo.core.outputs import output_folder
+from zoo.core.words import percent
 
 if TYPE_CHECKING:
     from zoo.blood.conventions import Conventions
@@ -79,6 +80,16 @@ def diagnose(
         ),
         Role.STUDY,
     ] = None,
+    expect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--expect",
+            help="End with exit code 3 unless the answer is decided and this cause or component, or "
+            "`nothing`, has more than 50 %; may be given several times.",
+            metavar="NAME",
+        ),
+        Role.ASIDE,
+    ] = None,
     cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time."), Role.ASIDE] = 2,
     seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 1,
     quiet: QuietOption = False,
@@ -139,6 +150,21 @@ def diagnose(
             written = write_diagnosis(found, output, command=typed_command())
     files = ", ".join(path.name for path in written)
     say(*diagnosis_screen(found.file), *_check_lines(found.file), f"wrote {output}: {files}")
+    for name in expect or ():
+        if missed := _not_as_expected(found.file, name):
+            complain(f"--expect {name}: {missed}")
+            raise typer.Exit(GATE)
+
+
+def _not_as_expected(file: DiagnosisFile, name: str) -> str:
+    """Why an answer is not what was expected; empty if it is."""
+    found = {c.name: c.probability for c in file.components} | {c.name: c.probability for c in file.causes}
+    found["nothing"] = next(row.probability for row in file.sets if not row.causes)
+    if name not in found:
+        raise UsageError(f"--expect {name}: no cause or component; there are {', '.join(found)}")
+    if not file.decided:
+        return "the answer is not decided, see its warnings"
+    return "" if found[name] > 0.5 else f"has a probability of {percent(found[name])}"
 
 
 def _check_lines(file: DiagnosisFile) -> list[str]:

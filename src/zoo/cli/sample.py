@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import model_name
-from zoo.cli.command import NOT_CONVERGED, FreshOption, Role, UsageError, command
+from zoo.cli.command import GATE, FreshOption, Role, UsageError, command
 from zoo.cli.options import (
     DaskOption,
     PluginOptions,
@@ -71,7 +71,7 @@ def sample(
     found = verdict_of(idata, settings["until_ess"])
     say(*_posterior_summary(idata, found), f"wrote {path}")
     if strict and not found.passes:
-        raise typer.Exit(NOT_CONVERGED)
+        raise typer.Exit(GATE)
 
 
 def verdict_of(idata: InferenceData, goal: float | None) -> Verdict:

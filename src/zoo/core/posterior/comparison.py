@@ -392,6 +392,8 @@ def compare(
     table = table.assign(**for_plot_compare(order, ic))
     table.index.name = "model"
     data = record_of(models[next(iter(idatas))]).data
+    table.attrs["checksum"] = data.checksum
+    table.attrs["terms"] = {name: score.terms.tolist() for name, score in scores.items()}
     sums = {f"sse_{group}": squared(data.unit(group)) for group in data.rows}
     table.attrs.update({"ic": ic, "scale": "deviance", "sums_of_squares": sums})
     return table
