@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
+import sysconfig
 import tarfile
 import tomllib
+import venv
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 import pytest
+
+import zoo
 
 ROOT = Path(__file__).parent.parent
 TAG_OF = """
@@ -36,17 +41,55 @@ def test_the_wheel_is_tagged_for_the_stable_interface_of_the_oldest_python() -> 
     assert done.stdout.split()[-1] == wanted
 
 
-def test_the_source_distribution_has_the_models_as_files_and_what_a_build_needs(tmp_path: Path) -> None:
-    """`src/zoo/models` is a link here, which an archive of links alone would leave pointing at nothing."""
-    command = [sys.executable, "-m", "build", "--sdist", "--no-isolation", "--outdir", str(tmp_path), "."]
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the source distribution, and the wheel that is built of it."""
+    folder = tmp_path_factory.mktemp("dist")
+    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), "."]
     subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    [archive] = tmp_path.glob("pymc_zoo-*.tar.gz")
+    return folder
+
+
+def test_the_source_distribution_has_the_models_as_files_and_what_a_build_needs(built: Path) -> None:
+    """`src/zoo/models` is a link here, which an archive of links alone would leave pointing at nothing."""
+    [archive] = built.glob("pymc_zoo-*.tar.gz")
     with tarfile.open(archive) as found:
         members = {one.name.partition("/")[2]: one for one in found.getmembers()}
     needed = ("src/zoo/models/model_g.py", "models/model_g.py", "native/build_ffi.py", "native/src/solve.c")
     named = ("LICENSE", "CHANGELOG.md", "CITATION.cff", "Makefile", "requirements.lock", "examples/tanks.py")
     for name in (*needed, *named):
         assert members[name].isreg(), name
+
+
+def test_a_wheel_works_without_the_checkout(built: Path, tmp_path: Path) -> None:
+    """In an environment of its own; the libraries are those that are here."""
+    [wheel] = built.glob("pymc_zoo-*-abi3-*.whl")
+    venv.create(tmp_path / "venv", with_pip=True)
+    python = tmp_path / "venv" / "bin" / "python"
+    install = [python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", wheel]
+    environment = os.environ | {"PYTHONPATH": sysconfig.get_path("purelib")}  # .pth files are not read there
+
+    def output(*command: str | Path) -> str:
+        done = subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, env=environment, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    output(*install)
+    assert output(python, "-c", "import zoo; print(zoo.__file__)").startswith(str(tmp_path))
+    waves = output(python.parent / "zoo", "simulate", "demo", "--stiffness", "5.17e4")
+    assert "systolic 23.07, diastolic 11.02" in waves
+
+
+def test_what_is_said_of_the_package_is_of_one_version() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    described = json.loads((ROOT / "codemeta.json").read_text(encoding="utf-8"))
+    cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert described["version"] == zoo.__version__
+    assert f"version: {zoo.__version__}" in cited
+    assert described["datePublished"] in cited
+    assert described["license"].endswith(project["license"])
 
 
 def _where_arviz_was_never_imported(folder: Path, *command: str) -> str:

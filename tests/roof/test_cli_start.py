@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ from commands import fails, run
 from typer.testing import CliRunner
 
 import zoo
+from zoo.blood.effects import CATALOGUE
 from zoo.cli import app
 
 
@@ -86,3 +88,15 @@ def test_interrupt_has_its_own_exit_code(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr("zoo.blood.study.list_studies", interrupted)
     assert "interrupted; the same command goes on" in run("studies", code=130)
+
+
+def test_doctor_tells_what_decides_the_speed_and_json_is_json() -> None:
+    found = json.loads(run("doctor", "--json"))
+    assert found["versions"]["zoo"] == zoo.__version__
+    assert 0.0 < float(found["one solve"].split()[0]) < 1e4
+    assert run("doctor").count("\n") < 20
+    rows = json.loads(run("studies", "--json"))
+    assert {"study": "demo", "vessels": 21}.items() <= rows[0].items()
+    [one] = json.loads(run("effects", "stenosis", "--json"))
+    assert one["name"] == "stenosis"
+    assert {p["name"] for p in one["parameters"]} == {p.name for p in CATALOGUE["stenosis"].parameters}

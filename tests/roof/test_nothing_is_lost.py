@@ -42,6 +42,7 @@ WORDS: dict[str, tuple[str, ...] | None] = {
     "fetch": None,
     "studies": None,
     "version": None,
+    "doctor": None,
     "effects": None,
     "simulate": ("--stiffness", "5e4"),
     "priors": (),

@@ -13,6 +13,7 @@ from zoo.cli import (
     compare,
     data,
     diagnose,
+    doctor,
     effects,
     importing,
     priors,
@@ -29,7 +30,6 @@ app = typer.Typer(
     help="Bayesian models of pulmonary blood flow: from one beat of measurements to a comparison of models.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
     context_settings=HELP,
 )
 blind_app = typer.Typer(
@@ -69,6 +69,7 @@ for function in (
     data.fetch,
     data.studies,
     data.version,
+    doctor.doctor,
     simulate.simulate,
     priors.priors,
     sample.sample,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from zoo.cli.command import command
-from zoo.cli.screen import plain_table, say
+from zoo.cli.options import JsonOption
+from zoo.cli.screen import plain_table, say, say_json
 
 
 @command
@@ -20,27 +21,46 @@ def fetch(name: Annotated[str, typer.Argument(metavar="NAME", help="Data set, su
 
 
 @command
-def studies() -> None:
+def studies(as_json: JsonOption = False) -> None:
     """List the built-in studies."""
     from zoo.blood.fetch import FetchError
     from zoo.blood.study import list_studies, load_study
 
-    table = plain_table("study", "vessels", "period (s)", "observed", "conventions")
+    rows: list[dict[str, Any]] = []
     for name in list_studies():
         try:
             study = load_study(name)
         except FetchError:
-            table.add_row(name, "", "", f"its data are missing: zoo fetch {name}", "")
+            rows.append({"study": name, "observed": [f"its data are missing: zoo fetch {name}"]})
             continue
-        observed = ", ".join(f"{s.label} ({len(s.value)} samples)" for s in study.series) or "nothing"
-        table.add_row(name, str(len(study.vessels)), f"{study.period_s:g}", observed, study.conventions.name)
+        observed = [f"{s.label} ({len(s.value)} samples)" for s in study.series]
+        rows.append(
+            {
+                "study": name,
+                "vessels": len(study.vessels),
+                "period_s": study.period_s,
+                "observed": observed,
+                "conventions": study.conventions.name,
+            }
+        )
+    if as_json:
+        say_json(rows)
+        return
+    table = plain_table("study", "vessels", "period (s)", "observed", "conventions")
+    for row in rows:
+        cells = (str(row.get(x, "")) for x in ("vessels", "period_s"))
+        listed = ", ".join(row["observed"]) or "nothing"
+        table.add_row(row["study"], *cells, listed, row.get("conventions", ""))
     say(table)
 
 
 @command
-def version() -> None:
+def version(as_json: JsonOption = False) -> None:
     """Versions of this package and of the libraries that shape the draws."""
     from zoo.core.inference.record import versions
 
+    if as_json:
+        say_json(versions())
+        return
     for name, value in versions().items():
         say(f"{name} {value}")

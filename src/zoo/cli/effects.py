@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.command import Without, command
-from zoo.cli.options import PluginOptions
-from zoo.cli.screen import plain_table, say
+from zoo.cli.options import JsonOption, PluginOptions
+from zoo.cli.screen import plain_table, say, say_json
 
 if TYPE_CHECKING:
     from zoo.blood.effects import Effect
@@ -28,6 +28,7 @@ def effects(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="One effect, such as viscoelastic-wall.")
     ] = None,
+    as_json: JsonOption = False,
     *,
     plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:
@@ -36,7 +37,9 @@ def effects(
 
     plugins.load()
     chosen = list(CATALOGUE.values()) if name is None else [CATALOGUE[name]]
-    if name is None:
+    if as_json:
+        say_json([_described(effect) for effect in chosen])
+    elif name is None:
         say(_effects_table(chosen))
     else:
         say(*_effect_lines(chosen[0]))
@@ -50,6 +53,15 @@ def _locations(effect: Effect) -> str:
     if isinstance(effect.locations, EverywhereIf):
         return LOCATION_WORDS["everywhere"]
     return LOCATION_WORDS.get(function, function.replace("_", " ") or "some locations")
+
+
+def _described(effect: Effect) -> dict[str, Any]:
+    """All that is known about an effect."""
+    names = ("name", "family", "statement", "equation", "signature", "source")
+    parameters = [{"name": p.name, "unit": p.unit, "prior": p.text, "why": p.why} for p in effect.parameters]
+    return {name: getattr(effect, name) for name in names} | {
+        "parameters": parameters, "locations": _locations(effect), "baselines": list(effect.baselines)
+    }  # fmt: skip
 
 
 def _effects_table(chosen: Sequence[Effect]) -> Any:

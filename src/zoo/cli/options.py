@@ -25,6 +25,7 @@ StudyArgument = Annotated[
 StrictOption = Annotated[
     bool, typer.Option("--strict", help="End with exit code 3 if chains have not converged."), Role.ASIDE
 ]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table."), Role.ASIDE]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress."), Role.ASIDE]
 
 DaskOption = Annotated[

@@ -36,6 +36,13 @@ def say(*lines: Any) -> None:
             console.print(line, highlight=False, soft_wrap=isinstance(line, str | Text))
 
 
+def say_json(content: Any) -> None:
+    """Print a value as JSON."""
+    import json
+
+    print(json.dumps(content, indent=1))
+
+
 def complain(text: str) -> None:
     """Print an error as one red line on standard error."""
     _aside(f"error: {one_line(text)}", "red")
