@@ -15,10 +15,11 @@ import cloudpickle
 import numpy as np
 import pymc as pm
 import pytest
+import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from zoo.core.arviz_lines import InferenceData, dataset
+from zoo.core.arviz_lines import InferenceData, dataset, psis_loo
 from zoo.core.arviz_lines import made as inference_data
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel, ErrorModelError
@@ -193,6 +194,31 @@ def test_leave_one_out_terms_by_conditioning(normal_case) -> None:
         expected.append(stats.norm.logpdf(c[i], gain @ c[rest], math.sqrt(S[i, i] - gain @ S[rest, i])))
     found = errors.terms(residual, values, "leave-one-out")
     np.testing.assert_allclose(found.ravel(), expected, rtol=1e-6, atol=1e-8)
+
+
+def test_psis_loo_of_correlated_errors_is_that_of_refits_without_each_value(normal_case) -> None:
+    """Two weights of a normal prior: posterior and prediction without a value are in closed form."""
+    errors, values = normal_case
+    rng = np.random.default_rng(5)
+    shapes = rng.standard_normal((2, N_SERIES, N_TIMES))
+    measured = np.tensordot([0.7, -0.4], shapes, 1) + errors.draw(rng, values)
+    S, c = coefficient_covariance(errors, values), errors.transform(measured).ravel()
+    A = errors.transform(shapes).reshape(2, -1).T
+    whole = S + A @ A.T
+    refitted = []
+    for i in range(len(c)):
+        rest = np.delete(np.arange(len(c)), i)
+        gain = np.linalg.solve(whole[np.ix_(rest, rest)], whole[rest, i])
+        sd = math.sqrt(whole[i, i] - gain @ whole[rest, i])
+        refitted.append(stats.norm.logpdf(c[i], gain @ c[rest], sd))
+    C = np.linalg.inv(np.eye(2) + A.T @ np.linalg.solve(S, A))
+    draws = rng.multivariate_normal(C @ (A.T @ np.linalg.solve(S, c)), C, (4, 500))
+    left = measured - np.tensordot(draws, shapes, 1)
+    terms = np.array([[errors.terms(one, values, "leave-one-out") for one in chain] for chain in left])
+    posterior = xr.Dataset({f"w{i}": (("chain", "draw"), draws[..., i]) for i in range(2)})
+    found = psis_loo(posterior, terms)
+    assert found.elpd == pytest.approx(sum(refitted), abs=0.1)
+    np.testing.assert_allclose(found.terms, refitted, rtol=0, atol=0.05)
 
 
 def test_the_variance_is_the_diagonal_of_the_covariance(normal_case) -> None:
