@@ -365,7 +365,7 @@ def test_the_missed_probability_is_below_what_is_stated(configuration: dict) -> 
         for pair in combinations(range(len(search.causes)), 2)
         if len({search.causes[i].component for i in pair}) == 2
     ]
-    kinds = found.posterior.rows[-1].evidence.kinds
+    kinds = found.posterior.rows[0].evidence.kinds
     start = found.solved[()].evidence.only(kinds).log_noise
     joint = {which: found.posterior.log_joint[which] for which in known}
     for which in sets:

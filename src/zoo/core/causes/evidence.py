@@ -12,7 +12,8 @@ between sizes at which its slope is known.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
@@ -27,6 +28,7 @@ from zoo.core.causes.family import (
     CARICATURE,
     COLOURED,
     FINE,
+    IN_PROPORTION,
     NOISE_SPREAD,
     NUMERICS,
     SIZES,
@@ -47,6 +49,8 @@ FEW_SCALES = SCALES[1::2]
 """The same where three functions or more are free at once."""
 SCORING, LARGEST_STEP, CONVERGED = 12, 1.5, 0.01
 """Steps of scoring at most, the largest in the logarithm of the noise, and the one that ends it."""
+OF_KINDS = ("kinds", "log_z", "slope", "log_noise", "mean", "covariance", "gains", "computed")
+"""What a set's evidence has of each error model."""
 REACH, NODES, FEWEST = 6.0, 15, 1e-9
 """Sds on either side of its mode over which the noise is integrated, at how many points; least number of
 coefficients that tell it."""
@@ -117,12 +121,20 @@ class SizePriors:
     effects: float = 1.0
     functions: float = 1.0
 
-    def scales(self, signal: float) -> dict[float, float]:
-        """Scales of the mixture with their weights, for causes of that signal in parts of the range."""
+    def scales(self, signal: float | None) -> tuple[dict[float, float], dict[float, float]]:
+        """Scales with their weights: of a discrepancy of a Matern spectrum, and of one like what causes do.
+
+        Parameters
+        ----------
+        signal : float or None
+            What causes do in parts of the range; None without a cause.
+        """
         p = self.odds / (1.0 + self.odds)
-        found = {math.hypot(self.numerics, self.caricature * signal): 1.0 - p}
+        own = math.hypot(self.numerics, self.caricature * (signal or 0.0))
+        like = 0.0 if signal is None else (1.0 - p) * IN_PROPORTION
+        found = {own: 1.0 - p - like}
         found[self.unexplained] = found.get(self.unexplained, 0.0) + p
-        return found
+        return found, {own: like}
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,8 +191,9 @@ class SetEvidence:
     family : ErrorFamily
     kinds : int array (n,)
         Which error models; log evidence, its slope in log size, and the noise's logarithm are of each.
-    signal : float
-        Rms of what the causes do and the baseline cannot take up, in parts of the range.
+    signal : float or None
+        Rms of what the causes do and the baseline cannot take up, in parts of the range; None without
+        a cause.
     mean : array (n_kinds, k)
         Step of the baseline's parameters, then weights of the causes in their order.
     free : tuple of bool
@@ -201,7 +214,7 @@ class SetEvidence:
     log_z: Array = field(repr=False)
     slope: Array = field(repr=False)
     log_noise: Array = field(repr=False)
-    signal: float
+    signal: float | None
     mean: Array = field(repr=False)
     covariance: Array = field(repr=False)
     free: tuple[bool, ...]
@@ -223,17 +236,25 @@ class SetEvidence:
         return np.unique(after // len(SIZES))
 
     def only(self, kinds: Kinds) -> SetEvidence:
-        """The same given some of its error models."""
-        at = np.searchsorted(self.kinds, kinds)
-        names = ("log_z", "slope", "log_noise", "mean", "covariance", "gains", "computed")
+        """The same given some of its error models, and all in proportion to what the causes do."""
+        at = np.flatnonzero(np.isin(self.kinds, kinds) | (self.kinds >= self.family.n_kinds))
         a = self.amplitudes
         a = replace(a, mean=a.mean[at], covariance=a.covariance[at])
-        return replace(self, kinds=kinds, amplitudes=a, **{name: getattr(self, name)[at] for name in names})
+        own: dict[str, Any] = {name: getattr(self, name)[at] for name in OF_KINDS}
+        return replace(self, amplitudes=a, **own)
+
+    def joined(self, own: SetEvidence, signal: float) -> SetEvidence:
+        """With error models in proportion to what the causes do, of that rms in parts of the range."""
+        a, b = self.amplitudes, own.amplitudes
+        mean, C = np.concatenate([a.mean, b.mean]), np.concatenate([a.covariance, b.covariance])
+        pairs = {name: (getattr(self, name), getattr(own, name)) for name in OF_KINDS}
+        both: dict[str, Any] = {name: np.concatenate(pair) for name, pair in pairs.items()}
+        return replace(own, signal=signal, amplitudes=replace(a, mean=mean, covariance=C), **both)
 
     def coarsened(self, power: float) -> SetEvidence:
         """The same with the likelihood to a power; what corrects the linear model is taken in proportion."""
         model = SetModel(self.problem, self.causes, self.family)
-        found = model.evidence(self.kinds, self.log_noise, power)
+        found = model.given(self.kinds, self.log_noise, power)
         log_z = found.log_z + power * (self.log_z - self.computed)
         return replace(found, log_z=log_z, signal=self.signal)
 
@@ -263,8 +284,11 @@ class SetEvidence:
     def terms(self, priors: SizePriors) -> tuple[Array, Array]:
         """Log prior plus log evidence: each correlated noise (n,), each spectrum and size (n, m)."""
         shapes = self.shapes
-        smooth = self.interpolated(priors) + self.family.log_sizes(priors.scales(self.signal))
-        smooth += self.family.log_shapes[shapes][:, None] + math.log(1.0 - COLOURED)
+        log_sizes = [self.family.log_sizes(scales) for scales in priors.scales(self.signal)]
+        smooth = self.interpolated(priors) + math.log(1.0 - COLOURED)
+        for row, shape in zip(smooth, shapes, strict=True):
+            like = int(shape == len(self.family.shapes))
+            row += log_sizes[like] + (0.0 if like else self.family.log_shapes[shape])
         there = (self.kinds > 0) & (self.kinds < self._first)
         colours = self.log_evidence(priors)[there] + math.log(COLOURED)
         colours += self.family.log_colours[self.kinds[there] - 1]
@@ -289,12 +313,16 @@ class SetEvidence:
         """Log prior plus log evidence (n,) of each error model, a size standing for those around it."""
         found = np.full(len(self.kinds), -np.inf)
         edges = np.concatenate([[0.0, SIZES[0]], np.sqrt(SIZES[1:] * SIZES[:-1]), [np.inf]])
-        mixture = priors.scales(self.signal).items()
-        mass = sum(weight * half_normal_mass(edges, scale) for scale, weight in mixture)
-        logs = np.log(np.maximum(mass, 1e-300)) + math.log(1.0 - COLOURED)
+        mass = [
+            sum(weight * half_normal_mass(edges, scale) for scale, weight in mixture.items())
+            for mixture in priors.scales(self.signal)
+        ]
+        logs, own = (np.log(np.maximum(m, 1e-300)) + math.log(1.0 - COLOURED) for m in mass)
         after = self.kinds >= self._first
-        found[after] = (self.family.log_shapes[self.shapes][:, None] + logs[1:]).reshape(-1)
-        found[0] = logs[0]
+        shapes = self.shapes[self.shapes < len(self.family.shapes)]
+        each = (self.family.log_shapes[shapes][:, None] + logs[1:]).reshape(-1)
+        found[after] = np.append(each, own[1:])[: np.count_nonzero(after)]
+        found[0] = np.logaddexp(logs[0], own[0])
         there = (self.kinds > 0) & ~after
         found[there] = self.family.log_colours[self.kinds[there] - 1] + math.log(COLOURED)
         return np.asarray(self.log_evidence(priors) + found)
@@ -310,10 +338,9 @@ class SetEvidence:
 
     def variances(self, kind: int, *, alone: bool = False) -> Array:
         """Variances (n,) of one error model, by its index here, or of its noise alone."""
-        noise, discrepancy, _ = self.family.kinds
-        at = self.kinds[kind]
+        noise, discrepancy = self.family.of(self.kinds[[kind]])
         sigma2 = np.exp(2.0 * self.log_noise[kind])[self.family.member]
-        return np.asarray(sigma2 * noise[at] + (0.0 if alone else discrepancy[at]))
+        return np.asarray(sigma2 * noise[0] + (0.0 if alone else discrepancy[0]))
 
     def likely_variances(self, priors: SizePriors, *, alone: bool = False) -> Array:
         """Variances (n,) of the most probable errors, the discrepancy's size between those tried.
@@ -331,7 +358,7 @@ class SetEvidence:
         log_noise = np.array([np.interp(x[at], tried, one) for one in held.T])
         noise = np.exp(2.0 * log_noise)[self.family.member]
         size = 0.0 if alone or at == 0 else math.exp(x[at])
-        return np.asarray(noise + size**2 * self.family.discrepancies[self.shapes[shape]])
+        return np.asarray(noise + size**2 * self.family.discrepancy(self.shapes[shape]))
 
 
 class SetModel:
@@ -416,14 +443,48 @@ class SetModel:
         p = len(self.mean)
         return np.asarray(e**2 + C.reshape(-1, p * p) @ self.products.T)
 
-    def evidence(self, kinds: Kinds, start: Array, power: float = 1.0) -> SetEvidence:
+    def evidence(
+        self, kinds: Kinds, start: Array, signal: Callable[[Array], Array] | None = None
+    ) -> SetEvidence:
+        """Evidence given some error models, and those in proportion to what the causes do.
+
+        Parameters
+        ----------
+        kinds : int array (n_kinds,)
+            Error models, of which the latter are left out.
+        start : array (..., n_groups)
+            Where the noise's logarithms may be, for all or for each of them.
+        signal : callable, optional
+            What the causes do and the baseline cannot take up (n,), of the errors' variances (n,); that of
+            the weights if absent.
+        """
+        common = kinds < self.family.n_kinds
+        start = np.broadcast_to(start, (len(kinds), start.shape[-1]))[common]
+        found = plain = self.given(kinds[common], start)
+        if not self.causes and signal is None:
+            return found
+        for _ in range(2):  # again beside errors of that spectrum, if these are the most probable
+            best = found.best(SizePriors())
+            V = found.variances(best)
+            change = self._signal(found.mean[best], V) if signal is None else signal(V)
+            if not np.any(change):
+                return plain
+            beside = copy(self)
+            beside.family = self.family.beside(change)
+            own = beside.given(self.family.own_kinds, found.log_noise[best])
+            found = plain.joined(own, self.family.relative(change))
+            if found.best(SizePriors()) < len(plain.kinds):
+                break
+        return found
+
+    def given(self, kinds: Kinds, start: Array, power: float = 1.0) -> SetEvidence:
         """Evidence given some error models, from where the noise's logarithms (..., n_groups) may be.
 
         With the likelihood to a power: p(r | w, V)^power is N(r; A w, V / power) times |V|^((1 - power) / 2)
         and a constant. The former factor is not the same for all sets, since V is found with each.
         """
         f = self.family
-        noise, discrepancy, _ = (x[kinds] for x in f.kinds)
+        noise, discrepancy = f.of(kinds)
         log_noise = np.array(np.broadcast_to(start, (len(kinds), len(f.groups))))
         ones = np.ones((len(kinds), len(self.causes)))
         active = np.arange(len(kinds))
@@ -467,13 +528,13 @@ class SetModel:
         mean, C = self.solve(gram, right, scales[np.argmax(gains, axis=1)])
         amplitudes = self._amplitudes(own_mean, own_C)
         slope = power * np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
-        found = SetEvidence(
+        return SetEvidence(
             f,
             kinds,
             log_z,
             slope,
             log_noise,
-            0.0,
+            None,
             mean,
             C,
             free,
@@ -483,10 +544,6 @@ class SetModel:
             tuple(self.causes),
             log_z,
         )
-        if self.causes:
-            at = found.best(SizePriors())
-            found = replace(found, signal=self._signal(mean[at], V[at]))
-        return found
 
     def _amplitudes(self, mean: Array, C: Array) -> Amplitudes:
         n, k = len(self.problem.amplitudes), self.k
@@ -508,9 +565,9 @@ class SetModel:
         inverse = 1.0 / V
         return (inverse @ self.products).reshape(-1, p, p), inverse @ self.Ar
 
-    def _signal(self, mean: Array, V: Array) -> float:
-        """Rms of the causes' signal that the baseline's parameters cannot take up, in parts of the range."""
-        return self.family.relative(without(self.problem.jacobian, self.A[:, self.k :] @ mean[self.k :], V))
+    def _signal(self, mean: Array, V: Array) -> Array:
+        """What the causes do and the baseline's parameters cannot take up, (n,)."""
+        return without(self.problem.jacobian, self.A[:, self.k :] @ mean[self.k :], V)
 
 
 class SizeBasis:

@@ -475,13 +475,11 @@ class CauseSearch:
         firsts = np.cumsum([forward.n_base, *sizes])[: len(order) - len(free)]
         problem = replace(problem, amplitudes=tuple(int(i) for i in firsts))
         start = linear.log_noise[linear.best(SIZE_PRIORS)]
-        found = SetModel(problem, causes, self.family).evidence(linear.kinds, start)
-        if not order:
-            return found, n_listed
-        V = found.variances(found.best(SIZE_PRIORS))
         change = point.computed + (self.data - data) - self.base.computed
-        signal = self.family.relative(without(self.jacobian, change, V))
-        return replace(found, signal=signal), n_listed
+        found = SetModel(problem, causes, self.family).evidence(
+            linear.kinds, start, lambda V: without(self.jacobian, change, V)
+        )
+        return found, n_listed
 
 
 @dataclass(frozen=True, eq=False)
