@@ -29,7 +29,6 @@ from zoo.core.diagnosis.solved import SIZE_PRIORS, SolvedSet
 from zoo.core.effects import AddedEffect, with_effects
 from zoo.core.parameters import pack
 
-
 OPTIONS = SolverOptions(dx_cm=0.1, tolerance_mmHg=1e-4)
 
 
