@@ -62,7 +62,7 @@ def nested(sets: CauseSets, one: SolvedSet, live: int, seed: int) -> tuple[float
 
     sampler = dynesty.NestedSampler(
         lambda x: log_likelihood(sets, one, x), transform, int(edges[-1]), nlive=live,
-        sample="unif", rstate=np.random.default_rng(seed),
+        sample="rwalk", rstate=np.random.default_rng(seed),
     )  # fmt: skip
     sampler.run_nested(dlogz=0.1, print_progress=False)
     found = sampler.results
@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--study", help="a built-in study; one of three vessels if absent")
     parser.add_argument("--sets", type=int, default=10)
     parser.add_argument("--most", type=int, default=8, help="parameters of a set")
-    parser.add_argument("--live", type=int, default=100, help="live points")
+    parser.add_argument("--live", type=int, default=60, help="live points")
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     settings: dict[str, Any] = {"base": "linear-constant", "progress": False}

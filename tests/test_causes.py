@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 from benchmarks.causes import RANGE, LinearToy
 from scipy.special import logsumexp
-from scipy.stats import norm
+from scipy.stats import multivariate_normal, norm
 
 from zoo.core.causes import Cause, CauseError, CausePriors, Problem, weigh_causes
 from zoo.core.causes.evidence import SetEvidence, SetModel, SizePriors, _combinations
 from zoo.core.causes.family import COLOURED, NOISE_SPREAD, SIZES
 from zoo.core.causes.problem import without_doubles
 from zoo.core.causes.reference import Reference
+from zoo.core.causes.truncated import truncate
+from zoo.core.priors import log_normal_mass
 
 
 @pytest.fixture(scope="module")
@@ -308,6 +310,22 @@ def no_set_is_right(toy: LinearToy) -> np.ndarray:
     weights = rng.standard_normal((1, toy.n_series, len(toy.waves))) / 5
     residual = toy.errors.flat(weights @ toy.waves).T[:, 0]
     return np.asarray(residual + 1e-3 * rng.standard_normal(len(residual)))
+
+
+def test_the_mass_inside_bounds_is_that_of_a_normal_distribution() -> None:
+    """Of coordinates that are correlated, one of them far outside: beside SciPy's integral, and draws."""
+    sd, rho = np.array([0.05, 0.5, 1.0]), np.array([[1.0, 0.7, -0.5], [0.7, 1.0, 0.0], [-0.5, 0.0, 1.0]])
+    mean, C = np.array([1.1, 0.1, -0.4]), rho * np.outer(sd, sd)
+    low, high, at = np.array([-np.inf, 0.0]), np.array([1.0, np.inf]), np.array([0, 1])
+    log_mass, m, V = truncate(mean[None], C[None], at, low, high)
+    exact = multivariate_normal(mean[:2], C[:2, :2]).cdf([1.0, np.inf], lower_limit=[-np.inf, 0.0])
+    assert log_mass[0] == pytest.approx(math.log(exact), abs=0.1)
+    alone = log_normal_mass((low - mean[:2]) / sd[:2], (high - mean[:2]) / sd[:2])
+    assert abs(np.sum(alone) - math.log(exact)) > 0.7  # as if they were independent
+    draws = np.random.default_rng(1).multivariate_normal(mean, C, 2_000_000)
+    inside = draws[(draws[:, 0] < 1.0) & (draws[:, 1] > 0.0)]
+    np.testing.assert_allclose(m[0], inside.mean(axis=0), atol=0.1 * sd.max())
+    np.testing.assert_allclose(np.sqrt(np.diag(V[0]))[1:], inside.std(axis=0)[1:], rtol=0.1)
 
 
 def test_certainty_about_a_set_that_is_wrong_is_undone_where_less_is_believed():

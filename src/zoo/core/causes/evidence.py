@@ -38,6 +38,7 @@ from zoo.core.causes.family import (
     half_normal_mass,
 )
 from zoo.core.causes.problem import Cause, Problem
+from zoo.core.causes.truncated import truncate
 from zoo.core.priors import log_normal_mass
 
 Array = NDArray[np.float64]
@@ -168,18 +169,16 @@ class Amplitudes:
         moved = np.linalg.solve(M, off[..., None])[..., 0]
         gain = -0.5 * np.linalg.slogdet(M)[1] - len(D) * math.log(factor)
         gain = gain - 0.5 * np.sum(off * D * moved, axis=-1)
-        now = np.linalg.solve(M, self.covariance)
+        now = np.asarray(np.linalg.solve(M, self.covariance), np.float64)
         prior_sd = 1.0 / np.sqrt(self.precision)
         for sign, mean, C, sd in (
-            (1.0, self.centre + moved, now, factor * prior_sd),
+            (1.0, np.asarray(self.centre + moved), now, factor * prior_sd),
             (-1.0, self.mean, self.covariance, prior_sd),
         ):
-            posterior = self._inside(mean, np.sqrt(np.einsum("...ii->...i", C)))
-            gain = gain + sign * (posterior - self._inside(self.centre, sd))
+            posterior, _, _ = truncate(mean, C, np.arange(len(D)), self.low, self.high)
+            ends = ((end - self.centre) / sd for end in (self.low, self.high))
+            gain = gain + sign * (posterior - np.sum(log_normal_mass(*ends)))
         return np.asarray(gain)
-
-    def _inside(self, mean: Array, sd: Array) -> Any:
-        return np.sum(log_normal_mass((self.low - mean) / sd, (self.high - mean) / sd), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,6 +386,16 @@ class SetModel:
         self.edges = np.cumsum([k, *self.sizes])
         listed = [at for one, at in zip(causes, self.edges[:-1], strict=True) if not one.free]
         self.listed = np.array([*problem.amplitudes, *listed], int)
+        k_low, k_high = np.full(k, -np.inf), np.full(k, np.inf)
+        if problem.low is not None and problem.high is not None:
+            k_low, k_high = problem.low, problem.high
+        low = np.concatenate([k_low, [one.low for one in causes]])
+        high = np.concatenate([k_high, [one.high for one in causes]])
+        bounded = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
+        self.bounded = np.concatenate([np.arange(k), self.edges[:-1]]).astype(int)[bounded]
+        self.low, self.high = low[bounded], high[bounded]
+        centres = np.array([float(one.prior_mean[0]) for one in causes])
+        self.prior_mass = float(np.sum(log_normal_mass(low[k:] - centres, high[k:] - centres)))
         free = [i for i, one in enumerate(causes) if one.free]
         self.widest = max(free, key=lambda i: self.sizes[i]) if free else None
         wide = np.concatenate([np.zeros(k, bool), self.owner == self.widest])
@@ -410,26 +419,10 @@ class SetModel:
         C = np.linalg.inv(H / both) / both
         return np.einsum("...ij,...j->...i", C, right - pull), C
 
-    def inside(self, mean: Array, sd: Array) -> Any:
-        """Log of the posterior's part inside the bounds over the prior's, as if these were independent.
-
-        Parameters
-        ----------
-        mean, sd : array (..., q)
-            Of parameters and weights but those of the `widest` function.
-        """
-        total: Any = 0.0
-        if self.problem.low is not None and self.problem.high is not None:
-            m, s = mean[..., : self.k], sd[..., : self.k]
-            total = np.sum(log_normal_mass((self.problem.low - m) / s, (self.problem.high - m) / s), axis=-1)
-        places = np.searchsorted(self.narrow, self.edges[:-1])
-        for one, at in zip(self.causes, places, strict=True):
-            if math.isinf(one.low) and math.isinf(one.high):
-                continue
-            centre, m, s = float(one.prior_mean[0]), mean[..., at], sd[..., at]
-            total = total + log_normal_mass((one.low - m) / s, (one.high - m) / s)
-            total = total - log_normal_mass(one.low - centre, one.high - centre)
-        return total
+    def _inside(self, mean: Array, C: Array) -> tuple[Array, Array]:
+        """Mean and covariance of parameters and weights inside their bounds."""
+        _, mean, C = truncate(mean, C, self.bounded, self.low, self.high)
+        return mean, C
 
     def _alike(self, scales: Array) -> list[Kinds]:
         """Rows of sizes (n, n_causes) that differ in the size of the widest function only."""
@@ -492,7 +485,7 @@ class SetModel:
             own = np.exp(2.0 * log_noise[active])[:, f.member] * noise[active]
             V = own + discrepancy[active]
             gram, right = self._products(V / power)
-            mean, C = self.solve(gram, right, ones[active])
+            mean, C = self._inside(*self.solve(gram, right, ones[active]))
             q = self._left(mean, C) / V
             a = own / V
             first, second, left = (power * x @ f.one_of.T for x in (a, a**2, a * q))
@@ -525,7 +518,7 @@ class SetModel:
             own_mean[:, alike], own_C[:, alike] = basis.moments(np.searchsorted(self.narrow, self.listed))
         gains += masses
         log_z = base + logsumexp(gains, axis=1)
-        mean, C = self.solve(gram, right, scales[np.argmax(gains, axis=1)])
+        mean, C = self._inside(*self.solve(gram, right, scales[np.argmax(gains, axis=1)]))
         amplitudes = self._amplitudes(own_mean, own_C)
         slope = power * np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
         return SetEvidence(
@@ -612,8 +605,9 @@ class SizeBasis:
         self.gain = 0.5 * np.sum(z**2, axis=1)[:, None] + 0.5 * np.sum(self.D * y[:, None, :] ** 2, axis=2)
         self.gain -= 0.5 * logdet + np.log(scales[:, model.owner]).sum(axis=1)
         self.gain += 0.5 * model.k * math.log(2.0 * math.pi) - 0.5 * float(model.mean @ model.mean)
-        variance = np.sum(self.over**2, axis=2)[:, None, :] + self.D @ (self.cross**2).swapaxes(1, 2)
-        self.gain += model.inside(self._mean(np.arange(len(R))), np.sqrt(variance))
+        at = np.arange(len(model.bounded))
+        moments = self.moments(np.searchsorted(R, model.bounded))
+        self.gain += truncate(*moments, at, model.low, model.high)[0] - model.prior_mass
 
     def _mean(self, at: Kinds) -> Array:
         first = np.einsum("kij,kj->ki", self.over[:, at], self.z)[:, None, :]
