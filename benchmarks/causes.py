@@ -98,12 +98,18 @@ class LinearToy:
         noise = np.exp(2 * (f.noise_centre[0] + NOISE_SPREAD * rng.standard_normal()))
         if rng.random() < COLOURED:
             p = np.exp(f.log_colours)
-            return noise * f.kinds[0][1 + rng.choice(len(p), p=p / p.sum())]
-        left = without(self.jacobian, signal, np.ones(len(signal))) if signal.any() else signal
-        scales = self.sizes.scales(f.relative(left))
-        scale = rng.choice(list(scales), p=list(scales.values()))
-        size = abs(scale * rng.standard_normal())
-        return noise + size**2 * f.discrepancies[rng.choice(len(f.shapes), p=np.exp(f.log_shapes))]
+            return noise * f.of(1 + rng.choice(len(p), 1, p=p / p.sum()))[0][0]
+        if not signal.any():
+            scales, like, beside = *self.sizes.scales(None), f
+        else:
+            left = without(self.jacobian, signal, np.ones(len(signal)))
+            scales, like = self.sizes.scales(f.relative(left))
+            beside = f.beside(left)
+        each = [*scales, *like]
+        at = rng.choice(len(each), p=[*scales.values(), *like.values()])
+        size = abs(each[at] * rng.standard_normal())
+        shape = len(f.shapes) if at >= len(scales) else rng.choice(len(f.shapes), p=np.exp(f.log_shapes))
+        return noise + size**2 * beside.discrepancy(shape)
 
     def drawn(self, rng: np.random.Generator) -> tuple[tuple[int, ...], np.ndarray]:
         """A set and residual coefficients of the whole prior."""

@@ -4,6 +4,8 @@
 - pair: causes of two components; neither's gap alone is more than 2.5 times the other's.
 - small: two fifths listed effects, two fifths causes of a component, a fifth none; gaps of 0.3 to 3
   times the noise.
+- quiet: as small, but gaps of 0.1 to 0.4 mmHg in one series at a noise of 0.003 mmHg, as in measured beats
+  that were averaged.
 - coloured: no effect; beside the white noise one of first order of 0.3 to 2 times its size, of 1 to 8 ms.
 """
 
@@ -37,9 +39,10 @@ from zoo.blood.diagnosis import effects_for
 from zoo.core.blindcheck import NULL, BlindError
 from zoo.core.blindcheck.folders import MadeCase, write_cases
 
-KINDS = ("component", "pair", "small", "coloured")
+KINDS = ("component", "pair", "small", "quiet", "coloured")
 LAYOUTS = ("MPA", "MPA+daughters", "MPA+distal", "MPA+flows")
 SMALL = (0.3, 3.0)
+QUIET, QUIET_MMHG = (0.1, 0.4), 0.003
 COLOURED, COLOURED_S = (0.3, 2.0), (1e-3, 8e-3)
 COMPARABLE = 2.5
 DRAWS = 12
@@ -69,7 +72,11 @@ def plan(kind: str, n: int, secret: str) -> list[str]:
         return [str(x) for _ in range(rounds) for x in rng.permutation(known)][:wanted]
 
     none, listed = (
-        (n, 0) if kind == "coloured" else (round(n / 5), round(n * 2 / 5)) if kind == "small" else (0, 0)
+        (n, 0)
+        if kind == "coloured"
+        else (round(n / 5), round(n * 2 / 5))
+        if kind in ("small", "quiet")
+        else (0, 0)
     )
     effects = [one.name for one in effects_for(study_cases.BASELINE)]
     pairs = [PLUS.join(two) for two in itertools.combinations(COMPONENTS, 2)]
@@ -133,12 +140,17 @@ def draw_truth(
         correlated = float(f"{WHITE_MMHG * size:.6g}"), float(f"{tau:.6g}")
     noise = math.hypot(WHITE_MMHG, correlated[0])
     low, high = (x * noise for x in (SMALL if job.kind == "small" else GAP_OVER_NOISE))
+    layouts = job.layouts
+    if job.kind == "quiet":
+        (low, high), correlated, layouts = QUIET, (0.0, 1.0), ("MPA",)
     for tried in range(BENCHES):
         parts = first.split(PLUS)
         if tried and tried % PATIENCE == 0 and parts[0] in COMPONENTS:
             parts = [COMPONENTS[int(i)] for i in np.sort(effects.permutation(len(COMPONENTS))[: len(parts)])]
             first = PLUS.join(parts)
-        bench, tags = draw_bench(network, f"case-{job.index + 1:03d}", layouts=job.layouts)
+        bench, tags = draw_bench(network, f"case-{job.index + 1:03d}", layouts=layouts)
+        if job.kind == "quiet":
+            bench.sigma[:] = QUIET_MMHG
         cause: Cause | None = nothing(bench)
         if first != NULL and parts[0] not in COMPONENTS:
             names = (first, *(one.name for one in effects_for(study_cases.BASELINE)))

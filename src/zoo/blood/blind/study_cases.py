@@ -312,7 +312,7 @@ def case_of(
         label=cause.label,
         accepted=cause.accepted,
         components=cause.components,
-        noise=math.hypot(WHITE_MMHG, size),
+        noise=math.hypot(float(bench.sigma[bench.pressures].max()), size),
         gap=cause.gap,
         truth=tuple(
             tuple(float(f"{x:.{d + 1}f}") for x in row) for row, d in zip(exact, digits, strict=True)

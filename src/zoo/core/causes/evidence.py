@@ -12,7 +12,8 @@ between sizes at which its slope is known.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
@@ -27,6 +28,7 @@ from zoo.core.causes.family import (
     CARICATURE,
     COLOURED,
     FINE,
+    IN_PROPORTION,
     NOISE_SPREAD,
     NUMERICS,
     SIZES,
@@ -36,6 +38,7 @@ from zoo.core.causes.family import (
     half_normal_mass,
 )
 from zoo.core.causes.problem import Cause, Problem
+from zoo.core.causes.truncated import truncate
 from zoo.core.priors import log_normal_mass
 
 Array = NDArray[np.float64]
@@ -47,6 +50,8 @@ FEW_SCALES = SCALES[1::2]
 """The same where three functions or more are free at once."""
 SCORING, LARGEST_STEP, CONVERGED = 12, 1.5, 0.01
 """Steps of scoring at most, the largest in the logarithm of the noise, and the one that ends it."""
+OF_KINDS = ("kinds", "log_z", "slope", "log_noise", "mean", "covariance", "gains", "computed")
+"""What a set's evidence has of each error model."""
 REACH, NODES, FEWEST = 6.0, 15, 1e-9
 """Sds on either side of its mode over which the noise is integrated, at how many points; least number of
 coefficients that tell it."""
@@ -117,12 +122,20 @@ class SizePriors:
     effects: float = 1.0
     functions: float = 1.0
 
-    def scales(self, signal: float) -> dict[float, float]:
-        """Scales of the mixture with their weights, for causes of that signal in parts of the range."""
+    def scales(self, signal: float | None) -> tuple[dict[float, float], dict[float, float]]:
+        """Scales with their weights: of a discrepancy of a Matern spectrum, and of one like what causes do.
+
+        Parameters
+        ----------
+        signal : float or None
+            What causes do in parts of the range; None without a cause.
+        """
         p = self.odds / (1.0 + self.odds)
-        found = {math.hypot(self.numerics, self.caricature * signal): 1.0 - p}
+        own = math.hypot(self.numerics, self.caricature * (signal or 0.0))
+        like = 0.0 if signal is None else (1.0 - p) * IN_PROPORTION
+        found = {own: 1.0 - p - like}
         found[self.unexplained] = found.get(self.unexplained, 0.0) + p
-        return found
+        return found, {own: like}
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,18 +169,16 @@ class Amplitudes:
         moved = np.linalg.solve(M, off[..., None])[..., 0]
         gain = -0.5 * np.linalg.slogdet(M)[1] - len(D) * math.log(factor)
         gain = gain - 0.5 * np.sum(off * D * moved, axis=-1)
-        now = np.linalg.solve(M, self.covariance)
+        now = np.asarray(np.linalg.solve(M, self.covariance), np.float64)
         prior_sd = 1.0 / np.sqrt(self.precision)
         for sign, mean, C, sd in (
-            (1.0, self.centre + moved, now, factor * prior_sd),
+            (1.0, np.asarray(self.centre + moved), now, factor * prior_sd),
             (-1.0, self.mean, self.covariance, prior_sd),
         ):
-            posterior = self._inside(mean, np.sqrt(np.einsum("...ii->...i", C)))
-            gain = gain + sign * (posterior - self._inside(self.centre, sd))
+            posterior, _, _ = truncate(mean, C, np.arange(len(D)), self.low, self.high)
+            ends = ((end - self.centre) / sd for end in (self.low, self.high))
+            gain = gain + sign * (posterior - np.sum(log_normal_mass(*ends)))
         return np.asarray(gain)
-
-    def _inside(self, mean: Array, sd: Array) -> Any:
-        return np.sum(log_normal_mass((self.low - mean) / sd, (self.high - mean) / sd), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,8 +190,9 @@ class SetEvidence:
     family : ErrorFamily
     kinds : int array (n,)
         Which error models; log evidence, its slope in log size, and the noise's logarithm are of each.
-    signal : float
-        Rms of what the causes do and the baseline cannot take up, in parts of the range.
+    signal : float or None
+        Rms of what the causes do and the baseline cannot take up, in parts of the range; None without
+        a cause.
     mean : array (n_kinds, k)
         Step of the baseline's parameters, then weights of the causes in their order.
     free : tuple of bool
@@ -201,7 +213,7 @@ class SetEvidence:
     log_z: Array = field(repr=False)
     slope: Array = field(repr=False)
     log_noise: Array = field(repr=False)
-    signal: float
+    signal: float | None
     mean: Array = field(repr=False)
     covariance: Array = field(repr=False)
     free: tuple[bool, ...]
@@ -223,17 +235,25 @@ class SetEvidence:
         return np.unique(after // len(SIZES))
 
     def only(self, kinds: Kinds) -> SetEvidence:
-        """The same given some of its error models."""
-        at = np.searchsorted(self.kinds, kinds)
-        names = ("log_z", "slope", "log_noise", "mean", "covariance", "gains", "computed")
+        """The same given some of its error models, and all in proportion to what the causes do."""
+        at = np.flatnonzero(np.isin(self.kinds, kinds) | (self.kinds >= self.family.n_kinds))
         a = self.amplitudes
         a = replace(a, mean=a.mean[at], covariance=a.covariance[at])
-        return replace(self, kinds=kinds, amplitudes=a, **{name: getattr(self, name)[at] for name in names})
+        own: dict[str, Any] = {name: getattr(self, name)[at] for name in OF_KINDS}
+        return replace(self, amplitudes=a, **own)
+
+    def joined(self, own: SetEvidence, signal: float) -> SetEvidence:
+        """With error models in proportion to what the causes do, of that rms in parts of the range."""
+        a, b = self.amplitudes, own.amplitudes
+        mean, C = np.concatenate([a.mean, b.mean]), np.concatenate([a.covariance, b.covariance])
+        pairs = {name: (getattr(self, name), getattr(own, name)) for name in OF_KINDS}
+        both: dict[str, Any] = {name: np.concatenate(pair) for name, pair in pairs.items()}
+        return replace(own, signal=signal, amplitudes=replace(a, mean=mean, covariance=C), **both)
 
     def coarsened(self, power: float) -> SetEvidence:
         """The same with the likelihood to a power; what corrects the linear model is taken in proportion."""
         model = SetModel(self.problem, self.causes, self.family)
-        found = model.evidence(self.kinds, self.log_noise, power)
+        found = model.given(self.kinds, self.log_noise, power)
         log_z = found.log_z + power * (self.log_z - self.computed)
         return replace(found, log_z=log_z, signal=self.signal)
 
@@ -263,8 +283,11 @@ class SetEvidence:
     def terms(self, priors: SizePriors) -> tuple[Array, Array]:
         """Log prior plus log evidence: each correlated noise (n,), each spectrum and size (n, m)."""
         shapes = self.shapes
-        smooth = self.interpolated(priors) + self.family.log_sizes(priors.scales(self.signal))
-        smooth += self.family.log_shapes[shapes][:, None] + math.log(1.0 - COLOURED)
+        log_sizes = [self.family.log_sizes(scales) for scales in priors.scales(self.signal)]
+        smooth = self.interpolated(priors) + math.log(1.0 - COLOURED)
+        for row, shape in zip(smooth, shapes, strict=True):
+            like = int(shape == len(self.family.shapes))
+            row += log_sizes[like] + (0.0 if like else self.family.log_shapes[shape])
         there = (self.kinds > 0) & (self.kinds < self._first)
         colours = self.log_evidence(priors)[there] + math.log(COLOURED)
         colours += self.family.log_colours[self.kinds[there] - 1]
@@ -289,12 +312,16 @@ class SetEvidence:
         """Log prior plus log evidence (n,) of each error model, a size standing for those around it."""
         found = np.full(len(self.kinds), -np.inf)
         edges = np.concatenate([[0.0, SIZES[0]], np.sqrt(SIZES[1:] * SIZES[:-1]), [np.inf]])
-        mixture = priors.scales(self.signal).items()
-        mass = sum(weight * half_normal_mass(edges, scale) for scale, weight in mixture)
-        logs = np.log(np.maximum(mass, 1e-300)) + math.log(1.0 - COLOURED)
+        mass = [
+            sum(weight * half_normal_mass(edges, scale) for scale, weight in mixture.items())
+            for mixture in priors.scales(self.signal)
+        ]
+        logs, own = (np.log(np.maximum(m, 1e-300)) + math.log(1.0 - COLOURED) for m in mass)
         after = self.kinds >= self._first
-        found[after] = (self.family.log_shapes[self.shapes][:, None] + logs[1:]).reshape(-1)
-        found[0] = logs[0]
+        shapes = self.shapes[self.shapes < len(self.family.shapes)]
+        each = (self.family.log_shapes[shapes][:, None] + logs[1:]).reshape(-1)
+        found[after] = np.append(each, own[1:])[: np.count_nonzero(after)]
+        found[0] = np.logaddexp(logs[0], own[0])
         there = (self.kinds > 0) & ~after
         found[there] = self.family.log_colours[self.kinds[there] - 1] + math.log(COLOURED)
         return np.asarray(self.log_evidence(priors) + found)
@@ -310,10 +337,9 @@ class SetEvidence:
 
     def variances(self, kind: int, *, alone: bool = False) -> Array:
         """Variances (n,) of one error model, by its index here, or of its noise alone."""
-        noise, discrepancy, _ = self.family.kinds
-        at = self.kinds[kind]
+        noise, discrepancy = self.family.of(self.kinds[[kind]])
         sigma2 = np.exp(2.0 * self.log_noise[kind])[self.family.member]
-        return np.asarray(sigma2 * noise[at] + (0.0 if alone else discrepancy[at]))
+        return np.asarray(sigma2 * noise[0] + (0.0 if alone else discrepancy[0]))
 
     def likely_variances(self, priors: SizePriors, *, alone: bool = False) -> Array:
         """Variances (n,) of the most probable errors, the discrepancy's size between those tried.
@@ -331,7 +357,7 @@ class SetEvidence:
         log_noise = np.array([np.interp(x[at], tried, one) for one in held.T])
         noise = np.exp(2.0 * log_noise)[self.family.member]
         size = 0.0 if alone or at == 0 else math.exp(x[at])
-        return np.asarray(noise + size**2 * self.family.discrepancies[self.shapes[shape]])
+        return np.asarray(noise + size**2 * self.family.discrepancy(self.shapes[shape]))
 
 
 class SetModel:
@@ -360,6 +386,16 @@ class SetModel:
         self.edges = np.cumsum([k, *self.sizes])
         listed = [at for one, at in zip(causes, self.edges[:-1], strict=True) if not one.free]
         self.listed = np.array([*problem.amplitudes, *listed], int)
+        k_low, k_high = np.full(k, -np.inf), np.full(k, np.inf)
+        if problem.low is not None and problem.high is not None:
+            k_low, k_high = problem.low, problem.high
+        low = np.concatenate([k_low, [one.low for one in causes]])
+        high = np.concatenate([k_high, [one.high for one in causes]])
+        bounded = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
+        self.bounded = np.concatenate([np.arange(k), self.edges[:-1]]).astype(int)[bounded]
+        self.low, self.high = low[bounded], high[bounded]
+        centres = np.array([float(one.prior_mean[0]) for one in causes])
+        self.prior_mass = float(np.sum(log_normal_mass(low[k:] - centres, high[k:] - centres)))
         free = [i for i, one in enumerate(causes) if one.free]
         self.widest = max(free, key=lambda i: self.sizes[i]) if free else None
         wide = np.concatenate([np.zeros(k, bool), self.owner == self.widest])
@@ -383,26 +419,10 @@ class SetModel:
         C = np.linalg.inv(H / both) / both
         return np.einsum("...ij,...j->...i", C, right - pull), C
 
-    def inside(self, mean: Array, sd: Array) -> Any:
-        """Log of the posterior's part inside the bounds over the prior's, as if these were independent.
-
-        Parameters
-        ----------
-        mean, sd : array (..., q)
-            Of parameters and weights but those of the `widest` function.
-        """
-        total: Any = 0.0
-        if self.problem.low is not None and self.problem.high is not None:
-            m, s = mean[..., : self.k], sd[..., : self.k]
-            total = np.sum(log_normal_mass((self.problem.low - m) / s, (self.problem.high - m) / s), axis=-1)
-        places = np.searchsorted(self.narrow, self.edges[:-1])
-        for one, at in zip(self.causes, places, strict=True):
-            if math.isinf(one.low) and math.isinf(one.high):
-                continue
-            centre, m, s = float(one.prior_mean[0]), mean[..., at], sd[..., at]
-            total = total + log_normal_mass((one.low - m) / s, (one.high - m) / s)
-            total = total - log_normal_mass(one.low - centre, one.high - centre)
-        return total
+    def _inside(self, mean: Array, C: Array) -> tuple[Array, Array]:
+        """Mean and covariance of parameters and weights inside their bounds."""
+        _, mean, C = truncate(mean, C, self.bounded, self.low, self.high)
+        return mean, C
 
     def _alike(self, scales: Array) -> list[Kinds]:
         """Rows of sizes (n, n_causes) that differ in the size of the widest function only."""
@@ -416,14 +436,48 @@ class SetModel:
         p = len(self.mean)
         return np.asarray(e**2 + C.reshape(-1, p * p) @ self.products.T)
 
-    def evidence(self, kinds: Kinds, start: Array, power: float = 1.0) -> SetEvidence:
+    def evidence(
+        self, kinds: Kinds, start: Array, signal: Callable[[Array], Array] | None = None
+    ) -> SetEvidence:
+        """Evidence given some error models, and those in proportion to what the causes do.
+
+        Parameters
+        ----------
+        kinds : int array (n_kinds,)
+            Error models, of which the latter are left out.
+        start : array (..., n_groups)
+            Where the noise's logarithms may be, for all or for each of them.
+        signal : callable, optional
+            What the causes do and the baseline cannot take up (n,), of the errors' variances (n,); that of
+            the weights if absent.
+        """
+        common = kinds < self.family.n_kinds
+        start = np.broadcast_to(start, (len(kinds), start.shape[-1]))[common]
+        found = plain = self.given(kinds[common], start)
+        if not self.causes and signal is None:
+            return found
+        for _ in range(2):  # again beside errors of that spectrum, if these are the most probable
+            best = found.best(SizePriors())
+            V = found.variances(best)
+            change = self._signal(found.mean[best], V) if signal is None else signal(V)
+            if not np.any(change):
+                return plain
+            beside = copy(self)
+            beside.family = self.family.beside(change)
+            own = beside.given(self.family.own_kinds, found.log_noise[best])
+            found = plain.joined(own, self.family.relative(change))
+            if found.best(SizePriors()) < len(plain.kinds):
+                break
+        return found
+
+    def given(self, kinds: Kinds, start: Array, power: float = 1.0) -> SetEvidence:
         """Evidence given some error models, from where the noise's logarithms (..., n_groups) may be.
 
         With the likelihood to a power: p(r | w, V)^power is N(r; A w, V / power) times |V|^((1 - power) / 2)
         and a constant. The former factor is not the same for all sets, since V is found with each.
         """
         f = self.family
-        noise, discrepancy, _ = (x[kinds] for x in f.kinds)
+        noise, discrepancy = f.of(kinds)
         log_noise = np.array(np.broadcast_to(start, (len(kinds), len(f.groups))))
         ones = np.ones((len(kinds), len(self.causes)))
         active = np.arange(len(kinds))
@@ -431,7 +485,7 @@ class SetModel:
             own = np.exp(2.0 * log_noise[active])[:, f.member] * noise[active]
             V = own + discrepancy[active]
             gram, right = self._products(V / power)
-            mean, C = self.solve(gram, right, ones[active])
+            mean, C = self._inside(*self.solve(gram, right, ones[active]))
             q = self._left(mean, C) / V
             a = own / V
             first, second, left = (power * x @ f.one_of.T for x in (a, a**2, a * q))
@@ -464,16 +518,16 @@ class SetModel:
             own_mean[:, alike], own_C[:, alike] = basis.moments(np.searchsorted(self.narrow, self.listed))
         gains += masses
         log_z = base + logsumexp(gains, axis=1)
-        mean, C = self.solve(gram, right, scales[np.argmax(gains, axis=1)])
+        mean, C = self._inside(*self.solve(gram, right, scales[np.argmax(gains, axis=1)]))
         amplitudes = self._amplitudes(own_mean, own_C)
         slope = power * np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
-        found = SetEvidence(
+        return SetEvidence(
             f,
             kinds,
             log_z,
             slope,
             log_noise,
-            0.0,
+            None,
             mean,
             C,
             free,
@@ -483,10 +537,6 @@ class SetModel:
             tuple(self.causes),
             log_z,
         )
-        if self.causes:
-            at = found.best(SizePriors())
-            found = replace(found, signal=self._signal(mean[at], V[at]))
-        return found
 
     def _amplitudes(self, mean: Array, C: Array) -> Amplitudes:
         n, k = len(self.problem.amplitudes), self.k
@@ -508,9 +558,9 @@ class SetModel:
         inverse = 1.0 / V
         return (inverse @ self.products).reshape(-1, p, p), inverse @ self.Ar
 
-    def _signal(self, mean: Array, V: Array) -> float:
-        """Rms of the causes' signal that the baseline's parameters cannot take up, in parts of the range."""
-        return self.family.relative(without(self.problem.jacobian, self.A[:, self.k :] @ mean[self.k :], V))
+    def _signal(self, mean: Array, V: Array) -> Array:
+        """What the causes do and the baseline's parameters cannot take up, (n,)."""
+        return without(self.problem.jacobian, self.A[:, self.k :] @ mean[self.k :], V)
 
 
 class SizeBasis:
@@ -555,8 +605,9 @@ class SizeBasis:
         self.gain = 0.5 * np.sum(z**2, axis=1)[:, None] + 0.5 * np.sum(self.D * y[:, None, :] ** 2, axis=2)
         self.gain -= 0.5 * logdet + np.log(scales[:, model.owner]).sum(axis=1)
         self.gain += 0.5 * model.k * math.log(2.0 * math.pi) - 0.5 * float(model.mean @ model.mean)
-        variance = np.sum(self.over**2, axis=2)[:, None, :] + self.D @ (self.cross**2).swapaxes(1, 2)
-        self.gain += model.inside(self._mean(np.arange(len(R))), np.sqrt(variance))
+        at = np.arange(len(model.bounded))
+        moments = self.moments(np.searchsorted(R, model.bounded))
+        self.gain += truncate(*moments, at, model.low, model.high)[0] - model.prior_mass
 
     def _mean(self, at: Kinds) -> Array:
         first = np.einsum("kij,kj->ki", self.over[:, at], self.z)[:, None, :]

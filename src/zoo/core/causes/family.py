@@ -6,12 +6,14 @@ The variance of coefficient i, of the series of a group g, is
 
 g is the spectrum of an Ornstein-Uhlenbeck process, h a Matern one, h ~ (1 + (omega length)^2)^-(nu + 1/2),
 both of mean 1; lambda = 1 + (n - 1) rho for the mean of a group's n series, 1 - rho for their differences.
+Beside causes lambda h may be the power of what these do instead, harmonic by harmonic.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise, product
@@ -38,6 +40,8 @@ UNEXPLAINED, UNEXPLAINED_ODDS = 0.05, 0.1
 """Scale of the half-normal size of what nobody can name, and the odds that there is such."""
 CARICATURE = 0.1
 """Scale of the half-normal model error of a cause (of its response), in parts of its signal."""
+IN_PROPORTION = 0.5
+"""Prior probability that the model error of causes has the spectrum of what these do."""
 COLOURED = 0.5
 """Prior probability that noise is correlated."""
 RATIOS, TIMES = (0.25, 0.5, 1.0, 2.0, 4.0), (0.012, 0.03, 0.075)
@@ -71,6 +75,22 @@ class ErrorFamily:
     errors: Spectral
     ranges: Mapping[str, float]
     known: Mapping[str, float] = field(default_factory=dict)
+    own: Array | None = field(init=False, default=None, repr=False)
+    """Variances (n,) of a discrepancy of size 1 in proportion to what causes do, one spectrum more."""
+
+    def beside(self, signal: Array) -> ErrorFamily:
+        """The same beside causes that change the coefficients by a signal (n,)."""
+        errors, found = self.errors, np.empty((self.errors.on.n_series, self.errors.n))
+        harmonic = np.rint(np.asarray(errors.omega) * errors.on.duration / (2.0 * math.pi)).astype(int)
+        per = 1.0 / np.maximum(np.bincount(harmonic), 1)
+        power = (signal.reshape(found.shape)) ** 2
+        for rows in errors.rows.values():  # the mean of a group's series, and their differences together
+            for part in (rows[:1], rows[1:]):
+                if len(part):
+                    found[part] = (np.bincount(harmonic, power[part].mean(axis=0)) * per)[harmonic]
+        made = copy(self)  # with all that is computed already
+        object.__setattr__(made, "own", found.reshape(-1) / self.relative(signal) ** 2)
+        return made
 
     @cached_property
     def groups(self) -> tuple[str, ...]:
@@ -98,7 +118,7 @@ class ErrorFamily:
 
     @cached_property
     def log_shapes(self) -> Array:
-        """Log prior of each spectrum."""
+        """Log prior of each spectrum but that in proportion to causes."""
         log = np.array(
             [-0.5 * (math.log(length / LENGTH[0]) / LENGTH[1]) ** 2 for _, length, _ in self.shapes]
         )
@@ -130,36 +150,45 @@ class ErrorFamily:
         time = np.array([-0.5 * (math.log(t / TIME[0]) / TIME[1]) ** 2 for t in TIMES])
         return np.asarray((ratio[:, None] + time - logsumexp(time)).reshape(-1))
 
+    def discrepancy(self, shape: int) -> Array:
+        """Variances (n,) of a discrepancy of size 1 and one spectrum."""
+        return self.discrepancies[shape] if self.own is None or shape < len(self.shapes) else self.own
+
     @cached_property
-    def kinds(self) -> tuple[Array, Array, Array]:
-        """All error models: white noise, each correlated noise, each spectrum of discrepancy at each size.
+    def _noises(self) -> Array:
+        """Variances (n_noises, n) of white noise and of each correlated one, in those of the white noise."""
+        T = self.errors.on.duration
+        rough = np.stack([1.0 + ratio**2 * self.errors.rough(t * T) for ratio, t in self.colours])
+        return np.tile(np.concatenate([np.ones((1, self.errors.n)), rough]), self.errors.on.n_series)
+
+    def of(self, kinds: NDArray[np.int_]) -> tuple[Array, Array]:
+        """Error models by their indices: white noise, each correlated one, each spectrum at each size.
 
         Returns
         -------
-        noise : array (n_kinds, n)
+        noise : array (m, n)
             Variance in that of the white noise.
-        discrepancy : array (n_kinds, n)
+        discrepancy : array (m, n)
             Variance of the discrepancy.
-        sizes : array (n_kinds,)
         """
-        n, T = self.errors.size, self.errors.on.duration
-        white = np.ones((1, n))
-        coloured = np.stack(
-            [
-                np.tile(1.0 + ratio**2 * self.errors.rough(t * T), self.errors.on.n_series)
-                for ratio, t in self.colours
-            ]
-        )
-        each = (SIZES[None, :, None] ** 2 * self.discrepancies[:, None, :]).reshape(-1, n)
-        noise = np.concatenate([white, coloured, np.ones_like(each)])
-        discrepancy = np.concatenate([np.zeros((1 + len(coloured), n)), each])
-        sizes = np.concatenate([np.zeros(1 + len(coloured)), np.tile(SIZES, len(self.shapes))])
-        return noise, discrepancy, sizes
+        noise, discrepancy = np.ones((2, len(kinds), self.errors.size))
+        for i, kind in enumerate(kinds):
+            shape, size = divmod(kind - len(self._noises), len(SIZES))
+            if shape < 0:
+                noise[i], discrepancy[i] = self._noises[kind], 0.0
+            else:
+                discrepancy[i] = SIZES[size] ** 2 * self.discrepancy(shape)
+        return noise, discrepancy
 
     @property
     def n_kinds(self) -> int:
-        """How many."""
+        """How many beside no cause."""
         return 1 + len(self.colours) + len(self.shapes) * len(SIZES)
+
+    @property
+    def own_kinds(self) -> NDArray[np.int_]:
+        """Indices of the error models in proportion to what causes do, whose spectrum is the last."""
+        return np.asarray(self.n_kinds + np.arange(len(SIZES)))
 
     def kinds_of(self, shapes: NDArray[np.int_], colours: bool = True) -> NDArray[np.int_]:
         """Indices of the error models of some spectra, with white and, if wanted, correlated noises."""

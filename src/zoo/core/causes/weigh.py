@@ -207,8 +207,8 @@ def _fewer_kinds(search: _Search) -> None:
     colours = False
     for which in [search.always, *best.values()]:
         log_colours, smooth = search.weighed[which].terms(search.sizes)
-        each = np.logaddexp.reduce(smooth, axis=1)
-        top = max(float(each.max()), float(log_colours.max()))
+        each = np.logaddexp.reduce(smooth[: len(behind)], axis=1)
+        top = max(float(smooth.max()), float(each.max()), float(log_colours.max()))
         behind = np.minimum(behind, top - each)
         colours = colours or float(log_colours.max()) > top - SHAPES_WITHIN
     order = np.argsort(behind, kind="stable")[:MOST_SHAPES]

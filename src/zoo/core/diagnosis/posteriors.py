@@ -61,9 +61,8 @@ def explanation_model(found: CauseSets, which: Which) -> tuple[pm.Model, dict[st
         Values that a search for the mode may start from.
     """
     one, fitting = found.solved[which], found.search.fitting
-    part = max(
-        SIZE_PRIORS.scales(one.evidence.signal), key=SIZE_PRIORS.scales(one.evidence.signal).__getitem__
-    )
+    scales, _ = SIZE_PRIORS.scales(one.evidence.signal)
+    part = max(scales, key=scales.__getitem__)
     priors = {
         group: GroupPriors(
             LogNormal(found.noise[group], 1.0), Normal(0.0, part * found.search.family.ranges[group], 0.0)

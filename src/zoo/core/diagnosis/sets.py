@@ -187,23 +187,23 @@ class CauseSearch:
         found = self._weigh(self.linears[0], 0.45)
         self.rows = {row.which: row for row in found.rows}
         tried: set[Which] = {()}
-        retried: set[Which] = set()
-        for wave in range(WAVES):
-            due = self._due(found, tried)
-            if not due:
-                break
+        retried: set[tuple[Which, Which]] = set()
+        wave = 0
+        while due := self._due(found, tried, wave < WAVES):
             self._weigh_more(due)
             tried |= set(due)
-            self.tick(f"solving {len(due)} sets of causes", 0.6 + 0.4 * wave / WAVES)
+            self.tick(f"solving {len(due)} sets of causes", 0.6 + 0.4 * min(1.0, wave / WAVES))
             for size in sorted({len(w) for w in due}):  # what fewer causes found, more begin with
                 self._solve([w for w in due if len(w) == size])
-            again = [w for w in self.solved if w and w not in retried and self._outdone(w)]
-            retried |= set(again)
-            self._solve(again)
+            again = {w: larger for w in self.solved if w and (larger := self._outdoing(w))}
+            again = {w: larger for w, larger in again.items() if (w, larger) not in retried}
+            retried |= set(again.items())
+            self._solve(list(again))
             found = self._corrected(found)
             centre = self._next_centre(found) if wave < WAVES - 1 else None
             if centre is not None:
                 found = self._around_another(found, centre)
+            wave += 1
         return CauseSets(found, self)
 
     def _weigh(self, linear: Linear, done: float) -> CausePosterior:
@@ -273,10 +273,11 @@ class CauseSearch:
             evidence = model.evidence(like.kinds, like.log_noise)
             self.rows[which] = SetRow(which, priors.log_prior(which), evidence)
 
-    def _outdone(self, which: Which) -> bool:
-        """Whether a larger set was solved with visibly more evidence, as where a mode was missed."""
-        more = [one.log_z for w, one in self.solved.items() if set(w) > set(which)]
-        return max(more, default=-np.inf) > self.solved[which].log_z + VISIBLE
+    def _outdoing(self, which: Which) -> Which | None:
+        """The best larger set, if it was solved with visibly more evidence, as where a mode was missed."""
+        larger = [w for w in self.solved if set(w) > set(which)]
+        best = max(larger, key=lambda w: self.solved[w].log_z, default=which)
+        return best if self.solved[best].log_z > self.solved[which].log_z + VISIBLE else None
 
     def _corrected(self, found: CausePosterior) -> CausePosterior:
         """With what was solved; others are shifted as the solved set that is most like them."""
@@ -346,8 +347,8 @@ class CauseSearch:
         """The most probable set of those that were solved."""
         return max(self.solved, key=lambda which: found.log_joint[which])
 
-    def _due(self, found: CausePosterior, tried: set[Which]) -> list[Which]:
-        """Leading sets that were not tried yet, and the leader without each of its causes.
+    def _due(self, found: CausePosterior, tried: set[Which], more: bool) -> list[Which]:
+        """The leader without each of its causes, and leading sets if more are wanted, if not tried yet.
 
         Where the linear model is `known` to be right only the most probable one. At first the best alone of
         each component is among them.
@@ -355,6 +356,8 @@ class CauseSearch:
         leader = self.leader(found)
         parts = [tuple(i for i in leader if i != left) for left in leader]
         due = [which for which in parts if which not in tried]
+        if not more:
+            return due
         total, best, known = 0.0, dict[str, Which](), self.known
         for which, p in found.probability.items():
             new = which not in tried and which not in due
@@ -475,13 +478,11 @@ class CauseSearch:
         firsts = np.cumsum([forward.n_base, *sizes])[: len(order) - len(free)]
         problem = replace(problem, amplitudes=tuple(int(i) for i in firsts))
         start = linear.log_noise[linear.best(SIZE_PRIORS)]
-        found = SetModel(problem, causes, self.family).evidence(linear.kinds, start)
-        if not order:
-            return found, n_listed
-        V = found.variances(found.best(SIZE_PRIORS))
         change = point.computed + (self.data - data) - self.base.computed
-        signal = self.family.relative(without(self.jacobian, change, V))
-        return replace(found, signal=signal), n_listed
+        found = SetModel(problem, causes, self.family).evidence(
+            linear.kinds, start, lambda V: without(self.jacobian, change, V)
+        )
+        return found, n_listed
 
 
 @dataclass(frozen=True, eq=False)

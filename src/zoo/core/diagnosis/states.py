@@ -214,8 +214,8 @@ def seen_at_sensor(found: CauseSets) -> Array:
 
 
 def _has_discrepancy(one: SolvedSet) -> NDArray[np.bool_]:
-    _, discrepancy, _ = one.evidence.family.kinds
-    return np.asarray(discrepancy[one.evidence.kinds].any(axis=1))
+    _, discrepancy = one.evidence.family.of(one.evidence.kinds)
+    return np.asarray(discrepancy.any(axis=1))
 
 
 def _at_same_part(values: Array, first: Data, here: Data) -> Array | None:
