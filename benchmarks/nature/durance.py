@@ -30,7 +30,7 @@ FIRST, HELD_OUT, END = "1999-09-01", "2004-09-01", "2009-06-25"  # hydrological 
 
 @dataclass(frozen=True, eq=False)
 class Catchment:
-    """Weather and runoff by day, snow cover of the bands from satellites, the bands above the middle elevation."""
+    """Weather and runoff by day, snow cover of five bands from satellites, and the bands' elevations."""
 
     table: pd.DataFrame
     above_m: Array
@@ -213,3 +213,54 @@ def climatology(catchment: Catchment, at: Array) -> Array:
     )
     days = (catchment.table.index[0] + pd.to_timedelta(np.asarray(at), unit="D")).dayofyear
     return np.asarray(round_.to_numpy()[np.asarray(days) - 1])
+
+
+def tell_held_out(catchment: Catchment, found: Diagnosis) -> None:
+    """Print the efficiency of base and leading set in both halves, and their snow beside the satellites'."""
+    sets, simulate = found.sets, catchment.simulator()
+    halves = [catchment.series(FIRST, HELD_OUT), catchment.series(HELD_OUT, END)]
+    print("| computed by | efficiency, first half (fitted) | second half |\n|---|---|---|")
+    rows: dict[str, Callable[[Array], Array]] = {
+        "climatology of the first half": lambda t: climatology(catchment, t)
+    }
+    learned: dict[str, Any] = {}
+    for name, which in (("two reservoirs", ()), ("with " + sets.name(sets.leader), sets.leader)):
+        one = sets.solved[which]
+        learned = one.forward.model.configure(one.forward.theta(one.point.u))
+        rows[name] = lambda t, c=dict(learned): simulate(c, t)
+    for name, computed in rows.items():
+        print(f"| {name} | " + " | ".join(f"{efficiency(q, computed(t)):.2f}" for t, q in halves) + " |")
+    if learned.get("snow", 0.0) == 0.0:
+        print("no snow was learned")
+        return
+    packs = pd.DataFrame(
+        catchment.daily(learned)[1], index=catchment.table.index, columns=catchment.cover.columns
+    )
+    print(
+        "| band | correlation of departures | melt-out: years, mean error (d) | by the calendar (d) |\n|---|---|---|---|"
+    )
+    for name, seen in catchment.cover.items():
+        both = pd.DataFrame({"seen": seen, "pack": np.minimum(packs[name], FULL) / FULL}).dropna()
+        away = both - both.groupby(both.index.dayofyear).transform("mean")
+        ends = pd.DataFrame({k: melt_out(both[k]) for k in both}).dropna()
+        error = (ends["pack"] - ends["seen"]).abs().mean()
+        others = (ends["seen"].sum() - ends["seen"]) / (len(ends) - 1)  # the mean of all other years
+        print(
+            f"| {name.removeprefix('snow_cover_')} | {away['seen'].corr(away['pack']):.2f} | {len(ends)}, {error:.0f} | "
+            f"{(ends['seen'] - others).abs().mean():.0f} |"
+        )
+
+
+FULL = 20.0
+"""Snow in mm of water from which on all of a band is taken to be covered."""
+
+
+def melt_out(cover: pd.Series) -> pd.Series:
+    """Day of the year by year on which less than half of a band is covered for the rest of the summer."""
+    found = {}
+    for year, part in cover.groupby(cover.index.year):
+        spring = part[(part.index.dayofyear > 60) & (part.index.dayofyear < 240)]
+        covered = spring[spring >= 0.5]
+        if len(covered) and covered.index[-1].dayofyear < 235:
+            found[year] = covered.index[-1].dayofyear
+    return pd.Series(found, dtype=float)
