@@ -50,8 +50,8 @@ def _checked(case: str) -> Path:
     return path
 
 
-def _row(found: Diagnosis, name: str, known: str, of: Callable[[str], str] = str) -> str:
-    """What is known and what was found, by the probability of what is known and of the first three."""
+def _row(found: Diagnosis, name: str, known: str, asked: str, of: Callable[[str], str] = str) -> str:
+    """What is known and what was found: the probability of what is asked for, and of the first three."""
     p = {one.name: one.probability for one in found.causes}
     first = ", ".join(f"{cause} {x:.0%}" for cause, x in list(p.items())[:3])
     named = found.sets.posterior.included(lambda one: of(one.name))
@@ -60,7 +60,7 @@ def _row(found: Diagnosis, name: str, known: str, of: Callable[[str], str] = str
     later = [state.baseline, *(leader or [one.error for one in state.carried][:1])]
     nothing = next(row.probability for row in found.file.sets if not row.causes)
     return (
-        f"| {name} | {known} | {named.get(known, 0.0):.0%} | {first} | {nothing:.0%} | "
+        f"| {name} | {known} | {named.get(asked, 0.0):.0%} | {first} | {nothing:.0%} | "
         f"{found.file.gap.before:.3f} | {found.file.gap.after:.3f} | "
         f"{' -> '.join(f'{one.mean:.3f}' for one in later)} | {'yes' if found.file.decided else 'no'} | "
         f"{found.file.record['solves']} | {found.file.record['seconds']:.0f} |"
@@ -68,7 +68,7 @@ def _row(found: Diagnosis, name: str, known: str, of: Callable[[str], str] = str
 
 
 HEAD = (
-    "| {} | known | its probability | first three | nothing | {} before | {} after | {} | decided | solves | "
+    "| {} | known | {} | first three | nothing | {} before | {} after | {} | decided | solves | "
     "s |\n|---|---|---|---|---|---|---|---|---|---|---|"
 )
 
@@ -77,7 +77,7 @@ def balls(asked: argparse.Namespace) -> None:
     """Every ball that was dropped."""
     known = CASES["falling-balls"]["known"]
     table = pd.read_csv(_checked("falling-balls"))
-    print(HEAD.format("ball", "m", "m", "second drop, m"))
+    print(HEAD.format("ball", "drag", "m", "m", "second drop, m"))
     for ball in asked.balls or dict.fromkeys(table["ball"]):
         drops = [
             (part["time_s"].to_numpy(), part["height_m"].to_numpy())
@@ -86,15 +86,15 @@ def balls(asked: argparse.Namespace) -> None:
         drops = [(np.linspace(t[0], t[-1], len(t)), h) for t, h in drops]  # times are rounded to 7 digits
         found = diagnose_ball(*drops)
         told = known.get(ball, "open")
-        print(_row(found, ball, told, lambda name: "drag" if name in DRAG else name), flush=True)
+        print(_row(found, ball, told, "drag", lambda name: "drag" if name in DRAG else name), flush=True)
 
 
 def river(asked: argparse.Namespace) -> None:
     """The Durance, and its snow beside the satellites'."""
     catchment = durance.Catchment.read(_checked("durance").parent)
     found = durance.diagnose_river(catchment)
-    print(HEAD.format("river", "mm/d", "mm/d", "second half, mm/d"))
-    print(_row(found, "durance", "snow"))
+    print(HEAD.format("river", "snow", "mm/d", "mm/d", "second half, mm/d"))
+    print(_row(found, "Durance", "snow", "snow"))
     durance.tell_held_out(catchment, found)
 
 
@@ -105,8 +105,8 @@ TIMING = ("flow-timing", "pressure-timing")
 def pig(asked: argparse.Namespace) -> None:
     """The aorta's Windkessel, and by how much a record is late."""
     found = pig_aorta.diagnose_pig(_checked("pig-aorta").parent)
-    print(HEAD.format("pig", "mmHg", "mmHg", "record 2, mmHg"))
-    print(_row(found, "aorta", "timing", lambda name: "timing" if name in TIMING else name))
+    print(HEAD.format("pig", "timing", "mmHg", "mmHg", "record 2, mmHg"))
+    print(_row(found, "aorta", "timing", "timing", lambda name: "timing" if name in TIMING else name))
     for cause in found.causes:
         if cause.name in TIMING and cause.estimates:
             shift = cause.estimates[0]

@@ -60,7 +60,7 @@ class Catchment:
             self.table[name].to_numpy(float)
             for name in ("precipitation_mm", "temperature_degC", "potential_evapotranspiration_mm")
         )
-        year = 2.0 * np.pi * self.table.index.dayofyear.to_numpy() / 365.25
+        year = 2.0 * np.pi * self.table.index.day_of_year.to_numpy() / 365.25
         season = np.cos(year - 2.0 * np.pi * c.get("wet_day", 15.0) / 365.25)
         rain = rain * (1.0 + c.get("rain", 0.0)) * np.maximum(1.0 + c.get("season", 0.0) * season, 0.0)
         rain = np.maximum(rain - c.get("interception", 0.0), 0.0)
@@ -207,11 +207,11 @@ def efficiency(measured: Array, computed: Array) -> float:
 def climatology(catchment: Catchment, at: Array) -> Array:
     """Mean of the first years' runoff by day of the year, 31 days smoothed, at days (n,)."""
     first = catchment.table.loc[FIRST:HELD_OUT, "runoff_mm"]  # type: ignore[misc]
-    by_day = first.groupby(first.index.dayofyear).mean().reindex(range(1, 367)).interpolate()  # type: ignore[attr-defined]
+    by_day = first.groupby(first.index.day_of_year).mean().reindex(range(1, 367)).interpolate()  # type: ignore[attr-defined]
     round_ = (
         pd.concat([by_day.iloc[-40:], by_day, by_day.iloc[:40]]).rolling(31, center=True).mean().iloc[40:-40]
     )
-    days = (catchment.table.index[0] + pd.to_timedelta(np.asarray(at), unit="D")).dayofyear
+    days = (catchment.table.index[0] + pd.to_timedelta(np.asarray(at), unit="D")).day_of_year
     return np.asarray(round_.to_numpy()[np.asarray(days) - 1])
 
 
@@ -236,19 +236,17 @@ def tell_held_out(catchment: Catchment, found: Diagnosis) -> None:
     packs = pd.DataFrame(
         catchment.daily(learned)[1], index=catchment.table.index, columns=catchment.cover.columns
     )
-    print(
-        "| band | correlation of departures | melt-out: years, mean error (d) | by the calendar (d) |\n|---|---|---|---|"
-    )
+    print("| band | correlation of departures | melt-out: years | mean error, d | by the calendar, d |")
+    print("|---|---|---|---|---|")
     for name, seen in catchment.cover.items():
         both = pd.DataFrame({"seen": seen, "pack": np.minimum(packs[name], FULL) / FULL}).dropna()
-        away = both - both.groupby(both.index.dayofyear).transform("mean")
+        away = both - both.groupby(both.index.day_of_year).transform("mean")
         ends = pd.DataFrame({k: melt_out(both[k]) for k in both}).dropna()
         error = (ends["pack"] - ends["seen"]).abs().mean()
         others = (ends["seen"].sum() - ends["seen"]) / (len(ends) - 1)  # the mean of all other years
-        print(
-            f"| {name.removeprefix('snow_cover_')} | {away['seen'].corr(away['pack']):.2f} | {len(ends)}, {error:.0f} | "
-            f"{(ends['seen'] - others).abs().mean():.0f} |"
-        )
+        corr, calendar = away["seen"].corr(away["pack"]), (ends["seen"] - others).abs().mean()
+        band = name.removeprefix("snow_cover_")
+        print(f"| {band} | {corr:.2f} | {len(ends)} | {error:.0f} | {calendar:.0f} |")
 
 
 FULL = 20.0
@@ -259,8 +257,8 @@ def melt_out(cover: pd.Series) -> pd.Series:
     """Day of the year by year on which less than half of a band is covered for the rest of the summer."""
     found = {}
     for year, part in cover.groupby(cover.index.year):
-        spring = part[(part.index.dayofyear > 60) & (part.index.dayofyear < 240)]
+        spring = part[(part.index.day_of_year > 60) & (part.index.day_of_year < 240)]
         covered = spring[spring >= 0.5]
-        if len(covered) and covered.index[-1].dayofyear < 235:
-            found[year] = covered.index[-1].dayofyear
+        if len(covered) and covered.index[-1].day_of_year < 235:
+            found[year] = covered.index[-1].day_of_year
     return pd.Series(found, dtype=float)
