@@ -1,7 +1,8 @@
 """Records that nature made, with a cause that is known from outside and rivals that were written down first.
 
-python -m benchmarks.nature --lists              SHA-256 of every list of rivals
-python -m benchmarks.nature [--balls NAME ...]   diagnoses the falling balls, and what is known beside it
+python -m benchmarks.nature --lists               SHA-256 of every list of rivals
+python -m benchmarks.nature [--cases NAME ...]    diagnoses all, or these, and what is known beside it
+python -m benchmarks.nature --balls NAME ...      these of the falling balls
 """
 
 from __future__ import annotations

@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from benchmarks.nature import CASES, __doc__, list_digest
+from benchmarks.nature import CASES, __doc__, durance, list_digest, pig_aorta
 from benchmarks.nature.falling_balls import diagnose_ball
+
+from zoo.core.diagnosis import Diagnosis
 
 DRAG = ("linear-drag", "quadratic-drag")
 
@@ -22,21 +25,59 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--lists", action="store_true", help="SHA-256 of the lists of rivals, and nothing else"
     )
+    parser.add_argument(
+        "--cases", nargs="+", default=("falling-balls", "durance", "pig-aorta"), help="these only"
+    )
     parser.add_argument("--balls", nargs="+", help="these only")
     asked = parser.parse_args(arguments)
     if asked.lists:
         for case in CASES:
             print(case, list_digest(case))
         return
-    case = CASES["falling-balls"]
-    path = Path(os.environ.get("ZOO_DATA_DIR", ".")) / case["data"]
+    rows = {"falling-balls": balls, "durance": river, "pig-aorta": pig}
+    for name in asked.cases:
+        rows[name](asked)
+
+
+def _checked(case: str) -> Path:
+    """Path of a case's data, if it is the file that the list names."""
+    known = CASES[case]
+    path = Path(os.environ.get("ZOO_DATA_DIR", ".")) / known["data"]
     if not path.exists():
-        parser.error(f"{path} is not there: set ZOO_DATA_DIR to the folder that has {case['data']}")
-    if hashlib.sha256(path.read_bytes()).hexdigest() != case["sha256"]:
-        parser.error(f"{path} is not the file of {case['source']}: its SHA-256 is another")
-    table = pd.read_csv(path)
-    print("| ball | known | drag | first three | nothing | m before | m after | second drop, m | s |")
-    print("|---|---|---|---|---|---|---|---|---|")
+        sys.exit(f"{path} is not there: set ZOO_DATA_DIR to the folder that has {known['data']}")
+    if hashlib.sha256(path.read_bytes()).hexdigest() != known["sha256"]:
+        sys.exit(f"{path} is not the file of {known['source']}: its SHA-256 is another")
+    return path
+
+
+def _row(found: Diagnosis, name: str, known: str, asked: str, of: Callable[[str], str] = str) -> str:
+    """What is known and what was found: the probability of what is asked for, and of the first three."""
+    p = {one.name: one.probability for one in found.causes}
+    first = ", ".join(f"{cause} {x:.0%}" for cause, x in list(p.items())[:3])
+    named = found.sets.posterior.included(lambda one: of(one.name))
+    state = found.file.states[0]
+    leader = [one.error for one in state.carried if set(one.names) == set(found.file.sets[0].components)]
+    later = [state.baseline, *(leader or [one.error for one in state.carried][:1])]
+    nothing = next(row.probability for row in found.file.sets if not row.causes)
+    return (
+        f"| {name} | {known} | {named.get(asked, 0.0):.0%} | {first} | {nothing:.0%} | "
+        f"{found.file.gap.before:.3f} | {found.file.gap.after:.3f} | "
+        f"{' -> '.join(f'{one.mean:.3f}' for one in later)} | {'yes' if found.file.decided else 'no'} | "
+        f"{found.file.record['solves']} | {found.file.record['seconds']:.0f} |"
+    )
+
+
+HEAD = (
+    "| {} | known | {} | first three | nothing | {} before | {} after | {} | decided | solves | "
+    "s |\n|---|---|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def balls(asked: argparse.Namespace) -> None:
+    """Every ball that was dropped."""
+    known = CASES["falling-balls"]["known"]
+    table = pd.read_csv(_checked("falling-balls"))
+    print(HEAD.format("ball", "drag", "m", "m", "second drop, m"))
     for ball in asked.balls or dict.fromkeys(table["ball"]):
         drops = [
             (part["time_s"].to_numpy(), part["height_m"].to_numpy())
@@ -44,18 +85,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ]
         drops = [(np.linspace(t[0], t[-1], len(t)), h) for t, h in drops]  # times are rounded to 7 digits
         found = diagnose_ball(*drops)
-        p = {one.name: one.probability for one in found.causes}
-        first = ", ".join(f"{name} {x:.0%}" for name, x in list(p.items())[:3])
-        later = [found.file.states[0].baseline, *(one.error for one in found.file.states[0].carried[:1])]
-        named = found.sets.posterior.included(lambda one: "drag" if one.name in DRAG else one.name)
-        print(
-            f"| {ball} | {case['known'].get(ball, 'open')} | {named.get('drag', 0.0):.0%} | {first} | "
-            f"{found.file.sets[0].probability if not found.file.sets[0].causes else 0:.0%} | "
-            f"{found.file.gap.before:.3f} | {found.file.gap.after:.3f} | "
-            f"{' -> '.join(f'{one.mean:.3f}' for one in later)} | "
-            f"{found.file.record['seconds']:.0f} |",
-            flush=True,
-        )
+        told = known.get(ball, "open")
+        print(_row(found, ball, told, "drag", lambda name: "drag" if name in DRAG else name), flush=True)
+
+
+def river(asked: argparse.Namespace) -> None:
+    """The Durance, and its snow beside the satellites'."""
+    catchment = durance.Catchment.read(_checked("durance").parent)
+    found = durance.diagnose_river(catchment)
+    print(HEAD.format("river", "snow", "mm/d", "mm/d", "second half, mm/d"))
+    print(_row(found, "Durance", "snow", "snow"))
+    durance.tell_held_out(catchment, found)
+
+
+TIMING = ("flow-timing", "pressure-timing")
+"""Which one series cannot tell apart."""
+
+
+def pig(asked: argparse.Namespace) -> None:
+    """The aorta's Windkessel, and by how much a record is late."""
+    found = pig_aorta.diagnose_pig(_checked("pig-aorta").parent)
+    print(HEAD.format("pig", "timing", "mmHg", "mmHg", "record 2, mmHg"))
+    print(_row(found, "aorta", "timing", "timing", lambda name: "timing" if name in TIMING else name))
+    for cause in found.causes:
+        if cause.name in TIMING and cause.estimates:
+            shift = cause.estimates[0]
+            print(f"{cause.name}: {1e3 * shift.mean:.1f} +- {1e3 * shift.sd:.1f} ms, where it is")
 
 
 if __name__ == "__main__":

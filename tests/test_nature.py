@@ -1,0 +1,66 @@
+"""Simulators of nature's cases beside conservation and closed forms, and their rivals beside the lists."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from benchmarks.nature import CASES, durance, falling_balls, pig_aorta
+
+OURS = {"durance": durance.RIVALS, "pig-aorta": pig_aorta.RIVALS, "falling-balls": falling_balls.RIVALS}
+
+
+@pytest.mark.parametrize("case", OURS)
+def test_rivals_are_those_that_were_written_down(case: str) -> None:
+    assert {one.name for one in OURS[case]} == set(CASES[case]["rivals"])
+
+
+def catchment(years: int = 12) -> durance.Catchment:
+    """Made-up weather: rain all the year, frost in winter."""
+    days = pd.date_range("1999-01-01", periods=365 * years)
+    rng, year = np.random.default_rng(3), 2.0 * np.pi * np.arange(len(days)) / 365.25
+    table = pd.DataFrame(index=days)
+    table["precipitation_mm"] = rng.exponential(3.0, len(days))
+    table["temperature_degC"] = 5.0 - 12.0 * np.cos(year)
+    table["potential_evapotranspiration_mm"] = 1.0 - np.cos(year)
+    return durance.Catchment(table, np.array([-800.0, -300.0, 0.0, 200.0, 500.0]))
+
+
+BASE = {"fast": 5.0, "slow": 60.0, "share": 0.4}
+
+
+@pytest.mark.parametrize("more", [{}, {"snow": 1.0}, {"third": 0.4}, {"frozen": 0.8}])
+def test_no_water_is_made_or_lost(more: dict[str, float]) -> None:
+    here = catchment()
+    runoff, packs = here.daily(BASE | more)
+    water = (here.table["precipitation_mm"] - here.table["potential_evapotranspiration_mm"]).to_numpy()
+    stored = 1500.0 if more.get("third") else 100.0  # what the reservoirs may hold, in mm
+    assert abs(runoff.sum() + packs[-1].mean() - water.sum()) < stored
+    assert runoff.sum() == pytest.approx(water.sum(), rel=0.06)
+
+
+def test_snow_lies_where_it_is_cold_and_longest_on_top() -> None:
+    _, packs = catchment().daily(BASE | {"snow": 1.0})
+    assert np.all(np.diff((packs > 0.0).mean(axis=0)) > 0.0)
+    assert np.all(packs.min(axis=0) == 0.0)
+
+
+def test_the_windkessel_is_that_of_its_differential_equation() -> None:
+    """C d(P - R1 Q)/dt = Q - (P - R1 Q) / R2."""
+    n, period = 400, 0.8
+    t = np.arange(n) * period / n
+    flow = 60.0 + 40.0 * np.sin(2 * np.pi * t / period) + 20.0 * np.cos(4 * np.pi * t / period)
+    c = {"R1": 0.05, "R2": 1.0, "C": 1.3}
+    beyond = pig_aorta.windkessel(period, flow)(c, t) - c["R1"] * flow
+    slope = (np.roll(beyond, -1) - np.roll(beyond, 1)) / (2 * period / n)
+    np.testing.assert_allclose(c["C"] * slope, flow - beyond / c["R2"], atol=0.05)
+
+
+def test_a_flow_that_is_late_is_as_a_pressure_that_is_early() -> None:
+    n, period = 256, 0.8
+    t = np.arange(n) * period / n
+    flow = 60.0 + 40.0 * np.sin(2 * np.pi * t / period)
+    simulate, c = pig_aorta.windkessel(period, flow), {"R1": 0.05, "R2": 1.0, "C": 1.3}
+    a, b = (simulate(c | late, t) for late in ({"flow_late": 0.026}, {"pressure_late": -0.026}))
+    np.testing.assert_allclose(a, b, atol=1e-9)
+    assert np.abs(a - simulate(c, t)).max() > 0.5
