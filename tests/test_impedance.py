@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.impedance import errors
 
 from zoo.blood.baseline import get_baseline
 from zoo.blood.case import Case, simulate, wall_slope
@@ -164,3 +165,9 @@ def test_the_measured_mouse_has_a_spike_at_its_third_harmonic_that_an_inflow_exp
     changed = modelled_impedance(record.apply(case, values), recorded_ml_s=case.inflow_ml_s)
     assert changed.modulus[3] == pytest.approx(2 * plain.modulus[3], rel=0.1)
     assert changed.spike[3]
+
+
+def test_vessels_and_forks_have_the_impedance_of_transmission_lines() -> None:
+    """At the default accuracy, which is that of a series; benchmarks/impedance.py has more."""
+    for fork, off in errors(6, seed=5):
+        assert np.all(off < [5e-4, 2.5e-3, 1.5e-2]), (fork, off)
