@@ -21,7 +21,7 @@ from zoo.core.arviz_lines import ARVIZ_1, InferenceData, dataset, made, of_draws
 from zoo.core.errors.independent import Independent
 from zoo.core.inference.convergence import check_convergence
 from zoo.core.model import ModelError
-from zoo.core.parameters import Parameter, Uniform
+from zoo.core.parameters import Normal, Parameter, Uniform
 from zoo.core.posterior.comparison import (
     ComparisonError,
     compare,
@@ -29,6 +29,7 @@ from zoo.core.posterior.comparison import (
     forward_points,
     log_likelihoods,
     posterior_means,
+    prior_sensitivity,
     sse_at_median,
     thin,
     waic_one_observation,
@@ -328,3 +329,21 @@ def test_draws_that_do_not_solve_are_refused(study: Study, idatas) -> None:
     with pytest.raises(ComparisonError, match="10 of 10 posterior draws do not solve"):
         log_likelihoods(idatas["A"], hasty, n_draws=10)
     assert math.isnan(sse_at_median(idatas["A"], hasty)["pressure_mmHg"].value)
+
+
+def test_a_prior_that_disagrees_with_the_data_moves_its_parameter() -> None:
+    """y = mean + e of known noise: by how far the prior's mean is off, and not at all for a flat prior."""
+    rng, n = np.random.default_rng(2), 50
+    found = {}
+    for prior in (0.0, 0.6, "flat"):
+        law = Uniform(-50.0, 50.0) if prior == "flat" else Normal(float(prior), 0.1)
+        precision = 0.0 if prior == "flat" else 1.0 / 0.1**2
+        with pm.Model() as model:
+            law.variable("mean", {})
+        C = 1.0 / (n + precision)
+        at = 0.0 if prior == "flat" else C * precision * float(prior)  # the mean of the data is 0
+        draws = at + np.sqrt(C) * rng.standard_normal((4, 500))
+        posterior = dataset(of_draws({"posterior": {"mean": draws}}))
+        found[prior] = prior_sensitivity(posterior, model)["mean"]
+    assert found["flat"] < 0.01
+    assert 0.05 < found[0.0] < 0.5 * found[0.6]

@@ -266,6 +266,7 @@ def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
             lambda row: row["waic_warning"],
         ),
         *each("not informed by the data, posterior like prior: {uninformed}", lambda row: row["uninformed"]),
+        *each("moved by the power of the priors: {prior_sensitive}", lambda row: row["prior_sensitive"]),
         *each("{convergence}", lambda row: not row["converged"], "yellow"),
     ]
 

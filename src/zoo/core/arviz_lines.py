@@ -203,6 +203,35 @@ def psis_loo(posterior: xr.Dataset, log_likelihood: ArrayLike) -> Score:
     return _score(terms, lppd, n, warning=bool(np.any(k > good_k)), pareto_k=k, good_k=good_k)
 
 
+def power_sensitivity(posterior: xr.Dataset, log_prior: ArrayLike) -> dict[str, float]:
+    """How far each parameter's posterior moves with the power of the prior, elements together.
+
+    The cumulative Jensen-Shannon distance by which it moves when the prior is taken to a power near 1, over
+    the change of the power's logarithm to base 2; by importance weights of the draws.
+
+    Parameters
+    ----------
+    posterior : Dataset
+    log_prior : array (n_chains, n_draws)
+
+    Returns
+    -------
+    dict
+        Parameter -> the largest of its elements.
+
+    References
+    ----------
+    Kallioinen, Paananen, Buerkner and Vehtari 2024, doi 10.1007/s11222-023-10366-5.
+    """
+    prior = xr.Dataset({"prior": (("chain", "draw"), np.asarray(log_prior))}).assign_coords(posterior.coords)
+    both = made({"posterior": posterior, "log_prior": prior})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = _arviz("arviz_stats").psense(both) if ARVIZ_1 else _arviz().psens(both)
+    found = found if isinstance(found, xr.Dataset) else dataset(found)
+    return {str(name): float(np.max(found[name])) for name in posterior.data_vars}
+
+
 def ranked(scores: Mapping[str, Score], method: str) -> pd.DataFrame:
     """Models by their score, the best first, by ``arviz.compare``, on the log scale.
 

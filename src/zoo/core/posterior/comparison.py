@@ -15,7 +15,17 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
-from zoo.core.arviz_lines import InferenceData, Score, dataset, for_plot_compare, psis_loo, ranked, waic
+from zoo.core.arviz_lines import (
+    InferenceData,
+    Score,
+    dataset,
+    for_plot_compare,
+    made,
+    power_sensitivity,
+    psis_loo,
+    ranked,
+    waic,
+)
 from zoo.core.data import squared
 from zoo.core.draws import evenly
 from zoo.core.forward import SolveError
@@ -31,6 +41,8 @@ Progress = Callable[[int, int], None]
 
 N_DRAWS = 1000  # as in the paper
 CRITERIA = ("waic", "loo")
+SENSITIVE = 0.05
+"""Prior sensitivity from which on it is told (Kallioinen et al. 2024, doi 10.1007/s11222-023-10366-5)."""
 _DEVIANCE = -2.0
 
 
@@ -318,8 +330,9 @@ def compare(
         `sse_G_mcse` its Monte Carlo standard error; `one_observation_mcse` is that of
         `waic_one_observation`. Both are taken from the values of each chain alone. `at_bounds` warns of
         priors' bounds that the posterior leans on, `uninformed` names parameters whose posterior is like
-        their prior. Beside these stand the columns that ``az.plot_compare`` reads: elpd_diff, se, dse,
-        warning, scale, and elpd_waic (or elpd_loo: those of `ic`) on the deviance scale; with ArviZ 1 elpd,
+        their prior, `prior_sensitive` those that move with the power of the priors, and how far
+        (`prior_sensitivity`). Beside these stand the columns that ``az.plot_compare`` reads: elpd_diff, se,
+        dse, warning, scale, and elpd_waic (or elpd_loo: those of `ic`) on the deviance scale; with ArviZ 1 elpd,
         and all of them on the log scale.
 
     Raises
@@ -375,6 +388,7 @@ def compare(
             "convergence": found.text,
             "at_bounds": "; ".join(found.bounds),
             "uninformed": ", ".join(found.uninformed),
+            "prior_sensitive": _sensitive(posterior, model),
         }
     order = ranked(scores, "stacking")
     table: pd.DataFrame = pd.DataFrame.from_dict(rows, orient="index").loc[order.index]
@@ -399,6 +413,29 @@ def compare(
     return table
 
 
+def prior_sensitivity(posterior: xr.Dataset, model: pm.Model) -> dict[str, float]:
+    """How far each parameter's posterior moves with the power of all priors; above 0.05 it does visibly.
+
+    Parameters
+    ----------
+    posterior : Dataset
+        Draws of every parameter, dimensions chain, draw, ...
+    model : pm.Model
+
+    Returns
+    -------
+    dict
+        Parameter -> `zoo.core.arviz_lines.power_sensitivity`.
+    """
+    with model:
+        found = pm.compute_log_prior(
+            made({"posterior": posterior}), extend_inferencedata=False, progressbar=False
+        )
+    each = found.data_vars.values()
+    log_prior = sum(x.sum([d for d in x.dims if d not in ("chain", "draw")]) for x in each)
+    return power_sensitivity(posterior, log_prior.transpose("chain", "draw").to_numpy())
+
+
 def describe_difference(difference: float, se: float) -> str:
     """What a difference to the best model means, given its standard error.
 
@@ -419,6 +456,11 @@ def describe_difference(difference: float, se: float) -> str:
     if se == 0:
         return "behind the best"
     return f"{difference / se:.1f} SE behind the best"
+
+
+def _sensitive(posterior: xr.Dataset, model: pm.Model) -> str:
+    moved = prior_sensitivity(posterior, model)
+    return ", ".join(f"{name} ({x:.2f})" for name, x in moved.items() if x > SENSITIVE)
 
 
 def _wrong(idata: InferenceData, model: pm.Model) -> str | None:
