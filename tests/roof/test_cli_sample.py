@@ -234,6 +234,7 @@ def test_compare_is_red_on_a_model_made_worse_and_green_again(
     assert "converged=no (converged is no)" in strict
     assert "no.json: cannot be read" in fails(*words, "--baseline", tmp_path / "no.json")
     assert "gate 'waic': is none" in fails(*words, "--fail-if", "waic")
+    assert "there is no baseline; give --baseline" in fails(*words, "--fail-if", "waic > baseline")
 
 
 def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_path: Path) -> None:

@@ -93,6 +93,9 @@ def compare(
 
     gates = [Gate.read(text) for text in [*(fail_if or ()), *(["converged=no"] if strict else [])]]
     before = None if baseline is None else read_comparison(baseline)
+    for gate in gates:
+        if gate.of_baseline and before is None:
+            raise UsageError(f"--fail-if {gate.text!r}: there is no baseline; give --baseline")
     plugins.load()
     names = different_models(models)
     settings = sampling.settings()

@@ -332,8 +332,8 @@ def compare(
         priors' bounds that the posterior leans on, `uninformed` names parameters whose posterior is like
         their prior, `prior_sensitive` those that move with the power of the priors, and how far
         (`prior_sensitivity`). Beside these stand the columns that ``az.plot_compare`` reads: elpd_diff, se,
-        dse, warning, scale, and elpd_waic (or elpd_loo: those of `ic`) on the deviance scale; with ArviZ 1 elpd,
-        and all of them on the log scale.
+        dse, warning, scale, and elpd_waic (or elpd_loo: those of `ic`) on the deviance scale; with ArviZ 1
+        elpd, and all of them on the log scale.
 
     Raises
     ------
