@@ -7,7 +7,15 @@ from scipy.stats import multivariate_normal
 
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModelError
-from zoo.core.errors.spectral import Cosines, GroupErrors, Harmonics, Spectral, log_density, spectral_errors
+from zoo.core.errors.spectral import (
+    Cosines,
+    GroupErrors,
+    Harmonics,
+    Spectral,
+    Uneven,
+    log_density,
+    spectral_errors,
+)
 from zoo.core.parameters import variable_name
 
 GROUP, PERIOD = "pressure", 0.11
@@ -121,3 +129,50 @@ def test_suggested_values_are_inside_their_priors_in_any_unit_of_time(duration: 
     for p in errors.parameters:
         low, high = p.prior.support
         assert low < start[p.name] < high, p.name
+
+
+@pytest.mark.parametrize("kind", [Harmonics, Cosines])
+@pytest.mark.parametrize("n", [16, 17])
+def test_times_in_equal_steps_have_the_same_coefficients_and_spectra_by_either(
+    n: int, kind: type[Spectral]
+) -> None:
+    y = np.random.default_rng(1).standard_normal((2, n))
+    even, uneven = bound(y, kind), Uneven().bind(bound(y, kind).on)
+    order, other = (np.argsort(np.abs(H.transform(y)[1])) for H in (even, uneven))
+    np.testing.assert_allclose(
+        np.abs(even.transform(y)[1])[order], np.abs(uneven.transform(y)[1])[other], atol=1e-12
+    )
+    np.testing.assert_allclose(even.rough(0.01)[order], uneven.rough(0.01)[other], rtol=1e-9)
+    np.testing.assert_allclose(even.smooth(0.01)[order], uneven.smooth(0.01)[other], atol=1e-12)
+
+
+@pytest.mark.parametrize("period", [None, PERIOD])
+def test_the_density_where_samples_are_missing_is_nearly_that_of_their_covariance(
+    period: float | None,
+) -> None:
+    """White noise beside a smooth process of ten times its size; five of 64 samples are missing."""
+    rng, n = np.random.default_rng(3), 64
+    kept = np.sort(rng.choice(n, n - 5, replace=False))
+    whole = (Cosines() if period is None else Harmonics()).bind(
+        Data(np.arange(n) * PERIOD / n, np.zeros((1, n)), period=period)
+    )
+    errors = {"y0": GroupErrors(0.1, delta=1.0, length=0.05 * PERIOD)}
+    K = whole._basis.T @ (whole.variances(errors)[:, None] * whole._basis)
+    K = K[np.ix_(kept, kept)]
+    H = spectral_errors(data := Data(np.arange(n)[kept] * PERIOD / n, np.zeros((1, n - 5)), period=period))
+    assert isinstance(H, Uneven)
+    H = H.bind(data)
+    y = rng.multivariate_normal(np.zeros(n - 5), K, 200)
+    exact = multivariate_normal(np.zeros(n - 5), K).logpdf(y)
+    found = log_density(H.flat(y[:, None]), H.variances(errors))
+    assert np.mean(np.abs(found - exact)) < 1.0
+    none = log_density(H.flat(y[:, None]), H.variances({"y0": GroupErrors(0.1)}))
+    assert np.mean(exact - none) > 100.0
+
+
+def test_harmonics_of_uneven_times_are_refused() -> None:
+    data = Data(np.array([0.0, 1, 2, 3, 4, 5, 6, 8]), np.zeros((1, 8)))
+    with pytest.raises(
+        ErrorModelError, match=r"cosines are of times in equal steps, these are not; use Uneven"
+    ):
+        Cosines().bind(data)

@@ -14,6 +14,7 @@ from .core.errors.groups import GroupProcess as GroupProcess
 from .core.errors.independent import Independent as Independent
 from .core.errors.spectral import Cosines as Cosines
 from .core.errors.spectral import Harmonics as Harmonics
+from .core.errors.spectral import Uneven as Uneven
 from .core.forward import ForwardModel as ForwardModel
 from .core.forward import FunctionModel as FunctionModel
 from .core.forward import Outputs as Outputs

@@ -249,7 +249,7 @@ def _diagnose_series(
     here = bound(name, times, measured, simulate, period)
     others = []
     for other, (t, values, function) in (held_out or {}).items():
-        own = None if period is None else len(np.asarray(t)) * float(np.diff(t)[0])
+        own = None if period is None else len(np.asarray(t)) * float(np.min(np.diff(t)))
         others.append(bound(other, t, values, function, own))
     return _diagnose_data(here.data, here.model, effects, states=others, **settings)
 

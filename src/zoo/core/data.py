@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,6 +21,15 @@ class DataError(ValueError):
     """Data that do not fit together; the text names the field and says what to change."""
 
 
+EVEN = 1e-6
+"""Relative difference of steps up to which they are equal."""
+
+
+def _even(times: Array) -> bool:
+    steps = np.diff(times)
+    return len(steps) == 0 or bool(np.ptp(steps) <= EVEN * abs(steps.mean()))
+
+
 def squared(unit: str) -> str:
     """A unit's square, such as "mmHg2", "(ml/s)2" or "1"."""
     return unit if unit == "1" else f"{unit}2" if unit.isalpha() else f"({unit})2"
@@ -32,9 +42,10 @@ class Data(Brief):
     Parameters
     ----------
     times : array (n_times,)
-        Uniform and ascending, in `time_unit`.
+        Ascending, in `time_unit`; in equal steps or not.
     values : array (n_series, n_times)
-        Each series in its own unit.
+        Each series in its own unit. NaN, and what is masked, is not measured: times at which a series was not
+        are left out of all, with a warning that says how many.
     labels : sequence of str
         A name for each series; "y0", "y1" and so on if absent.
     units : sequence of str
@@ -54,7 +65,12 @@ class Data(Brief):
     Raises
     ------
     DataError
-        If shapes do not fit, a value is not finite, times are not uniform, or a group has two units.
+        If shapes do not fit, a value is infinite, times do not ascend, or a group has two units.
+
+    Warns
+    -----
+    UserWarning
+        Of times that are left out.
 
     Examples
     --------
@@ -77,9 +93,10 @@ class Data(Brief):
     checksum: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
-        if np.ma.is_masked(self.values) or np.ma.is_masked(self.times):
-            raise DataError(f"{self._where}values are masked: fill them in, or cut the record where they are")
-        times, values = (np.array(x, dtype=np.float64) for x in (self.times, self.values))
+        if np.ma.is_masked(self.times):
+            raise DataError(f"{self._where}times are masked: give the time of each sample")
+        times = np.array(self.times, dtype=np.float64)
+        values = np.array(np.ma.filled(np.ma.asarray(self.values, dtype=np.float64), np.nan))
         if values.ndim == 1:
             values = values[None]
         if times.ndim != 1 or values.ndim != 2 or values.shape[1] != len(times):
@@ -87,6 +104,8 @@ class Data(Brief):
                 f"{self._where}values have shape {values.shape} and times {times.shape}: give one row for "
                 "each series and one column for each time"
             )
+        self._check_period(times)
+        times, values = self._measured(times, values)
         for name, array in (("times", times), ("values", values)):
             if not np.all(np.isfinite(array)):
                 at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
@@ -94,10 +113,8 @@ class Data(Brief):
                     f"{self._where}{name}{list(at)} = {array[at]}: must be finite; correct or leave out"
                 )
             array.flags.writeable = False
-        if len(times) > 1:
-            steps = np.diff(times)
-            if steps.min() <= 0 or np.ptp(steps) > 1e-6 * abs(steps.mean()):
-                raise DataError(f"{self._where}times must ascend in equal steps; sample the series so")
+        if len(times) > 1 and np.diff(times).min() <= 0:
+            raise DataError(f"{self._where}times must ascend; sort the samples, each time once")
         n = len(values)
         put: dict[str, Any] = {"times": times, "values": values}
         put["labels"] = tuple(str(x) for x in self.labels) or tuple(f"y{i}" for i in range(n))
@@ -116,16 +133,46 @@ class Data(Brief):
                     f"{self._where}group {group!r} has series in {' and '.join(sorted(units))}: series of "
                     "one group share their noise, so give them one unit, or groups of their own"
                 )
-        if self.period is not None and len(times) > 1:
-            covered = len(times) * (times[1] - times[0])
-            if not abs(covered - self.period) < 1e-6 * self.period:
-                raise DataError(
-                    f"{self._where}period = {self.period}: the {len(times)} times cover {covered:g} "
-                    f"{self.time_unit}; sample one period at m period/n, or give period=None"
-                )
         for name, value in put.items():
             object.__setattr__(self, name, value)
         object.__setattr__(self, "checksum", self._checksum())
+
+    def _check_period(self, times: Array) -> None:
+        """Whether times, measured at or not, are of one period."""
+        if self.period is None or len(times) < 2:
+            return
+        even, covered = _even(times), float(np.ptp(times))
+        if even:
+            covered = len(times) * (times[1] - times[0])
+        if covered >= self.period * (1.0 + EVEN) or (even and covered < self.period * (1.0 - EVEN)):
+            raise DataError(
+                f"{self._where}period = {self.period}: the {len(times)} times cover {covered:g} "
+                f"{self.time_unit}; sample one period at m period/n, or give period=None"
+            )
+
+    def _measured(self, times: Array, values: Array) -> tuple[Array, Array]:
+        """Times at which every series was measured."""
+        kept = ~np.isnan(values).any(axis=0)
+        if kept.all():
+            return times, values
+        if kept.sum() < 2:
+            raise DataError(f"{self._where}at {kept.sum()} times all series are measured: give at least two")
+        others = int(np.sum(~np.isnan(values[:, ~kept])))
+        lost = f", with {others} values of other series" if others else ""
+        warnings.warn(
+            f"{self._where}{np.sum(~kept)} of {len(times)} times are left out, at which a series was not "
+            f"measured{lost}",
+            stacklevel=4,
+        )
+        return times[kept], values[:, kept]
+
+    @property
+    def even(self) -> bool:
+        """Whether times are in equal steps, which cover a period if there is one."""
+        step = self.duration / max(self.n_times, 1)
+        return _even(self.times) and (
+            self.n_times < 2 or abs(self.times[1] - self.times[0] - step) < EVEN * step
+        )
 
     @property
     def _where(self) -> str:
@@ -153,7 +200,10 @@ class Data(Brief):
         """Period of periodic data, else n_times steps, in `time_unit`."""
         if self.period is not None:
             return float(self.period)
-        return float(len(self.times) * (self.times[1] - self.times[0])) if len(self.times) > 1 else 1.0
+        if len(self.times) < 2:
+            return 1.0
+        step = self.times[1] - self.times[0] if _even(self.times) else np.diff(self.times).mean()
+        return float(len(self.times) * step)
 
     @property
     def rows(self) -> dict[str, list[int]]:

@@ -130,7 +130,7 @@ class ErrorFamily:
         omega, T = np.asarray(self.errors.omega), self.errors.on.duration
         found = np.empty((len(self.shapes), self.errors.on.n_series, self.errors.n))
         for i, (exponent, length, rho) in enumerate(self.shapes):
-            h = (1.0 + (omega * length * T) ** 2) ** -(exponent + 0.5)
+            h = self.errors.diagonal((1.0 + (omega * length * T) ** 2) ** -(exponent + 0.5))
             for group, rows in self.errors.rows.items():
                 share = np.full(len(rows), 1.0 - rho)
                 share[0] += len(rows) * rho

@@ -283,7 +283,7 @@ def _checked(
     if not isinstance(chosen, Spectral):
         raise DiagnosisError(
             f"errors = {chosen.name}: a diagnosis weighs errors in independent coefficients; give "
-            "Harmonics() for periodic series or Cosines() for others"
+            "Harmonics() for periodic series, Uneven() for times in unequal steps, or Cosines()"
         )
     for label, series in zip(data.labels, data.values, strict=True):
         if np.ptp(series) == 0.0:
@@ -382,7 +382,8 @@ def diagnose(
     effects : sequence of Effect
         What the baseline may lack.
     errors : Spectral, optional
-        `Harmonics` for periodic series, `Cosines` for others; which is chosen from the data if absent.
+        `Harmonics` for periodic series, `Cosines` for others, `Uneven` where times are in unequal steps;
+        which is chosen from the data if absent.
     hooks : Hooks, optional
         Phases of the record, candidate measurements, words.
     states : sequence of OtherState

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -128,7 +128,15 @@ class Spectral(ErrorModel):
                 f"{data.source or data.name}: {data.name!r} has {data.n_series} series of {data.n_times} "
                 f"samples: give at least one series of {SMALLEST_SERIES} samples"
             )
+        if not (data.even or self.uneven):
+            raise ErrorModelError(
+                f"{data.source or data.name}: {self.name} are of times in equal steps, these are not; use "
+                "Uneven()"
+            )
         return replace(self, data=data)
+
+    uneven: ClassVar[bool] = False
+    """Whether times may be in unequal steps."""
 
     # -- the transform ----------------------------------------------------------------------------
 
@@ -200,14 +208,18 @@ class Spectral(ErrorModel):
 
     # -- spectra ----------------------------------------------------------------------------------
 
+    def diagonal(self, spectrum: Any) -> Any:
+        """Variances (n_times,) of the coefficients of a process with this spectrum at their frequencies."""
+        return spectrum
+
     def rough(self, tau: Any) -> Any:
         """Spectrum (n_times,), of mean 1, of an Ornstein-Uhlenbeck process; of a number or a tensor."""
-        f = 1.0 / (1.0 + (self.omega * tau) ** 2)
+        f = self.diagonal(1.0 / (1.0 + (self.omega * tau) ** 2))
         return f / f.mean()
 
     def smooth(self, length: float) -> Array:
         """The same of a squared-exponential process."""
-        f: Array = np.exp(-0.5 * (self.omega * length) ** 2)
+        f: Array = self.diagonal(np.exp(-0.5 * (self.omega * length) ** 2))
         return np.asarray(f / f.mean())
 
     def spectrum(self, errors: GroupErrors, n_series: int, *, noise: bool = True) -> Array:
@@ -429,8 +441,76 @@ class Cosines(Spectral):
         return np.asarray(idct(coefficients, type=2, norm="ortho", axis=-1))
 
 
+@dataclass(frozen=True)
+class Uneven(Spectral):
+    """Errors of series whose times are in unequal steps, as where samples are missing.
+
+    The coefficients are those of an orthonormal basis Q of the measured samples, made of the harmonics of
+    the period or the cosines of the record, B at the measured times, from slow to fast: B = Q R. White noise
+    is white in them, and a process with the spectrum h has the variances
+
+        diag(Q' B diag(h) B' Q);
+
+    what it has besides these is left out, which is little where few samples are missing.
+    """
+
+    uneven: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        """ "uneven"."""
+        return "uneven"
+
+    @cached_property
+    def k(self) -> NDArray[np.int_]:
+        """Number of each coefficient's harmonic or cosine, (n_times,)."""
+        return np.arange(self.n) if self.on.period is None else (np.arange(self.n) + 1) // 2
+
+    @cached_property
+    def omega(self) -> Array:
+        """pi k / duration, or 2 pi k / period."""
+        half = 1.0 if self.on.period is None else 2.0
+        return np.asarray(half * math.pi * self.k / self.on.duration)
+
+    @cached_property
+    def _functions(self) -> Array:
+        """B: each column a harmonic or a cosine at the measured times."""
+        n, T = self.n, self.on.duration
+        t = self.on.times - self.on.times[0]
+        if self.on.period is None:
+            t = t + 0.5 * T / n
+        phase = np.outer(t, self.omega)
+        sines = (self.on.period is not None) & (np.arange(n) % 2 == 0)
+        found = np.where(sines, np.sin(phase), np.cos(phase)) * math.sqrt(2.0 / n)
+        found[:, 0] = 1.0 / math.sqrt(n)
+        if self.on.period is not None and n % 2 == 0:  # what alternates
+            found[:, -1] /= math.sqrt(2.0)
+        return np.asarray(found)
+
+    @cached_property
+    def _orthonormal(self) -> Array:
+        q, r = np.linalg.qr(self._functions)
+        return np.asarray(q * np.where(np.diag(r) < 0.0, -1.0, 1.0))
+
+    @cached_property
+    def _mixing(self) -> Array:
+        return np.asarray((self._orthonormal.T @ self._functions) ** 2)
+
+    def diagonal(self, spectrum: Any) -> Any:
+        """Variances (n_times,) of the coefficients of a process with this spectrum at their frequencies."""
+        return spectrum.__rmatmul__(self._mixing) if hasattr(spectrum, "owner") else self._mixing @ spectrum
+
+    def _forward(self, series: Array) -> Array:
+        return np.asarray(series @ self._orthonormal)
+
+    def _backward(self, coefficients: Array) -> Array:
+        return np.asarray(coefficients @ self._orthonormal.T)
+
+
 def spectral_errors(data: Data) -> Spectral:
-    """Harmonics for periodic data, else cosines."""
+    """Uneven where times are in unequal steps, else harmonics for periodic data and cosines for others."""
+    if not data.even:
+        return Uneven()
     return Cosines() if data.period is None else Harmonics()
 
 
