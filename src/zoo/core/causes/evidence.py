@@ -131,11 +131,11 @@ class SizePriors:
             What causes do in parts of the range; None without a cause.
         """
         p = self.odds / (1.0 + self.odds)
-        own = math.hypot(self.numerics, self.caricature * (signal or 0.0))
+        own = self.caricature * (signal or 0.0)
         like = 0.0 if signal is None else (1.0 - p) * IN_PROPORTION
-        found = {own: 1.0 - p - like}
+        found = {math.hypot(self.numerics, own): 1.0 - p - like}
         found[self.unexplained] = found.get(self.unexplained, 0.0) + p
-        return found, {own: like}
+        return found, {max(own, 1e-9): like}
 
 
 @dataclass(frozen=True, eq=False)
