@@ -64,22 +64,37 @@ def read_all(folder: Path) -> list[Any]:
     return [stored, *(bytes(memo.lines) for memo in memos)]
 
 
+def _loaded(text: bytes | bytearray) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_no_flipped_bit_goes_unseen(made: tuple[Path, Any], mine: Path, name: str) -> None:
-    """100 bits of each file, one at a time: refused by name with the remedy, but for the last line's end."""
+    """100 bits of each file, one at a time: refused by name with the remedy, but for the last line's end.
+
+    In JSON few change nothing: the seventeenth digit of a number, or the e of its exponent.
+    """
     whole = read_all(made[0])
     raw = (mine / name).read_bytes()
-    rng = random.Random(name)
+    rng, same_content = random.Random(name), 0
     for _ in range(100):
         damaged = bytearray(raw)
         damaged[at := rng.randrange(len(raw))] ^= 1 << rng.randrange(8)
         (mine / name).write_bytes(damaged)
         if name != "run.json" and at == len(raw) - 1:
             continue
+        if name == "run.json" and _loaded(damaged) == _loaded(raw):
+            same_content += 1
+            assert read_all(mine) == whole
+            continue
         with pytest.raises(CheckpointError, match=r"start afresh|another version") as caught:
             read_all(mine)
         assert str(caught.value).startswith(str(mine))
         assert "\n" not in str(caught.value)
+    assert same_content < 5
     (mine / name).write_bytes(raw)
     assert read_all(mine) == whole
 

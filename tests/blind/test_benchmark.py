@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from benchmarks.blind.causes import CAUSES, COMPONENTS, SHORTEST, constant_phase_sections, ladder_sections
 from benchmarks.blind.other_keys import other_keys
-from benchmarks.blind.sets import COMPARABLE, KINDS, SMALL, make_set, plan
+from benchmarks.blind.sets import COMPARABLE, KINDS, QUIET, QUIET_MMHG, SMALL, make_set, plan
 from benchmarks.other_states import row_of
 
 from zoo.blood.baseline import get_baseline
@@ -32,7 +32,7 @@ from zoo.core.parameters import pack, start_of
 # loads and stiffness of a case are drawn, some of them beyond what is usual
 pytestmark = pytest.mark.filterwarnings("ignore::zoo.blood.study.UnitWarning")
 
-N = {"component": 3, "pair": 2, "small": 5, "coloured": 2}
+N = {"component": 3, "pair": 2, "small": 5, "quiet": 5, "coloured": 2}
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +111,8 @@ def test_keys_tell_components_and_gaps_in_range(sets: dict[str, tuple[Path, Path
     for kind in KINDS:
         for key in read_key(sets[kind][1])[1]:
             low, high = SMALL if kind == "small" else GAP_OVER_NOISE
+            if kind == "quiet":
+                low, high = (x / QUIET_MMHG for x in QUIET)
             white, correlated = key.drawn["white"]["mmHg"], key.drawn["correlated"]
             assert key.noise == pytest.approx(math.hypot(white, correlated["mmHg"]))
             assert key.kind == "none" or low <= key.gap / key.noise <= high  # type: ignore[operator]
