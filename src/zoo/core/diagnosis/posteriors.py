@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pymc as pm
 from numpy.typing import NDArray
+from pymc.stats import compute_log_likelihood
 from scipy.special import logsumexp
 
 from zoo.core.arviz_lines import Score, dataset, made, psis_loo, ranked, waic
@@ -173,7 +174,7 @@ def scores_of(model: pm.Model, idata: Any) -> tuple[Score, Score]:
     """WAIC and PSIS-LOO of a thinned posterior by each coefficient, independent given the parameters."""
     kept = thin(idata, SCORED_DRAWS)
     with model:
-        scored = pm.compute_log_likelihood(made({"posterior": kept}), progressbar=False)
+        scored = compute_log_likelihood(made({"posterior": kept}), progressbar=False)
     terms = dataset(scored, "log_likelihood")["y"]
     return waic(terms), psis_loo(kept, terms)
 

@@ -13,6 +13,7 @@ import pandas as pd
 import pymc as pm
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
+from pymc.stats import compute_log_prior
 from scipy.special import logsumexp
 
 from zoo.core.arviz_lines import (
@@ -428,7 +429,7 @@ def prior_sensitivity(posterior: xr.Dataset, model: pm.Model) -> dict[str, float
         Parameter -> `zoo.core.arviz_lines.power_sensitivity`.
     """
     with model:
-        found = pm.compute_log_prior(
+        found = compute_log_prior(
             made({"posterior": posterior}), extend_inferencedata=False, progressbar=False
         )
     each = found.data_vars.values()
