@@ -133,6 +133,14 @@ def test_a_study_without_observations_is_refused(tmp_path: Path, monkeypatch: py
     assert "did you mean 'demo'?" in fails("diagnose", "demmo", "-q")
 
 
+def test_what_is_refused_inside_the_diagnosis_leaves_no_folder(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "nosuch: unknown; use one of f3" in fails("diagnose", folder, "--fix", "nosuch=1.0", "-q")
+    assert not list(tmp_path.iterdir())
+
+
 def test_options_reach_the_diagnosis(
     one: Diagnosis, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -123,7 +123,6 @@ def diagnose(
         # a study without observations, or of another tree, is refused before the work
         for one in (loaded, *(same_tree(loaded, other) for other in others)):
             Harmonics().bind(study_data(one))
-        output.mkdir(exist_ok=True)
         found = run(
             loaded,
             chosen.name,
