@@ -168,6 +168,25 @@ def test_taper_and_thickness(tmp_path: Path) -> None:
     assert right.stiffness == pytest.approx((5e5, 5e5))
 
 
+@pytest.mark.parametrize(
+    ("given", "radii_mm"),
+    [
+        ("Rp: 2.5e-3\n    Rd: 2.0e-3", (2.5, 2.0)),
+        ("Rp: 2.5e-3", (2.5, 2.5)),
+        ("Rd: 2.0e-3", (3.0, 2.0)),
+    ],
+    ids=["both", "Rp", "Rd"],
+)
+def test_radii_at_the_ends_come_before_one_radius(
+    tmp_path: Path, given: str, radii_mm: tuple[float, float]
+) -> None:
+    """openBF's `radii`: Rp is R0 unless given, Rd is Rp unless given."""
+    found = import_openbf(write(tmp_path, ONE.replace("R0: 3.0e-3", f"R0: 3.0e-3\n    {given}") + WK3))
+    [trunk] = found.save(tmp_path / "study").vessels
+    assert (trunk.radius_cm, trunk.radius_out_cm) == pytest.approx(tuple(0.1 * r for r in radii_mm))
+    assert sum("R0 beside Rp or Rd" in note for note in found.converted) == 1
+
+
 def test_outside_pressure(tmp_path: Path) -> None:
     """p = P_ext + K (...): all pressures of a vessel without taper rise by P_ext, the loads' part stays."""
     text = ONE + "    Pext: 1333.22\n" + WK3

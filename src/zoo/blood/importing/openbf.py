@@ -274,8 +274,10 @@ def _vessel(
 ) -> Vessel:
     """The i-th vessel, in cgs units."""
     given: _Vessel = part.table
-    radius = part.needed("Rp") if given.R0 is None else given.R0
-    out = radius if given.R0 or given.Rd is None else given.Rd
+    radius = given.Rp or given.R0 or part.needed("Rp")
+    out = given.Rd or radius
+    if given.R0 and (given.Rp or given.Rd):
+        notes.append("R0 beside Rp or Rd: Rp and Rd are taken, as openBF does now; older versions took R0")
     wall = wall_out = given.h0
     if wall is None or wall_out is None:
         wall, wall_out = thickness(radius), thickness(out)
