@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from benchmarks.nature import CASES, durance, falling_balls, pig_aorta
+from benchmarks.nature.scoring import Case, even, score
 
 OURS = {"durance": durance.RIVALS, "pig-aorta": pig_aorta.RIVALS, "falling-balls": falling_balls.RIVALS}
 
@@ -64,3 +65,34 @@ def test_a_flow_that_is_late_is_as_a_pressure_that_is_early() -> None:
     a, b = (simulate(c | late, t) for late in ({"flow_late": 0.026}, {"pressure_late": -0.026}))
     np.testing.assert_allclose(a, b, atol=1e-9)
     assert np.abs(a - simulate(c, t)).max() > 0.5
+
+
+def case(right: tuple[str, ...]) -> Case:
+    t = np.linspace(0.0, 1.0, 5)
+    return Case("ball", t, t, falling_balls.fall, falling_balls.PRIORS, falling_balls.RIVALS, right)
+
+
+def test_a_method_is_scored_on_the_sets_that_hold_a_right_cause() -> None:
+    """0.5 + 0.2 by hand for drag, 0.1 for nothing; the constant answer has two, and one, of twelve sets."""
+    stated = {("linear-drag",): 0.5, ("bounce", "quadratic-drag"): 0.2, ("bounce",): 0.2, (): 0.1}
+    found = score(lambda _: stated, [case(("linear-drag", "quadratic-drag")), case(())])
+    assert found["log_score"].to_numpy() == pytest.approx(np.log([0.7, 0.1]))
+    assert found["log_score_of_even"].to_numpy() == pytest.approx(np.log([2 / 12, 1 / 12]))
+
+
+def test_no_floor_saves_a_method_that_excludes_the_truth() -> None:
+    assert score(lambda _: {(): 1.0}, [case(("bounce",))])["log_score"].item() == -np.inf
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ({("drag",): 1.0}, "drag is none of its rivals"),
+        ({("bounce",): 1.2, (): -0.2}, "give a probability from 0 to 1"),
+        ({("bounce",): 0.4}, "add up to 0.4: make it 1"),
+    ],
+)
+def test_what_is_no_probability_is_refused(stated: dict[tuple[str, ...], float], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        score(lambda _: stated, [case(())])
+    assert sum(even(case(())).values()) == pytest.approx(1.0)

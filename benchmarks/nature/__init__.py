@@ -3,17 +3,27 @@
 python -m benchmarks.nature --lists               SHA-256 of every list of rivals
 python -m benchmarks.nature [--cases NAME ...]    diagnoses all, or these, and what is known beside it
 python -m benchmarks.nature --balls NAME ...      these of the falling balls
+
+`benchmarks.nature.scoring.score(method)` scores another method on those of which the cause is known.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import tomllib
 from pathlib import Path
 from typing import Any
 
+GROUPS = {"drag": ("linear-drag", "quadratic-drag"), "timing": ("flow-timing", "pressure-timing"), "none": ()}
+"""Rivals of which any is right: a drop tells no law of drag, and one series not which clock is late."""
+
 CASES: dict[str, dict[str, Any]] = tomllib.loads((Path(__file__).parent / "cases.toml").read_text("utf-8"))
+
+
+class DataError(ValueError):
+    """A record that is not there, or is another one."""
 
 
 def list_digest(case: str) -> str:
@@ -21,3 +31,20 @@ def list_digest(case: str) -> str:
     rivals = CASES[case]["rivals"]
     names = sorted(rivals) if isinstance(rivals, list) else rivals
     return hashlib.sha256(json.dumps(names).encode()).hexdigest()
+
+
+def data_file(case: str) -> Path:
+    """Path of a case's data.
+
+    Raises
+    ------
+    DataError
+        If it is not in ZOO_DATA_DIR, or is not the file that the list names.
+    """
+    known = CASES[case]
+    path = Path(os.environ.get("ZOO_DATA_DIR", ".")) / known["data"]
+    if not path.exists():
+        raise DataError(f"{path} is not there: set ZOO_DATA_DIR to the folder that has {known['data']}")
+    if hashlib.sha256(path.read_bytes()).hexdigest() != known["sha256"]:
+        raise DataError(f"{path} is not the file of {known['source']}: its SHA-256 is another")
+    return path

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
-import os
 import sys
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
-import numpy as np
-import pandas as pd
-from benchmarks.nature import CASES, __doc__, durance, list_digest, pig_aorta
-from benchmarks.nature.falling_balls import diagnose_ball
+from benchmarks.nature import CASES, GROUPS, DataError, __doc__, data_file, durance, list_digest, pig_aorta
+from benchmarks.nature.falling_balls import diagnose_ball, read_drops
 
 from zoo.core.diagnosis import Diagnosis
-
-DRAG = ("linear-drag", "quadratic-drag")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -35,26 +28,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(case, list_digest(case))
         return
     rows = {"falling-balls": balls, "durance": river, "pig-aorta": pig}
-    for name in asked.cases:
-        rows[name](asked)
+    try:
+        for name in asked.cases:
+            rows[name](asked)
+    except DataError as error:
+        sys.exit(str(error))
 
 
-def _checked(case: str) -> Path:
-    """Path of a case's data, if it is the file that the list names."""
-    known = CASES[case]
-    path = Path(os.environ.get("ZOO_DATA_DIR", ".")) / known["data"]
-    if not path.exists():
-        sys.exit(f"{path} is not there: set ZOO_DATA_DIR to the folder that has {known['data']}")
-    if hashlib.sha256(path.read_bytes()).hexdigest() != known["sha256"]:
-        sys.exit(f"{path} is not the file of {known['source']}: its SHA-256 is another")
-    return path
-
-
-def _row(found: Diagnosis, name: str, known: str, asked: str, of: Callable[[str], str] = str) -> str:
+def _row(found: Diagnosis, name: str, known: str, asked: str) -> str:
     """What is known and what was found: the probability of what is asked for, and of the first three."""
     p = {one.name: one.probability for one in found.causes}
     first = ", ".join(f"{cause} {x:.0%}" for cause, x in list(p.items())[:3])
-    named = found.sets.posterior.included(lambda one: of(one.name))
+    group = GROUPS.get(asked, ())
+    named = found.sets.posterior.included(lambda one: asked if one.name in group else one.name)
     state = found.file.states[0]
     leader = [one.error for one in state.carried if set(one.names) == set(found.file.sets[0].components)]
     later = [state.baseline, *(leader or [one.error for one in state.carried][:1])]
@@ -76,39 +62,30 @@ HEAD = (
 def balls(asked: argparse.Namespace) -> None:
     """Every ball that was dropped."""
     known = CASES["falling-balls"]["known"]
-    table = pd.read_csv(_checked("falling-balls"))
+    dropped = read_drops(data_file("falling-balls"))
     print(HEAD.format("ball", "drag", "m", "m", "second drop, m"))
-    for ball in asked.balls or dict.fromkeys(table["ball"]):
-        drops = [
-            (part["time_s"].to_numpy(), part["height_m"].to_numpy())
-            for _, part in table[table["ball"] == ball].groupby("drop")
-        ]
-        drops = [(np.linspace(t[0], t[-1], len(t)), h) for t, h in drops]  # times are rounded to 7 digits
-        found = diagnose_ball(*drops)
+    for ball in asked.balls or dropped:
+        found = diagnose_ball(*dropped[ball])
         told = known.get(ball, "open")
-        print(_row(found, ball, told, "drag", lambda name: "drag" if name in DRAG else name), flush=True)
+        print(_row(found, ball, told, "drag"), flush=True)
 
 
 def river(asked: argparse.Namespace) -> None:
     """The Durance, and its snow beside the satellites'."""
-    catchment = durance.Catchment.read(_checked("durance").parent)
+    catchment = durance.Catchment.read(data_file("durance").parent)
     found = durance.diagnose_river(catchment)
     print(HEAD.format("river", "snow", "mm/d", "mm/d", "second half, mm/d"))
     print(_row(found, "Durance", "snow", "snow"))
     durance.tell_held_out(catchment, found)
 
 
-TIMING = ("flow-timing", "pressure-timing")
-"""Which one series cannot tell apart."""
-
-
 def pig(asked: argparse.Namespace) -> None:
     """The aorta's Windkessel, and by how much a record is late."""
-    found = pig_aorta.diagnose_pig(_checked("pig-aorta").parent)
+    found = pig_aorta.diagnose_pig(data_file("pig-aorta").parent)
     print(HEAD.format("pig", "timing", "mmHg", "mmHg", "record 2, mmHg"))
-    print(_row(found, "aorta", "timing", "timing", lambda name: "timing" if name in TIMING else name))
+    print(_row(found, "aorta", "timing", "timing"))
     for cause in found.causes:
-        if cause.name in TIMING and cause.estimates:
+        if cause.name in GROUPS["timing"] and cause.estimates:
             shift = cause.estimates[0]
             print(f"{cause.name}: {1e3 * shift.mean:.1f} +- {1e3 * shift.sd:.1f} ms, where it is")
 

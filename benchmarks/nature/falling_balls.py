@@ -6,9 +6,11 @@ Prior sizes are from physics and from what an observer can be off by, and were c
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 import zoo
@@ -90,6 +92,15 @@ PRIORS = {
     "speed": zoo.Parameter("speed", zoo.Normal(0.0, 1.0), "m/s"),
     "release": zoo.Parameter("release", zoo.Normal(0.2, 0.3), "s"),
 }
+
+
+def read_drops(path: Path) -> dict[str, list[tuple[Array, Array]]]:
+    """Times in s and heights in m of each ball's drops; the file rounds times to seven digits."""
+    drops: dict[str, list[tuple[Array, Array]]] = {}
+    for (ball, _), part in pd.read_csv(path).groupby(["ball", "drop"], sort=False):
+        t, h = part["time_s"].to_numpy(), part["height_m"].to_numpy()
+        drops.setdefault(ball, []).append((np.linspace(t[0], t[-1], len(t)), h))
+    return drops
 
 
 def diagnose_ball(first: tuple[Array, Array], second: tuple[Array, Array] | None = None) -> Diagnosis:
