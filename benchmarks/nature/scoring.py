@@ -1,6 +1,6 @@
 """Scores a method on records of which the cause is known: from record, simulator and rivals to probabilities.
 
-    from benchmarks.nature.scoring import score
+    from benchmarks.nature.scoring import balls, score
     print(score(lambda case: {("quadratic-drag",): 0.7, (): 0.3}, balls()))
 
 A method states the probability of sets of causes, () for none; what it leaves out has none. A case's score is
@@ -88,7 +88,7 @@ def pig() -> Iterator[Case]:
 
 
 def known_cases() -> Iterator[Case]:
-    """All records of which the cause is known and that are here."""
+    """All records of which the cause is known."""
     yield from balls()
     yield from river()
     yield from pig()
@@ -120,6 +120,13 @@ def score(method: Method, cases: Iterable[Case] | None = None) -> pd.DataFrame:
     -------
     pandas.DataFrame
         A row a case: its right causes, their stated probability, its logarithm, and the constant answer's.
+
+    Raises
+    ------
+    ValueError
+        If the method names a rival that is none, or its probabilities are not.
+    DataError
+        If a record is not in ZOO_DATA_DIR.
     """
     rows = []
     for case in known_cases() if cases is None else cases:
