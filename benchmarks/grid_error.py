@@ -2,7 +2,7 @@
 
     python -m benchmarks.grid_error [STUDIES]
 
-Of `linear-constant` at the medians of the priors and at half that stiffness, in the unit of each series,
+Of `linear-constant` where its search starts and at half that stiffness, in the unit of each series,
 root mean square over the samples; beside an eighth of the size, extrapolated to none.
 """
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from zoo import get_baseline, load_study
 from zoo.blood.diagnosis import SEARCH_SHARE
+from zoo.blood.forward import study_data
 from zoo.blood.solver import SolverOptions
 from zoo.core.parameters import pack, start_of
 
@@ -25,7 +26,9 @@ CONVERGED_MMHG = 1e-5
 
 def errors(study: str, softer: float = 1.0) -> dict[str, Array]:
     """Errors (n_series,) by the way a study is solved."""
-    flow = get_baseline("linear-constant").forward(load_study(study), share=SEARCH_SHARE)
+    loaded = load_study(study)
+    study_data(loaded)  # refuses a study without observations
+    flow = get_baseline("linear-constant").forward(loaded, share=SEARCH_SHARE)
     case = flow.configure(pack(flow.parameters, start_of(flow.parameters)))
     case = replace(case, stiffness=softer * case.stiffness)
 
