@@ -11,9 +11,11 @@ from scipy.optimize import least_squares
 
 from zoo.core.data import Data, DataError
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, diagnose
+from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.solve_store import SolveStore, StoredModel
 from zoo.core.effects import Effect, EffectError, EffectParameter, effect
-from zoo.core.forward import FunctionModel, Outputs, SolveError, from_pints
+from zoo.core.errors.spectral import spectral_errors
+from zoo.core.forward import Around, FunctionModel, Outputs, SolveError, from_pints
 from zoo.core.parameters import LogUniform, Normal, Parameter
 
 MINUTES = np.arange(0.0, 30.0, 1.0 / 3.0)
@@ -375,3 +377,65 @@ def test_a_second_cause_that_is_fast_is_found() -> None:
         assert one.probability > 0.99
         [size] = one.estimates
         assert abs(size.mean - true[one.name]) < 4 * size.sd < 0.1
+
+
+# -- a cup whose steps are long: its error is not taken for a cause -----------------------------------
+
+
+class Stepped(Around):
+    """The cup by the midpoint rule, of second order; it may have steps of half the size."""
+
+    def __init__(self, per_sample: int, finer: bool = True) -> None:
+        super().__init__(cups(self.run, SPARSE))
+        self.per_sample, self.finer, self.key = per_sample, finer, f"stepped {per_sample}"
+
+    def run(self, c, t):  # type: ignore[no-untyped-def]
+        steps = np.diff(t, prepend=0.0) / self.per_sample
+        factors = 1.0 - c["rate"] * steps + 0.5 * (c["rate"] * steps) ** 2
+        return c["start"] * np.cumprod(factors**self.per_sample) + c.get("drift", 0.0) * t
+
+    def refined(self) -> Stepped | None:
+        return Stepped(2 * self.per_sample) if self.finer else None
+
+
+SPARSE = np.cumsum(np.linspace(1.0, 5.0, 24))
+
+
+def test_long_steps_are_told_by_half_of_them() -> None:
+    """At the point where they are, the error of second order is gone; nearby it is less."""
+    model = SearchModel(Stepped(1), (), spectral_errors(sparse()).bind(sparse()))
+    u = np.array([np.log(0.06), 61.0])
+    mended = model.corrected(u)
+    for rate, least in ((0.06, 30.0), (0.066, 3.0)):
+        exact = cup({"rate": rate, "start": 61.0}, SPARSE)
+        at = np.array([np.log(rate), 61.0])
+        own, less = (np.abs(one.series(at)[0] - exact).max() for one in (model, mended))  # type: ignore[index]
+        assert less * least < own
+    assert mended.corrected(u).model.key == mended.model.key  # of the plain model, not of what is mended
+    assert mended.model.key != model.model.key
+    elsewhere = Outputs(("tea",), SPARSE[:5])
+    np.testing.assert_array_equal(mended.series(u, elsewhere), mended.series(u)[:, :5])  # type: ignore[index]
+
+
+def sparse(noise: float = 0.003) -> Data:
+    values = cup({"rate": 0.06, "start": 61.0}, SPARSE)
+    values = values + noise * np.random.default_rng(4).standard_normal(len(SPARSE))
+    return Data(SPARSE, values, labels=["tea"], units=["K"], time_unit="min")
+
+
+def test_the_error_of_long_steps_is_no_cause() -> None:
+    """It is six times the noise, and stays where there are no finer steps."""
+    assert told(sparse(), Stepped(1)).cause == []
+    assert told(sparse(), Stepped(1)).file.gap.before < 0.003
+    coarse = told(sparse(), Stepped(1, finer=False))
+    assert coarse.file.gap.before > 0.01
+    assert "which a simulator's numerics may make" in str(coarse)
+    assert "numerics" not in str(told(sparse(), Stepped(1)))
+
+
+def test_an_effect_is_sought_together_with_the_parameters() -> None:
+    """With this much steam the cup alone cools four times too fast; steam beside that rate would be nothing."""
+    search = told(tea(steam=8e-3)).sets.search
+    [end] = [point for (i,), point in search.ends.items() if search.causes[i].name == "steam"]
+    assert np.exp(search.base.u[0]) > 3.5 * 0.06
+    np.testing.assert_allclose([np.exp(end.u[0]), end.u[2]], [0.06, 8e-3], rtol=0.1)

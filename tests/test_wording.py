@@ -79,8 +79,11 @@ def test_the_headline_of_other_answers(probabilities: dict[str, float], headline
 
 def test_noise_alone_doubt_and_a_next_measurement_are_told() -> None:
     file = with_sets(nothing=0.9, bulge=0.1)
-    quiet = worded(file.model_copy(update={"no_gap": 0.7}))
+    small = file.gap.model_copy(update={"before": 0.5 * file.gap.noise_floor})
+    quiet = worded(file.model_copy(update={"no_gap": 0.7, "gap": small}))
     assert quiet.verdict.startswith("Nothing is missing (70.0 %): noise of ")
+    left = worded(file.model_copy(update={"no_gap": 0.7}))
+    assert left.verdict.startswith("Nothing is missing (70.0 %) beyond errors of 0.25 K")
     measure = NextMeasurement(separates=("a", "b"), expected_log_odds=2.0, text="the level at night")
     told = worded(file.model_copy(update={"decided": False, "next_measurement": measure, "warnings": ["w"]}))
     assert told.verdict.startswith("Not decided, see the warnings. ")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from types import FunctionType
 from typing import Any, Protocol, runtime_checkable
 
@@ -74,9 +75,10 @@ class ForwardModel(Protocol):
     A model that may be solved in several threads at once says so with an attribute ``threads = True``. One
     that knows where its solutions are less exact than promised has a method ``warning_at(configuration)``,
     which returns a sentence about it, or an empty text; it is asked at the mode. One that can be solved on a
-    finer grid has a method ``refined()``, which returns a model of half the cells and steps, or None. One
-    whose discretisation follows its parameters has a method ``pinned(configuration)``, which returns the same
-    model with the discretisation that this solve takes, so that its solutions are smooth functions of them.
+    finer grid has a method ``refined()``, which returns a model of half the cells and steps, or None; its
+    errors are of second order in their size. One whose discretisation follows its parameters has a method
+    ``pinned(configuration)``, which returns the same model with the discretisation that this solve takes, so
+    that its solutions are smooth functions of them.
     """
 
     @property
@@ -154,6 +156,57 @@ class WithPriors(Around):
         finer = refined(self.model)
         priors = {p.name: p.prior for p in self.parameters}
         return None if finer is None else WithPriors(finer, priors)
+
+
+class Corrected(Around):
+    """A forward model less its error at one point, which a better one tells; itself a forward model.
+
+    y(theta) - factor (y(point) - y_better(point)): elsewhere the error is less by as much as it is alike.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    own, better : ForwardModel
+        The same, with effects, and one with lesser errors.
+    point : array (n_values,)
+        Of the parameters of these two.
+    factor : float
+        Of their difference in the error.
+    """
+
+    def __init__(
+        self, model: ForwardModel, own: ForwardModel, better: ForwardModel, point: Array, factor: float
+    ) -> None:
+        super().__init__(model)
+        self._pair, self._point, self._factor = (own, better), point, factor
+        self._errors: dict[str, Array] = {}
+        self.key = content_key("corrected", model.key, own.key, better.key, point, factor)
+
+    def error(self, outputs: Outputs | None = None) -> Array:
+        """Of the model at the point, (n_series, n_times).
+
+        Raises
+        ------
+        SolveError
+            If one of the two cannot be solved there.
+        """
+        key = content_key(outputs or self.outputs)
+        if key not in self._errors:
+            own, better = (one.solve(one.configure(self._point), outputs) for one in self._pair)
+            self._errors[key] = self._factor * (own - better)
+        return self._errors[key]
+
+    def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
+        """Series of the model, less its error."""
+        return self.model.solve(configuration, outputs) - self.error(outputs)
+
+    def _differentiate(self, own: Any, *given: Any) -> tuple[Array, Array]:
+        values, slopes = own(*given)
+        return values - self.error(given[3] if len(given) > 3 else None), slopes
+
+    def __getattr__(self, name: str) -> Any:
+        found = super().__getattr__(name)
+        return partial(self._differentiate, found) if name == "solve_derivatives" else found
 
 
 def pinned(model: ForwardModel, configuration: Any) -> ForwardModel:

@@ -143,15 +143,14 @@ def _log_ratios(sets: CauseSets, one: SolvedSet, draws: int, rng: np.random.Gene
     linear = problem.residual - x @ A.T
     n_effects = len(one.order) - len(evidence.causes)
     own = fitting.model(forward.added[:n_effects]) if evidence.causes else forward
-    at_mode = forward(one.point.u)
     with ThreadPoolExecutor(max(1, fitting.cores)) as pool, threadpool_limits(1, user_api="blas"):
         computed = list(pool.map(forward, u))
     found = np.full(len(x), -np.inf)
     V = evidence.variances(best)
     for i, series in enumerate(computed):
-        if series is None or at_mode is None:
+        if series is None:
             continue
-        left = sets.search.data - (series + one.point.computed - at_mode)
+        left = sets.search.data - series
         step = x[i, :k]
         quadratic = problem.log_prior - 0.5 * step @ problem.P @ step - problem.pull @ step
         found[i] = 0.5 * np.sum((linear[i] ** 2 - left**2) / V) + own.prior(u[i, :k])[0] - quadratic

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from zoo.core.data import Data
 from zoo.core.effects import AddedEffect, with_effects
 from zoo.core.errors.spectral import Spectral
-from zoo.core.forward import ForwardModel, Outputs, SolveError
+from zoo.core.forward import Corrected, ForwardModel, Outputs, SolveError, refined
 from zoo.core.parameters import FrozenPrior, LogNormal, LogUniform, Normal, Parameter, start_of, unpack
 
 Array = NDArray[np.float64]
 
 FAILURES = (ArithmeticError, RuntimeError, np.linalg.LinAlgError)
 """What numerics raise where there is no solution; any other exception is a mistake in a simulator's code."""
+EXTRAPOLATED = 4 / 3
+"""Error of second order in the cells' size, in parts of what half the size changes."""
 UNIT = 0.1
 """Unit of a search: of a logarithm, and in parts of a flat prior's width; a normal one's is its sd."""
 
@@ -89,7 +91,7 @@ class SearchModel:
     """
 
     def __init__(self, baseline: ForwardModel, added: Sequence[AddedEffect], errors: Spectral) -> None:
-        self.added, self.errors = tuple(added), errors
+        self.baseline, self.added, self.errors = baseline, tuple(added), errors
         self.model = with_effects(baseline, self.added)
         self.parameters = coordinates(self.model.parameters)
         self.n_base = len(coordinates(baseline.parameters))
@@ -131,6 +133,36 @@ class SearchModel:
             self.last_failure = reason
             return None
         return found
+
+    def corrected(self, u: Array, otherwise: ForwardModel | None = None) -> SearchModel:
+        """The same less its discretisation error at a point, by Richardson's extrapolation.
+
+        Parameters
+        ----------
+        u : array (n_dim,)
+        otherwise : ForwardModel, optional
+            A better baseline, where this one has no finer grid.
+
+        Returns
+        -------
+        SearchModel
+            Itself where there is no better one, or an error of the grid is among the effects.
+
+        Raises
+        ------
+        SolveError
+            If it cannot be solved there.
+        """
+        plain = self.baseline.model if isinstance(self.baseline, Corrected) else self.baseline
+        own, factor = with_effects(plain, self.added), EXTRAPOLATED
+        better = refined(own)
+        if better is None:
+            if otherwise is None:
+                return self
+            better, factor = with_effects(otherwise, self.added), 1.0
+        found = Corrected(plain, own, better, self.theta(u), factor)
+        found.error()
+        return SearchModel(found, self.added, self.errors)
 
     def __call__(self, u: Array) -> Array | None:
         """Flat coefficients, or None where the solve failed."""

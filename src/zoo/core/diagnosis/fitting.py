@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -69,9 +69,13 @@ class Fitting:
 
     def model(self, added: tuple[AddedEffect, ...] = (), baseline: ForwardModel | None = None) -> SearchModel:
         """The baseline, or another one, with effects; its solves are counted."""
-        found = SearchModel(baseline or self.baseline, added, self.errors)
-        self.models.append(found)
-        return found
+        return self.counted(SearchModel(baseline or self.baseline, added, self.errors))
+
+    def counted(self, model: SearchModel) -> SearchModel:
+        """A model whose solves are counted from now on."""
+        if model not in self.models:
+            self.models.append(model)
+        return model
 
     @property
     def solves(self) -> int:
@@ -124,6 +128,18 @@ class Fitting:
             raise DiagnosisError(self._not_told(search, best.u))
         left = Search(self.forward, self.coefficients, self._left(best))  # as noise, all that it leaves
         return left.refine(left.resume(best), ROUNDS, fine=self.smooth)
+
+    def corrected(self) -> Fitting:
+        """The same with the baseline's discretisation error at its best fit taken off, and fitted again.
+
+        Raises
+        ------
+        zoo.core.forward.SolveError
+            If the baseline cannot be solved on a finer grid there.
+        """
+        u, plain = self.start.u, self.forward
+        found = plain.corrected(u)
+        return self if found is plain else replace(self, baseline=found.baseline, start_at=u)
 
     @property
     def _loose(self) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -17,7 +18,7 @@ from zoo.core.causes.problem import Cause, Problem
 from zoo.core.components import FreeFunction
 from zoo.core.diagnosis.coordinates import FAILURES, SearchModel
 from zoo.core.diagnosis.fitting import Fitting
-from zoo.core.diagnosis.search import Point
+from zoo.core.diagnosis.search import Point, Search
 from zoo.core.effects import AddedEffect, Effect
 
 Array = NDArray[np.float64]
@@ -28,10 +29,8 @@ SHAPES = (0.0, -0.7, 1.5)
 """Shapes of an effect from which a fit starts: prior standard deviations away from the centre."""
 NEARER = 0.3
 """Part of a start that is tried where the start cannot be solved; step of a shape, in its prior's scale."""
-REFITTED = 3
-"""Times that an effect is solved again at the size that its response asks for."""
-SETTLED = 0.1
-"""Gain in the log posterior below which it is not."""
+STEPS, GAIN = 8, 0.5
+"""Steps to where an effect and the baseline's parameters fit best together, and gain that ends them."""
 SMALLEST = 0.02
 """Size of an effect, in its prior's scale, from which on it is solved there."""
 RESOLVED = 1e-4
@@ -67,11 +66,6 @@ class Projected:
         scaled = signal / (self.root if signal.ndim == 1 else self.root[:, None])
         scaled = np.concatenate([scaled, np.zeros((len(self.Q) - self.n, *scaled.shape[1:]))])
         return np.asarray(scaled - self.Q @ (self.Q.T @ scaled))
-
-    def aim(self, columns: Array, mean: Array) -> Array:
-        """Weights (m,) at the mode, each with a normal prior of sd 1 around `mean`."""
-        R = self(columns)
-        return np.asarray(np.linalg.solve(R.T @ R + np.eye(len(mean)), R.T @ self.residual + mean))
 
     def left(self, change: Array) -> float:
         """Half the sum of squares that a change of the series leaves."""
@@ -113,11 +107,28 @@ class Origin:
 
 
 @dataclass(frozen=True, eq=False)
+class Response:
+    """What a cause does around a point, as a cause to be weighed.
+
+    Parameters
+    ----------
+    cause : Cause
+    values : array
+        Of its parameters, from which its weights count.
+    end : Point or None
+        Where a listed effect fits best beside the parameters; its Jacobian is only near.
+    """
+
+    cause: Cause
+    values: Array
+    end: Point | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class _Tried:
-    """An effect as solved at some size: the change of the series, and its response by each parameter."""
+    """An effect as solved at some size: its response by each parameter, and what they leave."""
 
     values: Array
-    change: Array = field(repr=False)
     columns: Array = field(repr=False)
     cost: float
 
@@ -126,78 +137,84 @@ class _Listed:
     """One effect at one place, around a fit of the baseline with other effects."""
 
     def __init__(
-        self, fitting: Fitting, base: Point, others: Effects, added: AddedEffect, projected: Projected
+        self,
+        fitting: Fitting,
+        base: Point,
+        others: Effects,
+        added: AddedEffect,
+        problem: Problem,
+        projected: Projected,
     ) -> None:
-        self.base, self.added, self.projected = base, added, projected
+        self.base, self.added, self.problem, self.projected = base, added, problem, projected
         self.parameters = added.effect.parameters
         self.scales = np.array([p.scale for p in self.parameters])
         self.centres = np.array([0.0, *(p.centre for p in self.parameters[1:])])
         self.low, self.high = (np.array([getattr(p, x) for p in self.parameters]) for x in ("low", "high"))
         self.forward = fitting.model((*others, added))
 
-    def solve(self, values: Array) -> Array | None:
-        """Change of the series (n,) by the effect of these parameters."""
-        found = self.forward(np.concatenate([self.base.u, values]))
-        return None if found is None else found - self.base.computed
+    def solve(self, values: Array, step: Array) -> Array | None:
+        """Change of the series (n,) by the effect, beside a step of the others that is linear without it."""
+        found = self.forward(np.concatenate([self.base.u + step, values]))
+        return None if found is None else found - self.base.computed - self.problem.jacobian @ step
 
-    def at(self, values: Array) -> _Tried | None:
+    def at(self, values: Array, step: Array) -> _Tried | None:
         """The effect solved there, with secants: of the first parameter from 0, of others by a step each."""
-        change = self.solve(values)
+        change = self.solve(values, step)
         if change is None:
             values = values * np.array([NEARER, *np.ones(len(values) - 1)])
-            change = self.solve(values)
+            change = self.solve(values, step)
         if change is None or values[0] == 0.0:
             return None
         columns = [change / values[0]]
         for i in range(1, len(values)):
             moved = values.copy()
-            step = NEARER * self.scales[i]
-            moved[i] += step if values[i] + step <= self.high[i] else -step
-            other = self.solve(moved)
+            more = NEARER * self.scales[i]
+            moved[i] += more if values[i] + more <= self.high[i] else -more
+            other = self.solve(moved, step)
             columns.append(
                 np.zeros_like(change) if other is None else (other - change) / (moved[i] - values[i])
             )
         z = (values - self.centres) / self.scales
         cost = self.projected.left(change) + 0.5 * float(z @ z)
-        return _Tried(values, change, np.stack(columns, axis=1) * self.scales, cost)
+        return _Tried(values, np.stack(columns, axis=1) * self.scales, cost)
 
-    def found(self) -> _Tried | None:
-        """Where it fits best, of its starts and of what their responses ask for."""
+    def _end(self, tried: Sequence[_Tried]) -> Point:
+        """Where a search ends that begins beside each start with the parameters that fit best there."""
+        search = Search(self.forward, self.base.computed + self.problem.residual, self.projected.root**2)
+        held, k, ends = copy(self.forward), len(self.base.u), list[Point]()
+        for one in tried:
+            jacobian = np.concatenate([self.problem.jacobian, one.columns / self.scales], axis=1)
+            start = search.at(np.concatenate([self.base.u, one.values]), jacobian)
+            held.low = np.concatenate([self.forward.low[:k], one.values])
+            held.high = np.concatenate([self.forward.high[:k], one.values])
+            ends.append(Search(held, search.data, search.S).descend(start, STEPS // 2, GAIN))
+        return search.descend(min(ends, key=lambda end: end.cost), STEPS, GAIN)
+
+    def found(self, component: str) -> Response | None:
+        """Where it fits best beside the others, from the best of its starts; None if none can be solved."""
         first, *others = self.parameters
         shapes = SHAPES if others else SHAPES[:1]
         starts = [
             np.clip([start, *(p.centre + shape * p.scale for p in others)], self.low, self.high)
             for start, shape in product(first.starts, shapes)
         ]
-        tried = [one for start in starts if (one := self.at(start)) is not None]
+        u = self.base.u
+        tried = [one for start in starts if (one := self.at(start, np.zeros_like(u))) is not None]
         if not tried:
             return None
-        best = min(tried, key=lambda one: one.cost)
-        for _ in range(REFITTED):
-            mean = (self.centres - best.values) / self.scales
-            mean[0] = 0.0
-            w = self.projected.aim(best.columns, mean)
-            aim = best.values + w * self.scales
-            aim[0] = w[0] * self.scales[0]
-            aim = np.clip(aim, self.low, self.high)
-            if abs(aim[0]) < SMALLEST * self.scales[0]:
-                break
-            new = self.at(aim)
-            if new is None or new.cost > best.cost - SETTLED:
-                break
-            best = new
-        return best
-
-    def cause(self, best: _Tried, component: str) -> tuple[Cause, Array]:
-        """The response there as a cause, and the values from which its weights count."""
-        first = self.parameters[0]
+        best, end = min(tried, key=lambda one: one.cost), None
+        if self.projected.left(np.zeros(len(self.base.computed))) > 0.5 * self.projected.n:
+            end = self._end(tried)
+            values, step = end.u[len(u) :], end.u[: len(u)] - u
+            if abs(values[0]) >= SMALLEST * self.scales[0]:
+                best = self.at(values, step) or best
         mean = (self.centres - best.values) / self.scales
         mean[0] = 0.0
         cause = Cause(
             self.added.name, component, best.columns, place=self.added.location.suffix,
             low=first.low / first.scale, high=first.high / first.scale, mean=mean,
         )  # fmt: skip
-        return cause, np.concatenate([[0.0], best.values[1:]])
+        return Response(cause, np.concatenate([[0.0], best.values[1:]]), end)
 
 
 def listed_causes(
@@ -209,11 +226,11 @@ def listed_causes(
     V: Array,
     component_of: Callable[[Effect], str],
     tick: Tick,
-) -> list[tuple[Cause, Array] | None]:
-    """Listed effects at their places, each by its response at the size that fits best.
+) -> list[Response | None]:
+    """Listed effects at their places, each by its response where it and the baseline's parameters fit best.
 
     The response of the first parameter is a secant from where the effect is absent, those of shapes are
-    differences.
+    differences; what the parameters do beyond their own derivatives belongs to it.
 
     Parameters
     ----------
@@ -232,18 +249,17 @@ def listed_causes(
 
     Returns
     -------
-    list of (Cause, array) or None
-        For each effect its response and the values from which its weights count, which may change nothing at
-        all; None where no start could be solved.
+    list of Response or None
+        Of each effect, which may change nothing at all; None where no start could be solved.
     """
     projected = Projected(problem, V)
-    listed = [_Listed(fitting, base, others, one, projected) for one in added]
-    found: list[tuple[Cause, Array] | None] = []
+    listed = [_Listed(fitting, base, others, one, problem, projected) for one in added]
+    names = [component_of(one.effect) or one.name for one in added]
+    found: list[Response | None] = []
     with ThreadPoolExecutor(max(1, fitting.cores)) as pool:
-        for done, (one, best) in enumerate(zip(listed, pool.map(_Listed.found, listed), strict=True), 1):
-            tick(one.added.name, done / len(listed))
-            component = component_of(one.added.effect) or one.added.name
-            found.append(None if best is None else one.cause(best, component))
+        for one in pool.map(_Listed.found, listed, names):
+            found.append(one)
+            tick(added[len(found) - 1].name, len(found) / len(listed))
     return found
 
 

@@ -21,8 +21,8 @@ TURNED, TURNS = 0.4, 3
 """Part of a step that failed which is tried the other way, and how many steps are tried."""
 REACH = 8.0
 """Units of the search that one step moves at most: the linearisation is not trusted further."""
-GAIN, STANDSTILL = 0.02, 1e-5
-"""Gain of the log posterior, and step in units of the search, below which a descent ends."""
+GAIN = 0.02
+"""Gain of the log posterior below which a descent ends."""
 SETTLED = 0.1
 """Gain below which a search with fresh differences ends."""
 ROUNDS, ITERATIONS = 3, 6
@@ -169,19 +169,18 @@ class Search(Generic[F]):
         return step * min(1.0, REACH / reach) if reach > 0 else step
 
     def descend(self, point: Point, iterations: int, gain: float = GAIN, damping: float = DAMPING) -> Point:
-        """Damped steps with Broyden's updates until one gains less than `gain`."""
+        """Damped steps with Broyden's updates until one gains, or promises, less than `gain`."""
         for _ in range(iterations):
             step = self._step(point, damping)
-            if float(np.max(np.abs(step) / self.forward.units)) < STANDSTILL:
+            u, linear = point.u + step, point.computed + point.jacobian @ step
+            hoped = point.cost - self.cost(u, linear)
+            if hoped < gain:
                 break
-            u = point.u + step
             computed = self.forward(u)
             if computed is None:
                 damping = max(MUCH_MORE * damping, MUCH_MORE * DAMPING)
                 continue
             cost = self.cost(u, computed)
-            linear = point.computed + point.jacobian @ step
-            hoped = point.cost - self.cost(u, linear)
             if cost - point.cost > hoped:  # so far from linear that a secant would mislead
                 damping = max(MORE * damping, DAMPING)
                 continue
@@ -195,8 +194,6 @@ class Search(Generic[F]):
                     break
             else:
                 point = replace(point, jacobian=jacobian)
-                if hoped < gain:
-                    break
                 damping = max(MORE * damping, DAMPING)
                 if damping > MOST_DAMPING:
                     break

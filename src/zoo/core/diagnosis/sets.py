@@ -21,13 +21,13 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.causes.evidence import SetEvidence, SetModel, without
 from zoo.core.causes.posterior import CausePosterior, SetRow
-from zoo.core.causes.problem import Cause, Problem, without_doubles
+from zoo.core.causes.problem import Problem, without_doubles
 from zoo.core.causes.sets import CausePriors, likeness
 from zoo.core.causes.weigh import weigh_causes
 from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
-from zoo.core.diagnosis.responses import Origin, free_causes, listed_causes
+from zoo.core.diagnosis.responses import Origin, Response, free_causes, listed_causes
 from zoo.core.diagnosis.search import Point, Search, SearchError
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear, SolvedSet, Which, tangents
 from zoo.core.effects import Effect
@@ -83,18 +83,18 @@ class CauseSearch:
     tick: Callable[[str, float], None]
 
     def __post_init__(self) -> None:
-        f = self.fitting
+        f = self.fitting = self.fitting.corrected()
         self.family, self.data = f.family, f.coefficients
         self.tick("baseline", 0.0)
         nothing = self._nothing()
         self.solved: dict[Which, SolvedSet] = {(): nothing}
         self.base = nothing.point
         configuration = f.forward.model.configure(f.forward.theta(self.base.u))
-        self.grid = f.model(baseline=pinned(f.baseline, configuration))
+        grid = f.model(baseline=pinned(f.baseline, configuration))
+        self.grid = f.counted(grid.corrected(self.base.u, f.baseline))
         computed = self.grid(self.base.u)
         if computed is None:
             raise SolveError(self.grid.last_failure)
-        self.shift = self.base.computed - computed
         pinned_base = replace(self.base, computed=computed)
         self.jacobian = Search(self.grid, computed, self._heard(nothing)).differences(
             pinned_base, self.base.jacobian
@@ -105,7 +105,7 @@ class CauseSearch:
         every += [Origin(function=g, length=length) for g in functions for length in g.lengths or (None,)]
         on_grid = replace(nothing, point=replace(self.base, jacobian=self.jacobian))
         found = self._responses(on_grid, every, 0.05)
-        there = {one: origin for origin in every if (one := found.get(origin.key, (None,))[0])}
+        there = {found[origin.key].cause: origin for origin in every if origin.key in found}
         names = [one.name for one in self.effects]
         solved = {one.name for one in there}
         there = {one: origin for one, origin in there.items() if np.any(one.columns)}
@@ -114,10 +114,14 @@ class CauseSearch:
         self.idle = [name for name in names if name in solved and name not in moved]
         self.causes, _ = without_doubles(list(there))
         self.origins = [there[one] for one in self.causes]
-        values = tuple(found[origin.key][1] for origin in self.origins)
+        responses = [found[origin.key] for origin in self.origins]
         residual = self.data - self.base.computed
         self.problem = self._problem(f.forward, self.base.u, residual, self.jacobian)
+        values = tuple(one.values for one in responses)
         self.linears = [Linear((), self.base.u, self.problem, tuple(self.causes), values)]
+        self.ends: dict[Which, Point] = {
+            (i,): one.end for i, one in enumerate(responses) if one.end is not None
+        }
         self.rows: dict[Which, SetRow] = {}
 
     def _heard(self, centre: SolvedSet) -> Array:
@@ -128,8 +132,8 @@ class CauseSearch:
 
     def _responses(
         self, centre: SolvedSet, origins: Sequence[Origin], done: float
-    ) -> dict[tuple[Any, ...], tuple[Cause, Array]]:
-        """What further causes do around a set, and the values from which their weights count."""
+    ) -> dict[tuple[Any, ...], Response]:
+        """What further causes do around a set."""
         f, point, V = self.fitting, centre.point, self._heard(centre)
         others = centre.forward.added
         problem = self._problem(centre.forward, point.u, self.data - point.computed, point.jacobian)
@@ -151,7 +155,8 @@ class CauseSearch:
             f, grid, replace(point, computed=on_grid), functions, V,
             lambda name, part: self.tick(name, done + 0.25 + 0.15 * part),
         )  # fmt: skip
-        return found | {origin.key: (cause, np.zeros(cause.columns.shape[1])) for cause, origin in free}
+        functional = [(o.key, Response(one, np.zeros(one.columns.shape[1]))) for one, o in free]
+        return found | dict(functional)
 
     def _linear(self, centre: SolvedSet) -> Linear:
         """The simulator around a solved set."""
@@ -163,8 +168,9 @@ class CauseSearch:
         problem = self._problem(self.fitting.forward, point.u[:k], residual, point.jacobian[:, :k])
         pairs = []
         for i, (cause, origin) in enumerate(zip(self.causes, self.origins, strict=True)):
+            one = found.get(origin.key)
             silent = replace(cause, columns=np.zeros_like(cause.columns)), self.linears[0].values[i]
-            pairs.append(own[i] if i in own else found.get(origin.key, silent))
+            pairs.append(own.get(i, (one.cause, one.values) if one else silent))
         causes, values = zip(*pairs, strict=True)
         return Linear(tuple(sorted(centre.order)), point.u[:k], problem, causes, values)
 
@@ -186,6 +192,8 @@ class CauseSearch:
         """The posterior, its leading sets solved."""
         found = self._weigh(self.linears[0], 0.45)
         self.rows = {row.which: row for row in found.rows}
+        self._weigh_ends()
+        found = self._corrected(found)
         tried: set[Which] = {()}
         retried: set[tuple[Which, Which]] = set()
         wave = 0
@@ -272,6 +280,21 @@ class CauseSearch:
             model = SetModel(linear.problem, [linear.causes[i] for i in which], self.family)
             evidence = model.evidence(like.kinds, like.log_noise)
             self.rows[which] = SetRow(which, priors.log_prior(which), evidence)
+
+    def _weigh_ends(self) -> None:
+        """Listed effects alone whose response was found where they fit better than the linear model says."""
+        self._weigh_more(list(self.ends))
+        with ThreadPoolExecutor(max(1, self.fitting.cores)) as pool, threadpool_limits(1, user_api="blas"):
+            for which, one in zip(self.ends, pool.map(self._at_end, self.ends), strict=True):
+                if one.log_z > self.rows[which].evidence.total(SIZE_PRIORS) + PROMISED:
+                    self.solved[which] = one
+
+    def _at_end(self, which: Which) -> SolvedSet:
+        linear = self.rows[which].evidence
+        forward = self.fitting.model((self.origins[which[0]].effect(),))
+        forward, point = self._corrected_at(forward, self.ends[which])
+        found, n_listed = self._around(which, forward, point, linear)
+        return SolvedSet(which, forward, point, self._delivered(found, forward, point, n_listed), n_listed)
 
     def _outdoing(self, which: Which) -> Which | None:
         """The best larger set, if it was solved with visibly more evidence, as where a mode was missed."""
@@ -377,10 +400,9 @@ class CauseSearch:
         # a listed effect may need another grid than the baseline; a function is a smooth change of it
         listed = any(self.origins[i].added is not None for i in which)
         baseline = self.fitting.baseline if listed else self.grid.model
-        shift = np.zeros_like(self.shift) if listed else self.shift
         forward = self.fitting.model(tuple(self.origins[i].effect() for i in order), baseline)
         best = linear.best(SIZE_PRIORS)
-        search = Search(forward, self.data - shift, linear.likely_variances(SIZE_PRIORS))
+        search = Search(forward, self.data, linear.likely_variances(SIZE_PRIORS))
         point: Point | None = None
         for u, jacobian in self._starts(which, order, linear.mean[best]):
             try:
@@ -391,43 +413,51 @@ class CauseSearch:
                 point = tried
         if point is None:
             return None
-        return self._to_mode(order, forward, shift, search.descend(point, STEPS), linear)
+        return self._to_mode(order, forward, search.descend(point, STEPS), linear)
 
-    def _to_mode(
-        self, order: Which, forward: SearchModel, shift: Array, point: Point, linear: SetEvidence
-    ) -> SolvedSet:
+    def _to_mode(self, order: Which, forward: SearchModel, point: Point, linear: SetEvidence) -> SolvedSet:
         """A set from a point near its mode, in turns of a search and of the errors beside it."""
-        data, kept, reference = self.data - shift, None, linear
+        kept, reference = None, linear
         # beside a discrepancy a lesser mode costs little: noise alone says first where the mode is
         for turn in range(TURNS):
             errors = reference.likely_variances(SIZE_PRIORS, alone=turn == 0)
-            search = Search(forward, data, errors)
+            search = Search(forward, self.data, errors)
             point = search.resume(point)
             if turn == 0:
                 point = search.refine(point, 1, STEPS, fine=self.fitting.smooth)
             else:  # the derivatives are fresh
                 moved = search.descend(point, STEPS)
                 point = search.refine(moved, 2, STEPS) if point.cost - moved.cost > PROMISED else point
-            found, n_listed = self._around(order, forward, data, point, linear)
-            reference = self._delivered(found, forward, data, point, n_listed)
+            forward, point = self._corrected_at(forward, point)
+            found, n_listed = self._around(order, forward, point, linear)
+            reference = self._delivered(found, forward, point, n_listed)
             gained = math.inf if kept is None else reference.total(SIZE_PRIORS) - kept.log_z
             if gained > 0.0:
-                whole = replace(point, computed=point.computed + shift)
-                kept = SolvedSet(order, forward, whole, reference, n_listed)
+                kept = SolvedSet(order, forward, point, reference, n_listed)
             if gained < PROMISED:
                 break
         assert kept is not None
         return kept
 
+    def _corrected_at(self, forward: SearchModel, point: Point) -> tuple[SearchModel, Point]:
+        """Less its discretisation error at a point; as it is where no finer solve succeeds there."""
+        try:
+            found = forward.corrected(point.u)
+        except SolveError:
+            return forward, point
+        if found is forward or (computed := self.fitting.counted(found)(point.u)) is None:
+            return forward, point
+        return found, replace(point, computed=computed)
+
     def _delivered(
-        self, found: SetEvidence, forward: SearchModel, data: Array, point: Point, n_listed: int
+        self, found: SetEvidence, forward: SearchModel, point: Point, n_listed: int
     ) -> SetEvidence:
         """The evidence without what the linear model promises around the point and no solve delivers."""
         best = found.best(SIZE_PRIORS)
         seen = point.u.copy()
         seen[:n_listed] = 0.0  # weights are seen from 0, parameters from the point
         step = np.clip(found.mean[best] + point.u - seen, forward.low, forward.high) - point.u
-        search = Search(forward, data, found.variances(best))
+        search = Search(forward, self.data, found.variances(best))
         here = search.cost(point.u, point.computed)
         promised = here - search.cost(point.u + step, point.computed + point.jacobian @ step)
         if promised < PROMISED:
@@ -460,14 +490,14 @@ class CauseSearch:
         return [max(part, key=lambda one: one.log_z) for part in (inside, around) if part]
 
     def _around(
-        self, order: Which, forward: SearchModel, data: Array, point: Point, linear: SetEvidence
+        self, order: Which, forward: SearchModel, point: Point, linear: SetEvidence
     ) -> tuple[SetEvidence, int]:
         """Evidence of a set around a point: listed effects among the parameters, functions seen from 0."""
         sizes = [len(self.origins[i].effect().effect.parameters) for i in order] if order else []
         free = [i for i in order if self.origins[i].added is None]
         n_listed = len(point.u) - sum(sizes[len(order) - len(free) :])
         own = self.fitting.model(forward.added[: len(order) - len(free)]) if free else forward
-        residual, causes, at = data - point.computed, [], n_listed
+        residual, causes, at = self.data - point.computed, [], n_listed
         for i in free:
             after = at + self.causes[i].columns.shape[1]
             Z = point.jacobian[:, at:after]
@@ -478,7 +508,7 @@ class CauseSearch:
         firsts = np.cumsum([forward.n_base, *sizes])[: len(order) - len(free)]
         problem = replace(problem, amplitudes=tuple(int(i) for i in firsts))
         start = linear.log_noise[linear.best(SIZE_PRIORS)]
-        change = point.computed + (self.data - data) - self.base.computed
+        change = point.computed - self.base.computed
         found = SetModel(problem, causes, self.family).evidence(
             linear.kinds, start, lambda V: without(self.jacobian, change, V)
         )

@@ -235,8 +235,9 @@ class _Refitted:
 
     def __init__(self, state: OtherState, smooth: bool, cores: int) -> None:
         errors = spectral_errors(state.data) if state.errors is None else state.errors
-        self.fitting = Fitting(state.data, state.model, errors.bind(state.data), smooth=smooth, cores=cores)
-        search = CauseSearch(self.fitting, (), Hooks(smooth=smooth), lambda text, share: None)
+        fitting = Fitting(state.data, state.model, errors.bind(state.data), smooth=smooth, cores=cores)
+        search = CauseSearch(fitting, (), Hooks(smooth=smooth), lambda text, share: None)
+        self.fitting = search.fitting
         found = CauseSets(search.run().posterior, search)
         self.base, self.noise = search.base, found.noise
         one = search.solved[()].evidence
@@ -338,19 +339,20 @@ def hold_in(
     made = hooks.components(state.model, theta, here) if hooks.components is not None else ()
     again = {f.name: f for f in made}
     wanted = explanations(found)
-    alone = refitted.computed(state.model, here.values, [base.u])  # by least squares, as all that follows
+    model = refitted.fitting.baseline
+    alone = refitted.computed(model, here.values, [base.u])  # by least squares, as all that follows
     computed = {BASELINE: refitted.fitting.errors.unflat(base.computed) if alone is None else alone}
     drawn = _at_same_part(seen_at_sensor(found), found.search.fitting.data, here)
     if drawn is not None:
-        series = refitted.computed(state.model, here.values - drawn, [base.u])
+        series = refitted.computed(model, here.values - drawn, [base.u])
         if series is not None:
             computed[SEEN] = series + drawn
     for i, one in enumerate(wanted):
         say(f"state {here.name}: {one.name}", (i + 1) / (len(wanted) + 1))
         changes = _changes(one, again)
         starts = [base.u] if one.shift is None else [base.u + one.shift, base.u]
-        model = None if changes is None else _Changed(state.model, changes, one.text)
-        series = None if model is None else refitted.computed(model, here.values, starts)
+        changed = None if changes is None else _Changed(model, changes, one.text)
+        series = None if changed is None else refitted.computed(changed, here.values, starts)
         if series is not None:
             computed[one.name] = series
     file = _compared(here, group, refitted.noise[group], computed, wanted, again, seed)

@@ -106,8 +106,12 @@ def _headline(file: DiagnosisFile) -> str:
     wrong = [c for c in file.components if c.probability > 0.5]
     best = _causes(file, leader, sized=True)
     if not wrong and file.no_gap > 0.5:
-        noise = f"noise of {file.gap.noise_floor:.2g}{unit} explains what the baseline leaves"
-        text = f"Nothing is missing ({_chance(file.no_gap)}): {noise}"
+        noise = f"noise of {file.gap.noise_floor:.2g}{unit}"
+        if file.gap.before > file.gap.noise_floor:
+            small = f"errors of {file.gap.before:.2g}{unit}, which a simulator's numerics may make"
+            text = f"Nothing is missing ({_chance(file.no_gap)}) beyond {small}, and {noise}"
+        else:
+            text = f"Nothing is missing ({_chance(file.no_gap)}): {noise} explains what the baseline leaves"
     elif not wrong and nothing > 0.5:
         text = f"No listed cause explains the model error of {file.gap.before:.2g}{unit}"
         text += f" ({_chance(nothing)})"
