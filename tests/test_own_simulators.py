@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.solve_store import SolveStore, StoredModel
 from zoo.core.effects import Effect, EffectError, EffectParameter, effect
 from zoo.core.errors.spectral import spectral_errors
-from zoo.core.forward import Around, FunctionModel, Outputs, SolveError, from_pints
+from zoo.core.forward import FunctionModel, Outputs, SolveError, from_pints
 from zoo.core.parameters import LogUniform, Normal, Parameter
 
 MINUTES = np.arange(0.0, 30.0, 1.0 / 3.0)
@@ -382,28 +383,25 @@ def test_a_second_cause_that_is_fast_is_found() -> None:
 # -- a cup whose steps are long: its error is not taken for a cause -----------------------------------
 
 
-class Stepped(Around):
-    """The cup by the midpoint rule, of second order; it may have steps of half the size."""
+def steps(per_sample: int):  # type: ignore[no-untyped-def]
+    """The cup by the midpoint rule, of second order."""
 
-    def __init__(self, per_sample: int, finer: bool = True) -> None:
-        super().__init__(cups(self.run, SPARSE))
-        self.per_sample, self.finer, self.key = per_sample, finer, f"stepped {per_sample}"
+    def cooled(c, t):  # type: ignore[no-untyped-def]
+        step = np.diff(t, prepend=0.0) / per_sample
+        factors = 1.0 - c["rate"] * step + 0.5 * (c["rate"] * step) ** 2
+        return c["start"] * np.cumprod(factors**per_sample) + c.get("drift", 0.0) * t
 
-    def run(self, c, t):  # type: ignore[no-untyped-def]
-        steps = np.diff(t, prepend=0.0) / self.per_sample
-        factors = 1.0 - c["rate"] * steps + 0.5 * (c["rate"] * steps) ** 2
-        return c["start"] * np.cumprod(factors**self.per_sample) + c.get("drift", 0.0) * t
-
-    def refined(self) -> Stepped | None:
-        return Stepped(2 * self.per_sample) if self.finer else None
+    return cooled
 
 
 SPARSE = np.cumsum(np.linspace(1.0, 5.0, 24))
+COARSE = cups(steps(1), SPARSE)
+MENDED = replace(COARSE, finer=steps(2))
 
 
 def test_long_steps_are_told_by_half_of_them() -> None:
     """At the point where they are, the error of second order is gone; nearby it is less."""
-    model = SearchModel(Stepped(1), (), spectral_errors(sparse()).bind(sparse()))
+    model = SearchModel(MENDED, (), spectral_errors(sparse()).bind(sparse()))
     u = np.array([np.log(0.06), 61.0])
     mended = model.corrected(u)
     for rate, least in ((0.06, 30.0), (0.066, 3.0)):
@@ -425,16 +423,16 @@ def sparse(noise: float = 0.003) -> Data:
 
 def test_the_error_of_long_steps_is_no_cause() -> None:
     """It is six times the noise, and stays where there are no finer steps."""
-    assert told(sparse(), Stepped(1)).cause == []
-    assert told(sparse(), Stepped(1)).file.gap.before < 0.003
-    coarse = told(sparse(), Stepped(1, finer=False))
+    assert told(sparse(), MENDED).cause == []
+    assert told(sparse(), MENDED).file.gap.before < 0.003
+    coarse = told(sparse(), COARSE)
     assert coarse.file.gap.before > 0.01
     assert "which a simulator's numerics may make" in str(coarse)
-    assert "numerics" not in str(told(sparse(), Stepped(1)))
+    assert "numerics" not in str(told(sparse(), MENDED))
 
 
 def test_an_effect_is_sought_together_with_the_parameters() -> None:
-    """With this much steam the cup alone cools four times too fast; steam beside that rate would be nothing."""
+    """With this much steam the cup alone cools four times too fast, and beside that rate steam is nothing."""
     search = told(tea(steam=8e-3)).sets.search
     [end] = [point for (i,), point in search.ends.items() if search.causes[i].name == "steam"]
     assert np.exp(search.base.u[0]) > 3.5 * 0.06

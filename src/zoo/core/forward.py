@@ -258,6 +258,9 @@ class FunctionModel:
     families : tuple of str
     functions : tuple of str
         Names in the configuration of free functions (`zoo.free_function`); those of the baseline are 0.
+    finer : callable, optional
+        The function with cells and steps of half the size, for errors of second order in it: a diagnosis then
+        takes the function's own error off.
 
     Examples
     --------
@@ -276,6 +279,11 @@ class FunctionModel:
     name: str = "function"
     families: tuple[str, ...] = ()
     functions: tuple[str, ...] = ()
+    finer: Callable[[Any, Array], Any] | None = None
+
+    def refined(self) -> FunctionModel | None:
+        """The model of the `finer` function; None without one."""
+        return None if self.finer is None else replace(self, function=self.finer, finer=None)
 
     @property
     def key(self) -> str:
