@@ -190,12 +190,11 @@ class ErrorFamily:
         """Indices of the error models in proportion to what causes do, whose spectrum is the last."""
         return np.asarray(self.n_kinds + np.arange(len(SIZES)))
 
-    def kinds_of(self, shapes: NDArray[np.int_], colours: bool = True) -> NDArray[np.int_]:
-        """Indices of the error models of some spectra, with white and, if wanted, correlated noises."""
+    def kinds_of(self, shapes: NDArray[np.int_]) -> NDArray[np.int_]:
+        """Indices of the error models of some spectra, with all that are noise alone."""
         first = 1 + len(self.colours)
-        before = np.arange(first) if colours else np.arange(1)
         after = first + shapes[:, None] * len(SIZES) + np.arange(len(SIZES))
-        return np.concatenate([before, after.reshape(-1)])
+        return np.concatenate([np.arange(first), after.reshape(-1)])
 
     # -- priors of noise and size ------------------------------------------------------------------
 

@@ -204,14 +204,12 @@ def _fewer_kinds(search: _Search) -> None:
             best.setdefault(search.causes[added.pop()].component, which)
     search.weigh(list(best.values()), np.arange(search.family.n_kinds))
     behind = np.full(len(search.family.shapes), np.inf)
-    colours = False
     for which in [search.always, *best.values()]:
         log_colours, smooth = search.weighed[which].terms(search.sizes)
         each = np.logaddexp.reduce(smooth[: len(behind)], axis=1)
         top = max(float(smooth.max()), float(each.max()), float(log_colours.max()))
         behind = np.minimum(behind, top - each)
-        colours = colours or float(log_colours.max()) > top - SHAPES_WITHIN
     order = np.argsort(behind, kind="stable")[:MOST_SHAPES]
     kept = order[(behind[order] < SHAPES_WITHIN) | (behind[order] == behind[order[0]])]
-    search.kinds = search.family.kinds_of(np.sort(kept), colours)
+    search.kinds = search.family.kinds_of(np.sort(kept))
     search.weighed = {which: one.only(search.kinds) for which, one in search.weighed.items()}
