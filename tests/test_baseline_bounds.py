@@ -65,7 +65,7 @@ def test_what_the_prior_excludes_is_no_gap_and_no_effect(prior: Prior, tmp_path:
         f"The baseline's prior excludes its best fit, rate = {bound.best:.3g} (upper bound 0.6). Without "
         "that bound: Nothing is missing"
     )
-    assert "--prior rate=... lifts it" in found.file.warnings[0]
+    assert "--prior rate=..., or priors={'rate': ...}, lifts it" in found.file.warnings[0]
     assert read_diagnosis(found.save(str(tmp_path))).excluded == excluded
     assert '"residual_rms_within_K"' in found.file.model_dump_json()
 

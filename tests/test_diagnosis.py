@@ -221,7 +221,7 @@ def test_the_papers_prior_excludes_the_hypoxic_mouse() -> None:
     assert file.excluded.residual_rms_within > 0.9
     assert file.excluded.residual_rms_free == pytest.approx(0.2198, rel=0.01)
     assert file.verdict.startswith("The baseline's prior excludes its best fit, f3 = 1.9")
-    assert "--prior f3=... lifts it" in file.warnings[0]
+    assert "--prior f3=..., or priors={'f3': ...}, lifts it" in file.warnings[0]
 
 
 def test_a_study_whose_noise_is_given_is_diagnosed_with_it(jitter: StudyDiagnosis) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+import zoo
 from zoo.core.data import Data, DataError
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, diagnose
 from zoo.core.diagnosis.coordinates import SearchModel
@@ -437,3 +438,93 @@ def test_an_effect_is_sought_together_with_the_parameters() -> None:
     [end] = [point for (i,), point in search.ends.items() if search.causes[i].name == "steam"]
     assert np.exp(search.base.u[0]) > 3.5 * 0.06
     np.testing.assert_allclose([np.exp(end.u[0]), end.u[2]], [0.06, 8e-3], rtol=0.1)
+
+
+# -- what a control engineer met ------------------------------------------------------------------------
+
+
+@zoo.effect("drag", size=1.0, low=0.0)
+def drag(c, size):  # type: ignore[no-untyped-def]
+    """By the square of the speed."""
+    return {**c, "drag": size}
+
+
+def cart(c, t):  # type: ignore[no-untyped-def]
+    """Speed by steps from one time to the next, pushed one way and the other."""
+    v = np.zeros(len(t))
+    for i in range(1, len(t)):
+        push = np.sign(np.sin(2 * np.pi * 0.1 * t[i]))
+        v[i] = v[i - 1] + (t[1] - t[0]) * (
+            push - c["b"] * v[i - 1] - c.get("drag", 0.0) * v[i - 1] * abs(v[i - 1])
+        )
+    return v
+
+
+T = np.linspace(0.0, 30.0, 300)
+CART = {"b": zoo.Normal(0.5, 0.1)}
+
+
+def speed(noise: float = 0.02, **changes: float) -> np.ndarray:
+    return cart({"b": 0.5, **changes}, T) + noise * np.random.default_rng(2).standard_normal(len(T))
+
+
+def test_a_simulator_is_called_at_all_times_also_where_nothing_was_measured() -> None:
+    """One that steps from time to time would be another one at times of which some are left out."""
+    seen = set()
+
+    def spied(c, t):  # type: ignore[no-untyped-def]
+        seen.add(len(t))
+        return cart(c, t)
+
+    measured = speed(drag=0.8)
+    measured[100:120] = np.nan
+    measured[[1, 50, 51]] = np.nan
+    with pytest.warns(UserWarning, match="23 of 300 times are left out"):
+        found = zoo.diagnose(T, measured, spied, CART, drag, progress=False)
+    assert seen == {300}
+    assert found.cause == ["drag"]
+    [size] = found.causes[0].estimates
+    assert abs(size.mean - 0.8) < 3 * size.sd < 0.2
+    later = found.predict(zoo.Outputs(("y0",), np.linspace(0.0, 35.0, 351)), draws=4)
+    assert len(later) == 351
+
+
+def test_an_effect_that_always_fails_is_told_with_the_reason_and_decides_nothing() -> None:
+    def stiff(c, t):  # type: ignore[no-untyped-def]
+        if "drag" in c:
+            raise RuntimeError("mode stiff knows no drag")
+        return cart(c, t)
+
+    found = zoo.diagnose(T, speed(0.005, drag=0.8), stiff, CART, [drag], progress=False)
+    assert not found.file.decided
+    told = "effect drag: the simulator failed at each of its starts (RuntimeError: mode stiff knows no drag)"
+    assert any(told in warning for warning in found.file.warnings)
+    assert any("drag could not be tried" in warning for warning in found.file.warnings)
+
+
+def test_what_was_not_solved_is_not_called_improbable() -> None:
+    """The best parameters with drag cannot be solved: the set with it is more probable, but unverified."""
+
+    def narrow(c, t):  # type: ignore[no-untyped-def]
+        if c["b"] < 0.6:
+            raise SolveError("b too small")
+        return cart(c, t)
+
+    found = zoo.diagnose(T, speed(drag=0.8), narrow, {"b": zoo.Normal(0.9, 0.3)}, [drag], progress=False)
+    assert not found.file.decided or found.cause == ["drag"]
+    assert "odds 0" not in str(found)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ((T, speed(), cart, CART, [cart]), "is no effect; give a list of functions that are decorated with"),
+        ((T, speed(), lambda c, t: cart(c, t)[:, None], CART, [drag]), "wanted .1, 300.; give its transpose"),
+        ((T, np.stack([speed()] * 2, axis=1), cart, CART, [drag]), "as values.T has"),
+    ],
+)
+def test_a_slip_is_told_with_what_to_change(arguments: tuple, told: str) -> None:  # type: ignore[type-arg]
+    with pytest.raises((DiagnosisError, DataError), match=told):
+        zoo.diagnose(*arguments, progress=False)
+    with pytest.raises(DataError, match=r"units = 'm/s': give a list, such as \['m/s'\]"):
+        zoo.diagnose(T, speed(), cart, CART, [drag], units="m/s", progress=False)

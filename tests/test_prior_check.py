@@ -65,7 +65,7 @@ def test_the_mass_at_a_bound_is_that_of_the_law(scale: float) -> None:
         assert found[0].share == pytest.approx(mass, abs=1e-3)
         assert found[0].text == (
             f"a leans on the upper bound of its prior, 4 s, with {mass:.0%} of its draws in the outer 1 % of "
-            "the prior: --prior a=... lifts it"
+            "the prior: --prior a=..., or priors={'a': ...}, lifts it"
         )
 
 
@@ -119,9 +119,10 @@ def test_a_mode_at_a_bound() -> None:
     found = modes_at_bounds(parameters, values)
     assert [(f.parameter, f.side, f.share) for f in found] == [("a", "upper", None), ("v[1]", "lower", None)]
     assert (
-        found[0].text == "the mode of a stands at the upper bound of its prior, 100 s: --prior a=... lifts it"
+        found[0].text == "the mode of a stands at the upper bound of its prior, 100 s: "
+        "--prior a=..., or priors={'a': ...}, lifts it"
     )
-    assert found[1].text.endswith(": --prior v=... lifts it")
+    assert found[1].text.endswith(": --prior v=..., or priors={'v': ...}, lifts it")
 
 
 def line(configuration, times):  # type: ignore[no-untyped-def]

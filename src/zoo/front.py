@@ -17,7 +17,7 @@ from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis, Hooks, OtherState
 from zoo.core.effects import Effect
 from zoo.core.errors.spectral import Spectral
-from zoo.core.forward import ForwardModel, FunctionModel, Outputs
+from zoo.core.forward import ForwardModel, FunctionModel, Outputs, at_all_times
 from zoo.core.parameters import Parameter, Prior, as_parameters
 from zoo.core.words import refuse_unknown
 
@@ -120,7 +120,7 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
     Parameters
     ----------
     times : array (n_times,)
-        Evenly spaced, in s.
+        Ascending, in s. The simulator is called with all of them, those at which nothing was measured too.
     measured : array (n_times,) or (n_series, n_times)
         A row for each series, in its own unit.
     simulate : function
@@ -242,9 +242,10 @@ def _diagnose_series(
     ) -> OtherState:
         data = Data(np.asarray(times), np.asanyarray(measured), labels, units, period=period, name=name)
         called = getattr(simulate, "__name__", "simulator")
-        return OtherState(
-            data, FunctionModel(simulate, parameters, Outputs(tuple(data.outputs), data.times), called)
-        )
+        whole = np.asarray(times, dtype=np.float64)
+        function = simulate if len(whole) == data.n_times else at_all_times(simulate, whole)
+        outputs = Outputs(tuple(data.outputs), data.times)
+        return OtherState(data, FunctionModel(function, parameters, outputs, called))
 
     here = bound(name, times, measured, simulate, period)
     others = []
@@ -263,8 +264,13 @@ def _diagnose_data(
     hooks: Hooks | None = None,
     **settings: Any,
 ) -> Diagnosis:
-    if isinstance(effects, str | Effect | FunctionOf):
-        raise diagnosis.DiagnosisError(f"effects = {effects!r:.60}: give a list of effects")
+    if isinstance(effects, Effect | FunctionOf):
+        effects = [effects]
+    if plain := [one for one in effects if not isinstance(one, Effect | FunctionOf)]:
+        raise diagnosis.DiagnosisError(
+            f"effects = {effects!r:.60}: {plain[0]!r:.60} is no effect; give a list of functions that are "
+            "decorated with @zoo.effect(...), and of zoo.free_function(...)"
+        )
     free = [one for one in effects if isinstance(one, FunctionOf)]
     listed = [one for one in effects if not isinstance(one, FunctionOf)]
     if free:

@@ -99,10 +99,11 @@ class Data(Brief):
         values = np.array(np.ma.filled(np.ma.asarray(self.values, dtype=np.float64), np.nan))
         if values.ndim == 1:
             values = values[None]
+        turned = values.ndim == 2 and len(values) == times.size
         if times.ndim != 1 or values.ndim != 2 or values.shape[1] != len(times):
             raise DataError(
                 f"{self._where}values have shape {values.shape} and times {times.shape}: give one row for "
-                "each series and one column for each time"
+                f"each series and one column for each time{', as values.T has' if turned else ''}"
             )
         self._check_period(times)
         times, values = self._measured(times, values)
@@ -117,6 +118,9 @@ class Data(Brief):
             raise DataError(f"{self._where}times must ascend; sort the samples, each time once")
         n = len(values)
         put: dict[str, Any] = {"times": times, "values": values}
+        for name in ("labels", "units", "groups"):
+            if isinstance(text := getattr(self, name), str):
+                raise DataError(f"{self._where}{name} = {text!r}: give a list, such as [{text!r}]")
         put["labels"] = tuple(str(x) for x in self.labels) or tuple(f"y{i}" for i in range(n))
         put["units"] = tuple(str(x) for x in self.units) or ("1",) * n
         put["groups"] = tuple(str(x) for x in self.groups) or put["labels"]

@@ -306,10 +306,40 @@ class FunctionModel:
         wanted = outputs or self.outputs
         values = np.atleast_2d(np.asarray(self.function(configuration, wanted.times), dtype=np.float64))
         if values.shape != wanted.shape:
-            raise SolveError(f"{self.name}: series of shape {values.shape}, wanted {wanted.shape}", "shape")
+            turned = "; give its transpose" if values.T.shape == wanted.shape else ""
+            what = f"series of shape {values.shape}, wanted {wanted.shape}{turned}"
+            raise SolveError(f"{self.name}: {what}", "shape")
         if not np.all(np.isfinite(values)):
             raise SolveError(f"{self.name}: the solution is not finite", "not-finite")
         return values
+
+
+def at_all_times(function: Callable[[Any, Array], Any], times: Array) -> Callable[[Any, Array], Any]:
+    """A function that is called at all these times also where its series are asked for at some of them.
+
+    What steps from one time to the next would be another simulator at times of which some are left out.
+
+    Parameters
+    ----------
+    function : callable
+        As in `FunctionModel`.
+    times : array (n,)
+        Ascending.
+
+    Returns
+    -------
+    callable
+    """
+
+    def simulate(configuration: Any, wanted: Array) -> Any:
+        if not np.isin(wanted, times).all():
+            return function(configuration, wanted)
+        series = np.asarray(function(configuration, times))
+        if series.shape[-1:] != times.shape:
+            raise SolveError(f"series of shape {series.shape} at {len(times)} times", "shape")
+        return series[..., np.searchsorted(times, wanted)]
+
+    return simulate
 
 
 def content_key(*parts: Any) -> str:

@@ -13,7 +13,7 @@ from zoo.core.diagnosis.draws import Discrepancy
 from zoo.core.diagnosis.file import DiagnosisFile, LearnedFunction
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.sets import CauseSets
-from zoo.core.words import percent, unit_words
+from zoo.core.words import listed, percent, unit_words
 
 Array = NDArray[np.float64]
 
@@ -51,6 +51,15 @@ def undecided(file: DiagnosisFile, most: int) -> list[str]:
             f"{most} components come out as wrong, the most that is allowed: no set of causes fits down to "
             "the noise, and the least wrong one is picked; do not believe it"
         )
+    if file.failed and not file.cause and file.no_gap < 0.5:
+        told.append(f"no listed cause explains the model error, and {listed(file.failed)} could not be tried")
+    lead = set(file.cause)
+    best = [row.probability for row in file.sets if (lead <= set(row.causes) if lead else not row.causes)]
+    if file.missed > 0.5 > math.fsum(best):
+        told.append(
+            f"sets of causes with up to {percent(file.missed)} of the probability were not solved, or could "
+            "not be: what is called best is the best of the others"
+        )
     if file.linear_error > WRONG and file.missed > MISSED:
         told.append(
             f"the log evidence of sets that no solve verified may be off by {file.linear_error:.0f}: "
@@ -84,6 +93,8 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
             f"the baseline misses the data by {gap.residual_rms_before:.2g}{unit}, "
             f"{gap.residual_rms_before / spread:.0%} of their range: {hooks.advice}"
         )
+    if file.cause and gap.removed < 0.0:
+        told.append("with the leading causes the model error is larger than without: do not believe them")
     for i, label in enumerate(data.labels):
         explained = 1.0 - float(np.var(before.residual[i]) / np.var(data.values[i]))
         if explained < STUCK:
@@ -96,6 +107,8 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
         told.append(
             f"effect {name}: none of its starts changes any sample: it acts nowhere here, or is not read"
         )
+    for name, why in found.search.failed.items():
+        told.append(f"effect {name}: the simulator failed at each of its starts ({why}): it was not weighed")
     told += _solves(found, hooks) + _outliers(found) + _noise(found)
     if not found.leader:
         return told

@@ -110,7 +110,7 @@ class CauseSearch:
         solved = {one.name for one in there}
         there = {one: origin for one, origin in there.items() if np.any(one.columns)}
         moved = {one.name for one in there}
-        self.failed = [name for name in names if name not in solved]
+        self.failed = {name: self._why(name) for name in names if name not in solved}
         self.idle = [name for name in names if name in solved and name not in moved]
         self.causes, _ = without_doubles(list(there))
         self.origins = [there[one] for one in self.causes]
@@ -123,6 +123,11 @@ class CauseSearch:
             (i,): one.end for i, one in enumerate(responses) if one.end is not None
         }
         self.rows: dict[Which, SetRow] = {}
+
+    def _why(self, name: str) -> str:
+        """Why solves with an effect failed."""
+        tried = (one for one in self.fitting.models if any(added.name == name for added in one.added))
+        return next((one.last_failure for one in tried if one.last_failure), "")
 
     def _heard(self, centre: SolvedSet) -> Array:
         """Variances (n,) of the errors in which sizes are sought around a set."""

@@ -141,6 +141,8 @@ def _runner_up(file: DiagnosisFile) -> str:
         return ""
     names, p = rival
     alone = " alone" if names and names < leader else ""
+    if p > _holding(file, leader):
+        return f"More probable, but not verified by a solve: {_causes(file, names)} ({_chance(p)})"
     odds = _holding(file, leader) / p if p > 0.0 else math.inf
     against = f"odds {odds:.{0 if odds >= 10 else 1}f} to 1" if odds < 1e3 else "odds above 1000 to 1"
     return f"Runner-up: {_causes(file, names)}{alone} ({_chance(p)}; {against} against it)"
@@ -183,7 +185,8 @@ def _error(file: DiagnosisFile) -> str:
     if not file.cause:
         return text
     after = span(gap.after, gap.after_interval)
-    return f"{text} before, {after}{unit} with it; {percent(gap.removed)} removed"
+    removed = f"{percent(gap.removed)} removed" if gap.removed > 0.0 else "nothing removed"
+    return f"{text} before, {after}{unit} with it; {removed}"
 
 
 def _held_out(file: DiagnosisFile) -> str:
@@ -259,10 +262,6 @@ def _unverified(file: DiagnosisFile) -> str:
     return f"Sets of causes that no solve verified may hold up to {percent(file.missed)} of the probability"
 
 
-def _failed(file: DiagnosisFile) -> str:
-    return f"The simulator failed wherever these were tried: {listed(file.failed)}" if file.failed else ""
-
-
 def _states(file: DiagnosisFile) -> list[str]:
     leading = set(next(row.components for row in file.sets if row.causes == file.cause))
     return [_state(state, leading) for state in file.states]
@@ -285,5 +284,5 @@ def _state(state: StateFile, components: set[str]) -> str:
 
 SENTENCES = (
     _runner_up, _further, _components, _alike, _error, _held_out, _parameters, _sensitivity, _next,
-    _unverified, _failed,
+    _unverified,
 )  # fmt: skip

@@ -70,7 +70,8 @@ class AtBound:
         if self.share is not None:
             part = f"{self.share:.0%} of its draws in the outer 1 % of the prior"
             what = f"{self.parameter} leans on {bound}, with {part}"
-        return f"{what}: --prior {self.parameter.partition('[')[0]}=... lifts it"
+        name = self.parameter.partition("[")[0]
+        return f"{what}: --prior {name}=..., or priors={{{name!r}: ...}}, lifts it"
 
 
 @dataclass(frozen=True)
