@@ -528,3 +528,53 @@ def test_a_slip_is_told_with_what_to_change(arguments: tuple, told: str) -> None
         zoo.diagnose(*arguments, progress=False)
     with pytest.raises(DataError, match=r"units = 'm/s': give a list, such as \['m/s'\]"):
         zoo.diagnose(T, speed(), cart, CART, [drag], units="m/s", progress=False)
+
+
+def test_what_changes_nothing_is_no_cause_of_a_misfit() -> None:
+    """Nothing is sought beside its discrepancy as every other set is: else what does nothing would win."""
+    faint = adds("faint", "drift", "1", 1.0, -5.0, 5.0, 1.0)
+
+    def hardly(c, t):  # type: ignore[no-untyped-def]
+        return cup({**c, "drift": 1e-6 * c.get("drift", 0.0)}, t)
+
+    found = told(tea(steam=8e-3), cups(hardly), [faint])
+    assert found.cause == []
+    assert found.file.verdict.startswith("No listed cause explains the model error")
+
+
+@pytest.mark.parametrize("error", [SolveError("too fine"), ZeroDivisionError("0 steps"), None])
+def test_a_finer_simulator_that_fails_leaves_the_own(error: Exception | None) -> None:
+    def fails(c, t):  # type: ignore[no-untyped-def]
+        if error is None:
+            return np.full_like(t, np.nan)
+        raise error
+
+    model = replace(COARSE, finer=fails)
+    found, plain = (told(sparse(), one) for one in (model, COARSE))
+    assert found.file.gap.before == pytest.approx(plain.file.gap.before, rel=1e-6)
+
+
+def test_solves_with_half_the_steps_are_kept_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[bool] = []
+    solve = FunctionModel.solve
+
+    def counting(self, configuration, outputs=None):  # type: ignore[no-untyped-def]
+        calls.append(self.finer is None)
+        return solve(self, configuration, outputs)
+
+    monkeypatch.setattr(FunctionModel, "solve", counting)
+    settings = {"cores": 1, "checkpoint": tmp_path / "kept", "progress": False}
+    first = diagnose(sparse(), MENDED, [DRIFT], **settings)  # type: ignore[arg-type]
+    assert sum(calls) > 0
+    assert first.file.record["solves"] >= len(calls) - 10  # preflight asks without a store
+    again = len(calls)
+    diagnose(sparse(), MENDED, [DRIFT], **settings)  # type: ignore[arg-type]
+    assert not any(calls[again:])
+
+
+def test_an_amplitude_without_an_upper_bound_counts_from_nothing() -> None:
+    steam = adds("steam", "steam", "1/(min K)", 1e-3, 0.0, np.inf, 3e-4, 1e-3)
+    [size] = told(tea(steam=6e-4), effects=[steam]).causes[0].estimates
+    assert abs(size.mean - 6e-4) < 3 * size.sd < 1e-4

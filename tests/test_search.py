@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from made import QUANTITY, SEARCH, THETA, baseline_of, made, search_model
 from zoo import load_study
@@ -161,3 +162,25 @@ def test_slopes_and_curvatures_of_priors_are_those_of_differences() -> None:
     bend = -np.array([[mixed(a, b) for a in eye] for b in eye])
     assert np.linalg.eigvalsh(bend).min() > -1e-6  # where it is positive it is not changed
     np.testing.assert_allclose(precision, bend, rtol=1e-4, atol=1e-4)
+
+
+def test_a_descent_inside_bounds_ends_at_their_least_squares() -> None:
+    """Of linear problems with alike columns, beside scipy; one coordinate is held by equal bounds."""
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        d = int(rng.integers(2, 6))
+        A = rng.standard_normal((12, d)) @ (np.eye(d) + 2.0 * rng.standard_normal((d, d)))
+        y = 3.0 * rng.standard_normal(12)
+        low, high = -rng.uniform(0.1, 2.0, d), rng.uniform(0.1, 2.0, d)
+        start = rng.uniform(low, high)
+        low[0] = high[0] = start[0]
+        forward = SimpleNamespace(
+            low=low, high=high, units=np.ones(d), last_failure="",
+            prior=lambda u: (0.0, np.zeros(len(u)), np.zeros(len(u))),
+        )  # fmt: skip
+        linear = type("Linear", (SimpleNamespace,), {"__call__": lambda self, u, A=A: A @ u})(**vars(forward))
+        search = Search(linear, y, np.ones(12))
+        end = search.descend(search.at(start, A), 60, 1e-6)
+        best = lsq_linear(A[:, 1:], y - A[:, 0] * start[0], (low[1:], high[1:]), tol=1e-12)
+        assert end.u[0] == start[0]
+        assert end.cost < best.cost + 0.05

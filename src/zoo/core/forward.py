@@ -154,8 +154,14 @@ class WithPriors(Around):
     def refined(self) -> ForwardModel | None:
         """The model's own with these priors."""
         finer = refined(self.model)
-        priors = {p.name: p.prior for p in self.parameters}
-        return None if finer is None else WithPriors(finer, priors)
+        return None if finer is None else self._of(finer)
+
+    def pinned(self, configuration: Any) -> ForwardModel:
+        """The model's own with these priors."""
+        return self._of(pinned(self.model, configuration))
+
+    def _of(self, model: ForwardModel) -> ForwardModel:
+        return WithPriors(model, {p.name: p.prior for p in self.parameters})
 
 
 class Corrected(Around):

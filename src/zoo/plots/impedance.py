@@ -27,7 +27,7 @@ def impedances_of(d: Any) -> dict[str, Impedance]:
     """
     if study_of(d) is None or "pressure_mmHg" not in d.sets.noise:
         return {}
-    base = d.sets.solved[()]
+    base = d.sets.search.fitted
     plain = base.forward.model.configure(base.forward.theta(base.point.u))
     try:
         found = {"measured": measured_impedance(d.data, plain, noise_mmHg=d.sets.noise["pressure_mmHg"])}

@@ -451,7 +451,7 @@ def _parameters(found: CauseSets, draws: CauseDraws) -> dict[str, dict[str, floa
     forward = found.search.fitting.forward
     names = [p.name for p in forward.parameters]
     n, rows = len(names), {}
-    alone = draws.holding(lambda which: not which) or [draw_set(found, (), 1.0, np.random.default_rng(0))]
+    alone = [draw_set(found, found.search.fitted, 1.0, np.random.default_rng(0))]
     for label, sets in (("base", alone), ("over all sets", draws.sets)):
         u = np.concatenate([one.values(slice(0, n)) for one in sets])
         w = np.concatenate([one.weights for one in sets])

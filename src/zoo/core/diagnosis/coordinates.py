@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -93,8 +93,9 @@ class SearchModel:
     def __init__(self, baseline: ForwardModel, added: Sequence[AddedEffect], errors: Spectral) -> None:
         self.baseline, self.added, self.errors = baseline, tuple(added), errors
         self.model = with_effects(baseline, self.added)
-        self.parameters = coordinates(self.model.parameters)
-        self.n_base = len(coordinates(baseline.parameters))
+        every, self.n_base = coordinates(self.model.parameters), len(coordinates(baseline.parameters))
+        amplitudes = (replace(one, log=False) for one in every[self.n_base :])  # they count from 0
+        self.parameters = (*every[: self.n_base], *amplitudes)
         self.low = np.array([p.coordinate(p.low) for p in self.parameters])
         self.high = np.array([p.coordinate(p.high) for p in self.parameters])
         self.units = np.array([p.unit_step for p in self.parameters])
@@ -134,35 +135,22 @@ class SearchModel:
             return None
         return found
 
-    def corrected(self, u: Array, otherwise: ForwardModel | None = None) -> SearchModel:
+    def corrected(self, u: Array) -> SearchModel:
         """The same less its discretisation error at a point, by Richardson's extrapolation.
 
-        Parameters
-        ----------
-        u : array (n_dim,)
-        otherwise : ForwardModel, optional
-            A better baseline, where this one has no finer grid.
-
-        Returns
-        -------
-        SearchModel
-            Itself where there is no better one, or an error of the grid is among the effects.
-
-        Raises
-        ------
-        SolveError
-            If it cannot be solved there.
+        Itself where there is no finer grid, or none that can be solved there, and where an error of the grid
+        is among the effects.
         """
         plain = self.baseline.model if isinstance(self.baseline, Corrected) else self.baseline
-        own, factor = with_effects(plain, self.added), EXTRAPOLATED
-        better = refined(own)
-        if better is None:
-            if otherwise is None:
-                return self
-            better, factor = with_effects(otherwise, self.added), 1.0
-        found = Corrected(plain, own, better, self.theta(u), factor)
-        found.error()
-        return SearchModel(found, self.added, self.errors)
+        own = with_effects(plain, self.added)
+        if (finer := refined(own)) is None:
+            return self
+        found = Corrected(plain, own, finer, self.theta(u), EXTRAPOLATED)
+        try:
+            exact = bool(np.all(np.isfinite(found.error())))
+        except FAILURES:
+            exact = False
+        return SearchModel(found, self.added, self.errors) if exact else self
 
     def __call__(self, u: Array) -> Array | None:
         """Flat coefficients, or None where the solve failed."""

@@ -73,9 +73,8 @@ class SetDraws:
         return np.asarray((self.x - origin)[:, part] @ self.solved.point.jacobian[:, part].T)
 
 
-def draw_set(found: CauseSets, which: Which, weight: float, rng: np.random.Generator) -> SetDraws:
+def draw_set(found: CauseSets, one: SolvedSet, weight: float, rng: np.random.Generator) -> SetDraws:
     """Draws of a solved set, over all errors that it was weighed beside."""
-    one = found.solved[which]
     evidence = one.evidence
     kinds = rng.choice(len(evidence.kinds), DRAWS, p=evidence.weights(SIZE_PRIORS))
     x = np.empty((DRAWS, evidence.mean.shape[1]))
@@ -91,7 +90,7 @@ def draw_set(found: CauseSets, which: Which, weight: float, rng: np.random.Gener
         part = 1.0 - noise / both
         missed = found.search.data - computed[at]
         left[at] = part * missed + np.sqrt(part * noise) * rng.standard_normal(missed.shape)
-    return SetDraws(which, one, weight, x, computed, left)
+    return SetDraws(tuple(sorted(one.order)), one, weight, x, computed, left)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +125,9 @@ def draw_causes(found: CauseSets, seed: int) -> CauseDraws:
     p = {which: float(np.exp(x - total)) for which, x in log.items()}
     kept = sorted((which for which in p if p[which] >= TOLD), key=lambda which: -p[which])[:MOST]
     total, rng = sum(p[which] for which in kept), np.random.default_rng(seed)
-    return CauseDraws(found, tuple(draw_set(found, which, p[which] / total, rng) for which in kept))
+    return CauseDraws(
+        found, tuple(draw_set(found, found.solved[which], p[which] / total, rng) for which in kept)
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -130,13 +130,7 @@ class Fitting:
         return left.refine(left.resume(best), ROUNDS, fine=self.smooth)
 
     def corrected(self) -> Fitting:
-        """The same with the baseline's discretisation error at its best fit taken off, and fitted again.
-
-        Raises
-        ------
-        zoo.core.forward.SolveError
-            If the baseline cannot be solved on a finer grid there.
-        """
+        """The same with the baseline's discretisation error at its best fit taken off, and fitted again."""
         u, plain = self.start.u, self.forward
         found = plain.corrected(u)
         return self if found is plain else replace(self, baseline=found.baseline, start_at=u)

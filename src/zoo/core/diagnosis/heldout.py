@@ -65,7 +65,7 @@ def hold_out(found: CauseSets, rows: list[int]) -> HeldOut | None:
     noise = np.array([found.noise[group] for group in data.groups])[:, None] * np.ones(n)
     sums = {0: [0.0, 0], 1: [0.0, 0]}
     for out in folds:
-        for which, start in enumerate((found.solved[()], leader)):
+        for which, start in enumerate((found.search.fitted, leader)):
             series = _refit(fitting, start, ~out, noise)
             if series is None:
                 return None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -13,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.causes.problem import Cause, Problem
 from zoo.core.components import FreeFunction
@@ -150,7 +150,7 @@ class _Listed:
         self.scales = np.array([p.scale for p in self.parameters])
         self.centres = np.array([0.0, *(p.centre for p in self.parameters[1:])])
         self.low, self.high = (np.array([getattr(p, x) for p in self.parameters]) for x in ("low", "high"))
-        self.forward = fitting.model((*others, added))
+        self.forward, self.held = (fitting.model((*others, added)) for _ in range(2))
 
     def solve(self, values: Array, step: Array) -> Array | None:
         """Change of the series (n,) by the effect, beside a step of the others that is linear without it."""
@@ -181,7 +181,7 @@ class _Listed:
     def _end(self, tried: Sequence[_Tried]) -> Point:
         """Where a search ends that begins beside each start with the parameters that fit best there."""
         search = Search(self.forward, self.base.computed + self.problem.residual, self.projected.root**2)
-        held, k, ends = copy(self.forward), len(self.base.u), list[Point]()
+        held, k, ends = self.held, len(self.base.u), list[Point]()
         for one in tried:
             jacobian = np.concatenate([self.problem.jacobian, one.columns / self.scales], axis=1)
             start = search.at(np.concatenate([self.base.u, one.values]), jacobian)
@@ -203,7 +203,7 @@ class _Listed:
         if not tried:
             return None
         best, end = min(tried, key=lambda one: one.cost), None
-        if self.projected.left(np.zeros(len(self.base.computed))) > 0.5 * self.projected.n:
+        if np.sum(self.projected.residual**2) > self.projected.n:
             end = self._end(tried)
             values, step = end.u[len(u) :], end.u[: len(u)] - u
             if abs(values[0]) >= SMALLEST * self.scales[0]:
@@ -256,7 +256,7 @@ def listed_causes(
     listed = [_Listed(fitting, base, others, one, problem, projected) for one in added]
     names = [component_of(one.effect) or one.name for one in added]
     found: list[Response | None] = []
-    with ThreadPoolExecutor(max(1, fitting.cores)) as pool:
+    with ThreadPoolExecutor(max(1, fitting.cores)) as pool, threadpool_limits(1, user_api="blas"):
         for one in pool.map(_Listed.found, listed, names):
             found.append(one)
             tick(added[len(found) - 1].name, len(found) / len(listed))
@@ -337,7 +337,7 @@ def free_causes(
     first = [(f, direction) for f in functions for direction in _directions(f).T[:1]]
     others = [(f, direction) for f in functions for direction in _directions(f).T[1:]]
     done = 0
-    with ThreadPoolExecutor(max(1, fitting.cores)) as pool:
+    with ThreadPoolExecutor(max(1, fitting.cores)) as pool, threadpool_limits(1, user_api="blas"):
         for jobs in (first, others):  # the strongest direction tells whether one-sided differences will do
             results = pool.map(lambda job: solve.along(job[0], job[1], bent[job[0].name]), jobs)
             for (f, direction), result in zip(jobs, results, strict=True):

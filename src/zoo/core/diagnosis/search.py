@@ -8,6 +8,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 Array = NDArray[np.float64]
 
@@ -21,6 +22,8 @@ TURNED, TURNS = 0.4, 3
 """Part of a step that failed which is tried the other way, and how many steps are tried."""
 REACH = 8.0
 """Units of the search that one step moves at most: the linearisation is not trusted further."""
+EPSILON = 1e-15
+"""Least eigenvalue of a step's equations, in parts of the largest."""
 GAIN = 0.02
 """Gain of the log posterior below which a descent ends."""
 SETTLED = 0.1
@@ -149,21 +152,17 @@ class Search(Generic[F]):
         H = point.jacobian.T @ scaled + as_matrix(precision)
         b = scaled.T @ (self.data - point.computed) - pull
         H += np.diag(damping * np.diag(H) + NO_DAMPING / forward.units**2)
-        fixed = np.zeros(len(b), bool)
-        step = np.zeros(len(b))
-        for _ in range(len(b) + 1):
-            free = ~fixed
-            if not free.any():
-                break
-            step[free] = np.linalg.solve(
-                H[np.ix_(free, free)], b[free] - H[np.ix_(free, fixed)] @ step[fixed]
+        step, free, units = np.zeros(len(b)), forward.low < forward.high, forward.units
+        low, high = ((end - point.u)[free] / units[free] for end in (forward.low, forward.high))
+        values, vectors = np.linalg.eigh((H * np.outer(units, units))[np.ix_(free, free)])
+        size = np.sqrt(np.maximum(values, EPSILON * values.max(initial=0.0)))
+        right = vectors.T @ (b * units)[free] / size
+        found = vectors @ (right / size)
+        if np.any((found < low) | (found > high)):
+            found = np.clip(
+                lsq_linear(size[:, None] * vectors.T, right, (low, high), method="bvls").x, low, high
             )
-            aim = point.u + step
-            out = free & ((aim < forward.low) | (aim > forward.high))
-            if not out.any():
-                break
-            step[out] = np.clip(aim, forward.low, forward.high)[out] - point.u[out]
-            fixed |= out
+        step[free] = found * units[free]
         # the linearisation is not trusted far away
         reach = float(np.max(np.abs(step) / forward.units))
         return step * min(1.0, REACH / reach) if reach > 0 else step

@@ -1,8 +1,8 @@
 """The posterior over sets of causes of a simulator: responses, then the leading sets at their modes.
 
-Responses of listed effects are secants to where each fits best by itself, those of free functions are
-derivatives at the baseline's fit. The sets that hold the mass are taken to their mode with the simulator and
-weighed there.
+Responses of listed effects are secants to where each fits best beside the parameters, those of free
+functions are derivatives at the baseline's fit. The sets that hold the mass are taken to their mode with the
+simulator and weighed there.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from zoo.core.diagnosis.responses import Origin, Response, free_causes, listed_c
 from zoo.core.diagnosis.search import Point, Search, SearchError
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear, SolvedSet, Which, tangents
 from zoo.core.effects import Effect
-from zoo.core.forward import SolveError, pinned
+from zoo.core.forward import Corrected, SolveError, pinned
 
 Array = NDArray[np.float64]
 
@@ -86,12 +86,12 @@ class CauseSearch:
         f = self.fitting = self.fitting.corrected()
         self.family, self.data = f.family, f.coefficients
         self.tick("baseline", 0.0)
-        nothing = self._nothing()
+        self.fitted = nothing = self._nothing()
         self.solved: dict[Which, SolvedSet] = {(): nothing}
         self.base = nothing.point
-        configuration = f.forward.model.configure(f.forward.theta(self.base.u))
-        grid = f.model(baseline=pinned(f.baseline, configuration))
-        self.grid = f.counted(grid.corrected(self.base.u, f.baseline))
+        theta = f.forward.theta(self.base.u)
+        on_grid = pinned(f.baseline, f.forward.model.configure(theta))
+        self.grid = f.model(baseline=Corrected(on_grid, on_grid, f.baseline, theta, 1.0))
         computed = self.grid(self.base.u)
         if computed is None:
             raise SolveError(self.grid.last_failure)
@@ -99,12 +99,11 @@ class CauseSearch:
         self.jacobian = Search(self.grid, computed, self._heard(nothing)).differences(
             pinned_base, self.base.jacobian
         )
-        theta = f.forward.theta(self.base.u)
         functions = self.hooks.components(f.baseline, theta, f.data) if self.hooks.components else ()
         every = [Origin(added=one.at(at)) for one in self.effects for at in one.locations(f.baseline)]
         every += [Origin(function=g, length=length) for g in functions for length in g.lengths or (None,)]
-        on_grid = replace(nothing, point=replace(self.base, jacobian=self.jacobian))
-        found = self._responses(on_grid, every, 0.05)
+        centre = replace(nothing, point=replace(self.base, jacobian=self.jacobian))
+        found = self._responses(centre, every, 0.05)
         there = {found[origin.key].cause: origin for origin in every if origin.key in found}
         names = [one.name for one in self.effects]
         solved = {one.name for one in there}
@@ -123,6 +122,7 @@ class CauseSearch:
             (i,): one.end for i, one in enumerate(responses) if one.end is not None
         }
         self.rows: dict[Which, SetRow] = {}
+        self.near: set[Which] = set()  # weighed where a search ended, not at their mode
 
     def _why(self, name: str) -> str:
         """Why solves with an effect failed."""
@@ -208,7 +208,7 @@ class CauseSearch:
             self.tick(f"solving {len(due)} sets of causes", 0.6 + 0.4 * min(1.0, wave / WAVES))
             for size in sorted({len(w) for w in due}):  # what fewer causes found, more begin with
                 self._solve([w for w in due if len(w) == size])
-            again = {w: larger for w in self.solved if w and (larger := self._outdoing(w))}
+            again = {w: larger for w in self.solved if (larger := self._outdoing(w))}
             again = {w: larger for w, larger in again.items() if (w, larger) not in retried}
             retried |= set(again.items())
             self._solve(list(again))
@@ -272,9 +272,10 @@ class CauseSearch:
         with ThreadPoolExecutor(max(1, self.fitting.cores)) as pool, threadpool_limits(1, user_api="blas"):
             results = list(pool.map(lambda which: self.solve(which, self.rows[which].evidence), sets))
         for which, one in zip(sets, results, strict=True):
-            if one is None or (which in self.solved and one.log_z <= self.solved[which].log_z):
-                continue
-            self.solved[which] = one
+            old = None if which in self.near else self.solved.get(which)
+            if one is not None and (old is None or one.log_z > old.log_z):
+                self.solved[which] = one
+                self.near.discard(which)
 
     def _weigh_more(self, sets: Sequence[Which]) -> None:
         """Sets of which only a guess was known, by the linear model."""
@@ -293,13 +294,11 @@ class CauseSearch:
             for which, one in zip(self.ends, pool.map(self._at_end, self.ends), strict=True):
                 if one.log_z > self.rows[which].evidence.total(SIZE_PRIORS) + PROMISED:
                     self.solved[which] = one
+                    self.near.add(which)
 
     def _at_end(self, which: Which) -> SolvedSet:
-        linear = self.rows[which].evidence
         forward = self.fitting.model((self.origins[which[0]].effect(),))
-        forward, point = self._corrected_at(forward, self.ends[which])
-        found, n_listed = self._around(which, forward, point, linear)
-        return SolvedSet(which, forward, point, self._delivered(found, forward, point, n_listed), n_listed)
+        return self._solved_at(which, forward, self.ends[which], self.rows[which].evidence)
 
     def _outdoing(self, which: Which) -> Which | None:
         """The best larger set, if it was solved with visibly more evidence, as where a mode was missed."""
@@ -314,7 +313,7 @@ class CauseSearch:
         rows = [
             replace(row, shift=shifts[w])
             if w in shifts
-            else replace(row, evidence=self.solved[w].evidence if w else row.evidence, solved=True)
+            else replace(row, evidence=self.solved[w].evidence.only(row.evidence.kinds), solved=True)
             for w, row in self.rows.items()
         ]
         guessed = {w: x for w, x in found.guessed.items() if w not in self.rows}
@@ -348,7 +347,7 @@ class CauseSearch:
         """Rms error of the log evidence of sets that were not solved, by what they are linear around."""
         found = {}
         for linear in self.linears:
-            own = [w for w in self.solved if w and self.linear_of(w) is linear]
+            own = [w for w in self.solved.keys() - self.near if w and self.linear_of(w) is linear]
             best = max((self.solved[w].log_z for w in own), default=0.0)
             near = [w for w in own if self.solved[w].log_z > best - NEAR]
             errors = np.array([self.gained(w) for w in near]) - self.shortfall(near, others=True)
@@ -358,18 +357,18 @@ class CauseSearch:
     @property
     def known(self) -> set[Which]:
         """Centres around which the linear model was seen to be right: solves would tell nothing new."""
-        solved = [self.linear_of(w).centre for w in self.solved]
+        solved = [self.linear_of(w).centre for w in self.solved.keys() - self.near]
         return {w for w, error in self.errors.items() if error < KNOWN and solved.count(w) >= CHECKED}
 
     def missed_by_set(self, found: CausePosterior) -> dict[Which, float]:
         """Probability that each set may have which was not solved, two errors of the linear model up."""
-        errors = self.errors
+        errors, known = self.errors, self.solved.keys() - self.near
         log = {
-            w: x if w in self.solved else x + 2.0 * errors[self.linear_of(w).centre]
+            w: x if w in known else x + 2.0 * errors[self.linear_of(w).centre]
             for w, x in found.log_joint.items()
         }
         total = logsumexp(list(log.values()))
-        return {w: math.exp(x - total) for w, x in log.items() if w not in self.solved}
+        return {w: math.exp(x - total) for w, x in log.items() if w not in known}
 
     def leader(self, found: CausePosterior) -> Which:
         """The most probable set of those that were solved."""
@@ -422,7 +421,8 @@ class CauseSearch:
 
     def _to_mode(self, order: Which, forward: SearchModel, point: Point, linear: SetEvidence) -> SolvedSet:
         """A set from a point near its mode, in turns of a search and of the errors beside it."""
-        kept, reference = None, linear
+        kept: SolvedSet | None = None
+        reference = linear
         # beside a discrepancy a lesser mode costs little: noise alone says first where the mode is
         for turn in range(TURNS):
             errors = reference.likely_variances(SIZE_PRIORS, alone=turn == 0)
@@ -433,26 +433,23 @@ class CauseSearch:
             else:  # the derivatives are fresh
                 moved = search.descend(point, STEPS)
                 point = search.refine(moved, 2, STEPS) if point.cost - moved.cost > PROMISED else point
-            forward, point = self._corrected_at(forward, point)
-            found, n_listed = self._around(order, forward, point, linear)
-            reference = self._delivered(found, forward, point, n_listed)
-            gained = math.inf if kept is None else reference.total(SIZE_PRIORS) - kept.log_z
+            one = self._solved_at(order, forward, point, linear)
+            forward, point, reference = one.forward, one.point, one.evidence
+            gained = math.inf if kept is None else one.log_z - kept.log_z
             if gained > 0.0:
-                kept = SolvedSet(order, forward, point, reference, n_listed)
+                kept = one
             if gained < PROMISED:
                 break
         assert kept is not None
         return kept
 
-    def _corrected_at(self, forward: SearchModel, point: Point) -> tuple[SearchModel, Point]:
-        """Less its discretisation error at a point; as it is where no finer solve succeeds there."""
-        try:
-            found = forward.corrected(point.u)
-        except SolveError:
-            return forward, point
-        if found is forward or (computed := self.fitting.counted(found)(point.u)) is None:
-            return forward, point
-        return found, replace(point, computed=computed)
+    def _solved_at(self, order: Which, forward: SearchModel, point: Point, linear: SetEvidence) -> SolvedSet:
+        """A set at a point, less the simulator's discretisation error there."""
+        exact = self.fitting.counted(forward.corrected(point.u))
+        if exact is not forward and (computed := exact(point.u)) is not None:
+            forward, point = exact, replace(point, computed=computed)
+        found, n_listed = self._around(order, forward, point, linear)
+        return SolvedSet(order, forward, point, self._delivered(found, forward, point, n_listed), n_listed)
 
     def _delivered(
         self, found: SetEvidence, forward: SearchModel, point: Point, n_listed: int
@@ -514,9 +511,8 @@ class CauseSearch:
         problem = replace(problem, amplitudes=tuple(int(i) for i in firsts))
         start = linear.log_noise[linear.best(SIZE_PRIORS)]
         change = point.computed - self.base.computed
-        found = SetModel(problem, causes, self.family).evidence(
-            linear.kinds, start, lambda V: without(self.jacobian, change, V)
-        )
+        signal = (lambda V: without(self.jacobian, change, V)) if order else None
+        found = SetModel(problem, causes, self.family).evidence(linear.kinds, start, signal)
         return found, n_listed
 
 
@@ -566,7 +562,8 @@ class CauseSets:
 
     def error(self, which: Which) -> float:
         """Rms error of the log evidence of a set."""
-        return 0.0 if which in self.solved else self._errors[self.search.linear_of(which).centre]
+        known = self.search.solved.keys() - self.search.near
+        return 0.0 if which in known else self._errors[self.search.linear_of(which).centre]
 
     @cached_property
     def _errors(self) -> dict[Which, float]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.diagnosis.coordinates import FAILURES
-from zoo.core.forward import Around, ForwardModel, Outputs, SolveError, content_key, pinned
+from zoo.core.forward import Around, ForwardModel, Outputs, SolveError, content_key, pinned, refined
 from zoo.core.inference.memo import Found, Memo, to_line
 from zoo.core.outputs import output_folder
 
@@ -83,6 +83,11 @@ class StoredModel(Around):
     def pinned(self, configuration: Any) -> ForwardModel:
         """Fix the discretisation at that of a solve."""
         return StoredModel(pinned(self.model, configuration), self._store)
+
+    def refined(self) -> ForwardModel | None:
+        """The finer model, whose solves are kept too."""
+        finer = refined(self.model)
+        return None if finer is None else StoredModel(finer, self._store)
 
     def solve(self, configuration: Any, outputs: Outputs | None = None) -> Array:
         """Take the series from the store, or solve and keep them."""

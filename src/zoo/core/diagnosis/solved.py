@@ -30,7 +30,7 @@ class SolvedSet:
         Its causes as the forward model has them, listed effects before functions.
     forward : SearchModel
     point : Point
-        `computed` includes what the baseline's own discretisation adds.
+        `computed` is without the simulator's discretisation error there, where it has a finer grid.
     evidence : SetEvidence
         Of listed effects by steps from the point, of functions by their weights, in the order of `order`.
     n_listed : int
