@@ -139,7 +139,7 @@ def test_the_second_of_two_that_the_data_do_not_tell_apart_is_named() -> None:
     leader, second, *_ = found.file.lines
     both_held = sum(row.probability for row in found.table if len(row.causes) == 2)
     assert re.match(rf"Most likely missing: steam, .* and by power, .* \({100 * both_held:.1f} %\)", leader)
-    assert re.match(r"Runner-up: (steam|by power) alone \(.* %; odds .* to 1 against it\)", second)
+    assert re.match(r"Runner-up: (steam|by power) alone \(.* %; the first is .* times as probable\)", second)
 
 
 # -- mistakes that ten solves show, and the solves themselves ---------------------------------------
@@ -578,3 +578,44 @@ def test_an_amplitude_without_an_upper_bound_counts_from_nothing() -> None:
     steam = adds("steam", "steam", "1/(min K)", 1e-3, 0.0, np.inf, 3e-4, 1e-3)
     [size] = told(tea(steam=6e-4), effects=[steam]).causes[0].estimates
     assert abs(size.mean - 6e-4) < 3 * size.sd < 1e-4
+
+
+# -- what a statistician doubted --------------------------------------------------------------------------
+
+
+def wave(noise: float = 0.05, **true: float) -> Data:
+    t = np.arange(64) * 0.15
+    values = swing({"a": 2.0, "b": 0.0, **true}, t)
+    values = values + noise * np.random.default_rng(30).standard_normal(len(t))
+    return Data(t, values, labels=["x"], units=["m"])
+
+
+def swing(c, t):  # type: ignore[no-untyped-def]
+    return c["a"] * np.sin((3.0 + c.get("faster", 0.0)) * (t - c.get("late", 0.0))) + c["b"]
+
+
+SWING = FunctionModel(
+    swing,
+    (Parameter("a", Normal(2.0, 0.5), "m"), Parameter("b", Normal(0.0, 0.5), "m")),
+    Outputs(("x",), np.arange(64) * 0.15),
+    "swing",
+)
+
+
+@pytest.mark.parametrize(("name", "true"), [("faster", 0.5), ("late", 1.0)])
+def test_a_start_that_is_the_truth_is_not_missed(name: str, true: float) -> None:
+    """The baseline alone has hardly any amplitude, and does not tell what one would do beside the effect."""
+    found = told(wave(**{name: true}), SWING, [adds(name, name, "1", 1.0, -10.0, 10.0, true)])
+    assert found.cause == [name]
+    [size] = found.causes[0].estimates
+    assert abs(size.mean - true) < 4 * size.sd < 0.02
+    assert found.file.base_parameters["leading set"]["a"] == pytest.approx(2.0, abs=0.05)
+
+
+def test_a_parameter_far_outside_its_prior_is_named() -> None:
+    found = told(wave(a=4.2), SWING, [])
+    assert any(
+        re.match(r"with the baseline alone, a = 4.\d* is far outside its prior", w)
+        for w in found.file.warnings
+    )
+    assert not any("outside its prior" in w for w in told(wave(a=3.0), SWING, []).file.warnings)

@@ -42,7 +42,8 @@ def with_sets(**probabilities: float) -> DiagnosisFile:
 def test_the_headline_has_size_and_probability_and_the_next_line_the_odds() -> None:
     lines = with_sets(bulge=0.9, bulge_and_kick=0.06, law=0.03, nothing=0.01).lines
     assert lines[0] == "Most likely missing: bulge, size = 0.298 ± 0.0028 (96.0 %)."
-    assert lines[1] == "Runner-up: law of the wall as a learned function (3.0 %; odds 32 to 1 against it)."
+    runner_up = "law of the wall as a learned function (3.0 %; the first is 32 times as probable)"
+    assert lines[1] == f"Runner-up: {runner_up}."
     assert lines[2] == "Possibly in addition: kick (6 %)."  # 0.06 / 0.96
     assert "Parameters of the baseline, before → with it: level 1.34 → 1.1 ± 0.0028." in lines
     assert any(line.startswith("Model error (rms beyond the noise of ") for line in lines)

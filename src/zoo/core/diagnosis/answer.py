@@ -447,12 +447,13 @@ def _excluded(excluded: Excluded | None, found: CauseSets, rows: list[int], unit
 
 
 def _parameters(found: CauseSets, draws: CauseDraws) -> dict[str, dict[str, float]]:
-    """Of the baseline: at its best fit, and over all sets of causes, with standard deviations."""
+    """Of the baseline: at its best fit, with the leading set, and over all sets; with their sds."""
     forward = found.search.fitting.forward
     names = [p.name for p in forward.parameters]
     n, rows = len(names), {}
     alone = [draw_set(found, found.search.fitted, 1.0, np.random.default_rng(0))]
-    for label, sets in (("base", alone), ("over all sets", draws.sets)):
+    leading = draws.holding(lambda which: which == found.leader)
+    for label, sets in (("base", alone), ("leading set", leading), ("over all sets", draws.sets)):
         u = np.concatenate([one.values(slice(0, n)) for one in sets])
         w = np.concatenate([one.weights for one in sets])
         x = np.stack([np.asarray(p.value(u[:, i])) for i, p in enumerate(forward.parameters)], axis=1)

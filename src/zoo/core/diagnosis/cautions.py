@@ -35,6 +35,8 @@ MISSED = 0.05
 """Probability that may be missed up to which it is not said."""
 FAILING = 0.05
 """Part of the solves that fail from which on it is said."""
+BEYOND = 5e-5
+"""Probability on either side of a prior beyond which a parameter is named: four sds of a normal one."""
 IMPLAUSIBLE = 2.5
 """Rms of a learned function, in its prior's scale, above which it is said that it can hardly be."""
 
@@ -103,6 +105,7 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
                 "hardly more than a constant would: it may not have been found; give priors nearer to it"
             )
     told += [one.text for _, one in at_bounds(found.search.fitting.forward, found.search.base.u)]
+    told += _beyond_priors(found)
     for name in found.search.idle:
         told.append(
             f"effect {name}: none of its starts changes any sample: it acts nowhere here, or is not read"
@@ -123,6 +126,24 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
         for f in c.functions[:1] if c.probability > 0.5 else ():
             told += _implausible(found, f, hooks)
     return told
+
+
+def _beyond_priors(found: CauseSets) -> list[str]:
+    """Parameters of the baseline that its fit, or the leading set, takes far outside their priors."""
+    told: dict[str, str] = {}
+    for name, one in (("the baseline alone", found.search.fitted), (None, found.solved[found.leader])):
+        forward = one.forward
+        for p, x in zip(forward.parameters[: forward.n_base], forward.theta(one.point.u), strict=False):
+            if p.name in told or p.parameter.prior.depends_on:
+                continue
+            low, high = np.asarray(p.parameter.prior.quantile([BEYOND, 1.0 - BEYOND]), dtype=np.float64)
+            if not low <= x <= high:
+                told[p.name] = (
+                    f"with {name or found.name(found.leader)}, {p.name} = {x:.3g} is far outside its prior "
+                    f"({low:.3g} to {high:.3g}, {1.0 - 2.0 * BEYOND:.2%}): if the prior or a unit is wrong, "
+                    "an effect that makes up for it is called a cause"
+                )
+    return list(told.values())
 
 
 def _implausible(found: CauseSets, learned: LearnedFunction, hooks: Hooks) -> list[str]:

@@ -185,6 +185,7 @@ class _Listed:
         for one in tried:
             jacobian = np.concatenate([self.problem.jacobian, one.columns / self.scales], axis=1)
             start = search.at(np.concatenate([self.base.u, one.values]), jacobian)
+            start.jacobian = search.differences(start, jacobian)  # there the parameters may do something else
             held.low = np.concatenate([self.forward.low[:k], one.values])
             held.high = np.concatenate([self.forward.high[:k], one.values])
             ends.append(Search(held, search.data, search.S).descend(start, STEPS // 2, GAIN))

@@ -144,8 +144,8 @@ def _runner_up(file: DiagnosisFile) -> str:
     if p > _holding(file, leader):
         return f"More probable, but not verified by a solve: {_causes(file, names)} ({_chance(p)})"
     odds = _holding(file, leader) / p if p > 0.0 else math.inf
-    against = f"odds {odds:.{0 if odds >= 10 else 1}f} to 1" if odds < 1e3 else "odds above 1000 to 1"
-    return f"Runner-up: {_causes(file, names)}{alone} ({_chance(p)}; {against} against it)"
+    times = f"{odds:.{0 if odds >= 10 else 1}f}" if odds < 1e3 else "more than 1000"
+    return f"Runner-up: {_causes(file, names)}{alone} ({_chance(p)}; the first is {times} times as probable)"
 
 
 def _further(file: DiagnosisFile) -> str:
@@ -171,8 +171,8 @@ def _components(file: DiagnosisFile) -> str:
 
 def _alike(file: DiagnosisFile) -> str:
     return "; ".join(
-        f"These data cannot distinguish {c.name} from {' or '.join(c.confounded)}: any of them is wrong with "
-        f"a probability of {percent(c.group_probability)}"
+        f"These data hardly distinguish {c.name} from {' or '.join(c.confounded)}: at least one of them is "
+        f"wrong with a probability of {_chance(c.group_probability, 0)}"
         for c in file.components
         if c.confounded
     )
@@ -200,7 +200,8 @@ def _held_out(file: DiagnosisFile) -> str:
 def _parameters(file: DiagnosisFile) -> str:
     if not file.cause:
         return ""
-    before, after = file.base_parameters["base"], file.base_parameters["over all sets"]
+    rows = file.base_parameters
+    before, after = rows["base"], rows.get("leading set", rows["over all sets"])
     names = [name for name in before if f"{name} sd" in before and before[f"{name} sd"] > 0.0]
     shift = {name: abs(after[name] - before[name]) / before[f"{name} sd"] for name in names}
     moved = sorted((name for name in names if shift[name] >= MOVED), key=lambda name: -shift[name])[:NAMED]
