@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Simulate = Callable[[dict[str, Any], Array], ArrayLike]
 Priors = Mapping[str, Prior | Parameter] | Mapping[str, Any]
-Causes = Sequence[Effect | FunctionOf]
+Causes = Sequence[Effect | FunctionOf] | Effect | FunctionOf
 
 
 class Running(TypedDict, total=False):
@@ -129,7 +129,7 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
     priors : mapping
         By name of parameter: a prior such as `zoo.Normal`, a frozen distribution of SciPy, or a
         `zoo.Parameter`, which has a unit too. Of a study: instead of some of its own.
-    effects : sequence of Effect or free function
+    effects : sequence of Effect or free function, or one
         What the simulator may lack, by `zoo.effect` and `zoo.free_function`. Of a study: names of the
         catalogue, too; all that fit the baseline if absent.
     labels, units : sequence of str

@@ -135,8 +135,10 @@ def test_a_frozen_distribution_of_scipy_is_a_prior() -> None:
     assert other.table[0].log_evidence == pytest.approx(one.table[0].log_evidence, abs=0.01)
     with pytest.raises(zoo.ParameterError, match="or a frozen continuous distribution of SciPy"):
         zoo.diagnose(TIMES, values, plain, {"b": 2.0, "m": 5.0}, [slope])
-    with pytest.raises(zoo.DiagnosisError, match="give a list of effects"):
-        zoo.diagnose(TIMES, values, plain, ours, slope)  # type: ignore[call-overload]
+    alone = zoo.diagnose(TIMES, values, plain, ours, slope, cores=1)  # one effect needs no list
+    assert alone.table[0].log_evidence == one.table[0].log_evidence
+    with pytest.raises(zoo.DiagnosisError, match="is no effect; give a list of functions"):
+        zoo.diagnose(TIMES, values, plain, ours, [plain])  # type: ignore[list-item]
     with pytest.raises(TypeError, match="missing a required argument: 'priors'"):
         zoo.diagnose(TIMES, values, plain)  # type: ignore[call-overload]
     with pytest.raises(zoo.ParameterError, match="prior 'b' is of a parameter named 'm'"):
