@@ -1,4 +1,4 @@
-"""The solver's error on the grid of a diagnosis, and what is left of it by two ways to extrapolate.
+"""The solver's error on the grids of a diagnosis and of blind cases, and what two ways to extrapolate leave.
 
     python -m benchmarks.grid_error [STUDIES]
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo import get_baseline, load_study
+from zoo.blood.blind.study_cases import GENERATOR
 from zoo.blood.diagnosis import SEARCH_SHARE
 from zoo.blood.forward import study_data
 from zoo.blood.solver import SolverOptions
@@ -42,6 +43,7 @@ def errors(study: str, softer: float = 1.0) -> dict[str, Array]:
         "cells and steps of half the size": by[2],
         "extrapolated from these two": by[2] + (by[2] - by[1]) / 3,
         "extrapolated from twice the size": solved(flow.options, -1 / 3),
+        "as blind cases are made": solved(GENERATOR),
     }
     return {way: np.sqrt(np.mean((series - true) ** 2, axis=1)) for way, series in ways.items()}
 
