@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
+import zoo
 from toys import EFFECTS, FUNCTIONS, KNOTS, MODEL, NOISE, PUSH, TIMES, bulge, data_of, hooks, kick, solve
 from zoo.core.causes.evidence import SetModel
 from zoo.core.causes.posterior import SetRow
@@ -157,6 +158,24 @@ def test_a_free_function_is_found_where_no_effect_is_the_cause() -> None:
     inside = (np.array(learned.low) <= true) & (true <= np.array(learned.high))
     assert inside.mean() > 0.8
     assert found.sets.search.gained(found.sets.leader) == pytest.approx(0.0, abs=0.5)  # linear in it
+
+
+def test_a_function_that_its_derivative_hides_is_found_beside_an_effect_of_its_component() -> None:
+    """A clock that runs fast: pulses move by more than their width, which no derivative shows."""
+    times = np.linspace(0.0, 1.0, 120)
+
+    def pulses(p: dict, at: np.ndarray) -> np.ndarray:
+        x = at - p["warp"](at) - p.get("lag", 0.0)
+        return p["height"] * sum(np.exp(-0.5 * ((x - middle) / 0.04) ** 2) for middle in (0.3, 0.7))
+
+    lag = zoo.effect("lag", size=0.05, family="clock")(lambda p, size: {**p, "lag": size})
+    warp = zoo.free_function("warp", along="time", size=0.05, component="clock")
+    fast = pulses({"height": 1.0, "warp": lambda at: 0.15 * (at - 0.25)}, times)
+    measured = fast + 0.002 * np.random.default_rng(1).standard_normal(120)
+    found = zoo.diagnose(times, measured, pulses, {"height": zoo.Normal(1.0, 0.5)}, [lag, warp], cores=1)
+    assert found.table[0].causes[0].startswith("warp")
+    assert found.table[0].probability > 0.9
+    assert found.file.gap.after_interval[1] < 0.01  # of pulses of height 1
 
 
 def test_two_causes_are_two() -> None:

@@ -377,8 +377,8 @@ class CauseSearch:
     def _due(self, found: CausePosterior, tried: set[Which], more: bool) -> list[Which]:
         """The leader without each of its causes, and leading sets if more are wanted, if not tried yet.
 
-        Where the linear model is `known` to be right only the most probable one. At first the best alone of
-        each component is among them.
+        Where the linear model is `known` to be right only the most probable one. At first every free function
+        alone is among them, which its derivative may hide, and the best listed effect of each component.
         """
         leader = self.leader(found)
         parts = [tuple(i for i in leader if i != left) for left in leader]
@@ -393,7 +393,8 @@ class CauseSearch:
                 due.append(which)
             total += p
             if len(which) == 1:
-                best.setdefault(self.causes[which[0]].component, which)
+                cause = self.causes[which[0]]
+                best.setdefault(cause.name if cause.free else cause.component, which)
         return due if len(tried) > 1 else due + [w for w in best.values() if w not in due]
 
     # -- one set with the simulator ----------------------------------------------------------------
