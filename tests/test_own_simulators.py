@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,14 +94,14 @@ def test_what_is_predicted_holds_the_truth_where_measured_and_later() -> None:
 
 
 def test_samples_that_stand_out_are_named_and_no_others() -> None:
-    warnings = told(tea((20, 50, 51), steam=6e-4)).file.warnings
-    assert any("tea: samples 20, 50, 51 stand out from their neighbours" in text for text in warnings)
+    said = told(tea((20, 50, 51), steam=6e-4)).file.warnings
+    assert any("tea: samples 20, 50, 51 stand out from their neighbours" in text for text in said)
 
 
 @pytest.mark.parametrize("odd", [(0,), (89,), (44,)])
 def test_a_sample_that_stands_out_anywhere_is_named(odd: tuple[int, ...]) -> None:
-    warnings = told(tea(odd)).file.warnings
-    assert any(f"tea: samples {odd[0]} stand out" in text for text in warnings)
+    said = told(tea(odd)).file.warnings
+    assert any(f"tea: samples {odd[0]} stand out" in text for text in said)
 
 
 def test_what_resembles_the_cause_is_not_named_in_its_place() -> None:
@@ -172,14 +173,70 @@ def test_a_simulator_that_differs_each_time_is_refused_after_two_solves() -> Non
 
 def test_an_effect_that_nothing_reads_is_named_within_ten_solves(monkeypatch: pytest.MonkeyPatch) -> None:
     counted = Counted()
-    typo = adds("steam", "stream", "1/(min K)", 1e-3, 0.0, 1e-2, 3e-4, 1e-3)
-    with pytest.warns(UserWarning, match=r"effect steam: size = 0.0003 and 0.001 changes no sample of cup"):
+    typo = adds("vapour", "stream", "1/(min K)", 1e-3, 0.0, 1e-2, 3e-4, 1e-3)
+    with pytest.warns(UserWarning, match=r"effect vapour: size = 0.0003 and 0.001 changes no sample of cup"):
         told(tea(), cups(counted), [typo, DRIFT])
     counted.at.clear()
     monkeypatch.setattr("zoo.core.diagnosis.diagnosis.freed", None)  # the search begins with it
-    with pytest.warns(UserWarning, match="effect steam"), pytest.raises(TypeError, match="not callable"):
+    with pytest.warns(UserWarning, match="effect vapour"), pytest.raises(TypeError, match="not callable"):
         told(tea(), cups(counted), [STEAM, DRIFT, typo])
     assert len(counted.at) <= 10
+
+
+def hotter(low: float) -> Effect:
+    @effect("hotter", unit="K", size=5.0, low=low, high=20.0)
+    def change(c, size):  # type: ignore[no-untyped-def]
+        """Sets the start itself: 7 K above the baseline's where the size is next to 0."""
+        return {**c, "start": 67.0 + size}
+
+    return change
+
+
+def checked_before_a_search(monkeypatch: pytest.MonkeyPatch, *effects: Effect) -> tuple[list[str], int]:
+    """Warnings of what is looked at before a search, and solves."""
+    counted = Counted()
+    monkeypatch.setattr("zoo.core.diagnosis.diagnosis.freed", None)  # the search begins with it
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        with pytest.raises(TypeError, match="not callable"):
+            told(tea(), cups(counted), effects)
+    return [str(one.message) for one in said], len(counted.at)
+
+
+def test_an_effect_that_is_not_the_baseline_at_size_0_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    [warning], solves = checked_before_a_search(monkeypatch, hotter(0.0), STEAM, DRIFT)
+    rms = 7.0 * np.sqrt(np.mean(np.exp(-0.06 * MINUTES) ** 2))  # the rate's prior has its median there
+    assert f"effect hotter: size = 5e-12 already changes tea of cup by {rms:.2g} K (rms)" in warning
+    assert solves <= 6  # the baseline twice, one for each effect, and the sizes of the one that is amiss
+
+
+def test_an_effect_whose_bounds_hold_no_0_may_replace_a_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert checked_before_a_search(monkeypatch, hotter(0.1))[0] == []
+
+
+def test_one_effect_under_two_names_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    vapour = adds("vapour", "steam", "1/(min K)", 1e-3, 0.0, 1e-2, 3e-4, 1e-3)
+    [warning], _ = checked_before_a_search(monkeypatch, STEAM, DRIFT, vapour)
+    assert warning.startswith("effects steam and vapour do the same to cup: leave one of them out")
+
+
+def test_an_effect_or_free_function_that_is_given_twice_is_refused() -> None:
+    with pytest.raises(DiagnosisError, match="effects: steam is given twice; give it once, or another name"):
+        told(tea(), effects=[STEAM, DRIFT, STEAM])
+    friction = zoo.free_function("steam", along="velocity", size=1.0)
+    for effects in ([friction, friction], [friction, STEAM]):
+        with pytest.raises(DiagnosisError, match="effects: steam is given twice"):
+            zoo.diagnose(tea(), cups(), effects)
+
+
+def test_a_misspelt_prior_is_told_with_the_nearest_name() -> None:
+    priors = {"rate": PRIORS[0], "strat": Normal(60.0, 5.0)}
+    with pytest.raises(KeyError) as caught:
+        zoo.diagnose(MINUTES, tea().values, cup, priors, [STEAM])
+    assert (
+        "no prior is named 'start': did you mean 'strat'? use one of rate, strat" in caught.value.__notes__[0]
+    )
+    assert "SolveError" not in caught.value.__notes__[0]
 
 
 @pytest.mark.parametrize("start", [0.0, 1.0])

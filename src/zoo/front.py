@@ -273,6 +273,11 @@ def _diagnose_data(
         )
     free = [one for one in effects if isinstance(one, FunctionOf)]
     listed = [one for one in effects if not isinstance(one, FunctionOf)]
+    for one in free:
+        if [each.name for each in effects].count(one.name) > 1:
+            raise diagnosis.DiagnosisError(
+                f"effects: {one.name} is given twice; give it once, or another name to one of them"
+            )
     if free:
 
         def components(model: ForwardModel, theta: Array, data: Data) -> list[FreeFunction]:

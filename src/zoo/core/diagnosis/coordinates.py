@@ -15,6 +15,7 @@ from zoo.core.effects import AddedEffect, with_effects
 from zoo.core.errors.spectral import Spectral
 from zoo.core.forward import Corrected, ForwardModel, Outputs, SolveError, refined
 from zoo.core.parameters import FrozenPrior, LogNormal, LogUniform, Normal, Parameter, start_of, unpack
+from zoo.core.words import choices
 
 Array = NDArray[np.float64]
 
@@ -127,7 +128,14 @@ class SearchModel:
         except Exception as error:
             values = zip(self.parameters, self.theta(u), strict=True)
             at = ", ".join(f"{p.name} = {x:.6g}" for p, x in values)
-            error.add_note(f"{self.model.name} was solved with {at}; raise SolveError if none exists there")
+            asked, names = (
+                error.args[:1] if isinstance(error, KeyError) else (),
+                [p.name for p in self.parameters],
+            )
+            advice = "raise SolveError if none exists there"
+            if asked and isinstance(asked[0], str) and asked[0] not in names:
+                advice = f"no prior is named {asked[0]!r}: {choices(asked[0], names)}"
+            error.add_note(f"{self.model.name} was solved with {at}; {advice}")
             raise
         if reason is not None:
             self.failures += 1

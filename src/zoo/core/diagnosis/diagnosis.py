@@ -275,7 +275,11 @@ def _checked(
     _same_outputs(data, model)
     if isinstance(effects, str | Effect) or not all(isinstance(one, Effect) for one in effects):
         raise DiagnosisError(f"effects = {effects!r}: give a list of effects")
-    for one in effects:
+    for i, one in enumerate(effects):
+        if one.name in [other.name for other in effects[:i]]:
+            raise DiagnosisError(
+                f"effects: {one.name} is given twice; give it once, or another name to one of them"
+            )
         if not one.offered(model.name):
             only = ", ".join(one.baselines)
             raise EffectError(f"effect {one.name}: cannot be added to {model.name}, only to {only}")

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import pickle
 import time
 import warnings
 from collections.abc import Callable, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
+from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.file import DiagnosisError
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.effects import Effect
 from zoo.core.forward import ForwardModel
-from zoo.core.words import listed
+from zoo.core.words import listed, unit_words
+
+Array = NDArray[np.float64]
 
 MOST = 10
 """Solves at most."""
 STEADY = 1e-6
 """Rms difference of two solves at the same parameters, in parts of the range, up to which they are one."""
+NEAR = 1e-12
+"""Part of an effect's first start at which it has to be as good as absent."""
 SEARCH = 190
 """Solves that a search of two parameters and two effects takes; others take it in proportion."""
 
@@ -42,7 +51,8 @@ def preflight(
     Warns
     -----
     UserWarning
-        Of an effect none of whose starts changes a sample, as where the simulator does not read what it sets.
+        Of an effect none of whose starts changes a sample, as where the simulator does not read what it sets;
+        of one that changes the series even at a size next to 0; of two that do the same.
     """
     began, baseline = time.monotonic(), fitting.forward
     first, again = baseline(baseline.start), fitting.model(baseline=model)(baseline.start)
@@ -54,18 +64,32 @@ def preflight(
             f"{model.name}: two solves at the same parameters differ by {apart:.2g} of the data's range: fix "
             "its random numbers, by a seed inside of the simulator, so that it computes the same each time"
         )
-    solves = 2
+    solves, seen = 2, dict[bytes | str, str]()
     for one in effects:
         places, starts = one.locations(model), one.parameters[0].starts
-        if len(places) != 1 or solves + len(starts) > MOST:
+        if len(places) != 1:
             continue
-        changed = fitting.model((one.at(places[0]),))
-        for start in starts:
+        changed, amplitude = fitting.model((one.at(places[0]),)), one.parameters[0]
+        same = seen.setdefault(_configured(changed) or one.name, one.name)
+        if same != one.name:
+            warnings.warn(
+                f"effects {same} and {one.name} do the same to {model.name}: leave one of them out, since "
+                "their probability is divided between them",
+                stacklevel=2,
+            )
+        if solves + 1 + len(starts) > MOST:
+            continue
+        continuous = amplitude.low <= 0.0 <= amplitude.high  # else it replaces a part at any size
+        for start in [NEAR * starts[0]] * continuous + list(starts):
             u = changed.start
             u[baseline.n_base] = changed.parameters[baseline.n_base].coordinate(start)
             solves += 1
             series = changed(u)
-            if series is None or (series != first).any():
+            if series is None:
+                break
+            if (series != first).any():
+                if start not in starts and fitting.family.relative(series - first) > STEADY:
+                    warnings.warn(_jump(fitting, changed, u, start), stacklevel=2)
                 break
         else:
             sizes = listed(f"{x:g}" for x in starts)
@@ -78,3 +102,27 @@ def preflight(
     size = (len(baseline.low) + len(effects)) / 4.0
     least = SEARCH * size
     tick(f"at least {least:.0f} solves of {seconds:.2g} s: {least * seconds / 60.0:.1g} min", 0.0)
+
+
+def _configured(changed: SearchModel) -> bytes | None:
+    """What is solved with an effect at its first start, to compare it with another's; None if unknown."""
+    try:
+        return pickle.dumps(changed.model.configure(changed.theta(changed.start)), protocol=5)
+    except Exception:  # what is wrong with it is told where it is solved
+        return None
+
+
+def _jump(fitting: Fitting, changed: SearchModel, u: Array, size: float) -> str:
+    """That an effect changes the series where its size is next to 0: which one, and by how much."""
+    data, model, [one] = fitting.data, fitting.forward, changed.added
+    found, without = changed.series(u), model.series(model.start)
+    assert found is not None
+    assert without is not None
+    rms = np.sqrt(np.mean((found - without) ** 2, axis=1))
+    i = int(np.argmax(rms / np.ptp(data.values, axis=1)))
+    much = f"{data.labels[i]} of {model.model.name} by {rms[i]:.2g}{unit_words(data.units[i])} (rms)"
+    return (
+        f"effect {one.name}: {one.effect.parameters[0].name} = {size:.2g} already changes {much}, although 0 "
+        "is the baseline: let what its function changes vanish with the size; if it replaces a part of the "
+        "simulator, give it bounds without 0"
+    )
