@@ -9,6 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from zoo.core.diagnosis import DiagnosisFile, read_diagnosis
+from zoo.core.diagnosis.cautions import undecided
 from zoo.core.diagnosis.file import NextMeasurement, SetResult
 from zoo.core.diagnosis.wording import worded
 from zoo.core.words import percent
@@ -61,7 +62,7 @@ def test_what_is_certain_to_all_digits_is_not_called_certain() -> None:
         ({"nothing": 0.8, "bulge": 0.2}, "No listed cause explains the model error of 0.25 K (80.0 %)"),
         (
             {"bulge": 0.4, "law": 0.35, "nothing": 0.25},
-            "Most likely wrong: wall (75.0 %); best explanation verified by a solve: bulge, size = 0.298 ± "
+            "Most likely wrong: wall (75.0 %); best explanation of those simulated: bulge, size = 0.298 ± "
             "0.0028 (40 %)",
         ),
         (
@@ -88,9 +89,33 @@ def test_noise_alone_doubt_and_a_next_measurement_are_told() -> None:
     measure = NextMeasurement(separates=("a", "b"), expected_log_odds=2.0, text="the level at night")
     told = worded(file.model_copy(update={"decided": False, "next_measurement": measure, "warnings": ["w"]}))
     assert told.verdict.startswith("Not decided, see the warnings. ")
-    decide = "What would decide: the level at night, which tells a from b (expected log odds up to 2.0)."
+    decide = "What would decide: the level at night, which tells a from b (expected odds up to 7.4 to 1)."
     assert decide in told.lines
     assert told.lines[-1] == "Warning: w."
+
+
+@pytest.mark.parametrize(("other", "changes"), [(0.6, True), (0.2, False)])
+def test_what_changes_with_which_prior_is_told(other: float, changes: bool) -> None:
+    stated = FILE.sensitivity[0].model_copy(update={"components": {"wall": 0.9, "inflow": 0.1}})
+    doubled = stated.model_copy(
+        update={"prior": "odds doubled", "components": {"wall": 0.95, "inflow": other}}
+    )
+    file = FILE.model_copy(update={"sensitivity": [stated, stated, doubled]})
+    same = "Priors varied in 2 ways: the same answer each time (wall 90 % to 95 %)."
+    moved = "Priors varied in 2 ways: the answer changes with odds doubled (inflow 10 % → 60 %)."
+    assert (moved if changes else same) in worded(file).lines
+    told = "the answer depends on the prior: it changes with odds doubled (inflow 10 % → 60 %)"
+    assert (told in undecided(file, 4)) == changes
+
+
+def test_what_was_only_estimated_is_told() -> None:
+    estimated = "combinations of causes that were only estimated by a linear model, not simulated"
+    near = FILE.model_copy(update={"missed": 0.4, "linear_error": 1.0})
+    assert f"Up to 40 % of the probability may belong to {estimated}." in worded(near).lines
+    far = FILE.model_copy(update={"missed": 0.4, "linear_error": 7.0})
+    assert not any(estimated in line for line in worded(far).lines)
+    told = f"up to 40 % of the probability may belong to {estimated}: their log evidence may be off by 7"
+    assert told in undecided(far, 4)
 
 
 def test_a_long_answer_is_cut_where_it_is_printed() -> None:

@@ -41,13 +41,22 @@ IMPLAUSIBLE = 2.5
 """Rms of a learned function, in its prior's scale, above which it is said that it can hardly be."""
 
 
+def changed_by_priors(file: DiagnosisFile) -> list[str]:
+    """Other priors under which other components are more probably wrong than not, and which these are."""
+    stated, *others = file.sensitivity
+    told = []
+    for row in others:
+        p, q = stated.components, row.components
+        if moved := [f"{x} {percent(p[x])} → {percent(q[x])}" for x in sorted(row.wrong ^ stated.wrong)]:
+            told.append(f"{row.prior} ({listed(moved)})")
+    return told
+
+
 def undecided(file: DiagnosisFile, most: int) -> list[str]:
     """Why an answer is not decided; empty if it is."""
     told = []
-    stated, *others = file.sensitivity
-    moved = [row.prior for row in others if row.wrong != stated.wrong]
-    if moved:
-        told.append(f"the answer depends on the prior: it changes with {', '.join(moved)}")
+    if moved := changed_by_priors(file):
+        told.append(f"the answer depends on the prior: it changes with {listed(moved)}")
     if len(file.number) > most and file.number[most] > 0.5:
         told.append(
             f"{most} components come out as wrong, the most that is allowed: no set of causes fits down to "
@@ -59,13 +68,14 @@ def undecided(file: DiagnosisFile, most: int) -> list[str]:
     best = [row.probability for row in file.sets if (lead <= set(row.causes) if lead else not row.causes)]
     if file.missed > 0.5 > math.fsum(best):
         told.append(
-            f"sets of causes with up to {percent(file.missed)} of the probability were not solved, or could "
-            "not be: what is called best is the best of the others"
+            f"combinations of causes with up to {percent(file.missed)} of the probability were not "
+            "simulated, or could not be: what is called best is the best of the others"
         )
     if file.linear_error > WRONG and file.missed > MISSED:
         told.append(
-            f"the log evidence of sets that no solve verified may be off by {file.linear_error:.0f}: "
-            f"{percent(file.missed)} of the probability may be theirs"
+            f"up to {percent(file.missed)} of the probability may belong to combinations of causes that were "
+            f"only estimated by a linear model, not simulated: their log evidence may be off by "
+            f"{file.linear_error:.0f}"
         )
     return told
 

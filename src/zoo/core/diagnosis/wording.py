@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from zoo.core.diagnosis.cautions import WRONG
+from zoo.core.diagnosis.cautions import WRONG, changed_by_priors
 from zoo.core.diagnosis.file import DiagnosisFile, Estimate, StateFile
 from zoo.core.effects import Location
 from zoo.core.words import digits, estimate, listed, percent, span, unit_words
@@ -19,7 +19,7 @@ SURE_PLACE = 0.95
 MOVED = 1.0
 """Shift of a parameter, in its standard deviations, from which on it is named."""
 UNVERIFIED = 0.005
-"""Probability of sets that no solve verified, from which on it is stated."""
+"""Probability of sets that were not solved, from which on it is stated."""
 VISITED = 0.1
 """Part of a state's range that the study does not visit, from which on it is stated."""
 MILLI = 0.1
@@ -119,9 +119,7 @@ def _headline(file: DiagnosisFile) -> str:
         text = f"Most likely missing: {best} ({_chance(held)})"
     elif wrong:
         parts = listed(f"{c.name} ({_chance(c.probability)})" for c in wrong)
-        text = (
-            f"Most likely wrong: {parts}; best explanation verified by a solve: {best} ({_chance(held, 0)})"
-        )
+        text = f"Most likely wrong: {parts}; best explanation of those simulated: {best} ({_chance(held, 0)})"
     else:
         text = f"These data do not decide; best explanation: {best} ({_chance(held, 0)})"
     if not file.decided:  # what must not be believed is said before what comes out
@@ -142,7 +140,8 @@ def _runner_up(file: DiagnosisFile) -> str:
     names, p = rival
     alone = " alone" if names and names < leader else ""
     if p > _holding(file, leader):
-        return f"More probable, but not verified by a solve: {_causes(file, names)} ({_chance(p)})"
+        estimated = "More probable, but only estimated by a linear model, not simulated"
+        return f"{estimated}: {_causes(file, names)} ({_chance(p)})"
     odds = _holding(file, leader) / p if p > 0.0 else math.inf
     times = f"{odds:.{0 if odds >= 10 else 1}f}" if odds < 1e3 else "more than 1000"
     return f"Runner-up: {_causes(file, names)}{alone} ({_chance(p)}; the first is {times} times as probable)"
@@ -216,9 +215,9 @@ def _parameters(file: DiagnosisFile) -> str:
 
 def _sensitivity(file: DiagnosisFile) -> str:
     stated, *others = file.sensitivity
-    moved = [row.prior for row in others if row.wrong != stated.wrong]
-    if moved:
-        return f"Other priors: the answer changes with {listed(moved)}"
+    varied = f"Priors varied in {len(others)} ways"
+    if moved := changed_by_priors(file):
+        return f"{varied}: the answer changes with {listed(moved)}"
     ranges = []
     for name in sorted(stated.wrong, key=lambda name: -stated.components[name]):
         low, *_, high = sorted(row.components[name] for row in file.sensitivity)
@@ -226,7 +225,7 @@ def _sensitivity(file: DiagnosisFile) -> str:
         ranges.append(f"{name} {' to '.join(ends)}")
     if not ranges:
         ranges = [f"no cause {percent(min(row.nothing for row in file.sensitivity))} or more"]
-    return f"Other priors: the same answer with all {len(others)} ({', '.join(ranges)})"
+    return f"{varied}: the same answer each time ({', '.join(ranges)})"
 
 
 def _next(file: DiagnosisFile) -> str:
@@ -234,9 +233,10 @@ def _next(file: DiagnosisFile) -> str:
     if one is None:
         return ""
     first, second = one.separates
+    odds = f"{math.exp(one.expected_log_odds):.2g}" if one.expected_log_odds < 6.9 else "more than 1000"
     return (
-        f"What would decide: {measurement(file)}, which tells {first} from {second} (expected log odds up to "
-        f"{one.expected_log_odds:.1f})"
+        f"What would decide: {measurement(file)}, which tells {first} from {second} (expected odds up to "
+        f"{odds} to 1)"
     )
 
 
@@ -260,7 +260,8 @@ def measurement(file: DiagnosisFile) -> str:
 def _unverified(file: DiagnosisFile) -> str:
     if file.missed < UNVERIFIED or file.linear_error > WRONG:  # above it a warning says so
         return ""
-    return f"Sets of causes that no solve verified may hold up to {percent(file.missed)} of the probability"
+    estimated = "combinations of causes that were only estimated by a linear model, not simulated"
+    return f"Up to {percent(file.missed)} of the probability may belong to {estimated}"
 
 
 def _states(file: DiagnosisFile) -> list[str]:
