@@ -6,6 +6,7 @@ import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,6 +52,9 @@ PRIORS = (
     Parameter("rate", LogUniform(6e-3, 0.6), "1/min", log=True),
     Parameter("start", Normal(60.0, 5.0), "K"),
 )
+
+
+PRIOR_BY_NAME = {one.name: one for one in PRIORS}
 
 
 def cups(function=cup, times=MINUTES, series=("tea",)) -> FunctionModel:  # type: ignore[no-untyped-def]
@@ -237,6 +241,34 @@ def test_a_misspelt_prior_is_told_with_the_nearest_name() -> None:
         "no prior is named 'start': did you mean 'strat'? use one of rate, strat" in caught.value.__notes__[0]
     )
     assert "SolveError" not in caught.value.__notes__[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"simulate": lambda c: cup(c, MINUTES)}, r"simulate = .*is called as simulate\(parameters, times\)"),
+        ({"simulate": lambda rate, start, t: t}, r"simulate\(parameters, times\), with a dict.*: missing a"),
+        ({"simulate": MINUTES}, r"simulate = array.*is called as simulate\(parameters, times\)"),
+        ({"simulate": lambda c, t: None}, "cannot be solved .*: returns None; let it return its series"),
+        ({"priors": list(PRIORS)}, "priors = .*: give a dict by name of parameter"),
+        ({"priors": {"rate": 0.06, "start": Normal(60.0, 5.0)}}, "prior rate = 0.06: give one of zoo"),
+    ],
+)
+def test_what_does_not_fit_the_short_case_is_told(change: dict[str, Any], told: str) -> None:
+    given = {"times": MINUTES, "measured": tea().values, "simulate": cup, "priors": PRIOR_BY_NAME} | change
+    with pytest.raises(ValueError, match=told):
+        zoo.diagnose(**given, effects=[STEAM], progress=False)
+
+
+def test_an_effect_of_other_arguments_is_refused_where_it_is_made() -> None:
+    with pytest.raises(
+        EffectError, match=r"effect leak: is called as \(parameters, size\): .*'where'.*locations="
+    ):
+        effect("leak", size=1.0)(lambda c, size, where: c)
+    with pytest.raises(EffectError, match=r"effect leak: is called as \(parameters, values, location\): "):
+        effect("leak", parameters=STEAM.parameters)(lambda c, values: c)
+    with pytest.raises(EffectError, match=r"effect leak: is called as \(parameters, size, location\): "):
+        effect("leak", size=1.0, locations=lambda model: ())(lambda c, size: c)
 
 
 @pytest.mark.parametrize("start", [0.0, 1.0])

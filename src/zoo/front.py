@@ -19,6 +19,7 @@ from zoo.core.effects import Effect
 from zoo.core.errors.spectral import Spectral
 from zoo.core.forward import ForwardModel, FunctionModel, Outputs, at_all_times
 from zoo.core.parameters import Parameter, Prior, as_parameters
+from zoo.core.user_code import unfit
 from zoo.core.words import refuse_unknown
 
 if TYPE_CHECKING:
@@ -240,6 +241,11 @@ def _diagnose_series(
     def bound(
         name: str, times: ArrayLike, measured: ArrayLike, simulate: Simulate, period: float | None
     ) -> OtherState:
+        if wrong := unfit(simulate, 2):
+            raise diagnosis.DiagnosisError(
+                f"simulate = {simulate!r:.60}: is called as simulate(parameters, times), with a dict of "
+                f"parameters by name: {wrong}"
+            )
         data = Data(np.asarray(times), np.asanyarray(measured), labels, units, period=period, name=name)
         called = getattr(simulate, "__name__", "simulator")
         whole = np.asarray(times, dtype=np.float64)

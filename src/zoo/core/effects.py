@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from zoo.core.forward import Around, ForwardModel, content_key, function_text, refined
 from zoo.core.parameters import Normal, Parameter, n_values
-from zoo.core.user_code import run_file
+from zoo.core.user_code import run_file, unfit
 from zoo.core.words import nearest
 
 Array = NDArray[np.float64]
@@ -346,7 +346,8 @@ def effect(
     Raises
     ------
     EffectError
-        If neither or both of `size` and `parameters` are given, or the size is not positive.
+        If neither or both of `size` and `parameters` are given, the size is not positive, or the function
+        takes other arguments.
 
     Examples
     --------
@@ -370,7 +371,13 @@ def effect(
         known = (replace(known[0], why=why), *known[1:])
     located = not (locations is everywhere or isinstance(locations, EverywhereIf))
 
+    called = ["parameters", "values" if parameters else "size", "location"]
+    called = called if parameters or located else called[:2]
+
     def make(change: Change) -> Effect:
+        if wrong := unfit(change, len(called)):
+            hint = "" if located else "; one that acts at a place has locations="
+            raise EffectError(f"effect {name}: is called as ({', '.join(called)}): {wrong}{hint}")
         return Effect(
             name, known, _Guarded(name, known, change, located, not parameters), locations, family,
             (change.__doc__ or "").strip(), equation, source, signature, tuple(baselines),

@@ -310,7 +310,10 @@ class FunctionModel:
             If the function raises one, or returns another shape or what is not finite.
         """
         wanted = outputs or self.outputs
-        values = np.atleast_2d(np.asarray(self.function(configuration, wanted.times), dtype=np.float64))
+        returned = self.function(configuration, wanted.times)
+        if returned is None:
+            raise SolveError(f"{self.name}: returns None; let it return its series", "shape")
+        values = np.atleast_2d(np.asarray(returned, dtype=np.float64))
         if values.shape != wanted.shape:
             turned = "; give its transpose" if values.T.shape == wanted.shape else ""
             what = f"series of shape {values.shape}, wanted {wanted.shape}{turned}"

@@ -93,9 +93,13 @@ def as_parameters(priors: Mapping[str, Any]) -> tuple[Parameter, ...]:
     ParameterError
         If one is none of these, or a `Parameter` has another name.
     """
+    if not isinstance(priors, Mapping):
+        raise ParameterError(
+            f"priors = {priors!r:.80}: give a dict by name of parameter, such as {{'k': zoo.Normal(80, 5)}}"
+        )
     found = []
     for name, given in priors.items():
-        p = given if isinstance(given, Parameter) else Parameter(name, as_prior(given))
+        p = given if isinstance(given, Parameter) else Parameter(name, as_prior(given, name))
         if p.name != name:
             raise ParameterError(f"prior {name!r} is of a parameter named {p.name!r}: give both one name")
         found.append(p)

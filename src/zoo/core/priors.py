@@ -586,12 +586,14 @@ class FrozenPrior(Prior):
         return self.words
 
 
-def as_prior(given: Any) -> Prior:
+def as_prior(given: Any, name: str = "") -> Prior:
     """A prior from itself or from a frozen continuous distribution of SciPy.
 
     Parameters
     ----------
     given : Prior or scipy.stats.rv_continuous_frozen
+    name : str
+        Of its parameter, for the error.
 
     Returns
     -------
@@ -612,8 +614,8 @@ def as_prior(given: Any) -> Prior:
         return given
     if not (hasattr(given, "logpdf") and hasattr(given, "dist")):
         raise ParameterError(
-            f"prior {given!r}: give one of zoo, such as zoo.Normal(80, 5), or a frozen continuous "
-            "distribution of SciPy, such as scipy.stats.gamma(2, scale=0.5)"
+            f"prior {f'{name} = ' * bool(name)}{given!r:.80}: give one of zoo, such as zoo.Normal(80, 5), or "
+            "a frozen continuous distribution of SciPy, such as scipy.stats.gamma(2, scale=0.5)"
         )
     words = [f"{x:g}" for x in given.args] + [f"{name}={x:g}" for name, x in given.kwds.items()]
     return FrozenPrior(f"{given.dist.name}({', '.join(words)})", given)

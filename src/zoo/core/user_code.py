@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
@@ -78,3 +79,29 @@ class _Beside:
         while frame.f_back is not None and "importlib" in frame.f_code.co_filename:
             frame = frame.f_back
         return Path(frame.f_globals.get("__file__") or "").parent == Path(self.folder)
+
+
+def unfit(function: Callable[..., Any], arguments: int) -> str:
+    """Why a function cannot be called with so many arguments; empty if it can, or if that is not known.
+
+    Parameters
+    ----------
+    function : callable
+    arguments : int
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> unfit(lambda c: c, 2), unfit(lambda c, t: t, 2)
+    ('too many positional arguments', '')
+    """
+    try:
+        inspect.signature(function).bind(*range(arguments))
+    except TypeError as error:
+        return str(error)
+    except ValueError:  # some that are built in have no signature
+        pass
+    return ""
