@@ -207,6 +207,18 @@ def test_compare_samples_what_is_missing_and_writes_table_and_figures(
     assert "model B: posterior of B.nc" in found
 
 
+def test_compare_finds_what_sample_wrote_under_its_own_name(
+    sampled: tuple[Path, str], tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(sampled[0], tmp_path / "A-tiny.nc")
+    (tmp_path / "A.nc").write_bytes(b"of something else")
+    monkeypatch.chdir(tmp_path)
+    found = run("compare", tiny.resolve(), "--models", "A", "--no-figures", "--n-draws", 40)
+    assert "passed over: A.nc: " in found
+    assert "model A: posterior of A-tiny.nc" in found
+    assert "sampled" not in found
+
+
 def test_compare_is_red_on_a_model_made_worse_and_green_again(
     sampled: tuple[Path, str], tiny: Path, tmp_path: Path
 ) -> None:

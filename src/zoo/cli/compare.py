@@ -36,8 +36,8 @@ def compare(
         list[Path] | None,
         typer.Option(
             "--posteriors",
-            help="A file, or a folder of files, from `zoo sample`; may be repeated. A.nc and so on in the "
-            "working directory are found without.",
+            help="A file, or a folder of files, from `zoo sample`; may be repeated. A.nc or A-STUDY.nc and "
+            "so on in the working directory are found without.",
         ),
         Role.SEARCHED,
         Role.ASIDE,
@@ -188,17 +188,18 @@ def _posteriors_of(
     found: dict[str, Any] = {}
     for name in names:
         built[name] = build_model(name, study)
-        there = files.pop(name, Path(f"{name}.nc"))
-        wrong = None
-        if there.is_file() and there not in named:  # of a folder: those that do not belong are passed over
-            try:
-                wrong = mismatch(load(there), built[name])
-            except ResultsError as error:
-                wrong = str(error).removeprefix(f"{there}: ")
-        if wrong:
+        here = [Path(f"{name}.nc"), Path(f"{name}-{study.name}.nc")]  # as `zoo sample` calls it
+        for there in [files.pop(name)] if name in files else [path for path in here if path.is_file()]:
+            wrong = None
+            if there not in named:  # of a folder: those that do not belong are passed over
+                try:
+                    wrong = mismatch(load(there), built[name])
+                except ResultsError as error:
+                    wrong = str(error).removeprefix(f"{there}: ")
+            if not wrong:
+                files[name] = there
+                break
             say(f"passed over: {there}: {wrong}")
-        elif there.is_file():
-            files[name] = there
         if name in files and not fresh:
             found[name] = load_posterior(files[name], built[name])
             say(f"model {name}: posterior of {files[name]}")
