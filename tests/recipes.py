@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def snippets(heading: str, language: str) -> list[str]:
     """Code blocks of a language in a section of docs/extending.md."""
     text = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
-    section = re.split(rf"^### {re.escape(heading)}$", text, maxsplit=1, flags=re.M)[1]
+    section = re.split(rf"^## {re.escape(heading)}$", text, maxsplit=1, flags=re.M)[1]
     section = re.split(r"^##", section, maxsplit=1, flags=re.M)[0]
     return re.findall(rf"^```{language}\n(.*?)^```", section, flags=re.S | re.M)
 

@@ -75,8 +75,8 @@ class ErrorModel(ABC):
         values : mapping of name to number
             Of the parameters, each a scalar or a vector of its size.
         decomposition : {"sequential", "leave-one-out"}
-            log p(y_i | y_<i), which add up to the joint log-density, or log p(y_i | y_-i), y the data's
-            coefficients, which are the data themselves unless there is a `transform`.
+            ``log p(y_i | y_<i)``, which add up to the joint log-density, or ``log p(y_i | y_-i)``, y the
+            data's coefficients, which are the data themselves unless there is a `transform`.
         """
 
     def gradient(
@@ -224,8 +224,8 @@ class ErrorModel(ABC):
         draws : mapping of name to array (n_draws, ...)
             Of the parameters.
         decompositions : sequence of str
-            Of "sequential", log p(y_i | y_<i); "leave-one-out", log p(y_i | y_-i); "joint", log p(y), the
-            log-density of all observations together.
+            Of "sequential", ``log p(y_i | y_<i)``; "leave-one-out", ``log p(y_i | y_-i)``; "joint", log p(y),
+            the log-density of all observations together.
 
         Returns
         -------
