@@ -11,7 +11,7 @@
 #include <stdint.h>
 
 /* cffi:begin */
-enum { ZOO_ABI = 9 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
+enum { ZOO_ABI = 10 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
 
 enum zoo_status {
     ZOO_OK = 0,
@@ -118,6 +118,12 @@ typedef struct {
                                        * positive, single ones may be negative as long as R1 outweighs these: the
                                        * terminal takes energy at every frequency then */
     const double *section_compliance; /* [n_vessels][n_sections] shares of C, of the resistance's sign */
+    int32_t n_modes;                  /* damped oscillations of each terminal's response to a unit of volume, which are
+                                       * added to its circuit */
+    double mode_rate;                 /* 1/s, s in psi1 exp(-s t) (a cos(w t) + b sin(w t)), positive */
+    const double *mode_frequency;     /* [n_modes] w, rad/s, not negative */
+    const double *mode_cosine;        /* [n_vessels][n_modes] a, dyn/cm^5, */
+    const double *mode_sine;          /* and b; all 0: absent */
     zoo_function resistance_function; /* f(v) in R exp(f(v)) of every section, v the pressure behind R1 (dyn/cm^2), within
                                        * +-30; constant beyond */
     zoo_function compliance_function; /* and the same for C */

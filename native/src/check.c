@@ -104,11 +104,11 @@ static int bad_clock(const zoo_problem *pr)
  * differentiated there are ZOO_DIRECTIONS of each. */
 static int too_large(const zoo_problem *pr)
 {
-    const int64_t nv = pr->network.n_vessels, sections = pr->outlet.n_sections;
+    const int64_t nv = pr->network.n_vessels, sections = (int64_t)pr->outlet.n_sections + 2 * (int64_t)pr->outlet.n_modes;
     int64_t nodes = 0;
     for (int64_t k = 0; k < nv; k++)
         nodes += (int64_t)pr->network.n_cells[k] + 1;
-    /* the state; the outlets' coefficients, of which no kind has more beside its sections'; the samples of a step */
+    /* the state; the outlets' coefficients, of which no kind has more beside its sections' and modes'; the samples of a step */
     enum { COEFFICIENTS = 16, STATE = 4, SAMPLES = 4 * 3 };
     const int64_t rows[] = {(STATE + ZOO_MOST_SHAPES) * nodes + (sections + 2) * nv, (COEFFICIENTS + 2 * sections) * nv,
                             (int64_t)SAMPLES * pr->outputs.n_series};

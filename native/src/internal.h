@@ -55,7 +55,7 @@ typedef struct {
     zoo_rows rows;
     int *vessel, *node;                  /* [count] */
     double *per_w, *A0;                  /* [count] 2 dt/dx, rest area at the node */
-    double *R1, *R2, *C;                 /* [count] */
+    double *R1, *R2, *C, *psi1;          /* [count] */
     double *behind;                      /* [count] pressure behind the outlet */
     double *volume;                      /* [count] ml that left so far in this beat */
     double *coefficient;                 /* [rows.coefficients][count] */

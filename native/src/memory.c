@@ -122,6 +122,7 @@ int64_t zoo_layout(const zoo_problem *pr, zoo_sim *s, void *base)
     REALS(ou->R1, nt);
     REALS(ou->R2, nt);
     REALS(ou->C, nt);
+    REALS(ou->psi1, nt);
     REALS(ou->behind, nt);
     REALS(ou->volume, nt);
     REALS(ou->coefficient, ou->rows.coefficients * nt);

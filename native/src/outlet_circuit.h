@@ -21,12 +21,16 @@
  * q = (R_p q_L + y)/(R1 + R_p) = share q_L + direct y.  Unlike c this has no memory of a
  * sawtooth when L is small, and without L it is y'/R1 as in outlet_windkessel.h.
  *
- * Resistances and compliances may depend on the pressure v = p_out + sum_k v_k behind R1, R_k exp(f(v)) and C_k exp(g(v)),
+ * Resistances and compliances may depend on the pressure v = p_out + sum_k v_k of the sections behind R1, R_k exp(f(v)) and C_k exp(g(v)),
  * with dv_k/dt as above, so that C is dV/dv: e_k, their resistances and E are then made anew for each step, with v half
  * a step on.
  *
  * A section may be negative, R_k < 0 and C_k < 0: its pressure decays as that of a positive one.  R1 larger than all of
  * these together keeps the real part of the impedance positive, since that of R_k/(1 + i w R_k C_k) is at least R_k.
+ *
+ * Modes, damped oscillations of the impulse response, are pairs of a complex time constant.  Each is the real part of a
+ * complex pressure w, dw/dt = (i f - s) w + (a - i b) q, and integrated as a pair is: w' = e w + fill Q with complex e
+ * and fill.  They are as passive as the caller makes them.
  *
  * A Windkessel in a tree with additions runs these loops too, with one section and no
  * inertance; then neither is read.  outlet.h says what each function is for.
@@ -40,7 +44,7 @@ enum {
 };
 
 /* E; 2 I; c' = c + gain (Q - c); q_L' = keep q_L + now y' + before y; q = share q_L + direct y; then e of the
- * sections, then their R (1 - e) */
+ * sections, their R (1 - e), then of each mode the real and imaginary parts of e and of its fill */
 enum {
     CIRCUIT_E,
     CIRCUIT_INERTIA,
@@ -63,6 +67,31 @@ ZOO_INLINE int circuit_given(const zoo_problem *pr)
 ZOO_INLINE int circuit_sections(const zoo_problem *pr)
 {
     return circuit_given(pr) > 0 ? circuit_given(pr) : 1;
+}
+
+ZOO_INLINE int circuit_modes(const zoo_problem *pr)
+{
+    return pr->outlet.kind == ZOO_OUTLET_WINDKESSEL ? 0 : pr->outlet.n_modes;
+}
+
+/* Rows of a mode: its state's real part, the imaginary one after it; and its coefficients. */
+ZOO_INLINE int circuit_mode_state(int sections, int mode)
+{
+    return sections + 2 * mode;
+}
+
+ZOO_INLINE int circuit_mode_row(int sections, int mode)
+{
+    return CIRCUIT_DECAY + 2 * sections + 4 * mode;
+}
+
+/* A mode's part in the impedance of vessel k for steady flow, over psi1: (a s + b w)/(s^2 + w^2). */
+static inline double circuit_mode_steady(const zoo_problem *pr, int m, int k)
+{
+    const zoo_outlet *out = &pr->outlet;
+    const ptrdiff_t i = (ptrdiff_t)k * out->n_modes + m;
+    const double rate = out->mode_rate, w = out->mode_frequency[m];
+    return (out->mode_cosine[i] * rate + out->mode_sine[i] * w) / (rate * rate + w * w);
 }
 
 static inline double circuit_inertance(const zoo_problem *pr, int k)
@@ -88,7 +117,14 @@ static inline double circuit_C(const zoo_sim *s, int m, int t)
 static inline int circuit_bad(const zoo_problem *pr, const int *children)
 {
     const zoo_outlet *out = &pr->outlet;
-    int64_t nv = pr->network.n_vessels, ns = out->n_sections;
+    int64_t nv = pr->network.n_vessels, ns = out->n_sections, nm = out->n_modes;
+    if (nm < 0 || (nm > 0 && (value_extreme(out->mode_rate) || !out->mode_frequency || !out->mode_cosine || !out->mode_sine ||
+                              values_outside(out->mode_frequency, nm, 0.0, ZOO_MOST_VALUE))))
+        return 1;
+    for (int64_t k = 0; k < nv && nm > 0; k++)
+        if (children[k] == 0 && (values_outside(out->mode_cosine + k * nm, nm, -ZOO_MOST_VALUE, ZOO_MOST_VALUE) ||
+                                 values_outside(out->mode_sine + k * nm, nm, -ZOO_MOST_VALUE, ZOO_MOST_VALUE)))
+            return 1;
     if (values_outside(out->inertance, nv, 0.0, INFINITY) || ns < 0 ||
         (ns > 0 && (!out->section_resistance || !out->section_compliance)))
         return 1;
@@ -109,14 +145,20 @@ static inline int circuit_bad(const zoo_problem *pr, const int *children)
     return 0;
 }
 
-/* Whether a terminal's R1 outweighs its negative sections of R2. */
+/* Whether a terminal's R1 outweighs its negative sections of R2, and all together lets steady flow fall with pressure. */
 static inline int circuit_passive(const zoo_problem *pr, int k, double R1, double R2)
 {
     const int64_t ns = pr->outlet.kind == ZOO_OUTLET_CIRCUIT ? pr->outlet.n_sections : 0;
     double below = 0.0;
     for (int64_t i = k * ns; i < (k + 1) * ns; i++)
         below -= fmin(pr->outlet.section_resistance[i], 0.0);
-    return below == 0.0 || R1 > below * R2;
+    double behind = 0.0; /* of the modes over psi1 */
+    for (int m = 0; m < circuit_modes(pr); m++)
+        behind += circuit_mode_steady(pr, m, k);
+    double sections = circuit_given(pr) ? 0.0 : 1.0;
+    for (int64_t i = k * ns; i < (k + 1) * ns; i++)
+        sections += pr->outlet.section_resistance[i];
+    return (below == 0.0 || R1 > below * R2) && (circuit_modes(pr) == 0 || R1 + sections * R2 + behind * R1 / pr->outlet.R1[k] > 0.0);
 }
 
 /* Unless every terminal is a Windkessel. */
@@ -127,6 +169,9 @@ static inline int circuit_adds(const zoo_problem *pr, const int *children)
     for (int k = 0; k < pr->network.n_vessels; k++) {
         if (children[k] > 0)
             continue;
+        for (int64_t i = k * out->n_modes; i < (k + 1) * out->n_modes; i++)
+            if (out->mode_cosine[i] != 0.0 || out->mode_sine[i] != 0.0)
+                return 1;
         int there = 0;
         for (int64_t i = k * ns; i < (k + 1) * ns; i++) {
             double rho = out->section_resistance[i];
@@ -142,8 +187,8 @@ static inline int circuit_adds(const zoo_problem *pr, const int *children)
 
 static inline zoo_rows circuit_rows(const zoo_problem *pr)
 {
-    int n = circuit_sections(pr);
-    return (zoo_rows){.coefficients = CIRCUIT_DECAY + 2 * n, .pressures = n, .flows = 1, .scratch = CIRCUIT_SCRATCH};
+    int n = circuit_sections(pr), modes = circuit_modes(pr);
+    return (zoo_rows){.coefficients = circuit_mode_row(n, modes), .pressures = circuit_mode_state(n, modes), .flows = 1, .scratch = CIRCUIT_SCRATCH};
 }
 
 static inline double circuit_parallel(const zoo_sim *s, int t)
@@ -171,6 +216,21 @@ static inline void circuit_set_step(zoo_sim *s)
             fill[o] = R != 0.0 ? -R * expm1(-s->dt / RC) : 0.0;
             filled += fill[o];
         }
+        for (int m = 0; m < circuit_modes(s->problem); m++) {
+            const zoo_outlet *out = &s->problem->outlet;
+            const ptrdiff_t i = (ptrdiff_t)ou->vessel[t] * out->n_modes + m;
+            double *row_m = outlet_row(s, ou->coefficient, circuit_mode_row(ns, m)) + t;
+            const double rate = out->mode_rate, w = out->mode_frequency[m], size = ou->psi1[t] / (rate * rate + w * w);
+            const double a = out->mode_cosine[i], b = out->mode_sine[i], half = sin(0.5 * w * s->dt), keep = exp(-rate * s->dt);
+            /* e - 1, without cancellation; fill = psi1 (a - i b) (e - 1)/(i w - rate) */
+            const double less = expm1(-rate * s->dt) - 2.0 * keep * half * half, turn = keep * sin(w * s->dt);
+            const double re = size * (turn * w - less * rate), im = -size * (less * w + turn * rate);
+            row_m[0] = 1.0 + less;
+            row_m[ou->count] = turn;
+            row_m[2 * ou->count] = a * re + b * im;
+            row_m[3 * ou->count] = a * im - b * re;
+            filled += row_m[2 * ou->count];
+        }
         /* the inertance's pressure in the mean over the step is inertia/2 (Q - c) */
         double Rp = circuit_parallel(s, t), ease = s->dt + 2.0 * L / Rp;
         double inertia = 4.0 * L / ease, share = L > 0.0 ? Rp / (R1 + Rp) : 1.0;
@@ -188,12 +248,14 @@ static inline void circuit_set_step(zoo_sim *s)
     }
 }
 
-/* Of the sections behind R1. */
+/* Of the sections and modes behind R1. */
 static inline double circuit_behind(const zoo_sim *s, int t)
 {
     double sum = 0.0;
     for (int m = 0; m < circuit_sections(s->problem); m++)
         sum += circuit_R(s, m, t);
+    for (int m = 0; m < circuit_modes(s->problem); m++)
+        sum += s->outlets.psi1[t] * circuit_mode_steady(s->problem, m, s->outlets.vessel[t]);
     return sum;
 }
 
@@ -219,6 +281,11 @@ static inline void circuit_start(zoo_sim *s, int t)
     double v = s->P[j] - s->outlets.behind[t] - s->outlets.R1[t] * s->q[j], R = circuit_behind(s, t);
     for (int m = 0; m < circuit_sections(s->problem); m++)
         outlet_row(s, s->outlets.v, m)[t] = R > 0.0 ? v * circuit_R(s, m, t) / R : 0.0;
+    for (int m = 0; m < circuit_modes(s->problem); m++) {
+        double *w = outlet_row(s, s->outlets.v, circuit_mode_state(circuit_sections(s->problem), m)) + t;
+        w[0] = R > 0.0 ? v * s->outlets.psi1[t] * circuit_mode_steady(s->problem, m, s->outlets.vessel[t]) / R : 0.0;
+        w[s->outlets.count] = 0.0;
+    }
     s->outlets.carry[t] = s->q[j];
 }
 
@@ -226,7 +293,7 @@ static inline void circuit_start(zoo_sim *s, int t)
 static inline void circuit_set_pressure(zoo_sim *s)
 {
     zoo_terminals *ou = &s->outlets;
-    const int ns = ou->rows.pressures;
+    const int ns = circuit_sections(s->problem), modes = circuit_modes(s->problem);
     double *decay = outlet_row(s, ou->coefficient, CIRCUIT_DECAY), *fill = outlet_row(s, decay, ns);
     double *E = outlet_row(s, ou->coefficient, CIRCUIT_E);
     const double *inertia = outlet_row(s, ou->coefficient, CIRCUIT_INERTIA);
@@ -252,6 +319,8 @@ static inline void circuit_set_pressure(zoo_sim *s)
                     rate += (q - ou->v[o] / R) / C;
             }
         }
+        for (int m = 0; m < modes; m++)
+            all += outlet_row(s, ou->coefficient, circuit_mode_row(ns, m) + 2)[t];
         E[t] = 2.0 * ou->R1[t] + all + inertia[t];
     }
 }
@@ -261,7 +330,7 @@ ZOO_INLINE void circuit_advance(const int wall, const int extra, zoo_sim *s)
     (void)extra;
     enum { ROUNDS = 30 };
     zoo_terminals *ou = &s->outlets;
-    const int n = ou->count, n_sections = ou->rows.pressures;
+    const int n = ou->count, n_sections = circuit_sections(s->problem), n_modes = circuit_modes(s->problem);
     const double dt = s->dt, later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
     const int *restrict node = ou->node;
     const double *restrict per_w = ou->per_w, *restrict A0 = ou->A0, *restrict p_out = ou->behind,
@@ -300,6 +369,14 @@ ZOO_INLINE void circuit_advance(const int wall, const int extra, zoo_sim *s)
         ZOO_LOOP(t, n, {
             y[t] -= v[from + t];
             base[t] += (1.0 + decay[from + t]) * v[from + t];
+        });
+    }
+    for (int m = 0; m < n_modes; m++) {
+        const double *restrict keeps = outlet_row(s, ou->coefficient, circuit_mode_row(n_sections, m));
+        const double *restrict w = outlet_row(s, ou->v, circuit_mode_state(n_sections, m));
+        ZOO_LOOP(t, n, {
+            y[t] -= w[t];
+            base[t] += (1.0 + keeps[t]) * w[t] - keeps[n + t] * w[n + t];
         });
     }
     if (wall_in_root(wall))
@@ -351,6 +428,16 @@ ZOO_INLINE void circuit_advance(const int wall, const int extra, zoo_sim *s)
         ZOO_LOOP(t, n, {
             v[from + t] = decay[from + t] * v[from + t] + fill[from + t] * back[t];
             y[t] -= v[from + t];
+        });
+    }
+    for (int m = 0; m < n_modes; m++) {
+        const double *restrict keeps = outlet_row(s, ou->coefficient, circuit_mode_row(n_sections, m));
+        double *restrict w = outlet_row(s, ou->v, circuit_mode_state(n_sections, m));
+        ZOO_LOOP(t, n, {
+            const double re = w[t], im = w[n + t];
+            w[t] = keeps[t] * re - keeps[n + t] * im + keeps[2 * n + t] * back[t];
+            w[n + t] = keeps[n + t] * re + keeps[t] * im + keeps[3 * n + t] * back[t];
+            y[t] -= w[t];
         });
     }
     ZOO_LOOP(t, n, { q[node[t]] += (share[t] * after[t] + direct[t]) * y[t]; });

@@ -111,6 +111,7 @@ int32_t zoo_set_parameters(zoo_sim *s, const zoo_parameters *pa)
         s->outlets.R1[t] = out->R1[k] * pa->psi1[k];
         s->outlets.R2[t] = out->R2[k] * pa->psi2[k];
         s->outlets.C[t] = out->C[k] * pa->c[k];
+        s->outlets.psi1[t] = pa->psi1[k];
     }
     for (int g = 0; g < s->n_groups; g++)
         set_softness(s, &s->groups[g]);

@@ -130,6 +130,8 @@ void zoo_start(zoo_sim *s)
         filled += h * inlet_sample(s, i) * exp(-(in->period - i * h) / tau);
     s->slow = exp(-in->period / tau);
     double ratio = filled / (total * (1.0 - s->slow)) / (s->P[0] - against);
+    if (circuit_modes(s->problem) > 0)
+        s->slow = fmax(s->slow, exp(-s->problem->outlet.mode_rate * in->period));
 
     /* flow out of the terminals now, less the inflow, comes out of the vessels */
     for (int j = 0; j < s->n_nodes; j++) {

@@ -77,7 +77,8 @@ static int32_t build(zoo_point *p, const zoo_tangent *t, const zoo_problem *give
     zoo_layout(&p->problem, &p->sim, p->memory);
     zoo_sim *x = &p->sim;
     if (x->n_state != s->n_state || x->wall != s->wall || x->extra != s->extra || x->outlets.kind != s->outlets.kind ||
-        x->outlets.rows.pressures != s->outlets.rows.pressures)
+        x->outlets.rows.pressures != s->outlets.rows.pressures ||
+        circuit_sections(&p->problem) != circuit_sections(own))
         return ZOO_NO_DERIVATIVE;
     zoo_set_grid(x);
     if (zoo_set_parameters(x, parameters) != ZOO_OK)

@@ -506,7 +506,7 @@ static void pressure_rows(const zoo_tangent *t, const zoo_block *b, int i, doubl
 {
     const zoo_sim *s = t->s;
     const zoo_terminals *ou = &s->outlets;
-    const int n = ou->count, ns = ou->rows.pressures;
+    const int n = ou->count, ns = circuit_sections(s->problem);
     const double q = t->old_q[ou->node[i]], half_dt = 0.5 * s->dt;
     double v = ou->behind[i], rate = 0.0, all = 0.0, flow = 0.0, faster_R, faster_C, dv[D] = {0.0}, now[D];
     for (int m = 0; m < ns; m++)
@@ -549,7 +549,8 @@ ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
 {
     const zoo_sim *s = t->s;
     const zoo_terminals *ou = &s->outlets;
-    const int n = ou->count, sections = ou->rows.pressures, forced = t->forced && b->outlets;
+    const int n = ou->count, sections = circuit_sections(s->problem), modes = circuit_modes(s->problem),
+              forced = t->forced && b->outlets;
 #define ROW(name) const double name = outlet_row(s, ou->coefficient, row_##name)[i]
     enum {
         row_E = CIRCUIT_E, row_inertia = CIRCUIT_INERTIA, row_gain = CIRCUIT_GAIN, row_keep = CIRCUIT_KEEP,
@@ -571,6 +572,13 @@ ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
             y -= t->old_v[m * n + i];
             base += (1.0 + outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i]) * t->old_v[m * n + i];
             then_v += outlet_row(s, ou->v, m)[i];
+        }
+        for (int m = 0; m < modes; m++) {
+            const double *keeps = outlet_row(s, ou->coefficient, circuit_mode_row(sections, m)) + i;
+            const ptrdiff_t w = (ptrdiff_t)circuit_mode_state(sections, m) * n + i;
+            y -= t->old_v[w];
+            base += (1.0 + keeps[0]) * t->old_v[w] - keeps[n] * t->old_v[w + n];
+            then_v += ou->v[w];
         }
         const double Q = s->qh[o - 1] - leak * s->Ph[o - 1] - (s->A[o] - t->old_A[o]) / per_w;
         const double y_new = base + E * Q - p_out - then_v;
@@ -597,6 +605,14 @@ ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
                 d_base += (1.0 + outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i]) * dv +
                           change[(CIRCUIT_DECAY + m) * stride + d] * t->old_v[m * n + i];
             }
+            for (int m = 0; m < modes; m++) {
+                const int row = circuit_mode_row(sections, m);
+                const double *keeps = outlet_row(s, ou->coefficient, row) + i;
+                const ptrdiff_t w = (ptrdiff_t)circuit_mode_state(sections, m) * n + i;
+                dy -= b->v[w * D + d];
+                d_base += (1.0 + keeps[0]) * b->v[w * D + d] - keeps[n] * b->v[(w + n) * D + d] +
+                          change[row * stride + d] * t->old_v[w] - change[(row + 1) * stride + d] * t->old_v[w + n];
+            }
             const double come = b->qh[(o - 1) * D + d] - leak * Pm[d] + dA / per_w;
             const double then = (d_base + E * come + d_E * Q - own[d]) * inv, dQ = come - then / per_w;
             double q = keep * (b->q[o * D + d] - direct * dy - change[CIRCUIT_DIRECT * stride + d] * y) +
@@ -609,6 +625,17 @@ ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
                      outlet_row(s, ou->coefficient, CIRCUIT_DECAY + sections + m)[i] * dQ +
                      change[(CIRCUIT_DECAY + sections + m) * stride + d] * Q;
                 dy_new -= *v;
+            }
+            for (int m = 0; m < modes; m++) {
+                const int row = circuit_mode_row(sections, m);
+                const double *keeps = outlet_row(s, ou->coefficient, row) + i;
+                const ptrdiff_t w = (ptrdiff_t)circuit_mode_state(sections, m) * n + i;
+                const double re = b->v[w * D + d], im = b->v[(w + n) * D + d], was = t->old_v[w], was_im = t->old_v[w + n];
+                b->v[w * D + d] = keeps[0] * re - keeps[n] * im + keeps[2 * n] * dQ + change[row * stride + d] * was -
+                                  change[(row + 1) * stride + d] * was_im + change[(row + 2) * stride + d] * Q;
+                b->v[(w + n) * D + d] = keeps[n] * re + keeps[0] * im + keeps[3 * n] * dQ + change[(row + 1) * stride + d] * was +
+                                        change[row * stride + d] * was_im + change[(row + 3) * stride + d] * Q;
+                dy_new -= b->v[w * D + d];
             }
             q += (share * after + direct) * dy_new + (change[CIRCUIT_SHARE * stride + d] * after +
                   share * change[CIRCUIT_NOW * stride + d] + change[CIRCUIT_DIRECT * stride + d]) * y_new;

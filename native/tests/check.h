@@ -106,6 +106,7 @@ static inline void tree_make(tree *t, int wall)
 /* Everything that can be added, different in every vessel. */
 typedef struct {
     double viscosity[NV], offset_in[NV], offset_out[NV], memory[NV], leak[NV], inertance[NV];
+    double turns[2], cosine[2 * NV], sine[2 * NV];
     double severity[NV], position[NV], length[NV], rho[3 * NV], kappa[3 * NV], wave[5], factor[4], lost[5], larger[4], softer[5];
 } additions;
 
@@ -124,6 +125,10 @@ static inline void tree_add(tree *t, additions *x)
         for (int m = 0; m < 3; m++) {
             x->rho[3 * k + m] = m == k % 3 ? 0.0 : 0.3 + 0.2 * m;
             x->kappa[3 * k + m] = 0.2 + 0.4 * m;
+        }
+        for (int m = 0; m < 2; m++) {
+            x->cosine[2 * k + m] = k % 3 ? 2e6 * (m + 1) : 0.0;
+            x->sine[2 * k + m] = k % 3 ? 1e6 * (k - 6) : 0.0;
         }
     }
     for (int i = 0; i < 5; i++)
@@ -152,6 +157,13 @@ static inline void tree_add(tree *t, additions *x)
     t->problem.outlet.n_sections = 3;
     t->problem.outlet.section_resistance = x->rho;
     t->problem.outlet.section_compliance = x->kappa;
+    x->turns[0] = 0.0;
+    x->turns[1] = 60.0;
+    t->problem.outlet.n_modes = 2;
+    t->problem.outlet.mode_rate = 20.0;
+    t->problem.outlet.mode_frequency = x->turns;
+    t->problem.outlet.mode_cosine = x->cosine;
+    t->problem.outlet.mode_sine = x->sine;
     t->problem.outlet.resistance_function = (zoo_function){4, 0.0, 3e4, x->larger};
     t->problem.outlet.compliance_function = (zoo_function){5, 0.0, 3e4, x->softer};
 }

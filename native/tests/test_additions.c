@@ -53,6 +53,7 @@ static void rest(int wall, int falls, int coupled)
         memcpy(x.offset_out, x.offset_in, sizeof x.offset_in);
     one.problem.fluid.leak = NULL;
     one.problem.wall.n_wave = 0;
+    one.problem.outlet.n_modes = 0; /* their pressures fall */
     if (!coupled)
         one.problem.junction = (zoo_junction){.total_pressure = 0.0, .loss = 0.0};
     tree_open(&one, 4096);

@@ -92,6 +92,14 @@ static void addition(int added)
     REJECTS(t.problem.wall.offset_out = NULL);
     REJECTS(t.problem.throat.length = NULL);
     REJECTS(t.problem.outlet.section_compliance = NULL);
+    REJECTS(t.problem.outlet.n_modes = -1);
+    REJECTS(t.problem.outlet.mode_rate = 0.0);
+    REJECTS(x.turns[1] = -1.0);
+    REJECTS(x.cosine[2 * NV - 1] = INFINITY);
+    REJECTS(x.sine[2 * NV - 1] = NAN);
+    REJECTS(t.problem.outlet.mode_frequency = NULL);
+    REJECTS(t.problem.outlet.mode_cosine = NULL);
+    REJECTS(t.problem.outlet.mode_sine = NULL);
     REJECTS(t.problem.fluid.stokes_friction = -1.0);
     REJECTS(t.problem.fluid.viscous_friction = NAN);
 }
@@ -128,6 +136,8 @@ static void sizes(int added)
     REJECTS(t.problem.outputs.times = NULL);
     if (added)
         REJECTS(t.problem.outlet.n_sections = INT_MAX);
+    if (added)
+        REJECTS(t.problem.outlet.n_modes = INT_MAX);
 
     /* arrays that are not there */
     static double waves[3][NSERIES * NTIMES];

@@ -45,7 +45,7 @@ static void places(int added)
         for (size_t j = 0; j < array[i].size; j++)
             CHECK(array[i].at[j] == (double)i);
     /* the state is that of the nodes and of the outlets */
-    CHECK(s->n_state == (2 + added) * s->n_nodes + s->outlets.count * (added ? 3 + 1 : 1));
+    CHECK(s->n_state == (2 + added) * s->n_nodes + s->outlets.count * (added ? 3 + 2 * 2 + 1 : 1));
     tree_close(&t);
 }
 

@@ -29,7 +29,8 @@ static void relation(int wall, int circuit, int pressure)
     for (int t = 0; t < s->outlets.count; t++) {
         int o = s->outlets.node[t];
         double behind = circuit && pressure ? behind_outlets[s->outlets.vessel[t]] : 0.0; /* else it is part of v */
-        for (int m = 0; m < s->outlets.rows.pressures; m++)
+        const int sections = circuit ? circuit_sections(&one.problem) : 1;
+        for (int m = 0; m < s->outlets.rows.pressures; m += m < sections ? 1 : 2) /* of a mode the real part */
             behind += outlet_row(s, s->outlets.v, m)[t];
         NEAR(s->P[o], behind + s->outlets.R1[t] * s->q[o], 1e-6);
     }

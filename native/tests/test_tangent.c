@@ -88,7 +88,11 @@ static const char *change(arguments *a, int which, double by, int *plain)
     case 31: p->junction.total_pressure *= f; return "total pressure";
     case 32: p->junction.loss *= f; return "junction loss";
     case 33: a->x.larger[1] += by; return "an outlet's resistance at a pressure";
-    case 34: a->x.softer[2] += by; return "an outlet's compliance at a pressure";
+    case 34: a->x.cosine[2 * 7 + 1] *= f; return "a mode's cosine";
+    case 35: a->x.sine[2 * 5 + 1] += 1e6 * by; return "a mode's sine";
+    case 36: a->x.turns[1] *= f; return "a mode's frequency";
+    case 37: p->outlet.mode_rate *= f; return "the modes' rate";
+    case 38: a->x.softer[2] += by; return "an outlet's compliance at a pressure";
     default: return NULL;
     }
 }
