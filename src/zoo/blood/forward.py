@@ -177,7 +177,8 @@ class BloodFlow:
         words += [(name, value.tolist()) for name, value in sorted(self.fixed.items())]
         tree = (net.ids, net.parent, net.length_cm, net.radius_in_cm, net.radius_out_cm)
         loads_and_inflow = (net.R1, net.R2, net.C, self.study.inflow_time_s, self.study.inflow_ml_s)
-        walls = () if net.stiffness_in is None else (net.stiffness_in,)
+        given = (net.stiffness_in, net.response_cosine, net.response_sine)
+        walls = tuple(array for array in given if array is not None)
         return content_key(law, repr(words), *tree, *loads_and_inflow, *walls, self.outputs)
 
     def resolved(self, *, share: float = 1.0) -> BloodFlow:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zoo.blood.case import Case, wall_slope, with_physics
+from zoo.blood.outlet_tables import MEMORY_BEATS
 from zoo.blood.solve_errors import SolverArgumentError
 from zoo.core.arrays import finite_array
 
@@ -32,6 +33,9 @@ def outlet_impedance(case: Case, omega: ArrayLike) -> Complex:
 
         Z(w) = R1 + sum_k R_k/(1 + i w R_k C_k) + i w L/(1 + i w L/R_p),   R_p = 6 rho c/A0
 
+    and what the responses of `Network` add, psi1 sum_k (a_k (s + i w) + b_k w_k)/((s + i w)^2 + w_k^2), s =
+    1/tau.
+
     Parameters
     ----------
     case : Case
@@ -54,6 +58,13 @@ def outlet_impedance(case: Case, omega: ArrayLike) -> Complex:
     Z: Complex = R1[:, None] + np.sum(
         resistance[:, :, None] / (1 + w * (resistance * compliance)[:, :, None]), axis=1
     )
+    if network.response_cosine is not None and network.response_sine is not None:
+        turns = 2 * np.pi / network.period_s * np.arange(network.response_cosine.shape[1])[:, None]
+        fall = 1 / (MEMORY_BEATS * network.period_s) + w
+        cosine, sine = network.response_cosine[ends], network.response_sine[ends]
+        Z = Z + case.psi1[ends, None] * (
+            cosine @ (fall / (fall**2 + turns**2)) + sine @ (turns / (fall**2 + turns**2))
+        )
     if added.inertance is None:
         return Z
     rest = np.pi * network.radius_out_cm[ends] ** 2
@@ -149,6 +160,10 @@ def with_impedance_change(
         rho[k, there] = R[there] / (case.psi2[k] * network.R2[k])
         kappa[k, there] = tau[there] / (R[there] * case.c[k] * network.C[k])
         psi1[k] = first / network.R1[k]
+    if network.response_cosine is not None and network.response_sine is not None:  # psi1 is theirs, too
+        kept = np.where(np.isfinite(psi1), case.psi1 / psi1, 1.0)[:, None]
+        cosine, sine = kept * network.response_cosine, kept * network.response_sine
+        case = replace(case, network=replace(network, response_cosine=cosine, response_sine=sine))
     return with_physics(replace(case, psi1=psi1), section_resistance=rho, section_compliance=kappa)
 
 

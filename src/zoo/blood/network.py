@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from zoo.blood.outlet_tables import HARMONICS, StructuredTree, circuit_of
 from zoo.blood.solve_errors import ArgumentError
 from zoo.blood.study import (
     Blood,
@@ -42,6 +43,7 @@ _INTEGERS = ("ids", "parent")
 _SIZES = ("length_cm", "radius_in_cm", "radius_out_cm")
 _LOADS = ("R1", "R2", "C")
 _STIFFNESSES = ("stiffness_in", "stiffness_out")
+_RESPONSES = ("response_cosine", "response_sine")
 _NUMBERS = ("density", "viscosity", "period_s")
 
 
@@ -70,6 +72,12 @@ class Network(ReadOnlyArrays):
         s.
     stiffness_in, stiffness_out : array (n,) or None
         Stiffness chi that the study gives, at the vessels' ends, g/(cm s2); None where it gives none.
+    response_cosine, response_sine : array (n, m) or None
+        a_k and b_k, dyn/cm5, read at terminals: to a unit of volume an outlet responds, beside R1, R2 and C,
+        with the pressure psi1 exp(-t/tau) sum_k (a_k cos(2 pi k t/T) + b_k sin(2 pi k t/T)), T the beat and
+        tau = T `zoo.blood.outlet_tables.MEMORY_BEATS`. Given together.
+    trees : tuple of (StructuredTree or None)
+        Behind each vessel, if these outlets are made from trees; `with_impedances` makes them.
 
     Raises
     ------
@@ -92,6 +100,9 @@ class Network(ReadOnlyArrays):
     period_s: float
     stiffness_in: Array | None = None
     stiffness_out: Array | None = None
+    response_cosine: Array | None = None
+    response_sine: Array | None = None
+    trees: tuple[StructuredTree | None, ...] | None = None
 
     def __post_init__(self) -> None:
         for name in (*_INTEGERS, *_SIZES, *_LOADS, *_STIFFNESSES):
@@ -116,6 +127,10 @@ class Network(ReadOnlyArrays):
                 f"network: {name}", getattr(self, name), words, above=0.0, error=ArgumentError
             )
             object.__setattr__(self, name, value)
+        for name in _RESPONSES:
+            if getattr(self, name) is not None:
+                array = real_array(f"network: {name}", getattr(self, name), ndim=2, error=StudyError)
+                object.__setattr__(self, name, read_only(array))
         self._check_tree()
         self._check_values()
 
@@ -148,6 +163,16 @@ class Network(ReadOnlyArrays):
 
         for name in (*_SIZES, *(name for name in _STIFFNESSES if getattr(self, name) is not None)):
             positive(name)
+        both = [getattr(self, name) for name in _RESPONSES]
+        shapes = [None if one is None else one.shape for one in both]
+        if shapes[0] != shapes[1] or (shapes[0] is not None and shapes[0][0] != len(self.ids)):
+            raise ArgumentError(
+                f"network: response_cosine and response_sine have shapes {shapes[0]} and {shapes[1]}: give "
+                f"both, with one row for each of {len(self.ids)} vessels"
+            )
+        for name, one in zip(_RESPONSES, both, strict=True):
+            if one is not None:
+                refuse_where(f"network: {name}", one, ~np.isfinite(one), "finite", error=ArgumentError)
         terminal = np.ones(len(self.ids), dtype=bool)
         terminal[self.parent[1:]] = False
         positive("R1", terminal)
@@ -186,14 +211,14 @@ class Network(ReadOnlyArrays):
         for v in ordered:
             sizes = {name: getattr(v, name) for name in ("length_cm", "radius_cm", "radius_out_cm")}
             _positive(f"vessel {v.id}", sizes)
-            if v.windkessel is None and v.resistance is None and v.id not in feeding:
+            if not v.has_load and v.id not in feeding:
                 raise StudyError(
                     f"network: vessel {v.id}: windkessel: is missing at a terminal; give R1, R2 and C, or a "
                     "resistance, in cgs"
                 )
             if v.windkessel is not None:
                 _positive(f"vessel {v.id}: windkessel", vars(v.windkessel))
-            alone = Windkessel(v.resistance, 0.0, 0.0) if v.resistance else None
+            alone = Windkessel(v.resistance or 1.0, 0.0, 0.0) if v.resistance or v.impedance else None
             loads.append(v.windkessel or alone or Windkessel(math.nan, math.nan, math.nan))
         check_physics(ordered)
         ends = np.array([v.stiffness for v in ordered if v.stiffness])
@@ -211,7 +236,50 @@ class Network(ReadOnlyArrays):
             period_s=float(period_s),
             stiffness_in=ends[:, 0] if len(ends) else None,
             stiffness_out=ends[:, 1] if len(ends) else None,
+        ).with_impedances([v.impedance for v in ordered])
+
+    def with_impedances(
+        self, given: Sequence[Sequence[tuple[float, float]] | StructuredTree | None]
+    ) -> Network:
+        """The same with outlets of these impedances.
+
+        Parameters
+        ----------
+        given : sequence of (sequence of (float, float), StructuredTree or None), of length n
+            As in `zoo.blood.study.Vessel`; None leaves the outlet as it is.
+
+        Returns
+        -------
+        Network
+            With R1, R2 and C of `zoo.blood.outlet_tables.circuit_of`, and what these lack in
+            `response_cosine` and `response_sine`.
+        """
+        tables = {i: self._table(i, one) for i, one in enumerate(given) if one is not None}
+        if not tables:
+            return self
+        loads = np.array([self.R1, self.R2, self.C])
+        responses = np.zeros((2, len(self.ids), max(map(len, tables.values()))))
+        for i, Z in tables.items():
+            loads[:, i], *response = circuit_of(Z, self.period_s)
+            responses[:, i, : len(Z)] = response
+        trees = tuple(one if isinstance(one, StructuredTree) else None for one in given)
+        cosine, sine = responses
+        return replace(
+            self,
+            R1=loads[0],
+            R2=loads[1],
+            C=loads[2],
+            response_cosine=cosine,
+            response_sine=sine,
+            trees=trees,
         )
+
+    def _table(self, i: int, given: Sequence[tuple[float, float]] | StructuredTree) -> NDArray[np.complex128]:
+        """Impedance of vessel i's outlet at harmonics of the beat."""
+        if not isinstance(given, StructuredTree):
+            return np.array([complex(*pair) for pair in given])
+        omega = 2 * math.pi / self.period_s * np.arange(HARMONICS + 1)
+        return given.impedance(float(self.radius_out_cm[i]), self.density, self.viscosity, omega)
 
     @classmethod
     def from_study(cls, study: Study) -> Network:
@@ -485,7 +553,7 @@ def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
         If the blood would flow faster than `FASTEST_CM_S` through a terminal in the mean.
     """
     feeding = {v.parent for v in study.vessels}
-    bare = [v.id for v in study.vessels if v.id not in feeding and not (v.windkessel or v.resistance)]
+    bare = [v.id for v in study.vessels if v.id not in feeding and not v.has_load]
     if not bare:
         return study.vessels
     file = f"{study.source}: study {study.name!r}: network.toml"

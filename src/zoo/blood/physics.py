@@ -17,6 +17,7 @@ from zoo.blood.functions import (
     WallFunction,
 )
 from zoo.blood.network import Network
+from zoo.blood.outlet_tables import StructuredTree
 from zoo.blood.solve_errors import SolverArgumentError
 from zoo.blood.study import ReadOnlyArrays, Study, read_only
 from zoo.blood.units import mmhg_to_cgs
@@ -319,7 +320,10 @@ def physics_words(study: Study) -> list[str]:
     feeding = {v.parent for v in study.vessels}
     terminals = [v for v in study.vessels if v.id not in feeding]
     alone = sum(v.resistance is not None for v in terminals)
-    loads = [(len(terminals) - alone, "Windkessel"), (alone, "single resistance")]
+    trees = sum(isinstance(v.impedance, StructuredTree) for v in terminals)
+    tables = sum(v.impedance is not None for v in terminals) - trees
+    loads = [(len(terminals) - alone - trees - tables, "Windkessel"), (alone, "single resistance")]
+    loads += [(trees, "structured tree"), (tables, "table of impedance")]
     words = [
         "flat velocity profile with a Stokes layer"
         if order is None

@@ -325,8 +325,6 @@ def _derived(
     found |= {"chi": (LogPopulation("m_chi", "v_chi"), "m_chi and v_chi")}
     found |= {"gamma": (GAMMA, "a wall of up to 2.5 times its area")}
     feeding = {v.parent for v in study.vessels}
-    loads = {
-        "given" if v.windkessel or v.resistance else "nominal" for v in study.vessels if v.id not in feeding
-    }
+    loads = {"given" if v.has_load else "nominal" for v in study.vessels if v.id not in feeding}
     words = f"{' and '.join(sorted(loads))} loads"
     return found | {name: (prior, words) for name, prior in LOADS.items()}

@@ -20,6 +20,7 @@ from zoo._native import ffi, lib
 from zoo.blood.conventions import PRINTED, Conventions
 from zoo.blood.directions import Derivatives, Direction
 from zoo.blood.network import Network
+from zoo.blood.outlet_tables import MEMORY_BEATS
 from zoo.blood.physics import NO_PHYSICS as NO_PHYSICS
 from zoo.blood.physics import Physics, study_physics
 from zoo.blood.solve_errors import (
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ABI = 9
+ABI = 10
 if getattr(lib, "ZOO_ABI", 1) != ABI:
     raise ImportError(
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
@@ -466,7 +467,15 @@ class Solver:
                 self._kept.append(np.array(function.values, dtype=np.float64))
                 struct.values = ffi.from_buffer("double[]", self._kept[-1])
 
-        circuit = added.inertance is not None or added.section_resistance is not None
+        net, responds = self.network, self.network.response_cosine is not None
+        if net.response_cosine is not None and net.response_sine is not None:
+            outlet.n_modes, n_values = net.response_cosine.shape[1], net.response_cosine.size
+            turns = 2 * np.pi / net.period_s * np.arange(outlet.n_modes)
+            outlet.mode_rate = 1 / (MEMORY_BEATS * net.period_s)
+            outlet.mode_frequency = reals(turns, "network: response_cosine", len(turns))
+            outlet.mode_cosine = reals(net.response_cosine, "network: response_cosine", n_values)
+            outlet.mode_sine = reals(net.response_sine, "network: response_sine", n_values)
+        circuit = responds or added.inertance is not None or added.section_resistance is not None
         outlet.kind = OUTLETS["circuit" if circuit else "windkessel"]
         if added.section_resistance is not None:
             outlet.n_sections = added.section_resistance.shape[1]

@@ -23,9 +23,9 @@ def at_vessel(vessel: int, subtree: bool = False) -> Location:
 
 
 def windkessels_only(model: Tree) -> bool:
-    """Whether no outlet is a single resistance."""
+    """Whether no outlet is a single resistance, or given by its impedance."""
     network = model.network
-    return bool(np.all(network.R2[network.terminals] > 0))
+    return network.response_cosine is None and bool(np.all(network.R2[network.terminals] > 0))
 
 
 def each_vessel(model: Tree) -> tuple[Location, ...]:

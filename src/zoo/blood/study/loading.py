@@ -268,7 +268,7 @@ def check_terminals(
     feeding = {v.parent for v in vessels}
     root = next(v.id for v in vessels if v.parent is None)
     ends = [(v, place) for v, place in zip(vessels, places, strict=True) if v.id not in feeding]
-    without = [(v, place) for v, place in ends if not (v.windkessel or v.resistance)]
+    without = [(v, place) for v, place in ends if not v.has_load]
     if without and root_pressure(vessels, series) is None:
         raise StudyError(
             f"{without[0][1]}: windkessel: is missing at a terminal, and cannot be derived without an "

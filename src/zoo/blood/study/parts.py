@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from zoo.blood.outlet_tables import StructuredTree
 from zoo.core.arrays import Brief
 from zoo.core.words import OneLineError
 
@@ -73,6 +74,9 @@ class Vessel:
         Id of the vessel that feeds it; None for the root.
     windkessel : Windkessel or None
         Nominal load of a terminal; None there means that it is derived from the observations.
+    impedance : tuple of (float, float), StructuredTree or None
+        Of the outlet instead of a Windkessel: real and imaginary parts at the harmonics of the beat from 0
+        up, dyn s/cm5, pressure above that behind the outlet over flow; or that of a tree of small arteries.
     resistance : float or None
         dyn s/cm5, R in p - p_out = R q: a single resistance as the outlet instead of a Windkessel.
     stiffness_g_cm_s2, stiffness_out_g_cm_s2 : float or None
@@ -95,6 +99,7 @@ class Vessel:
     radius_out_cm: float
     parent: int | None = None
     windkessel: Windkessel | None = None
+    impedance: tuple[tuple[float, float], ...] | StructuredTree | None = None
     resistance: float | None = None
     stiffness_g_cm_s2: float | None = None
     stiffness_out_g_cm_s2: float | None = None
@@ -107,9 +112,14 @@ class Vessel:
 
     @property
     def physics(self) -> dict[str, float]:
-        """The fields after `windkessel` that are given."""
+        """The fields after `impedance` that are given."""
         given = {name: getattr(self, name) for name in VESSEL_PHYSICS}
         return {name: float(value) for name, value in given.items() if value is not None}
+
+    @property
+    def has_load(self) -> bool:
+        """Whether an outlet is given: then none is derived."""
+        return not (self.windkessel is None and self.resistance is None and self.impedance is None)
 
     @property
     def stiffness(self) -> tuple[float, float] | None:
@@ -140,8 +150,8 @@ class Vessel:
         )
 
 
-VESSEL_PHYSICS = tuple(field.name for field in fields(Vessel) if field.default is None)[2:]
-"""Fields of a vessel after its Windkessel."""
+VESSEL_PHYSICS = tuple(field.name for field in fields(Vessel) if field.default is None)[3:]
+"""Fields of a vessel after its impedance."""
 
 
 @dataclass(frozen=True)

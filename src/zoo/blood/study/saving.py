@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from zoo.blood.outlet_tables import StructuredTree
 from zoo.blood.study.parts import Vessel
 from zoo.blood.study.samples import INFLOW_COLUMNS, OBSERVATION_COLUMNS
 from zoo.blood.study.study import Study
@@ -49,6 +50,9 @@ def _vessel_lines(vessel: Vessel, nominal: bool) -> list[str]:
         lines.append(f"windkessel = {{ {load} }}")
     elif nominal:
         lines.append(f"windkessel = {_quoted(NOMINAL)}")
+    if vessel.impedance is not None:
+        table = vars(vessel.impedance) if isinstance(vessel.impedance, StructuredTree) else vessel.impedance
+        lines.append(f"impedance = {_value(table)}")
     lines += [f"{name} = {_value(value)}" for name, value in vessel.physics.items()]
     return lines
 
@@ -101,9 +105,9 @@ def save_study(study: Study, folder: str | Path) -> None:
             lines = [f"[{heading}]", *(f"{name} = {_value(value)}" for name, value in table.items())]
             tree += ["", *lines] if tree else lines
     feeding = {v.parent for v in study.vessels}
-    loaded = any(v.windkessel or v.resistance for v in study.vessels)
+    loaded = any(v.has_load for v in study.vessels)
     for v in study.vessels:
-        tree += _vessel_lines(v, loaded and v.id not in feeding and v.resistance is None)
+        tree += _vessel_lines(v, loaded and v.id not in feeding and not v.has_load)
     write("network.toml", tree)
 
     pairs = zip(study.inflow_time_s.tolist(), study.inflow_ml_s.tolist(), strict=True)

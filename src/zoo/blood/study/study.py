@@ -116,6 +116,9 @@ class Study(ReadOnlyArrays):
         blood = [float(self.blood.density_g_cm3), float(self.blood.viscosity_g_cm_s)]
         content: list[Any] = [float(self.period_s), blood, vessels, series]
         own = {v.id: v.physics for v in self.vessels if v.physics}
+        tables = {v.id: v.impedance for v in self.vessels if v.impedance is not None}
+        if tables:
+            content.append([[i, repr(table)] for i, table in tables.items()])
         if self.physics or self.blood.physics or own:  # a study without has the checksum that it always had
             content.append([self.physics, self.blood.physics, own])
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())

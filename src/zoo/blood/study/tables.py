@@ -80,6 +80,19 @@ class WindkesselTable(Table):
     C: Positive
 
 
+class TreeTable(Table):
+    alpha: float | None = Field(default=None, ge=0.01, le=0.98)
+    beta: float | None = Field(default=None, ge=0.01, le=0.98)
+    exponent: float | None = Field(default=None, ge=1, le=10)
+    asymmetry: float | None = Field(default=None, ge=0.01, le=1)
+    length_ratio: Positive
+    smallest_radius_cm: Size
+    f1: float = Field(ge=0, le=1e30)
+    f2: float = Field(ge=-1e6, le=1e6)
+    f3: float = Field(ge=0, le=1e30)
+    viscosity_by_radius: bool = True
+
+
 class VesselTable(Table):
     id: int = Field(ge=1, lt=2**31)
     name: str = ""
@@ -88,6 +101,7 @@ class VesselTable(Table):
     radius_out_cm: Size | None = None
     parent: Whole | None = None
     windkessel: WindkesselTable | None = None
+    impedance: list[Any] | dict[str, Any] | None = None
     resistance: Positive | None = None
     stiffness_g_cm_s2: Positive | None = None
     stiffness_out_g_cm_s2: Positive | None = None

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from zoo.blood.outlet_tables import StructuredTree
 from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, StudyError, Vessel, Windkessel
 from zoo.blood.study.reading import read_toml
 from zoo.blood.study.settings import put_in
@@ -19,6 +20,7 @@ from zoo.blood.study.tables import (
     JunctionsTable,
     NetworkTable,
     SurroundingsTable,
+    TreeTable,
     VesselTable,
     validated,
     visible_name,
@@ -45,7 +47,8 @@ def sort_vessels(vessels: Sequence[Vessel], where: Sequence[str] | None = None) 
     ------
     StudyError
         If there is no vessel, an id occurs twice, a parent does not exist, there is not exactly one root,
-        vessels feed each other in a circle, or a vessel that is not a terminal has a Windkessel.
+        vessels feed each other in a circle, or a vessel that is not a terminal has a Windkessel or an
+        impedance.
     """
     where = where or [f"network: vessel {v.id}" for v in vessels]
     if not vessels:
@@ -92,10 +95,11 @@ def sort_vessels(vessels: Sequence[Vessel], where: Sequence[str] | None = None) 
             f"({' <- '.join(circle)}); follow the flow from the root and correct a parent"
         )
     for i, vessel in enumerate(vessels):
-        if vessel.windkessel is not None and children[i]:
+        if (vessel.windkessel or vessel.impedance) and children[i]:
             fed = ", ".join(str(vessels[j].id) for j in children[i])
+            field = "windkessel" if vessel.windkessel else "impedance"
             raise StudyError(
-                f"{where[i]}: windkessel: only a terminal may have one, but this feeds {fed}; remove it"
+                f"{where[i]}: {field}: only a terminal may have one, but this feeds {fed}; remove it"
             )
     return order
 
@@ -146,11 +150,13 @@ def check_physics(
                 f"{place}: youngs_modulus_g_cm_s2 = {v.youngs_modulus_g_cm_s2!r}: stiffness_g_cm_s2 says "
                 "how stiff the wall is already; give one of the two"
             )
-        if v.resistance is not None and v.windkessel is not None:
+        given = [name for name in ("windkessel", "impedance", "resistance") if getattr(v, name) is not None]
+        if len(given) > 1:
+            shown = f" = {v.resistance!r}" if v.resistance else ""
             raise StudyError(
-                f"{place}: resistance = {v.resistance!r}: a windkessel is the outlet already; give one "
-                "of the two"
+                f"{place}: {given[1]}{shown}: a {given[0]} is the outlet already; give one of the two"
             )
+        _check_impedance(v, place)
         for name in _TERMINALS_ONLY:
             if v.id in feeding and getattr(v, name) is not None:
                 raise StudyError(
@@ -171,6 +177,39 @@ def check_physics(
             )
 
 
+def _check_impedance(v: Vessel, place: str) -> None:
+    """Refuse a table that no passive outlet has, and a tree that does not end."""
+    if isinstance(v.impedance, StructuredTree):
+        tree = v.impedance
+        if not tree.smallest_radius_cm >= SMALLEST_SHARE * v.radius_out_cm:
+            raise StudyError(
+                f"{place}: impedance.smallest_radius_cm = {tree.smallest_radius_cm!r}: must be at least "
+                f"{SMALLEST_SHARE:g} of the vessel's radius at its end, {v.radius_out_cm:g}; raise it"
+            )
+        last = tree.smallest_radius_cm * min(tree.alpha, tree.beta)
+        if tree.viscosity_by_radius and last < SMALLEST_CM:
+            raise StudyError(
+                f"{place}: impedance.smallest_radius_cm = {tree.smallest_radius_cm!r}: vessels of {last:.3g} "
+                f"cm have no viscosity by radius, which begins at {SMALLEST_CM:g}; raise it, or say "
+                "viscosity_by_radius = false"
+            )
+        if not tree.f1 + tree.f3 > 0:
+            raise StudyError(f"{place}: impedance: f1 and f3 are both 0: the tree has no stiffness; give one")
+        return
+    for m, (real, imaginary) in enumerate(v.impedance or ()):
+        if not (0 < real < math.inf and math.isfinite(imaginary)) or (m == 0 and imaginary):
+            words = "a positive resistance, [R, 0.0]" if m == 0 else "finite, with a positive real part"
+            raise StudyError(
+                f"{place}: impedance[{m}] = [{real!r}, {imaginary!r}]: must be {words}: an outlet takes "
+                "energy at every harmonic; correct it"
+            )
+
+
+SMALLEST_SHARE = 1e-3
+"""Of a terminal's radius, in a structured tree."""
+SMALLEST_CM = 1e-4
+"""Radius of a vessel through which blood cells still pass one by one."""
+MOST_HARMONICS = 200
 NOMINAL = "nominal"
 """In the place of a Windkessel's numbers: the load is to be derived."""
 
@@ -196,7 +235,35 @@ def vessel_of(fields: Mapping[str, Any], where: str) -> Vessel:
     out = v.radius_cm if v.radius_out_cm is None else v.radius_out_cm
     name = visible_name(where, v.name or f"v{v.id}")
     given = {field: getattr(v, field) for field in VESSEL_PHYSICS}
-    return Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, load, **given)
+    outlet = None if v.impedance is None else _impedance(v.impedance, where)
+    return Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, load, outlet, **given)
+
+
+def _impedance(given: Any, where: str) -> tuple[tuple[float, float], ...] | StructuredTree:
+    """Of the list or the table of a file."""
+    if isinstance(given, list):
+        numbers = (int, float)
+        for m, pair in enumerate(given):
+            good = isinstance(pair, list) and len(pair) == 2
+            if not good or not all(isinstance(x, numbers) and not isinstance(x, bool) for x in pair):
+                raise StudyError(
+                    f"{where}: impedance[{m}] = {short(pair)}: must be [real, imaginary] of harmonic {m}, "
+                    "dyn s/cm5; correct it"
+                )
+        if not 0 < len(given) <= MOST_HARMONICS:
+            raise StudyError(
+                f"{where}: impedance: {len(given)} harmonics: give 1 to {MOST_HARMONICS}, from 0 (steady) up"
+            )
+        return tuple((float(real), float(imaginary)) for real, imaginary in given)
+    tree = validated(TreeTable, given, f"{where}: impedance").model_dump()
+    exponent, asymmetry = tree.pop("exponent"), tree.pop("asymmetry")
+    there = [one is not None for one in (tree["alpha"], tree["beta"], exponent, asymmetry)]
+    if there not in ([True, True, False, False], [False, False, True, True]):
+        raise StudyError(f"{where}: impedance: give alpha and beta, or exponent and asymmetry")
+    if there[2]:
+        tree["alpha"] = (1 + asymmetry ** (exponent / 2)) ** (-1 / exponent)
+        tree["beta"] = tree["alpha"] * math.sqrt(asymmetry)
+    return StructuredTree(**tree)
 
 
 def _label(fields: Mapping[str, Any], i: int) -> str:

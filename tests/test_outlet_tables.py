@@ -1,0 +1,210 @@
+"""Outlets given by their impedance: the solver's waves beside transmission-line theory, and studies of them.
+
+Small pulses in one vessel obey the line's equations, with Z of a wave 2 pi k/T in closed form; trees are
+computed a second time by the recursion of `benchmarks.structured_trees`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks.structured_trees import tree
+
+from test_study_physics import FINE, vessel
+from test_study_physics import study as study_of
+from zoo.blood.case import Case
+from zoo.blood.conventions import PRINTED
+from zoo.blood.directions import Point
+from zoo.blood.loads import outlet_impedance, with_impedance_change
+from zoo.blood.network import Network
+from zoo.blood.outlet_tables import StructuredTree, circuit_of
+from zoo.blood.physics import NO_PHYSICS, Physics, physics_words
+from zoo.blood.solver import Solver, SolverOptions
+from zoo.blood.study import Blood, StudyError, load_study, save_study
+
+LUNG = StructuredTree(0.805, 0.639, 33.5, 0.0094, 2e7, -20.0, 3e5)
+DENSITY, VISCOSITY, PERIOD, RADIUS = 1.057, 0.032, 0.9, 1.1
+OMEGA = 2 * math.pi / PERIOD * np.arange(21)
+
+
+def lung(**changes: Any) -> np.ndarray:
+    return replace(LUNG, **changes).impedance(RADIUS, DENSITY, VISCOSITY, OMEGA)
+
+
+def one_vessel(impedance: Any, **given: Any) -> Network:
+    end = vessel(1, length_cm=4.3, radius_cm=RADIUS, impedance=impedance, stiffness_g_cm_s2=4e5, **given)
+    return Network.from_vessels([end], Blood(DENSITY, VISCOSITY), PERIOD)
+
+
+def case_of(network: Network, physics: Physics = NO_PHYSICS, psi1: float = 1.0) -> Case:
+    one, time = np.ones(1), np.arange(8) * PERIOD / 8
+    given = (4e5 * one, one, psi1 * one, one, one)
+    return Case(network, time, 1 + 0 * time, PRINTED, "linear", SolverOptions(), physics, *given)
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"alpha": 0.88, "beta": 0.6, "smallest_radius_cm": 0.0035}, {"f2": -5.0, "f3": 1e5}]
+)
+@pytest.mark.parametrize("by_radius", [True, False])
+def test_a_tree_is_that_of_another_recursion(changes: dict[str, float], by_radius: bool) -> None:
+    made = replace(LUNG, viscosity_by_radius=by_radius, **changes)
+    rules: dict[str, Any] = {} if by_radius else {"viscosity": lambda r: VISCOSITY}
+    other = tree(
+        RADIUS,
+        OMEGA,
+        daughters=(made.alpha, made.beta),
+        length=made.length_ratio,
+        smallest_cm=made.smallest_radius_cm,
+        slope=lambda r: 2 / 3 * (made.f1 * math.exp(made.f2 * r) + made.f3),
+        density=DENSITY,
+        **rules,
+    )
+    found = made.impedance(RADIUS, DENSITY, VISCOSITY, OMEGA)
+    np.testing.assert_allclose(found, other, rtol=1e-10)
+
+
+@pytest.mark.parametrize("stiffness", [1e5, 3e5, 8e5])
+@pytest.mark.parametrize("radius", [0.9, 1.1])
+def test_the_circuit_and_its_response_meet_every_harmonic(stiffness: float, radius: float) -> None:
+    Z = replace(LUNG, f3=stiffness).impedance(radius, DENSITY, VISCOSITY, OMEGA)
+    network = one_vessel(tuple((z.real, z.imag) for z in Z))
+    np.testing.assert_allclose(outlet_impedance(case_of(network), OMEGA)[0], Z, rtol=1e-9)
+
+
+def test_a_windkessel_by_its_impedance_is_that_windkessel() -> None:
+    R1, R2, C = 100.0, 600.0, 2e-3
+    loads, cosine, sine = circuit_of(R1 + R2 / (1 + 1j * OMEGA * R2 * C), PERIOD)
+    np.testing.assert_allclose(loads, (R1, R2, C), rtol=0.02)
+    assert max(np.abs(cosine).max(), np.abs(sine).max()) < 0.05 / C
+
+
+def test_waves_of_a_vessel_with_a_tree_are_those_of_line_theory() -> None:
+    """rho/A q_t + 22 pi mu q/A^2 = -p_x, (A/slope) p_t = -q_x, and the tree's own impedance at the end."""
+    time, m = np.arange(1024) * PERIOD / 1024, np.arange(1, 11)
+    flow = 1e-3 * (1 + np.sum(np.cos(OMEGA[1:11, None] * time + m[:, None]) / m[:, None], axis=0))
+    times = np.arange(256) * PERIOD / 256
+    solver = Solver(
+        one_vessel(LUNG),
+        time,
+        flow,
+        series=[(1, 0.0), (1, 1.0)],
+        times_s=times,
+        options=SolverOptions(dx_cm=0.2, tolerance_mmHg=1e-9),
+        physics=Physics(stokes_friction=0.0, viscous_friction=22.0),
+    )
+    found = solver.solve(np.array([4e5]))
+    p, q = (np.fft.rfft(one)[:, :11] for one in (found.pressure_mmHg * PRINTED.mmhg, found.flow_ml_s))
+    slope, area, w = 2 / 3 * 4e5, math.pi * RADIUS**2, OMEGA[1:11]
+    end = tree(
+        RADIUS, w, daughters=(0.805, 0.639), length=33.5, smallest_cm=0.0094,
+        slope=lambda r: 2 / 3 * (2e7 * math.exp(-20 * r) + 3e5),
+    )  # fmt: skip
+    np.testing.assert_allclose(p[1, 1:] / q[1, 1:], end, rtol=1e-3)
+    along = 1j * w * DENSITY / area + 22 * math.pi * VISCOSITY / area**2
+    across = 1j * w * area / slope
+    wave, turn = np.sqrt(along / across), np.tanh(4.3 * np.sqrt(along * across))
+    np.testing.assert_allclose(
+        p[0, 1:] / q[0, 1:], wave * (end + wave * turn) / (wave + end * turn), rtol=3e-3
+    )
+
+
+def test_the_factors_scale_all_of_an_impedance() -> None:
+    """psi1 = psi2 = 1/c = k is k Z; a change of log Z by a circuit leaves the response alone."""
+    made = case_of(one_vessel(LUNG))
+    twice = replace(made, psi1=2 * made.psi1, psi2=2 * made.psi2, c=0.5 * made.c)
+    np.testing.assert_allclose(outlet_impedance(twice, OMEGA)[0], 2 * lung(), rtol=1e-9)
+    changed = with_impedance_change(made, OMEGA, np.where(OMEGA > 0, 0.1, 0.0))
+    assert abs(changed.psi1[0] - 1) > 0.02
+    assert changed.network.response_cosine is not None
+    assert made.network.response_cosine is not None
+    kept = changed.psi1[0] * changed.network.response_cosine
+    np.testing.assert_allclose(kept, made.network.response_cosine, rtol=1e-12)
+
+
+def test_slopes_by_the_loads_are_those_of_differences() -> None:
+    made = study_of(vessel(1, radius_cm=RADIUS, impedance=LUNG), blood=Blood(DENSITY, VISCOSITY))
+    solver = Solver.for_study(made, options=replace(FINE, tolerance_mmHg=1e-8, steps_per_beat=4096))
+    step = 1e-4
+
+    def at(psi1: float) -> np.ndarray:
+        return solver.solve(np.array([4e5]), psi1=psi1).pressure_mmHg
+
+    direction = [Point(s / (2 * step), np.array([4e5]), psi1=1 + s * step) for s in (1, -1)]
+    found = solver.jacobian(np.array([4e5]), directions=[direction]).pressure_mmHg[0]
+    wanted = (at(1 + step) - at(1 - step)) / (2 * step)
+    np.testing.assert_allclose(found, wanted, atol=1e-4 * np.abs(wanted).max())
+
+
+def test_a_study_keeps_its_tables_and_trees(tmp_path: Path) -> None:
+    table = ((700.0, 0.0), (200.0, -150.0), (110.0, -30.0))
+    made = study_of(
+        vessel(1, radius_cm=1.35),
+        vessel(2, 1, radius_cm=0.9, impedance=table),
+        vessel(3, 1, radius_cm=RADIUS, impedance=LUNG),
+        blood=Blood(DENSITY, VISCOSITY),
+    )
+    save_study(made, tmp_path)
+    again = load_study(tmp_path)
+    assert again.vessels == made.vessels
+    assert again.checksum == made.checksum != replace(made, vessels=made.vessels[:2]).checksum
+    assert "1 structured tree and 1 table of impedance" in physics_words(again)[0]
+    wave = Solver.for_study(again, options=FINE).solve(np.full(3, 4e5))
+    assert wave.ok
+
+
+TABLES = {
+    "impedance = [[700.0, 0.0], [200.0]]": r"impedance\[1\] = \[200.0\]: must be \[real, imaginary\]",
+    "impedance = [[700.0, 1.0]]": r"impedance\[0\] = .*: must be a positive resistance",
+    "impedance = [[700.0, 0.0], [-2.0, 1.0]]": r"impedance\[1\] = .* takes energy",
+    "impedance = []": "impedance: 0 harmonics: give 1 to",
+    "impedance = [[1e3, 0.0]]\nresistance = 3.0": "resistance = 3.0: a impedance is the outlet already",
+    "impedance = { alpha = 0.8 }": "impedance: length_ratio: is missing",
+    "impedance = { LAST }": "give alpha and beta, or exponent and asymmetry",
+    "impedance = { alpha = 0.8, beta = 0.7, exponent = 2.7, LAST }": "give alpha and beta, or",
+    "impedance = { alpha = 0.8, beta = 1.7, LAST }": "beta = 1.7: must be at most 0.98",
+    "impedance = { alpha = 0.8, beta = 0.7, LAST, viscosity_by_radius = 3 }": "viscosity_by_radius = 3",
+}
+
+
+@pytest.mark.parametrize("line", TABLES)
+def test_a_wrong_table_is_told_by_its_field(line: str, tmp_path: Path) -> None:
+    made = study_of(vessel(1, radius_cm=1.0, impedance=LUNG), blood=Blood(DENSITY, VISCOSITY))
+    save_study(made, tmp_path)
+    text = (tmp_path / "network.toml").read_text()
+    own = next(row for row in text.splitlines() if row.startswith("impedance"))
+    rest = "length_ratio = 30.0, smallest_radius_cm = 0.01, f1 = 0.0, f2 = 0.0, f3 = 3e5"
+    (tmp_path / "network.toml").write_text(text.replace(own, line.replace("LAST", rest)))
+    with pytest.raises(StudyError, match=TABLES[line]):
+        load_study(tmp_path)
+
+
+def test_an_exponent_and_an_asymmetry_are_two_daughters(tmp_path: Path) -> None:
+    """alpha^xi + beta^xi = 1, and beta^2/alpha^2 the asymmetry (Olufsen 1999)."""
+    made = study_of(vessel(1, radius_cm=1.0, impedance=LUNG), blood=Blood(DENSITY, VISCOSITY))
+    save_study(made, tmp_path)
+    path = tmp_path / "network.toml"
+    path.write_text(
+        path.read_text().replace("alpha = 0.805, beta = 0.639", "exponent = 2.7, asymmetry = 0.41")
+    )
+    found = load_study(tmp_path).vessels[0].impedance
+    assert isinstance(found, StructuredTree)
+    assert found.alpha**2.7 + found.beta**2.7 == pytest.approx(1)
+    assert (found.beta / found.alpha) ** 2 == pytest.approx(0.41)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"smallest_radius_cm": 1e-4}, "must be at least 0.001 of the vessel's radius"),
+        ({"smallest_radius_cm": 1.2e-3, "beta": 0.05}, "have no viscosity by radius"),
+        ({"f1": 0.0, "f3": 0.0}, "f1 and f3 are both 0"),
+    ],
+)
+def test_a_tree_that_cannot_be_is_refused(given: dict[str, float], words: str) -> None:
+    with pytest.raises(StudyError, match=words):
+        one_vessel(replace(LUNG, **given))
