@@ -20,12 +20,14 @@ from test_study_physics import study as study_of
 from zoo.blood.case import Case
 from zoo.blood.conventions import PRINTED
 from zoo.blood.directions import Point
+from zoo.blood.forward import BloodFlow, constant_stiffness
 from zoo.blood.loads import outlet_impedance, with_impedance_change
 from zoo.blood.network import Network
 from zoo.blood.outlet_tables import StructuredTree, circuit_of
 from zoo.blood.physics import NO_PHYSICS, Physics, physics_words
-from zoo.blood.solver import Solver, SolverOptions
-from zoo.blood.study import Blood, StudyError, load_study, save_study
+from zoo.blood.solver import Solver, SolverArgumentError, SolverOptions
+from zoo.blood.study import Blood, Series, Study, StudyError, load_study, save_study
+from zoo.core.parameters import Parameter, Uniform
 
 LUNG = StructuredTree(0.805, 0.639, 33.5, 0.0094, 2e7, -20.0, 3e5)
 DENSITY, VISCOSITY, PERIOD, RADIUS = 1.057, 0.032, 0.9, 1.1
@@ -151,7 +153,8 @@ def test_a_study_keeps_its_tables_and_trees(tmp_path: Path) -> None:
     save_study(made, tmp_path)
     again = load_study(tmp_path)
     assert again.vessels == made.vessels
-    assert again.checksum == made.checksum != replace(made, vessels=made.vessels[:2]).checksum
+    other = replace(made.vessels[2], impedance=replace(LUNG, f3=4e5))
+    assert again.checksum == made.checksum != replace(made, vessels=(*made.vessels[:2], other)).checksum
     assert "1 structured tree and 1 table of impedance" in physics_words(again)[0]
     wave = Solver.for_study(again, options=FINE).solve(np.full(3, 4e5))
     assert wave.ok
@@ -200,11 +203,56 @@ def test_an_exponent_and_an_asymmetry_are_two_daughters(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
+        ({"alpha": 0.99}, "alpha = 0.99: must be positive and at most 0.98"),
+        ({"length_ratio": 0.0}, "length_ratio = 0.0: must be positive"),
         ({"smallest_radius_cm": 1e-4}, "must be at least 0.001 of the vessel's radius"),
         ({"smallest_radius_cm": 1.2e-3, "beta": 0.05}, "have no viscosity by radius"),
-        ({"f1": 0.0, "f3": 0.0}, "f1 and f3 are both 0"),
+        ({"f1": 0.0, "f3": 0.0}, "f1 = 0.0 and f3 = 0.0 are no stiffness"),
     ],
 )
 def test_a_tree_that_cannot_be_is_refused(given: dict[str, float], words: str) -> None:
     with pytest.raises(StudyError, match=words):
         one_vessel(replace(LUNG, **given))
+
+
+FACTORS = {"tree_daughters": 0.98, "tree_length": 1.3, "tree_smallest_radius": 1.2, "tree_stiffness": 0.7}
+
+
+def observed_tree() -> Study:
+    made = study_of(
+        vessel(1, radius_cm=1.35),
+        vessel(2, 1, radius_cm=0.9, impedance=((700.0, 0.0), (200.0, -150.0), (110.0, -30.0))),
+        vessel(3, 1, radius_cm=RADIUS, impedance=LUNG),
+        blood=Blood(DENSITY, VISCOSITY),
+    )
+    pressure = Series(1, 0.0, "pressure_mmHg", np.zeros(64))
+    return replace(made, time_s=np.arange(64) * made.period_s / 64, series=(pressure,))
+
+
+def model(study: Study, *names: str) -> BloodFlow:
+    given = [Parameter(name, Uniform(0.1, 9e5), "1", start=1.0) for name in ("f3", *names)]
+    options = replace(FINE, tolerance_mmHg=1e-7, steps_per_beat=4096)
+    return BloodFlow(study, "linear", constant_stiffness, given, options=options)
+
+
+def test_parameters_of_a_model_are_factors_of_its_trees() -> None:
+    study = observed_tree()
+    tree = StructuredTree(0.98 * 0.805, 0.98 * 0.639, 1.3 * 33.5, 1.2 * 0.0094, 0.7 * 2e7, -20.0, 0.7 * 3e5)
+    end = replace(study.vessels[2], impedance=tree)
+    other = model(replace(study, vessels=(*study.vessels[:2], end)))
+    found = model(study, *FACTORS)
+    wanted = other.solve(other.configure([4e5]))
+    np.testing.assert_allclose(found.solve(found.configure([4e5, *FACTORS.values()])), wanted, atol=1e-6)
+    assert np.abs(found.solve(found.configure([4e5, 1, 1, 1, 1])) - wanted).max() > 0.5
+    with pytest.raises(SolverArgumentError, match=r"vessel 3: tree: alpha = 1.0465\d*: must be positive"):
+        found.configure([4e5, 1.3, 1, 1, 1])
+
+
+def test_slopes_by_the_trees_parameters_are_those_of_differences() -> None:
+    flow = model(observed_tree(), "tree_length", "tree_stiffness")
+    theta, step = np.array([4e5, 1.0, 1.0]), 1e-4
+    _, slopes = flow.solve_derivatives(flow.configure, theta, np.array([4e5, 1.0, 1.0]))
+    for i in (1, 2):
+        near = [flow.solve(flow.configure(theta + s * step * np.eye(3)[i])) for s in (1, -1)]
+        wanted = (near[0] - near[1]) / (2 * step)
+        np.testing.assert_allclose(slopes[i], wanted, atol=1e-3 * np.abs(wanted).max())

@@ -169,6 +169,13 @@ static void make_additions(zoo_problem *pr, int nv)
                 ((double *)pr->outlet.section_compliance)[k * pr->outlet.n_sections] = -1.0;
             }
     }
+    if (one_in(3)) {
+        count_of(&pr->outlet.n_modes, 1 + below(3), SIZE_OF_ARRAY);
+        pr->outlet.mode_rate = between(5.0, 30.0);
+        reals_of(&pr->outlet.mode_frequency, pr->outlet.n_modes, 0.0, 200.0);
+        reals_of(&pr->outlet.mode_cosine, nv * pr->outlet.n_modes, 0.0, 1e6);
+        reals_of(&pr->outlet.mode_sine, nv * pr->outlet.n_modes, -1e5, 1e6);
+    }
     for (int i = 0; i < 2; i++) {
         if (one_in(4))
             function_of(i ? &pr->outlet.resistance_function : &pr->outlet.compliance_function, 0.0, 4e4, -0.4, 0.4);
@@ -419,7 +426,15 @@ static int verdict(const trial *t)
         return 1;
     if (ou->n_sections < 0 || ou->n_sections > 1 << 20)
         return ou->kind == ZOO_OUTLET_CIRCUIT || ou->n_sections > 1 << 28 ? 1 : UNKNOWN;
-    const int circuit = ou->kind == ZOO_OUTLET_CIRCUIT, ns = ou->n_sections;
+    if (ou->n_modes < 0 || ou->n_modes > 1 << 20)
+        return ou->kind == ZOO_OUTLET_CIRCUIT || ou->n_modes > 1 << 28 ? 1 : UNKNOWN;
+    const int circuit = ou->kind == ZOO_OUTLET_CIRCUIT, ns = ou->n_sections, nm = circuit ? ou->n_modes : 0;
+    if (nm && (!positive(ou->mode_rate) || !ou->mode_frequency || !ou->mode_cosine || !ou->mode_sine))
+        return 1;
+    unknown |= nm && (ou->mode_rate < 1e-29 || ou->mode_rate > 1e29);
+    for (int m = 0; m < nm; m++)
+        if (!in_range(ou->mode_frequency[m], 0.0, 1e30))
+            return 1;
     if (circuit && (!finite_all(ou->inertance, nv, 0.0, DBL_MAX) || (ns && (!ou->section_resistance || !ou->section_compliance))))
         return 1;
     for (int k = 0; k < nv; k++) {
@@ -428,6 +443,9 @@ static int verdict(const trial *t)
         if (!positive(ou->R1[k]) || !(ou->R2[k] == 0.0 || (positive(ou->R2[k]) && positive(ou->C[k]))) ||
             (ou->pressure && !in_range(ou->pressure[k], -DBL_MAX, DBL_MAX)))
             return 1;
+        for (int m = k * nm; m < (k + 1) * nm; m++)
+            if (!in_range(ou->mode_cosine[m], -1e30, 1e30) || !in_range(ou->mode_sine[m], -1e30, 1e30))
+                return 1;
         double shares = 0.0, time = 0.0;
         for (int m = k * ns; circuit && m < (k + 1) * ns; m++) {
             const double rho = ou->section_resistance[m];
@@ -465,6 +483,19 @@ static int parameters_verdict(const trial *t)
         const int sections = !fed[k] && ou->kind == ZOO_OUTLET_CIRCUIT ? ou->n_sections : 0; /* else not read: any number */
         for (int m = 0; m < sections; m++)
             against -= fmin(ou->section_resistance[k * sections + m], 0.0);
+        if (!fed[k] && ou->kind == ZOO_OUTLET_CIRCUIT && ou->n_modes > 0) { /* all together lets steady flow out */
+            double steady = 0.0, shares = ou->n_sections ? 0.0 : 1.0;
+            for (int m = k * ou->n_modes; m < (k + 1) * ou->n_modes; m++) {
+                const double w = ou->mode_frequency[m % ou->n_modes];
+                steady += (ou->mode_cosine[m] * ou->mode_rate + ou->mode_sine[m] * w) / (ou->mode_rate * ou->mode_rate + w * w);
+            }
+            for (int m = 0; m < sections; m++)
+                shares += ou->section_resistance[k * sections + m];
+            const double all = pa.psi1[k] * (ou->R1[k] + steady) + shares * (ou->R2[k] * pa.psi2[k]);
+            unknown |= !(fabs(all) > 1e-9 * (pa.psi1[k] * (ou->R1[k] + fabs(steady)) + shares * ou->R2[k] * pa.psi2[k]));
+            if (positive(pa.psi1[k]) && positive(pa.psi2[k]) && !(all > 0.0) && !unknown)
+                return 1;
+        }
         if (!fed[k] && positive(pa.psi1[k]) && positive(pa.psi2[k]) && against > 0.0) {
             const double first = ou->R1[k] * pa.psi1[k], less = against * (ou->R2[k] * pa.psi2[k]);
             unknown |= fabs(first - less) <= 1e-9 * first || !isfinite(less);

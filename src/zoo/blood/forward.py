@@ -15,6 +15,7 @@ from zoo.blood.case import UNITS, Case, Place, check_series, simulate, simulate_
 from zoo.blood.conventions import Conventions
 from zoo.blood.derivatives import off_zero, stencil_of
 from zoo.blood.network import Network, stiffness_profile
+from zoo.blood.outlet_tables import TREE_FACTORS
 from zoo.blood.physics import NO_PHYSICS, study_physics
 from zoo.blood.resolution import Resolution, coarse_at, resolve
 from zoo.blood.solver import SHAPES, WALLS, Solver, SolverArgumentError, SolverOptions
@@ -110,6 +111,8 @@ class BloodFlow:
     parameters : sequence of Parameter
         Those of the stiffness law, and of "gamma" (2 if absent), "psi1", "psi2" and "c" (1 if absent): one
         value, or one for each vessel. A wall with several shape parameters has their names instead of gamma.
+        Where outlets are structured trees, those of `zoo.blood.outlet_tables.TREE_FACTORS` are factors of all
+        trees' fields (1 if absent).
     name : str
     conventions : Conventions
         Instead of the study's own.
@@ -280,8 +283,9 @@ class BloodFlow:
         def of_each(name: str, otherwise: float = 1.0) -> Array:
             return np.full(n, np.asarray(values.get(name, otherwise), dtype=np.float64))
 
+        factors = {name: float(values[name]) for name in TREE_FACTORS if name in values}
         return Case(
-            network=self.network,
+            network=self.network.with_tree_factors(factors) if factors else self.network,
             inflow_time_s=self.study.inflow_time_s,
             inflow_ml_s=self.study.inflow_ml_s,
             conventions=self.conventions,

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.blood.outlet_tables import HARMONICS, StructuredTree, circuit_of
+from zoo.blood.outlet_tables import StructuredTree, circuit_of, tree_table
 from zoo.blood.solve_errors import ArgumentError
 from zoo.blood.study import (
     Blood,
@@ -163,7 +163,7 @@ class Network(ReadOnlyArrays):
 
         for name in (*_SIZES, *(name for name in _STIFFNESSES if getattr(self, name) is not None)):
             positive(name)
-        both = [getattr(self, name) for name in _RESPONSES]
+        both = self._responses
         shapes = [None if one is None else one.shape for one in both]
         if shapes[0] != shapes[1] or (shapes[0] is not None and shapes[0][0] != len(self.ids)):
             raise ArgumentError(
@@ -258,9 +258,12 @@ class Network(ReadOnlyArrays):
         if not tables:
             return self
         loads = np.array([self.R1, self.R2, self.C])
-        responses = np.zeros((2, len(self.ids), max(map(len, tables.values()))))
+        old = [np.zeros((len(self.ids), 0)) if one is None else one for one in self._responses]
+        width = max(old[0].shape[1], *map(len, tables.values()))
+        responses = np.array([np.pad(one, ((0, 0), (0, width - one.shape[1]))) for one in old])
         for i, Z in tables.items():
             loads[:, i], *response = circuit_of(Z, self.period_s)
+            responses[:, i] = 0.0
             responses[:, i, : len(Z)] = response
         trees = tuple(one if isinstance(one, StructuredTree) else None for one in given)
         cosine, sine = responses
@@ -278,8 +281,27 @@ class Network(ReadOnlyArrays):
         """Impedance of vessel i's outlet at harmonics of the beat."""
         if not isinstance(given, StructuredTree):
             return np.array([complex(*pair) for pair in given])
-        omega = 2 * math.pi / self.period_s * np.arange(HARMONICS + 1)
-        return given.impedance(float(self.radius_out_cm[i]), self.density, self.viscosity, omega)
+        radius = float(self.radius_out_cm[i])
+        wrong = given.fault(radius)
+        if wrong:
+            raise ArgumentError(f"network: vessel {int(self.ids[i])}: tree: {wrong}")
+        return tree_table(given, radius, self.density, self.viscosity, self.period_s)
+
+    def with_tree_factors(self, factors: Mapping[str, float]) -> Network:
+        """The same with the fields of all trees times factors, by the names of `TREE_FACTORS`.
+
+        Raises
+        ------
+        zoo.blood.solve_errors.ArgumentError
+            If a tree cannot be.
+        """
+        if self.trees is None:
+            return self
+        return self.with_impedances([tree and tree.scaled(factors) for tree in self.trees])
+
+    @property
+    def _responses(self) -> list[Array | None]:
+        return [getattr(self, name) for name in _RESPONSES]
 
     @classmethod
     def from_study(cls, study: Study) -> Network:

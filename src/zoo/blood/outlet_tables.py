@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +17,18 @@ HARMONICS = 20
 """Of the beat, up to which an outlet meets its tree's impedance."""
 MEMORY_BEATS = 1.0
 """Time in which the part of an outlet's response falls by e that its nearest circuit does not have."""
+TREE_FACTORS = {
+    "tree_daughters": ("alpha", "beta"),
+    "tree_length": ("length_ratio",),
+    "tree_smallest_radius": ("smallest_radius_cm",),
+    "tree_stiffness": ("f1", "f3"),
+}
+"""Parameters of models that are factors of fields of all trees, 1 as the study has them."""
+_SMALLEST_SHARE = 1e-3
+"""Of a terminal's radius, in a tree."""
+_SMALLEST_CM = 1e-4
+"""Radius of a vessel through which blood cells still pass one by one."""
+_MOST_DAUGHTER = 0.98
 _LEAST_TURN = 0.1
 """omega R2 C of the nearest circuit in the first harmonic, at least."""
 
@@ -56,6 +70,40 @@ class StructuredTree:
     f2: float
     f3: float
     viscosity_by_radius: bool = True
+
+    def scaled(self, factors: Mapping[str, float]) -> StructuredTree:
+        """The same with fields times factors, by the names of `TREE_FACTORS`."""
+        changes = {
+            field: float(factors[name]) * getattr(self, field)
+            for name, fields in TREE_FACTORS.items()
+            if name in factors
+            for field in fields
+        }
+        return replace(self, **changes)
+
+    def fault(self, radius_cm: float) -> str | None:
+        """What is wrong with a tree that hangs on an end of this radius; None if nothing is."""
+        for name in ("alpha", "beta"):
+            if not 0 < getattr(self, name) <= _MOST_DAUGHTER:
+                value = getattr(self, name)
+                return f"{name} = {value!r}: must be positive and at most {_MOST_DAUGHTER:g}; lower it"
+        if not self.smallest_radius_cm >= _SMALLEST_SHARE * radius_cm:
+            return (
+                f"smallest_radius_cm = {self.smallest_radius_cm!r}: must be at least {_SMALLEST_SHARE:g} of "
+                f"the vessel's radius at its end, {radius_cm:g}; raise it"
+            )
+        last = self.smallest_radius_cm * min(self.alpha, self.beta)
+        if self.viscosity_by_radius and last < _SMALLEST_CM:
+            return (
+                f"smallest_radius_cm = {self.smallest_radius_cm!r}: vessels of {last:.3g} cm have no "
+                f"viscosity by radius, which begins at {_SMALLEST_CM:g}; raise it, or say "
+                "viscosity_by_radius = false"
+            )
+        if not 0 < self.length_ratio < math.inf:
+            return f"length_ratio = {self.length_ratio!r}: must be positive and finite; correct it"
+        if not 0 < self.f1 + self.f3 < math.inf:
+            return f"f1 = {self.f1!r} and f3 = {self.f3!r} are no stiffness; give a positive one"
+        return None
 
     def impedance(self, radius_cm: float, density: float, viscosity: float, omega: ArrayLike) -> Complex:
         """Of the tree behind a terminal, pressure above that behind the outlet over flow.
@@ -122,6 +170,17 @@ def _relative_viscosity(radius_cm: Array) -> Array:
     wall = (d / (d - 1.1)) ** 2
     relative = 6 * np.exp(-0.085 * d) + 3.2 - 2.44 * np.exp(-0.06 * d**0.645)
     return np.asarray((1 + (relative - 1) * wall) * wall / 3.2)
+
+
+@functools.lru_cache(maxsize=256)
+def tree_table(
+    tree: StructuredTree, radius_cm: float, density: float, viscosity: float, period_s: float
+) -> Complex:
+    """Impedance of a tree at the harmonics 0 to `HARMONICS` of a beat, read-only; see `StructuredTree`."""
+    omega = 2 * math.pi / period_s * np.arange(HARMONICS + 1)
+    table = tree.impedance(radius_cm, density, viscosity, omega)
+    table.flags.writeable = False
+    return table
 
 
 def circuit_of(impedance: ArrayLike, period_s: float) -> tuple[Array, Array, Array]:

@@ -180,21 +180,9 @@ def check_physics(
 def _check_impedance(v: Vessel, place: str) -> None:
     """Refuse a table that no passive outlet has, and a tree that does not end."""
     if isinstance(v.impedance, StructuredTree):
-        tree = v.impedance
-        if not tree.smallest_radius_cm >= SMALLEST_SHARE * v.radius_out_cm:
-            raise StudyError(
-                f"{place}: impedance.smallest_radius_cm = {tree.smallest_radius_cm!r}: must be at least "
-                f"{SMALLEST_SHARE:g} of the vessel's radius at its end, {v.radius_out_cm:g}; raise it"
-            )
-        last = tree.smallest_radius_cm * min(tree.alpha, tree.beta)
-        if tree.viscosity_by_radius and last < SMALLEST_CM:
-            raise StudyError(
-                f"{place}: impedance.smallest_radius_cm = {tree.smallest_radius_cm!r}: vessels of {last:.3g} "
-                f"cm have no viscosity by radius, which begins at {SMALLEST_CM:g}; raise it, or say "
-                "viscosity_by_radius = false"
-            )
-        if not tree.f1 + tree.f3 > 0:
-            raise StudyError(f"{place}: impedance: f1 and f3 are both 0: the tree has no stiffness; give one")
+        wrong = v.impedance.fault(v.radius_out_cm)
+        if wrong:
+            raise StudyError(f"{place}: impedance: {wrong}")
         return
     for m, (real, imaginary) in enumerate(v.impedance or ()):
         if not (0 < real < math.inf and math.isfinite(imaginary)) or (m == 0 and imaginary):
@@ -205,10 +193,6 @@ def _check_impedance(v: Vessel, place: str) -> None:
             )
 
 
-SMALLEST_SHARE = 1e-3
-"""Of a terminal's radius, in a structured tree."""
-SMALLEST_CM = 1e-4
-"""Radius of a vessel through which blood cells still pass one by one."""
 MOST_HARMONICS = 200
 NOMINAL = "nominal"
 """In the place of a Windkessel's numbers: the load is to be derived."""
