@@ -205,7 +205,7 @@ def test_an_exponent_and_an_asymmetry_are_two_daughters(tmp_path: Path) -> None:
     [
         ({"alpha": 0.99}, "alpha = 0.99: must be positive and at most 0.98"),
         ({"length_ratio": 0.0}, "length_ratio = 0.0: must be positive"),
-        ({"smallest_radius_cm": 1e-4}, "must be at least 0.001 of the vessel's radius"),
+        ({"smallest_radius_cm": 1e-4}, "must be at least 0.0005 of the vessel's radius"),
         ({"smallest_radius_cm": 1.2e-3, "beta": 0.05}, "have no viscosity by radius"),
         ({"f1": 0.0, "f3": 0.0}, "f1 = 0.0 and f3 = 0.0 are no stiffness"),
     ],

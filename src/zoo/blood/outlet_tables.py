@@ -15,7 +15,7 @@ Complex = NDArray[np.complex128]
 
 HARMONICS = 20
 """Of the beat, up to which an outlet meets its tree's impedance."""
-MEMORY_BEATS = 1.0
+MEMORY_BEATS = 0.5
 """Time in which the part of an outlet's response falls by e that its nearest circuit does not have."""
 TREE_FACTORS = {
     "tree_daughters": ("alpha", "beta"),
@@ -24,7 +24,7 @@ TREE_FACTORS = {
     "tree_stiffness": ("f1", "f3"),
 }
 """Parameters of models that are factors of fields of all trees, 1 as the study has them."""
-_SMALLEST_SHARE = 1e-3
+_SMALLEST_SHARE = 5e-4
 """Of a terminal's radius, in a tree."""
 _SMALLEST_CM = 1e-4
 """Radius of a vessel through which blood cells still pass one by one."""
@@ -89,13 +89,13 @@ class StructuredTree:
                 return f"{name} = {value!r}: must be positive and at most {_MOST_DAUGHTER:g}; lower it"
         if not self.smallest_radius_cm >= _SMALLEST_SHARE * radius_cm:
             return (
-                f"smallest_radius_cm = {self.smallest_radius_cm!r}: must be at least {_SMALLEST_SHARE:g} of "
+                f"smallest_radius_cm = {self.smallest_radius_cm:.6g}: must be at least {_SMALLEST_SHARE:g} of "
                 f"the vessel's radius at its end, {radius_cm:g}; raise it"
             )
         last = self.smallest_radius_cm * min(self.alpha, self.beta)
         if self.viscosity_by_radius and last < _SMALLEST_CM:
             return (
-                f"smallest_radius_cm = {self.smallest_radius_cm!r}: vessels of {last:.3g} cm have no "
+                f"smallest_radius_cm = {self.smallest_radius_cm:.6g}: vessels of {last:.3g} cm have no "
                 f"viscosity by radius, which begins at {_SMALLEST_CM:g}; raise it, or say "
                 "viscosity_by_radius = false"
             )
