@@ -8,6 +8,10 @@ quantiles of the most probable size of v = log|Z| - log|Z of the circuit| at the
 `outlet-impedance`: the root mean square of L^-1 v, where L L' is the correlation of a length, for the circuit
 that has the least of it. A length of 0 stands for independent values: the root mean square of v itself.
 
+Then how well outlets draw the trees of a lung: the largest error of the pressure that the flow of `demo`
+makes, in its pulse, by 24 positive pairs of R and C, by 16 pairs of both signs, and by the nearest Windkessel
+with a response (`zoo.blood.outlet_tables`); and the least real part of the last between harmonics, in R1.
+
     python -m benchmarks.structured_trees [--trees 100] [--seed 1]
 
 References
@@ -21,6 +25,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +35,18 @@ from scipy.special import jve
 from scipy.stats import qmc
 
 from zoo.blood.baseline import get_baseline
-from zoo.blood.case import total_resistance
+from zoo.blood.case import Case, total_resistance
 from zoo.blood.components.outlets import IMPEDANCE_KNOTS, LOWEST_HARMONIC
 from zoo.blood.components.setting import MOST_HARMONICS
-from zoo.blood.effects.structured_tree import tree_impedance
-from zoo.blood.study import load_study
+from zoo.blood.conventions import PRINTED
+from zoo.blood.effects.structured_tree import foster_fit, tree_impedance
+from zoo.blood.ejection import ejection
+from zoo.blood.loads import outlet_impedance, with_impedance_change
+from zoo.blood.network import Network
+from zoo.blood.outlet_tables import HARMONICS, StructuredTree
+from zoo.blood.physics import NO_PHYSICS
+from zoo.blood.solver import SolverOptions
+from zoo.blood.study import Blood, Vessel, load_study
 from zoo.core.parameters import pack, start_of
 
 Array = NDArray[np.float64]
@@ -154,6 +166,44 @@ def of_a_lung(row: Array) -> list[Complex]:
     ]
 
 
+def of_outlets(row: Array) -> list[list[float]]:
+    """Errors of both outlets' pressures by three circuits, in the pulse, and the least real part over R1."""
+    f1, f2, f3, *rules = row
+    stiff = math.exp(f1), f2, math.exp(f3)
+    flow = ejection(1024)[1]
+    Q = np.fft.rfft(flow) / len(flow)
+    omega = 2 * math.pi / PERIOD_S * np.arange(61)
+    tau = PERIOD_S / (2 * math.pi) * np.geomspace(0.1 / 40, 20, 16)
+    found = []
+    for radius in OUTLETS_CM:
+        full = StructuredTree(*rules, *stiff).impedance(radius, DENSITY, 0.032, omega)
+
+        def pressure(Z: Complex) -> Array:
+            return np.asarray(np.fft.irfft(np.pad(Z * Q[:61], (0, 452)), 1024) * 1024)
+
+        wanted = pressure(full)
+        first, pairs, times = foster_fit(full[:41], PERIOD_S)
+        pairs_of = tuple((z.real, z.imag) for z in full[: HARMONICS + 1])
+        end = Vessel(1, "end", 1.0, radius, radius, impedance=pairs_of, stiffness_g_cm_s2=1e5)
+        net = Network.from_vessels([end], Blood(DENSITY, 0.032), PERIOD_S)
+        none, one = np.empty(0), np.ones((5, 1))
+        table = Case(net, none, none, PRINTED, "linear", SolverOptions(), NO_PHYSICS, *one)
+        steady = full[0].real
+        R1 = np.minimum(net.R1, 0.5 * steady)  # of a circuit from which the fit of pairs starts
+        near = replace(net, R1=R1, R2=steady - R1, C=0.5 / R1, response_cosine=None, response_sine=None)
+        bare = replace(table, network=near)
+        change = np.log(full[:41] / outlet_impedance(bare, omega[:41])[0])
+        signed = with_impedance_change(bare, omega[:41], change, times_s=tau)
+        by = [
+            first + np.sum(pairs / (1 + 1j * omega[:, None] * times), axis=1),
+            outlet_impedance(signed, omega)[0],
+            outlet_impedance(table, omega)[0],
+        ]
+        between = outlet_impedance(table, np.linspace(0, 60, 4801) * omega[1])[0].real.min() / net.R1[0]
+        found.append([np.abs(pressure(Z) - wanted).max() / np.ptp(wanted) for Z in by] + [between])
+    return found
+
+
 def of_the_effect() -> tuple[list[Complex], float]:
     """Those of the effect structured-tree behind the outlets of `demo`, and its beat."""
     model = get_baseline("linear-constant").forward(load_study("demo"))
@@ -182,6 +232,17 @@ def main() -> None:
             rms = math.sqrt(float(np.mean(np.square(sizes))))
             median, most = np.quantile(sizes, (0.5, 0.95))
             print(f"  length {length:4.2f}: median {median:.2f}, rms {rms:.2f}, 95 % up to {most:.2f}")
+    outlets = np.array([one for row in draws for one in of_outlets(row)])
+    for name, errors in zip(
+        ("positive pairs", "pairs of both signs", "a response"), outlets.T[:3], strict=True
+    ):
+        median, most, worst = 100 * np.quantile(errors, (0.5, 0.95, 1))
+        print(f"{name}: {median:.3g} % of the pulse in the median, 95 % up to {most:.3g}, worst {worst:.3g}")
+    least = outlets[:, 3]
+    print(
+        f"least real part between harmonics: {least.min():.2f} R1; "
+        f"below 0 in {100 * np.mean(least < 0):.0f} %"
+    )
 
 
 if __name__ == "__main__":
