@@ -168,15 +168,15 @@ def of_a_lung(row: Array) -> list[Complex]:
 
 def of_outlets(row: Array) -> list[list[float]]:
     """Errors of both outlets' pressures by three circuits, in the pulse, and the least real part over R1."""
-    f1, f2, f3, *rules = row
-    stiff = math.exp(f1), f2, math.exp(f3)
+    f1, f2, f3, alpha, beta, length, smallest = row
+    tree = StructuredTree(alpha, beta, length, smallest, math.exp(f1), f2, math.exp(f3))
     flow = ejection(1024)[1]
     Q = np.fft.rfft(flow) / len(flow)
     omega = 2 * math.pi / PERIOD_S * np.arange(61)
     tau = PERIOD_S / (2 * math.pi) * np.geomspace(0.1 / 40, 20, 16)
     found = []
     for radius in OUTLETS_CM:
-        full = StructuredTree(*rules, *stiff).impedance(radius, DENSITY, 0.032, omega)
+        full = tree.impedance(radius, DENSITY, 0.032, omega)
 
         def pressure(Z: Complex) -> Array:
             return np.asarray(np.fft.irfft(np.pad(Z * Q[:61], (0, 452)), 1024) * 1024)

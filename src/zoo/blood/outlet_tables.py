@@ -89,8 +89,8 @@ class StructuredTree:
                 return f"{name} = {value!r}: must be positive and at most {_MOST_DAUGHTER:g}; lower it"
         if not self.smallest_radius_cm >= _SMALLEST_SHARE * radius_cm:
             return (
-                f"smallest_radius_cm = {self.smallest_radius_cm:.6g}: must be at least {_SMALLEST_SHARE:g} of "
-                f"the vessel's radius at its end, {radius_cm:g}; raise it"
+                f"smallest_radius_cm = {self.smallest_radius_cm:.6g}: must be at least {_SMALLEST_SHARE:g} "
+                f"of the vessel's radius at its end, {radius_cm:g}; raise it"
             )
         last = self.smallest_radius_cm * min(self.alpha, self.beta)
         if self.viscosity_by_radius and last < _SMALLEST_CM:
