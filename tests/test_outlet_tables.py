@@ -165,7 +165,7 @@ TABLES = {
     "impedance = [[700.0, 1.0]]": r"impedance\[0\] = .*: must be a positive resistance",
     "impedance = [[700.0, 0.0], [-2.0, 1.0]]": r"impedance\[1\] = .* takes energy",
     "impedance = []": "impedance: 0 harmonics: give 1 to",
-    "impedance = [[1e3, 0.0]]\nresistance = 3.0": "resistance = 3.0: a impedance is the outlet already",
+    "impedance = [[1e3, 0.0]]\nresistance = 3.0": "resistance = 3.0: an impedance is the outlet already",
     "impedance = { alpha = 0.8 }": "impedance: length_ratio: is missing",
     "impedance = { LAST }": "give alpha and beta, or exponent and asymmetry",
     "impedance = { alpha = 0.8, beta = 0.7, exponent = 2.7, LAST }": "give alpha and beta, or",

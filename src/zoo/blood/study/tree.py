@@ -153,8 +153,9 @@ def check_physics(
         given = [name for name in ("windkessel", "impedance", "resistance") if getattr(v, name) is not None]
         if len(given) > 1:
             shown = f" = {v.resistance!r}" if v.resistance else ""
+            article = "an" if given[0] == "impedance" else "a"
             raise StudyError(
-                f"{place}: {given[1]}{shown}: a {given[0]} is the outlet already; give one of the two"
+                f"{place}: {given[1]}{shown}: {article} {given[0]} is the outlet already; give one of the two"
             )
         _check_impedance(v, place)
         for name in _TERMINALS_ONLY:
