@@ -335,7 +335,7 @@ def test_samples_that_were_not_measured_are_left_out() -> None:
     rng, full = np.random.default_rng(4), tea(steam=6e-4)
     away = np.isin(np.arange(90), rng.choice(90, 9, replace=False))
     values = np.ma.array(full.values, mask=away[None])
-    with pytest.warns(UserWarning, match="9 of 90 times are left out, at which a series was not measured"):
+    with pytest.warns(UserWarning, match="9 of 90 times are left out, at which nothing was measured"):
         data = Data(MINUTES, values, labels=["tea"], units=["K"], time_unit="min")
     np.testing.assert_array_equal(data.values[0], full.values[0, ~away])
     found, whole = told(data, cups(times=data.times)), told(full)
@@ -344,7 +344,7 @@ def test_samples_that_were_not_measured_are_left_out() -> None:
     one, other = (x.causes[0].estimates[0] for x in (found, whole))
     assert one.mean == pytest.approx(other.mean, abs=2.0 * other.sd)
     assert other.sd < one.sd < 1.5 * other.sd
-    with pytest.raises(DataError, match="at 0 times all series are measured: give at least two"):
+    with pytest.raises(DataError, match="series 0 has 0 measured values: give at least two"):
         Data(MINUTES, np.full(90, np.nan))
 
 

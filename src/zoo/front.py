@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zoo.core import diagnosis
 from zoo.core.components import FreeFunction, FunctionOf
-from zoo.core.data import Data
+from zoo.core.data import Data, own_clocks
 from zoo.core.diagnosis import Diagnosis, Hooks, OtherState
 from zoo.core.effects import Effect
 from zoo.core.errors.spectral import Spectral
@@ -120,10 +120,11 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
 
     Parameters
     ----------
-    times : array (n_times,)
-        Ascending, in s. The simulator is called with all of them, those at which nothing was measured too.
-    measured : array (n_times,) or (n_series, n_times)
-        A row for each series, in its own unit.
+    times : array (n_times,), or sequence of array
+        Ascending, in s; or those of each series. The simulator is called with all of them, those at which
+        nothing was measured too.
+    measured : array (n_times,) or (n_series, n_times), or sequence of array
+        A row for each series, in its own unit; NaN, and what is masked, is not measured.
     simulate : function
         ``simulate(parameters, times) -> array`` of the shape of `measured`. `parameters` is a dict of numbers
         by name, which effects change and add to.
@@ -246,19 +247,30 @@ def _diagnose_series(
                 f"simulate = {simulate!r:.60}: is called as simulate(parameters, times), with a dict of "
                 f"parameters by name: {wrong}"
             )
-        data = Data(np.asarray(times), np.asanyarray(measured), labels, units, period=period, name=name)
+        data = Data(times, measured, labels, units, period=period, name=name)  # type: ignore[arg-type]
         called = getattr(simulate, "__name__", "simulator")
-        whole = np.asarray(times, dtype=np.float64)
-        function = simulate if len(whole) == data.n_times else at_all_times(simulate, whole)
         outputs = Outputs(tuple(data.outputs), data.times)
-        return OtherState(data, FunctionModel(function, parameters, outputs, called))
+        return OtherState(data, FunctionModel(simulate, parameters, outputs, called))
 
     here = bound(name, times, measured, simulate, period)
     others = []
     for other, (t, values, function) in (held_out or {}).items():
-        own = None if period is None else len(np.asarray(t)) * float(np.min(np.diff(t)))
+        clock = t[0] if own_clocks(t) else np.asarray(t)
+        own = None if period is None else len(clock) * float(np.min(np.diff(clock)))
         others.append(bound(other, t, values, function, own))
     return _diagnose_data(here.data, here.model, effects, states=others, **settings)
+
+
+def _at_given_times(data: Data, model: ForwardModel) -> ForwardModel:
+    """A function's model that is called at all times that data were given with, where some are left out."""
+    given = data.given_times
+    if given is data.times or not isinstance(model, FunctionModel):
+        return model
+    if not any(np.array_equal(model.outputs.times, times) for times in (given, data.times)):
+        return model  # which is refused
+    finer = model.finer and at_all_times(model.finer, given)
+    outputs = Outputs(model.outputs.series, data.times)
+    return replace(model, function=at_all_times(model.function, given), outputs=outputs, finer=finer)
 
 
 def _diagnose_data(
@@ -270,6 +282,8 @@ def _diagnose_data(
     hooks: Hooks | None = None,
     **settings: Any,
 ) -> Diagnosis:
+    model = _at_given_times(data, model)
+    states = [replace(one, model=_at_given_times(one.data, one.model)) for one in states]
     if isinstance(effects, Effect | FunctionOf):
         effects = [effects]
     if plain := [one for one in effects if not isinstance(one, Effect | FunctionOf)]:

@@ -7,6 +7,7 @@ import json
 import warnings
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,15 @@ def _even(times: Array) -> bool:
     return len(steps) == 0 or bool(np.ptp(steps) <= EVEN * abs(steps.mean()))
 
 
+SAME_TIME = 1e-9
+"""Difference of times of two series, in parts of the record, up to which they are one."""
+
+
+def own_clocks(times: Any) -> bool:
+    """Whether times are of each series: a sequence of arrays, or a row for each."""
+    return not np.isscalar(times) and len(times) > 0 and np.ndim(times[0]) > 0
+
+
 def squared(unit: str) -> str:
     """A unit's square, such as "mmHg2", "(ml/s)2" or "1"."""
     return unit if unit == "1" else f"{unit}2" if unit.isalpha() else f"({unit})2"
@@ -37,15 +47,16 @@ def squared(unit: str) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Data(Brief):
-    """Series that were measured at the same times; frozen, with read-only arrays.
+    """Measured series on one grid of times; frozen, with read-only arrays.
 
     Parameters
     ----------
-    times : array (n_times,)
-        Ascending, in `time_unit`; in equal steps or not.
-    values : array (n_series, n_times)
-        Each series in its own unit. NaN, and what is masked, is not measured: times at which a series was not
-        are left out of all, with a warning that says how many.
+    times : array (n_times,), or sequence of array
+        Ascending, in `time_unit`; in equal steps or not. Or those of each series: the grid is then of all
+        times of all series.
+    values : array (n_series, n_times), or sequence of array
+        Each series in its own unit. NaN, and what is masked, is not measured; times at which no series was
+        are left out, with a warning that says how many.
     labels : sequence of str
         A name for each series; "y0", "y1" and so on if absent.
     units : sequence of str
@@ -91,14 +102,14 @@ class Data(Brief):
     name: str = "data"
     source: str = ""
     checksum: str = field(default="", repr=False)
+    given_times: Array = field(init=False, repr=False)
+    """All that were given, those that are left out too, (n,)."""
 
     def __post_init__(self) -> None:
-        if np.ma.is_masked(self.times):
-            raise DataError(f"{self._where}times are masked: give the time of each sample")
-        times = np.array(self.times, dtype=np.float64)
-        values = np.array(np.ma.filled(np.ma.asarray(self.values, dtype=np.float64), np.nan))
-        if values.ndim == 1:
-            values = values[None]
+        if own_clocks(self.times):
+            times, values = self._on_one_grid()
+        else:
+            times, values = self._series_of(self.times, self.values)
         turned = values.ndim == 2 and len(values) == times.size
         if times.ndim != 1 or values.ndim != 2 or values.shape[1] != len(times):
             raise DataError(
@@ -106,10 +117,12 @@ class Data(Brief):
                 f"each series and one column for each time{', as values.T has' if turned else ''}"
             )
         self._check_period(times)
-        times, values = self._measured(times, values)
-        for name, array in (("times", times), ("values", values)):
-            if not np.all(np.isfinite(array)):
-                at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        given, (times, values) = times, self._measured(times, values)
+        given = times if len(given) == len(times) else given
+        given.flags.writeable = False
+        for name, array, wrong in (("times", times, ~np.isfinite(times)), ("values", values, np.isinf(values))):
+            if np.any(wrong):
+                at = tuple(int(i) for i in np.argwhere(wrong)[0])
                 raise DataError(
                     f"{self._where}{name}{list(at)} = {array[at]}: must be finite; correct or leave out"
                 )
@@ -117,7 +130,7 @@ class Data(Brief):
         if len(times) > 1 and np.diff(times).min() <= 0:
             raise DataError(f"{self._where}times must ascend; sort the samples, each time once")
         n = len(values)
-        put: dict[str, Any] = {"times": times, "values": values}
+        put: dict[str, Any] = {"times": times, "values": values, "given_times": given}
         for name in ("labels", "units", "groups"):
             if isinstance(text := getattr(self, name), str):
                 raise DataError(f"{self._where}{name} = {text!r}: give a list, such as [{text!r}]")
@@ -141,6 +154,35 @@ class Data(Brief):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "checksum", self._checksum())
 
+    def _series_of(self, times: Any, values: Any) -> tuple[Array, Array]:
+        """Times (n_times,), and a row for each series, NaN where it is masked."""
+        if np.ma.is_masked(times):
+            raise DataError(f"{self._where}times are masked: give the time of each sample")
+        found = np.array(np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan))
+        return np.array(times, dtype=np.float64), found[None] if found.ndim == 1 else found
+
+    def _on_one_grid(self) -> tuple[Array, Array]:
+        """All times of series that have their own, and the series there, NaN where one has no sample."""
+        if len(self.times) != len(self.values):
+            raise DataError(
+                f"{self._where}times of {len(self.times)} series and values of {len(self.values)}: give both for each"
+            )
+        pairs = [self._series_of(*pair) for pair in zip(self.times, self.values, strict=True)]
+        for i, (own, row) in enumerate(pairs):
+            if own.ndim != 1 or row.shape != (1, len(own)):
+                raise DataError(
+                    f"{self._where}series {i} has {row.size} values and {own.size} times: give one value for each"
+                )
+            if not np.all(np.isfinite(own)) or np.any(np.diff(own) <= 0):
+                raise DataError(f"{self._where}times of series {i} must be finite and ascend")
+        every = np.unique(np.concatenate([own for own, _ in pairs]))
+        times = every[np.append(True, np.diff(every) > SAME_TIME * np.ptp(every))]
+        values = np.full((len(pairs), len(times)), np.nan)
+        for (own, row), into in zip(pairs, values, strict=True):
+            at = np.searchsorted(times, own, side="right") - 1
+            into[at] = row[0]
+        return times, values
+
     def _check_period(self, times: Array) -> None:
         """Whether times, measured at or not, are of one period."""
         if self.period is None or len(times) < 2:
@@ -155,26 +197,38 @@ class Data(Brief):
             )
 
     def _measured(self, times: Array, values: Array) -> tuple[Array, Array]:
-        """Times at which every series was measured."""
-        kept = ~np.isnan(values).any(axis=0)
+        """Times at which some series was measured."""
+        measured = ~np.isnan(values)
+        for i in np.flatnonzero(measured.sum(axis=1) < min(2, len(times))):
+            raise DataError(f"{self._where}series {i} has {measured[i].sum()} measured values: give at least two")
+        kept = measured.any(axis=0) if len(values) else np.ones(len(times), bool)
         if kept.all():
             return times, values
-        if kept.sum() < 2:
-            raise DataError(f"{self._where}at {kept.sum()} times all series are measured: give at least two")
-        others = int(np.sum(~np.isnan(values[:, ~kept])))
-        lost = f", with {others} values of other series" if others else ""
         warnings.warn(
-            f"{self._where}{np.sum(~kept)} of {len(times)} times are left out, at which a series was not "
-            f"measured{lost}",
+            f"{self._where}{np.sum(~kept)} of {len(times)} times are left out, at which nothing was measured",
             stacklevel=4,
         )
         return times[kept], values[:, kept]
 
+    @cached_property
+    def measured(self) -> NDArray[np.bool_]:
+        """Whether each series was measured at each time, (n_series, n_times)."""
+        return ~np.isnan(self.values)
+
+    @cached_property
+    def whole(self) -> bool:
+        """Whether every series was measured at all times."""
+        return bool(self.measured.all())
+
+    def samples(self, series: int, values: Array | None = None) -> Array:
+        """Measured values of one series, or what others (n_series, n_times) have there."""
+        return np.asarray((self.values if values is None else values)[series][self.measured[series]])
+
     @property
     def even(self) -> bool:
-        """Whether times are in equal steps, which cover a period if there is one."""
+        """Whether all series are of times in equal steps, which cover a period if there is one."""
         step = self.duration / max(self.n_times, 1)
-        return _even(self.times) and (
+        return self.whole and _even(self.times) and (
             self.n_times < 2 or abs(self.times[1] - self.times[0] - step) < EVEN * step
         )
 
@@ -196,7 +250,7 @@ class Data(Brief):
 
     @property
     def n_times(self) -> int:
-        """Number of samples of each series."""
+        """Number of times."""
         return len(self.times)
 
     @property

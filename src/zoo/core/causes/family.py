@@ -80,16 +80,16 @@ class ErrorFamily:
 
     def beside(self, signal: Array) -> ErrorFamily:
         """The same beside causes that change the coefficients by a signal (n,)."""
-        errors, found = self.errors, np.empty((self.errors.on.n_series, self.errors.n))
+        errors, found = self.errors, np.empty_like(signal)
         harmonic = np.rint(np.asarray(errors.omega) * errors.on.duration / (2.0 * math.pi)).astype(int)
-        per = 1.0 / np.maximum(np.bincount(harmonic), 1)
-        power = (signal.reshape(found.shape)) ** 2
-        for rows in errors.rows.values():  # the mean of a group's series, and their differences together
-            for part in (rows[:1], rows[1:]):
-                if len(part):
-                    found[part] = (np.bincount(harmonic, power[part].mean(axis=0)) * per)[harmonic]
+        harmonic = np.broadcast_to(harmonic, errors.there.shape)[errors.there]
+        # the mean of a group's series, and their differences together
+        part = 2 * self.member + errors.leading[errors.there]
+        for at in (np.flatnonzero(part == one) for one in np.unique(part)):
+            per = 1.0 / np.maximum(np.bincount(harmonic[at]), 1)
+            found[at] = (np.bincount(harmonic[at], signal[at] ** 2) * per)[harmonic[at]]
         made = copy(self)  # with all that is computed already
-        object.__setattr__(made, "own", found.reshape(-1) / self.relative(signal) ** 2)
+        object.__setattr__(made, "own", found / self.relative(signal) ** 2)
         return made
 
     @cached_property
@@ -103,7 +103,7 @@ class ErrorFamily:
         found = np.empty((self.errors.on.n_series, self.errors.n), int)
         for index, group in enumerate(self.groups):
             found[self.errors.rows[group]] = index
-        return found.reshape(-1)
+        return found[self.errors.there]
 
     @cached_property
     def one_of(self) -> Array:
@@ -130,12 +130,10 @@ class ErrorFamily:
         omega, T = np.asarray(self.errors.omega), self.errors.on.duration
         found = np.empty((len(self.shapes), self.errors.on.n_series, self.errors.n))
         for i, (exponent, length, rho) in enumerate(self.shapes):
-            h = self.errors.diagonal((1.0 + (omega * length * T) ** 2) ** -(exponent + 0.5))
+            h = (1.0 + (omega * length * T) ** 2) ** -(exponent + 0.5)
             for group, rows in self.errors.rows.items():
-                share = np.full(len(rows), 1.0 - rho)
-                share[0] += len(rows) * rho
-                found[i, rows] = self.ranges[group] ** 2 * np.outer(share, h / h.mean())
-        return found.reshape(len(self.shapes), -1)
+                found[i, rows] = self.ranges[group] ** 2 * self.errors.process(h, group, rho)
+        return found[:, self.errors.there]
 
     @cached_property
     def colours(self) -> tuple[tuple[float, float], ...]:
@@ -157,9 +155,12 @@ class ErrorFamily:
     @cached_property
     def _noises(self) -> Array:
         """Variances (n_noises, n) of white noise and of each correlated one, in those of the white noise."""
-        T = self.errors.on.duration
-        rough = np.stack([1.0 + ratio**2 * self.errors.rough(t * T) for ratio, t in self.colours])
-        return np.tile(np.concatenate([np.ones((1, self.errors.n)), rough]), self.errors.on.n_series)
+        omega, T = np.asarray(self.errors.omega), self.errors.on.duration
+        found = np.ones((1 + len(self.colours), *self.errors.there.shape))
+        for i, (ratio, t) in enumerate(self.colours, 1):
+            for group, rows in self.errors.rows.items():
+                found[i, rows] += ratio**2 * self.errors.process(1.0 / (1.0 + (omega * t * T) ** 2), group)
+        return found[:, self.errors.there]
 
     def of(self, kinds: NDArray[np.int_]) -> tuple[Array, Array]:
         """Error models by their indices: white noise, each correlated one, each spectrum at each size.

@@ -142,13 +142,13 @@ def _gap(found: CauseSets, before: Discrepancy, after: Discrepancy, rows: list[i
 
 
 def _rms(values: Array) -> float:
-    return math.sqrt(float(np.mean(values**2)))
+    return math.sqrt(float(np.nanmean(values**2)))
 
 
 def _where(found: CauseSets, p: dict[Which, float], d: Discrepancy, hooks: Hooks) -> Where:
     data, errors = found.search.fitting.data, found.search.family.errors
     rows = hooks.rows(data)
-    energy = d.mean**2
+    energy = np.nan_to_num(d.mean) ** 2
     total = float(energy[rows].sum()) or 1.0
     names, phase = hooks.phases_of(data, rows)
     power = np.zeros(int(errors.k.max()) + 1)
@@ -256,13 +256,13 @@ def _share(found: CauseSets, draws: CauseDraws, component: str, group: str) -> I
         if index is None:
             return np.zeros(len(one.x))
         signals = {i: own(one, p) for i, p in one.solved.places(search.origins).items()}
-        energy = {i: np.sum(x**2, axis=(1, 2)) for i, x in signals.items()}
+        energy = {i: np.sum(x**2, axis=1) for i, x in signals.items()}
         computed = search.family.errors.part(one.computed - search.base.computed, group)
         gap = computed + search.family.errors.part(one.left, group)
-        beyond = np.sum((computed - sum(signals.values())) * gap, axis=(1, 2))
-        shared = np.sum(signals[index] * gap, axis=(1, 2))
+        beyond = np.sum((computed - sum(signals.values())) * gap, axis=1)
+        shared = np.sum(signals[index] * gap, axis=1)
         shared += beyond * energy[index] / np.maximum(sum(energy.values()), 1e-300)
-        return np.asarray(shared / np.maximum(np.sum(gap**2, axis=(1, 2)), 1e-300))
+        return np.asarray(shared / np.maximum(np.sum(gap**2, axis=1), 1e-300))
 
     return draws.interval(of)
 

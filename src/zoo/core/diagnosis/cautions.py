@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,7 +100,7 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
     data, told = found.search.fitting.data, list[str]()
     rows, gap = hooks.rows(data), file.gap
     unit = unit_words(gap.unit)
-    spread = float(max(np.ptp(data.values[i]) for i in rows))
+    spread = float(max(np.ptp(data.samples(i)) for i in rows))
     if gap.residual_rms_before > POOR_FIT * spread:
         told.append(
             f"the baseline misses the data by {gap.residual_rms_before:.2g}{unit}, "
@@ -108,7 +109,7 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
     if file.cause and gap.removed < 0.0:
         told.append("with the leading causes the model error is larger than without: do not believe them")
     for i, label in enumerate(data.labels):
-        explained = 1.0 - float(np.var(before.residual[i]) / np.var(data.values[i]))
+        explained = 1.0 - float(np.nanvar(before.residual[i]) / np.nanvar(data.values[i]))
         if explained < STUCK:
             told.append(
                 f"{label}: the best fit of the baseline explains {max(explained, 0.0):.0%} of its variance, "
@@ -191,13 +192,13 @@ def _outliers(found: CauseSets) -> list[str]:
     """Samples far from their neighbours in what the leading set leaves."""
     data, told = found.search.fitting.data, []
     left = found.search.family.errors.unflat(found.search.data - found.solved[found.leader].point.computed)
-    for label, series, values in zip(data.labels, left, data.values, strict=True):
-        k = NEIGHBOURS
+    for i, label in enumerate(data.labels):
+        series, values, k = data.samples(i, left), data.samples(i), NEIGHBOURS
         around = np.pad(series, k, mode="reflect" if data.period is None else "wrap")
         odd = series - np.median(np.lib.stride_tricks.sliding_window_view(around, 2 * k + 1), axis=1)
         steps = np.abs(np.diff(around))
         scale = ROBUST / math.sqrt(2.0) * float(np.median(steps)) + 1e-12 * float(np.ptp(values))
-        at = np.flatnonzero(np.abs(odd) > OUTLIER * scale)
+        at = np.flatnonzero(data.measured[i])[np.abs(odd) > OUTLIER * scale]
         if 0 < len(at) < 0.1 * len(series):
             told.append(
                 f"{label}: samples {', '.join(map(str, at[:10]))} stand out from their "
@@ -213,7 +214,7 @@ def _noise(found: CauseSets) -> list[str]:
     residual = found.search.data - found.search.base.computed
     for group, rows in data.rows.items():
         fine, unit = errors.fine(residual, group), data.unit(group)
-        if fine.shape[1] < LEAST_FINE:
+        if len(fine) < LEAST_FINE * len(rows):
             continue
         known, scatter = errors.known.get(group), float(np.sqrt(np.mean(fine**2)))
         if known is not None and not known / WRONG_NOISE < scatter < known * WRONG_NOISE:
@@ -222,15 +223,19 @@ def _noise(found: CauseSets) -> list[str]:
                 "from sample to sample: correct it, or leave it out and it is fitted; all probabilities "
                 "here hold for that noise alone"
             )
-        waves = np.fft.rfft(errors.unflat(residual)[rows])[:, -fine.shape[1] // 2 :]
-        for i in range(len(rows)):
-            for j in range(i + 1, len(rows)):
-                size = float(np.linalg.norm(waves[i]) * np.linalg.norm(waves[j]))
-                if size > 0 and float(np.vdot(waves[i], waves[j]).real) > SAME_NOISE * size:
-                    told.append(
-                        f"{data.labels[rows[i]]} and {data.labels[rows[j]]} have the same noise, as "
-                        "copies of one record have: leave one out, for what they share looks like an effect"
-                    )
+        left = errors.unflat(residual)
+        for i, j in combinations(rows, 2):
+            both = left[[i, j]][:, data.measured[i] & data.measured[j]]
+            n = both.shape[1] * len(fine) // (2 * len(errors.part(residual, group)))
+            if 2 * n < LEAST_FINE:
+                continue
+            one, other = np.fft.rfft(both)[:, -n:]
+            size = float(np.linalg.norm(one) * np.linalg.norm(other))
+            if size > 0 and float(np.vdot(one, other).real) > SAME_NOISE * size:
+                told.append(
+                    f"{data.labels[i]} and {data.labels[j]} have the same noise, as "
+                    "copies of one record have: leave one out, for what they share looks like an effect"
+                )
     return told
 
 

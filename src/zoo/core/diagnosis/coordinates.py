@@ -213,4 +213,4 @@ class SearchModel:
 
 def ranges(data: Data) -> dict[str, float]:
     """Largest peak-to-peak range of a group's series, in its unit."""
-    return {g: float(max(np.ptp(data.values[i]) for i in rows)) for g, rows in data.rows.items()}
+    return {g: float(max(np.ptp(data.samples(i)) for i in rows)) for g, rows in data.rows.items()}

@@ -191,6 +191,7 @@ class Diagnosis:
             (label, time): interval_of(series[:, i, j], weights)
             for i, label in enumerate(labels)
             for j, time in enumerate(times.tolist())
+            if not np.isnan(series[0, i, j])
         }
         return pd.DataFrame(
             [(*at, band.mean, band.low, band.high) for at, band in bands.items()],
@@ -289,7 +290,7 @@ def _checked(
             f"errors = {chosen.name}: a diagnosis weighs errors in independent coefficients; give "
             "Harmonics() for periodic series, Uneven() for times in unequal steps, or Cosines()"
         )
-    for label, series in zip(data.labels, data.values, strict=True):
+    for label, series in zip(data.labels, map(data.samples, range(data.n_series)), strict=True):
         if np.ptp(series) == 0.0:
             raise DiagnosisError(
                 f"{data.source or data.name}: series {label} is {series[0]:g} throughout; give one that "

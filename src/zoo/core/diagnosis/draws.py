@@ -137,6 +137,7 @@ class Discrepancy:
     Parameters
     ----------
     draws : array (n_draws, n_series, n_times)
+        NaN where not measured.
     weights : array (n_draws,)
     residual : array (n_series, n_times)
         Measured minus computed.
@@ -159,7 +160,7 @@ class Discrepancy:
 
     def rms(self, rows: Sequence[int]) -> Array:
         """Over some series together, (n_draws,)."""
-        return np.asarray(np.sqrt(np.mean(self.draws[:, list(rows)] ** 2, axis=(1, 2))))
+        return np.asarray(np.sqrt(np.nanmean(self.draws[:, list(rows)] ** 2, axis=(1, 2))))
 
     def interval(self, rows: Sequence[int]) -> Interval:
         """Of that rms."""

@@ -64,9 +64,9 @@ def hold_out(found: CauseSets, rows: list[int]) -> HeldOut | None:
         what = f"{BLOCKS} blocks of the {'beat' if data.period is not None else 'record'} in turn"
     noise = np.array([found.noise[group] for group in data.groups])[:, None] * np.ones(n)
     sums = {0: [0.0, 0], 1: [0.0, 0]}
-    for out in folds:
+    for out in (fold & data.measured for fold in folds):
         for which, start in enumerate((found.search.fitted, leader)):
-            series = _refit(fitting, start, ~out, noise)
+            series = _refit(fitting, start, data.measured & ~out, noise)
             if series is None:
                 return None
             sums[which][0] += float(np.sum((data.values - series)[out] ** 2 - noise[out] ** 2))

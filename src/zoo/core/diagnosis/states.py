@@ -226,7 +226,9 @@ def _at_same_part(values: Array, first: Data, here: Data) -> Array | None:
     for i, label in enumerate(here.labels):
         if label in first.labels:
             any_ = True
-            found[i] = np.interp(parts[1], parts[0], values[first.labels.index(label)], period=period)
+            row = first.labels.index(label)
+            at = parts[0][first.measured[row]]
+            found[i] = np.interp(parts[1], at, first.samples(row, values), period=period)
     return found if any_ else None
 
 
@@ -283,7 +285,7 @@ def same_system(data: Data, model: ForwardModel, state: OtherState) -> None:
                 f"{where}: series {label} is in {units[1]}, in {data.name} in {units[0]}: give both in "
                 "one unit"
             )
-    if here.values.shape == data.values.shape and np.allclose(here.values, data.values, rtol=SAME, atol=0.0):
+    if here.values.shape == data.values.shape and np.allclose(here.values, data.values, rtol=SAME, atol=0.0, equal_nan=True):
         raise DiagnosisError(
             f"{where}: has the same series as {data.name}, in which all was learned: give measurements of "
             "another state"
@@ -404,10 +406,10 @@ def _compared(
     left = [(data.values - x) ** 2 for x in computed.values()]
     units = np.array(
         [
-            [float(np.sum(part == j)), *(float(np.sum(x[i, part == j])) for x in left)]
+            [float(np.sum(own)), *(float(np.sum(x[i, own])) for x in left)]
             for i in data.rows[group]
-            for j in range(PARTS)
-            if np.any(part == j)
+            for own in (data.measured[i] & (part == j) for j in range(PARTS))
+            if np.any(own)
         ]
     )
     intervals, mse = intervals_of(units, noise**2, seed)

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -123,9 +124,10 @@ class Spectral(ErrorModel):
         ErrorModelError
             If there are no series, or fewer than eight samples.
         """
-        if not data.n_series or data.n_times < SMALLEST_SERIES:
+        least = min(data.measured.sum(axis=1), default=0)
+        if not data.n_series or least < SMALLEST_SERIES:
             raise ErrorModelError(
-                f"{data.source or data.name}: {data.name!r} has {data.n_series} series of {data.n_times} "
+                f"{data.source or data.name}: {data.name!r} has {data.n_series} series of {least} "
                 f"samples: give at least one series of {SMALLEST_SERIES} samples"
             )
         if not (data.even or self.uneven):
@@ -158,13 +160,30 @@ class Spectral(ErrorModel):
 
     @property
     def n(self) -> int:
-        """Coefficients of each series."""
+        """Coefficients of each series at most."""
         return self.on.n_times
 
     @property
     def size(self) -> int:
         """Coefficients of all series."""
-        return self.on.n_times * self.on.n_series
+        return int(self.counts.sum())
+
+    @cached_property
+    def counts(self) -> NDArray[np.int_]:
+        """Coefficients of each series, (n_series,)."""
+        return np.full(self.on.n_series, self.n)
+
+    @cached_property
+    def there(self) -> NDArray[np.bool_]:
+        """Which coefficients there are, (n_series, n_times)."""
+        return np.asarray(np.arange(self.n) < self.counts[:, None])
+
+    @cached_property
+    def leading(self) -> NDArray[np.bool_]:
+        """Which coefficients are of the mean of a group's series, (n_series, n_times)."""
+        found = np.zeros(self.there.shape, bool)
+        found[[rows[0] for rows in self.rows.values()]] = True
+        return found
 
     @cached_property
     def rows(self) -> dict[str, list[int]]:
@@ -192,19 +211,20 @@ class Spectral(ErrorModel):
         return self._backward(np.einsum("ji,...jk->...ik", self._rotation, coefficients))
 
     def flat(self, series: Array) -> Array:
-        """Coefficients as one vector, (..., n_series * n_times)."""
-        found = self.transform(series)
-        return found.reshape(*found.shape[:-2], self.size)
+        """Coefficients that there are as one vector, (..., n)."""
+        return self.transform(series)[..., self.there]
 
     def unflat(self, coefficients: Array) -> Array:
-        """Series of coefficients (..., n_series * n_times)."""
-        values = np.asarray(coefficients)
-        return self.inverse(values.reshape(*values.shape[:-1], self.on.n_series, self.n))
+        """Series (..., n_series, n_times) of flat coefficients (..., n)."""
+        values = np.zeros((*np.shape(coefficients)[:-1], *self.there.shape))
+        values[..., self.there] = coefficients
+        return self.inverse(values)
 
     def part(self, coefficients: Array, group: str) -> Array:
-        """One group's coefficients, (..., n_series of it, n_times), of flat ones."""
-        apart = coefficients.reshape(*coefficients.shape[:-1], self.on.n_series, self.n)
-        return np.asarray(apart[..., self.rows[group], :])
+        """One group's coefficients, (..., m), of flat ones."""
+        own = np.zeros(self.there.shape, bool)
+        own[self.rows[group]] = True
+        return np.asarray(coefficients[..., own[self.there]])
 
     # -- spectra ----------------------------------------------------------------------------------
 
@@ -222,24 +242,31 @@ class Spectral(ErrorModel):
         f: Array = self.diagonal(np.exp(-0.5 * (self.omega * length) ** 2))
         return np.asarray(f / f.mean())
 
-    def spectrum(self, errors: GroupErrors, n_series: int, *, noise: bool = True) -> Array:
+    def process(self, spectrum: Array, group: str, shared: float = 0.0) -> Array:
+        """Variances (n_series of the group, n_times) of a process of sd 1, its correlation between series."""
+        n, h = len(self.rows[group]), self.diagonal(spectrum)
+        share = np.full(n, 1.0 - shared)
+        share[0] += n * shared
+        return np.outer(share, h / h.mean())
+
+    def spectrum(self, errors: GroupErrors, group: str, *, noise: bool = True) -> Array:
         """Variances (n_series, n_times) of the coefficients of one group's series."""
-        S = np.zeros((n_series, self.n))
+        S = np.zeros((len(self.rows[group]), self.n))
         if noise:
-            S += errors.sigma**2 * (1.0 + errors.ratio**2 * self.rough(errors.tau))
+            rough = 1.0 / (1.0 + (self.omega * errors.tau) ** 2)
+            S += errors.sigma**2 * (1.0 + errors.ratio**2 * self.process(rough, group))
         if errors.delta > 0.0:
-            share = np.full(n_series, 1.0 - errors.shared)
-            share[0] += n_series * errors.shared
-            shape = self.rough if errors.rough else self.smooth
-            S += errors.delta**2 * np.outer(share, shape(errors.length))
+            at = self.omega * errors.length
+            h = 1.0 / (1.0 + at**2) if errors.rough else np.exp(-0.5 * at**2)
+            S += errors.delta**2 * self.process(h, group, errors.shared)
         return S
 
     def variances(self, errors: Mapping[str, GroupErrors], *, noise: bool = True) -> Array:
-        """Variances of all coefficients, (n_series * n_times,)."""
+        """Variances of all coefficients that there are, (n,)."""
         S = np.empty((self.on.n_series, self.n))
         for group, rows in self.rows.items():
-            S[rows] = self.spectrum(errors[group], len(rows), noise=noise)
-        return S.reshape(self.size)
+            S[rows] = self.spectrum(errors[group], group, noise=noise)
+        return S[self.there]
 
     # -- scales -----------------------------------------------------------------------------------
 
@@ -249,9 +276,9 @@ class Spectral(ErrorModel):
         return self.length[0] * self.on.duration
 
     def fine(self, residual: Array, group: str) -> Array:
-        """Coefficients (n_series, n) of one group's residual whose frequencies are those of noise alone."""
-        found: Array = self.part(residual, group)[:, self.k > FINE * self.k.max()]
-        return found
+        """Coefficients (m,) of one group's residual whose frequencies are those of noise alone."""
+        last = self.k[self.counts - 1]
+        return self.part(residual, group)[self.part((self.k > FINE * last[:, None])[self.there], group)]
 
     # -- the error model --------------------------------------------------------------------------
 
@@ -262,7 +289,7 @@ class Spectral(ErrorModel):
         T, found = self.on.duration, []
         for group, rows in self.rows.items():
             unit, given = self.on.unit(group), self.priors.get(group)
-            typical = 0.01 * float(np.ptp(self.on.values[rows])) or 1.0
+            typical = 0.01 * float(np.ptp(np.concatenate([self.on.samples(i) for i in rows]))) or 1.0
             sigma = given.sigma if given else LogNormal(typical, 2.0)
             if group not in self.known:
                 found.append(Parameter(f"sigma_{group}", sigma, unit, log=True))
@@ -286,7 +313,9 @@ class Spectral(ErrorModel):
             sigma = float(np.asarray(self._sigma(values, group)))
             delta = float(np.asarray(values.get(f"delta_{group}", 0.0)))
             errors[group] = GroupErrors(sigma, ratio, tau, delta, self.typical_length)
-        return self.variances(errors).reshape(self.on.n_series, self.n)
+        S = np.ones(self.there.shape)
+        S[self.there] = self.variances(errors)
+        return S
 
     @property
     def _basis(self) -> Array:
@@ -311,7 +340,9 @@ class Spectral(ErrorModel):
     ) -> Array:
         """A term for each coefficient: given the parameters they are independent, in every decomposition."""
         S = self._at(values)
-        return np.asarray(-0.5 * (self.transform(residual) ** 2 / S + np.log(2.0 * math.pi * S)))
+        return np.asarray(
+            -0.5 * (self.transform(residual) ** 2 / S + np.log(2.0 * math.pi * S)) * self.there
+        )
 
     def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
         """Observe the data's coefficients: independent normal around those of the mean."""
@@ -443,15 +474,17 @@ class Cosines(Spectral):
 
 @dataclass(frozen=True)
 class Uneven(Spectral):
-    """Errors of series whose times are in unequal steps, as where samples are missing.
+    """Errors of series whose times are in unequal steps, as where samples are missing or clocks differ.
 
-    The coefficients are those of an orthonormal basis Q of the measured samples, made of the harmonics of
-    the period or the cosines of the record, B at the measured times, from slow to fast: B = Q R. White noise
-    is white in them, and a process with the spectrum h has the variances
+    The coefficients of a series are those of an orthonormal basis Q of its own samples, made of the harmonics
+    of the period or the cosines of the record, B at its own times, from slow to fast: B = Q R. Those of one
+    number are rotated among the series of a group that have it, the first in proportion to the root of their
+    numbers of samples, which is what a process that they share does. White noise is white in them. A process
+    with the spectrum h and the correlation rho between series i and j has, G = Q'B, the variances
 
-        diag(Q' B diag(h) B' Q);
+        sum_ij U_ri U_rj (rho + (1 - rho) [i = j]) diag(G_i diag(h) G_j')
 
-    what it has besides these is left out, which is little where few samples are missing.
+    in the rotation U; what it has besides these is left out, which is little where few samples are missing.
     """
 
     uneven: ClassVar[bool] = True
@@ -473,13 +506,23 @@ class Uneven(Spectral):
         return np.asarray(half * math.pi * self.k / self.on.duration)
 
     @cached_property
-    def _functions(self) -> Array:
+    def counts(self) -> NDArray[np.int_]:
+        """Coefficients of each series: its samples, (n_series,)."""
+        return np.asarray(self.on.measured.sum(axis=1))
+
+    @cached_property
+    def _clocks(self) -> tuple[NDArray[np.bool_], NDArray[np.int_]]:
+        """Times at which some series was measured, one row for all series alike, and each series' row."""
+        clocks, own = np.unique(self.on.measured, axis=0, return_inverse=True)
+        return clocks, own.reshape(-1)
+
+    def _functions(self, at: NDArray[np.bool_]) -> Array:
         """B: each column a harmonic or a cosine at the measured times."""
-        n, T = self.n, self.on.duration
-        t = self.on.times - self.on.times[0]
+        n, T = int(at.sum()), self.on.duration
+        t = self.on.times[at] - self.on.times[0]
         if self.on.period is None:
-            t = t + 0.5 * T / n
-        phase = np.outer(t, self.omega)
+            t = t + 0.5 * T / self.on.n_times
+        phase = np.outer(t, self.omega[:n])
         sines = (self.on.period is not None) & (np.arange(n) % 2 == 0)
         found = np.where(sines, np.sin(phase), np.cos(phase)) * math.sqrt(2.0 / n)
         found[:, 0] = 1.0 / math.sqrt(n)
@@ -488,27 +531,118 @@ class Uneven(Spectral):
         return np.asarray(found)
 
     @cached_property
-    def _orthonormal(self) -> Array:
-        q, r = np.linalg.qr(self._functions)
-        return np.asarray(q * np.where(np.diag(r) < 0.0, -1.0, 1.0))
+    def _bases(self) -> list[tuple[Array, Array]]:
+        """Q and G = Q'B of each clock."""
+        found = []
+        for at in self._clocks[0]:
+            functions = self._functions(at)
+            q, r = np.linalg.qr(functions)
+            q = q * np.where(np.diag(r) < 0.0, -1.0, 1.0)
+            found.append((q, q.T @ functions))
+        return found
 
     @cached_property
-    def _mixing(self) -> Array:
-        return np.asarray((self._orthonormal.T @ self._functions) ** 2)
+    def _turns(self) -> list[tuple[list[int], slice, Array]]:
+        """Series of a group that have some coefficients, which these are, and their rotation."""
+        found = []
+        for group in self.rows.values():
+            edges = [0, *np.unique(self.counts[group]).tolist()]
+            for first, last in pairwise(edges):
+                rows = [i for i in group if self.counts[i] >= last]
+                found.append((rows, slice(first, last), weighted_helmert(np.sqrt(self.counts[rows]))))
+        return found
+
+    @cached_property
+    def leading(self) -> NDArray[np.bool_]:
+        """Which coefficients are of the mean of a group's series, (n_series, n_times)."""
+        found = np.zeros(self.there.shape, bool)
+        for rows, part, _ in self._turns:
+            found[rows[0], part] = True
+        return found
+
+    def transform(self, series: Array) -> Array:
+        """Coefficients (..., n_series, n_times) of series (..., n_series, n_times), 0 where there is none."""
+        found = np.zeros(np.shape(series))
+        for i, (count, clock) in enumerate(zip(self.counts, self._clocks[1], strict=True)):
+            found[..., i, :count] = series[..., i, self.on.measured[i]] @ self._bases[clock][0]
+        for rows, part, turn in self._turns:
+            found[..., rows, part] = np.einsum("ij,...jk->...ik", turn, found[..., rows, part])
+        return found
+
+    def inverse(self, coefficients: Array) -> Array:
+        """Series (..., n_series, n_times) of coefficients (..., n_series, n_times), NaN where not measured."""
+        own, found = np.array(coefficients, dtype=np.float64), np.full(np.shape(coefficients), np.nan)
+        for rows, part, turn in self._turns:
+            own[..., rows, part] = np.einsum("ji,...jk->...ik", turn, own[..., rows, part])
+        for i, (count, clock) in enumerate(zip(self.counts, self._clocks[1], strict=True)):
+            found[..., i, self.on.measured[i]] = own[..., i, :count] @ self._bases[clock][0].T
+        return found
+
+    @cached_property
+    def _mixing(self) -> dict[tuple[int, int], Array]:
+        """G_i G_j, element by element, of each pair of clocks."""
+        own, n = [g for _, g in self._bases], range(len(self._bases))
+        least = {(i, j): min(len(own[i]), len(own[j])) for i in n for j in n}
+        return {(i, j): own[i][:m, :m] * own[j][:m, :m] for (i, j), m in least.items()}
+
+    def process(self, spectrum: Array, group: str, shared: float = 0.0) -> Array:
+        """Variances (n_series of the group, n_times) of a process of sd 1, its correlation between series."""
+        clocks, rows = self._clocks[1], self.rows[group]
+        mixed = {
+            pair: mixing @ spectrum[: mixing.shape[1]]
+            for pair, mixing in self._mixing.items()
+            if shared or pair[0] == pair[1]
+        }
+        size = {i: math.sqrt(mixed[i, i].mean()) for i in set(clocks[rows].tolist())}
+        found = np.zeros((self.on.n_series, self.n))
+        for own, part, turn in self._turns:
+            for a, i in enumerate(own if own[0] in rows else ()):
+                for b, j in enumerate(own):
+                    if i == j or shared:
+                        pair = int(clocks[i]), int(clocks[j])
+                        both = (1.0 if i == j else shared) * mixed[pair][part] / (size[pair[0]] * size[pair[1]])
+                        found[own, part] += np.outer(turn[:, a] * turn[:, b], both)
+        return found[rows]
 
     def diagonal(self, spectrum: Any) -> Any:
         """Variances (n_times,) of the coefficients of a process with this spectrum at their frequencies."""
-        return spectrum.__rmatmul__(self._mixing) if hasattr(spectrum, "owner") else self._mixing @ spectrum
+        return pt_dot(self._mixing[0, 0], spectrum)
+
+    def _alike(self) -> Array:
+        """Q of series that all have the same times.
+
+        Raises
+        ------
+        ErrorModelError
+            If they have not.
+        """
+        if not self.on.whole:
+            raise ErrorModelError(
+                f"{self.on.source or self.on.name}: {self.name} of series that are not all measured at the same "
+                "times are for a diagnosis without posteriors; sample with Independent() or GroupNoise()"
+            )
+        return self._bases[0][0]
 
     def _forward(self, series: Array) -> Array:
-        return np.asarray(series @ self._orthonormal)
+        return np.asarray(series @ self._alike())
 
-    def _backward(self, coefficients: Array) -> Array:
-        return np.asarray(coefficients @ self._orthonormal.T)
+
+def pt_dot(matrix: Array, vector: Any) -> Any:
+    """The product with an array, or with a tensor of PyTensor."""
+    return vector.__rmatmul__(matrix) if hasattr(vector, "owner") else matrix @ vector
+
+
+def weighted_helmert(weights: Array) -> Array:
+    """A rotation (n, n) whose first row is in proportion to weights; Helmert's where they are equal."""
+    plain = helmert(len(weights), full=True)
+    if np.ptp(weights) == 0.0:
+        return np.asarray(plain)
+    q, r = np.linalg.qr(np.column_stack([weights, plain[1:].T]))
+    return np.asarray((q * np.where(np.diag(r) < 0.0, -1.0, 1.0)).T)
 
 
 def spectral_errors(data: Data) -> Spectral:
-    """Uneven where times are in unequal steps, else harmonics for periodic data and cosines for others."""
+    """Uneven where some series' times are in unequal steps, else harmonics if periodic, cosines if not."""
     if not data.even:
         return Uneven()
     return Cosines() if data.period is None else Harmonics()

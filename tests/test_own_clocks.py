@@ -1,0 +1,159 @@
+"""Series on clocks of their own, and with samples missing: as if each had the samples that it has."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+import zoo
+from zoo.core.causes.evidence import SetModel
+from zoo.core.causes.family import ErrorFamily
+from zoo.core.causes.problem import Cause, Problem
+from zoo.core.data import Data, DataError
+from zoo.core.diagnosis.coordinates import ranges
+from zoo.core.errors.base import ErrorModelError
+from zoo.core.errors.spectral import Cosines, GroupErrors, Harmonics, Uneven, log_density, spectral_errors
+from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.parameters import as_parameters
+
+FINE = 2048
+EVEN = np.arange(64) / 64
+MISSING = np.delete(EVEN, [5, 20, 33])
+FASTER = np.rint(np.arange(96) / 96 * FINE) / FINE
+
+
+def own(clocks: list[np.ndarray], values: list[np.ndarray] | None = None, **settings: object) -> Data:
+    found = [np.zeros(len(clock)) for clock in clocks] if values is None else values
+    return Data(clocks, found, groups=["y"] * len(clocks), **settings)  # type: ignore[arg-type]
+
+
+def test_series_of_their_own_times_are_on_one_grid_and_not_measured_elsewhere() -> None:
+    first, second = np.array([0.0, 0.1, 0.3]), np.array([0.0, 0.2, 0.1 * 3, 0.4])
+    data = own([first, second], [np.array([1.0, 2, 3]), np.array([4.0, 5, 6, 7])])
+    np.testing.assert_allclose(data.times, [0, 0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_array_equal(data.values, [[1, 2, np.nan, 3, np.nan], [4, np.nan, 5, 6, 7]])
+    assert not data.even and not data.whole
+    masked = Data(data.times, np.ma.masked_invalid(data.values), groups=["y"] * 2)
+    assert masked.checksum == data.checksum
+    with pytest.raises(DataError, match="series 1 has 4 values and 3 times: give one value for each"):
+        own([first, first], [np.zeros(3), np.zeros(4)])
+    with pytest.raises(DataError, match="times of series 0 must be finite and ascend"):
+        own([first[::-1], second])
+
+
+@pytest.mark.parametrize("period", [None, 1.0])
+@pytest.mark.parametrize("other", [MISSING, FASTER])
+def test_the_density_is_nearly_that_of_the_covariance_without_what_is_missing(
+    period: float | None, other: np.ndarray
+) -> None:
+    """Beside white noise a smooth process that two series nearly share."""
+    errors = GroupErrors(0.1, delta=1.0, length=0.05, shared=0.9)
+    whole = (Cosines() if period is None else Harmonics()).bind(
+        Data(np.arange(FINE) / FINE, np.zeros((1, FINE)), period=period)
+    )
+    spectrum = np.exp(-0.5 * (whole.omega * errors.length) ** 2)
+    K = whole._basis.T @ ((spectrum / spectrum.mean())[:, None] * whole._basis)
+    at = [np.rint(clock * FINE).astype(int) for clock in (EVEN, other)]
+    dense = np.block([[K[np.ix_(a, b)] * (1.0 if a is b else errors.shared) for b in at] for a in at])
+    dense += errors.sigma**2 * np.eye(len(dense))
+    y = np.random.default_rng(3).multivariate_normal(np.zeros(len(dense)), dense, 60)
+    exact = multivariate_normal(np.zeros(len(dense)), dense).logpdf(y)
+    data = own([EVEN, other], period=period)
+    H = spectral_errors(data).bind(data)
+    assert isinstance(H, Uneven)
+    series = np.full((60, *data.values.shape), np.nan)
+    series[:, data.measured] = y
+    z = H.flat(series)
+    np.testing.assert_allclose(np.sum(z**2, axis=1), np.sum(y**2, axis=1))
+    np.testing.assert_allclose(H.unflat(z), series, atol=1e-12)  # NaN where not measured
+    assert np.mean(np.abs(log_density(z, H.variances({"y": errors})) - exact)) < 1.5
+    alone = GroupErrors(0.1, delta=1.0, length=0.05)
+    assert np.mean(exact - log_density(z, H.variances({"y": alone}))) > 10.0
+
+
+def test_the_evidence_is_that_of_the_rows_that_are_left() -> None:
+    """Normal parameters and an effect, known white noise: a normal density of the measured samples."""
+    rng, clocks, sigma = np.random.default_rng(1), [MISSING, FASTER], 0.3
+    t = np.concatenate(clocks)
+    first = np.repeat([1.0, 0.0], [len(clock) for clock in clocks])
+    J, R = np.stack([np.sin(5 * t), first], axis=1), np.cos(9 * t)[:, None]
+    y = J @ [0.5, -0.4] + 0.7 * R[:, 0] + sigma * rng.standard_normal(len(t))
+    data = own(clocks, np.split(y, [len(MISSING)]))
+    errors = spectral_errors(data).bind(data)
+    family = ErrorFamily(errors, ranges(data), {"y": sigma})
+
+    def flat(columns: np.ndarray) -> np.ndarray:
+        series = np.full((columns.shape[1], *data.values.shape), np.nan)
+        series[:, data.measured] = columns.T
+        return errors.flat(series).T
+
+    sd = np.array([2.0, 3.0])
+    log_prior = -np.sum(np.log(sd)) - np.log(2 * np.pi)
+    problem = Problem(errors.flat(data.values), flat(J), sd**-2.0, np.zeros(2), log_prior)
+    for effects in ([], [Cause("wave", "any", flat(R))]):
+        found = SetModel(problem, effects, family).given(np.array([0]), np.log([sigma]))
+        A = np.concatenate([J * sd, R], axis=1) if effects else J * sd
+        exact = multivariate_normal(np.zeros(len(t)), A @ A.T + sigma**2 * np.eye(len(t))).logpdf(y)
+        assert found.log_z[0] == pytest.approx(exact, abs=1e-6)
+
+
+def pulses(c: dict, t: np.ndarray) -> np.ndarray:
+    """Two sensors of a pulse, the second later; `c` may have a kick of its third harmonic."""
+
+    def drive(at: np.ndarray) -> np.ndarray:
+        wave = c["level"] * (np.exp(np.cos(2 * np.pi * (at - 0.3))) - 1.3)
+        return wave + c.get("kick", 0.0) * np.sin(6 * np.pi * at)
+
+    return np.stack([drive(t), c["part"] * drive(t - 0.08)])
+
+
+@zoo.effect("kick", "inflow", parameters=[zoo.EffectParameter("size", "1", 0.3, -2.0, 2.0, (0.1, -0.1))])
+def kick(c, values, location):  # type: ignore[no-untyped-def]
+    """The third harmonic of the drive."""
+    return {**c, "kick": values[0]}
+
+
+@zoo.effect("offset", "sensor", parameters=[zoo.EffectParameter("size", "1", 0.3, -2.0, 2.0, (0.1, -0.1))])
+def offset(c, values, location):  # type: ignore[no-untyped-def]
+    """The level is another one in the second sensor."""
+    return {**c, "part": c["part"] * (1.0 + values[0])}
+
+
+PRIORS = {"level": zoo.Normal(1.0, 0.3), "part": zoo.Normal(0.6, 0.3)}
+
+
+def diagnosed(times: object, values: object) -> zoo.Diagnosis:
+    return zoo.diagnose(  # type: ignore[call-overload,no-any-return]
+        times, values, pulses, PRIORS, [kick, offset], period=1.0, progress=False
+    )
+
+
+def lead(found: zoo.Diagnosis) -> float:
+    """Log evidence of the kick over that of nothing."""
+    log = {tuple(row.names): row.log_evidence for row in found.table}
+    return log["kick",] - log[()]
+
+
+def test_a_record_with_gaps_on_two_clocks_has_the_same_cause_and_nearly_its_evidence() -> None:
+    rng, t = np.random.default_rng(2), np.arange(128) / 128
+    full = pulses({"level": 1.1, "part": 0.6, "kick": 0.03}, t) + 0.02 * rng.standard_normal((2, 128))
+    whole = diagnosed(t, full)
+    gone = np.where(rng.random(full.shape) < 0.05, np.nan, full)
+    thinned = diagnosed(t, gone)
+    clocks = [t[np.isfinite(row)] for row in gone]
+    apart = diagnosed(clocks, [row[np.isfinite(row)] for row in gone])
+    assert lead(apart) == pytest.approx(lead(thinned), abs=1e-6)
+    assert whole.cause == thinned.cause == ["kick"]
+    assert lead(whole) > 20.0
+    assert lead(thinned) == pytest.approx(lead(whole), rel=0.15)
+    one, other = (x.causes[0].estimates[0] for x in (whole, thinned))
+    assert other.mean == pytest.approx(one.mean, abs=2.0 * one.sd)
+    assert np.isnan(thinned.computed[0][~np.isfinite(gone[:, np.isfinite(gone).any(axis=0)])]).all()
+    assert len(thinned.predict()) == np.isfinite(gone).sum()
+    thinned.plot()
+
+
+def test_posteriors_of_series_on_their_own_clocks_are_refused_with_what_to_take() -> None:
+    data = own([MISSING, FASTER])
+    model = FunctionModel(pulses, as_parameters(PRIORS), Outputs(data.outputs, data.times))
+    with pytest.raises(ErrorModelError, match=r"sample with Independent\(\) or GroupNoise\(\)"):
+        zoo.bayesian_model("pulses", model, data, Uneven())
