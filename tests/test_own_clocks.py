@@ -1,6 +1,7 @@
 """Series on clocks of their own, and with samples missing: as if each had the samples that it has."""
 
 import numpy as np
+import pymc as pm
 import pytest
 from scipy.stats import multivariate_normal
 
@@ -31,7 +32,8 @@ def test_series_of_their_own_times_are_on_one_grid_and_not_measured_elsewhere() 
     data = own([first, second], [np.array([1.0, 2, 3]), np.array([4.0, 5, 6, 7])])
     np.testing.assert_allclose(data.times, [0, 0.1, 0.2, 0.3, 0.4])
     np.testing.assert_array_equal(data.values, [[1, 2, np.nan, 3, np.nan], [4, np.nan, 5, 6, 7]])
-    assert not data.even and not data.whole
+    assert not data.even
+    assert not data.whole
     masked = Data(data.times, np.ma.masked_invalid(data.values), groups=["y"] * 2)
     assert masked.checksum == data.checksum
     with pytest.raises(DataError, match="series 1 has 4 values and 3 times: give one value for each"):
@@ -157,3 +159,52 @@ def test_posteriors_of_series_on_their_own_clocks_are_refused_with_what_to_take(
     model = FunctionModel(pulses, as_parameters(PRIORS), Outputs(data.outputs, data.times))
     with pytest.raises(ErrorModelError, match=r"sample with Independent\(\) or GroupNoise\(\)"):
         zoo.bayesian_model("pulses", model, data, Uneven())
+
+
+@pytest.mark.parametrize("errors", [zoo.Independent(), zoo.GroupNoise()])
+def test_a_model_has_the_density_of_the_samples_that_there_are(errors: zoo.ErrorModel) -> None:
+    rng, sd = np.random.default_rng(4), 1.3
+    data = own([MISSING, FASTER], [rng.standard_normal(len(clock)) for clock in (MISSING, FASTER)])
+    bound, mean = errors.bind(data), pulses({"level": 1.0, "part": 0.6}, data.times)
+    [noise] = bound.parameters
+    value = {noise.name: sd**2 if noise.name == "sigma2" else sd}
+    off = (data.values - mean)[data.measured]
+    exact = multivariate_normal(np.zeros(len(off)), sd**2 * np.eye(len(off))).logpdf(off)
+    assert bound.log_density(data.values - mean, value) == pytest.approx(exact)
+    with pm.Model(coords={"series": data.labels, "time": data.times}) as model:
+        shift = pm.Normal("shift")
+        bound.observe("y", mean + shift, np.int8(1), value)
+    assert model.compile_logp(vars=[model["y"]])({"shift": 0.0}) == pytest.approx(exact)
+    slope = model.compile_dlogp(vars=[shift])({"shift": 0.0})
+    assert slope == pytest.approx(np.sum(off) / sd**2)  # of shift's own prior 0
+
+
+@pytest.mark.slow
+def test_samples_and_scores_of_series_on_their_own_clocks() -> None:
+    """WAIC has as many terms as there are samples, and nothing is imputed."""
+    rng = np.random.default_rng(5)
+    clocks = [MISSING, FASTER]
+    values = [
+        pulses({"level": 1.1, "part": 0.5}, clock)[i] + 0.1 * rng.standard_normal(len(clock))
+        for i, clock in enumerate(clocks)
+    ]
+    data = own(clocks, values)
+    outputs = Outputs(data.outputs, data.times)
+    model = zoo.bayesian_model(
+        "pulses", FunctionModel(pulses, as_parameters(PRIORS), outputs), data, zoo.GroupNoise()
+    )
+    idata = zoo.sample(model, draws=500, tune=500, chains=2, seed=1, progress=False)
+    assert set(idata.posterior.data_vars) == {"level", "part", "noise_y"}
+    for name, truth in {"level": 1.1, "part": 0.5, "noise_y": 0.1}.items():
+        x = idata.posterior[name]
+        assert abs(float(x.mean()) - truth) < 4 * float(x.std())
+    table = zoo.compare({"pulses": idata}, {"pulses": model})
+    assert len(table.attrs["terms"]["pulses"]) == len(MISSING) + len(FASTER)
+    assert table.loc["pulses", "sse_y"] == pytest.approx(0.01 * (len(MISSING) + len(FASTER)), rel=0.4)
+
+
+def test_a_gaussian_process_needs_the_same_times_and_says_what_does_not() -> None:
+    with pytest.raises(
+        ErrorModelError, match=r"needs all series at the same times.*GroupNoise\(\) do not need it"
+    ):
+        zoo.GroupProcess().bind(own([MISSING, FASTER]))

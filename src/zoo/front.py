@@ -255,7 +255,8 @@ def _diagnose_series(
     here = bound(name, times, measured, simulate, period)
     others = []
     for other, (t, values, function) in (held_out or {}).items():
-        clock = t[0] if own_clocks(t) else np.asarray(t)
+        every: Any = t
+        clock = np.asarray(every[0] if own_clocks(t) else t)
         own = None if period is None else len(clock) * float(np.min(np.diff(clock)))
         others.append(bound(other, t, values, function, own))
     return _diagnose_data(here.data, here.model, effects, states=others, **settings)

@@ -92,7 +92,12 @@ def phases(wave: Array, period_s: float) -> NDArray[np.int_]:
 
 
 def _phases(data: Data, rows: list[int]) -> tuple[tuple[str, ...], NDArray[np.int_]]:
-    return PHASES, phases(data.values[rows[0]], data.duration)
+    wave, n = data.samples(rows[0]), data.n_times
+    if data.even:
+        return PHASES, phases(wave, data.duration)
+    passed = (data.times - data.times[0]) / data.duration
+    even = np.interp(np.arange(n) / n, passed[data.measured[rows[0]]], wave, period=1.0)
+    return PHASES, phases(even, data.duration)[(passed * n).astype(int) % n]
 
 
 def _candidates(data: Data, baseline: ForwardModel) -> list[Candidate]:

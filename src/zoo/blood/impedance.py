@@ -100,7 +100,8 @@ def measured_impedance(
     """Impedance of the observed pressure at the root's inlet over the recorded inflow.
 
     Intervals are quantiles of draws of both harmonics: white noise of standard deviation s in n samples moves
-    the real and imaginary part of a harmonic by s sqrt(2/n) each.
+    the real and imaginary part of a harmonic by s sqrt(2/n) each. Samples at uneven times are read at even
+    ones, linear between.
 
     Parameters
     ----------
@@ -126,16 +127,22 @@ def measured_impedance(
     ImpedanceError
         If the pressure at the root's inlet is not observed.
     """
-    network, n, period = case.network, data.n_times, case.network.period_s
+    network, period = case.network, case.network.period_s
     root = int(network.ids[0])
     place = (root, 0.0, "pressure_mmHg")
     if place not in data.outputs:
         raise ImpedanceError(
             f"impedance: pressure at position 0 of vessel {root} is not observed; add it to observations.csv"
         )
+    row = data.outputs.index(place)
+    wave = data.samples(row)
+    n = len(wave)
+    if not data.even:
+        even = data.times[0] + np.arange(n) * (period / n)
+        wave = np.interp(even, data.times[data.measured[row]], wave, period=period)
     start = data.times[0] + case.conventions.sample_lag_beats * period
     last = min(harmonics, (n - 1) // 2, (len(case.inflow_ml_s) - 1) // 2)
-    pressure = _harmonics(data.values[data.outputs.index(place)], last, start / period)
+    pressure = _harmonics(wave, last, start / period)
     flow = _entering(case.inflow_ml_s, last)
     sd_q = FLOW_NOISE_PART * float(np.abs(case.inflow_ml_s).max())
     sd_q = sd_q if flow_noise_ml_s is None else flow_noise_ml_s

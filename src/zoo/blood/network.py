@@ -26,6 +26,7 @@ from zoo.blood.study import (
     root_pressure,
 )
 from zoo.blood.study import sort_vessels as _sort_vessels
+from zoo.blood.study.resampling import beat_mean
 from zoo.blood.units import MMHG, mmhg_to_cgs
 from zoo.core.arrays import real_array, real_number, refuse_where, whole_array, whole_number
 
@@ -591,12 +592,13 @@ def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
             f"{different} is not that of vessel {bare[0]}, {behind[bare[0]]!r}; give these vessels a "
             "windkessel"
         )
-    above = observed.value - behind[bare[0]]
+    there = ~np.isnan(observed.value)
+    times, above = study.time_s[there], observed.value[there] - behind[bare[0]]
     try:
-        tau = diastolic_tau(study.time_s, above, study.inflow_time_s, study.inflow_ml_s, study.period_s)
+        tau = diastolic_tau(times, above, study.inflow_time_s, study.inflow_ml_s, study.period_s)
         loads = nominal_windkessel(
             study.vessels,
-            float(above.mean()),
+            beat_mean(times, above, study.period_s),
             float(study.inflow_ml_s.mean()),
             tau,
             mmhg=study.conventions.mmhg,

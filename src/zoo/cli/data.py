@@ -33,7 +33,7 @@ def studies(as_json: JsonOption = False) -> None:
         except FetchError:
             rows.append({"study": name, "observed": [f"its data are missing: zoo fetch {name}"]})
             continue
-        observed = [f"{s.label} ({len(s.value)} samples)" for s in study.series]
+        observed = [f"{s.label} ({s.n_samples} samples)" for s in study.series]
         rows.append(
             {
                 "study": name,

@@ -88,11 +88,12 @@ def _summary(found: PriorPredictive, study: Study) -> list[Any]:
     for k, series in enumerate(study.series if len(found.series) else ()):
         quantity, unit = series.quantity.partition("_")[0], UNITS[series.quantity]
         low, high = np.quantile(found.series[:, k], (0.025, 0.975), axis=0)
-        inside = np.mean((series.value >= low) & (series.value <= high))
-        means = np.quantile(found.series[:, k].mean(axis=1), (0.025, 0.975))
+        there = ~np.isnan(series.value)
+        inside = np.mean(((series.value >= low) & (series.value <= high))[there])
+        means = np.quantile(found.series[:, k, there].mean(axis=1), (0.025, 0.975))
         lines.append(
             f"{series.label}: {100 * inside:.0f} % of the samples lie in the prior's 95 % band; mean "
-            f"{quantity} {series.value.mean():.4g}, prior {means[0]:.3g} to {means[1]:.3g} {unit}"
+            f"{quantity} {series.value[there].mean():.4g}, prior {means[0]:.3g} to {means[1]:.3g} {unit}"
         )
     return lines
 

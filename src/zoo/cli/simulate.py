@@ -139,7 +139,7 @@ def simulate(
         at_data = Solver.for_study(loaded, wall, options=resolution.options).solve(**parameters)
         error = {s.quantity: 0.0 for s in loaded.series}
         for i, s in enumerate(loaded.series):
-            error[s.quantity] += float(np.sum(np.square(getattr(at_data, s.quantity)[i] - s.value)))
+            error[s.quantity] += float(np.nansum(np.square(getattr(at_data, s.quantity)[i] - s.value)))
     say(*_simulation_summary(loaded, wall, physics_words(loaded), waves, solution, error), resolution.text)
     say(*(f"wrote {path}" for path in (output, plot) if path is not None))
 
@@ -228,7 +228,7 @@ def _simulation_summary(
         f"{solution.distance_mmHg:.1g} mmHg from the periodic state; status: {solution.reason or 'ok'}",
     ]
     for quantity, value in sse.items():  # of different units, so not added
-        n = sum(len(s.value) for s in study.series if s.quantity == quantity)
+        n = sum(s.n_samples for s in study.series if s.quantity == quantity)
         name, unit = quantity.split("_")[0], squared(UNITS[quantity])
         lines.append(f"sum of squared errors against the {n} observed values of {name}: {value:.4g} {unit}")
     return lines

@@ -157,6 +157,7 @@ def _draws_of_terms(log_likelihood: ArrayLike) -> tuple[Array, Array]:
     """(n_chains, n_draws, ...) as (n, n_observations), and log mean p(y_i | s) of each observation."""
     values = np.asarray(log_likelihood, dtype=np.float64)
     values = values.reshape(values.shape[0] * values.shape[1], -1)
+    values = values[:, ~np.isnan(values).all(axis=0)]  # where nothing was measured
     return values, logsumexp(values, axis=0) - math.log(len(values))
 
 

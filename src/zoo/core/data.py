@@ -40,6 +40,31 @@ def own_clocks(times: Any) -> bool:
     return not np.isscalar(times) and len(times) > 0 and np.ndim(times[0]) > 0
 
 
+def on_one_grid(
+    times: Sequence[Array], values: Sequence[Array], within: float = SAME_TIME
+) -> tuple[Array, Array]:
+    """All times of series that have their own, and the series there, NaN where one has no sample.
+
+    Parameters
+    ----------
+    times, values : sequence of array (n,)
+        Of each series; times ascend.
+    within : float
+        Difference of times, in parts of the record, up to which they are one.
+
+    Returns
+    -------
+    times : array (n_times,)
+    values : array (n_series, n_times)
+    """
+    every = np.unique(np.concatenate(times))
+    grid = every[np.append(True, np.diff(every) > within * np.ptp(every))]
+    found = np.full((len(times), len(grid)), np.nan)
+    for own, row, into in zip(times, values, found, strict=True):
+        into[np.searchsorted(grid, own, side="right") - 1] = row
+    return grid, found
+
+
 def squared(unit: str) -> str:
     """A unit's square, such as "mmHg2", "(ml/s)2" or "1"."""
     return unit if unit == "1" else f"{unit}2" if unit.isalpha() else f"({unit})2"
@@ -120,9 +145,9 @@ class Data(Brief):
         given, (times, values) = times, self._measured(times, values)
         given = times if len(given) == len(times) else given
         given.flags.writeable = False
-        for name, array, wrong in (("times", times, ~np.isfinite(times)), ("values", values, np.isinf(values))):
-            if np.any(wrong):
-                at = tuple(int(i) for i in np.argwhere(wrong)[0])
+        wrong = {"times": ~np.isfinite(times), "values": np.isinf(values)}
+        for name, array in (("times", times), ("values", values)):
+            for at in map(tuple, np.argwhere(wrong[name]).tolist()):
                 raise DataError(
                     f"{self._where}{name}{list(at)} = {array[at]}: must be finite; correct or leave out"
                 )
@@ -165,23 +190,19 @@ class Data(Brief):
         """All times of series that have their own, and the series there, NaN where one has no sample."""
         if len(self.times) != len(self.values):
             raise DataError(
-                f"{self._where}times of {len(self.times)} series and values of {len(self.values)}: give both for each"
+                f"{self._where}times of {len(self.times)} series and values of {len(self.values)}: give both "
+                "for each"
             )
         pairs = [self._series_of(*pair) for pair in zip(self.times, self.values, strict=True)]
         for i, (own, row) in enumerate(pairs):
             if own.ndim != 1 or row.shape != (1, len(own)):
                 raise DataError(
-                    f"{self._where}series {i} has {row.size} values and {own.size} times: give one value for each"
+                    f"{self._where}series {i} has {row.size} values and {own.size} times: give one value for "
+                    "each"
                 )
             if not np.all(np.isfinite(own)) or np.any(np.diff(own) <= 0):
                 raise DataError(f"{self._where}times of series {i} must be finite and ascend")
-        every = np.unique(np.concatenate([own for own, _ in pairs]))
-        times = every[np.append(True, np.diff(every) > SAME_TIME * np.ptp(every))]
-        values = np.full((len(pairs), len(times)), np.nan)
-        for (own, row), into in zip(pairs, values, strict=True):
-            at = np.searchsorted(times, own, side="right") - 1
-            into[at] = row[0]
-        return times, values
+        return on_one_grid([own for own, _ in pairs], [row[0] for _, row in pairs])
 
     def _check_period(self, times: Array) -> None:
         """Whether times, measured at or not, are of one period."""
@@ -200,7 +221,8 @@ class Data(Brief):
         """Times at which some series was measured."""
         measured = ~np.isnan(values)
         for i in np.flatnonzero(measured.sum(axis=1) < min(2, len(times))):
-            raise DataError(f"{self._where}series {i} has {measured[i].sum()} measured values: give at least two")
+            n = measured[i].sum()
+            raise DataError(f"{self._where}series {i} has {n} measured values: give at least two")
         kept = measured.any(axis=0) if len(values) else np.ones(len(times), bool)
         if kept.all():
             return times, values
@@ -224,12 +246,18 @@ class Data(Brief):
         """Measured values of one series, or what others (n_series, n_times) have there."""
         return np.asarray((self.values if values is None else values)[series][self.measured[series]])
 
+    def filled(self, values: Array, fill: float = 0.0) -> Array:
+        """Values (..., n_series, n_times) with another one where nothing was measured."""
+        return np.asarray(values if self.whole else np.where(self.measured, values, fill))
+
     @property
     def even(self) -> bool:
         """Whether all series are of times in equal steps, which cover a period if there is one."""
         step = self.duration / max(self.n_times, 1)
-        return self.whole and _even(self.times) and (
-            self.n_times < 2 or abs(self.times[1] - self.times[0] - step) < EVEN * step
+        return (
+            self.whole
+            and _even(self.times)
+            and (self.n_times < 2 or abs(self.times[1] - self.times[0] - step) < EVEN * step)
         )
 
     @property

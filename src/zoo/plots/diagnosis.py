@@ -26,6 +26,7 @@ from zoo.plots.style import (
     draw_shares,
     handles_of,
     legend_below,
+    measured,
     new_figure,
     parts,
     size_of,
@@ -83,21 +84,22 @@ def _draw_discrepancy(figure: Figure | SubFigure, d: Diagnosis, abreast: int = 3
         for axes in (top, bottom):
             _shade_phases(axes, phase_names, phase, times, named=axes is top)
             axes.set_xlim(times[0], times[0] + duration)
-        top.plot(times, values, color=INK, lw=2.2, alpha=0.35, label="observed")
+        top.plot(*measured(times, values), color=INK, lw=2.2, alpha=0.35, label="observed")
         base, leader = (series[i] for series in d.computed)
-        top.plot(times, base, color=BASELINE_COLOUR, lw=1.2, ls=DASHED, label="baseline")
+        top.plot(*measured(times, base), color=BASELINE_COLOUR, lw=1.2, ls=DASHED, label="baseline")
         drawn = [("baseline", d.before, BASELINE_COLOUR)]
         if causes:
-            top.plot(times, leader, color=CAUSE_COLOUR, lw=1.2, label=f"baseline + {causes}")
+            top.plot(*measured(times, leader), color=CAUSE_COLOUR, lw=1.2, label=f"baseline + {causes}")
             drawn.append(("leading set", d.after, CAUSE_COLOUR))
         noise = row.noise_floor
         bottom.axhspan(-noise, noise, color="#B8C0C8", alpha=0.45, lw=0, zorder=1, label="noise (sd)")
         bottom.axhline(0, color="#888888", lw=0.7)
         for label, found, colour in drawn:
-            mean, sd = found.mean[i], 1.96 * found.sd[i]
+            at, mean = measured(times, found.mean[i])
+            sd = 1.96 * data.samples(i, found.sd)
             label = f"error of the {label}, 95 %"
-            bottom.fill_between(times, mean - sd, mean + sd, color=colour, alpha=0.3, lw=0, zorder=2)
-            bottom.plot(times, mean, color=colour, lw=1.2, zorder=3, label=label)
+            bottom.fill_between(at, mean - sd, mean + sd, color=colour, alpha=0.3, lw=0, zorder=2)
+            bottom.plot(at, mean, color=colour, lw=1.2, zorder=3, label=label)
         group = data.groups[i]
         label = data.labels[i].removesuffix(f" {group}")
         after = f" to {row.after.mean:.2g}" if causes else ""

@@ -16,6 +16,7 @@ from zoo.plots.style import (
     cells_of,
     handles_of,
     legend_below,
+    measured,
     new_figure,
     size_of,
 )
@@ -61,13 +62,13 @@ def fit_figure(
                 bottom.fill_between(time_ms, *(band - median), color=COLOURS[5], alpha=0.28, lw=0)
             top.fill_between(time_ms, low, high, color=COLOURS[0], alpha=0.45, lw=0, label="95 % credible")
             top.plot(time_ms, median, color=COLOURS[0], lw=1.4, label="posterior median")
-            top.plot(time_ms, series.value, color=INK, lw=0.9, ls=(0, (4, 2)), label="observed")
+            top.plot(*measured(time_ms, series.value), color=INK, lw=0.9, ls=(0, (4, 2)), label="observed")
             top.set_title(series.label.rsplit(" ", 1)[0])
             top.set_ylabel(QUANTITY_LABELS[series.quantity])
             top.tick_params(labelbottom=False)
             bottom.fill_between(time_ms, low - median, high - median, color=COLOURS[0], alpha=0.45, lw=0)
             bottom.axhline(0, color=COLOURS[0], lw=1)
-            bottom.plot(time_ms, series.value - median, color=INK, lw=0.9)
+            bottom.plot(*measured(time_ms, series.value - median), color=INK, lw=0.9)
             bottom.set_ylabel(RESIDUAL_LABELS[series.quantity])
             bottom.set_xlabel("time in the beat (ms)")
         figure.align_ylabels()

@@ -17,6 +17,7 @@ from zoo.plots.style import (
     cells_of,
     handles_of,
     legend_below,
+    measured,
     new_figure,
     size_of,
 )
@@ -108,7 +109,7 @@ def prior_predictive_figure(study: Study, found: PriorPredictive, *, title: str 
                     time_ms, lower, upper, color=COLOURS[0], alpha=0.35, lw=0, label="50 % of prior"
                 )
                 axes.plot(time_ms, median, color=COLOURS[0], lw=1.4, label="prior median")
-            axes.plot(time_ms, series.value, color=INK, lw=0.9, ls=(0, (4, 2)), label="observed")
+            axes.plot(*measured(time_ms, series.value), color=INK, lw=0.9, ls=(0, (4, 2)), label="observed")
             axes.set_title(series.label.rsplit(" ", 1)[0])
             axes.set_xlabel("time in the beat (ms)")
             axes.set_ylabel(QUANTITY_LABELS[series.quantity])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.figure import Figure
 
 from zoo.core.diagnosis.states import BASELINE, SEEN
-from zoo.plots.style import COLOURS, INK, new_figure
+from zoo.plots.style import COLOURS, INK, measured, new_figure
 from zoo.plots.subject import study_of
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def plot_states(d: Diagnosis) -> Figure:
                     k = names.index(name)
                     left = data.values[i] - state.computed[name][i]
                     colour = INK if k == 0 else COLOURS[(k - 1) % len(COLOURS)]
-                    [lines[name]] = axes.plot(times, left, color=colour, lw=1.3 if k < 3 else 0.8)
+                    [lines[name]] = axes.plot(*measured(times, left), color=colour, lw=1.3 if k < 3 else 0.8)
                 axes.set_xlim(times[0], times[-1])
                 axes.set_title(f"{data.name}: {data.labels[i]}", fontsize=8, parse_math=False)
                 if row == len(rows) - 1:

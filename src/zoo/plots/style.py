@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure, SubFigure
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from zoo.core.outputs import output_file, write_file
 
@@ -209,6 +209,12 @@ def size_of(
 
 def legend_below(figure: Figure | SubFigure, handles: Sequence[Any], columns: int) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize="small")
+
+
+def measured(times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
+    """Times and values where these are no NaN, so that a line goes from sample to sample."""
+    t, x = np.asarray(times, dtype=np.float64), np.asarray(values, dtype=np.float64)
+    return t[~np.isnan(x)], x[~np.isnan(x)]
 
 
 def handles_of(*panels: Axes) -> list[Any]:

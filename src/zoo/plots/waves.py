@@ -18,7 +18,16 @@ from numpy.typing import ArrayLike
 
 from zoo.blood.predictive import one_place
 from zoo.core.draws import evenly
-from zoo.plots.style import COLOURS, INK, QUANTITY_LABELS, Array, FigureError, model_style, new_figure
+from zoo.plots.style import (
+    COLOURS,
+    INK,
+    QUANTITY_LABELS,
+    Array,
+    FigureError,
+    measured,
+    model_style,
+    new_figure,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -79,7 +88,7 @@ def draw_observed(
     observed = observed_at(study, quantity, data, vessel)
     for values in observed:
         time_ms = 1e3 * np.asarray(study.time_s) if study is not None else np.empty(0)
-        axes.plot(time_ms, factor * np.asarray(values), color="black", lw=1.1, zorder=3)
+        axes.plot(*measured(time_ms, factor * np.asarray(values)), color="black", lw=1.1, zorder=3)
     return bool(observed)
 
 
@@ -175,7 +184,8 @@ def waves_figure(
             for series in observed:
                 if series.quantity == quantity and series.vessel in shown:
                     name = f"observed {series.label.split()[0]}"
-                    axes.plot(observed_ms, series.value, color=INK, lw=1.6, ls=(0, (4, 2)), label=name)
+                    seen = measured(observed_ms, series.value)
+                    axes.plot(*seen, color=INK, lw=1.6, ls=(0, (4, 2)), label=name)
                     axes.legend(loc="best", fontsize="small")
             axes.set_title(label)
             axes.set_xlabel("time in the beat (ms)")
@@ -277,7 +287,7 @@ def _draw_residuals(
         wave = data[quantity].sel(vessel=vessel).to_numpy()
         predicted = np.interp(time_s, data["time"].to_numpy(), wave, period=study.period_s)
         residual = area_factor(quantity) * (np.asarray(observed) - predicted)
-        axes.plot(1e3 * time_s, residual, **looks[name])
+        axes.plot(*measured(1e3 * time_s, residual), **looks[name])
 
 
 def _is_curve(pressure: Array) -> bool:

@@ -140,7 +140,7 @@ def _facts(chapter: Chapter, records: Mapping[str, RunRecord]) -> list[tuple[str
     facts = []
     study = chapter.study
     if study is not None:
-        series = ", ".join(f"{s.label} ({len(s.value)} samples)" for s in study.series)
+        series = ", ".join(f"{s.label} ({s.n_samples} samples)" for s in study.series)
         facts += [("vessels", str(len(study.vessels))), ("period", f"{1e3 * study.period_s:g} ms")]
         facts += [("observed", series), ("checksum", study.checksum)]
         if not records:

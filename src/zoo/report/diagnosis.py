@@ -121,7 +121,8 @@ def total_seconds(record: Mapping[str, Any]) -> float:
 
 def _diagnosis_facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     data, file, study = diagnosis.data, diagnosis.file, study_of(diagnosis)
-    series = ", ".join(f"{label} ({data.n_times} samples)" for label in data.labels)
+    samples = zip(data.labels, data.measured.sum(axis=1), strict=True)
+    series = ", ".join(f"{label} ({n} samples)" for label, n in samples)
     record = file.record
     noise = ", ".join(f"{group} {value_text(rms)}" for group, rms in record["noise"].items())
     if study is None:

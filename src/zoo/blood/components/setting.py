@@ -63,14 +63,14 @@ class Setting:
 
     def frequency_knots(self, n: int) -> Array:
         """n knots from the first harmonic to the last that counts, log Hz."""
-        last = max(4, min(MOST_HARMONICS, self.data.n_times // 4))
+        last = max(4, min(MOST_HARMONICS, int(self.data.measured.sum(axis=1).max()) // 4))
         return np.asarray(np.linspace(0.0, math.log(last), n) - math.log(self.period_s))
 
     @property
     def pressures(self) -> Array | None:
         """Observed pressures, mmHg, all in one; None without any."""
         rows = self.data.rows.get("pressure_mmHg")
-        return None if not rows else np.asarray(self.data.values[rows]).ravel()
+        return np.concatenate([self.data.samples(i) for i in rows]) if rows else None
 
     @cached_property
     def beat(self) -> dict[str, Array]:

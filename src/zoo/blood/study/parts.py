@@ -195,7 +195,7 @@ class Series(ReadOnlyArrays):
         Along the vessel, 0 at the inlet and 1 at the outlet.
     quantity : {"pressure_mmHg", "flow_ml_s", "area_cm2"}
     value : array (n_times,)
-        In the quantity's unit, at the study's ``time_s``.
+        In the quantity's unit, at the study's ``time_s``; NaN where it was not measured.
     """
 
     vessel: int
@@ -210,3 +210,8 @@ class Series(ReadOnlyArrays):
     def label(self) -> str:
         """Such as "v1@0 pressure_mmHg"."""
         return f"v{self.vessel}@{repr(float(self.position)).removesuffix('.0')} {self.quantity}"
+
+    @property
+    def n_samples(self) -> int:
+        """How many values were measured."""
+        return int(np.sum(~np.isnan(self.value)))

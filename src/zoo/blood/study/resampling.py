@@ -62,6 +62,30 @@ def even_samples(time_s: ArrayLike, value: ArrayLike, period_s: float) -> tuple[
     return np.interp(np.arange(n) * (period_s / n), at, own), turn * period_s / (4 * n)
 
 
+def beat_mean(time_s: ArrayLike, value: ArrayLike, period_s: float) -> float:
+    """Mean over a period of a curve that is linear between samples; of even ones their mean.
+
+    Parameters
+    ----------
+    time_s : array (n,)
+        Ascending, less than a period from first to last; s.
+    value : array (n,)
+        Any unit.
+    period_s : float
+        s.
+
+    Examples
+    --------
+    >>> beat_mean([0.0, 1.0, 3.0], [0.0, 1.0, 0.0], 4.0)
+    0.375
+    """
+    times, values = np.asarray(time_s, dtype=np.float64), np.asarray(value, dtype=np.float64)
+    steps = np.diff(times, append=times[0] + period_s)
+    if np.ptp(steps) <= 1e-6 * steps.mean():
+        return float(values.mean())
+    return float(np.sum(0.5 * (values + np.roll(values, -1)) * steps) / period_s)
+
+
 def denser(value: ArrayLike, least: int = 32) -> Array:
     """At least so many even samples of a period, on the lines between those that are given."""
     samples = np.asarray(value, dtype=np.float64)

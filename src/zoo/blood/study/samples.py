@@ -17,6 +17,7 @@ from zoo.blood.study.parts import QUANTITIES, Array, Series, StudyError
 from zoo.blood.study.reading import read_csv, read_text
 from zoo.blood.study.resampling import even_samples
 from zoo.blood.study.tables import FetchedInflowTable, FetchedObservationsTable
+from zoo.core.data import on_one_grid
 from zoo.core.words import nearest, short
 
 INFLOW_COLUMNS = ("time_s", "flow_ml_s")
@@ -40,7 +41,7 @@ def number(where: str, name: str, text: str) -> float:
     if value is None:
         raise StudyError(f"{where}: {name} = {short(text)}: not a number; correct it")
     if not math.isfinite(value):
-        raise StudyError(f"{where}: {name} = {short(text)}: must be finite; interpolate it or cut the series")
+        raise StudyError(f"{where}: {name} = {short(text)}: must be finite; leave it empty if not measured")
     if abs(value) > MOST_VALUE:
         raise StudyError(
             f"{where}: {name} = {short(text)}: must be at most {MOST_VALUE:g} in size; correct it"
@@ -116,17 +117,50 @@ def _uneven(times: Array) -> NDArray[np.bool_]:
     return np.asarray(np.abs(gaps - step) > _STEP_TOLERANCE * step + _TIME_ROUNDING_S)
 
 
+def _own_times(samples: _Samples, period: float) -> tuple[Array, Array]:
+    """Times and values of an observed series: those of `_uniform`, or its own where they are uneven.
+
+    Uneven times are put on a uniform grid with gaps where they are on one. What was not measured is NaN, and
+    left out.
+    """
+    _refuse_few(samples, int(np.sum(~np.isnan(samples.values))))
+    s = samples.sorted()
+    s.refuse_twice()
+    if not np.any(_uneven(s.times)):
+        times, values = _uniform(samples, period, from_zero=False)
+    else:
+        times, values = s.times, s.values
+        if times[0] < 0:
+            s.fail(0, "time_s", times[0], "before the beat; count from its start")
+        if abs(times[-1] - period) <= _TIME_ROUNDING_S:
+            s.must_repeat(period)
+            times, values = times[:-1], values[:-1]
+        if times[-1] >= period:
+            past = f"past period_s = {period:.10g}; give one period, or correct period_s"
+            s.fail(len(times) - 1, "time_s", times[-1], past)
+        step = period / max(1, round(period / float(np.median(np.diff(times)))))
+        grid = times[0] + np.rint((times - times[0]) / step) * step
+        off = float(np.max(np.abs(times - grid)))
+        if _SAME_TIME * period < off <= _STEP_TOLERANCE * step and np.all(np.diff(grid) > 0.5 * step):
+            times = grid
+    there = ~np.isnan(values)
+    return times[there], values[there]
+
+
+def _refuse_few(samples: _Samples, n: int) -> None:
+    if n < MIN_SAMPLES:
+        raise StudyError(
+            f"{samples.path}: {samples.label}: {n} samples: too few for a beat; give at least {MIN_SAMPLES}"
+        )
+
+
 def _uniform(samples: _Samples, period: float, *, from_zero: bool) -> tuple[Array, Array]:
     """Times and values on the uniform grid of one period that the samples are on.
 
     Times t0 + m period/n replace the printed ones, which may be rounded; a last sample that repeats the first
     one a period later is dropped.
     """
-    if len(samples.times) < MIN_SAMPLES:
-        raise StudyError(
-            f"{samples.path}: {samples.label}: {len(samples.times)} samples: too few for a beat; "
-            f"give at least {MIN_SAMPLES}"
-        )
+    _refuse_few(samples, len(samples.times))
     s = samples.sorted()
     times, values = s.times, s.values
     gaps = np.diff(times)
@@ -240,12 +274,13 @@ def read_observations(path: Path, period: float, known: Sequence[int]) -> tuple[
         groups.setdefault(place, []).extend(at)
     if not groups:
         raise StudyError(f"{path}: no samples; add some, or remove observations from study.toml")
-    all_times, all_values = (
-        numbers(path, table.rows, name, table.columns[name]) for name in ("time_s", "value")
-    )
+    all_times = numbers(path, table.rows, "time_s", table.columns["time_s"])
+    texts = table.columns["value"]
+    there = [i for i, text in enumerate(texts) if text]  # an empty cell was not measured
+    all_values = np.full(len(texts), np.nan)
+    all_values[there] = numbers(path, [table.rows[i] for i in there], "value", [texts[i] for i in there])
 
-    series: list[Series] = []
-    grid = np.empty(0)
+    found: list[tuple[tuple[int, float, str], Array, Array]] = []
     for place, at in groups.items():
         at.sort()
         rows = [table.rows[i] for i in at]
@@ -257,17 +292,14 @@ def read_observations(path: Path, period: float, known: Sequence[int]) -> tuple[
                 "correct it"
             )
         label = Series(*place, np.empty(0)).label
-        own, on_grid = _uniform(_Samples(path, label, rows, times, values, "value"), period, from_zero=False)
-        if not series:
-            grid = own
-        elif len(own) != len(grid) or np.max(np.abs(own - grid)) > _PERIOD_TOLERANCE * period / len(grid):
-            raise StudyError(
-                f"{path}, row {rows[0]}: time_s = {times[0]:.10g}: {label}: {len(own)} samples from "
-                f"{own[0]:.6g} s, but {series[0].label} has {len(grid)} from {grid[0]:.6g} s; "
-                "resample all series to the same times"
-            )
-        series.append(Series(*place, on_grid))
-    return grid, tuple(series)
+        own, measured = _own_times(_Samples(path, label, rows, times, values, "value"), period)
+        first = found[0][1] if found else own
+        if len(own) == len(first) and np.max(np.abs(own - first)) <= _PERIOD_TOLERANCE * period / len(own):
+            own = first
+        found.append((place, own, measured))
+    clocks, samples = [own for _, own, _ in found], [measured for *_, measured in found]
+    grid, on_grid = on_one_grid(clocks, samples, _TIME_ROUNDING_S / period)
+    return grid, tuple(Series(*place, row) for (place, *_), row in zip(found, on_grid, strict=True))
 
 
 def _column(path: Path) -> Array:

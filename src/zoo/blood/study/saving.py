@@ -114,7 +114,7 @@ def save_study(study: Study, folder: str | Path) -> None:
     write("inflow.csv", [",".join(INFLOW_COLUMNS), *(f"{t!r},{q!r}" for t, q in pairs)])
     if study.series:
         rows = [
-            f"{int(s.vessel)},{float(s.position)!r},{s.quantity},{t!r},{x!r}"
+            f"{int(s.vessel)},{float(s.position)!r},{s.quantity},{t!r},{'' if x != x else repr(x)}"
             for s in study.series
             for t, x in zip(study.time_s.tolist(), s.value.tolist(), strict=True)
         ]

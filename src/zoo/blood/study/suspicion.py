@@ -190,7 +190,7 @@ class _Look:
         if not found:
             return None
         series = max(found, key=lambda s: self.share[s.vessel])
-        mean = float(series.value.mean())
+        mean = float(np.nanmean(series.value))
         self.typical[group] = f"{quantity} in vessel {series.vessel} has a mean of", mean
         return series, next(v for v in self.vessels if v.id == series.vessel), mean
 
@@ -198,7 +198,8 @@ class _Look:
         study = self.study
         if seen := self._series("pressure_mmHg", "pressure"):
             series, v, mean = seen
-            pulse, swing = float(np.ptp(series.value)), float(np.ptp(study.inflow_ml_s)) * self.share[v.id]
+            pulse = float(np.nanmax(series.value) - np.nanmin(series.value))
+            swing = float(np.ptp(study.inflow_ml_s)) * self.share[v.id]
             speed = pulse * _MMHG * math.pi * v.radius_cm**2 / (study.blood.density_g_cm3 * swing or math.inf)
             words = "wave speed that the pulses of pressure and flow need"
             self.add("mean pressure", "mmHg", abs(mean), 2.5, 250, pressure=1)

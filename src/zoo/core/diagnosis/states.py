@@ -285,7 +285,8 @@ def same_system(data: Data, model: ForwardModel, state: OtherState) -> None:
                 f"{where}: series {label} is in {units[1]}, in {data.name} in {units[0]}: give both in "
                 "one unit"
             )
-    if here.values.shape == data.values.shape and np.allclose(here.values, data.values, rtol=SAME, atol=0.0, equal_nan=True):
+    pair = here.values, data.values
+    if pair[0].shape == pair[1].shape and np.allclose(*pair, rtol=SAME, atol=0.0, equal_nan=True):
         raise DiagnosisError(
             f"{where}: has the same series as {data.name}, in which all was learned: give measurements of "
             "another state"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +40,9 @@ class ErrorModel(ABC):
     """
 
     data: Data | None = field(default=None, kw_only=True, repr=False)
+
+    gaps: ClassVar[bool] = False
+    """Whether some series may lack samples at some times: NaN in their residuals, terms 0, whitened 0."""
 
     @property
     @abstractmethod
@@ -120,6 +123,12 @@ class ErrorModel(ABC):
         ErrorModelError
             If it cannot hold for them, such as one variance for two quantities.
         """
+        if not (data.whole or self.gaps):
+            raise ErrorModelError(
+                f"{data.source or data.name}: error model {self.name} needs all series at the same times, "
+                "and some lack samples that others have; Independent() and GroupNoise() do not need it, nor "
+                "does a diagnosis"
+            )
         return replace(self, data=data)
 
     @property
@@ -251,7 +260,7 @@ class ErrorModel(ABC):
             name: np.full(series.shape[:1] if name == "joint" else series.shape, -np.inf)
             for name in decompositions
         }
-        for i in np.flatnonzero(np.isfinite(residuals).all(axis=(1, 2))):
+        for i in np.flatnonzero((np.isfinite(residuals) | ~self.on.measured).all(axis=(1, 2))):
             values = {name: column[i] for name, column in columns.items()}
             for name, terms in found.items():  # what one draw has cost may be kept from one to the next
                 if name == "joint":

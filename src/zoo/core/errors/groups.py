@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,6 +67,7 @@ class GroupNoise(ErrorModel):
     array([-0.919,  3.686])
     """
 
+    gaps: ClassVar[bool] = True
     known: Mapping[str, float] | tuple[tuple[str, float], ...] = ()
     priors: Mapping[str, Prior] | tuple[tuple[str, Prior], ...] = ()
 
@@ -137,7 +138,8 @@ class GroupNoise(ErrorModel):
         found: list[Parameter] = []
         for group, rows in self.on.rows.items():
             values = self.on.values[rows]
-            size = float(np.ptp(values, axis=1).max()) or float(np.abs(values).max()) or 1.0
+            size = float(np.nanmax(np.nanmax(values, axis=1) - np.nanmin(values, axis=1)))
+            size = size or float(np.nanmax(np.abs(values))) or 1.0
             found += self._group_parameters(group, self.on.unit(group), size)
         return tuple(found)
 
@@ -175,7 +177,7 @@ class GroupNoise(ErrorModel):
 
     def whiten(self, residuals: Array, values: Mapping[str, ArrayLike]) -> Array | None:
         """Residuals over the standard deviation."""
-        return np.asarray(residuals / self._noise(values))
+        return self.on.filled(residuals / self._noise(values))
 
     def unwhiten(self, z: Array, values: Mapping[str, ArrayLike]) -> Array | None:
         """Standard normal numbers times the standard deviation."""
@@ -186,7 +188,7 @@ class GroupNoise(ErrorModel):
     ) -> Array:
         """Terms log p(y_i), (n_series, n_times), the same in every decomposition."""
         sd = self._noise(values)
-        return np.asarray(-0.5 * (_LOG_2PI + (residual / sd) ** 2) - np.log(sd))
+        return self.on.filled(-0.5 * (_LOG_2PI + (residual / sd) ** 2) - np.log(sd))
 
     def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
         """Add the observed variable, whose log-density is written in PyTensor."""
@@ -195,7 +197,8 @@ class GroupNoise(ErrorModel):
         from zoo.core.errors.variables import IidErrors
 
         variance = pt.stack([pt.as_tensor_variable(sd) ** 2 for sd in self.noise(variables)])[:, None]
-        return IidErrors(name, mean, ok, variance, observed=self.on.values, dims=("series", "time"))
+        observed = self.on.filled(self.on.values, np.inf)
+        return IidErrors(name, mean, ok, variance, observed=observed, dims=("series", "time"))
 
 
 @dataclass(frozen=True)
@@ -227,6 +230,8 @@ class GroupProcess(GroupNoise):
     Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, eq. 4.29; Paun et al. 2020,
     eq. (4.6), doi 10.1098/rsif.2020.0886, with a fixed amplitude and noise.
     """
+
+    gaps: ClassVar[bool] = False
 
     @property
     def name(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,6 +44,7 @@ class Independent(ErrorModel):
     array([[-0.919, -0.919, -0.919, -0.919]])
     """
 
+    gaps: ClassVar[bool] = True
     sigma2: Prior = VAGUE
     start: float | None = None
 
@@ -80,7 +81,7 @@ class Independent(ErrorModel):
 
     def whiten(self, residuals: Array, values: Mapping[str, ArrayLike]) -> Array | None:
         """Residuals over the standard deviation."""
-        return np.asarray(residuals / np.sqrt(float(np.asarray(values["sigma2"]))))
+        return self.on.filled(residuals / np.sqrt(float(np.asarray(values["sigma2"]))))
 
     def unwhiten(self, z: Array, values: Mapping[str, ArrayLike]) -> Array | None:
         """Standard normal numbers times the standard deviation."""
@@ -91,11 +92,11 @@ class Independent(ErrorModel):
     ) -> Array:
         """Terms log p(y_i), (n_series, n_times), the same in every decomposition."""
         sigma2 = float(np.asarray(values["sigma2"]))
-        return np.asarray(-0.5 * (_LOG_2PI + math.log(sigma2) + residual * residual / sigma2))
+        return self.on.filled(-0.5 * (_LOG_2PI + math.log(sigma2) + residual * residual / sigma2))
 
     def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
         """Add the observed variable, whose log-density is written in PyTensor."""
         from zoo.core.errors.variables import IidErrors
 
-        observed = {"observed": self.on.values, "dims": ("series", "time")}
+        observed = {"observed": self.on.filled(self.on.values, np.inf), "dims": ("series", "time")}
         return IidErrors(name, mean, ok, variables["sigma2"], **observed)

@@ -277,8 +277,9 @@ class Spectral(ErrorModel):
 
     def fine(self, residual: Array, group: str) -> Array:
         """Coefficients (m,) of one group's residual whose frequencies are those of noise alone."""
-        last = self.k[self.counts - 1]
-        return self.part(residual, group)[self.part((self.k > FINE * last[:, None])[self.there], group)]
+        fine = self.k > FINE * self.k[self.counts - 1][:, None]
+        fine[[i for other, rows in self.rows.items() if other != group for i in rows]] = False
+        return np.asarray(residual[fine[self.there]])
 
     # -- the error model --------------------------------------------------------------------------
 
@@ -340,9 +341,7 @@ class Spectral(ErrorModel):
     ) -> Array:
         """A term for each coefficient: given the parameters they are independent, in every decomposition."""
         S = self._at(values)
-        return np.asarray(
-            -0.5 * (self.transform(residual) ** 2 / S + np.log(2.0 * math.pi * S)) * self.there
-        )
+        return np.asarray(-0.5 * (self.transform(residual) ** 2 / S + np.log(2.0 * math.pi * S)) * self.there)
 
     def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
         """Observe the data's coefficients: independent normal around those of the mean."""
@@ -570,7 +569,7 @@ class Uneven(Spectral):
         return found
 
     def inverse(self, coefficients: Array) -> Array:
-        """Series (..., n_series, n_times) of coefficients (..., n_series, n_times), NaN where not measured."""
+        """Series (..., n_series, n_times) of coefficients of that shape, NaN where not measured."""
         own, found = np.array(coefficients, dtype=np.float64), np.full(np.shape(coefficients), np.nan)
         for rows, part, turn in self._turns:
             own[..., rows, part] = np.einsum("ji,...jk->...ik", turn, own[..., rows, part])
@@ -600,12 +599,13 @@ class Uneven(Spectral):
                 for b, j in enumerate(own):
                     if i == j or shared:
                         pair = int(clocks[i]), int(clocks[j])
-                        both = (1.0 if i == j else shared) * mixed[pair][part] / (size[pair[0]] * size[pair[1]])
-                        found[own, part] += np.outer(turn[:, a] * turn[:, b], both)
+                        both = mixed[pair][part] / (size[pair[0]] * size[pair[1]])
+                        found[own, part] += np.outer(turn[:, a] * turn[:, b], both * (i == j or shared))
         return found[rows]
 
     def diagonal(self, spectrum: Any) -> Any:
         """Variances (n_times,) of the coefficients of a process with this spectrum at their frequencies."""
+        self._alike()
         return pt_dot(self._mixing[0, 0], spectrum)
 
     def _alike(self) -> Array:
@@ -618,8 +618,8 @@ class Uneven(Spectral):
         """
         if not self.on.whole:
             raise ErrorModelError(
-                f"{self.on.source or self.on.name}: {self.name} of series that are not all measured at the same "
-                "times are for a diagnosis without posteriors; sample with Independent() or GroupNoise()"
+                f"{self.on.source or self.on.name}: {self.name} of series that are not all measured at the "
+                "same times are for a diagnosis without posteriors; sample with Independent() or GroupNoise()"
             )
         return self._bases[0][0]
 

@@ -46,7 +46,10 @@ class IidErrorsRV(RandomVariable):
 
 
 class IidErrors(Continuous):
-    """Independent normal errors of variance sigma2 around computed series; density 0 where ok is 0."""
+    """Independent normal errors of variance sigma2 around computed series; density 0 where ok is 0.
+
+    An observed value that is infinite was not measured, and has no part in the density.
+    """
 
     rv_op = IidErrorsRV()
 
@@ -60,8 +63,10 @@ class IidErrors(Continuous):
         return mean
 
     def logp(value, mean, ok, sigma2):  # type: ignore[no-untyped-def]
-        terms = -0.5 * (_LOG_2PI + pt.log(sigma2) + (value - mean) ** 2 / sigma2)
-        return pt.switch(ok, terms, -np.inf)
+        absent = pt.isinf(value)
+        off = pt.switch(absent, 0.0, value - mean)
+        terms = -0.5 * (_LOG_2PI + pt.log(sigma2) + off**2 / sigma2)
+        return pt.switch(ok, pt.switch(absent, 0.0, terms), -np.inf)
 
 
 def _values(errors: ErrorModel, parameters: Sequence[Any]) -> dict[str, Any]:

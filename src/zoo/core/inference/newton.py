@@ -99,13 +99,13 @@ def least_squares(logp: LogPosterior, starts: Sequence[Array]) -> Array:
     width = 1.0 / np.sqrt(np.where(curvature > 0, curvature, 1.0))
     size = np.empty((data.n_series, 1))
     for rows in data.rows.values():
-        size[rows] = LARGE_NOISE * (np.ptp(data.values[rows], axis=1).max() or 1.0)
+        size[rows] = LARGE_NOISE * (max(np.ptp(data.samples(i)) for i in rows) or 1.0)
 
     def residuals(x: Array) -> Array:
         moved = q.copy()
         moved[theta] = x
         mean, _ = model.mean(moved)
-        z = np.full(data.values.shape, 1e3) if mean is None else (data.values - mean) / size
+        z = np.full(data.values.shape, 1e3) if mean is None else data.filled(data.values - mean) / size
         return np.concatenate([z.ravel(), (x - q[theta]) / width])
 
     def slopes(x: Array) -> Array:

@@ -215,7 +215,7 @@ def log_likelihoods(
     -------
     Dataset
         "sequential", log p(y_i | y_<i), and "leave-one-out", log p(y_i | y_-i), each (chain, draw, series,
-        time); "joint", log p(y), (chain, draw).
+        time), NaN where not measured; "joint", log p(y), (chain, draw).
 
     Raises
     ------
@@ -245,6 +245,8 @@ def log_likelihoods(
     n_chains, n_kept = posterior.sizes["chain"], posterior.sizes["draw"]
     terms = {}
     for decomposition, values in record.errors.pointwise(means, errors).items():
+        if values.ndim > 1:
+            values = record.data.filled(values, np.nan)
         dims = ("chain", "draw", "series", "time")[: values.ndim + 1]
         terms[decomposition] = (dims, values.reshape(n_chains, n_kept, *values.shape[1:]))
     return xr.Dataset(terms, coords=coords)
@@ -283,7 +285,7 @@ def sse_at_median(idata: InferenceData, model: pm.Model) -> dict[str, SumOfSquar
     data = record_of(model).data
     found = {}
     for group, rows in data.rows.items():
-        whole_sum, *sums = ((data.values - means)[:, rows] ** 2).sum(axis=(1, 2))
+        whole_sum, *sums = (data.filled(data.values - means)[:, rows] ** 2).sum(axis=(1, 2))
         found[group] = SumOfSquares(float(whole_sum), _error_of_mean(sums))
     return found
 
@@ -483,7 +485,7 @@ def _check_comparable(idatas: Mapping[str, InferenceData], models: Mapping[str, 
         first = first or record
         if wrong := _wrong(idatas[name], models[name]):
             raise ComparisonError(f"posterior {name!r}: {wrong}; sample again, or give the one that belongs")
-        if not np.array_equal(record.data.values, first.data.values):
+        if not np.array_equal(record.data.values, first.data.values, equal_nan=True):
             raise ComparisonError(
                 f"model {name}: was fitted to {record.data.name!r}, the first to "
                 f"{first.data.name!r} with other values: compare models of the same observations"
