@@ -41,7 +41,8 @@ def number(where: str, name: str, text: str) -> float:
     if value is None:
         raise StudyError(f"{where}: {name} = {short(text)}: not a number; correct it")
     if not math.isfinite(value):
-        raise StudyError(f"{where}: {name} = {short(text)}: must be finite; leave it empty if not measured")
+        how = "leave it empty if not measured" if name == "value" else "interpolate it or cut the series"
+        raise StudyError(f"{where}: {name} = {short(text)}: must be finite; {how}")
     if abs(value) > MOST_VALUE:
         raise StudyError(
             f"{where}: {name} = {short(text)}: must be at most {MOST_VALUE:g} in size; correct it"

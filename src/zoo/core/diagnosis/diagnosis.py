@@ -429,8 +429,8 @@ def diagnose(
     chosen, hooks = _checked(data, model, effects, errors), hooks or Hooks()
     if posteriors and not data.whole:
         raise DiagnosisError(
-            f"{data.source or data.name}: posteriors: need all series at the same times, and some lack samples "
-            "that others have; leave them out, and sample a model with Independent() or GroupNoise()"
+            f"{data.source or data.name}: posteriors: need all series at the same times, and some lack "
+            "samples that others have; leave them out, and sample a model with Independent() or GroupNoise()"
         )
     for state in states:  # before the work
         _checked(state.data, state.model, (), state.errors)
