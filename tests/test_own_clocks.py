@@ -1,5 +1,9 @@
 """Series on clocks of their own, and with samples missing: as if each had the samples that it has."""
 
+import os
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pymc as pm
 import pytest
@@ -15,6 +19,9 @@ from zoo.core.errors.base import ErrorModelError
 from zoo.core.errors.spectral import Cosines, GroupErrors, Harmonics, Uneven, log_density, spectral_errors
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.parameters import as_parameters
+
+ROOT = Path(__file__).parent.parent
+SHARED = Path(os.environ.get("ZOO_DATA_DIR", ROOT.parent / "shared" / "data")).parent
 
 FINE = 2048
 EVEN = np.arange(64) / 64
@@ -157,7 +164,7 @@ def test_a_record_with_gaps_on_two_clocks_has_the_same_cause_and_nearly_its_evid
 def test_posteriors_of_series_on_their_own_clocks_are_refused_with_what_to_take() -> None:
     data = own([MISSING, FASTER])
     model = FunctionModel(pulses, as_parameters(PRIORS), Outputs(data.outputs, data.times))
-    with pytest.raises(ErrorModelError, match=r"sample with Independent\(\) or GroupNoise\(\)"):
+    with pytest.raises(ErrorModelError, match=r"sample with GroupNoise\(\) or GroupProcess\(\)"):
         zoo.bayesian_model("pulses", model, data, Uneven())
 
 
@@ -203,8 +210,113 @@ def test_samples_and_scores_of_series_on_their_own_clocks() -> None:
     assert table.loc["pulses", "sse_y"] == pytest.approx(0.01 * (len(MISSING) + len(FASTER)), rel=0.4)
 
 
-def test_a_gaussian_process_needs_the_same_times_and_says_what_does_not() -> None:
-    with pytest.raises(
-        ErrorModelError, match=r"needs all series at the same times.*GroupNoise\(\) do not need it"
-    ):
-        zoo.GroupProcess().bind(own([MISSING, FASTER]))
+def test_processes_of_each_series_are_of_its_own_samples() -> None:
+    """The density, its gradient and its leave-one-out terms are those of each series by itself."""
+    rng = np.random.default_rng(6)
+    values = [rng.standard_normal(len(clock)) for clock in (MISSING, FASTER)]
+    data = own([MISSING, FASTER], values, period=1.0)
+    bound = zoo.GroupProcess().bind(data)
+    at = {"noise_y": 0.3, "amplitude_y": 0.8, "w_y": 200.0, "b_y": 10.0}
+    residual = rng.standard_normal((2, data.n_times)) * np.where(data.measured, 1.0, np.nan)
+    weight = rng.standard_normal(residual.shape)
+    by_residual, slopes = bound.gradient(residual, at, weight)
+    total = dict.fromkeys(at, 0.0)
+    for i, clock in enumerate((MISSING, FASTER)):
+        alone = zoo.GroupProcess().bind(Data(clock, values[i], groups=["y"], period=1.0))
+        seen = data.measured[i]
+        one = residual[i, seen][None]
+        for how in ("sequential", "leave-one-out"):
+            terms = bound.terms(residual, at, how)[i]
+            np.testing.assert_allclose(terms[seen], alone.terms(one, at, how)[0])
+            assert not terms[~seen].any()
+        np.testing.assert_allclose(bound.whiten(residual, at)[i, seen], alone.whiten(one, at)[0])
+        own_slope, own_slopes = alone.gradient(one, at, weight[i, seen][None])
+        np.testing.assert_allclose(by_residual[i, seen], own_slope[0])
+        total = {name: total[name] + own_slopes[name] for name in total}
+    assert slopes == pytest.approx(total)
+    with pm.Model(coords={"series": data.labels, "time": data.times}) as model:
+        bound.observe("y", np.zeros(data.values.shape), np.int8(1), at)
+    assert model.compile_logp(vars=[model["y"]])({}) == pytest.approx(bound.log_density(data.values, at))
+
+
+def test_errors_that_need_the_same_times_say_which_do_not() -> None:
+    prior = zoo.LogUniform(1.0, 10.0)
+    text = r"needs all series at the same times.*GroupNoise\(\), GroupProcess\(\) and Independent\(\) do not"
+    with pytest.raises(ErrorModelError, match=text):
+        zoo.GaussianProcess(prior, prior).bind(own([MISSING, FASTER]))
+
+
+def observations(rows: dict[str, list[tuple[float, str]]]) -> str:
+    lines = [f"{place},{time:.6f},{value}" for place, own in rows.items() for time, value in own]
+    return "\n".join(["vessel,position,quantity,time_s,value", *lines]) + "\n"
+
+
+def pressure(time: float) -> str:
+    return f"{10 + 4 * np.exp(np.cos(2 * np.pi * (time / 0.11 - 0.2))):.4f}"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(ROOT / "docs" / "example-study", tmp_path / "study"))
+
+
+STEPS = [m * 0.005 for m in range(22)]
+ROOT_PRESSURE, BRANCH_FLOW = "1,0,pressure_mmHg", "2,0.5,flow_ml_s"
+
+
+def test_a_study_has_each_series_at_its_own_times_and_reads_back(folder: Path, tmp_path: Path) -> None:
+    own = [(t, pressure(t)) for t in STEPS if t not in STEPS[6:9]]
+    other = [(m * 0.0025, f"{0.1 + 0.001 * m:.4f}") for m in range(44)]
+    (folder / "observations.csv").write_text(observations({ROOT_PRESSURE: own, BRANCH_FLOW: other}))
+    study = zoo.load_study(folder)
+    assert [one.n_samples for one in study.series] == [19, 44]
+    np.testing.assert_allclose(study.time_s, np.arange(44) * 0.0025, atol=1e-12)
+    seen = ~np.isnan(study.series[0].value)
+    np.testing.assert_array_equal(study.series[0].value[seen], [float(x) for _, x in own])
+    np.testing.assert_allclose(study.time_s[seen], [t for t, _ in own], atol=1e-12)
+    zoo.save_study(study, tmp_path / "again")
+    assert zoo.load_study(tmp_path / "again") == study
+    with_empty = [(t, pressure(t) if t not in STEPS[6:9] else "") for t in STEPS]
+    (folder / "observations.csv").write_text(observations({ROOT_PRESSURE: with_empty, BRANCH_FLOW: other}))
+    assert zoo.load_study(folder).checksum == study.checksum
+
+
+def test_a_record_of_more_than_a_beat_or_of_few_samples_is_refused(folder: Path) -> None:
+    late = [(t, pressure(t)) for t in [*STEPS[:10], *STEPS[12:], 0.113]]
+    (folder / "observations.csv").write_text(observations({ROOT_PRESSURE: late}))
+    with pytest.raises(zoo.StudyError, match=r"time_s = 0\.113: v1@0 .*: past period_s = 0\.11"):
+        zoo.load_study(folder)
+    few = [(t, pressure(t) if i > 6 else "") for i, t in enumerate(STEPS)]
+    (folder / "observations.csv").write_text(observations({ROOT_PRESSURE: few}))
+    with pytest.raises(zoo.StudyError, match="15 samples: too few for a beat; give at least 16"):
+        zoo.load_study(folder)
+
+
+def test_a_nominal_load_is_that_of_the_wave_whatever_samples_there_are(folder: Path) -> None:
+    """Samples are left out where the wave is straight enough that lines take their place."""
+    loads = []
+    for gone in ((), (3, 9, 17)):
+        rows = [(m * 0.11 / 110, pressure(m * 0.11 / 110)) for m in range(110) if m // 5 not in gone]
+        (folder / "observations.csv").write_text(observations({ROOT_PRESSURE: rows}))
+        network = zoo.Network.from_study(zoo.load_study(folder))
+        loads.append(np.concatenate([network.R1, network.R2]))
+    np.testing.assert_allclose(loads[1], loads[0], rtol=5e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["observations", "gap"])
+def test_records_as_they_are_measured(name: str, tmp_path: Path) -> None:
+    """Each series has its own times; missing samples are left out of the likelihood."""
+    case = SHARED / "cases" / "07-records-as-measured"
+    if not case.is_dir():
+        pytest.skip("needs the shared cases")
+    study = Path(shutil.copytree(case, tmp_path / "study"))
+    shutil.copy(case / f"{name}.csv", study / "observations.csv")
+    loaded = zoo.load_study(study)
+    counts = {"observations": [22, 44], "gap": [19]}[name]
+    assert [one.n_samples for one in loaded.series] == counts
+    found = zoo.diagnose(loaded, "B", effects=["viscoelastic-wall"], component_sizes=0.0, progress=False)
+    assert found.sets.search.family.errors.size == sum(counts)
+    found.plot()
+    for model in (zoo.model_A(loaded), zoo.model_B(loaded)):
+        assert np.isfinite(model.compile_logp()(model.initial_point()))

@@ -430,7 +430,7 @@ def diagnose(
     if posteriors and not data.whole:
         raise DiagnosisError(
             f"{data.source or data.name}: posteriors: need all series at the same times, and some lack "
-            "samples that others have; leave them out, and sample a model with Independent() or GroupNoise()"
+            "samples that others have; leave them out, and sample a model with GroupNoise() or GroupProcess()"
         )
     for state in states:  # before the work
         _checked(state.data, state.model, (), state.errors)

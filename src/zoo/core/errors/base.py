@@ -126,8 +126,8 @@ class ErrorModel(ABC):
         if not (data.whole or self.gaps):
             raise ErrorModelError(
                 f"{data.source or data.name}: error model {self.name} needs all series at the same times, "
-                "and some lack samples that others have; Independent() and GroupNoise() do not need it, nor "
-                "does a diagnosis"
+                "and some lack samples that others have; GroupNoise(), GroupProcess() and Independent() do "
+                "not need it, nor does a diagnosis"
             )
         return replace(self, data=data)
 
@@ -291,4 +291,5 @@ class ErrorModel(ABC):
 
         parameters = [variables[p] for p in self.parameter_names]
         data = self.on
-        return Errors(name, mean, ok, *parameters, errors=self, observed=data.values, dims=("series", "time"))
+        observed = data.filled(data.values, np.inf)
+        return Errors(name, mean, ok, *parameters, errors=self, observed=observed, dims=("series", "time"))

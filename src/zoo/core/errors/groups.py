@@ -231,8 +231,6 @@ class GroupProcess(GroupNoise):
     eq. (4.6), doi 10.1098/rsif.2020.0886, with a fixed amplitude and noise.
     """
 
-    gaps: ClassVar[bool] = False
-
     @property
     def name(self) -> str:
         """Its name, "process"."""
@@ -254,22 +252,31 @@ class GroupProcess(GroupNoise):
         """The data's times in parts of its period or record, (n_times,)."""
         return np.asarray(self.on.times / self.on.duration)
 
-    def _parts(self, values: Mapping[str, ArrayLike]) -> Iterator[tuple[list[int], float, tuple[float, ...]]]:
-        """Rows that share a covariance, its amplitude, and (w, b, noise variance) of it over amplitude^2."""
+    def _parts(self, values: Mapping[str, ArrayLike]) -> Iterator[tuple[Any, float, tuple[Any, ...]]]:
+        """Series and times that share a covariance, its amplitude, and (times, w, b, noise variance) of it.
+
+        The noise's variance is in squared amplitudes. The first is an index of arrays (..., series, times).
+        """
         sd = self._noise(values).ravel()
         for group, rows in self.on.rows.items():
             a, w, b = (float(np.asarray(values[f"{name}_{group}"])) for name in ("amplitude", "w", "b"))
             for one, inferred in dict.fromkeys((sd[i], self._given[i] is None) for i in rows):
                 ratio = one / a if a > 0 else math.inf
-                same = [i for i in rows if (sd[i], self._given[i] is None) == (one, inferred)]
-                yield same, a, (w, b, ratio * ratio)
+                clocks: dict[bytes, list[int]] = {}
+                for i in rows:
+                    if (sd[i], self._given[i] is None) == (one, inferred):
+                        clocks.setdefault(self.on.measured[i].tobytes(), []).append(i)
+                for same in clocks.values():
+                    at = np.flatnonzero(self.on.measured[same[0]])
+                    index = ..., np.array(same)[:, None], at
+                    yield index, a, (self.cycles[at], w, b, ratio * ratio)
 
     def variance(self, values: Mapping[str, ArrayLike]) -> Array:
         """amplitude^2 k(t, t) + noise^2, (n_series, n_times)."""
-        found = np.empty((self.on.n_series, self.on.n_times))
-        for rows, a, (w, b, noise) in self._parts(values):
-            product = 2.0 * (b + w * self.cycles**2)
-            found[rows] = a * a * (2.0 / math.pi * np.arcsin(product / (1.0 + product)) + noise)
+        found = np.full((self.on.n_series, self.on.n_times), np.nan)
+        for at, a, (cycles, w, b, noise) in self._parts(values):
+            product = 2.0 * (b + w * cycles**2)
+            found[at] = a * a * (2.0 / math.pi * np.arcsin(product / (1.0 + product)) + noise)
         return found
 
     def whiten(self, residuals: Array, values: Mapping[str, ArrayLike]) -> Array | None:
@@ -281,12 +288,12 @@ class GroupProcess(GroupNoise):
         return self._linear(colour_by_process, z, values, 1)
 
     def _linear(self, map_: Any, series: Array, values: Mapping[str, ArrayLike], power: int) -> Array | None:
-        found = np.empty(series.shape)
-        for rows, a, law in self._parts(values):
-            part = map_(series[..., rows, :], self.cycles, *law)
+        found = np.zeros(series.shape)
+        for at, a, law in self._parts(values):
+            part = map_(series[at], *law)
             if part is None:
                 return None
-            found[..., rows, :] = a**power * part
+            found[at] = a**power * part
         return found
 
     def terms(
@@ -294,25 +301,26 @@ class GroupProcess(GroupNoise):
     ) -> Array:
         """`gp_sequential` or `gp_leave_one_out` of each group, (n_series, n_times)."""
         function = gp_leave_one_out if decomposition == "leave-one-out" else gp_sequential
-        found = np.empty(residual.shape)
-        for rows, a, law in self._parts(values):
-            found[rows] = function(residual[rows] / a, self.cycles, *law) - math.log(a)
+        found = np.zeros(residual.shape)
+        for at, a, law in self._parts(values):
+            found[at] = function(residual[at] / a, *law) - math.log(a)
         return found
 
     def gradient(
         self, residual: Array, values: Mapping[str, ArrayLike], weight: Array
     ) -> tuple[Array, dict[str, float]]:
         """That of a process of amplitude 1 for r/a, whose noise has the variance (noise/a)^2."""
-        by_residual, found = np.empty(residual.shape), dict.fromkeys(self.parameter_names, 0.0)
-        for rows, a, (w, b, ratio) in self._parts(values):
-            group, part = self.on.groups[rows[0]], residual[rows]
-            scaled, by_w, by_b, by_ratio = gp_gradient(part / a, weight[rows], self.cycles, w, b, ratio)
-            by_residual[rows] = scaled / a
-            by_a = np.vdot(scaled, part / a) + np.sum(weight[rows]) + 2.0 * ratio * by_ratio
+        by_residual, found = np.zeros(residual.shape), dict.fromkeys(self.parameter_names, 0.0)
+        for at, a, law in self._parts(values):
+            first, part, ratio = int(at[1][0, 0]), residual[at], law[-1]
+            group = self.on.groups[first]
+            scaled, by_w, by_b, by_ratio = gp_gradient(part / a, weight[at], *law)
+            by_residual[at] = scaled / a
+            by_a = np.vdot(scaled, part / a) + np.sum(weight[at]) + 2.0 * ratio * by_ratio
             found[f"amplitude_{group}"] -= float(by_a) / a
             found[f"w_{group}"] += by_w
             found[f"b_{group}"] += by_b
-            if self._given[rows[0]] is None:
+            if self._given[first] is None:
                 found[f"noise_{group}"] += 2.0 * math.sqrt(ratio) / a * by_ratio
         return by_residual, found
 

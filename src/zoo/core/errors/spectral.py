@@ -619,7 +619,8 @@ class Uneven(Spectral):
         if not self.on.whole:
             raise ErrorModelError(
                 f"{self.on.source or self.on.name}: {self.name} of series that are not all measured at the "
-                "same times are for a diagnosis without posteriors; sample with Independent() or GroupNoise()"
+                "same times are for a diagnosis without posteriors; sample with GroupNoise() or "
+                "GroupProcess()"
             )
         return self._bases[0][0]
 
