@@ -281,6 +281,13 @@ def test_a_study_has_each_series_at_its_own_times_and_reads_back(folder: Path, t
     assert zoo.load_study(folder).checksum == study.checksum
 
 
+def test_rounded_times_with_gaps_are_put_on_the_grid(folder: Path) -> None:
+    exact = np.delete(np.arange(32) * 0.11 / 32, [4, 5, 20])
+    rows = [(round(t, 5), pressure(t)) for t in exact.tolist()]
+    (folder / "observations.csv").write_text(observations({ROOT_PRESSURE: rows}))
+    np.testing.assert_allclose(zoo.load_study(folder).time_s, exact, rtol=0, atol=1e-15)
+
+
 def test_a_record_of_more_than_a_beat_or_of_few_samples_is_refused(folder: Path) -> None:
     late = [(t, pressure(t)) for t in [*STEPS[:10], *STEPS[12:], 0.113]]
     (folder / "observations.csv").write_text(observations({ROOT_PRESSURE: late}))
