@@ -63,10 +63,8 @@ class IidErrors(Continuous):
         return mean
 
     def logp(value, mean, ok, sigma2):  # type: ignore[no-untyped-def]
-        absent = pt.isinf(value)
-        off = pt.switch(absent, 0.0, value - mean)
-        terms = -0.5 * (_LOG_2PI + pt.log(sigma2) + off**2 / sigma2)
-        return pt.switch(ok, pt.switch(absent, 0.0, terms), -np.inf)
+        terms = -0.5 * (_LOG_2PI + pt.log(sigma2) + (value - mean) ** 2 / sigma2)
+        return pt.switch(ok, pt.switch(pt.isinf(value), 0.0, terms), -np.inf)
 
 
 def _values(errors: ErrorModel, parameters: Sequence[Any]) -> dict[str, Any]:
