@@ -105,7 +105,7 @@ FAULTS = [
     ("observations.csv", ",12.1", ",nan"),
     ("observations.csv", "1,0,pressure_mmHg,0.005", "9,0,pressure_mmHg,0.005"),
     ("observations.csv", "pressure_mmHg", "pressure_mmhg"),
-    ("observations.csv", ",0.010,", ",0.012,"),
+    ("observations.csv", ",0.105,", ",0.115,"),
 ]
 
 
