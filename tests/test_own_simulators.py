@@ -578,6 +578,25 @@ def test_a_simulator_is_called_at_all_times_also_where_nothing_was_measured() ->
     assert len(later) == 351
 
 
+@pytest.mark.parametrize("asked", ["all", "left"])
+def test_data_and_a_model_are_of_all_times_too(asked: str) -> None:
+    seen = set()
+
+    def spied(c, t):  # type: ignore[no-untyped-def]
+        seen.add(len(t))
+        return cart(c, t)
+
+    measured = speed(drag=0.8)
+    measured[100:120] = np.nan
+    with pytest.warns(UserWarning, match="20 of 300 times are left out"):
+        data = Data(T, measured)
+    outputs = zoo.Outputs(("y0",), T if asked == "all" else data.times)
+    parameters = tuple(zoo.Parameter(name, prior) for name, prior in CART.items())
+    found = zoo.diagnose(data, zoo.FunctionModel(spied, parameters, outputs), drag, progress=False)
+    assert seen == {300}
+    assert found.cause == ["drag"]
+
+
 def test_an_effect_that_always_fails_is_told_with_the_reason_and_decides_nothing() -> None:
     def stiff(c, t):  # type: ignore[no-untyped-def]
         if "drag" in c:
