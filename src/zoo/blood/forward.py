@@ -21,7 +21,7 @@ from zoo.blood.resolution import Resolution, coarse_at, resolve
 from zoo.blood.solver import SHAPES, WALLS, Solver, SolverArgumentError, SolverOptions
 from zoo.blood.study import Study, StudyError
 from zoo.core.data import Data
-from zoo.core.forward import Outputs, SolveError, content_key, function_text
+from zoo.core.forward import InNumba, Outputs, SolveError, content_key, function_text
 from zoo.core.parameters import Parameter, pack, start_of, unpack
 
 Array = NDArray[np.float64]
@@ -83,6 +83,15 @@ def scaled_stiffness(values: Values, network: Network, conventions: Conventions)
             "(or youngs_modulus_g_cm_s2 and wall_thickness_cm), or take another stiffness law"
         )
     return float(values["stiffness_factor"]) * network.stiffness_in
+
+
+LAW_PARAMETERS = {
+    constant_stiffness: ("f3",),
+    radius_dependent_stiffness: ("f1", "f2", "f3"),
+    stiffness_of_each_vessel: ("chi",),
+    scaled_stiffness: ("stiffness_factor",),
+}
+"""Of the laws that `zoo.blood.in_numba` knows."""
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -379,6 +388,20 @@ class BloodFlow:
         slopes = np.zeros((len(theta), *values.shape))
         slopes[read] = found
         return values, slopes
+
+    def in_numba(self) -> InNumba | None:
+        """As functions that numba compiles; None for a stiffness law other than those of this module."""
+        from zoo.blood.in_numba import blood_flow
+
+        net, law = self.network, next((p for f, p in LAW_PARAMETERS.items() if f is self.stiffness), None)
+        ones = np.ones(len(net.ids))
+        scale = net.stiffness_in if self.stiffness is scaled_stiffness else ones
+        if law is None or scale is None:
+            return None
+        places = tuple(dict.fromkeys((v, x) for v, x, _ in cast("tuple[Place, ...]", self.outputs.series)))
+        solver = self._solver(self._case(self.fixed, ones), places, self._times)
+        radius = net.radius_in_cm / self.conventions.stiffness_radius_unit_cm
+        return blood_flow(self, solver, law, scale, radius)
 
     def _clock(self, outputs: Outputs) -> Array:
         """When the solution is sampled: the samples' times, with the conventions' lag."""

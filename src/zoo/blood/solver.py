@@ -84,6 +84,8 @@ FRICTIONS = {
 }
 PARAMETERS = ("stiffness", "gamma", "psi1", "psi2", "c")
 PUBLISHED_CELLS_PER_CM = 40
+TANGENT_TOLERANCE = 1e-7
+"""Accepted error of the linear equations of derivatives, over each direction's largest one."""
 THROAT_LENGTH_CM = 0.15
 THROAT_CELLS = 6
 """Cells along a throat, at least, where cells are given for each vessel."""
@@ -510,6 +512,23 @@ class Solver:
             return self._workspaces.pop()
         except IndexError:  # there is none yet, or another thread has it
             pass
+        size = self.workspace_bytes()
+        try:
+            return np.empty(size, dtype=np.uint8)
+        except (MemoryError, ValueError):
+            raise SolverArgumentError(
+                f"a solve needs {size / 2**30:.3g} GB, more than there are: lower max_steps, the "
+                "cells, or the series and times"
+            ) from None
+
+    def workspace_bytes(self) -> int:
+        """Bytes of memory that one solve takes.
+
+        Raises
+        ------
+        SolverArgumentError
+            If there is not so much, or the network, the inflow or the options are out of range.
+        """
         size = ffi.new("int64_t *")
         code = lib.zoo_workspace_size(self._problem, size)
         if code == lib.ZOO_WORKSPACE:
@@ -518,13 +537,7 @@ class Solver:
             )
         if code != lib.ZOO_OK:
             raise SolverArgumentError("the network, the inflow or the options are out of range")
-        try:
-            return np.empty(size[0], dtype=np.uint8)
-        except (MemoryError, ValueError):
-            raise SolverArgumentError(
-                f"a solve needs {size[0] / 2**30:.3g} GB, more than there are: lower max_steps, the "
-                "cells, or the series and times"
-            ) from None
+        return int(size[0])
 
     def _reason(self, report: Any, values: dict[str, Array]) -> str:
         """Why a solve failed, in words; `values` are its parameters."""
@@ -668,7 +681,7 @@ class Solver:
         c: ArrayLike = 1.0,
         *,
         directions: Sequence[Direction],
-        tolerance: float = 1e-7,
+        tolerance: float = TANGENT_TOLERANCE,
         check: bool = True,
     ) -> Derivatives:
         """Solve to the periodic state, and differentiate it in several directions.

@@ -92,17 +92,37 @@ def scales_of(parameters: tuple[Parameter, ...], theta: Array) -> Array:
     array (n_values,)
         Zero for those that only priors read.
     """
-    scales: list[float] = []
+    return scales_at(np.asarray(theta), *widths_of(parameters))
+
+
+def widths_of(parameters: tuple[Parameter, ...]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """For each element a part of its prior's width, whether the prior goes below zero, and whether it is read.
+
+    Parameters
+    ----------
+    parameters : tuple of Parameter
+
+    Returns
+    -------
+    width, about_zero, read : array (n_values,)
+    """
+    widths, about_zero = [], []
     for p in parameters:
         try:
             low, high = p.prior.quantile([0.16, 0.84])
-            width = SHARE_OF_PRIOR * float(high - low) / 2
-            about_zero = p.prior.support[0] < 0
+            width, below = SHARE_OF_PRIOR * float(high - low) / 2, p.prior.support[0] < 0
         except (KeyError, NotImplementedError, TypeError):  # a prior that depends on other parameters
-            width, about_zero = 0.0, False
-        least = width if np.isfinite(width) else 0.0
-        at = theta[len(scales) : len(scales) + p.size]
-        scales += [least if about_zero or x == 0 else 0.0 for x in at]
+            width, below = 0.0, False
+        widths += [width if np.isfinite(width) else 0.0] * p.size
+        about_zero += [below] * p.size
     read = np.concatenate([np.full(p.size, not p.hyper) for p in parameters])
-    found = np.where(read, np.maximum(np.array(scales), np.abs(theta)), 0.0)
+    return np.array(widths), np.array(about_zero, dtype=bool), read
+
+
+def scales_at(
+    theta: Array, width: Array, about_zero: NDArray[np.bool_], read: NDArray[np.bool_]
+) -> Array:
+    """`scales_of` from `widths_of`; of functions that numba compiles."""
+    least = np.where(about_zero | (theta == 0), width, 0.0)
+    found = np.where(read, np.maximum(least, np.abs(theta)), 0.0)
     return np.where(read & (found == 0), 1.0, found)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import FunctionType
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,6 +56,28 @@ class Outputs(Brief):
         return len(self.series), len(self.times)
 
 
+class InNumba(NamedTuple):
+    """A forward model as functions that numba compiles, which call no Python; they belong to this process.
+
+    Parameters
+    ----------
+    solve : function
+        From theta (n_values,) to a status, 0 or the number of a failure from 1 on, and series (n_series,
+        n_times).
+    differentiate : function
+        From theta to these and slopes (n_values, n_series, n_times).
+    failures : tuple of str
+        Kinds of failures, as `SolveError` has them.
+    keeps : object
+        What must live as long as the functions are called.
+    """
+
+    solve: Callable[[Array], tuple[int, Array]]
+    differentiate: Callable[[Array], tuple[int, Array, Array]]
+    failures: tuple[str, ...]
+    keeps: object = None
+
+
 @runtime_checkable
 class ForwardModel(Protocol):
     """A simulator, as everything else in zoo sees it.
@@ -78,7 +100,8 @@ class ForwardModel(Protocol):
     finer grid has a method ``refined()``, which returns a model of half the cells and steps, or None; its
     errors are of second order in their size. One whose discretisation follows its parameters has a method
     ``pinned(configuration)``, which returns the same model with the discretisation that this solve takes, so
-    that its solutions are smooth functions of them.
+    that its solutions are smooth functions of them. One that numba can call without Python has a method
+    ``in_numba()``, which returns an `InNumba` or None; it is asked of a model of the very class that has it.
     """
 
     @property

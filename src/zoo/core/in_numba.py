@@ -1,16 +1,72 @@
-"""Operations of ours in functions that PyTensor compiles with numba: called as Python, without a warning."""
+"""Operations of ours in functions that PyTensor compiles with numba.
+
+Where what they compute is there as functions that numba compiles, other operations take their place, which call no
+Python. Else they are called as Python, without a warning; so they are in `with_memory`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numba  # type: ignore[import-untyped]
 import numpy as np
+from llvmlite import ir
+from numba.extending import intrinsic  # type: ignore[import-untyped]
+from pytensor.compile.mode import Mode, get_default_mode, optdb
+from pytensor.graph.rewriting.basic import dfs_rewriter, node_rewriter
 from pytensor.link.numba.dispatch.basic import get_numba_type, numba_funcify, numba_njit
 from pytensor.link.numba.dispatch.random import numba_core_rv_funcify
 from pytensor.tensor.random.op import RandomVariable
 
 OpClass = TypeVar("OpClass", bound=type)
+WITHOUT_PYTHON = "zoo_without_python"
+"""Tag of the rewrites that put operations without Python in the place of others."""
+
+
+def with_memory() -> Mode:
+    """PyTensor's default mode, but with operations that call Python and keep the points they have seen."""
+    return get_default_mode().excluding(WITHOUT_PYTHON)
+
+
+def without_python(*op_classes: type) -> Callable[[Any], Any]:
+    """Let a function of a graph and a node of these operations replace them in what numba compiles.
+
+    It returns a mapping of variables, or None. It comes last but for work in place, when equal nodes are one.
+    """
+
+    def register(replaced: Any) -> Any:
+        rewriter = dfs_rewriter(node_rewriter(list(op_classes))(replaced))
+        optdb.register(replaced.__name__, rewriter, "numba", WITHOUT_PYTHON, position=49.1)
+        return replaced
+
+    return register
+
+
+def compiled_by(op_class: OpClass) -> OpClass:
+    """Let an operation's `function()` be what numba compiles; it is made anew in each process, and not stored."""
+    numba_funcify.register(op_class)(lambda op, node, **_: op.function())
+    return op_class
+
+
+def own(method: str, given: Any) -> Any:
+    """What an object's method returns, if the method is of its very class, else None.
+
+    A subclass, or what is around another object and passes on what it does not have, may compute something else.
+    """
+    return getattr(given, method)() if method in vars(type(given)) else None
+
+
+@intrinsic
+def add_one(typingctx, address):  # type: ignore[no-untyped-def]
+    """Count in the 64-bit number at an address, whatever other threads do."""
+
+    def code(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        number = ir.IntType(64)
+        at = builder.inttoptr(args[0], number.as_pointer())
+        return builder.atomic_rmw("add", at, number(1), "monotonic")
+
+    return numba.types.int64(numba.types.int64), code
 
 
 def called_as_python(op_class: OpClass) -> OpClass:

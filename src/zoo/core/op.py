@@ -8,6 +8,7 @@ import uuid
 import weakref
 from collections import Counter, OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple, NoReturn, cast
 
 import numpy as np
@@ -17,16 +18,19 @@ from pytensor.gradient import DisconnectedType
 from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
 from pytensor.graph.traversal import ancestors
+from pytensor.link.numba.dispatch.basic import numba_njit
 from pytensor.tensor.variable import TensorVariable
 
 from zoo.core.arrays import real_array
 from zoo.core.derivatives import has_jacobian, jacobian
-from zoo.core.forward import ForwardModel, SolveError, content_key
-from zoo.core.in_numba import called_as_python
+from zoo.core.forward import ForwardModel, InNumba, SolveError, content_key
+from zoo.core.in_numba import add_one, called_as_python, compiled_by, own, without_python
 from zoo.core.parameters import n_values
 
 Array = NDArray[np.float64]
 CACHE_SIZE = 8
+COUNTED = 64
+"""Kinds of failures that are counted without Python, at most."""
 
 
 class MissingGradientError(AttributeError):
@@ -76,6 +80,7 @@ class _State:
         self.asked = False  # whether slopes were asked at the last point that was solved
         self.counts: Counter[str] = Counter()
         self.failures: Counter[str] = Counter()
+        self.without_python = np.zeros(COUNTED, dtype=np.int64)  # solves, and failed ones by status from 1 on
 
     def clear(self) -> None:
         self.lock = threading.Lock()
@@ -84,6 +89,7 @@ class _State:
         self.asked = False
         self.counts.clear()
         self.failures.clear()
+        self.without_python[:] = 0
 
 
 _states: weakref.WeakValueDictionary[str, _State] = weakref.WeakValueDictionary()
@@ -143,9 +149,7 @@ class ForwardOp(Op):
         self._state = _states.setdefault(self.token, _State())
 
     def __getstate__(self) -> dict[str, Any]:
-        state = self.__dict__.copy()
-        del state["_state"]
-        return state
+        return {name: value for name, value in self.__dict__.items() if name not in ("_state", "in_numba")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -160,11 +164,20 @@ class ForwardOp(Op):
     def counts(self) -> dict[str, Any]:
         """Evaluations, solves, and failed solves by kind, in this process."""
         state = self._state
+        solves, *failed = state.without_python.tolist()
+        kinds = self.in_numba.failures if self.in_numba is not None and any(failed) else ()
+        failures = state.failures + Counter(dict(zip(kinds, failed, strict=False)))
         return {
-            "evaluations": state.counts["evaluations"],
-            "solves": state.counts["solves"],
-            "failures": dict(state.failures),
+            "evaluations": state.counts["evaluations"] + solves,
+            "solves": state.counts["solves"] + solves,
+            "failures": dict(failures),
         }
+
+    @cached_property
+    def in_numba(self) -> InNumba | None:
+        """The forward model as functions that numba compiles, if it has them."""
+        found: InNumba | None = own("in_numba", self.model)
+        return found if found is None or len(found.failures) < COUNTED else None
 
     def evaluate(self, theta: Array) -> tuple[Array, bool]:
         """Mean and ok at one point, from the kept points or by a solve.
@@ -363,6 +376,91 @@ class SlopesOp(Op):
         raise missing_gradient(f"the derivative of the forward model {self.forward.model.name}")
 
     pullback = L_op
+
+
+@compiled_by
+class SolveOp(Op):
+    """What takes the place of `ForwardOp` and `SlopesOp` at one point where numba compiles: no Python, no memory.
+
+    Takes theta (n_values,); returns mean, ok and, if they are asked for, slopes.
+
+    Parameters
+    ----------
+    forward : ForwardOp
+        Of a forward model that has functions for numba.
+    slopes : bool
+    """
+
+    __props__ = ("forward", "slopes")
+
+    def __init__(self, forward: ForwardOp, slopes: bool) -> None:
+        self.forward, self.slopes = forward, slopes
+
+    def make_node(self, theta: Any) -> Apply:
+        """A vector in; mean, ok and slopes out."""
+        forward = self.forward
+        outputs = [pt.tensor(dtype="float64", shape=forward.shape), pt.scalar(dtype="int8")]
+        if self.slopes:
+            outputs.append(pt.tensor(dtype="float64", shape=SlopesOp(forward).shape))
+        return Apply(self, [theta], outputs)
+
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[Any]]) -> None:
+        """Evaluate with Python."""
+        mean, ok = self.forward.evaluate(inputs[0])
+        found = [mean, np.asarray(ok, dtype=np.int8), *([self.forward.slopes(inputs[0])] if self.slopes else [])]
+        for storage, value in zip(output_storage, found, strict=True):
+            storage[0] = value.copy()
+
+    def function(self) -> Any:
+        """What numba compiles."""
+        compiled = self.forward.in_numba
+        assert compiled is not None
+        solve, differentiate = compiled.solve, compiled.differentiate
+        counts = self.forward._state.without_python.ctypes.data
+
+        @numba_njit
+        def noted(status):  # type: ignore[no-untyped-def]
+            add_one(counts)
+            if status != 0:
+                add_one(counts + 8 * status)
+            return np.asarray(np.int8(status == 0))
+
+        @numba_njit
+        def mean_and_ok(theta):  # type: ignore[no-untyped-def]
+            status, mean = solve(np.ascontiguousarray(theta))
+            if status != 0:
+                mean[:] = 0.0
+            return mean, noted(status)
+
+        @numba_njit
+        def with_slopes(theta):  # type: ignore[no-untyped-def]
+            status, mean, slopes = differentiate(np.ascontiguousarray(theta))
+            if status != 0:
+                mean[:] = 0.0
+                slopes[:] = 0.0
+            return mean, noted(status), slopes
+
+        return with_slopes if self.slopes else mean_and_ok
+
+
+@without_python(ForwardOp, SlopesOp)
+def solve_without_python(fgraph: Any, node: Apply) -> dict[Variable, Variable] | None:
+    """One solve for the series and the slopes at a point.
+
+    A function that solves at several points, as those of PyMC's step methods without a gradient do at the chain's
+    point and the proposed one, keeps the operation whose memory has the former.
+    """
+    forward = node.op if isinstance(node.op, ForwardOp) else cast("SlopesOp", node.op).forward
+    nodes = [one for one in fgraph.apply_nodes if one.op in (forward, SlopesOp(forward))]
+    if forward.in_numba is None or any(one.inputs != node.inputs for one in nodes):
+        return None
+    theta = pt.concatenate([x if x.ndim else x[None] for x in node.inputs])
+    derived = any(one.op != forward for one in nodes)
+    mean, ok, *slopes = cast("list[Variable]", SolveOp(forward, derived)(theta, return_list=True))
+    found: dict[Variable, Variable] = {}
+    for one in nodes:
+        found |= dict(zip(one.outputs, (mean, ok) if one.op == forward else slopes, strict=True))
+    return found
 
 
 class Series(NamedTuple):
