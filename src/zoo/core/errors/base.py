@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,22 @@ from zoo.core.parameters import Parameter, Prior
 Array = NDArray[np.float64]
 
 DECOMPOSITIONS = ("sequential", "leave-one-out", "joint")
+
+
+class TermsInNumba(NamedTuple):
+    """The sequential terms of an error model as functions that numba compiles, which call no Python.
+
+    Parameters
+    ----------
+    terms : function
+        From residual (n_series, n_times) and the parameters' values, one after another (n_values,), to terms
+        (n_series, n_times).
+    gradient : function
+        From residual, values and weight to terms, and the gradient of sum_i g_i term_i by residual and values.
+    """
+
+    terms: Callable[[Array, Array], Array]
+    gradient: Callable[[Array, Array, Array], tuple[Array, Array, Array]]
 
 
 class ErrorModelError(ValueError):
@@ -114,6 +130,13 @@ class ErrorModel(ABC):
     def differentiable(self) -> bool:
         """Whether it gives a `gradient`."""
         return type(self).gradient is not ErrorModel.gradient
+
+    def in_numba(self) -> TermsInNumba | None:
+        """Terms and gradient as functions that numba compiles, of an error model that gives them; else None.
+
+        It is asked of an error model of the very class that has it.
+        """
+        return None
 
     def bind(self, data: Data) -> Self:
         """The same for given data.

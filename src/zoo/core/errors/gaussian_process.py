@@ -14,7 +14,7 @@ from scipy.linalg import lapack
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from zoo.core.data import Data
-from zoo.core.errors.base import ErrorModel, ErrorModelError
+from zoo.core.errors.base import ErrorModel, ErrorModelError, TermsInNumba
 from zoo.core.parameters import Parameter, Prior
 
 Array = NDArray[np.float64]
@@ -394,3 +394,9 @@ class GaussianProcess(ErrorModel):
             residual, weight, self.on.times, values["w"], values["b"], self.noise
         )
         return by_residual, {"w": by_w, "b": by_b}
+
+    def in_numba(self) -> TermsInNumba:
+        """Of one process."""
+        from zoo.core.errors.process_in_numba import Part, processes
+
+        return processes(self.on.times, [Part(tuple(range(self.on.n_series)), w=0, b=1, variance=self.noise)])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zoo.core.data import Data
-from zoo.core.errors.base import ErrorModel, ErrorModelError
+from zoo.core.errors.base import ErrorModel, ErrorModelError, TermsInNumba
 from zoo.core.errors.gaussian_process import (
     colour_by_process,
     gp_gradient,
@@ -323,6 +323,22 @@ class GroupProcess(GroupNoise):
             if self._given[first] is None:
                 found[f"noise_{group}"] += 2.0 * math.sqrt(ratio) / a * by_ratio
         return by_residual, found
+
+    def in_numba(self) -> TermsInNumba:
+        """Of the process of each group, or of the series of a group with the same known noise."""
+        from zoo.core.errors.process_in_numba import Part, processes
+
+        at = {name: i for i, name in enumerate(self.parameter_names)}
+        parts = []
+        for group, rows in self.on.rows.items():
+            own = {name: at[f"{name}_{group}"] for name in ("amplitude", "w", "b")}
+            for sd in dict.fromkeys(self._given[i] for i in rows):
+                same = tuple(i for i in rows if self._given[i] == sd)
+                if sd is None:
+                    parts.append(Part(same, **own, noise=at[f"noise_{group}"]))
+                else:
+                    parts.append(Part(same, **own, variance=sd * sd))
+        return processes(self.cycles, parts)
 
     def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
         """Add the observed variable, with the terms as an operation with their `gradient`."""

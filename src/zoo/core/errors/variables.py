@@ -18,10 +18,12 @@ from pymc.distributions.distribution import Continuous
 from pymc.logprob.abstract import _logprob
 from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
+from pytensor.graph.traversal import ancestors
+from pytensor.link.numba.dispatch.basic import numba_njit
 from pytensor.tensor.random.op import RandomVariable
 
-from zoo.core.errors.base import ErrorModel
-from zoo.core.in_numba import called_as_python
+from zoo.core.errors.base import ErrorModel, TermsInNumba
+from zoo.core.in_numba import called_as_python, compiled_by, own, without_python
 from zoo.core.op import mark_without_gradient, missing_gradient
 
 Array = NDArray[np.float64]
@@ -164,6 +166,79 @@ class ErrorGradientOp(Op):
         raise missing_gradient(f"the gradient of the error model {self.errors.name}")
 
     pullback = L_op
+
+
+@compiled_by
+class TermsOp(Op):
+    """What takes the place of `ErrorTermsOp` and `ErrorGradientOp` where numba compiles: no Python.
+
+    Takes residual, the parameters' values (n_values,) and, with a gradient, weight; returns the terms and then
+    the gradient by residual and by values.
+
+    Parameters
+    ----------
+    errors : ErrorModel
+        Bound to data, with functions for numba.
+    gradient : bool
+    """
+
+    __props__ = ("errors", "gradient")
+
+    def __init__(self, errors: ErrorModel, gradient: bool) -> None:
+        self.errors, self.gradient = errors, gradient
+
+    def make_node(self, *inputs: Any) -> Apply:
+        """One output, or three."""
+        return Apply(self, list(inputs), [x.type() for x in (inputs[0], *(inputs[:2] if self.gradient else ()))])
+
+    def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[Any]]) -> None:
+        """Evaluate with Python what numba would compile."""
+        found = self.function().py_func(*inputs)
+        for storage, value in zip(output_storage, found if self.gradient else (found,), strict=True):
+            storage[0] = value
+
+    def function(self) -> Any:
+        """What numba compiles."""
+        functions: TermsInNumba | None = own("in_numba", self.errors)
+        assert functions is not None
+        terms, gradient = functions
+
+        @numba_njit
+        def alone(residual, values):  # type: ignore[no-untyped-def]
+            return terms(residual, values)
+
+        @numba_njit
+        def both(residual, values, weight):  # type: ignore[no-untyped-def]
+            return gradient(residual, values, weight)
+
+        return both if self.gradient else alone
+
+
+@without_python(ErrorTermsOp, ErrorGradientOp)
+def terms_without_python(fgraph: Any, node: Apply) -> dict[Variable, Variable] | None:
+    """The terms and their gradient, where that is asked for, of one factorisation."""
+    errors = cast("ErrorTermsOp | ErrorGradientOp", node.op).errors
+    if own("in_numba", errors) is None:
+        return None
+    inputs = node.inputs[: 1 + len(errors.parameters)]
+    beside = [one for one, _ in fgraph.clients[inputs[0]] if one.inputs[: len(inputs)] == inputs]
+    terms = [one for one in beside if one.op == ErrorTermsOp(errors)]
+    gradients = [one for one in beside if one.op == ErrorGradientOp(errors)]
+    own_terms = [one.outputs[0] for one in terms]
+    residual = inputs[0]
+    values = pt.concatenate([x if x.ndim else x[None] for x in inputs[1:]])
+    if not gradients:
+        return dict.fromkeys(own_terms, cast(Variable, TermsOp(errors, False)(residual, values)))
+    one = node if node in gradients else gradients[0]
+    weight = one.inputs[-1]
+    if set(own_terms) & set(ancestors([weight])):
+        return None  # who weighs the terms by themselves
+    found, by_residual, by_values = cast("list[Variable]", TermsOp(errors, True)(residual, values, weight, return_list=True))
+    at, by_parameter = 0, []
+    for p in errors.parameters:
+        by_parameter.append(by_values[at : at + p.size] if p.dims else by_values[at])
+        at += p.size
+    return dict.fromkeys(own_terms, found) | dict(zip(one.outputs, (by_residual, *by_parameter), strict=True))
 
 
 @called_as_python
