@@ -391,7 +391,7 @@ class BloodFlow:
 
     def in_numba(self) -> InNumba | None:
         """As functions that numba compiles; None for a stiffness law other than those of this module."""
-        from zoo.blood.in_numba import blood_flow
+        from zoo.blood.in_numba import Law, blood_flow
 
         net, law = self.network, next((p for f, p in LAW_PARAMETERS.items() if f is self.stiffness), None)
         ones = np.ones(len(net.ids))
@@ -401,7 +401,8 @@ class BloodFlow:
         places = tuple(dict.fromkeys((v, x) for v, x, _ in cast("tuple[Place, ...]", self.outputs.series)))
         solver = self._solver(self._case(self.fixed, ones), places, self._times)
         radius = net.radius_in_cm / self.conventions.stiffness_radius_unit_cm
-        return blood_flow(self, solver, law, scale, radius)
+        known = Law.of(self, law, scale, radius)
+        return None if known is None else blood_flow(self, solver, known)
 
     def _clock(self, outputs: Outputs) -> Array:
         """When the solution is sampled: the samples' times, with the conventions' lag."""

@@ -7,8 +7,7 @@ So they belong to the process that made them.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numba  # type: ignore[import-untyped]
 import numpy as np
@@ -25,22 +24,94 @@ if TYPE_CHECKING:
     from zoo.blood.forward import BloodFlow
 
 Array = NDArray[np.float64]
-Shape = tuple[int, ...]
 WORD = 8
 FAILURES = (*(STATUS_NAMES[status] for status in range(1, len(STATUS_NAMES))), "not-finite")
 """Kinds of failed solves, by their status from 1 on."""
 NOT_FINITE = len(FAILURES)
 WAVES = ("pressure_mmHg", "flow_ml_s", "area_cm2")
 """In the order in which C gives them."""
-DEFAULTS = {"gamma": 2.0, "psi1": 1.0, "psi2": 1.0, "c": 1.0}
 
 njit = numba.njit(error_model="numpy")
 _scales_at = njit(scales_at)
 
 
-def blood_flow(
-    flow: BloodFlow, solver: Solver, law: tuple[str, ...], scale: Array, radius: Array
-) -> InNumba | None:
+class Law(NamedTuple):
+    """How a solve's parameters follow from theta, for numba.
+
+    Parameters
+    ----------
+    pick : array (n_rows, n_vessels)
+        For each parameter of the stiffness, each shape, psi1, psi2 and c, and each vessel the element of theta
+        that it is, or -1.
+    constant : array (n_rows, n_vessels)
+        What it is elsewhere.
+    n_stiffness : int
+        Parameters x of the stiffness: x_0, or of three of them x_0 exp(x_1 `radius`) + x_2, times `scale`.
+    scale, radius : array (n_vessels,)
+    """
+
+    pick: NDArray[np.int64]
+    constant: Array
+    n_stiffness: int
+    scale: Array
+    radius: Array
+
+    @classmethod
+    def of(cls, flow: BloodFlow, stiffness: tuple[str, ...], scale: Array, radius: Array) -> Law | None:
+        """By the names of the stiffness' parameters; None where one is missing or has another size."""
+        starts: dict[str, Any] = {}
+        at = 0
+        for p in flow.parameters:
+            starts[p.name] = at + np.arange(p.size) if p.dims else at
+            at += p.size
+        shapes = SHAPES[flow.wall]
+        names = (*stiffness, *(shapes if len(shapes) > 1 else ("gamma",)), "psi1", "psi2", "c")
+        constants = {**dict.fromkeys((*shapes, "psi1", "psi2", "c"), 1.0), "gamma": 2.0, **flow.fixed}
+        pick = np.full((len(names), len(scale)), -1)
+        constant = np.zeros(pick.shape)
+        for row, name in enumerate(names):
+            if name not in starts and name not in constants:
+                return None
+            try:
+                if name in starts:
+                    pick[row] = starts[name]
+                else:
+                    constant[row] = constants[name]
+            except ValueError:
+                return None
+        return cls(pick, constant, len(stiffness), scale, radius)
+
+
+class View(NamedTuple):
+    """Which of C's samples (3, n_places, n_times), in the order of time, are the series.
+
+    Parameters
+    ----------
+    wave, place : array (n_series,)
+        0, 1, 2 for pressure, flow, area; and where.
+    order : array (n_times,)
+        Where C's times are among the series'.
+    shift, mmhg : float
+        p = (p_cgs + shift)/mmhg.
+    """
+
+    wave: NDArray[np.int64]
+    place: NDArray[np.int64]
+    order: NDArray[np.int64]
+    shift: float
+    mmhg: float
+
+    @classmethod
+    def of(cls, flow: BloodFlow, solver: Solver) -> View:
+        """Of a solver of the model's series."""
+        series = cast("tuple[Place, ...]", flow.outputs.series)
+        places = {place: i for i, place in enumerate(solver.series)}
+        wave = np.array([WAVES.index(quantity) for _, _, quantity in series])
+        place = np.array([places[vessel, position] for vessel, position, _ in series])
+        return cls(wave, place, solver._order, solver._shift, solver.conventions.mmhg)
+
+
+def blood_flow(flow: BloodFlow, solver: Solver, law: Law) -> InNumba | None:
     """Series of blood flow and their derivatives, as `BloodFlow` gives them, in functions that numba compiles.
 
     Parameters
@@ -48,98 +119,40 @@ def blood_flow(
     flow : BloodFlow
     solver : Solver
         At the places of the model's series, each once, and its times.
-    law : tuple of str
-        Parameters x of the stiffness: x_0, or with three of them x_0 exp(x_1 `radius`) + x_2, times `scale`.
-    scale, radius : array (n_vessels,)
+    law : Law
 
     Returns
     -------
     InNumba or None
-        None where a parameter is missing or of another size, or pointers are not of 64 bits.
+        None where pointers are not of 64 bits.
     """
-    shapes = SHAPES[flow.wall] if len(SHAPES[flow.wall]) > 1 else ("gamma",)
-    found = _rows(flow, (*law, *shapes, "psi1", "psi2", "c"))
-    if found is None or ffi.sizeof("void *") != WORD:
+    if ffi.sizeof("void *") != WORD:
         return None
-    rows_at = _rows_at(*found, len(law), scale, radius)
-    seen, n_places = _seen(flow, solver)
-    size = (1 + len(shapes) + 3, len(flow.network.ids)), (3, n_places, len(solver.times_s)), flow.outputs.shape
-    solve = _solve(solver, rows_at, seen, *size)
-    return InNumba(solve, _differentiate(flow, solver, rows_at, seen, *size), FAILURES, solver)
+    problem, room, view = int(ffi.cast("intptr_t", solver._problem)), solver.workspace_bytes(), View.of(flow, solver)
+    n_rows = 1 + len(law.pick) - law.n_stiffness
+    shapes = (n_rows, len(flow.network.ids)), (3, len(solver.series), len(solver.times_s)), flow.outputs.shape
+    width, about_zero, read = widths_of(flow.parameters)
 
-
-def _rows(flow: BloodFlow, names: tuple[str, ...]) -> tuple[NDArray[np.int64], Array] | None:
-    """For each name and vessel the element of theta that it is, or -1 and a constant: (n_names, n_vessels)."""
-    starts: dict[str, Any] = {}
-    at = 0
-    for p in flow.parameters:
-        starts[p.name] = at + np.arange(p.size) if p.dims else at
-        at += p.size
-    constants = {**DEFAULTS, **dict.fromkeys(SHAPES[flow.wall][1:], 1.0), **flow.fixed}
-    pick, constant = np.full((len(names), len(flow.network.ids)), -1), np.zeros((len(names), len(flow.network.ids)))
-    for row, name in enumerate(names):
-        if name not in starts and name not in constants:
-            return None
-        try:
-            if name in starts:
-                pick[row] = starts[name]
-            else:
-                constant[row] = constants[name]
-        except ValueError:  # neither one value nor one for each vessel
-            return None
-    return pick, constant
-
-
-def _rows_at(
-    pick: NDArray[np.int64], constant: Array, n_law: int, scale: Array, radius: Array
-) -> Callable[..., None]:
-    """Function that writes a solve's parameters (n_rows, n_vessels) at theta: stiffness, shapes, loads."""
+    # the functions that these call are compiled once, for all models
+    @njit
+    def solve(theta):  # type: ignore[no-untyped-def]
+        return _solve(theta, problem, room, law, view, shapes)
 
     @njit
-    def value(theta, row, vessel):  # type: ignore[no-untyped-def]
-        at = pick[row, vessel]
-        return theta[at] if at >= 0 else constant[row, vessel]
+    def differentiate(theta):  # type: ignore[no-untyped-def]
+        scales = _scales_at(theta, width, about_zero, read)
+        return _differentiate(theta, scales, problem, law, view, shapes)
 
-    @njit
-    def rows_at(theta, rows):  # type: ignore[no-untyped-def]
-        for vessel in range(rows.shape[1]):
-            chi = value(theta, 0, vessel)
-            if n_law == 3:
-                chi = chi * np.exp(value(theta, 1, vessel) * radius[vessel]) + value(theta, 2, vessel)
-            rows[0, vessel] = chi * scale[vessel]
-            for row in range(1, rows.shape[0]):
-                rows[row, vessel] = value(theta, n_law - 1 + row, vessel)
-
-    return rows_at  # type: ignore[no-any-return]
+    return InNumba(solve, differentiate, FAILURES, solver)
 
 
-def _seen(flow: BloodFlow, solver: Solver) -> tuple[Callable[..., None], int]:
-    """Function from C's samples (3, n_places, n_times), in the order of time, to series; and how many places."""
-    places: dict[tuple[int, float], int] = {}
-    series = cast("tuple[Place, ...]", flow.outputs.series)
-    at = np.array([places.setdefault((vessel, x), len(places)) for vessel, x, _ in series])
-    wave = np.array([WAVES.index(quantity) for _, _, quantity in series])
-    order, shift, mmhg = solver._order, solver._shift, solver.conventions.mmhg
-
-    @njit
-    def seen(waves, is_slope, series):  # type: ignore[no-untyped-def]
-        for k in range(series.shape[0]):
-            for j in range(series.shape[1]):
-                x = waves[wave[k], at[k], j]
-                if wave[k] == 0:
-                    x = (x if is_slope else x + shift) / mmhg
-                series[k, order[j]] = x
-
-    return seen, len(places)
+def _place(struct: str, field: str, size: int = 8) -> int:
+    """Of a field in a struct that is an array of numbers of this size."""
+    return int(ffi.offsetof(struct, field)) // size
 
 
 def _words(struct: str) -> int:
     return -(-int(ffi.sizeof(struct)) // WORD)
-
-
-def _place(struct: str, field: str, size: int = WORD) -> int:
-    """Of a field in a struct that is an array of numbers of this size."""
-    return int(ffi.offsetof(struct, field)) // size
 
 
 def _entry(name: str) -> Any:
@@ -151,15 +164,40 @@ def _entry(name: str) -> Any:
     return ctypes.CFUNCTYPE(kinds[function.result.cname], *given)(address)
 
 
+_zoo_solve, _zoo_jacobian = _entry("zoo_solve"), _entry("zoo_jacobian")
 STIFFNESS, SHAPE, PSI1, PSI2, C = (
     _place("zoo_parameters", name) for name in ("stiffness", "shape", "psi1", "psi2", "c")
 )
-N_POINTS, PROBLEMS, SETS, WEIGHTS = (
-    _place("zoo_direction", name, size)
-    for name, size in (("n_points", 4), ("problem", WORD), ("parameters", WORD), ("weight", WORD))
-)
-STATUS = _place("zoo_report", "status", 4)
-TANGENT_STATUS = _place("zoo_tangent_report", "status", 4)
+PROBLEMS, SETS, WEIGHTS = (_place("zoo_direction", name) for name in ("problem", "parameters", "weight"))
+N_POINTS = _place("zoo_direction", "n_points", 4)
+STATUS, TANGENT_STATUS = _place("zoo_report", "status", 4), _place("zoo_tangent_report", "status", 4)
+PARAMETERS, DIRECTION = _words("zoo_parameters"), _words("zoo_direction")
+REPORT, TANGENT_REPORT = _words("zoo_report"), _words("zoo_tangent_report")
+
+
+@njit
+def _rows_at(theta, law, rows):  # type: ignore[no-untyped-def]
+    """Write a solve's parameters (n_rows, n_vessels): stiffness, shapes, loads."""
+    x = np.empty(len(law.pick))
+    for vessel in range(rows.shape[1]):
+        for i in range(len(x)):
+            at = law.pick[i, vessel]
+            x[i] = theta[at] if at >= 0 else law.constant[i, vessel]
+        chi = x[0] * np.exp(x[1] * law.radius[vessel]) + x[2] if law.n_stiffness == 3 else x[0]
+        rows[0, vessel] = chi * law.scale[vessel]
+        rows[1:, vessel] = x[law.n_stiffness :]
+
+
+@njit
+def _seen(waves, view, is_slope, series):  # type: ignore[no-untyped-def]
+    """Write series (n_series, n_times)."""
+    for k in range(series.shape[0]):
+        for j in range(series.shape[1]):
+            x = waves[view.wave[k], view.place[k], j]
+            if view.wave[k] == 0:
+                x = (x if is_slope else x + view.shift) / view.mmhg
+            series[k, view.order[j]] = x
+
 
 # numba frees an array after the last line that names it, which must not be before C has used its address: the
 # arrays belong to the functions that call those which take addresses
@@ -174,89 +212,76 @@ def _address_rows(rows, parameters):  # type: ignore[no-untyped-def]
     parameters[PSI1], parameters[PSI2], parameters[C] = loads, loads + step, loads + 2 * step
 
 
-def _solve(
-    solver: Solver, rows_at: Any, seen: Any, of_rows: Shape, of_waves: Shape, of_series: Shape
-) -> Callable[..., Any]:
-    entry, problem = _entry("zoo_solve"), int(ffi.cast("intptr_t", solver._problem))
-    room, n_parameters, n_report = solver.workspace_bytes(), _words("zoo_parameters"), _words("zoo_report")
-
-    @njit
-    def run(rows, parameters, workspace, p, q, a, report):  # type: ignore[no-untyped-def]
-        _address_rows(rows, parameters)
-        code = entry(
-            problem, parameters.ctypes.data, workspace.ctypes.data, room,
-            p.ctypes.data, q.ctypes.data, a.ctypes.data, 0, report.ctypes.data,
-        )  # fmt: skip
-        return code if code != 0 else report.view(np.int32)[STATUS]
-
-    @njit
-    def solve(theta):  # type: ignore[no-untyped-def]
-        rows, parameters = np.empty(of_rows), np.empty(n_parameters, np.int64)
-        workspace, report = np.empty(room, np.uint8), np.zeros(n_report, np.int64)
-        waves, series = np.empty(of_waves), np.empty(of_series)
-        rows_at(theta, rows)
-        status = run(rows, parameters, workspace, waves[0], waves[1], waves[2], report)
-        seen(waves, False, series)
-        return (NOT_FINITE if status == 0 and not np.all(np.isfinite(series)) else status), series
-
-    return solve  # type: ignore[no-any-return]
+@njit
+def _run(problem, rows, parameters, workspace, waves, report):  # type: ignore[no-untyped-def]
+    _address_rows(rows, parameters)
+    code = _zoo_solve(
+        problem, parameters.ctypes.data, workspace.ctypes.data, len(workspace),
+        waves[0].ctypes.data, waves[1].ctypes.data, waves[2].ctypes.data, 0, report.ctypes.data,
+    )  # fmt: skip
+    return code if code != 0 else report.view(np.int32)[STATUS]
 
 
-def _differentiate(
-    flow: BloodFlow, solver: Solver, rows_at: Any, seen: Any, of_rows: Shape, of_waves: Shape, of_series: Shape
-) -> Callable[..., Any]:
-    entry, problem = _entry("zoo_jacobian"), int(ffi.cast("intptr_t", solver._problem))
-    n_parameters, n_report = _words("zoo_parameters"), _words("zoo_report")
-    n_direction, n_tangent = _words("zoo_direction"), _words("zoo_tangent_report")
-    width, about_zero, is_read = widths_of(flow.parameters)
-    read = np.flatnonzero(is_read)
+@njit
+def _solve(theta, problem, room, law, view, shapes):  # type: ignore[no-untyped-def]
+    of_rows, of_waves, of_series = shapes
+    rows, parameters = np.empty(of_rows), np.empty(PARAMETERS, np.int64)
+    workspace, report = np.empty(room, np.uint8), np.zeros(REPORT, np.int64)
+    waves, series = np.empty(of_waves), np.empty(of_series)
+    _rows_at(theta, law, rows)
+    status = _run(problem, rows, parameters, workspace, waves, report)
+    _seen(waves, view, False, series)
+    return (NOT_FINITE if status == 0 and not np.all(np.isfinite(series)) else status), series
+
+
+@njit
+def _run_directions(problem, at, points, parameters, sets, weights, directions, waves, slopes, report, tangent):  # type: ignore[no-untyped-def]
+    n = len(directions)
+    _address_rows(at, parameters[2 * n])
+    for i in range(n):
+        for side in range(2):
+            _address_rows(points[i, side], parameters[2 * i + side])
+            sets[i, side] = parameters[2 * i + side].ctypes.data
+        directions[i].view(np.int32)[N_POINTS] = 2
+        directions[i, PROBLEMS], directions[i, SETS] = 0, sets[i].ctypes.data
+        directions[i, WEIGHTS] = weights[i].ctypes.data
+    code = _zoo_jacobian(
+        problem, parameters[2 * n].ctypes.data, n, directions.ctypes.data, TANGENT_TOLERANCE, 0, 0,
+        waves[0].ctypes.data, waves[1].ctypes.data, waves[2].ctypes.data, 0,
+        slopes[0].ctypes.data, slopes[1].ctypes.data, slopes[2].ctypes.data,
+        report.ctypes.data, tangent.ctypes.data,
+    )  # fmt: skip
+    if code != 0:
+        return code
+    status = report.view(np.int32)[STATUS]
+    return status if status != 0 else tangent.view(np.int32)[TANGENT_STATUS]
+
+
+@njit
+def _differentiate(theta, scales, problem, law, view, shapes):  # type: ignore[no-untyped-def]
+    """Along the elements of theta whose scale is not zero, by central differences of the parameters."""
+    of_rows, of_waves, of_series = shapes
+    read = np.flatnonzero(scales)
     n = len(read)
-
-    @njit
-    def run(at, points, parameters, sets, weights, directions, waves, slopes, report, tangent):  # type: ignore[no-untyped-def]
-        _address_rows(at, parameters[2 * n])
-        for i in range(n):
-            for side in range(2):
-                _address_rows(points[i, side], parameters[2 * i + side])
-                sets[i, side] = parameters[2 * i + side].ctypes.data
-            directions[i].view(np.int32)[N_POINTS] = 2
-            directions[i, PROBLEMS] = 0
-            directions[i, SETS] = sets[i].ctypes.data
-            directions[i, WEIGHTS] = weights[i].ctypes.data
-        code = entry(
-            problem, parameters[2 * n].ctypes.data, n, directions.ctypes.data, TANGENT_TOLERANCE, 0, 0,
-            waves[0].ctypes.data, waves[1].ctypes.data, waves[2].ctypes.data, 0,
-            slopes[0].ctypes.data, slopes[1].ctypes.data, slopes[2].ctypes.data,
-            report.ctypes.data, tangent.ctypes.data,
-        )  # fmt: skip
-        if code != 0:
-            return code
-        status = report.view(np.int32)[STATUS]
-        return status if status != 0 else tangent.view(np.int32)[TANGENT_STATUS]
-
-    @njit
-    def differentiate(theta):  # type: ignore[no-untyped-def]
-        at, points = np.empty(of_rows), np.empty((n, 2, *of_rows))
-        parameters, sets = np.empty((2 * n + 1, n_parameters), np.int64), np.empty((n, 2), np.int64)
-        weights, directions = np.empty((n, 2)), np.zeros((n, n_direction), np.int64)
-        waves, slopes = np.empty(of_waves), np.empty((3, n, *of_waves[1:]))
-        report, tangent = np.zeros(n_report, np.int64), np.zeros(n_tangent, np.int64)
-        rows_at(theta, at)
-        scales = _scales_at(theta, width, about_zero, is_read)
-        for i in range(n):
-            h = NEAR * scales[read[i]]
-            moved = theta.copy()
-            for side, step in enumerate((h, -h)):
-                moved[read[i]] = theta[read[i]] + step
-                rows_at(moved, points[i, side])
-                weights[i, side] = 0.5 / step
-        status = run(at, points, parameters, sets, weights, directions, waves, slopes, report, tangent)
-        series, by_theta = np.empty(of_series), np.zeros((len(theta), *of_series))
-        seen(waves, False, series)
-        for i in range(n):
-            seen(slopes[:, i], True, by_theta[read[i]])
-        if status == 0 and not (np.all(np.isfinite(series)) and np.all(np.isfinite(by_theta))):
-            status = NOT_FINITE
-        return status, series, by_theta
-
-    return differentiate  # type: ignore[no-any-return]
+    at, points = np.empty(of_rows), np.empty((n, 2, of_rows[0], of_rows[1]))
+    parameters, sets = np.empty((2 * n + 1, PARAMETERS), np.int64), np.empty((n, 2), np.int64)
+    weights, directions = np.empty((n, 2)), np.zeros((n, DIRECTION), np.int64)
+    waves, slopes = np.empty(of_waves), np.empty((3, n, of_waves[1], of_waves[2]))
+    report, tangent = np.zeros(REPORT, np.int64), np.zeros(TANGENT_REPORT, np.int64)
+    _rows_at(theta, law, at)
+    for i in range(n):
+        moved = theta.copy()
+        for side, step in enumerate((NEAR * scales[read[i]], -NEAR * scales[read[i]])):
+            moved[read[i]] = theta[read[i]] + step
+            _rows_at(moved, law, points[i, side])
+            weights[i, side] = 0.5 / step
+    status = _run_directions(
+        problem, at, points, parameters, sets, weights, directions, waves, slopes, report, tangent
+    )
+    series, by_theta = np.empty(of_series), np.zeros((len(theta), of_series[0], of_series[1]))
+    _seen(waves, view, False, series)
+    for i in range(n):
+        _seen(slopes[:, i], view, True, by_theta[read[i]])
+    if status == 0 and not (np.all(np.isfinite(series)) and np.all(np.isfinite(by_theta))):
+        status = NOT_FINITE
+    return status, series, by_theta

@@ -394,7 +394,12 @@ class SolveOp(Op):
     __props__ = ("forward", "slopes")
 
     def __init__(self, forward: ForwardOp, slopes: bool) -> None:
-        self.forward, self.slopes = forward, slopes
+        self.forward, self.slopes, self.key = forward, slopes, forward.key
+
+    @property
+    def counts(self) -> dict[str, Any]:
+        """Those of the operation that it stands for."""
+        return self.forward.counts
 
     def make_node(self, theta: Any) -> Apply:
         """A vector in; mean, ok and slopes out."""

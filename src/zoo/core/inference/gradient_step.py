@@ -9,6 +9,7 @@ import pymc as pm
 from pymc.blocking import RaveledVars
 from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
+from zoo.core.in_numba import with_memory
 from zoo.core.inference.logposterior import Array, Point, count, counting_ops
 from zoo.core.inference.spaces import Gaussian
 from zoo.core.inference.steps import StepResult
@@ -51,7 +52,7 @@ class Nuts(pm.NUTS):
             model=model,
             initial_point=initial_point,
             potential=dense_metric(reference.mean, reference.covariance),
-            **{"target_accept": TARGET_ACCEPT, **kwargs},
+            **{"target_accept": TARGET_ACCEPT, "mode": with_memory(), **kwargs},
         )
         self.potential.set_rng(self.rng.spawn(1)[0])
         self.replace_logp(self._logp_dlogp_func._pytensor_function)

@@ -13,6 +13,7 @@ from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import compile as compile_function
 from pymc.pytensorf import floatX, join_nonshared_inputs
 
+from zoo.core.in_numba import with_memory
 from zoo.core.inference.messages import SamplingError as SamplingError
 
 Array = NDArray[np.float64]
@@ -148,7 +149,7 @@ def compile_logp(
     [logp], joined = join_nonshared_inputs(
         point=point, outputs=[model.logp()], inputs=list(variables), shared_inputs=dict(shared)
     )
-    function = compile_function([joined], logp, **dict(compile_kwargs or {}))
+    function = compile_function([joined], logp, **{"mode": with_memory(), **dict(compile_kwargs or {})})
     function.trust_input = True
     if alone:
         kept[key] = function

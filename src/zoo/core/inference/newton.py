@@ -10,6 +10,7 @@ from pymc.pytensorf import join_nonshared_inputs
 
 from zoo.core.derivatives import has_jacobian, jacobian
 from zoo.core.forward import SolveError
+from zoo.core.in_numba import with_memory
 from zoo.core.inference.logposterior import Array, LogPosterior
 
 FOLLOWED = 6
@@ -35,7 +36,7 @@ class Residuals:
             [record.mean, record.ok, *(model[name] for name in record.error_parameters)]
         )
         values, joined = join_nonshared_inputs(logp.initial, list(outputs), logp.variables, {})
-        self._mean = pytensor.function([joined], values)
+        self._mean = pytensor.function([joined], values, mode=with_memory())
         prior = model.logp(vars=model.free_RVs)
         [prior], joined = join_nonshared_inputs(logp.initial, [prior], logp.variables, {})
         self._slope = pytensor.function([joined], pytensor.grad(prior, joined))
