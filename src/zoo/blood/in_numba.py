@@ -1,7 +1,7 @@
 """Blood flow as functions that numba compiles: from theta to C and back, without Python in between.
 
-They make the C structs as arrays of 64-bit words at the places that cffi knows, and call the library by address.
-So they belong to the process that made them.
+They make the C structs as arrays of 64-bit words at the places that cffi knows, and call the library by
+address. So they belong to the process that made them.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Law(NamedTuple):
     Parameters
     ----------
     pick : array (n_rows, n_vessels)
-        For each parameter of the stiffness, each shape, psi1, psi2 and c, and each vessel the element of theta
-        that it is, or -1.
+        For each parameter of the stiffness, each shape, psi1, psi2 and c, and each vessel the element of
+        theta that it is, or -1.
     constant : array (n_rows, n_vessels)
         What it is elsewhere.
     n_stiffness : int
@@ -66,7 +66,11 @@ class Law(NamedTuple):
             at += p.size
         shapes = SHAPES[flow.wall]
         names = (*stiffness, *(shapes if len(shapes) > 1 else ("gamma",)), "psi1", "psi2", "c")
-        constants = {**dict.fromkeys((*shapes, "psi1", "psi2", "c"), 1.0), "gamma": 2.0, **flow.fixed}
+        constants: dict[str, Any] = {
+            **dict.fromkeys((*shapes, "psi1", "psi2", "c"), 1.0),
+            "gamma": 2.0,
+            **flow.fixed,
+        }
         pick = np.full((len(names), len(scale)), -1)
         constant = np.zeros(pick.shape)
         for row, name in enumerate(names):
@@ -112,7 +116,7 @@ class View(NamedTuple):
 
 
 def blood_flow(flow: BloodFlow, solver: Solver, law: Law) -> InNumba | None:
-    """Series of blood flow and their derivatives, as `BloodFlow` gives them, in functions that numba compiles.
+    """What `BloodFlow` gives, series and their derivatives, as functions that numba compiles.
 
     Parameters
     ----------
@@ -128,20 +132,21 @@ def blood_flow(flow: BloodFlow, solver: Solver, law: Law) -> InNumba | None:
     """
     if ffi.sizeof("void *") != WORD:
         return None
-    problem, room, view = int(ffi.cast("intptr_t", solver._problem)), solver.workspace_bytes(), View.of(flow, solver)
     n_rows = 1 + len(law.pick) - law.n_stiffness
     shapes = (n_rows, len(flow.network.ids)), (3, len(solver.series), len(solver.times_s)), flow.outputs.shape
+    run = int(ffi.cast("intptr_t", solver._problem)), solver.workspace_bytes(), *shapes
+    view = View.of(flow, solver)
     width, about_zero, read = widths_of(flow.parameters)
 
-    # the functions that these call are compiled once, for all models
+    # what these call is compiled once for all models: numbers in tuples are not taken for types of their own
     @njit
     def solve(theta):  # type: ignore[no-untyped-def]
-        return _solve(theta, problem, room, law, view, shapes)
+        return _solve(theta, run, law, view)
 
     @njit
     def differentiate(theta):  # type: ignore[no-untyped-def]
         scales = _scales_at(theta, width, about_zero, read)
-        return _differentiate(theta, scales, problem, law, view, shapes)
+        return _differentiate(theta, scales, run, law, view)
 
     return InNumba(solve, differentiate, FAILURES, solver)
 
@@ -157,7 +162,7 @@ def _words(struct: str) -> int:
 
 def _entry(name: str) -> Any:
     """An entry point of the library, which takes pointers as numbers."""
-    kinds = {"double": ctypes.c_double, "int32_t": ctypes.c_int32, "int64_t": ctypes.c_int64}
+    kinds: dict[str, Any] = {"double": ctypes.c_double, "int32_t": ctypes.c_int32, "int64_t": ctypes.c_int64}
     function = ffi.typeof(getattr(lib, name))
     given = [ctypes.c_ssize_t if a.kind == "pointer" else kinds[a.cname] for a in function.args]
     address = int(ffi.cast("intptr_t", ffi.addressof(lib, name)))
@@ -223,8 +228,8 @@ def _run(problem, rows, parameters, workspace, waves, report):  # type: ignore[n
 
 
 @njit
-def _solve(theta, problem, room, law, view, shapes):  # type: ignore[no-untyped-def]
-    of_rows, of_waves, of_series = shapes
+def _solve(theta, run, law, view):  # type: ignore[no-untyped-def]
+    problem, room, of_rows, of_waves, of_series = run
     rows, parameters = np.empty(of_rows), np.empty(PARAMETERS, np.int64)
     workspace, report = np.empty(room, np.uint8), np.zeros(REPORT, np.int64)
     waves, series = np.empty(of_waves), np.empty(of_series)
@@ -235,7 +240,9 @@ def _solve(theta, problem, room, law, view, shapes):  # type: ignore[no-untyped-
 
 
 @njit
-def _run_directions(problem, at, points, parameters, sets, weights, directions, waves, slopes, report, tangent):  # type: ignore[no-untyped-def]
+def _run_directions(  # type: ignore[no-untyped-def]
+    problem, at, points, parameters, sets, weights, directions, waves, slopes, report, tangent
+):
     n = len(directions)
     _address_rows(at, parameters[2 * n])
     for i in range(n):
@@ -258,9 +265,9 @@ def _run_directions(problem, at, points, parameters, sets, weights, directions, 
 
 
 @njit
-def _differentiate(theta, scales, problem, law, view, shapes):  # type: ignore[no-untyped-def]
+def _differentiate(theta, scales, run, law, view):  # type: ignore[no-untyped-def]
     """Along the elements of theta whose scale is not zero, by central differences of the parameters."""
-    of_rows, of_waves, of_series = shapes
+    problem, _, of_rows, of_waves, of_series = run
     read = np.flatnonzero(scales)
     n = len(read)
     at, points = np.empty(of_rows), np.empty((n, 2, of_rows[0], of_rows[1]))

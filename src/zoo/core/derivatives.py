@@ -96,7 +96,7 @@ def scales_of(parameters: tuple[Parameter, ...], theta: Array) -> Array:
 
 
 def widths_of(parameters: tuple[Parameter, ...]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """For each element a part of its prior's width, whether the prior goes below zero, and whether it is read.
+    """Of each element a part of its prior's width, whether that goes below zero, and whether it is read.
 
     Parameters
     ----------
@@ -119,9 +119,7 @@ def widths_of(parameters: tuple[Parameter, ...]) -> tuple[Array, NDArray[np.bool
     return np.array(widths), np.array(about_zero, dtype=bool), read
 
 
-def scales_at(
-    theta: Array, width: Array, about_zero: NDArray[np.bool_], read: NDArray[np.bool_]
-) -> Array:
+def scales_at(theta: Array, width: Array, about_zero: NDArray[np.bool_], read: NDArray[np.bool_]) -> Array:
     """`scales_of` from `widths_of`; of functions that numba compiles."""
     least = np.where(about_zero | (theta == 0), width, 0.0)
     found = np.where(read, np.maximum(least, np.abs(theta)), 0.0)

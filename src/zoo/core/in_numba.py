@@ -1,17 +1,18 @@
 """Operations of ours in functions that PyTensor compiles with numba.
 
-Where what they compute is there as functions that numba compiles, other operations take their place, which call no
-Python. Else they are called as Python, without a warning; so they are in `with_memory`.
+Where what they compute is there as functions that numba compiles, other operations take their place, which
+call no Python. Else they are called as Python, without a warning; so they are in `with_memory`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import numba  # type: ignore[import-untyped]
 import numpy as np
-from llvmlite import ir
+import pytensor.tensor as pt
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba.extending import intrinsic  # type: ignore[import-untyped]
 from pytensor.compile.mode import Mode, get_default_mode, optdb
 from pytensor.graph.rewriting.basic import dfs_rewriter, node_rewriter
@@ -26,7 +27,8 @@ WITHOUT_PYTHON = "zoo_without_python"
 
 def with_memory() -> Mode:
     """PyTensor's default mode, but with operations that call Python and keep the points they have seen."""
-    return get_default_mode().excluding(WITHOUT_PYTHON)
+    mode: Mode = get_default_mode().excluding(WITHOUT_PYTHON)
+    return mode
 
 
 def without_python(*op_classes: type) -> Callable[[Any], Any]:
@@ -43,8 +45,13 @@ def without_python(*op_classes: type) -> Callable[[Any], Any]:
     return register
 
 
+def joined(variables: Sequence[Any]) -> Any:
+    """Scalars and vectors as one vector."""
+    return pt.concatenate([x if x.ndim else x[None] for x in variables])
+
+
 def compiled_by(op_class: OpClass) -> OpClass:
-    """Let an operation's `function()` be what numba compiles; it is made anew in each process, and not stored."""
+    """Let an operation's `function()` be what numba compiles, made anew in each process and not stored."""
     numba_funcify.register(op_class)(lambda op, node, **_: op.function())
     return op_class
 
@@ -52,7 +59,7 @@ def compiled_by(op_class: OpClass) -> OpClass:
 def own(method: str, given: Any) -> Any:
     """What an object's method returns, if the method is of its very class, else None.
 
-    A subclass, or what is around another object and passes on what it does not have, may compute something else.
+    A subclass, or what is around another object and passes on what it lacks, may compute something else.
     """
     return getattr(given, method)() if method in vars(type(given)) else None
 

@@ -24,7 +24,7 @@ from pytensor.tensor.variable import TensorVariable
 from zoo.core.arrays import real_array
 from zoo.core.derivatives import has_jacobian, jacobian
 from zoo.core.forward import ForwardModel, InNumba, SolveError, content_key
-from zoo.core.in_numba import add_one, called_as_python, compiled_by, own, without_python
+from zoo.core.in_numba import add_one, called_as_python, compiled_by, joined, own, without_python
 from zoo.core.parameters import n_values
 
 Array = NDArray[np.float64]
@@ -380,7 +380,7 @@ class SlopesOp(Op):
 
 @compiled_by
 class SolveOp(Op):
-    """What takes the place of `ForwardOp` and `SlopesOp` at one point where numba compiles: no Python, no memory.
+    """What takes the place of `ForwardOp` and `SlopesOp` where numba compiles: no Python, no memory.
 
     Takes theta (n_values,); returns mean, ok and, if they are asked for, slopes.
 
@@ -401,20 +401,20 @@ class SolveOp(Op):
         """Those of the operation that it stands for."""
         return self.forward.counts
 
-    def make_node(self, theta: Any) -> Apply:
+    def make_node(self, *inputs: Any) -> Apply:
         """A vector in; mean, ok and slopes out."""
         forward = self.forward
         outputs = [pt.tensor(dtype="float64", shape=forward.shape), pt.scalar(dtype="int8")]
         if self.slopes:
             outputs.append(pt.tensor(dtype="float64", shape=SlopesOp(forward).shape))
-        return Apply(self, [theta], outputs)
+        return Apply(self, list(inputs), outputs)
 
     def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[Any]]) -> None:
         """Evaluate with Python."""
         mean, ok = self.forward.evaluate(inputs[0])
-        found = [mean, np.asarray(ok, dtype=np.int8), *([self.forward.slopes(inputs[0])] if self.slopes else [])]
-        for storage, value in zip(output_storage, found, strict=True):
-            storage[0] = value.copy()
+        slopes = [self.forward.slopes(inputs[0])] if self.slopes else []
+        for storage, value in zip(output_storage, (mean, np.int8(ok), *slopes), strict=True):
+            storage[0] = np.array(value)
 
     def function(self) -> Any:
         """What numba compiles."""
@@ -452,16 +452,15 @@ class SolveOp(Op):
 def solve_without_python(fgraph: Any, node: Apply) -> dict[Variable, Variable] | None:
     """One solve for the series and the slopes at a point.
 
-    A function that solves at several points, as those of PyMC's step methods without a gradient do at the chain's
-    point and the proposed one, keeps the operation whose memory has the former.
+    A function that solves at several points, as those of PyMC's step methods without a gradient do at the
+    chain's point and the proposed one, keeps the operation whose memory has the former.
     """
     forward = node.op if isinstance(node.op, ForwardOp) else cast("SlopesOp", node.op).forward
     nodes = [one for one in fgraph.apply_nodes if one.op in (forward, SlopesOp(forward))]
     if forward.in_numba is None or any(one.inputs != node.inputs for one in nodes):
         return None
-    theta = pt.concatenate([x if x.ndim else x[None] for x in node.inputs])
-    derived = any(one.op != forward for one in nodes)
-    mean, ok, *slopes = cast("list[Variable]", SolveOp(forward, derived)(theta, return_list=True))
+    solve = SolveOp(forward, slopes=any(one.op != forward for one in nodes))
+    mean, ok, *slopes = cast("list[Variable]", solve(joined(node.inputs), return_list=True))
     found: dict[Variable, Variable] = {}
     for one in nodes:
         found |= dict(zip(one.outputs, (mean, ok) if one.op == forward else slopes, strict=True))

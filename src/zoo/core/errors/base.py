@@ -24,10 +24,11 @@ class TermsInNumba(NamedTuple):
     Parameters
     ----------
     terms : function
-        From residual (n_series, n_times) and the parameters' values, one after another (n_values,), to terms
-        (n_series, n_times).
+        From residual (n_series, n_times) and the parameters' values (n_values,) to terms (n_series,
+        n_times).
     gradient : function
-        From residual, values and weight to terms, and the gradient of sum_i g_i term_i by residual and values.
+        From residual, values and weight to terms, and the gradient of sum_i g_i term_i by residual and
+        values.
     """
 
     terms: Callable[[Array, Array], Array]

@@ -1,7 +1,7 @@
-"""The terms of the Gaussian process and their gradient as functions that numba compiles, which call no Python.
+"""The terms of the Gaussian process and their gradient, as functions that numba compiles without Python.
 
-They are `gp_sequential` and `gp_gradient` of `zoo.core.errors.gaussian_process`, with LAPACK by address. LAPACK takes
-arrays by columns, so that a matrix here is its transpose there: a lower factor stands in the upper triangle.
+They are `gp_sequential` and `gp_gradient` of `zoo.core.errors.gaussian_process`, with LAPACK by address. It
+takes arrays by columns: a matrix here is its transpose there, and a lower factor stands in the upper triangle.
 """
 
 from __future__ import annotations
@@ -182,7 +182,11 @@ def processes(times: NDArray[np.float64], parts: Sequence[Part]) -> TermsInNumba
 
     @njit
     def gradient(residual, values, weight):  # type: ignore[no-untyped-def]
-        found, by_residual, by_values = np.empty(residual.shape), np.empty(residual.shape), np.zeros(len(values))
+        found, by_residual, by_values = (
+            np.empty(residual.shape),
+            np.empty(residual.shape),
+            np.zeros(len(values)),
+        )
         for i in range(n):
             rows = np.flatnonzero(part_of == i)
             a, w, b, v = law(values, i)

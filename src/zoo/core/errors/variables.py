@@ -23,7 +23,7 @@ from pytensor.link.numba.dispatch.basic import numba_njit
 from pytensor.tensor.random.op import RandomVariable
 
 from zoo.core.errors.base import ErrorModel, TermsInNumba
-from zoo.core.in_numba import called_as_python, compiled_by, own, without_python
+from zoo.core.in_numba import called_as_python, compiled_by, joined, own, without_python
 from zoo.core.op import mark_without_gradient, missing_gradient
 
 Array = NDArray[np.float64]
@@ -172,8 +172,8 @@ class ErrorGradientOp(Op):
 class TermsOp(Op):
     """What takes the place of `ErrorTermsOp` and `ErrorGradientOp` where numba compiles: no Python.
 
-    Takes residual, the parameters' values (n_values,) and, with a gradient, weight; returns the terms and then
-    the gradient by residual and by values.
+    Takes residual, the parameters' values (n_values,) and, with a gradient, weight; returns the terms and
+    then the gradient by residual and by values.
 
     Parameters
     ----------
@@ -189,7 +189,9 @@ class TermsOp(Op):
 
     def make_node(self, *inputs: Any) -> Apply:
         """One output, or three."""
-        return Apply(self, list(inputs), [x.type() for x in (inputs[0], *(inputs[:2] if self.gradient else ()))])
+        return Apply(
+            self, list(inputs), [x.type() for x in (inputs[0], *(inputs[:2] if self.gradient else ()))]
+        )
 
     def perform(self, node: Apply, inputs: Sequence[Any], output_storage: list[list[Any]]) -> None:
         """Evaluate with Python what numba would compile."""
@@ -224,21 +226,19 @@ def terms_without_python(fgraph: Any, node: Apply) -> dict[Variable, Variable] |
     beside = [one for one, _ in fgraph.clients[inputs[0]] if one.inputs[: len(inputs)] == inputs]
     terms = [one for one in beside if one.op == ErrorTermsOp(errors)]
     gradients = [one for one in beside if one.op == ErrorGradientOp(errors)]
-    own_terms = [one.outputs[0] for one in terms]
-    residual = inputs[0]
-    values = pt.concatenate([x if x.ndim else x[None] for x in inputs[1:]])
+    replaced: list[Variable] = [one.outputs[0] for one in terms]
+    given = inputs[0], joined(inputs[1:])
     if not gradients:
-        return dict.fromkeys(own_terms, cast(Variable, TermsOp(errors, False)(residual, values)))
+        return dict.fromkeys(replaced, cast(Variable, TermsOp(errors, False)(*given)))
     one = node if node in gradients else gradients[0]
-    weight = one.inputs[-1]
-    if set(own_terms) & set(ancestors([weight])):
-        return None  # who weighs the terms by themselves
-    found, by_residual, by_values = cast("list[Variable]", TermsOp(errors, True)(residual, values, weight, return_list=True))
+    if set(replaced) & set(ancestors([one.inputs[-1]])):
+        return None  # terms that are weighted by what follows from them
+    found: list[Any] = TermsOp(errors, True)(*given, one.inputs[-1], return_list=True)  # type: ignore[assignment]
     at, by_parameter = 0, []
     for p in errors.parameters:
-        by_parameter.append(by_values[at : at + p.size] if p.dims else by_values[at])
+        by_parameter.append(found[2][at : at + p.size] if p.dims else found[2][at])
         at += p.size
-    return dict.fromkeys(own_terms, found) | dict(zip(one.outputs, (by_residual, *by_parameter), strict=True))
+    return dict.fromkeys(replaced, found[0]) | dict(zip(one.outputs, (found[1], *by_parameter), strict=True))
 
 
 @called_as_python
