@@ -33,7 +33,7 @@ test-all: native-test
 
 # What differs between the lines of PyMC, and the diagnosis that README.md ends with, with PYTHON and VENV of the
 # line that `make test` is not for.
-NEXT := $(patsubst %,tests/test_%.py,lines op storage comparison) \
+NEXT := $(patsubst %,tests/test_%.py,lines op in_numba storage comparison) \
     tests/test_models.py::test_log_posterior_is_that_of_the_model_written_out \
     tests/test_sampling.py::test_chains_in_turns_draw_what_processes_draw \
     tests/test_docs.py::test_the_simulator_of_the_readme_gives_what_the_readme_prints

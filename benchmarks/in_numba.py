@@ -1,8 +1,9 @@
 """The log-density compiled by numba beside the C linker, and NUTS of nutpie, PyMC and zoo.
 
-`python -m benchmarks.in_numba` compares the processor time of the log-density, and of it with its gradient, at the
-same points in the same run; `--what samplers --models BHG` gives effective samples a second of processor time, of
-the parameter that has fewest, with tuning and without compilation. Figures are kept in `benchmarks/latest.json`.
+`python -m benchmarks.in_numba` compares processor times of the log-density, and of it with its gradient, at
+the same points in the same run; `--what samplers --models BHG` gives effective samples a second of processor
+time, of the parameter that has fewest, with tuning and without compilation. Figures are kept in
+`benchmarks/latest.json`.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ def samplers(study: str, letters: str, tune: int, draws: int) -> Iterator[tuple[
             least = float(min(x.min() for x in az.ess(posterior).to_dataset().data_vars.values()))
             print(
                 f"{letter}, {name}: {least:.0f} effective of {draws} draws after {tune}, {solves} solves, "
-                f"{seconds:.0f} s: {least / seconds:.3f} a second, {1e3 * least / solves:.1f} for 1000 solves",
+                f"{seconds:.0f} s: {least / seconds:.3f} a second, {1e3 * least / solves:.1f} a 1000 solves",
                 flush=True,
             )
             yield f"effective_a_second_{name}_{letter}", least / seconds

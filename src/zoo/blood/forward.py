@@ -401,8 +401,8 @@ class BloodFlow:
         places = tuple(dict.fromkeys((v, x) for v, x, _ in cast("tuple[Place, ...]", self.outputs.series)))
         solver = self._solver(self._case(self.fixed, ones), places, self._times)
         radius = net.radius_in_cm / self.conventions.stiffness_radius_unit_cm
-        known = Law.of(self, law, scale, radius)
-        return None if known is None else blood_flow(self, solver, known)
+        known = Law.of(self.parameters, self.fixed, self.wall, law, scale, radius)
+        return None if known is None else blood_flow(solver, self.outputs, self.parameters, known)
 
     def _clock(self, outputs: Outputs) -> Array:
         """When the solution is sampled: the samples' times, with the conventions' lag."""

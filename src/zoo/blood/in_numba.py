@@ -7,7 +7,8 @@ address. So they belong to the process that made them.
 from __future__ import annotations
 
 import ctypes
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from collections.abc import Mapping
+from typing import Any, NamedTuple, cast
 
 import numba  # type: ignore[import-untyped]
 import numpy as np
@@ -18,10 +19,8 @@ from zoo.blood.case import Place
 from zoo.blood.derivatives import NEAR
 from zoo.blood.solver import SHAPES, STATUS_NAMES, TANGENT_TOLERANCE, Solver
 from zoo.core.derivatives import scales_at, widths_of
-from zoo.core.forward import InNumba
-
-if TYPE_CHECKING:
-    from zoo.blood.forward import BloodFlow
+from zoo.core.forward import InNumba, Outputs
+from zoo.core.parameters import Parameter
 
 Array = NDArray[np.float64]
 WORD = 8
@@ -57,19 +56,27 @@ class Law(NamedTuple):
     radius: Array
 
     @classmethod
-    def of(cls, flow: BloodFlow, stiffness: tuple[str, ...], scale: Array, radius: Array) -> Law | None:
+    def of(
+        cls,
+        parameters: tuple[Parameter, ...],
+        fixed: Mapping[str, Array],
+        wall: str,
+        stiffness: tuple[str, ...],
+        scale: Array,
+        radius: Array,
+    ) -> Law | None:
         """By the names of the stiffness' parameters; None where one is missing or has another size."""
         starts: dict[str, Any] = {}
         at = 0
-        for p in flow.parameters:
+        for p in parameters:
             starts[p.name] = at + np.arange(p.size) if p.dims else at
             at += p.size
-        shapes = SHAPES[flow.wall]
+        shapes = SHAPES[wall]
         names = (*stiffness, *(shapes if len(shapes) > 1 else ("gamma",)), "psi1", "psi2", "c")
         constants: dict[str, Any] = {
             **dict.fromkeys((*shapes, "psi1", "psi2", "c"), 1.0),
             "gamma": 2.0,
-            **flow.fixed,
+            **fixed,
         }
         pick = np.full((len(names), len(scale)), -1)
         constant = np.zeros(pick.shape)
@@ -106,23 +113,28 @@ class View(NamedTuple):
     mmhg: float
 
     @classmethod
-    def of(cls, flow: BloodFlow, solver: Solver) -> View:
-        """Of a solver of the model's series."""
-        series = cast("tuple[Place, ...]", flow.outputs.series)
+    def of(cls, outputs: Outputs, solver: Solver) -> View:
+        """Of a solver at the places of the series."""
+        series = cast("tuple[Place, ...]", outputs.series)
         places = {place: i for i, place in enumerate(solver.series)}
         wave = np.array([WAVES.index(quantity) for _, _, quantity in series])
         place = np.array([places[vessel, position] for vessel, position, _ in series])
         return cls(wave, place, solver._order, solver._shift, solver.conventions.mmhg)
 
 
-def blood_flow(flow: BloodFlow, solver: Solver, law: Law) -> InNumba | None:
-    """What `BloodFlow` gives, series and their derivatives, as functions that numba compiles.
+def blood_flow(
+    solver: Solver, outputs: Outputs, parameters: tuple[Parameter, ...], law: Law
+) -> InNumba | None:
+    """Series of a solver and their derivatives, as functions that numba compiles.
+
+    They give what `zoo.blood.forward.BloodFlow` gives with its `solve` and `solve_derivatives`.
 
     Parameters
     ----------
-    flow : BloodFlow
     solver : Solver
-        At the places of the model's series, each once, and its times.
+        At the places of the series, each once, and their times.
+    outputs : Outputs
+    parameters : tuple of Parameter
     law : Law
 
     Returns
@@ -132,11 +144,11 @@ def blood_flow(flow: BloodFlow, solver: Solver, law: Law) -> InNumba | None:
     """
     if ffi.sizeof("void *") != WORD:
         return None
-    n_rows = 1 + len(law.pick) - law.n_stiffness
-    shapes = (n_rows, len(flow.network.ids)), (3, len(solver.series), len(solver.times_s)), flow.outputs.shape
+    n_rows, n_vessels = 1 + len(law.pick) - law.n_stiffness, law.pick.shape[1]
+    shapes = (n_rows, n_vessels), (3, len(solver.series), len(solver.times_s)), outputs.shape
     run = int(ffi.cast("intptr_t", solver._problem)), solver.workspace_bytes(), *shapes
-    view = View.of(flow, solver)
-    width, about_zero, read = widths_of(flow.parameters)
+    view = View.of(outputs, solver)
+    width, about_zero, read = widths_of(parameters)
 
     # what these call is compiled once for all models: numbers in tuples are not taken for types of their own
     @njit

@@ -1,7 +1,7 @@
 """The terms of the Gaussian process and their gradient, as functions that numba compiles without Python.
 
 They are `gp_sequential` and `gp_gradient` of `zoo.core.errors.gaussian_process`, with LAPACK by address. It
-takes arrays by columns: a matrix here is its transpose there, and a lower factor stands in the upper triangle.
+takes arrays by columns: a matrix here is its transpose there, a lower factor stands in the upper triangle.
 """
 
 from __future__ import annotations
