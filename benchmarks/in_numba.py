@@ -69,7 +69,7 @@ def samplers(study: str, letters: str, tune: int, draws: int) -> Iterator[tuple[
                 )
             seconds, solves = time.process_time() - start, model.zoo.op.counts["solves"] - solves
             posterior = dataset(found)[[rv.name for rv in model.free_RVs]]
-            least = float(min(x.min() for x in az.ess(posterior).to_dataset().data_vars.values()))
+            least = float(min(x.min() for x in az.ess(posterior).data_vars.values()))
             print(
                 f"{letter}, {name}: {least:.0f} effective of {draws} draws after {tune}, {solves} solves, "
                 f"{seconds:.0f} s: {least / seconds:.3f} a second, {1e3 * least / solves:.1f} a 1000 solves",

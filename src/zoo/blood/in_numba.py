@@ -14,10 +14,9 @@ import numba  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo._native import ffi, lib
 from zoo.blood.case import Place
 from zoo.blood.derivatives import NEAR
-from zoo.blood.solver import SHAPES, STATUS_NAMES, TANGENT_TOLERANCE, Solver
+from zoo.blood.solver import SHAPES, STATUS_NAMES, TANGENT_TOLERANCE, Solver, ffi, lib
 from zoo.core.derivatives import scales_at, widths_of
 from zoo.core.forward import InNumba, Outputs
 from zoo.core.parameters import Parameter

@@ -324,9 +324,15 @@ class GroupProcess(GroupNoise):
                 found[f"noise_{group}"] += 2.0 * math.sqrt(ratio) / a * by_ratio
         return by_residual, found
 
-    def in_numba(self) -> TermsInNumba:
-        """Of the process of each group, or of the series of a group with the same known noise."""
+    def in_numba(self) -> TermsInNumba | None:
+        """Of the process of each group, or of the series of a group with the same known noise.
+
+        None where samples are missing.
+        """
         from zoo.core.errors.process_in_numba import Part, processes
+
+        if not self.on.whole:
+            return None
 
         at = {name: i for i, name in enumerate(self.parameter_names)}
         parts = []
