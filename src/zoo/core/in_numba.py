@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 import numba  # type: ignore[import-untyped]
 import numpy as np
 import pytensor.tensor as pt
-from llvmlite import ir  # type: ignore[import-untyped]
 from numba.extending import intrinsic  # type: ignore[import-untyped]
 from pytensor.compile.mode import Mode, get_default_mode, optdb
 from pytensor.graph.rewriting.basic import dfs_rewriter, node_rewriter
@@ -69,9 +68,9 @@ def add_one(typingctx, address):  # type: ignore[no-untyped-def]
     """Count in the 64-bit number at an address, whatever other threads do."""
 
     def code(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        number = ir.IntType(64)
-        at = builder.inttoptr(args[0], number.as_pointer())
-        return builder.atomic_rmw("add", at, number(1), "monotonic")
+        [address] = args
+        at = builder.inttoptr(address, address.type.as_pointer())
+        return builder.atomic_rmw("add", at, address.type(1), "monotonic")
 
     return numba.types.int64(numba.types.int64), code
 
