@@ -23,6 +23,7 @@ from test_op import NAMES, POINT, at, flow
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.forward import BloodFlow, constant_stiffness
 from zoo.core.arviz_lines import dataset
+from zoo.core.data import Data
 from zoo.core.errors.groups import GroupProcess
 from zoo.core.errors.independent import Independent
 from zoo.core.errors.variables import ErrorTermsOp, TermsOp
@@ -181,8 +182,20 @@ def test_what_changes_the_solve_or_is_unknown_stays_with_python(study: Any) -> N
         study, "linear", lambda values, network, _: np.full(3, float(values["f3"])), parameters
     )
     assert ForwardOp(own_law).in_numba is None
+    longer = [*parameters, Parameter("tree_length", Uniform(0.5, 2.0))]  # changes the outlets
+    assert ForwardOp(BloodFlow(study, "linear", constant_stiffness, longer)).in_numba is None
     leaking = zoo.model_A(study, effects=[CATALOGUE["venous-pressure"]])
     assert leaking.zoo.op.in_numba is None
+
+
+def test_terms_of_series_with_gaps_stay_with_python() -> None:
+    values = np.sin(np.arange(40.0))[None]
+    data = Data(np.arange(40) / 40.0, values, ["y"], ["mmHg"], period=1.0)
+    assert GroupProcess().bind(data).in_numba() is not None
+    values[0, 3] = np.nan
+    twice = np.vstack([values, np.cos(np.arange(40.0))])
+    gap = Data(np.arange(40) / 40.0, twice, ["y", "z"], ["mmHg", "mmHg"], period=1.0)
+    assert GroupProcess().bind(gap).in_numba() is None
 
 
 def test_our_own_functions_keep_what_they_have_solved(study: Any) -> None:

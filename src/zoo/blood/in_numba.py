@@ -64,7 +64,7 @@ class Law(NamedTuple):
         scale: Array,
         radius: Array,
     ) -> Law | None:
-        """By the names of the stiffness' parameters; None where one is missing or has another size."""
+        """By the names of the stiffness' parameters; None where one is missing, unknown or of another size."""
         starts: dict[str, Any] = {}
         at = 0
         for p in parameters:
@@ -77,6 +77,8 @@ class Law(NamedTuple):
             "gamma": 2.0,
             **fixed,
         }
+        if not {p.name for p in parameters if not p.hyper} <= set(names):
+            return None
         pick = np.full((len(names), len(scale)), -1)
         constant = np.zeros(pick.shape)
         for row, name in enumerate(names):
