@@ -64,7 +64,7 @@ class Law(NamedTuple):
         scale: Array,
         radius: Array,
     ) -> Law | None:
-        """By the names of the stiffness' parameters; None where one is missing, unknown or of another size."""
+        """By the names of the stiffness' parameters; None if one is missing, unknown or of another size."""
         starts: dict[str, Any] = {}
         at = 0
         for p in parameters:
