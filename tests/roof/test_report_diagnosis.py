@@ -222,7 +222,7 @@ def test_what_the_answer_depends_on_comes_first(one: Diagnosis, tmp_path: Path) 
     for shown in (summary.text, " ".join(screen_of(d.file).split())):
         assert f"These data hardly distinguish {first.name} from inflow: at" in shown
         assert "at least one of them is wrong with a probability of 97 %" in shown
-        assert "may hold up to 25 % of the probability" in shown
+        assert "Up to 25 % of the probability may belong to combinations" in shown
     assert table_of(page, "Probability that a component is wrong")[0][5:] == ["inflow", "97 %"]
 
 

@@ -233,10 +233,11 @@ def _next(file: DiagnosisFile) -> str:
     if one is None:
         return ""
     first, second = one.separates
-    odds = f"{math.exp(one.expected_log_odds):.2g}" if one.expected_log_odds < 6.9 else "more than 1000"
+    most = math.exp(min(one.expected_log_odds, 700.0))
+    odds = f"up to {most:.2g}" if most < 1e3 else "above 1000"
     return (
-        f"What would decide: {measurement(file)}, which tells {first} from {second} (expected odds up to "
-        f"{odds} to 1)"
+        f"What would decide: {measurement(file)}, which tells {first} from {second} (expected odds {odds} "
+        "to 1)"
     )
 
 
