@@ -77,7 +77,8 @@ def test_series_and_slopes_are_those_by_python(letter: str) -> None:
     assert status == 0
     expected = record.op.slopes(theta)
     np.testing.assert_allclose(mean, record.op.evaluate(theta)[0], rtol=1e-12)
-    np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    # rounding of a thing over a step of 1e-5 of it
+    np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
     alone = record.op.in_numba.solve(theta)
     assert alone[0] == 0
     np.testing.assert_array_equal(alone[1], mean)

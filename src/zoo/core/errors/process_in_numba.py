@@ -193,6 +193,8 @@ def processes(times: NDArray[np.float64], parts: Sequence[Part]) -> TermsInNumba
             r, g = residual[rows] / a, weight[rows]
             own, scaled, by_w, by_b, by_v = with_gradient(r, g, times, w, b, v)
             found[rows], by_residual[rows] = own - math.log(a), scaled / a
+            if own[0, 0] == -np.inf:  # no law, no gradient
+                continue
             at_w, at_b, amplitude, noise = where[i]
             by_values[at_w] += by_w
             by_values[at_b] += by_b
