@@ -27,6 +27,7 @@ from zoo.blood.forward import (
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
 from zoo.core.forward import Outputs
+from zoo.core.in_numba import with_memory
 from zoo.core.op import CACHE_SIZE, ForwardOp, MissingGradientError, observed_series
 from zoo.core.parameters import LogUniform, Parameter, Uniform
 
@@ -87,7 +88,7 @@ def at(point: tuple[float, ...], n: int = 3) -> np.ndarray:
 
 def symbolic(op: ForwardOp) -> Any:
     inputs = [pt.dvector(), *(pt.dscalar() for _ in range(4))]
-    function = pytensor.function(inputs, op(*inputs))
+    function = pytensor.function(inputs, op(*inputs), mode=with_memory())
     return lambda theta: function(theta[:-4], *theta[-4:])
 
 
@@ -146,7 +147,7 @@ def test_work_in_place_does_not_reach_the_cache(op: ForwardOp) -> None:
     second, _ = function(at(POINT))
     np.testing.assert_array_equal(second, first / 2.0)
     inputs = [pt.dvector(), *(pt.dscalar() for _ in range(4))]
-    shifted = pytensor.function(inputs, pt.exp(op(*inputs)[0] * 0.01) - 3.0)
+    shifted = pytensor.function(inputs, pt.exp(op(*inputs)[0] * 0.01) - 3.0, mode=with_memory())
     theta = at(POINT)
     np.testing.assert_array_equal(shifted(theta[:3], *theta[3:]), shifted(theta[:3], *theta[3:]))
 
@@ -292,7 +293,7 @@ def test_op_in_another_process(op: ForwardOp, method: str) -> None:
 
 def test_a_pickled_compiled_function_shares_the_points(op: ForwardOp) -> None:
     inputs = [pt.dvector(), *(pt.dscalar() for _ in range(4))]
-    function = pickle.loads(cloudpickle.dumps(pytensor.function(inputs, op(*inputs))))
+    function = pickle.loads(cloudpickle.dumps(pytensor.function(inputs, op(*inputs), mode=with_memory())))
     mean, ok = function(at(POINT)[:3], *POINT[1:])
     np.testing.assert_array_equal(mean, op.evaluate(at(POINT))[0])
     assert ok == 1
