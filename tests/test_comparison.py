@@ -152,7 +152,8 @@ def test_terms_agree_with_pymc(name: str, models, idatas) -> None:
     pm.compute_log_likelihood(idata, model=models[name], progressbar=False)
     ours = log_likelihoods(idata, models[name], n_draws=None)["sequential"]
     assert ours.dims == idata.log_likelihood["y"].dims
-    np.testing.assert_allclose(ours, idata.log_likelihood["y"], rtol=1e-9, atol=1e-9)
+    # on PyMC 6 theirs is numba's: rounding in a kernel whose noise is 3e-6 of it
+    np.testing.assert_allclose(ours, idata.log_likelihood["y"], rtol=1e-7, atol=1e-7)
 
 
 def test_decompositions(study: Study, models, idatas) -> None:
