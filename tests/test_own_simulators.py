@@ -557,15 +557,20 @@ def speed(noise: float = 0.02, **changes: float) -> np.ndarray:
     return cart({"b": 0.5, **changes}, T) + noise * np.random.default_rng(2).standard_normal(len(T))
 
 
-def test_a_simulator_is_called_at_all_times_also_where_nothing_was_measured() -> None:
-    """One that steps from time to time would be another one at times of which some are left out."""
-    seen = set()
+def noting(seen: set[int]) -> Any:
+    """The cart, which notes at how many times it is called."""
 
     def spied(c, t):  # type: ignore[no-untyped-def]
         seen.add(len(t))
         return cart(c, t)
 
-    measured = speed(drag=0.8)
+    return spied
+
+
+def test_a_simulator_is_called_at_all_times_also_where_nothing_was_measured() -> None:
+    """One that steps from time to time would be another one at times of which some are left out."""
+    seen: set[int] = set()
+    measured, spied = speed(drag=0.8), noting(seen)
     measured[100:120] = np.nan
     measured[[1, 50, 51]] = np.nan
     with pytest.warns(UserWarning, match="23 of 300 times are left out"):
@@ -580,13 +585,8 @@ def test_a_simulator_is_called_at_all_times_also_where_nothing_was_measured() ->
 
 @pytest.mark.parametrize("asked", ["all", "left"])
 def test_data_and_a_model_are_of_all_times_too(asked: str) -> None:
-    seen = set()
-
-    def spied(c, t):  # type: ignore[no-untyped-def]
-        seen.add(len(t))
-        return cart(c, t)
-
-    measured = speed(drag=0.8)
+    seen: set[int] = set()
+    measured, spied = speed(drag=0.8), noting(seen)
     measured[100:120] = np.nan
     with pytest.warns(UserWarning, match="20 of 300 times are left out"):
         data = Data(T, measured)

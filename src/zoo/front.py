@@ -15,6 +15,7 @@ from zoo.core import diagnosis
 from zoo.core.components import FreeFunction, FunctionOf
 from zoo.core.data import Data, own_clocks
 from zoo.core.diagnosis import Diagnosis, Hooks, OtherState
+from zoo.core.diagnosis.diagnosis import refuse_twice
 from zoo.core.effects import Effect
 from zoo.core.errors.spectral import Spectral
 from zoo.core.forward import ForwardModel, FunctionModel, Outputs, at_all_times
@@ -294,11 +295,7 @@ def _diagnose_data(
         )
     free = [one for one in effects if isinstance(one, FunctionOf)]
     listed = [one for one in effects if not isinstance(one, FunctionOf)]
-    for one in free:
-        if [each.name for each in effects].count(one.name) > 1:
-            raise diagnosis.DiagnosisError(
-                f"effects: {one.name} is given twice; give it once, or another name to one of them"
-            )
+    refuse_twice([one.name for one in effects])
     if free:
 
         def components(model: ForwardModel, theta: Array, data: Data) -> list[FreeFunction]:

@@ -128,13 +128,10 @@ class SearchModel:
         except Exception as error:
             values = zip(self.parameters, self.theta(u), strict=True)
             at = ", ".join(f"{p.name} = {x:.6g}" for p, x in values)
-            asked, names = (
-                error.args[:1] if isinstance(error, KeyError) else (),
-                [p.name for p in self.parameters],
-            )
-            advice = "raise SolveError if none exists there"
-            if asked and isinstance(asked[0], str) and asked[0] not in names:
-                advice = f"no prior is named {asked[0]!r}: {choices(asked[0], names)}"
+            advice, names = "raise SolveError if none exists there", [p.name for p in self.parameters]
+            asked = error.args[0] if isinstance(error, KeyError) and error.args else None
+            if isinstance(asked, str) and asked not in names:
+                advice = f"no prior is named {asked!r}: {choices(asked, names)}"
             error.add_note(f"{self.model.name} was solved with {at}; {advice}")
             raise
         if reason is not None:

@@ -258,6 +258,15 @@ class Diagnosis:
         return write_file(folder / "diagnosis.json", ROW.sub(lambda m: " ".join(m[0].split()), text))
 
 
+def refuse_twice(names: Sequence[str]) -> None:
+    """Raise DiagnosisError where an effect or a free function is given twice."""
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise DiagnosisError(
+                f"effects: {name} is given twice; give it once, or another name to one of them"
+            )
+
+
 def _checked(
     data: Data, model: ForwardModel, effects: Sequence[Effect], errors: ErrorModel | None
 ) -> Spectral:
@@ -276,11 +285,8 @@ def _checked(
     _same_outputs(data, model)
     if isinstance(effects, str | Effect) or not all(isinstance(one, Effect) for one in effects):
         raise DiagnosisError(f"effects = {effects!r}: give a list of effects")
-    for i, one in enumerate(effects):
-        if one.name in [other.name for other in effects[:i]]:
-            raise DiagnosisError(
-                f"effects: {one.name} is given twice; give it once, or another name to one of them"
-            )
+    refuse_twice([one.name for one in effects])
+    for one in effects:
         if not one.offered(model.name):
             only = ", ".join(one.baselines)
             raise EffectError(f"effect {one.name}: cannot be added to {model.name}, only to {only}")
