@@ -375,8 +375,9 @@ class SetModel:
         k = problem.jacobian.shape[1]
         self.k, self.sizes = k, [one.columns.shape[1] for one in causes]
         self.A = np.concatenate([problem.jacobian, *(one.columns for one in causes)], axis=1)
-        n, p = self.A.shape
-        self.products = (self.A[:, :, None] * self.A[:, None, :]).reshape(n, p * p)
+        p = self.A.shape[1]
+        self.rows, self.columns = np.triu_indices(p)
+        self.products = self.A[:, self.rows] * self.A[:, self.columns]  # a symmetric matrix's upper part
         self.Ar = self.A * problem.residual[:, None]
         self.mean = np.concatenate([np.zeros(k), *(one.prior_mean for one in causes)])
         self.P0 = np.zeros((p, p))
@@ -433,8 +434,8 @@ class SetModel:
     def _left(self, mean: Array, C: Array) -> Array:
         """Expected squares (n_kinds, n) of what parameters and weights leave."""
         e = self.problem.residual - mean @ self.A.T
-        p = len(self.mean)
-        return np.asarray(e**2 + C.reshape(-1, p * p) @ self.products.T)
+        both = np.where(self.rows == self.columns, 1.0, 2.0)
+        return np.asarray(e**2 + (C[:, self.rows, self.columns] * both) @ self.products.T)
 
     def evidence(
         self, kinds: Kinds, start: Array, signal: Callable[[Array], Array] | None = None
@@ -554,9 +555,14 @@ class SetModel:
         )
 
     def _products(self, V: Array) -> tuple[Array, Array]:
-        p = len(self.mean)
-        inverse = 1.0 / V
-        return (inverse @ self.products).reshape(-1, p, p), inverse @ self.Ar
+        return self.grams(1.0 / V), (1.0 / V) @ self.Ar
+
+    def grams(self, weights: Array) -> Array:
+        """A' D A (..., p, p) of diagonals D (..., n)."""
+        p, upper = len(self.mean), weights @ self.products
+        found = np.empty((*upper.shape[:-1], p, p))
+        found[..., self.rows, self.columns] = found[..., self.columns, self.rows] = upper
+        return found
 
     def _signal(self, mean: Array, V: Array) -> Array:
         """What the causes do and the baseline's parameters cannot take up, (n,)."""
@@ -720,13 +726,13 @@ class NoiseIntegral:
     """
 
     def __init__(self, model: SetModel, a: Array, V: Array, log_noise: Array, power: float = 1.0) -> None:
-        f, p = model.family, len(model.mean)
+        f = model.family
         self.model = model
         self.least = (f.least_noise - log_noise)[:, f.noise_free, None]
         self.off = (log_noise - f.noise_centre)[:, f.noise_free, None] / NOISE_SPREAD
         one_of = f.one_of[f.noise_free]
         D = power * (a / V)[:, None, :] * one_of
-        self.gram = (D @ model.products).reshape(*D.shape[:2], p, p)
+        self.gram = model.grams(D)
         self.right, self.squares = D @ model.Ar, (D @ model.problem.residual**2)[:, :, None]
         self.first, self.second = ((power * x @ one_of.T)[:, :, None] for x in (a, a**2))
 

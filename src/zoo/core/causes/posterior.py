@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -12,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.causes.evidence import SetEvidence, SizePriors
 from zoo.core.causes.problem import Cause
 from zoo.core.causes.sets import CausePriors, likeness
+from zoo.core.threads import threads
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int_]
@@ -161,7 +160,7 @@ class CausePosterior:
         def one(row: SetRow) -> SetRow:
             return replace(row, evidence=row.evidence.coarsened(part), shift=part * row.shift)
 
-        with ThreadPoolExecutor(max(1, cores)) as pool, threadpool_limits(1, user_api="blas"):
+        with threads(cores) as pool:
             rows = tuple(pool.map(one, self.rows))
         return self._with(rows, self.sizes, self.priors, part)
 

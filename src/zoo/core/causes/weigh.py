@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +17,7 @@ from zoo.core.causes.posterior import CausePosterior, SetRow
 from zoo.core.causes.problem import Cause, CauseError, Problem
 from zoo.core.causes.reference import Reference
 from zoo.core.causes.sets import CausePriors
+from zoo.core.threads import threads
 
 Array = NDArray[np.float64]
 Which = tuple[int, ...]
@@ -71,7 +71,7 @@ class _Search:
         def one(which: Which) -> SetEvidence:
             return SetModel(self.problem, [self.causes[i] for i in which], self.family).evidence(kinds, start)
 
-        with ThreadPoolExecutor(max(1, self.cores)) as pool:
+        with threads(self.cores) as pool:
             self.weighed.update(zip(sets, pool.map(one, sets), strict=True))
 
     def seek(self, parent: Which) -> None:

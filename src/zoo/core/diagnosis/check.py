@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.arviz_lines import smoothed
 from zoo.core.diagnosis.sets import CauseSets
 from zoo.core.diagnosis.solved import SIZE_PRIORS, SolvedSet, Which
+from zoo.core.threads import threads
 
 Array = NDArray[np.float64]
 
@@ -143,7 +142,7 @@ def _log_ratios(sets: CauseSets, one: SolvedSet, draws: int, rng: np.random.Gene
     linear = problem.residual - x @ A.T
     n_effects = len(one.order) - len(evidence.causes)
     own = fitting.model(forward.added[:n_effects]) if evidence.causes else forward
-    with ThreadPoolExecutor(max(1, fitting.cores)) as pool, threadpool_limits(1, user_api="blas"):
+    with threads(fitting.cores) as pool:
         computed = list(pool.map(forward, u))
     found = np.full(len(x), -np.inf)
     V = evidence.variances(best)

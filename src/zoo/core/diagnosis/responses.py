@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -12,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.causes.problem import Cause, Problem
 from zoo.core.components import FreeFunction
@@ -20,6 +18,7 @@ from zoo.core.diagnosis.coordinates import FAILURES, SearchModel
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.search import Point, Search
 from zoo.core.effects import AddedEffect, Effect
+from zoo.core.threads import threads
 
 Array = NDArray[np.float64]
 Tick = Callable[[str, float], None]
@@ -185,11 +184,14 @@ class _Listed:
         for one in tried:
             jacobian = np.concatenate([self.problem.jacobian, one.columns / self.scales], axis=1)
             start = search.at(np.concatenate([self.base.u, one.values]), jacobian)
-            start.jacobian = search.differences(start, jacobian)  # there the parameters may do something else
             held.low = np.concatenate([self.forward.low[:k], one.values])
             held.high = np.concatenate([self.forward.high[:k], one.values])
             ends.append(Search(held, search.data, search.S).descend(start, STEPS // 2, GAIN))
-        return search.descend(min(ends, key=lambda end: end.cost), STEPS, GAIN)
+        end = search.descend(min(ends, key=lambda end: end.cost), STEPS, GAIN)
+        if search.promised(end) < GAIN:
+            return end
+        end.jacobian = search.differences(end, end.jacobian)  # there the parameters do something else
+        return search.descend(end, STEPS, GAIN)
 
     def found(self, component: str) -> Response | None:
         """Where it fits best beside the others, from the best of its starts; None if none can be solved."""
@@ -257,7 +259,7 @@ def listed_causes(
     listed = [_Listed(fitting, base, others, one, problem, projected) for one in added]
     names = [component_of(one.effect) or one.name for one in added]
     found: list[Response | None] = []
-    with ThreadPoolExecutor(max(1, fitting.cores)) as pool, threadpool_limits(1, user_api="blas"):
+    with threads(fitting.cores) as pool:
         for one in pool.map(_Listed.found, listed, names):
             found.append(one)
             tick(added[len(found) - 1].name, len(found) / len(listed))
@@ -338,7 +340,7 @@ def free_causes(
     first = [(f, direction) for f in functions for direction in _directions(f).T[:1]]
     others = [(f, direction) for f in functions for direction in _directions(f).T[1:]]
     done = 0
-    with ThreadPoolExecutor(max(1, fitting.cores)) as pool, threadpool_limits(1, user_api="blas"):
+    with threads(fitting.cores) as pool:
         for jobs in (first, others):  # the strongest direction tells whether one-sided differences will do
             results = pool.map(lambda job: solve.along(job[0], job[1], bent[job[0].name]), jobs)
             for (f, direction), result in zip(jobs, results, strict=True):

@@ -167,6 +167,16 @@ class Search(Generic[F]):
         reach = float(np.max(np.abs(step) / forward.units))
         return step * min(1.0, REACH / reach) if reach > 0 else step
 
+    def promised(self, point: Point) -> float:
+        """Gain of the log posterior that the Jacobian still promises."""
+        step = self._step(point, NO_DAMPING)
+        return point.cost - self.cost(point.u + step, point.computed + point.jacobian @ step)
+
+    def apart(self, point: Point, other: Solved) -> float:
+        """Posterior sds between two points, by the Jacobian of the second."""
+        step, precision = point.u - other.u, as_matrix(self.forward.prior(other.u)[1])
+        return math.sqrt(float(np.sum((other.jacobian @ step) ** 2 / self.S) + step @ precision @ step))
+
     def descend(self, point: Point, iterations: int, gain: float = GAIN, damping: float = DAMPING) -> Point:
         """Damped steps with Broyden's updates until one gains, or promises, less than `gain`."""
         for _ in range(iterations):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -17,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from zoo.core.causes.evidence import SetEvidence, SetModel, without
 from zoo.core.causes.posterior import CausePosterior, SetRow
@@ -28,10 +26,11 @@ from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.responses import Origin, Response, free_causes, listed_causes
-from zoo.core.diagnosis.search import Point, Search, SearchError
+from zoo.core.diagnosis.search import ROUNDS, SETTLED, Point, Search, SearchError, as_matrix
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear, SolvedSet, Which, tangents
 from zoo.core.effects import Effect
 from zoo.core.forward import Corrected, SolveError, pinned
+from zoo.core.threads import threads
 
 Array = NDArray[np.float64]
 
@@ -211,7 +210,7 @@ class CauseSearch:
             again = {w: larger for w in self.solved if (larger := self._outdoing(w))}
             again = {w: larger for w, larger in again.items() if (w, larger) not in retried}
             retried |= set(again.items())
-            self._solve(list(again))
+            self._solve(list(again), again)
             found = self._corrected(found)
             centre = self._next_centre(found) if wave < WAVES - 1 else None
             if centre is not None:
@@ -267,10 +266,16 @@ class CauseSearch:
         guessed |= {w: x for w, x in own.guessed.items() if self.linear_of(w) is linear}
         return self._corrected(replace(found, guessed=guessed))
 
-    def _solve(self, sets: Sequence[Which]) -> None:
-        """Take sets to their modes at once, and keep the better one of those that were solved before."""
-        with ThreadPoolExecutor(max(1, self.fitting.cores)) as pool, threadpool_limits(1, user_api="blas"):
-            results = list(pool.map(lambda which: self.solve(which, self.rows[which].evidence), sets))
+    def _solve(self, sets: Sequence[Which], outdone: Mapping[Which, Which] | None = None) -> None:
+        """Take sets to their modes at once, and keep the better one of those that were solved before.
+
+        What is outdone by a larger set begins there.
+        """
+        beside = {} if outdone is None else {w: self.solved[larger] for w, larger in outdone.items()}
+        with threads(self.fitting.cores) as pool:
+            results = list(
+                pool.map(lambda which: self.solve(which, self.rows[which].evidence, beside.get(which)), sets)
+            )
         for which, one in zip(sets, results, strict=True):
             old = None if which in self.near else self.solved.get(which)
             if one is not None and (old is None or one.log_z > old.log_z):
@@ -280,17 +285,21 @@ class CauseSearch:
     def _weigh_more(self, sets: Sequence[Which]) -> None:
         """Sets of which only a guess was known, by the linear model."""
         priors = CausePriors(self.causes)
-        for which in (w for w in sets if w not in self.rows):
+
+        def row(which: Which) -> SetRow:
             linear = self.linear_of(which)
             like = self.rows[linear.centre].evidence
             model = SetModel(linear.problem, [linear.causes[i] for i in which], self.family)
-            evidence = model.evidence(like.kinds, like.log_noise)
-            self.rows[which] = SetRow(which, priors.log_prior(which), evidence)
+            return SetRow(which, priors.log_prior(which), model.evidence(like.kinds, like.log_noise))
+
+        new = [w for w in sets if w not in self.rows]
+        with threads(self.fitting.cores) as pool:
+            self.rows |= dict(zip(new, pool.map(row, new), strict=True))
 
     def _weigh_ends(self) -> None:
         """Listed effects alone whose response was found where they fit better than the linear model says."""
         self._weigh_more(list(self.ends))
-        with ThreadPoolExecutor(max(1, self.fitting.cores)) as pool, threadpool_limits(1, user_api="blas"):
+        with threads(self.fitting.cores) as pool:
             for which, one in zip(self.ends, pool.map(self._at_end, self.ends), strict=True):
                 if one.log_z > self.rows[which].evidence.total(SIZE_PRIORS) + PROMISED:
                     self.solved[which] = one
@@ -399,17 +408,24 @@ class CauseSearch:
 
     # -- one set with the simulator ----------------------------------------------------------------
 
-    def solve(self, which: Which, linear: SetEvidence) -> SolvedSet | None:
-        """A set at its mode; None where nothing can be solved on the way."""
+    def solve(self, which: Which, linear: SetEvidence, larger: SolvedSet | None = None) -> SolvedSet | None:
+        """A set at its mode, or the one beside a larger set; None where nothing can be solved on the way."""
         order = tuple(sorted(which, key=lambda i: self.origins[i].added is None))  # listed effects first
         # a listed effect may need another grid than the baseline; a function is a smooth change of it
         listed = any(self.origins[i].added is not None for i in which)
         baseline = self.fitting.baseline if listed else self.grid.model
+        known = None if which in self.near else self.solved.get(which)
         forward = self.fitting.model(tuple(self.origins[i].effect() for i in order), baseline)
+        forward = known.forward if known else forward
         best = linear.best(SIZE_PRIORS)
         search = Search(forward, self.data, linear.likely_variances(SIZE_PRIORS))
         point: Point | None = None
-        for u, jacobian in self._starts(which, order, linear.mean[best]):
+        starts = (
+            self._starts(which, order, linear.mean[best])
+            if larger is None
+            else [self._without(larger, order, search.S)]
+        )
+        for u, jacobian in starts:
             try:
                 tried = search.at(np.clip(u, forward.low, forward.high), jacobian)
             except SearchError:
@@ -418,7 +434,10 @@ class CauseSearch:
                 point = tried
         if point is None:
             return None
-        return self._to_mode(order, forward, search.descend(point, STEPS), linear)
+        point = search.descend(point, STEPS)
+        if known and search.apart(point, known.point) < 1.0:
+            return known
+        return self._to_mode(order, forward, point, linear)
 
     def _to_mode(self, order: Which, forward: SearchModel, point: Point, linear: SetEvidence) -> SolvedSet:
         """A set from a point near its mode, in turns of a search and of the errors beside it."""
@@ -430,7 +449,10 @@ class CauseSearch:
             search = Search(forward, self.data, errors)
             point = search.resume(point)
             if turn == 0:
-                point = search.refine(point, 1, STEPS, fine=self.fitting.smooth)
+                for _ in range(ROUNDS):
+                    point = search.refine(point, 1, STEPS, fine=self.fitting.smooth)
+                    if search.promised(point) < SETTLED:
+                        break
             else:  # the derivatives are fresh
                 moved = search.descend(point, STEPS)
                 point = search.refine(moved, 2, STEPS) if point.cost - moved.cost > PROMISED else point
@@ -486,6 +508,22 @@ class CauseSearch:
             found.append((u, J))
         return found
 
+    def _without(self, larger: SolvedSet, order: Which, V: Array) -> tuple[Array, Array]:
+        """Where a larger set goes without causes that are not in `order`, by its derivatives; and these."""
+        places, point = larger.places(self.origins), larger.point
+        k = larger.forward.n_base
+        kept = np.concatenate([np.arange(k), *(np.arange(len(point.u))[places[i]] for i in order)])
+        step = np.zeros_like(point.u)
+        for i in set(larger.order).difference(order):
+            gone = places[i] if self.causes[i].free else slice(places[i].start, places[i].start + 1)
+            step[gone] = -point.u[gone]
+        _, precision, pull = larger.forward.prior(point.u)
+        left = self.data - point.computed - point.jacobian @ step
+        J, P = point.jacobian[:, kept], as_matrix(precision)[np.ix_(kept, kept)]
+        right = J.T @ (left / V) - pull[kept]
+        u = point.u[kept] + np.linalg.solve(J.T @ (J / V[:, None]) + P, right)
+        return u, J
+
     def _near(self, which: Which) -> list[SolvedSet]:
         """The best solved set inside of a set, and the best around it."""
         inside = [one for w, one in self.solved.items() if w and set(w) < set(which)]
@@ -510,10 +548,9 @@ class CauseSearch:
         problem = self._problem(own, point.u[:n_listed], residual, point.jacobian[:, :n_listed])
         firsts = np.cumsum([forward.n_base, *sizes])[: len(order) - len(free)]
         problem = replace(problem, amplitudes=tuple(int(i) for i in firsts))
-        start = linear.log_noise[linear.best(SIZE_PRIORS)]
         change = point.computed - self.base.computed
         signal = (lambda V: without(self.jacobian, change, V)) if order else None
-        found = SetModel(problem, causes, self.family).evidence(linear.kinds, start, signal)
+        found = SetModel(problem, causes, self.family).evidence(linear.kinds, linear.log_noise, signal)
         return found, n_listed
 
 
