@@ -242,6 +242,8 @@ def test_scattered_stiffness_and_loads_are_parameters_of_others(demo):
         demo.solved("outlet-first-resistance", values), demo.changed(psi1=demo.case.psi1 * scale)
     )
     assert np.array_equal(demo.solved("outlet-compliance", values), demo.changed(c=demo.case.c * scale))
+    loads = demo.changed(psi1=demo.case.psi1 * scale, psi2=demo.case.psi2 * scale, c=demo.case.c / scale)
+    assert np.allclose(demo.solved("outlet-loads", np.concatenate([values, -values])), loads, rtol=1e-12)
 
 
 def test_a_law_whose_slope_is_the_tangent_walls_is_the_tangent_wall(demo):

@@ -23,6 +23,7 @@ from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, DiagnosisFile, diagnose, read_diagnosis
 from zoo.core.diagnosis.answer import table_of
 from zoo.core.diagnosis.check import check_sets
+from zoo.core.diagnosis.search import Search
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear
 from zoo.core.effects import Effect, EffectParameter, effect
 from zoo.core.errors.spectral import Cosines, Harmonics
@@ -400,6 +401,21 @@ def test_the_missed_probability_is_below_what_is_stated(configuration: dict) -> 
     assert missed <= 1.05 * found.missed + 1e-6  # a search ends within 0.02 of the best log posterior
 
 
+def test_a_larger_set_tells_where_a_smaller_one_is() -> None:
+    """Of a linear model the end of a pair without one of its causes is the mode of the other."""
+    search = of_the_line(3, bump=0.5, wiggle=0.3).sets.search
+    index = {one.name: i for i, one in enumerate(search.causes)}
+    one, pair = (index["bump"],), tuple(sorted(index.values()))
+    search._weigh_more([one, pair])
+    search._solve([one, pair])
+    small, V = search.solved[one], np.full(len(search.data), 0.1)
+    u, jacobian = search._without(search.solved[pair], small.order, V)
+    np.testing.assert_allclose(jacobian, small.point.jacobian, atol=1e-6)
+    at = Search(small.forward, search.data, V)
+    assert at.cost(u, small.forward(u)) == pytest.approx(at.refine(at.resume(small.point)).cost, abs=1e-6)
+    assert at.apart(at.at(u), small.point) == pytest.approx(0.309, abs=0.01)  # whose errors are others
+
+
 def steeper(c, times):  # type: ignore[no-untyped-def]
     """A wiggle counts exp(4 bump) times: what it does beside the bump is not what it does alone."""
     return straight({**c, "wiggle": c.get("wiggle", 0.0) * np.exp(4.0 * c.get("bump", 0.0))}, times)
@@ -439,7 +455,7 @@ def test_a_check_by_importance_sampling_changes_nothing_of_a_linear_model() -> N
 def test_a_check_by_importance_sampling_finds_what_the_linear_model_lacks() -> None:
     """Beside sums over bump and wiggle, whose response bends; the baseline's two weights are normal."""
     model = FunctionModel(steeper, LINEAR.parameters, LINEAR.outputs, "steeper")
-    data = linear_data(3, noise=0.15, bump=0.5, wiggle=0.8)
+    data = linear_data(3, noise=0.4, bump=0.5, wiggle=0.8)
     found = diagnose(data, model, [adding(x) for x in CAUSES], cores=1, errors=Cosines())
     search, names = found.sets.search, [one.name for one in found.sets.posterior.causes]
     pair = tuple(sorted(names.index(x) for x in CAUSES))

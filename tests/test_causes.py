@@ -102,6 +102,40 @@ def test_the_evidence_of_a_function_is_that_of_plain_sums():
     assert gained == pytest.approx(beside, abs=0.35)
 
 
+def test_values_of_a_function_that_do_nearly_the_same_are_weighed_without_rounding():
+    """Large smooth columns, of which ten are told by few: beside sums over the logarithm of the noise."""
+    toy, rng = LinearToy(n_series=1, n_times=64), np.random.default_rng(4)
+    f, n = toy.family, len(toy.jacobian)
+    at, knots = np.linspace(0.0, 1.0, n)[:, None], np.linspace(0.0, 1.0, 10)
+    columns = 30.0 * RANGE * np.exp(-0.5 * ((at - knots) / 0.4) ** 2)
+    function = Cause("curve", "c0", columns, free=True)
+    noise = 3e-5 * RANGE
+    residual = toy.jacobian @ rng.standard_normal(toy.jacobian.shape[1]) + columns @ rng.normal(0.0, 0.5, 10)
+    problem = toy.problem(residual + noise * rng.standard_normal(n))
+    found = SetModel(problem, [function], f).given(np.array([0]), np.log([noise]))
+    assert math.exp(found.log_noise[0, 0]) == pytest.approx(noise, rel=0.3)
+    scales, masses = _combinations((True,))
+    x = math.log(noise) + np.linspace(-1.0, 1.0, 81)
+    gains = [[exact_normal(problem, function, s[0], math.exp(one)) for s in scales] for one in x]
+    each = logsumexp(np.array(gains) + masses, axis=1) + norm.logpdf(x, f.noise_centre[0], NOISE_SPREAD)
+    assert found.log_z[0] == pytest.approx(logsumexp(each) + math.log(x[1] - x[0]), abs=0.2)
+
+
+def exact_normal(problem: Problem, function: Cause, s: float, noise: float) -> float:
+    """log N(r; 0, V + J P^-1 J' + s^2 R R') by an orthogonal factorisation of the stacked equations."""
+    A = np.concatenate([problem.jacobian, function.columns], axis=1) / noise
+    k, p = problem.jacobian.shape[1], A.shape[1]
+    prior = np.zeros((p, p))
+    prior[:k, :k] = np.linalg.cholesky(problem.P).T
+    prior[k:, k:] = np.eye(p - k) / s
+    Q, R = np.linalg.qr(np.concatenate([A, prior]))
+    white = np.concatenate([problem.residual / noise, np.zeros(p)])
+    left = white - Q @ (Q.T @ white)
+    logdet = 2.0 * np.sum(np.log(np.abs(np.diag(R)) / np.append(np.diag(prior)[:k], np.full(p - k, 1.0 / s))))
+    n = len(problem.residual)
+    return float(-0.5 * left @ left - 0.5 * logdet - n * math.log(noise * math.sqrt(2.0 * math.pi)))
+
+
 @pytest.mark.parametrize("white", [0.1, 1e-5], ids=["free", "least"])
 def test_the_noise_is_integrated_where_weights_are_many(white):
     """Beside quadrature over its logarithm: 20 weights of a small function take up a third of the record."""

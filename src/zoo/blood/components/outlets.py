@@ -41,6 +41,12 @@ def scaled_loads(case: Case, values: Array, of: tuple[str, ...]) -> Case:
     return replace(case, **{name: getattr(case, name) * scale for name in of})
 
 
+def own_loads(case: Case, values: Array) -> Case:
+    """Resistances and compliance of each terminal -> themselves times exp(v), v of all resistances first."""
+    resistance, compliance = np.split(values, 2)
+    return scaled_loads(scaled_loads(case, resistance, ("psi1", "psi2")), compliance, ("c",))
+
+
 def log_impedance_change(at: Array, values: Array, omega: Array) -> NDArray[np.complex128]:
     """Change of log Z at angular frequencies (rad/s): v through the knots, and the phase that goes with it.
 
@@ -74,7 +80,7 @@ def changed_state(case: Case, values: Array, at: Array) -> Case:
 
 
 def functions(setting: Setting) -> tuple[FreeFunction, ...]:
-    """Impedance, state, and the scatter over terminals; of single resistances, that of these alone."""
+    """Impedance, state, and scatter over terminals; of single resistances, that of these alone."""
     network = setting.case.network
     terminals = network.terminals
     labels = tuple(setting.vessels[i] for i in terminals)
@@ -103,4 +109,10 @@ def functions(setting: Setting) -> tuple[FreeFunction, ...]:
         resistance,
         scatter("outlet-first-resistance", ("psi1",)),
         scatter("outlet-compliance", ("c",)),
+        free_function(
+            "outlet-loads",
+            np.arange(2.0 * len(terminals)),
+            own_loads,
+            labels=tuple(f"{of} of {label}" for of in ("R", "C") for label in labels),
+        ),
     )

@@ -376,6 +376,13 @@ class SetModel:
         self.k, self.sizes = k, [one.columns.shape[1] for one in causes]
         self.A = np.concatenate([problem.jacobian, *(one.columns for one in causes)], axis=1)
         p = self.A.shape[1]
+        self.edges = np.cumsum([k, *self.sizes])
+        # weights of a function are alike beforehand in any basis; in this one its columns are orthogonal
+        self.turn = np.eye(p)
+        for one, first, after in zip(causes, self.edges, self.edges[1:], strict=False):
+            if one.free:
+                self.turn[first:after, first:after] = np.linalg.svd(np.linalg.qr(one.columns, mode="r"))[2].T
+        self.A = self.A @ self.turn
         self.rows, self.columns = np.triu_indices(p)
         self.products = self.A[:, self.rows] * self.A[:, self.columns]  # a symmetric matrix's upper part
         self.Ar = self.A * problem.residual[:, None]
@@ -384,7 +391,6 @@ class SetModel:
         self.P0[:k, :k] = problem.P
         self.pull = np.concatenate([problem.pull, np.zeros(p - k)])
         self.owner = np.repeat(np.arange(len(causes)), self.sizes)
-        self.edges = np.cumsum([k, *self.sizes])
         listed = [at for one, at in zip(causes, self.edges[:-1], strict=True) if not one.free]
         self.listed = np.array([*problem.amplitudes, *listed], int)
         k_low, k_high = np.full(k, -np.inf), np.full(k, np.inf)
@@ -522,6 +528,7 @@ class SetModel:
         mean, C = self._inside(*self.solve(gram, right, scales[np.argmax(gains, axis=1)]))
         amplitudes = self._amplitudes(own_mean, own_C)
         slope = power * np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
+        mean, C = mean @ self.turn.T, self.turn @ C @ self.turn.T
         return SetEvidence(
             f,
             kinds,
@@ -566,7 +573,7 @@ class SetModel:
 
     def _signal(self, mean: Array, V: Array) -> Array:
         """What the causes do and the baseline's parameters cannot take up, (n,)."""
-        return without(self.problem.jacobian, self.A[:, self.k :] @ mean[self.k :], V)
+        return without(self.problem.jacobian, self.A[:, self.k :] @ (mean @ self.turn)[self.k :], V)
 
 
 class SizeBasis:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -132,6 +132,15 @@ class _Tried:
     cost: float
 
 
+def descend(held: Search[SearchModel], free: Search[SearchModel], point: Point, steps: int) -> Point:
+    """A descent of what is held, with fresh differences where those at hand do not keep what they promise."""
+    if held.promised(point) >= GAIN:
+        point = held.descend(point, steps, GAIN)
+    if held.promised(point) < GAIN:
+        return point
+    return held.descend(replace(point, jacobian=free.differences(point, point.jacobian)), steps, GAIN)
+
+
 class _Listed:
     """One effect at one place, around a fit of the baseline with other effects."""
 
@@ -180,18 +189,21 @@ class _Listed:
     def _end(self, tried: Sequence[_Tried]) -> Point:
         """Where a search ends that begins beside each start with the parameters that fit best there."""
         search = Search(self.forward, self.base.computed + self.problem.residual, self.projected.root**2)
-        held, k, ends = self.held, len(self.base.u), list[Point]()
+        ends, k = list[Point](), len(self.base.u)
         for one in tried:
             jacobian = np.concatenate([self.problem.jacobian, one.columns / self.scales], axis=1)
             start = search.at(np.concatenate([self.base.u, one.values]), jacobian)
-            held.low = np.concatenate([self.forward.low[:k], one.values])
-            held.high = np.concatenate([self.forward.high[:k], one.values])
-            ends.append(Search(held, search.data, search.S).descend(start, STEPS // 2, GAIN))
-        end = search.descend(min(ends, key=lambda end: end.cost), STEPS, GAIN)
-        if search.promised(end) < GAIN:
-            return end
-        end.jacobian = search.differences(end, end.jacobian)  # there the parameters do something else
-        return search.descend(end, STEPS, GAIN)
+            ends.append(self._holding(search, one.values).descend(start, STEPS // 2, GAIN))
+        best = min(ends, key=lambda end: end.cost)
+        best = descend(self._holding(search, best.u[k:]), search, best, STEPS // 2)
+        return descend(search, search, best, STEPS)
+
+    def _holding(self, search: Search[SearchModel], values: Array) -> Search[SearchModel]:
+        """The search beside some values of the effect."""
+        held, k = self.held, len(self.base.u)
+        held.low = np.concatenate([self.forward.low[:k], values])
+        held.high = np.concatenate([self.forward.high[:k], values])
+        return Search(held, search.data, search.S)
 
     def found(self, component: str) -> Response | None:
         """Where it fits best beside the others, from the best of its starts; None if none can be solved."""

@@ -26,7 +26,7 @@ from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.responses import Origin, Response, free_causes, listed_causes
-from zoo.core.diagnosis.search import ROUNDS, SETTLED, Point, Search, SearchError, as_matrix
+from zoo.core.diagnosis.search import Point, Search, SearchError, as_matrix
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear, SolvedSet, Which, tangents
 from zoo.core.effects import Effect
 from zoo.core.forward import Corrected, SolveError, pinned
@@ -449,10 +449,7 @@ class CauseSearch:
             search = Search(forward, self.data, errors)
             point = search.resume(point)
             if turn == 0:
-                for _ in range(ROUNDS):
-                    point = search.refine(point, 1, STEPS, fine=self.fitting.smooth)
-                    if search.promised(point) < SETTLED:
-                        break
+                point = search.refine(point, 1, STEPS, fine=self.fitting.smooth)
             else:  # the derivatives are fresh
                 moved = search.descend(point, STEPS)
                 point = search.refine(moved, 2, STEPS) if point.cost - moved.cost > PROMISED else point
