@@ -409,9 +409,9 @@ def test_a_larger_set_tells_where_a_smaller_one_is() -> None:
     search._weigh_more([one, pair])
     search._solve([one, pair])
     small, V = search.solved[one], np.full(len(search.data), 0.1)
-    u, jacobian = search._without(search.solved[pair], small.order, V)
-    np.testing.assert_allclose(jacobian, small.point.jacobian, atol=1e-6)
     at = Search(small.forward, search.data, V)
+    u, jacobian = search._without(search.solved[pair], small.order, at)
+    np.testing.assert_allclose(jacobian, small.point.jacobian, atol=1e-6)
     assert at.cost(u, small.forward(u)) == pytest.approx(at.refine(at.resume(small.point)).cost, abs=1e-6)
     assert at.apart(at.at(u), small.point) == pytest.approx(0.309, abs=0.01)  # whose errors are others
 

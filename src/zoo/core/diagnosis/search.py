@@ -144,7 +144,7 @@ class Search(Generic[F]):
                 columns.append((moved - point.computed) / step)
         return np.stack(columns, axis=1)
 
-    def _step(self, point: Point, damping: float) -> Array:
+    def step(self, point: Point, damping: float) -> Array:
         """A damped step that ends inside the bounds."""
         forward = self.forward
         _, precision, pull = forward.prior(point.u)
@@ -169,7 +169,7 @@ class Search(Generic[F]):
 
     def promised(self, point: Point) -> float:
         """Gain of the log posterior that the Jacobian still promises."""
-        step = self._step(point, NO_DAMPING)
+        step = self.step(point, NO_DAMPING)
         return point.cost - self.cost(point.u + step, point.computed + point.jacobian @ step)
 
     def apart(self, point: Point, other: Solved) -> float:
@@ -180,7 +180,7 @@ class Search(Generic[F]):
     def descend(self, point: Point, iterations: int, gain: float = GAIN, damping: float = DAMPING) -> Point:
         """Damped steps with Broyden's updates until one gains, or promises, less than `gain`."""
         for _ in range(iterations):
-            step = self._step(point, damping)
+            step = self.step(point, damping)
             u, linear = point.u + step, point.computed + point.jacobian @ step
             hoped = point.cost - self.cost(u, linear)
             if hoped < gain:

@@ -26,7 +26,7 @@ from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.responses import Origin, Response, free_causes, listed_causes
-from zoo.core.diagnosis.search import Point, Search, SearchError, as_matrix
+from zoo.core.diagnosis.search import NO_DAMPING, Point, Search, SearchError
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear, SolvedSet, Which, tangents
 from zoo.core.effects import Effect
 from zoo.core.forward import Corrected, SolveError, pinned
@@ -423,7 +423,7 @@ class CauseSearch:
         starts = (
             self._starts(which, order, linear.mean[best])
             if larger is None
-            else [self._without(larger, order, search.S)]
+            else [self._without(larger, order, search)]
         )
         for u, jacobian in starts:
             try:
@@ -505,7 +505,7 @@ class CauseSearch:
             found.append((u, J))
         return found
 
-    def _without(self, larger: SolvedSet, order: Which, V: Array) -> tuple[Array, Array]:
+    def _without(self, larger: SolvedSet, order: Which, search: Search[SearchModel]) -> tuple[Array, Array]:
         """Where a larger set goes without causes that are not in `order`, by its derivatives; and these."""
         places, point = larger.places(self.origins), larger.point
         k = larger.forward.n_base
@@ -514,12 +514,8 @@ class CauseSearch:
         for i in set(larger.order).difference(order):
             gone = places[i] if self.causes[i].free else slice(places[i].start, places[i].start + 1)
             step[gone] = -point.u[gone]
-        _, precision, pull = larger.forward.prior(point.u)
-        left = self.data - point.computed - point.jacobian @ step
-        J, P = point.jacobian[:, kept], as_matrix(precision)[np.ix_(kept, kept)]
-        right = J.T @ (left / V) - pull[kept]
-        u = point.u[kept] + np.linalg.solve(J.T @ (J / V[:, None]) + P, right)
-        return u, J
+        left = Point(point.u[kept], point.computed + point.jacobian @ step, point.jacobian[:, kept])
+        return left.u + search.step(left, NO_DAMPING), left.jacobian
 
     def _near(self, which: Which) -> list[SolvedSet]:
         """The best solved set inside of a set, and the best around it."""
