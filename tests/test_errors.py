@@ -7,7 +7,7 @@ import math
 import pickle
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,10 @@ import cloudpickle
 import numpy as np
 import pymc as pm
 import pytest
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from zoo.core.arviz_lines import InferenceData, dataset, psis_loo
+from zoo.core.arviz_lines import InferenceData, dataset, of_draws, psis_loo
 from zoo.core.arviz_lines import made as inference_data
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel, ErrorModelError
@@ -43,7 +42,7 @@ from zoo.core.parameters import (
     Uniform,
     random_variables,
 )
-from zoo.core.posterior.comparison import compare, log_likelihoods
+from zoo.core.posterior.comparison import compare, log_likelihoods, loo_pit
 
 Array = NDArray[np.float64]
 
@@ -152,6 +151,18 @@ def coefficient_covariance(errors: ErrorModel, values: Mapping[str, float]) -> A
     return np.asarray(T @ covariance_of(errors, values) @ T.T)
 
 
+def given_the_others(S: Array, c: Array) -> tuple[list[float], list[float]]:
+    """Logarithm of the normal density of each of c given all others, and the probability below it."""
+    density, below = [], []
+    for i in range(len(c)):
+        rest = np.delete(np.arange(len(c)), i)
+        gain = np.linalg.solve(S[np.ix_(rest, rest)], S[rest, i])
+        law = stats.norm(gain @ c[rest], math.sqrt(S[i, i] - gain @ S[rest, i]))
+        density.append(law.logpdf(c[i]))
+        below.append(law.cdf(c[i]))
+    return density, below
+
+
 def test_the_inverse_undoes_the_transform(case) -> None:
     errors, _ = case
     series = np.random.default_rng(1).standard_normal((4, N_SERIES, N_TIMES))
@@ -187,16 +198,14 @@ def test_leave_one_out_terms_by_conditioning(normal_case) -> None:
     errors, values = normal_case
     residual = some_errors(errors, values)
     S, c = coefficient_covariance(errors, values), errors.transform(residual).ravel()
-    expected = []
-    for i in range(len(c)):
-        rest = np.delete(np.arange(len(c)), i)
-        gain = np.linalg.solve(S[np.ix_(rest, rest)], S[rest, i])
-        expected.append(stats.norm.logpdf(c[i], gain @ c[rest], math.sqrt(S[i, i] - gain @ S[rest, i])))
+    expected, below = given_the_others(S, c)
     found = errors.terms(residual, values, "leave-one-out")
     np.testing.assert_allclose(found.ravel(), expected, rtol=1e-6, atol=1e-8)
+    z = errors.left_out(residual, values)
+    np.testing.assert_allclose(stats.norm.cdf(z.ravel()), below, rtol=1e-6, atol=1e-8)
 
 
-def test_psis_loo_of_correlated_errors_is_that_of_refits_without_each_value(normal_case) -> None:
+def test_what_is_left_out_is_as_refits_without_each_value_have_it(normal_case) -> None:
     """Two weights of a normal prior: posterior and prediction without a value are in closed form."""
     errors, values = normal_case
     rng = np.random.default_rng(5)
@@ -204,21 +213,30 @@ def test_psis_loo_of_correlated_errors_is_that_of_refits_without_each_value(norm
     measured = np.tensordot([0.7, -0.4], shapes, 1) + errors.draw(rng, values)
     S, c = coefficient_covariance(errors, values), errors.transform(measured).ravel()
     A = errors.transform(shapes).reshape(2, -1).T
-    whole = S + A @ A.T
-    refitted = []
-    for i in range(len(c)):
-        rest = np.delete(np.arange(len(c)), i)
-        gain = np.linalg.solve(whole[np.ix_(rest, rest)], whole[rest, i])
-        sd = math.sqrt(whole[i, i] - gain @ whole[rest, i])
-        refitted.append(stats.norm.logpdf(c[i], gain @ c[rest], sd))
+    refitted, below = given_the_others(S + A @ A.T, c)
     C = np.linalg.inv(np.eye(2) + A.T @ np.linalg.solve(S, A))
     draws = rng.multivariate_normal(C @ (A.T @ np.linalg.solve(S, c)), C, (4, 500))
     left = measured - np.tensordot(draws, shapes, 1)
     terms = np.array([[errors.terms(one, values, "leave-one-out") for one in chain] for chain in left])
-    posterior = xr.Dataset({f"w{i}": (("chain", "draw"), draws[..., i]) for i in range(2)})
+    weights = {f"w{i}": draws[..., i] for i in range(2)}
+    posterior = dataset(of_draws({"posterior": weights}))
     found = psis_loo(posterior, terms)
     assert found.elpd == pytest.approx(sum(refitted), abs=0.1)
     np.testing.assert_allclose(found.terms, refitted, rtol=0, atol=0.05)
+
+    on = errors.on
+    sums = FunctionModel(
+        lambda given, _: np.tensordot([given["w0"], given["w1"]], shapes, 1),
+        [Parameter(name, Normal(0.0, 1.0, 0.0)) for name in weights],
+        Outputs(on.labels, on.times),
+    )
+    data = Data(on.times, measured, on.labels, on.units, groups=on.groups, period=on.period)
+    model = bayesian_model("two weights", sums, data, replace(errors, data=None))
+    everywhere = {name: np.full((4, 500), values[name]) for name in model.zoo.errors.parameter_names}
+    pit = loo_pit(of_draws({"posterior": weights | everywhere}), model, n_draws=None)
+    assert pit.dims == ("series", "time")
+    assert list(pit["series"].to_numpy()) == list(on.labels)
+    np.testing.assert_allclose(pit.to_numpy().ravel(), below, rtol=0, atol=0.02)
 
 
 def test_the_variance_is_the_diagonal_of_the_covariance(normal_case) -> None:

@@ -128,6 +128,7 @@ from .core.inference.pymc_step import step as step
 from .core.inference.record import RunRecord as RunRecord
 from .core.model import bayesian_model as bayesian_model
 from .core.posterior.comparison import compare as compare
+from .core.posterior.comparison import loo_pit as loo_pit
 from .core.posterior.comparison import posterior_means as posterior_means
 from .core.posterior.files import PosteriorError as PosteriorError
 from .core.posterior.files import load_posterior as load_posterior

@@ -179,6 +179,21 @@ def waic(log_likelihood: ArrayLike) -> Score:
     return _score(lppd - variances, lppd, len(values), warning=doubtful, pareto_k=none)
 
 
+def weights_without(posterior: xr.Dataset, terms: Array) -> tuple[Array, Array]:
+    """Logarithms of each draw's weight in the posterior without an observation, and the k-hat of each.
+
+    Both of the terms (n, n_observations) given all other observations; the draws' efficiency is the
+    posterior's.
+    """
+    efficiency = 1.0
+    if posterior.sizes["chain"] > 1:
+        sizes = _arviz().ess(posterior, method="mean")
+        found = np.concatenate([np.ravel(size) for size in sizes.data_vars.values()])
+        efficiency = float(found.mean()) / len(terms)
+    weights, k = zip(*(smoothed(-column, efficiency) for column in terms.T), strict=True)
+    return np.column_stack(weights), np.array(k)
+
+
 def psis_loo(posterior: xr.Dataset, log_likelihood: ArrayLike) -> Score:
     """PSIS-LOO of the log-likelihood of each observation; the posterior tells what its draws are worth.
 
@@ -192,15 +207,9 @@ def psis_loo(posterior: xr.Dataset, log_likelihood: ArrayLike) -> Score:
     Vehtari, Simpson, Gelman, Yao, Gabry (2024), Journal of Machine Learning Research 25(72).
     """
     values, lppd = _draws_of_terms(log_likelihood)
-    n, efficiency = len(values), 1.0
-    if posterior.sizes["chain"] > 1:
-        sizes = _arviz().ess(posterior, method="mean")
-        efficiency = float(np.concatenate([np.ravel(size) for size in sizes.data_vars.values()]).mean()) / n
-    found = [smoothed(-column, efficiency) for column in values.T]
-    terms = np.array(
-        [logsumexp(weights + column) for (weights, _), column in zip(found, values.T, strict=True)]
-    )
-    k, good_k = np.array([k for _, k in found]), min(1 - 1 / math.log10(n), 0.7)
+    n = len(values)
+    weights, k = weights_without(posterior, values)
+    terms, good_k = logsumexp(weights + values, axis=0), min(1 - 1 / math.log10(n), 0.7)
     return _score(terms, lppd, n, warning=bool(np.any(k > good_k)), pareto_k=k, good_k=good_k)
 
 

@@ -99,6 +99,14 @@ class ErrorModel(ABC):
             data's coefficients, which are the data themselves unless there is a `transform`.
         """
 
+    def left_out(self, residual: Array, values: Mapping[str, ArrayLike]) -> Array | None:
+        """Each of the data's coefficients as a standard normal number given all others; None if no law.
+
+        Here what `whiten` gives, as it is where they are independent given the parameters; a law with
+        correlations has its own.
+        """
+        return self.whiten(residual, values)
+
     def gradient(
         self, residual: Array, values: Mapping[str, ArrayLike], weight: Array
     ) -> tuple[Array, Mapping[str, ArrayLike]]:

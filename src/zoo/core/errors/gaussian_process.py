@@ -173,16 +173,30 @@ def gp_leave_one_out(
     ----------
     Buerkner, Gabry and Vehtari 2021, doi 10.1007/s00180-020-01045-4.
     """
+    found = gp_left_out(residual, time_s, w, b, noise)
+    if found is None:
+        return np.full(np.atleast_2d(residual).shape, -np.inf)
+    z, v = found
+    return np.asarray(-0.5 * (_LOG_2PI + np.log(v) + z * z))
+
+
+def gp_left_out(
+    residual: ArrayLike, time_s: ArrayLike, w: float, b: float, noise: float = NOISE
+) -> tuple[Array, Array] | None:
+    """Each point less its mean given all others, in standard deviations, and its variance then.
+
+    That is g_i v_i^(1/2), (n_series, n_times), and v_i, (n_times,), of `gp_leave_one_out`; None where the
+    covariance has no Cholesky factor.
+    """
     residual = np.atleast_2d(np.asarray(residual, dtype=np.float64))
     with _one_thread():
         factor = _factor_at(time_s, w, b, noise)
         if factor is None:
-            return np.full(residual.shape, -np.inf)
+            return None
         inverse, _ = lapack.dtrtri(factor.triangle(), lower=1, overwrite_c=1)
         g = _whiten(factor, residual) @ inverse
         v = 1.0 / np.einsum("ji,ji->i", inverse, inverse)
-    terms: Array = -0.5 * (_LOG_2PI + np.log(v) + g * g * v)
-    return terms
+    return g * np.sqrt(v), v
 
 
 def gp_gradient(
@@ -385,6 +399,12 @@ class GaussianProcess(ErrorModel):
         function = gp_leave_one_out if decomposition == "leave-one-out" else gp_sequential
         w, b = (float(np.asarray(values[name])) for name in ("w", "b"))
         return function(residual, self.on.times, w, b, self.noise)
+
+    def left_out(self, residual: Array, values: Mapping[str, ArrayLike]) -> Array | None:
+        """That of `gp_left_out`."""
+        w, b = (float(np.asarray(values[name])) for name in ("w", "b"))
+        found = gp_left_out(residual, self.on.times, w, b, self.noise)
+        return None if found is None else found[0]
 
     def gradient(
         self, residual: Array, values: Mapping[str, ArrayLike], weight: Array

@@ -17,6 +17,7 @@ from zoo.core.errors.gaussian_process import (
     colour_by_process,
     gp_gradient,
     gp_leave_one_out,
+    gp_left_out,
     gp_sequential,
     whiten_by_process,
 )
@@ -304,6 +305,16 @@ class GroupProcess(GroupNoise):
         found = np.zeros(residual.shape)
         for at, a, law in self._parts(values):
             found[at] = function(residual[at] / a, *law) - math.log(a)
+        return found
+
+    def left_out(self, residual: Array, values: Mapping[str, ArrayLike]) -> Array | None:
+        """That of `gp_left_out` in each group."""
+        found = np.zeros(residual.shape)
+        for at, a, law in self._parts(values):
+            part = gp_left_out(residual[at] / a, *law)
+            if part is None:
+                return None
+            found[at] = part[0]
         return found
 
     def gradient(

@@ -14,7 +14,7 @@ import pymc as pm
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from pymc.stats import compute_log_prior
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtr
 
 from zoo.core.arviz_lines import (
     InferenceData,
@@ -26,6 +26,7 @@ from zoo.core.arviz_lines import (
     psis_loo,
     ranked,
     waic,
+    weights_without,
 )
 from zoo.core.data import squared
 from zoo.core.draws import evenly
@@ -194,6 +195,18 @@ def posterior_means(
     return np.asarray(means[which.ravel()])
 
 
+def _solved_means(model: pm.Model, posterior: xr.Dataset) -> Array:
+    """`posterior_means` of draws that all solve; else an error."""
+    means = posterior_means(model, posterior)
+    if not np.all(np.isfinite(means)):
+        failed = int(np.sum(~np.isfinite(means).all(axis=(1, 2))))
+        raise ComparisonError(
+            f"model {record_of(model).name}: {failed} of {len(means)} posterior draws do not solve: compare "
+            "with the data and settings that the draws were made with"
+        )
+    return means
+
+
 def log_likelihoods(
     idata: InferenceData,
     model: pm.Model,
@@ -228,13 +241,7 @@ def log_likelihoods(
     """
     record = record_of(model)
     posterior = thin(idata, n_draws)
-    means = posterior_means(model, posterior)
-    if not np.all(np.isfinite(means)):
-        failed = int(np.sum(~np.isfinite(means).all(axis=(1, 2))))
-        raise ComparisonError(
-            f"model {record.name}: {failed} of {len(means)} posterior draws do not solve: compare with the "
-            "data and settings that the draws were made with"
-        )
+    means = _solved_means(model, posterior)
     errors = error_parameters(posterior, record)
     coords: dict[str, Any] = {
         "chain": posterior["chain"].to_numpy(),
@@ -250,6 +257,59 @@ def log_likelihoods(
         dims = ("chain", "draw", "series", "time")[: values.ndim + 1]
         terms[decomposition] = (dims, values.reshape(n_chains, n_kept, *values.shape[1:]))
     return xr.Dataset(terms, coords=coords)
+
+
+def loo_pit(idata: InferenceData, model: pm.Model, *, n_draws: int | None = N_DRAWS) -> xr.DataArray:
+    """Probability that each sample, predicted from all others, stays below what was measured.
+
+    PIT_i = P(y <= y_i | y_-i), over the draws of the posterior with the Pareto-smoothed weights that it has
+    without y_i: even between 0 and 1 for a model that states its errors rightly, gathered in the middle where
+    it overstates them, at the ends where it understates them. Of the data's coefficients where the errors
+    are described by these.
+
+    Parameters
+    ----------
+    idata : InferenceData
+        Posterior of `model`.
+    model : pm.Model
+        With a record.
+    n_draws : int or None
+        See `thin`.
+
+    Returns
+    -------
+    DataArray (series, time)
+        NaN where nothing was measured. Neighbours are correlated, so that bands for independent numbers are
+        a little too narrow or too wide.
+
+    Raises
+    ------
+    ComparisonError
+        If a solve failed.
+
+    References
+    ----------
+    Saeilynoja, Buerkner and Vehtari 2022, doi 10.1007/s11222-022-10090-6; Buerkner, Gabry and Vehtari 2021,
+    doi 10.1007/s00180-020-01045-4.
+    """
+    record = record_of(model)
+    posterior = thin(idata, n_draws)
+    means = _solved_means(model, posterior)
+    errors = error_parameters(posterior, record)
+    terms = record.errors.pointwise(means, errors, ["leave-one-out"])["leave-one-out"]
+    below = np.empty(means.shape)
+    for i, mean in enumerate(means):
+        values = {name: draws[i] for name, draws in errors.items()}
+        z = record.errors.left_out(record.data.values - mean, values)
+        if z is None:
+            raise ComparisonError(f"model {record.name}: its errors have no law at a draw of the posterior")
+        below[i] = ndtr(z)
+    kept = posterior[list(record.parameters)]
+    weights, _ = weights_without(kept, terms.reshape(len(terms), -1))
+    pit = np.sum(np.exp(weights) * below.reshape(len(terms), -1), axis=0)
+    coords = {"series": list(record.data.labels), "time": np.asarray(record.data.times)}
+    pit = record.data.filled(pit.reshape(means.shape[1:]), np.nan)
+    return xr.DataArray(pit, coords, ("series", "time"), name="loo_pit")
 
 
 class SumOfSquares(NamedTuple):
