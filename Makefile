@@ -9,7 +9,7 @@ LOCK := $(shell $(or $(wildcard $(BIN)/python),$(PYTHON)) -c 'import sys; \
     print("requirements-py313.lock" if sys.version_info >= (3, 12) else "requirements.lock")')
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
-.PHONY: setup test test-all test-next native-test durations readme check fuzz nightly demo report docs bench reproduce mutants clean
+.PHONY: setup test test-all test-next test-some test-all-next native-test durations readme check fuzz nightly demo report docs bench reproduce mutants clean
 setup: $(STAMP)
 
 # Versions come from the lock file, those of the build tools too.
@@ -31,21 +31,35 @@ test: native-test
 test-all: native-test
 	$(BIN)/pytest $(PYTEST_ARGS) --ignore tests/test_readme.py
 
-# What differs between the lines of PyMC, and the diagnosis that README.md ends with, with PYTHON and VENV of the
-# line that `make test` is not for.
+# A Python of PyMC's later line. Candidates are run, since a shim without its Python is there too.
+LATER = $(shell for one in python3.13 python3.12 $${PYENV_ROOT:-$$HOME/.pyenv}/versions/3.1[23]*/bin/python3; do \
+    "$$one" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 12))' 2>/dev/null && echo "$$one"; \
+    done | tail -n 1)
+ON_LATER = test -n "$(LATER)" || { echo "no Python 3.12 or later runs here, which PyMC 6 needs: install one" >&2; exit 1; }; \
+    $(MAKE) --no-print-directory VENV=.venv-next PYTHON="$(LATER)"
+
+# What differs between the lines of PyMC, a wheel, and the diagnosis that README.md ends with, on the later line.
 NEXT := $(patsubst %,tests/test_%.py,lines op in_numba storage comparison) \
     tests/test_models.py::test_log_posterior_is_that_of_the_model_written_out \
     tests/test_sampling.py::test_chains_in_turns_draw_what_processes_draw \
     tests/test_docs.py::test_the_simulator_of_the_readme_gives_what_the_readme_prints
-test-next: setup
+test-next:
+	@$(ON_LATER) test-some
+
+test-some: setup
 	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow" $(NEXT)
+	$(BIN)/pytest tests/test_packaging.py
+
+# Both tiers there.
+test-all-next:
+	@$(ON_LATER) test-all
 
 # Both tiers, and how long each test took into tests/durations.json, which says what is slow and what is first.
 durations: setup
 	$(BIN)/pytest $(PYTEST_ARGS) --durations-file --ignore tests/test_readme.py
 
 # What takes too long for each change.
-nightly: readme report mutants
+nightly: readme report mutants test-all-next
 	$(MAKE) --no-print-directory fuzz FUZZ_SECONDS=1200
 
 # What README.md shows, as it stands, with the time of each block: five minutes on two cores.

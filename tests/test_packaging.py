@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import zoo
+from zoo.core.arviz_lines import ARVIZ_1
 
 ROOT = Path(__file__).parent.parent
 TAG_OF = """
@@ -74,12 +75,16 @@ def test_a_wheel_works_without_the_checkout(built: Path, tmp_path: Path) -> None
             command, cwd=tmp_path, capture_output=True, text=True, env=environment, check=False
         )
         assert done.returncode == 0, done.stderr
+        assert "warn" not in done.stderr.lower()
         return done.stdout
 
     output(*install)
     assert output(python, "-c", "import zoo; print(zoo.__file__)").startswith(str(tmp_path))
+    environment["PATH"] = str(python.parent)  # where no compiler is
     waves = output(python.parent / "zoo", "simulate", "demo", "--stiffness", "5.17e4")
     assert "systolic 23.07, diastolic 11.02" in waves
+    output(python, "-W", "error", "-c", "from zoo import load_study, model_G; model_G(load_study('demo'))")
+    output(python.parent / "zoo", "sample", "A", "demo", "--draws", "8", "--tune", "8", "--chains", "2")
 
 
 def test_what_is_said_of_the_package_is_of_one_version() -> None:
@@ -108,8 +113,8 @@ def test_the_tests_and_the_command_run_on_a_machine_that_never_imported_arviz(tm
     tests = ("-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", "tests/test_groups.py")
     first = tmp_path / "tests"
     _where_arviz_was_never_imported(first, *tests)
-    assert (first / "arviz" / "daily_warning").is_file()
+    assert ARVIZ_1 or (first / "arviz" / "daily_warning").is_file()
     second = tmp_path / "command"
     said = _where_arviz_was_never_imported(second, "-m", "zoo.cli", "priors", "demo")
-    assert (second / "arviz" / "daily_warning").is_file()
+    assert ARVIZ_1 or (second / "arviz" / "daily_warning").is_file()
     assert "ArviZ" not in said
