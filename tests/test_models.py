@@ -18,7 +18,7 @@ from zoo.blood.effects import CATALOGUE
 from zoo.blood.network import Network
 from zoo.blood.solver import Solver
 from zoo.blood.study import Study, StudyError, load_study
-from zoo.core.arviz_lines import InferenceData, of_draws, ranked, waic
+from zoo.core.arviz_lines import ARVIZ_1, InferenceData, of_draws, ranked, waic
 from zoo.core.effects import EffectError, EffectParameter, Location, effect
 from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.gaussian_process import GaussianProcess
@@ -160,7 +160,8 @@ def test_suggested_parameters_give_a_finite_density_that_a_pickle_keeps(name: st
     assert float(copy.compile_logp()(point)) == density
     assert (copy.zoo.name, copy.zoo.parameters) == (model.zoo.name, model.zoo.parameters)
     assert copy.zoo.op == model.zoo.op
-    assert copy.zoo.op.counts["solves"] == 1  # in one process copies share their solved points
+    # in one process copies share their solved points, but functions that numba compiled keep none
+    assert copy.zoo.op.counts["solves"] == (2 if ARVIZ_1 else 1)
 
 
 def test_likelihood_of_a(study: Study) -> None:
@@ -294,9 +295,10 @@ def test_effects_go_into_any_model(name: str, study: Study) -> None:
     assert scale == pytest.approx(0.027 * study.period_s)
     assert prior == pytest.approx(stats.truncnorm(0, 10, scale=scale).logpdf(2e-3), rel=1e-3)
     off = {**suggested(name), **dict.fromkeys(extra, 0.0)}
-    np.testing.assert_array_equal(likelihood_terms(model, off), likelihood_terms(plain, suggested(name)))
+    without = likelihood_terms(plain, suggested(name))
+    np.testing.assert_allclose(likelihood_terms(model, off), without, rtol=1e-9, atol=1e-9)  # two compilations
     on = {**suggested(name), **dict.fromkeys(extra, 2e-3)}
-    assert np.abs(likelihood_terms(model, on) - likelihood_terms(plain, suggested(name))).max() > 1e-4
+    assert np.abs(likelihood_terms(model, on) - without).max() > 1e-4
 
 
 def test_effects_are_given_in_many_ways_and_refused_with_words(study: Study) -> None:
