@@ -1,4 +1,4 @@
-"""The cascaded tanks: what do the simple equations of a measured experiment lack?
+"""Diagnose the cascaded tanks: what the simple equations of a measured experiment lack.
 
     python examples/tanks.py [--figure FILE]
 

@@ -296,7 +296,7 @@ def test_effects_go_into_any_model(name: str, study: Study) -> None:
     assert prior == pytest.approx(stats.truncnorm(0, 10, scale=scale).logpdf(2e-3), rel=1e-3)
     off = {**suggested(name), **dict.fromkeys(extra, 0.0)}
     without = likelihood_terms(plain, suggested(name))
-    np.testing.assert_allclose(likelihood_terms(model, off), without, rtol=1e-9, atol=1e-9)  # two compilations
+    np.testing.assert_allclose(likelihood_terms(model, off), without, rtol=1e-9, atol=1e-9)
     on = {**suggested(name), **dict.fromkeys(extra, 2e-3)}
     assert np.abs(likelihood_terms(model, on) - without).max() > 1e-4
 

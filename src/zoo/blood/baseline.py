@@ -173,7 +173,8 @@ class StudyModel(Protocol):
         conventions: Conventions | None = None,
         priors: Mapping[str, Any] | None = None,
         fixed: Mapping[str, float] | None = None,
-    ) -> pm.Model: ...
+    ) -> pm.Model:
+        """The PyMC model of a study."""
 
 
 def get_baseline(name: str) -> Baseline:
@@ -282,7 +283,7 @@ def study_model(
         --------
         >>> import zoo
         >>> model = zoo.model_B(zoo.load_study("demo"), effects=["viscoelastic-wall"])  # doctest: +SKIP
-        """
+        """  # noqa: D205  the model's own words come before
         import zoo.core.inference.pymc_step  # noqa: F401  for pm.sample() without a step method
         from zoo.core.model import bayesian_model
 

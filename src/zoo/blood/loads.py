@@ -170,8 +170,10 @@ def with_impedance_change(
 def _passive(
     Z: Complex, change: Complex, omega: Array, R1: float, own: Array, tau: Array
 ) -> tuple[float, Array]:
-    """R1 and the resistances of sections with times tau (n,), of which the first are there (own), by the
-    non-negative least squares of what is left of Z exp(change) over Z."""
+    """R1 and the resistances of sections with times tau (n,), of which the first are there (own).
+
+    By the non-negative least squares of what is left of Z exp(change) over Z.
+    """
     from scipy.optimize import nnls
 
     n, m, scale = len(own), len(tau) - len(own), R1 + float(np.abs(own).sum())

@@ -49,9 +49,11 @@ class LogUniform(pm.Continuous):
         return super().dist([lower, upper], **kwargs)
 
     def support_point(rv, size, lower, upper):  # type: ignore[no-untyped-def]
+        """Geometric mean of the bounds."""
         return pt.zeros_like(rv) + pt.sqrt(lower * upper)
 
     def logp(value, lower, upper):  # type: ignore[no-untyped-def]
+        """Log-density, minus infinity outside the bounds."""
         inside = pt.and_(pt.ge(value, lower), pt.le(value, upper))
         return pt.switch(inside, -pt.log(value) - pt.log(pt.log(upper / lower)), -np.inf)
 
@@ -84,6 +86,7 @@ class PositiveNormal(pm.TruncatedNormal):
     rv_op = PositiveNormalRV()
 
     def support_point(rv, size, mu, sigma, lower, upper):  # type: ignore[no-untyped-def]
+        """The mean of the untruncated law, or its sd where that is not positive."""
         return pt.zeros_like(rv) + pt.switch(mu > 0, mu, sigma)
 
 
@@ -116,9 +119,11 @@ class TruncatedLogNormal(pm.Continuous):
         return super().dist([mu, sigma, low, high], **kwargs)
 
     def support_point(rv, size, mu, sigma, low, high):  # type: ignore[no-untyped-def]
+        """Mean of the untruncated law, moved inside the bounds."""
         margin = 0.5 * pt.minimum(sigma, high - low)
         return pt.zeros_like(rv) + pt.exp(pt.clip(mu + 0.5 * sigma**2, low + margin, high - margin))
 
     def logp(value, mu, sigma, low, high):  # type: ignore[no-untyped-def]
+        """Log-density of the logarithm's law, with the Jacobian of the logarithm."""
         of_logarithm = pm.TruncatedNormal.dist(mu, sigma, lower=low, upper=high)
         return pm.logp(of_logarithm, pt.log(value)) - pt.log(value)

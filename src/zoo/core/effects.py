@@ -167,6 +167,7 @@ class EverywhereIf:
     new: Callable[[Any], bool]
 
     def __call__(self, model: Any) -> tuple[Location, ...]:
+        """Everywhere, where the effect is new to the model; else nowhere."""
         return (EVERYWHERE,) if self.new(model) else ()
 
 

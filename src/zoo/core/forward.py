@@ -105,15 +105,20 @@ class ForwardModel(Protocol):
     """
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Such as "linear-constant"."""
     @property
-    def parameters(self) -> tuple[Parameter, ...]: ...
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Free parameters, in the order of theta."""
     @property
-    def outputs(self) -> Outputs: ...
+    def outputs(self) -> Outputs:
+        """Series and times that `solve` gives if no others are asked for."""
     @property
-    def families(self) -> tuple[str, ...]: ...
+    def families(self) -> tuple[str, ...]:
+        """Kinds of effects, in the order in which they are applied."""
     @property
-    def key(self) -> str: ...
+    def key(self) -> str:
+        """Digest of everything that a solution depends on besides theta."""
 
     def configure(self, theta: Array) -> Any:
         """A solve about to be made, from parameters (n_values,); what effects may change."""

@@ -176,6 +176,7 @@ def parameter_label(name: str) -> str:
 
 
 def parts(figure: Figure | SubFigure, rows: int, columns: int, **ratios: Any) -> list[SubFigure]:
+    """Rows and columns of a figure, in one list."""
     found: Any = figure.subfigures(rows, columns, squeeze=False, **ratios)
     return list(found.flat)
 
@@ -208,6 +209,7 @@ def size_of(
 
 
 def legend_below(figure: Figure | SubFigure, handles: Sequence[Any], columns: int) -> None:
+    """A small legend below a figure."""
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize="small")
 
 
@@ -223,6 +225,7 @@ def handles_of(*panels: Axes) -> list[Any]:
 
 
 def grid_behind(axes: Axes, axis: str = "x") -> None:
+    """Grey lines behind what is drawn."""
     axes.grid(axis=axis, color="#DDDDDD", lw=0.7)  # type: ignore[arg-type]
     axes.set_axisbelow(True)
 

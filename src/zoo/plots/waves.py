@@ -44,8 +44,10 @@ MOST_NAMED = 28
 def shown_vessels(
     data: xr.Dataset, wanted: Sequence[int] | None, usual: Sequence[int], study: Study | None = None
 ) -> list[int]:
-    """Vessels to show: those asked for; the usual ones in the paper's tree; of others the first, those that
-    were observed, and more that lie evenly between the first and the last."""
+    """Vessels to show: those asked for, or the usual ones in the paper's tree.
+
+    Of other trees the first, those that were observed, and more that lie evenly from the first to the last.
+    """
     there = [int(v) for v in data["vessel"].to_numpy()]
     if wanted is not None:
         chosen = list(wanted)
@@ -66,6 +68,7 @@ def shown_vessels(
 
 
 def vessel_title(data: xr.Dataset, vessel: int) -> str:
+    """A vessel's name, or its number where it has none."""
     name = str(data["name"].sel(vessel=vessel).item()) if "name" in data.coords else ""
     if name in ("", f"v{vessel}"):
         return f"vessel {vessel}"
@@ -93,10 +96,12 @@ def draw_observed(
 
 
 def area_factor(quantity: str) -> float:
+    """From a quantity's unit to that of its axis."""
     return 1e3 if quantity == "area_cm2" else 1.0
 
 
 def quantity_label(quantity: str) -> str:
+    """A quantity's name and unit on an axis."""
     return "area (10$^{-3}$ cm$^2$)" if quantity == "area_cm2" else QUANTITY_LABELS[quantity]
 
 

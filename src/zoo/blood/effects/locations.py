@@ -14,7 +14,8 @@ class Tree(Protocol):
     """Anything with a network."""
 
     @property
-    def network(self) -> Network: ...
+    def network(self) -> Network:
+        """The study's tree of vessels."""
 
 
 def at_vessel(vessel: int, subtree: bool = False) -> Location:

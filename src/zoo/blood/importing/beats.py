@@ -51,9 +51,11 @@ class Record:
 
     @property
     def step(self) -> float:
+        """Median time between two samples, s."""
         return float(np.median(np.diff(self.times)))
 
     def at(self, times: Array) -> Array:
+        """Values at other times, by a cubic spline."""
         return np.asarray(CubicSpline(self.times, self.values)(times), dtype=np.float64)
 
     def measured(self, begin: float, end: float) -> bool:

@@ -41,9 +41,11 @@ class Deck:
                 self.fail(row, f"{short(words[0])}: not known in a file of svOneDSolver; remove that row")
 
     def fail(self, row: int, reason: str) -> NoReturn:
+        """Refuse the file, naming it and the row."""
         raise ImportedFileError(f"{self.path}, row {row}: {reason}")
 
     def number(self, row: int, text: str) -> float:
+        """A finite number, refused with its row if it is none."""
         try:
             value = float(text)
         except ValueError:

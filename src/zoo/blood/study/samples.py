@@ -34,6 +34,7 @@ _TIME_ROUNDING_S = 2e-8  # two times printed with 8 decimals
 
 
 def number(where: str, name: str, text: str) -> float:
+    """A finite number from the text of a field, refused with the field's name if it is none."""
     try:
         value = float(text) if "_" not in text else None
     except ValueError:
@@ -260,6 +261,7 @@ def _check_place(where: str, vessel: int, position: float, quantity: str, known:
 
 
 def read_observations(path: Path, period: float, known: Sequence[int]) -> tuple[Array, tuple[Series, ...]]:
+    """Times and series of observations.csv, on one grid or each on its own."""
     table = read_csv(path, OBSERVATION_COLUMNS)
     written: dict[tuple[str, str, str], list[int]] = {}
     for i, place in enumerate(zip(*(table.columns[name] for name in OBSERVATION_COLUMNS[:3]), strict=True)):

@@ -22,10 +22,14 @@ Whole = Annotated[int, Field(ge=-(2**31), lt=2**31)]
 
 
 class Table(BaseModel):
+    """A table of a study's TOML files, which refuses fields that it does not know."""
+
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class StudyTable(Table):
+    """Top level of study.toml."""
+
     name: str
     network: str
     inflow: Any
@@ -39,10 +43,14 @@ class StudyTable(Table):
 
 
 class FetchedInflowTable(Table):
+    """Table [inflow] of a study whose inflow is fetched."""
+
     fetch: str
 
 
 class FetchedObservationsTable(Table):
+    """Table [observations] of a study whose series are fetched."""
+
     fetch: str
     vessel: Whole
     position: float
@@ -51,6 +59,8 @@ class FetchedObservationsTable(Table):
 
 
 class NetworkTable(Table):
+    """Top level of network.toml."""
+
     blood: dict[str, Any]
     junctions: dict[str, Any] = Field(default_factory=dict)
     surroundings: dict[str, Any] = Field(default_factory=dict)
@@ -58,6 +68,8 @@ class NetworkTable(Table):
 
 
 class BloodTable(Table):
+    """Table [blood]."""
+
     density_g_cm3: Positive
     viscosity_g_cm_s: Positive
     velocity_profile_order: Positive | None = None
@@ -65,22 +77,30 @@ class BloodTable(Table):
 
 
 class JunctionsTable(Table):
+    """Table [junctions]."""
+
     pressure: str = "static"
 
 
 class SurroundingsTable(Table):
+    """Table [surroundings]."""
+
     external_pressure_mmHg: Pressure = 0.0
     outflow_pressure_mmHg: Pressure = 0.0
     radius_pressure_mmHg: Pressure = 0.0
 
 
 class WindkesselTable(Table):
+    """A vessel's windkessel: R1, R2 and C."""
+
     R1: Positive
     R2: Positive
     C: Positive
 
 
 class TreeTable(Table):
+    """A vessel's structured tree."""
+
     alpha: float | None = Field(default=None, ge=0.01, le=0.98)
     beta: float | None = Field(default=None, ge=0.01, le=0.98)
     exponent: float | None = Field(default=None, ge=1, le=10)
@@ -94,6 +114,8 @@ class TreeTable(Table):
 
 
 class VesselTable(Table):
+    """A vessel in network.toml."""
+
     id: int = Field(ge=1, lt=2**31)
     name: str = ""
     length_cm: Size
@@ -114,6 +136,8 @@ class VesselTable(Table):
 
 
 class NumericsTable(Table):
+    """Table [numerics]."""
+
     accuracy_percent: float | None = Field(default=None, ge=1e-9, lt=10)
     dx_cm: Size | None = None
     steps_per_beat: int | None = Field(default=None, ge=32, le=65536)

@@ -119,7 +119,8 @@ class CaseDiagnosis(Protocol):
     """
 
     @property
-    def marker(self) -> str: ...
+    def marker(self) -> str:
+        """Name of the file that an answered case has."""
 
     def identity(self) -> Mapping[str, Any]:
         """What is asked, and of which program, in JSON's types: an answer of another one is not kept."""

@@ -44,9 +44,11 @@ class Searched(Protocol):
     units: Array
     last_failure: str
 
-    def __call__(self, u: Array) -> Array | None: ...
+    def __call__(self, u: Array) -> Array | None:
+        """Flat coefficients at coordinates; None where the solve failed."""
 
-    def prior(self, u: Array) -> tuple[float, Array, Array]: ...
+    def prior(self, u: Array) -> tuple[float, Array, Array]:
+        """Log-prior, precision and pull at coordinates, as `SearchModel.prior` gives them."""
 
 
 F = TypeVar("F", bound=Searched)
@@ -56,13 +58,16 @@ class Solved(Protocol):
     """A point that was solved with its Jacobian, such as a fit."""
 
     @property
-    def u(self) -> Array: ...
+    def u(self) -> Array:
+        """Coordinates (d,)."""
 
     @property
-    def computed(self) -> Array: ...
+    def computed(self) -> Array:
+        """Flat coefficients (n,)."""
 
     @property
-    def jacobian(self) -> Array: ...
+    def jacobian(self) -> Array:
+        """Their derivatives (n, d)."""
 
 
 @dataclass

@@ -385,7 +385,7 @@ class Harmonics(Spectral):
 
     @property
     def name(self) -> str:
-        """ "harmonics"."""
+        """Its name, "harmonics"."""
         return "harmonics"
 
     def bind(self, data: Data) -> Self:
@@ -451,7 +451,7 @@ class Cosines(Spectral):
 
     @property
     def name(self) -> str:
-        """ "cosines"."""
+        """Its name, "cosines"."""
         return "cosines"
 
     @cached_property
@@ -490,7 +490,7 @@ class Uneven(Spectral):
 
     @property
     def name(self) -> str:
-        """ "uneven"."""
+        """Its name, "uneven"."""
         return "uneven"
 
     @cached_property

@@ -62,9 +62,11 @@ class IidErrors(Continuous):
         return super().dist([mean, ok, sigma2], **kwargs)
 
     def support_point(rv, size, mean, ok, sigma2):  # type: ignore[no-untyped-def]
+        """The mean."""
         return mean
 
     def logp(value, mean, ok, sigma2):  # type: ignore[no-untyped-def]
+        """Log-density of each sample; 0 where none was measured, minus infinity where the solve failed."""
         terms = -0.5 * (_LOG_2PI + pt.log(sigma2) + (value - mean) ** 2 / sigma2)
         return pt.switch(ok, pt.switch(pt.isinf(value), 0.0, terms), -np.inf)
 
@@ -298,6 +300,7 @@ class Errors(Continuous):
         return super().dist([mean, ok, *parameters], errors=errors, **kwargs)
 
     def support_point(rv, size, mean, ok, *parameters):  # type: ignore[no-untyped-def]
+        """The mean."""
         return mean
 
 

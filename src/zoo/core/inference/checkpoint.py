@@ -275,6 +275,7 @@ def identity_of(logp: LogPosterior, settings: Mapping[str, Any]) -> dict[str, An
 
 
 def check_identity(path: Path, stored: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
+    """Refuse to go on with a run of another model, study or setting, and say which differs."""
     for name, mine in identity.items():
         theirs = stored.get(name)
         if name == "log-posterior at three points" and isinstance(theirs, list) and len(theirs) == len(mine):

@@ -41,6 +41,7 @@ class LogPosterior:
         return DictToArrayBijection.map({v.name: np.asarray(point[v.name]) for v in self.variables})
 
     def __call__(self, q: Array) -> float:
+        """Log-posterior at a point (n_dim,); minus infinity where it is not finite."""
         self.evaluations += 1
         value = float(self._function(np.ascontiguousarray(q, dtype=self.template.data.dtype)))
         return value if np.isfinite(value) else -np.inf
@@ -100,6 +101,7 @@ def outputs(model: Any, names: Sequence[str]) -> tuple[list[str], Any]:
 
 
 def model_name(model: Any) -> str:
+    """A model's name in messages."""
     record = getattr(model, "zoo", None)
     return str(getattr(record, "name", "") or model.name or "without a name")
 

@@ -196,9 +196,11 @@ class Remembering:
 
     @property
     def counts(self) -> dict[str, Any]:
+        """Solves made, and failures by their kind."""
         return {"solves": self._solves, "failures": self._failures}
 
     def __call__(self, q: Array) -> Any:
+        """What the function gives at a point, computed once."""
         key = self._kind + q.tobytes()
         found = self._known.get(key)
         if found is None:

@@ -110,6 +110,7 @@ def search_mode(
     start: Mapping[str, ArrayLike] | None = None,
     seed: int = 0,
 ) -> Mode:
+    """A mode by searches without a gradient."""
     from scipy.optimize import minimize
 
     before = logp.evaluations

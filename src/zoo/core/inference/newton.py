@@ -73,6 +73,7 @@ class Residuals:
         return (mean if ok else None), dict(zip(self.record.errors.parameter_names, errors, strict=True))
 
     def whiten(self, residuals: Array, errors: Mapping[str, Any]) -> Array | None:
+        """Residuals as independent standard normal numbers; None where there is no law."""
         found: Array | None = self.record.errors.whiten(residuals, errors)
         return found
 

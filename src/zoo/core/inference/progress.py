@@ -104,6 +104,7 @@ class ChainState:
     stats: dict[str, list[np.ndarray]] = field(default_factory=dict)
 
     def update(self, report: Report) -> None:
+        """Add what a chain reports to what is known of it."""
         for name in ("steps", "kept", "seconds", "solves", "accepted", "failures"):
             setattr(self, name, getattr(report, name))
         for store, new in ((self.draws, report.draws), (self.stats, report.stats)):

@@ -154,6 +154,7 @@ class RunRecord:
 
 
 def plain(value: Any) -> Any:
+    """A value in JSON's types."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
