@@ -73,7 +73,7 @@ def test_first_look(tmp_path: Path) -> None:
     solves = int(re.search(r"(\d+) solves", said)[1])
     assert 720 <= solves <= 740  # 4 chains of 180 steps, one solve a step, and their starts
     assert "not converged:" in said
-    assert pictures(notebook) == 7
+    assert pictures(notebook) == 6
     assert list(tmp_path.iterdir()) == []
 
 
@@ -88,7 +88,7 @@ def test_nine_models_with_two_of_nine(tmp_path: Path) -> None:
         missing = f"model {letter}: posteriors/{letter}.nc is missing; posteriors/README.md says how" in said
         assert missing == (letter not in "AB")
     assert "here: A, B" in said
-    assert pictures(notebook) == 4 + 2 + 1 + 1  # chains and forest, a fit for each, predictive, ranking
+    assert pictures(notebook) == 4 + 2 + 1 + 1  # chains and forest, a fit for each, LOO-PIT, ranking
 
 
 @pytest.mark.needs_data

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from drawn import band_of, texts
 
 from zoo import plots
@@ -168,3 +169,15 @@ def test_forest_has_the_quantiles_of_each_model() -> None:
     np.testing.assert_allclose(median.get_xdata(), [np.median(values)])
     assert list(outer.get_ydata()) == [1, 1]
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["A", "B"]
+
+
+def test_the_band_of_loo_pits_holds_even_numbers_and_no_others() -> None:
+    even = (np.arange(90) + 0.5) / 90
+    pits = {name: xr.DataArray(values.reshape(2, 45)) for name, values in (("A", even), ("B", even**2))}
+    pits["A"] = xr.concat([pits["A"], xr.full_like(pits["A"][:1], np.nan)], "dim_0")  # not measured
+    figure = plots.loo_pit_figure(pits)
+    for axes, inside in zip(figure.axes, (True, False), strict=True):
+        [band], [line] = axes.collections, axes.lines
+        path = band.get_paths()[0]
+        points = np.column_stack(line.get_data())[10:-10]
+        assert bool(path.contains_points(points).all()) == inside

@@ -6,7 +6,7 @@ A function takes results and returns a `matplotlib.figure.Figure`, which `save_f
 from zoo.plots.blindcheck import score_figures
 from zoo.plots.causes import plot_causes, plot_functions, plot_sensitivity
 from zoo.plots.chains import pair_figure, rank_figure, trace_figure
-from zoo.plots.comparison import comparison_figure, forest_figure
+from zoo.plots.comparison import comparison_figure, forest_figure, loo_pit_figure
 from zoo.plots.diagnosis import plot_diagnosis, plot_discrepancy, plot_where
 from zoo.plots.fit import fit_figure
 from zoo.plots.priors import prior_predictive_figure, priors_figure

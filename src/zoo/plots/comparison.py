@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from scipy.stats import binom
 
 from zoo.core.arviz_lines import InferenceData, dataset
 from zoo.plots.style import (
@@ -26,9 +27,12 @@ from zoo.plots.style import (
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
 NEAR = 10.0
 """Differences of a criterion below which an axis need not tell models apart."""
+EVEN = 0.94
+"""Part of even, independent numbers that a band holds at each place, as in ArviZ."""
 
 
 def comparison_figure(table: pd.DataFrame) -> Figure:
@@ -125,4 +129,32 @@ def forest_figure(posteriors: Mapping[str, InferenceData]) -> Figure:
             axes.xaxis.set_major_locator(MaxNLocator(3))
             axes.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4), useMathText=True)
             grid_behind(axes)
+    return figure
+
+
+def loo_pit_figure(pits: Mapping[str, xr.DataArray]) -> Figure:
+    """How the samples' LOO-PIT are distributed in each model, less an even distribution.
+
+    Parameters
+    ----------
+    pits : mapping of model to DataArray
+        From `zoo.loo_pit`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A panel for each model, with the band that holds 94 % of independent, even numbers at each place.
+    """
+    with new_figure(size_of(len(pits), 3, 3.2, 2.4)) as figure:
+        for row, ([axes], (model, pit)) in enumerate(
+            zip(cells_of(figure, len(pits), 3), pits.items(), strict=True)
+        ):
+            values = pit.to_numpy()[np.isfinite(pit)]
+            at = np.linspace(0.0, 1.0, 201)
+            law = binom(len(values), at)
+            low, high = (law.ppf(p) / len(values) - at for p in (0.5 - EVEN / 2, 0.5 + EVEN / 2))
+            axes.fill_between(at, low, high, color="0.88", lw=0)
+            below = np.searchsorted(np.sort(values), at, side="right") / len(values)
+            axes.plot(at, below - at, color=model_style(model, row)[0], lw=1.2)
+            axes.set(title=f"model {model}", xlabel="LOO-PIT", ylabel="share below it, less even")
     return figure
