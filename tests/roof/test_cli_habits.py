@@ -11,6 +11,7 @@ from rich.text import Text
 import zoo
 import zoo.core.posterior.storage
 from zoo.cli.screen import plain_table, say
+from zoo.core.arviz_lines import datasets
 
 
 @pytest.mark.parametrize(
@@ -37,7 +38,7 @@ def test_strict_ends_with_its_own_code_and_still_writes(tiny: Path, tmp_path) ->
     shown = run(*words, code=3)
     assert "not converged" in shown
     assert f"wrote {path}" in shown
-    groups = set(zoo.core.posterior.storage.load(path).groups())
+    groups = set(datasets(zoo.core.posterior.storage.load(path)))
     assert {"log_likelihood", "posterior_predictive", "prior", "constant_data"} <= groups
 
 
