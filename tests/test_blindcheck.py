@@ -146,6 +146,10 @@ def test_what_was_called_impossible_is_minus_infinity_and_named() -> None:
         ("case-001", "geometry"), ("case-001", "not sensor"), ("rare", "geometry")
     ]  # fmt: skip
     assert "| rare | components that are wrong | geometry | 1.0e-09 |" in score_table(found)
+    lines = score_table(found).splitlines()
+    for head, rule in zip(lines, lines[1:], strict=False):
+        if rule.startswith("|---"):  # else it is no table
+            assert rule.count("|") == head.count("|"), head
     quiet = score_case(QUIET, SAID)["components_log"]
     assert f"-inf (2 of 3 below 1e-6; the others {quiet:.3f})" in score_table(found)
 

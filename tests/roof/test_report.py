@@ -122,7 +122,8 @@ def test_posteriors_and_convergence_are_those_of_the_draws(
                 assert float(cell) == pytest.approx(np.quantile(values, q), rel=6e-4)
             assert row[5] == f"{stats.loc[parameter, 'r_hat']:.3f}"
             assert row[6] == f"{stats.loc[parameter, 'ess_bulk']:.0f}"
-            assert row[7] == f"{stats.loc[parameter, 'ess_tail']:.0f}"
+            tail = az.ess(values, method="tail", prob=(0.05, 0.95))  # the summary's quantiles differ by line
+            assert row[7] == f"{float(tail):.0f}"
     [first, _] = table_of(page, "Convergence")
     assert first[:3] == ["A", "yes", "4 × 500"]
     assert first[6:] == ["20 to 40", "8200", "5 not-periodic", "1.5"]

@@ -106,7 +106,7 @@ class ForwardModel(Protocol):
 
     @property
     def name(self) -> str:
-        """Such as "linear-constant"."""
+        """What results, records and messages call it."""
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Free parameters, in the order of theta."""

@@ -261,7 +261,7 @@ def _check_place(where: str, vessel: int, position: float, quantity: str, known:
 
 
 def read_observations(path: Path, period: float, known: Sequence[int]) -> tuple[Array, tuple[Series, ...]]:
-    """Times and series of observations.csv, on one grid or each on its own."""
+    """Times (s) of a file's samples on one grid, and its series, NaN where nothing was measured."""
     table = read_csv(path, OBSERVATION_COLUMNS)
     written: dict[tuple[str, str, str], list[int]] = {}
     for i, place in enumerate(zip(*(table.columns[name] for name in OBSERVATION_COLUMNS[:3]), strict=True)):

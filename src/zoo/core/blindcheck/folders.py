@@ -120,7 +120,7 @@ class CaseDiagnosis(Protocol):
 
     @property
     def marker(self) -> str:
-        """Name of the file that an answered case has."""
+        """File by which the folder of a case is known, such as study.toml."""
 
     def identity(self) -> Mapping[str, Any]:
         """What is asked, and of which program, in JSON's types: an answer of another one is not kept."""

@@ -66,7 +66,7 @@ def score_text(score: Score) -> str:
 
 def table(heads: str, rows: Sequence[str]) -> str:
     """A Markdown table."""
-    lines = [f"| {heads} |", "|---" * (heads.count(" | ") + 1) + "|", *(f"| {row} |" for row in rows)]
+    lines = [f"| {heads} |", "|---" * (heads.count("|") + 1) + "|", *(f"| {row} |" for row in rows)]
     return "\n".join(lines) + "\n"
 
 

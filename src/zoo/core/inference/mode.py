@@ -110,7 +110,7 @@ def search_mode(
     start: Mapping[str, ArrayLike] | None = None,
     seed: int = 0,
 ) -> Mode:
-    """A mode by searches without a gradient."""
+    """The mode as `find_mode` finds it, of a log-posterior that is there already."""
     from scipy.optimize import minimize
 
     before = logp.evaluations
