@@ -1,9 +1,9 @@
 """The log-density compiled by numba beside the C linker, and NUTS of nutpie, PyMC and zoo.
 
 `python -m benchmarks.in_numba` compares processor times of the log-density, and of it with its gradient, at
-the same points in the same run; `--what samplers --models BHG` gives effective samples a second of processor
-time, of the parameter that has fewest, with tuning and without compilation. Figures are kept in
-`benchmarks/latest.json`.
+the same points in the same run; `--what samplers --models BHG --samplers nutpie,zoo` gives effective samples
+a second of processor time, of the parameter that has fewest, with tuning and without compilation. Figures are
+kept in `benchmarks/latest.json`.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ def linkers(study: str, letters: str, repeats: int) -> Iterator[tuple[str, float
             yield f"numba_over_c_{what}_{letter}", numba / c
 
 
-def samplers(study: str, letters: str, tune: int, draws: int) -> Iterator[tuple[str, float]]:
+def samplers(study: str, letters: str, names: str, tune: int, draws: int) -> Iterator[tuple[str, float]]:
     """Effective samples a second of one chain of each sampler."""
     settings: dict[str, Any] = {"draws": draws, "tune": tune, "chains": 1}
     for letter in letters:
-        for name in ("nutpie", "pymc", "zoo"):
+        for name in names.split(","):
             model = get_model(letter)(load_study(study))
             if name == "nutpie":
                 compiled = nutpie.compile_pymc_model(model)
@@ -79,12 +79,15 @@ def samplers(study: str, letters: str, tune: int, draws: int) -> Iterator[tuple[
 
 
 def main() -> None:
-    given = options(__doc__, what="linkers", study="mouse-c6", models="BG", repeats=15, tune=300, draws=300)
+    given = options(
+        __doc__, what="linkers", study="mouse-c6", models="BG", samplers="nutpie,pymc,zoo", repeats=15,
+        tune=300, draws=300,
+    )  # fmt: skip
     logging.getLogger("pymc").setLevel(logging.ERROR)
     found = (
         linkers(given.study, given.models, given.repeats)
         if given.what == "linkers"
-        else samplers(given.study, given.models, given.tune, given.draws)
+        else samplers(given.study, given.models, given.samplers, given.tune, given.draws)
     )
     keep({"numba_study": given.study, **dict(found)}, given.output)
 

@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +148,7 @@ def test_what_was_called_impossible_is_minus_infinity_and_named() -> None:
     ]  # fmt: skip
     assert "| rare | components that are wrong | geometry | 1.0e-09 |" in score_table(found)
     lines = score_table(found).splitlines()
-    for head, rule in zip(lines, lines[1:], strict=False):
+    for head, rule in pairwise(lines):
         if rule.startswith("|---"):  # else it is no table
             assert rule.count("|") == head.count("|"), head
     quiet = score_case(QUIET, SAID)["components_log"]
