@@ -13,8 +13,8 @@ import numpy as np
 
 import zoo
 from zoo.core.arviz_lines import ARVIZ_1, InferenceData, datasets, made, of_draws
+from zoo.core.posterior.arviz_groups import add_groups
 from zoo.core.posterior.comparison import compare
-from zoo.core.posterior.groups import add_groups
 from zoo.core.posterior.storage import save_posterior
 from zoo.models import get_model
 

@@ -22,7 +22,7 @@ from zoo.core.causes.posterior import SetRow
 from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, DiagnosisFile, diagnose, read_diagnosis
 from zoo.core.diagnosis.answer import table_of
-from zoo.core.diagnosis.check import check_sets
+from zoo.core.diagnosis.importance import check_sets
 from zoo.core.diagnosis.search import Search
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear
 from zoo.core.effects import Effect, EffectParameter, effect

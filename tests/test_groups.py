@@ -20,7 +20,7 @@ from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.model import bayesian_model
 from zoo.core.parameters import InverseGamma, Normal, Parameter
-from zoo.core.posterior.groups import N_TERMS, add_groups
+from zoo.core.posterior.arviz_groups import N_TERMS, add_groups
 from zoo.core.posterior.storage import load, save_posterior, slim_posterior
 
 TIMES = np.arange(12.0)

@@ -21,8 +21,8 @@ from zoo.core.inference.record import RunRecord
 from zoo.core.inference.surrogate import sample_surrogate
 from zoo.core.inference.workers import Inline
 from zoo.core.model import bayesian_model
-from zoo.core.posterior.groups import N_PRIOR, add_groups
-from zoo.core.posterior.groups import sample as sample_with_groups
+from zoo.core.posterior.arviz_groups import N_PRIOR, add_groups
+from zoo.core.posterior.arviz_groups import sample as sample_with_groups
 from zoo.core.surrogate.library import Library
 
 SETTINGS = {"draws": 100, "tune": 100, "seed": 3, "cores": 1, "progress": False}

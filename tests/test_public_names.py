@@ -194,10 +194,10 @@ def test_python_and_the_command_have_the_same_defaults(name: str) -> None:
 
 def test_sampling_without_a_number_of_draws_is_that_of_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
     from zoo.cli.options import SamplingOptions
-    from zoo.core.posterior import groups
+    from zoo.core.posterior import arviz_groups
 
     got: dict[str, Any] = {}
-    monkeypatch.setattr(groups.methods, "sample", lambda model, **settings: got.update(settings))
+    monkeypatch.setattr(arviz_groups.methods, "sample", lambda model, **settings: got.update(settings))
     zoo.sample(None)
     command = SamplingOptions().settings()
     assert {name: got[name] for name in command} == command

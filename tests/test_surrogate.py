@@ -25,10 +25,10 @@ from zoo.core.inference.sampling import check_settings
 from zoo.core.inference.surrogate import sample_surrogate
 from zoo.core.model import bayesian_model
 from zoo.core.parameters import InverseGamma, LogUniform, Parameter, ParameterError, Uniform
-from zoo.core.surrogate.coordinates import Coordinates
 from zoo.core.surrogate.kriging import Kriging
 from zoo.core.surrogate.library import Library
-from zoo.core.surrogate.model import log_likelihood, surrogate_model
+from zoo.core.surrogate.powers import Coordinates
+from zoo.core.surrogate.surrogate_model import log_likelihood, surrogate_model
 from zoo.core.surrogate.waveform import LEFT_OUT, Surrogate, SurrogateError
 
 T = np.linspace(0.0, 2.0, 40)

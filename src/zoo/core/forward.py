@@ -107,15 +107,19 @@ class ForwardModel(Protocol):
     @property
     def name(self) -> str:
         """What results, records and messages call it."""
+
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Free parameters, in the order of theta."""
+
     @property
     def outputs(self) -> Outputs:
         """Series and times that `solve` gives if no others are asked for."""
+
     @property
     def families(self) -> tuple[str, ...]:
         """Kinds of effects, in the order in which they are applied."""
+
     @property
     def key(self) -> str:
         """Digest of everything that a solution depends on besides theta."""

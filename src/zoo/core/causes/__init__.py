@@ -3,7 +3,7 @@
 from zoo.core.causes.family import ErrorFamily
 from zoo.core.causes.posterior import CausePosterior, SetRow
 from zoo.core.causes.problem import Cause, CauseError, Problem
-from zoo.core.causes.sets import CausePriors
+from zoo.core.causes.set_priors import CausePriors
 from zoo.core.causes.weigh import weigh_causes
 
 __all__ = [

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from zoo.core.causes.evidence import SetEvidence, SizePriors
 from zoo.core.causes.problem import Cause
-from zoo.core.causes.sets import CausePriors, likeness
+from zoo.core.causes.set_priors import CausePriors, likeness
 from zoo.core.threads import threads
 
 Array = NDArray[np.float64]

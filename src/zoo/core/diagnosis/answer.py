@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from zoo.core.causes.posterior import CausePosterior
 from zoo.core.causes.problem import Problem
 from zoo.core.causes.reference import Reference
-from zoo.core.causes.sets import ODDS
+from zoo.core.causes.set_priors import ODDS
 from zoo.core.diagnosis.bounds import Excluded
 from zoo.core.diagnosis.cautions import cautions, lifted_bounds, undecided
-from zoo.core.diagnosis.draws import (
+from zoo.core.diagnosis.discrepancies import (
     CauseDraws,
     Discrepancy,
     SetDraws,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from zoo.core.components import FreeFunction
 from zoo.core.diagnosis.bounds import Excluded, at_bounds
-from zoo.core.diagnosis.draws import Discrepancy
+from zoo.core.diagnosis.discrepancies import Discrepancy
 from zoo.core.diagnosis.file import DiagnosisFile, LearnedFunction
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.sets import CauseSets

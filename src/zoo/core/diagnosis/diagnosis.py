@@ -18,8 +18,7 @@ from zoo.core import digests
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import answer
 from zoo.core.diagnosis.bounds import Excluded, freed
-from zoo.core.diagnosis.check import check_sets
-from zoo.core.diagnosis.draws import CauseDraws, Discrepancy, interval_of
+from zoo.core.diagnosis.discrepancies import CauseDraws, Discrepancy, interval_of
 from zoo.core.diagnosis.file import (
     CauseResult,
     ComponentResult,
@@ -30,6 +29,7 @@ from zoo.core.diagnosis.file import (
 )
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
+from zoo.core.diagnosis.importance import check_sets
 from zoo.core.diagnosis.preflight import preflight
 from zoo.core.diagnosis.search import SearchError
 from zoo.core.diagnosis.sets import CauseSearch, CauseSets

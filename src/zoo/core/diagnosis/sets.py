@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 from zoo.core.causes.evidence import SetEvidence, SetModel, without
 from zoo.core.causes.posterior import CausePosterior, SetRow
 from zoo.core.causes.problem import Problem, without_doubles
-from zoo.core.causes.sets import CausePriors, likeness
+from zoo.core.causes.set_priors import CausePriors, likeness
 from zoo.core.causes.weigh import weigh_causes
 from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.fitting import Fitting

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from zoo.core.components import FreeFunction
 from zoo.core.data import Data
 from zoo.core.diagnosis.bounds import at_bounds
-from zoo.core.diagnosis.draws import INTERVAL
+from zoo.core.diagnosis.discrepancies import INTERVAL
 from zoo.core.diagnosis.file import CarriedResult, DiagnosisError, Interval, StateFile
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks

@@ -18,9 +18,9 @@ from zoo.core.inference.newton import GRADIENT, gauss_newton
 from zoo.core.inference.nuts import Draws, nuts
 from zoo.core.model import ModelRecord, record_of, theta_of
 from zoo.core.parameters import variable_name
-from zoo.core.surrogate.coordinates import Coordinates
 from zoo.core.surrogate.library import Library
-from zoo.core.surrogate.model import log_likelihood, surrogate_model
+from zoo.core.surrogate.powers import Coordinates
+from zoo.core.surrogate.surrogate_model import log_likelihood, surrogate_model
 from zoo.core.surrogate.waveform import Surrogate
 
 Array = NDArray[np.float64]

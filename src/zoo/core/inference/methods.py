@@ -21,7 +21,7 @@ from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.inference.surrogate import sample_surrogate
 from zoo.core.model import ModelError, ModelRecord, record_of, theta_of
 from zoo.core.surrogate.likelihood import no_table
-from zoo.core.surrogate.model import errors_in_graph
+from zoo.core.surrogate.surrogate_model import errors_in_graph
 from zoo.core.surrogate.waveform import SurrogateError
 
 METHODS = ("auto", "exact", "nuts", "surrogate")

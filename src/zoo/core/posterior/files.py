@@ -9,8 +9,8 @@ from typing import Any
 from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.outputs import OutputFileError, output_file
+from zoo.core.posterior.arviz_groups import sample
 from zoo.core.posterior.belonging import mismatch
-from zoo.core.posterior.groups import sample
 from zoo.core.posterior.storage import load, save_posterior
 from zoo.core.words import OneLineError
 
@@ -31,7 +31,7 @@ def sample_to(
     model : pymc.Model
         With a record.
     groups : bool
-        Store ArviZ's groups too, see `zoo.core.posterior.groups.add_groups`.
+        Store ArviZ's groups too, see `zoo.core.posterior.arviz_groups.add_groups`.
     method : str
         Of `zoo.sample`, as are the other settings.
 

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from zoo.core.errors.base import ErrorModel
-from zoo.core.surrogate.coordinates import Coordinates
 from zoo.core.surrogate.kriging import FewDirectionsError, Kriging
 from zoo.core.surrogate.library import Library
+from zoo.core.surrogate.powers import Coordinates
 
 Array = NDArray[np.float64]
 
