@@ -463,6 +463,13 @@ def test_too_few_points_are_refused():
         Surrogate.fit(library_of(3), KNOWN.bind(DATA), {"sigma2": SD**2})
 
 
+def test_points_on_a_line_are_refused():
+    """As where the chains on an earlier surrogate did not move."""
+    flat = np.zeros(2), np.outer([1.0, 2.0], [1.0, 2.0]) - 1e-12 * np.eye(2)
+    with pytest.raises(SurrogateError, match="spread in all of its 2 coordinates.*; sample with method exact"):
+        Surrogate.fit(library_of(12), KNOWN.bind(DATA), {"sigma2": SD**2}, near=flat)
+
+
 def test_settings_that_are_left_out_are_those_of_sample():
     check_settings(until_ess=400)  # of four chains
     with pytest.raises(SamplingError, match="at least 2 chains"):

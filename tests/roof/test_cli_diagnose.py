@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,18 @@ def test_diagnose_writes_everything_and_says_what_it_found(commanded: tuple[Path
     assert "--effects viscoelastic-wall,inflow-shift --component-sizes 0 --base a -q" in command
     assert "--set conventions.friction=current -o" in command
     assert "somewhere" not in command
+
+
+def test_samples_that_were_not_measured_are_left_empty(folder: Path, tmp_path: Path) -> None:
+    study = shutil.copytree(folder, tmp_path / "gaps")
+    rows = (study / "observations.csv").read_text(encoding="utf-8").splitlines()
+    for i in range(5, 10):
+        rows[i] = rows[i].rpartition(",")[0] + ","
+    (study / "observations.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    out = tmp_path / "out"
+    options = ("--effects", "viscoelastic-wall", "--component-sizes", 0, "-q")
+    run("diagnose", study, *options, "--set", "conventions.friction=current", "-o", out)
+    assert read_diagnosis(out).cause == ["viscoelastic-wall"]
 
 
 def test_another_state_is_fitted_with_what_was_learned(folder: Path, tmp_path: Path) -> None:

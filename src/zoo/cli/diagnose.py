@@ -116,13 +116,14 @@ def diagnose(
         from zoo.blood.diagnosis import diagnose as run
         from zoo.blood.diagnosis import same_tree
         from zoo.blood.forward import study_data
-        from zoo.core.errors.spectral import Harmonics
+        from zoo.core.errors.spectral import spectral_errors
         from zoo.report import diagnosis_files, write_diagnosis
 
         output_folder(output, diagnosis_files(), "--output")
         # a study without observations, or of another tree, is refused before the work
         for one in (loaded, *(same_tree(loaded, other) for other in others)):
-            Harmonics().bind(study_data(one))
+            data = study_data(one)
+            spectral_errors(data).bind(data)
         found = run(
             loaded,
             chosen.name,

@@ -40,9 +40,10 @@ def number(where: str, name: str, text: str) -> float:
     except ValueError:
         value = None
     if value is None:
-        raise StudyError(f"{where}: {name} = {short(text)}: not a number; correct it")
+        how = HOW_TO_WRITE.get(name, "correct it")
+        raise StudyError(f"{where}: {name} = {short(text)}: not a number; {how}")
     if not math.isfinite(value):
-        how = "leave it empty if not measured" if name == "value" else "interpolate it or cut the series"
+        how = HOW_TO_WRITE["value"] if name == "value" else "interpolate it or cut the series"
         raise StudyError(f"{where}: {name} = {short(text)}: must be finite; {how}")
     if abs(value) > MOST_VALUE:
         raise StudyError(
@@ -51,6 +52,11 @@ def number(where: str, name: str, text: str) -> float:
     return value
 
 
+HOW_TO_WRITE = {
+    "time_s": "give seconds from the start of the beat",
+    "value": "leave it empty if not measured",
+}
+"""What to change where a field is no number."""
 MOST_VALUE = 1e30
 """Largest size of a sample, so that no sum of squares is beyond a double."""
 

@@ -213,15 +213,20 @@ class NetworkFile:
 
 def vessel_of(fields: Mapping[str, Any], where: str) -> Vessel:
     """A vessel from the fields of a [[vessel]], checked by themselves; `where` is what an error calls it."""
-    if fields.get("windkessel") == NOMINAL:
+    load = fields.get("windkessel")
+    if load == NOMINAL:
         fields = {name: value for name, value in fields.items() if name != "windkessel"}
+    elif isinstance(load, str):
+        raise StudyError(
+            f'{where}: windkessel = {short(load)}: must be a table of R1, R2 and C; or write "{NOMINAL}"'
+        )
     v = validated(VesselTable, fields, where)
-    load = v.windkessel and Windkessel(v.windkessel.R1, v.windkessel.R2, v.windkessel.C)
+    own = v.windkessel and Windkessel(v.windkessel.R1, v.windkessel.R2, v.windkessel.C)
     out = v.radius_cm if v.radius_out_cm is None else v.radius_out_cm
     name = visible_name(where, v.name or f"v{v.id}")
     given = {field: getattr(v, field) for field in VESSEL_PHYSICS}
     outlet = None if v.impedance is None else _impedance(v.impedance, where)
-    return Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, load, outlet, **given)
+    return Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, own, outlet, **given)
 
 
 def _impedance(given: Any, where: str) -> tuple[tuple[float, float], ...] | StructuredTree:

@@ -82,12 +82,18 @@ class Surrogate:
         Raises
         ------
         SurrogateError
-            If there are too few points.
+            If there are too few points, or they lie in fewer directions than there are coordinates.
         """
         coordinates = coordinates or Coordinates(library.model.parameters)
         x = coordinates.of(library.theta)
         mean, covariance = near or (x.mean(0), np.cov(x.T).reshape(len(x.T), -1))
-        cholesky = linalg.cholesky(covariance, lower=True)
+        try:
+            cholesky = linalg.cholesky(covariance, lower=True)
+        except linalg.LinAlgError:
+            raise SurrogateError(
+                f"{library.model.name}: draws around which a surrogate is made do not spread in all of its "
+                f"{coordinates.n} coordinates, as where chains did not move; sample with method exact"
+            ) from None
         distance = np.linalg.norm(linalg.solve_triangular(cholesky, (x - mean).T, lower=True), axis=0)
         once = np.sort(np.unique(x, axis=0, return_index=True)[1])
         some = once[distance[once] <= within]
