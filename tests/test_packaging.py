@@ -19,6 +19,7 @@ import zoo
 from zoo.core.arviz_lines import ARVIZ_1
 
 ROOT = Path(__file__).parent.parent
+SHORT = ("--method", "exact", "--draws", "8", "--tune", "8", "--chains", "2")
 TAG_OF = """
 import sys
 from distutils.core import run_setup
@@ -84,7 +85,7 @@ def test_a_wheel_works_without_the_checkout(built: Path, tmp_path: Path) -> None
     waves = output(python.parent / "zoo", "simulate", "demo", "--stiffness", "5.17e4")
     assert "systolic 23.07, diastolic 11.02" in waves
     output(python, "-W", "error", "-c", "from zoo import load_study, model_G; model_G(load_study('demo'))")
-    output(python.parent / "zoo", "sample", "A", "demo", "--draws", "8", "--tune", "8", "--chains", "2")
+    output(python.parent / "zoo", "sample", "A", "demo", *SHORT)
 
 
 def test_what_is_said_of_the_package_is_of_one_version() -> None:

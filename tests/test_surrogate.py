@@ -466,7 +466,7 @@ def test_too_few_points_are_refused():
 def test_points_on_a_line_are_refused():
     """As where the chains on an earlier surrogate did not move."""
     flat = np.zeros(2), np.outer([1.0, 2.0], [1.0, 2.0]) - 1e-12 * np.eye(2)
-    with pytest.raises(SurrogateError, match="spread in all of its 2 coordinates.*; sample with method exact"):
+    with pytest.raises(SurrogateError, match="spread in all of its 2 coordinates"):
         Surrogate.fit(library_of(12), KNOWN.bind(DATA), {"sigma2": SD**2}, near=flat)
 
 

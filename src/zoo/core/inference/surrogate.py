@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -111,7 +112,14 @@ def sample_surrogate(
     fixed = {"step": "surrogate", "tune": tune, "chains": chains, "start": start_settings(start)}
     run = Run(checkpoint, logp, fixed, seed)
     before, probed = library.solves, logp.evaluations
-    with contextlib.closing(run), kept(run, library), Display(progress) as show:
+    with (
+        contextlib.closing(run),
+        kept(run, library),
+        Display(progress) as show,
+        warnings.catch_warnings(),
+    ):
+        # of PyMC 6, of a surrogate with many terms, which is computed all the same
+        warnings.filterwarnings("ignore", "Loop fusion failed", UserWarning)
         show.say(
             f"model {model_name(model)}: {len(logp.template.data)} dimensions, {chains} chains of NUTS on a "
             f"surrogate of {record.forward.name}, seed {run.seed}{run.resumed}"
