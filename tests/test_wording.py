@@ -100,10 +100,12 @@ def test_what_changes_with_which_prior_is_told(other: float, changes: bool) -> N
     doubled = stated.model_copy(
         update={"prior": "odds doubled", "components": {"wall": 0.95, "inflow": other}}
     )
-    file = FILE.model_copy(update={"sensitivity": [stated, stated, doubled]})
+    file = FILE.model_copy(update={"sensitivity": [stated, stated, doubled], "decided": True})
     same = "Priors varied in 2 ways: the same answer each time (wall 90 % to 95 %)."
     moved = "Priors varied in 2 ways: the answer changes with odds doubled (inflow 10 % → 60 %)."
     assert (moved if changes else same) in worded(file).lines
+    doubtful = worded(file.model_copy(update={"decided": False}))
+    assert changes or f"{same[:-1]}, which does not take the warnings away." in doubtful.lines
     told = "the answer depends on the prior: it changes with odds doubled (inflow 10 % → 60 %)"
     assert (told in undecided(file, 4)) == changes
 

@@ -225,7 +225,8 @@ def _sensitivity(file: DiagnosisFile) -> str:
         ranges.append(f"{name} {' to '.join(ends)}")
     if not ranges:
         ranges = [f"no cause {percent(min(row.nothing for row in file.sensitivity))} or more"]
-    return f"{varied}: the same answer each time ({', '.join(ranges)})"
+    but = "" if file.decided else ", which does not take the warnings away"
+    return f"{varied}: the same answer each time ({', '.join(ranges)}){but}"
 
 
 def _next(file: DiagnosisFile) -> str:
