@@ -262,10 +262,10 @@ def log_likelihoods(
 def loo_pit(idata: InferenceData, model: pm.Model, *, n_draws: int | None = N_DRAWS) -> xr.DataArray:
     """Probability that each sample, predicted from all others, stays below what was measured.
 
-    PIT_i = P(y <= y_i | y_-i), over the draws of the posterior with the Pareto-smoothed weights that it has
-    without y_i: even between 0 and 1 for a model that states its errors rightly, gathered in the middle where
-    it overstates them, at the ends where it understates them. Of the data's coefficients where the errors
-    are described by these.
+    ``PIT_i = P(y <= y_i | y_-i)``, over the draws of the posterior with the Pareto-smoothed weights that it
+    has without this sample: even between 0 and 1 for a model that states its errors rightly, gathered in the
+    middle where it overstates them, at the ends where it understates them. Of the data's coefficients where
+    the errors are described by these.
 
     Parameters
     ----------
