@@ -195,16 +195,19 @@ def posterior_means(
     return np.asarray(means[which.ravel()])
 
 
-def _solved_means(model: pm.Model, posterior: xr.Dataset) -> Array:
-    """`posterior_means` of draws that all solve; else an error."""
+def _solved(
+    idata: InferenceData, model: pm.Model, n_draws: int | None
+) -> tuple[xr.Dataset, Array, dict[str, Array]]:
+    """Thinned draws, `posterior_means` of them, which all solve or it is an error, and `error_parameters`."""
+    record, posterior = record_of(model), thin(idata, n_draws)
     means = posterior_means(model, posterior)
     if not np.all(np.isfinite(means)):
         failed = int(np.sum(~np.isfinite(means).all(axis=(1, 2))))
         raise ComparisonError(
-            f"model {record_of(model).name}: {failed} of {len(means)} posterior draws do not solve: compare "
+            f"model {record.name}: {failed} of {len(means)} posterior draws do not solve: compare "
             "with the data and settings that the draws were made with"
         )
-    return means
+    return posterior, means, error_parameters(posterior, record)
 
 
 def log_likelihoods(
@@ -240,9 +243,7 @@ def log_likelihoods(
     Buerkner, Gabry and Vehtari 2021, doi 10.1007/s00180-020-01045-4.
     """
     record = record_of(model)
-    posterior = thin(idata, n_draws)
-    means = _solved_means(model, posterior)
-    errors = error_parameters(posterior, record)
+    posterior, means, errors = _solved(idata, model, n_draws)
     coords: dict[str, Any] = {
         "chain": posterior["chain"].to_numpy(),
         "draw": posterior["draw"].to_numpy(),
@@ -293,9 +294,7 @@ def loo_pit(idata: InferenceData, model: pm.Model, *, n_draws: int | None = N_DR
     doi 10.1007/s00180-020-01045-4.
     """
     record = record_of(model)
-    posterior = thin(idata, n_draws)
-    means = _solved_means(model, posterior)
-    errors = error_parameters(posterior, record)
+    posterior, means, errors = _solved(idata, model, n_draws)
     terms = record.errors.pointwise(means, errors, ["leave-one-out"])["leave-one-out"]
     below = np.empty(means.shape)
     for i, mean in enumerate(means):
