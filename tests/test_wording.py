@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from pydantic import ValidationError
 
 from zoo.core.diagnosis import DiagnosisFile, read_diagnosis
 from zoo.core.diagnosis.cautions import undecided
-from zoo.core.diagnosis.file import NextMeasurement, SetResult
+from zoo.core.diagnosis.file import LearnedFunction, NextMeasurement, SetResult
 from zoo.core.diagnosis.wording import worded
 from zoo.core.words import percent
 
@@ -48,6 +49,15 @@ def test_the_headline_has_size_and_probability_and_the_next_line_the_odds() -> N
     assert lines[2] == "Possibly in addition: kick (6 %)."  # 0.06 / 0.96
     assert "Parameters of the baseline, before → with it: level 1.34 → 1.1 ± 0.0028." in lines
     assert any(line.startswith("Model error (rms beyond the noise of ") for line in lines)
+
+
+def test_a_learned_logarithm_is_told_as_a_factor() -> None:
+    learned = LearnedFunction(
+        name="filter", argument="log frequency", argument_unit="log Hz", unit="log gain",
+        values=[0.0, math.log(10.0)], mean=[0.0, math.log(0.5)], low=[0.0, math.log(0.4)],
+        high=[0.0, math.log(0.625)], prior_sd=[0.1, 0.1], prior_size=0.1, length=None, probability=1.0,
+    )  # fmt: skip
+    assert learned.largest == ("10 Hz", "gain × 0.5 (0.4 to 0.62)")
 
 
 def test_what_is_certain_to_all_digits_is_not_called_certain() -> None:

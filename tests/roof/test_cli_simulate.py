@@ -148,7 +148,7 @@ def test_simulate_conventions_and_numerical_settings(tiny: Path) -> None:
     [
         (("--stiffness", "5x"), "--stiffness 5x: '5x' is not a number; write 5.17e4 or 4e4,5e4"),
         (("--stiffness", "4e4,5e4"), "--stiffness: 2 values; give one for all vessels, or one for each of"),
-        ((), "no stiffness: give --stiffness 5.17e4, or --f3"),
+        ((), "no stiffness: give --stiffness (2.5e+05 g cm-1 s-2 has waves of 4 m/s"),
         (("--stiffness", "5e4", "--f3", "5e4"), "two ways to say the same"),
         (("--stiffness", "5e4", "--gamma", "2"), "--gamma belongs to the tangent wall: add --wall tangent"),
         (("--stiffness", "5e4", "--wall", "tangent"), "--wall tangent needs --gamma"),

@@ -138,7 +138,7 @@ def diagnose(
         )
         if check:
             found = found.with_check(seed=seed, tick=tell)
-        tell("figures and page", 1.0)
+        tell("figures and page")
         written = write_diagnosis(found, output, command=typed_command())
         shutil.rmtree(output / SOLVES, ignore_errors=True)  # what they were kept for is on disk
         if posteriors:  # takes longer and may be stopped: what was found is on disk
@@ -146,7 +146,7 @@ def diagnose(
             output_folder(folder, option="--output", deep=True).mkdir(parents=True, exist_ok=True)
             tell.say(f"{found.file.verdict}; {output}/report.html is written, its posteriors follow")
             found = found.with_posteriors(cores=cores, seed=seed, folder=folder, tick=tell)
-            tell("figures and page", 1.0)
+            tell("figures and page")
             written = write_diagnosis(found, output, command=typed_command())
     files = ", ".join(path.name for path in written)
     say(*diagnosis_screen(found.file), *_check_lines(found.file), f"wrote {output}: {files}")

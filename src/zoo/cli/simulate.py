@@ -149,6 +149,7 @@ def _stiffness(
 ) -> list[float] | None:
     """A stiffness for each vessel in the study's order; None for the study's or the walls' own."""
     from zoo.blood.network import stiffness_profile
+    from zoo.blood.priors import stiffness_of_wave_speed
 
     profile = [f1, f2, f3]
     if stiffness is not None:
@@ -159,7 +160,11 @@ def _stiffness(
     if f3 is None and f1 is None and f2 is None and any(v.stiffness for v in study.vessels):
         return None
     if f3 is None:
-        raise UsageError("no stiffness: give --stiffness 5.17e4, or --f3 (with --f1 and --f2 for eq. 3.5)")
+        of_4 = stiffness_of_wave_speed(4.0, "linear", study.blood.density_g_cm3)
+        raise UsageError(
+            f"no stiffness: give --stiffness ({of_4:.2g} g cm-1 s-2 has waves of 4 m/s at rest, and it grows "
+            "with their square), or --f3 (with --f1 and --f2 for eq. 3.5)"
+        )
     if (f1 is None) != (f2 is None):
         raise UsageError(
             "--f1 and --f2 belong together in chi = f1 exp(f2 r0) + f3: give both, or --f3 alone"

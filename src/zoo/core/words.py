@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Sequence
 
 LONGEST = 500
@@ -123,6 +124,20 @@ def percent(share: float, digits: int = 0) -> str:
 def unit_words(unit: str) -> str:
     """A unit after a number: " mmHg"; nothing for a pure number."""
     return "" if unit == "1" else f" {unit}"
+
+
+def size_words(size: float, unit: str) -> str:
+    """A size with its unit, that of a logarithm as what it changes.
+
+    Examples
+    --------
+    >>> size_words(0.05, "mmHg"), size_words(0.2, "log radius"), size_words(1.1, "log load")
+    ('0.05 mmHg', '22 %', 'a factor of 3')
+    """
+    if unit.startswith("log "):
+        factor = math.exp(size)
+        return f"{100 * (factor - 1):.3g} %" if factor < 2 else f"a factor of {factor:.3g}"
+    return f"{size:.3g}{unit_words(unit)}"
 
 
 def span(value: float, interval: Sequence[float]) -> str:

@@ -16,7 +16,7 @@ from zoo.core.diagnosis.file import (
     LocationShare,
     SetResult,
 )
-from zoo.core.words import estimate, listed, percent, span, unit_words
+from zoo.core.words import estimate, listed, percent, size_words, span, unit_words
 from zoo.plots.subject import TOLD, leading_sets, location_of, set_name
 from zoo.report.parameters import MEANINGS
 from zoo.report.words import spanned, with_error
@@ -150,7 +150,7 @@ def functions_table(file: DiagnosisFile) -> Table:
             component,
             percent(f.probability),
             *f.largest,
-            f"{f.prior_size:.2g}{unit_words(f.unit)}",
+            size_words(f.prior_size, f.unit),
         ]
 
     return Table(

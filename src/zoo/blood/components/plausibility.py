@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from zoo.blood.components.curves import factors
 from zoo.blood.components.table import TABLE
 from zoo.core.components import FreeFunction
+from zoo.core.words import size_words
 
 MOST_SIZES = 2.0
 """A function is plausible up to so many of its prior sizes, where nothing else is said."""
@@ -64,10 +64,7 @@ def plausible(function: FreeFunction, values: ArrayLike) -> tuple[bool, str]:
 
 
 def amount(size: float, unit: str) -> str:
-    """A size in words: logarithms as per cent, other numbers with their unit."""
-    if unit.startswith("log "):
-        factor = float(factors(size))
-        return f"{100 * (factor - 1):.3g} %" if factor < 2 else f"a factor of {factor:.3g}"
+    """A size in words, of pressures in parts of the dynamic one, and of times in ms."""
     if unit == "dynamic pressure":
         return f"{size:.3g} times the dynamic pressure"
-    return f"{1e3 * size:.3g} ms" if unit == "s" else f"{size:.3g} {unit}".removesuffix(" 1")
+    return size_words(1e3 * size, "ms") if unit == "s" else size_words(size, unit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -241,10 +242,21 @@ class LearnedFunction(_Part):
 
     @property
     def largest(self) -> tuple[str, str]:
-        """Where it is largest, and its value there with the 95 % interval, in words."""
+        """Where it is largest, and its value there with the 95 % interval, in words.
+
+        A logarithm is told as the factor that it stands for: "length × 0.61 (0.42 to 0.85)".
+        """
         i = max(range(len(self.mean)), key=lambda k: abs(self.mean[k]))
-        at = self.labels[i] if self.labels else f"{self.values[i]:.3g}{unit_words(self.argument_unit)}"
-        return at, f"{span(self.mean[i], (self.low[i], self.high[i]))}{unit_words(self.unit)}"
+        value, low, high = self.mean[i], self.low[i], self.high[i]
+        if self.unit.startswith("log "):
+            mean, *ends = map(math.exp, (value, low, high))
+            told = f"{self.unit.removeprefix('log ')} × {span(mean, ends)}"
+        else:
+            told = f"{span(value, (low, high))}{unit_words(self.unit)}"
+        if self.labels:
+            return self.labels[i], told
+        at = math.exp(self.values[i]) if self.argument_unit.startswith("log ") else self.values[i]
+        return f"{at:.3g}{unit_words(self.argument_unit.removeprefix('log '))}", told
 
 
 class ComponentResult(_Part):

@@ -56,6 +56,8 @@ KNOWN, CHECKED = 0.5, 5
 the most probable set is still solved."""
 WAVES = 4
 """Times that new leading sets are solved."""
+SEEKING, SOLVING, SOLVED = 0.3, 0.45, 0.95
+"""Parts of the work that are done before sets are sought, before they are solved, and after that."""
 
 
 @dataclass(eq=False)
@@ -84,7 +86,8 @@ class CauseSearch:
     def __post_init__(self) -> None:
         f = self.fitting = self.fitting.corrected()
         self.family, self.data = f.family, f.coefficients
-        self.tick("baseline", 0.0)
+        self.span: tuple[float, ...] = 0.0, SEEKING  # of what is being done, in parts of the work
+        self._tell("baseline", 0.0)
         self.fitted = nothing = self._nothing()
         self.solved: dict[Which, SolvedSet] = {(): nothing}
         self.base = nothing.point
@@ -102,7 +105,7 @@ class CauseSearch:
         every = [Origin(added=one.at(at)) for one in self.effects for at in one.locations(f.baseline)]
         every += [Origin(function=g, length=length) for g in functions for length in g.lengths or (None,)]
         centre = replace(nothing, point=replace(self.base, jacobian=self.jacobian))
-        found = self._responses(centre, every, 0.05)
+        found = self._responses(centre, every)
         there = {found[origin.key].cause: origin for origin in every if origin.key in found}
         names = [one.name for one in self.effects]
         solved = {one.name for one in there}
@@ -134,9 +137,7 @@ class CauseSearch:
         left = LEFT * self.family.relative(self.data - centre.point.computed)
         return np.asarray(noise + left**2 * (np.exp(self.family.log_shapes) @ self.family.discrepancies))
 
-    def _responses(
-        self, centre: SolvedSet, origins: Sequence[Origin], done: float
-    ) -> dict[tuple[Any, ...], Response]:
+    def _responses(self, centre: SolvedSet, origins: Sequence[Origin]) -> dict[tuple[Any, ...], Response]:
         """What further causes do around a set."""
         f, point, V = self.fitting, centre.point, self._heard(centre)
         others = centre.forward.added
@@ -151,13 +152,13 @@ class CauseSearch:
         added = [one for one in origins if one.added is not None]
         listed = listed_causes(
             f, replace(point, computed=computed), others, tuple(one.effect() for one in added), problem, V,
-            self.hooks.component_of, lambda name, part: self.tick(name, done + 0.25 * part),
+            self.hooks.component_of, lambda name, part: self._tell(name, 0.7 * part),
         )  # fmt: skip
         found = {one.key: x for one, x in zip(added, listed, strict=True) if x is not None}
         functions = tuple(dict.fromkeys(one.function for one in origins if one.function is not None))
         free = free_causes(
             f, grid, replace(point, computed=on_grid), functions, V,
-            lambda name, part: self.tick(name, done + 0.25 + 0.15 * part),
+            lambda name, part: self._tell(name, 0.7 + 0.3 * part),
         )  # fmt: skip
         functional = [(o.key, Response(one, np.zeros(one.columns.shape[1]))) for one, o in free]
         return found | dict(functional)
@@ -166,7 +167,7 @@ class CauseSearch:
         """The simulator around a solved set."""
         taken = {self.causes[i].component for i in centre.order}
         there = [o for o, c in zip(self.origins, self.causes, strict=True) if c.component not in taken]
-        found = self._responses(centre, there, 0.6)
+        found = self._responses(centre, there)
         k, point = self.fitting.forward.n_base, centre.point
         residual, own = tangents(centre, self.data - point.computed, self.causes, self.origins)
         problem = self._problem(self.fitting.forward, point.u[:k], residual, point.jacobian[:, :k])
@@ -194,7 +195,8 @@ class CauseSearch:
 
     def run(self) -> CauseSets:
         """The posterior, its leading sets solved."""
-        found = self._weigh(self.linears[0], 0.45)
+        self.span = SEEKING, SOLVING
+        found = self._weigh(self.linears[0])
         self.rows = {row.which: row for row in found.rows}
         self._weigh_ends()
         found = self._corrected(found)
@@ -204,8 +206,11 @@ class CauseSearch:
         while due := self._due(found, tried, wave < WAVES):
             self._weigh_more(due)
             tried |= set(due)
-            self.tick(f"solving {len(due)} sets of causes", 0.6 + 0.4 * min(1.0, wave / WAVES))
-            for size in sorted({len(w) for w in due}):  # what fewer causes found, more begin with
+            left = (SOLVED - SOLVING) * 0.5**wave  # nobody knows how many waves follow
+            begin, end = SOLVED - left, SOLVED - 0.7 * left
+            sizes = sorted({len(w) for w in due})
+            for i, size in enumerate(sizes):  # what fewer causes found, more begin with
+                self.span = tuple(begin + (end - begin) * x / len(sizes) for x in (i, i + 1))
                 self._solve([w for w in due if len(w) == size])
             again = {w: larger for w in self.solved if (larger := self._outdoing(w))}
             again = {w: larger for w, larger in again.items() if (w, larger) not in retried}
@@ -214,11 +219,18 @@ class CauseSearch:
             found = self._corrected(found)
             centre = self._next_centre(found) if wave < WAVES - 1 else None
             if centre is not None:
+                self.span = end, SOLVED - 0.5 * left
                 found = self._around_another(found, centre)
             wave += 1
+        self.tick("what follows from the sets", SOLVED)
         return CauseSets(found, self)
 
-    def _weigh(self, linear: Linear, done: float) -> CausePosterior:
+    def _tell(self, text: str, part: float) -> None:
+        """What is being done, and which part of its span is done."""
+        begin, end = self.span
+        self.tick(text, begin + (end - begin) * part)
+
+    def _weigh(self, linear: Linear) -> CausePosterior:
         return weigh_causes(
             linear.problem,
             linear.causes,
@@ -226,7 +238,7 @@ class CauseSearch:
             priors=CausePriors(self.causes),
             always=linear.centre,
             cores=self.fitting.cores,
-            tick=lambda text, share: self.tick(text, done + 0.15 * share),
+            tick=self._tell,
         )
 
     def linear_of(self, which: Which) -> Linear:
@@ -256,7 +268,8 @@ class CauseSearch:
             linear = self._linear(self.solved[centre])
         except SolveError:
             return found
-        own = self._weigh(linear, 0.7)
+        self.span = self.span[1], self.span[1]
+        own = self._weigh(linear)
         self.linears.append(linear)
         here = [row for row in own.rows if self.linear_of(row.which) is linear]
         self.rows = {w: row for w, row in self.rows.items() if self.linear_of(w) is not linear}
@@ -272,10 +285,11 @@ class CauseSearch:
         What is outdone by a larger set begins there.
         """
         beside = {} if outdone is None else {w: self.solved[larger] for w, larger in outdone.items()}
+        results: list[SolvedSet | None] = []
         with threads(self.fitting.cores) as pool:
-            results = list(
-                pool.map(lambda which: self.solve(which, self.rows[which].evidence, beside.get(which)), sets)
-            )
+            for one in pool.map(lambda w: self.solve(w, self.rows[w].evidence, beside.get(w)), sets):
+                results.append(one)
+                self._tell("solving sets of causes", len(results) / len(sets))
         for which, one in zip(sets, results, strict=True):
             old = None if which in self.near else self.solved.get(which)
             if one is not None and (old is None or one.log_z > old.log_z):

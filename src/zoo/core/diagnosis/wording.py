@@ -86,7 +86,8 @@ def _cause(file: DiagnosisFile, name: str, *, sized: bool = False) -> str:
         if learned is None:
             return text
         where, value = learned.largest
-        return f"{text} of {learned.argument}" + (f", {value} at {where}" if sized else "")
+        text += f" of {learned.argument.removeprefix('log ')}"
+        return text + (f", {value} at {where}" if sized else "")
     if one.places and one.places[0].part is not None:
         at = one.places[0]
         text += f" at {Location(at.part, at.subtree, at.noun)}"
