@@ -378,6 +378,10 @@ def test_names_and_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     write(tmp_path, files())
     assert load_study(str(tmp_path)) == load_study(tmp_path / "study.toml")
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "artery").mkdir()
+    write(tmp_path / "artery", files())
+    with pytest.raises(StudyError, match=r"did you mean 'artery'\?"):
+        load_study("artry")
     (tmp_path / "mouse-c6").mkdir()
     write(tmp_path / "mouse-c6", files())
     with pytest.raises(StudyError, match=r"mouse-c6: both a built-in study and a folder here; write"):

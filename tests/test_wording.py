@@ -127,7 +127,7 @@ def test_what_was_only_estimated_is_told() -> None:
     far = FILE.model_copy(update={"missed": 0.4, "linear_error": 7.0})
     assert not any(estimated in line for line in worded(far).lines)
     told = f"up to 40 % of the probability may belong to {estimated}: their log evidence may be off by 7"
-    assert told in undecided(far, 4)
+    assert any(reason.startswith(told) for reason in undecided(far, 4))
 
 
 def test_a_long_answer_is_cut_where_it_is_printed() -> None:

@@ -30,7 +30,7 @@ from zoo.blood.study.tables import (
     visible_name,
 )
 from zoo.blood.study.tree import NOMINAL, read_network_file
-from zoo.core.words import choices, nearest, short
+from zoo.core.words import meant, nearest, short
 
 _BUILT_IN = Path(__file__).parents[2] / "data"
 
@@ -63,9 +63,11 @@ def _find(name_or_folder: str | Path) -> tuple[Path, Path | str]:
     if folder.is_dir():
         raise StudyError(f"{folder}: no study.toml in this folder; add one")
     known = list_studies()
+    beside = [str(path.parent) for path in sorted(folder.parent.glob("*/study.toml"))]
+    question = meant(name_or_folder, (*beside, *known))
     raise StudyError(
-        f"{name_or_folder}: neither a folder with a study.toml nor a built-in study; "
-        f"{choices(name_or_folder, known)}"
+        f"{name_or_folder}: neither a folder with a study.toml nor a built-in study; {question}use one of "
+        f"{', '.join(known)}, or a folder"
     )
 
 

@@ -70,13 +70,14 @@ def undecided(file: DiagnosisFile, most: int) -> list[str]:
     if file.missed > 0.5 > math.fsum(best):
         told.append(
             f"combinations of causes with up to {percent(file.missed)} of the probability were not "
-            "simulated, or could not be: what is called best is the best of the others"
+            "simulated, or could not be: what is called best is the best of the others; "
+            "fewer causes to choose from have fewer combinations"
         )
     if file.linear_error > WRONG and file.missed > MISSED:
         told.append(
             f"up to {percent(file.missed)} of the probability may belong to combinations of causes that were "
             f"only estimated by a linear model, not simulated: their log evidence may be off by "
-            f"{file.linear_error:.0f}"
+            f"{file.linear_error:.0f}; with fewer causes to choose from, more of these are simulated"
         )
     return told
 
