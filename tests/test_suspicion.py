@@ -291,3 +291,13 @@ def test_lengths_ten_times_too_long_alone(study: str, odd: str) -> None:
     assert found.fields == ("network: length_cm",)
     assert found.factors == (0.1,)
     assert odd in found.text
+
+
+@pytest.mark.parametrize(("field", "factor"), [("radius_cm", 10.0), ("length_cm", 40.0)])
+def test_one_vessel_in_another_unit(field: str, factor: float) -> None:
+    """Its own number alone is in mm, or too long by as much; those of the others are right."""
+    study = tree("human")
+    odd = [replace(v, **{field: factor * getattr(v, field)}) if v.id == 5 else v for v in study.vessels]
+    (found,) = suspect_units(replace(study, vessels=tuple(odd)))
+    assert found.fields == (f"network: {field}",)
+    assert f"{field} of vessel 5 is" in found.text

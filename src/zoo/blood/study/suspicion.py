@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -34,6 +34,9 @@ SOFTNESS = 0.25
 
 TRAVEL = 1e-3, 0.4
 """Part of the beat that a wave takes to the furthest outlet."""
+WIDER, LONGER = 3.0, 100.0
+"""Radius in that of the vessel before it, and length in radii, that no single vessel has: in mm they would be
+ten times as much."""
 
 Array = NDArray[np.float64]
 
@@ -273,7 +276,7 @@ def suspect_units(study: Study) -> tuple[Suspicion, ...]:
     """
     look = _Look(study)
     if look.misfit({}) < PRICE:
-        return ()
+        return tuple(_single_vessels(study))
     used = {group for size in look.sizes for group in size.powers}
     units = {name: ("", *group.factors) for name, group in _GROUPS.items() if name in used}
     choices = dict(zip(units, np.ix_(*(np.arange(len(known)) for known in units.values())), strict=True))
@@ -292,6 +295,8 @@ def suspect_units(study: Study) -> tuple[Suspicion, ...]:
     factors = {name: _GROUPS[name].factors[unit] for name, unit in chosen.items()}
     if look.misfit({name: math.log(x) for name, x in factors.items()}) > 3 * PRICE:
         return ()  # sizes of nothing that lives, in any units
+    if not chosen:
+        return tuple(_single_vessels(study))
     together: dict[tuple[str, str], list[str]] = {}
     for name, unit in chosen.items():
         together.setdefault((_GROUPS[name].kind, unit), []).append(name)
@@ -318,6 +323,25 @@ def _suspicion(look: _Look, names: Sequence[str], unit: str, factors: Mapping[st
         f"{better:.3g} {oddest.unit}); {remedy}"
     )
     return Suspicion(tuple(_GROUPS[n].field for n in names), unit, tuple(factors[n] for n in names), text)
+
+
+def _single_vessels(study: Study) -> Iterator[Suspicion]:
+    """Vessels that alone are ten times as wide or as long as they can be, beside others that are not."""
+    by_id = {v.id: v for v in study.vessels}
+    long = [v for v in study.vessels if v.length_cm > LONGER * v.radius_cm]
+    for v in study.vessels:
+        before = None if v.parent is None else by_id[v.parent]
+        if before is not None and v.radius_cm > WIDER * before.radius_cm:
+            ratio = v.radius_cm / before.radius_cm
+            odd = f"{ratio:.2g} times the {before.radius_cm:g} of vessel {before.id} before it"
+            yield _in_mm("radius_cm", v, v.radius_cm, odd)
+        elif [v] == long and len(by_id) > 1:
+            yield _in_mm("length_cm", v, v.length_cm, f"{v.length_cm / v.radius_cm:.3g} times its radius")
+
+
+def _in_mm(field: str, v: Vessel, value: float, odd: str) -> Suspicion:
+    text = f"{field} of vessel {v.id} is {value:g}, {odd}: if it is in mm, write {0.1 * value:g}"
+    return Suspicion((f"network: {field}",), "mm", (0.1,), f"network: {text}")
 
 
 def warn_of_units(study: Study) -> None:
