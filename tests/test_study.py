@@ -317,6 +317,9 @@ MISTAKES: list[tuple[str, Callable[[Files], None], str]] = [
      r"row 33: time_s = 0\.116875: v1@0 flow_ml_s: past the period, as the series begins late"),
     ("second beat", put(OBS, observation_rows()[:1] + samples("1,0,flow_ml_s", n=64)),
      r"row 65: time_s = 0\.2165625: v1@0 flow_ml_s: 64 samples .* make a beat of 0\.22 s, but"),
+    ("milliseconds",
+     put(OBS, observation_rows()[:1] + [f"1,0,flow_ml_s,{3.4375 * i:.4f},1" for i in range(32)]),
+     r"32 samples .* make a beat of 110 s, .*; divide the times by 1000, which seem to be in ms"),
     ("negative area", put(OBS, observation_rows()[:1] + samples("1,0,area_cm2", value=-1)),
      r"row 2: value = -1\.0: an area_cm2 must be positive"),
 ]

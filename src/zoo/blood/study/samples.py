@@ -190,10 +190,12 @@ def _uniform(samples: _Samples, period: float, *, from_zero: bool) -> tuple[Arra
     n = len(times)
     step = float(times[-1] - times[0]) / (n - 1)
     if abs(n * step - period) > _PERIOD_TOLERANCE * step:
+        remedy = "correct period_s, or resample to one whole period"
+        if abs(n * step / period - 1000.0) < 50.0:
+            remedy = "divide the times by 1000, which seem to be in ms"
         raise StudyError(
             f"{s.path}, row {s.rows[n - 1]}: time_s = {times[-1]:.10g}: {s.label}: {n} samples {step:.6g} s "
-            f"apart make a beat of {n * step:.8g} s, but period_s = {period:.10g} in study.toml; correct "
-            "period_s, or resample to one whole period"
+            f"apart make a beat of {n * step:.8g} s, but period_s = {period:.10g} in study.toml; {remedy}"
         )
     if times[0] < 0:
         s.fail(0, "time_s", times[0], "before the beat; count from its start")
