@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,6 +48,13 @@ def test_studies() -> None:
     output = run("studies")
     assert "demo" in output
     assert "mouse-c6" in output
+
+
+def test_studies_of_ones_own_are_read(tiny: Path, tmp_path: Path) -> None:
+    output = run("studies", tiny)
+    assert str(tiny) in output.replace("\n", "")
+    assert "demo" not in output
+    assert "no study.toml in this folder" in fails("studies", tmp_path)
 
 
 def test_fetch_unknown() -> None:

@@ -21,16 +21,23 @@ def fetch(name: Annotated[str, typer.Argument(metavar="NAME", help="Data set, su
 
 
 @command
-def studies(as_json: JsonOption = False) -> None:
-    """List the built-in studies."""
+def studies(
+    folders: Annotated[
+        list[str] | None, typer.Argument(metavar="[STUDY]...", help="Studies of your own, to be checked.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the built-in studies, or read some of your own and say what they hold and what is odd in them."""
     from zoo.blood.fetch import FetchError
     from zoo.blood.study import list_studies, load_study
 
     rows: list[dict[str, Any]] = []
-    for name in list_studies():
+    for name in folders or list_studies():
         try:
             study = load_study(name)
         except FetchError:
+            if folders:
+                raise
             rows.append({"study": name, "observed": [f"its data are missing: zoo fetch {name}"]})
             continue
         observed = [f"{s.label} ({s.n_samples} samples)" for s in study.series]
