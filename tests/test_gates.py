@@ -67,6 +67,15 @@ def test_a_difference_to_the_baseline_has_the_error_of_paired_terms() -> None:
     assert difference == pytest.approx(n * shift**2, abs=4.0 * se)
 
 
+def test_the_error_of_a_difference_has_that_of_both_runs_of_the_sampler() -> None:
+    """All terms share it, so that the terms' scatter does not show it."""
+    one = one_model()
+    drawn = one.model_copy(update={"row": one.row | {"waic_mcse": 3.0}})
+    again = one.model_copy(update={"row": one.row | {"waic_mcse": 4.0, "waic": one.row["waic"] + 6.0}})
+    assert change(again, drawn, "waic") == (pytest.approx(6.0), pytest.approx(5.0))
+    assert not judge(a_file(again), [Gate.read("waic > baseline + 2 se")], a_file(drawn))[0].failed
+
+
 @pytest.mark.parametrize(("shift", "failed"), [(-0.03, False), (0.01, False), (0.5, True)])
 def test_a_model_that_became_worse_by_more_than_two_errors_is_red(shift: float, failed: bool) -> None:
     [one] = judge(a_file(one_model(shift)), [Gate.read("waic > baseline + 2 se")], a_file(one_model()))
@@ -87,7 +96,13 @@ def test_what_cannot_be_compared_is_said_and_other_data_are_red() -> None:
     [
         ("waic", "is none; give such as"),
         ("waic > much", "'much' is no number, yes or no"),
-        ("wiac > 3", "no column wiac; there are rank"),
+        ("wiac > 3", "unknown; did you mean 'waic'"),
+        ("waic > nan", "can never fail or always does"),
+        ("waic > baseline + 1e400 se", "can never fail or always does"),
+        ("ess_min < yes", "can never fail or always does"),
+        ("waic = yes", "waic is a number, which that cannot be compared with"),
+        ("converged = 3", "converged is yes or no, which that cannot be compared with"),
+        ("convergence = 3", "convergence is a text, which that cannot be compared with"),
         ("waic > baseline", "there is no baseline; give --baseline"),
         ("ess_min < baseline - 2 se", "se is that of a difference in waic; give a number"),
         ("__import__('os') > 3", "is none"),
@@ -120,3 +135,9 @@ def test_the_reports_name_what_failed() -> None:
     moved, se = change(now.studies["s"].models["A"], then.studies["s"].models["A"], "waic")
     assert f"{moved:+.1f} ± {se:.1f}" in text
     assert len(text.splitlines()) < 40
+
+
+def test_what_one_chain_cannot_tell_is_called_unknown() -> None:
+    one = one_model()
+    alone = one.model_copy(update={"row": one.row | {"rhat_max": None, "converged": False}})
+    assert "| no, R-hat unknown, ESS 900 |" in markdown(a_file(alone))

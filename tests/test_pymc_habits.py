@@ -128,3 +128,15 @@ def test_metropolis_of_pymc_takes_the_mode_as_start(model_a, mode_a):
             progressbar=False, compute_convergence_checks=False,
         )  # fmt: skip
     assert float(idata.posterior["psi2"][0, 0]) == pytest.approx(float(values["psi2"]), rel=0.5)
+
+
+def test_a_model_of_ones_own_has_the_step_method_too() -> None:
+    """In a process of its own, which has made no model of blood: then `pm.sample()` alone samples it."""
+    script = """
+import zoo
+zoo.bayesian_model
+from pymc.step_methods import STEP_METHODS
+print([one.__name__ for one in STEP_METHODS])
+"""
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "DEMetropolisZFromMode" in ran.stdout

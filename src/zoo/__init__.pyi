@@ -126,7 +126,7 @@ from .core.inference.convergence import verdict as verdict
 from .core.inference.mode import find_mode as find_mode
 from .core.inference.pymc_step import step as step
 from .core.inference.record import RunRecord as RunRecord
-from .core.model import bayesian_model as bayesian_model
+from .core.inference.pymc_step import bayesian_model as bayesian_model
 from .core.posterior.comparison import compare as compare
 from .core.posterior.comparison import loo_pit as loo_pit
 from .core.posterior.comparison import posterior_means as posterior_means

@@ -51,6 +51,8 @@ def model_names(text: str) -> list[str]:
 def different_models(text: str) -> list[str]:
     """Names of models, each once."""
     names = model_names(text)
+    if not names:
+        raise UsageError(f"--models {text!r}: no names; give some with commas, such as --models A,B")
     if len(set(names)) < len(names):
         raise UsageError(f"--models {text}: give each model once, such as --models A,B")
     return names

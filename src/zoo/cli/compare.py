@@ -96,6 +96,9 @@ def compare(
     for gate in gates:
         if gate.of_baseline and before is None:
             raise UsageError(f"--fail-if {gate.text!r}: there is no baseline; give --baseline")
+        gate.check(criterion)
+    if before is not None:
+        before.check(criterion)
     plugins.load()
     names = different_models(models)
     settings = sampling.settings()
@@ -262,7 +265,7 @@ def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
         " given the past, PSIS-LOO of terms given all other samples: each ranks models, do not mix the two",
         *each("{standing}", lambda row: row["rank"] > 0),
         *each(
-            "{pareto_k_bad} points with Pareto k > 0.7: do not trust PSIS-LOO there",
+            "{pareto_k_bad} points with too large a Pareto k for so many draws: do not trust PSIS-LOO there",
             lambda row: row["pareto_k_bad"] > 0,
         ),
         *each(

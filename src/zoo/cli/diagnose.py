@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +14,7 @@ from zoo.cli.command import GATE, Role, UsageError, Without, command, typed_comm
 from zoo.cli.options import PluginOptions, QuietOption, StudyArgument, StudyOptions
 from zoo.cli.screen import complain, plain_table, say
 from zoo.core.outputs import output_folder
-from zoo.core.words import percent
+from zoo.core.words import nearest, percent
 
 if TYPE_CHECKING:
     from zoo.blood.conventions import Conventions
@@ -109,6 +110,7 @@ def diagnose(
         plugins.load()
         chosen = get_baseline(base)
         names = _effect_names(effects, chosen.name)
+        _known(expect or (), chosen.name, names)
         loaded, *others = (options.load(one) for one in (study, *(states or ())))
         # a baseline has a wall factor of its own unless one is asked for
         own = loaded.conventions if "conventions.wall_factor" in options.changes() else None
@@ -190,6 +192,19 @@ def _effect_names(text: str | None, base: str) -> list[str] | None:
     if not names:
         raise UsageError("--effects: no names; give some of `zoo effects` with commas, or leave it out")
     return [one.name for one in effects_for(base, names)]
+
+
+def _known(expected: Sequence[str], base: str, effects: list[str] | None) -> None:
+    """Refuse the name of no cause and no component."""
+    from zoo.blood.components.table import TABLE
+    from zoo.blood.diagnosis import effects_for
+
+    listed = [one.name for one in effects_for(base, effects)]
+    components = [said["component"] for said in TABLE.values()]
+    for name in expected:
+        known = list(dict.fromkeys(("nothing", *components, *listed, *TABLE)))
+        if name not in known:
+            raise UsageError(f"--expect {name}: {nearest(name, known)}")
 
 
 def _run_name(study: Study, base: str, conventions: Conventions | None, seed: int) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from zoo.core.words import one_line
 
@@ -69,5 +69,6 @@ def plain_table(
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, show_header=heads)
     for i, heading in enumerate(headings):
         number = heading in numbers
-        table.add_column(heading, no_wrap=number or i == 0, justify="right" if number else "left")
+        aligned: Literal["left", "right"] = "right" if number else "left"
+        table.add_column(heading, no_wrap=number or i == 0, justify=aligned, overflow="fold")
     return table

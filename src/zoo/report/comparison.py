@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from zoo.core import digests
 from zoo.core.inference.record import versions
-from zoo.core.words import OneLineError
+from zoo.core.words import OneLineError, nearest
 
 FIELDS = re.compile(r"\s*(\w+)\s*(<=|>=|!=|=|<|>)\s*(.+?)\s*")
 BASELINE = re.compile(r"baseline(?:\s*([+-])\s*([\d.eE+-]+)(\s*se)?)?")
@@ -29,6 +29,15 @@ COMPARED: Mapping[str, Callable[[Any, Any], bool]] = {
     "!=": operator.ne,
 }
 ANSWERS = {"yes": True, "no": False}
+COLUMNS = (
+    "rank", "difference", "difference_se", "weight", "standing", "waic", "waic_se", "waic_mcse", "p_waic",
+    "waic_warning", "waic_leave_one_out", "waic_one_observation", "one_observation_mcse", "p_one_observation",
+    "loo", "loo_se", "loo_mcse", "p_loo", "pareto_k_max", "pareto_k_bad", "draws", "converged", "rhat_max",
+    "ess_min", "convergence", "at_bounds", "uninformed", "prior_sensitive",
+)  # fmt: skip
+"""Of a comparison, which gates may be about, beside sums of squared errors of each group."""
+OF_ARVIZ = ("elpd", "elpd_waic", "elpd_loo", "elpd_diff", "se", "dse", "warning", "scale")
+"""Columns for ArviZ's plots, which differ between its lines."""
 FORM = 'give such as "converged=no", "ess_min < 400" or "waic > baseline + 2 se"'
 
 
@@ -66,6 +75,14 @@ class ComparisonFile(_Part):
         """As JSON with its digest."""
         return digests.to_text(self.model_dump(mode="json"))
 
+    def check(self, criterion: str) -> None:
+        """Refuse to be the baseline of a comparison by another criterion."""
+        if self.criterion != criterion:
+            raise GateError(
+                f"the baseline ranks by {self.criterion}, this comparison by {criterion}: give the same "
+                "--ic as then"
+            )
+
 
 def _plain(value: Any) -> float | bool | str | None:
     if isinstance(value, np.generic):
@@ -91,7 +108,8 @@ def comparison_file(tables: Mapping[str, Any], criterion: Literal["waic", "loo"]
             checksum=table.attrs["checksum"],
             models={
                 str(model): ModelScore(
-                    row={str(k): _plain(v) for k, v in row.items()}, terms=table.attrs["terms"][model]
+                    row={str(k): _plain(v) for k, v in row.items() if k not in OF_ARVIZ},
+                    terms=table.attrs["terms"][model],
                 )
                 for model, row in table.iterrows()
             },
@@ -176,7 +194,16 @@ class Gate:
             value = ANSWERS[right] if right in ANSWERS else float(added if like else right)
         except ValueError:
             raise GateError(f"gate {text!r}: {right!r} is no number, yes or no; {FORM}") from None
+        if not math.isfinite(value) or (isinstance(value, bool) and sign not in ("=", "!=")):
+            raise GateError(f"gate {text!r}: can never fail or always does; {FORM}")
         return cls(text, field, sign, value, like is not None, bool(like and like[3]))
+
+    def check(self, criterion: str) -> None:
+        """Refuse a column that no comparison has, and standard errors of another than the criterion."""
+        if self.field not in COLUMNS and not self.field.startswith("sse_"):
+            raise GateError(f"gate {self.text!r}: {nearest(self.field, COLUMNS)} or a sum of squares sse_...")
+        if self.in_errors and self.field != criterion:
+            raise GateError(f"gate {self.text!r}: se is that of a difference in {criterion}; give a number")
 
 
 @dataclass(frozen=True)
@@ -191,7 +218,9 @@ class Judged:
 
 
 def change(now: ModelScore, then: ModelScore, field: str) -> tuple[float, float]:
-    """A criterion less what it was, and the standard error of that from the terms' differences.
+    """A criterion less what it was, and the standard error of that.
+
+    From the terms' differences, and the Monte Carlo errors of both posteriors, which all terms share.
 
     Parameters
     ----------
@@ -207,7 +236,8 @@ def change(now: ModelScore, then: ModelScore, field: str) -> tuple[float, float]
     """
     terms = np.subtract(now.terms, then.terms)
     difference = float(now.row[field]) - float(then.row[field])  # type: ignore[arg-type]
-    return difference, 2.0 * math.sqrt(len(terms) * float(np.var(terms)))
+    drawn = [float(one.row.get(f"{field}_mcse") or 0.0) for one in (now, then)]
+    return difference, math.hypot(2.0 * math.sqrt(len(terms) * float(np.var(terms))), *drawn)
 
 
 def judge(
@@ -231,11 +261,8 @@ def judge(
     GateError
         If a gate names no column, or the baseline of another criterion or none at all.
     """
-    if baseline is not None and baseline.criterion != file.criterion:
-        raise GateError(
-            f"the baseline ranks by {baseline.criterion}, this comparison by {file.criterion}: give the same "
-            "--ic as then"
-        )
+    if baseline is not None:
+        baseline.check(file.criterion)
     return [
         _judged(file, study, name, gate, baseline)
         for study, scores in file.studies.items()
@@ -247,11 +274,10 @@ def judge(
 def _judged(
     file: ComparisonFile, study: str, name: str, gate: Gate, baseline: ComparisonFile | None
 ) -> Judged:
+    gate.check(file.criterion)
     now = file.studies[study].models[name]
     if gate.field not in now.row:
         raise GateError(f"gate {gate.text!r}: no column {gate.field}; there are {', '.join(now.row)}")
-    if gate.in_errors and gate.field != file.criterion:
-        raise GateError(f"gate {gate.text!r}: se is that of a difference in {file.criterion}; give a number")
     own, limit, told = now.row[gate.field], gate.value, str(gate.value)
     if isinstance(gate.value, bool):
         told = "yes" if gate.value else "no"
@@ -268,11 +294,14 @@ def _judged(
         before = then.models[name]
         reference = before.row.get(gate.field)
         if not isinstance(reference, int | float):
-            return Judged(study, name, gate, own != reference, f"{own}, was {reference}")
+            raise GateError(f"gate {gate.text!r}: {gate.field} is no number in the baseline")
         scale = change(now, before, gate.field)[1] if gate.in_errors else 1.0
-        limit = reference + gate.value * scale
+        limit = reference + gate.value * scale if gate.value else reference
         told = f"{limit:.6g}, was {reference:.6g}"
-    if own is None or isinstance(own, str) != isinstance(limit, str):
+    if own is not None and (isinstance(own, str) or isinstance(own, bool) != isinstance(limit, bool)):
+        kind = "a text" if isinstance(own, str) else "yes or no" if isinstance(own, bool) else "a number"
+        raise GateError(f"gate {gate.text!r}: {gate.field} is {kind}, which that cannot be compared with")
+    if own is None:
         return Judged(study, name, gate, True, f"{gate.field} is {own}, which cannot be compared")
     shown = {True: "yes", False: "no"}.get(own, own) if isinstance(own, bool) else own
     shown = f"{shown:.6g}" if isinstance(shown, float) else shown
@@ -317,11 +346,17 @@ def _lines(file: ComparisonFile, judged: Sequence[Judged], baseline: ComparisonF
             moved = "new" if same else "other data" if then is not None else "no baseline"
             if before is not None:
                 moved = "{:+.1f} ± {:.1f}".format(*change(score, before, file.criterion))
-            behind = f"{row['difference']:.1f} ± {row['difference_se']:.1f}" if row["rank"] else "best"
+            criterion, criterion_se, difference, se, rhat, ess = (
+                "unknown" if row[x] is None else f"{row[x]:{form}}"
+                for x, form in (
+                    (file.criterion, ".1f"), (f"{file.criterion}_se", ".1f"), ("difference", ".1f"),
+                    ("difference_se", ".1f"), ("rhat_max", ".3f"), ("ess_min", ".0f"),
+                )
+            )  # fmt: skip
+            behind = f"{difference} ± {se}" if row["rank"] else "best"
             yield (
-                f"| {model} | {row[file.criterion]:.1f} ± {row[f'{file.criterion}_se']:.1f} | {behind} "
-                f"| {moved} | {'yes' if row['converged'] else 'no'}, R-hat {row['rhat_max']:.3f}, "
-                f"ESS {row['ess_min']:.0f} |"
+                f"| {model} | {criterion} ± {criterion_se} | {behind} | {moved} "
+                f"| {'yes' if row['converged'] else 'no'}, R-hat {rhat}, ESS {ess} |"
             )
 
 

@@ -23,6 +23,7 @@ from zoo.core.inference.mode import Mode, search_mode
 from zoo.core.inference.spaces import Gaussian
 from zoo.core.inference.starts import first_archive, scattered
 from zoo.core.inference.steps import DEMETROPOLISZ, DEMetropolisZ, StepResult, _DEState
+from zoo.core.model import bayesian_model as bayesian_model  # who makes a model so has this step method too
 from zoo.core.op import without_gradient
 
 

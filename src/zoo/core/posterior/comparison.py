@@ -389,8 +389,8 @@ def compare(
         what they mean. `waic_warning`: a term's variance exceeds 0.4. `pareto_k_bad`: points where
         PSIS-LOO is not to be trusted, k > min(1 - 1/log10(draws), 0.7). For each group G of series `sse_G` is
         the sum of squared errors at the posterior medians, in the square of the group's unit, and
-        `sse_G_mcse` its Monte Carlo standard error; `one_observation_mcse` is that of
-        `waic_one_observation`. Both are taken from the values of each chain alone. `at_bounds` warns of
+        `sse_G_mcse` its Monte Carlo standard error; `waic_mcse`, `loo_mcse` and `one_observation_mcse` are
+        those of the criteria. All are taken from the values of each chain alone. `at_bounds` warns of
         priors' bounds that the posterior leans on, `uninformed` names parameters whose posterior is like
         their prior, `prior_sensitive` those that move with the power of the priors, and how far
         (`prior_sensitivity`). Beside these stand the columns that ``az.plot_compare`` reads: elpd_diff, se,
@@ -421,6 +421,12 @@ def compare(
         joint = terms["joint"].to_numpy()
         one = waic_one_observation(joint)
         one_of_each = [waic_one_observation(chain).waic for chain in joint]
+        chains = [terms.isel(chain=[i]) for i in range(terms.sizes["chain"])]
+        waic_of_each = [_DEVIANCE * waic(chain["sequential"]).elpd for chain in chains]
+        loo_of_each = [
+            _DEVIANCE * psis_loo(posterior.isel(chain=[i]), chain["leave-one-out"]).elpd
+            for i, chain in enumerate(chains)
+        ]
         squares = sse_at_median(idata, model)
         found = (verdicts or {}).get(name)
         if found is None:
@@ -430,6 +436,7 @@ def compare(
         rows[name] = {
             "waic": _DEVIANCE * sequential.elpd,
             "waic_se": 2 * sequential.se,
+            "waic_mcse": _error_of_mean(waic_of_each),
             "p_waic": sequential.p,
             "waic_warning": sequential.warning,
             "waic_leave_one_out": _DEVIANCE * waic(terms["leave-one-out"]).elpd,
@@ -438,6 +445,7 @@ def compare(
             "p_one_observation": one.p_waic,
             "loo": _DEVIANCE * loo.elpd,
             "loo_se": 2 * loo.se,
+            "loo_mcse": _error_of_mean(loo_of_each),
             "p_loo": loo.p,
             "pareto_k_max": float(np.max(loo.pareto_k)),
             "pareto_k_bad": int(np.sum(loo.pareto_k > loo.good_k)),
