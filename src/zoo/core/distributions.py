@@ -6,6 +6,7 @@ another process still finds its log-density and its start.
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,10 @@ from zoo.core.draws import inverse_gamma_draws
 from zoo.core.in_numba import called_as_python
 
 Array = NDArray[np.float64]
+# PyTensor 3 says that it draws these in Python, which costs nothing beside a solve
+warnings.filterwarnings(
+    "ignore", "Numba will use object mode to run (truncated_normal|interpolated)_rv", UserWarning
+)
 
 
 @called_as_python

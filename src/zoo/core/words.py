@@ -132,7 +132,7 @@ def size_words(size: float, unit: str) -> str:
     Examples
     --------
     >>> size_words(0.05, "mmHg"), size_words(0.2, "log radius"), size_words(1.1, "log load")
-    ('0.05 mmHg', '22 %', 'a factor of 3')
+    ('0.05 mmHg', '22.1 %', 'a factor of 3')
     """
     if unit.startswith("log "):
         factor = math.exp(size)

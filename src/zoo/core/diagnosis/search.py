@@ -28,7 +28,7 @@ GAIN = 0.02
 """Gain of the log posterior below which a descent ends."""
 SETTLED = 0.1
 """Gain below which a search with fresh differences ends."""
-ROUNDS, ITERATIONS = 12, 6
+ROUNDS, ITERATIONS = 6, 6
 """Rounds of fresh differences at most, and steps in each, where no other number is given."""
 DAMPING, NO_DAMPING = 1.0, 1e-9
 """Damping of a search at first, as of a prior one unit wide around where it stands, and none."""
