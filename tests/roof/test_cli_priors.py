@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,14 @@ def test_priors_are_a_table_figures_and_what_could_be_solved(tmp_path: Path) -> 
     assert rows["f3"]["unit"] == "g cm-1 s-2"
     assert (tmp_path / "p" / "priors.png").stat().st_size > 10_000
     assert (tmp_path / "p" / "prior-predictive.png").stat().st_size > 10_000
+
+
+def test_the_table_for_machines(tmp_path: Path) -> None:
+    rows = json.loads(run("priors", EXAMPLE, "--model", "A", "--json", "--prior", "c=log_uniform(0.5,2)"))
+    by_name = {row["parameter"]: row for row in rows}
+    assert by_name["c"]["median"] == pytest.approx(1.0)
+    assert by_name["f3"]["from"] == "wave speeds of 0.7 to 20 m/s"
+    assert "give one of them" in fails("priors", EXAMPLE, "--json", "-o", tmp_path / "p")
 
 
 def test_the_table_fits_a_terminal_of_80_columns() -> None:

@@ -20,6 +20,7 @@ from zoo.core.arviz_lines import of_draws
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import find
 from zoo.core.posterior.storage import load
+from zoo.report.comparison import read_comparison
 
 QUICK = ("--draws", 60, "--tune", 150, "--chains", 2, "--cores", 1, "--seed", 3)
 
@@ -245,7 +246,12 @@ def test_compare_is_red_on_a_model_made_worse_and_green_again(
     strict = run(*words, "-o", tmp_path / "strict", "--strict", code=3)
     assert "converged=no (converged is no)" in strict
     assert "no.json: cannot be read" in fails(*words, "--baseline", tmp_path / "no.json")
+    then = read_comparison(base)
+    elsewhere = then.model_copy(update={"studies": {"elsewhere": then.studies["tiny"]}})
+    (tmp_path / "else.json").write_text(elsewhere.to_text(), encoding="utf-8")
+    assert "is of elsewhere, not of" in fails(*words, "--baseline", tmp_path / "else.json")
     assert "gate 'waic': is none" in fails(*words, "--fail-if", "waic")
+    assert "unknown; did you mean 'waic'" in fails(*words, "--fail-if", "wiac > 3")
     assert "there is no baseline; give --baseline" in fails(*words, "--fail-if", "waic > baseline")
 
 

@@ -106,6 +106,10 @@ def compare(
     loaded = [options.load(study) for study in studies]
     if len({study.name for study in loaded}) < len(loaded):
         raise UsageError(f"{', '.join(studies)}: two studies of one name; give each once")
+    if before is not None and not {study.name for study in loaded}.intersection(before.studies):
+        raise UsageError(
+            f"--baseline {baseline}: is of {', '.join(before.studies)}, not of {', '.join(studies)}"
+        )
     folders = [output if len(loaded) == 1 else output / study.name for study in loaded]
     output_folder(output, option="--output")
     reports = {"json": json, "markdown": markdown, "junit": junit}

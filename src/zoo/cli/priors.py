@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import at_least, model_name
-from zoo.cli.command import Role, command
-from zoo.cli.options import PluginOptions, QuietOption, StudyArgument, StudyOptions
-from zoo.cli.screen import plain_table, say
+from zoo.cli.command import Role, UsageError, command
+from zoo.cli.options import JsonOption, PluginOptions, QuietOption, StudyArgument, StudyOptions
+from zoo.cli.screen import plain_table, say, say_json
 from zoo.core.outputs import output_folder, write_file
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ def priors(
     ] = None,
     n_draws: Annotated[int, typer.Option("--n-draws", help="Prior draws to solve.")] = 200,
     seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 1,
+    as_json: JsonOption = False,
     quiet: QuietOption = False,
     *,
     options: StudyOptions,
@@ -43,6 +44,8 @@ def priors(
     name = model_name(model)
     at_least("--n-draws", n_draws, 10)
     at_least("--seed", seed, 0)
+    if as_json and output is not None:
+        raise UsageError("--json: prints the priors alone, which -o stores with the rest; give one of them")
     loaded = options.load(study)
     if output is not None:
         output_folder(output, WRITTEN, "--output")
@@ -53,6 +56,9 @@ def priors(
 
     built = build_model(name, loaded)
     rows = prior_rows(built)
+    if as_json:
+        say_json(_records(rows))
+        return
     say(_table(rows, name, loaded))
     with Display(not quiet) as tell:
         found = prior_predictive(built, n_draws, seed, lambda done: tell("prior draws", done / n_draws))
@@ -75,6 +81,22 @@ def _table(rows: tuple[PriorRow, ...], name: str, study: Study) -> Any:
         cells = (f"{x:.3g}" for x in (row.median, row.low, row.high))
         table.add_row(label, *cells, f"{p.prior.text}; {row.origin}")
     return table
+
+
+def _records(rows: tuple[PriorRow, ...]) -> list[dict[str, Any]]:
+    """The table for machines."""
+    return [
+        {
+            "parameter": row.parameter.name,
+            "unit": row.parameter.unit,
+            "prior": row.parameter.prior.text,
+            "median": row.median,
+            "low_95": row.low,
+            "high_95": row.high,
+            "from": row.origin,
+        }
+        for row in rows
+    ]
 
 
 def _summary(found: PriorPredictive, study: Study) -> list[Any]:
@@ -105,12 +127,7 @@ def _write(
 
     from zoo import plots
 
-    columns = ("parameter", "unit", "prior", "median", "low_95", "high_95", "from")
-    told = [
-        (p.name, p.unit, p.prior.text, row.median, row.low, row.high, row.origin)
-        for row, p in ((row, row.parameter) for row in rows)
-    ]
-    write_file(output / WRITTEN[0], pd.DataFrame(told, columns=columns).to_csv(index=False))
+    write_file(output / WRITTEN[0], pd.DataFrame(_records(rows)).to_csv(index=False))
     title = f"model {name} on {study.name}"
     figures = {
         "priors": plots.priors_figure(rows, title=f"priors of {title}"),
