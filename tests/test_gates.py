@@ -141,3 +141,6 @@ def test_what_one_chain_cannot_tell_is_called_unknown() -> None:
     one = one_model()
     alone = one.model_copy(update={"row": one.row | {"rhat_max": None, "converged": False}})
     assert "| no, R-hat unknown, ESS 900 |" in markdown(a_file(alone))
+    [red] = judge(a_file(one), [Gate.read("rhat_max > baseline")], a_file(alone))
+    assert red.failed
+    assert red.why == "rhat_max is unknown in the baseline"

@@ -293,6 +293,8 @@ def _judged(
             )
         before = then.models[name]
         reference = before.row.get(gate.field)
+        if reference is None:
+            return Judged(study, name, gate, True, f"{gate.field} is unknown in the baseline")
         if not isinstance(reference, int | float):
             raise GateError(f"gate {gate.text!r}: {gate.field} is no number in the baseline")
         scale = change(now, before, gate.field)[1] if gate.in_errors else 1.0
