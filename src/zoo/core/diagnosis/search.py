@@ -28,10 +28,10 @@ GAIN = 0.02
 """Gain of the log posterior below which a descent ends."""
 SETTLED = 0.1
 """Gain below which a search with fresh differences ends."""
-ROUNDS, ITERATIONS = 3, 6
-"""Rounds of fresh differences, and steps in each, where no other number is given."""
-DAMPING, NO_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e4
-"""Damping of a descent: at first, on a ridge where damping would stop it, and where it gives up."""
+ROUNDS, ITERATIONS = 6, 6
+"""Rounds of fresh differences at most, and steps in each, where no other number is given."""
+DAMPING, NO_DAMPING = 1.0, 1e-9
+"""Damping of a search at first, as of a prior one unit wide around where it stands, and none."""
 LESS, MORE, MUCH_MORE = 0.2, 8.0, 10.0
 """Factors of the damping after a step that gained, one that did not, and one that could not be solved."""
 
@@ -78,6 +78,7 @@ class Point:
     computed: Array  # flat coefficients
     jacobian: Array  # (n, d)
     cost: float = math.inf
+    damping: float = DAMPING  # of the next step
 
 
 class SearchError(RuntimeError):
@@ -114,7 +115,7 @@ class Search(Generic[F]):
         return point
 
     def resume(self, point: Solved) -> Point:
-        """A point (or a fit) of another search, with its cost in this one."""
+        """A point (or a fit) of another search, with its cost in this one and the damping of a first step."""
         return Point(point.u, point.computed, point.jacobian, self.cost(point.u, point.computed))
 
     def differences(self, point: Point, guess: Array | None, *, fine: bool = False) -> Array:
@@ -150,13 +151,18 @@ class Search(Generic[F]):
         return np.stack(columns, axis=1)
 
     def step(self, point: Point, damping: float) -> Array:
-        """A damped step that ends inside the bounds."""
+        """A step that ends inside the bounds, damped in units of the search.
+
+        How far a linearisation holds depends on how far the parameters move, not on how well the data tell
+        them: Levenberg's damping follows a curved valley in which Marquardt's, in parts of the information,
+        stops.
+        """
         forward = self.forward
         _, precision, pull = forward.prior(point.u)
         scaled = point.jacobian / self.S[:, None]
         H = point.jacobian.T @ scaled + as_matrix(precision)
         b = scaled.T @ (self.data - point.computed) - pull
-        H += np.diag(damping * np.diag(H) + NO_DAMPING / forward.units**2)
+        H += np.diag((damping + NO_DAMPING) / forward.units**2)
         step, free, units = np.zeros(len(b)), forward.low < forward.high, forward.units
         low, high = ((end - point.u)[free] / units[free] for end in (forward.low, forward.high))
         values, vectors = np.linalg.eigh((H * np.outer(units, units))[np.ix_(free, free)])
@@ -182,54 +188,51 @@ class Search(Generic[F]):
         step, precision = point.u - other.u, as_matrix(self.forward.prior(other.u)[1])
         return math.sqrt(float(np.sum((other.jacobian @ step) ** 2 / self.S) + step @ precision @ step))
 
-    def descend(self, point: Point, iterations: int, gain: float = GAIN, damping: float = DAMPING) -> Point:
-        """Damped steps with Broyden's updates until one gains, or promises, less than `gain`."""
+    def descend(self, point: Point, iterations: int, gain: float = GAIN) -> Point:
+        """Damped steps with Broyden's updates until one without damping promises less than `gain`."""
         for _ in range(iterations):
-            step = self.step(point, damping)
-            u, linear = point.u + step, point.computed + point.jacobian @ step
-            hoped = point.cost - self.cost(u, linear)
+            while True:  # damped too much to gain anything is not yet the end
+                step = self.step(point, point.damping)
+                u, linear = point.u + step, point.computed + point.jacobian @ step
+                hoped = point.cost - self.cost(u, linear)
+                if hoped >= gain or point.damping < NO_DAMPING:
+                    break
+                point = replace(point, damping=LESS * point.damping)
             if hoped < gain:
                 break
             computed = self.forward(u)
             if computed is None:
-                damping = max(MUCH_MORE * damping, MUCH_MORE * DAMPING)
+                point = replace(point, damping=max(MUCH_MORE * point.damping, DAMPING))
                 continue
             cost = self.cost(u, computed)
             if cost - point.cost > hoped:  # so far from linear that a secant would mislead
-                damping = max(MORE * damping, DAMPING)
+                point = replace(point, damping=max(MORE * point.damping, DAMPING))
                 continue
             t = step / self.forward.units
             jacobian = point.jacobian + np.outer(computed - linear, t / self.forward.units) / float(t @ t)
             if cost < point.cost:
-                small = point.cost - cost < gain
-                point = Point(u, computed, jacobian, cost)
-                damping *= LESS
-                if small:
-                    break
+                point = Point(u, computed, jacobian, cost, LESS * point.damping)
             else:
-                point = replace(point, jacobian=jacobian)
-                damping = max(MORE * damping, DAMPING)
-                if damping > MOST_DAMPING:
-                    break
+                point = replace(point, jacobian=jacobian, damping=max(MORE * point.damping, DAMPING))
         return point
 
     def refine(
         self, point: Point, rounds: int = ROUNDS, iterations: int = ITERATIONS, *, fine: bool = False
     ) -> Point:
-        """Fresh Jacobians and descents until one gains nothing; then, if `fine`, the same with fine steps."""
-        for _ in range(rounds):
-            before = point.cost
-            point = replace(point, jacobian=self.differences(point, point.jacobian))
-            point = self.descend(point, iterations, damping=NO_DAMPING)  # damping would stop it on a ridge
-            if before - point.cost < SETTLED:
-                break
-        for _ in range(rounds if fine else 0):
-            jacobian = self.differences(point, point.jacobian, fine=True)
-            moved = self.descend(replace(point, jacobian=jacobian), iterations, damping=NO_DAMPING)
-            if point.cost - moved.cost < SETTLED:
-                break
-            point = moved
-        return point
+        """Fresh Jacobians and descents until one gains nothing; if `fine`, after the first by fine steps.
+
+        It ends with derivatives made where it ends, or within what gained nothing from there: secants of the
+        smallest steps follow the noise of a grid that is chosen anew for each solve.
+        """
+        for i in range(rounds):
+            finer = fine and i > 0
+            jacobian = self.differences(point, point.jacobian, fine=finer)
+            moved = self.descend(replace(point, jacobian=jacobian), iterations)
+            settled = point.cost - moved.cost < SETTLED
+            point = replace(moved, jacobian=jacobian) if settled else moved
+            if settled and finer == fine:
+                return point
+        return replace(point, jacobian=self.differences(point, point.jacobian, fine=fine))
 
 
 def as_matrix(precision: Array) -> Array:

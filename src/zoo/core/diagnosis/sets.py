@@ -26,7 +26,7 @@ from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.responses import Origin, Response, free_causes, listed_causes
-from zoo.core.diagnosis.search import NO_DAMPING, Point, Search, SearchError
+from zoo.core.diagnosis.search import NO_DAMPING, ROUNDS, Point, Search, SearchError
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear, SolvedSet, Which, tangents
 from zoo.core.effects import Effect
 from zoo.core.forward import Corrected, SolveError, pinned
@@ -36,8 +36,8 @@ Array = NDArray[np.float64]
 
 MASS, MOST_SOLVED = 0.97, 5
 """Probability that the sets which are solved hold together, and how many are at most."""
-STEPS = 6
-"""Steps of a descent."""
+STEPS, FEW = 6, 1
+"""Steps of a descent, and rounds of fresh differences for a set that is only looked at."""
 TURNS = 4
 """Times that a mode is sought given errors, and errors given the mode."""
 NEARER = (1.0, 0.5, 0.2)
@@ -204,18 +204,18 @@ class CauseSearch:
         retried: set[tuple[Which, Which]] = set()
         wave = 0
         while due := self._due(found, tried, wave < WAVES):
-            self._weigh_more(due)
+            self._weigh_more(list(due))
             tried |= set(due)
             left = (SOLVED - SOLVING) * 0.5**wave  # nobody knows how many waves follow
             begin, end = SOLVED - left, SOLVED - 0.7 * left
             sizes = sorted({len(w) for w in due})
             for i, size in enumerate(sizes):  # what fewer causes found, more begin with
                 self.span = tuple(begin + (end - begin) * x / len(sizes) for x in (i, i + 1))
-                self._solve([w for w in due if len(w) == size])
+                self._solve({w: rounds for w, rounds in due.items() if len(w) == size})
             again = {w: larger for w in self.solved if (larger := self._outdoing(w))}
             again = {w: larger for w, larger in again.items() if (w, larger) not in retried}
             retried |= set(again.items())
-            self._solve(list(again), again)
+            self._solve(dict.fromkeys(again, FEW), again)
             found = self._corrected(found)
             centre = self._next_centre(found) if wave < WAVES - 1 else None
             if centre is not None:
@@ -279,15 +279,17 @@ class CauseSearch:
         guessed |= {w: x for w, x in own.guessed.items() if self.linear_of(w) is linear}
         return self._corrected(replace(found, guessed=guessed))
 
-    def _solve(self, sets: Sequence[Which], outdone: Mapping[Which, Which] | None = None) -> None:
+    def _solve(self, sets: Mapping[Which, int], outdone: Mapping[Which, Which] | None = None) -> None:
         """Take sets to their modes at once, and keep the better one of those that were solved before.
 
-        What is outdone by a larger set begins there.
+        Each in so many rounds of fresh differences. What is outdone by a larger set begins there.
         """
         beside = {} if outdone is None else {w: self.solved[larger] for w, larger in outdone.items()}
         results: list[SolvedSet | None] = []
         with threads(self.fitting.cores) as pool:
-            for one in pool.map(lambda w: self.solve(w, self.rows[w].evidence, beside.get(w)), sets):
+            for one in pool.map(
+                lambda w: self.solve(w, self.rows[w].evidence, sets[w], beside.get(w)), list(sets)
+            ):
                 results.append(one)
                 self._tell("solving sets of causes", len(results) / len(sets))
         for which, one in zip(sets, results, strict=True):
@@ -397,15 +399,18 @@ class CauseSearch:
         """The most probable set of those that were solved."""
         return max(self.solved, key=lambda which: found.log_joint[which])
 
-    def _due(self, found: CausePosterior, tried: set[Which], more: bool) -> list[Which]:
+    def _due(self, found: CausePosterior, tried: set[Which], more: bool) -> dict[Which, int]:
         """The leader without each of its causes, and leading sets if more are wanted, if not tried yet.
+
+        Each with rounds of fresh differences: as many as gain something for those that may be the answer, few
+        for those that are looked at.
 
         Where the linear model is `known` to be right only the most probable one. At first every free function
         alone is among them, which its derivative may hide, and the best listed effect of each component.
         """
         leader = self.leader(found)
         parts = [tuple(i for i in leader if i != left) for left in leader]
-        due = [which for which in parts if which not in tried]
+        due = {which: FEW for which in parts if which not in tried}
         if not more:
             return due
         total, best, known = 0.0, dict[str, Which](), self.known
@@ -413,16 +418,18 @@ class CauseSearch:
             new = which not in tried and which not in due
             right = total > 0.0 and self.linear_of(which).centre in known
             if new and not right and total < MASS and len(due) < MOST_SOLVED:
-                due.append(which)
+                due[which] = ROUNDS
             total += p
             if len(which) == 1:
                 cause = self.causes[which[0]]
                 best.setdefault(cause.name if cause.free else cause.component, which)
-        return due if len(tried) > 1 else due + [w for w in best.values() if w not in due]
+        return due if len(tried) > 1 else dict.fromkeys(best.values(), FEW) | due
 
     # -- one set with the simulator ----------------------------------------------------------------
 
-    def solve(self, which: Which, linear: SetEvidence, larger: SolvedSet | None = None) -> SolvedSet | None:
+    def solve(
+        self, which: Which, linear: SetEvidence, rounds: int = ROUNDS, larger: SolvedSet | None = None
+    ) -> SolvedSet | None:
         """A set at its mode, or the one beside a larger set; None where nothing can be solved on the way."""
         order = tuple(sorted(which, key=lambda i: self.origins[i].added is None))  # listed effects first
         # a listed effect may need another grid than the baseline; a function is a smooth change of it
@@ -449,11 +456,13 @@ class CauseSearch:
         if point is None:
             return None
         point = search.descend(point, STEPS)
-        if known and search.apart(point, known.point) < 1.0:
+        if known and search.resume(known.point).cost < point.cost + PROMISED:
             return known
-        return self._to_mode(order, forward, point, linear)
+        return self._to_mode(order, forward, point, linear, rounds)
 
-    def _to_mode(self, order: Which, forward: SearchModel, point: Point, linear: SetEvidence) -> SolvedSet:
+    def _to_mode(
+        self, order: Which, forward: SearchModel, point: Point, linear: SetEvidence, rounds: int
+    ) -> SolvedSet:
         """A set from a point near its mode, in turns of a search and of the errors beside it."""
         kept: SolvedSet | None = None
         reference = linear
@@ -461,16 +470,15 @@ class CauseSearch:
         for turn in range(TURNS):
             errors = reference.likely_variances(SIZE_PRIORS, alone=turn == 0)
             search = Search(forward, self.data, errors)
-            point = search.resume(point)
-            if turn == 0:
-                point = search.refine(point, 1, STEPS, fine=self.fitting.smooth)
-            else:  # the derivatives are fresh
-                moved = search.descend(point, STEPS)
-                point = search.refine(moved, 2, STEPS) if point.cost - moved.cost > PROMISED else point
+            start = point = search.resume(point)
+            if turn > 0:  # the derivatives are fresh
+                point = search.descend(point, STEPS)
+            if turn == 0 or start.cost - point.cost > PROMISED:
+                point = search.refine(point, rounds, STEPS, fine=self.fitting.smooth)
             one = self._solved_at(order, forward, point, linear)
             forward, point, reference = one.forward, one.point, one.evidence
             gained = math.inf if kept is None else one.log_z - kept.log_z
-            if gained > 0.0:
+            if gained > -PROMISED:  # the later one is at the mode of better errors
                 kept = one
             if gained < PROMISED:
                 break
