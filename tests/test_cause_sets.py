@@ -422,6 +422,13 @@ def steeper(c, times):  # type: ignore[no-untyped-def]
     return straight({**c, "wiggle": c.get("wiggle", 0.0) * np.exp(4.0 * c.get("bump", 0.0))}, times)
 
 
+def test_sets_are_solved_on_while_what_was_not_may_be_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = of_the_line(3, bump=0.15).sets
+    for missed, times in ((0.4, 4), (0.6, 8)):
+        monkeypatch.setattr(found.search, "missed_by_set", lambda _, missed=missed: {(0,): missed})
+        assert [found.search._goes_on(found.posterior, wave) for wave in range(10)].count(True) == times
+
+
 def test_around_the_leading_set_the_linear_model_promises_what_solves_find() -> None:
     """Around the baseline it is wrong by the logarithm of a response that is seven times as large."""
     model = FunctionModel(steeper, LINEAR.parameters, LINEAR.outputs, "steeper")

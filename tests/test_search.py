@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear
+from scipy.optimize import least_squares, lsq_linear
 
 from made import QUANTITY, SEARCH, THETA, baseline_of, made, search_model
 from zoo import load_study
@@ -184,3 +184,41 @@ def test_a_descent_inside_bounds_ends_at_their_least_squares() -> None:
         best = lsq_linear(A[:, 1:], y - A[:, 0] * start[0], (low[1:], high[1:]), tol=1e-12)
         assert end.u[0] == start[0]
         assert end.cost < best.cost + 0.05
+
+
+class Helix:
+    """Data tell at once that y = sin x and z = cos x, and only then what x is."""
+
+    low, high, units, last_failure = np.full(3, -np.inf), np.full(3, np.inf), np.ones(3), ""
+    data, start = np.array([2.0, 0.0, 0.0]), np.array([-1.0, np.sin(-1.0), np.cos(-1.0)])
+    solves = 0
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        self.solves += 1
+        x, y, z = u
+        return np.array([x, 10.0 * (y - np.sin(x)), 10.0 * (z - np.cos(x))])
+
+    def prior(self, u: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        return -0.005 * float(u @ u), np.full(3, 0.01), 0.01 * u
+
+
+def test_a_curved_valley_is_followed_with_no_more_solves_than_scipy_takes() -> None:
+    forward, sd = Helix(), 0.1
+    best = least_squares(
+        lambda u: np.concatenate([(forward(u) - forward.data) / sd, 0.1 * u]), forward.start, method="lm"
+    )
+    taken, forward.solves = forward.solves, 0
+    search = Search(forward, forward.data, np.full(3, sd**2))
+    end = search.refine(search.at(forward.start), 6)
+    assert end.cost == pytest.approx(best.cost, abs=0.02)
+    assert forward.solves <= taken
+
+
+def test_a_search_ends_with_derivatives_made_where_it_ends() -> None:
+    """Secants of the way there are off by ten times as much."""
+    forward = Helix()
+    search = Search(forward, forward.data, np.full(3, 0.01))
+    start = search.at(forward.start)
+    for end, least, most in (search.refine(start, 1), 0.0, 0.2), (search.descend(start, 6), 1.5, 2.0):
+        exact = 10.0 * np.array([-np.cos(end.u[0]), np.sin(end.u[0])])
+        assert least <= np.max(np.abs(end.jacobian[1:, 0] - exact)) <= most

@@ -219,13 +219,14 @@ class Search(Generic[F]):
     def refine(
         self, point: Point, rounds: int = ROUNDS, iterations: int = ITERATIONS, *, fine: bool = False
     ) -> Point:
-        """Fresh Jacobians and descents until one gains nothing; if `fine`, after the first by fine steps.
+        """Fresh Jacobians and descents until one gains nothing; if `fine`, by fine steps after the first.
 
-        It ends with derivatives made where it ends, or within what gained nothing from there: secants of the
-        smallest steps follow the noise of a grid that is chosen anew for each solve.
+        If nothing more is promised, fine steps are made at once. It ends with derivatives made where it
+        ends, or within what gained nothing from there: secants of the smallest steps follow the noise of a
+        grid that is chosen anew for each solve.
         """
         for i in range(rounds):
-            finer = fine and i > 0
+            finer = fine and (i > 0 or self.promised(point) < SETTLED)
             jacobian = self.differences(point, point.jacobian, fine=finer)
             moved = self.descend(replace(point, jacobian=jacobian), iterations)
             settled = point.cost - moved.cost < SETTLED

@@ -54,8 +54,9 @@ VISIBLE = 3.0
 KNOWN, CHECKED = 0.5, 5
 """Error of the log evidence below which a linear model is right, by how many solved sets at least: then only
 the most probable set is still solved."""
-WAVES = 4
-"""Times that new leading sets are solved."""
+WAVES, MOST_WAVES, UNKNOWN = 4, 8, 0.5
+"""Times that new leading sets are solved, and that they are while sets that were not solved may hold so much
+of the probability."""
 SEEKING, SOLVING, SOLVED = 0.3, 0.45, 0.95
 """Parts of the work that are done before sets are sought, before they are solved, and after that."""
 
@@ -203,7 +204,7 @@ class CauseSearch:
         tried: set[Which] = {()}
         retried: set[tuple[Which, Which]] = set()
         wave = 0
-        while due := self._due(found, tried, wave < WAVES):
+        while due := self._due(found, tried, self._goes_on(found, wave)):
             self._weigh_more(list(due))
             tried |= set(due)
             left = (SOLVED - SOLVING) * 0.5**wave  # nobody knows how many waves follow
@@ -217,7 +218,7 @@ class CauseSearch:
             retried |= set(again.items())
             self._solve(dict.fromkeys(again, FEW), again)
             found = self._corrected(found)
-            centre = self._next_centre(found) if wave < WAVES - 1 else None
+            centre = self._next_centre(found) if self._goes_on(found, wave + 1) else None
             if centre is not None:
                 self.span = end, SOLVED - 0.5 * left
                 found = self._around_another(found, centre)
@@ -394,6 +395,12 @@ class CauseSearch:
         }
         total = logsumexp(list(log.values()))
         return {w: math.exp(x - total) for w, x in log.items() if w not in known}
+
+    def _goes_on(self, found: CausePosterior, wave: int) -> bool:
+        """Whether leading sets are still solved."""
+        if wave < WAVES:
+            return True
+        return wave < MOST_WAVES and math.fsum(self.missed_by_set(found).values()) > UNKNOWN
 
     def leader(self, found: CausePosterior) -> Which:
         """The most probable set of those that were solved."""
