@@ -179,7 +179,9 @@ def test_an_effect_that_nothing_reads_is_named_within_ten_solves(monkeypatch: py
     counted = Counted()
     typo = adds("vapour", "stream", "1/(min K)", 1e-3, 0.0, 1e-2, 3e-4, 1e-3)
     with pytest.warns(UserWarning, match=r"effect vapour: size = 0.0003 and 0.001 changes no sample of cup"):
-        told(tea(), cups(counted), [typo, DRIFT])
+        found = told(tea(steam=6e-4), cups(counted), [typo, DRIFT])
+    assert "effect vapour: none of its starts changes any sample" in " ".join(found.file.warnings)
+    assert "vapour" not in [cause.name for cause in found.file.causes]
     counted.at.clear()
     monkeypatch.setattr("zoo.core.diagnosis.diagnosis.freed", None)  # the search begins with it
     with pytest.warns(UserWarning, match="effect vapour"), pytest.raises(TypeError, match="not callable"):
@@ -293,8 +295,9 @@ def test_no_solve_is_made_twice_and_an_interrupted_diagnosis_goes_on(tmp_path: P
             found = diagnose(
                 tea(steam=6e-4), model, [STEAM, DRIFT], cores=1, tick=tick, checkpoint=tmp_path / "run"
             )
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as stopped:
             assert tick is not None
+            assert re.search(r"\d+ solves were made until then: kept in .*run", stopped.__notes__[0])
     assert len(first.at) > 30
     assert len(set(first.at) & set(second.at)) <= 1
     assert set(first.at) | set(second.at) == set(whole.at)

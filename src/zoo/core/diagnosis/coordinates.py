@@ -128,7 +128,8 @@ class SearchModel:
         except Exception as error:
             values = zip(self.parameters, self.theta(u), strict=True)
             at = ", ".join(f"{p.name} = {x:.6g}" for p, x in values)
-            advice, names = "raise SolveError if none exists there", [p.name for p in self.parameters]
+            advice = "raise SolveError if none exists there"
+            names = [p.name for p in self.parameters[: self.n_base]]  # an effect's sizes are its own
             asked = error.args[0] if isinstance(error, KeyError) and error.args else None
             if isinstance(asked, str) and asked not in names:
                 advice = f"no prior is named {asked!r}: {choices(asked, names)}"

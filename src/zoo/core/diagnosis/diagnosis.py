@@ -462,7 +462,7 @@ def diagnose(
             found = found.with_file(record=record)
             if states:
                 found = _in_states(found, states, store, cores, seed, tell)
-    except Exception as error:
+    except (Exception, KeyboardInterrupt) as error:
         if not isinstance(error, DiagnosisError):
             kept = "give checkpoint='FOLDER' to keep them" if checkpoint is None else f"kept in {checkpoint}"
             error.add_note(f"{store.made} solves were made until then: {kept}")

@@ -25,8 +25,8 @@ STEADY = 1e-6
 """Rms difference of two solves at the same parameters, in parts of the range, up to which they are one."""
 NEAR = 1e-12
 """Part of an effect's first start at which it has to be as good as absent."""
-SEARCH = 150
-"""Solves that a search of two parameters and two effects takes; others take it in proportion."""
+SEARCH = 100
+"""Solves that a search of two parameters and two effects takes at least; others take it in proportion."""
 
 
 def preflight(

@@ -218,7 +218,8 @@ class _Listed:
         if not tried:
             return None
         best, end = min(tried, key=lambda one: one.cost), None
-        if np.sum(self.projected.residual**2) > self.projected.n:
+        moves = any(np.any(one.columns) for one in tried)  # else a search would fit the parameters alone
+        if moves and np.sum(self.projected.residual**2) > self.projected.n:
             end = self._end(tried)
             values, step = end.u[len(u) :], end.u[: len(u)] - u
             if abs(values[0]) >= SMALLEST * self.scales[0]:
