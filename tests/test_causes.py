@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 from zoo.core.causes import Cause, CauseError, CausePriors, Problem, weigh_causes
-from zoo.core.causes.evidence import SetEvidence, SetModel, SizePriors, _combinations
+from zoo.core.causes.evidence import SetEvidence, SetModel, SizePriors, _combinations, hermite
 from zoo.core.causes.family import COLOURED, NOISE_SPREAD, SIZES
 from zoo.core.causes.problem import without_doubles
 from zoo.core.causes.reference import Reference
@@ -119,6 +119,35 @@ def test_values_of_a_function_that_do_nearly_the_same_are_weighed_without_roundi
     gains = [[exact_normal(problem, function, s[0], math.exp(one)) for s in scales] for one in x]
     each = logsumexp(np.array(gains) + masses, axis=1) + norm.logpdf(x, f.noise_centre[0], NOISE_SPREAD)
     assert found.log_z[0] == pytest.approx(logsumexp(each) + math.log(x[1] - x[0]), abs=0.2)
+
+
+@pytest.mark.parametrize("start", [-3.5, -9.2])
+def test_weights_that_do_nearly_the_same_do_not_hold_the_noise_at_its_least(start):
+    """The inverse of their information has no correct figure where the noise is tiny."""
+    toy, rng = LinearToy(n_series=1, n_times=64), np.random.default_rng(4)
+    f, n = toy.family, len(toy.jacobian)
+    at, knots = np.linspace(0.0, 1.0, n)[:, None], np.linspace(0.0, 1.0, 20)
+    causes = [
+        Cause(f"curve {i}", f"c{i}", 30.0 * RANGE * np.exp(-0.5 * ((at - knots) / w) ** 2), free=True)
+        for i, w in enumerate((0.40, 0.41, 0.42))
+    ]
+    noise = 3e-3 * RANGE
+    problem = toy.problem(noise * rng.standard_normal(n))
+    found = SetModel(problem, causes, f).given(np.array([0]), np.array([start]))
+    assert math.exp(found.log_noise[0, 0]) == pytest.approx(noise, rel=0.3)
+    scales, masses = _combinations((True,) * 3)
+    x = math.log(noise) + np.linspace(-1.0, 1.0, 41)
+    scaled = [np.concatenate([k * c.columns for k, c in zip(s, causes, strict=True)], axis=1) for s in scales]
+    together = [Cause("all", "c0", columns, free=True) for columns in scaled]
+    gains = [[exact_normal(problem, one, 1.0, math.exp(at)) for one in together] for at in x]
+    each = logsumexp(np.array(gains) + masses, axis=1) + norm.logpdf(x, f.noise_centre[0], NOISE_SPREAD)
+    assert found.log_z[0] == pytest.approx(logsumexp(each) + math.log(x[1] - x[0]), abs=0.3)
+
+
+@pytest.mark.parametrize(("last", "slope"), [(-50.0, -2e3), (-50.0, -30.0), (50.0, 2e3)])
+def test_interpolation_stays_between_its_ends_where_one_slope_is_zero(last, slope):
+    found = hermite(np.array([0.0, 1.0]), np.array([[0.0, last]]), np.array([[0.0, slope]]))
+    assert np.all(np.diff(found[0]) * np.sign(last) >= 0.0)
 
 
 def exact_normal(problem: Problem, function: Cause, s: float, noise: float) -> float:

@@ -66,13 +66,15 @@ def log_scale_masses(scales: Array) -> Array:
 def hermite(nodes: Array, values: Array, slopes: Array) -> Array:
     """Cubic interpolation (..., n) at `FINE` points from each node (m,) on, and the last, without overshoot.
 
-    Where the slopes at both ends of an interval have one sign they are at most three times its secant (by
-    Fritsch and Carlson 1980, doi 10.1137/0717021); a peak between nodes stays below the tangents at both.
+    Where the slopes at both ends of an interval have one sign, or one of them is zero, they are at most three
+    times its secant (by Fritsch and Carlson 1980, doi 10.1137/0717021); a peak between nodes stays below the
+    tangents at both.
     """
     h, low, high = np.diff(nodes), slopes[..., :-1], slopes[..., 1:]
     secant = np.diff(values, axis=-1) / h
-    monotone, peak = low * high > 0.0, (low > 0.0) & (high < 0.0)
-    most = np.where(low * secant > 0.0, 3.0 * np.abs(secant), 0.0)
+    along, peak = (low + high) * secant > 0.0, (low > 0.0) & (high < 0.0)
+    monotone = (low * high > 0.0) | ((low * high == 0.0) & along)
+    most = np.where(along, 3.0 * np.abs(secant), 0.0)
     low, high = (np.where(monotone, np.sign(m) * np.minimum(np.abs(m), most), m) for m in (low, high))
     t = np.arange(FINE) / FINE
     rise = t**2 * (3.0 - 2.0 * t)
@@ -437,11 +439,15 @@ class SetModel:
         _, which = np.unique(others, axis=0, return_inverse=True)
         return [np.flatnonzero(which == i) for i in range(which.max() + 1)]
 
-    def _left(self, mean: Array, C: Array) -> Array:
-        """Expected squares (n_kinds, n) of what parameters and weights leave."""
+    def _left(self, mean: Array, C: Array, V: Array) -> Array:
+        """Expected squares (n_kinds, n) of what parameters and weights leave, given errors of variance V.
+
+        The posterior variance of what they predict is at most V, which an inverse of many figures can miss.
+        """
         e = self.problem.residual - mean @ self.A.T
         both = np.where(self.rows == self.columns, 1.0, 2.0)
-        return np.asarray(e**2 + (C[:, self.rows, self.columns] * both) @ self.products.T)
+        variance = (C[:, self.rows, self.columns] * both) @ self.products.T
+        return np.asarray(e**2 + np.clip(variance, 0.0, V))
 
     def evidence(
         self, kinds: Kinds, start: Array, signal: Callable[[Array], Array] | None = None
@@ -493,7 +499,7 @@ class SetModel:
             V = own + discrepancy[active]
             gram, right = self._products(V / power)
             mean, C = self._inside(*self.solve(gram, right, ones[active]))
-            q = self._left(mean, C) / V
+            q = self._left(mean, C, V / power) / V
             a = own / V
             first, second, left = (power * x @ f.one_of.T for x in (a, a**2, a * q))
             noises = AlikeCoefficients.of(
@@ -527,7 +533,7 @@ class SetModel:
         log_z = base + logsumexp(gains, axis=1)
         mean, C = self._inside(*self.solve(gram, right, scales[np.argmax(gains, axis=1)]))
         amplitudes = self._amplitudes(own_mean, own_C)
-        slope = power * np.sum(discrepancy / V * (self._left(mean, C) / V - 1.0), axis=1)
+        slope = power * np.sum(discrepancy / V * (self._left(mean, C, V / power) / V - 1.0), axis=1)
         mean, C = mean @ self.turn.T, self.turn @ C @ self.turn.T
         return SetEvidence(
             f,
