@@ -11,17 +11,22 @@ import numpy as np
 import pymc as pm
 import pytest
 from scipy import stats
+from typer.testing import CliRunner
 
 import zoo
 from test_errors import covariance_of
+from zoo import find_mode, load_study, model_B
+from zoo.cli import app
 from zoo.core.arviz_lines import ARVIZ_1, datasets, of_draws
 from zoo.core.data import Data
 from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.model import bayesian_model
 from zoo.core.parameters import InverseGamma, Normal, Parameter
 from zoo.core.posterior.arviz_groups import N_TERMS, add_groups
 from zoo.core.posterior.storage import load, save_posterior, slim_posterior
+from zoo.report.chapter import sampling_command
 
 TIMES = np.arange(12.0)
 ROOT = Path(__file__).resolve().parents[1]
@@ -160,3 +165,24 @@ def test_a_study_without_observations_is_solved_at_every_inlet():
         np.arange(512) / 512, np.arange(len(demo.inflow_ml_s)) / len(demo.inflow_ml_s), demo.inflow_ml_s
     )
     np.testing.assert_allclose(root, inflow, atol=0.01 * np.ptp(inflow))
+
+
+def test_draws_of_another_sampler_go_into_the_command(tmp_path: Path) -> None:
+    """Saved with their groups; without these the message says what to do."""
+    study = load_study("demo")
+    model, rng, shape = model_B(study), np.random.default_rng(1), (4, 100)
+    at = find_mode(model).values
+    drawn = {name: value * np.exp(0.01 * rng.standard_normal(shape)) for name, value in at.items()}
+    plain = of_draws({"posterior": drawn})
+    with pytest.raises(ResultsError, match=r"zoo.add_groups\(idata, model\) to the draws of another"):
+        RunRecord.of(plain)
+    found = add_groups(plain, model, n_draws=20, n_prior=0)
+    assert not RunRecord.there(plain)
+    record = RunRecord.of(found)
+    assert (record.model, record.study, record.settings["chains"]) == ("B", "demo", 4)
+    assert sampling_command(record) == "# B of demo: draws of another sampler"
+    save_posterior(found, tmp_path / "B.nc")
+    command = ["compare", "demo", "--posteriors", str(tmp_path), "--models", "B", "--no-figures"]
+    result = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out")], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert not (tmp_path / "out" / "B.nc").exists()  # nothing was sampled

@@ -137,20 +137,33 @@ class RunRecord:
         Raises
         ------
         ResultsError
-            If there is none (the draws were not made by `zoo.sample`).
+            If there is none.
         """
-        text = idata.attrs.get(_RECORD_ATTR)
-        if text is None and "posterior" in idata:
-            text = idata.posterior.attrs.get(_RECORD_ATTR)
+        text = _text_of(idata)
         if text is None:
-            raise ResultsError("no run record in this InferenceData; only zoo.sample writes one")
+            raise ResultsError(
+                "no run record in this InferenceData: zoo.sample writes one, and "
+                "zoo.add_groups(idata, model) to the draws of another sampler"
+            )
         return cls.from_json(str(text))
+
+    @staticmethod
+    def there(idata: Any) -> bool:
+        """Whether an InferenceData has a record."""
+        return _text_of(idata) is not None
 
     def attach(self, idata: Any) -> None:
         """Store the record in an InferenceData, at the root and in the posterior group."""
         idata.attrs[_RECORD_ATTR] = self.to_json()
         if "posterior" in idata:
             idata.posterior.attrs[_RECORD_ATTR] = self.to_json()
+
+
+def _text_of(idata: Any) -> Any:
+    text = idata.attrs.get(_RECORD_ATTR)
+    if text is None and "posterior" in idata:
+        text = idata.posterior.attrs.get(_RECORD_ATTR)
+    return text
 
 
 def plain(value: Any) -> Any:

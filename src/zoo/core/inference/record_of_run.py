@@ -8,14 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from zoo.core.arviz_lines import InferenceData, of_draws
+from zoo.core.arviz_lines import InferenceData, dataset, of_draws
 from zoo.core.inference.checkpoint import Run
 from zoo.core.inference.convergence import check_convergence, ess_to_count
 from zoo.core.inference.elements import arrays
 from zoo.core.inference.logposterior import LogPosterior, model_name
 from zoo.core.inference.prior_check import AtBound, check_priors, exactness_at, priors_of
 from zoo.core.inference.record import RunRecord
+from zoo.core.model import record_of
 
+UNKNOWN_SAMPLER = "another sampler"
 _WHOLE = {"solves": np.int64, "solver_failures": np.int64, "gradients": np.int64, "diverging": np.bool_}
 
 
@@ -95,3 +97,43 @@ def attach_record(
         priors=identity["priors"],
     ).attach(idata)
     say(check_convergence(made, ess=ess_to_count(settings["until_ess"]), priors=priors).text)
+
+
+def attach_record_of_draws(idata: InferenceData, model: Any) -> None:
+    """Write what is known of draws that another sampler made: the model and its priors, and no run.
+
+    Parameters
+    ----------
+    idata : InferenceData
+        With a posterior.
+    model : pm.Model
+        With a record.
+    """
+    ours, draws = record_of(model), dataset(idata)
+    source, made = ours.study or ours.data, arrays(idata)
+    parameters, effects = priors_of(model)
+    found = check_priors(parameters, made, effects=effects).as_dict() if parameters else None
+    RunRecord(
+        model=ours.name,
+        study=source.name if ours.study else "",
+        study_checksum=source.checksum,
+        conventions=dict(ours.settings.get("conventions", {})),
+        solver=dict(ours.settings.get("solver options", {})),
+        settings={
+            "step": draws.attrs.get("inference_library") or UNKNOWN_SAMPLER,
+            "draws": draws.sizes["draw"],
+            "chains": draws.sizes["chain"],
+        },
+        seed=0,
+        solves=0,
+        steps=0,
+        mode_evaluations=0,
+        failures={},
+        solves_per_draw=0.0,
+        solves_per_step=0.0,
+        wall_seconds=0.0,
+        sittings=0,
+        started="",
+        prior_check=found,
+        priors=ours.priors,
+    ).attach(idata)

@@ -19,6 +19,7 @@ from zoo.core.inference.convergence import ESS_TARGET, FIRST_CHECK
 from zoo.core.inference.messages import without_messages
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record import RunRecord
+from zoo.core.inference.record_of_run import attach_record_of_draws
 from zoo.core.model import ModelRecord, record_of
 from zoo.core.parameters import variable_name
 from zoo.core.posterior.comparison import error_parameters, posterior_means, thin
@@ -51,7 +52,9 @@ def add_groups(
     """Add log_likelihood, posterior_predictive, prior, prior_predictive, data groups and units.
 
     The log-likelihood is that of the terms log p(y_i | y_<i), whose sum is the joint one. It and the
-    predictive draws cost one solve for each of `n_draws` posterior draws, those of the prior one each.
+    predictive draws cost one solve for each of `n_draws` posterior draws, those of the prior one each. Draws
+    of another sampler get a record of their model, so that what is saved goes into `zoo compare` and `zoo
+    report`.
 
     Parameters
     ----------
@@ -110,7 +113,10 @@ def add_groups(
     for name in ("posterior", "prior"):
         if name in groups:
             groups[name] = with_units(groups[name], record)
-    return made(groups, idata.attrs)
+    found = made(groups, idata.attrs)
+    if not RunRecord.there(found):
+        attach_record_of_draws(found, model)
+    return found
 
 
 def with_units(draws: xr.Dataset, record: ModelRecord) -> xr.Dataset:
