@@ -54,6 +54,7 @@ from .core.diagnosis import DiagnosisError as DiagnosisError
 from .core.diagnosis import Hooks as Hooks
 from .core.diagnosis import OtherState as OtherState
 from .core.diagnosis import read_diagnosis as read_diagnosis
+from .report.diagnosis import write_diagnosis as write_diagnosis
 from .front import diagnose as diagnose
 
 # Studies of blood flow
