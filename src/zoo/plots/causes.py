@@ -61,7 +61,7 @@ def draw_causes(figure: Figure | SubFigure, d: Diagnosis) -> None:
     _draw_bars(top, [(c.name, c.probability, c.prior_probability) for c in found])
     top.set_title("components that are wrong")
     _draw_bars(bottom, [(set_name(row), row.probability, math.exp(row.log_prior)) for row in sets])
-    bottom.set_title("sets of causes")
+    bottom.set_title("sets of causes (these and no others)")
     bottom.set_xlabel("probability (%)")
     handles = [
         Patch(color=PROBABILITY_COLOUR, label="probability"),
