@@ -183,11 +183,6 @@ class Search(Generic[F]):
         step = self.step(point, NO_DAMPING)
         return point.cost - self.cost(point.u + step, point.computed + point.jacobian @ step)
 
-    def apart(self, point: Point, other: Solved) -> float:
-        """Posterior sds between two points, by the Jacobian of the second."""
-        step, precision = point.u - other.u, as_matrix(self.forward.prior(other.u)[1])
-        return math.sqrt(float(np.sum((other.jacobian @ step) ** 2 / self.S) + step @ precision @ step))
-
     def descend(self, point: Point, iterations: int, gain: float = GAIN) -> Point:
         """Damped steps with Broyden's updates until one without damping promises less than `gain`."""
         for _ in range(iterations):
