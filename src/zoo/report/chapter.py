@@ -68,7 +68,7 @@ def sampling_command(record: RunRecord) -> str:
     str
     """
     settings = record.settings
-    if not record.started:
+    if not record.sittings:  # of another sampler
         return f"# {record.model} of {record.study}: draws of {settings['step']}"
     target = settings.get("until_ess")
     draws = settings.get("first check" if target else "draws")
