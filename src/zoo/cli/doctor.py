@@ -33,7 +33,8 @@ def examine() -> dict[str, str]:
     import pytensor
     from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
-    blas = sorted({f"{one['internal_api']} {one['version']}" for one in threadpool_info()})
+    libraries = threadpool_info()
+    blas = sorted(f"{one['internal_api']} {one['version']} ({one['num_threads']})" for one in libraries)
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
         "C++ compiler": pytensor.config.cxx or "none, so that PyTensor is slow; install one, such as g++",
