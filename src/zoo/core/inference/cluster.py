@@ -76,7 +76,7 @@ def _client(address: str) -> Any:
         from distributed import Client
     except ModuleNotFoundError:
         raise SchedulerError(
-            f"{address}: needs the package distributed; install it with: pip install 'zoo[cluster]'"
+            f"{address}: needs the package distributed; install it with: pip install 'pymc-zoo[cluster]'"
         ) from None
     try:
         return Client(address, timeout=PATIENCE_S, set_as_default=False)
