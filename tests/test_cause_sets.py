@@ -23,7 +23,7 @@ from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, DiagnosisFile, diagnose, read_diagnosis
 from zoo.core.diagnosis.answer import table_of
 from zoo.core.diagnosis.importance import check_sets
-from zoo.core.diagnosis.search import NO_DAMPING, ROUNDS, Search
+from zoo.core.diagnosis.search import NO_DAMPING, ROUNDS, Search, as_matrix
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear
 from zoo.core.effects import Effect, EffectParameter, effect
 from zoo.core.errors.spectral import Cosines, Harmonics
@@ -414,6 +414,9 @@ def test_a_larger_set_tells_where_a_smaller_one_is() -> None:
     np.testing.assert_allclose(jacobian, small.point.jacobian, atol=1e-6)
     mode = small.point.u + at.step(at.resume(small.point), NO_DAMPING)
     assert at.cost(u, small.forward(u)) == pytest.approx(at.cost(mode, small.forward(mode)), abs=1e-6)
+    step, precision = u - small.point.u, as_matrix(small.forward.prior(small.point.u)[1])
+    square = np.sum((small.point.jacobian @ step) ** 2 / V) + step @ precision @ step
+    assert np.sqrt(square) == pytest.approx(0.237, abs=0.01)  # in posterior sds: its errors are others
 
 
 def steeper(c, times):  # type: ignore[no-untyped-def]

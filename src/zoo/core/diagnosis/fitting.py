@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -25,9 +24,8 @@ LOOSE = 0.1
 """Errors of the first descents, in parts of the range, as good as a linearisation is far off."""
 LEAST = 1e-6
 """Variance of a perfect fit's errors, in parts of these."""
-EACH, TRIED, DESCENDED = 8, 32, 3
-"""Points of the prior that are solved, for each parameter at least and in all at most, and how many of the
-best a descent starts from, besides the median."""
+TRIED, DESCENDED = 32, 3
+"""Points of the prior that are solved, and how many of the best a descent starts from, besides the median."""
 CENTRAL = 0.9
 """Part of a bounded prior's range in which they are; two units on either side of an unbounded one's start."""
 STEPS, GAIN, ROUNDS = 10, 1e-3, 4
@@ -148,10 +146,9 @@ class Fitting:
         return np.asarray(np.maximum(means[self.family.member], LEAST * self._loose))
 
     def _points(self) -> Array:
-        """Points (n, d) spread over the prior, n a power of two."""
+        """Points (TRIED, d) spread over the prior."""
         f = self.forward
-        n = min(TRIED, 2 ** math.ceil(math.log2(EACH * len(f.low))))
-        q = qmc.Sobol(len(f.low), seed=1).random(n)
+        q = qmc.Sobol(len(f.low), seed=1).random(TRIED)
         bounded = np.isfinite(f.low) & np.isfinite(f.high)
         low = np.where(bounded, f.low, np.maximum(f.low, f.start - 2.0 * f.units))
         high = np.where(bounded, f.high, np.minimum(f.high, f.start + 2.0 * f.units))

@@ -216,12 +216,11 @@ class Search(Generic[F]):
     ) -> Point:
         """Fresh Jacobians and descents until one gains nothing; if `fine`, by fine steps after the first.
 
-        If nothing more is promised, fine steps are made at once. It ends with derivatives made where it
-        ends, or within what gained nothing from there: secants of the smallest steps follow the noise of a
-        grid that is chosen anew for each solve.
+        It ends with derivatives made where it ends, or within what gained nothing from there: secants of the
+        smallest steps follow the noise of a grid that is chosen anew for each solve.
         """
         for i in range(rounds):
-            finer = fine and (i > 0 or self.promised(point) < SETTLED)
+            finer = fine and i > 0
             jacobian = self.differences(point, point.jacobian, fine=finer)
             moved = self.descend(replace(point, jacobian=jacobian), iterations)
             settled = point.cost - moved.cost < SETTLED
