@@ -71,7 +71,7 @@ class RunRecord:
     wall_seconds : float
         Duration in s, all sittings of a resumed run together.
     sittings : int
-        How many times the run was started (1: never resumed).
+        How many times the run was started (1: never resumed; 0: the draws are of another sampler).
     started : str
         Start of the first sitting, ISO 8601, UTC.
     versions : dict
