@@ -201,7 +201,7 @@ def test_what_cannot_be_reached_is_one_line(tmp_path: Path, monkeypatch: pytest.
             pass
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
-        pytest.raises(SchedulerError, match=r"install it with: pip install 'zoo\[cluster\]'"),
+        pytest.raises(SchedulerError, match=r"install it with: pip install 'pymc-zoo\[cluster\]'"),
         connect("tcp://h:1"),
     ):
         pass
