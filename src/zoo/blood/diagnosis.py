@@ -19,10 +19,12 @@ from zoo.blood.forward import study_data
 from zoo.blood.priors import with_priors
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study, Vessel, suspect_units
+from zoo.core.causes.family import ErrorFamily
 from zoo.core.components import FreeFunction
 from zoo.core.data import Data
 from zoo.core.diagnosis import Candidate, Diagnosis, DiagnosisError, Hooks, OtherState
 from zoo.core.diagnosis import diagnose as diagnose_data
+from zoo.core.diagnosis.coordinates import ranges
 from zoo.core.diagnosis.hooks import NOISE_PART
 from zoo.core.effects import Effect, EffectError
 from zoo.core.errors.spectral import Spectral, spectral_errors
@@ -208,6 +210,20 @@ def errors_of(study: Study, data: Data) -> Spectral:
     return replace(spectral_errors(data), known=known)
 
 
+def heard(study: Study, data: Data) -> Study:
+    """The study with the noise that its finest harmonics show, where it states neither noise nor accuracy.
+
+    Its grid is then as fine as for a noise that is known: a solver's error of the size of the noise, which
+    differs between effects, would move log evidence by tens.
+    """
+    if "accuracy_percent" in study.numerics:
+        return study
+    errors = errors_of(study, data)
+    family = ErrorFamily(errors.bind(data), ranges(data), dict(errors.known))
+    seen = dict(zip(family.groups, map(float, np.exp(family.noise_start)), strict=True))
+    return replace(study, noise_sd={**seen, **study.noise_sd})
+
+
 def diagnose(
     study: Study,
     base: str = "linear-constant",
@@ -285,8 +301,8 @@ def diagnose(
         raise DiagnosisError(f"component_sizes = {component_sizes}: must be finite, and not below 0")
     chosen = get_baseline(base)
     study = with_priors(study, priors, fixed)
-    forward = chosen.forward(study, conventions=conventions, options=options, share=SEARCH_SHARE)
     data = study_data(study)
+    forward = chosen.forward(heard(study, data), conventions=conventions, options=options, share=SEARCH_SHARE)
     if isinstance(states, Study | str):
         raise DiagnosisError(f"states = {states!r}: give a list of studies")
     own = suspect_units(study)
@@ -298,8 +314,10 @@ def diagnose(
         if {one.unit for one in suspicions} - {one.unit for one in own}:
             odd.append(f"{other.name} is not compared with what was learned before its units are mended")
             continue
-        model = chosen.forward(other, conventions=conventions, options=options, share=SEARCH_SHARE)
         here = study_data(other)
+        model = chosen.forward(
+            heard(other, here), conventions=conventions, options=options, share=SEARCH_SHARE
+        )
         others.append(OtherState(here, model, errors_of(other, here)))
     found = diagnose_data(
         data,

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.data import Data
+from zoo.core.diagnosis.search import FIRST_STEP
 from zoo.core.effects import AddedEffect, with_effects
 from zoo.core.errors.spectral import Spectral
-from zoo.core.forward import Corrected, ForwardModel, Outputs, SolveError, refined
+from zoo.core.forward import Corrected, ForwardModel, Outputs, SolveError, pinned, refined
 from zoo.core.parameters import FrozenPrior, LogNormal, LogUniform, Normal, Parameter, start_of, unpack
 from zoo.core.words import choices
 
@@ -140,6 +141,23 @@ class SearchModel:
             self.last_failure = reason
             return None
         return found
+
+    def pinned(self, u: Array) -> SearchModel:
+        """The same at the discretisation of one point, less its error there, so that it is smooth around it.
+
+        Itself where it has none, or where the error is no longer taken off. An effect that is absent at the
+        point is taken to be there a little, since it may need a grid of its own.
+        """
+        own = isinstance(self.baseline, Corrected)
+        plain = self.baseline.model if own else self.baseline
+        absent = (u == 0.0) & (np.arange(len(u)) >= self.n_base)
+        there = np.clip(np.where(absent, FIRST_STEP * self.units, u), self.low, self.high)
+        try:
+            on_grid = pinned(plain, self.model.configure(self.theta(there)))
+        except FAILURES:
+            return self
+        found = self if on_grid is plain else SearchModel(on_grid, self.added, self.errors).corrected(u)
+        return self if own and not isinstance(found.baseline, Corrected) else found
 
     def corrected(self, u: Array) -> SearchModel:
         """The same less its discretisation error at a point, by Richardson's extrapolation.

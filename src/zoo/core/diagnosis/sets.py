@@ -120,7 +120,10 @@ class CauseSearch:
         residual = self.data - self.base.computed
         self.problem = self._problem(f.forward, self.base.u, residual, self.jacobian)
         values = tuple(one.values for one in responses)
-        self.linears = [Linear((), self.base.u, self.problem, tuple(self.causes), values)]
+        self.linears = [
+            Linear((), self.base.u, self.problem, tuple(self.causes), values, nothing.log_z)
+        ]
+        self.fresh: set[Which] = set()  # centres of responses of their own
         self.ends: dict[Which, Point] = {
             (i,): one.end for i, one in enumerate(responses) if one.end is not None
         }
@@ -164,21 +167,21 @@ class CauseSearch:
         functional = [(o.key, Response(one, np.zeros(one.columns.shape[1]))) for one, o in free]
         return found | dict(functional)
 
-    def _linear(self, centre: SolvedSet) -> Linear:
-        """The simulator around a solved set."""
+    def _linear(self, centre: SolvedSet, fresh: bool) -> Linear:
+        """The simulator around a solved set, with fresh responses of other causes or the baseline's."""
         taken = {self.causes[i].component for i in centre.order}
         there = [o for o, c in zip(self.origins, self.causes, strict=True) if c.component not in taken]
-        found = self._responses(centre, there)
+        found = self._responses(centre, there) if fresh else {}
         k, point = self.fitting.forward.n_base, centre.point
         residual, own = tangents(centre, self.data - point.computed, self.causes, self.origins)
         problem = self._problem(self.fitting.forward, point.u[:k], residual, point.jacobian[:, :k])
         pairs = []
         for i, (cause, origin) in enumerate(zip(self.causes, self.origins, strict=True)):
-            one = found.get(origin.key)
-            silent = replace(cause, columns=np.zeros_like(cause.columns)), self.linears[0].values[i]
-            pairs.append(own.get(i, (one.cause, one.values) if one else silent))
+            one, columns = found.get(origin.key), np.zeros_like(cause.columns) if fresh else cause.columns
+            other = replace(cause, columns=columns), self.linears[0].values[i]
+            pairs.append(own.get(i, (one.cause, one.values) if one else other))
         causes, values = zip(*pairs, strict=True)
-        return Linear(tuple(sorted(centre.order)), point.u[:k], problem, causes, values)
+        return Linear(tuple(sorted(centre.order)), point.u[:k], problem, causes, values, centre.log_z)
 
     @staticmethod
     def _problem(forward: SearchModel, u: Array, residual: Array, jacobian: Array) -> Problem:
@@ -218,9 +221,8 @@ class CauseSearch:
             retried |= set(again.items())
             self._solve(dict.fromkeys(again, FEW), again)
             found = self._corrected(found)
-            centre = self._next_centre(found) if self._goes_on(found, wave + 1) else None
-            if centre is not None:
-                self.span = end, SOLVED - 0.5 * left
+            self.span = end, SOLVED - 0.5 * left
+            while self._goes_on(found, wave + 1) and (centre := self._next_centre(found)) is not None:
                 found = self._around_another(found, centre)
             wave += 1
         self.tick("what follows from the sets", SOLVED)
@@ -243,32 +245,32 @@ class CauseSearch:
         )
 
     def linear_of(self, which: Which) -> Linear:
-        """Around which a set is linear: the largest centre that it holds."""
+        """Around which a set is linear: the largest centre that it holds, of several the most evident."""
         around = (one for one in self.linears if set(one.centre) <= set(which))
-        return max(around, key=lambda one: len(one.centre))
+        return max(around, key=lambda one: one.rank)
 
     def _next_centre(self, found: CausePosterior) -> Which | None:
-        """The leader, or it without one cause: where most may be missed that is not linear around it yet."""
-        leader = self.leader(found)
-        parts = [leader, *(tuple(i for i in leader if i != left) for left in leader)]
-        done = {one.centre for one in self.linears}
-        best, most = None, 1.0 - MASS
-        missed = self.missed_by_set(found)
-        for centre in (w for w in parts if w and w in self.solved and w not in done):
-            held = [
-                w for w in missed if set(centre) <= set(w) and len(self.linear_of(w).centre) < len(centre)
-            ]
-            mass = sum(missed[w] for w in held)
-            if mass > most:
-                best, most = centre, mass
-        return best
+        """The most probable solved set around which more may be missed that is not linear around it yet."""
+        missed, leader = self.missed_by_set(found), set(self.leader(found))
+        done = self.fresh | {one.centre for one in self.linears if not set(one.centre) <= leader}
+        left = [w for w in self.solved if w and w not in self.near | done]
+        for centre in sorted(left, key=lambda w: -found.log_joint[w]):
+            rank = len(centre), self.solved[centre].log_z
+            held = (w for w in missed if set(centre) <= set(w))
+            if sum(missed[w] for w in held if self.linear_of(w).rank <= rank) > 1.0 - MASS:
+                return centre
+        return None
 
     def _around_another(self, found: CausePosterior, centre: Which) -> CausePosterior:
         """With sets that hold a solved one weighed linear around it."""
+        fresh = set(centre) <= set(self.leader(found))
+        if fresh:
+            self.fresh.add(centre)
         try:
-            linear = self._linear(self.solved[centre])
+            linear = self._linear(self.solved[centre], fresh)
         except SolveError:
             return found
+        self.linears = [one for one in self.linears if one.centre != linear.centre]
         self.span = self.span[1], self.span[1]
         own = self._weigh(linear)
         self.linears.append(linear)
@@ -430,6 +432,9 @@ class CauseSearch:
             if len(which) == 1:
                 cause = self.causes[which[0]]
                 best.setdefault(cause.name if cause.free else cause.component, which)
+        if not due and math.fsum((missed := self.missed_by_set(found)).values()) > UNKNOWN:
+            likely = sorted((w for w in missed if w not in tried), key=lambda w: -missed[w])
+            due = dict.fromkeys(likely[:MOST_SOLVED], ROUNDS)
         return due if len(tried) > 1 else dict.fromkeys(best.values(), FEW) | due
 
     # -- one set with the simulator ----------------------------------------------------------------
@@ -462,6 +467,11 @@ class CauseSearch:
                 point = tried
         if point is None:
             return None
+        if not known and (there := self.fitting.counted(forward.pinned(point.u))) is not forward:
+            forward, search = there, Search(there, self.data, search.S)
+            computed = forward(point.u)
+            if computed is not None:
+                point = replace(point, computed=computed, cost=search.cost(point.u, computed))
         point = search.descend(point, STEPS)
         if known and search.resume(known.point).cost < point.cost + PROMISED:
             return known

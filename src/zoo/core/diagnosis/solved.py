@@ -84,6 +84,8 @@ class Linear:
         By their indices; those that cannot be added to the centre have no response.
     values : tuple of array
         Of the parameters of each cause, from which its weights count.
+    log_z : float
+        Log evidence of the centre.
     """
 
     centre: Which
@@ -91,6 +93,12 @@ class Linear:
     problem: Problem
     causes: tuple[Cause, ...]
     values: tuple[Array, ...]
+    log_z: float
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Of two centres that a set holds, it is linear around the one with more causes, or more evidence."""
+        return len(self.centre), self.log_z
 
     def start(
         self, which: Which, order: Which, mean: Array, origins: Sequence[Origin]
