@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -446,10 +446,89 @@ def test_around_the_leading_set_the_linear_model_promises_what_solves_find() -> 
 
     search._weigh_more([pair])
     search._solve({pair: ROUNDS})
-    around = search._linear(search.solved[bump])
+    around = search._linear(search.solved[bump], fresh=True)
     for which in (bump, pair):
         assert promised(around, which) == pytest.approx(search.solved[which].log_z, abs=0.3)
     assert abs(promised(search.linears[0], pair) - search.solved[pair].log_z) > 1.0
+
+
+def saturating(c, times):  # type: ignore[no-untyped-def]
+    """A bump is later the larger it is, and so unlike any multiple of a small one."""
+    size = c.get("bump", 0.0)
+    bump = size * np.exp(-0.5 * ((T - 0.6 - 0.3 * size) / 0.07) ** 2)
+    return straight({**c, "bump": 0.0}, times) + bump
+
+
+def test_around_another_set_the_baseline_lends_its_responses() -> None:
+    """They are right there of what the set does not change, and cost no solve."""
+    model = FunctionModel(saturating, LINEAR.parameters, LINEAR.outputs, "saturating")
+    values = saturating({"a": 1.3, "b": 0.4, "bump": 0.5}, T) + 0.05 * np.random.default_rng(
+        3
+    ).standard_normal(48)
+    data = Data(T, values, labels=["y"], units=["V"], name="line")
+    search = diagnose(data, model, [adding(x) for x in CAUSES], cores=1, errors=Cosines()).sets.search
+    index = {one.name: i for i, one in enumerate(search.causes)}
+    bump, pair = (index["bump"],), tuple(sorted(index.values()))
+    search._weigh_more([pair])
+    search._solve({pair: ROUNDS})
+    before = search.fitting.solves
+    around = search._linear(search.solved[bump], fresh=False)
+    assert search.fitting.solves == before
+    kinds = search.rows[bump].evidence.kinds
+    for linear, near in ((around, True), (search.linears[0], False)):
+        inside = SetModel(linear.problem, [linear.causes[i] for i in pair], search.family)
+        promised = inside.evidence(kinds, search.family.noise_start).total(SIZE_PRIORS)
+        assert (abs(promised - search.solved[pair].log_z) < 0.3) is near
+
+
+def test_sets_that_may_be_most_are_solved_where_none_is_probable(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = of_the_line(3, bump=0.15).sets
+    search, tried = found.search, set(found.solved)
+    monkeypatch.setattr(
+        search, "missed_by_set", lambda _: {(7,): 0.2, (8,): 0.5, **dict.fromkeys(tried, 0.1)}
+    )
+    assert list(search._due(found.posterior, set(found.posterior.probability), True)) == [(8,), (7,)]
+
+
+@dataclass(frozen=True, eq=False)
+class Stepped(FunctionModel):
+    """Its steps follow a parameter, as those of waves do, and so does their error, of second order."""
+
+    steps: int | None = None
+    times_finer: int = 1
+
+    def configure(self, theta):  # type: ignore[no-untyped-def]
+        return {**super().configure(theta), "steps": (self.steps, self.times_finer)}
+
+    def refined(self) -> Stepped:
+        return replace(self, times_finer=2 * self.times_finer)
+
+    def pinned(self, configuration: dict) -> Stepped:
+        return replace(self, steps=steps_of(configuration))
+
+    @property
+    def key(self) -> str:
+        return f"{super().key} {self.steps} {self.times_finer}"
+
+
+def steps_of(c) -> int:  # type: ignore[no-untyped-def]
+    return 4 * round(4.0 * (1.0 + 5.0 * abs(c.get("bump", 0.0)) + abs(c["a"] - 1.3)))
+
+
+def by_steps(c, times):  # type: ignore[no-untyped-def]
+    given, finer = c["steps"]
+    steps = finer * (given or steps_of(c))
+    return straight(c, times) + 0.2 * (16 / steps) ** 2 * np.cos(14 * np.pi * times)
+
+
+def test_the_error_of_steps_that_follow_a_parameter_is_no_evidence() -> None:
+    """All sets have the evidence that they have of a simulator without it."""
+    data, effects = linear_data(3, bump=0.3), [adding(x) for x in CAUSES]
+    model = Stepped(by_steps, LINEAR.parameters, LINEAR.outputs, "stepped")
+    exact, own = (diagnose(data, one, effects, cores=1, errors=Cosines()).sets for one in (LINEAR, model))
+    assert len(own.solved) > 2
+    for which, one in own.solved.items():
+        assert one.log_z == pytest.approx(exact.solved[which].log_z, abs=0.1)
 
 
 def test_a_check_by_importance_sampling_changes_nothing_of_a_linear_model() -> None:

@@ -16,7 +16,7 @@ from zoo.core.diagnosis.file import DiagnosisError
 from zoo.core.diagnosis.search import Point, Search, SearchError, as_matrix
 from zoo.core.effects import AddedEffect
 from zoo.core.errors.spectral import Spectral
-from zoo.core.forward import ForwardModel
+from zoo.core.forward import Corrected, ForwardModel
 
 Array = NDArray[np.float64]
 
@@ -94,8 +94,11 @@ class Fitting:
 
     @cached_property
     def forward(self) -> SearchModel:
-        """The baseline alone."""
-        return self.model()
+        """The baseline alone, at one discretisation where its error is taken off."""
+        own = self.model()
+        if self.start_at is None or not isinstance(self.baseline, Corrected):
+            return own
+        return self.counted(own.pinned(self.start_at))
 
     @cached_property
     def start(self) -> Point:
