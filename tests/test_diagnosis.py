@@ -11,7 +11,8 @@ import pytest
 from made import made
 from zoo import load_study
 from zoo.blood import diagnosis as diagnosis_module
-from zoo.blood.diagnosis import PHASES, StudyDiagnosis, _of_size, errors_of, phases
+from zoo.blood.baseline import get_baseline
+from zoo.blood.diagnosis import PHASES, StudyDiagnosis, _of_size, errors_of, heard, phases
 from zoo.blood.diagnosis import diagnose as diagnose_study
 from zoo.blood.forward import study_data
 from zoo.core.diagnosis import DiagnosisError, read_diagnosis
@@ -249,3 +250,22 @@ def test_a_diagnosis_is_its_answer_in_print(jitter: StudyDiagnosis) -> None:
     lines = repr(jitter).splitlines()
     assert lines == ["demo, baseline linear-constant", *jitter.file.lines]
     assert len(lines) <= 20
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.002])
+def test_the_grid_is_as_fine_as_for_the_noise_if_it_were_given(noise: float) -> None:
+    """The solver's error is at most a third of what the finest harmonics show, as of a known noise."""
+    study = replace(made([], noise=noise), numerics={})
+    data = study_data(study)
+    seen = heard(study, data)
+    assert seen.noise_sd["pressure_mmHg"] == pytest.approx(noise, rel=0.15)
+    base = get_baseline("linear-constant")
+    grid = base.forward(seen).resolution
+    assert grid.limit_percent == pytest.approx(
+        base.forward(replace(study, noise_sd={"pressure_mmHg": noise})).resolution.limit_percent, rel=0.15
+    )
+    assert (grid.limit_percent < 0.02) is (noise < 0.01)
+    asked = replace(study, numerics={"accuracy_percent": 0.5})
+    assert heard(asked, data) is asked
+    given = replace(study, noise_sd={"pressure_mmHg": 1.0})
+    assert heard(given, data).noise_sd == given.noise_sd

@@ -148,8 +148,8 @@ class SearchModel:
         Itself where it has none, or where the error is no longer taken off. An effect that is absent at the
         point is taken to be there a little, since it may need a grid of its own.
         """
-        own = isinstance(self.baseline, Corrected)
-        plain = self.baseline.model if own else self.baseline
+        base = self.baseline
+        plain = base.model if isinstance(base, Corrected) else base
         absent = (u == 0.0) & (np.arange(len(u)) >= self.n_base)
         there = np.clip(np.where(absent, FIRST_STEP * self.units, u), self.low, self.high)
         try:
@@ -157,7 +157,7 @@ class SearchModel:
         except FAILURES:
             return self
         found = self if on_grid is plain else SearchModel(on_grid, self.added, self.errors).corrected(u)
-        return self if own and not isinstance(found.baseline, Corrected) else found
+        return self if base is not plain and not isinstance(found.baseline, Corrected) else found
 
     def corrected(self, u: Array) -> SearchModel:
         """The same less its discretisation error at a point, by Richardson's extrapolation.

@@ -120,9 +120,7 @@ class CauseSearch:
         residual = self.data - self.base.computed
         self.problem = self._problem(f.forward, self.base.u, residual, self.jacobian)
         values = tuple(one.values for one in responses)
-        self.linears = [
-            Linear((), self.base.u, self.problem, tuple(self.causes), values, nothing.log_z)
-        ]
+        self.linears = [Linear((), self.base.u, self.problem, tuple(self.causes), values, nothing.log_z)]
         self.fresh: set[Which] = set()  # centres of responses of their own
         self.ends: dict[Which, Point] = {
             (i,): one.end for i, one in enumerate(responses) if one.end is not None
