@@ -214,9 +214,9 @@ def heard(study: Study, data: Data) -> Study:
     """The study with the noise that its finest harmonics show, where it states neither noise nor accuracy.
 
     Its grid is then as fine as for a noise that is known: a solver's error of the size of the noise, which
-    differs between effects, would move log evidence by tens.
+    differs between effects, would move log evidence by tens. Noise in a unit that is suspected tells nothing.
     """
-    if "accuracy_percent" in study.numerics:
+    if "accuracy_percent" in study.numerics or suspect_units(study):
         return study
     errors = errors_of(study, data)
     family = ErrorFamily(errors.bind(data), ranges(data), dict(errors.known))
