@@ -13,10 +13,12 @@ import pandas as pd
 import pytest
 from commands import TRUE, fails, run
 
+from zoo.blood.forward import BloodFlow
 from zoo.blood.study import load_study, save_study
 from zoo.cli.command import UsageError
 from zoo.cli.sample import _keeps_what_is_there
 from zoo.core.arviz_lines import of_draws
+from zoo.core.diagnosis import solve_store
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import find
 from zoo.core.posterior.storage import load
@@ -253,6 +255,30 @@ def test_compare_is_red_on_a_model_made_worse_and_green_again(
     assert "gate 'waic': is none" in fails(*words, "--fail-if", "waic")
     assert "unknown; did you mean 'waic'" in fails(*words, "--fail-if", "wiac > 3")
     assert "there is no baseline; give --baseline" in fails(*words, "--fail-if", "waic > baseline")
+
+
+def test_an_unchanged_model_is_compared_again_without_a_solve(
+    sampled: tuple[Path, str], tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solves = []
+    solve = BloodFlow.solve
+    monkeypatch.setattr(BloodFlow, "solve", lambda *given: solves.append(given) or solve(*given))
+    words = "compare", tiny, "--models", "A", "--no-figures", "--n-draws", 40, "-o", tmp_path / "out"
+
+    def compared(posterior: Path, n: int) -> str:
+        before = len(solves)
+        run(*words, "--posteriors", posterior)
+        assert (len(solves) > before) is (n > 0)
+        assert len(solves) - before <= n
+        return (tmp_path / "out" / "comparison.csv").read_text(encoding="utf-8")
+
+    first = compared(sampled[0], 40 + 3)  # the draws, and the medians of all chains and of each
+    assert compared(sampled[0], 0) == first
+    run("sample", "a", tiny, "-o", tmp_path / "A.nc", *QUICK[:-1], 4)
+    assert compared(tmp_path / "A.nc", 40 + 3) != first
+    assert compared(sampled[0], 0) == first
+    monkeypatch.setattr(solve_store, "_program", lambda: "another version")
+    assert compared(sampled[0], 40 + 3) == first
 
 
 def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_path: Path) -> None:
