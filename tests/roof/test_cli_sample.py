@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from commands import TRUE, fails, run
+from commands import TRUE, fails, run, run_json
 
 from zoo.blood.forward import BloodFlow
 from zoo.blood.study import load_study, save_study
@@ -50,6 +50,19 @@ def test_sample_writes_the_posterior_and_a_verdict(sampled: tuple[Path, str], ti
     assert "2 chains: at least 4 are needed" in output
     psi2 = idata.posterior.psi2.to_numpy()
     assert abs(psi2.mean() - TRUE["psi2"]) < 4 * psi2.std()
+
+
+def test_the_summary_for_machines_is_that_of_the_screen(sampled: tuple[Path, str], tiny: Path) -> None:
+    path, output = sampled
+    found = run_json("sample", "a", tiny, "-o", path, "--thin", 2, *QUICK)
+    draws = load(path).posterior
+    assert [row["parameter"] for row in found["parameters"]] == list(draws.data_vars)
+    for row in found["parameters"]:
+        assert row["median"] == pytest.approx(float(np.median(draws[row["parameter"]])))
+        assert row["unit"] == draws[row["parameter"]].attrs["units"]
+    assert found["converged"] is False
+    assert found["verdict"] in output
+    assert (found["model"], found["study"], found["chains"], found["seed"]) == ("A", "tiny", 2, 3)
 
 
 def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Path) -> None:
