@@ -28,13 +28,13 @@ def doctor(as_json: JsonOption = False) -> None:
 def examine() -> dict[str, Any]:
     """What is there, by name with unit; None where it is missing."""
     import os
-    import shutil
     from importlib import metadata
 
     import pytensor
     from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
     from zoo.core.inference.record import versions
+    from zoo.core.model import missing_for_graphs
 
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
@@ -49,7 +49,7 @@ def examine() -> dict[str, Any]:
         ],
         "cores": os.cpu_count(),
         "cores_of_this_process": own,
-        "graphviz_dot": shutil.which("dot"),
+        "missing_for_graphs": missing_for_graphs(),
         "studies": _studies(),
         "solve_ms": 1e3 * seconds_of_a_solve(),
     }
@@ -61,6 +61,7 @@ def _in_words(found: dict[str, Any]) -> dict[str, str]:
     there = [
         name if data else f"{name} (missing: zoo fetch {name})" for name, data in found["studies"].items()
     ]
+    lacks = "; ".join(f"no {what}: {remedy}" for what, remedy in found["missing_for_graphs"].items())
     return {
         "C++ compiler": found["cxx_compiler"] or "none, so that PyTensor is slow; install one, such as g++",
         "PyTensor's linker": found["pytensor_linker"],
@@ -68,7 +69,7 @@ def _in_words(found: dict[str, Any]) -> dict[str, str]:
         "PyTensor's BLAS": found["pytensor_blas_flags"] or "none of its own: it takes NumPy's or SciPy's",
         "BLAS and threads": ", ".join(blas),
         "cores": f"{found['cores_of_this_process']} of {found['cores']}",
-        "graphviz": found["graphviz_dot"] or "none, which only pm.model_to_graphviz needs",
+        "graphs of models": lacks or "by graphviz",
         "measured data": ", ".join(there),
         "one solve": f"{found['solve_ms']:.3g} ms (study demo, model A)",
     }
