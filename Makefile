@@ -3,13 +3,14 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.zoo-setup
+APART := --ignore tests/test_readme.py --ignore tests/test_installed.py
 PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 # Of the Python that is there: PyMC 5 on 3.11, PyMC 6 on later ones.
 LOCK := $(shell $(or $(wildcard $(BIN)/python),$(PYTHON)) -c 'import sys; \
     print("requirements-py313.lock" if sys.version_info >= (3, 12) else "requirements.lock")')
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
-.PHONY: setup test test-all test-next test-some test-all-next native-test durations readme check fuzz nightly demo report docs bench reproduce mutants clean
+.PHONY: setup test test-all test-next test-some test-all-next native-test durations readme installed check fuzz nightly demo report docs bench reproduce mutants clean
 setup: $(STAMP)
 
 # Versions come from the lock file, those of the build tools too.
@@ -25,11 +26,11 @@ native-test: setup
 
 # C tests under sanitizers and the fast tier of tests/tiers.py: ten minutes on two cores.
 test: native-test
-	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow" --ignore tests/test_readme.py
+	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow" $(APART)
 
 # Both tiers.
 test-all: native-test
-	$(BIN)/pytest $(PYTEST_ARGS) --ignore tests/test_readme.py
+	$(BIN)/pytest $(PYTEST_ARGS) $(APART)
 
 # A Python of PyMC's later line. Candidates are run, since a shim without its Python is there too.
 LATER = $(shell for one in python3.13 python3.12 $${PYENV_ROOT:-$$HOME/.pyenv}/versions/3.1[23]*/bin/python3; do \
@@ -56,15 +57,20 @@ test-all-next:
 
 # Both tiers, and how long each test took into tests/durations.json, which says what is slow and what is first.
 durations: setup
-	$(BIN)/pytest $(PYTEST_ARGS) --durations-file --ignore tests/test_readme.py
+	$(BIN)/pytest $(PYTEST_ARGS) --durations-file $(APART)
 
 # What takes too long for each change.
-nightly: readme report mutants test-all-next
+nightly: readme installed report mutants test-all-next
+	@$(ON_LATER) readme installed
 	$(MAKE) --no-print-directory fuzz FUZZ_SECONDS=1200
 
 # What README.md shows, as it stands, with the time of each block: five minutes on two cores.
 readme: setup
 	$(BIN)/pytest -n 0 -s -v tests/test_readme.py
+
+# A wheel with its dependencies in an empty environment; three minutes of a processor, and an index of packages is needed.
+installed: setup
+	$(BIN)/pytest -n 0 tests/test_installed.py
 
 check: setup
 	$(BIN)/ruff check .

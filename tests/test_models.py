@@ -24,6 +24,7 @@ from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.independent import Independent
 from zoo.core.inference.logposterior import LogPosterior
+from zoo.core.model import ModelError
 from zoo.core.parameters import LogUniform, pack
 from zoo.models import MODELS, PAPER, get_model, suggested
 
@@ -350,3 +351,18 @@ def test_a_change_of_the_population_alone_needs_no_solve(name: str, study: Study
     assert op.counts["solves"] == 1
     op.evaluate(pack(forward.parameters, values | {"chi": 4e4}))
     assert op.counts["solves"] == 2
+
+
+def test_a_graph_of_a_model_says_what_it_lacks(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The Python package and the program `dot` have cures of their own."""
+    model = get_model("A")(study)
+    monkeypatch.setattr(pm.Model, "to_graphviz", lambda model, **options: options)
+    monkeypatch.setattr("shutil.which", lambda program: f"/usr/bin/{program}")
+    monkeypatch.setattr("zoo.core.model.find_spec", lambda package: package)
+    assert model.to_graphviz(dpi=100) == {"dpi": 100}
+    monkeypatch.setattr("shutil.which", lambda program: None)
+    with pytest.warns(UserWarning, match="no program dot, which draws the graph: .*`apt install graphviz`"):
+        assert model.to_graphviz() == {}
+    monkeypatch.setattr("zoo.core.model.find_spec", lambda package: None)
+    with pytest.raises(ModelError, match=r"no Python package graphviz: pip install 'pymc-zoo\[graphviz\]'"):
+        model.to_graphviz()

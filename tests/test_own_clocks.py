@@ -319,6 +319,7 @@ def test_a_nominal_load_is_that_of_the_wave_whatever_samples_there_are(folder: P
 
 
 @pytest.mark.slow
+@pytest.mark.needs_data
 @pytest.mark.parametrize("name", ["observations", "gap"])
 def test_records_as_they_are_measured(name: str, tmp_path: Path) -> None:
     """Each series has its own times; missing samples are left out of the likelihood."""

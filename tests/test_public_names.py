@@ -75,6 +75,7 @@ model = zoo.model_G(study, efects=["taper"])
 zoo.sample(model, drws=100)
 zoo.Parameter("k", zoo.Uniform(0, 1), units="1/s")
 zoo.diagnose(study, bse="B")
+zoo.diagnose(study).plot().savefg("gap.png")
 """
 
 
@@ -104,6 +105,7 @@ def test_misspelt_keywords_are_errors_of_types(said: Callable[[str], list[str]])
     told = "\n".join(said("misspelt"))
     for line, name in ((5, "efects"), (6, "drws"), (7, "units")):
         assert re.search(rf'misspelt.py:{line}: error: Unexpected keyword argument "{name}"', told), told
+    assert 'misspelt.py:9: error: "Figure" has no attribute "savefg"' in told
     assert 'misspelt.py:8: error: No overload variant of "diagnose" matches' in told
 
 
@@ -143,6 +145,9 @@ def test_what_is_printed_of_a_public_object_is_short() -> None:
         zoo.Hooks(),
         zoo.Cosines(),
     ]
+    assert repr(solver).startswith(
+        "Solver(21 vessels, 177 cells, linear wall, conventions printed, period 0.11 s"
+    )
     for one in objects:
         shown = repr(one)
         assert len(shown) <= 1500, shown

@@ -320,6 +320,8 @@ def test_from_make_to_figures(tiny: dict[str, Any], tmp_path: Path) -> None:
         "score.json", "score.md", "cases.csv", "reliability.png", "confusion.png"
     }  # fmt: skip
     assert "best constant" in " ".join(result.output.split())
+    again = CliRunner().invoke(app, ["blind", "score", answers, "--key", key, "-o", out, "--json"])
+    assert json.loads(again.stdout) == json.loads((Path(out) / "score.json").read_text("utf-8"))
     folder = Path(answers) / "case-001"
     assert {p.name for p in folder.iterdir()} == {"answer.json", "diagnosis.json"}
     stored, file = (json.loads((folder / f"{x}.json").read_text()) for x in ("answer", "diagnosis"))

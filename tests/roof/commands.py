@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 from typer.testing import CliRunner
 
 from zoo.cli import app
@@ -15,6 +18,13 @@ def run(*arguments: object, code: int = 0) -> str:
     result = CliRunner(env={"COLUMNS": "200"}).invoke(app, [str(a) for a in arguments])
     assert result.exit_code == code, result.output
     return result.output
+
+
+def run_json(*arguments: object) -> Any:
+    """What a command prints with --json: all of its standard output."""
+    result = CliRunner().invoke(app, [*map(str, arguments), "--json"])
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
 
 
 def fails(*arguments: object) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
 import pytest
-from commands import fails, run
+from commands import fails, run, run_json
 from pages import read
 from withheld import FILES, TAU_S, as_if_sampled, made, screen_of
 
@@ -55,6 +56,12 @@ def test_diagnose_writes_everything_and_says_what_it_found(commanded: tuple[Path
     assert "--effects viscoelastic-wall,inflow-shift --component-sizes 0 --base a -q" in command
     assert "--set conventions.friction=current -o" in command
     assert "somewhere" not in command
+
+
+def test_json_is_what_the_file_holds(folder: Path, tmp_path: Path) -> None:
+    options = ("--effects", "inflow-shift", "--component-sizes", 0, "--base", "a", "-o", tmp_path / "gap")
+    found = run_json("diagnose", folder, *options)
+    assert found == json.loads((tmp_path / "gap" / "diagnosis.json").read_text("utf-8"))
 
 
 def test_samples_that_were_not_measured_are_left_empty(folder: Path, tmp_path: Path) -> None:

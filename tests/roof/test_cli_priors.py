@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
-from commands import fails, run
+from commands import fails, run, run_json
 from typer.testing import CliRunner
 
 from zoo.cli import app
@@ -70,6 +70,8 @@ def test_options_that_cannot_be_used_are_one_line(command: list[str], option: st
 def test_a_prior_that_a_model_has_no_use_for_is_said() -> None:
     found = run("priors", EXAMPLE, "--model", "A", "--n-draws", 10, "-q", "--prior", "f1=uniform(1,2)")
     assert "model A has no f1: the prior of f1 is not used" in found
+    rows = run_json("priors", EXAMPLE, "--model", "A", "--prior", "f1=uniform(1,2)")
+    assert "f1" not in {row["parameter"] for row in rows}
     assert "no f3" not in run(
         "priors", EXAMPLE, "--model", "A", "--n-draws", 10, "-q", "--prior", "stiffness=uniform(1e5,2e5)"
     )

@@ -11,12 +11,14 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from commands import TRUE, fails, run
+from commands import TRUE, fails, run, run_json
 
+from zoo.blood.forward import BloodFlow
 from zoo.blood.study import load_study, save_study
 from zoo.cli.command import UsageError
 from zoo.cli.sample import _keeps_what_is_there
 from zoo.core.arviz_lines import of_draws
+from zoo.core.diagnosis import solve_store
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import find
 from zoo.core.posterior.storage import load
@@ -48,6 +50,19 @@ def test_sample_writes_the_posterior_and_a_verdict(sampled: tuple[Path, str], ti
     assert "2 chains: at least 4 are needed" in output
     psi2 = idata.posterior.psi2.to_numpy()
     assert abs(psi2.mean() - TRUE["psi2"]) < 4 * psi2.std()
+
+
+def test_the_summary_for_machines_is_that_of_the_screen(sampled: tuple[Path, str], tiny: Path) -> None:
+    path, output = sampled
+    found = run_json("sample", "a", tiny, "-o", path, "--thin", 2, *QUICK)
+    draws = load(path).posterior
+    assert [row["parameter"] for row in found["parameters"]] == list(draws.data_vars)
+    for row in found["parameters"]:
+        assert row["median"] == pytest.approx(float(np.median(draws[row["parameter"]])))
+        assert row["unit"] == draws[row["parameter"]].attrs["units"]
+    assert found["converged"] is False
+    assert found["verdict"] in output
+    assert (found["model"], found["study"], found["chains"], found["seed"]) == ("A", "tiny", 2, 3)
 
 
 def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Path) -> None:
@@ -253,6 +268,30 @@ def test_compare_is_red_on_a_model_made_worse_and_green_again(
     assert "gate 'waic': is none" in fails(*words, "--fail-if", "waic")
     assert "unknown; did you mean 'waic'" in fails(*words, "--fail-if", "wiac > 3")
     assert "there is no baseline; give --baseline" in fails(*words, "--fail-if", "waic > baseline")
+
+
+def test_an_unchanged_model_is_compared_again_without_a_solve(
+    sampled: tuple[Path, str], tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solves = []
+    solve = BloodFlow.solve
+    monkeypatch.setattr(BloodFlow, "solve", lambda *given: solves.append(given) or solve(*given))
+    words = "compare", tiny, "--models", "A", "--no-figures", "--n-draws", 40, "-o", tmp_path / "out"
+
+    def compared(posterior: Path, n: int) -> str:
+        before = len(solves)
+        run(*words, "--posteriors", posterior)
+        assert (len(solves) > before) is (n > 0)
+        assert len(solves) - before <= n
+        return (tmp_path / "out" / "comparison.csv").read_text(encoding="utf-8")
+
+    first = compared(sampled[0], 40 + 3)  # the draws, and the medians of all chains and of each
+    assert compared(sampled[0], 0) == first
+    run("sample", "a", tiny, "-o", tmp_path / "A.nc", *QUICK[:-1], 4)
+    assert compared(tmp_path / "A.nc", 40 + 3) != first
+    assert compared(sampled[0], 0) == first
+    monkeypatch.setattr(solve_store, "_program", lambda: "another version")
+    assert compared(sampled[0], 40 + 3) == first
 
 
 def test_compare_says_what_to_change(sampled: tuple[Path, str], tiny: Path, tmp_path: Path) -> None:

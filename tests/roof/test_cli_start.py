@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-import json
+import inspect
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import numba
 import numpy as np
+import pytensor
 import pytest
-from commands import fails, run
+import scipy
+from commands import fails, run, run_json
 from typer.testing import CliRunner
 
 import zoo
 from zoo.blood.effects import CATALOGUE
 from zoo.cli import app
+
+LINES_ONLY = {"fetch", "make", "run"}
+"""Commands that print no table, in modules of others that do."""
 
 
 def test_help_is_quick_and_lists_the_commands() -> None:
@@ -99,12 +106,28 @@ def test_interrupt_has_its_own_exit_code(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_doctor_tells_what_decides_the_speed_and_json_is_json() -> None:
-    found = json.loads(run("doctor", "--json"))
+    found = run_json("doctor")
     assert found["versions"]["zoo"] == zoo.__version__
-    assert 0.0 < float(found["one solve"].split()[0]) < 1e4
+    assert found["versions"].items() >= {"numba": numba.__version__, "scipy": scipy.__version__}.items()
+    assert 0.0 < found["solve_ms"] < 1e4
+    assert 1 <= found["cores_of_this_process"] <= found["cores"] == os.cpu_count()
+    assert all(isinstance(one["threads"], int) for one in found["blas"])
+    assert found["pytensor_blas_flags"] == (pytensor.config.blas__ldflags or None)
+    assert found["studies"]["demo"] is True
+    assert "PyTensor's BLAS" in run("doctor")
     assert run("doctor").count("\n") < 20
-    rows = json.loads(run("studies", "--json"))
+    rows = run_json("studies")
     assert {"study": "demo", "vessels": 21}.items() <= rows[0].items()
-    [one] = json.loads(run("effects", "stenosis", "--json"))
+    [one] = run_json("effects", "stenosis")
     assert one["name"] == "stenosis"
     assert {p["name"] for p in one["parameters"]} == {p.name for p in CATALOGUE["stenosis"].parameters}
+
+
+def test_every_command_that_prints_a_table_has_json() -> None:
+    groups = [app, *(group.typer_instance for group in app.registered_groups)]
+    functions = [one.callback.__wrapped__ for group in groups for one in group.registered_commands]
+    source = {function: inspect.getsource(inspect.getmodule(function)) for function in functions}
+    tables = [f for f in functions if "plain_table(" in source[f] and f.__name__ not in LINES_ONLY]
+    assert len(tables) >= 9
+    for function in tables:
+        assert {"as_json", "json"} & inspect.signature(function).parameters.keys(), function

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from functools import cache, partial
 from itertools import count, takewhile
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -239,6 +240,14 @@ class Solver:
         if not name.startswith("_") and "_problem" in self.__dict__:
             raise AttributeError(f"Solver: {name} cannot be changed; make another Solver with it")
         super().__setattr__(name, value)
+
+    def __repr__(self) -> str:
+        cells, places = int(self.grid()[0].sum()), ", ".join(f"v{v}@{x:g}" for v, x in self.series)
+        return (
+            f"Solver({len(self.network.ids)} vessels, {cells} cells, {self.wall} wall, conventions "
+            f"{self.conventions.name}, period {self.network.period_s:g} s, {len(self.times_s)} times at "
+            f"{shorten(places, 80, placeholder=' ...') or 'no place'})"
+        )
 
     @classmethod
     def for_study(

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from zoo.cli.command import FreshOption, Role, UsageError, Without, command
-from zoo.cli.options import DaskOption, PluginOptions, PriorOptions, QuietOption
+from zoo.cli.options import DaskOption, JsonOption, PluginOptions, PriorOptions, QuietOption
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file, output_folder
 
@@ -164,6 +164,7 @@ def score(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score."), Role.WRITES] = Path(
         "score"
     ),
+    as_json: JsonOption = False,
 ) -> None:
     """Score answers against their key: score.json, score.md, cases.csv and figures."""
     from zoo.blood.blind import score_cases
@@ -177,6 +178,9 @@ def score(
     figures = [
         save_figure(figure, output / f"{name}.png").name for name, figure in score_figures(found).items()
     ]
+    if as_json:
+        print((output / "score.json").read_text(encoding="utf-8"), end="")
+        return
     title = f"{found.summary['n']} cases, {found.summary['failed']} without an answer"
     if found.without_key:
         title += f"; {found.without_key} more answers have no key"

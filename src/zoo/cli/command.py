@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
-from zoo.cli.screen import complain, warn
+from zoo.cli.screen import complain, only_json, warn
 
 if TYPE_CHECKING:
     from zoo.core.outputs import Run
@@ -113,7 +113,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
         for name, (group, options) in groups.items():
             given[name] = group(**{option: given.pop(option) for option in options})
         try:
-            with _warnings_as_lines():
+            with _warnings_as_lines(), only_json(bool(asked.get("as_json"))):
                 if not writes:
                     function(**given)
                     return

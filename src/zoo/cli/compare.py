@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -160,6 +162,8 @@ def _tell_machines(
         raise typer.Exit(GATE)
 
 
+SOLVES = "solves"
+"""Folder in the output for the solves of a comparison, so that an unchanged model takes none again."""
 KINDS = ("fit", "trace", "rank", "pair")
 """Figures of each model, beside one of each quantity."""
 
@@ -200,15 +204,19 @@ def _posteriors_of(
             wrong = None
             if there not in named:  # of a folder: those that do not belong are passed over
                 try:
-                    wrong = mismatch(load(there), built[name])
+                    found[name] = load(there)
+                    wrong = mismatch(found[name], built[name])
                 except ResultsError as error:
                     wrong = str(error).removeprefix(f"{there}: ")
             if not wrong:
                 files[name] = there
                 break
+            found.pop(name, None)
             say(f"passed over: {there}: {wrong}")
-        if name in files and not fresh:
-            found[name] = load_posterior(files[name], built[name])
+        if fresh:
+            found.pop(name, None)
+        elif name in files:
+            found[name] = found.get(name) or load_posterior(files[name], built[name])
             say(f"model {name}: posterior of {files[name]}")
     output.mkdir(parents=True, exist_ok=True)
     for name in [name for name in names if name not in found]:
@@ -230,12 +238,36 @@ def _compare_on(
     """Write the table and figures; returns the table."""
     from zoo.core.posterior.comparison import compare as rank
 
-    table = rank(found, models, ic=criterion, n_draws=n_draws)
+    with _kept_solves(models, output / SOLVES):
+        table = rank(found, models, ic=criterion, n_draws=n_draws)
+        drawn = _predictions(models, found) if figures else {}
     write_file(output / "comparison.csv", table.to_csv())
     say(*_comparison_summary(table, criterion, study), f"wrote {output / 'comparison.csv'}")
     if figures:
-        _figures(table, models, found, study, output)
+        _figures(table, models, found, drawn, study, output)
     return table
+
+
+@contextmanager
+def _kept_solves(models: Mapping[str, Any], folder: Path) -> Iterator[None]:
+    """Models whose solves at the observed series are taken from a folder, and kept there."""
+    from zoo.core.diagnosis.solve_store import SolveStore, StoredModel
+
+    store, records = SolveStore(folder), {name: model.zoo for name, model in models.items()}
+    try:
+        for name, record in records.items():
+            models[name].zoo = replace(record, forward=StoredModel(record.forward, store))
+        yield
+    finally:
+        store.close()
+        for name, record in records.items():
+            models[name].zoo = record
+
+
+def _predictions(models: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
+    from zoo.blood import predictive
+
+    return {name: predictive.predictive_draws(models[name], idata) for name, idata in found.items()}
 
 
 def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
@@ -283,7 +315,12 @@ def _comparison_summary(table: Any, criterion: str, study: Study) -> list[Any]:
 
 
 def _figures(
-    table: Any, models: Mapping[str, Any], found: Mapping[str, Any], study: Study, output: Path
+    table: Any,
+    models: Mapping[str, Any],
+    found: Mapping[str, Any],
+    drawn: Mapping[str, Any],
+    study: Study,
+    output: Path,
 ) -> None:
     from zoo import plots
     from zoo.blood import predictive
@@ -296,7 +333,7 @@ def _figures(
     quantities = dict.fromkeys(["pressure_mmHg", "flow_ml_s", *(s.quantity for s in study.series)])
     for name, idata in found.items():
         names = list(models[name].zoo.parameters)
-        means, predictions = predictive.predictive_draws(models[name], idata)
+        means, predictions = drawn[name]
         save(
             plots.fit_figure(study, means, predictions, title=f"model {name} on {study.name}"), f"fit-{name}"
         )

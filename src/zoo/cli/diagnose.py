@@ -11,7 +11,7 @@ import typer
 
 from zoo.cli.checks import at_least
 from zoo.cli.command import GATE, Role, UsageError, Without, command, typed_command
-from zoo.cli.options import PluginOptions, QuietOption, StudyArgument, StudyOptions
+from zoo.cli.options import JsonOption, PluginOptions, QuietOption, StudyArgument, StudyOptions
 from zoo.cli.screen import complain, plain_table, say
 from zoo.core.outputs import output_folder
 from zoo.core.words import nearest, percent
@@ -93,6 +93,7 @@ def diagnose(
     ] = None,
     cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time."), Role.ASIDE] = 2,
     seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 1,
+    as_json: JsonOption = False,
     quiet: QuietOption = False,
     *,
     options: StudyOptions,
@@ -151,7 +152,10 @@ def diagnose(
             tell("figures and page")
             written = write_diagnosis(found, output, command=typed_command())
     files = ", ".join(path.name for path in written)
-    say(*diagnosis_screen(found.file), *_check_lines(found.file), f"wrote {output}: {files}")
+    if as_json:
+        print((output / "diagnosis.json").read_text(encoding="utf-8"), end="")
+    else:
+        say(*diagnosis_screen(found.file), *_check_lines(found.file), f"wrote {output}: {files}")
     for name in expect or ():
         if missed := _not_as_expected(found.file, name):
             complain(f"--expect {name}: {missed}")

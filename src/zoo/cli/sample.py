@@ -13,13 +13,14 @@ from zoo.cli.checks import model_name
 from zoo.cli.command import GATE, FreshOption, Role, UsageError, command
 from zoo.cli.options import (
     DaskOption,
+    JsonOption,
     PluginOptions,
     SamplingOptions,
     StrictOption,
     StudyArgument,
     StudyOptions,
 )
-from zoo.cli.screen import plain_table, say
+from zoo.cli.screen import plain_table, say, say_json
 from zoo.core.outputs import output_file, refuse_read
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ def sample(
     strict: StrictOption = False,
     fresh: FreshOption = False,
     dask: DaskOption = None,
+    as_json: JsonOption = False,
     *,
     sampling: SamplingOptions,
     options: StudyOptions,
@@ -69,7 +71,10 @@ def sample(
         settings["executor"] = executor
         idata = sample_with_checkpoint(name, loaded, path, settings, fresh=fresh, progress=not sampling.quiet)
     found = verdict_of(idata, settings["until_ess"])
-    say(*_posterior_summary(idata, found), f"wrote {path}")
+    if as_json:
+        say_json(_record(idata, found, path))
+    else:
+        say(*_posterior_summary(idata, found), f"wrote {path}")
     if strict and not found.passes:
         raise typer.Exit(GATE)
 
@@ -147,23 +152,60 @@ def _keeps_what_is_there(path: Path, settings: Mapping[str, Any]) -> None:
         )
 
 
-def _posterior_summary(idata: InferenceData, found: Verdict) -> list[Any]:
+def _rows(idata: InferenceData, found: Verdict) -> list[dict[str, Any]]:
+    """What is told of each scalar that varies."""
     import numpy as np
+
+    from zoo.core.arviz_lines import dataset
+    from zoo.core.inference.elements import arrays, scalars
+
+    posterior, judged = dataset(idata), {p.name: p for p in found.parameters}
+    rows = []
+    for label, values in scalars(arrays(idata)):
+        if label in judged:
+            p, unit = judged[label], posterior[label.partition("[")[0]].attrs.get("units", "")
+            median, low, high = map(float, np.quantile(values, (0.5, 0.025, 0.975)))
+            row = {"parameter": label, "unit": unit, "median": median, "low_95": low, "high_95": high}
+            told = {name: getattr(p, name) for name in ("rhat", "ess_bulk", "ess_tail", "passes")}
+            rows.append(row | told)
+    return rows
+
+
+def _record(idata: InferenceData, found: Verdict, path: Path) -> dict[str, Any]:
+    """The summary for machines."""
+    from zoo.core.inference.record import RunRecord
+
+    record = RunRecord.of(idata)
+    return {
+        "model": record.model,
+        "study": record.study,
+        "output": str(path),
+        "parameters": _rows(idata, found),
+        "converged": found.passes,
+        "verdict": found.text,
+        "bounds": list(found.bounds),
+        "uninformed": list(found.uninformed),
+        "chains": found.chains,
+        "draws_of_each_chain": found.draws,
+        "seed": record.seed,
+        "solves": record.solves,
+        "failed_solves": dict(record.failures),
+        "wall_s": record.wall_seconds,
+    }
+
+
+def _posterior_summary(idata: InferenceData, found: Verdict) -> list[Any]:
     from rich.text import Text
 
-    from zoo.core.inference.elements import arrays, scalars
     from zoo.core.inference.record import RunRecord
 
     numbers = ("median", "2.5 %", "97.5 %", "R-hat", "ESS bulk", "ESS tail")
     table = plain_table("parameter", *numbers, numbers=numbers)
-    judged = {p.name: p for p in found.parameters}
-    aside = set(found.uninformed)
-    for label, values in scalars(arrays(idata)):
-        if label in judged:
-            p = judged[label]
-            cells = [f"{q:.4g}" for q in np.quantile(values, (0.5, 0.025, 0.975))]
-            cells += [f"{p.rhat:.3f}", f"{p.ess_bulk:.0f}", f"{p.ess_tail:.0f}"]
-            table.add_row(label, *cells, style=None if p.passes or label in aside else "yellow")
+    for row in _rows(idata, found):
+        label, aside = row["parameter"], row["parameter"] in found.uninformed
+        cells = [f"{row[name]:.4g}" for name in ("median", "low_95", "high_95")]
+        cells += [f"{row['rhat']:.3f}", f"{row['ess_bulk']:.0f}", f"{row['ess_tail']:.0f}"]
+        table.add_row(label, *cells, style=None if row["passes"] or aside else "yellow")
     record = RunRecord.of(idata)
     failed = ", ".join(f"{n} {status}" for status, n in record.failures.items()) or "none"
     return [

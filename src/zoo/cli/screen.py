@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
 from zoo.core.words import one_line
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+_aside_of_json = False
+
+
+@contextmanager
+def only_json(wanted: bool) -> Iterator[None]:
+    """Leave standard output to JSON: what else is said goes to standard error."""
+    global _aside_of_json
+    _aside_of_json = wanted
+    try:
+        yield
+    finally:
+        _aside_of_json = False
 
 
 def say(*lines: Any) -> None:
@@ -23,7 +38,7 @@ def say(*lines: Any) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    console = Console(markup=False, emoji=False)
+    console = Console(markup=False, emoji=False, stderr=_aside_of_json)
     for line in lines:
         if isinstance(line, Table):
             for column in line.columns:
@@ -37,10 +52,18 @@ def say(*lines: Any) -> None:
 
 
 def say_json(content: Any) -> None:
-    """Print a value as JSON."""
+    """Print a value as JSON; a number that is not finite is null."""
     import json
 
-    print(json.dumps(content, indent=1))
+    print(json.dumps(_finite(content), indent=1, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _finite(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def complain(text: str) -> None:

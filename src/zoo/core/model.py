@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -39,6 +42,27 @@ class ForwardPyMCModel(pm.Model):
             f"model {record_of(self).name}: has no gradient, and pm.find_MAP without one may end far from "
             "the mode; use zoo.find_mode(model)"
         )
+
+    def to_graphviz(self, **options: Any) -> Any:
+        """As any model's, or raise ModelError where the package graphviz is missing; warn where `dot` is."""
+        for missing, remedy in missing_for_graphs().items():
+            if missing == PACKAGE:
+                raise ModelError(f"no {missing}: {remedy}")
+            warnings.warn(f"no {missing}, which draws the graph: {remedy}", stacklevel=2)
+        return super().to_graphviz(**options)
+
+
+PACKAGE = "Python package graphviz"
+
+
+def missing_for_graphs() -> dict[str, str]:
+    """What a graph of a model needs and is not there, with its remedy."""
+    found = {}
+    if find_spec("graphviz") is None:
+        found[PACKAGE] = "pip install 'pymc-zoo[graphviz]'"
+    if shutil.which("dot") is None:
+        found["program dot"] = "install Graphviz itself, such as by `apt install graphviz`"
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,6 +46,7 @@ from zoo.core.outputs import output_folder, write_file
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
     from zoo.core.diagnosis.posteriors import SampledExplanations
 
@@ -81,7 +82,7 @@ class Diagnosis:
         What it leaves in other states.
     """
 
-    plotter: ClassVar[Callable[[Diagnosis], Any] | None] = None
+    plotter: ClassVar[Callable[[Diagnosis], Figure] | None] = None
     """Draws a diagnosis; figures are not of this package."""
 
     data: Data
@@ -140,7 +141,7 @@ class Diagnosis:
         """Sets of causes with prior and evidence, most probable first."""
         return self.file.sets
 
-    def plot(self) -> Any:
+    def plot(self) -> Figure:
         """Discrepancy, causes and locations on one page, by the `plotter` that `zoo.front` sets."""
         if Diagnosis.plotter is None:
             raise DiagnosisError("no figures here: call zoo.plots.plot_diagnosis(d)")

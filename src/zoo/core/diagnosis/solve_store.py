@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import pickle
 import threading
 from hashlib import blake2b
@@ -23,6 +24,8 @@ FILE = "solves.memo"
 class SolveStore:
     """Solves by a digest of simulator, configuration and outputs, in memory and in a file of a folder.
 
+    In a file the digest is of this package's code too: what another version solved is not taken.
+
     Parameters
     ----------
     folder : path, optional
@@ -40,8 +43,9 @@ class SolveStore:
     """
 
     def __init__(self, folder: str | Path | None) -> None:
-        path = None
+        path, self.program = None, ""
         if folder is not None:
+            self.program = _program()
             output_folder(folder, deep=True).mkdir(parents=True, exist_ok=True)
             path = Path(folder) / FILE
         self._memo: Memo | None = Memo(path, FILE)
@@ -75,7 +79,7 @@ class StoredModel(Around):
 
     def __init__(self, model: ForwardModel, store: SolveStore) -> None:
         super().__init__(model)
-        self._store, self._key = store, model.key
+        self._store, self._key = store, content_key(store.program, model.key)
 
     def __reduce__(self) -> Any:
         return _plain, (self.model,)  # another process has a memory of its own
@@ -110,6 +114,15 @@ class StoredModel(Around):
             raise
         self._store.add(key, Found((np.asarray(values),)))
         return values
+
+
+@functools.cache
+def _program() -> str:
+    """Digest of this package's code, compiled code too."""
+    files = sorted(
+        path for path in Path(__file__).parents[2].rglob("*") if path.suffix in (".py", ".so", ".pyd")
+    )
+    return content_key(*(path.read_bytes() for path in files))
 
 
 def _plain(model: ForwardModel) -> ForwardModel:

@@ -499,7 +499,10 @@ def prior_sensitivity(posterior: xr.Dataset, model: pm.Model) -> dict[str, float
     """
     with model:
         found = compute_log_prior(
-            made({"posterior": posterior}), extend_inferencedata=False, progressbar=False
+            made({"posterior": posterior}),
+            extend_inferencedata=False,
+            progressbar=False,
+            compile_kwargs={"mode": "FAST_COMPILE"},  # compiled code would take longer to load than this
         )
     each = found.data_vars.values()
     log_prior = sum(x.sum([d for d in x.dims if d not in ("chain", "draw")]) for x in each)
