@@ -68,6 +68,7 @@ from .blood.fetch import fetch_file as fetch_file
 from .blood.importing.beats import import_beats as import_beats
 from .blood.importing.imported import ImportedFileError as ImportedFileError
 from .blood.importing.openbf import import_openbf as import_openbf
+from .blood.importing.study_beats import average_beats as average_beats
 from .blood.importing.svonedsolver import import_svonedsolver as import_svonedsolver
 from .blood.importing.svzerodsolver import import_svzerodsolver as import_svzerodsolver
 from .blood.importing.table import import_table as import_table
