@@ -135,6 +135,7 @@ from .core.posterior.comparison import posterior_means as posterior_means
 from .core.posterior.files import PosteriorError as PosteriorError
 from .core.posterior.files import load_posterior as load_posterior
 from .core.posterior.arviz_groups import add_groups as add_groups
+from .core.posterior.arviz_groups import by_place as by_place
 from .core.posterior.arviz_groups import sample as sample
 from .core.posterior.storage import save_posterior as save_posterior
 from .core.posterior.storage import slim_posterior as slim_posterior

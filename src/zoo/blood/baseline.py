@@ -302,6 +302,10 @@ def study_model(
             coords={"vessel": [int(vessel) for vessel in flow.network.ids]},
             study=study,
             constants=_constants(study, flow.network),
+            places={
+                "vessel": [one.vessel for one in study.series],
+                "position": [one.position for one in study.series],
+            },
             settings={
                 "conventions": asdict(flow.conventions),
                 "solver options": asdict(flow.options)
