@@ -128,6 +128,9 @@ from .core.inference.convergence import verdict as verdict
 from .core.inference.mode import find_mode as find_mode
 from .core.inference.pymc_step import step as step
 from .core.inference.record import RunRecord as RunRecord
+from .core.joint import by_subject as by_subject
+from .core.joint import joint_model as joint_model
+from .core.joint import of_subject as of_subject
 from .core.inference.pymc_step import bayesian_model as bayesian_model
 from .core.posterior.comparison import compare as compare
 from .core.posterior.comparison import loo_pit as loo_pit

@@ -21,6 +21,7 @@ from zoo.core.inference.messages import without_messages
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.record_of_run import attach_record_of_draws
+from zoo.core.joint import JointRecord, by_subject
 from zoo.core.model import ModelRecord, record_of
 from zoo.core.parameters import variable_name
 from zoo.core.posterior.comparison import error_parameters, posterior_means, thin
@@ -296,7 +297,8 @@ def sample(
     Returns
     -------
     InferenceData
-        posterior, sample_stats, observed_data, and those of `zoo.add_groups`.
+        posterior, sample_stats, observed_data, and those of `zoo.add_groups`; of a model of several subjects
+        the first three, as `zoo.by_subject` gives them.
 
     Raises
     ------
@@ -326,6 +328,8 @@ def sample(
         until_ess=until_ess, max_draws=max_draws, executor=executor, start=start, step_options=step_options,
         library=library, progress=progress,
     )  # fmt: skip
+    if isinstance(record, JointRecord):
+        return by_subject(idata, model)
     if not isinstance(record, ModelRecord):
         return idata
     if not groups:
