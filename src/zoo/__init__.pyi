@@ -15,6 +15,7 @@ from .core.errors.independent import Independent as Independent
 from .core.errors.spectral import Cosines as Cosines
 from .core.errors.spectral import Harmonics as Harmonics
 from .core.errors.spectral import Uneven as Uneven
+from .core.errors.student import GroupStudent as GroupStudent
 from .core.forward import ForwardModel as ForwardModel
 from .core.forward import FunctionModel as FunctionModel
 from .core.forward import Outputs as Outputs

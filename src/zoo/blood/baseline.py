@@ -173,6 +173,7 @@ class StudyModel(Protocol):
         conventions: Conventions | None = None,
         priors: Mapping[str, Any] | None = None,
         fixed: Mapping[str, float] | None = None,
+        errors: str | ErrorModel | None = None,
         share: Iterable[str] = (),
         population: Iterable[str] | Mapping[str, str] = (),
     ) -> pm.Model:
@@ -241,6 +242,7 @@ def study_model(
     -------
     StudyModel
     """
+    usual = errors
 
     def build(
         study: Study | Sequence[Study],
@@ -250,6 +252,7 @@ def study_model(
         conventions: Conventions | None = None,
         priors: Mapping[str, Any] | None = None,
         fixed: Mapping[str, float] | None = None,
+        errors: str | ErrorModel | None = None,
         share: Iterable[str] = (),
         population: Iterable[str] | Mapping[str, str] = (),
     ) -> pm.Model:
@@ -270,6 +273,8 @@ def study_model(
             "wave_speed_m_s".
         fixed : mapping, optional
             Parameters that are held at a value, ``{"psi1": 1.0}``, beside those that the study holds.
+        errors : {"student-t"} or ErrorModel, optional
+            Instead of the model's own: "student-t" is `zoo.GroupStudent` with the study's `noise_sd`.
         share : iterable of str
             Parameters of several studies that are one for all.
         population : iterable of str, or mapping of str to str
@@ -296,6 +301,7 @@ def study_model(
         >>> both = zoo.model_B([zoo.load_study("a"), zoo.load_study("b")], share=["f3"])  # doctest: +SKIP
         """  # noqa: D205  the model's own words come before
         import zoo.core.inference.pymc_step  # noqa: F401  for pm.sample() without a step method
+        from zoo.blood.errors import errors_named
         from zoo.core.joint import joint_model
         from zoo.core.model import ModelError, bayesian_model
 
@@ -303,7 +309,13 @@ def study_model(
             added = list(effects)
             models = [
                 build(
-                    one, effects=added, options=options, conventions=conventions, priors=priors, fixed=fixed
+                    one,
+                    effects=added,
+                    options=options,
+                    conventions=conventions,
+                    priors=priors,
+                    fixed=fixed,
+                    errors=errors,
                 )
                 for one in study
             ]
@@ -313,7 +325,8 @@ def study_model(
                 raise ModelError(f"{option} = {', '.join(names)}: is of several studies; give a list of them")
         study = with_priors(study, priors, fixed)
         data = study_data(study)
-        law = _with_own_priors(errors(study) if callable(errors) else errors, study, data)
+        chosen = usual if errors is None else errors_named(errors)
+        law = _with_own_priors(chosen(study) if callable(chosen) else chosen, study, data)
         check_names(study, baseline.parameters, law.bind(data).parameter_names)
         flow = baseline.forward(study, conventions=conventions, options=options)
         given = baseline.priors(study, conventions=conventions)

@@ -70,6 +70,15 @@ def sample(
             metavar="NAMES",
         ),
     ] = None,
+    errors: Annotated[
+        str | None,
+        typer.Option(
+            "--errors",
+            help="student-t: errors with heavy tails, of which a few samples that are far off change little; "
+            "the model's own without.",
+            metavar="LAW",
+        ),
+    ] = None,
     strict: StrictOption = False,
     fresh: FreshOption = False,
     dask: DaskOption = None,
@@ -96,7 +105,11 @@ def sample(
     with connect(dask) as executor:
         settings["executor"] = executor
         idata = sample_with_checkpoint(
-            lambda: _build(name, loaded, common), path, settings, fresh=fresh, progress=not sampling.quiet
+            lambda: _build(name, loaded, common, errors),
+            path,
+            settings,
+            fresh=fresh,
+            progress=not sampling.quiet,
         )
     found = verdict_of(idata, settings["until_ess"])
     say(*_posterior_summary(idata, found), f"wrote {path}")
@@ -121,11 +134,13 @@ def _by_name(studies: Sequence[tuple[str, Study]]) -> dict[str, Study]:
     return dict(zip(names, (study for _, study in studies), strict=True))
 
 
-def _build(name: str, studies: Mapping[str, Study], common: Mapping[str, Sequence[str]]) -> Any:
+def _build(
+    name: str, studies: Mapping[str, Study], common: Mapping[str, Sequence[str]], errors: str | None
+) -> Any:
     """The model of a study, or the joint one of several."""
     from zoo.core.joint import joint_model
 
-    built = {subject: build_model(name, study) for subject, study in studies.items()}
+    built = {subject: build_model(name, study, errors) for subject, study in studies.items()}
     if len(built) == 1:
         return next(iter(built.values()))
     return joint_model(built, **common)
@@ -138,14 +153,14 @@ def verdict_of(idata: InferenceData, goal: float | None) -> Verdict:
     return verdict(idata, ess=ess_to_count(goal))
 
 
-def build_model(name: str, study: Study) -> Any:
-    """A model on a study, by its name."""
+def build_model(name: str, study: Study, errors: str | None = None) -> Any:
+    """A model on a study, by its name, with its own errors or others."""
     from zoo.blood.plugins import get_model
     from zoo.blood.prior_tables import names_of
     from zoo.blood.priors import without_use
     from zoo.core.model import ModelError, record_of
 
-    model = get_model(name)(study)
+    model = get_model(name)(study, **({} if errors is None else {"errors": errors}))
     try:
         there = record_of(model).parameters
     except ModelError as error:
