@@ -12,6 +12,7 @@ from zoo.core.data import Data
 from zoo.core.errors.groups import GroupNoise
 from zoo.core.errors.student import GroupStudent
 from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.inference.sampling import has_gradient
 from zoo.core.model import bayesian_model
 from zoo.core.parameters import Normal, Parameter
 
@@ -86,6 +87,6 @@ def test_a_model_of_blood_has_them_by_name() -> None:
     study = zoo.load_study("demo")
     model = zoo.model_G(study, errors="student-t")
     assert model.zoo.error_parameters == ("noise_pressure_mmHg", "nu_pressure_mmHg")
-    assert zoo.core.inference.sampling.has_gradient(model)
+    assert has_gradient(model)
     with pytest.raises(zoo.StudyError, match="errors = 'cauchy': must be student-t"):
         zoo.model_G(study, errors="cauchy")
