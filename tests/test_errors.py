@@ -26,6 +26,7 @@ from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.groups import GroupNoise, GroupProcess
 from zoo.core.errors.independent import Independent
 from zoo.core.errors.spectral import Cosines, GroupPriors, Harmonics
+from zoo.core.errors.student import GroupStudent
 from zoo.core.forward import FunctionModel, Outputs, SolveError
 from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.mode import find_mode
@@ -117,9 +118,13 @@ CASES: dict[str, tuple[ErrorModel, dict[str, float]]] = {
     "cosines": (Cosines(priors=PRIORS).bind(some_data(TWO)), SPECTRAL),
     "noise": (GroupNoise().bind(some_data(TWO)), {"noise_u": 0.4, "noise_v": 0.9}),
     "process": (GroupProcess(known={"v": 0.3}).bind(some_data(TWO, period=N_TIMES * 0.01)), PROCESS),
+    "robust": (
+        GroupStudent(known={"v": 0.3}).bind(some_data(TWO)),
+        {"noise_u": 0.4, "nu_u": 5.0, "nu_v": 3.0},
+    ),
     "student-t": (StudentT(SCALE).bind(some_data(ONE)), {"scale": 0.3}),
 }
-NORMAL = [name for name in CASES if name != "student-t"]
+NORMAL = [name for name in CASES if name not in ("robust", "student-t")]
 
 
 @pytest.fixture(params=CASES)

@@ -19,12 +19,13 @@ from zoo import find_mode, load_study, model_B
 from zoo.cli import app
 from zoo.core.arviz_lines import ARVIZ_1, datasets, of_draws
 from zoo.core.data import Data
+from zoo.core.errors.groups import GroupNoise
 from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.inference.record import ResultsError, RunRecord
 from zoo.core.model import bayesian_model
 from zoo.core.parameters import InverseGamma, Normal, Parameter
-from zoo.core.posterior.arviz_groups import N_TERMS, add_groups
+from zoo.core.posterior.arviz_groups import N_TERMS, add_groups, by_place
 from zoo.core.posterior.storage import load, save_posterior, slim_posterior
 from zoo.report.chapter import sampling_command
 
@@ -132,6 +133,9 @@ def test_sample_has_all_groups_and_a_slim_copy_of_it_has_draws_alone():
     np.testing.assert_array_equal(constants["length"], network.length_cm)
     assert constants["inflow"].attrs["units"] == "ml/s"
     assert idata.posterior["f3"].attrs["units"] == "g cm-1 s-2"
+    waves = by_place(idata)["pressure_mmHg"]
+    assert waves.dims[2:] == ("vessel", "position", "time")
+    assert waves.attrs["units"] == "mmHg"
     assert idata.posterior_predictive["y"].shape == (4, 20, *model.zoo.data.values.shape)
     joint = idata.log_likelihood["y"].sum(("series", "time"))[1, 7]
     at = {name: float(idata.posterior[name][1, 7]) for name in idata.posterior}
@@ -186,3 +190,48 @@ def test_draws_of_another_sampler_go_into_the_command(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out")], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     assert not (tmp_path / "out" / "B.nc").exists()  # nothing was sampled
+
+
+def test_series_are_selected_by_quantity_and_place_after_a_file(tmp_path: Path, draws) -> None:
+    """Three series of two quantities at two places, one of which has no current."""
+    parameters = (Parameter("a", Normal(0.0, 2.0), "V"), Parameter("b", Normal(0.0, 1.0), "V/s"))
+    values = np.array([[1.0], [2.0], [3.0]]) + TIMES
+    data = Data(
+        TIMES,
+        values,
+        labels=["u at 1", "u at 2", "i at 2"],
+        units=["V", "V", "A"],
+        groups=["voltage", "voltage", "current"],
+    )
+    forward = FunctionModel(
+        lambda c, t: line(c, t) + np.arange(3)[:, None], parameters, Outputs(tuple(data.labels), TIMES)
+    )
+    places = {"node": [1, 2, 2], "depth": [0.0, 0.5, 0.5]}
+    model = bayesian_model("nodes", forward, data, GroupNoise(), places=places)
+    noise = {f"noise_{group}": np.full((4, 400), 0.1) for group in ("voltage", "current")}
+    posterior = of_draws({"posterior": {n: datasets(draws)["posterior"][n].values for n in "ab"} | noise})
+    idata = add_groups(posterior, model, n_draws=8, n_prior=2, seed=1)
+    save_posterior(idata, tmp_path / "nodes.nc")
+    for one in (idata, load(tmp_path / "nodes.nc")):
+        observed = by_place(one, "observed_data")
+        assert observed["voltage"].dims == ("node", "depth", "time")
+        assert observed["voltage"].sel(node=2, depth=0.5).values == pytest.approx(values[1])
+        assert observed["current"].sel(node=2, depth=0.5).values == pytest.approx(values[2])
+        assert np.isnan(observed["voltage"].sel(node=1, depth=0.5)).all()
+        assert {name: v.attrs["units"] for name, v in observed.items()} == {"voltage": "V", "current": "A"}
+        assert observed["time"].attrs["units"] == "s"
+        drawn = by_place(one)["voltage"]
+        assert drawn.dims == ("chain", "draw", "node", "depth", "time")
+        raw = datasets(one)["posterior_predictive"]["y"]
+        assert np.array_equal(drawn.sel(node=2, depth=0.5), raw.sel(series="u at 2"))
+        assert "units" not in by_place(one, "log_likelihood")["current"].attrs
+    with pytest.raises(ValueError, match="group = 'posterior': no such group with series by quantity"):
+        by_place(idata, "posterior")
+    with pytest.raises(ValueError, match=r"zoo\.add_groups"):
+        by_place(posterior)
+
+
+def test_draws_without_groups_have_units(model) -> None:
+    idata = zoo.sample(model, draws=10, tune=10, chains=1, seed=1, cores=0, groups=False, progress=False)
+    assert idata["posterior"]["b"].attrs["units"] == "V/s"
+    assert RunRecord.of(idata).seed == 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,8 @@ from typer.testing import CliRunner
 
 from zoo.blood.importing.beats import COVARIANCE_FILES, import_beats
 from zoo.blood.importing.imported import ImportedFileError
-from zoo.blood.study import load_study
+from zoo.blood.importing.study_beats import average_beats
+from zoo.blood.study import StudyError, load_study
 from zoo.cli import app
 
 PERIOD, STEP, BEATS = 0.8, 0.005, 7
@@ -149,3 +152,100 @@ def test_too_few_beats(tmp_path: Path) -> None:
     q = write(tmp_path / "q.csv", t, flow(t), "flow_ml_s")
     with pytest.raises(ImportedFileError, match=r"whole beats of pressure_mmHg: at least 3"):
         import_beats(p, q, 6, 1.1)
+
+
+NETWORK = """[blood]
+density_g_cm3 = 1.06
+viscosity_g_cm_s = 0.04
+[[vessel]]
+id = 1
+name = "aorta"
+length_cm = 6.0
+radius_cm = 1.1
+windkessel = "nominal"
+"""
+
+
+def study_of_beats(folder: Path, values: np.ndarray, step: float = 0.02, extra: str = "") -> Path:
+    """A study whose pressure goes on for as many samples as there are values; an empty one is missing."""
+    folder.mkdir()
+    (folder / "network.toml").write_text(NETWORK)
+    t = np.arange(0, PERIOD, 0.02)
+    rows = [f"{s:.2f},{q:.6f}" for s, q in zip(t, flow(t), strict=True)]
+    (folder / "inflow.csv").write_text("\n".join(["time_s,flow_ml_s", *rows]) + "\n")
+    rows = [f"1,0,pressure_mmHg,{i * step:.6f},{'' if np.isnan(v) else v}" for i, v in enumerate(values)]
+    (folder / "observations.csv").write_text("\n".join(["vessel,position,quantity,time_s,value", *rows]))
+    (folder / "study.toml").write_text(
+        'name = "s"\nnetwork = "network.toml"\ninflow = "inflow.csv"\nobservations = "observations.csv"\n'
+        f'period_s = {PERIOD}\nconventions = "printed"\n{extra}'
+    )
+    return folder
+
+
+def noisy(n: int, step: float = 0.02) -> np.ndarray:
+    return pressure(np.arange(n) * step) + np.random.default_rng(3).normal(0, 0.4, n)
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_the_refusal_of_several_beats_names_the_command_that_averages_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, uneven: bool
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    values = noisy(160)
+    if uneven:
+        values[45] = np.nan  # of the second beat, which is averaged by what lies around
+    folder = study_of_beats(tmp_path / "of beats", values)
+    if uneven:
+        rows = (folder / "observations.csv").read_text().splitlines()
+        (folder / "observations.csv").write_text("\n".join(rows[:46] + rows[47:]))
+    with pytest.raises(StudyError) as refused:
+        load_study(folder)
+    line = re.search(r"`zoo (import-beats .*?) -o NEW`", str(refused.value))
+    assert line is not None
+    done = CliRunner().invoke(app, [*shlex.split(line[1]), "-o", "new"])
+    assert done.exit_code == 0, done.output
+    found, beats = load_study("new"), values.reshape(4, 40)
+    (label,) = found.noise_sd
+    assert label == "v1@0 pressure_mmHg"
+    if uneven:
+        assert found.series[0].value[6:] == pytest.approx(beats.mean(axis=0)[6:])
+        return
+    assert found.time_s == pytest.approx(np.arange(40) * 0.02)
+    assert found.series[0].value == pytest.approx(beats.mean(axis=0), rel=1e-12)
+    assert found.noise_sd[label] == pytest.approx(np.sqrt(np.var(beats, axis=0, ddof=1).mean()), rel=1e-9)
+    assert found.inflow_ml_s == pytest.approx(flow(found.inflow_time_s), abs=1e-6)
+    (folder / "observations.csv").write_text((tmp_path / "new" / "observations.csv").read_text())
+    assert found.vessels == load_study(folder).vessels
+
+
+def test_beats_with_gaps_are_left_out_and_the_noise_of_the_study_stays(tmp_path: Path) -> None:
+    values = noisy(200)
+    values[50:60] = np.nan
+    folder = study_of_beats(tmp_path / "s", values, extra="[noise_sd]\npressure_mmHg = 2.0\n")
+    found = average_beats(folder)
+    kept = np.delete(values.reshape(5, 40), 1, axis=0)
+    assert found.study.series[0].value == pytest.approx(kept.mean(axis=0), rel=1e-9)
+    assert found.beats["v1@0 pressure_mmHg"] == pytest.approx(kept, rel=1e-9)
+    assert found.left_out == ("v1@0 pressure_mmHg: 1 beats of 5, not measured throughout",)
+    assert found.study.noise_sd == {"pressure_mmHg": 2.0}
+    assert any("noise_sd stays 2" in line for line in found.read)
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        (noisy(80), "2 whole beats of period_s = 0.8: at least 3"),
+        (noisy(40), "no series is longer than period_s = 0.8"),
+        (np.tile(noisy(40), 3), "all beats are the same"),
+    ],
+)
+def test_what_cannot_be_averaged(tmp_path: Path, values: np.ndarray, told: str) -> None:
+    with pytest.raises(ImportedFileError, match=told):
+        average_beats(study_of_beats(tmp_path / "s", values))
+
+
+def test_options_that_the_study_has_itself(tmp_path: Path) -> None:
+    folder = study_of_beats(tmp_path / "s", noisy(160))
+    done = CliRunner().invoke(app, ["import-beats", str(folder), "--length", "3", "-o", str(tmp_path / "n")])
+    assert done.exit_code == 2
+    assert not (tmp_path / "n").exists()

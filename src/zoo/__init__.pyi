@@ -15,6 +15,7 @@ from .core.errors.independent import Independent as Independent
 from .core.errors.spectral import Cosines as Cosines
 from .core.errors.spectral import Harmonics as Harmonics
 from .core.errors.spectral import Uneven as Uneven
+from .core.errors.student import GroupStudent as GroupStudent
 from .core.forward import ForwardModel as ForwardModel
 from .core.forward import FunctionModel as FunctionModel
 from .core.forward import Outputs as Outputs
@@ -68,6 +69,7 @@ from .blood.fetch import fetch_file as fetch_file
 from .blood.importing.beats import import_beats as import_beats
 from .blood.importing.imported import ImportedFileError as ImportedFileError
 from .blood.importing.openbf import import_openbf as import_openbf
+from .blood.importing.study_beats import average_beats as average_beats
 from .blood.importing.svonedsolver import import_svonedsolver as import_svonedsolver
 from .blood.importing.svzerodsolver import import_svzerodsolver as import_svzerodsolver
 from .blood.importing.table import import_table as import_table
@@ -127,6 +129,9 @@ from .core.inference.convergence import verdict as verdict
 from .core.inference.mode import find_mode as find_mode
 from .core.inference.pymc_step import step as step
 from .core.inference.record import RunRecord as RunRecord
+from .core.joint import by_subject as by_subject
+from .core.joint import joint_model as joint_model
+from .core.joint import of_subject as of_subject
 from .core.inference.pymc_step import bayesian_model as bayesian_model
 from .core.posterior.comparison import compare as compare
 from .core.posterior.comparison import loo_pit as loo_pit
@@ -134,6 +139,7 @@ from .core.posterior.comparison import posterior_means as posterior_means
 from .core.posterior.files import PosteriorError as PosteriorError
 from .core.posterior.files import load_posterior as load_posterior
 from .core.posterior.arviz_groups import add_groups as add_groups
+from .core.posterior.arviz_groups import by_place as by_place
 from .core.posterior.arviz_groups import sample as sample
 from .core.posterior.storage import save_posterior as save_posterior
 from .core.posterior.storage import slim_posterior as slim_posterior

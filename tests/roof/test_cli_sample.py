@@ -65,6 +65,34 @@ def test_the_summary_for_machines_is_that_of_the_screen(sampled: tuple[Path, str
     assert (found["model"], found["study"], found["chains"], found["seed"]) == ("A", "tiny", 2, 3)
 
 
+def test_several_studies_are_subjects_of_one_posterior(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("rest", "exercise"):
+        shutil.copytree(tiny, name)
+    prior = "--prior", "f3=log_uniform(2e4,4e5)"
+    words = "sample", "A", "rest", "exercise", "--share", "f3", "--population", "c", *prior
+    output = run(*words, *QUICK)
+    assert "model A of 2 subjects" in output
+    idata = load(Path("A-rest-exercise.nc"))
+    posterior = idata["posterior"]
+    assert posterior["f3"].dims == ("chain", "draw")
+    for name in ("psi1", "psi2", "c", "noise_pressure_mmHg"):
+        assert posterior[name].dims == ("chain", "draw", "subject")
+    assert posterior["subject"].values.tolist() == ["rest", "exercise"]
+    assert posterior["f3"].attrs["units"] == "g cm-1 s-2"
+    record = RunRecord.of(idata)
+    assert (record.model, record.study) == ("A of 2 subjects", "rest, exercise")
+    again = run(*words, *QUICK)
+    assert "resumed (sitting 2)" in again
+    np.testing.assert_array_equal(load(Path("A-rest-exercise.nc"))["posterior"]["f3"], posterior["f3"])
+    wrong = "sample", "A", "rest", "exercise", "-o", "new.nc", "--share", "f4"
+    assert "--share f4: subject rest: " in fails(*wrong, *QUICK)
+    assert "--share f3: is of several studies" in fails("sample", "A", "rest", "--share", "f3", *QUICK)
+    assert "STUDY rest: is given twice" in fails("sample", "A", "rest", "rest", *QUICK)
+
+
 def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Path) -> None:
     path, _ = sampled
     assert path.with_suffix(".checkpoint").is_dir()

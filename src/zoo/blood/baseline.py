@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
@@ -166,13 +166,16 @@ class StudyModel(Protocol):
 
     def __call__(
         self,
-        study: Study,
+        study: Study | Sequence[Study],
         *,
         effects: Iterable[Given] = (),
         options: SolverOptions | None = None,
         conventions: Conventions | None = None,
         priors: Mapping[str, Any] | None = None,
         fixed: Mapping[str, float] | None = None,
+        errors: str | ErrorModel | None = None,
+        share: Iterable[str] = (),
+        population: Iterable[str] | Mapping[str, str] = (),
     ) -> pm.Model:
         """The PyMC model of a study."""
 
@@ -239,20 +242,24 @@ def study_model(
     -------
     StudyModel
     """
+    usual = errors
 
     def build(
-        study: Study,
+        study: Study | Sequence[Study],
         *,
         effects: Iterable[Given] = (),
         options: SolverOptions | None = None,
         conventions: Conventions | None = None,
         priors: Mapping[str, Any] | None = None,
         fixed: Mapping[str, float] | None = None,
+        errors: str | ErrorModel | None = None,
+        share: Iterable[str] = (),
+        population: Iterable[str] | Mapping[str, str] = (),
     ) -> pm.Model:
         """Parameters
         ----------
-        study : Study
-            With at least one observed series.
+        study : Study or sequence of Study
+            With at least one observed series; several are subjects, each with a solver of its own.
         effects : iterable
             Added to the baseline, their parameters sampled beside its own: names such as "viscoelastic-wall"
             or "local-stiffness@2" (vessel 2), pairs such as ("local-stiffness", 2), effects with a location.
@@ -266,6 +273,12 @@ def study_model(
             "wave_speed_m_s".
         fixed : mapping, optional
             Parameters that are held at a value, ``{"psi1": 1.0}``, beside those that the study holds.
+        errors : {"student-t"} or ErrorModel, optional
+            Instead of the model's own: "student-t" is `zoo.GroupStudent` with the study's `noise_sd`.
+        share : iterable of str
+            Parameters of several studies that are one for all.
+        population : iterable of str, or mapping of str to str
+            Those that come from one population, with their scale, as `zoo.joint_model` takes them.
 
         Returns
         -------
@@ -278,30 +291,58 @@ def study_model(
             If an effect does not exist, cannot act there or cannot be added to this baseline.
         ValueError
             If the study has no observations, or the errors cannot hold for them.
+        ModelError
+            If several studies cannot be joined, or there is nothing to share with one alone.
 
         Examples
         --------
         >>> import zoo
         >>> model = zoo.model_B(zoo.load_study("demo"), effects=["viscoelastic-wall"])  # doctest: +SKIP
+        >>> both = zoo.model_B([zoo.load_study("a"), zoo.load_study("b")], share=["f3"])  # doctest: +SKIP
         """  # noqa: D205  the model's own words come before
         import zoo.core.inference.pymc_step  # noqa: F401  for pm.sample() without a step method
-        from zoo.core.model import bayesian_model
+        from zoo.blood.errors import errors_named
+        from zoo.core.joint import joint_model
+        from zoo.core.model import ModelError, bayesian_model
 
+        if not isinstance(study, Study):
+            added = list(effects)
+            models = [
+                build(
+                    one,
+                    effects=added,
+                    options=options,
+                    conventions=conventions,
+                    priors=priors,
+                    fixed=fixed,
+                    errors=errors,
+                )
+                for one in study
+            ]
+            return joint_model(models, share=share, population=population)
+        for option, names in (("share", [*share]), ("population", [*population])):
+            if names:
+                raise ModelError(f"{option} = {', '.join(names)}: is of several studies; give a list of them")
         study = with_priors(study, priors, fixed)
         data = study_data(study)
-        law = _with_own_priors(errors(study) if callable(errors) else errors, study, data)
+        chosen = usual if errors is None else errors_named(errors)
+        law = _with_own_priors(chosen(study) if callable(chosen) else chosen, study, data)
         check_names(study, baseline.parameters, law.bind(data).parameter_names)
         flow = baseline.forward(study, conventions=conventions, options=options)
         given = baseline.priors(study, conventions=conventions)
-        added = added_effects(effects, flow)
+        placed = added_effects(effects, flow)
         return bayesian_model(
-            "+".join([name, *(one.name + one.location.suffix for one in added)]),
-            with_effects(flow, added),
+            "+".join([name, *(one.name + one.location.suffix for one in placed)]),
+            with_effects(flow, placed),
             data,
             law,
             coords={"vessel": [int(vessel) for vessel in flow.network.ids]},
             study=study,
             constants=_constants(study, flow.network),
+            places={
+                "vessel": [one.vessel for one in study.series],
+                "position": [one.position for one in study.series],
+            },
             settings={
                 "conventions": asdict(flow.conventions),
                 "solver options": asdict(flow.options)

@@ -11,11 +11,35 @@ from zoo.core.errors.base import ErrorModel
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.groups import GroupNoise, GroupProcess
 from zoo.core.errors.independent import Independent
+from zoo.core.errors.student import GroupStudent
 
 
 def by_prior_set(paper: ErrorModel) -> Callable[[Study], ErrorModel]:
     """Make the function from a study to its errors: these in the set "paun2020", else those of any study."""
     return partial(errors_for, paper=paper)
+
+
+def errors_named(errors: str | ErrorModel) -> ErrorModel | Callable[[Study], ErrorModel]:
+    """Errors of a name, or those that are given themselves.
+
+    Parameters
+    ----------
+    errors : {"student-t"} or ErrorModel
+
+    Returns
+    -------
+    ErrorModel, or function of a study
+
+    Raises
+    ------
+    StudyError
+        If there are none of that name.
+    """
+    if isinstance(errors, ErrorModel):
+        return errors
+    if errors != "student-t":
+        raise StudyError(f"errors = {errors!r}: must be student-t; leave it out for the model's own")
+    return lambda study: GroupStudent(known=study.noise_sd)
 
 
 def errors_for(study: Study, paper: ErrorModel) -> ErrorModel:

@@ -182,8 +182,8 @@ def vessel_waves(
         "vessel": np.asarray(network.ids, dtype=np.int64),
         "radius_cm": ("vessel", np.asarray(network.radius_in_cm), {"units": "cm"}),
         "name": ("vessel", [names[int(v)] for v in network.ids]),
-        "position": np.asarray(positions, dtype=float),
-        "time": ("time", time_s, {"long_name": "time in the beat, s"}),
+        "position": ("position", np.asarray(positions, dtype=float), {"units": "1"}),
+        "time": ("time", time_s, {"units": "s", "long_name": "time in the beat"}),
     }
     attributes = {
         "model": record.name,

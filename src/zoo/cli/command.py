@@ -208,7 +208,7 @@ def _run_of(
 
 def _read_by(value: Any, role: Sequence[Any], changes: Mapping[str, Any]) -> list[Path]:
     """Files and folders that a command reads by an option's value."""
-    if Role.STUDY in role:
+    if Role.STUDY in role or (isinstance(value, Path) and (value / "study.toml").is_file()):
         from zoo.blood.study import study_files
 
         files = study_files(value, changes)

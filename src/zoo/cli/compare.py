@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -221,7 +222,8 @@ def _posteriors_of(
     output.mkdir(parents=True, exist_ok=True)
     for name in [name for name in names if name not in found]:
         path = output / f"{name}.nc"
-        found[name] = sample_with_checkpoint(name, study, path, settings, fresh=fresh, progress=progress)
+        build = partial(built.__getitem__, name)
+        found[name] = sample_with_checkpoint(build, path, settings, fresh=fresh, progress=progress)
         say(f"model {name}: sampled, wrote {path}")
     return built, {name: found[name] for name in names}
 

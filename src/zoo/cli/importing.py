@@ -103,33 +103,61 @@ def import_(
 class BeatOptions:
     """What records of pressure and flow do not say themselves."""
 
-    length_cm: Annotated[float, typer.Option("--length", help="Of the vessel, cm.", metavar="CM")]
-    radius_cm: Annotated[float, typer.Option("--radius", help="Of the vessel, cm.", metavar="CM")]
+    length_cm: Annotated[float | None, typer.Option("--length", help="Of the vessel, cm.", metavar="CM")] = (
+        None
+    )
+    radius_cm: Annotated[float | None, typer.Option("--radius", help="Of the vessel, cm.", metavar="CM")] = (
+        None
+    )
     position: Annotated[
-        float, typer.Option("--position", help="Of the pressure along the vessel, 0 (inlet) to 1.")
-    ] = 0.0
-    density_g_cm3: Annotated[float, typer.Option("--density", help="Of blood, g/cm3.")] = 1.06
-    viscosity_g_cm_s: Annotated[float, typer.Option("--viscosity", help="Of blood, g/(cm s).")] = 0.04
+        float | None, typer.Option("--position", help="Of the pressure along the vessel, 0 (inlet) to 1; 0.")
+    ] = None
+    density_g_cm3: Annotated[float | None, typer.Option("--density", help="Of blood; 1.06 g/cm3.")] = None
+    viscosity_g_cm_s: Annotated[
+        float | None, typer.Option("--viscosity", help="Of blood; 0.04 g/(cm s).")
+    ] = None
 
 
 @command
 def import_beats(
-    pressure: Annotated[Path, typer.Argument(metavar="PRESSURE", help=".csv: times, pressure over beats.")],
-    flow: Annotated[Path, typer.Argument(metavar="FLOW", help=".csv: times, flow into the vessel.")],
+    pressure: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PRESSURE",
+            help=".csv: times, pressure over beats; or the folder of a study whose samples go over beats.",
+        ),
+    ],
+    flow: Annotated[
+        Path | None, typer.Argument(metavar="[FLOW]", help=".csv: times, flow into the vessel.")
+    ] = None,
+    *,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study."), Role.WRITES],
     name: Annotated[
         str | None, typer.Option("--name", help="Of the study; that of PRESSURE if absent.")
     ] = None,
-    *,
     beats: BeatOptions,
 ) -> None:
     """Make a study of raw records: find the beats, average them, tell their scatter and timing."""
     from zoo.blood.importing.beats import COVARIANCE_FILES
     from zoo.blood.importing.beats import import_beats as read
+    from zoo.blood.importing.study_beats import average_beats
     from zoo.blood.study import STUDY_FILES
 
+    given: dict[str, Any] = {option: value for option, value in vars(beats).items() if value is not None}
+    if pressure.is_dir():
+        for option, value in (({} if flow is None else {"FLOW": flow}) | given).items():
+            raise UsageError(f"{option} = {value}: the study {pressure} says that itself: leave it out")
+    elif flow is None or beats.length_cm is None or beats.radius_cm is None:
+        raise UsageError(
+            f"{pressure}: add FLOW, --length and --radius, or give the folder of a study in its place"
+        )
     output_folder(output, (*STUDY_FILES, *COVARIANCE_FILES.values()), "--output")
-    found = read(pressure, flow, name=name, **vars(beats))
+    if flow is None:
+        found = average_beats(pressure)
+        if name is not None:
+            found = replace(found, study=replace(found.study, name=name))
+    else:
+        found = read(pressure, flow, name=name, **given)
     study = found.save(output, replace=True)  # as checked above
     say(study.name, *(f"  read: {line}" for line in found.read))
     say(*(f"  converted: {line}" for line in found.converted))

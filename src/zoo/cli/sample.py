@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +17,6 @@ from zoo.cli.options import (
     PluginOptions,
     SamplingOptions,
     StrictOption,
-    StudyArgument,
     StudyOptions,
 )
 from zoo.cli.screen import plain_table, say, say_json
@@ -32,7 +31,14 @@ if TYPE_CHECKING:
 @command
 def sample(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="A to I, or one of --models-from.")],
-    study: StudyArgument,
+    studies: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="STUDY...",
+            help="A built-in study (see `zoo studies`) or a folder; several are subjects of one posterior.",
+        ),
+        Role.STUDY,
+    ],
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="NetCDF file; MODEL-STUDY.nc by default."),
@@ -45,6 +51,33 @@ def sample(
             help="Put these into the model, with commas: viscoelastic-wall,local-stiffness@2 (vessel 2; 2+ "
             "with all below). The model's name becomes MODEL+EFFECT.",
             metavar="NAMES",
+        ),
+    ] = None,
+    share: Annotated[
+        str | None,
+        typer.Option(
+            "--share",
+            help="Parameters that are one for all of several studies, with commas, such as f3,c; all others "
+            "are each study's own.",
+            metavar="NAMES",
+        ),
+    ] = None,
+    population: Annotated[
+        str | None,
+        typer.Option(
+            "--population",
+            help="Parameters of several studies that come from one population, whose median and spread are "
+            "sampled too, with commas.",
+            metavar="NAMES",
+        ),
+    ] = None,
+    errors: Annotated[
+        str | None,
+        typer.Option(
+            "--errors",
+            help="student-t: errors with heavy tails, of which a few samples that are far off change little; "
+            "the model's own without.",
+            metavar="LAW",
         ),
     ] = None,
     strict: StrictOption = False,
@@ -63,13 +96,23 @@ def sample(
     added = [part.strip() for part in (effects or "").split(",") if part.strip()]
     name = model_name("+".join([model, *added]))
     settings = sampling.settings()
-    loaded = options.load(study)
-    path = output_file(Path(f"{name}-{loaded.name}.nc") if output is None else output, "--output")
+    loaded = _by_name([(study, options.load(study)) for study in studies])
+    path = output_file(Path("-".join([name, *loaded]) + ".nc") if output is None else output, "--output")
+    common = {"share": _names(share), "population": _names(population)}
+    for option, names in common.items() if len(loaded) == 1 else ():
+        if names:
+            raise UsageError(f"--{option} {','.join(names)}: is of several studies; give two or more")
     if path.is_file() and not fresh:
         _keeps_what_is_there(path, settings)
     with connect(dask) as executor:
         settings["executor"] = executor
-        idata = sample_with_checkpoint(name, loaded, path, settings, fresh=fresh, progress=not sampling.quiet)
+        idata = sample_with_checkpoint(
+            lambda: _build(name, loaded, common, errors),
+            path,
+            settings,
+            fresh=fresh,
+            progress=not sampling.quiet,
+        )
     found = verdict_of(idata, settings["until_ess"])
     if as_json:
         say_json(_record(idata, found, path))
@@ -79,6 +122,35 @@ def sample(
         raise typer.Exit(GATE)
 
 
+def _names(text: str | None) -> list[str]:
+    return [part.strip() for part in (text or "").split(",") if part.strip()]
+
+
+def _by_name(studies: Sequence[tuple[str, Study]]) -> dict[str, Study]:
+    """Studies by their names, or those of their folders where two have one name."""
+    names = [study.name for _, study in studies]
+    if len(set(names)) < len(names):
+        names = [Path(given).resolve().name for given, _ in studies]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(
+                f"STUDY {name}: is given twice; give each subject once, in folders of other names"
+            )
+    return dict(zip(names, (study for _, study in studies), strict=True))
+
+
+def _build(
+    name: str, studies: Mapping[str, Study], common: Mapping[str, Sequence[str]], errors: str | None
+) -> Any:
+    """The model of a study, or the joint one of several."""
+    from zoo.core.joint import joint_model
+
+    built = {subject: build_model(name, study, errors) for subject, study in studies.items()}
+    if len(built) == 1:
+        return next(iter(built.values()))
+    return joint_model(built, **common)
+
+
 def verdict_of(idata: InferenceData, goal: float | None) -> Verdict:
     """Have the chains converged, with the effective sample size that was asked for."""
     from zoo.core.inference.convergence import ess_to_count, verdict
@@ -86,14 +158,14 @@ def verdict_of(idata: InferenceData, goal: float | None) -> Verdict:
     return verdict(idata, ess=ess_to_count(goal))
 
 
-def build_model(name: str, study: Study) -> Any:
-    """A model on a study, by its name."""
+def build_model(name: str, study: Study, errors: str | None = None) -> Any:
+    """A model on a study, by its name, with its own errors or others."""
     from zoo.blood.plugins import get_model
     from zoo.blood.prior_tables import names_of
     from zoo.blood.priors import without_use
     from zoo.core.model import ModelError, record_of
 
-    model = get_model(name)(study)
+    model = get_model(name)(study, **({} if errors is None else {"errors": errors}))
     try:
         there = record_of(model).parameters
     except ModelError as error:
@@ -108,7 +180,7 @@ def build_model(name: str, study: Study) -> Any:
 
 
 def sample_with_checkpoint(
-    name: str, study: Study, path: Path, settings: Mapping[str, Any], *, fresh: bool, progress: bool
+    build: Callable[[], Any], path: Path, settings: Mapping[str, Any], *, fresh: bool, progress: bool
 ) -> InferenceData:
     """Run a model with the checkpoint beside its output, and write the output."""
     from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError, foreign_in
@@ -119,9 +191,8 @@ def sample_with_checkpoint(
         wrong = "is the place of its own checkpoint" if checkpoint == path else f"{checkpoint} is a link"
         raise UsageError(f"--output {path}: {wrong}; give a file such as {path.with_suffix('.other.nc')}")
     refuse_read(checkpoint, "--output")
-    model = build_model(name, study)
     try:
-        return sample_to(path, model, groups=True, progress=progress, fresh=fresh, **settings)
+        return sample_to(path, build(), groups=True, progress=progress, fresh=fresh, **settings)
     except CheckpointInUseError as error:
         raise UsageError(str(error)) from None
     except CheckpointError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Any
@@ -85,6 +85,8 @@ class ModelRecord:
         What else the model was made with, for the record of a run.
     constants : mapping
         Name -> (dimensions, values, unit) of what is known beside the data, for the group constant_data.
+    places : mapping
+        Name -> values, one for each series, by which `zoo.by_place` tells series apart, such as the vessel.
     """
 
     name: str
@@ -96,6 +98,7 @@ class ModelRecord:
     study: Any = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     constants: Constants = field(default_factory=dict)
+    places: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 
     @property
     def op(self) -> ForwardOp:
@@ -143,6 +146,7 @@ def bayesian_model(
     study: Any = None,
     settings: Mapping[str, Any] | None = None,
     constants: Constants | None = None,
+    places: Mapping[str, Sequence[Any]] | None = None,
 ) -> pm.Model:
     """A PyMC model of data: priors of all parameters, the forward model, and the errors.
 
@@ -161,6 +165,8 @@ def bayesian_model(
         For the record.
     constants : mapping
         Name -> (dimensions, values, unit), for the record.
+    places : mapping
+        Name -> values, one for each series, for the record.
 
     Returns
     -------
@@ -185,7 +191,16 @@ def bayesian_model(
         mean, ok = observed_series(forward, variables)
         bound.observe("y", mean, ok, random_variables(bound.parameters))
     model.zoo = ModelRecord(
-        name, forward, data, bound, mean, ok, study, dict(settings or {}), dict(constants or {})
+        name,
+        forward,
+        data,
+        bound,
+        mean,
+        ok,
+        study,
+        dict(settings or {}),
+        dict(constants or {}),
+        dict(places or {}),
     )
     return model
 

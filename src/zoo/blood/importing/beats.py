@@ -17,7 +17,7 @@ from zoo.blood.importing.table import DENSITY, LEAST, VISCOSITY
 from zoo.blood.study import Blood, Series, Study, Vessel
 from zoo.blood.study.parts import Array
 from zoo.blood.study.reading import read_text
-from zoo.blood.study.samples import MIN_SAMPLES, number
+from zoo.blood.study.samples import FEWEST_BEATS, MIN_SAMPLES, number
 from zoo.core.outputs import output_folder, write_file
 from zoo.core.words import short
 
@@ -30,8 +30,6 @@ UNITS = {
 COVARIANCE_FILES = {quantity: f"covariance_{quantity}.csv" for quantity in UNITS}
 """Quantity -> file beside the study with the covariance of single beats over the cycle."""
 
-FEWEST_BEATS = 3
-"""Whole beats, of which a scatter can be told."""
 DIFFERS = 3.0
 """A beat differs whose RMS from the median beat is so many times that of the middle one."""
 _GAP = 2.5  # steps: samples further apart than this have others missing between them
@@ -240,7 +238,7 @@ def import_beats(
         f"{lengths['flow_ml_s'].max():.4g} s), averaged from where the flow begins to rise"
     )
     for quantity, values in beats.items():
-        read += _scatter_lines(quantity, values, sd[quantity], period)
+        read += scatter_lines(quantity, values, sd[quantity], period)
     offset, scatter = None, None
     if one_clock:
         offset, scatter, height, limit = _offset(p, q, cut["flow_ml_s"])
@@ -453,7 +451,7 @@ def _offset(p: Record, q: Record, cut: Sequence[tuple[float, float]]) -> tuple[f
     return latest(total), scatter, float(total.max()), max(step, 2 * scatter)
 
 
-def _scatter_lines(quantity: str, beats: Array, sd: float, period: float) -> list[str]:
+def scatter_lines(quantity: str, beats: Array, sd: float, period: float) -> list[str]:
     """What is told of a quantity's beats: scatter and how long it lasts, drift, beats that differ."""
     unit = quantity.split("_", 1)[1].replace("ml_s", "ml/s")
     n = beats.shape[1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ from zoo.blood.conventions import Conventions, ConventionsError, get_conventions
 from zoo.blood.study.parts import QUANTITIES, Array, Series, StudyError, Vessel
 from zoo.blood.study.reading import inside, read_toml
 from zoo.blood.study.samples import (
+    Samples,
+    as_read,
     fetched_inflow,
     fetched_observations,
     read_inflow,
@@ -135,6 +137,16 @@ def load_study(
     zoo.blood.study.LoadWarning
         If some terminals have a load and others none.
     """
+    return read_study(name_or_folder, conventions, settings)
+
+
+def read_study(
+    name_or_folder: str | Path,
+    conventions: str | Mapping[str, Any] | Conventions | None = None,
+    settings: Mapping[str, Any] | None = None,
+    fold: Callable[[Samples, float], Samples] = as_read,
+) -> Study:
+    """A study as `load_study` reads it, of samples that `fold` makes one beat of."""
     folder, source = _find(name_or_folder)
     path = folder / "study.toml"
     data, settings = read_toml(path)[0], settings or {}
@@ -157,7 +169,7 @@ def load_study(
         inflow_time, inflow = fetched_inflow(fetched, table.period_s)
     else:
         inflow_path = _file(where, folder, "inflow", table.inflow)
-        inflow_time, inflow, inflow_note = read_inflow(inflow_path, table.period_s)
+        inflow_time, inflow, inflow_note = read_inflow(inflow_path, table.period_s, fold)
     if not inflow.mean() > 0:
         raise StudyError(
             f"{where}: inflow = {short(table.inflow)}: mean flow_ml_s = {inflow.mean():.6g}: must be "
@@ -171,7 +183,7 @@ def load_study(
         time, series = fetched_observations(f"{where}: observations", observed, table.period_s, known)
     elif table.observations is not None:
         observations_path = _file(where, folder, "observations", table.observations)
-        time, series = read_observations(observations_path, table.period_s, known)
+        time, series = read_observations(observations_path, table.period_s, known, fold)
 
     check_terminals(tree.vessels, tree.places, series, tree.nominal)
     study = Study(
@@ -285,5 +297,5 @@ def check_terminals(
             "load; a nominal one is derived from "
             f'the pressure observed in the root; add what is missing, or say windkessel = "{NOMINAL}"',
             LoadWarning,
-            stacklevel=3,
+            stacklevel=4,
         )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+import shlex
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
@@ -24,6 +25,8 @@ INFLOW_COLUMNS = ("time_s", "flow_ml_s")
 OBSERVATION_COLUMNS = ("vessel", "position", "quantity", "time_s", "value")
 MIN_SAMPLES = 16
 """Fewest samples of a beat, in the inflow and in every observed series."""
+FEWEST_BEATS = 3
+"""Whole beats, of which a scatter can be told."""
 
 
 _STEP_TOLERANCE = 0.02  # of a step: how far two neighbouring samples may be from the usual distance
@@ -74,8 +77,8 @@ def numbers(path: Path, rows: Sequence[int], name: str, texts: Sequence[str]) ->
 
 
 @dataclass(frozen=True)
-class _Samples:
-    """Samples of one series before they are on the grid, and the rows they came from."""
+class Samples:
+    """Samples of one series before they are on the grid, NaN where none was taken, and their rows."""
 
     path: Path | str
     label: str
@@ -85,9 +88,19 @@ class _Samples:
     unit: str
 
     def fail(self, i: int, name: str, value: float, reason: str) -> NoReturn:
+        """Raise an error of the sample that stands at this place."""
         raise StudyError(f"{self.path}, row {self.rows[i]}: {name} = {value:.10g}: {self.label}: {reason}")
 
-    def sorted(self) -> _Samples:
+    def one_period(self, period: float, otherwise: str) -> str:
+        """What to do where the samples are no single period: the import of several beats, or `otherwise`."""
+        span = float(np.ptp(self.times)) + float(np.median(np.diff(np.sort(self.times))))
+        folder = Path(self.path).parent
+        if round(span / period, 1) < FEWEST_BEATS or not (folder / "study.toml").is_file():
+            return otherwise
+        folder_name = shlex.quote(str(folder))
+        return f"average several beats by `zoo import-beats {folder_name} -o NEW`, or correct period_s"
+
+    def sorted(self) -> Samples:
         """The same in the order of their times."""
         order = np.argsort(self.times, kind="stable")
         rows = [self.rows[i] for i in order]
@@ -125,7 +138,7 @@ def _uneven(times: Array) -> NDArray[np.bool_]:
     return np.asarray(np.abs(gaps - step) > _STEP_TOLERANCE * step + _TIME_ROUNDING_S)
 
 
-def _own_times(samples: _Samples, period: float) -> tuple[Array, Array]:
+def _own_times(samples: Samples, period: float) -> tuple[Array, Array]:
     """Times and values of an observed series: those of `_uniform`, or its own where they are uneven.
 
     Uneven times are put on a uniform grid with gaps where they are on one. What was not measured is NaN, and
@@ -144,7 +157,8 @@ def _own_times(samples: _Samples, period: float) -> tuple[Array, Array]:
             s.must_repeat(period)
             times, values = times[:-1], values[:-1]
         if times[-1] >= period:
-            past = f"past period_s = {period:.10g}; give one period, or correct period_s"
+            remedy = s.one_period(period, "give one period, or correct period_s")
+            past = f"past period_s = {period:.10g}; {remedy}"
             s.fail(len(times) - 1, "time_s", times[-1], past)
         step = period / max(1, round(period / float(np.median(np.diff(times)))))
         grid = times[0] + np.rint((times - times[0]) / step) * step
@@ -155,14 +169,14 @@ def _own_times(samples: _Samples, period: float) -> tuple[Array, Array]:
     return times[there], values[there]
 
 
-def _refuse_few(samples: _Samples, n: int) -> None:
+def _refuse_few(samples: Samples, n: int) -> None:
     if n < MIN_SAMPLES:
         raise StudyError(
             f"{samples.path}: {samples.label}: {n} samples: too few for a beat; give at least {MIN_SAMPLES}"
         )
 
 
-def _uniform(samples: _Samples, period: float, *, from_zero: bool) -> tuple[Array, Array]:
+def _uniform(samples: Samples, period: float, *, from_zero: bool) -> tuple[Array, Array]:
     """Times and values on the uniform grid of one period that the samples are on.
 
     Times t0 + m period/n replace the printed ones, which may be rounded; a last sample that repeats the first
@@ -190,7 +204,7 @@ def _uniform(samples: _Samples, period: float, *, from_zero: bool) -> tuple[Arra
     n = len(times)
     step = float(times[-1] - times[0]) / (n - 1)
     if abs(n * step - period) > _PERIOD_TOLERANCE * step:
-        remedy = "correct period_s, or resample to one whole period"
+        remedy = s.one_period(period, "correct period_s, or resample to one whole period")
         if abs(n * step / period - 1000.0) < 50.0:
             remedy = "divide the times by 1000, which seem to be in ms"
         raise StudyError(
@@ -212,7 +226,7 @@ def _uniform(samples: _Samples, period: float, *, from_zero: bool) -> tuple[Arra
     return grid, values
 
 
-def _evened(samples: _Samples, period: float) -> tuple[Array, Array, str]:
+def _evened(samples: Samples, period: float) -> tuple[Array, Array, str]:
     """Times and values on a uniform grid, from samples at uneven times; and what was done, in words."""
     s, times, values = samples, samples.times, samples.values
     s.sorted().refuse_twice()
@@ -227,9 +241,8 @@ def _evened(samples: _Samples, period: float) -> tuple[Array, Array, str]:
         s.must_repeat(period)
         times, values = times[:-1], values[:-1]
     elif times[end] > period:
-        s.fail(
-            end, "time_s", times[end], f"past period_s = {period:.10g}; give one period, or correct period_s"
-        )
+        remedy = s.one_period(period, "give one period, or correct period_s")
+        s.fail(end, "time_s", times[end], f"past period_s = {period:.10g}; {remedy}")
     left, widest = period - times[-1], float(np.max(np.diff(times)))
     if left > widest * (1 + _STEP_TOLERANCE):
         s.fail(
@@ -245,11 +258,21 @@ def _evened(samples: _Samples, period: float) -> tuple[Array, Array, str]:
     return np.asarray(np.arange(len(even)) * (period / len(even)), dtype=np.float64), even, note
 
 
-def read_inflow(path: Path, period: float) -> tuple[Array, Array, str]:
-    """Times and values of the inflow on a uniform grid, and what was done to them, in words."""
+def as_read(samples: Samples, period: float) -> Samples:
+    """The samples as they are."""
+    return samples
+
+
+def read_inflow(
+    path: Path, period: float, fold: Callable[[Samples, float], Samples] = as_read
+) -> tuple[Array, Array, str]:
+    """Times and values of the inflow on a uniform grid, and what was done to them, in words.
+
+    `fold` is given the samples and the period, and makes one beat of several.
+    """
     table = read_csv(path, INFLOW_COLUMNS)
     times, flow = (numbers(path, table.rows, name, table.columns[name]) for name in INFLOW_COLUMNS)
-    samples = _Samples(path, "inflow", table.rows, times, flow, "flow_ml_s")
+    samples = fold(Samples(path, "inflow", table.rows, times, flow, "flow_ml_s"), period)
     if len(samples.times) >= MIN_SAMPLES and np.any(_uneven(np.sort(samples.times))):
         return _evened(samples, period)
     return *_uniform(samples, period, from_zero=True), ""
@@ -268,8 +291,13 @@ def _check_place(where: str, vessel: int, position: float, quantity: str, known:
         raise StudyError(f"{where}: quantity = {short(quantity)}: {nearest(quantity, QUANTITIES)}")
 
 
-def read_observations(path: Path, period: float, known: Sequence[int]) -> tuple[Array, tuple[Series, ...]]:
-    """Times (s) of a file's samples on one grid, and its series, NaN where nothing was measured."""
+def read_observations(
+    path: Path, period: float, known: Sequence[int], fold: Callable[[Samples, float], Samples] = as_read
+) -> tuple[Array, tuple[Series, ...]]:
+    """Times (s) of a file's samples on one grid, and its series, NaN where nothing was measured.
+
+    `fold` is given the samples of each series and the period, and makes one beat of several.
+    """
     table = read_csv(path, OBSERVATION_COLUMNS)
     written: dict[tuple[str, str, str], list[int]] = {}
     for i, place in enumerate(zip(*(table.columns[name] for name in OBSERVATION_COLUMNS[:3]), strict=True)):
@@ -303,7 +331,7 @@ def read_observations(path: Path, period: float, known: Sequence[int]) -> tuple[
                 "correct it"
             )
         label = Series(*place, np.empty(0)).label
-        own, measured = _own_times(_Samples(path, label, rows, times, values, "value"), period)
+        own, measured = _own_times(fold(Samples(path, label, rows, times, values, "value"), period), period)
         first = found[0][1] if found else own
         if len(own) == len(first) and np.max(np.abs(own - first)) <= _PERIOD_TOLERANCE * period / len(own):
             own = first
@@ -325,7 +353,7 @@ def fetched_inflow(table: FetchedInflowTable, period: float) -> tuple[Array, Arr
     flow = _column(path)
     times = np.arange(len(flow)) * period / max(1, len(flow) - 1)
     return _uniform(
-        _Samples(path, "inflow", range(1, len(flow) + 1), times, flow, "value"), period, from_zero=True
+        Samples(path, "inflow", range(1, len(flow) + 1), times, flow, "value"), period, from_zero=True
     )
 
 
@@ -345,5 +373,5 @@ def fetched_observations(
     times, values = (a.reshape(-1, table.average).mean(axis=1) for a in (times, raw))
     series = Series(table.vessel, table.position + 0.0, table.quantity, values)
     rows = range(1, len(raw) + 1, table.average)
-    grid, _ = _uniform(_Samples(path, series.label, rows, times, values, "value"), period, from_zero=False)
+    grid, _ = _uniform(Samples(path, series.label, rows, times, values, "value"), period, from_zero=False)
     return grid, (series,)

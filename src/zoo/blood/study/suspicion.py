@@ -352,4 +352,4 @@ def warn_of_units(study: Study) -> None:
     study : Study
     """
     for suspicion in suspect_units(study):
-        warnings.warn(f"{study.source}: {suspicion}", UnitWarning, stacklevel=3)
+        warnings.warn(f"{study.source}: {suspicion}", UnitWarning, stacklevel=4)

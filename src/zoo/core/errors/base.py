@@ -15,6 +15,8 @@ from zoo.core.parameters import Parameter, Prior
 
 Array = NDArray[np.float64]
 
+DIMS = ("series", "time")
+"""Names of the dimensions of data in a PyMC model of one subject."""
 DECOMPOSITIONS = ("sequential", "leave-one-out", "joint")
 
 
@@ -301,7 +303,9 @@ class ErrorModel(ABC):
                     terms[i] = self.terms(residuals[i], values, name)
         return found
 
-    def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
+    def observe(
+        self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any], dims: Sequence[str] = DIMS
+    ) -> Any:
         """Add the observed variable to the PyMC model in whose context it is called.
 
         Its log-density is made of the sequential `terms`, (n_series, n_times), and its draws of `unwhiten`.
@@ -314,6 +318,8 @@ class ErrorModel(ABC):
         ok : TensorVariable, int8 scalar
         variables : mapping
             PyMC variables of `parameters`.
+        dims : sequence of str
+            Names of the observed variable's dimensions in that model.
 
         Returns
         -------
@@ -324,4 +330,4 @@ class ErrorModel(ABC):
         parameters = [variables[p] for p in self.parameter_names]
         data = self.on
         observed = data.filled(data.values, np.inf)
-        return Errors(name, mean, ok, *parameters, errors=self, observed=observed, dims=("series", "time"))
+        return Errors(name, mean, ok, *parameters, errors=self, observed=observed, dims=tuple(dims))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zoo.core.data import Data
-from zoo.core.errors.base import ErrorModel, ErrorModelError, TermsInNumba
+from zoo.core.errors.base import DIMS, ErrorModel, ErrorModelError, TermsInNumba
 from zoo.core.errors.gaussian_process import (
     colour_by_process,
     gp_gradient,
@@ -191,7 +191,9 @@ class GroupNoise(ErrorModel):
         sd = self._noise(values)
         return self.on.filled(-0.5 * (_LOG_2PI + (residual / sd) ** 2) - np.log(sd))
 
-    def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
+    def observe(
+        self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any], dims: Sequence[str] = DIMS
+    ) -> Any:
         """Add the observed variable, whose log-density is written in PyTensor."""
         import pytensor.tensor as pt
 
@@ -199,7 +201,7 @@ class GroupNoise(ErrorModel):
 
         variance = pt.stack([pt.as_tensor_variable(sd) ** 2 for sd in self.noise(variables)])[:, None]
         observed = self.on.filled(self.on.values, np.inf)
-        return IidErrors(name, mean, ok, variance, observed=observed, dims=("series", "time"))
+        return IidErrors(name, mean, ok, variance, observed=observed, dims=tuple(dims))
 
 
 @dataclass(frozen=True)
@@ -357,6 +359,8 @@ class GroupProcess(GroupNoise):
                     parts.append(Part(same, **own, variance=sd * sd))
         return processes(self.cycles, parts)
 
-    def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
+    def observe(
+        self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any], dims: Sequence[str] = DIMS
+    ) -> Any:
         """Add the observed variable, with the terms as an operation with their `gradient`."""
-        return ErrorModel.observe(self, name, mean, ok, variables)
+        return ErrorModel.observe(self, name, mean, ok, variables, dims)

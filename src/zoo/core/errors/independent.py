@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zoo.core.data import Data, squared
-from zoo.core.errors.base import ErrorModel, ErrorModelError
+from zoo.core.errors.base import DIMS, ErrorModel, ErrorModelError
 from zoo.core.parameters import InverseGamma, Parameter, Prior
 
 Array = NDArray[np.float64]
@@ -94,9 +94,11 @@ class Independent(ErrorModel):
         sigma2 = float(np.asarray(values["sigma2"]))
         return self.on.filled(-0.5 * (_LOG_2PI + math.log(sigma2) + residual * residual / sigma2))
 
-    def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
+    def observe(
+        self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any], dims: Sequence[str] = DIMS
+    ) -> Any:
         """Add the observed variable, whose log-density is written in PyTensor."""
         from zoo.core.errors.variables import IidErrors
 
-        observed = {"observed": self.on.filled(self.on.values, np.inf), "dims": ("series", "time")}
+        observed = {"observed": self.on.filled(self.on.values, np.inf), "dims": tuple(dims)}
         return IidErrors(name, mean, ok, variables["sigma2"], **observed)

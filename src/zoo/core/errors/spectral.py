@@ -8,7 +8,7 @@ cost a sum over them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -20,7 +20,7 @@ from scipy.fft import dct, idct
 from scipy.linalg import helmert
 
 from zoo.core.data import Data
-from zoo.core.errors.base import ErrorModel, ErrorModelError
+from zoo.core.errors.base import DIMS, ErrorModel, ErrorModelError
 from zoo.core.parameters import LogNormal, Normal, Parameter, Prior, variable_name
 
 Array = NDArray[np.float64]
@@ -343,7 +343,9 @@ class Spectral(ErrorModel):
         S = self._at(values)
         return np.asarray(-0.5 * (self.transform(residual) ** 2 / S + np.log(2.0 * math.pi * S)) * self.there)
 
-    def observe(self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any]) -> Any:
+    def observe(
+        self, name: str, mean: Any, ok: Any, variables: Mapping[str, Any], dims: Sequence[str] = DIMS
+    ) -> Any:
         """Observe the data's coefficients: independent normal around those of the mean."""
         import pytensor.tensor as pt
 

@@ -19,6 +19,7 @@ from zoo.core.inference.mode import has_many
 from zoo.core.inference.sampling import check_settings, has_gradient
 from zoo.core.inference.sampling import sample as sample_exact
 from zoo.core.inference.surrogate import sample_surrogate
+from zoo.core.joint import JointRecord
 from zoo.core.model import ModelError, ModelRecord, record_of, theta_of
 from zoo.core.surrogate.likelihood import no_table
 from zoo.core.surrogate.surrogate_model import errors_in_graph
@@ -114,6 +115,8 @@ def _seconds(logp: LogPosterior) -> float:
 
 def _no_surrogate(model: Any) -> str:
     """Why a model cannot have a surrogate; empty if it can."""
+    if isinstance(getattr(model, "zoo", None), JointRecord):
+        return "a model of several subjects has no surrogate"
     try:
         record: ModelRecord = record_of(model)
     except ModelError as error:

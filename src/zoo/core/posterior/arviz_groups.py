@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import pymc as pm
 import xarray as xr
 
@@ -20,6 +21,7 @@ from zoo.core.inference.messages import without_messages
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.record_of_run import attach_record_of_draws
+from zoo.core.joint import JointRecord, by_subject
 from zoo.core.model import ModelRecord, record_of
 from zoo.core.parameters import variable_name
 from zoo.core.posterior.comparison import error_parameters, posterior_means, thin
@@ -78,7 +80,8 @@ def add_groups(
     InferenceData
         log_likelihood and posterior_predictive have "y" (chain, draw, series, time), float32, with the
         numbers of the posterior draws as coordinate; where a solve fails -inf and NaN. Variables have their
-        unit as the attribute "units"; "y" has them as the coordinate "unit" of its series.
+        unit as the attribute "units"; "y" has them as the coordinate "unit" of its series, beside "quantity"
+        and the model's places, by which `by_place` takes the series apart.
     """
     record = record_of(model)
     if seed is None:
@@ -160,13 +163,63 @@ def _series(values: np.ndarray, kept: xr.Dataset, record: ModelRecord) -> xr.Dat
 def _described(found: xr.Dataset, record: ModelRecord) -> xr.Dataset:
     """A group whose "y" is over series and times: with labels, units and times as coordinates."""
     data = record.data
-    found = found.assign_coords(
+    places = {name: ("series", list(values)) for name, values in record.places.items()}
+    found = found.assign_coords(places).assign_coords(
         series=list(data.labels),
         unit=("series", list(data.units)),
+        quantity=("series", list(data.groups)),
         time=("time", np.asarray(data.times), {"units": data.time_unit}),
     )
     found["y"].attrs["units"] = ", ".join(dict.fromkeys(data.units))
     return found
+
+
+def by_place(idata: InferenceData, group: str = "posterior_predictive") -> xr.Dataset:
+    """A group's series by quantity and place, so that they are selected by these: NaN where there is none.
+
+    Parameters
+    ----------
+    idata : InferenceData
+        With the groups of `add_groups`, as sampled or as read from a file.
+    group : str
+        One with "y": posterior_predictive, log_likelihood, prior_predictive or observed_data.
+
+    Returns
+    -------
+    Dataset
+        A variable for each quantity, such as pressure_mmHg (chain, draw, vessel, position, time), with its
+        unit as the attribute "units"; (..., series, time) of a model whose series have no places.
+
+    Raises
+    ------
+    ValueError
+        If there is no such group, or no series by quantity in it.
+
+    Examples
+    --------
+    >>> waves = by_place(idata)  # doctest: +SKIP
+    >>> waves["pressure_mmHg"].sel(vessel=1, position=0.0).median(("chain", "draw"))  # doctest: +SKIP
+    """
+    there = datasets(idata)
+    if group not in there or "quantity" not in there[group].coords:
+        raise ValueError(
+            f"group = {group!r}: no such group with series by quantity; the groups are {', '.join(there)}; "
+            "add them by zoo.add_groups(idata, model)"
+        )
+    y = there[group]["y"]
+    own = {"series", "unit", "quantity"}
+    along = [str(name) for name, c in y.coords.items() if c.dims == ("series",)]
+    places = [name for name in along if name not in own]
+    found = {}
+    for quantity in dict.fromkeys(y["quantity"].values.tolist()):
+        rows = y.isel(series=np.flatnonzero(y["quantity"].values == quantity))
+        units = {} if group == "log_likelihood" else {"units": str(rows["unit"].values[0])}
+        if places:
+            index = pd.MultiIndex.from_arrays([rows[name].values for name in places], names=places)
+            rows = rows.drop_vars(along).assign_coords(xr.Coordinates.from_pandas_multiindex(index, "series"))
+            rows = rows.unstack("series").transpose(..., *places, "time")
+        found[quantity] = rows.assign_attrs(units)
+    return xr.Dataset(found, attrs=there[group].attrs)
 
 
 def sample(
@@ -244,7 +297,8 @@ def sample(
     Returns
     -------
     InferenceData
-        posterior, sample_stats, observed_data, and those of `zoo.add_groups`.
+        posterior, sample_stats, observed_data, and those of `zoo.add_groups`; of a model of several subjects
+        the first three, as `zoo.by_subject` gives them.
 
     Raises
     ------
@@ -274,6 +328,11 @@ def sample(
         until_ess=until_ess, max_draws=max_draws, executor=executor, start=start, step_options=step_options,
         library=library, progress=progress,
     )  # fmt: skip
-    if not groups or not isinstance(record, ModelRecord):
+    if isinstance(record, JointRecord):
+        return by_subject(idata, model)
+    if not isinstance(record, ModelRecord):
         return idata
+    if not groups:
+        found = {name: group.copy() for name, group in datasets(idata).items()}
+        return made(found | {"posterior": with_units(found["posterior"], record)}, idata.attrs)
     return add_groups(idata, model, progress=progress, library=library)
