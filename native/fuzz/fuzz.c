@@ -176,6 +176,10 @@ static void make_additions(zoo_problem *pr, int nv)
         reals_of(&pr->outlet.mode_cosine, nv * pr->outlet.n_modes, 0.0, 1e6);
         reals_of(&pr->outlet.mode_sine, nv * pr->outlet.n_modes, -1e5, 1e6);
     }
+    if (one_in(3)) {
+        count_of(&pr->outlet.n_wave, 1 + below(9), SIZE_OF_ARRAY);
+        reals_of(&pr->outlet.wave, nv * pr->outlet.n_wave, -2e3, 2e3);
+    }
     for (int i = 0; i < 2; i++) {
         if (one_in(4))
             function_of(i ? &pr->outlet.resistance_function : &pr->outlet.compliance_function, 0.0, 4e4, -0.4, 0.4);
@@ -422,7 +426,7 @@ static int verdict(const trial *t)
     const zoo_outlet *ou = &pr->outlet;
     if (!zoo_outlet_name(ou->kind) || !ou->R1 || !ou->R2 || !ou->C ||
         function_bad(&ou->resistance_function, -1e30, -30.0, 30.0, &unknown) ||
-        function_bad(&ou->compliance_function, -1e30, -30.0, 30.0, &unknown))
+        function_bad(&ou->compliance_function, -1e30, -30.0, 30.0, &unknown) || !count_in(ou->n_wave, 0) || (ou->n_wave && !ou->wave))
         return 1;
     if (ou->n_sections < 0 || ou->n_sections > 1 << 20)
         return ou->kind == ZOO_OUTLET_CIRCUIT || ou->n_sections > 1 << 28 ? 1 : UNKNOWN;
@@ -443,6 +447,9 @@ static int verdict(const trial *t)
         if (!positive(ou->R1[k]) || !(ou->R2[k] == 0.0 || (positive(ou->R2[k]) && positive(ou->C[k]))) ||
             (ou->pressure && !in_range(ou->pressure[k], -DBL_MAX, DBL_MAX)))
             return 1;
+        for (int m = k * ou->n_wave; m < (k + 1) * ou->n_wave; m++)
+            if (!in_range(ou->wave[m], -1e30, 1e30))
+                return 1;
         for (int m = k * nm; m < (k + 1) * nm; m++)
             if (!in_range(ou->mode_cosine[m], -1e30, 1e30) || !in_range(ou->mode_sine[m], -1e30, 1e30))
                 return 1;

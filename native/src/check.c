@@ -96,7 +96,7 @@ static int bad_numerics(const zoo_numerics *num)
 /* Whether a step, or the time between two samples, is too short for its inverse to be a number. */
 static int bad_clock(const zoo_problem *pr)
 {
-    const double most = fmax(pr->numerics.max_steps, fmax(pr->inlet.n_samples, pr->wall.n_wave));
+    const double most = fmax(pr->numerics.max_steps, fmax(pr->inlet.n_samples, fmax(pr->wall.n_wave, pr->outlet.n_wave)));
     return !(pr->inlet.period / most > 1e-300);
 }
 
@@ -110,7 +110,7 @@ static int too_large(const zoo_problem *pr)
         nodes += (int64_t)pr->network.n_cells[k] + 1;
     /* the state; the outlets' coefficients, of which no kind has more beside its sections' and modes'; the samples of a step */
     enum { COEFFICIENTS = 16, STATE = 4, SAMPLES = 4 * 3 };
-    const int64_t rows[] = {(STATE + ZOO_MOST_SHAPES) * nodes + (sections + 2) * nv, (COEFFICIENTS + 2 * sections) * nv,
+    const int64_t rows[] = {(STATE + ZOO_MOST_SHAPES) * nodes + (sections + 2) * nv, (COEFFICIENTS + 3 * sections) * nv,
                             (int64_t)SAMPLES * pr->outputs.n_series};
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         if (rows[i] > INT_MAX / ZOO_DIRECTIONS)

@@ -57,6 +57,9 @@ typedef struct {
     double *per_w, *A0;                  /* [count] 2 dt/dx, rest area at the node */
     double *R1, *R2, *C, *psi1;          /* [count] */
     double *behind;                      /* [count] pressure behind the outlet */
+    double *wave_sum;                    /* [count][n_wave+1] running integral of what is added to `behind`, which is */
+    double *wave_now, *wave_then;        /* [count] this at the step's start and end, */
+    double *wave_mean;                   /* [count] and this in the mean over it; without a wave there is no memory */
     double *volume;                      /* [count] ml that left so far in this beat */
     double *coefficient;                 /* [rows.coefficients][count] */
     double *v;                           /* [rows.pressures][count] state */
@@ -200,9 +203,10 @@ int32_t zoo_set_parameters(zoo_sim *sim, const zoo_parameters *parameters);
 /* time_step.c: set the time step to period/n_steps and everything that depends on it. */
 void zoo_set_step(zoo_sim *sim, int n_steps);
 
-/* curve.c: the inlet's samples as a curve. */
+/* curve.c: the inlet's samples as a curve, and the pressures behind the outlets; these in one step. */
 void zoo_curve_sum(zoo_sim *sim);
 void zoo_curve_step(zoo_sim *sim);
+void zoo_curve_behind(zoo_sim *sim, int step);
 
 /* start.c: the state from which the first beat starts. */
 void zoo_start(zoo_sim *sim);

@@ -81,6 +81,9 @@ static void addition(int added)
     REJECTS(x.wave[4] = 0.0);
     REJECTS(x.wave[0] = NAN);
     REJECTS(t.problem.wall.n_wave = -1);
+    REJECTS(x.veins[6 * NV - 1] = NAN);
+    REJECTS(t.problem.outlet.n_wave = -1);
+    REJECTS(t.problem.outlet.wave = NULL);
     REJECTS(t.problem.wall.stiffness_wave = NULL);
     REJECTS(memset(x.rho, 0, sizeof x.rho));
     REJECTS(t.problem.wall.relaxation_time = 0.0);

@@ -43,6 +43,7 @@ _PER_VESSEL = {
     "stiffness_ratio": (0.0, False, "positive"),
     "stiffness_exponent": (-np.inf, False, "finite"),
     "outflow_pressure": (-np.inf, False, "finite, dyn/cm2"),
+    "outflow_wave": (-np.inf, False, "finite, dyn/cm2"),
     "inertance": (0.0, True, "zero or positive, g/cm4; any value, say 0, where a vessel is no terminal"),
     "section_resistance": (-np.inf, False, "finite"),
     "section_compliance": (-np.inf, False, "finite"),
@@ -53,6 +54,7 @@ _PER_VESSEL = {
 _PER_TIME = {"stiffness_wave": (0.0, False, "positive")}
 _LIMITS = {"throat_severity": 1.0 - 1e-9, "throat_position": 1.0}
 _SECTIONS = ("section_resistance", "section_compliance")
+_ROWS = {**dict.fromkeys(_SECTIONS, "(n_vessels, n_sections)"), "outflow_wave": "(n_vessels, n_times)"}
 _FUNCTIONS: dict[str, type[KnotFunction]] = {
     "wall_function": WallFunction,
     "friction_function": FrictionFunction,
@@ -100,6 +102,11 @@ class Physics(ReadOnlyArrays):
         K: each daughter's inlet has K rho/2 u abs(u) less pressure than the parent's end, u the parent's.
     outflow_pressure : array (n_vessels,)
         p_out, dyn/cm2, read at terminals: behind the outlets, p - p_out = R1 q + v.
+    outflow_wave : array (n_vessels, n_times)
+        f, dyn/cm2, read at terminals: what is added to the pressure behind the outlets at uniform times of
+        the beat from 0, linear between, periodic. It acts behind the resistances, as compliances rest on the
+        tissue: C_k dv_k/dt = q - (v_k - s_k f)/R_k with s_k = R_k/sum R, so that without flow an outlet has
+        f sum_k s_k/(1 + i w R_k C_k) in front of it; f itself where it is a single resistance.
     inertance : array (n_vessels,)
         L, g/cm4, read at terminals: p = v + R1 q + p_L, p_L = L dq_L/dt = R_p (q - q_L), where R_p is
         6 rho c/A0 of the terminal's end at rest and lets out waves faster than R_p/L (6 c/l at rho l/A0),
@@ -158,6 +165,7 @@ class Physics(ReadOnlyArrays):
     total_pressure: float = 0.0
     junction_loss: float = 0.0
     outflow_pressure: Array | None = None
+    outflow_wave: Array | None = None
     inertance: Array | None = None
     section_resistance: Array | None = None
     section_compliance: Array | None = None
@@ -182,10 +190,8 @@ class Physics(ReadOnlyArrays):
                 continue
             values = read_only(real_array(f"physics: {name}", getattr(self, name), error=SolverArgumentError))
             object.__setattr__(self, name, values)
-            wanted = 2 if name in _SECTIONS else 1
-            if values.ndim != wanted or not values.size:
-                shape = "(n_vessels, n_sections)" if wanted == 2 else "(n_vessels,)"
-                shape = "(n_times,)" if name in _PER_TIME else shape
+            if values.ndim != (2 if name in _ROWS else 1) or not values.size:
+                shape = "(n_times,)" if name in _PER_TIME else _ROWS.get(name, "(n_vessels,)")
                 raise SolverArgumentError(f"physics: {name} has shape {values.shape}: must be {shape}")
             high = _LIMITS.get(name, np.inf)
             good = np.isfinite(values) & (values >= low) & (values <= high) & (closed | (values != low))
@@ -293,6 +299,10 @@ def study_physics(
     behind = np.array([study.pressure_mmHg("outflow", v) for v in vessels])
     if np.any(behind[network.terminals]):
         given["outflow_pressure"] = mmhg_to_cgs(behind, unit)
+    if len(study.outflow_wave_mmHg):
+        changes = study.outflow_wave_mmHg - study.outflow_pressure_mmHg
+        of_study = np.array([v.outflow_pressure_mmHg is None for v in vessels])
+        given["outflow_wave"] = mmhg_to_cgs(np.where(of_study[:, None], changes, 0.0), unit)
     if along and network.stiffness_in is not None and network.stiffness_out is not None:
         elastic = np.array([v.youngs_modulus_g_cm_s2 is not None for v in vessels])
         narrowing = network.radius_out_cm / network.radius_in_cm
@@ -339,8 +349,10 @@ def physics_words(study: Study) -> list[str]:
         ("radius", "at which radii are given", study.vessels),
     ):
         found = [study.pressure_mmHg(name, v) for v in vessels]
-        if any(found):
-            words.append(f"pressure {where}: {_range(found)} mmHg")
+        wave = study.outflow_wave_mmHg.tolist() if name == "outflow" else []
+        if any(found) or wave:
+            over = f", {_range(wave)} over the beat" if wave else ""
+            words.append(f"pressure {where}: {_range(found)} mmHg{over}")
     if study.vessels[0].stiffness:
         source = ", E h/r" if study.vessels[0].youngs_modulus_g_cm_s2 else ""
         ends = [x for v in study.vessels for x in v.stiffness or ()]

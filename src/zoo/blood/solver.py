@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ABI = 10
+ABI = 11
 if getattr(lib, "ZOO_ABI", 1) != ABI:
     raise ImportError(
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
@@ -441,6 +441,9 @@ class Solver:
             else:
                 wall.offset_in, wall.offset_out = reals(offset[0]), reals(offset[1])
         give(outlet, "pressure", behind)
+        if added.outflow_wave is not None:
+            outlet.n_wave = added.outflow_wave.shape[1]
+            give(outlet, "wave", added.outflow_wave)
         if added.stiffness_wave is not None:
             wall.n_wave = len(added.stiffness_wave)
             wall.stiffness_wave = reals(added.stiffness_wave, "physics: stiffness_wave", wall.n_wave)

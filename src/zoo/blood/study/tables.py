@@ -33,6 +33,7 @@ class StudyTable(Table):
     name: str
     network: str
     inflow: Any
+    outflow_pressure: Any = None
     observations: Any = None
     period_s: Positive
     conventions: Any = "printed"
