@@ -478,7 +478,7 @@ static int parameters_verdict(const trial *t)
     for (int k = 1; k < nv; k++)
         fed[pr->network.parent[k]] = 1;
     for (int k = 0; k < nv; k++) {
-        const double chi = pa.stiffness[k], scale = pr->wall.law ? chi * pr->wall.factor : chi;
+        const double chi = pa.stiffness[k], scale = pr->wall.law == ZOO_WALL_TANGENT ? chi * pr->wall.factor : chi;
         if (!positive(chi) || scale < 1e-31 || scale > 1e31)
             return 1;
         unknown |= scale < 1e-29 || scale > 1e29;

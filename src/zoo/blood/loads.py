@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from zoo.blood.case import Case, wall_slope, with_physics
 from zoo.blood.outlet_tables import MEMORY_BEATS
 from zoo.blood.solve_errors import SolverArgumentError
+from zoo.blood.solver import CHI_WALLS
 from zoo.core.arrays import finite_array
 
 Array = NDArray[np.float64]
@@ -89,7 +90,7 @@ def _slope_at_outlets(case: Case) -> Array:
     network, added, ends = case.network, case.physics, case.network.terminals
     slope = wall_slope(case)
     if added.wall_function is not None:
-        scale = 4 / 3 if case.wall == "linear" else case.conventions.wall_factor
+        scale = 4 / 3 if case.wall in CHI_WALLS else case.conventions.wall_factor
         slope = slope + 0.5 * scale * case.stiffness * added.wall_function.slope(1.0)
     if added.stiffness_ratio is not None:
         slope = slope * added.stiffness_ratio

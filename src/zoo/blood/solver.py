@@ -76,6 +76,8 @@ WALLS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.z
 SHAPES: dict[str, tuple[str, ...]] = {
     wall: _names(partial(lib.zoo_wall_shape_name, number)) for wall, number in WALLS.items()
 }
+CHI_WALLS = ("linear", "olufsen")
+"""Walls of the scale K = (4/3) chi and the slope dp/d(A/A0) = K/2 at rest."""
 OUTLETS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.zoo_outlet_name))}
 FRICTIONS = {
     "current": lib.ZOO_FRICTION_CURRENT,
@@ -180,8 +182,8 @@ class Solver:
     inflow_time_s, inflow_ml_s : array (n,)
         Flow into the root over one period, uniform in time from 0, without the repeated last sample: sample m
         at m period/n, to a hundredth of a step.
-    wall : {"linear", "tangent"}
-        Eq. (3.3) or (3.4).
+    wall : {"linear", "tangent", "olufsen"}
+        Eq. (3.3), (3.4), or p = (4/3) chi (1 - sqrt(A0/A)).
     conventions : Conventions
         How the equations are read (wall factor, friction radius, lengths, mmHg).
     series : sequence of (vessel id, position)
@@ -200,7 +202,7 @@ class Solver:
 
     References
     ----------
-    Paun et al. 2020, doi 10.1098/rsif.2020.0886.
+    Paun et al. 2020, doi 10.1098/rsif.2020.0886; Olufsen 1999, doi 10.1152/ajpheart.1999.276.1.H257.
     """
 
     def __init__(
@@ -244,7 +246,7 @@ class Solver:
     def for_study(
         cls,
         study: Study,
-        wall: str = "linear",
+        wall: str | None = None,
         *,
         series: Sequence[tuple[int, float]] | None = None,
         times_s: ArrayLike | None = None,
@@ -254,8 +256,9 @@ class Solver:
     ) -> Solver:
         """Make the solver of a study, at the study's own series and times unless others are given.
 
-        Without `physics` it is the study's own, `zoo.blood.physics.study_physics`; then `solve` takes the
-        stiffness at the vessels' inlets, which changes along them as the study says.
+        Without `wall` it is the study's own. Without `physics` it is the study's own, too,
+        `zoo.blood.physics.study_physics`; then `solve` takes the stiffness at the vessels' inlets, which
+        changes along them as the study says.
 
         Those of a study without observations are the inlet of every vessel at 512 times of the beat.
 
@@ -276,7 +279,7 @@ class Solver:
             network,
             study.inflow_time_s,
             study.inflow_ml_s,
-            wall=wall,
+            wall=study.wall if wall is None else wall,
             conventions=conventions,
             series=series,
             times_s=times_s,

@@ -202,6 +202,7 @@ def load_study(
         numerics=checked_numerics(f"{where}: numerics", table.numerics),
         junction_pressure=tree.junction_pressure,
         inflow_note=inflow_note,
+        wall=tree.wall,
         outflow_wave_mmHg=outflow,
         external_pressure_mmHg=tree.surroundings["external_pressure_mmHg"],
         outflow_pressure_mmHg=tree.surroundings["outflow_pressure_mmHg"],

@@ -98,7 +98,14 @@ def save_study(study: Study, folder: str | Path) -> None:
     write("study.toml", lines)
 
     blood = {name: getattr(study.blood, name) for name in ("density_g_cm3", "viscosity_g_cm_s")}
-    tables = {"blood": blood | study.blood.physics, "junctions": {}, "surroundings": dict(study.physics)}
+    tables = {
+        "blood": blood | study.blood.physics,
+        "junctions": {},
+        "wall": {},
+        "surroundings": dict(study.physics),
+    }
+    if "wall" in study.physics:
+        tables["wall"] = {"law": tables["surroundings"].pop("wall")}
     if "junction_pressure" in study.physics:
         tables["junctions"] = {"pressure": tables["surroundings"].pop("junction_pressure")}
     if study.outflow_wave_mmHg.size:

@@ -15,6 +15,7 @@ from zoo.blood.conventions import PRINTED, Conventions
 from zoo.blood.study.parts import Array, Blood, ReadOnlyArrays, Series, StudyError, Vessel, read_only
 
 JUNCTION_PRESSURES = ("static", "total")
+WALL_LAWS = ("linear", "olufsen")
 PRESSURES = ("external_pressure_mmHg", "outflow_pressure_mmHg", "radius_pressure_mmHg")
 
 
@@ -50,6 +51,8 @@ class Study(ReadOnlyArrays):
     outflow_wave_mmHg : array (n,)
         Pressure behind all outlets at times m period/n, mmHg; empty where it does not change. Its mean is
         `outflow_pressure_mmHg`, which need not be given with it.
+    wall : {"linear", "olufsen"}
+        Law of all walls, p = (4/3) chi (sqrt(A/A0) - 1) or p = (4/3) chi (1 - sqrt(A0/A)).
     inflow_note : str
         What was done to the inflow when it was loaded; empty for nothing.
     noise_sd : mapping of str to float
@@ -86,6 +89,7 @@ class Study(ReadOnlyArrays):
     external_pressure_mmHg: float = 0.0
     outflow_pressure_mmHg: float = 0.0
     radius_pressure_mmHg: float = 0.0
+    wall: str = "linear"
     outflow_wave_mmHg: Array = field(default_factory=lambda: np.empty(0), repr=False)
     inflow_note: str = field(default="", repr=False)
     checksum: str = field(default="", repr=False)
@@ -103,11 +107,12 @@ class Study(ReadOnlyArrays):
                     f"study {self.name!r}: {name}: shape {values.shape} does not fit the {len(times)} times; "
                     "give one value for each time"
                 )
-        if self.junction_pressure not in JUNCTION_PRESSURES:
-            raise StudyError(
-                f"study {self.name!r}: junction_pressure = {self.junction_pressure!r}: must be one of "
-                f"{', '.join(JUNCTION_PRESSURES)}"
-            )
+        for name, known in (("junction_pressure", JUNCTION_PRESSURES), ("wall", WALL_LAWS)):
+            if getattr(self, name) not in known:
+                raise StudyError(
+                    f"study {self.name!r}: {name} = {getattr(self, name)!r}: must be one of "
+                    f"{', '.join(known)}"
+                )
         self._check_outflow()
         object.__setattr__(self, "checksum", self._checksum())
 
@@ -148,11 +153,10 @@ class Study(ReadOnlyArrays):
 
     @property
     def physics(self) -> dict[str, str | float]:
-        """Pressures and junctions of the whole tree that are not at their default."""
-        at_junctions = (
-            {} if self.junction_pressure == "static" else {"junction_pressure": self.junction_pressure}
-        )
-        return at_junctions | {name: value for name in PRESSURES if (value := float(getattr(self, name)))}
+        """Pressures, junctions and walls of the whole tree that are not at their default."""
+        words = {"junction_pressure": "static", "wall": "linear"}
+        given = {name: value for name, plain in words.items() if (value := getattr(self, name)) != plain}
+        return given | {name: value for name in PRESSURES if (value := float(getattr(self, name)))}
 
     def pressure_mmHg(self, name: str, vessel: Vessel) -> float:
         """A vessel's own "outflow", "external" or "radius" pressure, or the study's; mmHg."""

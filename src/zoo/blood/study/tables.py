@@ -65,6 +65,7 @@ class NetworkTable(Table):
     blood: dict[str, Any]
     junctions: dict[str, Any] = Field(default_factory=dict)
     surroundings: dict[str, Any] = Field(default_factory=dict)
+    wall: dict[str, Any] = Field(default_factory=dict)
     vessel: list[dict[str, Any]]
 
 
@@ -81,6 +82,15 @@ class JunctionsTable(Table):
     """Table [junctions]."""
 
     pressure: str = "static"
+
+
+class WallTable(Table):
+    """Table [wall]."""
+
+    law: str = "linear"
+    k1_g_cm_s2: float | None = Field(default=None, ge=0, le=1e30)
+    k2_per_cm: float | None = Field(default=None, ge=-1e6, le=1e6)
+    k3_g_cm_s2: float | None = Field(default=None, ge=0, le=1e30)
 
 
 class SurroundingsTable(Table):

@@ -6,15 +6,15 @@ import heapq
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from zoo.blood.outlet_tables import StructuredTree
 from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, StudyError, Vessel, Windkessel
 from zoo.blood.study.reading import read_toml
-from zoo.blood.study.settings import put_in
-from zoo.blood.study.study import JUNCTION_PRESSURES
+from zoo.blood.study.settings import WALL_FIELDS, put_in
+from zoo.blood.study.study import JUNCTION_PRESSURES, WALL_LAWS
 from zoo.blood.study.tables import (
     BloodTable,
     JunctionsTable,
@@ -22,6 +22,7 @@ from zoo.blood.study.tables import (
     SurroundingsTable,
     TreeTable,
     VesselTable,
+    WallTable,
     validated,
     visible_name,
 )
@@ -209,6 +210,7 @@ class NetworkFile:
     junction_pressure: str
     surroundings: dict[str, float]
     nominal: frozenset[int]
+    wall: str
 
 
 def vessel_of(fields: Mapping[str, Any], where: str) -> Vessel:
@@ -227,6 +229,27 @@ def vessel_of(fields: Mapping[str, Any], where: str) -> Vessel:
     given = {field: getattr(v, field) for field in VESSEL_PHYSICS}
     outlet = None if v.impedance is None else _impedance(v.impedance, where)
     return Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, own, outlet, **given)
+
+
+def _with_stiffness(v: Vessel, wall: WallTable, where: str) -> Vessel:
+    """The vessel with chi = k1 exp(k2 r0) + k3 at both ends, unless it has a stiffness of its own."""
+    constants = (wall.k1_g_cm_s2, wall.k2_per_cm, wall.k3_g_cm_s2)
+    if constants == (None, None, None):
+        return v
+    if None in constants:
+        name = ("k1_g_cm_s2", "k2_per_cm", "k3_g_cm_s2")[constants.index(None)]
+        raise StudyError(f"{where}: {name}: is missing; give k1, k2 and k3 of k1 exp(k2 r0) + k3, or none")
+    if any(getattr(v, name) is not None for name in WALL_FIELDS):
+        return v
+    k1, k2, k3 = (float(k) for k in constants if k is not None)
+    ends = [k1 * math.exp(min(k2 * r, 700.0)) + k3 for r in (v.radius_cm, v.radius_out_cm)]
+    if not all(1e-30 <= chi <= 1e30 for chi in ends):
+        raise StudyError(
+            f"{where}: k1_g_cm_s2 = {k1!r}, k2_per_cm = {k2!r}, k3_g_cm_s2 = {k3!r}: make a stiffness of "
+            f"{ends[0]:.3g} to {ends[1]:.3g} g/(cm s2) in vessel {v.id}; correct them"
+        )
+    tapers = v.radius_out_cm != v.radius_cm
+    return replace(v, stiffness_g_cm_s2=ends[0], stiffness_out_g_cm_s2=ends[1] if tapers else None)
 
 
 def _impedance(given: Any, where: str) -> tuple[tuple[float, float], ...] | StructuredTree:
@@ -274,13 +297,16 @@ def read_network_file(path: Path, settings: Mapping[str, Any] | None = None) -> 
             f"{file}: junctions: pressure = {short(junctions.pressure)}: "
             f"{nearest(junctions.pressure, JUNCTION_PRESSURES)}"
         )
+    wall = validated(WallTable, table.wall, f"{file}: wall")
+    if wall.law not in WALL_LAWS:
+        raise StudyError(f"{file}: wall: law = {short(wall.law)}: {nearest(wall.law, WALL_LAWS)}")
     surroundings = validated(SurroundingsTable, table.surroundings, f"{file}: surroundings").model_dump()
     heads = [n for n, line in enumerate(text.splitlines(), 1) if re.match(r"\s*\[\[\s*vessel\s*\]\]", line)]
     vessels, where = [], []
     for i, data in enumerate(table.vessel):
         row = f", row {heads[i]}" if len(heads) == len(table.vessel) else ""
         place = f"{file}{row}: vessel {_label(data, i)}"
-        vessels.append(vessel_of(data, place))
+        vessels.append(_with_stiffness(vessel_of(data, place), wall, f"{file}: wall"))
         where.append(place)
     if not vessels:
         raise StudyError(f"{file}: vessel: the list is empty; add at least one [[vessel]]")
@@ -290,5 +316,11 @@ def read_network_file(path: Path, settings: Mapping[str, Any] | None = None) -> 
         v.id for v, data in zip(vessels, table.vessel, strict=True) if data.get("windkessel") == NOMINAL
     )
     return NetworkFile(
-        Blood(**blood.model_dump()), tuple(vessels), where, junctions.pressure, surroundings, nominal
+        Blood(**blood.model_dump()),
+        tuple(vessels),
+        where,
+        junctions.pressure,
+        surroundings,
+        nominal,
+        wall.law,
     )
