@@ -151,6 +151,12 @@ static void make_additions(zoo_problem *pr, int nv)
         reals_of(&pr->throat.position, nv, 0.0, 1.0);
         reals_of(&pr->throat.length, nv, 0.05, 1.0);
     }
+    if (one_in(3)) {
+        reals_of(&pr->loss.quadratic, nv, 0.0, 50.0);
+        reals_of(&pr->loss.linear, nv, 0.0, 1e4);
+        reals_of(&pr->loss.position, nv, 0.0, 1.0);
+        reals_of(&pr->loss.length, nv, 0.05, 1.0);
+    }
     if (one_in(3))
         pr->junction.total_pressure = 1.0;
     if (one_in(3))
@@ -386,6 +392,10 @@ static int verdict(const trial *t)
         !finite_all(wa->viscoelastic_time, nv, 0.0, DBL_MAX) || (wa->viscoelastic_time && !positive(wa->relaxation_time)) ||
         !count_in(wa->n_wave, 0) || (wa->n_wave && !wa->stiffness_wave) || !positive_all(wa->stiffness_wave, wa->n_wave, &unknown) ||
         function_bad(&wa->function, 1e-3, -1e30, 1e30, &unknown))
+        return 1;
+    const zoo_loss *lo = &pr->loss;
+    if (((lo->quadratic || lo->linear) && (!lo->position || !lo->length)) || !finite_all(lo->quadratic, nv, 0.0, 1e30) ||
+        !finite_all(lo->linear, nv, 0.0, 1e30) || !finite_all(lo->position, nv, 0.0, 1.0) || !positive_all(lo->length, nv, &unknown))
         return 1;
     const zoo_throat *th = &pr->throat;
     if ((th->severity && (!th->position || !th->length)) || !finite_all(th->severity, nv, 0.0, 1.0 - 1e-9) ||

@@ -90,6 +90,14 @@ typedef struct {
     double loss;            /* K_t in K_t rho/2 (A0/A0_throat - 1)^2 (q/A0)^2 */
 } zoo_throat;
 
+/* A stretch of a vessel that loses pressure by a q|q| + b q (A0/A)^2, A0 the area at rest, and keeps its radius. */
+typedef struct {
+    const double *quadratic; /* [n_vessels] a, g/cm^7, or NULL */
+    const double *linear;    /* [n_vessels] b, dyn s/cm^5, or NULL */
+    const double *position;  /* [n_vessels] of its middle, in [0, 1] of the vessel's length */
+    const double *length;    /* [n_vessels] cm */
+} zoo_loss;
+
 /* Where vessels meet. */
 typedef struct {
     double total_pressure; /* tau: branches share p + tau rho u^2/2 */
@@ -157,6 +165,7 @@ typedef struct {
     zoo_fluid fluid;
     zoo_wall wall;
     zoo_throat throat;
+    zoo_loss loss;
     zoo_junction junction;
     zoo_inlet inlet;
     zoo_outlet outlet;

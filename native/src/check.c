@@ -70,6 +70,14 @@ static int bad_throat(const zoo_throat *throat, int nv)
            values_outside(throat->length, nv, 1e-300, INFINITY) || values_outside(&throat->loss, 1, 0.0, INFINITY);
 }
 
+static int bad_loss(const zoo_loss *loss, int nv)
+{
+    if ((loss->quadratic || loss->linear) && (!loss->position || !loss->length))
+        return 1;
+    return values_outside(loss->quadratic, nv, 0.0, ZOO_MOST_VALUE) || values_outside(loss->linear, nv, 0.0, ZOO_MOST_VALUE) ||
+           values_outside(loss->position, nv, 0.0, 1.0) || values_outside(loss->length, nv, 1e-300, INFINITY);
+}
+
 static int bad_outputs(const zoo_outputs *out, int nv, double period)
 {
     if (out->n_series < 0 || out->n_series > ZOO_MOST || out->n_times < 0 || out->n_times > ZOO_MOST ||
@@ -122,7 +130,7 @@ int32_t zoo_check_problem(const zoo_problem *pr)
 {
     int nv = pr->network.n_vessels;
     if (bad_network(&pr->network) || bad_fluid(&pr->fluid, nv) || bad_wall(&pr->wall, nv) ||
-        bad_throat(&pr->throat, nv) || values_outside(&pr->junction.total_pressure, 1, 0.0, INFINITY) ||
+        bad_throat(&pr->throat, nv) || bad_loss(&pr->loss, nv) || values_outside(&pr->junction.total_pressure, 1, 0.0, INFINITY) ||
         values_outside(&pr->junction.loss, 1, 0.0, INFINITY) ||
         zoo_function_bad(&pr->junction.function, -ZOO_MOST_VALUE, -ZOO_MOST_VALUE, ZOO_MOST_VALUE) || inlet_bad(pr) ||
         bad_outputs(&pr->outputs, nv, pr->inlet.period) || bad_numerics(&pr->numerics) || bad_clock(pr) ||

@@ -113,7 +113,7 @@ typedef struct {
     double stiff, stiff_half, stiffest;  /* the factor now, half a step ago, at most; 1 without a wave */
     double *offset, *kappa;              /* [n_nodes] */
     double *leak, *leak_mid;             /* [n_nodes] 0 at the midpoint between two vessels */
-    double *loss, *loss_mid;             /* [n_nodes] of throats: friction += loss A q|q| */
+    double *loss, *loss_mid;             /* [n_nodes] of throats and losses: friction += loss A q|q| */
     double *z, *pe;                      /* [n_nodes] state, pressure of the wall */
     double *off, *off_half;              /* [n_nodes] part of p that is known a step, half a step ahead */
 
@@ -192,6 +192,10 @@ int zoo_stiffness_varies(const zoo_problem *problem);
 void zoo_friction(const zoo_sim *sim, int vessel, double r0, double *f_s, double *f_c);
 double zoo_narrowed(const zoo_sim *sim, int vessel, double x, double r);
 double zoo_throat_loss(const zoo_sim *sim, int vessel, double x, double r);
+
+/* loss.c: at one place of a vessel. */
+double zoo_loss_quadratic(const zoo_sim *sim, int vessel, double x);
+double zoo_loss_linear(const zoo_sim *sim, int vessel, double x, double r);
 
 /* additions.c: what only the loops with additions have. */
 int zoo_has_additions(const zoo_problem *problem, const int *children);

@@ -315,6 +315,12 @@ class Solver:
         else:
             with np.errstate(over="ignore"):
                 cells = np.maximum(2, np.rint(length / self.options.dx_cm))
+        added = self.physics
+        if added.loss_length is not None and not self.conventions.truncate_lengths:
+            loses = np.zeros(len(cells), dtype=bool)
+            for loss in (added.loss_quadratic, added.loss_linear):
+                loses |= False if loss is None else loss > 0
+            cells = self._finer(cells, loses, added.loss_length)
         cells = cells * float(self.options.refine)
         if cells.sum() > MOST_COUNT:
             vessel = int(np.argmax(cells))
@@ -334,11 +340,14 @@ class Solver:
         if self.physics.throat_severity is None:
             return cells
         throat = self.physics.throat_length
-        length = self.network.length_cm
-        with np.errstate(over="ignore"):
-            fine = np.ceil(THROAT_CELLS * length / (THROAT_LENGTH_CM if throat is None else throat))
         narrow = self.physics.throat_severity > 0
-        return np.where(narrow, np.maximum(cells, fine), cells)
+        return self._finer(cells, narrow, THROAT_LENGTH_CM if throat is None else throat)
+
+    def _finer(self, cells: Array, where: NDArray[np.bool_], length_cm: ArrayLike) -> Array:
+        """Cells with at least `THROAT_CELLS` along stretches of this length in some vessels."""
+        with np.errstate(over="ignore"):
+            fine = np.ceil(THROAT_CELLS * self.network.length_cm / length_cm)
+        return np.where(where, np.maximum(cells, fine), cells)
 
     def _build(self) -> None:
         net, options, conventions = self.network, self.options, self.conventions
@@ -455,6 +464,8 @@ class Solver:
             throat.severity = reals(added.throat_severity)
             throat.position = reals(filled(added.throat_position, 0.5))
             throat.length = reals(filled(added.throat_length, THROAT_LENGTH_CM))
+        for name in ("quadratic", "linear", "position", "length"):
+            give(problem.loss, name, getattr(added, f"loss_{name}"))
         throat.loss, problem.junction.loss = added.throat_loss, added.junction_loss
 
         # a pressure is told less that outside, where that is the same everywhere

@@ -54,6 +54,9 @@ def _vessel_lines(vessel: Vessel, nominal: bool) -> list[str]:
         table = vars(vessel.impedance) if isinstance(vessel.impedance, StructuredTree) else vessel.impedance
         lines.append(f"impedance = {_value(table)}")
     lines += [f"{name} = {_value(value)}" for name, value in vessel.physics.items()]
+    if vessel.stenosis is not None:
+        table = {name: value for name, value in vars(vessel.stenosis).items() if value is not None}
+        lines.append(f"stenosis = {_value(table)}")
     return lines
 
 

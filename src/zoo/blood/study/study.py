@@ -139,6 +139,9 @@ class Study(ReadOnlyArrays):
         blood = [float(self.blood.density_g_cm3), float(self.blood.viscosity_g_cm_s)]
         content: list[Any] = [float(self.period_s), blood, vessels, series]
         own = {v.id: v.physics for v in self.vessels if v.physics}
+        narrow = [[v.id, repr(v.stenosis)] for v in self.vessels if v.stenosis is not None]
+        if narrow:
+            content.append(narrow)
         tables = {v.id: v.impedance for v in self.vessels if v.impedance is not None}
         if tables:
             content.append([[i, repr(table)] for i, table in tables.items()])

@@ -109,6 +109,16 @@ class WindkesselTable(Table):
     C: Positive
 
 
+class StenosisTable(Table):
+    """A vessel's stenosis."""
+
+    radius_cm: Size
+    length_cm: Size
+    position: float = Field(default=0.5, ge=0, le=1)
+    Kt: float = Field(default=1.52, ge=0, le=1e6)
+    Kv: float | None = Field(default=None, ge=0, le=1e12)
+
+
 class TreeTable(Table):
     """A vessel's structured tree."""
 
@@ -135,6 +145,7 @@ class VesselTable(Table):
     parent: Whole | None = None
     windkessel: WindkesselTable | None = None
     impedance: list[Any] | dict[str, Any] | None = None
+    stenosis: dict[str, Any] | None = None
     resistance: Positive | None = None
     stiffness_g_cm_s2: Positive | None = None
     stiffness_out_g_cm_s2: Positive | None = None

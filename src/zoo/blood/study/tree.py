@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from zoo.blood.outlet_tables import StructuredTree
-from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, StudyError, Vessel, Windkessel
+from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, Stenosis, StudyError, Vessel, Windkessel
 from zoo.blood.study.reading import read_toml
 from zoo.blood.study.settings import WALL_FIELDS, put_in
 from zoo.blood.study.study import JUNCTION_PRESSURES, WALL_LAWS
@@ -19,6 +19,7 @@ from zoo.blood.study.tables import (
     BloodTable,
     JunctionsTable,
     NetworkTable,
+    StenosisTable,
     SurroundingsTable,
     TreeTable,
     VesselTable,
@@ -159,6 +160,7 @@ def check_physics(
                 f"{place}: {given[1]}{shown}: {article} {given[0]} is the outlet already; give one of the two"
             )
         _check_impedance(v, place)
+        _check_stenosis(v, f"{place}: stenosis")
         for name in _TERMINALS_ONLY:
             if v.id in feeding and getattr(v, name) is not None:
                 raise StudyError(
@@ -177,6 +179,28 @@ def check_physics(
                 f"{place}: radius_pressure_mmHg = {at!r}: without pressure the radius would be zero, for a "
                 f"stiffness of {min(ends):.6g} g/(cm s2); it must be below {4 / 3 * min(ends) / MMHG:.6g}"
             )
+
+
+def _check_stenosis(v: Vessel, place: str) -> None:
+    """Refuse a stenosis that is none, or lies beyond the vessel's ends."""
+    one = v.stenosis
+    if one is None:
+        return
+    for name, value in vars(one).items():
+        least = name in ("radius_cm", "length_cm")
+        if value is not None and not (value >= 0 and math.isfinite(value) and (value > 0 or not least)):
+            raise StudyError(f"{place}: {name} = {value!r}: must be positive and finite; correct it")
+    radius = v.radius_cm + (v.radius_out_cm - v.radius_cm) * one.position
+    if not one.radius_cm < radius:
+        raise StudyError(
+            f"{place}: radius_cm = {one.radius_cm!r}: must be below that of the vessel there, {radius:.6g}"
+        )
+    ends = [one.position * v.length_cm + side * one.length_cm / 2 for side in (-1, 1)]
+    if ends[0] < -1e-9 * v.length_cm or ends[1] > v.length_cm * (1 + 1e-9):
+        raise StudyError(
+            f"{place}: length_cm = {one.length_cm!r}: reaches from {ends[0]:.6g} to {ends[1]:.6g} cm, beyond "
+            f"the vessel's {v.length_cm:.6g} cm; shorten it, or move its position"
+        )
 
 
 def _check_impedance(v: Vessel, place: str) -> None:
@@ -226,8 +250,12 @@ def vessel_of(fields: Mapping[str, Any], where: str) -> Vessel:
     own = v.windkessel and Windkessel(v.windkessel.R1, v.windkessel.R2, v.windkessel.C)
     out = v.radius_cm if v.radius_out_cm is None else v.radius_out_cm
     name = visible_name(where, v.name or f"v{v.id}")
-    given = {field: getattr(v, field) for field in VESSEL_PHYSICS}
+    given: dict[str, Any] = {field: getattr(v, field) for field in VESSEL_PHYSICS}
     outlet = None if v.impedance is None else _impedance(v.impedance, where)
+    if v.stenosis is not None:
+        given["stenosis"] = Stenosis(
+            **validated(StenosisTable, v.stenosis, f"{where}: stenosis").model_dump()
+        )
     return Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, own, outlet, **given)
 
 
