@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zoo.blood.case import Case, wall_slope, with_physics
-from zoo.blood.outlet_tables import MEMORY_BEATS
+from zoo.blood.outlet_tables import response_impedance
 from zoo.blood.solve_errors import SolverArgumentError
 from zoo.blood.solver import CHI_WALLS
 from zoo.core.arrays import finite_array
@@ -60,12 +60,8 @@ def outlet_impedance(case: Case, omega: ArrayLike) -> Complex:
         resistance[:, :, None] / (1 + w * (resistance * compliance)[:, :, None]), axis=1
     )
     if network.response_cosine is not None and network.response_sine is not None:
-        turns = 2 * np.pi / network.period_s * np.arange(network.response_cosine.shape[1])[:, None]
-        fall = 1 / (MEMORY_BEATS * network.period_s) + w
         cosine, sine = network.response_cosine[ends], network.response_sine[ends]
-        Z = Z + case.psi1[ends, None] * (
-            cosine @ (fall / (fall**2 + turns**2)) + sine @ (turns / (fall**2 + turns**2))
-        )
+        Z = Z + case.psi1[ends, None] * response_impedance(cosine, sine, network.period_s, w.imag)
     if added.inertance is None:
         return Z
     rest = np.pi * network.radius_out_cm[ends] ** 2

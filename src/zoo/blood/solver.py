@@ -343,7 +343,7 @@ class Solver:
         narrow = self.physics.throat_severity > 0
         return self._finer(cells, narrow, THROAT_LENGTH_CM if throat is None else throat)
 
-    def _finer(self, cells: Array, where: NDArray[np.bool_], length_cm: ArrayLike) -> Array:
+    def _finer(self, cells: Array, where: NDArray[np.bool_], length_cm: Array | float) -> Array:
         """Cells with at least `THROAT_CELLS` along stretches of this length in some vessels."""
         with np.errstate(over="ignore"):
             fine = np.ceil(THROAT_CELLS * self.network.length_cm / length_cm)

@@ -242,7 +242,7 @@ def _checked_noise(where: str, noise_sd: Mapping[str, float], series: Sequence[S
 
 
 class LoadWarning(UserWarning):
-    """Some terminals of a study have a load of their own, others a derived one."""
+    """Loads of a study that are odd: forgotten at some terminals, too fast, or that give energy."""
 
 
 def root_pressure(vessels: Sequence[Vessel], series: Sequence[Series]) -> Series | None:
