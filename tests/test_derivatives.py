@@ -44,7 +44,7 @@ def differences(solve: Any, theta: np.ndarray, i: int, h: float) -> np.ndarray:
     return (8 * (f(h) - f(-h)) - (f(2 * h) - f(-2 * h))) / (12 * h)
 
 
-@pytest.mark.parametrize("wall", ["linear", "tangent"])
+@pytest.mark.parametrize("wall", ["linear", "tangent", "olufsen"])
 def test_parameters(study: Study, wall: str) -> None:
     model = flow(study, wall, options=EXACT)
     theta = at((9e4, 4.0, *POINT[2:]))

@@ -7,6 +7,8 @@ computed a second time by the recursion of `benchmarks.structured_trees`.
 from __future__ import annotations
 
 import math
+import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,10 +25,10 @@ from zoo.blood.directions import Point
 from zoo.blood.forward import BloodFlow, constant_stiffness
 from zoo.blood.loads import outlet_impedance, with_impedance_change
 from zoo.blood.network import Network
-from zoo.blood.outlet_tables import StructuredTree, circuit_of
+from zoo.blood.outlet_tables import MEMORY_BEATS, StructuredTree, circuit_of
 from zoo.blood.physics import NO_PHYSICS, Physics, physics_words
 from zoo.blood.solver import Solver, SolverArgumentError, SolverOptions
-from zoo.blood.study import Blood, Series, Study, StudyError, load_study, save_study
+from zoo.blood.study import Blood, LoadWarning, Series, Study, StudyError, load_study, save_study
 from zoo.core.parameters import Parameter, Uniform
 
 LUNG = StructuredTree(0.805, 0.639, 33.5, 0.0094, 2e7, -20.0, 3e5)
@@ -256,3 +258,38 @@ def test_slopes_by_the_trees_parameters_are_those_of_differences() -> None:
         near = [flow.solve(flow.configure(theta + s * step * np.eye(3)[i])) for s in (1, -1)]
         wanted = (near[0] - near[1]) / (2 * step)
         np.testing.assert_allclose(slopes[i], wanted, atol=1e-3 * np.abs(wanted).max())
+
+
+ROUGH = ((600.0, 0.0), (90.0, -40.0), (20.0, 95.0), (95.0, -20.0), (30.0, -90.0), (60.0, 80.0))
+"""A table whose every harmonic takes energy, and whose outlet gives energy between them."""
+
+
+def study_with(impedance: Any) -> Study:
+    time = np.arange(64) * PERIOD / 64
+    end = vessel(7, length_cm=4.0, radius_cm=RADIUS, impedance=impedance, stiffness_g_cm_s2=4e5)
+    return Study("lung", PERIOD, Blood(DENSITY, VISCOSITY), (end,), time, 50 + 0 * time, np.empty(0), ())
+
+
+def test_an_outlet_that_gives_energy_is_warned_of_with_its_frequency() -> None:
+    with pytest.warns(LoadWarning, match=r"'lung': network.toml: vessel 7: impedance: .* at .* Hz") as said:
+        Network.from_study(study_with(ROUGH))
+    real, frequency = re.search(r"part (\S+) dyn s/cm5 at (\S+) Hz", str(said[0].message)).groups()  # type: ignore[union-attr]
+    loads, cosine, sine = circuit_of([complex(*pair) for pair in ROUGH], PERIOD)
+    t = np.arange(200_000) * (20 * MEMORY_BEATS * PERIOD / 200_000)  # of the response to a unit of volume
+    turns = 2 * np.pi / PERIOD * np.arange(6)[:, None] * t
+    response = np.exp(-t / (MEMORY_BEATS * PERIOD)) * (cosine @ np.cos(turns) + sine @ np.sin(turns))
+
+    def part(hertz: float) -> float:
+        w = 2 * np.pi * hertz
+        circuit = loads[0] + loads[1] / (1 + (w * loads[1] * loads[2]) ** 2)
+        return float(circuit + np.trapezoid(response * np.cos(w * t), t))
+
+    assert float(real) == pytest.approx(part(float(frequency)), rel=1e-3)
+    assert float(real) == pytest.approx(min(part(m / (16 * PERIOD)) for m in range(192)), rel=1e-3)
+
+
+@pytest.mark.parametrize("impedance", [LUNG, tuple((900 / (1 + m), -50.0 * (m > 0)) for m in range(8))])
+def test_an_outlet_that_takes_energy_everywhere_is_not_warned_of(impedance: Any) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Network.from_study(study_with(impedance))

@@ -59,7 +59,7 @@ def steadily(network, q, **given):
 
 
 @pytest.mark.parametrize("pieces", [1, 8])
-@pytest.mark.parametrize("wall", ["linear", "tangent"])
+@pytest.mark.parametrize("wall", ["linear", "tangent", "olufsen"])
 def test_steady_flow_has_the_pressure_of_the_steady_equation(wall, pieces):
     """Constant inflow: (A/rho dp/dA - q^2/A^2) dA/dx = -f(A) q, from the outlet's R q back to the inlet.
 
@@ -84,11 +84,15 @@ def test_steady_flow_has_the_pressure_of_the_steady_equation(wall, pieces):
     def area_at(p):
         if wall == "linear":
             return A0 * (1 + 3 * p / (4 * stiffness)) ** 2
+        if wall == "olufsen":
+            return A0 / (1 - 3 * p / (4 * stiffness)) ** 2
         return A0 * (1 + gamma / np.pi * np.arctan(p / stiffness))
 
     def slope(A):
         if wall == "linear":
             return 2 / 3 * stiffness / np.sqrt(A * A0)
+        if wall == "olufsen":
+            return 2 / 3 * stiffness * np.sqrt(A0) / A**1.5
         return stiffness * np.pi / (gamma * A0) / np.cos(np.pi / gamma * (A / A0 - 1)) ** 2
 
     def right(x, A):

@@ -1,4 +1,4 @@
-"""The wall laws as formulas, eq. (3.3) and (3.4), for tests to compare with."""
+"""The wall laws as formulas, eq. (3.3), (3.4) and Olufsen's, for tests to compare with."""
 
 from __future__ import annotations
 
@@ -16,4 +16,6 @@ def wall_pressure_mmHg(
     a = np.asarray(area_ratio, dtype=np.float64)
     if wall == "linear":
         return 4 / 3 * stiffness * (np.sqrt(a) - 1) / conventions.mmhg
+    if wall == "olufsen":
+        return 4 / 3 * stiffness * (1 - 1 / np.sqrt(a)) / conventions.mmhg
     return conventions.wall_factor * stiffness * np.tan(np.pi / gamma * (a - 1)) / conventions.mmhg

@@ -151,6 +151,12 @@ static void make_additions(zoo_problem *pr, int nv)
         reals_of(&pr->throat.position, nv, 0.0, 1.0);
         reals_of(&pr->throat.length, nv, 0.05, 1.0);
     }
+    if (one_in(3)) {
+        reals_of(&pr->loss.quadratic, nv, 0.0, 50.0);
+        reals_of(&pr->loss.linear, nv, 0.0, 1e4);
+        reals_of(&pr->loss.position, nv, 0.0, 1.0);
+        reals_of(&pr->loss.length, nv, 0.05, 1.0);
+    }
     if (one_in(3))
         pr->junction.total_pressure = 1.0;
     if (one_in(3))
@@ -175,6 +181,10 @@ static void make_additions(zoo_problem *pr, int nv)
         reals_of(&pr->outlet.mode_frequency, pr->outlet.n_modes, 0.0, 200.0);
         reals_of(&pr->outlet.mode_cosine, nv * pr->outlet.n_modes, 0.0, 1e6);
         reals_of(&pr->outlet.mode_sine, nv * pr->outlet.n_modes, -1e5, 1e6);
+    }
+    if (one_in(3)) {
+        count_of(&pr->outlet.n_wave, 1 + below(9), SIZE_OF_ARRAY);
+        reals_of(&pr->outlet.wave, nv * pr->outlet.n_wave, -2e3, 2e3);
     }
     for (int i = 0; i < 2; i++) {
         if (one_in(4))
@@ -383,6 +393,10 @@ static int verdict(const trial *t)
         !count_in(wa->n_wave, 0) || (wa->n_wave && !wa->stiffness_wave) || !positive_all(wa->stiffness_wave, wa->n_wave, &unknown) ||
         function_bad(&wa->function, 1e-3, -1e30, 1e30, &unknown))
         return 1;
+    const zoo_loss *lo = &pr->loss;
+    if (((lo->quadratic || lo->linear) && (!lo->position || !lo->length)) || !finite_all(lo->quadratic, nv, 0.0, 1e30) ||
+        !finite_all(lo->linear, nv, 0.0, 1e30) || !finite_all(lo->position, nv, 0.0, 1.0) || !positive_all(lo->length, nv, &unknown))
+        return 1;
     const zoo_throat *th = &pr->throat;
     if ((th->severity && (!th->position || !th->length)) || !finite_all(th->severity, nv, 0.0, 1.0 - 1e-9) ||
         !finite_all(th->position, nv, 0.0, 1.0) || !positive_all(th->length, nv, &unknown) ||
@@ -422,7 +436,7 @@ static int verdict(const trial *t)
     const zoo_outlet *ou = &pr->outlet;
     if (!zoo_outlet_name(ou->kind) || !ou->R1 || !ou->R2 || !ou->C ||
         function_bad(&ou->resistance_function, -1e30, -30.0, 30.0, &unknown) ||
-        function_bad(&ou->compliance_function, -1e30, -30.0, 30.0, &unknown))
+        function_bad(&ou->compliance_function, -1e30, -30.0, 30.0, &unknown) || !count_in(ou->n_wave, 0) || (ou->n_wave && !ou->wave))
         return 1;
     if (ou->n_sections < 0 || ou->n_sections > 1 << 20)
         return ou->kind == ZOO_OUTLET_CIRCUIT || ou->n_sections > 1 << 28 ? 1 : UNKNOWN;
@@ -443,6 +457,9 @@ static int verdict(const trial *t)
         if (!positive(ou->R1[k]) || !(ou->R2[k] == 0.0 || (positive(ou->R2[k]) && positive(ou->C[k]))) ||
             (ou->pressure && !in_range(ou->pressure[k], -DBL_MAX, DBL_MAX)))
             return 1;
+        for (int m = k * ou->n_wave; m < (k + 1) * ou->n_wave; m++)
+            if (!in_range(ou->wave[m], -1e30, 1e30))
+                return 1;
         for (int m = k * nm; m < (k + 1) * nm; m++)
             if (!in_range(ou->mode_cosine[m], -1e30, 1e30) || !in_range(ou->mode_sine[m], -1e30, 1e30))
                 return 1;
@@ -471,7 +488,7 @@ static int parameters_verdict(const trial *t)
     for (int k = 1; k < nv; k++)
         fed[pr->network.parent[k]] = 1;
     for (int k = 0; k < nv; k++) {
-        const double chi = pa.stiffness[k], scale = pr->wall.law ? chi * pr->wall.factor : chi;
+        const double chi = pa.stiffness[k], scale = pr->wall.law == ZOO_WALL_TANGENT ? chi * pr->wall.factor : chi;
         if (!positive(chi) || scale < 1e-31 || scale > 1e31)
             return 1;
         unknown |= scale < 1e-29 || scale > 1e29;

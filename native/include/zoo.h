@@ -11,7 +11,7 @@
 #include <stdint.h>
 
 /* cffi:begin */
-enum { ZOO_ABI = 10 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
+enum { ZOO_ABI = 11 }; /* raised when a struct or an entry point changes, so that no other library is taken for this one */
 
 enum zoo_status {
     ZOO_OK = 0,
@@ -90,6 +90,14 @@ typedef struct {
     double loss;            /* K_t in K_t rho/2 (A0/A0_throat - 1)^2 (q/A0)^2 */
 } zoo_throat;
 
+/* A stretch of a vessel that loses pressure by a q|q| + b q (A0/A)^2, A0 the area at rest, and keeps its radius. */
+typedef struct {
+    const double *quadratic; /* [n_vessels] a, g/cm^7, or NULL */
+    const double *linear;    /* [n_vessels] b, dyn s/cm^5, or NULL */
+    const double *position;  /* [n_vessels] of its middle, in [0, 1] of the vessel's length */
+    const double *length;    /* [n_vessels] cm */
+} zoo_loss;
+
 /* Where vessels meet. */
 typedef struct {
     double total_pressure; /* tau: branches share p + tau rho u^2/2 */
@@ -111,7 +119,9 @@ typedef struct {
     const double *R1;                 /* [n_vessels] dyn s/cm^5 */
     const double *R2;                 /* [n_vessels] dyn s/cm^5; 0: a single resistance, R1, */
     const double *C;                  /* [n_vessels] cm^5/dyn; not read where R2 is 0 */
-    const double *pressure;           /* [n_vessels] dyn/cm^2 behind the outlet, or NULL for 0 */
+    const double *pressure;           /* [n_vessels] dyn/cm^2 behind the outlet, or NULL for 0, */
+    int32_t n_wave;                   /* with samples of what is added to it over the beat; 0: nothing is */
+    const double *wave;               /* [n_vessels][n_wave] dyn/cm^2 at m period/n_wave, linear between, periodic */
     const double *inertance;          /* [n_vessels] g/cm^4, or NULL */
     int32_t n_sections;               /* parallel RC pairs at each terminal; 0: one of R2 and C */
     const double *section_resistance; /* [n_vessels][n_sections] shares of R2; 0: the section is absent; their sum is
@@ -155,6 +165,7 @@ typedef struct {
     zoo_fluid fluid;
     zoo_wall wall;
     zoo_throat throat;
+    zoo_loss loss;
     zoo_junction junction;
     zoo_inlet inlet;
     zoo_outlet outlet;

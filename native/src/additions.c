@@ -11,6 +11,7 @@ int zoo_has_additions(const zoo_problem *pr, const int *children)
            values_differ(pr->wall.offset_in, nv, 0.0) || values_differ(pr->wall.offset_out, nv, 0.0) ||
            values_differ(pr->wall.viscoelastic_time, nv, 0.0) || values_differ(pr->fluid.leak, nv, 0.0) ||
            (pr->throat.loss != 0.0 && values_differ(pr->throat.severity, nv, 0.0)) ||
+           values_differ(pr->loss.quadratic, nv, 0.0) ||
            values_differ(pr->wall.stiffness_wave, pr->wall.n_wave, 1.0) || outlet_adds(pr, children);
 }
 
@@ -30,7 +31,7 @@ void zoo_set_additions(zoo_sim *s, int k)
         s->kappa[node] = tau > 0.0 ? tau / wall->relaxation_time : 0.0;
         s->leak[node] = value_or_zero(s->problem->fluid.leak, k);
         s->leak_mid[node] = j < n ? s->leak[node] : 0.0;
-        s->loss[node] = zoo_throat_loss(s, k, s->dx[k] * j, r);
-        s->loss_mid[node] = zoo_throat_loss(s, k, s->dx[k] * (j + mid), r + step * mid);
+        s->loss[node] = zoo_throat_loss(s, k, s->dx[k] * j, r) + zoo_loss_quadratic(s, k, s->dx[k] * j);
+        s->loss_mid[node] = zoo_throat_loss(s, k, s->dx[k] * (j + mid), r + step * mid) + zoo_loss_quadratic(s, k, s->dx[k] * (j + mid));
     }
 }

@@ -70,6 +70,14 @@ static int bad_throat(const zoo_throat *throat, int nv)
            values_outside(throat->length, nv, 1e-300, INFINITY) || values_outside(&throat->loss, 1, 0.0, INFINITY);
 }
 
+static int bad_loss(const zoo_loss *loss, int nv)
+{
+    if ((loss->quadratic || loss->linear) && (!loss->position || !loss->length))
+        return 1;
+    return values_outside(loss->quadratic, nv, 0.0, ZOO_MOST_VALUE) || values_outside(loss->linear, nv, 0.0, ZOO_MOST_VALUE) ||
+           values_outside(loss->position, nv, 0.0, 1.0) || values_outside(loss->length, nv, 1e-300, INFINITY);
+}
+
 static int bad_outputs(const zoo_outputs *out, int nv, double period)
 {
     if (out->n_series < 0 || out->n_series > ZOO_MOST || out->n_times < 0 || out->n_times > ZOO_MOST ||
@@ -96,7 +104,7 @@ static int bad_numerics(const zoo_numerics *num)
 /* Whether a step, or the time between two samples, is too short for its inverse to be a number. */
 static int bad_clock(const zoo_problem *pr)
 {
-    const double most = fmax(pr->numerics.max_steps, fmax(pr->inlet.n_samples, pr->wall.n_wave));
+    const double most = fmax(pr->numerics.max_steps, fmax(pr->inlet.n_samples, fmax(pr->wall.n_wave, pr->outlet.n_wave)));
     return !(pr->inlet.period / most > 1e-300);
 }
 
@@ -110,7 +118,7 @@ static int too_large(const zoo_problem *pr)
         nodes += (int64_t)pr->network.n_cells[k] + 1;
     /* the state; the outlets' coefficients, of which no kind has more beside its sections' and modes'; the samples of a step */
     enum { COEFFICIENTS = 16, STATE = 4, SAMPLES = 4 * 3 };
-    const int64_t rows[] = {(STATE + ZOO_MOST_SHAPES) * nodes + (sections + 2) * nv, (COEFFICIENTS + 2 * sections) * nv,
+    const int64_t rows[] = {(STATE + ZOO_MOST_SHAPES) * nodes + (sections + 2) * nv, (COEFFICIENTS + 3 * sections) * nv,
                             (int64_t)SAMPLES * pr->outputs.n_series};
     for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
         if (rows[i] > INT_MAX / ZOO_DIRECTIONS)
@@ -122,7 +130,7 @@ int32_t zoo_check_problem(const zoo_problem *pr)
 {
     int nv = pr->network.n_vessels;
     if (bad_network(&pr->network) || bad_fluid(&pr->fluid, nv) || bad_wall(&pr->wall, nv) ||
-        bad_throat(&pr->throat, nv) || values_outside(&pr->junction.total_pressure, 1, 0.0, INFINITY) ||
+        bad_throat(&pr->throat, nv) || bad_loss(&pr->loss, nv) || values_outside(&pr->junction.total_pressure, 1, 0.0, INFINITY) ||
         values_outside(&pr->junction.loss, 1, 0.0, INFINITY) ||
         zoo_function_bad(&pr->junction.function, -ZOO_MOST_VALUE, -ZOO_MOST_VALUE, ZOO_MOST_VALUE) || inlet_bad(pr) ||
         bad_outputs(&pr->outputs, nv, pr->inlet.period) || bad_numerics(&pr->numerics) || bad_clock(pr) ||

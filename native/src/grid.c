@@ -72,6 +72,8 @@ void zoo_set_grid(zoo_sim *s)
             s->inv_A0_mid[node] = 2.0 / (s->A0[node] + ZOO_PI * pow(next, 2));
             zoo_friction(s, k, r, &s->f_s[node], &s->f_c[node]);
             zoo_friction(s, k, r_mid, &s->f_s_mid[node], &s->f_c_mid[node]);
+            s->f_c[node] += zoo_loss_linear(s, k, s->dx[k] * j, r);
+            s->f_c_mid[node] += zoo_loss_linear(s, k, s->dx[k] * (j + (j < n ? 0.5 : 0.0)), r_mid);
             if (s->varying) {
                 const zoo_wall *wall = &s->problem->wall;
                 double ratio = wall->stiffness_ratio ? wall->stiffness_ratio[k] : 1.0, part = (double)j / n;

@@ -57,6 +57,9 @@ typedef struct {
     double *per_w, *A0;                  /* [count] 2 dt/dx, rest area at the node */
     double *R1, *R2, *C, *psi1;          /* [count] */
     double *behind;                      /* [count] pressure behind the outlet */
+    double *wave_sum;                    /* [count][n_wave+1] running integral of what is added to `behind`, which is */
+    double *wave_now, *wave_then;        /* [count] this at the step's start and end, */
+    double *wave_mean;                   /* [count] and this in the mean over it; without a wave there is no memory */
     double *volume;                      /* [count] ml that left so far in this beat */
     double *coefficient;                 /* [rows.coefficients][count] */
     double *v;                           /* [rows.pressures][count] state */
@@ -110,7 +113,7 @@ typedef struct {
     double stiff, stiff_half, stiffest;  /* the factor now, half a step ago, at most; 1 without a wave */
     double *offset, *kappa;              /* [n_nodes] */
     double *leak, *leak_mid;             /* [n_nodes] 0 at the midpoint between two vessels */
-    double *loss, *loss_mid;             /* [n_nodes] of throats: friction += loss A q|q| */
+    double *loss, *loss_mid;             /* [n_nodes] of throats and losses: friction += loss A q|q| */
     double *z, *pe;                      /* [n_nodes] state, pressure of the wall */
     double *off, *off_half;              /* [n_nodes] part of p that is known a step, half a step ahead */
 
@@ -190,6 +193,10 @@ void zoo_friction(const zoo_sim *sim, int vessel, double r0, double *f_s, double
 double zoo_narrowed(const zoo_sim *sim, int vessel, double x, double r);
 double zoo_throat_loss(const zoo_sim *sim, int vessel, double x, double r);
 
+/* loss.c: at one place of a vessel. */
+double zoo_loss_quadratic(const zoo_sim *sim, int vessel, double x);
+double zoo_loss_linear(const zoo_sim *sim, int vessel, double x, double r);
+
 /* additions.c: what only the loops with additions have. */
 int zoo_has_additions(const zoo_problem *problem, const int *children);
 void zoo_set_additions(zoo_sim *sim, int vessel);
@@ -200,9 +207,10 @@ int32_t zoo_set_parameters(zoo_sim *sim, const zoo_parameters *parameters);
 /* time_step.c: set the time step to period/n_steps and everything that depends on it. */
 void zoo_set_step(zoo_sim *sim, int n_steps);
 
-/* curve.c: the inlet's samples as a curve. */
+/* curve.c: the inlet's samples as a curve, and the pressures behind the outlets; these in one step. */
 void zoo_curve_sum(zoo_sim *sim);
 void zoo_curve_step(zoo_sim *sim);
+void zoo_curve_behind(zoo_sim *sim, int step);
 
 /* start.c: the state from which the first beat starts. */
 void zoo_start(zoo_sim *sim);

@@ -124,6 +124,11 @@ int64_t zoo_layout(const zoo_problem *pr, zoo_sim *s, void *base)
     REALS(ou->C, nt);
     REALS(ou->psi1, nt);
     REALS(ou->behind, nt);
+    const int64_t waves = pr->outlet.n_wave > 0 ? nt : 0;
+    REALS(ou->wave_sum, waves * ((int64_t)pr->outlet.n_wave + 1));
+    REALS(ou->wave_now, waves);
+    REALS(ou->wave_then, waves);
+    REALS(ou->wave_mean, waves);
     REALS(ou->volume, nt);
     REALS(ou->coefficient, ou->rows.coefficients * nt);
     REALS(ou->v, ou->rows.pressures * nt);

@@ -69,6 +69,11 @@ static inline int outlet_bad(const zoo_problem *pr, const int *children)
         zoo_function_bad(&out->resistance_function, -ZOO_MOST_VALUE, -OUTLET_MOST_LOG, OUTLET_MOST_LOG) ||
         zoo_function_bad(&out->compliance_function, -ZOO_MOST_VALUE, -OUTLET_MOST_LOG, OUTLET_MOST_LOG))
         return 1;
+    if (out->n_wave < 0 || out->n_wave > ZOO_MOST || (out->n_wave > 0 && !out->wave))
+        return 1;
+    for (ptrdiff_t k = 0; k < pr->network.n_vessels && out->n_wave > 0; k++)
+        if (children[k] == 0 && values_outside(out->wave + k * out->n_wave, out->n_wave, -ZOO_MOST_VALUE, ZOO_MOST_VALUE))
+            return 1;
     for (int k = 0; k < pr->network.n_vessels; k++)
         if (children[k] == 0 &&
             (value_bad(out->R1[k]) || (out->R2[k] != 0.0 && (value_bad(out->R2[k]) || value_bad(out->C[k]))) ||
@@ -85,7 +90,7 @@ ZOO_INLINE int outlet_depends(const zoo_problem *pr)
 
 static inline int outlet_adds(const zoo_problem *pr, const int *children)
 {
-    if (outlet_depends(pr))
+    if (outlet_depends(pr) || pr->outlet.n_wave > 0)
         return 1;
     OUTLET_RETURN(pr->outlet.kind, 0, adds, pr, children)
 }

@@ -25,6 +25,14 @@
  * with dv_k/dt as above, so that C is dV/dv: e_k, their resistances and E are then made anew for each step, with v half
  * a step on.
  *
+ * Where p_out changes over the beat, its mean is p_out above and the rest, f, acts behind the resistances: the
+ * compliances rest on the tissue and not on the veins,
+ *
+ *   C_k dv_k/dt = q - (v_k - s_k f)/R_k,   s_k = R_k/sum R,
+ *
+ * of which a step adds pull_k f to v_k', pull_k = s_k (1 - e_k) and f its mean over the step.  An outlet without
+ * sections has f in front of its resistance, p = p_out + f + R1 q: `straight` is 1 there.
+ *
  * A section may be negative, R_k < 0 and C_k < 0: its pressure decays as that of a positive one.  R1 larger than all of
  * these together keeps the real part of the impedance positive, since that of R_k/(1 + i w R_k C_k) is at least R_k.
  *
@@ -43,8 +51,8 @@ enum {
     CIRCUIT_PARALLEL = 6 /* R_p in rho c/A0 at rest */
 };
 
-/* E; 2 I; c' = c + gain (Q - c); q_L' = keep q_L + now y' + before y; q = share q_L + direct y; then e of the
- * sections, their R (1 - e), then of each mode the real and imaginary parts of e and of its fill */
+/* E; 2 I; c' = c + gain (Q - c); q_L' = keep q_L + now y' + before y; q = share q_L + direct y; straight; then e of
+ * the sections, their R (1 - e), their pull, then of each mode the real and imaginary parts of e and of its fill */
 enum {
     CIRCUIT_E,
     CIRCUIT_INERTIA,
@@ -54,6 +62,7 @@ enum {
     CIRCUIT_BEFORE,
     CIRCUIT_SHARE,
     CIRCUIT_DIRECT,
+    CIRCUIT_STRAIGHT,
     CIRCUIT_DECAY
 };
 enum { CIRCUIT_BASE, CIRCUIT_Q_MID, CIRCUIT_Y, CIRCUIT_BACK, CIRCUIT_A, CIRCUIT_P, CIRCUIT_SCRATCH };
@@ -82,7 +91,7 @@ ZOO_INLINE int circuit_mode_state(int sections, int mode)
 
 ZOO_INLINE int circuit_mode_row(int sections, int mode)
 {
-    return CIRCUIT_DECAY + 2 * sections + 4 * mode;
+    return CIRCUIT_DECAY + 3 * sections + 4 * mode;
 }
 
 /* A mode's part in the impedance of vessel k for steady flow, over psi1: (a s + b w)/(s^2 + w^2). */
@@ -112,6 +121,21 @@ static inline double circuit_C(const zoo_sim *s, int m, int t)
     const int n = circuit_given(s->problem);
     const double C = s->outlets.C[t];
     return n ? C * s->problem->outlet.section_compliance[(ptrdiff_t)s->outlets.vessel[t] * n + m] : C;
+}
+
+/* s of a section. */
+static inline double circuit_part(const zoo_sim *s, int m, int t)
+{
+    double all = 0.0;
+    for (int i = 0; i < circuit_sections(s->problem); i++)
+        all += circuit_R(s, i, t);
+    return all > 0.0 ? circuit_R(s, m, t) / all : 0.0;
+}
+
+/* s f in this step: where the section's pressure goes without flow. */
+static inline double circuit_rest(const zoo_sim *s, int m, int t)
+{
+    return s->problem->outlet.n_wave > 0 ? circuit_part(s, m, t) * s->outlets.wave_mean[t] : 0.0;
 }
 
 static inline int circuit_bad(const zoo_problem *pr, const int *children)
@@ -204,16 +228,19 @@ static inline void circuit_set_step(zoo_sim *s)
     zoo_terminals *ou = &s->outlets;
     const int ns = circuit_sections(s->problem);
     double *row[CIRCUIT_DECAY], *decay = outlet_row(s, ou->coefficient, CIRCUIT_DECAY);
-    double *fill = outlet_row(s, decay, ns);
+    double *fill = outlet_row(s, decay, ns), *pull = outlet_row(s, fill, ns);
     for (int m = 0; m < CIRCUIT_DECAY; m++)
         row[m] = outlet_row(s, ou->coefficient, m);
     for (int t = 0; t < ou->count; t++) {
-        double L = circuit_inertance(s->problem, ou->vessel[t]), filled = 0.0, R1 = ou->R1[t];
+        double L = circuit_inertance(s->problem, ou->vessel[t]), filled = 0.0, R1 = ou->R1[t], all = 0.0;
+        for (int m = 0; m < ns; m++)
+            all += circuit_R(s, m, t);
         for (int m = 0; m < ns; m++) {
             int o = m * ou->count + t;
             double R = circuit_R(s, m, t), RC = R * circuit_C(s, m, t);
             decay[o] = R != 0.0 ? exp(-s->dt / RC) : 0.0;
             fill[o] = R != 0.0 ? -R * expm1(-s->dt / RC) : 0.0;
+            pull[o] = R != 0.0 ? fill[o] / all : 0.0;
             filled += fill[o];
         }
         for (int m = 0; m < circuit_modes(s->problem); m++) {
@@ -235,6 +262,7 @@ static inline void circuit_set_step(zoo_sim *s)
         double Rp = circuit_parallel(s, t), ease = s->dt + 2.0 * L / Rp;
         double inertia = 4.0 * L / ease, share = L > 0.0 ? Rp / (R1 + Rp) : 1.0;
         row[CIRCUIT_INERTIA][t] = inertia;
+        row[CIRCUIT_STRAIGHT][t] = all > 0.0 ? 0.0 : 1.0;
         row[CIRCUIT_GAIN][t] = L > 0.0 ? 2.0 * s->dt / ease : 1.0;
         row[CIRCUIT_E][t] = 2.0 * R1 + filled + inertia;
         row[CIRCUIT_DIRECT][t] = L > 0.0 ? 1.0 / (R1 + Rp) : 0.0;
@@ -294,7 +322,7 @@ static inline void circuit_set_pressure(zoo_sim *s)
 {
     zoo_terminals *ou = &s->outlets;
     const int ns = circuit_sections(s->problem), modes = circuit_modes(s->problem);
-    double *decay = outlet_row(s, ou->coefficient, CIRCUIT_DECAY), *fill = outlet_row(s, decay, ns);
+    double *decay = outlet_row(s, ou->coefficient, CIRCUIT_DECAY), *fill = outlet_row(s, decay, ns), *pull = outlet_row(s, fill, ns);
     double *E = outlet_row(s, ou->coefficient, CIRCUIT_E);
     const double *inertia = outlet_row(s, ou->coefficient, CIRCUIT_INERTIA);
     for (int t = 0; t < ou->count; t++) {
@@ -314,9 +342,10 @@ static inline void circuit_set_pressure(zoo_sim *s)
                 if (half) {
                     decay[o] = exp(-s->dt / (R * C));
                     fill[o] = -R * expm1(-s->dt / (R * C));
+                    pull[o] = circuit_part(s, m, t) * (1.0 - decay[o]);
                     all += fill[o];
                 } else
-                    rate += (q - ou->v[o] / R) / C;
+                    rate += (q - (ou->v[o] - circuit_rest(s, m, t)) / R) / C;
             }
         }
         for (int m = 0; m < modes; m++)
@@ -330,7 +359,8 @@ ZOO_INLINE void circuit_advance(const int wall, const int extra, zoo_sim *s)
     (void)extra;
     enum { ROUNDS = 30 };
     zoo_terminals *ou = &s->outlets;
-    const int n = ou->count, n_sections = circuit_sections(s->problem), n_modes = circuit_modes(s->problem);
+    const int n = ou->count, n_sections = circuit_sections(s->problem), n_modes = circuit_modes(s->problem),
+              waves = s->problem->outlet.n_wave > 0;
     const double dt = s->dt, later = 0.5 * (1.0 + s->relax), stiff = s->stiff;
     const int *restrict node = ou->node;
     const double *restrict per_w = ou->per_w, *restrict A0 = ou->A0, *restrict p_out = ou->behind,
@@ -343,7 +373,10 @@ ZOO_INLINE void circuit_advance(const int wall, const int extra, zoo_sim *s)
                            *restrict share = outlet_row(s, ou->coefficient, CIRCUIT_SHARE),
                            *restrict direct = outlet_row(s, ou->coefficient, CIRCUIT_DIRECT),
                            *restrict decay = outlet_row(s, ou->coefficient, CIRCUIT_DECAY),
-                           *restrict fill = outlet_row(s, ou->coefficient, CIRCUIT_DECAY + n_sections);
+                           *restrict fill = outlet_row(s, ou->coefficient, CIRCUIT_DECAY + n_sections),
+                           *restrict pull = outlet_row(s, ou->coefficient, CIRCUIT_DECAY + 2 * n_sections),
+                           *restrict straight = outlet_row(s, ou->coefficient, CIRCUIT_STRAIGHT),
+                           *restrict f_now = ou->wave_now, *restrict f_then = ou->wave_then, *restrict f = ou->wave_mean;
     const double *restrict P = s->P, *restrict K = s->K, *restrict qh = s->qh, *restrict Ph = s->Ph,
                            *restrict off = s->off, *restrict kappa = s->kappa, *restrict leak = s->leak;
     const double *restrict th = s->coefficient;
@@ -370,6 +403,8 @@ ZOO_INLINE void circuit_advance(const int wall, const int extra, zoo_sim *s)
             y[t] -= v[from + t];
             base[t] += (1.0 + decay[from + t]) * v[from + t];
         });
+        if (waves)
+            ZOO_LOOP(t, n, { base[t] += pull[from + t] * f[t]; });
     }
     for (int m = 0; m < n_modes; m++) {
         const double *restrict keeps = outlet_row(s, ou->coefficient, circuit_mode_row(n_sections, m));
@@ -379,6 +414,11 @@ ZOO_INLINE void circuit_advance(const int wall, const int extra, zoo_sim *s)
             base[t] += (1.0 + keeps[t]) * w[t] - keeps[n + t] * w[n + t];
         });
     }
+    if (waves)
+        ZOO_LOOP(t, n, {
+            y[t] -= straight[t] * f_now[t];
+            base[t] += straight[t] * (f_now[t] + f_then[t]);
+        });
     if (wall_in_root(wall))
         /* k2 r^2 + K1 r = k0 for r = sqrt(A'/A0) */
         ZOO_LOOP(t, n, {
@@ -429,6 +469,11 @@ ZOO_INLINE void circuit_advance(const int wall, const int extra, zoo_sim *s)
             v[from + t] = decay[from + t] * v[from + t] + fill[from + t] * back[t];
             y[t] -= v[from + t];
         });
+        if (waves)
+            ZOO_LOOP(t, n, {
+                v[from + t] += pull[from + t] * f[t];
+                y[t] -= pull[from + t] * f[t];
+            });
     }
     for (int m = 0; m < n_modes; m++) {
         const double *restrict keeps = outlet_row(s, ou->coefficient, circuit_mode_row(n_sections, m));
@@ -440,6 +485,8 @@ ZOO_INLINE void circuit_advance(const int wall, const int extra, zoo_sim *s)
             y[t] -= w[t];
         });
     }
+    if (waves)
+        ZOO_LOOP(t, n, { y[t] -= straight[t] * f_then[t]; });
     ZOO_LOOP(t, n, { q[node[t]] += (share[t] * after[t] + direct[t]) * y[t]; });
 }
 

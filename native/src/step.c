@@ -105,6 +105,8 @@ int zoo_step(zoo_sim *s, int step)
         s->stiff_half = s->wave_half[step];
         s->stiff = s->wave_node[step + 1];
     }
+    if (s->problem->outlet.n_wave > 0)
+        zoo_curve_behind(s, step);
     if (outlet_depends(s->problem))
         circuit_set_pressure(s);
     switch (s->wall) {

@@ -40,7 +40,8 @@ static int same_tree(const zoo_problem *a, const zoo_problem *b)
 {
     return memcmp(&a->network, &b->network, sizeof a->network) == 0 && memcmp(&a->fluid, &b->fluid, sizeof a->fluid) == 0 &&
            memcmp(&a->wall, &b->wall, sizeof a->wall) == 0 && memcmp(&a->throat, &b->throat, sizeof a->throat) == 0 &&
-           memcmp(&a->junction, &b->junction, sizeof a->junction) == 0 && !outlet_depends(a) && !outlet_depends(b);
+           memcmp(&a->loss, &b->loss, sizeof a->loss) == 0 && memcmp(&a->junction, &b->junction, sizeof a->junction) == 0 &&
+           a->outlet.n_wave == b->outlet.n_wave && a->outlet.wave == b->outlet.wave && !outlet_depends(a) && !outlet_depends(b);
 }
 
 /* Whether outlets whose coefficients depend on the pressure are the same, walls being part of them beside an inertance. */

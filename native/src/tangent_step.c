@@ -516,7 +516,7 @@ static void pressure_rows(const zoo_tangent *t, const zoo_block *b, int i, doubl
     EACH_DIRECTION now[d] = 0.0;
     for (int m = 0; m < ns; m++) {
         const double R = more_R * circuit_R(s, m, i), C = more_C * circuit_C(s, m, i);
-        const double leaves = R != 0.0 ? t->old_v[m * n + i] / R : 0.0;
+        const double leaves = R != 0.0 ? (t->old_v[m * n + i] - circuit_rest(s, m, i)) / R : 0.0;
         EACH_DIRECTION dv[d] += b->v[(m * n + i) * D + d];
         if (R == 0.0)
             continue;
@@ -535,10 +535,12 @@ static void pressure_rows(const zoo_tangent *t, const zoo_block *b, int i, doubl
             continue;
         const double keep = exp(-s->dt / (R * C)), by = keep * s->dt / (R * C) * (faster_R + faster_C);
         const double filled = -R * expm1(-s->dt / (R * C)) * faster_R - R * by;
-        double *restrict decay = rows + (CIRCUIT_DECAY + m) * D, *restrict fill = decay + ns * D;
+        double *restrict decay = rows + (CIRCUIT_DECAY + m) * D, *restrict fill = decay + ns * D, *restrict pull = fill + ns * D;
+        const double part = circuit_part(s, m, i);
         EACH_DIRECTION {
             decay[d] += by * now[d];
             fill[d] += filled * now[d];
+            pull[d] -= part * by * now[d];
             E[d] += filled * now[d];
         }
     }
@@ -567,10 +569,15 @@ ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
         ROW(before);
         ROW(share);
         ROW(direct);
-        double y = t->old_P[o] - p_out, base = 2.0 * p_out - t->old_P[o] - inertia * t->old_carry[i], then_v = 0.0;
+        const int waves = s->problem->outlet.n_wave > 0;
+        const double f = waves ? ou->wave_mean[i] : 0.0, straight = outlet_row(s, ou->coefficient, CIRCUIT_STRAIGHT)[i];
+        const double f_now = waves ? straight * ou->wave_now[i] : 0.0, f_then = waves ? straight * ou->wave_then[i] : 0.0;
+        double y = t->old_P[o] - p_out - f_now, then_v = f_then;
+        double base = 2.0 * p_out + f_now + f_then - t->old_P[o] - inertia * t->old_carry[i];
         for (int m = 0; m < sections; m++) {
             y -= t->old_v[m * n + i];
-            base += (1.0 + outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i]) * t->old_v[m * n + i];
+            base += (1.0 + outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i]) * t->old_v[m * n + i] +
+                    outlet_row(s, ou->coefficient, CIRCUIT_DECAY + 2 * sections + m)[i] * f;
             then_v += outlet_row(s, ou->v, m)[i];
         }
         for (int m = 0; m < modes; m++) {
@@ -603,7 +610,8 @@ ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
                 const double dv = b->v[(m * n + i) * D + d];
                 dy -= dv;
                 d_base += (1.0 + outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i]) * dv +
-                          change[(CIRCUIT_DECAY + m) * stride + d] * t->old_v[m * n + i];
+                          change[(CIRCUIT_DECAY + m) * stride + d] * t->old_v[m * n + i] +
+                          change[(CIRCUIT_DECAY + 2 * sections + m) * stride + d] * f;
             }
             for (int m = 0; m < modes; m++) {
                 const int row = circuit_mode_row(sections, m);
@@ -623,7 +631,8 @@ ZOO_CLONES static void circuit_of(const zoo_tangent *t, zoo_block *b)
                 double *v = &b->v[(m * n + i) * D + d];
                 *v = outlet_row(s, ou->coefficient, CIRCUIT_DECAY + m)[i] * *v + change[(CIRCUIT_DECAY + m) * stride + d] * t->old_v[m * n + i] +
                      outlet_row(s, ou->coefficient, CIRCUIT_DECAY + sections + m)[i] * dQ +
-                     change[(CIRCUIT_DECAY + sections + m) * stride + d] * Q;
+                     change[(CIRCUIT_DECAY + sections + m) * stride + d] * Q +
+                     change[(CIRCUIT_DECAY + 2 * sections + m) * stride + d] * f;
                 dy_new -= *v;
             }
             for (int m = 0; m < modes; m++) {

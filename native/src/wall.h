@@ -59,9 +59,11 @@ typedef struct {
 
 #include "wall_linear.h"
 #include "wall_tangent.h"
-#define ZOO_WALLS(LAW, ...)          \
-    LAW(LINEAR, linear, __VA_ARGS__) \
-    LAW(TANGENT, tangent, __VA_ARGS__)
+#include "wall_olufsen.h"
+#define ZOO_WALLS(LAW, ...)            \
+    LAW(LINEAR, linear, __VA_ARGS__)   \
+    LAW(TANGENT, tangent, __VA_ARGS__) \
+    LAW(OLUFSEN, olufsen, __VA_ARGS__)
 
 #define WALL_NUMBER(NAME, name, ...) ZOO_WALL_##NAME,
 #define WALL_CASE(NAME, name, function, ...) \

@@ -107,7 +107,7 @@ static inline void tree_make(tree *t, int wall)
 typedef struct {
     double viscosity[NV], offset_in[NV], offset_out[NV], memory[NV], leak[NV], inertance[NV];
     double turns[2], cosine[2 * NV], sine[2 * NV];
-    double severity[NV], position[NV], length[NV], rho[3 * NV], kappa[3 * NV], wave[5], factor[4], lost[5], larger[4], softer[5];
+    double severity[NV], position[NV], length[NV], rho[3 * NV], kappa[3 * NV], wave[5], factor[4], lost[5], larger[4], softer[5], veins[6 * NV];
 } additions;
 
 static inline void tree_add(tree *t, additions *x)
@@ -164,6 +164,10 @@ static inline void tree_add(tree *t, additions *x)
     t->problem.outlet.mode_frequency = x->turns;
     t->problem.outlet.mode_cosine = x->cosine;
     t->problem.outlet.mode_sine = x->sine;
+    for (int i = 0; i < 6 * NV; i++)
+        x->veins[i] = 1500.0 * sin(1.0 + i);
+    t->problem.outlet.n_wave = 6;
+    t->problem.outlet.wave = x->veins;
     t->problem.outlet.resistance_function = (zoo_function){4, 0.0, 3e4, x->larger};
     t->problem.outlet.compliance_function = (zoo_function){5, 0.0, 3e4, x->softer};
 }

@@ -81,7 +81,13 @@ static void addition(int added)
     REJECTS(x.wave[4] = 0.0);
     REJECTS(x.wave[0] = NAN);
     REJECTS(t.problem.wall.n_wave = -1);
+    REJECTS(x.veins[6 * NV - 1] = NAN);
+    REJECTS(t.problem.outlet.n_wave = -1);
+    REJECTS(t.problem.outlet.wave = NULL);
     REJECTS(t.problem.wall.stiffness_wave = NULL);
+    REJECTS((t.problem.loss = (zoo_loss){.linear = x.length}));
+    REJECTS((x.leak[1] = -1.0, t.problem.loss = (zoo_loss){x.leak, NULL, x.position, x.length}));
+    REJECTS((t.problem.loss = (zoo_loss){x.leak, NULL, x.position, x.leak}));
     REJECTS(memset(x.rho, 0, sizeof x.rho));
     REJECTS(t.problem.wall.relaxation_time = 0.0);
     REJECTS(t.problem.junction.total_pressure = -1.0);

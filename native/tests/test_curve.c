@@ -28,5 +28,29 @@ int main(void)
         NEAR(s->curve_mean[2 * i], 0.5 * (s->curve_node[2 * i] + s->curve_node[2 * i + 1]), 1e-10);
     }
     tree_close(&t);
+    /* and so do the pressures that are added behind the outlets, whose every step begins where the last one ended */
+    static double veins[5 * NV];
+    for (int i = 0; i < 5 * NV; i++)
+        veins[i] = cos(3.0 * i);
+    t.problem.outlet.n_wave = 5;
+    t.problem.outlet.wave = veins;
+    for (int n = 64; n < 1000; n += 97) {
+        tree_open(&t, n);
+        const zoo_terminals *ou = &s->outlets;
+        for (int i = 0; i < ou->count; i++) {
+            double sum = 0.0, whole = 0.0, end = veins[5 * ou->vessel[i]];
+            for (int m = 0; m < 5; m++)
+                whole += 0.11 / 5 * veins[5 * ou->vessel[i] + m];
+            for (int step = 0; step < n; step++) {
+                zoo_curve_behind(s, step);
+                NEAR(ou->wave_now[i], end, 1e-12);
+                end = ou->wave_then[i];
+                sum += ou->wave_mean[i] * s->dt;
+            }
+            NEAR(sum, whole, 1e-14);
+            NEAR(end, veins[5 * ou->vessel[i]], 1e-12);
+        }
+        tree_close(&t);
+    }
     return finish("curve");
 }

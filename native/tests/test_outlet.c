@@ -32,6 +32,8 @@ static void relation(int wall, int circuit, int pressure)
         const int sections = circuit ? circuit_sections(&one.problem) : 1;
         for (int m = 0; m < s->outlets.rows.pressures; m += m < sections ? 1 : 2) /* of a mode the real part */
             behind += outlet_row(s, s->outlets.v, m)[t];
+        if (circuit && pressure && s->outlets.R2[t] == 0.0 && one.problem.outlet.n_wave > 0)
+            behind += s->outlets.wave_then[t]; /* that of the others is in v */
         NEAR(s->P[o], behind + s->outlets.R1[t] * s->q[o], 1e-6);
     }
     tree_close(&one);
@@ -112,6 +114,44 @@ static void shifted(int wall)
         }
 }
 
+/* What is added behind the outlets is a pressure behind them where it does not change: with single resistances, and with
+ * resistances and compliances that depend on the pressure. */
+static void waves(int wall, int functions)
+{
+    enum { SIZE = NSERIES * NTIMES };
+    static double all[NV], wave[2][3][SIZE], veins[4 * NV];
+    for (int k = 0; k < NV; k++) {
+        all[k] = behind_outlets[k] + 700.0 * k;
+        for (int i = 0; i < 4; i++)
+            veins[4 * k + i] = 700.0 * k;
+    }
+    for (int which = 0; which < 2; which++) {
+        tree_make(&one, wall);
+        tree_add(&one, &x);
+        one.problem.numerics.tolerance = 1e-3;
+        one.problem.numerics.steps_per_beat = 4096;
+        one.problem.outlet.n_modes = 0; /* whose steady part is not seen behind single resistances */
+        if (!functions)
+            one.problem.outlet.resistance_function = one.problem.outlet.compliance_function = (zoo_function){0};
+        one.problem.outlet.R2 = some_R2;
+        one.problem.outlet.pressure = which ? behind_outlets : all;
+        one.problem.outlet.n_wave = which ? 4 : 0;
+        one.problem.outlet.wave = veins;
+        int64_t bytes;
+        CHECK(zoo_workspace_size(&one.problem, &bytes) == ZOO_OK);
+        void *work = malloc((size_t)bytes);
+        zoo_report report;
+        CHECK(zoo_solve(&one.problem, &one.parameters, work, bytes, wave[which][0], wave[which][1], wave[which][2],
+                        NULL, &report) == ZOO_OK);
+        CHECK(report.status == ZOO_OK);
+        free(work);
+    }
+    for (int i = 0; i < SIZE; i++) {
+        NEAR(wave[1][0][i], wave[0][0][i], 0.01);
+        NEAR(wave[1][1][i], wave[0][1][i], 1e-6);
+    }
+}
+
 /* Modes whose steady part outweighs all else are refused: no pressure would drive a flow. */
 static void refused(void)
 {
@@ -137,6 +177,8 @@ int main(void)
         }
         shifted(wall);
         special_cases(wall);
+        waves(wall, 0);
+        waves(wall, 1);
     }
     refused();
     return finish("outlet");

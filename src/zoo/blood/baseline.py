@@ -53,7 +53,7 @@ class Baseline:
     ----------
     name : str
     wall : {"linear", "tangent"}
-        Eq. (3.3) or (3.4).
+        Eq. (3.3), in whose place a study's own law stands, or (3.4).
     stiffness : function
         Stiffness of every vessel from the parameters, a `zoo.blood.forward.StiffnessLaw`.
     parameters : tuple of Parameter
@@ -74,6 +74,9 @@ class Baseline:
     wall_factor: float | None = None
     fixed: Mapping[str, float] = field(default_factory=dict)
     prior_set: str = ""
+
+    def _wall(self, study: Study) -> str:
+        return study.wall if self.wall == "linear" else self.wall
 
     def _conventions(self, study: Study, given: Conventions | None) -> Conventions:
         if given is None and self.wall_factor is not None:
@@ -119,7 +122,7 @@ class Baseline:
         n = len(study.vessels)
         parameters = [replace(p, size=n) if p.dims == "vessel" else p for p in self.parameters]
         given = study_parameters(
-            parameters, study, self.wall, self._conventions(study, conventions), self.prior_set
+            parameters, study, self._wall(study), self._conventions(study, conventions), self.prior_set
         )
         return given, held_parameters(study, given)
 
@@ -154,7 +157,7 @@ class Baseline:
         parameters = [one.parameter for one in self.priors(study, conventions=conventions)]
         check_names(study, self.parameters)
         flow = BloodFlow(
-            study, self.wall, self.stiffness, parameters, name=self.name,
+            study, self._wall(study), self.stiffness, parameters, name=self.name,
             conventions=self._conventions(study, conventions), options=options,
             fixed={**self.fixed, **self.held(study)},
         )  # fmt: skip

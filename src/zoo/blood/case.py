@@ -13,7 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from zoo.blood.conventions import Conventions
 from zoo.blood.directions import Derivatives, Point
 from zoo.blood.network import Network
-from zoo.blood.solver import PARAMETERS, PUBLISHED_CELLS_PER_CM, Physics, Solution, Solver, SolverOptions
+from zoo.blood.solver import (
+    CHI_WALLS,
+    PARAMETERS,
+    PUBLISHED_CELLS_PER_CM,
+    Physics,
+    Solution,
+    Solver,
+    SolverOptions,
+)
 from zoo.blood.study import QUANTITIES
 from zoo.core.arrays import Brief
 from zoo.core.effects import Location
@@ -67,7 +75,7 @@ class Case(Brief):
     inflow_time_s, inflow_ml_s : array (n,)
         Flow into the root over one beat.
     conventions : Conventions
-    wall : {"linear", "tangent"}
+    wall : {"linear", "tangent", "olufsen"}
     options : SolverOptions
     physics : Physics
         Terms inside the solver.
@@ -414,7 +422,7 @@ def total_resistance(case: Case) -> Array:
 
 def wall_slope(case: Case) -> Array:
     """dp/d(A/A0) at rest, dyn/cm2, (n_vessels,): (2/3) chi, or k chi pi/gamma of the tangent wall."""
-    if case.wall == "linear":
+    if case.wall in CHI_WALLS:
         return np.asarray(2 / 3 * case.stiffness)
     return np.asarray(case.conventions.wall_factor * case.stiffness * math.pi / case.gamma)
 

@@ -113,8 +113,8 @@ class BloodFlow:
     ----------
     study : Study
         Vessels, blood, inflow; its observed series and times are the default outputs.
-    wall : {"linear", "tangent"}
-        Eq. (3.3) or (3.4).
+    wall : {"linear", "tangent", "olufsen"}
+        Eq. (3.3), (3.4), or p = (4/3) chi (1 - sqrt(A0/A)).
     stiffness : function
         A `StiffnessLaw`.
     parameters : sequence of Parameter

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zoo.blood.case import Case, wall_slope, with_physics
-from zoo.blood.outlet_tables import MEMORY_BEATS
+from zoo.blood.outlet_tables import response_impedance
 from zoo.blood.solve_errors import SolverArgumentError
+from zoo.blood.solver import CHI_WALLS
 from zoo.core.arrays import finite_array
 
 Array = NDArray[np.float64]
@@ -59,12 +60,8 @@ def outlet_impedance(case: Case, omega: ArrayLike) -> Complex:
         resistance[:, :, None] / (1 + w * (resistance * compliance)[:, :, None]), axis=1
     )
     if network.response_cosine is not None and network.response_sine is not None:
-        turns = 2 * np.pi / network.period_s * np.arange(network.response_cosine.shape[1])[:, None]
-        fall = 1 / (MEMORY_BEATS * network.period_s) + w
         cosine, sine = network.response_cosine[ends], network.response_sine[ends]
-        Z = Z + case.psi1[ends, None] * (
-            cosine @ (fall / (fall**2 + turns**2)) + sine @ (turns / (fall**2 + turns**2))
-        )
+        Z = Z + case.psi1[ends, None] * response_impedance(cosine, sine, network.period_s, w.imag)
     if added.inertance is None:
         return Z
     rest = np.pi * network.radius_out_cm[ends] ** 2
@@ -89,7 +86,7 @@ def _slope_at_outlets(case: Case) -> Array:
     network, added, ends = case.network, case.physics, case.network.terminals
     slope = wall_slope(case)
     if added.wall_function is not None:
-        scale = 4 / 3 if case.wall == "linear" else case.conventions.wall_factor
+        scale = 4 / 3 if case.wall in CHI_WALLS else case.conventions.wall_factor
         slope = slope + 0.5 * scale * case.stiffness * added.wall_function.slope(1.0)
     if added.stiffness_ratio is not None:
         slope = slope * added.stiffness_ratio

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.blood.outlet_tables import StructuredTree, circuit_of, tree_table
+from zoo.blood.outlet_tables import StructuredTree, circuit_of, least_real_part, tree_table
 from zoo.blood.solve_errors import ArgumentError
 from zoo.blood.study import (
     Blood,
@@ -323,9 +323,16 @@ class Network(ReadOnlyArrays):
         ------
         StudyError
             If the vessels are not one tree, or a nominal load is needed and cannot be derived.
+
+        Warns
+        -----
+        zoo.blood.study.LoadWarning
+            If an outlet by its impedance gives energy at some frequency.
         """
         check_physics(study.vessels, radius_pressure_mmHg=study.radius_pressure_mmHg)
-        return cls.from_vessels(with_nominal_loads(study), study.blood, study.period_s)
+        network = cls.from_vessels(with_nominal_loads(study), study.blood, study.period_s)
+        _warn_of_energy(study, network)
+        return network
 
     def index(self, vessel_id: int) -> int:
         """Index of a vessel in the arrays, from its id.
@@ -607,6 +614,26 @@ def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
         raise StudyError(f"{where}, and cannot be derived from the observed pressure: {error}") from None
     _warn_of_speed(study, bare, file)
     return tuple(replace(v, windkessel=loads[v.id]) if v.id in bare else v for v in study.vessels)
+
+
+def _warn_of_energy(study: Study, network: Network) -> None:
+    """Warn of each outlet by its impedance that has a negative real part between harmonics or above them."""
+    cosine, sine = network.response_cosine, network.response_sine
+    for v in study.vessels:
+        if v.impedance is None or cosine is None or sine is None:
+            continue
+        i = network.index(v.id)
+        loads = np.array([network.R1[i], network.R2[i], network.C[i]])
+        frequency, real = least_real_part(loads, cosine[i], sine[i], study.period_s)
+        if real < 0:
+            warnings.warn(
+                f"{study.source}: study {study.name!r}: network.toml: vessel {v.id}: impedance: the outlet "
+                f"that meets it at the harmonics of the beat has the real part {real:.4g} dyn s/cm5 at "
+                f"{frequency:.4g} Hz, between them or above the last, and gives energy there: the periodic "
+                "solution is right, but may take many beats, or none; give more harmonics, or smoother ones",
+                LoadWarning,
+                stacklevel=3,
+            )
 
 
 def _warn_of_speed(study: Study, bare: Sequence[int], file: str) -> None:

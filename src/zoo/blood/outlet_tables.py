@@ -183,6 +183,48 @@ def tree_table(
     return table
 
 
+def response_impedance(cosine: Array, sine: Array, period_s: float, omega: ArrayLike) -> Complex:
+    """Impedance of responses exp(-t/tau) sum_m (a_m cos(m w t) + b_m sin(m w t)), w = 2 pi/T.
+
+    Parameters
+    ----------
+    cosine, sine : array (..., m)
+        a and b, dyn/cm5.
+    period_s : float
+    omega : array (n,)
+        rad/s.
+
+    Returns
+    -------
+    complex array (..., n)
+        sum_m (a_m s + b_m m w)/(s^2 + (m w)^2), s = 1/tau + i omega; dyn s/cm5.
+    """
+    turns = 2 * math.pi / period_s * np.arange(cosine.shape[-1])[:, None]
+    fall = 1 / (MEMORY_BEATS * period_s) + 1j * np.asarray(omega, dtype=np.float64)
+    return np.asarray(cosine @ (fall / (fall**2 + turns**2)) + sine @ (turns / (fall**2 + turns**2)))
+
+
+def least_real_part(loads: Array, cosine: Array, sine: Array, period_s: float) -> tuple[float, float]:
+    """Where an outlet takes least energy: frequency (Hz) and the real part of its impedance there.
+
+    Looked at sixteen times between harmonics, up to twice the last; beyond, it goes to R1.
+
+    Parameters
+    ----------
+    loads : array (3,)
+        R1, R2 and C.
+    cosine, sine : array (m,)
+        As `circuit_of` gives them.
+    period_s : float
+    """
+    R1, R2, C = loads
+    frequency = np.arange(32 * len(cosine) + 1) / (16 * period_s)
+    omega = 2 * math.pi * frequency
+    real = R1 + (R2 / (1 + 1j * omega * R2 * C) + response_impedance(cosine, sine, period_s, omega)).real
+    least = int(np.argmin(real))
+    return float(frequency[least]), float(real[least])
+
+
 def circuit_of(impedance: ArrayLike, period_s: float) -> tuple[Array, Array, Array]:
     """The nearest Windkessel of an impedance at the harmonics of the beat, and what its response lacks.
 

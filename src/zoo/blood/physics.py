@@ -19,7 +19,7 @@ from zoo.blood.functions import (
 from zoo.blood.network import Network
 from zoo.blood.outlet_tables import StructuredTree
 from zoo.blood.solve_errors import SolverArgumentError
-from zoo.blood.study import ReadOnlyArrays, Study, read_only
+from zoo.blood.study import ReadOnlyArrays, Study, Vessel, read_only
 from zoo.blood.units import mmhg_to_cgs
 from zoo.core.arrays import real_array, real_number, shown
 
@@ -43,16 +43,22 @@ _PER_VESSEL = {
     "stiffness_ratio": (0.0, False, "positive"),
     "stiffness_exponent": (-np.inf, False, "finite"),
     "outflow_pressure": (-np.inf, False, "finite, dyn/cm2"),
+    "outflow_wave": (-np.inf, False, "finite, dyn/cm2"),
     "inertance": (0.0, True, "zero or positive, g/cm4; any value, say 0, where a vessel is no terminal"),
     "section_resistance": (-np.inf, False, "finite"),
     "section_compliance": (-np.inf, False, "finite"),
+    "loss_quadratic": (0.0, True, "zero or positive, g/cm7"),
+    "loss_linear": (0.0, True, "zero or positive, dyn s/cm5"),
+    "loss_position": (0.0, True, "between 0 (inlet) and 1 (outlet)"),
+    "loss_length": (0.0, False, "positive, cm"),
     "throat_severity": (0.0, True, "at least 0 and below 1"),
     "throat_position": (0.0, True, "between 0 (inlet) and 1 (outlet)"),
     "throat_length": (0.0, False, "positive, cm"),
 }
 _PER_TIME = {"stiffness_wave": (0.0, False, "positive")}
-_LIMITS = {"throat_severity": 1.0 - 1e-9, "throat_position": 1.0}
+_LIMITS = {"throat_severity": 1.0 - 1e-9, "throat_position": 1.0, "loss_position": 1.0}
 _SECTIONS = ("section_resistance", "section_compliance")
+_ROWS = {**dict.fromkeys(_SECTIONS, "(n_vessels, n_sections)"), "outflow_wave": "(n_vessels, n_times)"}
 _FUNCTIONS: dict[str, type[KnotFunction]] = {
     "wall_function": WallFunction,
     "friction_function": FrictionFunction,
@@ -100,6 +106,11 @@ class Physics(ReadOnlyArrays):
         K: each daughter's inlet has K rho/2 u abs(u) less pressure than the parent's end, u the parent's.
     outflow_pressure : array (n_vessels,)
         p_out, dyn/cm2, read at terminals: behind the outlets, p - p_out = R1 q + v.
+    outflow_wave : array (n_vessels, n_times)
+        f, dyn/cm2, read at terminals: what is added to the pressure behind the outlets at uniform times of
+        the beat from 0, linear between, periodic. It acts behind the resistances, as compliances rest on the
+        tissue: C_k dv_k/dt = q - (v_k - s_k f)/R_k with s_k = R_k/sum R, so that without flow an outlet has
+        f sum_k s_k/(1 + i w R_k C_k) in front of it; f itself where it is a single resistance.
     inertance : array (n_vessels,)
         L, g/cm4, read at terminals: p = v + R1 q + p_L, p_L = L dq_L/dt = R_p (q - q_L), where R_p is
         6 rho c/A0 of the terminal's end at rest and lets out waves faster than R_p/L (6 c/l at rho l/A0),
@@ -121,6 +132,11 @@ class Physics(ReadOnlyArrays):
     throat_loss : float
         K_t: over the throat, pressure falls by a further K_t rho/2 (A0/A0_throat - 1)^2 (q/A0)^2, A0 the
         area at rest without the throat, A0_throat at its narrowest.
+    loss_quadratic, loss_linear : array (n_vessels,)
+        a, g/cm7, and b, dyn s/cm5: along a stretch, pressure falls by a q abs(q) + b q (A0/A)^2, A0 the area
+        at rest, beside what the vessel loses without it; its radius stays.
+    loss_position, loss_length : array (n_vessels,)
+        Middle of the stretch, 0 to 1, and its length, cm. Given together with a loss.
     wall_function : WallFunction
         delta(s) in p = K (law(A/A0) + delta(sqrt(A/A0))), one function for all vessels, K each vessel's own.
     friction_function : FrictionFunction
@@ -158,6 +174,7 @@ class Physics(ReadOnlyArrays):
     total_pressure: float = 0.0
     junction_loss: float = 0.0
     outflow_pressure: Array | None = None
+    outflow_wave: Array | None = None
     inertance: Array | None = None
     section_resistance: Array | None = None
     section_compliance: Array | None = None
@@ -165,6 +182,10 @@ class Physics(ReadOnlyArrays):
     throat_position: Array | None = None
     throat_length: Array | None = None
     throat_loss: float = 1.52
+    loss_quadratic: Array | None = None
+    loss_linear: Array | None = None
+    loss_position: Array | None = None
+    loss_length: Array | None = None
     wall_function: WallFunction | None = None
     friction_function: FrictionFunction | None = None
     junction_function: JunctionFunction | None = None
@@ -182,10 +203,8 @@ class Physics(ReadOnlyArrays):
                 continue
             values = read_only(real_array(f"physics: {name}", getattr(self, name), error=SolverArgumentError))
             object.__setattr__(self, name, values)
-            wanted = 2 if name in _SECTIONS else 1
-            if values.ndim != wanted or not values.size:
-                shape = "(n_vessels, n_sections)" if wanted == 2 else "(n_vessels,)"
-                shape = "(n_times,)" if name in _PER_TIME else shape
+            if values.ndim != (2 if name in _ROWS else 1) or not values.size:
+                shape = "(n_times,)" if name in _PER_TIME else _ROWS.get(name, "(n_vessels,)")
                 raise SolverArgumentError(f"physics: {name} has shape {values.shape}: must be {shape}")
             high = _LIMITS.get(name, np.inf)
             good = np.isfinite(values) & (values >= low) & (values <= high) & (closed | (values != low))
@@ -199,6 +218,9 @@ class Physics(ReadOnlyArrays):
                 raise SolverArgumentError(
                     f"physics: {name} = {shown(given)}: must be a {kind.__name__}(low, high, values)"
                 )
+        loses = self.loss_quadratic is not None or self.loss_linear is not None
+        if loses and (self.loss_position is None or self.loss_length is None):
+            raise SolverArgumentError("physics: loss_position and loss_length must be given with a loss")
         if (self.section_resistance is None) != (self.section_compliance is None):
             raise SolverArgumentError(
                 "physics: section_resistance and section_compliance must be given together"
@@ -293,6 +315,14 @@ def study_physics(
     behind = np.array([study.pressure_mmHg("outflow", v) for v in vessels])
     if np.any(behind[network.terminals]):
         given["outflow_pressure"] = mmhg_to_cgs(behind, unit)
+    if len(study.outflow_wave_mmHg):
+        changes = study.outflow_wave_mmHg - study.outflow_pressure_mmHg
+        of_study = np.array([v.outflow_pressure_mmHg is None for v in vessels])
+        given["outflow_wave"] = mmhg_to_cgs(np.where(of_study[:, None], changes, 0.0), unit)
+    losses = np.array([_loss(study, v) for v in vessels]).T
+    if np.any(losses[:2]):
+        names = ("loss_quadratic", "loss_linear", "loss_position", "loss_length")
+        given |= dict(zip(names, losses, strict=True))
     if along and network.stiffness_in is not None and network.stiffness_out is not None:
         elastic = np.array([v.youngs_modulus_g_cm_s2 is not None for v in vessels])
         narrowing = network.radius_out_cm / network.radius_in_cm
@@ -303,6 +333,19 @@ def study_physics(
         if np.any(elastic):
             given["stiffness_exponent"] = elastic.astype(np.float64)
     return Physics(**given) if given else NO_PHYSICS
+
+
+def _loss(study: Study, v: Vessel) -> tuple[float, float, float, float]:
+    """a, b, place and length (cm) of a vessel's stenosis; an empty stretch where there is none."""
+    one = v.stenosis
+    if one is None:
+        return 0.0, 0.0, 0.5, v.length_cm
+    at_rest = v.radius_cm + (v.radius_out_cm - v.radius_cm) * one.position
+    Kt, Kv = one.constants(at_rest)
+    area = np.pi * at_rest**2
+    lost = study.blood.density_g_cm3 / 2 * ((at_rest / one.radius_cm) ** 2 - 1) ** 2 / area**2
+    viscous = study.blood.viscosity_g_cm_s / (2 * at_rest) / area
+    return Kt * lost, Kv * viscous, one.position, one.length_cm
 
 
 def physics_words(study: Study) -> list[str]:
@@ -339,8 +382,13 @@ def physics_words(study: Study) -> list[str]:
         ("radius", "at which radii are given", study.vessels),
     ):
         found = [study.pressure_mmHg(name, v) for v in vessels]
-        if any(found):
-            words.append(f"pressure {where}: {_range(found)} mmHg")
+        wave = study.outflow_wave_mmHg.tolist() if name == "outflow" else []
+        if any(found) or wave:
+            over = f", {_range(wave)} over the beat" if wave else ""
+            words.append(f"pressure {where}: {_range(found)} mmHg{over}")
+    narrow = [str(v.id) for v in study.vessels if v.stenosis is not None]
+    if narrow:
+        words.append(f"stenosis in vessel {', '.join(narrow)}: loss of Young and Tsai")
     if study.vessels[0].stiffness:
         source = ", E h/r" if study.vessels[0].youngs_modulus_g_cm_s2 else ""
         ends = [x for v in study.vessels for x in v.stiffness or ()]

@@ -34,6 +34,7 @@ from zoo.blood.prior_tables import (
     read_priors,
     table_of,
 )
+from zoo.blood.solver import CHI_WALLS
 from zoo.blood.study import QUANTITIES, Study
 from zoo.core.effects import nearest
 from zoo.core.parameters import InverseGamma, LogNormal, LogPopulation, Normal, Parameter, Prior
@@ -140,13 +141,13 @@ def prior_table(study: Study) -> PriorTable:
 def stiffness_of_wave_speed(speed_m_s: float, wall: str, density: float, wall_factor: float = 1.0) -> float:
     """Stiffness chi (g cm-1 s-2) of a wall in which pulse waves travel at this speed at rest.
 
-    rho c^2 = dp/d(A/A0) = (2/3) chi of the linear wall, k chi pi/gamma of the tangent one, with gamma the
-    median of its prior.
+    rho c^2 = dp/d(A/A0) = (2/3) chi of the linear wall and of Olufsen's, k chi pi/gamma of the tangent one,
+    with gamma the median of its prior.
 
     Parameters
     ----------
     speed_m_s : float
-    wall : {"linear", "tangent"}
+    wall : {"linear", "tangent", "olufsen"}
     density : float
         g/cm3.
     wall_factor : float
@@ -158,7 +159,7 @@ def stiffness_of_wave_speed(speed_m_s: float, wall: str, density: float, wall_fa
     50140
     """
     slope = density * (100.0 * speed_m_s) ** 2
-    return 1.5 * slope if wall == "linear" else slope * GAMMA.centre / (math.pi * wall_factor)
+    return 1.5 * slope if wall in CHI_WALLS else slope * GAMMA.centre / (math.pi * wall_factor)
 
 
 def study_parameters(

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ABI = 10
+ABI = 11
 if getattr(lib, "ZOO_ABI", 1) != ABI:
     raise ImportError(
         f"zoo: the compiled solver has interface {getattr(lib, 'ZOO_ABI', 1)}, this version needs {ABI}; "
@@ -77,6 +77,8 @@ WALLS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.z
 SHAPES: dict[str, tuple[str, ...]] = {
     wall: _names(partial(lib.zoo_wall_shape_name, number)) for wall, number in WALLS.items()
 }
+CHI_WALLS = ("linear", "olufsen")
+"""Walls of the scale K = (4/3) chi and the slope dp/d(A/A0) = K/2 at rest."""
 OUTLETS: dict[str, int] = {name: number for number, name in enumerate(_names(lib.zoo_outlet_name))}
 FRICTIONS = {
     "current": lib.ZOO_FRICTION_CURRENT,
@@ -181,8 +183,8 @@ class Solver:
     inflow_time_s, inflow_ml_s : array (n,)
         Flow into the root over one period, uniform in time from 0, without the repeated last sample: sample m
         at m period/n, to a hundredth of a step.
-    wall : {"linear", "tangent"}
-        Eq. (3.3) or (3.4).
+    wall : {"linear", "tangent", "olufsen"}
+        Eq. (3.3), (3.4), or p = (4/3) chi (1 - sqrt(A0/A)).
     conventions : Conventions
         How the equations are read (wall factor, friction radius, lengths, mmHg).
     series : sequence of (vessel id, position)
@@ -201,7 +203,7 @@ class Solver:
 
     References
     ----------
-    Paun et al. 2020, doi 10.1098/rsif.2020.0886.
+    Paun et al. 2020, doi 10.1098/rsif.2020.0886; Olufsen 1999, doi 10.1152/ajpheart.1999.276.1.H257.
     """
 
     def __init__(
@@ -253,7 +255,7 @@ class Solver:
     def for_study(
         cls,
         study: Study,
-        wall: str = "linear",
+        wall: str | None = None,
         *,
         series: Sequence[tuple[int, float]] | None = None,
         times_s: ArrayLike | None = None,
@@ -263,8 +265,9 @@ class Solver:
     ) -> Solver:
         """Make the solver of a study, at the study's own series and times unless others are given.
 
-        Without `physics` it is the study's own, `zoo.blood.physics.study_physics`; then `solve` takes the
-        stiffness at the vessels' inlets, which changes along them as the study says.
+        Without `wall` it is the study's own. Without `physics` it is the study's own, too,
+        `zoo.blood.physics.study_physics`; then `solve` takes the stiffness at the vessels' inlets, which
+        changes along them as the study says.
 
         Those of a study without observations are the inlet of every vessel at 512 times of the beat.
 
@@ -285,7 +288,7 @@ class Solver:
             network,
             study.inflow_time_s,
             study.inflow_ml_s,
-            wall=wall,
+            wall=study.wall if wall is None else wall,
             conventions=conventions,
             series=series,
             times_s=times_s,
@@ -321,6 +324,12 @@ class Solver:
         else:
             with np.errstate(over="ignore"):
                 cells = np.maximum(2, np.rint(length / self.options.dx_cm))
+        added = self.physics
+        if added.loss_length is not None and not self.conventions.truncate_lengths:
+            loses = np.zeros(len(cells), dtype=bool)
+            for loss in (added.loss_quadratic, added.loss_linear):
+                loses |= False if loss is None else loss > 0
+            cells = self._finer(cells, loses, added.loss_length)
         cells = cells * float(self.options.refine)
         if cells.sum() > MOST_COUNT:
             vessel = int(np.argmax(cells))
@@ -340,11 +349,14 @@ class Solver:
         if self.physics.throat_severity is None:
             return cells
         throat = self.physics.throat_length
-        length = self.network.length_cm
-        with np.errstate(over="ignore"):
-            fine = np.ceil(THROAT_CELLS * length / (THROAT_LENGTH_CM if throat is None else throat))
         narrow = self.physics.throat_severity > 0
-        return np.where(narrow, np.maximum(cells, fine), cells)
+        return self._finer(cells, narrow, THROAT_LENGTH_CM if throat is None else throat)
+
+    def _finer(self, cells: Array, where: NDArray[np.bool_], length_cm: Array | float) -> Array:
+        """Cells with at least `THROAT_CELLS` along stretches of this length in some vessels."""
+        with np.errstate(over="ignore"):
+            fine = np.ceil(THROAT_CELLS * self.network.length_cm / length_cm)
+        return np.where(where, np.maximum(cells, fine), cells)
 
     def _build(self) -> None:
         net, options, conventions = self.network, self.options, self.conventions
@@ -450,6 +462,9 @@ class Solver:
             else:
                 wall.offset_in, wall.offset_out = reals(offset[0]), reals(offset[1])
         give(outlet, "pressure", behind)
+        if added.outflow_wave is not None:
+            outlet.n_wave = added.outflow_wave.shape[1]
+            give(outlet, "wave", added.outflow_wave)
         if added.stiffness_wave is not None:
             wall.n_wave = len(added.stiffness_wave)
             wall.stiffness_wave = reals(added.stiffness_wave, "physics: stiffness_wave", wall.n_wave)
@@ -458,6 +473,8 @@ class Solver:
             throat.severity = reals(added.throat_severity)
             throat.position = reals(filled(added.throat_position, 0.5))
             throat.length = reals(filled(added.throat_length, THROAT_LENGTH_CM))
+        for name in ("quadratic", "linear", "position", "length"):
+            give(problem.loss, name, getattr(added, f"loss_{name}"))
         throat.loss, problem.junction.loss = added.throat_loss, added.junction_loss
 
         # a pressure is told less that outside, where that is the same everywhere

@@ -30,7 +30,10 @@ WALLS = ("stiffness_out_g_cm_s2", "youngs_modulus_g_cm_s2", "wall_thickness_cm",
 @command
 def simulate(
     study: StudyArgument,
-    wall: Annotated[str, typer.Option("--wall", help="linear (eq. 3.3) or tangent (eq. 3.4).")] = "linear",
+    wall: Annotated[
+        str | None,
+        typer.Option("--wall", help="linear (eq. 3.3), tangent (eq. 3.4) or olufsen; the study's if absent."),
+    ] = None,
     stiffness: Annotated[
         str | None,
         typer.Option(
@@ -77,9 +80,10 @@ def simulate(
         figure_path(output_file(plot, "--plot"))
     if times < 2:
         raise UsageError(f"--times {times}: give at least 2 times in the beat")
+    wall = loaded.wall if wall is None else wall
     if wall == "tangent" and gamma is None:
         raise UsageError("--wall tangent needs --gamma, such as --gamma 5.2")
-    if wall == "linear" and gamma is not None:
+    if wall != "tangent" and gamma is not None:
         raise UsageError("--gamma belongs to the tangent wall: add --wall tangent, or leave it out")
     given = _stiffness(stiffness, f1, f2, f3, loaded)
     if given is not None:

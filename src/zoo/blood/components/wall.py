@@ -31,12 +31,15 @@ TIME_SAMPLES = 256
 
 
 def law_slope(case: Case, stretch: Array) -> Array:
-    """Derivative of the wall's law by s = sqrt(A/A0), in its scale K: 1 of the linear wall; (n,).
+    """Derivative of the wall's law by s = sqrt(A/A0), in its scale K; (n,).
 
+    It is 1 of the linear wall and 1/s^2 of Olufsen's.
     That of the tangent wall, 2 b s/cos^2(b (s^2 - 1)) with b = pi/gamma, has the mean gamma of the vessels.
     """
     if case.wall == "linear":
         return np.ones_like(stretch)
+    if case.wall == "olufsen":
+        return np.asarray(1 / stretch**2)
     b = math.pi / float(np.mean(case.gamma))
     return np.asarray(2 * b * stretch / np.cos(b * (stretch**2 - 1)) ** 2)
 
@@ -106,7 +109,7 @@ def functions(setting: Setting) -> tuple[FreeFunction, ...]:
     """The law, stiffness in time, and, unless each vessel has its own already, its scatter and its trend."""
     period = setting.period_s
     stretches = range_knots(setting.beat["stretch"], LAW_KNOTS)
-    if setting.case.wall != "linear":
+    if setting.case.wall == "tangent":
         widest = math.sqrt(1 + WIDEST_PART * float(np.mean(setting.case.gamma)) / 2)
         stretches = np.linspace(stretches[0], min(stretches[-1], widest), LAW_KNOTS)
     times: Array = np.arange(float(TIME_KNOTS)) * (period / TIME_KNOTS)

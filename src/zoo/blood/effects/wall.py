@@ -31,7 +31,7 @@ SHARED = ("linear-constant", "linear-radius", "tangent-constant", "tangent-radiu
 )
 def tangent_wall(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """The wall stiffens as it is stretched: eq. (3.4) with the linear wall's stiffness at rest."""
-    if case.wall != "linear":
+    if case.wall == "tangent":
         raise EffectError("effect tangent-wall: the case has a tangent wall already; use a linear baseline")
     gamma = 1 / values[0]
     stiffness = wall_slope(case) * gamma / (math.pi * case.conventions.wall_factor)

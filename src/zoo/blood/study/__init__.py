@@ -11,6 +11,7 @@ from zoo.blood.study.parts import (
     Blood,
     ReadOnlyArrays,
     Series,
+    Stenosis,
     StudyError,
     Vessel,
     Windkessel,

@@ -19,6 +19,7 @@ from zoo.blood.study.samples import (
     fetched_observations,
     read_inflow,
     read_observations,
+    read_outflow,
 )
 from zoo.blood.study.settings import put_in
 from zoo.blood.study.study import Study
@@ -95,7 +96,7 @@ def study_files(name_or_folder: str | Path, settings: Mapping[str, Any] | None =
     data = read_toml(folder / "study.toml")[0]
     where = put_in(data, settings or {}, StudyTable, str(folder / "study.toml"))
     table = validated(StudyTable, data, where)
-    named = (table.network, table.inflow, table.observations)
+    named = (table.network, table.inflow, table.outflow_pressure, table.observations)
     return [folder / name for name in ("study.toml", *named) if isinstance(name, str)]
 
 
@@ -176,6 +177,16 @@ def read_study(
             "positive; count flow into the root as positive"
         )
 
+    outflow: Array = np.empty(0)
+    if table.outflow_pressure is not None:
+        outflow_path = _file(where, folder, "outflow_pressure", table.outflow_pressure)
+        outflow = read_outflow(outflow_path, table.period_s)
+        if constant := tree.surroundings["outflow_pressure_mmHg"]:
+            raise StudyError(
+                f"{network}: surroundings: outflow_pressure_mmHg = {constant!r}: study.toml gives the "
+                "pressure behind the outlets over the beat (outflow_pressure); leave one of the two out"
+            )
+
     time: Array = np.empty(0)
     series: tuple[Series, ...] = ()
     if isinstance(table.observations, dict):
@@ -203,6 +214,8 @@ def read_study(
         numerics=checked_numerics(f"{where}: numerics", table.numerics),
         junction_pressure=tree.junction_pressure,
         inflow_note=inflow_note,
+        wall=tree.wall,
+        outflow_wave_mmHg=outflow,
         external_pressure_mmHg=tree.surroundings["external_pressure_mmHg"],
         outflow_pressure_mmHg=tree.surroundings["outflow_pressure_mmHg"],
         radius_pressure_mmHg=tree.surroundings["radius_pressure_mmHg"],
@@ -241,7 +254,7 @@ def _checked_noise(where: str, noise_sd: Mapping[str, float], series: Sequence[S
 
 
 class LoadWarning(UserWarning):
-    """Some terminals of a study have a load of their own, others a derived one."""
+    """Loads of a study that are odd: forgotten at some terminals, too fast, or that give energy."""
 
 
 def root_pressure(vessels: Sequence[Vessel], series: Sequence[Series]) -> Series | None:

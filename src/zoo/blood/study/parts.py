@@ -59,6 +59,46 @@ class Windkessel:
 
 
 @dataclass(frozen=True)
+class Stenosis:
+    """A narrow stretch of a vessel by its empirical loss of pressure.
+
+        dp = Kv mu/D0 U + Kt rho/2 (A0/A1 - 1)^2 U abs(U),   U = q/A0,
+
+    beside what the vessel loses without it. The inertia is the vessel's own, Ku rho length dU/dt with Ku = 1
+    (Young and Tsai found 1.2).
+
+    Parameters
+    ----------
+    radius_cm : float
+        Of the narrowest place, at rest: A1 = pi radius^2; A0 and D0 are the vessel's there.
+    length_cm : float
+    position : float
+        Of its middle along the vessel, 0 at the inlet and 1 at the outlet.
+    Kt : float
+    Kv : float or None
+        None: 32 (0.83 length + 3.28 radius)/D0 (A0/A1)^2.
+
+    References
+    ----------
+    Young and Tsai 1973, doi 10.1016/0021-9290(73)90099-7.
+    """
+
+    radius_cm: float
+    length_cm: float
+    position: float = 0.5
+    Kt: float = 1.52
+    Kv: float | None = None
+
+    def constants(self, radius_cm: float) -> tuple[float, float]:
+        """Kt and Kv where the vessel's radius is this."""
+        ratio, viscous_length = (
+            (radius_cm / self.radius_cm) ** 2,
+            0.83 * self.length_cm + 3.28 * self.radius_cm,
+        )
+        return self.Kt, 16 * viscous_length / radius_cm * ratio**2 if self.Kv is None else self.Kv
+
+
+@dataclass(frozen=True)
 class Vessel:
     """One vessel of the tree, at rest.
 
@@ -90,6 +130,8 @@ class Vessel:
         Outside the vessel, mmHg; None: the study's.
     radius_pressure_mmHg : float or None
         Inside less outside pressure at which the vessel has its radii, mmHg; None: the study's.
+    stenosis : Stenosis or None
+        A narrow stretch.
     """
 
     id: int
@@ -109,10 +151,11 @@ class Vessel:
     outflow_pressure_mmHg: float | None = None
     external_pressure_mmHg: float | None = None
     radius_pressure_mmHg: float | None = None
+    stenosis: Stenosis | None = None
 
     @property
     def physics(self) -> dict[str, float]:
-        """The fields after `impedance` that are given."""
+        """The fields from `resistance` to `radius_pressure_mmHg` that are given."""
         given = {name: getattr(self, name) for name in VESSEL_PHYSICS}
         return {name: float(value) for name, value in given.items() if value is not None}
 
@@ -150,8 +193,8 @@ class Vessel:
         )
 
 
-VESSEL_PHYSICS = tuple(field.name for field in fields(Vessel) if field.default is None)[3:]
-"""Fields of a vessel after its impedance."""
+VESSEL_PHYSICS = tuple(field.name for field in fields(Vessel) if field.default is None)[3:-1]
+"""Fields of a vessel that are one number."""
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from zoo.core.data import on_one_grid
 from zoo.core.words import nearest, short
 
 INFLOW_COLUMNS = ("time_s", "flow_ml_s")
+OUTFLOW_COLUMNS = ("time_s", "pressure_mmHg")
 OBSERVATION_COLUMNS = ("vessel", "position", "quantity", "time_s", "value")
 MIN_SAMPLES = 16
 """Fewest samples of a beat, in the inflow and in every observed series."""
@@ -216,7 +217,7 @@ def _uniform(samples: Samples, period: float, *, from_zero: bool) -> tuple[Array
     if times[0] > (1 - _GRID_TOLERANCE) * step:
         s.fail(n - 1, "time_s", times[-1], "past the period, as the series begins late; begin at time 0")
     if from_zero and times[0] > _PERIOD_TOLERANCE * step:
-        s.fail(0, "time_s", times[0], "the inflow must begin at time 0; shift or resample it")
+        s.fail(0, "time_s", times[0], f"the {s.label} must begin at time 0; shift or resample it")
     start = 0.0 if from_zero else float(times[0])
     grid = np.asarray(start + np.arange(n) * (period / n), dtype=np.float64)
     off = np.abs(times - grid)
@@ -276,6 +277,14 @@ def read_inflow(
     if len(samples.times) >= MIN_SAMPLES and np.any(_uneven(np.sort(samples.times))):
         return _evened(samples, period)
     return *_uniform(samples, period, from_zero=True), ""
+
+
+def read_outflow(path: Path, period: float) -> Array:
+    """Pressure behind the outlets at times m period/n, mmHg; its samples must be at even times."""
+    table = read_csv(path, OUTFLOW_COLUMNS)
+    times, pressure = (numbers(path, table.rows, name, table.columns[name]) for name in OUTFLOW_COLUMNS)
+    samples = Samples(path, "outflow pressure", table.rows, times, pressure, "pressure_mmHg")
+    return _uniform(samples, period, from_zero=True)[1]
 
 
 def _check_place(where: str, vessel: int, position: float, quantity: str, known: Sequence[int]) -> None:

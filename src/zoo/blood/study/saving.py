@@ -9,12 +9,12 @@ from typing import Any
 
 from zoo.blood.outlet_tables import StructuredTree
 from zoo.blood.study.parts import Vessel
-from zoo.blood.study.samples import INFLOW_COLUMNS, OBSERVATION_COLUMNS
+from zoo.blood.study.samples import INFLOW_COLUMNS, OBSERVATION_COLUMNS, OUTFLOW_COLUMNS
 from zoo.blood.study.study import Study
 from zoo.blood.study.tree import NOMINAL
 from zoo.core.outputs import output_folder, write_file
 
-STUDY_FILES = "study.toml", "network.toml", "inflow.csv", "observations.csv"
+STUDY_FILES = "study.toml", "network.toml", "inflow.csv", "outflow.csv", "observations.csv"
 """What a study is written into."""
 
 
@@ -54,6 +54,9 @@ def _vessel_lines(vessel: Vessel, nominal: bool) -> list[str]:
         table = vars(vessel.impedance) if isinstance(vessel.impedance, StructuredTree) else vessel.impedance
         lines.append(f"impedance = {_value(table)}")
     lines += [f"{name} = {_value(value)}" for name, value in vessel.physics.items()]
+    if vessel.stenosis is not None:
+        table = {name: value for name, value in vars(vessel.stenosis).items() if value is not None}
+        lines.append(f"stenosis = {_value(table)}")
     return lines
 
 
@@ -78,6 +81,8 @@ def save_study(study: Study, folder: str | Path) -> None:
         write_file(folder / name, "\n".join(lines) + "\n")
 
     lines = [f"name = {_quoted(study.name)}", 'network = "network.toml"', 'inflow = "inflow.csv"']
+    if study.outflow_wave_mmHg.size:
+        lines.append('outflow_pressure = "outflow.csv"')
     if study.series:
         lines.append('observations = "observations.csv"')
     lines.append(f"period_s = {_value(study.period_s)}")
@@ -96,9 +101,18 @@ def save_study(study: Study, folder: str | Path) -> None:
     write("study.toml", lines)
 
     blood = {name: getattr(study.blood, name) for name in ("density_g_cm3", "viscosity_g_cm_s")}
-    tables = {"blood": blood | study.blood.physics, "junctions": {}, "surroundings": dict(study.physics)}
+    tables = {
+        "blood": blood | study.blood.physics,
+        "junctions": {},
+        "wall": {},
+        "surroundings": dict(study.physics),
+    }
+    if "wall" in study.physics:
+        tables["wall"] = {"law": tables["surroundings"].pop("wall")}
     if "junction_pressure" in study.physics:
         tables["junctions"] = {"pressure": tables["surroundings"].pop("junction_pressure")}
+    if study.outflow_wave_mmHg.size:
+        tables["surroundings"].pop("outflow_pressure_mmHg", None)
     tree: list[str] = []
     for heading, table in tables.items():
         if table:
@@ -112,6 +126,11 @@ def save_study(study: Study, folder: str | Path) -> None:
 
     pairs = zip(study.inflow_time_s.tolist(), study.inflow_ml_s.tolist(), strict=True)
     write("inflow.csv", [",".join(INFLOW_COLUMNS), *(f"{t!r},{q!r}" for t, q in pairs)])
+    if study.outflow_wave_mmHg.size:
+        n = len(study.outflow_wave_mmHg)
+        samples = enumerate(study.outflow_wave_mmHg.tolist())
+        lines = [",".join(OUTFLOW_COLUMNS), *(f"{m * study.period_s / n!r},{p!r}" for m, p in samples)]
+        write("outflow.csv", lines)
     if study.series:
         rows = [
             f"{int(s.vessel)},{float(s.position)!r},{s.quantity},{t!r},{'' if x != x else repr(x)}"

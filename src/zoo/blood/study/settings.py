@@ -11,20 +11,21 @@ from zoo.blood.study.tables import NetworkTable, StudyTable, Table
 from zoo.core.words import choices, short
 
 _FIELDS = {*StudyTable.model_fields, *NetworkTable.model_fields}
-_WALL = (
+WALL_FIELDS = (
     "stiffness_g_cm_s2",
     "stiffness_out_g_cm_s2",
     "youngs_modulus_g_cm_s2",
     "wall_thickness_cm",
     "wall_thickness_out_cm",
 )
+"""What a vessel says of its stiffness."""
 _INSTEAD = {
     "accuracy_percent": ("dx_cm",),
     "dx_cm": ("accuracy_percent",),
     "resistance": ("windkessel",),
     "windkessel": ("resistance",),
-    "stiffness_g_cm_s2": _WALL,
-    "youngs_modulus_g_cm_s2": _WALL,
+    "stiffness_g_cm_s2": WALL_FIELDS,
+    "youngs_modulus_g_cm_s2": WALL_FIELDS,
 }
 """Field -> others that say the same, in whose place it stands."""
 _OF_TERMINALS = ("windkessel", "resistance", "outflow_pressure_mmHg")

@@ -15,6 +15,7 @@ from zoo.blood.conventions import PRINTED, Conventions
 from zoo.blood.study.parts import Array, Blood, ReadOnlyArrays, Series, StudyError, Vessel, read_only
 
 JUNCTION_PRESSURES = ("static", "total")
+WALL_LAWS = ("linear", "olufsen")
 PRESSURES = ("external_pressure_mmHg", "outflow_pressure_mmHg", "radius_pressure_mmHg")
 
 
@@ -47,6 +48,11 @@ class Study(ReadOnlyArrays):
     external_pressure_mmHg, outflow_pressure_mmHg, radius_pressure_mmHg : float
         Outside all vessels, behind all outlets, and that (inside less outside) at which radii are given,
         mmHg; a vessel's own value takes its place.
+    outflow_wave_mmHg : array (n,)
+        Pressure behind all outlets at times m period/n, mmHg; empty where it does not change. Its mean is
+        `outflow_pressure_mmHg`, which need not be given with it.
+    wall : {"linear", "olufsen"}
+        Law of all walls, p = (4/3) chi (sqrt(A/A0) - 1) or p = (4/3) chi (1 - sqrt(A0/A)).
     inflow_note : str
         What was done to the inflow when it was loaded; empty for nothing.
     noise_sd : mapping of str to float
@@ -83,11 +89,13 @@ class Study(ReadOnlyArrays):
     external_pressure_mmHg: float = 0.0
     outflow_pressure_mmHg: float = 0.0
     radius_pressure_mmHg: float = 0.0
+    wall: str = "linear"
+    outflow_wave_mmHg: Array = field(default_factory=lambda: np.empty(0), repr=False)
     inflow_note: str = field(default="", repr=False)
     checksum: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("inflow_time_s", "inflow_ml_s", "time_s"):
+        for name in ("inflow_time_s", "inflow_ml_s", "time_s", "outflow_wave_mmHg"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
         for name in ("vessels", "series"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
@@ -99,12 +107,27 @@ class Study(ReadOnlyArrays):
                     f"study {self.name!r}: {name}: shape {values.shape} does not fit the {len(times)} times; "
                     "give one value for each time"
                 )
-        if self.junction_pressure not in JUNCTION_PRESSURES:
-            raise StudyError(
-                f"study {self.name!r}: junction_pressure = {self.junction_pressure!r}: must be one of "
-                f"{', '.join(JUNCTION_PRESSURES)}"
-            )
+        for name, known in (("junction_pressure", JUNCTION_PRESSURES), ("wall", WALL_LAWS)):
+            if getattr(self, name) not in known:
+                raise StudyError(
+                    f"study {self.name!r}: {name} = {getattr(self, name)!r}: must be one of "
+                    f"{', '.join(known)}"
+                )
+        self._check_outflow()
         object.__setattr__(self, "checksum", self._checksum())
+
+    def _check_outflow(self) -> None:
+        wave, where = self.outflow_wave_mmHg, f"study {self.name!r}: outflow_wave_mmHg"
+        if not wave.size:
+            return
+        if wave.ndim != 1 or not np.all(np.isfinite(wave)):
+            raise StudyError(f"{where}: shape {wave.shape}: must be finite numbers in one row; correct it")
+        mean, given = float(wave.mean()), self.outflow_pressure_mmHg
+        if given and abs(given - mean) > 1e-9 * float(np.abs(wave).max()):
+            raise StudyError(
+                f"{where}: its mean is {mean!r}, but outflow_pressure_mmHg = {given!r}; leave that out"
+            )
+        object.__setattr__(self, "outflow_pressure_mmHg", mean)
 
     def _checksum(self) -> str:
         vessels = [
@@ -116,23 +139,27 @@ class Study(ReadOnlyArrays):
         blood = [float(self.blood.density_g_cm3), float(self.blood.viscosity_g_cm_s)]
         content: list[Any] = [float(self.period_s), blood, vessels, series]
         own = {v.id: v.physics for v in self.vessels if v.physics}
+        narrow = [[v.id, repr(v.stenosis)] for v in self.vessels if v.stenosis is not None]
+        if narrow:
+            content.append(narrow)
         tables = {v.id: v.impedance for v in self.vessels if v.impedance is not None}
         if tables:
             content.append([[i, repr(table)] for i, table in tables.items()])
         if self.physics or self.blood.physics or own:  # a study without has the checksum that it always had
             content.append([self.physics, self.blood.physics, own])
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-        for array in (self.inflow_time_s, self.inflow_ml_s, self.time_s, *(s.value for s in self.series)):
+        own_waves = [self.outflow_wave_mmHg] if self.outflow_wave_mmHg.size else []
+        arrays = [self.inflow_time_s, self.inflow_ml_s, self.time_s, *(s.value for s in self.series)]
+        for array in (*arrays, *own_waves):
             digest.update(f";{len(array)}:".encode() + array.astype("<f8").tobytes())
         return digest.hexdigest()
 
     @property
     def physics(self) -> dict[str, str | float]:
-        """Pressures and junctions of the whole tree that are not at their default."""
-        at_junctions = (
-            {} if self.junction_pressure == "static" else {"junction_pressure": self.junction_pressure}
-        )
-        return at_junctions | {name: value for name in PRESSURES if (value := float(getattr(self, name)))}
+        """Pressures, junctions and walls of the whole tree that are not at their default."""
+        words = {"junction_pressure": "static", "wall": "linear"}
+        given = {name: value for name, plain in words.items() if (value := getattr(self, name)) != plain}
+        return given | {name: value for name in PRESSURES if (value := float(getattr(self, name)))}
 
     def pressure_mmHg(self, name: str, vessel: Vessel) -> float:
         """A vessel's own "outflow", "external" or "radius" pressure, or the study's; mmHg."""

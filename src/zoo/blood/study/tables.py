@@ -33,6 +33,7 @@ class StudyTable(Table):
     name: str
     network: str
     inflow: Any
+    outflow_pressure: Any = None
     observations: Any = None
     period_s: Positive
     conventions: Any = "printed"
@@ -64,6 +65,7 @@ class NetworkTable(Table):
     blood: dict[str, Any]
     junctions: dict[str, Any] = Field(default_factory=dict)
     surroundings: dict[str, Any] = Field(default_factory=dict)
+    wall: dict[str, Any] = Field(default_factory=dict)
     vessel: list[dict[str, Any]]
 
 
@@ -82,6 +84,15 @@ class JunctionsTable(Table):
     pressure: str = "static"
 
 
+class WallTable(Table):
+    """Table [wall]."""
+
+    law: str = "linear"
+    k1_g_cm_s2: float | None = Field(default=None, ge=0, le=1e30)
+    k2_per_cm: float | None = Field(default=None, ge=-1e6, le=1e6)
+    k3_g_cm_s2: float | None = Field(default=None, ge=0, le=1e30)
+
+
 class SurroundingsTable(Table):
     """Table [surroundings]."""
 
@@ -96,6 +107,16 @@ class WindkesselTable(Table):
     R1: Positive
     R2: Positive
     C: Positive
+
+
+class StenosisTable(Table):
+    """A vessel's stenosis."""
+
+    radius_cm: Size
+    length_cm: Size
+    position: float = Field(default=0.5, ge=0, le=1)
+    Kt: float = Field(default=1.52, ge=0, le=1e6)
+    Kv: float | None = Field(default=None, ge=0, le=1e12)
 
 
 class TreeTable(Table):
@@ -124,6 +145,7 @@ class VesselTable(Table):
     parent: Whole | None = None
     windkessel: WindkesselTable | None = None
     impedance: list[Any] | dict[str, Any] | None = None
+    stenosis: dict[str, Any] | None = None
     resistance: Positive | None = None
     stiffness_g_cm_s2: Positive | None = None
     stiffness_out_g_cm_s2: Positive | None = None

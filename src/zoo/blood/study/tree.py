@@ -6,22 +6,24 @@ import heapq
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from zoo.blood.outlet_tables import StructuredTree
-from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, StudyError, Vessel, Windkessel
+from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, Stenosis, StudyError, Vessel, Windkessel
 from zoo.blood.study.reading import read_toml
-from zoo.blood.study.settings import put_in
-from zoo.blood.study.study import JUNCTION_PRESSURES
+from zoo.blood.study.settings import WALL_FIELDS, put_in
+from zoo.blood.study.study import JUNCTION_PRESSURES, WALL_LAWS
 from zoo.blood.study.tables import (
     BloodTable,
     JunctionsTable,
     NetworkTable,
+    StenosisTable,
     SurroundingsTable,
     TreeTable,
     VesselTable,
+    WallTable,
     validated,
     visible_name,
 )
@@ -158,6 +160,7 @@ def check_physics(
                 f"{place}: {given[1]}{shown}: {article} {given[0]} is the outlet already; give one of the two"
             )
         _check_impedance(v, place)
+        _check_stenosis(v, f"{place}: stenosis")
         for name in _TERMINALS_ONLY:
             if v.id in feeding and getattr(v, name) is not None:
                 raise StudyError(
@@ -176,6 +179,28 @@ def check_physics(
                 f"{place}: radius_pressure_mmHg = {at!r}: without pressure the radius would be zero, for a "
                 f"stiffness of {min(ends):.6g} g/(cm s2); it must be below {4 / 3 * min(ends) / MMHG:.6g}"
             )
+
+
+def _check_stenosis(v: Vessel, place: str) -> None:
+    """Refuse a stenosis that is none, or lies beyond the vessel's ends."""
+    one = v.stenosis
+    if one is None:
+        return
+    for name, value in vars(one).items():
+        least = name in ("radius_cm", "length_cm")
+        if value is not None and not (value >= 0 and math.isfinite(value) and (value > 0 or not least)):
+            raise StudyError(f"{place}: {name} = {value!r}: must be positive and finite; correct it")
+    radius = v.radius_cm + (v.radius_out_cm - v.radius_cm) * one.position
+    if not one.radius_cm < radius:
+        raise StudyError(
+            f"{place}: radius_cm = {one.radius_cm!r}: must be below that of the vessel there, {radius:.6g}"
+        )
+    ends = [one.position * v.length_cm + side * one.length_cm / 2 for side in (-1, 1)]
+    if ends[0] < -1e-9 * v.length_cm or ends[1] > v.length_cm * (1 + 1e-9):
+        raise StudyError(
+            f"{place}: length_cm = {one.length_cm!r}: reaches from {ends[0]:.6g} to {ends[1]:.6g} cm, beyond "
+            f"the vessel's {v.length_cm:.6g} cm; shorten it, or move its position"
+        )
 
 
 def _check_impedance(v: Vessel, place: str) -> None:
@@ -209,6 +234,7 @@ class NetworkFile:
     junction_pressure: str
     surroundings: dict[str, float]
     nominal: frozenset[int]
+    wall: str
 
 
 def vessel_of(fields: Mapping[str, Any], where: str) -> Vessel:
@@ -224,9 +250,34 @@ def vessel_of(fields: Mapping[str, Any], where: str) -> Vessel:
     own = v.windkessel and Windkessel(v.windkessel.R1, v.windkessel.R2, v.windkessel.C)
     out = v.radius_cm if v.radius_out_cm is None else v.radius_out_cm
     name = visible_name(where, v.name or f"v{v.id}")
-    given = {field: getattr(v, field) for field in VESSEL_PHYSICS}
+    given: dict[str, Any] = {field: getattr(v, field) for field in VESSEL_PHYSICS}
     outlet = None if v.impedance is None else _impedance(v.impedance, where)
+    if v.stenosis is not None:
+        given["stenosis"] = Stenosis(
+            **validated(StenosisTable, v.stenosis, f"{where}: stenosis").model_dump()
+        )
     return Vessel(v.id, name, v.length_cm, v.radius_cm, out, v.parent, own, outlet, **given)
+
+
+def _with_stiffness(v: Vessel, wall: WallTable, where: str) -> Vessel:
+    """The vessel with chi = k1 exp(k2 r0) + k3 at both ends, unless it has a stiffness of its own."""
+    constants = (wall.k1_g_cm_s2, wall.k2_per_cm, wall.k3_g_cm_s2)
+    if constants == (None, None, None):
+        return v
+    if None in constants:
+        name = ("k1_g_cm_s2", "k2_per_cm", "k3_g_cm_s2")[constants.index(None)]
+        raise StudyError(f"{where}: {name}: is missing; give k1, k2 and k3 of k1 exp(k2 r0) + k3, or none")
+    if any(getattr(v, name) is not None for name in WALL_FIELDS):
+        return v
+    k1, k2, k3 = (float(k) for k in constants if k is not None)
+    ends = [k1 * math.exp(min(k2 * r, 700.0)) + k3 for r in (v.radius_cm, v.radius_out_cm)]
+    if not all(1e-30 <= chi <= 1e30 for chi in ends):
+        raise StudyError(
+            f"{where}: k1_g_cm_s2 = {k1!r}, k2_per_cm = {k2!r}, k3_g_cm_s2 = {k3!r}: make a stiffness of "
+            f"{ends[0]:.3g} to {ends[1]:.3g} g/(cm s2) in vessel {v.id}; correct them"
+        )
+    tapers = v.radius_out_cm != v.radius_cm
+    return replace(v, stiffness_g_cm_s2=ends[0], stiffness_out_g_cm_s2=ends[1] if tapers else None)
 
 
 def _impedance(given: Any, where: str) -> tuple[tuple[float, float], ...] | StructuredTree:
@@ -274,13 +325,16 @@ def read_network_file(path: Path, settings: Mapping[str, Any] | None = None) -> 
             f"{file}: junctions: pressure = {short(junctions.pressure)}: "
             f"{nearest(junctions.pressure, JUNCTION_PRESSURES)}"
         )
+    wall = validated(WallTable, table.wall, f"{file}: wall")
+    if wall.law not in WALL_LAWS:
+        raise StudyError(f"{file}: wall: law = {short(wall.law)}: {nearest(wall.law, WALL_LAWS)}")
     surroundings = validated(SurroundingsTable, table.surroundings, f"{file}: surroundings").model_dump()
     heads = [n for n, line in enumerate(text.splitlines(), 1) if re.match(r"\s*\[\[\s*vessel\s*\]\]", line)]
     vessels, where = [], []
     for i, data in enumerate(table.vessel):
         row = f", row {heads[i]}" if len(heads) == len(table.vessel) else ""
         place = f"{file}{row}: vessel {_label(data, i)}"
-        vessels.append(vessel_of(data, place))
+        vessels.append(_with_stiffness(vessel_of(data, place), wall, f"{file}: wall"))
         where.append(place)
     if not vessels:
         raise StudyError(f"{file}: vessel: the list is empty; add at least one [[vessel]]")
@@ -290,5 +344,11 @@ def read_network_file(path: Path, settings: Mapping[str, Any] | None = None) -> 
         v.id for v, data in zip(vessels, table.vessel, strict=True) if data.get("windkessel") == NOMINAL
     )
     return NetworkFile(
-        Blood(**blood.model_dump()), tuple(vessels), where, junctions.pressure, surroundings, nominal
+        Blood(**blood.model_dump()),
+        tuple(vessels),
+        where,
+        junctions.pressure,
+        surroundings,
+        nominal,
+        wall.law,
     )
