@@ -106,12 +106,13 @@ def test_sample_goes_on_from_its_checkpoint(sampled: tuple[Path, str], tiny: Pat
     assert "thin is 2 there and 3 here" in refused
     assert "--fresh removes it" in refused
     more = path.with_name("A.nc")
-    before = load(path).posterior.c.to_numpy()
+    there = load(path)
+    before, sittings = there.posterior.c.to_numpy(), RunRecord.of(there).sittings
     output = run("sample", "a", tiny, "-o", more, "--thin", 2, *QUICK[2:], "--draws", 80, "-q")
     after = load(more)
     assert after.posterior.sizes["draw"] == 80
     np.testing.assert_array_equal(after.posterior.c[:, :60], before)
-    assert RunRecord.of(after).sittings == 2
+    assert RunRecord.of(after).sittings == sittings + 1
     assert "model A on tiny" not in output  # -q
 
 
