@@ -46,6 +46,8 @@ FLOW_NOISE_PART = 0.02
 """Noise of a flow measurement that is only planned, as a part of its peak."""
 SEARCH_SHARE = 0.1
 """Tolerance of the solves of a search, whose differences must not be noise."""
+LEAST_HEARD = 1e-4
+"""Noise in parts of the range below which no finer grid is worth its time: some series show none."""
 
 
 def phases(wave: Array, period_s: float) -> NDArray[np.int_]:
@@ -220,7 +222,8 @@ def heard(study: Study, data: Data) -> Study:
         return study
     errors = errors_of(study, data)
     family = ErrorFamily(errors.bind(data), ranges(data), dict(errors.known))
-    seen = dict(zip(family.groups, map(float, np.exp(family.noise_start)), strict=True))
+    sds = zip(family.groups, np.exp(family.noise_start), strict=True)
+    seen = {group: max(float(sd), LEAST_HEARD * family.ranges[group]) for group, sd in sds}
     return replace(study, noise_sd={**seen, **study.noise_sd})
 
 
