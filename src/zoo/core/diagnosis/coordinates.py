@@ -142,14 +142,18 @@ class SearchModel:
             return None
         return found
 
+    @property
+    def _plain(self) -> ForwardModel:
+        """The baseline with its error."""
+        return self.baseline.model if isinstance(self.baseline, Corrected) else self.baseline
+
     def pinned(self, u: Array) -> SearchModel:
         """The same at the discretisation of one point, less its error there, so that it is smooth around it.
 
         Itself where it has none, or where the error is no longer taken off. An effect that is absent at the
         point is taken to be there a little, since it may need a grid of its own.
         """
-        base = self.baseline
-        plain = base.model if isinstance(base, Corrected) else base
+        plain = self._plain
         absent = (u == 0.0) & (np.arange(len(u)) >= self.n_base)
         there = np.clip(np.where(absent, FIRST_STEP * self.units, u), self.low, self.high)
         try:
@@ -157,7 +161,7 @@ class SearchModel:
         except FAILURES:
             return self
         found = self if on_grid is plain else SearchModel(on_grid, self.added, self.errors).corrected(u)
-        return self if base is not plain and not isinstance(found.baseline, Corrected) else found
+        return self if self.baseline is not plain and not isinstance(found.baseline, Corrected) else found
 
     def corrected(self, u: Array) -> SearchModel:
         """The same less its discretisation error at a point, by Richardson's extrapolation.
@@ -165,7 +169,7 @@ class SearchModel:
         Itself where there is no finer grid, or none that can be solved there, and where an error of the grid
         is among the effects.
         """
-        plain = self.baseline.model if isinstance(self.baseline, Corrected) else self.baseline
+        plain = self._plain
         own = with_effects(plain, self.added)
         if (finer := refined(own)) is None:
             return self
