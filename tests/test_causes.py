@@ -238,6 +238,25 @@ def test_a_bounded_amplitude_has_the_mass_inside(toy):
     assert Reference(problem, toy.causes, V).further((), ())[0][i] == pytest.approx(expected, abs=0.01)
 
 
+def test_a_bounded_parameter_that_the_data_do_not_tell_changes_no_evidence(toy):
+    """Of density exp(-d) above 0, its response far below the noise: unbounded it would be a million away."""
+    problem = toy.problem(toy.drawn(np.random.default_rng(6))[1])
+    k, kinds = problem.jacobian.shape[1], np.arange(toy.family.n_kinds)
+    column = 1e-5 * np.random.default_rng(1).standard_normal((len(problem.residual), 1))
+    beside = replace(
+        problem,
+        jacobian=np.concatenate([problem.jacobian, column], axis=1),
+        precision=np.pad(problem.P, (0, 1)),
+        pull=np.append(problem.pull, 1.0),
+        low=np.append(np.full(k, -np.inf), 0.0),
+        high=np.full(k + 1, np.inf),
+    )
+    alone, found = (
+        SetModel(one, (), toy.family).given(kinds, toy.family.noise_start) for one in (problem, beside)
+    )
+    np.testing.assert_allclose(found.log_z, alone.log_z, atol=0.01)
+
+
 def test_amplitudes_that_were_there_may_leave_their_bounds_when_a_cause_is_added(toy):
     """Two alike responses, of which the second makes the first negative; masses are those of each alone."""
     i, j = (k for k, one in enumerate(toy.causes[:9]) if one.low == 0.0 and k in (0, 3))
@@ -380,7 +399,8 @@ def test_the_mass_inside_bounds_is_that_of_a_normal_distribution() -> None:
     sd, rho = np.array([0.05, 0.5, 1.0]), np.array([[1.0, 0.7, -0.5], [0.7, 1.0, 0.0], [-0.5, 0.0, 1.0]])
     mean, C = np.array([1.1, 0.1, -0.4]), rho * np.outer(sd, sd)
     low, high, at = np.array([-np.inf, 0.0]), np.array([1.0, np.inf]), np.array([0, 1])
-    log_mass, m, V = truncate(mean[None], C[None], at, low, high)
+    log_mass, m, lost = truncate(mean[None], C[None, :, at], at, low, high)
+    V = C - lost @ lost.swapaxes(1, 2)
     exact = multivariate_normal(mean[:2], C[:2, :2]).cdf([1.0, np.inf], lower_limit=[-np.inf, 0.0])
     assert log_mass[0] == pytest.approx(math.log(exact), abs=0.1)
     alone = log_normal_mass((low - mean[:2]) / sd[:2], (high - mean[:2]) / sd[:2])

@@ -430,8 +430,8 @@ class SetModel:
 
     def _inside(self, mean: Array, C: Array) -> tuple[Array, Array]:
         """Mean and covariance of parameters and weights inside their bounds."""
-        _, mean, C = truncate(mean, C, self.bounded, self.low, self.high)
-        return mean, C
+        _, mean, lost = truncate(mean, C[..., self.bounded], self.bounded, self.low, self.high)
+        return mean, C - lost @ lost.swapaxes(-1, -2)
 
     def _alike(self, scales: Array) -> list[Kinds]:
         """Rows of sizes (n, n_causes) that differ in the size of the widest function only."""
@@ -527,7 +527,8 @@ class SetModel:
         own_C = np.empty((*own_mean.shape, len(self.listed)))
         for alike in self._alike(scales):  # all sizes of the widest function at once
             basis = SizeBasis(self, gram, right, scales[alike])
-            gains[:, alike] = basis.gain + integral(basis)
+            mass, mean, lost = basis.inside(self)
+            gains[:, alike] = basis.gain + mass + integral(basis, mean, lost)
             own_mean[:, alike], own_C[:, alike] = basis.moments(np.searchsorted(self.narrow, self.listed))
         gains += masses
         log_z = base + logsumexp(gains, axis=1)
@@ -611,39 +612,42 @@ class SizeBasis:
         size = np.sqrt(np.maximum(np.einsum("kii->ki", H), 1e-300))
         values, Q = np.linalg.eigh(H / (size[:, :, None] * size[:, None, :]))
         values = np.maximum(values, 1e-15)
-        self.over = Q / np.sqrt(values)[:, None, :] / size[:, :, None]
-        T = self.over.swapaxes(1, 2) @ gram[:, R[:, None], F]
-        z = np.einsum("kij,ki->kj", self.over, right[:, R] - pull[R])
+        over = Q / np.sqrt(values)[:, None, :] / size[:, :, None]
+        T = over.swapaxes(1, 2) @ gram[:, R[:, None], F]
+        z = np.einsum("kij,ki->kj", over, right[:, R] - pull[R])
         lam, U = np.linalg.eigh(gram[:, F[:, None], F] - T.swapaxes(1, 2) @ T)
-        y = np.einsum("kij,ki->kj", U, right[:, F] - np.einsum("kij,ki->kj", T, z))
+        y = np.einsum("kij,ki->kj", U, right[:, F] - np.einsum("kij,kj->ki", T.swapaxes(1, 2), z))
         s = np.ones(len(scales)) if model.widest is None else scales[:, model.widest]
-        self.D = 1.0 / (np.maximum(lam, 0.0)[:, None, :] + 1.0 / s[:, None] ** 2)
-        self.cross = -self.over @ (T @ U)
-        self.z, self.y, self.U = z, y, U
-        logdet = np.sum(np.log(values) + 2.0 * np.log(size), axis=1)[:, None] - np.log(self.D).sum(axis=2)
-        self.gain = 0.5 * np.sum(z**2, axis=1)[:, None] + 0.5 * np.sum(self.D * y[:, None, :] ** 2, axis=2)
+        D = 1.0 / (np.maximum(lam, 0.0)[:, None, :] + 1.0 / s[:, None] ** 2)
+        logdet = np.sum(np.log(values) + 2.0 * np.log(size), axis=1)[:, None] - np.log(D).sum(axis=2)
+        self.rows, self.U = np.concatenate([over, -over @ (T @ U)], axis=2), U
+        self.D = np.concatenate([np.ones((*D.shape[:2], len(R))), D], axis=2)
+        self.mean = self.D * np.concatenate([z, y], axis=1)[:, None, :]
+        self.gain = 0.5 * np.sum(self.mean**2 / self.D, axis=2)
         self.gain -= 0.5 * logdet + np.log(scales[:, model.owner]).sum(axis=1)
         self.gain += 0.5 * model.k * math.log(2.0 * math.pi) - 0.5 * float(model.mean @ model.mean)
-        at = np.arange(len(model.bounded))
-        moments = self.moments(np.searchsorted(R, model.bounded))
-        self.gain += truncate(*moments, at, model.low, model.high)[0] - model.prior_mass
-
-    def _mean(self, at: Kinds) -> Array:
-        first = np.einsum("kij,kj->ki", self.over[:, at], self.z)[:, None, :]
-        return np.asarray(first + (self.D * self.y[:, None, :]) @ self.cross[:, at].swapaxes(1, 2))
 
     def moments(self, at: Kinds) -> tuple[Array, Array]:
         """Mean (n_kinds, n_sizes, q) and covariance of some of R, by their places in it."""
-        over, cross = self.over[:, None, at], self.cross[:, None, at]
-        C = over @ over.swapaxes(2, 3) + (cross * self.D[:, :, None, :]) @ cross.swapaxes(2, 3)
-        return self._mean(at), C
+        rows = self.rows[:, None, at]
+        C = (rows * self.D[:, :, None, :]) @ rows.swapaxes(2, 3)
+        return self.mean @ self.rows[:, at].swapaxes(1, 2), C
+
+    def inside(self, model: SetModel) -> tuple[Array, Array, Array]:
+        """Log mass (n_kinds, n_sizes) inside the bounds; mean of z there, and what its variance loses."""
+        at, p = np.searchsorted(model.narrow, model.bounded), len(model.mean)
+        mean, C = self.moments(at)
+        both = np.concatenate([self.mean, mean], axis=2)
+        own = self.D[..., None] * self.rows[:, None, at].swapaxes(2, 3)
+        columns = np.concatenate([own, C], axis=2)
+        mass, both, lost = truncate(both, columns, p + np.arange(len(at)), model.low, model.high)
+        return mass - model.prior_mass, both[..., :p], lost[..., :p, :]
 
     def matrix(self, model: SetModel) -> Array:
         """The coordinates (n_kinds, p, p) as columns."""
         R, F = model.narrow, model.wide
         W = np.zeros((len(self.U), len(model.mean), len(model.mean)))
-        W[:, R[:, None], np.arange(len(R))] = self.over
-        W[:, R[:, None], np.arange(len(R), len(model.mean))] = self.cross
+        W[:, R] = self.rows
         W[:, F[:, None], np.arange(len(R), len(model.mean))] = self.U
         return W
 
@@ -749,17 +753,22 @@ class NoiseIntegral:
         self.right, self.squares = D @ model.Ar, (D @ model.problem.residual**2)[:, :, None]
         self.first, self.second = ((power * x @ one_of.T)[:, :, None] for x in (a, a**2))
 
-    def __call__(self, basis: SizeBasis) -> Array:
-        """Log of the integral (n_kinds, n_sizes), given the weights' posterior."""
+    def __call__(self, basis: SizeBasis, mean: Array, lost: Array) -> Array:
+        """Log of the integral (n_kinds, n_sizes), given the weights' posterior inside their bounds."""
         W = basis.matrix(self.model)[:, None]
         gram = W.swapaxes(2, 3) @ self.gram @ W
         right = (self.right[:, :, None, :] @ W)[:, :, 0]
-        ones = np.ones((*basis.D.shape[:2], basis.z.shape[1]))
-        D = np.concatenate([ones, basis.D], axis=2).swapaxes(1, 2)
-        mean = D * np.concatenate([basis.z, basis.y], axis=1)[:, :, None]
+        D, mean = basis.D.swapaxes(1, 2), mean.swapaxes(1, 2)
         left = np.sum(gram @ mean[:, None] * mean[:, None], axis=2) - 2.0 * right @ mean + self.squares
         first = self.first - np.einsum("kgii->kgi", gram) @ D
         second = self.second - np.sum(gram**2 @ D[:, None] * D[:, None], axis=2)
+        if lost.shape[-1]:
+            lost = lost[:, None]
+            turned = gram[:, :, None] @ lost
+            own = lost.swapaxes(-1, -2) @ turned
+            first = first + np.einsum("...ii->...", own)
+            second = second + 2.0 * np.sum(turned**2 * basis.D[:, None, :, :, None], axis=(-2, -1))
+            second = second - np.sum(own**2, axis=(-2, -1))
         alike = AlikeCoefficients.of(first, second, left, self.off, self.least)
         return np.asarray(alike.integral().sum(axis=1))
 

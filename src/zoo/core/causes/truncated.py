@@ -7,32 +7,43 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erfcx
 
 from zoo.core.priors import log_normal_mass
 
 Array = NDArray[np.float64]
-FAR = 6.0
-"""Sds inside of a bound from which on it does nothing."""
+FAR, TINY = 6.0, 1e-15
+"""Sds inside of a bound from which on it does nothing; least part of a variance that bounds leave."""
+
+
+def densities(low: Array, high: Array) -> tuple[Array, Array]:
+    """Of a standard normal distribution inside bounds, at these, however far from zero they are."""
+    turned = low + high < 0.0
+    a, b = np.where(turned, -high, low), np.where(turned, -low, high)
+    falls = np.exp(0.5 * (a - b) * (a + b))
+    near = math.sqrt(2.0 / math.pi) / (erfcx(a / math.sqrt(2.0)) - falls * erfcx(b / math.sqrt(2.0)))
+    return np.where(turned, falls * near, near), np.where(turned, near, falls * near)
 
 
 def truncate(
-    mean: Array, C: Array, at: NDArray[np.int_], low: Array, high: Array
+    mean: Array, columns: Array, at: NDArray[np.int_], low: Array, high: Array
 ) -> tuple[Array, Array, Array]:
     """Take the bounds of some coordinates in, one after another, those that are most in the way first.
 
     With the bounds of coordinate i, of variance v, its moments become those of a truncated normal
     distribution, m' and v', and all others follow,
 
-        mean + c (m' - m),    C - c c' (v - v'),    c = C_i / v,
+        mean + c (m' - m) / v,    C - b b',    c = C_i,    b = c sqrt(v - v') / v,
 
     which is exact for the mass and the moments of one bounded coordinate, and moment matching for the next.
 
     Parameters
     ----------
     mean : array (..., p)
-    C : array (..., p, p)
+    columns : array (..., p, b)
+        Those of the covariance C that belong to coordinates with bounds.
     at : int array (b,)
-        Coordinates with bounds.
+        These coordinates.
     low, high : array (b,)
 
     Returns
@@ -40,7 +51,8 @@ def truncate(
     log_mass : array (...)
         Inside all bounds.
     mean : array (..., p)
-    C : array (..., p, p)
+    lost : array (..., p, n)
+        b of each bound that is in the way; C becomes C - b b' summed over them.
 
     References
     ----------
@@ -48,29 +60,26 @@ def truncate(
     probabilities and expectation propagation, arXiv 1111.6832.
     """
     log_mass: Any = np.zeros(mean.shape[:-1])
-    if not len(at):
-        return log_mass, mean, C
-    sd = np.sqrt(np.einsum("...ii->...i", C)[..., at])
+    lost: list[Array] = []
+    inner = columns[..., at, :]
+    sd = np.sqrt(np.einsum("...ii->...i", inner))
     room = np.minimum(mean[..., at] - low, high - mean[..., at]) / sd
-    least = room.reshape(-1, len(at)).min(axis=0)
-    for i in np.argsort(least):
+    for i in np.argsort(room.min(axis=tuple(range(room.ndim - 1)))):
         j = at[i]
-        m, v = mean[..., j], C[..., j, j]
+        c = columns[..., i] - sum(b * b[..., [j]] for b in lost)
+        m, v = mean[..., j], c[..., j]
         s = np.sqrt(v)
         a, b = (low[i] - m) / s, (high[i] - m) / s
         if np.all((a < -FAR) & (b > FAR)):
             continue
-        mass = log_normal_mass(a, b)
-        log_mass = log_mass + mass
-        edges = []
-        for x in (a, b):
-            finite = np.where(np.isfinite(x), x, 0.0)
-            density = np.exp(-0.5 * finite**2 - 0.5 * math.log(2.0 * math.pi) - mass)
-            edges.append((np.where(np.isfinite(x), density, 0.0), finite))
-        (first, a), (last, b) = edges
+        log_mass = log_mass + log_normal_mass(a, b)
+        first, last = densities(a, b)
         moved = first - last
-        left = np.clip(1.0 + a * first - b * last - moved**2, 1e-9, 1.0)
-        c = C[..., j] / v[..., None]
-        mean = mean + c * (s * moved)[..., None]
-        C = C - c[..., :, None] * c[..., None, :] * (v * (1.0 - left))[..., None, None]
-    return np.asarray(log_mass), mean, C
+        # a density that falls from its bound on has at most the sd of an exponential one
+        outside = np.where(a > 0.0, moved - a, np.where(b < 0.0, b - moved, 1.0))
+        ends = ((a, first, low[i]), (-b, last, high[i]))
+        left = 1.0 + sum(x * density for x, density, end in ends if np.isfinite(end)) - moved**2
+        left = np.clip(left, TINY, np.minimum(outside**2, 1.0))
+        mean = mean + c * (moved / s)[..., None]
+        lost.append(c * (np.sqrt(1.0 - left) / s)[..., None])
+    return np.asarray(log_mass), mean, np.stack(lost, axis=-1) if lost else np.zeros((*mean.shape, 0))
