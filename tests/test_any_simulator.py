@@ -114,4 +114,4 @@ def test_a_log_uniform_prior_is_searched_in_its_logarithm() -> None:
     model = FunctionModel(cooling, parameters, MODEL.outputs, "cooling")
     found = diagnose(measured(0.15), model, [drift])
     assert found.cause == ["drift"]
-    assert abs(found.file.base_parameters["over all sets"]["a"] - 0.5) < 0.02
+    assert abs(found.file.base_parameters["over all sets"]["a"].mean - 0.5) < 0.02

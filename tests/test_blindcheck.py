@@ -179,6 +179,22 @@ def test_what_is_left_is_that_of_the_fit() -> None:
         fitted.left(zero[:2])
 
 
+def test_intervals_of_the_baseline_s_parameters_are_counted_where_something_is_wrong() -> None:
+    """Of two parameters, both alone, one of them true: over all causes both, twice as wide in the median."""
+    true = {"base_parameters": {"a": 1.0, "b": 2.0, "untold": 3.0}}
+    said = SAID.model_copy(
+        update={
+            "alone": {"a": size(1.0, 0.1), "b": size(1.0, 0.1)},
+            "averaged": {"a": size(1.1, 0.1), "b": size(1.5, 0.3)},
+        }
+    )
+    found = score(truth("taper", drawn=true), QUIET.model_copy(update={"drawn": true}), answer=said)
+    s = found.summary
+    assert (s["alone"], s["averaged"], s["wider"]) == (Rate(1, 2), Rate(2, 2), pytest.approx(2.0))
+    assert "hold the true ones" in str(found)
+    assert "50 % (the baseline by itself)" in str(found)
+
+
 def test_reliability_by_hand() -> None:
     bins = reliability([0.8, 0.8, 0.8, 0.8, 0.3, 1.0], [True, True, False, True, False, True])
     assert [(b.low, b.high, b.n, b.right) for b in bins] == [
@@ -575,6 +591,8 @@ def test_a_forward_model_draws_its_cases_and_is_diagnosed() -> None:
     )
     assert found.summary["first"] == Rate(3, 3)
     assert found.summary["left"].n == 2
+    assert found.summary["averaged"] == Rate(4, 4)
+    assert found.summary["alone"].count < 4  # with the zero of the reading off, rate and start are not theirs
     assert found.summary["questions"]["effects"].log.n == 2
     with pytest.raises(BlindError, match="no draw of 60 leaves 900"):
         ModelDraw(fine, [offset], observe, 0.02, (900, 1000))("offset", np.random.default_rng(1))
@@ -606,6 +624,10 @@ def test_an_answer_is_what_the_diagnosis_says() -> None:
     assert (said.components, said.effects) == ({"offset": file.components[0].probability},) * 2
     assert said.nothing == pytest.approx(1 - said.components["offset"])
     assert said.sizes["offset"].low < 0.3 < said.sizes["offset"].high
+    rate = file.base_parameters["base"]["rate"], file.base_parameters["over all sets"]["rate"]
+    assert [(x.low, x.high) for x in (said.alone["rate"], said.averaged["rate"])] == [
+        x.interval for x in rate
+    ]
     assert said.gap is not None
     assert said.left is not None
     assert (said.gap.mean, said.left.mean) == (file.gap.before, file.gap.after)

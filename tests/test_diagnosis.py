@@ -72,8 +72,12 @@ def test_shares_add_up(jitter: StudyDiagnosis) -> None:
 
 def test_bias_of_the_baseline_is_removed(jitter: StudyDiagnosis) -> None:
     before, after = jitter.file.base_parameters["base"], jitter.file.base_parameters["over all sets"]
-    assert abs(after["f3"] - 4.6e4) < max(abs(before["f3"] - 4.6e4), 4 * after["f3 sd"])
-    assert abs(after["f3"] - 4.6e4) < 4 * after["f3 sd"]
+    assert abs(after["f3"].mean - 4.6e4) < max(abs(before["f3"].mean - 4.6e4), 4 * after["f3"].sd)
+    assert abs(after["f3"].mean - 4.6e4) < 4 * after["f3"].sd
+    by_hand = jitter.estimate(lambda p: p["f3"] / 1e4, "1e4 g/cm/s2")
+    assert by_hand.mean == pytest.approx(after["f3"].mean / 1e4)
+    assert by_hand.unit == "1e4 g/cm/s2"
+    assert by_hand.interval == pytest.approx([x / 1e4 for x in after["f3"].interval or ()])
 
 
 def test_the_file_comes_back_and_places_are_vessels(jitter: StudyDiagnosis, tmp_path: Path) -> None:

@@ -64,7 +64,14 @@ def other_key(entry: Mapping[str, Any], case: str) -> CaseKey:
         noise=math.hypot(white, correlated),
         gap=float(np.sqrt(np.mean(np.square(entry["base_fit"]["rms_noisefree_mmHg"])))),
         tags={"series": COUNTS.get(len(entry["observed"]), "three or more")},
+        drawn=_drawn(entry),
     )
+
+
+def _drawn(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """The baseline's parameters by their names here."""
+    theta = {"f3" if name == "chi" else name: x for name, x in entry["theta"].items()}
+    return {"base_parameters": theta}
 
 
 def _component_key(entry: Mapping[str, Any], case: str) -> CaseKey:
@@ -83,6 +90,7 @@ def _component_key(entry: Mapping[str, Any], case: str) -> CaseKey:
         gap=float(np.sqrt(np.mean(np.square([entry["base_fit"]["rms_noisefree"][i] for i in pressures])))),
         truth=tuple(tuple(one["values"]) for one in entry["noise_free"]),
         tags={"series": COUNTS.get(len(entry["observed"]), "three or more")},
+        drawn=_drawn(entry),
     )
 
 

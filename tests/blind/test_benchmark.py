@@ -161,6 +161,7 @@ def other(folder: Path, **changes: Any) -> Any:
     content = {
         "case": "case-101", "effect": "junction_loss", "in_library": True, "amplitude": 3.0, "extra": {},
         "layout": "MPA", "observed": [[1, 0.0]], "noise": {"white_sd_mmHg": 0.03, "ar1_sd_mmHg": 0.04},
+        "theta": {"chi": 4e4, "c": 1.5},
         "base_fit": {"rms_noisefree_mmHg": [0.2, 0.4]},
     } | changes  # fmt: skip
     (folder / "case-101.json").write_text(json.dumps(content))
@@ -188,6 +189,7 @@ def test_keys_made_elsewhere(
     found = other(tmp_path, **changes)
     assert (found.case, found.kind, found.effects) == ("blind/case-101", kind, effects)
     assert found.parameter == amplitude
+    assert found.parameters == {"f3": 4e4, "c": 1.5}
     assert found.noise == pytest.approx(0.05)
     assert found.gap == pytest.approx(math.sqrt((0.04 + 0.16) / 2))
     assert other(tmp_path, effect="stenosis", extra={"vessel": 3}).place == 3

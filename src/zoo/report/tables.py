@@ -220,16 +220,16 @@ def parameters_table(file: DiagnosisFile) -> Table:
     """The baseline's parameters without a cause and over all sets."""
     before, after = file.base_parameters["base"], file.base_parameters["over all sets"]
     rows = []
-    for name in (name for name in before if not name.endswith(" sd")):
-        sd, shift = before[f"{name} sd"], after[name] - before[name]
+    for name, alone in before.items():
+        shift = after[name].mean - alone.mean
         rows.append(
             [
                 name,
                 *MEANINGS.get(name, file.labels.get(name, ("", "–"))),
-                estimate(before[name], sd),
-                estimate(after[name], after[f"{name} sd"]),
+                estimate(alone.mean, alone.sd),
+                estimate(after[name].mean, after[name].sd),
                 f"{shift:+.3g}",
-                f"{shift / sd:+.1f}" if sd > 0.0 else "",
+                f"{shift / alone.sd:+.1f}" if alone.sd > 0.0 else "",
             ]
         )
     numbers = ("baseline", "over all sets", "shift", "shift / sd")

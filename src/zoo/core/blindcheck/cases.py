@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from zoo.core.diagnosis.diagnosis import Diagnosis
-from zoo.core.diagnosis.file import DiagnosisFile
+from zoo.core.diagnosis.file import DiagnosisFile, Estimate
 from zoo.core.words import OneLineError
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ class CaseKey(_Record):
     tags : mapping of str to str
         What else tells cases apart; scores can be grouped by it.
     drawn : mapping
-        Whatever else is withheld.
+        Whatever else is withheld; the true values of the baseline's parameters as `base_parameters`.
     files : str
         Digest of the case's files; empty for a case in memory.
     """
@@ -81,6 +81,11 @@ class CaseKey(_Record):
     tags: dict[str, str] = {}
     drawn: dict[str, Any] = {}
     files: str = ""
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """True values of the baseline's parameters, where they are told."""
+        return dict(self.drawn.get("base_parameters", {}))
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -153,6 +158,8 @@ class Answer(_Record):
         Each listed effect is in one; those without are alone.
     sizes : mapping of str to Size
         Of the first parameter of listed effects.
+    alone, averaged : mapping of str to Size
+        Of the baseline's parameters, by itself and over all sets of causes.
     gap, left : Size, optional
         Model discrepancy of the baseline, and with the leading causes.
     fitted : Fitted, optional
@@ -165,6 +172,8 @@ class Answer(_Record):
     effects: dict[str, float] = {}
     groups: tuple[Group, ...] = ()
     sizes: dict[str, Size] = {}
+    alone: dict[str, Size] = {}
+    averaged: dict[str, Size] = {}
     gap: Size | None = None
     left: Size | None = None
     fitted: Fitted | None = Field(default=None, repr=False)
@@ -175,6 +184,14 @@ class Answer(_Record):
         """The answer of probabilities of effects, each a component of its own, and of "no-gap"."""
         effects = {name: p for name, p in probabilities.items() if name != NULL}
         return cls(components=effects, nothing=probabilities.get(NULL, 0.0), effects=effects)
+
+
+def _sizes(estimates: Mapping[str, Estimate]) -> dict[str, Size]:
+    return {
+        name: Size(mean=x.mean, low=x.interval[0], high=x.interval[1])
+        for name, x in estimates.items()
+        if x.interval
+    }
 
 
 def as_answer(found: Any) -> Answer:
@@ -196,18 +213,14 @@ def as_answer(found: Any) -> Answer:
     gap, listed = file.gap, [one for one in file.causes if not one.free]
     before = Size(mean=gap.before, low=gap.before_interval[0], high=gap.before_interval[1])
     after = Size(mean=gap.after, low=gap.after_interval[0], high=gap.after_interval[1])
-    first = {one.name: one.estimates[0] for one in listed if one.estimates}
-    sizes = {
-        name: Size(mean=x.mean, low=x.interval[0], high=x.interval[1])
-        for name, x in first.items()
-        if x.interval
-    }
     return Answer(
         components={one.name: one.probability for one in file.components},
         nothing=math.fsum(row.probability for row in file.sets if not row.causes),
         effects={one.name: one.probability for one in listed},
         groups=_groups(file),
-        sizes=sizes,
+        sizes=_sizes({one.name: one.estimates[0] for one in listed if one.estimates}),
+        alone=_sizes(file.base_parameters["base"]),
+        averaged=_sizes(file.base_parameters["over all sets"]),
         gap=before,
         left=after if file.cause else None,
         fitted=_fitted(found) if isinstance(found, Diagnosis) else None,

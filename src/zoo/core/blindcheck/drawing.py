@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zoo.core.blindcheck.cases import BlindError
 from zoo.core.derivatives import jacobian, scales_of
+from zoo.core.diagnosis.coordinates import coordinates
 from zoo.core.effects import AddedEffect, Effect, EffectError, with_effects
 from zoo.core.forward import ForwardModel, SolveError
 from zoo.core.parameters import draw_prior
@@ -126,6 +127,8 @@ class ModelDraw:
                 continue
             if effect is None or self.limits[0] * self.noise <= gap <= self.limits[1] * self.noise:
                 told |= {"noise": self.noise, "gap": gap, "truth": tuple(map(tuple, series.tolist()))}
+                names = (p.name for p in coordinates(self.model.parameters))
+                told["drawn"] = {"base_parameters": dict(zip(names, theta.tolist(), strict=True))}
                 return DrawnCase(self.observe(series, rng), told)
         raise BlindError(
             f"{label}: no draw of {TRIES} leaves {self.limits[0]:g} to {self.limits[1]:g} times the noise; "

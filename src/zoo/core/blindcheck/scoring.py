@@ -200,6 +200,7 @@ COLUMNS = (
     *(f"{question}_{score}" for question in QUESTIONS for score in ("log", "brier")),
     *("true_parameter", "parameter_mean", "parameter_low", "parameter_high", "prior_low", "prior_high"),
     *("true_gap", "gap_mean", "gap_low", "gap_high", "true_left", "left_mean", "left_low", "left_high"),
+    *("alone", "alone_inside", "averaged", "averaged_inside", "wider"),
     *("seconds", "events"),
 )
 """Of a case's row, before its tags.
@@ -208,7 +209,10 @@ COLUMNS = (
 components and "no-gap", `stated` its probability, `first` whether it is right. `false_alarm` says, without a
 cause, whether a component has more than half; `sure` counts components above 0.9, `sure_right` those of them
 that are wrong indeed. Scores are None where a question is not asked. The parameter is that of the true
-effect; `gap` is what the baseline leaves, `left` what the leading causes leave.
+effect; `gap` is what the baseline leaves, `left` what the leading causes leave. Where something is wrong,
+`alone` and `averaged` count the baseline's parameters whose true value is known, `_inside` those of them
+whose 95 % interval holds it, of the baseline by itself and over all sets of causes; `wider` is the median of
+the latter's width over the former's.
 """
 
 
@@ -261,6 +265,13 @@ def _sizes(key: CaseKey, answer: Answer) -> Row:
         left = left if size is None or size.true is None else size.true
         if size and left is not None:
             found |= {f"true_{name}": left, **_columns(name, size)}
+    if key.wrong and (known := key.parameters.keys() & answer.alone.keys() & answer.averaged.keys()):
+        both = [(answer.alone[name], answer.averaged[name], key.parameters[name]) for name in sorted(known)]
+        found |= {"alone": len(both), "averaged": len(both)}
+        found["alone_inside"] = sum(one.low <= true <= one.high for one, _, true in both)
+        found["averaged_inside"] = sum(one.low <= true <= one.high for _, one, true in both)
+        widths = ((one.high - one.low, other.high - other.low) for one, other, _ in both)
+        found["wider"] = _median(after / before for before, after in widths if before > 0.0)
     return found
 
 
@@ -350,6 +361,7 @@ def summarise(cases: Sequence[Row]) -> dict[str, Any]:
     always = commonest[0][0] if commonest else ""
     sized, left = _with(cases, "parameter_mean"), _with(cases, "true_left")
     known, gaps = _with(sized, "prior_low"), _with(cases, "true_gap")
+    told = _with(cases, "averaged")
     both = [row for row in _with(left, "true_gap") if row["true_gap"] and row["gap_mean"]]
     return {
         "n": len(cases),
@@ -368,6 +380,9 @@ def summarise(cases: Sequence[Row]) -> dict[str, Any]:
         "left_error": _median(abs(row["left_mean"] - row["true_left"]) for row in left),
         "removed": _median(1 - row["left_mean"] / row["gap_mean"] for row in both),
         "true_removed": _median(1 - row["true_left"] / row["true_gap"] for row in both),
+        "alone": Rate(sum(row["alone_inside"] for row in told), sum(row["alone"] for row in told)),
+        "averaged": Rate(sum(row["averaged_inside"] for row in told), sum(row["averaged"] for row in told)),
+        "wider": _median(row["wider"] for row in told),
         "seconds": _median(row["seconds"] for row in _with(cases, "seconds")),
         "constant": {
             "always": always,

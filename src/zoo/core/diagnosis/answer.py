@@ -23,6 +23,7 @@ from zoo.core.diagnosis.discrepancies import (
     discrepancies,
     draw_causes,
     draw_set,
+    estimate_of,
     interval_of,
 )
 from zoo.core.diagnosis.file import (
@@ -227,14 +228,7 @@ def _estimates(found: CauseSets, draws: CauseDraws, own: set[int]) -> list[Estim
         weights.append(one.weights)
         parameters = found.search.origins[i].effect().effect.parameters
     x, w = np.concatenate(values), np.concatenate(weights)
-    estimates = []
-    for p, draws_ in zip(parameters, x.T, strict=True):
-        one_ = interval_of(draws_, w)
-        sd = math.sqrt(float(w @ (draws_ - one_.mean) ** 2 / w.sum()))
-        estimates.append(
-            Estimate(name=p.name, mean=one_.mean, sd=sd, interval=(one_.low, one_.high), unit=p.unit)
-        )
-    return estimates
+    return [estimate_of(p.name, p.unit, draws_, w) for p, draws_ in zip(parameters, x.T, strict=True)]
 
 
 def _share(found: CauseSets, draws: CauseDraws, component: str, group: str) -> Interval:
@@ -446,22 +440,16 @@ def _excluded(excluded: Excluded | None, found: CauseSets, rows: list[int], unit
     )
 
 
-def _parameters(found: CauseSets, draws: CauseDraws) -> dict[str, dict[str, float]]:
-    """Of the baseline: at its best fit, with the leading set, and over all sets; with their sds."""
-    forward = found.search.fitting.forward
-    names = [p.name for p in forward.parameters]
-    n, rows = len(names), {}
+def _parameters(found: CauseSets, draws: CauseDraws) -> dict[str, dict[str, Estimate]]:
+    """Of the baseline: by itself, with the leading set, and over all sets."""
+    of, rows = found.search.fitting.forward.parameters, {}
     alone = [draw_set(found, found.search.fitted, 1.0, np.random.default_rng(0))]
     leading = draws.holding(lambda which: which == found.leader)
     for label, sets in (("base", alone), ("leading set", leading), ("over all sets", draws.sets)):
-        u = np.concatenate([one.values(slice(0, n)) for one in sets])
+        u = np.concatenate([one.values(slice(0, len(of))) for one in sets]).T
         w = np.concatenate([one.weights for one in sets])
-        x = np.stack([np.asarray(p.value(u[:, i])) for i, p in enumerate(forward.parameters)], axis=1)
-        mean = w @ x / w.sum()
-        sd = np.sqrt(w @ (x - mean) ** 2 / w.sum())
-        rows[label] = dict(zip(names, mean.tolist(), strict=True)) | {
-            f"{name} sd": float(s) for name, s in zip(names, sd, strict=True)
-        }
+        pairs = zip(of, u, strict=True)
+        rows[label] = {p.name: estimate_of(p.name, p.unit, np.asarray(p.value(x)), w) for p, x in pairs}
     return rows
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,12 +18,13 @@ from zoo.core import digests
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import answer
 from zoo.core.diagnosis.bounds import Excluded, freed
-from zoo.core.diagnosis.discrepancies import CauseDraws, Discrepancy, interval_of
+from zoo.core.diagnosis.discrepancies import CauseDraws, Discrepancy, estimate_of, interval_of
 from zoo.core.diagnosis.file import (
     CauseResult,
     ComponentResult,
     DiagnosisError,
     DiagnosisFile,
+    Estimate,
     SetResult,
     Where,
 )
@@ -198,6 +199,33 @@ class Diagnosis:
             [(*at, band.mean, band.low, band.high) for at, band in bands.items()],
             columns=["series", "time", "mean", "low", "high"],
         )
+
+    def estimate(self, quantity: Callable[[Mapping[str, float]], float], unit: str = "1") -> Estimate:
+        """Estimate a quantity that the baseline's parameters give, over all solved sets of causes.
+
+        Parameters
+        ----------
+        quantity : callable
+            ``quantity(parameters)`` of a dict with a value for each parameter, such as
+            ``lambda p: p["psi1"] + p["psi2"]``.
+        unit : str
+
+        Returns
+        -------
+        Estimate
+            Mean, standard deviation and 95 % interval.
+
+        See Also
+        --------
+        predict : for what the simulator computes, anywhere.
+        """
+        of = self.sets.search.fitting.forward.parameters
+        u = np.concatenate([one.values(slice(0, len(of))) for one in self.draws.sets])
+        draws = [
+            float(quantity({p.name: float(p.value(x)) for p, x in zip(of, row, strict=True)})) for row in u
+        ]
+        weights = np.concatenate([one.weights for one in self.draws.sets])
+        return estimate_of(getattr(quantity, "__name__", "quantity"), unit, np.array(draws), weights)
 
     def with_posteriors(
         self,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from zoo.core.diagnosis.file import Interval
+from zoo.core.diagnosis.file import Estimate, Interval
 from zoo.core.diagnosis.sets import CauseSets
 from zoo.core.diagnosis.solved import SIZE_PRIORS, SolvedSet, Which
 
@@ -27,6 +27,13 @@ def interval_of(draws: Array, weights: Array) -> Interval:
     total = np.cumsum(weights[order])
     low, high = np.interp(INTERVAL, (total - 0.5 * weights[order]) / total[-1], draws[order])
     return Interval(mean=float(weights @ draws / weights.sum()), low=float(low), high=float(high))
+
+
+def estimate_of(name: str, unit: str, draws: Array, weights: Array) -> Estimate:
+    """A parameter of weighted draws (n,)."""
+    one = interval_of(draws, weights)
+    sd = float(np.sqrt(weights @ (draws - one.mean) ** 2 / weights.sum()))
+    return Estimate(name=name, mean=one.mean, sd=sd, interval=(one.low, one.high), unit=unit)
 
 
 @dataclass(frozen=True, eq=False)

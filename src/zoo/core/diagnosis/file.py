@@ -23,7 +23,7 @@ from pydantic import (
 from zoo.core import digests
 from zoo.core.words import OneLineError, span, unit_words
 
-FORMAT = 3
+FORMAT = 4
 OF_CAUSES = ("causes", "names", "components")
 """Fields of a set that are of its causes."""
 LINES = 20
@@ -176,7 +176,7 @@ class Where(_Part):
 
 
 class Estimate(_Part):
-    """A parameter of an effect: mean, standard deviation and 95 % interval of one distribution."""
+    """A parameter: mean, standard deviation and 95 % interval of one distribution."""
 
     name: str
     mean: float
@@ -357,7 +357,7 @@ class DiagnosisFile(_Part):
     Every probability of causes and components is a sum over `sets`.
     """
 
-    format: Literal[3] = 3
+    format: Literal[4] = 4
     study: str
     study_checksum: str
     base: str
@@ -380,7 +380,7 @@ class DiagnosisFile(_Part):
     states: list[StateFile] = []
     failed: list[str] = []
     next_measurement: NextMeasurement | None = None
-    base_parameters: dict[str, dict[str, float]]
+    base_parameters: dict[str, dict[str, Estimate]]
     labels: dict[str, tuple[str, str]] = {}
     posteriors: dict[str, Any] | None = None
     record: dict[str, Any]

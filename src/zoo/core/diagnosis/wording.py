@@ -202,16 +202,16 @@ def _parameters(file: DiagnosisFile) -> str:
         return ""
     rows = file.base_parameters
     before, after = rows["base"], rows.get("leading set", rows["over all sets"])
-    names = [name for name in before if f"{name} sd" in before and before[f"{name} sd"] > 0.0]
-    shift = {name: abs(after[name] - before[name]) / before[f"{name} sd"] for name in names}
-    moved = sorted((name for name in names if shift[name] >= MOVED), key=lambda name: -shift[name])[:NAMED]
-    told = []
-    for name in moved:
-        label, unit = file.labels.get(name, (name, "1"))
-        told.append(f"{label} {digits(before[name], 3)} → {estimate(after[name], after[f'{name} sd'], unit)}")
-    if not told:
+    told = {name: one for name, one in before.items() if one.sd > 0.0}
+    shift = {name: abs(after[name].mean - one.mean) / one.sd for name, one in told.items()}
+    moved = sorted((name for name in shift if shift[name] >= MOVED), key=lambda name: -shift[name])[:NAMED]
+    if not moved:
         return "Parameters of the baseline: none moves by more than its standard deviation"
-    return f"Parameters of the baseline, before → with it: {', '.join(told)}"
+    texts = []
+    for name in moved:
+        (label, unit), one = file.labels.get(name, (name, "1")), after[name]
+        texts.append(f"{label} {digits(before[name].mean, 3)} → {estimate(one.mean, one.sd, unit)}")
+    return f"Parameters of the baseline, before → with it: {', '.join(texts)}"
 
 
 def _sensitivity(file: DiagnosisFile) -> str:
