@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from benchmarks.nature import CASES, GROUPS, DataError, __doc__, data_file, durance, list_digest, pig_aorta
-from benchmarks.nature.falling_balls import diagnose_ball, read_drops
+from benchmarks.nature.falling_balls import diagnose_air, diagnose_ball, read_drops
 
 from zoo.core.diagnosis import Diagnosis
 
@@ -19,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--lists", action="store_true", help="SHA-256 of the lists of rivals, and nothing else"
     )
     parser.add_argument(
-        "--cases", nargs="+", default=("falling-balls", "durance", "pig-aorta"), help="these only"
+        "--cases", nargs="+", default=("falling-balls", "air", "durance", "pig-aorta"), help="these only"
     )
     parser.add_argument("--balls", nargs="+", help="these only")
     asked = parser.parse_args(arguments)
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for case in CASES:
             print(case, list_digest(case))
         return
-    rows = {"falling-balls": balls, "durance": river, "pig-aorta": pig}
+    rows = {"falling-balls": balls, "air": air, "durance": river, "pig-aorta": pig}
     try:
         for name in asked.cases:
             rows[name](asked)
@@ -68,6 +68,27 @@ def balls(asked: argparse.Namespace) -> None:
         found = diagnose_ball(*dropped[ball])
         told = known.get(ball, "open")
         print(_row(found, ball, told, "drag"), flush=True)
+
+
+def air(asked: argparse.Namespace) -> None:
+    """What the air does to the balls that it is known to slow down, as a function of speed and as a law."""
+    known, dropped = CASES["falling-balls"]["known"], read_drops(data_file("falling-balls"))
+    laws = ("power", "saturation", "threshold", "sine", "sign")
+    print(
+        f"| ball | exponent | {' | '.join(laws)} | m before | m after | second drop, m |\n|---{'|---' * 9}|"
+    )
+    for ball in (one for one in dropped if known.get(one) == "drag"):
+        found = diagnose_air(*dropped[ball])
+        of = {law.name: law for law in found.components[0].functions[0].laws}
+        low, high = of["power"].interval or (0.0, 0.0)
+        [state] = found.file.states
+        told = " | ".join(f"{of[name].probability:.0%}, leaves {of[name].left:.0%}" for name in laws)
+        print(
+            f"| {ball} | {of['power'].value:.2f} ({low:.2f} to {high:.2f}) | {told} | "
+            f"{found.file.gap.before:.2f} | {found.file.gap.after:.3f} | "
+            f"{state.baseline.mean:.2f} -> {state.carried[0].error.mean:.3f} |",
+            flush=True,
+        )
 
 
 def river(asked: argparse.Namespace) -> None:

@@ -49,6 +49,8 @@ def _pull(c: Parameters, t: float, v: float) -> float:
     pull = -GRAVITY * (1.0 - a) / (1.0 + 0.5 * a)
     if c.get("slow_release", 0.0) > 0.0:
         pull *= 1.0 - np.exp(-t / c["slow_release"])
+    if "air" in c:
+        pull -= float(c["air"](abs(v))) * np.sign(v)
     pull -= c.get("linear", 0.0) * v + c.get("quadratic", 0.0) * abs(v) * v
     pull += c.get("gust", 0.0) * np.exp(-0.5 * ((t - c.get("gust_at", 1.0)) / 0.2) ** 2)
     return float(pull + c.get("spin", 0.0) * abs(v) * np.sin(2.0 * np.pi * t))
@@ -101,6 +103,16 @@ def read_drops(path: Path) -> dict[str, list[tuple[Array, Array]]]:
         t, h = part["time_s"].to_numpy(), part["height_m"].to_numpy()
         drops.setdefault(ball, []).append((np.linspace(t[0], t[-1], len(t)), h))
     return drops
+
+
+AIR = zoo.free_function("air", along="speed", size=5.0, unit="m/s2", along_unit="m/s")
+"""What the air does, a function of speed alone: half of the weight of a ball near its terminal speed."""
+
+
+def diagnose_air(first: tuple[Array, Array], second: tuple[Array, Array] | None = None) -> Diagnosis:
+    """As `diagnose_ball`, with a free function of speed as the only rival."""
+    held_out = None if second is None else {"second drop": (*second, fall)}
+    return zoo.diagnose(*first, fall, PRIORS, [AIR], labels=["height"], units=["m"], held_out=held_out)
 
 
 def diagnose_ball(first: tuple[Array, Array], second: tuple[Array, Array] | None = None) -> Diagnosis:

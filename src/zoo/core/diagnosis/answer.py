@@ -45,6 +45,7 @@ from zoo.core.diagnosis.file import (
 )
 from zoo.core.diagnosis.heldout import hold_out
 from zoo.core.diagnosis.hooks import Hooks
+from zoo.core.diagnosis.laws import simple_laws
 from zoo.core.diagnosis.sets import CauseSets
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Which
 from zoo.core.diagnosis.wording import worded
@@ -300,6 +301,7 @@ def _learned(found: CauseSets, p: dict[Which, float], one: SetDraws, index: int)
     part = one.solved.places(found.search.origins)[index]
     values = one.x[:, part] @ (f.size * f.root(origin.length)).T
     low, high = np.quantile(values, (0.025, 0.975), axis=0)
+    free = [i for i in one.solved.order if found.search.origins[i].added is None]
     return LearnedFunction(
         name=f.name,
         argument=f.argument,
@@ -316,6 +318,7 @@ def _learned(found: CauseSets, p: dict[Which, float], one: SetDraws, index: int)
         prior_size=f.size,
         length=origin.length,
         probability=_holding(found, p, {cause.name}, "name"),
+        laws=simple_laws(f, origin.length, one.solved.evidence, free.index(index)),
     )
 
 

@@ -221,6 +221,21 @@ class CauseResult(_Part):
     estimates: list[Estimate] = []
 
 
+class Law(_Part):
+    """A simple law in the place of a learned function, with its probability among those tried.
+
+    `left` is what it leaves of what the function does, in parts of its rms. Its shape has a name, such as
+    "exponent", a value and a 95 % interval; a sign has none.
+    """
+
+    name: str
+    shape: str = ""
+    value: float | None = None
+    interval: tuple[float, float] | None = None
+    left: float
+    probability: Probability
+
+
 class LearnedFunction(_Part):
     """A function that a component lacks, as learned: values of its argument, mean and 95 % band there."""
 
@@ -239,6 +254,7 @@ class LearnedFunction(_Part):
     prior_size: float
     length: float | None = None
     probability: Probability
+    laws: list[Law] = []
 
     @property
     def largest(self) -> tuple[str, str]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from zoo.core.diagnosis.cautions import WRONG, changed_by_priors
-from zoo.core.diagnosis.file import DiagnosisFile, Estimate, StateFile
+from zoo.core.diagnosis.file import DiagnosisFile, Estimate, LearnedFunction, StateFile
 from zoo.core.effects import Location
 from zoo.core.words import digits, estimate, listed, percent, span, unit_words
 
@@ -214,6 +214,22 @@ def _parameters(file: DiagnosisFile) -> str:
     return f"Parameters of the baseline, before → with it: {', '.join(texts)}"
 
 
+def _laws(file: DiagnosisFile) -> str:
+    leader = _leader(file)
+    return "; ".join(_law(f) for c in file.components for f in c.functions if f.name in leader and f.laws)
+
+
+def _law(f: LearnedFunction) -> str:
+    best, second, *_ = f.laws
+    of, shape = f.argument.removeprefix("log "), ""
+    if best.value is not None and best.interval is not None:
+        unit = "" if best.shape == "exponent" else unit_words(f.argument_unit)
+        shape = f", {best.shape} {span(best.value, best.interval)}{unit}"
+    odds = f"{_chance(best.probability, 0)}; {second.name} {_chance(second.probability, 0)}"
+    name, left = f.name.replace("-", " "), f"leaving {percent(best.left)} of it"
+    return f"Of five simple laws, {name} is most like a {best.name} of the {of}{shape} ({odds}), {left}"
+
+
 def _sensitivity(file: DiagnosisFile) -> str:
     stated, *others = file.sensitivity
     varied = f"Priors varied in {len(others)} ways"
@@ -288,6 +304,6 @@ def _state(state: StateFile, components: set[str]) -> str:
 
 
 SENTENCES = (
-    _runner_up, _further, _components, _alike, _error, _held_out, _parameters, _sensitivity, _next,
+    _runner_up, _further, _components, _alike, _error, _held_out, _laws, _parameters, _sensitivity, _next,
     _unverified,
 )  # fmt: skip
