@@ -143,7 +143,10 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
 def _beyond_priors(found: CauseSets) -> list[str]:
     """Parameters of the baseline that its fit, or the leading set, takes far outside their priors."""
     told: dict[str, str] = {}
-    for name, one in (("the baseline alone", found.search.fitted), (None, found.solved[found.leader])):
+    for name, one in (
+        ("the baseline fitted as if nothing were missing", found.search.fitted),
+        (None, found.solved[found.leader]),
+    ):
         forward = one.forward
         for p, x in zip(forward.parameters[: forward.n_base], forward.theta(one.point.u), strict=False):
             if p.name in told or p.parameter.prior.depends_on:
