@@ -724,7 +724,7 @@ def test_a_start_that_is_the_truth_is_not_missed(name: str, true: float) -> None
 def test_a_parameter_far_outside_its_prior_is_named() -> None:
     found = told(wave(a=4.2), SWING, [])
     assert any(
-        re.match(r"with the baseline fitted as if nothing were missing, a = 4.\d* is far outside its prior", w)
+        re.search(r"as if nothing were missing, a = 4.\d* is far outside its prior", w)
         for w in found.file.warnings
     )
     assert not any("outside its prior" in w for w in told(wave(a=3.0), SWING, []).file.warnings)
