@@ -22,6 +22,8 @@ UNVERIFIED = 0.005
 """Probability of sets that were not solved, from which on it is stated."""
 VISITED = 0.1
 """Part of a state's range that the study does not visit, from which on it is stated."""
+UNLIKE = 0.3
+"""Part of a learned function that a simple law leaves, from which on it is not said to be like it."""
 MILLI = 0.1
 """Time in s below which an estimate is in ms."""
 
@@ -226,8 +228,11 @@ def _law(f: LearnedFunction) -> str:
         unit = "" if best.shape == "exponent" else unit_words(f.argument_unit)
         shape = f", {best.shape} {span(best.value, best.interval)}{unit}"
     odds = f"{_chance(best.probability, 0)}; {second.name} {_chance(second.probability, 0)}"
-    name, left = f.name.replace("-", " "), f"leaving {percent(best.left)} of it"
-    return f"Of five simple laws, {name} is most like a {best.name} of the {of}{shape} ({odds}), {left}"
+    name, left = f.name.replace("-", " "), percent(best.left)
+    if best.left > UNLIKE:
+        return f"None of five simple laws is like {name}: a {best.name} of the {of} leaves {left} of it"
+    law = f"a {best.name} of the {of}{shape}"
+    return f"Of five simple laws, {name} is most like {law} ({odds}), leaving {left} of it"
 
 
 def _sensitivity(file: DiagnosisFile) -> str:
