@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from benchmarks.nature import CASES, GROUPS, DataError, __doc__, data_file, durance, list_digest, pig_aorta
 from benchmarks.nature.falling_balls import diagnose_air, diagnose_ball, read_drops
+from matplotlib.figure import Figure
 
 from zoo.core.diagnosis import Diagnosis
+from zoo.core.diagnosis.states import BASELINE, SEEN
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -22,6 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--cases", nargs="+", default=("falling-balls", "air", "durance", "pig-aorta"), help="these only"
     )
     parser.add_argument("--balls", nargs="+", help="these only")
+    parser.add_argument("--figures", type=Path, help="a folder for a figure of each case")
     asked = parser.parse_args(arguments)
     if asked.lists:
         for case in CASES:
@@ -53,6 +57,29 @@ def _row(found: Diagnosis, name: str, known: str, asked: str) -> str:
     )
 
 
+def draw(found: Diagnosis, path: Path | None) -> None:
+    """The record that was fitted and one that was not, by the base and with the leading causes."""
+    if path is None:
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    state, data = found.states[0], found.data
+    leader = set(next(row.components for row in found.file.sets if row.causes == found.cause))
+    fixed = next((k for k, one in enumerate(state.file.carried) if set(one.names) == leader), 0)
+    learned = [name for name in state.computed if name not in (BASELINE, SEEN)][fixed]
+    pairs = [
+        (f"{data.labels[0]}, fitted", data, *found.computed),
+        (f"{state.file.state}, not fitted", state.data, state.computed[BASELINE], state.computed[learned]),
+    ]
+    figure = Figure(figsize=(8.0, 3.0), layout="constrained")
+    for axes, (title, seen, base, best) in zip(figure.subplots(1, 2), pairs, strict=True):
+        axes.plot(seen.times, seen.values[0], ".", color="#888888", ms=3, label="measured")
+        axes.plot(seen.times, base[0], color="#C2410C", lw=1.2, label="base")
+        axes.plot(seen.times, best[0], color="#1D4ED8", lw=1.2, label=f"with {' + '.join(found.cause)}")
+        axes.set(title=title, xlabel=f"time ({seen.time_unit or 's'})", ylabel=data.units[0])
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
+    figure.savefig(path, dpi=80)
+
+
 HEAD = (
     "| {} | known | {} | first three | nothing | {} before | {} after | {} | decided | solves | "
     "s |\n|---|---|---|---|---|---|---|---|---|---|---|"
@@ -68,6 +95,7 @@ def balls(asked: argparse.Namespace) -> None:
         found = diagnose_ball(*dropped[ball])
         told = known.get(ball, "open")
         print(_row(found, ball, told, "drag"), flush=True)
+        draw(found, asked.figures and asked.figures / f"nature-{ball}.png")
 
 
 def air(asked: argparse.Namespace) -> None:
@@ -98,6 +126,7 @@ def river(asked: argparse.Namespace) -> None:
     print(HEAD.format("river", "snow", "mm/d", "mm/d", "second half, mm/d"))
     print(_row(found, "Durance", "snow", "snow"))
     durance.tell_held_out(catchment, found)
+    draw(found, asked.figures and asked.figures / "nature-durance.png")
 
 
 def pig(asked: argparse.Namespace) -> None:
@@ -105,6 +134,7 @@ def pig(asked: argparse.Namespace) -> None:
     found = pig_aorta.diagnose_pig(data_file("pig-aorta").parent)
     print(HEAD.format("pig", "timing", "mmHg", "mmHg", "record 2, mmHg"))
     print(_row(found, "aorta", "timing", "timing"))
+    draw(found, asked.figures and asked.figures / "nature-pig-aorta.png")
     for cause in found.causes:
         if cause.name in GROUPS["timing"] and cause.estimates:
             shift = cause.estimates[0]
