@@ -27,13 +27,19 @@ CURVE = {
     "prior_sd": [1.0, 1.0, 1.0],
     "prior_size": 1.0,
     "probability": 0.7,
+    "laws": [
+        {"name": "power", "shape": "exponent", "value": 2.0, "interval": (1.8, 2.2), "left": 0.05}
+        | {"probability": 0.9}
+    ],
 }
+LAW = "power of the stretch, exponent 2 (1.8 to 2.2); leaves 5 %"
 PLACES = CURVE | {
     "name": "log-radius",
     "argument": "vessel",
     "labels": ["1", "2", "7"],
     "unit": "1",
     "probability": 0.1,
+    "laws": [],
 }
 
 
@@ -56,8 +62,8 @@ def test_learned_functions_are_on_the_page(found: Diagnosis, tmp_path: Path) -> 
     assert {p.name for p in written} | {"states.png"} == set(report.diagnosis_files())
     rows = table_of(read(tmp_path / "report.html"), "Learned functions")
     assert rows == [
-        ["log radius", "geometry", "10 %", "7", "0.5 (0.3 to 0.7)", "1"],
-        ["tube law", "wall", "70 %", "1.2", "0.5 (0.3 to 0.7) mmHg", "1 mmHg"],
+        ["log radius", "geometry", "10 %", "7", "0.5 (0.3 to 0.7)", "1", ""],
+        ["tube law", "wall", "70 %", "1.2", "0.5 (0.3 to 0.7) mmHg", "1 mmHg", LAW],
     ]
 
 

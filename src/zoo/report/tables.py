@@ -151,11 +151,12 @@ def functions_table(file: DiagnosisFile) -> Table:
             percent(f.probability),
             *f.largest,
             size_words(f.prior_size, f.unit),
+            f"{f.law}; leaves {percent(f.laws[0].left)}" if f.laws else "",
         ]
 
     return Table(
         "learned functions",
-        ("function", "component", "probability", "largest at", "value", "prior size"),
+        ("function", "component", "probability", "largest at", "value", "prior size", "nearest simple law"),
         ("probability", "value", "prior size"),
         [cells(c.name, f) for c in file.components for f in c.functions if f.probability >= TOLD],
     )

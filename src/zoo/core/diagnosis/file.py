@@ -257,6 +257,17 @@ class LearnedFunction(_Part):
     laws: list[Law] = []
 
     @property
+    def law(self) -> str:
+        """The most probable simple law, such as "power of the speed, exponent 2 (1.9 to 2.1)", in words."""
+        if not self.laws:
+            return ""
+        best, text = self.laws[0], f"{self.laws[0].name} of the {self.argument.removeprefix('log ')}"
+        if best.value is None or best.interval is None:
+            return text
+        unit = "" if best.shape == "exponent" else unit_words(self.argument_unit)
+        return f"{text}, {best.shape} {span(best.value, best.interval)}{unit}"
+
+    @property
     def largest(self) -> tuple[str, str]:
         """Where it is largest, and its value there with the 95 % interval, in words.
 

@@ -223,16 +223,11 @@ def _laws(file: DiagnosisFile) -> str:
 
 def _law(f: LearnedFunction) -> str:
     best, second, *_ = f.laws
-    of, shape = f.argument.removeprefix("log "), ""
-    if best.value is not None and best.interval is not None:
-        unit = "" if best.shape == "exponent" else unit_words(f.argument_unit)
-        shape = f", {best.shape} {span(best.value, best.interval)}{unit}"
     odds = f"{_chance(best.probability, 0)}; {second.name} {_chance(second.probability, 0)}"
     name, left = f.name.replace("-", " "), percent(best.left)
     if best.left > UNLIKE:
-        return f"None of five simple laws is like {name}: a {best.name} of the {of} leaves {left} of it"
-    law = f"a {best.name} of the {of}{shape}"
-    return f"Of five simple laws, {name} is most like {law} ({odds}), leaving {left} of it"
+        return f"None of five simple laws is like {name}: a {f.law} leaves {left} of it"
+    return f"Of five simple laws, {name} is most like a {f.law} ({odds}), leaving {left} of it"
 
 
 def _sensitivity(file: DiagnosisFile) -> str:
