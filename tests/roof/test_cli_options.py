@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from zoo.blood.study import load_study
 from zoo.cli import app
-from zoo.cli.command import UsageError, Without, command
+from zoo.cli.command import UsageError, Without, command, option
 from zoo.cli.options import SamplingOptions, StudyOptions
 
 
@@ -94,7 +94,7 @@ def test_a_group_leaves_out_what_a_command_does_not_have() -> None:
 def test_two_options_of_one_name_are_refused() -> None:
     @dataclass
     class Group:
-        seed: Annotated[int, typer.Option("--seed")] = 1
+        seed: int = option(1, "Seed.")
 
     def twice(seed: int = 2, *, group: Group) -> None:
         raise AssertionError

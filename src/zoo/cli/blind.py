@@ -10,8 +10,8 @@ from typing import Annotated
 
 import typer
 
-from zoo.cli.command import FreshOption, Role, UsageError, Without, command
-from zoo.cli.options import DaskOption, JsonOption, PluginOptions, PriorOptions, QuietOption
+from zoo.cli.command import FRESH, Role, UsageError, Without, argument, command, option
+from zoo.cli.options import DASK, JSON, QUIET, PluginOptions, PriorOptions
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file, output_folder
 
@@ -38,49 +38,31 @@ def _name_list(option: str, text: str | None) -> list[str] | None:
 
 @command
 def make(
-    folder: Annotated[Path, typer.Argument(metavar="CASES", help="Folder for the cases."), Role.WRITES],
-    n: Annotated[int, typer.Option("--n", help="Cases."), Role.ASIDE] = 40,
-    key: Annotated[
-        Path, typer.Option("--key", help="File for what is withheld, outside the folder."), Role.WRITES
-    ] = Path("key.json"),
-    secret: Annotated[
-        str | None,
-        typer.Option(
-            "--secret",
-            help="Secret of an older key, to make its cases again; a new one is drawn if absent.",
-            metavar="HEX",
-            show_default=False,
-        ),
+    folder: Path = argument("CASES", "Folder for the cases.", Role.WRITES),
+    n: int = option(40, "Cases.", Role.ASIDE),
+    key: Path = option(Path("key.json"), "File for what is withheld, outside the folder.", Role.WRITES),
+    secret: str | None = option(
+        None,
+        "Secret of an older key, to make its cases again; a new one is drawn if absent.",
         Role.ASIDE,
-    ] = None,
-    effects: Annotated[
-        str | None,
-        typer.Option(
-            "--effects",
-            help="Draw from these, with commas; from all of `zoo effects` if absent.",
-            metavar="NAMES",
-            show_default=False,
-        ),
+        metavar="HEX",
+    ),
+    effects: str | None = option(
+        None,
+        "Draw from these, with commas; from all of `zoo effects` if absent.",
         Role.ASIDE,
-    ] = None,
-    layouts: Annotated[
-        str | None,
-        typer.Option(
-            "--layouts",
-            help="Where sensors are, with commas: MPA, MPA+daughters, MPA+distal, MPA+flow (one daughter), "
-            "MPA+flows (both); all of these if absent.",
-            metavar="NAMES",
-            show_default=False,
-        ),
+        metavar="NAMES",
+    ),
+    layouts: str | None = option(
+        None,
+        "Where sensors are, with commas: MPA, MPA+daughters, MPA+distal, MPA+flow (one daughter), "
+        "MPA+flows (both); all of these if absent.",
         Role.ASIDE,
-    ] = None,
-    networks: Annotated[
-        str,
-        typer.Option("--networks", help="mouse, tree (generated), or both.", metavar="NAMES"),
-        Role.ASIDE,
-    ] = "mouse,tree",
-    cores: Annotated[int, typer.Option("--cores", help="Processes at a time."), Role.ASIDE] = 2,
-    quiet: QuietOption = False,
+        metavar="NAMES",
+    ),
+    networks: str = option("mouse,tree", "mouse, tree (generated), or both.", Role.ASIDE, metavar="NAMES"),
+    cores: int = option(2, "Processes at a time.", Role.ASIDE),
+    quiet: bool = QUIET,
 ) -> None:
     """Write studies with a withheld effect each, or none, and the key apart."""
     from zoo.blood.blind import make_cases
@@ -105,16 +87,14 @@ def make(
 
 @command
 def run(
-    cases: Annotated[Path, typer.Argument(metavar="CASES", help="Folder of studies, without their key.")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for the answers."), Role.WRITES
-    ] = Path("answers"),
-    base: Annotated[str, typer.Option("--base", help="Baseline, as in `zoo diagnose`.")] = "linear-constant",
-    seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 1,
-    cores: Annotated[int, typer.Option("--cores", help="Cases at a time, a process each."), Role.ASIDE] = 2,
-    dask: DaskOption = None,
-    fresh: FreshOption = False,
-    quiet: QuietOption = False,
+    cases: Path = argument("CASES", "Folder of studies, without their key."),
+    output: Path = option(Path("answers"), "Folder for the answers.", "--output", "-o", Role.WRITES),
+    base: str = option("linear-constant", "Baseline, as in `zoo diagnose`."),
+    seed: int = option(1, "Random seed."),
+    cores: int = option(2, "Cases at a time, a process each.", Role.ASIDE),
+    dask: str | None = DASK,
+    fresh: bool = FRESH,
+    quiet: bool = QUIET,
     *,
     priors: PriorOptions,
     plugins: Annotated[PluginOptions, Without("models_from")],
@@ -156,15 +136,10 @@ def run(
 
 @command
 def score(
-    answers: Annotated[Path, typer.Argument(metavar="ANSWERS", help="Folder of `zoo blind run`.")],
-    key: Annotated[
-        Path,
-        typer.Option("--key", help="Key that `zoo blind make` wrote."),
-    ] = Path("key.json"),
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the score."), Role.WRITES] = Path(
-        "score"
-    ),
-    as_json: JsonOption = False,
+    answers: Path = argument("ANSWERS", "Folder of `zoo blind run`."),
+    key: Path = option(Path("key.json"), "Key that `zoo blind make` wrote."),
+    output: Path = option(Path("score"), "Folder for the score.", "--output", "-o", Role.WRITES),
+    as_json: bool = JSON,
 ) -> None:
     """Score answers against their key: score.json, score.md, cases.csv and figures."""
     from zoo.blood.blind import score_cases

@@ -11,7 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, Field, field, fields, is_dataclass
 from enum import Enum, auto
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
@@ -61,12 +61,37 @@ class Role(Enum):
     """With another value it is the same run."""
 
 
-FreshOption = Annotated[
-    bool,
-    typer.Option(
-        "--fresh", help="Begin anew, and replace what zoo wrote there in other runs; nothing else, ever."
-    ),
-]
+REQUIRED: Any = MISSING
+"""In the place of a default: the option must be given."""
+
+
+def option(default: Any, text: str, *said: str | Role, metavar: str | None = None) -> Any:
+    """An option, as the default of a command's parameter or of a field of a group.
+
+    Parameters
+    ----------
+    default : object
+        `REQUIRED` where there is none.
+    text : str
+        What --help says of it.
+    *said : str or Role
+        Its flags, where they are others than --NAME, and its roles.
+    metavar : str, optional
+        What --help calls its value.
+    """
+    return field(
+        default=default, metadata={"kind": typer.Option, "text": text, "said": said, "metavar": metavar}
+    )
+
+
+def argument(metavar: str, text: str, *said: Role, default: Any = REQUIRED) -> Any:
+    """The same for what is given by its place."""
+    return field(
+        default=default, metadata={"kind": typer.Argument, "text": text, "said": said, "metavar": metavar}
+    )
+
+
+FRESH = option(False, "Begin anew, and replace what zoo wrote there in other runs; nothing else, ever.")
 
 
 def typed_command() -> str:
@@ -78,7 +103,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     """A function as a command: its groups of options are spread out, its errors become one line.
 
     A parameter whose type is a dataclass stands for that dataclass's fields, each of which is an option with
-    the field's annotation and default; the function gets the dataclass filled in.
+    the field's type and default; the function gets the dataclass filled in.
 
     A command that writes (`Role`) has an option ``--fresh``, and works within a `zoo.core.outputs.Run` that
     knows all that it reads, so that it loses no file.
@@ -89,7 +114,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     Parameters
     ----------
     function : callable
-        With typer's annotations.
+        Whose parameters are options, arguments and groups.
 
     Returns
     -------
@@ -100,10 +125,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     flags, roles = _flags(parameters), {p.name: get_args(p.annotation)[1:] for p in parameters}
     writes, own = any(Role.WRITES in role for role in roles.values()), "fresh" in roles
     if writes and not own:
-        fresh = inspect.Parameter(
-            "fresh", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=FreshOption
-        )
-        parameters.append(fresh)
+        parameters.append(_parameter("fresh", bool, FRESH))
 
     @functools.wraps(function)
     def run(**given: Any) -> None:
@@ -267,7 +289,9 @@ def _spread(
     for name, parameter in inspect.signature(function).parameters.items():
         group, *extras = get_args(hints[name]) or (hints[name],)
         if not (isinstance(group, type) and is_dataclass(group)):
-            found = [parameter.replace(annotation=hints[name])]
+            given = parameter.default
+            plain = parameter.replace(annotation=hints[name])
+            found = [_parameter(name, hints[name], given) if isinstance(given, Field) else plain]
         else:
             left_out = {option for extra in extras if isinstance(extra, Without) for option in extra.names}
             whole = tuple(extra for extra in extras if isinstance(extra, Role))
@@ -281,14 +305,20 @@ def _spread(
 
 
 def _options(group: type, left_out: set[str], roles: tuple[Role, ...]) -> list[inspect.Parameter]:
-    hints = get_type_hints(group, include_extras=True)
+    hints = get_type_hints(group)
     return [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty if field.default is MISSING else field.default,
-            annotation=Annotated[(hints[field.name], *roles)] if roles else hints[field.name],
-        )
-        for field in fields(group)
-        if field.name not in left_out
+        _parameter(one.name, hints[one.name], one, roles) for one in fields(group) if one.name not in left_out
     ]
+
+
+def _parameter(name: str, kind: Any, given: Field[Any], roles: tuple[Role, ...] = ()) -> inspect.Parameter:
+    """A parameter as typer reads it, with its roles behind what typer knows of it."""
+    told, said = given.metadata, given.metadata["said"]
+    flags = [one for one in said if isinstance(one, str)]
+    if told["kind"] is typer.Option and not flags:
+        flags = [f"--{name.replace('_', '-')}"]
+    known = told["kind"](*flags, help=told["text"], metavar=told["metavar"])
+    roles = *(one for one in said if isinstance(one, Role)), *roles
+    default = inspect.Parameter.empty if given.default is REQUIRED else given.default
+    annotation = Annotated[(kind, known, *roles)]
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from zoo.cli.checks import at_least, different_models
-from zoo.cli.command import GATE, FreshOption, Role, UsageError, Without, command
-from zoo.cli.options import PluginOptions, SamplingOptions, StrictOption, StudyOptions
+from zoo.cli.command import FRESH, GATE, Role, UsageError, Without, argument, command, option
+from zoo.cli.options import STRICT, PluginOptions, SamplingOptions, StudyOptions
 from zoo.cli.sample import build_model, sample_with_checkpoint
 from zoo.cli.screen import complain, plain_table, say
 from zoo.core.outputs import output_file, output_folder, write_file
@@ -25,60 +25,36 @@ if TYPE_CHECKING:
 
 @command
 def compare(
-    studies: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="STUDY...", help="Built-in studies (see `zoo studies`) or folders; a table each."
-        ),
-        Role.STUDY,
-    ],
-    models: Annotated[
-        str, typer.Option("--models", help="With commas, such as A,B or B,B+viscoelastic-wall."), Role.ASIDE
-    ] = "A,B",
-    posteriors: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--posteriors",
-            help="A file, or a folder of files, from `zoo sample`; may be repeated. A.nc or A-STUDY.nc and "
-            "so on in the working directory are found without.",
-        ),
+    studies: list[str] = argument(
+        "STUDY...", "Built-in studies (see `zoo studies`) or folders; a table each.", Role.STUDY
+    ),
+    models: str = option("A,B", "With commas, such as A,B or B,B+viscoelastic-wall.", Role.ASIDE),
+    posteriors: list[Path] | None = option(
+        None,
+        "A file, or a folder of files, from `zoo sample`; may be repeated. A.nc or A-STUDY.nc and "
+        "so on in the working directory are found without.",
         Role.SEARCHED,
         Role.ASIDE,
-    ] = None,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for table and figures."), Role.WRITES
-    ] = Path("comparison"),
-    criterion: Annotated[
-        Literal["waic", "loo"], typer.Option("--ic", help="Criterion to rank by: waic or loo."), Role.ASIDE
-    ] = "waic",
-    n_draws: Annotated[
-        int, typer.Option("--n-draws", help="Draws of each posterior that are scored."), Role.ASIDE
-    ] = 1000,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures."), Role.ASIDE] = True,
-    json: Annotated[
-        Path | None, typer.Option("--json", help="File for all numbers, to be a --baseline."), Role.WRITES
-    ] = None,
-    markdown: Annotated[
-        Path | None, typer.Option("--markdown", help="File for a summary of one screen."), Role.WRITES
-    ] = None,
-    junit: Annotated[
-        Path | None, typer.Option("--junit", help="File for the gates as CI systems read tests."), Role.WRITES
-    ] = None,
-    baseline: Annotated[
-        Path | None, typer.Option("--baseline", help="An earlier file of --json to compare with."), Role.ASIDE
-    ] = None,
-    fail_if: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--fail-if",
-            help="End with exit code 3 if this is so of a model, such as converged=no, 'ess_min < 400' or "
-            "'waic > baseline + 2 se'; may be given several times.",
-            metavar="GATE",
-        ),
+    ),
+    output: Path = option(Path("comparison"), "Folder for table and figures.", "--output", "-o", Role.WRITES),
+    criterion: Literal["waic", "loo"] = option(
+        "waic", "Criterion to rank by: waic or loo.", "--ic", Role.ASIDE
+    ),
+    n_draws: int = option(1000, "Draws of each posterior that are scored.", Role.ASIDE),
+    figures: bool = option(True, "Draw figures.", "--figures/--no-figures", Role.ASIDE),
+    json: Path | None = option(None, "File for all numbers, to be a --baseline.", Role.WRITES),
+    markdown: Path | None = option(None, "File for a summary of one screen.", Role.WRITES),
+    junit: Path | None = option(None, "File for the gates as CI systems read tests.", Role.WRITES),
+    baseline: Path | None = option(None, "An earlier file of --json to compare with.", Role.ASIDE),
+    fail_if: list[str] | None = option(
+        None,
+        "End with exit code 3 if this is so of a model, such as converged=no, 'ess_min < 400' or "
+        "'waic > baseline + 2 se'; may be given several times.",
         Role.ASIDE,
-    ] = None,
-    strict: StrictOption = False,
-    fresh: FreshOption = False,
+        metavar="GATE",
+    ),
+    strict: bool = STRICT,
+    fresh: bool = FRESH,
     *,
     sampling: Annotated[SamplingOptions, Without("thin"), Role.ASIDE],
     options: StudyOptions,

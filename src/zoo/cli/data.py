@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
-import typer
-
-from zoo.cli.command import command
-from zoo.cli.options import JsonOption
+from zoo.cli.command import argument, command
+from zoo.cli.options import JSON
 from zoo.cli.screen import plain_table, say, say_json
 
 
 @command
-def fetch(name: Annotated[str, typer.Argument(metavar="NAME", help="Data set, such as mouse-c6.")]) -> None:
+def fetch(name: str = argument("NAME", "Data set, such as mouse-c6.")) -> None:
     """Get measured data: from ZOO_DATA_DIR, this user's cache or the public source, checked by SHA-256."""
     from zoo.blood.fetch import fetch_dataset
 
@@ -22,10 +20,8 @@ def fetch(name: Annotated[str, typer.Argument(metavar="NAME", help="Data set, su
 
 @command
 def studies(
-    folders: Annotated[
-        list[str] | None, typer.Argument(metavar="[STUDY]...", help="Studies of your own, to be checked.")
-    ] = None,
-    as_json: JsonOption = False,
+    folders: list[str] | None = argument("[STUDY]...", "Studies of your own, to be checked.", default=None),
+    as_json: bool = JSON,
 ) -> None:
     """List the built-in studies, or read some of your own and say what they hold and what is odd in them."""
     from zoo.blood.fetch import FetchError
@@ -62,7 +58,7 @@ def studies(
 
 
 @command
-def version(as_json: JsonOption = False) -> None:
+def version(as_json: bool = JSON) -> None:
     """Versions of this package and of the libraries that shape the draws."""
     from zoo.core.inference.record import versions
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zoo.cli.checks import at_least
-from zoo.cli.command import GATE, Role, UsageError, Without, command, typed_command
-from zoo.cli.options import JsonOption, PluginOptions, QuietOption, StudyArgument, StudyOptions
+from zoo.cli.command import GATE, Role, UsageError, Without, command, option, typed_command
+from zoo.cli.options import JSON, QUIET, STUDY, PluginOptions, StudyOptions
 from zoo.cli.screen import complain, plain_table, say
 from zoo.core.outputs import output_folder
 from zoo.core.words import nearest, percent
@@ -33,68 +33,48 @@ LEADING, PROBABLE = 5, 0.05
 
 @command
 def diagnose(
-    study: StudyArgument,
-    base: Annotated[
-        str,
-        typer.Option(
-            "--base",
-            help="Baseline: linear-constant, linear-radius, tangent-constant, tangent-radius, or a model "
-            "with that structure: A to I.",
-        ),
-    ] = "linear-constant",
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for page, figures and diagnosis.json."), Role.WRITES
-    ] = Path("gap"),
-    posteriors: Annotated[
-        bool,
-        typer.Option("--posteriors", help="Sample the posteriors of the leading sets of effects too."),
-        Role.ASIDE,
-    ] = False,
-    check: Annotated[
-        bool,
-        typer.Option("--check", help="Check the evidence of the leading sets by solves around their modes."),
-        Role.ASIDE,
-    ] = False,
-    effects: Annotated[
-        str | None,
-        typer.Option(
-            "--effects",
-            help="Only these, with commas; all of `zoo effects` that fit the baseline if absent.",
-            metavar="NAMES",
-        ),
-    ] = None,
-    component_sizes: Annotated[
-        float,
-        typer.Option(
-            "--component-sizes",
-            help="Factor of the prior sizes of what components may lack: try 0.5 and 2; 0 leaves them out.",
-            metavar="FACTOR",
-        ),
-    ] = 1.0,
-    states: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--state",
-            help="Study of the same tree in another state, such as at another heart rate, in which what was "
-            "learned is checked; may be given several times.",
-            metavar="STUDY",
-        ),
+    study: str = STUDY,
+    base: str = option(
+        "linear-constant",
+        "Baseline: linear-constant, linear-radius, tangent-constant, tangent-radius, or a model "
+        "with that structure: A to I.",
+    ),
+    output: Path = option(
+        Path("gap"), "Folder for page, figures and diagnosis.json.", "--output", "-o", Role.WRITES
+    ),
+    posteriors: bool = option(False, "Sample the posteriors of the leading sets of effects too.", Role.ASIDE),
+    check: bool = option(
+        False, "Check the evidence of the leading sets by solves around their modes.", Role.ASIDE
+    ),
+    effects: str | None = option(
+        None,
+        "Only these, with commas; all of `zoo effects` that fit the baseline if absent.",
+        metavar="NAMES",
+    ),
+    component_sizes: float = option(
+        1.0,
+        "Factor of the prior sizes of what components may lack: try 0.5 and 2; 0 leaves them out.",
+        metavar="FACTOR",
+    ),
+    states: list[str] | None = option(
+        None,
+        "Study of the same tree in another state, such as at another heart rate, in which what was "
+        "learned is checked; may be given several times.",
+        "--state",
         Role.STUDY,
-    ] = None,
-    expect: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--expect",
-            help="End with exit code 3 unless the answer is decided and this cause or component, or "
-            "`nothing`, has more than 50 %; may be given several times.",
-            metavar="NAME",
-        ),
+        metavar="STUDY",
+    ),
+    expect: list[str] | None = option(
+        None,
+        "End with exit code 3 unless the answer is decided and this cause or component, or "
+        "`nothing`, has more than 50 %; may be given several times.",
         Role.ASIDE,
-    ] = None,
-    cores: Annotated[int, typer.Option("--cores", help="Threads and processes at a time."), Role.ASIDE] = 2,
-    seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 1,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
+        metavar="NAME",
+    ),
+    cores: int = option(2, "Threads and processes at a time.", Role.ASIDE),
+    seed: int = option(1, "Random seed."),
+    as_json: bool = JSON,
+    quiet: bool = QUIET,
     *,
     options: StudyOptions,
     plugins: Annotated[PluginOptions, Without("models_from")],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from zoo.cli.command import command
-from zoo.cli.options import JsonOption
+from zoo.cli.options import JSON
 from zoo.cli.screen import plain_table, say, say_json
 
 SOLVES = 20
@@ -13,7 +13,7 @@ SOLVES = 20
 
 
 @command
-def doctor(as_json: JsonOption = False) -> None:
+def doctor(as_json: bool = JSON) -> None:
     """Show compiler, BLAS, versions, cores, data and the time of a solve, and what is missing of these."""
     found = examine()
     if as_json:

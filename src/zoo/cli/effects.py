@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from zoo.cli.command import Without, command
-from zoo.cli.options import JsonOption, PluginOptions
+from zoo.cli.command import Without, argument, command
+from zoo.cli.options import JSON, PluginOptions
 from zoo.cli.screen import plain_table, say, say_json
 
 if TYPE_CHECKING:
@@ -25,10 +23,8 @@ LOCATION_WORDS = {
 
 @command
 def effects(
-    name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="One effect, such as viscoelastic-wall.")
-    ] = None,
-    as_json: JsonOption = False,
+    name: str | None = argument("[NAME]", "One effect, such as viscoelastic-wall.", default=None),
+    as_json: bool = JSON,
     *,
     plugins: Annotated[PluginOptions, Without("models_from")],
 ) -> None:

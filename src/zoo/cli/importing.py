@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
-
-from zoo.cli.command import Role, UsageError, command
+from zoo.cli.command import REQUIRED, Role, UsageError, argument, command, option
 from zoo.cli.screen import say
 from zoo.core.outputs import output_folder
 
@@ -23,36 +21,23 @@ FILES = (
 class TableOptions:
     """What a table of vessels does not say itself."""
 
-    inflow: Annotated[
-        Path | None, typer.Option("--inflow", help="Inflow of a .csv: columns time_s, flow_ml_s.")
-    ] = None
-    period_s: Annotated[
-        float | None, typer.Option("--period", help="Length of the beat of a .csv, s.", metavar="S")
-    ] = None
-    observations: Annotated[
-        Path | None, typer.Option("--observations", help="Observations of a .csv, as a study has them.")
-    ] = None
-    density_g_cm3: Annotated[
-        float | None, typer.Option("--density", help="Density of blood, for a .csv; 1.06 g/cm3.")
-    ] = None
-    viscosity_g_cm_s: Annotated[
-        float | None, typer.Option("--viscosity", help="Viscosity of blood, for a .csv; 0.04 g/(cm s).")
-    ] = None
-    velocity_profile_order: Annotated[
-        float | None,
-        typer.Option(
-            "--profile-order", help="Order of the velocity profile, for a .csv; a flat one without it."
-        ),
-    ] = None
+    inflow: Path | None = option(None, "Inflow of a .csv: columns time_s, flow_ml_s.")
+    period_s: float | None = option(None, "Length of the beat of a .csv, s.", "--period", metavar="S")
+    observations: Path | None = option(None, "Observations of a .csv, as a study has them.")
+    density_g_cm3: float | None = option(None, "Density of blood, for a .csv; 1.06 g/cm3.", "--density")
+    viscosity_g_cm_s: float | None = option(
+        None, "Viscosity of blood, for a .csv; 0.04 g/(cm s).", "--viscosity"
+    )
+    velocity_profile_order: float | None = option(
+        None, "Order of the velocity profile, for a .csv; a flat one without it.", "--profile-order"
+    )
 
 
 @command
 def import_(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help=f"{FILES}.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study."), Role.WRITES],
-    name: Annotated[
-        str | None, typer.Option("--name", help="Name of the study; that of the file if absent.")
-    ] = None,
+    file: Path = argument("FILE", f"{FILES}."),
+    output: Path = option(REQUIRED, "Folder of the new study.", "--output", "-o", Role.WRITES),
+    name: str | None = option(None, "Name of the study; that of the file if absent."),
     *,
     table: TableOptions,
 ) -> None:
@@ -103,38 +88,22 @@ def import_(
 class BeatOptions:
     """What records of pressure and flow do not say themselves."""
 
-    length_cm: Annotated[float | None, typer.Option("--length", help="Of the vessel, cm.", metavar="CM")] = (
-        None
-    )
-    radius_cm: Annotated[float | None, typer.Option("--radius", help="Of the vessel, cm.", metavar="CM")] = (
-        None
-    )
-    position: Annotated[
-        float | None, typer.Option("--position", help="Of the pressure along the vessel, 0 (inlet) to 1; 0.")
-    ] = None
-    density_g_cm3: Annotated[float | None, typer.Option("--density", help="Of blood; 1.06 g/cm3.")] = None
-    viscosity_g_cm_s: Annotated[
-        float | None, typer.Option("--viscosity", help="Of blood; 0.04 g/(cm s).")
-    ] = None
+    length_cm: float | None = option(None, "Of the vessel, cm.", "--length", metavar="CM")
+    radius_cm: float | None = option(None, "Of the vessel, cm.", "--radius", metavar="CM")
+    position: float | None = option(None, "Of the pressure along the vessel, 0 (inlet) to 1; 0.")
+    density_g_cm3: float | None = option(None, "Of blood; 1.06 g/cm3.", "--density")
+    viscosity_g_cm_s: float | None = option(None, "Of blood; 0.04 g/(cm s).", "--viscosity")
 
 
 @command
 def import_beats(
-    pressure: Annotated[
-        Path,
-        typer.Argument(
-            metavar="PRESSURE",
-            help=".csv: times, pressure over beats; or the folder of a study whose samples go over beats.",
-        ),
-    ],
-    flow: Annotated[
-        Path | None, typer.Argument(metavar="[FLOW]", help=".csv: times, flow into the vessel.")
-    ] = None,
+    pressure: Path = argument(
+        "PRESSURE", ".csv: times, pressure over beats; or the folder of a study whose samples go over beats."
+    ),
+    flow: Path | None = argument("[FLOW]", ".csv: times, flow into the vessel.", default=None),
     *,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new study."), Role.WRITES],
-    name: Annotated[
-        str | None, typer.Option("--name", help="Of the study; that of PRESSURE if absent.")
-    ] = None,
+    output: Path = option(REQUIRED, "Folder of the new study.", "--output", "-o", Role.WRITES),
+    name: str | None = option(None, "Of the study; that of PRESSURE if absent."),
     beats: BeatOptions,
 ) -> None:
     """Make a study of raw records: find the beats, average them, tell their scatter and timing."""

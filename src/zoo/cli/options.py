@@ -10,55 +10,37 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from zoo.cli.command import Role, UsageError
+from zoo.cli.command import Role, UsageError, argument, option
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
 
-StudyArgument = Annotated[
-    str, typer.Argument(metavar="STUDY", help="A built-in study (see `zoo studies`) or a folder."), Role.STUDY
-]
-StrictOption = Annotated[
-    bool, typer.Option("--strict", help="End with exit code 3 if chains have not converged."), Role.ASIDE
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table."), Role.ASIDE]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress."), Role.ASIDE]
-
-DaskOption = Annotated[
-    str | None,
-    typer.Option(
-        "--dask",
-        help="Work on the workers of a dask.distributed scheduler, tcp://HOST:8786, instead.",
-        metavar="ADDRESS",
-    ),
+STUDY = argument("STUDY", "A built-in study (see `zoo studies`) or a folder.", Role.STUDY)
+STRICT = option(False, "End with exit code 3 if chains have not converged.", Role.ASIDE)
+JSON = option(False, "Print JSON instead of a table.", "--json", Role.ASIDE)
+QUIET = option(False, "No progress.", "--quiet", "-q", Role.ASIDE)
+DASK = option(
+    None,
+    "Work on the workers of a dask.distributed scheduler, tcp://HOST:8786, instead.",
     Role.ASIDE,
-]
+    metavar="ADDRESS",
+)
 
 
 @dataclass(frozen=True)
 class PluginOptions:
     """Files with effects and models of one's own."""
 
-    effects_from: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--effects-from",
-            help="Python file that defines effects; it is run. May be repeated.",
-            metavar="FILE",
-        ),
-    ] = None
-    models_from: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--models-from",
-            help="Python file with functions model_NAME(study, **settings); it is run. May be repeated.",
-            metavar="FILE",
-        ),
-    ] = None
+    effects_from: list[Path] | None = option(
+        None, "Python file that defines effects; it is run. May be repeated.", metavar="FILE"
+    )
+    models_from: list[Path] | None = option(
+        None,
+        "Python file with functions model_NAME(study, **settings); it is run. May be repeated.",
+        metavar="FILE",
+    )
 
     def load(self) -> None:
         """Run the files, so that what they define can be named."""
@@ -90,15 +72,12 @@ def _each_once(
 class PriorOptions:
     """Priors instead of some of a study's own."""
 
-    prior: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--prior",
-            help="Instead of the study's own: stiffness=log_uniform(2e4,4e5), f3=..., wave_speed_m_s=1,4 or "
-            "set=paun2020; laws uniform, log_uniform, normal, log_normal, inverse_gamma. May be repeated.",
-            metavar="NAME=LAW(...)",
-        ),
-    ] = None
+    prior: list[str] | None = option(
+        None,
+        "Instead of the study's own: stiffness=log_uniform(2e4,4e5), f3=..., wave_speed_m_s=1,4 or "
+        "set=paun2020; laws uniform, log_uniform, normal, log_normal, inverse_gamma. May be repeated.",
+        metavar="NAME=LAW(...)",
+    )
 
     def table(self) -> dict[str, Any]:
         """What was given, as the table [priors] of study.toml has it.
@@ -122,33 +101,23 @@ class PriorOptions:
 class StudyOptions(PriorOptions):
     """What stands in the place of a study's own fields."""
 
-    fix: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--fix",
-            help="Hold a parameter at a value, such as psi1=1.0 or stiffness=5e4, in the place of its prior. "
-            "May be repeated.",
-            metavar="NAME=NUMBER",
-        ),
-    ] = None
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="A field of study.toml or network.toml, such as conventions=published-code, "
-            "conventions.friction=rest, numerics.dx_cm=0.01, blood.velocity_profile_order=9, or "
-            "vessel.resistance=3e4: one value, or one per vessel with commas. May be repeated.",
-            metavar="KEY=VALUE",
-        ),
-    ] = None
-    accuracy: Annotated[
-        float | None,
-        typer.Option(
-            "--accuracy",
-            help="Choose cells and steps for this error, % of the pulse (default 0.03).",
-            metavar="PERCENT",
-        ),
-    ] = None
+    fix: list[str] | None = option(
+        None,
+        "Hold a parameter at a value, such as psi1=1.0 or stiffness=5e4, in the place of its prior. "
+        "May be repeated.",
+        metavar="NAME=NUMBER",
+    )
+    settings: list[str] | None = option(
+        None,
+        "A field of study.toml or network.toml, such as conventions=published-code, "
+        "conventions.friction=rest, numerics.dx_cm=0.01, blood.velocity_profile_order=9, or "
+        "vessel.resistance=3e4: one value, or one per vessel with commas. May be repeated.",
+        "--set",
+        metavar="KEY=VALUE",
+    )
+    accuracy: float | None = option(
+        None, "Choose cells and steps for this error, % of the pulse (default 0.03).", metavar="PERCENT"
+    )
 
     def load(self, name: str) -> Study:
         """A study with these settings and priors.
@@ -180,46 +149,24 @@ class StudyOptions(PriorOptions):
 class SamplingOptions:
     """How a posterior is sampled."""
 
-    draws: Annotated[
-        int | None,
-        typer.Option("--draws", help="Stored draws of each chain; without it, until converged."),
+    draws: int | None = option(None, "Stored draws of each chain; without it, until converged.", Role.ASIDE)
+    tune: int | None = option(None, "Steps to adapt, thrown away; 100 a dimension, at least 600.")
+    chains: int = option(4, "Chains; at least 4 for a verdict.")
+    cores: int | None = option(None, "Processes at a time; all cores by default.", Role.ASIDE)
+    method: str = option(
+        "auto",
+        "exact: chains with the solver itself; surrogate: NUTS on a surrogate of it, each stored "
+        "draw corrected with it; nuts: NUTS with the solver's derivatives; auto chooses by model.",
+    )
+    thin: int | None = option(None, "Steps for each stored draw; a quarter of the dimension by default.")
+    seed: int | None = option(None, "Seed; recorded if not given.")
+    until: str | None = option(
+        None,
+        "ess=400 (default without --draws): until every parameter has it and R-hat <= 1.01; or none.",
         Role.ASIDE,
-    ] = None
-    tune: Annotated[
-        int | None, typer.Option("--tune", help="Steps to adapt, thrown away; 100 a dimension, at least 600.")
-    ] = None
-    chains: Annotated[int, typer.Option("--chains", help="Chains; at least 4 for a verdict.")] = 4
-    cores: Annotated[
-        int | None, typer.Option("--cores", help="Processes at a time; all cores by default."), Role.ASIDE
-    ] = None
-    method: Annotated[
-        str,
-        typer.Option(
-            "--method",
-            help="exact: chains with the solver itself; surrogate: NUTS on a surrogate of it, each stored "
-            "draw corrected with it; nuts: NUTS with the solver's derivatives; auto chooses by model.",
-        ),
-    ] = "auto"
-    thin: Annotated[
-        int | None,
-        typer.Option("--thin", help="Steps for each stored draw; a quarter of the dimension by default."),
-    ] = None
-    seed: Annotated[int | None, typer.Option("--seed", help="Seed; recorded if not given.")] = None
-    until: Annotated[
-        str | None,
-        typer.Option(
-            "--until",
-            help="ess=400 (default without --draws): until every parameter has it and R-hat <= 1.01; "
-            "or none.",
-        ),
-        Role.ASIDE,
-    ] = None
-    max_draws: Annotated[
-        int | None,
-        typer.Option("--max-draws", help="Limit of --until; 40 times the first check."),
-        Role.ASIDE,
-    ] = None
-    quiet: QuietOption = False
+    )
+    max_draws: int | None = option(None, "Limit of --until; 40 times the first check.", Role.ASIDE)
+    quiet: bool = QUIET
 
     def settings(self) -> dict[str, Any]:
         """Arguments of `zoo.sample`.
@@ -231,9 +178,9 @@ class SamplingOptions:
         """
         from zoo.core.inference.convergence import FIRST_CHECK
 
-        for option, value in (("--draws", self.draws), ("--cores", self.cores)):
+        for flag, value in (("--draws", self.draws), ("--cores", self.cores)):
             if value is not None and value < 1:
-                raise UsageError(f"{option} {value}: must be at least 1")
+                raise UsageError(f"{flag} {value}: must be at least 1")
         return {
             "method": self.method,
             "draws": FIRST_CHECK if self.draws is None else self.draws,

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from zoo.cli.checks import at_least, model_name
-from zoo.cli.command import Role, UsageError, command
-from zoo.cli.options import JsonOption, PluginOptions, QuietOption, StudyArgument, StudyOptions
+from zoo.cli.command import Role, UsageError, command, option
+from zoo.cli.options import JSON, QUIET, STUDY, PluginOptions, StudyOptions
 from zoo.cli.screen import plain_table, say, say_json
 from zoo.core.outputs import output_folder, write_file
 
@@ -24,17 +22,15 @@ LEAST_SOLVED = 0.8
 
 @command
 def priors(
-    study: StudyArgument,
-    model: Annotated[str, typer.Option("--model", help="A to I, or one of --models-from.")] = "B",
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Folder for table, figures; none if absent."),
-        Role.WRITES,
-    ] = None,
-    n_draws: Annotated[int, typer.Option("--n-draws", help="Prior draws to solve.")] = 200,
-    seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 1,
-    as_json: JsonOption = False,
-    quiet: QuietOption = False,
+    study: str = STUDY,
+    model: str = option("B", "A to I, or one of --models-from."),
+    output: Path | None = option(
+        None, "Folder for table, figures; none if absent.", "--output", "-o", Role.WRITES
+    ),
+    n_draws: int = option(200, "Prior draws to solve."),
+    seed: int = option(1, "Random seed."),
+    as_json: bool = JSON,
+    quiet: bool = QUIET,
     *,
     options: StudyOptions,
     plugins: PluginOptions,

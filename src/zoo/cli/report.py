@@ -4,43 +4,29 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Literal
-
-import typer
+from typing import Literal
 
 from zoo.cli.checks import at_least, model_names
-from zoo.cli.command import Role, command, typed_command
-from zoo.cli.options import PluginOptions, QuietOption, StudyOptions
+from zoo.cli.command import Role, argument, command, option, typed_command
+from zoo.cli.options import QUIET, PluginOptions, StudyOptions
 from zoo.cli.screen import say
 from zoo.core.outputs import output_file
 
 
 @command
 def report(
-    studies: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="STUDY...", help="Studies, a chapter each; all built-in ones if absent."),
-        Role.STUDY,
-    ] = None,
-    posteriors: Annotated[
-        list[Path] | None,
-        typer.Option("--posteriors", help="Folder of posteriors; may be repeated. Here if absent."),
-        Role.SEARCHED,
-    ] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="HTML file."), Role.WRITES] = Path(
-        "report.html"
+    studies: list[str] | None = argument(
+        "STUDY...", "Studies, a chapter each; all built-in ones if absent.", Role.STUDY, default=None
     ),
-    models: Annotated[
-        str, typer.Option("--models", help="Those to take, with commas.")
-    ] = "A,B,C,D,E,F,G,H,I",
-    criterion: Annotated[
-        Literal["waic", "loo"], typer.Option("--ic", help="Criterion to rank by: waic or loo.")
-    ] = "waic",
-    n_draws: Annotated[
-        int, typer.Option("--n-draws", help="Draws of each posterior that are scored.")
-    ] = 1000,
-    title: Annotated[str, typer.Option("--title", help="Page title.")] = "Models of blood flow",
-    quiet: QuietOption = False,
+    posteriors: list[Path] | None = option(
+        None, "Folder of posteriors; may be repeated. Here if absent.", Role.SEARCHED
+    ),
+    output: Path = option(Path("report.html"), "HTML file.", "--output", "-o", Role.WRITES),
+    models: str = option("A,B,C,D,E,F,G,H,I", "Those to take, with commas."),
+    criterion: Literal["waic", "loo"] = option("waic", "Criterion to rank by: waic or loo.", "--ic"),
+    n_draws: int = option(1000, "Draws of each posterior that are scored."),
+    title: str = option("Models of blood flow", "Page title."),
+    quiet: bool = QUIET,
     *,
     options: StudyOptions,
     plugins: PluginOptions,

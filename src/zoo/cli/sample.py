@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from zoo.cli.checks import model_name
-from zoo.cli.command import GATE, FreshOption, Role, UsageError, command
+from zoo.cli.command import FRESH, GATE, Role, UsageError, argument, command, option
 from zoo.cli.options import (
-    DaskOption,
-    JsonOption,
+    DASK,
+    JSON,
+    STRICT,
     PluginOptions,
     SamplingOptions,
-    StrictOption,
     StudyOptions,
 )
 from zoo.cli.screen import plain_table, say, say_json
@@ -30,60 +30,43 @@ if TYPE_CHECKING:
 
 @command
 def sample(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="A to I, or one of --models-from.")],
-    studies: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="STUDY...",
-            help="A built-in study (see `zoo studies`) or a folder; several are subjects of one posterior.",
-        ),
+    model: str = argument("MODEL", "A to I, or one of --models-from."),
+    studies: list[str] = argument(
+        "STUDY...",
+        "A built-in study (see `zoo studies`) or a folder; several are subjects of one posterior.",
         Role.STUDY,
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="NetCDF file; MODEL-STUDY.nc by default."),
-        Role.WRITES,
-    ] = None,
-    effects: Annotated[
-        str | None,
-        typer.Option(
-            "--effects",
-            help="Put these into the model, with commas: viscoelastic-wall,local-stiffness@2 (vessel 2; 2+ "
-            "with all below). The model's name becomes MODEL+EFFECT.",
-            metavar="NAMES",
-        ),
-    ] = None,
-    share: Annotated[
-        str | None,
-        typer.Option(
-            "--share",
-            help="Parameters that are one for all of several studies, with commas, such as f3,c; all others "
-            "are each study's own.",
-            metavar="NAMES",
-        ),
-    ] = None,
-    population: Annotated[
-        str | None,
-        typer.Option(
-            "--population",
-            help="Parameters of several studies that come from one population, whose median and spread are "
-            "sampled too, with commas.",
-            metavar="NAMES",
-        ),
-    ] = None,
-    errors: Annotated[
-        str | None,
-        typer.Option(
-            "--errors",
-            help="student-t: errors with heavy tails, of which a few samples that are far off change little; "
-            "the model's own without.",
-            metavar="LAW",
-        ),
-    ] = None,
-    strict: StrictOption = False,
-    fresh: FreshOption = False,
-    dask: DaskOption = None,
-    as_json: JsonOption = False,
+    ),
+    output: Path | None = option(
+        None, "NetCDF file; MODEL-STUDY.nc by default.", "--output", "-o", Role.WRITES
+    ),
+    effects: str | None = option(
+        None,
+        "Put these into the model, with commas: viscoelastic-wall,local-stiffness@2 (vessel 2; 2+ "
+        "with all below). The model's name becomes MODEL+EFFECT.",
+        metavar="NAMES",
+    ),
+    share: str | None = option(
+        None,
+        "Parameters that are one for all of several studies, with commas, such as f3,c; all others "
+        "are each study's own.",
+        metavar="NAMES",
+    ),
+    population: str | None = option(
+        None,
+        "Parameters of several studies that come from one population, whose median and spread are "
+        "sampled too, with commas.",
+        metavar="NAMES",
+    ),
+    errors: str | None = option(
+        None,
+        "student-t: errors with heavy tails, of which a few samples that are far off change little; "
+        "the model's own without.",
+        metavar="LAW",
+    ),
+    strict: bool = STRICT,
+    fresh: bool = FRESH,
+    dask: str | None = DASK,
+    as_json: bool = JSON,
     *,
     sampling: SamplingOptions,
     options: StudyOptions,
@@ -99,9 +82,9 @@ def sample(
     loaded = _by_name([(study, options.load(study)) for study in studies])
     path = output_file(Path("-".join([name, *loaded]) + ".nc") if output is None else output, "--output")
     common = {"share": _names(share), "population": _names(population)}
-    for option, names in common.items() if len(loaded) == 1 else ():
+    for flag, names in common.items() if len(loaded) == 1 else ():
         if names:
-            raise UsageError(f"--{option} {','.join(names)}: is of several studies; give two or more")
+            raise UsageError(f"--{flag} {','.join(names)}: is of several studies; give two or more")
     if path.is_file() and not fresh:
         _keeps_what_is_there(path, settings)
     with connect(dask) as executor:

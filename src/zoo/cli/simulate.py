@@ -7,11 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from zoo.cli.checks import numbers
-from zoo.cli.command import Role, UsageError, Without, command
-from zoo.cli.options import StudyArgument, StudyOptions
+from zoo.cli.command import Role, UsageError, Without, command, option
+from zoo.cli.options import STUDY, StudyOptions
 from zoo.cli.screen import say
 from zoo.core.outputs import output_file, write_file
 
@@ -29,36 +27,23 @@ WALLS = ("stiffness_out_g_cm_s2", "youngs_modulus_g_cm_s2", "wall_thickness_cm",
 
 @command
 def simulate(
-    study: StudyArgument,
-    wall: Annotated[
-        str | None,
-        typer.Option("--wall", help="linear (eq. 3.3), tangent (eq. 3.4) or olufsen; the study's if absent."),
-    ] = None,
-    stiffness: Annotated[
-        str | None,
-        typer.Option(
-            "--stiffness",
-            help="chi, g/(cm s2): one value, or one per vessel with commas; the study's if absent.",
-        ),
-    ] = None,
-    f1: Annotated[float | None, typer.Option("--f1", help="chi = f1 exp(f2 r0) + f3 (eq. 3.5).")] = None,
-    f2: Annotated[float | None, typer.Option("--f2", help="See --f1.")] = None,
-    f3: Annotated[float | None, typer.Option("--f3", help="See --f1; alone it is the stiffness.")] = None,
-    gamma: Annotated[
-        str | None, typer.Option("--gamma", help="Shape of the tangent wall: one value, or one per vessel.")
-    ] = None,
-    psi1: Annotated[str, typer.Option("--psi1", help="Factor on R1: one value, or one per vessel.")] = "1",
-    psi2: Annotated[str, typer.Option("--psi2", help="Factor on R2.")] = "1",
-    c: Annotated[str, typer.Option("--c", help="Factor on C.")] = "1",
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="waves.nc, or waves.csv in the long format."),
-        Role.WRITES,
-    ] = None,
-    plot: Annotated[
-        Path | None, typer.Option("--plot", help="Figure of the waves: .png, .pdf or .svg."), Role.WRITES
-    ] = None,
-    times: Annotated[int, typer.Option("--times", help="Times in the beat, from its start.")] = 512,
+    study: str = STUDY,
+    wall: str | None = option(None, "linear (eq. 3.3), tangent (eq. 3.4) or olufsen; the study's if absent."),
+    stiffness: str | None = option(
+        None, "chi, g/(cm s2): one value, or one per vessel with commas; the study's if absent."
+    ),
+    f1: float | None = option(None, "chi = f1 exp(f2 r0) + f3 (eq. 3.5)."),
+    f2: float | None = option(None, "See --f1."),
+    f3: float | None = option(None, "See --f1; alone it is the stiffness."),
+    gamma: str | None = option(None, "Shape of the tangent wall: one value, or one per vessel."),
+    psi1: str = option("1", "Factor on R1: one value, or one per vessel."),
+    psi2: str = option("1", "Factor on R2."),
+    c: str = option("1", "Factor on C."),
+    output: Path | None = option(
+        None, "waves.nc, or waves.csv in the long format.", "--output", "-o", Role.WRITES
+    ),
+    plot: Path | None = option(None, "Figure of the waves: .png, .pdf or .svg.", Role.WRITES),
+    times: int = option(512, "Times in the beat, from its start."),
     *,
     options: Annotated[StudyOptions, Without("fix")],
 ) -> None:
