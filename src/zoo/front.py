@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zoo.core import diagnosis
+from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction, FunctionOf
 from zoo.core.data import Data, own_clocks
 from zoo.core.diagnosis import Diagnosis, Hooks, OtherState
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from zoo.blood.solver import SolverOptions
     from zoo.blood.study import Study
 
-Array = NDArray[np.float64]
 Simulate = Callable[[dict[str, Any], Array], ArrayLike]
 Priors = Mapping[str, Prior | Parameter] | Mapping[str, Any]
 Causes = Sequence[Effect | FunctionOf] | Effect | FunctionOf

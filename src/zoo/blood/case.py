@@ -23,12 +23,11 @@ from zoo.blood.solver import (
     SolverOptions,
 )
 from zoo.blood.study import QUANTITIES
-from zoo.core.arrays import Brief
+from zoo.core.arrays import Array, Brief
 from zoo.core.effects import Location
 from zoo.core.forward import SolveError
 from zoo.core.words import nearest
 
-Array = NDArray[np.float64]
 Place = tuple[int, float, str]
 """A series: vessel id, position (0 inlet, 1 outlet), quantity."""
 

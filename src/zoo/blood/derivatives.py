@@ -7,13 +7,12 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.case import Case, Stencil, same_run
 from zoo.blood.solve_errors import NoDerivativeError
+from zoo.core.arrays import Array
 from zoo.core.forward import SolveError
 
-Array = NDArray[np.float64]
 NEAR, FAR = 1e-5, 1e-3
 """Steps of differences, over the scale of a parameter: where it changes stiffness, shapes and loads alone;
 and, with stencils of fourth order, where it changes more."""

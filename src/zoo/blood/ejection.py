@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import gammaln
 
-Array = NDArray[np.float64]
+from zoo.core.arrays import Array
 
 PERIOD_S = 0.11
 PEAK_ML_S, PEAK_TIME_S, EJECTION_S, MEAN_ML_S = 0.55, 0.0215, 0.058, 0.169

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zoo.blood.case import UNITS, Case, Place, check_series, simulate, simulate_derivatives, solver_of
 from zoo.blood.conventions import Conventions
@@ -20,11 +20,11 @@ from zoo.blood.physics import NO_PHYSICS, study_physics
 from zoo.blood.resolution import Resolution, coarse_at, resolve
 from zoo.blood.solver import SHAPES, WALLS, Solver, SolverArgumentError, SolverOptions
 from zoo.blood.study import Study, StudyError
+from zoo.core.arrays import Array
 from zoo.core.data import Data
 from zoo.core.forward import InNumba, Outputs, SolveError, content_key, function_text
 from zoo.core.parameters import Parameter, pack, start_of, unpack
 
-Array = NDArray[np.float64]
 Values = Mapping[str, Array]
 StiffnessLaw = Callable[[Values, Network, Conventions], Array]
 """From parameters by name to chi (g cm-1 s-2) of every vessel, (n_vessels,)."""

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zoo.blood.solve_errors import SolverArgumentError
-from zoo.core.arrays import finite_array, real_number, refuse_where
-
-Array = NDArray[np.float64]
+from zoo.core.arrays import Array, finite_array, real_number, refuse_where
 
 FEWEST_KNOTS, MOST_KNOTS = 4, 4096
 LEAST_STRETCH = 1e-3

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zoo.blood.case import Case, simulate
+from zoo.core.arrays import Array
 from zoo.core.data import Data
 
-Array = NDArray[np.float64]
 HARMONICS = 15
 DRAWS = 2000
 LEVEL = 0.95

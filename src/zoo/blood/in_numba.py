@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from zoo.blood.case import Place
 from zoo.blood.derivatives import NEAR
 from zoo.blood.solver import SHAPES, STATUS_NAMES, TANGENT_TOLERANCE, Solver, ffi, lib
+from zoo.core.arrays import Array
 from zoo.core.derivatives import scales_at, widths_of
 from zoo.core.forward import InNumba, Outputs
 from zoo.core.parameters import Parameter
 
-Array = NDArray[np.float64]
 WORD = 8
 FAILURES = (*(STATUS_NAMES[status] for status in range(1, len(STATUS_NAMES))), "not-finite")
 """Kinds of failed solves, by their status from 1 on."""

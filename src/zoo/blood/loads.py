@@ -11,9 +11,8 @@ from zoo.blood.case import Case, wall_slope, with_physics
 from zoo.blood.outlet_tables import response_impedance
 from zoo.blood.solve_errors import SolverArgumentError
 from zoo.blood.solver import CHI_WALLS
-from zoo.core.arrays import finite_array
+from zoo.core.arrays import Array, finite_array
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 PARALLEL = 6.0

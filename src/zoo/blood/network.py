@@ -28,9 +28,7 @@ from zoo.blood.study import (
 from zoo.blood.study import sort_vessels as _sort_vessels
 from zoo.blood.study.resampling import beat_mean
 from zoo.blood.units import MMHG, mmhg_to_cgs
-from zoo.core.arrays import real_array, real_number, refuse_where, whole_array, whole_number
-
-Array = NDArray[np.float64]
+from zoo.core.arrays import Array, real_array, real_number, refuse_where, whole_array, whole_number
 
 R1_SHARE = 0.2
 """R1/(R1 + R2) of a derived load."""

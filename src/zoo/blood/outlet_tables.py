@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from zoo.core.arrays import Array
+
 Complex = NDArray[np.complex128]
 
 HARMONICS = 20

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.functions import (
     FrictionFunction,
@@ -21,9 +20,7 @@ from zoo.blood.outlet_tables import StructuredTree
 from zoo.blood.solve_errors import SolverArgumentError
 from zoo.blood.study import ReadOnlyArrays, Study, Vessel, read_only
 from zoo.blood.units import mmhg_to_cgs
-from zoo.core.arrays import real_array, real_number, shown
-
-Array = NDArray[np.float64]
+from zoo.core.arrays import Array, real_array, real_number, shown
 
 _NUMBERS = {
     "momentum_correction": (0.0, False, "positive; 1 is a flat profile, 4/3 a parabolic one"),

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.optimize import elementwise
 from scipy.special import ndtr, ndtri
 
 from zoo.blood.case import UNITS
 from zoo.blood.network import Network
+from zoo.core.arrays import Array
 from zoo.core.arviz_lines import InferenceData, dataset, made
 from zoo.core.data import squared
 from zoo.core.errors.base import ErrorModel
@@ -26,8 +26,6 @@ from zoo.core.posterior.comparison import Progress, forward_points, posterior_me
 if TYPE_CHECKING:
     import pymc as pm
 
-
-Array = NDArray[np.float64]
 
 PROBABILITIES = (0.5, 0.8, 0.95)
 

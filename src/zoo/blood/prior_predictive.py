@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zoo.core.arrays import Array
 from zoo.core.forward import SolveError
 from zoo.core.model import record_of
 from zoo.core.parameters import Parameter, draw_prior, unpack
-
-Array = NDArray[np.float64]
 
 DRAWS = 4000
 """Draws from which the intervals of hierarchical priors are taken."""

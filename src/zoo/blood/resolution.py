@@ -18,16 +18,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.case import Case, Place, simulate, solver_of
 from zoo.blood.solve_errors import CFLError
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Study, StudyError
 from zoo.blood.study.tables import checked_numerics
+from zoo.core.arrays import Array
 from zoo.core.forward import SolveError, content_key
-
-Array = NDArray[np.float64]
 
 ACCURACY_PERCENT = 0.03
 """Of each series' range: the largest root mean square over a beat of the discretisation error."""

@@ -41,6 +41,7 @@ from zoo.blood.units import cgs_to_mmhg
 from zoo.core import digests
 from zoo.core.arrays import (
     MOST_COUNT,
+    Array,
     Brief,
     finite_array,
     real_array,
@@ -51,7 +52,6 @@ from zoo.core.arrays import (
 if TYPE_CHECKING:
     from zoo.blood.study import Study
 
-Array = NDArray[np.float64]
 
 ABI = 11
 if getattr(lib, "ZOO_ABI", 1) != ABI:

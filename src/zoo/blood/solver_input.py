@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zoo.blood.solve_errors import SolverArgumentError
-from zoo.core.arrays import finite_array, real_number, refuse_where, shown, whole_number
-
-Array = NDArray[np.float64]
+from zoo.core.arrays import Array, finite_array, real_number, refuse_where, shown, whole_number
 
 TOLERANCE_SHARE = 7.5e-5
 """Accepted distance from the periodic state over the pulse: a quarter of the default accuracy, 0.03 %."""

@@ -17,10 +17,11 @@ from typing import Any, TypeAlias
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
-Array = NDArray[np.float64]
+from zoo.core.arrays import Array
+
 InferenceData: TypeAlias = Any
 """What the ArviZ that is installed takes: an InferenceData, or a DataTree."""
 

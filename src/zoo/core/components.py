@@ -8,12 +8,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from zoo.core.arrays import Array
 from zoo.core.effects import EVERYWHERE, AddedEffect, Effect, EffectParameter, Location
 from zoo.core.forward import ForwardModel
 
-Array = NDArray[np.float64]
 ROUNDING = 1e-10
 """Part of the largest eigenvalue of a correlation below which a direction is taken as absent."""
 REACH = 8.0

@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.arrays import Brief
-
-Array = NDArray[np.float64]
+from zoo.core.arrays import Array, Brief
 
 
 class DataError(ValueError):

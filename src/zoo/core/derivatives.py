@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from zoo.core.arrays import Array
 from zoo.core.forward import ForwardModel, Outputs, SolveError
 from zoo.core.parameters import Parameter
 
-Array = NDArray[np.float64]
 SHARE_OF_PRIOR = 0.05
 """Of the prior's width, below which the size of an element says nothing about its scale."""
 

@@ -12,16 +12,15 @@ from typing import Any
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
-from numpy.typing import NDArray
 from pymc.distributions.continuous import TruncatedNormalRV
 from pytensor.tensor.random.basic import InvGammaRV
 from pytensor.tensor.random.op import RandomVariable
 from scipy.stats import truncnorm
 
+from zoo.core.arrays import Array
 from zoo.core.draws import inverse_gamma_draws
 from zoo.core.in_numba import called_as_python
 
-Array = NDArray[np.float64]
 # PyTensor 3 says that it draws these in Python, which costs nothing beside a solve
 warnings.filterwarnings(
     "ignore", "Numba will use object mode to run (truncated_normal|interpolated)_rv", UserWarning

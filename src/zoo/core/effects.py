@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zoo.core.arrays import Array
 from zoo.core.forward import Around, ForwardModel, content_key, function_text, refined
 from zoo.core.parameters import Normal, Parameter, n_values
 from zoo.core.user_code import run_file, unfit
 from zoo.core.words import nearest
 
-Array = NDArray[np.float64]
 ENTRY_POINTS = "zoo.effects"
 NUMERICS = "numerics"
 """Family of effects on the numerical solution, which mean something on one grid only."""

@@ -10,12 +10,10 @@ from types import FunctionType
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from zoo.core.arrays import Brief
+from zoo.core.arrays import Array, Brief
 from zoo.core.parameters import Parameter, Prior, unpack
-
-Array = NDArray[np.float64]
 
 
 class SolveError(RuntimeError):

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, NoReturn, cast
 
 import numpy as np
 import pytensor.tensor as pt
-from numpy.typing import NDArray
 from pytensor.gradient import DisconnectedType
 from pytensor.graph.basic import Apply, Variable
 from pytensor.graph.op import Op
@@ -21,13 +20,12 @@ from pytensor.graph.traversal import ancestors
 from pytensor.link.numba.dispatch.basic import numba_njit
 from pytensor.tensor.variable import TensorVariable
 
-from zoo.core.arrays import real_array
+from zoo.core.arrays import Array, real_array
 from zoo.core.derivatives import has_jacobian, jacobian
 from zoo.core.forward import ForwardModel, InNumba, SolveError, content_key
 from zoo.core.in_numba import add_one, called_as_python, compiled_by, joined, own, without_python
 from zoo.core.parameters import n_values
 
-Array = NDArray[np.float64]
 CACHE_SIZE = 8
 COUNTED = 64
 """Kinds of failures that are counted without Python, at most."""

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from zoo.core.arrays import Array
 from zoo.core.priors import FrozenPrior as FrozenPrior
 from zoo.core.priors import InverseGamma as InverseGamma
 from zoo.core.priors import LogNormal as LogNormal
@@ -23,8 +24,6 @@ from zoo.core.priors import Uniform as Uniform
 from zoo.core.priors import as_prior as as_prior
 from zoo.core.priors import log_normal_mass as log_normal_mass
 from zoo.core.priors import log_normal_tails as log_normal_tails
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

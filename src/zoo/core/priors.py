@@ -9,12 +9,11 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import log_ndtr
 
+from zoo.core.arrays import Array
 from zoo.core.draws import LARGEST_DRAW, inverse_gamma_draws
-
-Array = NDArray[np.float64]
 
 _LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 DIFFERENCE, KNOTS = 1e-3, 2001

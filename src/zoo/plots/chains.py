@@ -10,9 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import gaussian_kde, rankdata
 
+from zoo.core.arrays import Array
 from zoo.core.arviz_lines import InferenceData, dataset
 from zoo.core.inference.elements import arrays, scalars
-from zoo.plots.style import COLOURS, PARAMETER_LABELS, SCALES, Array, cells_of, new_figure, parameter_label
+from zoo.plots.style import COLOURS, PARAMETER_LABELS, SCALES, cells_of, new_figure, parameter_label
 
 BINS = 20
 """Of a rank plot."""

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.stats import binom
 
+from zoo.core.arrays import Array
 from zoo.core.arviz_lines import InferenceData, dataset
 from zoo.plots.style import (
     COLOURS,
     PARAMETER_LABELS,
-    Array,
     axis_end,
     cells_of,
     grid_behind,

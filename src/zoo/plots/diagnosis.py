@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
+from zoo.core.arrays import Array
 from zoo.core.diagnosis.file import unit_suffix
 from zoo.core.words import unit_words
 from zoo.plots.causes import causes_height, draw_causes, draw_functions, learned_functions
@@ -21,7 +22,6 @@ from zoo.plots.style import (
     INK,
     NARROW,
     QUANTITY_LABELS,
-    Array,
     cells_of,
     draw_shares,
     handles_of,

@@ -17,12 +17,12 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from zoo.blood.predictive import one_place
+from zoo.core.arrays import Array
 from zoo.core.draws import evenly
 from zoo.plots.style import (
     COLOURS,
     INK,
     QUANTITY_LABELS,
-    Array,
     FigureError,
     measured,
     model_style,

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.ejection import PERIOD_S, ejection
 from zoo.blood.network import R1_SHARE
 from zoo.blood.study import Vessel, Windkessel
+from zoo.core.arrays import Array
 
-Array = NDArray[np.float64]
 Row = tuple[int, int | None, float, float]
 """Id, parent, length (cm) and radius (cm) of a vessel."""
 Sensor = tuple[int, float, str]

@@ -13,7 +13,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from zoo.blood.baseline import get_baseline
@@ -26,6 +25,7 @@ from zoo.blood.network import with_nominal_loads
 from zoo.blood.solver import SolverArgumentError, SolverOptions
 from zoo.blood.study import Blood, Series, Study, load_study, save_study
 from zoo.blood.units import MMHG, mmhg_to_cgs
+from zoo.core.arrays import Array
 from zoo.core.blindcheck.cases import NULL, BlindError, CaseKey
 from zoo.core.blindcheck.drawing import LinearBaseline, draw_effect, told_of
 from zoo.core.blindcheck.folders import MadeCase
@@ -33,7 +33,6 @@ from zoo.core.effects import AddedEffect, EffectError, with_effects
 from zoo.core.forward import Outputs, SolveError
 from zoo.core.parameters import pack
 
-Array = NDArray[np.float64]
 Added = tuple[tuple[AddedEffect, tuple[float, ...]], ...]
 
 BASELINE = "linear-constant"

@@ -8,7 +8,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from zoo.core.arrays import Array
+
 LARGEST_LOG = 20.0
 """Logarithms of factors are held between minus and plus this, so that none overflows."""
 CELLS_PER_KNOT = 32

@@ -5,16 +5,15 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.case import Case, with_physics
 from zoo.blood.components.curves import curve, factors
 from zoo.blood.components.setting import RANGE_MARGIN, Setting, span_of
 from zoo.blood.components.table import free_function
 from zoo.blood.functions import FrictionFunction
+from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction
 
-Array = NDArray[np.float64]
 FRICTION_KNOTS = 8
 FINE_KNOTS = 33
 """Of the solver's function, so that its spline between positive values is positive."""

@@ -6,16 +6,15 @@ import functools
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.case import Case, with_network, with_true_lengths
 from zoo.blood.components.curves import curve, factors
 from zoo.blood.components.setting import Setting
 from zoo.blood.components.table import free_function
 from zoo.blood.solver import PUBLISHED_CELLS_PER_CM
+from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction
 
-Array = NDArray[np.float64]
 SHORTEST_CELL = 0.85
 """Cells may shrink to this part of the tree's shortest before a vessel has fewer of them."""
 

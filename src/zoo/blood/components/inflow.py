@@ -6,15 +6,14 @@ import functools
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.case import Case, filtered
 from zoo.blood.components.curves import curve, delay_response, gain_response
 from zoo.blood.components.setting import DELAY_KNOTS, GAIN_KNOTS, Setting
 from zoo.blood.components.table import free_function
+from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction
 
-Array = NDArray[np.float64]
 FLOW_KNOTS = 40
 
 

@@ -5,16 +5,15 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.case import Case, with_physics
 from zoo.blood.components.curves import curve
 from zoo.blood.components.setting import Setting, range_knots, span_of
 from zoo.blood.components.table import free_function
 from zoo.blood.functions import JunctionFunction
+from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction
 
-Array = NDArray[np.float64]
 LOSS_KNOTS = 8
 FINE_KNOTS = 33
 """Of the solver's function."""

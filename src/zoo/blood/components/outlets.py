@@ -15,9 +15,9 @@ from zoo.blood.components.setting import MOST_HARMONICS, Setting, range_knots, s
 from zoo.blood.components.table import free_function
 from zoo.blood.functions import OutletFunction
 from zoo.blood.loads import with_impedance_change
+from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction
 
-Array = NDArray[np.float64]
 IMPEDANCE_KNOTS = 10
 LOWEST_HARMONIC = 0.1
 """Below this part of the beat's frequency an outlet's impedance is steady."""

@@ -6,16 +6,15 @@ import functools
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.case import Case, Wave, with_wave
 from zoo.blood.components.curves import curve, delay_response, gain_response
 from zoo.blood.components.setting import DELAY_KNOTS, GAIN_KNOTS, Setting
 from zoo.blood.components.table import free_function
 from zoo.blood.effects.responses import filter_wave
+from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction
 
-Array = NDArray[np.float64]
 CURVE_KNOTS = 9
 CURVE_MARGIN = 0.1
 """Part of the observed pressures' range by which the curve's knots go beyond it."""

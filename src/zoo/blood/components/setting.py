@@ -8,12 +8,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.case import Case, simulate
+from zoo.core.arrays import Array
 from zoo.core.data import Data
 
-Array = NDArray[np.float64]
 MOST_HARMONICS = 20
 """Beyond this harmonic a filter's gain and delay no longer change."""
 GAIN_KNOTS, DELAY_KNOTS, RADIUS_KNOTS = 10, 6, 6

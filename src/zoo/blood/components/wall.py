@@ -7,7 +7,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.case import Case, with_physics
 from zoo.blood.components.curves import curve, factors
@@ -15,9 +14,9 @@ from zoo.blood.components.setting import Setting, range_knots, span_of
 from zoo.blood.components.table import free_function
 from zoo.blood.forward import stiffness_of_each_vessel
 from zoo.blood.functions import WallFunction
+from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction
 
-Array = NDArray[np.float64]
 LAW_KNOTS = 10
 LAW_TABLE, FINE_KNOTS = 129, 513
 """Stretches at which the solver is told what is added to the law, and on which it is integrated."""

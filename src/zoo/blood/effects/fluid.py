@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zoo.blood.case import Case, with_offset, with_physics, with_true_lengths
 from zoo.blood.effects.catalogue import effect
+from zoo.core.arrays import Array
 from zoo.core.effects import EffectParameter, Location
-
-Array = NDArray[np.float64]
 
 
 def relative_viscosity(diameter_um: ArrayLike) -> Array:

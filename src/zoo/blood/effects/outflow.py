@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.case import (
     Case,
@@ -23,9 +22,8 @@ from zoo.blood.effects.catalogue import effect
 from zoo.blood.effects.locations import sides_and_terminals, windkessels_only
 from zoo.blood.effects.measures import TERMINAL_RADII
 from zoo.blood.effects.responses import add_to_pressures
+from zoo.core.arrays import Array
 from zoo.core.effects import EffectError, EffectParameter, EverywhereIf, Location
-
-Array = NDArray[np.float64]
 
 
 def ladder_sections(n: int) -> tuple[Array, Array]:

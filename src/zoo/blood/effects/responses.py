@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.blood.case import Wave, filtered
-
-Array = NDArray[np.float64]
+from zoo.core.arrays import Array
 
 
 def add_to_pressures(wave: Wave, amount_mmHg: float) -> Wave:

@@ -15,10 +15,8 @@ from zoo.blood.case import Case, total_resistance, with_physics
 from zoo.blood.effects.catalogue import effect
 from zoo.blood.effects.locations import windkessels_only
 from zoo.blood.effects.outflow import blended_sections, sections_of
+from zoo.core.arrays import Array
 from zoo.core.effects import EffectParameter, EverywhereIf, Location
-
-Array = NDArray[np.float64]
-
 
 TREE_ALPHA, TREE_BETA = 0.9, 0.6
 """Radii of the two daughters over their parent's, in the small arteries' tree."""

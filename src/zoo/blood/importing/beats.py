@@ -15,9 +15,9 @@ from scipy.interpolate import CubicSpline
 from zoo.blood.importing.imported import Imported, ImportedFileError
 from zoo.blood.importing.table import DENSITY, LEAST, VISCOSITY
 from zoo.blood.study import Blood, Series, Study, Vessel
-from zoo.blood.study.parts import Array
 from zoo.blood.study.reading import read_text
 from zoo.blood.study.samples import FEWEST_BEATS, MIN_SAMPLES, number
+from zoo.core.arrays import Array
 from zoo.core.outputs import output_folder, write_file
 from zoo.core.words import short
 

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from zoo.blood.conventions import PRINTED
@@ -33,9 +32,8 @@ from zoo.blood.study.reading import inside, read_text
 from zoo.blood.study.resampling import denser, even_samples
 from zoo.blood.study.samples import MIN_SAMPLES
 from zoo.blood.study.tables import Table, Whole, validated, visible_name
+from zoo.core.arrays import Array
 from zoo.core.words import short
-
-Array = NDArray[np.float64]
 
 EVEN = 0.02
 """Part of a step that the times of an even inflow may be off."""

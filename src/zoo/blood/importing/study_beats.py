@@ -10,8 +10,8 @@ import numpy as np
 from zoo.blood.importing.beats import ImportedBeats, Record, scatter_lines
 from zoo.blood.importing.imported import ImportedFileError
 from zoo.blood.study.loading import read_study
-from zoo.blood.study.parts import Array
 from zoo.blood.study.samples import FEWEST_BEATS, MIN_SAMPLES, Samples
+from zoo.core.arrays import Array
 
 
 def average_beats(folder: str | Path) -> ImportedBeats:

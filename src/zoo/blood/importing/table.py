@@ -12,10 +12,11 @@ import numpy as np
 from zoo.blood.importing.imported import Imported, ImportedFileError
 from zoo.blood.study import Blood, Series, Study, Windkessel
 from zoo.blood.study.loading import check_terminals
-from zoo.blood.study.parts import VESSEL_PHYSICS, Array
+from zoo.blood.study.parts import VESSEL_PHYSICS
 from zoo.blood.study.reading import read_csv
 from zoo.blood.study.samples import number, read_inflow, read_observations
 from zoo.blood.study.tree import check_physics, sort_vessels, vessel_of
+from zoo.core.arrays import Array
 from zoo.core.words import short
 
 REQUIRED = ("id", "parent", "length_cm", "radius_cm")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from zoo.blood.conventions import Conventions, ConventionsError, get_conventions
-from zoo.blood.study.parts import QUANTITIES, Array, Series, StudyError, Vessel
+from zoo.blood.study.parts import QUANTITIES, Series, StudyError, Vessel
 from zoo.blood.study.reading import inside, read_toml
 from zoo.blood.study.samples import (
     Samples,
@@ -33,6 +33,7 @@ from zoo.blood.study.tables import (
     visible_name,
 )
 from zoo.blood.study.tree import NOMINAL, read_network_file
+from zoo.core.arrays import Array
 from zoo.core.words import meant, nearest, short
 
 _BUILT_IN = Path(__file__).parents[2] / "data"

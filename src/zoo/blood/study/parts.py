@@ -6,13 +6,11 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from zoo.blood.outlet_tables import StructuredTree
-from zoo.core.arrays import Brief
+from zoo.core.arrays import Array, Brief
 from zoo.core.words import OneLineError
-
-Array = NDArray[np.float64]
 
 QUANTITIES = ("pressure_mmHg", "flow_ml_s", "area_cm2")
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from zoo.blood.study.parts import Array
+from zoo.core.arrays import Array
 
 MOST_SAMPLES = 32768
 """Most even samples of a period that uneven ones become."""

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from zoo.blood.conventions import PRINTED, Conventions
-from zoo.blood.study.parts import Array, Blood, ReadOnlyArrays, Series, StudyError, Vessel, read_only
+from zoo.blood.study.parts import Blood, ReadOnlyArrays, Series, StudyError, Vessel, read_only
+from zoo.core.arrays import Array
 
 JUNCTION_PRESSURES = ("static", "total")
 WALL_LAWS = ("linear", "olufsen")

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.study.parts import Series, Vessel
 from zoo.blood.study.study import Study
 from zoo.blood.study.tree import sort_vessels
+from zoo.core.arrays import Array
 
 PRICE = 4.0
 """Log-odds against a unit that is not the format's: what the fit to the ranges must gain."""
@@ -38,7 +38,6 @@ WIDER, LONGER = 3.0, 100.0
 """Radius in that of the vessel before it, and length in radii, that no single vessel has: in mm they would be
 ten times as much."""
 
-Array = NDArray[np.float64]
 
 _MMHG = 1333.22  # dyn/cm2; sizes do not need its last digits
 _PRESSURE = {"kPa": 7.50062, "Pa": 7.50062e-3, "dyn/cm2": 7.50062e-4}

@@ -8,12 +8,11 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from zoo.core.arrays import Array
 from zoo.core.data import Data
 from zoo.core.parameters import Parameter, Prior
-
-Array = NDArray[np.float64]
 
 DIMS = ("series", "time")
 """Names of the dimensions of data in a PyMC model of one subject."""

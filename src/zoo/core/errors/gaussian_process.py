@@ -9,15 +9,14 @@ from functools import lru_cache
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
+from zoo.core.arrays import Array
 from zoo.core.data import Data
 from zoo.core.errors.base import ErrorModel, ErrorModelError, TermsInNumba
 from zoo.core.parameters import Parameter, Prior
-
-Array = NDArray[np.float64]
 
 NOISE_VARIANCE = 2.44e-6  # in the squared unit of the series, fixed in the published code
 JITTER = 1e-6  # added to it there

@@ -9,8 +9,9 @@ from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from zoo.core.arrays import Array
 from zoo.core.data import Data
 from zoo.core.errors.base import DIMS, ErrorModel, ErrorModelError, TermsInNumba
 from zoo.core.errors.gaussian_process import (
@@ -22,8 +23,6 @@ from zoo.core.errors.gaussian_process import (
     whiten_by_process,
 )
 from zoo.core.parameters import LogNormal, Parameter, Prior
-
-Array = NDArray[np.float64]
 
 _LOG_2PI = math.log(2.0 * math.pi)
 

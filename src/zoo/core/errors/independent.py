@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from zoo.core.arrays import Array
 from zoo.core.data import Data, squared
 from zoo.core.errors.base import DIMS, ErrorModel, ErrorModelError
 from zoo.core.parameters import InverseGamma, Parameter, Prior
-
-Array = NDArray[np.float64]
 
 VAGUE = InverseGamma(0.001, 0.001)
 

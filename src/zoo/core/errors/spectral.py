@@ -19,11 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import dct, idct
 from scipy.linalg import helmert
 
+from zoo.core.arrays import Array
 from zoo.core.data import Data
 from zoo.core.errors.base import DIMS, ErrorModel, ErrorModelError
 from zoo.core.parameters import LogNormal, Normal, Parameter, Prior, variable_name
-
-Array = NDArray[np.float64]
 
 SMALLEST_SERIES = 8
 FINE = 0.6

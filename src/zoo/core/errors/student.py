@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import digamma, gammaln, ndtr, ndtri, stdtr, stdtrit
 
+from zoo.core.arrays import Array
 from zoo.core.errors.base import DIMS, ErrorModel
-from zoo.core.errors.groups import Array, GroupNoise
+from zoo.core.errors.groups import GroupNoise
 from zoo.core.parameters import LogUniform, Parameter
 
 FREEDOM = (2.0, 100.0)

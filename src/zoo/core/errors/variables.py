@@ -13,7 +13,6 @@ from typing import Any, NoReturn, cast
 import numpy as np
 import pytensor
 import pytensor.tensor as pt
-from numpy.typing import NDArray
 from pymc.distributions.distribution import Continuous
 from pymc.logprob.abstract import _logprob
 from pytensor.graph.basic import Apply, Variable
@@ -22,11 +21,10 @@ from pytensor.graph.traversal import ancestors
 from pytensor.link.numba.dispatch.basic import numba_njit
 from pytensor.tensor.random.op import RandomVariable
 
+from zoo.core.arrays import Array
 from zoo.core.errors.base import ErrorModel, TermsInNumba
 from zoo.core.in_numba import called_as_python, compiled_by, joined, own, without_python
 from zoo.core.op import mark_without_gradient, missing_gradient
-
-Array = NDArray[np.float64]
 
 _LOG_2PI = math.log(2.0 * math.pi)
 

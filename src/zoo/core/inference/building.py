@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from zoo.core.arrays import Array
 from zoo.core.draws import evenly
 from zoo.core.inference.correction import Weights, pareto_weights
 from zoo.core.inference.logposterior import LogPosterior, outputs
@@ -22,8 +22,6 @@ from zoo.core.surrogate.library import Library
 from zoo.core.surrogate.powers import Coordinates
 from zoo.core.surrogate.surrogate_model import log_likelihood, surrogate_model
 from zoo.core.surrogate.waveform import Surrogate
-
-Array = NDArray[np.float64]
 
 LEAST_POINTS = 150
 """Fewest points of the first design; as many as a quadratic has terms, if that is more."""

@@ -14,8 +14,9 @@ import numpy as np
 from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import floatX
 
+from zoo.core.arrays import Array
 from zoo.core.inference.gradient_step import Nuts
-from zoo.core.inference.logposterior import Array, Point, SamplingError, count, counting_ops, outputs
+from zoo.core.inference.logposterior import Point, SamplingError, count, counting_ops, outputs
 from zoo.core.inference.memo import Found, Remembering, read_lines, to_line
 from zoo.core.inference.spaces import Gaussian
 from zoo.core.inference.steps import DEMetropolisZ

@@ -9,8 +9,9 @@ import pymc as pm
 from pymc.blocking import RaveledVars
 from pymc.step_methods.hmc.quadpotential import QuadPotentialFullAdapt
 
+from zoo.core.arrays import Array
 from zoo.core.in_numba import with_memory
-from zoo.core.inference.logposterior import Array, Point, count, counting_ops
+from zoo.core.inference.logposterior import Point, count, counting_ops
 from zoo.core.inference.spaces import Gaussian
 from zoo.core.inference.steps import StepResult
 

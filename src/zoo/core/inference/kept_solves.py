@@ -5,14 +5,10 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 
-import numpy as np
-from numpy.typing import NDArray
-
+from zoo.core.arrays import Array
 from zoo.core.inference.checkpoint import Run
 from zoo.core.inference.memo import Found, Memo, to_line
 from zoo.core.surrogate.library import Library, Solved
-
-Array = NDArray[np.float64]
 
 
 @contextlib.contextmanager

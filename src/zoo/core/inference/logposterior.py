@@ -8,15 +8,15 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pymc.blocking import DictToArrayBijection, RaveledVars
 from pymc.pytensorf import compile as compile_function
 from pymc.pytensorf import floatX, join_nonshared_inputs
 
+from zoo.core.arrays import Array
 from zoo.core.in_numba import with_memory
 from zoo.core.inference.messages import SamplingError as SamplingError
 
-Array = NDArray[np.float64]
 Point = dict[str, np.ndarray]
 
 

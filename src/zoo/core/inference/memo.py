@@ -18,12 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zoo.core.arrays import Array
 from zoo.core.inference.messages import SamplingError
 from zoo.core.outputs import OutputFileError
 
-Array = NDArray[np.float64]
 REMEDY = "remove the folder to start afresh"
 _DIGITS = 24
 _BEGUN = re.compile(rb"[0-9a-f]{0,24}|[0-9a-f]{24} (\[.*)?")

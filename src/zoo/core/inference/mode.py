@@ -10,7 +10,8 @@ import numpy as np
 import pymc as pm
 from numpy.typing import ArrayLike
 
-from zoo.core.inference.logposterior import Array, LogPosterior, SamplingError, model_name
+from zoo.core.arrays import Array
+from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
 from zoo.core.inference.newton import Residuals, gauss_newton, least_squares, newton
 from zoo.core.model import ModelRecord
 

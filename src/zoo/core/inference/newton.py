@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from pymc.pytensorf import join_nonshared_inputs
 
+from zoo.core.arrays import Array
 from zoo.core.derivatives import has_jacobian, jacobian
 from zoo.core.forward import SolveError
 from zoo.core.in_numba import with_memory
-from zoo.core.inference.logposterior import Array, LogPosterior
+from zoo.core.inference.logposterior import LogPosterior
 
 FOLLOWED = 6
 """Starts from which least squares are followed; a pulse wave has lesser fits, such as of stiff vessels."""

@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zoo.core.arrays import Array
 from zoo.core.arviz_lines import dataset
 from zoo.core.inference.gradient_step import TARGET_ACCEPT, dense_metric
 from zoo.core.inference.messages import without_messages
 
-Array = NDArray[np.float64]
 Draws = dict[str, Array]
 
 

@@ -8,15 +8,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zoo.core.arrays import Array
 from zoo.core.arviz_lines import effective, split_rhat
 from zoo.core.effects import WithEffects
 from zoo.core.inference.elements import scalars
 from zoo.core.inference.record import ResultsError
 from zoo.core.parameters import LogNormal, LogUniform, Parameter, Prior, pack, variable_name
-
-Array = NDArray[np.float64]
 
 OUTER = 0.01
 """Part of a prior's mass at each end in which a posterior is counted."""

@@ -18,7 +18,8 @@ from pymc.step_methods.compound import Competence
 from pymc.step_methods.state import dataclass_state
 from pymc.util import get_value_vars_from_user_vars
 
-from zoo.core.inference.logposterior import Array, LogPosterior, Point
+from zoo.core.arrays import Array
+from zoo.core.inference.logposterior import LogPosterior, Point
 from zoo.core.inference.mode import Mode, search_mode
 from zoo.core.inference.spaces import Gaussian
 from zoo.core.inference.starts import first_archive, scattered

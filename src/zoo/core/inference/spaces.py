@@ -12,7 +12,8 @@ from pymc.distributions.transforms import IntervalTransform
 from pymc.pytensorf import constant_fold
 from scipy.special import expit, log_expit, logit
 
-from zoo.core.inference.logposterior import Array, Point
+from zoo.core.arrays import Array
+from zoo.core.inference.logposterior import Point
 
 T_DOF = 5.0
 """Degrees of freedom of the t distributions that proposals and starts are drawn from."""

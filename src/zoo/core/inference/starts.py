@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from zoo.core.inference.logposterior import Array, LogPosterior
+from zoo.core.arrays import Array
+from zoo.core.inference.logposterior import LogPosterior
 from zoo.core.inference.mode import Mode
 from zoo.core.inference.spaces import T_DOF, Gaussian
 

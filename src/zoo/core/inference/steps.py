@@ -17,7 +17,8 @@ from pymc.step_methods.state import dataclass_state
 from pymc.util import get_value_vars_from_user_vars
 from pytensor.compile.mode import Mode as CompileMode
 
-from zoo.core.inference.logposterior import Array, Point, compile_logp, count, counting_ops
+from zoo.core.arrays import Array
+from zoo.core.inference.logposterior import Point, compile_logp, count, counting_ops
 from zoo.core.inference.spaces import T_DOF, ConstrainedSpace, Gaussian
 
 StepResult = tuple[RaveledVars, list[dict[str, Any]]]

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zoo.core.arrays import Array
 from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.building import Builder, Weighed
 from zoo.core.inference.checkpoint import Run
@@ -25,8 +25,6 @@ from zoo.core.inference.starts import start_settings
 from zoo.core.model import record_of
 from zoo.core.surrogate.library import Library
 from zoo.core.surrogate.waveform import SurrogateError
-
-Array = NDArray[np.float64]
 
 ROUNDS = 8
 """Surrogates that are made at most."""

@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 import pymc as pm
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pymc.stats import compute_log_prior
 from scipy.special import logsumexp, ndtr
 
+from zoo.core.arrays import Array
 from zoo.core.arviz_lines import (
     InferenceData,
     Score,
@@ -38,7 +39,6 @@ from zoo.core.parameters import variable_name
 from zoo.core.posterior.belonging import mismatch
 from zoo.core.surrogate.library import Library
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 N_DRAWS = 1000  # as in the paper

@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytensor.tensor as pt
-from numpy.typing import NDArray
 from scipy import linalg
 from scipy.spatial.distance import cdist
 
+from zoo.core.arrays import Array
 from zoo.core.draws import evenly
-
-Array = NDArray[np.float64]
 
 LENGTHS = (1.0, 2.0, 4.0, 8.0)
 """Lengths that are tried, in standard deviations of what the variables are whitened with."""

@@ -7,11 +7,10 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
+from zoo.core.arrays import Array
 from zoo.core.forward import ForwardModel, SolveError
 
-Array = NDArray[np.float64]
 Solved = Array | str
 """Series (n_series, n_times), or in what way a solve failed."""
 

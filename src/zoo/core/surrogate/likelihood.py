@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 import pytensor.tensor as pt
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 
+from zoo.core.arrays import Array
 from zoo.core.errors.base import ErrorModel
 from zoo.core.surrogate.waveform import Surrogate, SurrogateError
-
-Array = NDArray[np.float64]
 
 MOST_PARAMETERS = 2
 """Most parameters of errors that a table is made over."""

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytensor.tensor as pt
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from zoo.core.arrays import Array
 from zoo.core.parameters import Parameter
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

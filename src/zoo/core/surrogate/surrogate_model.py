@@ -7,17 +7,16 @@ from collections.abc import Mapping
 import numpy as np
 import pymc as pm
 import pytensor.tensor as pt
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pytensor.graph.traversal import applys_between
 
+from zoo.core.arrays import Array
 from zoo.core.errors.variables import ErrorTermsOp
 from zoo.core.model import ModelRecord
 from zoo.core.op import MissingGradientError
 from zoo.core.parameters import random_variables
 from zoo.core.surrogate.likelihood import Table
 from zoo.core.surrogate.waveform import Surrogate
-
-Array = NDArray[np.float64]
 
 
 def log_likelihood(record: ModelRecord, series: Array, errors: Mapping[str, ArrayLike]) -> Array:

@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytensor.tensor as pt
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg
 
+from zoo.core.arrays import Array
 from zoo.core.errors.base import ErrorModel
 from zoo.core.surrogate.kriging import FewDirectionsError, Kriging
 from zoo.core.surrogate.library import Library
 from zoo.core.surrogate.powers import Coordinates
-
-Array = NDArray[np.float64]
 
 LEFT_OUT = 0.003
 """Mean squared norm of what a basis may leave of the design's series, in units of the noise."""
