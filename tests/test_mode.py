@@ -22,9 +22,9 @@ from zoo import model_F
 from zoo.blood.solver import Solver
 from zoo.blood.study import Series
 from zoo.core.inference import mode as mode_module
-from zoo.core.inference.logposterior import LogPosterior
+from zoo.core.inference.logposterior import LogPosterior, SamplingError
+from zoo.core.inference.mode import find_mode
 from zoo.core.inference.newton import gauss_newton, newton
-from zoo.core.inference.sampling import SamplingError, find_mode
 from zoo.core.inference.starts import disperse
 
 

@@ -89,8 +89,9 @@ class Samples:
     values: Array
     unit: str
 
-    def fail(self, i: int, name: str, value: float, reason: str) -> NoReturn:
-        """Raise an error of the sample that stands at this place."""
+    def fail(self, i: int, reason: str, name: str = "time_s") -> NoReturn:
+        """Raise an error of the time, or of the value, of the sample that stands at this place."""
+        value = (self.times if name == "time_s" else self.values)[i]
         raise StudyError(f"{self.path}, row {self.rows[i]}: {name} = {value:.10g}: {self.label}: {reason}")
 
     def one_period(self, period: float, otherwise: str) -> str:
@@ -113,12 +114,7 @@ class Samples:
         same = np.diff(self.times) <= _SAME_TIME * (self.times[-1] - self.times[0])
         if np.any(same):
             i = int(np.argmax(same))
-            self.fail(
-                i + 1,
-                "time_s",
-                self.times[i + 1],
-                f"a second sample at this time, beside row {self.rows[i]}; keep one",
-            )
+            self.fail(i + 1, f"a second sample at this time, beside row {self.rows[i]}; keep one")
 
     def must_repeat(self, period: float) -> None:
         """Raise unless the last value is the first, as it must be a period later."""
@@ -126,10 +122,9 @@ class Samples:
         if abs(last - first) > 1e-9 * np.ptp(self.values):
             self.fail(
                 len(self.values) - 1,
-                self.unit,
-                last,
                 f"a period_s = {period:.10g} after the first sample ({first:.10g}), so it must repeat that "
                 "one; remove this row, or correct period_s",
+                self.unit,
             )
 
 
@@ -154,14 +149,14 @@ def _own_times(samples: Samples, period: float) -> tuple[Array, Array]:
     else:
         times, values = s.times, s.values
         if times[0] < 0:
-            s.fail(0, "time_s", times[0], "before the beat; count from its start")
+            s.fail(0, "before the beat; count from its start")
         if abs(times[-1] - period) <= _TIME_ROUNDING_S:
             s.must_repeat(period)
             times, values = times[:-1], values[:-1]
         if times[-1] >= period:
             remedy = s.one_period(period, "give one period, or correct period_s")
             past = f"past period_s = {period:.10g}; {remedy}"
-            s.fail(len(times) - 1, "time_s", times[-1], past)
+            s.fail(len(times) - 1, past)
         step = period / max(1, round(period / float(np.median(np.diff(times)))))
         grid = times[0] + np.rint((times - times[0]) / step) * step
         off = float(np.max(np.abs(times - grid)))
@@ -195,8 +190,6 @@ def _uniform(samples: Samples, period: float, *, from_zero: bool) -> tuple[Array
         i = int(np.argmax(uneven))
         s.fail(
             i + 1,
-            "time_s",
-            times[i + 1],
             f"{gaps[i]:.6g} s after the sample before, where others are {step:.6g} s apart; "
             "resample to a uniform grid",
         )
@@ -214,17 +207,17 @@ def _uniform(samples: Samples, period: float, *, from_zero: bool) -> tuple[Array
             f"apart make a beat of {n * step:.8g} s, but period_s = {period:.10g} in study.toml; {remedy}"
         )
     if times[0] < 0:
-        s.fail(0, "time_s", times[0], "before the beat; count from its start")
+        s.fail(0, "before the beat; count from its start")
     if times[0] > (1 - _GRID_TOLERANCE) * step:
-        s.fail(n - 1, "time_s", times[-1], "past the period, as the series begins late; begin at time 0")
+        s.fail(n - 1, "past the period, as the series begins late; begin at time 0")
     if from_zero and times[0] > _PERIOD_TOLERANCE * step:
-        s.fail(0, "time_s", times[0], f"the {s.label} must begin at time 0; shift or resample it")
+        s.fail(0, f"the {s.label} must begin at time 0; shift or resample it")
     start = 0.0 if from_zero else float(times[0])
     grid = np.asarray(start + np.arange(n) * (period / n), dtype=np.float64)
     off = np.abs(times - grid)
     if np.any(off > _GRID_TOLERANCE * step):
         i = int(np.argmax(off))
-        s.fail(i, "time_s", times[i], f"{off[i]:.3g} s from its place on a uniform grid; resample to one")
+        s.fail(i, f"{off[i]:.3g} s from its place on a uniform grid; resample to one")
     return grid, values
 
 
@@ -235,22 +228,20 @@ def _evened(samples: Samples, period: float) -> tuple[Array, Array, str]:
     back = np.diff(times) < 0
     if np.any(back):
         i = int(np.argmax(back))
-        s.fail(i + 1, "time_s", times[i + 1], f"before that of row {s.rows[i]}; sort the rows by time")
+        s.fail(i + 1, f"before that of row {s.rows[i]}; sort the rows by time")
     if abs(times[0]) > _TIME_ROUNDING_S:
-        s.fail(0, "time_s", times[0], "the inflow must begin at time 0; shift or resample it")
+        s.fail(0, "the inflow must begin at time 0; shift or resample it")
     end = len(times) - 1
     if abs(times[end] - period) <= _TIME_ROUNDING_S:
         s.must_repeat(period)
         times, values = times[:-1], values[:-1]
     elif times[end] > period:
         remedy = s.one_period(period, "give one period, or correct period_s")
-        s.fail(end, "time_s", times[end], f"past period_s = {period:.10g}; {remedy}")
+        s.fail(end, f"past period_s = {period:.10g}; {remedy}")
     left, widest = period - times[-1], float(np.max(np.diff(times)))
     if left > widest * (1 + _STEP_TOLERANCE):
         s.fail(
             len(times) - 1,
-            "time_s",
-            times[-1],
             f"{left:.6g} s before period_s = {period:.10g} ends, but no other samples are more than "
             f"{widest:.6g} s apart; give the whole period, or correct period_s",
         )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple, Self
@@ -297,8 +298,67 @@ def colour_by_process(z: Array, time_s: ArrayLike, w: Any, b: Any, noise: float)
         return None if factor is None else np.asarray(z @ factor.triangle().T)
 
 
+class Processes(ErrorModel):
+    """Errors of which each series has a Gaussian process with the neural-network kernel, and noise.
+
+    Some series may share a covariance, a^2 (K(w, b) + v I).
+    """
+
+    @abstractmethod
+    def _parts(self, values: Mapping[str, ArrayLike]) -> Iterator[tuple[Any, float, tuple[Any, ...]]]:
+        """Series and times that share a covariance, its amplitude a, and its times, w, b and noise v.
+
+        The first is an index of arrays (..., series, times).
+        """
+
+    def variance(self, values: Mapping[str, ArrayLike]) -> Array:
+        """a^2 (k(t, t) + v), (n_series, n_times); NaN where nothing was measured."""
+        found = np.full((self.on.n_series, self.on.n_times), np.nan)
+        for at, a, (times, w, b, noise) in self._parts(values):
+            product = 2.0 * (b + w * times**2)
+            found[at] = a * a * (2.0 / math.pi * np.arcsin(product / (1.0 + product)) + noise)
+        return found
+
+    def whiten(self, residuals: Array, values: Mapping[str, ArrayLike]) -> Array | None:
+        """z = L^-1 r with L L' the covariance of each series; None where it has no Cholesky factor."""
+        return self._linear(whiten_by_process, residuals, values, -1)
+
+    def unwhiten(self, z: Array, values: Mapping[str, ArrayLike]) -> Array | None:
+        """r = L z; None where the covariance has no Cholesky factor."""
+        return self._linear(colour_by_process, z, values, 1)
+
+    def _linear(self, map_: Any, series: Array, values: Mapping[str, ArrayLike], power: int) -> Array | None:
+        found = np.zeros(series.shape)
+        for at, a, law in self._parts(values):
+            part = map_(series[at], *law)
+            if part is None:
+                return None
+            found[at] = a**power * part
+        return found
+
+    def terms(
+        self, residual: Array, values: Mapping[str, ArrayLike], decomposition: str = "sequential"
+    ) -> Array:
+        """`gp_sequential` or `gp_leave_one_out` of each part, (n_series, n_times)."""
+        function = gp_leave_one_out if decomposition == "leave-one-out" else gp_sequential
+        found = np.zeros(residual.shape)
+        for at, a, law in self._parts(values):
+            found[at] = function(residual[at] / a, *law) - math.log(a)
+        return found
+
+    def left_out(self, residual: Array, values: Mapping[str, ArrayLike]) -> Array | None:
+        """That of `gp_left_out` in each part."""
+        found = np.zeros(residual.shape)
+        for at, a, law in self._parts(values):
+            part = gp_left_out(residual[at] / a, *law)
+            if part is None:
+                return None
+            found[at] = part[0]
+        return found
+
+
 @dataclass(frozen=True)
-class GaussianProcess(ErrorModel):
+class GaussianProcess(Processes):
     """A Gaussian process around each series, with the neural-network kernel and fixed noise.
 
     y ~ N(mean, K(w, b) + (noise_variance + jitter) I), independently for each series, with one w and b. The
@@ -376,42 +436,17 @@ class GaussianProcess(ErrorModel):
                 )
         return super().bind(data)
 
-    def variance(self, values: Mapping[str, ArrayLike]) -> Array:
-        """k(t, t) and the noise, (n_series, n_times)."""
-        t = self.on.times
-        product = 2.0 * (float(np.asarray(values["b"])) + float(np.asarray(values["w"])) * t * t)
-        diagonal = 2.0 / math.pi * np.arcsin(product / (1.0 + product)) + self.noise
-        return np.tile(diagonal, (self.on.n_series, 1))
-
-    def whiten(self, residuals: Array, values: Mapping[str, ArrayLike]) -> Array | None:
-        """z = L^-1 r with L L' the covariance of a series; None where it has no Cholesky factor."""
-        return whiten_by_process(residuals, self.on.times, values["w"], values["b"], self.noise)
-
-    def unwhiten(self, z: Array, values: Mapping[str, ArrayLike]) -> Array | None:
-        """r = L z; None where the covariance has no Cholesky factor."""
-        return colour_by_process(z, self.on.times, values["w"], values["b"], self.noise)
-
-    def terms(
-        self, residual: Array, values: Mapping[str, ArrayLike], decomposition: str = "sequential"
-    ) -> Array:
-        """`gp_sequential` or `gp_leave_one_out`, (n_series, n_times)."""
-        function = gp_leave_one_out if decomposition == "leave-one-out" else gp_sequential
+    def _parts(self, values: Mapping[str, ArrayLike]) -> Iterator[tuple[Any, float, tuple[Any, ...]]]:
+        every = ..., np.arange(self.on.n_series)[:, None], np.arange(self.on.n_times)
         w, b = (float(np.asarray(values[name])) for name in ("w", "b"))
-        return function(residual, self.on.times, w, b, self.noise)
-
-    def left_out(self, residual: Array, values: Mapping[str, ArrayLike]) -> Array | None:
-        """That of `gp_left_out`."""
-        w, b = (float(np.asarray(values[name])) for name in ("w", "b"))
-        found = gp_left_out(residual, self.on.times, w, b, self.noise)
-        return None if found is None else found[0]
+        yield every, 1.0, (self.on.times, w, b, self.noise)
 
     def gradient(
         self, residual: Array, values: Mapping[str, ArrayLike], weight: Array
     ) -> tuple[Array, dict[str, float]]:
         """`gp_gradient`."""
-        by_residual, by_w, by_b, _ = gp_gradient(
-            residual, weight, self.on.times, values["w"], values["b"], self.noise
-        )
+        [(_, _, law)] = self._parts(values)
+        by_residual, by_w, by_b, _ = gp_gradient(residual, weight, *law)
         return by_residual, {"w": by_w, "b": by_b}
 
     def in_numba(self) -> TermsInNumba:

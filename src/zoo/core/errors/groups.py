@@ -14,14 +14,7 @@ from numpy.typing import ArrayLike
 from zoo.core.arrays import Array
 from zoo.core.data import Data
 from zoo.core.errors.base import DIMS, ErrorModel, ErrorModelError, TermsInNumba
-from zoo.core.errors.gaussian_process import (
-    colour_by_process,
-    gp_gradient,
-    gp_leave_one_out,
-    gp_left_out,
-    gp_sequential,
-    whiten_by_process,
-)
+from zoo.core.errors.gaussian_process import Processes, gp_gradient
 from zoo.core.parameters import LogNormal, Parameter, Prior
 
 _LOG_2PI = math.log(2.0 * math.pi)
@@ -204,7 +197,7 @@ class GroupNoise(ErrorModel):
 
 
 @dataclass(frozen=True)
-class GroupProcess(GroupNoise):
+class GroupProcess(Processes, GroupNoise):
     """Noise and a Gaussian process for each group of series.
 
     y ~ N(mean, amplitude^2 K(w, b) + noise^2 I), independently for each series, with K the neural-network
@@ -255,10 +248,6 @@ class GroupProcess(GroupNoise):
         return np.asarray(self.on.times / self.on.duration)
 
     def _parts(self, values: Mapping[str, ArrayLike]) -> Iterator[tuple[Any, float, tuple[Any, ...]]]:
-        """Series and times that share a covariance, its amplitude, and (times, w, b, noise variance) of it.
-
-        The noise's variance is in squared amplitudes. The first is an index of arrays (..., series, times).
-        """
         sd = self._noise(values).ravel()
         for group, rows in self.on.rows.items():
             a, w, b = (float(np.asarray(values[f"{name}_{group}"])) for name in ("amplitude", "w", "b"))
@@ -272,51 +261,6 @@ class GroupProcess(GroupNoise):
                     at = np.flatnonzero(self.on.measured[same[0]])
                     index = ..., np.array(same)[:, None], at
                     yield index, a, (self.cycles[at], w, b, ratio * ratio)
-
-    def variance(self, values: Mapping[str, ArrayLike]) -> Array:
-        """amplitude^2 k(t, t) + noise^2, (n_series, n_times)."""
-        found = np.full((self.on.n_series, self.on.n_times), np.nan)
-        for at, a, (cycles, w, b, noise) in self._parts(values):
-            product = 2.0 * (b + w * cycles**2)
-            found[at] = a * a * (2.0 / math.pi * np.arcsin(product / (1.0 + product)) + noise)
-        return found
-
-    def whiten(self, residuals: Array, values: Mapping[str, ArrayLike]) -> Array | None:
-        """z = L^-1 r with L L' the covariance of each series; None where it has no Cholesky factor."""
-        return self._linear(whiten_by_process, residuals, values, -1)
-
-    def unwhiten(self, z: Array, values: Mapping[str, ArrayLike]) -> Array | None:
-        """r = L z; None where the covariance has no Cholesky factor."""
-        return self._linear(colour_by_process, z, values, 1)
-
-    def _linear(self, map_: Any, series: Array, values: Mapping[str, ArrayLike], power: int) -> Array | None:
-        found = np.zeros(series.shape)
-        for at, a, law in self._parts(values):
-            part = map_(series[at], *law)
-            if part is None:
-                return None
-            found[at] = a**power * part
-        return found
-
-    def terms(
-        self, residual: Array, values: Mapping[str, ArrayLike], decomposition: str = "sequential"
-    ) -> Array:
-        """`gp_sequential` or `gp_leave_one_out` of each group, (n_series, n_times)."""
-        function = gp_leave_one_out if decomposition == "leave-one-out" else gp_sequential
-        found = np.zeros(residual.shape)
-        for at, a, law in self._parts(values):
-            found[at] = function(residual[at] / a, *law) - math.log(a)
-        return found
-
-    def left_out(self, residual: Array, values: Mapping[str, ArrayLike]) -> Array | None:
-        """That of `gp_left_out` in each group."""
-        found = np.zeros(residual.shape)
-        for at, a, law in self._parts(values):
-            part = gp_left_out(residual[at] / a, *law)
-            if part is None:
-                return None
-            found[at] = part[0]
-        return found
 
     def gradient(
         self, residual: Array, values: Mapping[str, ArrayLike], weight: Array

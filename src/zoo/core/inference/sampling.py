@@ -17,29 +17,18 @@ from numpy.typing import ArrayLike
 
 from zoo.core.arviz_lines import InferenceData, dataset
 from zoo.core.inference.chain import Task
-from zoo.core.inference.checkpoint import CheckpointInUseError, Run
+from zoo.core.inference.checkpoint import Run
 from zoo.core.inference.convergence import ESS_TARGET, check_convergence
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
-from zoo.core.inference.memo import CheckpointError
-from zoo.core.inference.mode import Mode, find_mode, has_many, search_mode
+from zoo.core.inference.mode import Mode, has_many, search_mode
 from zoo.core.inference.pool import Chains
 from zoo.core.inference.prior_check import check_priors, exactness_at, modes_at_bounds, priors_of
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record_of_run import attach_record, inference_data
 from zoo.core.inference.starts import Start, disperse, start_settings
-from zoo.core.inference.steps import DEMETROPOLISZ, DEMetropolisZ
+from zoo.core.inference.steps import DEMETROPOLISZ
 from zoo.core.model import ModelError
 from zoo.core.op import MissingGradientError
-
-__all__ = [
-    "CheckpointError",
-    "CheckpointInUseError",
-    "DEMetropolisZ",
-    "Mode",
-    "SamplingError",
-    "find_mode",
-    "sample",
-]
 
 NUTS_TUNE = 500
 """Steps of NUTS that are thrown away while its metric and step size adapt."""
