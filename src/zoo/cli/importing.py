@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from zoo.cli.command import REQUIRED, Role, UsageError, argument, command, option
 from zoo.cli.screen import say
 from zoo.core.outputs import output_folder
+
+if TYPE_CHECKING:
+    from zoo.blood.importing.imported import Imported
 
 YAML = (".yaml", ".yml")
 FILES = (
@@ -76,12 +79,18 @@ def import_(
         found = import_table(file, name=name, **given)
     else:
         raise UsageError(f"{file}: unknown ending {file.suffix!r}; give {FILES}")
-    study = found.save(output, replace=True)  # as checked above
+    _save(
+        found, output, "simulate", "" if any(v.stiffness for v in found.study.vessels) else " --stiffness 6e4"
+    )
+
+
+def _save(found: Imported, output: Path, following: str, options: str = "") -> None:
+    """Write a study into a folder whose files are checked, and tell what became of what was read."""
+    study = found.save(output, replace=True)
     say(study.name, *(f"  read: {line}" for line in found.read))
     say(*(f"  converted: {line}" for line in found.converted))
     say(*(f"  left out: {line}" for line in found.left_out))
-    stiff = any(v.stiffness for v in study.vessels)
-    say(f"wrote {output}", f"next: zoo simulate {output}" + ("" if stiff else " --stiffness 6e4"))
+    say(f"wrote {output}", f"next: zoo {following} {output}{options}")
 
 
 @dataclass(frozen=True)
@@ -107,10 +116,9 @@ def import_beats(
     beats: BeatOptions,
 ) -> None:
     """Make a study of raw records: find the beats, average them, tell their scatter and timing."""
-    from zoo.blood.importing.beats import COVARIANCE_FILES
+    from zoo.blood.importing.beats import ImportedBeats
     from zoo.blood.importing.beats import import_beats as read
     from zoo.blood.importing.study_beats import average_beats
-    from zoo.blood.study import STUDY_FILES
 
     given: dict[str, Any] = {option: value for option, value in vars(beats).items() if value is not None}
     if pressure.is_dir():
@@ -120,15 +128,11 @@ def import_beats(
         raise UsageError(
             f"{pressure}: add FLOW, --length and --radius, or give the folder of a study in its place"
         )
-    output_folder(output, (*STUDY_FILES, *COVARIANCE_FILES.values()), "--output")
+    output_folder(output, ImportedBeats.files, "--output")
     if flow is None:
         found = average_beats(pressure)
         if name is not None:
             found = replace(found, study=replace(found.study, name=name))
     else:
         found = read(pressure, flow, name=name, **given)
-    study = found.save(output, replace=True)  # as checked above
-    say(study.name, *(f"  read: {line}" for line in found.read))
-    say(*(f"  converted: {line}" for line in found.converted))
-    say(*(f"  left out: {line}" for line in found.left_out))
-    say(f"wrote {output}", f"next: zoo diagnose {output}")
+    _save(found, output, "diagnose")

@@ -8,17 +8,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from zoo.blood.importing.imported import Imported, ImportedFileError
-from zoo.blood.importing.table import DENSITY, LEAST, VISCOSITY
-from zoo.blood.study import Blood, Series, Study, Vessel
+from zoo.blood.importing.imported import Imported, ImportedFileError, check_flow, check_positive
+from zoo.blood.importing.table import DENSITY, VISCOSITY
+from zoo.blood.study import STUDY_FILES, Blood, Series, Study, Vessel
 from zoo.blood.study.reading import read_text
 from zoo.blood.study.samples import FEWEST_BEATS, MIN_SAMPLES, number
 from zoo.core.arrays import Array
-from zoo.core.outputs import output_folder, write_file
+from zoo.core.outputs import write_file
 from zoo.core.words import short
 
 UNITS = {
@@ -82,6 +83,7 @@ class ImportedBeats(Imported):
         Standard deviation of that between beats.
     """
 
+    files: ClassVar[tuple[str, ...]] = (*STUDY_FILES, *COVARIANCE_FILES.values())
     beats: dict[str, Array] = field(default_factory=dict, repr=False)
     covariance: dict[str, Array] = field(default_factory=dict, repr=False)
     offset_s: float | None = None
@@ -108,11 +110,7 @@ class ImportedBeats(Imported):
         zoo.core.outputs.OutputFileError
             If the folder or a file cannot be written.
         """
-        folder = output_folder(folder, COVARIANCE_FILES.values(), deep=True)
-        there = [] if replace else [name for name in COVARIANCE_FILES.values() if (folder / name).exists()]
-        if there:
-            raise ImportedFileError(f"{folder / there[0]}: is there already; give another folder")
-        study = super().save(folder, replace=replace)
+        study, folder = super().save(folder, replace=replace), Path(folder)
         for quantity, matrix in self.covariance.items():
             times = study.time_s.tolist()
             rows = [",".join(["time_s", *map(repr, times)])]
@@ -163,17 +161,8 @@ def import_beats(
     """
     p = read_record(Path(pressure), "pressure_mmHg")
     q = read_record(Path(flow), "flow_ml_s")
-    for word, value in (
-        ("length", length_cm),
-        ("radius", radius_cm),
-        ("density", density_g_cm3),
-        ("viscosity", viscosity_g_cm_s),
-    ):
-        if not LEAST <= value <= 1 / LEAST:
-            raise ImportedFileError(
-                f"{p.path}: {word} = {value!r}: must be positive and finite, from {LEAST:g} to "
-                f"{1 / LEAST:g}; correct it"
-            )
+    sizes = {"length": length_cm, "radius": radius_cm}
+    check_positive(p.path, **sizes, density=density_g_cm3, viscosity=viscosity_g_cm_s)
     if not 0 <= position <= 1:
         raise ImportedFileError(
             f"{p.path}: position = {position!r}: must be in [0, 1]; give the fraction of the vessel's length"
@@ -213,11 +202,7 @@ def import_beats(
     phase = np.arange(n) / n
     beats = {r.quantity: np.array([r.at(a + phase * (b - a)) for a, b in cut[r.quantity]]) for r in (p, q)}
     mean = {quantity: values.mean(axis=0) for quantity, values in beats.items()}
-    if not mean["flow_ml_s"].mean() > 0:
-        raise ImportedFileError(
-            f"{q.path}: mean flow_ml_s = {mean['flow_ml_s'].mean():.6g}: must be positive; count what flows "
-            "in as positive"
-        )
+    check_flow(q.path, mean["flow_ml_s"])
     covariance = {quantity: np.cov(values, rowvar=False) for quantity, values in beats.items()}
     sd = {quantity: float(np.sqrt(np.trace(c) / n)) for quantity, c in covariance.items()}
     if not all(value > 0 for value in sd.values()):

@@ -6,18 +6,41 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zoo.blood.study import STUDY_FILES, Blood, Study, StudyError, Vessel, load_study, save_study
 from zoo.blood.study.resampling import denser, even_samples
+from zoo.core.arrays import Array
 from zoo.core.outputs import output_folder
 from zoo.core.words import OneLineError
 
 
 class ImportedFileError(OneLineError, ValueError):
     """A file that cannot be imported: one line with the file, row, field, value and remedy."""
+
+
+LEAST = 1e-30
+"""Of numbers that are positive, which are at most the inverse."""
+
+
+def check_positive(where: object, **numbers: float) -> None:
+    """Refuse an argument, by what it is called, that is not positive and finite."""
+    for word, value in numbers.items():
+        if not LEAST <= value <= 1 / LEAST:
+            raise ImportedFileError(
+                f"{where}: {word.replace('_', ' ')} = {value!r}: must be positive and finite, from "
+                f"{LEAST:g} to {1 / LEAST:g}; correct it"
+            )
+
+
+def check_flow(where: object, flow: Array) -> None:
+    """Refuse an inflow (n_times,) that flows out in the mean."""
+    if not flow.mean() > 0:
+        raise ImportedFileError(
+            f"{where}: mean flow_ml_s = {flow.mean():.6g}: must be positive; count what flows in as positive"
+        )
 
 
 @dataclass(frozen=True)
@@ -35,6 +58,7 @@ class Imported:
         What the files hold that a study does not.
     """
 
+    files: ClassVar[tuple[str, ...]] = STUDY_FILES
     study: Study
     read: tuple[str, ...]
     converted: tuple[str, ...] = ()
@@ -62,8 +86,8 @@ class Imported:
         zoo.core.outputs.OutputFileError
             If the folder or a file cannot be written.
         """
-        folder = output_folder(folder, STUDY_FILES, deep=True)
-        there = [] if replace else [name for name in STUDY_FILES if (folder / name).exists()]
+        folder = output_folder(folder, self.files, deep=True)
+        there = [] if replace else [name for name in self.files if (folder / name).exists()]
         if there:
             raise ImportedFileError(f"{folder / there[0]}: is there already; give another folder")
         with TemporaryDirectory() as tried:
@@ -81,7 +105,7 @@ def study_of(
     path: Path,
     vessels: Sequence[Vessel],
     blood: Blood,
-    curve: NDArray[np.float64],
+    curve: Array,
     period: float,
     radius_pressure_mmHg: float = 0.0,
 ) -> tuple[Study, float]:

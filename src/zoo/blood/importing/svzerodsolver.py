@@ -15,12 +15,10 @@ import numpy as np
 
 from zoo.blood.conventions import PRINTED
 from zoo.blood.importing.imported import Imported, ImportedFileError, study_of
+from zoo.blood.importing.table import DENSITY, VISCOSITY
 from zoo.blood.study import Blood, Vessel, Windkessel
 from zoo.blood.study.reading import read_text
 from zoo.core.words import short
-
-DENSITY, VISCOSITY = 1.06, 0.04
-"""svZeroDSolver's own where a file gives none, g/cm3 and g/(cm s)."""
 
 
 def import_svzerodsolver(path: str | Path) -> Imported:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from zoo.blood.importing.imported import Imported, ImportedFileError
+from zoo.blood.importing.imported import Imported, ImportedFileError, check_flow, check_positive
 from zoo.blood.study import Blood, Series, Study, Windkessel
 from zoo.blood.study.loading import check_terminals
 from zoo.blood.study.parts import VESSEL_PHYSICS
@@ -32,8 +32,6 @@ WITHOUT_HEADER = (
 """Columns of a table of numbers alone, by how many there are."""
 DENSITY, VISCOSITY = 1.06, 0.04
 """Of blood where none are given, g/cm3 and g/(cm s)."""
-LEAST = 1e-30
-"""Of numbers that are positive, which are at most the inverse."""
 
 
 def import_table(
@@ -80,15 +78,9 @@ def import_table(
         If a file is wrong: one line with the file, row, field, value and remedy.
     """
     path = Path(vessels)
-    numbers = {"period": period_s, "density": density_g_cm3, "viscosity": viscosity_g_cm_s}
+    check_positive(path, period=period_s, density=density_g_cm3, viscosity=viscosity_g_cm_s)
     if velocity_profile_order is not None:
-        numbers["profile order"] = velocity_profile_order
-    for word, value in numbers.items():
-        if not LEAST <= value <= 1 / LEAST:
-            raise ImportedFileError(
-                f"{path}: {word} = {value!r}: must be positive and finite, from {LEAST:g} to {1 / LEAST:g}; "
-                "correct it"
-            )
+        check_positive(path, profile_order=velocity_profile_order)
     found, places = [], []
     table = read_csv(path, REQUIRED, OPTIONAL, WITHOUT_HEADER)
     for i, row in enumerate(table.rows):
@@ -101,10 +93,7 @@ def import_table(
     sort_vessels(found, places)
     check_physics(found, places)
     times, flow, note = read_inflow(Path(inflow), period_s)
-    if not flow.mean() > 0:
-        raise ImportedFileError(
-            f"{inflow}: mean flow_ml_s = {flow.mean():.6g}: must be positive; count what flows in as positive"
-        )
+    check_flow(inflow, flow)
     grid: Array = np.empty(0)
     series: tuple[Series, ...] = ()
     if observations is not None:
