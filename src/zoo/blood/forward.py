@@ -172,13 +172,20 @@ class BloodFlow:
             tuple((s.vessel, s.position, s.quantity) for s in study.series), study.time_s
         )
         self._times = self.outputs.times + self.conventions.sample_lag_beats * self.network.period_s
-        series = cast("tuple[Place, ...]", self.outputs.series)
         self._kept: tuple[tuple[Case, Any, Array, Solver], ...] = ()
         self.key = self._digest()
-        if len(self.network.ids) and series:
+        if len(self.network.ids) and self.series:
             blank = self._case(self.fixed, np.ones(len(self.network.ids)))
-            check_series(blank, series)
-            self._solver(blank, tuple(dict.fromkeys((v, x) for v, x, _ in series)), self._times)
+            check_series(blank, self.series)
+            self._solver(blank, self._places(), self._times)
+
+    @property
+    def series(self) -> tuple[Place, ...]:
+        """Vessel, position and quantity of each output."""
+        return cast("tuple[Place, ...]", self.outputs.series)
+
+    def _places(self) -> tuple[tuple[int, float], ...]:
+        return tuple(dict.fromkeys((vessel, position) for vessel, position, _ in self.series))
 
     def _digest(self) -> str:
         """Of everything that a solution depends on besides theta."""
@@ -213,13 +220,12 @@ class BloodFlow:
         StudyError
             If the study's table [numerics] is wrong, or neither can be solved.
         """
-        series = cast("tuple[Place, ...]", self.outputs.series)
         medians = start_of([replace(p, start=None) for p in self.parameters])
         failed: SolveError | None = None
         for values in (medians, start_of(self.parameters)):
             case = self.configure(pack(self.parameters, values))
             try:
-                found = resolve(self.study, case, series, self._times, share=share)
+                found = resolve(self.study, case, self.series, self._times, share=share)
             except SolveError as error:
                 failed = error
                 continue
@@ -233,8 +239,7 @@ class BloodFlow:
         """A sentence if the chosen cells and steps are too coarse for this solve; else empty."""
         if self.resolution is None:
             return ""
-        series = cast("tuple[Place, ...]", self.outputs.series)
-        return coarse_at(self.study, configuration, series, self._times)
+        return coarse_at(self.study, configuration, self.series, self._times)
 
     def refined(self) -> BloodFlow | None:
         """The same with cells and steps of half the size.
@@ -269,8 +274,7 @@ class BloodFlow:
         SolveError
             If it cannot be solved.
         """
-        places = tuple(dict.fromkeys((v, x) for v, x, _ in cast("tuple[Place, ...]", self.outputs.series)))
-        solved = self._solver(configuration, places, self._times).solve(**configuration.parameters)
+        solved = self._solver(configuration, self._places(), self._times).solve(**configuration.parameters)
         refine = configuration.options.refine
         taken = math.ceil((1.0 + PINNED_MARGIN) * solved.steps_per_beat / (STEP_UNIT * refine)) * STEP_UNIT
         steps = min(taken, self.options.max_steps // refine)
@@ -398,8 +402,7 @@ class BloodFlow:
         scale = net.stiffness_in if self.stiffness is scaled_stiffness else ones
         if law is None or scale is None:
             return None
-        places = tuple(dict.fromkeys((v, x) for v, x, _ in cast("tuple[Place, ...]", self.outputs.series)))
-        solver = self._solver(self._case(self.fixed, ones), places, self._times)
+        solver = self._solver(self._case(self.fixed, ones), self._places(), self._times)
         radius = net.radius_in_cm / self.conventions.stiffness_radius_unit_cm
         known = Law.of(self.parameters, self.fixed, self.wall, law, scale, radius)
         return None if known is None else blood_flow(solver, self.outputs, self.parameters, known)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -20,49 +20,23 @@ from zoo.blood.outlet_tables import StructuredTree
 from zoo.blood.solve_errors import SolverArgumentError
 from zoo.blood.study import ReadOnlyArrays, Study, Vessel, read_only
 from zoo.blood.units import mmhg_to_cgs
-from zoo.core.arrays import Array, real_array, real_number, shown
+from zoo.core.arrays import Array, real_array, real_number, refuse_where, shown
 
-_NUMBERS = {
-    "momentum_correction": (0.0, False, "positive; 1 is a flat profile, 4/3 a parabolic one"),
-    "stokes_friction": (0.0, True, "zero or positive; 1 is eq. (3.1)"),
-    "viscous_friction": (0.0, True, "zero or positive; 8 is Poiseuille's"),
-    "relaxation_time": (0.0, False, "positive, s"),
-    "total_pressure": (0.0, True, "zero or positive; 1 is the total pressure"),
-    "junction_loss": (0.0, True, "zero or positive"),
-    "throat_loss": (0.0, True, "zero or positive; Young and Tsai have 1.52"),
-}
-_PER_VESSEL = {
-    "viscosity_factor": (0.0, False, "positive"),
-    "offset_in": (-np.inf, False, "finite, dyn/cm2"),
-    "offset_out": (-np.inf, False, "finite, dyn/cm2"),
-    "viscoelastic_time": (0.0, True, "zero or positive, s"),
-    "leak": (0.0, True, "zero or positive, cm4 s/g"),
-    "stiffness_ratio": (0.0, False, "positive"),
-    "stiffness_exponent": (-np.inf, False, "finite"),
-    "outflow_pressure": (-np.inf, False, "finite, dyn/cm2"),
-    "outflow_wave": (-np.inf, False, "finite, dyn/cm2"),
-    "inertance": (0.0, True, "zero or positive, g/cm4; any value, say 0, where a vessel is no terminal"),
-    "section_resistance": (-np.inf, False, "finite"),
-    "section_compliance": (-np.inf, False, "finite"),
-    "loss_quadratic": (0.0, True, "zero or positive, g/cm7"),
-    "loss_linear": (0.0, True, "zero or positive, dyn s/cm5"),
-    "loss_position": (0.0, True, "between 0 (inlet) and 1 (outlet)"),
-    "loss_length": (0.0, False, "positive, cm"),
-    "throat_severity": (0.0, True, "at least 0 and below 1"),
-    "throat_position": (0.0, True, "between 0 (inlet) and 1 (outlet)"),
-    "throat_length": (0.0, False, "positive, cm"),
-}
-_PER_TIME = {"stiffness_wave": (0.0, False, "positive")}
-_LIMITS = {"throat_severity": 1.0 - 1e-9, "throat_position": 1.0, "loss_position": 1.0}
-_SECTIONS = ("section_resistance", "section_compliance")
-_ROWS = {**dict.fromkeys(_SECTIONS, "(n_vessels, n_sections)"), "outflow_wave": "(n_vessels, n_times)"}
-_FUNCTIONS: dict[str, type[KnotFunction]] = {
-    "wall_function": WallFunction,
-    "friction_function": FrictionFunction,
-    "junction_function": JunctionFunction,
-    "outlet_resistance_function": OutletFunction,
-    "outlet_compliance_function": OutletFunction,
-}
+_SECTIONS = "(n_vessels, n_sections)"
+
+
+def _term(
+    words: str,
+    default: float | None = None,
+    *,
+    low: float = -np.inf,
+    above: float = -np.inf,
+    high: float = np.inf,
+    shape: str = "(n_vessels,)",
+) -> Any:
+    """A number, or an array of a shape whose default is None: what its values must be."""
+    told = {"words": words, "low": low, "above": above, "high": high, "shape": shape}
+    return field(default=default, metadata=told)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,65 +130,57 @@ class Physics(ReadOnlyArrays):
     Young and Tsai 1973, doi 10.1016/0021-9290(73)90099-7.
     """
 
-    momentum_correction: float = 1.0
-    stokes_friction: float = 1.0
-    viscous_friction: float = 0.0
-    viscosity_factor: Array | None = None
-    offset_in: Array | None = None
-    offset_out: Array | None = None
-    stiffness_ratio: Array | None = None
-    stiffness_exponent: Array | None = None
-    viscoelastic_time: Array | None = None
-    relaxation_time: float = 3e-4
-    stiffness_wave: Array | None = None
-    leak: Array | None = None
-    total_pressure: float = 0.0
-    junction_loss: float = 0.0
-    outflow_pressure: Array | None = None
-    outflow_wave: Array | None = None
-    inertance: Array | None = None
-    section_resistance: Array | None = None
-    section_compliance: Array | None = None
-    throat_severity: Array | None = None
-    throat_position: Array | None = None
-    throat_length: Array | None = None
-    throat_loss: float = 1.52
-    loss_quadratic: Array | None = None
-    loss_linear: Array | None = None
-    loss_position: Array | None = None
-    loss_length: Array | None = None
-    wall_function: WallFunction | None = None
-    friction_function: FrictionFunction | None = None
-    junction_function: JunctionFunction | None = None
-    outlet_resistance_function: OutletFunction | None = None
-    outlet_compliance_function: OutletFunction | None = None
+    momentum_correction: float = _term("positive; 1 is a flat profile, 4/3 a parabolic one", 1.0, above=0.0)
+    stokes_friction: float = _term("zero or positive; 1 is eq. (3.1)", 1.0, low=0.0)
+    viscous_friction: float = _term("zero or positive; 8 is Poiseuille's", 0.0, low=0.0)
+    viscosity_factor: Array | None = _term("positive", above=0.0)
+    offset_in: Array | None = _term("finite, dyn/cm2")
+    offset_out: Array | None = _term("finite, dyn/cm2")
+    stiffness_ratio: Array | None = _term("positive", above=0.0)
+    stiffness_exponent: Array | None = _term("finite")
+    viscoelastic_time: Array | None = _term("zero or positive, s", low=0.0)
+    relaxation_time: float = _term("positive, s", 3e-4, above=0.0)
+    stiffness_wave: Array | None = _term("positive", above=0.0, shape="(n_times,)")
+    leak: Array | None = _term("zero or positive, cm4 s/g", low=0.0)
+    total_pressure: float = _term("zero or positive; 1 is the total pressure", 0.0, low=0.0)
+    junction_loss: float = _term("zero or positive", 0.0, low=0.0)
+    outflow_pressure: Array | None = _term("finite, dyn/cm2")
+    outflow_wave: Array | None = _term("finite, dyn/cm2", shape="(n_vessels, n_times)")
+    inertance: Array | None = _term(
+        "zero or positive, g/cm4; any value, say 0, where a vessel is no terminal", low=0.0
+    )
+    section_resistance: Array | None = _term("finite", shape=_SECTIONS)
+    section_compliance: Array | None = _term("finite", shape=_SECTIONS)
+    throat_severity: Array | None = _term("at least 0 and below 1", low=0.0, high=1.0 - 1e-9)
+    throat_position: Array | None = _term("between 0 (inlet) and 1 (outlet)", low=0.0, high=1.0)
+    throat_length: Array | None = _term("positive, cm", above=0.0)
+    throat_loss: float = _term("zero or positive; Young and Tsai have 1.52", 1.52, low=0.0)
+    loss_quadratic: Array | None = _term("zero or positive, g/cm7", low=0.0)
+    loss_linear: Array | None = _term("zero or positive, dyn s/cm5", low=0.0)
+    loss_position: Array | None = _term("between 0 (inlet) and 1 (outlet)", low=0.0, high=1.0)
+    loss_length: Array | None = _term("positive, cm", above=0.0)
+    wall_function: WallFunction | None = field(default=None, metadata={"kind": WallFunction})
+    friction_function: FrictionFunction | None = field(default=None, metadata={"kind": FrictionFunction})
+    junction_function: JunctionFunction | None = field(default=None, metadata={"kind": JunctionFunction})
+    outlet_resistance_function: OutletFunction | None = field(default=None, metadata={"kind": OutletFunction})
+    outlet_compliance_function: OutletFunction | None = field(default=None, metadata={"kind": OutletFunction})
 
     def __post_init__(self) -> None:
-        for name, (low, closed, words) in _NUMBERS.items():
-            value = real_number(f"physics: {name}", getattr(self, name), words, error=SolverArgumentError)
-            if value < low or (value == low and not closed):
-                raise SolverArgumentError(f"physics: {name} = {value}: must be {words}")
-            object.__setattr__(self, name, value)
-        for name, (low, closed, words) in (_PER_VESSEL | _PER_TIME).items():
-            if getattr(self, name) is None:
-                continue
-            values = read_only(real_array(f"physics: {name}", getattr(self, name), error=SolverArgumentError))
-            object.__setattr__(self, name, values)
-            if values.ndim != (2 if name in _ROWS else 1) or not values.size:
-                shape = "(n_times,)" if name in _PER_TIME else _ROWS.get(name, "(n_vessels,)")
-                raise SolverArgumentError(f"physics: {name} has shape {values.shape}: must be {shape}")
-            high = _LIMITS.get(name, np.inf)
-            good = np.isfinite(values) & (values >= low) & (values <= high) & (closed | (values != low))
-            if not good.all():
-                where = np.unravel_index(int(np.argmin(good)), good.shape)
-                at = ", ".join(str(int(i)) for i in where)
-                raise SolverArgumentError(f"physics: {name}[{at}] = {values[where]}: must be {words}")
-        for name, kind in _FUNCTIONS.items():
-            given = getattr(self, name)
-            if given is not None and not isinstance(given, kind):
-                raise SolverArgumentError(
-                    f"physics: {name} = {shown(given)}: must be a {kind.__name__}(low, high, values)"
-                )
+        for one in fields(self):
+            name, given, told = one.name, getattr(self, one.name), one.metadata
+            if "kind" in told:
+                if not (given is None or isinstance(given, told["kind"])):
+                    kind = told["kind"].__name__
+                    raise SolverArgumentError(
+                        f"physics: {name} = {shown(given)}: must be a {kind}(low, high, values)"
+                    )
+            elif one.default is not None:
+                value = real_number(f"physics: {name}", given, told["words"], error=SolverArgumentError)
+                if value < told["low"] or value <= told["above"]:
+                    raise SolverArgumentError(f"physics: {name} = {value}: must be {told['words']}")
+                object.__setattr__(self, name, value)
+            elif given is not None:
+                object.__setattr__(self, name, self._checked(name, given, told))
         loses = self.loss_quadratic is not None or self.loss_linear is not None
         if loses and (self.loss_position is None or self.loss_length is None):
             raise SolverArgumentError("physics: loss_position and loss_length must be given with a loss")
@@ -238,25 +204,36 @@ class Physics(ReadOnlyArrays):
                     f"{self.section_resistance[vessel, section]}"
                 )
 
+    @staticmethod
+    def _checked(name: str, given: Any, told: Mapping[str, Any]) -> Array:
+        values: Array = read_only(real_array(f"physics: {name}", given, error=SolverArgumentError))
+        if values.ndim != told["shape"].count("n_") or not values.size:
+            raise SolverArgumentError(f"physics: {name} has shape {values.shape}: must be {told['shape']}")
+        inside = (values >= told["low"]) & (values > told["above"]) & (values <= told["high"])
+        bad = ~(np.isfinite(values) & inside)
+        refuse_where(f"physics: {name}", values, bad, told["words"], error=SolverArgumentError)
+        return values
+
     def settings(self) -> dict[str, Any]:
         """The fields that are not at their default, arrays as lists."""
         given = {}
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for one in fields(self):
+            value = getattr(self, one.name)
             if isinstance(value, np.ndarray):
-                given[field.name] = value.tolist()
+                given[one.name] = value.tolist()
             elif isinstance(value, KnotFunction):
-                given[field.name] = {**asdict(value), "values": list(value.values)}
-            elif value != field.default:
-                given[field.name] = value
+                given[one.name] = {**asdict(value), "values": list(value.values)}
+            elif value != one.default:
+                given[one.name] = value
         return given
 
     def fit(self, network: Network) -> None:
         """Raise SolverArgumentError where an array does not fit the network."""
         n_vessels = len(network.ids)
-        for name in _PER_VESSEL:
-            values = getattr(self, name)
-            if values is not None and len(values) != n_vessels:
+        for one in fields(self):
+            name, values = one.name, getattr(self, one.name)
+            of_vessels = one.metadata.get("shape", "").startswith("(n_vessels")
+            if of_vessels and one.default is None and values is not None and len(values) != n_vessels:
                 raise SolverArgumentError(
                     f"physics: {name} has shape {values.shape}: must have one row per vessel, {n_vessels}"
                 )
