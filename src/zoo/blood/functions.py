@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -87,6 +87,13 @@ class KnotFunction:
     def changes(self) -> bool:
         """Whether a solve with it differs from one without."""
         return any(value != self.nothing_is for value in self.values)
+
+    def beside(self, old: Self | None, knots: int) -> Self:
+        """The sum of this function and another, if there is one, at so many knots of both ranges."""
+        if old is None or not old.changes:
+            return self
+        at = np.linspace(min(old.low, self.low), max(old.high, self.high), knots)
+        return type(self)(float(at[0]), float(at[-1]), tuple(old(at) + self(at)))
 
     def __call__(self, x: ArrayLike) -> Array:
         """Value at x, of the shape of x; beyond the knots as the solver continues it."""

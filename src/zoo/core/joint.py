@@ -125,7 +125,7 @@ def joint_model(
     first = next(iter(records.values()))
     with pm.Model(coords={"subject": list(records)}) as model:
         for name in (*shared, *scales):
-            p = _of(first, name)
+            p = _parameters(first)[name]
             v = variable_name(name)
             units[v] = p.unit
             if name in scales:
@@ -283,10 +283,6 @@ def _parameters(record: ModelRecord) -> dict[str, Parameter]:
     return {p.name: p for p in (*record.forward.parameters, *record.errors.parameters)}
 
 
-def _of(record: ModelRecord, name: str) -> Parameter:
-    return _parameters(record)[name]
-
-
 def _checked(
     share: Iterable[str], population: Iterable[str] | Mapping[str, str], records: Mapping[str, ModelRecord]
 ) -> tuple[list[str], dict[str, str]]:
@@ -383,14 +379,10 @@ def _own(
 ) -> dict[str, list[str]]:
     """Numbers that every subject has for itself, and their variables."""
     found = {}
+    every = (p for record in records.values() for p in _parameters(record).values())
+    vectors = {variable_name(p.name) for p in every if p.dims}
     for v in next(iter(variables.values())):
         parts = [table.get(v) for table in variables.values()]
-        sizes = [
-            p.dims
-            for record in records.values()
-            for p in _parameters(record).values()
-            if variable_name(p.name) == v
-        ]
-        if len(set(parts)) == len(records) and all(parts) and not any(sizes):
+        if len(set(parts)) == len(records) and all(parts) and v not in vectors:
             found[v] = [str(part) for part in parts]
     return found

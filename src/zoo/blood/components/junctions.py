@@ -25,10 +25,7 @@ def lost_pressure(case: Case, values: Array, at: Array) -> Case:
     largest = float(np.max(np.abs(at)))
     loss = curve(at, velocities) @ values * velocities * (0.5 * case.network.density * largest)
     made = JunctionFunction(float(at[0]), float(at[-1]), tuple(loss))
-    old = case.physics.junction_function
-    if old is not None and old.changes:
-        knots = np.linspace(min(old.low, made.low), max(old.high, made.high), 2 * FINE_KNOTS)
-        made = JunctionFunction(float(knots[0]), float(knots[-1]), tuple(old(knots) + made(knots)))
+    made = made.beside(case.physics.junction_function, 2 * FINE_KNOTS)
     return with_physics(case, junction_function=made)
 
 

@@ -72,10 +72,7 @@ def changed_state(case: Case, values: Array, at: Array) -> Case:
     """R2 -> R2 exp(v(p)) of all outlets, v a spline through values at pressures (mmHg) behind R1."""
     unit = case.conventions.mmhg
     made = OutletFunction(float(at[0]) * unit, float(at[-1]) * unit, tuple(values))
-    old = case.physics.outlet_resistance_function
-    if old is not None and old.changes:
-        knots = np.linspace(min(old.low, made.low), max(old.high, made.high), STATE_TABLE)
-        made = OutletFunction(float(knots[0]), float(knots[-1]), tuple(old(knots) + made(knots)))
+    made = made.beside(case.physics.outlet_resistance_function, STATE_TABLE)
     return with_physics(case, outlet_resistance_function=made)
 
 

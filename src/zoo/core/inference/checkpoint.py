@@ -18,6 +18,7 @@ from zoo.core.draws import seed_or_drawn
 from zoo.core.inference.logposterior import LogPosterior, model_name
 from zoo.core.inference.memo import REMEDY, CheckpointError
 from zoo.core.outputs import OutputFileError, leads_elsewhere, write_file
+from zoo.core.words import one_line
 
 CHECKPOINT_FORMAT = 4
 FILES = re.compile(r"run\.json|chain-\d+\.memo|solves\.memo|\.zoo-[0-9a-f]{16}\.part|lock")
@@ -285,9 +286,10 @@ def check_identity(path: Path, stored: Mapping[str, Any], identity: Mapping[str,
         if not same:
             if isinstance(theirs, dict) and isinstance(mine, dict):
                 name, theirs, mine = _first_difference(name, theirs, mine)
+            there, here = (one_line(str(value), 120) for value in (theirs, mine))
             raise CheckpointError(
-                f"{path}: checkpoint of another run: {name} is {_short(theirs)} there and {_short(mine)} "
-                "here; use the same settings, another folder, or remove this one"
+                f"{path}: checkpoint of another run: {name} is {there} there and {here} here; use the "
+                "same settings, another folder, or remove this one"
             )
 
 
@@ -299,8 +301,3 @@ def _first_difference(name: str, theirs: dict[str, Any], mine: dict[str, Any]) -
     ]
     key = min(different, key=lambda k: not isinstance(mine.get(k), str))
     return f"{key} of the {name}", theirs.get(key, "absent"), mine.get(key, "absent")
-
-
-def _short(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= 120 else text[:117] + "..."

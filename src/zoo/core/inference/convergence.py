@@ -11,7 +11,7 @@ import numpy as np
 
 from zoo.core.arviz_lines import dataset, effective, split_rhat
 from zoo.core.inference.elements import arrays, scalars
-from zoo.core.inference.prior_check import PriorCheck, check_priors, priors_of
+from zoo.core.inference.prior_check import PriorCheck, model_check
 from zoo.core.inference.record import ResultsError, RunRecord, plain
 
 RHAT_LIMIT = 1.01
@@ -188,8 +188,7 @@ def prior_check(idata: Any, model: Any = None) -> PriorCheck | None:
         stored = None
     if stored is not None:
         return PriorCheck.from_dict(stored)
-    parameters, effects = priors_of(model)
-    return check_priors(parameters, arrays(idata), effects=effects) if parameters else None
+    return model_check(model, arrays(idata))
 
 
 def verdict(

@@ -161,6 +161,12 @@ def priors_of(model: Any) -> tuple[tuple[Parameter, ...], frozenset[str]]:
     return (*record.forward.parameters, *record.errors.parameters), names
 
 
+def model_check(model: Any, draws: Mapping[str, Array]) -> PriorCheck | None:
+    """What `check_priors` says of a model's draws; None without a record."""
+    parameters, effects = priors_of(model)
+    return check_priors(parameters, draws, effects=effects) if parameters else None
+
+
 def exactness_at(model: Any, values: Mapping[str, Any]) -> str:
     """What a model's forward model says of its exactness at values of the variables; empty if nothing."""
     from zoo.core.model import ModelRecord

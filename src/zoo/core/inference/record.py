@@ -89,16 +89,16 @@ class RunRecord:
     conventions: dict[str, Any]
     solver: dict[str, Any]
     settings: dict[str, Any]
-    seed: int
-    solves: int
-    steps: int
-    mode_evaluations: int
-    failures: dict[str, int]
-    solves_per_draw: float
-    solves_per_step: float
-    wall_seconds: float
-    sittings: int
-    started: str
+    seed: int = 0
+    solves: int = 0
+    steps: int = 0
+    mode_evaluations: int = 0
+    failures: dict[str, int] = field(default_factory=dict)
+    solves_per_draw: float = 0.0
+    solves_per_step: float = 0.0
+    wall_seconds: float = 0.0
+    sittings: int = 0
+    started: str = ""
     versions: dict[str, str] = field(default_factory=versions)
     prior_check: dict[str, Any] | None = None
     priors: dict[str, str] | None = None

@@ -13,7 +13,7 @@ from zoo.core.inference.checkpoint import Run
 from zoo.core.inference.convergence import check_convergence, ess_to_count
 from zoo.core.inference.elements import arrays
 from zoo.core.inference.logposterior import LogPosterior, model_name
-from zoo.core.inference.prior_check import AtBound, check_priors, exactness_at, priors_of
+from zoo.core.inference.prior_check import AtBound, PriorCheck, exactness_at, model_check
 from zoo.core.inference.record import RunRecord
 from zoo.core.model import record_of
 
@@ -69,10 +69,10 @@ def attach_record(
     say : callable
     """
     model, identity, made = logp.model, run.identity, arrays(idata)
-    parameters, effects = priors_of(model)
-    priors = check_priors(parameters, made, effects=effects)
-    leaning = {(found.parameter, found.side) for found in priors.bounds}
-    more = tuple(found for found in at_mode if (found.parameter, found.side) not in leaning)
+    found = model_check(model, made)
+    priors = found or PriorCheck()
+    leaning = {(one.parameter, one.side) for one in priors.bounds}
+    more = tuple(one for one in at_mode if (one.parameter, one.side) not in leaning)
     if numerical is None:
         numerical = exactness_at(model, {name: values.mean((0, 1)) for name, values in made.items()})
     priors = replace(priors, bounds=priors.bounds + more, numerical=numerical)
@@ -93,7 +93,7 @@ def attach_record(
         wall_seconds=run.seconds,
         sittings=run.sittings,
         started=run.started,
-        prior_check=priors.as_dict() if parameters else None,
+        prior_check=priors.as_dict() if found else None,
         priors=identity["priors"],
     ).attach(idata)
     say(check_convergence(made, ess=ess_to_count(settings["until_ess"]), priors=priors).text)
@@ -111,8 +111,7 @@ def attach_record_of_draws(idata: InferenceData, model: Any) -> None:
     """
     ours, draws = record_of(model), dataset(idata)
     source, made = ours.study or ours.data, arrays(idata)
-    parameters, effects = priors_of(model)
-    found = check_priors(parameters, made, effects=effects).as_dict() if parameters else None
+    found = model_check(model, made)
     RunRecord(
         model=ours.name,
         study=source.name if ours.study else "",
@@ -124,16 +123,6 @@ def attach_record_of_draws(idata: InferenceData, model: Any) -> None:
             "draws": draws.sizes["draw"],
             "chains": draws.sizes["chain"],
         },
-        seed=0,
-        solves=0,
-        steps=0,
-        mode_evaluations=0,
-        failures={},
-        solves_per_draw=0.0,
-        solves_per_step=0.0,
-        wall_seconds=0.0,
-        sittings=0,
-        started="",
-        prior_check=found,
+        prior_check=found.as_dict() if found else None,
         priors=ours.priors,
     ).attach(idata)

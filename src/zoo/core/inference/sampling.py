@@ -22,7 +22,7 @@ from zoo.core.inference.convergence import ESS_TARGET, check_convergence
 from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_name
 from zoo.core.inference.mode import Mode, has_many, search_mode
 from zoo.core.inference.pool import Chains
-from zoo.core.inference.prior_check import check_priors, exactness_at, modes_at_bounds, priors_of
+from zoo.core.inference.prior_check import exactness_at, model_check, modes_at_bounds, priors_of
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record_of_run import attach_record, inference_data
 from zoo.core.inference.starts import Start, disperse, start_settings
@@ -342,8 +342,8 @@ def _run(model: Any, pool: Chains, draws: int, until_ess: float | None, limit: i
         verdict = check_convergence(made, ess=until_ess)
         failing = {p.name for p in verdict.parameters if not p.passes}
         if failing:  # but for what the data do not inform the run need not go on
-            parameters, effects = priors_of(model)
-            failing -= set(check_priors(parameters, made, effects=effects).uninformed)
+            checked = model_check(model, made)
+            failing -= set(checked.uninformed if checked else ())
         if not failing:
             break
         least = min(min(verdict[name].ess_bulk, verdict[name].ess_tail) for name in failing)
