@@ -133,7 +133,9 @@ def demo_study() -> Study:
     """The embedded study: the mouse's vessels, our own inflow, pressure in the MPA and its daughters."""
     tree = read_network_file(Path(str(files("zoo") / "data" / "mouse-c6" / "network.toml")))
     time, flow = ejection()
-    base = Study("demo", PERIOD_S, tree.blood, tree.vessels, time, np.round(flow, 6), np.array([]), ())
+    base = Study(
+        "demo", PERIOD_S, tree.given["blood"], tree.vessels, time, np.round(flow, 6), np.array([]), ()
+    )
     return synthetic_study(base, name="demo", sites=DEMO_SITES, n_times=DEMO_TIMES, seed=DEMO_SEED)
 
 

@@ -375,6 +375,18 @@ def with_physics(case: Case, **terms: Any) -> Case:
     return replace(case, physics=replace(case.physics, **terms))
 
 
+def with_more(case: Case, name: str, added: Array) -> Case:
+    """The same with more of a term of `Physics` (n_vessels,), beside what is there of it."""
+    old = getattr(case.physics, name)
+    return with_physics(case, **{name: added if old is None else old + added})
+
+
+def with_viscosity(case: Case, factor: Array) -> Case:
+    """The same with the viscosity in each vessel times a factor (n_vessels,)."""
+    old = case.physics.viscosity_factor
+    return with_physics(case, viscosity_factor=factor if old is None else old * factor)
+
+
 def with_offset(case: Case, at_inlet: ArrayLike, at_outlet: ArrayLike) -> Case:
     """The case with something added to the wall's pressure, dyn/cm2, linear along each vessel."""
     zero = np.zeros(len(case.network.ids))

@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 
-from zoo.blood.case import Case, with_physics
+from zoo.blood.case import Case, with_physics, with_viscosity
 from zoo.blood.components.curves import curve, factors
 from zoo.blood.components.setting import RANGE_MARGIN, Setting, span_of
 from zoo.blood.components.table import free_function
@@ -32,9 +32,7 @@ def scaled_friction(case: Case, values: Array, at: Array) -> Case:
 
 def scaled_viscosity(case: Case, values: Array, basis: Array) -> Case:
     """mu -> mu exp(v), v a curve of the vessels' radii."""
-    factor = factors(basis @ values)
-    old = case.physics.viscosity_factor
-    return with_physics(case, viscosity_factor=factor if old is None else old * factor)
+    return with_viscosity(case, factors(basis @ values))
 
 
 def functions(setting: Setting) -> tuple[FreeFunction, ...]:

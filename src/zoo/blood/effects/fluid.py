@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from zoo.blood.case import Case, with_offset, with_physics, with_true_lengths
+from zoo.blood.case import Case, with_offset, with_physics, with_true_lengths, with_viscosity
 from zoo.blood.effects.catalogue import effect
 from zoo.core.arrays import Array
 from zoo.core.effects import EffectParameter, Location
@@ -71,9 +71,8 @@ def velocity_profile(case: Case, values: tuple[float, ...], location: Location) 
 def radius_dependent_viscosity(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """Blood is thinner in narrow vessels (Fahraeus-Lindqvist)."""
     diameter_um = 1e4 * (case.network.radius_in_cm + case.network.radius_out_cm)
-    factor = 1 + values[0] * (relative_viscosity(diameter_um) / LARGE_VESSEL_VISCOSITY - 1)
-    old = case.physics.viscosity_factor
-    return with_physics(case, viscosity_factor=factor if old is None else old * factor)
+    relative = relative_viscosity(diameter_um) / LARGE_VESSEL_VISCOSITY
+    return with_viscosity(case, 1 + values[0] * (relative - 1))
 
 
 @effect(

@@ -13,6 +13,7 @@ from zoo.blood.case import (
     Case,
     members,
     total_resistance,
+    with_more,
     with_offset,
     with_physics,
     with_true_lengths,
@@ -119,8 +120,7 @@ def terminal_inertance(case: Case, values: tuple[float, ...], location: Location
     net = case.network
     added = np.zeros(len(net.ids))
     added[net.terminals] = net.density * values[0] / (math.pi * net.radius_out_cm[net.terminals] ** 2)
-    old = case.physics.inertance
-    return with_physics(case, inertance=added if old is None else old + added)
+    return with_more(case, "inertance", added)
 
 
 @effect(
@@ -151,8 +151,7 @@ def side_branches(case: Case, values: tuple[float, ...], location: Location) -> 
     total = values[0] * np.sum(1 / total_resistance(case)[net.terminals])
     density = (0.5 * (net.radius_in_cm + net.radius_out_cm)) ** values[1]
     added = total * density / np.sum(density * net.length_cm)
-    old = case.physics.leak
-    return with_physics(case, leak=added if old is None else old + added)
+    return with_more(case, "leak", added)
 
 
 @effect(

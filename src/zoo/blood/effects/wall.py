@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from zoo.blood.case import Case, members, wall_slope, with_physics
+from zoo.blood.case import Case, members, wall_slope, with_more
 from zoo.blood.effects.catalogue import effect
 from zoo.blood.effects.locations import vessels_and_subtrees
 from zoo.blood.effects.measures import BEATS, MEAN_RADII
@@ -98,6 +98,4 @@ def local_stiffness(case: Case, values: tuple[float, ...], location: Location) -
 )
 def viscoelastic_wall(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """The wall resists fast stretching (Kelvin-Voigt)."""
-    old = case.physics.viscoelastic_time
-    added = np.full(len(case.network.ids), values[0])
-    return with_physics(case, viscoelastic_time=added if old is None else old + added)
+    return with_more(case, "viscoelastic_time", np.full(len(case.network.ids), values[0]))

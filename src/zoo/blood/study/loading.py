@@ -182,7 +182,7 @@ def read_study(
     if table.outflow_pressure is not None:
         outflow_path = _file(where, folder, "outflow_pressure", table.outflow_pressure)
         outflow = read_outflow(outflow_path, table.period_s)
-        if constant := tree.surroundings["outflow_pressure_mmHg"]:
+        if constant := tree.given["outflow_pressure_mmHg"]:
             raise StudyError(
                 f"{network}: surroundings: outflow_pressure_mmHg = {constant!r}: study.toml gives the "
                 "pressure behind the outlets over the beat (outflow_pressure); leave one of the two out"
@@ -201,7 +201,6 @@ def read_study(
     study = Study(
         name=name,
         period_s=table.period_s,
-        blood=tree.blood,
         vessels=tree.vessels,
         inflow_time_s=inflow_time,
         inflow_ml_s=inflow,
@@ -213,13 +212,9 @@ def read_study(
         parameters=table.parameters,
         noise_sd=_checked_noise(where, table.noise_sd, series),
         numerics=checked_numerics(f"{where}: numerics", table.numerics),
-        junction_pressure=tree.junction_pressure,
         inflow_note=inflow_note,
-        wall=tree.wall,
         outflow_wave_mmHg=outflow,
-        external_pressure_mmHg=tree.surroundings["external_pressure_mmHg"],
-        outflow_pressure_mmHg=tree.surroundings["outflow_pressure_mmHg"],
-        radius_pressure_mmHg=tree.surroundings["radius_pressure_mmHg"],
+        **tree.given,
     )
     warn_of_units(study)
     return study
@@ -229,11 +224,7 @@ def _checked_priors(where: str, priors: Mapping[str, Any], held: Mapping[str, fl
     """The table of priors, each of which can be read, and none of which is of a parameter that is held."""
     if not (priors or held):
         return priors
-    from zoo.blood.prior_tables import (
-        PriorsError,
-        check_held,
-        read_priors,
-    )  # not for all who import the package
+    from zoo.blood.prior_tables import PriorsError, check_held, read_priors  # slow, and seldom needed
 
     try:
         read_priors(priors)

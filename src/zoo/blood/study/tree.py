@@ -6,9 +6,9 @@ import heapq
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from zoo.blood.outlet_tables import StructuredTree
 from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, Stenosis, StudyError, Vessel, Windkessel
@@ -224,17 +224,14 @@ NOMINAL = "nominal"
 """In the place of a Windkessel's numbers: the load is to be derived."""
 
 
-@dataclass(frozen=True)
-class NetworkFile:
+class NetworkFile(NamedTuple):
     """What a network.toml holds, what an error calls each vessel, and which are to have nominal loads."""
 
-    blood: Blood
+    given: dict[str, Any]
+    """Of a `Study`, but for its vessels."""
     vessels: tuple[Vessel, ...]
     places: list[str]
-    junction_pressure: str
-    surroundings: dict[str, float]
     nominal: frozenset[int]
-    wall: str
 
 
 def vessel_of(fields: Mapping[str, Any], where: str) -> Vessel:
@@ -343,12 +340,5 @@ def read_network_file(path: Path, settings: Mapping[str, Any] | None = None) -> 
     nominal = frozenset(
         v.id for v, data in zip(vessels, table.vessel, strict=True) if data.get("windkessel") == NOMINAL
     )
-    return NetworkFile(
-        Blood(**blood.model_dump()),
-        tuple(vessels),
-        where,
-        junctions.pressure,
-        surroundings,
-        nominal,
-        wall.law,
-    )
+    given = {"blood": Blood(**blood.model_dump()), "junction_pressure": junctions.pressure, "wall": wall.law}
+    return NetworkFile(given | surroundings, tuple(vessels), where, nominal)
