@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +20,8 @@ if "ZOO_DATA_DIR" not in os.environ and (SHARED / "data").is_dir():
     os.environ["ZOO_DATA_DIR"] = str(SHARED / "data")
 # workers are as many as cores, and the threads of each would wait for one another
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# what PyMC imports would be gone through again and again while PyTensor compiles: a quarter of its time
+gc.set_threshold(100_000, 50, 50)
 
 
 def _missing() -> str | None:
