@@ -10,7 +10,7 @@ LOCK := $(shell $(or $(wildcard $(BIN)/python),$(PYTHON)) -c 'import sys; \
     print("requirements-py313.lock" if sys.version_info >= (3, 12) else "requirements.lock")')
 NATIVE := native/build_ffi.py $(wildcard native/src/*.[ch] native/include/*.h)
 
-.PHONY: setup test test-all test-next test-some test-all-next native-test durations readme installed check fuzz nightly demo report docs bench reproduce mutants clean
+.PHONY: setup test test-all test-nightly test-next test-some test-all-next native-test durations readme installed check fuzz nightly demo report docs bench reproduce mutants clean
 setup: $(STAMP)
 
 # Versions come from the lock file, those of the build tools too.
@@ -30,7 +30,11 @@ test: native-test
 
 # Both tiers.
 test-all: native-test
-	$(BIN)/pytest $(PYTEST_ARGS) $(APART)
+	$(BIN)/pytest $(PYTEST_ARGS) -m "not nightly" $(APART)
+
+# What repeats a measurement that a cheaper test makes once.
+test-nightly: setup
+	$(BIN)/pytest $(PYTEST_ARGS) -m nightly $(APART)
 
 # A Python of PyMC's later line. Candidates are run, since a shim without its Python is there too.
 LATER = $(shell for one in python3.13 python3.12 $${PYENV_ROOT:-$$HOME/.pyenv}/versions/3.1[23]*/bin/python3; do \
@@ -57,10 +61,10 @@ test-all-next:
 
 # Both tiers, and how long each test took into tests/durations.json, which says what is slow and what is first.
 durations: setup
-	$(BIN)/pytest $(PYTEST_ARGS) --durations-file $(APART)
+	$(BIN)/pytest $(PYTEST_ARGS) --durations-file -m "not nightly" $(APART)
 
 # What takes too long for each change.
-nightly: readme installed report mutants test-all-next
+nightly: readme installed report mutants test-nightly test-all-next
 	@$(ON_LATER) readme installed
 	$(MAKE) --no-print-directory fuzz FUZZ_SECONDS=1200
 

@@ -204,6 +204,8 @@ def wave_model(parameters: tuple[Parameter, ...]) -> pm.Model:
     return bayesian_model("waves", forward, Data(TIMES, truth + errors, units=["V"] * N), LAW)
 
 
+# gradients are compared with differences above, moments with an analytic law in test_nuts.py
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore")
 def test_nuts_has_the_moments_of_the_exact_sampler() -> None:
     model = wave_model((*POPULATION, LEVEL))

@@ -2,6 +2,7 @@
 
 A test is slow that takes more than `SLOW_SECONDS` of a processor by itself, the fixtures included that it
 shares with others, or that is marked so, or stands in one of `SLOW_FILES`; `-m "not slow"` leaves it out.
+One that is marked `nightly` repeats at length what a test of the two tiers measures once, and is in neither.
 Files that take longest come first, so that none of them is left to one core at the end.
 `pytest --durations-file` (`make durations`: of all) writes the durations of the tests that it runs.
 """
@@ -59,7 +60,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     durations = read()
     slow = {f"test_{name}.py" for name in SLOW_FILES}
     for item in items:
-        if item.path.name in slow or durations["tests"].get(item.nodeid, 0.0) > SLOW_SECONDS:
+        long = durations["tests"].get(item.nodeid, 0.0) > SLOW_SECONDS
+        if long or item.path.name in slow or item.get_closest_marker("nightly"):
             item.add_marker("slow")
     items.sort(key=lambda item: -durations["files"].get(file_of(item.nodeid), 0.0))
 
