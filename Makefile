@@ -52,7 +52,7 @@ test-next:
 	@$(ON_LATER) test-some
 
 test-some: setup
-	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow" $(NEXT)
+	$(BIN)/pytest $(PYTEST_ARGS) -m "not nightly" $(NEXT)
 	$(BIN)/pytest tests/test_packaging.py
 
 # Both tiers there.
