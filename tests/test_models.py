@@ -279,7 +279,7 @@ def test_log_posterior_is_that_of_the_model_written_out(name: str) -> None:
 # Effects in a model
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in "BCDF"])  # with the walls of A, E, G
 def test_effects_go_into_any_model(name: str, study: Study) -> None:
     offered = CATALOGUE["local-stiffness"].offered(get_model(name)(study).zoo.forward.name)
     assert offered or name not in "ABCDEHI"

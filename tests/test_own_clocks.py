@@ -208,7 +208,7 @@ def test_samples_and_scores_of_series_on_their_own_clocks() -> None:
     model = zoo.bayesian_model(
         "pulses", FunctionModel(pulses, as_parameters(PRIORS), outputs), data, zoo.GroupNoise()
     )
-    idata = zoo.sample(model, draws=500, tune=500, chains=2, seed=1, progress=False)
+    idata = zoo.sample(model, draws=500, tune=500, chains=2, cores=0, seed=1, progress=False)
     assert set(idata.posterior.data_vars) == {"level", "part", "noise_y"}
     for name, truth in {"level": 1.1, "part": 0.5, "noise_y": 0.1}.items():
         x = idata.posterior[name]

@@ -236,7 +236,7 @@ TRUTH = Truth(f1=2e6, f2=-200.0, f3=4.3e4, psi1=0.6, psi2=0.9, c=1.2, w=4e4, b=6
 """Whose error process leaves wide posteriors."""
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pool_agrees_with_chains():
     """Weighted draws of a pool and a chain's draws are of one posterior; two densities of the truth agree."""
     study = data_set(BASE, 0, 1, truth=TRUTH, n_times=64)

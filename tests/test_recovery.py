@@ -81,7 +81,15 @@ def recover(
     return found
 
 
-@pytest.mark.parametrize("name", [name for name in PAPER if name != "C"])  # which is B
+@pytest.mark.parametrize(
+    "name",
+    [
+        # each stiffness, wall and error is in another one too
+        pytest.param(name, marks=[pytest.mark.nightly] if name in "DFI" else [])
+        for name in PAPER
+        if name != "C"  # which is B
+    ],
+)
 def test_recovery(name: str) -> None:
     found = recover(name)
     for parameter, (draws, true) in found.items():

@@ -84,7 +84,7 @@ def short_checkpoint(tmp_path_factory):
 
 
 def test_finished_run_goes_on_to_more_draws(short_checkpoint, uninterrupted):
-    idata = sample(gaussian_model(), cores=1, checkpoint=short_checkpoint, **{**SETTINGS, "seed": None})
+    idata = sample(gaussian_model(), cores=0, checkpoint=short_checkpoint, **{**SETTINGS, "seed": None})
     np.testing.assert_array_equal(idata.posterior.bc, uninterrupted.posterior.bc)
     assert RunRecord.of(idata).seed == 11
 
