@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +19,7 @@ from zoo.blood.diagnosis import StudyDiagnosis, diagnose
 from zoo.blood.ejection import ejection
 from zoo.blood.solver import Solver
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel, save_study
+from zoo.cli.options import SamplingOptions
 from zoo.core.arviz_lines import InferenceData, of_draws
 
 
@@ -26,6 +27,15 @@ from zoo.core.arviz_lines import InferenceData, of_draws
 def no_figures_of_others() -> None:
     """A test that counts open figures begins with none."""
     plt.close("all")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def chains_in_this_process() -> Iterator[None]:
+    """What commands sample, whose draws do not depend on it: a process for a chain imports all again."""
+    settings = SamplingOptions.settings
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SamplingOptions, "settings", lambda self: settings(self) | {"cores": 0})
+        yield
 
 
 @pytest.fixture
