@@ -7,6 +7,7 @@ place on the site and on GitHub.
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,12 @@ import zoo
 
 ROOT = Path(__file__).resolve().parents[1]
 STUB = ROOT / "src" / "zoo" / "__init__.pyi"
-NAMES = ROOT / "docs" / "generated" / "names.md"
+GENERATED = ROOT / "docs" / "generated"
+NAMES = GENERATED / "names.md"
+TABLES: dict[str, str] = {}
+"""Of effects and free functions, by the document that has one of them."""
+LISTED = "<!-- On the site: a table of them that leads to a page of each. -->"
+"""What such a document has in its place on GitHub."""
 
 MENU = {
     "Where to begin": [
@@ -85,14 +91,18 @@ def names_page(folder: str) -> str:
     return page
 
 
-def write_names(app: Any, config: Any) -> None:
-    """For autosummary, which looks for names before the pages are read."""
-    NAMES.parent.mkdir(exist_ok=True)
+def write_pages(app: Any, config: Any) -> None:
+    """Of names, for autosummary, which looks for them before the pages are read; of effects and functions."""
+    sys.path.insert(0, str(ROOT))
+    from docs.pages import write_pages
+
+    GENERATED.mkdir(exist_ok=True)
     NAMES.write_text(names_page("api"), encoding="utf-8")
+    TABLES.update({f"docs/{kind}": table for kind, table in write_pages(GENERATED).items()})
 
 
 def add_what_github_would_not_show(app: Any, name: str, content: list[str]) -> None:
-    """The menu, the tables of names, and the pages that scripts of the gallery become."""
+    """The menu, tables of names, effects and functions, and the pages that scripts of the gallery become."""
     content[0] = re.sub(r"\]\(((?:docs/)?)gallery/(\w+)\.py\)", r"](\1generated/gallery/\2.rst)", content[0])
     if name == root_doc:
         for caption, pages in MENU.items():
@@ -101,11 +111,17 @@ def add_what_github_would_not_show(app: Any, name: str, content: list[str]) -> N
     elif name == "docs/api":
         app.env.note_dependency(STUB)
         content[0] += names_page("generated/api")
+    elif name in TABLES:
+        kind = name.removeprefix("docs/")
+        for page in (GENERATED / kind).glob("*.md"):
+            app.env.note_dependency(page)
+        pages = f"```{{toctree}}\n:hidden:\n:glob:\n\ngenerated/{kind}/*\n```\n"
+        content[0] = content[0].replace(LISTED, f"{TABLES[name]}\n{pages}")
 
 
 def setup(app: Any) -> None:
     """Of Sphinx."""
-    app.connect("config-inited", write_names)
+    app.connect("config-inited", write_pages)
     app.connect("source-read", add_what_github_would_not_show)
 
 
@@ -119,6 +135,8 @@ include_patterns = [
     "docs/*.md",
     "docs/generated/api/*.rst",
     "docs/generated/gallery/*.rst",
+    "docs/generated/effects/*.md",
+    "docs/generated/components/*.md",
     "notebooks/01-first-look.ipynb",
     "**/README.md",
 ]

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from benchmarks import structured_trees
-from docs.tables import component_table
+from docs.pages import function_words
 from scipy.interpolate import CubicSpline
 
 from zoo.blood.baseline import get_baseline
@@ -31,7 +30,7 @@ from zoo.blood.solver import SolverOptions
 from zoo.blood.study import load_study
 from zoo.core.effects import Location
 from zoo.core.forward import SolveError, pinned
-from zoo.core.parameters import pack, start_of
+from zoo.core.parameters import pack
 
 THETA = {"f3": 4.6e4, "psi1": 0.35, "psi2": 0.9, "c": 1.2}
 STEPS = 0.05
@@ -508,10 +507,9 @@ def test_a_single_vessel_has_one_viscosity_without_a_length():
     assert one.lengths == ()
 
 
-def test_the_document_has_the_table_that_the_functions_make():
-    """Of `demo` at the start of the parameters, as the document says."""
-    study = load_study("demo")
-    model = get_baseline("linear-constant").forward(study)
-    start = pack(model.parameters, start_of(model.parameters))
-    text = (Path(__file__).resolve().parents[1] / "docs" / "components.md").read_text(encoding="utf-8")
-    assert component_table(components(model, start, study_data(study))) in text
+def test_the_page_of_a_function_says_its_size_and_what_is_believed(demo):
+    words = function_words(demo.functions["outlet-impedance"])
+    assert "Z(f) -> Z(f) exp(v(f))" in words
+    assert "| prior size | 0.35 log impedance (41.9 %) |" in words  # exp(0.35) = 1.419
+    assert "| believed up to | a factor of 2.01: " in words  # exp(2 * 0.35)
+    assert "| free at | each vessel, 21 in `demo` |" in function_words(demo.functions["radius-scatter"])

@@ -11,7 +11,7 @@ from typing import Any
 import cloudpickle
 import numpy as np
 import pytest
-from docs.tables import catalogue_table, signature_table, signatures, typical_values
+from docs.pages import Response, cell, effect_words, responses, rms, typical_values
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.special import jv
@@ -20,11 +20,13 @@ import zoo
 from walls import wall_pressure_mmHg
 from zoo.blood.baseline import get_baseline
 from zoo.blood.case import Case, Wave, members, simulate, total_resistance
+from zoo.blood.components import components
 from zoo.blood.diagnosis import effects_for
 from zoo.blood.effects import CATALOGUE, FAMILIES, Effect, EffectError, EffectParameter, Location, at_vessel
 from zoo.blood.effects.fluid import relative_viscosity
 from zoo.blood.effects.outflow import ladder_sections
 from zoo.blood.effects.structured_tree import foster_fit, tree_impedance
+from zoo.blood.forward import study_data
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Blood, Study, StudyError, Vessel, Windkessel, load_study
@@ -680,42 +682,57 @@ def test_coarse_grid_blends_with_cells_of_twice_the_length(case: Case, plain: Ar
 
 
 # ---------------------------------------------------------------------------------------------------
-# Signatures and the document
+# Their pages and the document
 
 
-def test_signatures_have_their_sign_and_size(study: Study) -> None:
-    rows = {row.effect: row for row in signatures(get_baseline("B").forward(study))}
-    assert set(rows) == set(SOLVED)
+def test_responses_have_their_sign_and_size(study: Study) -> None:
+    model = get_baseline("B").forward(study)
+    start = pack(model.parameters, start_of(model.parameters))
+    curve = {one.name: one for one in components(model, start, study_data(study))}["sensor-curve"]
+    found = {one.name: one for one in responses(model, [curve])}
+    assert set(found) == {*SOLVED, curve.name}
+    mean = {name: float(one.change_mmHg[0].mean()) for name, one in found.items()}
     raise_it = (
         "taper stenosis tangent-wall velocity-profile minor-losses venous-pressure inflow-gain inflow-offset "
         "sensor-gain sensor-offset"
     )
     for name in raise_it.split():
-        assert rows[name].mean_mmHg > 0.01, name
+        assert mean[name] > 0.01, name
     for name in ("radius-dependent-viscosity", "side-branches"):
-        assert rows[name].mean_mmHg < -0.01, name
+        assert mean[name] < -0.01, name
     for name in "inflow-shift inflow-bandwidth catheter-resonance beat-jitter viscoelastic-wall".split():
-        assert abs(rows[name].mean_mmHg) < 0.1 * rows[name].rms_mmHg, name
-        assert rows[name].left_mmHg > 0.1, name
-    assert rows["sensor-offset"].rms_mmHg == pytest.approx(2, abs=0.01)
-    for row in rows.values():
-        assert row.left_mmHg < row.rms_mmHg
-        assert row.rms_mmHg <= row.largest_mmHg
+        assert abs(mean[name]) < 0.1 * rms(found[name].change_mmHg), name
+        assert rms(found[name].left_mmHg) > 0.1, name
+    np.testing.assert_allclose(found["sensor-offset"].change_mmHg, 2, atol=0.01)
+    for one in found.values():
+        assert rms(one.left_mmHg) < rms(one.change_mmHg)
+    for name, low, high in (("sensor-gain", 0.98, 1.0), ("inflow-shift", 0.0, 0.9)):
+        assert low < found[name].likeness(found["sensor-curve"]) < high  # a gain is a curve, a shift is none
 
 
-def test_the_document_holds_the_catalogue() -> None:
-    assert catalogue_table() in DOCUMENT.read_text(encoding="utf-8")
+def test_likeness_is_the_cosine_to_the_span_of_the_other() -> None:
+    def of(*rows: list[float]) -> Response:
+        return Response("x", "", np.array(rows), np.array(rows))
+
+    one = of([3.0, 4.0, 0.0])
+    assert one.likeness(one) == pytest.approx(1)
+    assert one.likeness(of([-2.0, 0.0, 0.0])) == pytest.approx(0.6)
+    assert one.likeness(of([0.0, 0.0, 1.0])) == pytest.approx(0, abs=1e-15)
+    assert one.likeness(of([1.0, 1.0, 0.0], [1.0, -1.0, 0.0])) == pytest.approx(1)
 
 
-def test_the_document_holds_the_signatures(study: Study) -> None:
-    text = DOCUMENT.read_text(encoding="utf-8")
-    printed = {line.split("|")[1]: line.split("|") for line in text.splitlines() if line.count("|") == 7}
-    for line in signature_table(get_baseline("B").forward(study, priors=PAPER)).splitlines()[2:]:
-        cells = line.split("|")
-        there = printed[cells[1]]
-        assert there[2:4] == cells[2:4]
-        for new, old in zip(cells[4:7], there[4:7], strict=True):
-            assert float(new) == pytest.approx(float(old), rel=0.05, abs=0.011), line
+def test_the_page_of_an_effect_says_what_the_effect_does(study: Study) -> None:
+    words = effect_words(CATALOGUE["correlated-noise"], get_baseline("B").forward(study))
+    assert "cov(e(t), e(t + d)) = sd^2 exp(-|d|/length)" in words
+    assert "[doi 10.1111/1467-9868.00294](https://doi.org/10.1111/1467-9868.00294)" in words
+    length = 0.027 * study.period_s
+    assert f"| length | normal(0.027, 0.027) in [0.0018, 0.27] beats | {length:.3g} s |" in words
+
+
+def test_a_doi_becomes_a_link_whatever_stands_around_it() -> None:
+    link = "[doi 10.1016/0021-9290(73)90099-7](https://doi.org/10.1016/0021-9290(73)90099-7)"
+    assert cell("Young, doi 10.1016/0021-9290(73)90099-7 (K_t)") == f"Young, {link} (K_t)"
+    assert cell("(Young, doi 10.1016/0021-9290(73)90099-7)") == f"(Young, {link})"
 
 
 def test_the_documents_own_effect_works(case: Case, plain: Array) -> None:

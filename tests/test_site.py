@@ -64,6 +64,11 @@ def test_the_site_adds_what_github_would_not_show(conf: ModuleType) -> None:
     assert menu == [page for pages in conf.MENU.values() for page in pages]
 
 
+@pytest.mark.parametrize("name", ["docs/effects", "docs/components"])
+def test_a_document_of_a_table_has_its_place(conf: ModuleType, name: str) -> None:
+    assert (ROOT / f"{name}.md").read_text(encoding="utf-8").count(conf.LISTED) == 1
+
+
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda p: p.name)
 def test_a_script_of_the_gallery_has_a_question_and_one_picture(path: Path) -> None:
     tree = ast.parse(path.read_text(encoding="utf-8"))

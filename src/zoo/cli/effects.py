@@ -34,7 +34,7 @@ def effects(
     plugins.load()
     chosen = list(CATALOGUE.values()) if name is None else [CATALOGUE[name]]
     if as_json:
-        say_json([_described(effect) for effect in chosen])
+        say_json([described(effect) for effect in chosen])
     elif name is None:
         say(_effects_table(chosen))
     else:
@@ -51,7 +51,7 @@ def _locations(effect: Effect) -> str:
     return LOCATION_WORDS.get(function, function.replace("_", " ") or "some locations")
 
 
-def _described(effect: Effect) -> dict[str, Any]:
+def described(effect: Effect) -> dict[str, Any]:
     """All that is known about an effect."""
     names = ("name", "family", "statement", "equation", "signature", "source")
     parameters = [{"name": p.name, "unit": p.unit, "prior": p.text, "why": p.why} for p in effect.parameters]

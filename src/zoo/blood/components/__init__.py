@@ -1,8 +1,8 @@
 """The components of a blood-flow simulator, and the free functions by which each may be wrong.
 
 `components` makes them for a study's forward model at given parameters, `component_of` says to which one a
-listed effect belongs, and `plausible` whether what was learned can be believed. docs/components.md lists
-them with their prior sizes and sources.
+listed effect belongs, and `plausible` whether what was learned can be believed. The site has a page for
+each, with its prior size and source.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ def inflow_offset(case: Case, values: tuple[float, ...], location: Location) -> 
     source=_INFLOW + "; flow and pressure are recorded one after the other and aligned",
     signature="the whole beat moves in time; the derivative of the pressure",
     parameters=[EffectParameter("shift", "s", 0.03, -0.2, 0.2, (0.02, -0.02), measure=BEATS)],
-    why="3 % of the beat: a pig's measured flow came 26 ms late in a beat of 845 ms (docs/effects.md)",
+    why="3 % of the beat: 26 ms of 845 ms in a pig (github.com/hpigot/windkessel-id, records 1, 2)",
 )
 def inflow_shift(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """Flow and pressure are not recorded at the same time."""
