@@ -151,6 +151,20 @@ def test_figures_are_inside_and_nothing_is_loaded(page: Element) -> None:
     assert all(address.startswith("https://doi.org/10.") for address in outside)
 
 
+def test_what_is_of_one_model_is_folded_and_the_answer_is_not(page: Element, study: Study) -> None:
+    folded = page.all("details")
+    assert [fold.all("summary")[0].text for fold in folded] == [
+        "Parameters, fit, ranks and pairs of model A",
+        "Parameters, fit, ranks and pairs of model B",
+        "Settings, versions, commands",
+    ]
+    assert (
+        sum(len(fold.all("img")) for fold in folded) == len(page.all("img")) - 3
+    )  # ranking, forest, vessels
+    captions = [table.all("caption")[0].text for fold in folded for table in fold.all("table")]
+    assert [text.split()[0] for text in captions] == ["Posterior", "Posterior", "Runs"]
+
+
 def test_links_anchors_and_captions(page: Element) -> None:
     headings = [h for tag in ("h2", "h3") for h in page.all(tag)]
     ids = [h.attributes["id"] for h in headings]
