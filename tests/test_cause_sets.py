@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -22,12 +23,13 @@ from zoo.core.causes.posterior import SetRow
 from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, DiagnosisFile, diagnose, read_diagnosis
 from zoo.core.diagnosis.answer import table_of
+from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.importance import check_sets
 from zoo.core.diagnosis.search import NO_DAMPING, ROUNDS, Search, as_matrix
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear
 from zoo.core.effects import Effect, EffectParameter, effect
 from zoo.core.errors.spectral import Cosines, Harmonics
-from zoo.core.forward import FunctionModel, Outputs
+from zoo.core.forward import Corrected, FunctionModel, Outputs
 from zoo.core.parameters import Normal, Parameter
 
 BULGED = {"law": 0.3 * KNOTS**2}
@@ -529,6 +531,20 @@ def test_the_error_of_steps_that_follow_a_parameter_is_no_evidence() -> None:
     assert len(own.solved) > 2
     for which, one in own.solved.items():
         assert one.log_z == pytest.approx(exact.solved[which].log_z, abs=0.1)
+
+
+def test_an_absent_effect_is_given_the_steps_that_it_would_need(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a stenosis needs them at any size, and no tree without one."""
+    monkeypatch.setattr(sys.modules[__name__], "steps_of", lambda c: 32 if c.get("bump", 0.0) else 16)
+    stepped = Stepped(by_steps, LINEAR.parameters, LINEAR.outputs, "stepped")
+    [location] = adding("bump").locations(stepped)
+    model = SearchModel(stepped, (adding("bump").at(location),), Cosines().bind(linear_data(3)))
+    u = model.start
+    u[-1] = 0.0
+    baseline = model.pinned(u).baseline
+    assert isinstance(baseline, Corrected)
+    assert baseline.model.steps == 32
+    assert SearchModel(stepped, (), model.errors).pinned(u[:-1]).baseline.model.steps == 16
 
 
 def test_a_check_by_importance_sampling_changes_nothing_of_a_linear_model() -> None:
