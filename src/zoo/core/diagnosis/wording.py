@@ -40,7 +40,7 @@ def worded(file: DiagnosisFile) -> DiagnosisFile:
     DiagnosisFile
     """
     verdict = _headline(file)
-    told = [verdict, *filter(None, (sentence(file) for sentence in SENTENCES)), *_states(file)]
+    told = [verdict, *filter(None, (sentence(file) for sentence in SENTENCES)), *_laws(file), *_states(file)]
     return file.model_copy(update={"verdict": verdict, "answer": told})
 
 
@@ -216,9 +216,9 @@ def _parameters(file: DiagnosisFile) -> str:
     return f"Parameters of the baseline, before → with it: {', '.join(texts)}"
 
 
-def _laws(file: DiagnosisFile) -> str:
+def _laws(file: DiagnosisFile) -> list[str]:
     leader = _leader(file)
-    return "; ".join(_law(f) for c in file.components for f in c.functions if f.name in leader and f.laws)
+    return [_law(f) for c in file.components for f in c.functions if f.name in leader and f.laws]
 
 
 def _law(f: LearnedFunction) -> str:
@@ -304,6 +304,6 @@ def _state(state: StateFile, components: set[str]) -> str:
 
 
 SENTENCES = (
-    _runner_up, _further, _components, _alike, _error, _held_out, _laws, _parameters, _sensitivity, _next,
+    _runner_up, _further, _components, _alike, _error, _held_out, _parameters, _sensitivity, _next,
     _unverified,
 )  # fmt: skip
