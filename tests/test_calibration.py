@@ -112,7 +112,7 @@ def test_truths_have_the_prior_and_data_the_errors() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "n"), [("A", 20), ("B", 32)])
+@pytest.mark.parametrize(("name", "n"), [("A", 12), pytest.param("B", 32, marks=pytest.mark.nightly)])
 def test_short_calibration(name: str, n: int) -> None:
     replicates = simulate_and_rank(quick(name), n)
     table = rank_table(replicates, 15)
@@ -159,7 +159,7 @@ def test_a_likelihood_of_half_the_variance_is_flagged() -> None:
 def test_finished_replicates_are_kept(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A killed run goes on, a replicate depends on its seed and number only, and others are refused."""
     asked = quick("A", settings={**QUICK, "tune": 20, "draws": 20})
-    [first, second] = simulate_and_rank(asked, 2, tmp_path, cores=2)
+    [first, second] = simulate_and_rank(asked, 2, tmp_path)
     assert set(first.rank) == {"f3", "psi1", "psi2", "c", "sigma2", LOG_POSTERIOR}
     (tmp_path / "0000.json").unlink()
     before = (tmp_path / "0001.json").stat().st_mtime_ns

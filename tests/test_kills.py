@@ -28,7 +28,7 @@ pytestmark = [
     pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc"),
     pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning"),
 ]
-CHAINS: dict[str, Any] = {"tune": 1200, "chains": 2, "seed": 31, "progress": False}
+CHAINS: dict[str, Any] = {"tune": 600, "chains": 2, "seed": 31, "progress": False}
 KILLS = {"inline": 2, "processes": 2, "nuts": 2, "surrogate": 1}
 """How often a run is killed: with all chains in its process, with a process each, by other methods."""
 
@@ -64,10 +64,10 @@ def run(kind: str, folder: str | None, slow: bool = False) -> Any:
         return sample(model_of(Slow(0.002 * slow)), method="surrogate", **few, **checkpoint)
     if kind == "nuts":
         return sample(
-            smooth_model(seconds=0.0003 * slow), method="nuts", draws=500, cores=0, **CHAINS, **checkpoint
+            smooth_model(seconds=0.0003 * slow), method="nuts", draws=250, cores=0, **CHAINS, **checkpoint
         )
     cores = 2 if slow and kind == "processes" else 0
-    return sample(gaussian_model(0.0005 * slow), draws=3000, thin=2, cores=cores, **CHAINS, **checkpoint)
+    return sample(gaussian_model(0.0005 * slow), draws=1500, thin=2, cores=cores, **CHAINS, **checkpoint)
 
 
 def alive(group: int) -> set[int]:
