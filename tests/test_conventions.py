@@ -70,7 +70,7 @@ def test_table() -> None:
         ("publised-code", r"name = 'publised-code': unknown; did you mean 'published-code'\? use one of"),
         ({"fricton": "rest"}, r"switch = 'fricton': unknown; did you mean 'friction'\?"),
         ({"friction": "curent"}, "friction = 'curent': unknown; use one of current, rest, fixed"),
-        ({"wall_factor": 0}, "wall_factor = 0: not a positive number; give one"),
+        ({"wall_factor": 0}, "wall_factor = 0: must be a number between 1e-30 and 1e"),
         ({"mmhg": math.inf}, "mmhg = inf"),
         ({"mmhg": True}, "mmhg = True"),
         ({"truncate_lengths": 1}, "truncate_lengths = 1: not a switch; use true or false"),

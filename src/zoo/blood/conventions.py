@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
+from zoo.core.arrays import real_number
 from zoo.core.words import OneLineError, nearest, short
 
 FRICTIONS = ("current", "rest", "fixed")
@@ -71,18 +72,11 @@ class Conventions:
 
     def __post_init__(self) -> None:
         for switch in ("wall_factor", "stiffness_radius_unit_cm", "friction_radius_cm", "mmhg"):
-            value = getattr(self, switch)
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not number or not 0 < value < math.inf:
-                raise ConventionsError(
-                    f"conventions: {switch} = {short(value)}: not a positive number; give one"
-                )
+            given, words = getattr(self, switch), f"a number between {_LEAST:g} and {1 / _LEAST:g}"
+            value = real_number(f"conventions: {switch}", given, words, error=ConventionsError)
             if not _LEAST <= value <= 1 / _LEAST:
-                raise ConventionsError(
-                    f"conventions: {switch} = {short(value)}: must be between {_LEAST:g} and {1 / _LEAST:g}; "
-                    "correct it"
-                )
-            object.__setattr__(self, switch, float(value))
+                raise ConventionsError(f"conventions: {switch} = {short(given)}: must be {words}; correct it")
+            object.__setattr__(self, switch, value)
         if not isinstance(self.sample_lag_beats, (int, float)) or not abs(self.sample_lag_beats) < 1:
             raise ConventionsError(
                 f"conventions: sample_lag_beats = {short(self.sample_lag_beats)}: not a part of a beat; "

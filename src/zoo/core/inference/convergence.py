@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from zoo.core.arviz_lines import dataset, effective, split_rhat
 from zoo.core.inference.elements import arrays, scalars
@@ -257,13 +258,8 @@ class Diagnostics:
             If the text is not what `to_json` writes.
         """
         try:
-            raw = json.loads(text)
-            judged = raw["verdict"]
-            parameters = tuple(ParameterVerdict(**p) for p in judged.pop("parameters"))
-            for name in ("bounds", "uninformed"):
-                judged[name] = tuple(judged.get(name, ()))
-            return cls(Verdict(parameters, **judged), tuple(raw["acceptance"]))
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            return TypeAdapter(cls).validate_python(json.loads(text))
+        except ValueError as error:  # no JSON, or other fields
             raise ResultsError(
                 f"diagnostics of a run: not readable ({error}); slim the posterior again"
             ) from None

@@ -96,8 +96,7 @@ class PriorCheck:
 
     def as_dict(self) -> dict[str, Any]:
         """Fit for JSON."""
-        bounds = [asdict(found) for found in self.bounds]
-        return {"bounds": bounds, "uninformed": list(self.uninformed), "numerical": self.numerical}
+        return asdict(self)
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> PriorCheck:
