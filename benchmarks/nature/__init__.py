@@ -13,8 +13,13 @@ import hashlib
 import json
 import os
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import zoo
+
+Parameters = Mapping[str, Any]
 
 GROUPS = {"drag": ("linear-drag", "quadratic-drag"), "timing": ("flow-timing", "pressure-timing"), "none": ()}
 """Rivals of which any is right: a drop tells no law of drag, and one series not which clock is late."""
@@ -48,3 +53,15 @@ def data_file(case: str) -> Path:
     if hashlib.sha256(path.read_bytes()).hexdigest() != known["sha256"]:
         raise DataError(f"{path} is not the file of {known['source']}: its SHA-256 is another")
     return path
+
+
+def rival(
+    name: str, key: str, unit: str, size: float, low: float | None = None, high: float | None = None
+) -> Any:
+    """An effect that sets one parameter of a simulator."""
+
+    @zoo.effect(name, unit=unit, size=size, low=low, high=high)
+    def change(c: Parameters, value: float) -> dict[str, Any]:
+        return {**c, key: value}
+
+    return change

@@ -6,13 +6,14 @@ and from what gauges can be off by, and were chosen before any diagnosis. Series
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from benchmarks.nature import Parameters, rival
 from numba import njit  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
@@ -20,7 +21,6 @@ import zoo
 from zoo.core.diagnosis import Diagnosis
 
 Array = NDArray[np.float64]
-Parameters = Mapping[str, Any]
 
 DAYS = 5  # of a mean
 LAPSE = 0.0065  # K/m
@@ -137,16 +137,6 @@ def _reservoirs(
     return found
 
 
-def _rival(
-    name: str, key: str, unit: str, size: float, low: float | None = None, high: float | None = None
-) -> Any:
-    @zoo.effect(name, unit=unit, size=size, low=low, high=high)
-    def change(c: Parameters, value: float) -> dict[str, Any]:
-        return {**c, key: value}
-
-    return change
-
-
 def _with_shape(name: str, keys: tuple[str, str], first: Any, second: Any) -> Any:
     @zoo.effect(name, parameters=[first, second])
     def change(c: Parameters, values: tuple[float, ...], at: Any) -> dict[str, Any]:
@@ -167,20 +157,20 @@ RIVALS = [
         P("part", "1", 0.3, 0.0, 1.0, (0.3,)),
         P("time", "d", 500.0, 300.0, 3000.0, (), centre=1000.0, zero_is_base=False),
     ),
-    _rival("rainfall-gain", "rain", "1", 0.2, -0.9),
+    rival("rainfall-gain", "rain", "1", 0.2, -0.9),
     _with_shape(
         "rainfall-gain-by-season", ("season", "wet_day"),
         P("gain", "1", 0.3, -1.0, 1.0, (0.3, -0.3)),
         P("day", "d", 60.0, -165.0, 195.0, (), centre=15.0, zero_is_base=False),
     ),
-    _rival("evapotranspiration-gain", "evaporation", "1", 0.3, -1.0),
-    _rival("soil-threshold", "capacity", "mm", 50.0, 0.0),
-    _rival("interception", "interception", "mm/d", 1.0, 0.0),
-    _rival("leak-to-depth", "leak", "1", 0.2, 0.0, 1.0),
-    _rival("travel-time", "travel", "d", 2.0, 0.0),
-    _rival("frozen-soil", "frozen", "1", 0.5, 0.0, 1.0),
-    _rival("summer-abstraction", "abstraction", "mm/d", 0.3, 0.0),
-    _rival("gauge-offset", "offset", "mm/d", 0.2),
+    rival("evapotranspiration-gain", "evaporation", "1", 0.3, -1.0),
+    rival("soil-threshold", "capacity", "mm", 50.0, 0.0),
+    rival("interception", "interception", "mm/d", 1.0, 0.0),
+    rival("leak-to-depth", "leak", "1", 0.2, 0.0, 1.0),
+    rival("travel-time", "travel", "d", 2.0, 0.0),
+    rival("frozen-soil", "frozen", "1", 0.5, 0.0, 1.0),
+    rival("summer-abstraction", "abstraction", "mm/d", 0.3, 0.0),
+    rival("gauge-offset", "offset", "mm/d", 0.2),
 ]  # fmt: skip
 PRIORS = {
     "fast": zoo.Parameter("fast", zoo.LogNormal(10.0, 1.0), "d"),

@@ -5,19 +5,18 @@ Prior sizes are from physics and from what an observer can be off by, and were c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from benchmarks.nature import Parameters, rival
 from numpy.typing import NDArray
 
 import zoo
 from zoo.core.diagnosis import Diagnosis
 
 Array = NDArray[np.float64]
-Parameters = Mapping[str, Any]
 
 GRAVITY = 9.81  # m/s2
 STEP = 1.0 / 150.0  # s
@@ -56,14 +55,6 @@ def _pull(c: Parameters, t: float, v: float) -> float:
     return float(pull + c.get("spin", 0.0) * abs(v) * np.sin(2.0 * np.pi * t))
 
 
-def _rival(name: str, key: str, unit: str, size: float, low: float | None = None) -> Any:
-    @zoo.effect(name, unit=unit, size=size, low=low)
-    def change(c: Parameters, value: float) -> dict[str, Any]:
-        return {**c, key: value}
-
-    return change
-
-
 @zoo.effect(
     "wind-gust",
     parameters=[
@@ -77,17 +68,17 @@ def wind_gust(c: Parameters, values: tuple[float, ...], at: Any) -> dict[str, An
 
 
 RIVALS = [
-    _rival("linear-drag", "linear", "1/s", 0.2, 0.0),  # a terminal speed of 50 m/s
-    _rival("quadratic-drag", "quadratic", "1/m", 0.02, 0.0),  # 22 m/s; a whiffle ball's is some 10
-    _rival("added-mass", "mass", "1", 0.1, 0.0),  # a basketball's is 0.02
-    _rival("ruler-scale", "ruler", "1", 0.05),
-    _rival("frame-rate", "fast", "1", 0.02),
-    _rival("tilted-camera", "tilt", "1", 0.05),
-    _rival("late-release", "slow_release", "s", 0.1, 0.0),
+    rival("linear-drag", "linear", "1/s", 0.2, 0.0),  # a terminal speed of 50 m/s
+    rival("quadratic-drag", "quadratic", "1/m", 0.02, 0.0),  # 22 m/s; a whiffle ball's is some 10
+    rival("added-mass", "mass", "1", 0.1, 0.0),  # a basketball's is 0.02
+    rival("ruler-scale", "ruler", "1", 0.05),
+    rival("frame-rate", "fast", "1", 0.02),
+    rival("tilted-camera", "tilt", "1", 0.05),
+    rival("late-release", "slow_release", "s", 0.1, 0.0),
     wind_gust,
-    _rival("spin-lift", "spin", "1/s", 0.1),
-    _rival("tracker-lag", "lag", "s", 0.07),  # a frame
-    _rival("bounce", "rebound", "1", 0.5, 0.0),
+    rival("spin-lift", "spin", "1/s", 0.1),
+    rival("tracker-lag", "lag", "s", 0.07),  # a frame
+    rival("bounce", "rebound", "1", 0.5, 0.0),
 ]
 PRIORS = {
     "height": zoo.Parameter("height", zoo.Normal(47.0, 3.0), "m"),

@@ -7,18 +7,18 @@ any diagnosis with this base.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks.nature import Parameters, rival
 from numpy.typing import NDArray
 
 import zoo
 from zoo.core.diagnosis import Diagnosis
 
 Array = NDArray[np.float64]
-Parameters = Mapping[str, Any]
 
 
 def windkessel(period_s: float, flow: Array) -> Callable[[Parameters, Array], Array]:
@@ -46,16 +46,6 @@ def windkessel(period_s: float, flow: Array) -> Callable[[Parameters, Array], Ar
     return simulate
 
 
-def _rival(
-    name: str, key: str, unit: str, size: float, low: float | None = None, high: float | None = None
-) -> Any:
-    @zoo.effect(name, unit=unit, size=size, low=low, high=high)
-    def change(c: Parameters, value: float) -> dict[str, Any]:
-        return {**c, key: value}
-
-    return change
-
-
 @zoo.effect(
     "wave-reflection-delay",
     parameters=[
@@ -69,17 +59,17 @@ def reflection(c: Parameters, values: tuple[float, ...], at: Any) -> dict[str, A
 
 
 RIVALS = [
-    _rival("flow-timing", "flow_late", "s", 0.03, -0.2, 0.2),  # positive: the flow's record is late
-    _rival("pressure-timing", "pressure_late", "s", 0.03, -0.2, 0.2),
-    _rival("flow-gain", "gain", "1", 0.1, -0.9),
-    _rival("offset", "offset", "mmHg", 5.0),
-    _rival("bandwidth", "slow", "s", 0.01, 0.0),  # of the pressure's sensor
-    _rival("inertance", "inertance", "mmHg s2/ml", 0.005, 0.0),
-    _rival("second-compliance", "second", "ml/mmHg", 0.3, 0.0),
-    _rival("non-linear-compliance", "stiffening", "1", 1.0, -5.0, 5.0),
+    rival("flow-timing", "flow_late", "s", 0.03, -0.2, 0.2),  # positive: the flow's record is late
+    rival("pressure-timing", "pressure_late", "s", 0.03, -0.2, 0.2),
+    rival("flow-gain", "gain", "1", 0.1, -0.9),
+    rival("offset", "offset", "mmHg", 5.0),
+    rival("bandwidth", "slow", "s", 0.01, 0.0),  # of the pressure's sensor
+    rival("inertance", "inertance", "mmHg s2/ml", 0.005, 0.0),
+    rival("second-compliance", "second", "ml/mmHg", 0.3, 0.0),
+    rival("non-linear-compliance", "stiffening", "1", 1.0, -5.0, 5.0),
     reflection,
-    _rival("leak", "leak", "ml/(s mmHg)", 0.1, 0.0),
-    _rival("baseline-drift", "drift", "mmHg", 3.0),
+    rival("leak", "leak", "ml/(s mmHg)", 0.1, 0.0),
+    rival("baseline-drift", "drift", "mmHg", 3.0),
 ]
 PRIORS = {
     "R1": zoo.Parameter("R1", zoo.LogNormal(0.05, 1.0), "mmHg s/ml"),

@@ -10,7 +10,8 @@ from typing import Annotated
 
 import typer
 
-from zoo.cli.command import FRESH, Role, UsageError, Without, argument, command, option
+from zoo.cli.checks import some_names
+from zoo.cli.command import FRESH, Role, Without, argument, command, option
 from zoo.cli.options import DASK, JSON, QUIET, PluginOptions, PriorOptions
 from zoo.cli.screen import plain_table, say
 from zoo.core.outputs import output_file, output_folder
@@ -25,15 +26,6 @@ def _counting(quiet: bool, total: int) -> Iterator[Callable[[str], None]]:
         tell(f"0 of {total} cases", 0.0)
         count = itertools.count(1)
         yield lambda case: tell(f"{(n := next(count))} of {total} cases, last {case}", n / max(1, total))
-
-
-def _name_list(option: str, text: str | None) -> list[str] | None:
-    if text is None:
-        return None
-    names = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
-    if not names:
-        raise UsageError(f"{option}: no names; give some with commas, or leave it out")
-    return names
 
 
 @command
@@ -76,9 +68,9 @@ def make(
             n,
             key,
             secret=secret,
-            effects=_name_list("--effects", effects),
-            layouts=_name_list("--layouts", layouts) or LAYOUTS,
-            networks=_name_list("--networks", networks) or [],
+            effects=some_names("--effects", effects),
+            layouts=some_names("--layouts", layouts) or LAYOUTS,
+            networks=some_names("--networks", networks) or [],
             cores=cores,
             done=counting,
         )

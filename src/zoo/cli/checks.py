@@ -43,9 +43,22 @@ def model_name(name: str) -> str:
         raise UsageError(str(error)) from None
 
 
+def names(text: str | None) -> list[str]:
+    """Names that are given with commas."""
+    return [part.strip() for part in (text or "").split(",") if part.strip()]
+
+
+def some_names(option: str, text: str | None) -> list[str] | None:
+    """At least one name, each once; None where the option is not given."""
+    found = list(dict.fromkeys(names(text)))
+    if text is not None and not found:
+        raise UsageError(f"{option}: no names; give some with commas, or leave it out")
+    return found or None
+
+
 def model_names(text: str) -> list[str]:
     """Names of models, given with commas."""
-    return [model_name(part) for part in text.split(",") if part.strip()]
+    return [model_name(name) for name in names(text)]
 
 
 def different_models(text: str) -> list[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zoo.cli.checks import at_least
+from zoo.cli.checks import at_least, some_names
 from zoo.cli.command import GATE, Role, UsageError, Without, command, option, typed_command
 from zoo.cli.options import JSON, QUIET, STUDY, PluginOptions, StudyOptions
 from zoo.cli.screen import complain, plain_table, say
@@ -170,12 +170,8 @@ def _effect_names(text: str | None, base: str) -> list[str] | None:
     """Effects of an option, each of which the baseline can take; None for all."""
     from zoo.blood.diagnosis import effects_for
 
-    if text is None:
-        return None
-    names = [part.strip() for part in text.split(",") if part.strip()]
-    if not names:
-        raise UsageError("--effects: no names; give some of `zoo effects` with commas, or leave it out")
-    return [one.name for one in effects_for(base, names)]
+    names = some_names("--effects", text)
+    return names and [one.name for one in effects_for(base, names)]
 
 
 def _known(expected: Sequence[str], base: str, effects: list[str] | None) -> None:

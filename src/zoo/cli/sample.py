@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from zoo.cli.checks import model_name
+from zoo.cli.checks import model_name, names
 from zoo.cli.command import FRESH, GATE, Role, UsageError, argument, command, option
 from zoo.cli.options import (
     DASK,
@@ -76,15 +76,14 @@ def sample(
     from zoo.core.inference.cluster import connect
 
     plugins.load()
-    added = [part.strip() for part in (effects or "").split(",") if part.strip()]
-    name = model_name("+".join([model, *added]))
+    name = model_name("+".join([model, *names(effects)]))
     settings = sampling.settings()
     loaded = _by_name([(study, options.load(study)) for study in studies])
     path = output_file(Path("-".join([name, *loaded]) + ".nc") if output is None else output, "--output")
-    common = {"share": _names(share), "population": _names(population)}
-    for flag, names in common.items() if len(loaded) == 1 else ():
-        if names:
-            raise UsageError(f"--{flag} {','.join(names)}: is of several studies; give two or more")
+    common = {"share": names(share), "population": names(population)}
+    for flag, given in common.items() if len(loaded) == 1 else ():
+        if given:
+            raise UsageError(f"--{flag} {','.join(given)}: is of several studies; give two or more")
     if path.is_file() and not fresh:
         _keeps_what_is_there(path, settings)
     with connect(dask) as executor:
@@ -103,10 +102,6 @@ def sample(
         say(*_posterior_summary(idata, found), f"wrote {path}")
     if strict and not found.passes:
         raise typer.Exit(GATE)
-
-
-def _names(text: str | None) -> list[str]:
-    return [part.strip() for part in (text or "").split(",") if part.strip()]
 
 
 def _by_name(studies: Sequence[tuple[str, Study]]) -> dict[str, Study]:
