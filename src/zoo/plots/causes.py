@@ -23,8 +23,8 @@ SHOWN_SETS, SHOWN_FUNCTIONS = 7, 6
 """Sets of causes besides that of none, and panels of learned functions, the most probable."""
 TOLD_LABELS, MOST_WIDE = 40, 30
 """Most places that are named along an axis, and most letters of a line of a set's name."""
-ROW, SET_ROW = 0.28, 0.4
-"""Heights of a component and of a set, in inches: names of sets may have three lines."""
+ROW, SET_ROW, LINE = 0.28, 0.4, 0.14
+"""Heights of a component, of a set and of a line of its name, in inches."""
 Learned = tuple[ComponentResult, LearnedFunction]
 PROBABILITY_COLOUR, PRIOR_COLOUR = COLOURS[0], "#9AA5B1"
 
@@ -34,7 +34,7 @@ def _draw_bars(axes: Axes, bars: Sequence[tuple[str, float, float]]) -> None:
     for row, (_, probability, prior) in enumerate(bars):
         axes.barh(row - 0.14, 100.0 * probability, color=PROBABILITY_COLOUR, height=0.44)
         axes.barh(row + 0.24, 100.0 * prior, color=PRIOR_COLOUR, height=0.24)
-        at, text = (100.0 * probability, row - 0.14), percent(probability)
+        at, text = (100.0 * probability, row - 0.14), percent(min(probability, 1.0 - 1e-12))
         axes.annotate(text, at, xytext=(4, 0), textcoords="offset points", va="center", fontsize=7)
     axes.set_yticks(range(len(bars)), [_folded(name) for name, *_ in bars], fontsize="small")
     axes.set_ylim(len(bars) - 0.4, -0.6)
@@ -56,7 +56,7 @@ def draw_causes(figure: Figure | SubFigure, d: Diagnosis) -> None:
     """The panels of `plot_causes`."""
     file = d.file
     found, sets = file.components, leading_sets(file, SHOWN_SETS)
-    heights = (ROW * max(2, len(found)), SET_ROW * len(sets))
+    heights = _heights(d)
     top, bottom = figure.subplots(2, 1, height_ratios=heights)
     _draw_bars(top, [(c.name, c.probability, c.prior_probability) for c in found])
     top.set_title("components that are wrong")
@@ -72,7 +72,14 @@ def draw_causes(figure: Figure | SubFigure, d: Diagnosis) -> None:
 
 def causes_height(d: Diagnosis) -> float:
     """Of the panels of `plot_causes`, in inches."""
-    return 1.6 + ROW * max(2, len(d.file.components)) + SET_ROW * len(leading_sets(d.file, SHOWN_SETS))
+    return 1.6 + sum(_heights(d))
+
+
+def _heights(d: Diagnosis) -> tuple[float, float]:
+    """Of both panels' rows, in inches; rows of sets have room for the name of most lines."""
+    sets = leading_sets(d.file, SHOWN_SETS)
+    lines = max(1 + _folded(set_name(row)).count("\n") for row in sets)
+    return ROW * max(2, len(d.file.components)), max(SET_ROW, LINE * lines) * len(sets)
 
 
 def plot_causes(d: Diagnosis, *, narrow: bool = False) -> Figure:
