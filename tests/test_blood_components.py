@@ -16,9 +16,9 @@ from zoo.blood.baseline import get_baseline
 from zoo.blood.case import simulate, with_physics
 from zoo.blood.components import COMPONENTS, component_of, components, plausible
 from zoo.blood.components.curves import curve, delay_response, gain_response, minimum_phase
+from zoo.blood.components.declared import TABLE, free_function
 from zoo.blood.components.outlets import log_impedance_change
 from zoo.blood.components.plausibility import LIMITS
-from zoo.blood.components.table import TABLE, free_function
 from zoo.blood.components.wall import added_law, added_pressure
 from zoo.blood.diagnosis import HOOKS
 from zoo.blood.effects import CATALOGUE

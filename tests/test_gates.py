@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from zoo.report.comparison import (
+from zoo.report.gates import (
     ComparisonFile,
     Gate,
     GateError,

@@ -51,7 +51,7 @@ BREAKS = [
     ("models/model_a.py", "from zoo.report import page", "house"),
     ("models/model_b.py", "from zoo.cli import app", "cli"),
     ("report/page.py", "import matplotlib.pyplot", "matplotlib"),
-    ("report/words.py", "from zoo.report import chapter", "cycles"),
+    ("report/filters.py", "from zoo.report import chapter", "cycles"),
 ]
 
 

@@ -22,7 +22,7 @@ from zoo.core.diagnosis import solve_store
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.files import find
 from zoo.core.posterior.storage import load
-from zoo.report.comparison import read_comparison
+from zoo.report.gates import read_comparison
 
 QUICK = ("--draws", 60, "--tune", 150, "--chains", 2, "--cores", 1, "--seed", 3)
 

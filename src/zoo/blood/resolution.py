@@ -23,7 +23,7 @@ from zoo.blood.case import Case, Place, simulate, solver_of
 from zoo.blood.solve_errors import CFLError
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Study, StudyError
-from zoo.blood.study.tables import checked_numerics
+from zoo.blood.study.schema import checked_numerics
 from zoo.core.arrays import Array
 from zoo.core.forward import SolveError, content_key
 

@@ -20,7 +20,7 @@ from zoo.core.outputs import output_file, output_folder, write_file
 
 if TYPE_CHECKING:
     from zoo.blood.study import Study
-    from zoo.report.comparison import ComparisonFile, Gate
+    from zoo.report.gates import ComparisonFile, Gate
 
 
 @command
@@ -68,7 +68,7 @@ def compare(
     if posteriors and fresh:
         raise UsageError("--fresh: samples every model anew; leave out --posteriors, or --fresh")
     from zoo.core.posterior.files import find
-    from zoo.report.comparison import Gate, read_comparison
+    from zoo.report.gates import Gate, read_comparison
 
     gates = [Gate.read(text) for text in [*(fail_if or ()), *(["converged=no"] if strict else [])]]
     before = None if baseline is None else read_comparison(baseline)
@@ -116,9 +116,9 @@ def _tell_machines(
     files: Mapping[str, Path | None],
 ) -> None:
     """Write what was asked for, and end with 3 if a gate fails."""
-    from zoo.report.comparison import comparison_file, judge
-    from zoo.report.comparison import junit as to_junit
-    from zoo.report.comparison import markdown as to_markdown
+    from zoo.report.gates import comparison_file, judge
+    from zoo.report.gates import junit as to_junit
+    from zoo.report.gates import markdown as to_markdown
 
     found = comparison_file(tables, criterion)
     judged = judge(found, gates, baseline)

@@ -176,7 +176,7 @@ def _effect_names(text: str | None, base: str) -> list[str] | None:
 
 def _known(expected: Sequence[str], base: str, effects: list[str] | None) -> None:
     """Refuse the name of no cause and no component."""
-    from zoo.blood.components.table import TABLE
+    from zoo.blood.components.declared import TABLE
     from zoo.blood.diagnosis import effects_for
 
     listed = [one.name for one in effects_for(base, effects)]

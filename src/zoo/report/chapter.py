@@ -15,10 +15,10 @@ from zoo.core.posterior.comparison import compare
 from zoo.core.words import listed
 from zoo.models import MODELS, get_model
 from zoo.plots import comparison_figure, fit_figure, forest_figure, models_figure, pair_figure, rank_figure
+from zoo.report.filters import settings_text
 from zoo.report.page import ReportError, picture_of
 from zoo.report.parameters import parameter_rows
 from zoo.report.sentences import CRITERION, summary
-from zoo.report.words import settings_text
 
 if TYPE_CHECKING:
     import pymc as pm

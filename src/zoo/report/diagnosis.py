@@ -24,8 +24,8 @@ from zoo.plots.causes import learned_functions
 from zoo.plots.impedance import impedance_figure, impedances_of
 from zoo.plots.subject import TOLD, study_of
 from zoo.report import tables
+from zoo.report.filters import settings_text, value_text
 from zoo.report.page import picture_of, write_page
-from zoo.report.words import settings_text, value_text
 
 if TYPE_CHECKING:
     from zoo.core.diagnosis import Diagnosis

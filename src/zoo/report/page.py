@@ -14,7 +14,7 @@ from PIL import Image
 
 from zoo.core.outputs import write_file
 from zoo.plots import save_figure
-from zoo.report.words import FILTERS
+from zoo.report.filters import FILTERS
 
 COLOURS = 64
 """Of a figure in the page: a quarter of the size, and no difference to the eye."""

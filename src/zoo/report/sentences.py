@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from zoo.core.inference.convergence import ESS_TARGET, RHAT_LIMIT, Diagnostics
 from zoo.core.inference.record import RunRecord
 from zoo.core.words import listed
-from zoo.report.words import with_error
+from zoo.report.filters import with_error
 
 if TYPE_CHECKING:
     import pandas as pd

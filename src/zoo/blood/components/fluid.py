@@ -8,8 +8,8 @@ import numpy as np
 
 from zoo.blood.case import Case, with_physics, with_viscosity
 from zoo.blood.components.curves import curve, factors
+from zoo.blood.components.declared import free_function
 from zoo.blood.components.setting import RANGE_MARGIN, Setting, span_of
-from zoo.blood.components.table import free_function
 from zoo.blood.functions import FrictionFunction
 from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction

@@ -9,8 +9,8 @@ import numpy as np
 
 from zoo.blood.case import Case, with_network, with_true_lengths
 from zoo.blood.components.curves import curve, factors
+from zoo.blood.components.declared import free_function
 from zoo.blood.components.setting import Setting
-from zoo.blood.components.table import free_function
 from zoo.blood.solver import PUBLISHED_CELLS_PER_CM
 from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction

@@ -9,8 +9,8 @@ import numpy as np
 
 from zoo.blood.case import Case, filtered
 from zoo.blood.components.curves import curve, delay_response, gain_response
+from zoo.blood.components.declared import free_function
 from zoo.blood.components.setting import DELAY_KNOTS, GAIN_KNOTS, Setting
-from zoo.blood.components.table import free_function
 from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction
 

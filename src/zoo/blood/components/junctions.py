@@ -8,8 +8,8 @@ import numpy as np
 
 from zoo.blood.case import Case, with_physics
 from zoo.blood.components.curves import curve
+from zoo.blood.components.declared import free_function
 from zoo.blood.components.setting import Setting, range_knots, span_of
-from zoo.blood.components.table import free_function
 from zoo.blood.functions import JunctionFunction
 from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction

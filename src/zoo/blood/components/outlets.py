@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from zoo.blood.case import Case, with_physics
 from zoo.blood.components.curves import curve, factors, minimum_phase
+from zoo.blood.components.declared import free_function
 from zoo.blood.components.setting import MOST_HARMONICS, Setting, range_knots, span_of
-from zoo.blood.components.table import free_function
 from zoo.blood.functions import OutletFunction
 from zoo.blood.loads import with_impedance_change
 from zoo.core.arrays import Array

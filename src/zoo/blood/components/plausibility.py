@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from zoo.blood.components.table import TABLE
+from zoo.blood.components.declared import TABLE
 from zoo.core.components import FreeFunction
 from zoo.core.words import size_words
 

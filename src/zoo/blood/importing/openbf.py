@@ -31,7 +31,7 @@ from zoo.blood.study import Blood, Study, Vessel, Windkessel
 from zoo.blood.study.reading import inside, read_text
 from zoo.blood.study.resampling import denser, even_samples
 from zoo.blood.study.samples import MIN_SAMPLES
-from zoo.blood.study.tables import Table, Whole, validated, visible_name
+from zoo.blood.study.schema import Table, Whole, validated, visible_name
 from zoo.core.arrays import Array
 from zoo.core.words import short
 

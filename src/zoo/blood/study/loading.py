@@ -21,10 +21,7 @@ from zoo.blood.study.samples import (
     read_observations,
     read_outflow,
 )
-from zoo.blood.study.settings import put_in
-from zoo.blood.study.study import Study
-from zoo.blood.study.suspicion import warn_of_units
-from zoo.blood.study.tables import (
+from zoo.blood.study.schema import (
     FetchedInflowTable,
     FetchedObservationsTable,
     StudyTable,
@@ -32,6 +29,9 @@ from zoo.blood.study.tables import (
     validated,
     visible_name,
 )
+from zoo.blood.study.settings import put_in
+from zoo.blood.study.study import Study
+from zoo.blood.study.suspicion import warn_of_units
 from zoo.blood.study.tree import NOMINAL, read_network_file
 from zoo.core.arrays import Array
 from zoo.core.words import meant, nearest, short

@@ -17,7 +17,7 @@ from zoo.blood.fetch import fetch_file
 from zoo.blood.study.parts import QUANTITIES, Series, StudyError
 from zoo.blood.study.reading import read_csv, read_text
 from zoo.blood.study.resampling import even_samples
-from zoo.blood.study.tables import FetchedInflowTable, FetchedObservationsTable
+from zoo.blood.study.schema import FetchedInflowTable, FetchedObservationsTable
 from zoo.core.arrays import Array
 from zoo.core.data import on_one_grid
 from zoo.core.words import nearest, short

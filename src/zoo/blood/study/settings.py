@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from zoo.blood.study.parts import StudyError
-from zoo.blood.study.tables import NetworkTable, StudyTable, Table
+from zoo.blood.study.schema import NetworkTable, StudyTable, Table
 from zoo.core.words import choices, short
 
 _FIELDS = {*StudyTable.model_fields, *NetworkTable.model_fields}

@@ -13,9 +13,7 @@ from typing import Any, NamedTuple
 from zoo.blood.outlet_tables import StructuredTree
 from zoo.blood.study.parts import VESSEL_PHYSICS, Blood, Stenosis, StudyError, Vessel, Windkessel
 from zoo.blood.study.reading import read_toml
-from zoo.blood.study.settings import WALL_FIELDS, put_in
-from zoo.blood.study.study import JUNCTION_PRESSURES, WALL_LAWS
-from zoo.blood.study.tables import (
+from zoo.blood.study.schema import (
     BloodTable,
     JunctionsTable,
     NetworkTable,
@@ -27,6 +25,8 @@ from zoo.blood.study.tables import (
     validated,
     visible_name,
 )
+from zoo.blood.study.settings import WALL_FIELDS, put_in
+from zoo.blood.study.study import JUNCTION_PRESSURES, WALL_LAWS
 from zoo.blood.units import MMHG
 from zoo.core.words import nearest, short
 
