@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import math
+import pkgutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -227,9 +227,7 @@ class Effect:
     # functions behind a decorator have no importable name: an effect of a catalogue is pickled by its own
     def __reduce__(self) -> Any:
         if self.home:
-            module, _, attribute = self.home.partition(":")
-            catalogue = getattr(importlib.import_module(module), attribute)
-            known = catalogue.get(self.name)
+            known = pkgutil.resolve_name(self.home).get(self.name)
             if known is self:
                 return _from_home, (self.home, self.name)
             if known is not None and replace(known, parameters=self.parameters) == self:
@@ -251,8 +249,7 @@ class Effect:
 
 
 def _from_home(home: str, name: str, parameters: tuple[EffectParameter, ...] | None = None) -> Effect:
-    module, _, attribute = home.partition(":")
-    made: Effect = getattr(importlib.import_module(module), attribute)[name]
+    made: Effect = pkgutil.resolve_name(home)[name]
     return made if parameters is None else replace(made, parameters=parameters)
 
 

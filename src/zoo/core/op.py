@@ -241,14 +241,14 @@ class ForwardOp(Op):
             if failure:
                 state.failures[failure] += 1
             state.cache[point] = mean, failure is None
-            while len(state.cache) > CACHE_SIZE:
-                state.cache.popitem(last=False)
             if found is not None:
                 found.flags.writeable = False
                 state.counts["gradients"] += 1
                 state.slopes[point] = found
-                while len(state.slopes) > CACHE_SIZE:
-                    state.slopes.popitem(last=False)
+            every: tuple[OrderedDict[bytes, Any], ...] = state.cache, state.slopes
+            for kept in every:
+                while len(kept) > CACHE_SIZE:
+                    kept.popitem(last=False)
         return mean, failure is None, found
 
     @property
