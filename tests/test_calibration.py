@@ -120,7 +120,7 @@ def test_short_calibration(name: str, n: int) -> None:
     assert table.loc[["f3", "psi1", "psi2", "c"], "narrowing"].max() < 0.3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # a likelihood that is wrong is flagged below
 def test_a_sampler_of_a_tempered_posterior_is_flagged(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tenth of the log-posterior: draws three times as wide."""
     right = DEMetropolisZ.delta_logp

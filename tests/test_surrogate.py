@@ -218,6 +218,7 @@ def is_right(idata):
     )
 
 
+@pytest.mark.nightly  # one that is far too narrow is corrected below
 def test_a_surrogate_beside_the_posterior_is_corrected(monkeypatch):
     model = spoiled(monkeypatch, beside)
     idata = sample_surrogate(model, draws=600, seed=3, progress=False, cores=1)
