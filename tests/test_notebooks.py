@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from nbclient import NotebookClient
 
+from snippets import missing
 from zoo import load_study
 from zoo.core.arviz_lines import datasets, of_draws
 from zoo.core.inference.convergence import diagnostics
@@ -55,14 +56,16 @@ def store(folder: Path, letter: str) -> None:
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda p: p.name)
-def test_notebooks_are_stored_without_outputs(path: Path) -> None:
+def test_notebooks_are_stored_as_one_run_left_them(path: Path) -> None:
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     assert len(notebook.cells) > 10
-    for cell in notebook.cells:
-        if cell.cell_type == "code":
-            assert cell.outputs == []
-            assert cell.execution_count is None
+    assert path.stat().st_size <= 1_000_000
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+    outputs = [output for cell in code for output in cell.outputs]
+    assert all(o.output_type != "error" and o.get("name") != "stderr" for o in outputs)
+    assert str(FOLDER.parent) not in str(outputs)
 
 
 def test_first_look(tmp_path: Path) -> None:
@@ -75,6 +78,15 @@ def test_first_look(tmp_path: Path) -> None:
     assert "not converged:" in said
     assert pictures(notebook) == 6
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_diagnosis_prints_what_is_stored(tmp_path: Path) -> None:
+    stored = printed(nbformat.read(FOLDER / "03-diagnosis.ipynb", as_version=4))
+    notebook = run("03-diagnosis.ipynb", tmp_path)
+    lost = missing(stored.splitlines(), printed(notebook))
+    assert not lost, lost
+    assert "Most likely missing: viscoelastic wall, tau = " in stored
+    assert pictures(notebook) == 1
 
 
 @pytest.mark.needs_data
