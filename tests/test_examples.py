@@ -249,11 +249,9 @@ def test_the_page_runs_from_top_to_bottom(
     assert growth.solve(growth.configure([0.1, 50.0])).shape == (1, 51)
 
 
-def test_the_page_lists_every_effect_of_the_tanks() -> None:
+def test_the_page_tells_how_many_effects_the_tanks_have() -> None:
     text = (ROOT / "docs" / "bring-your-own-simulator.md").read_text(encoding="utf-8")
     assert f"{len(tanks.EFFECTS)} rival effects" in text
-    for one in tanks.EFFECTS:
-        assert f"`{one.name}`" in text
 
 
 # ---------------------------------------------------------------------------------------------------
