@@ -29,7 +29,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:PyTensor could not link to a BLAS:UserWarning"),
 ]
 CHAINS: dict[str, Any] = {"tune": 600, "chains": 2, "seed": 31, "progress": False}
-KILLS = {"inline": 2, "processes": 2, "nuts": 2, "surrogate": 1}
+KILLS = {"inline": 2, "processes": 2, "nuts": 2}
 """How often a run is killed: with all chains in its process, with a process each, by other methods."""
 
 # One process imports everything and forks each run: to import it all again takes longer than the runs.
@@ -86,13 +86,21 @@ def written(folder: Path) -> int:
     return sum(file.stat().st_size for file in folder.glob("*.memo"))
 
 
-def test_killed_again_and_again_the_draws_are_the_same(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "kills",
+    [
+        KILLS,
+        pytest.param({"surrogate": 1}, marks=pytest.mark.nightly),  # in test_kept_solves.py too
+    ],
+    ids=["chains", "surrogate"],
+)
+def test_killed_again_and_again_the_draws_are_the_same(kills: dict[str, int], tmp_path: Path) -> None:
     """Killed up to 0.3 s after more was written; one in two with a line that is not whole."""
     rng = random.Random(20)
     code = DRIVER.format(tests=str(Path(__file__).parent), folder=str(tmp_path / "c-"))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    ways = [kind for kind, n in KILLS.items() for _ in range(n)]
+    ways = [kind for kind, n in kills.items() for _ in range(n)]
     rng.shuffle(ways)
     errors = tmp_path / "errors"
     with (
@@ -119,11 +127,10 @@ def test_killed_again_and_again_the_draws_are_the_same(tmp_path: Path) -> None:
                 file.write_bytes(file.read_bytes()[:-7])
         driver.stdin.close()
     assert "Error" not in errors.read_text()
-    whole_runs = {kind: run(kind, None) for kind in KILLS if kind != "processes"}
-    whole_runs["processes"] = whole_runs["inline"]
-    for kind, n in KILLS.items():
+    whole_runs = {kind: run(kind, None) for kind in kills if kind != "processes"}
+    for kind, n in kills.items():
         folder = tmp_path / f"c-{kind}"
-        resumed, whole = run(kind, str(folder)), whole_runs[kind]
+        resumed, whole = run(kind, str(folder)), whole_runs["inline" if kind == "processes" else kind]
         assert RunRecord.of(resumed).sittings == n + 1
         for group in ("posterior", "sample_stats"):
             for name in whole[group].data_vars:
