@@ -120,7 +120,7 @@ $(SHORT): demo-output/short/%.nc: $(STAMP)
 	$(BIN)/zoo sample $* demo --draws 150 --tune 300 --seed 1 --fresh -o $@
 
 # The site, with the gallery executed, in build/site; warnings are errors. Three minutes of one core, and
-# half a minute when no script changed.
+# one minute when no script changed.
 docs: $(VENV)/.zoo-docs
 	$(BIN)/python -m sphinx -W -q -c docs . build/site
 	@echo build/site/index.html
