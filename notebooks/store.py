@@ -33,9 +33,11 @@ def store(path: Path) -> None:
     NotebookClient(
         notebook, timeout=600, kernel_name="python3", resources=resources, record_timing=False
     ).execute()
-    for output in (output for cell in notebook.cells for output in cell.get("outputs", [])):
-        if "image/png" in output.get("data", {}):
-            output["data"]["image/png"] = small(output["data"]["image/png"])
+    for data in (output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", [])):
+        if "image/png" in data:
+            data["image/png"] = small(data["image/png"])
+        if len(data) > 1:  # what a picture or a formula is called beside it has the address of an object
+            data.pop("text/plain", None)
     notebook.metadata["language_info"] = {"name": "python"}
     nbformat.write(notebook, path)
 
