@@ -28,7 +28,7 @@ diagnose = partial(diagnose_study, component_sizes=0.0)
 
 @pytest.fixture(scope="module")
 def jitter() -> StudyDiagnosis:
-    return diagnose(made([("beat-jitter", (0.003,), EVERYWHERE)]), effects=FEW[:4])
+    return diagnose(made([("beat-jitter", (0.003,), EVERYWHERE)]), effects=FEW)
 
 
 def test_the_cause_and_its_shrinkage(jitter: StudyDiagnosis) -> None:
