@@ -25,6 +25,7 @@ from scipy.stats import qmc
 import zoo
 from zoo.blood.ejection import ejection
 from zoo.blood.solver import SolverOptions
+from zoo.blood.units import MMHG
 
 STUDY = """name = "{name}"
 network = "network.toml"
@@ -45,16 +46,18 @@ WALLS = (1e5, 4e5)
 FINE = SolverOptions(dx_cm=0.0125)
 
 
-def write_study(folder: Path, outlet: Mapping[str, Any] | None, observations: str = "") -> zoo.Study:
-    """A study in a folder, its terminals with the impedance of a tree, or with nominal Windkessels."""
+def write_study(folder: Path, outlet: Mapping[str, Any] | float, observations: str = "") -> zoo.Study:
+    """A study in a folder, its terminals with one impedance, or each with a Windkessel of its area."""
     folder.mkdir(parents=True, exist_ok=True)
     seen = 'observations = "observations.csv"\n' if observations else ""
     (folder / "study.toml").write_text(STUDY.format(name=folder.name, observations=seen))
     vessels = []
     for number, length, radius, parent in TRUNK:
         rows = ["[[vessel]]", f"id = {number}", f"length_cm = {length}", f"radius_cm = {radius}", parent]
-        if outlet is not None and number > 1:
-            rows.append("impedance = { " + ", ".join(f"{k} = {v:.10g}" for k, v in outlet.items()) + " }")
+        if number > 1:
+            kind = "windkessel" if isinstance(outlet, float) else "impedance"
+            of = circuit(outlet, radius) if isinstance(outlet, float) else outlet
+            rows.append(f"{kind} = {{ " + ", ".join(f"{k} = {v:.10g}" for k, v in of.items()) + " }")
         vessels.append("\n".join(filter(None, rows)) + "\n")
     (folder / "network.toml").write_text("\n".join([BLOOD, *vessels]))
     flow = ejection(1024)[1]
@@ -64,6 +67,12 @@ def write_study(folder: Path, outlet: Mapping[str, Any] | None, observations: st
     if observations:
         (folder / "observations.csv").write_text(observations)
     return zoo.load_study(folder)
+
+
+def circuit(total: float, radius: float) -> dict[str, float]:
+    """Nominal R1, R2, C of a branch by its area: a tenth of the resistance before C, and R2 C one beat."""
+    resistance = total * sum(x**2 for x in OUTLETS_CM) / radius**2
+    return {"R1": 0.1 * resistance, "R2": 0.9 * resistance, "C": PERIOD_S / (0.9 * resistance)}
 
 
 def make_record(folder: Path, row: np.ndarray, rng: np.random.Generator) -> zoo.Study:
@@ -83,7 +92,8 @@ def make_record(folder: Path, row: np.ndarray, rng: np.random.Generator) -> zoo.
     for number, quantity in SEEN:
         values = waves[quantity][number - 1] + NOISE[quantity] * rng.standard_normal(SAMPLES)
         lines += [f"{number},0.5,{quantity},{t:.9f},{x:.6f}" for t, x in zip(times, values, strict=True)]
-    return write_study(folder / "record", None, "\n".join(lines) + "\n")
+    total = MMHG * float(np.mean(found.pressure_mmHg[0])) / MEAN_ML_S
+    return write_study(folder / "record", total, "\n".join(lines) + "\n")
 
 
 def main() -> None:
