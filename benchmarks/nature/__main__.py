@@ -57,7 +57,7 @@ def _row(found: Diagnosis, name: str, known: str, asked: str) -> str:
     )
 
 
-def draw(found: Diagnosis, path: Path | None) -> None:
+def draw(found: Diagnosis, path: Path | None, time_unit: str = "s") -> None:
     """The record that was fitted and one that was not, by the base and with the leading causes."""
     if path is None:
         return
@@ -75,7 +75,7 @@ def draw(found: Diagnosis, path: Path | None) -> None:
         axes.plot(seen.times, seen.values[0], ".", color="#888888", ms=3, label="measured")
         axes.plot(seen.times, base[0], color="#C2410C", lw=1.2, label="base")
         axes.plot(seen.times, best[0], color="#1D4ED8", lw=1.2, label=f"with {' + '.join(found.cause)}")
-        axes.set(title=title, xlabel=f"time ({seen.time_unit or 's'})", ylabel=data.units[0])
+        axes.set(title=title, xlabel=f"time ({time_unit})", ylabel=data.units[0])
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
     figure.savefig(path, dpi=80)
 
@@ -126,7 +126,7 @@ def river(asked: argparse.Namespace) -> None:
     print(HEAD.format("river", "snow", "mm/d", "mm/d", "second half, mm/d"))
     print(_row(found, "Durance", "snow", "snow"))
     durance.tell_held_out(catchment, found)
-    draw(found, asked.figures and asked.figures / "nature-durance.png")
+    draw(found, asked.figures and asked.figures / "nature-durance.png", "d")
 
 
 def pig(asked: argparse.Namespace) -> None:
