@@ -95,7 +95,7 @@ def test_every_probability_is_a_sum_over_the_table(which: str, request: pytest.F
 def test_the_file_comes_back_and_amounts_carry_their_unit(bulged: Diagnosis, tmp_path: Path) -> None:
     content = json.loads(bulged.save(tmp_path).read_text())
     assert read_diagnosis(tmp_path).model_dump() == bulged.file.model_dump()
-    assert content["format"] == 3
+    assert content["format"] == 4
     assert content["gap"]["before_K"] == bulged.file.gap.before
     assert "gap_after_K" in content["sets"]["columns"]
     assert {row["name"] for row in content["causes"]} == {"law", "push", "own", "bulge", "kick"}
