@@ -191,8 +191,8 @@ def test_intervals_of_the_baseline_s_parameters_are_counted_where_something_is_w
     found = score(truth("taper", drawn=true), QUIET.model_copy(update={"drawn": true}), answer=said)
     s = found.summary
     assert (s["alone"], s["averaged"], s["wider"]) == (Rate(1, 2), Rate(2, 2), pytest.approx(2.0))
-    assert "hold the true ones" in str(found)
-    assert "50 % (the baseline by itself)" in str(found)
+    assert "95 % interval of a baseline's parameter holds the true one" in str(found)
+    assert "50 % (by itself)" in str(found)
 
 
 def test_reliability_by_hand() -> None:

@@ -45,9 +45,9 @@ def summary_rows(s: Mapping[str, Any]) -> list[tuple[str, str, str]]:
             prior = best["parameter"] if name == "parameter" else Rate(0, 0)
             rows.append((words, str(s[name]), f"{100 * prior.share:.0f} % (the prior's)" if prior.n else "–"))
     if s["averaged"].n:
-        words = "95 % intervals of the baseline's parameters, over all causes, hold the true ones"
-        rows.append((words, str(s["averaged"]), f"{100 * s['alone'].share:.0f} % (the baseline by itself)"))
-        rows.append(("width of these over the baseline's own, median", f"{s['wider']:.2f}", "1"))
+        words = "95 % interval of a baseline's parameter holds the true one"
+        rows.append((words, str(s["averaged"]), f"{100 * s['alone'].share:.0f} % (by itself)"))
+        rows.append(("width of these over those by itself, median", f"{s['wider']:.2f}", "1"))
     if not math.isnan(s["parameter_width"]):
         rows.append(("width of the parameter's over the prior's, median", f"{s['parameter_width']:.3f}", "1"))
     if s["left"].n:
