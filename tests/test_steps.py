@@ -16,8 +16,8 @@ from scipy import stats
 
 from gaussian import Doubling, gaussian_model, gaussian_posterior
 from zoo.core.arviz_lines import effective
-from zoo.core.inference.sampling import DEMetropolisZ
 from zoo.core.inference.spaces import ConstrainedSpace, Gaussian
+from zoo.core.inference.steps import DEMetropolisZ
 
 QUIET = {"progressbar": False, "compute_convergence_checks": False}
 

@@ -69,6 +69,11 @@ def test_a_setting_is_given_once() -> None:
         StudyOptions(settings=["name=a", "name=b"]).changes()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def chains_in_this_process() -> None:
+    """Settings are looked at here as they are, without the processes of conftest.py."""
+
+
 def test_sampling_goes_on_until_converged_unless_draws_are_given() -> None:
     for words, draws, target in (
         ([], 500, 400.0),
