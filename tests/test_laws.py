@@ -58,10 +58,11 @@ AT = np.linspace(SPEED.min() - EDGE, SPEED.max() + EDGE, 9)
 """The function's points, between which it is straight."""
 
 
-def test_places_have_no_law() -> None:
+def test_places_and_few_points_have_no_law() -> None:
     from types import SimpleNamespace
 
     from zoo.core.diagnosis.laws import simple_laws
 
-    function: Any = SimpleNamespace(labels=("here", "there"))
-    assert simple_laws(function, None, None, 0) == []  # type: ignore[arg-type]
+    for labels, points in ((("here", "there", "beside", "above"), 4), ((), 3)):  # three are any sine's
+        function: Any = SimpleNamespace(labels=labels, at=np.arange(points))
+        assert simple_laws(function, None, None, 0) == []  # type: ignore[arg-type]

@@ -20,8 +20,8 @@ from zoo.core.diagnosis.solved import SIZE_PRIORS
 Array = NDArray[np.float64]
 SHAPES = 120
 """Values of a law's shape that are tried."""
-EXPONENTS = (0.1, 5.0)
-"""Range of a power's exponent."""
+EXPONENTS, MOST = (0.1, 5.0), 3
+"""Range of a power's exponent; most parameters of a law, those of a sine."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def simple_laws(function: FreeFunction, length: float | None, evidence: SetEvide
     Parameters
     ----------
     function : FreeFunction
-        Of numbers; of places there is no law.
+        Of numbers, at more points than a sine has parameters; of places there is no law.
     length : float or None
         Its correlation length.
     evidence : SetEvidence
@@ -96,9 +96,10 @@ def simple_laws(function: FreeFunction, length: float | None, evidence: SetEvide
     -------
     list of Law
     """
-    if function.labels:
+    x = function.at
+    if function.labels or len(x) <= MOST:
         return []
-    own, x = evidence.causes[at].columns, function.at
+    own = evidence.causes[at].columns
     rest = [c.columns for i, c in enumerate(evidence.causes) if i != at]
     problem, V = evidence.problem, evidence.variances(evidence.best(SIZE_PRIORS))[:, None]
     A = np.concatenate([problem.jacobian, *rest], axis=1)
@@ -111,24 +112,22 @@ def simple_laws(function: FreeFunction, length: float | None, evidence: SetEvide
         """W y, of a residual with the prior's pull."""
         return np.asarray((y - A @ np.linalg.solve(H, (A / V).T @ y - pull)) / V)
 
-    r = without_rest(problem.residual[:, None], pull[:, None])
+    gram, right = own.T @ without_rest(own), own.T @ without_rest(problem.residual[:, None], pull[:, None])
 
-    def fitted(y: Array) -> tuple[float, float]:
-        """What amplitudes take of the squares, and the log evidence."""
-        M, b = y.T @ without_rest(y), y.T @ r
+    def fitted(z: Array) -> tuple[float, float]:
+        """What amplitudes of weights z (m, q) take of the squares, and the log evidence."""
+        M, b = z.T @ gram @ z, z.T @ right
         taken = (b.T @ np.linalg.lstsq(M, b, rcond=None)[0]).item()
         gain = (b.T @ np.linalg.solve(M + np.eye(len(M)), b)).item()
         return taken, 0.5 * (gain - np.linalg.slogdet(M + np.eye(len(M)))[1])
 
-    whole, _ = fitted(own)
-    by_value = own @ np.linalg.pinv(function.root(length))  # in prior sizes
+    whole, _ = fitted(np.eye(len(gram)))
+    weights = np.linalg.pinv(function.root(length))  # of values in prior sizes
     logs, told = [], list[dict[str, Any]]()
     for kind in KINDS:
         shapes = kind.shapes(x)
         columns = [kind.columns(x, float(shape)) for shape in shapes]
-        taken, log = np.array(
-            [fitted(by_value @ one / np.sqrt(np.mean(one**2, axis=0))) for one in columns]
-        ).T
+        taken, log = np.array([fitted(weights @ one / np.sqrt(np.mean(one**2, axis=0))) for one in columns]).T
         best = int(np.argmax(log))
         logs.append(logsumexp(log) - math.log(len(log)))
         told.append({"name": kind.name, "left": math.sqrt(max(0.0, 1.0 - taken[best] / whole))})
