@@ -77,6 +77,8 @@ def test_bias_of_the_baseline_is_removed(jitter: StudyDiagnosis) -> None:
     by_hand = jitter.estimate(lambda p: p["f3"] / 1e4, "1e4 g/cm/s2")
     assert by_hand.mean == pytest.approx(after["f3"].mean / 1e4)
     assert by_hand.unit == "1e4 g/cm/s2"
+    with pytest.raises(DiagnosisError, match="quantity: no parameter is named 'f4': did you mean 'f3'"):
+        jitter.estimate(lambda p: p["f4"])
     assert by_hand.interval == pytest.approx([x / 1e4 for x in after["f3"].interval or ()])
 
 

@@ -44,6 +44,7 @@ from zoo.core.forward import ForwardModel, Outputs, SolveError, WithPriors
 from zoo.core.inference.progress import Display
 from zoo.core.inference.record import versions
 from zoo.core.outputs import output_folder, write_file
+from zoo.core.words import choices
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -215,15 +216,24 @@ class Diagnosis:
         Estimate
             Mean, standard deviation and 95 % interval.
 
+        Raises
+        ------
+        DiagnosisError
+            If it asks for a parameter that is not there.
+
         See Also
         --------
         predict : for what the simulator computes, anywhere.
         """
         of = self.sets.search.fitting.forward.parameters
         u = np.concatenate([one.values(slice(0, len(of))) for one in self.draws.sets])
-        draws = [
-            float(quantity({p.name: float(p.value(x)) for p, x in zip(of, row, strict=True)})) for row in u
-        ]
+        values = [{p.name: float(p.value(x)) for p, x in zip(of, row, strict=True)} for row in u]
+        try:
+            draws = [float(quantity(parameters)) for parameters in values]
+        except KeyError as error:
+            names = [p.name for p in of]
+            told = f"no parameter is named {error.args[0]!r}: {choices(str(error.args[0]), names)}"
+            raise DiagnosisError(f"quantity: {told}") from None
         weights = np.concatenate([one.weights for one in self.draws.sets])
         return estimate_of(getattr(quantity, "__name__", "quantity"), unit, np.array(draws), weights)
 
