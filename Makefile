@@ -113,7 +113,8 @@ report: $(REPORT)
 
 .PHONY: $(REPORT)
 $(REPORT): $(SHORT)
-	$(BIN)/zoo report demo mouse-c6 --posteriors demo-output/short --posteriors notebooks/posteriors -o $@
+	$(BIN)/zoo report demo mouse-c6 --posteriors demo-output/short --posteriors notebooks/posteriors \
+		--solves demo-output/solves -o $@
 
 $(SHORT): demo-output/short/%.nc: $(STAMP)
 	mkdir -p $(@D)

@@ -299,7 +299,7 @@ def test_compare_is_red_on_a_model_made_worse_and_green_again(
     assert "there is no baseline; give --baseline" in fails(*words, "--fail-if", "waic > baseline")
 
 
-def test_an_unchanged_model_is_compared_again_without_a_solve(
+def test_an_unchanged_model_is_compared_and_reported_again_without_a_solve(
     sampled: tuple[Path, str], tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solves = []
@@ -316,6 +316,14 @@ def test_an_unchanged_model_is_compared_again_without_a_solve(
 
     first = compared(sampled[0], 40 + 3)  # the draws, and the medians of all chains and of each
     assert compared(sampled[0], 0) == first
+    report = "report", tiny, "--models", "A", "--posteriors", sampled[0], "--n-draws", 40
+    kept = "--solves", tmp_path / "out" / "solves", "-o", tmp_path / "r.html"
+    before = len(solves)
+    run(*report, *kept)
+    assert len(solves) > before  # what compare drew no figures of
+    before = len(solves)
+    run(*report, *kept, "--title", "Again", "--fresh")
+    assert len(solves) == before
     run("sample", "a", tiny, "-o", tmp_path / "A.nc", *QUICK[:-1], 4)
     assert compared(tmp_path / "A.nc", 40 + 3) != first
     assert compared(sampled[0], 0) == first

@@ -216,7 +216,7 @@ def _compare_on(
     """Write the table and figures; returns the table."""
     from zoo.core.posterior.comparison import compare as rank
 
-    with _kept_solves(models, output / SOLVES):
+    with kept_solves(models, output / SOLVES):
         table = rank(found, models, ic=criterion, n_draws=n_draws)
         drawn = _predictions(models, found) if figures else {}
     write_file(output / "comparison.csv", table.to_csv())
@@ -227,7 +227,7 @@ def _compare_on(
 
 
 @contextmanager
-def _kept_solves(models: Mapping[str, Any], folder: Path) -> Iterator[None]:
+def kept_solves(models: Mapping[str, Any], folder: Path) -> Iterator[None]:
     """Models whose solves at the observed series are taken from a folder, and kept there."""
     from zoo.core.diagnosis.solve_store import SolveStore, StoredModel
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Literal
 
@@ -25,6 +26,9 @@ def report(
     models: str = option("A,B,C,D,E,F,G,H,I", "Those to take, with commas."),
     criterion: Literal["waic", "loo"] = option("waic", "Criterion to rank by: waic or loo.", "--ic"),
     n_draws: int = option(1000, "Draws of each posterior that are scored."),
+    solves: Path | None = option(
+        None, "Folder that keeps what is solved, such as `solves` of `zoo compare`.", Role.WRITES
+    ),
     title: str = option("Models of blood flow", "Page title."),
     quiet: bool = QUIET,
     *,
@@ -33,6 +37,7 @@ def report(
 ) -> None:
     """Write one HTML page on stored posteriors: comparison, fits, convergence, how they were made."""
     from zoo.blood.study import list_studies
+    from zoo.cli.compare import kept_solves
     from zoo.report import gather, write_chapters
 
     plugins.load()
@@ -47,13 +52,15 @@ def report(
         load=options.load,
         say=say,
     )
-    write_chapters(
-        output,
-        chapters,
-        title=title,
-        ic=criterion,
-        n_draws=n_draws,
-        command=typed_command(),
-        say=(lambda text: None) if quiet else say,
-    )
+    every = {f"{one.name} {name}": model for one in chapters for name, model in one.models.items()}
+    with nullcontext() if solves is None else kept_solves(every, solves):
+        write_chapters(
+            output,
+            chapters,
+            title=title,
+            ic=criterion,
+            n_draws=n_draws,
+            command=typed_command(),
+            say=(lambda text: None) if quiet else say,
+        )
     say(f"wrote {output}")
