@@ -16,7 +16,7 @@ from zoo.core.causes.problem import Cause, Problem
 from zoo.core.components import FreeFunction
 from zoo.core.diagnosis.coordinates import FAILURES, SearchModel
 from zoo.core.diagnosis.fitting import Fitting
-from zoo.core.diagnosis.search import Point, Search
+from zoo.core.diagnosis.search import NO_DAMPING, Point, Search
 from zoo.core.effects import AddedEffect, Effect
 from zoo.core.threads import threads
 
@@ -114,12 +114,15 @@ class Response:
     cause : Cause
     values : array
         Of its parameters, from which its weights count.
+    solved_at : array
+        Of its parameters, where it was solved.
     end : Point or None
         Where a listed effect fits best beside the parameters; its Jacobian is only near.
     """
 
     cause: Cause
     values: Array
+    solved_at: Array
     end: Point | None = None
 
 
@@ -205,23 +208,39 @@ class _Listed:
         held.high = np.concatenate([self.forward.high[:k], values])
         return Search(held, search.data, search.S)
 
-    def found(self, component: str) -> Response | None:
-        """Where it fits best beside the others, from the best of its starts; None if none can be solved."""
+    def _starts(self) -> list[Array]:
+        """Values from which a fit starts."""
         first, *others = self.parameters
         shapes = SHAPES if others else SHAPES[:1]
-        starts = [
+        return [
             np.clip([start, *(p.centre + shape * p.scale for p in others)], self.low, self.high)
             for start, shape in product(first.starts, shapes)
         ]
-        u = self.base.u
+
+    def _moved(self, one: _Tried) -> Array:
+        """Coordinates one step from the base with the effect as tried."""
+        search = Search(self.forward, self.base.computed + self.problem.residual, self.projected.root**2)
+        jacobian = np.concatenate([self.problem.jacobian, one.columns / self.scales], axis=1)
+        u = np.concatenate([self.base.u, one.values])
+        there = Point(u, self.base.computed + one.columns[:, 0] * one.values[0] / self.scales[0], jacobian)
+        return u + search.step(there, NO_DAMPING)
+
+    def found(self, component: str, near: Array | None = None) -> Response | None:
+        """Where it fits best beside the others; None if it cannot be solved.
+
+        From the best of its starts, or one step from values `near` which were best around another point.
+        """
+        first, u = self.parameters[0], self.base.u
+        starts = self._starts() if near is None else [near]
         tried = [one for start in starts if (one := self.at(start, np.zeros_like(u))) is not None]
         if not tried:
-            return None
+            return None if near is None else self.found(component)
         best, end = min(tried, key=lambda one: one.cost), None
         moves = any(np.any(one.columns) for one in tried)  # else a search would fit the parameters alone
         if moves and np.sum(self.projected.residual**2) > self.projected.n:
-            end = self._end(tried)
-            values, step = end.u[len(u) :], end.u[: len(u)] - u
+            end = self._end(tried) if near is None else None
+            there = self._moved(best) if end is None else end.u
+            values, step = there[len(u) :], there[: len(u)] - u
             if abs(values[0]) >= SMALLEST * self.scales[0]:
                 best = self.at(values, step) or best
         mean = (self.centres - best.values) / self.scales
@@ -230,7 +249,7 @@ class _Listed:
             self.added.name, component, best.columns, place=self.added.location.suffix,
             low=first.low / first.scale, high=first.high / first.scale, mean=mean,
         )  # fmt: skip
-        return Response(cause, np.concatenate([[0.0], best.values[1:]]), end)
+        return Response(cause, np.concatenate([[0.0], best.values[1:]]), best.values, end)
 
 
 def listed_causes(
@@ -241,6 +260,7 @@ def listed_causes(
     problem: Problem,
     V: Array,
     component_of: Callable[[Effect], str],
+    near: Sequence[Array | None],
     tick: Tick,
 ) -> list[Response | None]:
     """Listed effects at their places, each by its response where it and the baseline's parameters fit best.
@@ -261,6 +281,8 @@ def listed_causes(
     V : array (n,)
         Variances of the errors in which a size is sought.
     component_of : callable
+    near : sequence of array or None
+        Values of each at which it was best around another point.
     tick : callable
 
     Returns
@@ -273,7 +295,7 @@ def listed_causes(
     names = [component_of(one.effect) or one.name for one in added]
     found: list[Response | None] = []
     with threads(fitting.cores) as pool:
-        for one in pool.map(_Listed.found, listed, names):
+        for one in pool.map(_Listed.found, listed, names, near):
             found.append(one)
             tick(added[len(found) - 1].name, len(found) / len(listed))
     return found

@@ -212,15 +212,23 @@ class Search(Generic[F]):
         return point
 
     def refine(
-        self, point: Point, rounds: int = ROUNDS, iterations: int = ITERATIONS, *, fine: bool = False
+        self,
+        point: Point,
+        rounds: int = ROUNDS,
+        iterations: int = ITERATIONS,
+        *,
+        fine: bool = False,
+        again: bool = False,
     ) -> Point:
         """Fresh Jacobians and descents until one gains nothing; if `fine`, by fine steps after the first.
+
+        The first ones are fine too where it was refined before, as `again` says.
 
         It ends with derivatives made where it ends, or within what gained nothing from there: secants of the
         smallest steps follow the noise of a grid that is chosen anew for each solve.
         """
         for i in range(rounds):
-            finer = fine and i > 0
+            finer = fine and (again or i > 0)
             jacobian = self.differences(point, point.jacobian, fine=finer)
             moved = self.descend(replace(point, jacobian=jacobian), iterations)
             settled = point.cost - moved.cost < SETTLED

@@ -106,7 +106,9 @@ class CauseSearch:
         every = [Origin(added=one.at(at)) for one in self.effects for at in one.locations(f.baseline)]
         every += [Origin(function=g, length=length) for g in functions for length in g.lengths or (None,)]
         centre = replace(nothing, point=replace(self.base, jacobian=self.jacobian))
+        self.solved_at: dict[tuple[Any, ...], Array] = {}  # where responses were solved, by origins' keys
         found = self._responses(centre, every)
+        self.solved_at = {key: one.solved_at for key, one in found.items()}
         there = {found[origin.key].cause: origin for origin in every if origin.key in found}
         names = [one.name for one in self.effects]
         solved = {one.name for one in there}
@@ -154,7 +156,8 @@ class CauseSearch:
         added = [one for one in origins if one.added is not None]
         listed = listed_causes(
             f, replace(point, computed=computed), others, tuple(one.effect() for one in added), problem, V,
-            self.hooks.component_of, lambda name, part: self._tell(name, 0.7 * part),
+            self.hooks.component_of, [self.solved_at.get(one.key) for one in added],
+            lambda name, part: self._tell(name, 0.7 * part),
         )  # fmt: skip
         found = {one.key: x for one, x in zip(added, listed, strict=True) if x is not None}
         functions = tuple(dict.fromkeys(one.function for one in origins if one.function is not None))
@@ -162,7 +165,7 @@ class CauseSearch:
             f, grid, replace(point, computed=on_grid), functions, V,
             lambda name, part: self._tell(name, 0.7 + 0.3 * part),
         )  # fmt: skip
-        functional = [(o.key, Response(one, np.zeros(one.columns.shape[1]))) for one, o in free]
+        functional = [(o.key, Response(one, *2 * (np.zeros(one.columns.shape[1]),))) for one, o in free]
         return found | dict(functional)
 
     def _linear(self, centre: SolvedSet, fresh: bool) -> Linear:
@@ -489,7 +492,7 @@ class CauseSearch:
             if turn > 0:  # the derivatives are fresh
                 point = search.descend(point, STEPS)
             if turn == 0 or start.cost - point.cost > PROMISED:
-                point = search.refine(point, rounds, STEPS, fine=self.fitting.smooth)
+                point = search.refine(point, rounds, STEPS, fine=self.fitting.smooth, again=turn > 0)
             one = self._solved_at(order, forward, point, linear)
             forward, point, reference = one.forward, one.point, one.evidence
             gained = math.inf if kept is None else one.log_z - kept.log_z
