@@ -186,6 +186,15 @@ def one_vessel(period_s: float, radius_cm: float) -> Any:
     return get_baseline("linear-constant").forward(study)
 
 
+def test_what_acts_where_vessels_meet_is_not_offered_to_one_vessel() -> None:
+    """Its solves would differ by rounding alone, which leaves each with the probability of its prior."""
+    for name in ("total-pressure-junctions", "minor-losses"):
+        assert not CATALOGUE[name].locations(one_vessel(0.84, 1.1))
+        assert (
+            len(CATALOGUE[name].locations(get_baseline("linear-constant").forward(load_study("demo")))) == 1
+        )
+
+
 def test_sizes_follow_the_study() -> None:
     """A beat 7.6 times as long has a prior 7.6 times as wide; what is not a time is the same in both."""
     mouse, man = get_baseline("linear-constant").forward(load_study("demo")), one_vessel(0.84, 1.1)

@@ -301,6 +301,8 @@ def test_loads_that_cannot_be_derived() -> None:
     with pytest.raises(StudyError, match=start + "cannot be derived from .*: diastole: 0 of 400") as error:
         Network.from_study(replace(study, inflow_ml_s=study.inflow_ml_s + 1))
     assert "\n" not in str(error.value)
+    whole = study.series[1].value.mean() * 1333.22 / (study.inflow_ml_s.mean() + 1)
+    assert f"R1 + R2 of all, mean pressure over flow, is {whole:.4g}" in str(error.value)
 
 
 @pytest.mark.needs_data

@@ -488,7 +488,8 @@ def diastolic_tau(
     if len(rows) < MIN_DIASTOLE_SAMPLES or best == n:
         raise StudyError(
             f"diastole: {len(rows)} of {n} pressure samples are usable, the inflow being below "
-            f"{QUIET_SHARE:g} of its peak: tau cannot be fitted; give every terminal a windkessel"
+            f"{QUIET_SHARE:g} of its peak: the time constant (R1 + R2) C cannot be fitted; "
+            "give every terminal a windkessel"
         )
     falling = p[rows % n]
     if np.min(falling) <= 0:
@@ -599,17 +600,17 @@ def with_nominal_loads(study: Study) -> tuple[Vessel, ...]:
         )
     there = ~np.isnan(observed.value)
     times, above = study.time_s[there], observed.value[there] - behind[bare[0]]
+    mean = beat_mean(times, above, study.period_s)
+    flow = float(study.inflow_ml_s.mean())
     try:
         tau = diastolic_tau(times, above, study.inflow_time_s, study.inflow_ml_s, study.period_s)
-        loads = nominal_windkessel(
-            study.vessels,
-            beat_mean(times, above, study.period_s),
-            float(study.inflow_ml_s.mean()),
-            tau,
-            mmhg=study.conventions.mmhg,
-        )
+        loads = nominal_windkessel(study.vessels, mean, flow, tau, mmhg=study.conventions.mmhg)
     except StudyError as error:
-        raise StudyError(f"{where}, and cannot be derived from the observed pressure: {error}") from None
+        total = mean * study.conventions.mmhg / flow if flow > 0 else 0.0
+        whole = f"; R1 + R2 of all, mean pressure over flow, is {total:.4g} dyn s/cm5" if total > 0 else ""
+        raise StudyError(
+            f"{where}, and cannot be derived from the observed pressure: {error}{whole}"
+        ) from None
     _warn_of_speed(study, bare, file)
     return tuple(replace(v, windkessel=loads[v.id]) if v.id in bare else v for v in study.vessels)
 

@@ -6,13 +6,14 @@ from typing import Any
 
 from zoo.blood.case import Case, with_physics
 from zoo.blood.effects.catalogue import effect
+from zoo.blood.effects.locations import has_junctions
 from zoo.blood.physics import NO_PHYSICS
 from zoo.core.effects import EffectParameter, EverywhereIf, Location
 
 
 def static_pressure(model: Any) -> bool:
-    """Whether the vessels of a model's study share the static pressure where they meet."""
-    return not getattr(model, "physics", NO_PHYSICS).total_pressure
+    """Whether vessels of a model's study meet, and share the static pressure where they do."""
+    return has_junctions(model) and not getattr(model, "physics", NO_PHYSICS).total_pressure
 
 
 @effect(
@@ -38,6 +39,7 @@ def total_pressure_junctions(case: Case, values: tuple[float, ...], location: Lo
     signature="lower distal pressure, higher proximal one, at peak flow; like taper",
     parameters=[EffectParameter("K", "1", 2.0, 0.0, 15.0, (1.5, 5.0))],
     why="losses at a branching are of the order of the dynamic pressure; more where angles are sharp",
+    locations=EverywhereIf(has_junctions),
 )
 def minor_losses(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """Flow loses pressure where it divides."""

@@ -23,6 +23,11 @@ def at_vessel(vessel: int, subtree: bool = False) -> Location:
     return Location(int(vessel), subtree, "vessel")
 
 
+def has_junctions(model: Tree) -> bool:
+    """Whether some vessel feeds another."""
+    return bool(np.any(model.network.parent >= 0))
+
+
 def windkessels_only(model: Tree) -> bool:
     """Whether no outlet is a single resistance, or given by its impedance."""
     network = model.network
