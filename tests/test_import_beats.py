@@ -76,6 +76,18 @@ def test_beats_become_a_study(tmp_path: Path) -> None:
     )
 
 
+def test_the_command_says_what_a_record_without_a_quiet_diastole_lacks(tmp_path: Path) -> None:
+    t = np.arange(0.3, BEATS * PERIOD, STEP)
+    p = write(tmp_path / "p.csv", t, pressure(t), "pressure_mmHg")
+    q = write(tmp_path / "q.csv", t, 60.0 + flow(t), "flow_ml_s", 0.0, 2, 0.5)
+    given = ["import-beats", str(p), str(q), "--length", "6", "--radius", "1.1", "-o", str(tmp_path / "s")]
+    done = CliRunner().invoke(app, given)
+    assert done.exit_code == 0, done.output
+    last = done.output.splitlines()[-1]
+    assert last.startswith("next: add what lacks: ")
+    assert "give every terminal a windkessel" in last
+
+
 @pytest.mark.parametrize("late", [0.026, -0.04])
 def test_the_offset_is_told_and_left(tmp_path: Path, late: float) -> None:
     found = import_beats(*records(tmp_path, late), 6, 1.1)

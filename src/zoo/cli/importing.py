@@ -86,11 +86,19 @@ def import_(
 
 def _save(found: Imported, output: Path, following: str, options: str = "") -> None:
     """Write a study into a folder whose files are checked, and tell what became of what was read."""
+    from zoo.blood.network import with_nominal_loads
+    from zoo.blood.study import StudyError
+
     study = found.save(output, replace=True)
     say(study.name, *(f"  read: {line}" for line in found.read))
     say(*(f"  converted: {line}" for line in found.converted))
     say(*(f"  left out: {line}" for line in found.left_out))
-    say(f"wrote {output}", f"next: zoo {following} {output}{options}")
+    try:
+        with_nominal_loads(study)
+        then = f"zoo {following} {output}{options}"
+    except StudyError as error:
+        then = f"add what lacks: {error}"
+    say(f"wrote {output}", f"next: {then}")
 
 
 @dataclass(frozen=True)
