@@ -188,11 +188,14 @@ def one_vessel(period_s: float, radius_cm: float) -> Any:
 
 def test_what_acts_where_vessels_meet_is_not_offered_to_one_vessel() -> None:
     """Its solves would differ by rounding alone, which leaves each with the probability of its prior."""
+    one, tree = one_vessel(0.84, 1.1), get_baseline("linear-constant").forward(load_study("demo"))
+    offered = {effect.name for effect in effects_for(one)}
+    assert "viscoelastic-wall" in offered
     for name in ("total-pressure-junctions", "minor-losses"):
-        assert not CATALOGUE[name].locations(one_vessel(0.84, 1.1))
-        assert (
-            len(CATALOGUE[name].locations(get_baseline("linear-constant").forward(load_study("demo")))) == 1
-        )
+        assert name not in offered
+        assert len(CATALOGUE[name].locations(tree)) == 1
+        with pytest.raises(EffectError, match=f"effect {name}: acts nowhere in this study; leave it out"):
+            effects_for(one, ["taper", name])
 
 
 def test_sizes_follow_the_study() -> None:

@@ -156,7 +156,7 @@ class StudyDiagnosis(Diagnosis):
 def effects_for(
     baseline: str | ForwardModel, given: Iterable[str | Effect] | None = None
 ) -> tuple[Effect, ...]:
-    """Effects that a baseline can take, once each; all of the catalogue if none are given.
+    """Effects that a baseline can take, once each; all of the catalogue that can act if none are given.
 
     Parameters
     ----------
@@ -168,7 +168,8 @@ def effects_for(
     Raises
     ------
     zoo.core.effects.EffectError
-        For a name that is not in the catalogue, or an effect that the baseline cannot take.
+        For a name that is not in the catalogue, or an effect that the baseline cannot take or that acts
+        nowhere in its study.
     """
     name = baseline if isinstance(baseline, str) else baseline.name
     if given is None:
@@ -179,7 +180,12 @@ def effects_for(
         if not one.offered(name):
             only = ", ".join(one.baselines)
             raise EffectError(f"effect {one.name}: cannot be added to {name}, only to {only}")
-    return found if isinstance(baseline, str) else tuple(one.of(baseline) for one in found)
+    if isinstance(baseline, str):
+        return found
+    for one in found if given is not None else ():
+        if not one.locations(baseline):
+            raise EffectError(f"effect {one.name}: acts nowhere in this study; leave it out")
+    return tuple(one.of(baseline) for one in found if one.locations(baseline))
 
 
 def _of_size(factor: float) -> Callable[[ForwardModel, Array, Data], Sequence[FreeFunction]] | None:
