@@ -110,12 +110,12 @@ class CauseSearch:
         found = self._responses(centre, every)
         self.solved_at = {key: one.solved_at for key, one in found.items()}
         there = {found[origin.key].cause: origin for origin in every if origin.key in found}
-        names = [one.name for one in self.effects]
+        placed = dict.fromkeys(one.added.name for one in every if one.added is not None)
         solved = {one.name for one in there}
         there = {one: origin for one, origin in there.items() if np.any(one.columns)}
         moved = {one.name for one in there}
-        self.failed = {name: self._why(name) for name in names if name not in solved}
-        self.idle = [name for name in names if name in solved and name not in moved]
+        self.failed = {name: self._why(name) for name in placed if name not in solved}
+        self.idle = [one.name for one in self.effects if one.name not in self.failed.keys() | moved]
         self.causes, _ = without_doubles(list(there))
         self.origins = [there[one] for one in self.causes]
         responses = [found[origin.key] for origin in self.origins]
