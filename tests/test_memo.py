@@ -7,6 +7,7 @@ import os
 import pickle
 import random
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pymc as pm
 import pytest
 
 from gaussian import SETTINGS, Doubling, gaussian_model
+from zoo.core.diagnosis.solve_store import FILE, SolveStore
 from zoo.core.inference import pool
 from zoo.core.inference.checkpoint import CheckpointError, Folder
 from zoo.core.inference.memo import Found, Memo, to_line
@@ -211,6 +213,19 @@ def test_a_file_of_two_names_in_a_checkpoint_is_not_written(tmp_path: Path, name
     with pytest.raises(OutputFileError, match=f"{name}: is a link"):
         Folder(checkpoint)
     assert elsewhere.read_text() == "years of work"
+
+
+@pytest.mark.parametrize("link", [Path.symlink_to, Path.hardlink_to])
+def test_kept_solves_are_not_written_through_a_link(
+    tmp_path: Path, link: Callable[[Path, Path], None]
+) -> None:
+    elsewhere, kept = tmp_path / "empty", tmp_path / "solves"
+    kept.mkdir()
+    elsewhere.write_text("")
+    link(kept / FILE, elsewhere)
+    with pytest.raises(CheckpointError, match=f"{FILE}: is a link"):
+        SolveStore(kept)
+    assert elsewhere.read_text() == ""
 
 
 @pytest.mark.parametrize("content", ["", "abc", "years of work", "0" * 24 + " of work", "a\nb"])

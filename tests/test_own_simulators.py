@@ -179,7 +179,9 @@ def test_an_effect_that_nothing_reads_is_named_within_ten_solves(monkeypatch: py
     counted = Counted()
     typo = adds("vapour", "stream", "1/(min K)", 1e-3, 0.0, 1e-2, 3e-4, 1e-3)
     with pytest.warns(UserWarning, match=r"effect vapour: size = 0.0003 and 0.001 changes no sample of cup"):
-        found = told(tea(steam=6e-4), cups(counted), [typo, DRIFT, replace(STEAM, locations=lambda model: ())])
+        found = told(
+            tea(steam=6e-4), cups(counted), [typo, DRIFT, replace(STEAM, locations=lambda model: ())]
+        )
     assert "effect steam: none of its starts changes any sample" in " ".join(found.file.warnings)
     assert "effect vapour: none of its starts changes any sample" in " ".join(found.file.warnings)
     assert "vapour" not in [cause.name for cause in found.file.causes]

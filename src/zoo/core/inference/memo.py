@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 from base64 import b64decode, b64encode
 from collections import Counter
@@ -21,7 +22,7 @@ import numpy as np
 
 from zoo.core.arrays import Array
 from zoo.core.inference.messages import SamplingError
-from zoo.core.outputs import OutputFileError
+from zoo.core.outputs import OutputFileError, leads_elsewhere
 
 REMEDY = "remove the folder to start afresh"
 _DIGITS = 24
@@ -105,6 +106,8 @@ class Memo:
         self._file: Any = None
         if path is None:
             return
+        if os.path.lexists(path) and leads_elsewhere(path):
+            raise CheckpointError(f"{path}: is a link, or no file; {REMEDY}")
         try:
             self._file = open(path, "a+b")  # noqa: SIM115 (closed by close)
             self._file.seek(0)
