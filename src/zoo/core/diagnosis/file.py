@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -24,6 +24,8 @@ from zoo.core import digests
 from zoo.core.words import OneLineError, span, unit_words
 
 FORMAT = 4
+AMOUNT = "amount in the unit"
+"""Mark of a field that is in the unit of its part of the file."""
 OF_CAUSES = ("causes", "names", "components")
 """Fields of a set that are of its causes."""
 LINES = 20
@@ -55,10 +57,13 @@ class _Part(BaseModel):
 
 
 class _Amounts(_Part):
-    """Some of the fields are amounts in one unit, which ends their names in the file, as `before_mmHg`."""
+    """Fields marked as amounts are in one unit, which ends their names in the file, as `before_mmHg`."""
 
-    amounts: ClassVar[tuple[str, ...]] = ()
     unit: str = "1"
+
+    @classmethod
+    def _amounts(cls) -> list[str]:
+        return [name for name, one in cls.model_fields.items() if AMOUNT in one.metadata]
 
     @model_validator(mode="before")
     @classmethod
@@ -66,10 +71,10 @@ class _Amounts(_Part):
         if not isinstance(given, dict):
             return given
         found: dict[str, Any] = {}
-        suffixes: set[str] = set()
+        suffixes, amounts = set[str](), cls._amounts()
         for key, value in given.items():
-            names = [a for a in cls.amounts if key.startswith(a + "_")]
-            if key in cls.amounts or not names:
+            names = [a for a in amounts if key.startswith(a + "_")]
+            if key in amounts or not names:
                 found[key] = value
                 continue
             name = max(names, key=len)
@@ -85,8 +90,8 @@ class _Amounts(_Part):
 
     @model_serializer(mode="wrap")
     def _with_unit(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        suffix = unit_suffix(self.unit)
-        return {k + suffix if k in self.amounts else k: v for k, v in handler(self).items()}
+        suffix, amounts = unit_suffix(self.unit), self._amounts()
+        return {k + suffix if k in amounts else k: v for k, v in handler(self).items()}
 
 
 class Interval(_Part):
@@ -112,28 +117,17 @@ class SeriesGap(_Part):
 class Gap(_Amounts):
     """Size of the model discrepancy over the series that the diagnosis is about, in their unit."""
 
-    amounts = (
-        "before",
-        "before_interval",
-        "noise_floor",
-        "after",
-        "after_interval",
-        "residual_rms_before",
-        "residual_rms_after",
-        "held_out_before",
-        "held_out_after",
-    )
-    before: float
-    before_interval: tuple[float, float]
-    noise_floor: float
-    after: float
-    after_interval: tuple[float, float]
-    residual_rms_before: float
-    residual_rms_after: float
+    before: Annotated[float, AMOUNT]
+    before_interval: Annotated[tuple[float, float], AMOUNT]
+    noise_floor: Annotated[float, AMOUNT]
+    after: Annotated[float, AMOUNT]
+    after_interval: Annotated[tuple[float, float], AMOUNT]
+    residual_rms_before: Annotated[float, AMOUNT]
+    residual_rms_after: Annotated[float, AMOUNT]
     removed: float
     removed_interval: tuple[float, float]
-    held_out_before: float | None
-    held_out_after: float | None
+    held_out_before: Annotated[float | None, AMOUNT]
+    held_out_after: Annotated[float | None, AMOUNT]
     held_out_removed: float | None
     held_out: str
     per_series: list[SeriesGap]
@@ -193,7 +187,6 @@ class SetResult(_Amounts):
     noise.
     """
 
-    amounts = ("gap_after",)
     causes: list[str]
     names: list[str]
     components: list[str]
@@ -202,7 +195,7 @@ class SetResult(_Amounts):
     log_evidence_error: float
     probability: Probability
     solved: bool
-    gap_after: float | None = None
+    gap_after: Annotated[float | None, AMOUNT] = None
     negligible: float | None = None
 
 
@@ -323,10 +316,9 @@ class CarriedResult(_Amounts):
     the argument's range there that the study does not visit.
     """
 
-    amounts = ("error",)
     names: list[str]
     functions: list[str]
-    error: Interval
+    error: Annotated[Interval, AMOUNT]
     better: float
     holds: bool
     beyond: float | None = None
@@ -335,12 +327,11 @@ class CarriedResult(_Amounts):
 class StateFile(_Amounts):
     """Another state of the same study: what is left there, the baseline's parameters fitted again."""
 
-    amounts = ("noise", "baseline", "sensor")
     state: str
     checksum: str
-    noise: float
-    baseline: Interval
-    sensor: Interval | None
+    noise: Annotated[float, AMOUNT]
+    baseline: Annotated[Interval, AMOUNT]
+    sensor: Annotated[Interval | None, AMOUNT]
     carried: list[CarriedResult]
     failed: list[str] = []
 
@@ -372,10 +363,9 @@ class LiftedBound(_Part):
 class ExcludedFit(_Amounts):
     """What the baseline's prior excludes: the explanations were weighed with these bounds lifted."""
 
-    amounts = ("residual_rms_within", "residual_rms_free")
     bounds: list[LiftedBound]
-    residual_rms_within: float
-    residual_rms_free: float
+    residual_rms_within: Annotated[float, AMOUNT]
+    residual_rms_free: Annotated[float, AMOUNT]
 
 
 class DiagnosisFile(_Part):
@@ -439,6 +429,11 @@ class DiagnosisFile(_Part):
             ]
         except (KeyError, IndexError, TypeError) as error:
             raise ValueError(f"is no table of sets ({type(error).__name__}: {error})") from None
+
+    @property
+    def leading(self) -> SetResult:
+        """The most probable set that was solved."""
+        return next(row for row in self.sets if row.causes == self.cause)
 
     @property
     def lines(self) -> list[str]:

@@ -51,7 +51,7 @@ def _chance(p: float, digits: int = 1) -> str:
 
 def _leader(file: DiagnosisFile) -> set[str]:
     """Names of the causes of the leading set."""
-    return set(next(row.names for row in file.sets if row.causes == file.cause))
+    return set(file.leading.names)
 
 
 def _holding(file: DiagnosisFile, names: set[str]) -> float:
@@ -284,8 +284,7 @@ def _unverified(file: DiagnosisFile) -> str:
 
 
 def _states(file: DiagnosisFile) -> list[str]:
-    leading = set(next(row.components for row in file.sets if row.causes == file.cause))
-    return [_state(state, leading) for state in file.states]
+    return [_state(state, set(file.leading.components)) for state in file.states]
 
 
 def _state(state: StateFile, components: set[str]) -> str:
