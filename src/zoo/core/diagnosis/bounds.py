@@ -76,10 +76,6 @@ def lifted(model: ForwardModel, bounds: Sequence[tuple[Coordinate, AtBound]]) ->
     return WithPriors(model, priors) if priors else None
 
 
-def _stuck(fitting: Fitting) -> list[tuple[Coordinate, AtBound]]:
-    return at_bounds(fitting.forward, fitting.start.u)
-
-
 def freed(fitting: Fitting) -> tuple[Fitting, Excluded | None]:
     """A baseline that is free to fit best, and what its prior excluded.
 
@@ -96,25 +92,22 @@ def freed(fitting: Fitting) -> tuple[Fitting, Excluded | None]:
         The same, or one of the baseline with wider priors.
     Excluded or None
     """
-    if not (stuck := _stuck(fitting)):
-        return fitting, None
-    bounds, free = tuple(one for _, one in stuck), fitting
+    stuck, free = at_bounds(fitting.forward, fitting.start.u), fitting
+    bounds = tuple(one for _, one in stuck)
     for _ in range(WIDENINGS):
         model = lifted(free.baseline, stuck)
-        if model is None:
+        if model is None:  # also where nothing stands at a bound
             break
         wider = replace(free, baseline=model, start_at=free.start.u)
         try:
-            stuck = _stuck(wider)
+            stuck = at_bounds(wider.forward, wider.start.u)
         except SearchError:  # no solution there: as far as it goes
             break
         free = wider
-        if not stuck:
-            break
     if free is fitting:
         return fitting, None
     within, beyond = (f.coefficients - f.start.computed for f in (fitting, free))
-    sigma2 = np.maximum(float(np.mean(beyond**2)), 0.0)
+    sigma2 = float(np.mean(beyond**2))
     if 0.5 * float(np.sum(within**2 - beyond**2)) < VISIBLE * sigma2:
         return fitting, None
     names = [p.name for p in free.forward.parameters]

@@ -98,7 +98,8 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
     -------
     list of str
     """
-    data, told = found.search.fitting.data, list[str]()
+    fitting, told = found.search.fitting, list[str]()
+    data, stuck = fitting.data, at_bounds(fitting.forward, found.search.base.u)
     rows, gap = hooks.rows(data), file.gap
     unit = unit_words(gap.unit)
     spread = float(max(np.ptp(data.samples(i)) for i in rows))
@@ -116,7 +117,7 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
                 f"{label}: the best fit of the baseline explains {max(explained, 0.0):.0%} of its variance, "
                 "hardly more than a constant would: it may not have been found; give priors nearer to it"
             )
-    told += [one.text for _, one in at_bounds(found.search.fitting.forward, found.search.base.u)]
+    told += [one.text for _, one in stuck]
     told += _beyond_priors(found)
     for name in found.search.idle:
         told.append(
@@ -124,16 +125,21 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
         )
     for name, why in found.search.failed.items():
         told.append(f"effect {name}: the simulator failed at each of its starts ({why}): it was not weighed")
-    told += _solves(found, hooks) + _outliers(found) + _noise(found)
+    if fitting.failures > FAILING * fitting.solves:
+        told.append(
+            f"{percent(fitting.failures / fitting.solves)} of the solves failed ({fitting.last_failure}): "
+            f"what lies there counts as impossible, which may cut a cause off; {hooks.advice}"
+        )
+    told += _outliers(found) + _noise(found)
     if not found.leader:
         return told
     leader = found.solved[found.leader]
-    stuck = {p.name for p, _ in at_bounds(found.search.fitting.forward, found.search.base.u)}
-    n = leader.n_listed
-    for p, one in at_bounds(leader.forward, leader.point.u):
-        index = [q.name for q in leader.forward.parameters].index(p.name)
-        if p.name not in stuck and index < n:
-            told.append(f"with {found.name(found.leader)}, {one.text}")
+    names = {p.name for p in leader.forward.parameters[: leader.n_listed]} - {p.name for p, _ in stuck}
+    told += [
+        f"with {found.name(found.leader)}, {one.text}"
+        for p, one in at_bounds(leader.forward, leader.point.u)
+        if p.name in names
+    ]
     for c in file.components:
         for f in c.functions[:1] if c.probability > 0.5 else ():
             told += _implausible(found, f, hooks)
@@ -179,17 +185,6 @@ def expected(function: FreeFunction, values: Array) -> tuple[bool, str]:
         f"{function.size:.2g}{unit} that its prior expects{why}"
     )
     return rms <= IMPLAUSIBLE * function.size, text
-
-
-def _solves(found: CauseSets, hooks: Hooks) -> list[str]:
-    """That the simulator fails often."""
-    fitting, told = found.search.fitting, []
-    if fitting.failures > FAILING * fitting.solves:
-        told.append(
-            f"{percent(fitting.failures / fitting.solves)} of the solves failed ({fitting.last_failure}): "
-            f"what lies there counts as impossible, which may cut a cause off; {hooks.advice}"
-        )
-    return told
 
 
 def _outliers(found: CauseSets) -> list[str]:

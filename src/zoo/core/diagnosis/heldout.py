@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,15 +62,15 @@ def hold_out(found: CauseSets, rows: list[int]) -> HeldOut | None:
         folds = [np.tile(block == b, (data.n_series, 1)) & one for b in range(BLOCKS)]
         what = f"{BLOCKS} blocks of the {'beat' if data.period is not None else 'record'} in turn"
     noise = np.array([found.noise[group] for group in data.groups])[:, None] * np.ones(n)
-    sums = {0: [0.0, 0], 1: [0.0, 0]}
+    sums, count = np.zeros(2), 0
     for out in (fold & data.measured for fold in folds):
         for which, start in enumerate((found.search.fitted, leader)):
             series = _refit(fitting, start, data.measured & ~out, noise)
             if series is None:
                 return None
-            sums[which][0] += float(np.sum((data.values - series)[out] ** 2 - noise[out] ** 2))
-            sums[which][1] += int(out.sum())
-    before, after = (math.sqrt(max(0.0, total / count)) for total, count in sums.values())
+            sums[which] += np.sum((data.values - series)[out] ** 2 - noise[out] ** 2)
+        count += int(out.sum())
+    before, after = np.sqrt(np.maximum(sums / count, 0.0)).tolist()
     return HeldOut(before, after, what)
 
 
