@@ -25,6 +25,7 @@ from zoo.core.diagnosis.discrepancies import (
     draw_set,
     estimate_of,
     interval_of,
+    together,
 )
 from zoo.core.diagnosis.file import (
     CauseResult,
@@ -49,7 +50,7 @@ from zoo.core.diagnosis.laws import simple_laws
 from zoo.core.diagnosis.sets import CauseSets
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Which
 from zoo.core.diagnosis.wording import worded
-from zoo.core.effects import EffectParameter, Location
+from zoo.core.effects import Location
 from zoo.core.forward import Outputs
 
 Array = NDArray[np.float64]
@@ -79,7 +80,9 @@ def table_of(found: CauseSets, about: int) -> tuple[list[SetResult], dict[Which,
     told = ((), found.leader)  # however improbable
     kept = {w: p for w, p in posterior.probability.items() if p >= LEAST or w in told}
     total, rows = sum(kept.values()), []
-    unit = found.search.fitting.data.unit(found.search.family.groups[about])
+    family = found.search.family
+    noise = min(found.noise[g] / family.ranges[g] for g in family.groups)
+    negligible = posterior.negligible(noise, SIZE_PRIORS.numerics)
     for which, p in kept.items():
         log_prior, solved = posterior.priors.log_prior(which), which in found.solved
         rows.append(
@@ -93,18 +96,11 @@ def table_of(found: CauseSets, about: int) -> tuple[list[SetResult], dict[Which,
                 probability=p / total,
                 solved=solved,
                 gap_after=float(found.gap_after(which)[about]) if solved else None,
-                negligible=None if which else _negligible(found),
-                unit=unit,
+                negligible=None if which else negligible,
+                unit=found.search.fitting.data.unit(family.groups[about]),
             )
         )
     return rows, {which: p / total for which, p in kept.items()}
-
-
-def _negligible(found: CauseSets) -> float:
-    """Part of the empty set's probability in which what is left does not matter."""
-    family = found.search.family
-    noise = min(found.noise[g] / family.ranges[g] for g in family.groups)
-    return found.posterior.negligible(noise, SIZE_PRIORS.numerics)
 
 
 def _gap(found: CauseSets, before: Discrepancy, after: Discrepancy, rows: list[int]) -> Gap:
@@ -195,7 +191,7 @@ def _causes(found: CauseSets, p: dict[Which, float], draws: CauseDraws) -> list[
         probability = _holding(found, p, {name}, "name")
         first = posterior.causes[own[0]]
         share = sum(math.exp(posterior.priors.log_shares[i]) for i in own)
-        places = [] if first.free else _places(found, p, own)
+        places = [] if first.free or probability <= TOLD else _places(found, p, own)
         rows.append(
             CauseResult(
                 name=name,
@@ -206,9 +202,7 @@ def _causes(found: CauseSets, p: dict[Which, float], draws: CauseDraws) -> list[
                 places=[
                     one.model_copy(update={"probability": min(1.0, one.probability / probability)})
                     for one in places
-                ]
-                if probability > TOLD
-                else [],
+                ],
                 estimates=[] if first.free else _estimates(found, draws, set(own)),
             )
         )
@@ -217,18 +211,16 @@ def _causes(found: CauseSets, p: dict[Which, float], draws: CauseDraws) -> list[
 
 def _estimates(found: CauseSets, draws: CauseDraws, own: set[int]) -> list[Estimate]:
     """Of an effect's parameters over all drawn sets that hold it; alone at its mode where none does."""
-    holding = draws.holding(lambda which: bool(own & set(which)))
+    origins = found.search.origins
+    holding = [one for one in draws.sets if own & set(one.which)]
     if not holding:
         return []
-    values, weights = list[Array](), list[Array]()
-    parameters: tuple[EffectParameter, ...] = ()
-    for one in holding:
-        places = one.solved.places(found.search.origins)
-        i = next(i for i in one.which if i in own)
-        values.append(one.values(places[i]))
-        weights.append(one.weights)
-        parameters = found.search.origins[i].effect().effect.parameters
-    x, w = np.concatenate(values), np.concatenate(weights)
+
+    def amplitudes(one: SetDraws) -> Array:
+        return one.values(one.solved.places(origins)[next(i for i in one.which if i in own)])
+
+    x, w = together(holding, amplitudes)
+    parameters = origins[min(own)].effect().effect.parameters
     return [estimate_of(p.name, p.unit, draws_, w) for p, draws_ in zip(parameters, x.T, strict=True)]
 
 
@@ -259,7 +251,7 @@ def _share(found: CauseSets, draws: CauseDraws, component: str, group: str) -> I
         shared += beyond * energy[index] / np.maximum(sum(energy.values()), 1e-300)
         return np.asarray(shared / np.maximum(np.sum(gap**2, axis=1), 1e-300))
 
-    return draws.interval(of)
+    return interval_of(*together(draws.sets, of))
 
 
 def confounded(found: CauseSets) -> dict[str, list[str]]:
@@ -356,25 +348,23 @@ def _components(
 
 def sensitivity(posterior: CausePosterior) -> list[SensitivityRow]:
     """Probabilities under other priors; nothing is solved again."""
-    sizes = SIZE_PRIORS
+    unexplained, caricature = SIZE_PRIORS.unexplained, SIZE_PRIORS.caricature
+    sizes = {
+        "unexplained discrepancy half as large": {"unexplained": 0.5 * unexplained},
+        "unexplained discrepancy twice as large": {"unexplained": 2.0 * unexplained},
+        "odds of an unexplained discrepancy 1": {"odds": 1.0},
+        "effects half as large": {"effects": 0.5},
+        "effects twice as large": {"effects": 2.0},
+        "functions half as large": {"functions": 0.5},
+        "functions twice as large": {"functions": 2.0},
+        "effects modelled exactly": {"caricature": 0.0},
+        "effects modelled half as well": {"caricature": 2.0 * caricature},
+    }
     under = {
         "as stated": posterior,
         "odds of causes halved": posterior.under(odds=0.5 * ODDS),
         "odds of causes doubled": posterior.under(odds=2.0 * ODDS),
-        "unexplained discrepancy half as large": posterior.under(
-            replace(sizes, unexplained=0.5 * sizes.unexplained)
-        ),
-        "unexplained discrepancy twice as large": posterior.under(
-            replace(sizes, unexplained=2.0 * sizes.unexplained)
-        ),
-        "odds of an unexplained discrepancy 1": posterior.under(replace(sizes, odds=1.0)),
-        "effects half as large": posterior.under(replace(sizes, effects=0.5)),
-        "effects twice as large": posterior.under(replace(sizes, effects=2.0)),
-        "functions half as large": posterior.under(replace(sizes, functions=0.5)),
-        "functions twice as large": posterior.under(replace(sizes, functions=2.0)),
-        "effects modelled exactly": posterior.under(replace(sizes, caricature=0.0)),
-        "effects modelled half as well": posterior.under(replace(sizes, caricature=2.0 * sizes.caricature)),
-    }
+    } | {name: posterior.under(replace(SIZE_PRIORS, **changed)) for name, changed in sizes.items()}
     return [
         SensitivityRow(prior=name, nothing=one.probability[()], components=one.components)
         for name, one in under.items()
@@ -447,11 +437,10 @@ def _parameters(found: CauseSets, draws: CauseDraws) -> dict[str, dict[str, Esti
     """Of the baseline: by itself, with the leading set, and over all sets."""
     of, rows = found.search.fitting.forward.parameters, {}
     alone = [draw_set(found, found.search.fitted, 1.0, np.random.default_rng(0))]
-    leading = draws.holding(lambda which: which == found.leader)
+    leading = [one for one in draws.sets if one.which == found.leader]
     for label, sets in (("base", alone), ("leading set", leading), ("over all sets", draws.sets)):
-        u = np.concatenate([one.values(slice(0, len(of))) for one in sets]).T
-        w = np.concatenate([one.weights for one in sets])
-        pairs = zip(of, u, strict=True)
+        u, w = together(sets, lambda one: one.values(slice(0, len(of))))
+        pairs = zip(of, u.T, strict=True)
         rows[label] = {p.name: estimate_of(p.name, p.unit, np.asarray(p.value(x)), w) for p, x in pairs}
     return rows
 

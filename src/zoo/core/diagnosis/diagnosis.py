@@ -18,7 +18,7 @@ from zoo.core import digests
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import answer
 from zoo.core.diagnosis.bounds import Excluded, freed
-from zoo.core.diagnosis.discrepancies import CauseDraws, Discrepancy, estimate_of, interval_of
+from zoo.core.diagnosis.discrepancies import CauseDraws, Discrepancy, estimate_of, interval_of, together
 from zoo.core.diagnosis.file import (
     CauseResult,
     ComponentResult,
@@ -175,10 +175,8 @@ class Diagnosis:
 
         sets = self.draws.sets
         if outputs is None:
-            series = self.sets.search.family.errors.unflat(
-                np.concatenate([one.computed + one.left for one in sets])
-            )
-            weights = np.concatenate([one.weights for one in sets])
+            flat, weights = together(sets, lambda one: one.computed + one.left)
+            series = self.sets.search.family.errors.unflat(flat)
             labels, times = self.data.labels, self.data.times
         else:
             rng, solved = np.random.default_rng(seed), []
@@ -226,7 +224,7 @@ class Diagnosis:
         predict : for what the simulator computes, anywhere.
         """
         of = self.sets.search.fitting.forward.parameters
-        u = np.concatenate([one.values(slice(0, len(of))) for one in self.draws.sets])
+        u, weights = together(self.draws.sets, lambda one: one.values(slice(0, len(of))))
         values = [{p.name: float(p.value(x)) for p, x in zip(of, row, strict=True)} for row in u]
         try:
             draws = [float(quantity(parameters)) for parameters in values]
@@ -234,7 +232,6 @@ class Diagnosis:
             names = [p.name for p in of]
             told = f"no parameter is named {error.args[0]!r}: {choices(str(error.args[0]), names)}"
             raise DiagnosisError(f"quantity: {told}") from None
-        weights = np.concatenate([one.weights for one in self.draws.sets])
         return estimate_of(getattr(quantity, "__name__", "quantity"), unit, np.array(draws), weights)
 
     def with_posteriors(
@@ -390,10 +387,8 @@ def _in_states(
             )
             continue
         results.append(one)
-        warnings += [
-            *one.warnings,
-            *filter(None, [state_warning(one.file, found.sets.components(found.sets.leader))]),
-        ]
+        warned = state_warning(one.file, found.sets.components(found.sets.leader))
+        warnings += [*one.warnings, *filter(None, [warned])]
     changed = found.with_file(
         states=[one.file for one in results],
         warnings=[*found.file.warnings, *warnings],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -80,6 +80,12 @@ class SetDraws:
         return np.asarray((self.x - origin)[:, part] @ self.solved.point.jacobian[:, part].T)
 
 
+def together(sets: Iterable[SetDraws], of: Callable[[SetDraws], Array]) -> tuple[Array, Array]:
+    """What is asked of each draw (n_draws, ...) of some sets, and the draws' weights."""
+    values, weights = zip(*((of(one), one.weights) for one in sets), strict=True)
+    return np.concatenate(values), np.concatenate(weights)
+
+
 def draw_set(found: CauseSets, one: SolvedSet, weight: float, rng: np.random.Generator) -> SetDraws:
     """Draws of a solved set, over all errors that it was weighed beside."""
     evidence = one.evidence
@@ -113,16 +119,6 @@ class CauseDraws:
 
     found: CauseSets
     sets: tuple[SetDraws, ...] = field(repr=False)
-
-    def interval(self, of: Callable[[SetDraws], Array]) -> Interval:
-        """Mean and 95 % interval, over all sets, of a number for each draw."""
-        return interval_of(
-            np.concatenate([of(one) for one in self.sets]), np.concatenate([s.weights for s in self.sets])
-        )
-
-    def holding(self, holds: Callable[[Which], bool]) -> list[SetDraws]:
-        """Sets that have something, the most probable first."""
-        return [one for one in self.sets if holds(one.which)]
 
 
 def draw_causes(found: CauseSets, seed: int) -> CauseDraws:
@@ -178,8 +174,7 @@ def discrepancies(drawn: CauseDraws) -> tuple[Discrepancy, Discrepancy]:
     """Of the baseline over all sets, and of the leading set: what it leaves."""
     found = drawn.found
     errors, base = found.search.family.errors, found.search.fitting.start  # what a best fit misses
-    truth = np.concatenate([one.computed + one.left - base.computed for one in drawn.sets])
-    weights = np.concatenate([one.weights for one in drawn.sets])
+    truth, weights = together(drawn.sets, lambda one: one.computed + one.left - base.computed)
     residual = errors.unflat(found.search.data - base.computed)
     before = Discrepancy(errors.unflat(truth), weights, residual)
     leader = next(one for one in drawn.sets if one.which == found.leader)

@@ -28,6 +28,7 @@ from zoo.core.diagnosis.solved import SIZE_PRIORS, SolvedSet, Which
 from zoo.core.effects import AddedEffect
 from zoo.core.errors.spectral import Spectral, spectral_errors
 from zoo.core.forward import Around, ForwardModel, content_key
+from zoo.core.words import unit_words
 
 Array = NDArray[np.float64]
 Change = Callable[[Any], Any]
@@ -466,11 +467,11 @@ def state_warning(state: StateFile, leader: Sequence[str]) -> str:
         )
     if one is None or one.holds or (state.baseline.low == 0.0 and one.error.low == 0.0):
         return ""
-    unit = "" if state.unit == "1" else f" {state.unit}"
     sensor = "" if state.sensor is None else f", what was seen at the sensor {state.sensor.mean:.2g}"
     holding = [" and ".join(c.names) for c in state.carried if c.holds]
     instead = f"; {holding[0]} does" if holding else ""
     return (
         f"what was learned of {' and '.join(one.names)} does not hold in {state.state}: it leaves "
-        f"{one.error.mean:.2g}{unit} there, the baseline {state.baseline.mean:.2g}{sensor}{instead}"
+        f"{one.error.mean:.2g}{unit_words(state.unit)} there, the baseline {state.baseline.mean:.2g}"
+        f"{sensor}{instead}"
     )
