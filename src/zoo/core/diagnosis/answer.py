@@ -104,38 +104,37 @@ def table_of(found: CauseSets, about: int) -> tuple[list[SetResult], dict[Which,
 
 
 def _gap(found: CauseSets, before: Discrepancy, after: Discrepancy, rows: list[int]) -> Gap:
-    data, noise = found.search.fitting.data, found.noise
-    b, a = before.interval(rows), after.interval(rows)
-    size = max(b.mean, 1e-300)
-    removed = interval_of(1.0 - after.rms(rows) / size, after.weights) if found.leader else None
-    held = hold_out(found, rows) if found.leader else None
+    data = found.search.fitting.data
+
+    def series_gap(series: str, own: list[int]) -> SeriesGap:
+        return SeriesGap(
+            series=series,
+            unit=data.units[own[0]],
+            before=before.interval(own),
+            after=after.interval(own),
+            noise_floor=found.noise[data.groups[own[0]]],
+            residual_rms_before=_rms(before.residual[own]),
+            residual_rms_after=_rms(after.residual[own]),
+        )
+
+    whole, removed, held = series_gap("", rows), Interval(mean=0.0, low=0.0, high=0.0), None
+    if found.leader:
+        size = max(whole.before.mean, 1e-300)
+        removed = interval_of(1.0 - after.rms(rows) / size, after.weights)
+        held = hold_out(found, rows)
     return Gap(
-        unit=data.units[rows[0]],
-        before=b.mean,
-        before_interval=(b.low, b.high),
-        noise_floor=noise[data.groups[rows[0]]],
-        after=a.mean,
-        after_interval=(a.low, a.high),
-        residual_rms_before=_rms(before.residual[rows]),
-        residual_rms_after=_rms(after.residual[rows]),
-        removed=removed.mean if removed else 0.0,
-        removed_interval=(removed.low, removed.high) if removed else (0.0, 0.0),
+        **whole.model_dump(exclude={"series", "before", "after"}),
+        before=whole.before.mean,
+        before_interval=(whole.before.low, whole.before.high),
+        after=whole.after.mean,
+        after_interval=(whole.after.low, whole.after.high),
+        removed=removed.mean,
+        removed_interval=(removed.low, removed.high),
         held_out_before=held.before if held else None,
         held_out_after=held.after if held else None,
         held_out_removed=held.removed if held else None,
         held_out=held.what if held else "",
-        per_series=[
-            SeriesGap(
-                series=label,
-                unit=data.units[i],
-                before=before.interval([i]),
-                after=after.interval([i]),
-                noise_floor=noise[data.groups[i]],
-                residual_rms_before=_rms(before.residual[i]),
-                residual_rms_after=_rms(after.residual[i]),
-            )
-            for i, label in enumerate(data.labels)
-        ],
+        per_series=[series_gap(label, [i]) for i, label in enumerate(data.labels)],
     )
 
 
