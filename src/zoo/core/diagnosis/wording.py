@@ -241,7 +241,7 @@ def _sensitivity(file: DiagnosisFile) -> str:
         ends = dict.fromkeys(_chance(x, 0) for x in (low, high))
         ranges.append(f"{name} {' to '.join(ends)}")
     if not ranges:
-        ranges = [f"no cause {percent(min(row.nothing for row in file.sensitivity))} or more"]
+        ranges = [f"nothing missing: {percent(min(row.nothing for row in file.sensitivity))} or more"]
     but = "" if file.decided else ", which does not take the warnings away"
     return f"{varied}: the same answer each time ({', '.join(ranges)}){but}"
 
