@@ -5,6 +5,8 @@ python -m benchmarks.blind.frozen --unpack FOLDER     the cases as folders of st
 python -m benchmarks.blind.frozen --run OUT           diagnoses cases, going on where it was interrupted, and
                                                       prints both answers beside each other
 python -m benchmarks.blind.frozen --read OUT          the same of what is there, without a diagnosis
+python -m benchmarks.blind.frozen --others OUT        the score of answers of `zoo blind run` to the cases of
+                                                      the independent simulator
 
 With --each N so many cases of each kind, by a --seed, of which OUT has one.
 """
@@ -165,7 +167,13 @@ def main() -> None:
         default=Path(beside).parent if beside else None,
         help="folder with blind/key and blind2/key; beside ZOO_DATA_DIR if absent",
     )
+    parser.add_argument("--others", type=Path, metavar="OUT", help="answers of `zoo blind run` to its cases")
     args = parser.parse_args()
+    if args.others:
+        others = {key.case.split("/")[1]: key for key in keys_elsewhere(args.elsewhere)}
+        today = read(others, args.others)
+        print(score_table(score_of([key for key in others.values() if key.case in today], today)))
+        return
     if args.unpack:
         unpack(args.unpack, [name for name in sets() if name.split("-")[0] in args.kinds])
         return
