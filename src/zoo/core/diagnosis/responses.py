@@ -189,13 +189,21 @@ class _Listed:
         cost = self.projected.left(change) + 0.5 * float(z @ z)
         return _Tried(values, np.stack(columns, axis=1) * self.scales, cost)
 
+    @property
+    def _search(self) -> Search[SearchModel]:
+        """Of the parameters and the effect, for the errors in which a size is sought."""
+        return Search(self.forward, self.base.computed + self.problem.residual, self.projected.root**2)
+
+    def _beside(self, one: _Tried) -> tuple[Array, Array]:
+        """Coordinates of the base with the effect as tried, and derivatives there."""
+        jacobian = np.concatenate([self.problem.jacobian, one.columns / self.scales], axis=1)
+        return np.concatenate([self.base.u, one.values]), jacobian
+
     def _end(self, tried: Sequence[_Tried]) -> Point:
         """Where a search ends that begins beside each start with the parameters that fit best there."""
-        search = Search(self.forward, self.base.computed + self.problem.residual, self.projected.root**2)
-        ends, k = list[Point](), len(self.base.u)
+        search, ends, k = self._search, list[Point](), len(self.base.u)
         for one in tried:
-            jacobian = np.concatenate([self.problem.jacobian, one.columns / self.scales], axis=1)
-            start = search.at(np.concatenate([self.base.u, one.values]), jacobian)
+            start = search.at(*self._beside(one))
             ends.append(self._holding(search, one.values).descend(start, STEPS // 2, GAIN))
         best = min(ends, key=lambda end: end.cost)
         best = descend(self._holding(search, best.u[k:]), search, best, STEPS // 2)
@@ -219,11 +227,9 @@ class _Listed:
 
     def _moved(self, one: _Tried) -> Array:
         """Coordinates one step from the base with the effect as tried."""
-        search = Search(self.forward, self.base.computed + self.problem.residual, self.projected.root**2)
-        jacobian = np.concatenate([self.problem.jacobian, one.columns / self.scales], axis=1)
-        u = np.concatenate([self.base.u, one.values])
+        u, jacobian = self._beside(one)
         there = Point(u, self.base.computed + one.columns[:, 0] * one.values[0] / self.scales[0], jacobian)
-        return u + search.step(there, NO_DAMPING)
+        return u + self._search.step(there, NO_DAMPING)
 
     def found(self, component: str, near: Array | None = None) -> Response | None:
         """Where it fits best beside the others; None if it cannot be solved.

@@ -165,8 +165,10 @@ class CauseSearch:
             f, grid, replace(point, computed=on_grid), functions, V,
             lambda name, part: self._tell(name, 0.7 + 0.3 * part),
         )  # fmt: skip
-        functional = [(o.key, Response(one, *2 * (np.zeros(one.columns.shape[1]),))) for one, o in free]
-        return found | dict(functional)
+        for one, origin in free:
+            none = np.zeros(one.columns.shape[1])
+            found[origin.key] = Response(one, values=none, solved_at=none)
+        return found
 
     def _linear(self, centre: SolvedSet, fresh: bool) -> Linear:
         """The simulator around a solved set, with fresh responses of other causes or the baseline's."""
