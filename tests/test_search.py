@@ -214,11 +214,22 @@ def test_a_curved_valley_is_followed_with_no_more_solves_than_scipy_takes() -> N
     assert forward.solves <= taken
 
 
+def test_a_step_is_bent_along_a_curved_valley() -> None:
+    """Straight steps leave the valley wherever they are long: 40 of them end 0.4 above the best cost."""
+    forward = Helix()
+    search = Search(forward, forward.data, np.full(3, 0.01))
+    start = search.at(forward.start)
+    assert search.descend(start, 40).cost == pytest.approx(search.refine(start, 6).cost, abs=0.02)
+    forward.solves = 0
+    search.descend(start, 40)
+    assert forward.solves <= 20
+
+
 def test_a_search_ends_with_derivatives_made_where_it_ends() -> None:
     """Secants of the way there are off by ten times as much."""
     forward = Helix()
     search = Search(forward, forward.data, np.full(3, 0.01))
     start = search.at(forward.start)
-    for end, least, most in (search.refine(start, 1), 0.0, 0.2), (search.descend(start, 6), 1.5, 2.0):
+    for end, least, most in (search.refine(start, 1), 0.0, 0.5), (search.descend(start, 6), 7.0, 8.5):
         exact = 10.0 * np.array([-np.cos(end.u[0]), np.sin(end.u[0])])
         assert least <= np.max(np.abs(end.jacobian[1:, 0] - exact)) <= most

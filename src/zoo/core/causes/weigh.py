@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -114,11 +114,29 @@ class _Search:
 
     def leading(self, most: int) -> list[Which]:
         """The most probable sets that were not weighed yet, but for those that hold `MISSED` together."""
-        every = {which: self.total(which) for which in [*self.guessed, *self.weighed]}
-        missed = logsumexp(list(every.values())) + math.log(MISSED)
-        due = sorted((w for w in every if w not in self.weighed), key=lambda w: every[w])
-        behind = np.logaddexp.accumulate([every[w] for w in due])
-        return due[::-1][: min(most, int(np.sum(behind > missed)))]
+        return leading({w: self.total(w) for w in [*self.guessed, *self.weighed]}, self.weighed, most)
+
+
+def leading(
+    totals: Mapping[Which, float], weighed: Container[Which], most: int = MOST_WEIGHED
+) -> list[Which]:
+    """The most probable sets that were not weighed yet, but for those that hold `MISSED` together.
+
+    Parameters
+    ----------
+    totals : mapping of sets to float
+        Log prior plus log evidence.
+    weighed : container of sets
+    most : int
+
+    Returns
+    -------
+    list of sets
+    """
+    missed = logsumexp(list(totals.values())) + math.log(MISSED)
+    due = sorted((w for w in totals if w not in weighed), key=lambda w: totals[w])
+    behind = np.logaddexp.accumulate([totals[w] for w in due])
+    return due[::-1][: min(most, int(np.sum(behind > missed)))]
 
 
 def weigh_causes(
@@ -135,7 +153,8 @@ def weigh_causes(
     """The posterior over sets of causes of a linear problem.
 
     Sets are sought given the error model that is most probable with the best set so far; the most
-    probable are then weighed given all error models. What was only guessed keeps its guess, and is told.
+    probable are then weighed given all error models, where all sets have some causes only the best of each
+    search. What was only guessed keeps its guess, and is told.
 
     Parameters
     ----------
@@ -187,21 +206,21 @@ def _find_sets(search: _Search, say: Callable[[str, float], None]) -> None:
             search.seek(parent)
             if round_ == 0:  # spectra that matter given nothing or the best cause of each component
                 _fewer_kinds(search)
-            search.weigh(search.leading(FIRST_WEIGHED), search.kinds)
+            search.weigh(search.leading(1 if search.always else FIRST_WEIGHED), search.kinds)
             ranked = sorted(search.weighed, key=lambda w: -search.total(w))
             if ranked[0] in seen:
                 break
             parent = ranked[0]
-        search.weigh(search.leading(MOST_WEIGHED), search.kinds)
+        if not search.always:
+            search.weigh(search.leading(MOST_WEIGHED), search.kinds)
 
 
 def _fewer_kinds(search: _Search) -> None:
     """Keep the spectra that are likely given the smallest set, or with the best cause of some component."""
     best: dict[str, Which] = {}
     for which in sorted(search.guessed, key=lambda w: -search.total(w)):
-        added = set(which).difference(search.always)
-        if len(added) == 1:
-            best.setdefault(search.causes[added.pop()].component, which)
+        if len(which) == 1 and not search.always:
+            best.setdefault(search.causes[which[0]].component, which)
     search.weigh(list(best.values()), np.arange(search.family.n_kinds))
     behind = np.full(len(search.family.shapes), np.inf)
     for which in [search.always, *best.values()]:

@@ -28,8 +28,8 @@ GAIN = 0.02
 """Gain of the log posterior below which a descent ends."""
 SETTLED = 0.1
 """Gain below which a search with fresh differences ends."""
-ROUNDS, ITERATIONS = 6, 6
-"""Rounds of fresh differences at most, and steps in each, where no other number is given."""
+ITERATIONS = 6
+"""Steps after each fresh differences, where no other number is given."""
 DAMPING, NO_DAMPING = 1.0, 1e-9
 """Damping of a search at first, as of a prior one unit wide around where it stands, and none."""
 LESS, MORE, MUCH_MORE = 0.2, 8.0, 10.0
@@ -184,7 +184,11 @@ class Search(Generic[F]):
         return point.cost - self.cost(point.u + step, point.computed + point.jacobian @ step)
 
     def descend(self, point: Point, iterations: int, gain: float = GAIN) -> Point:
-        """Damped steps with Broyden's updates until one without damping promises less than `gain`."""
+        """Damped steps with Broyden's updates until one without damping promises less than `gain`.
+
+        One that gains nothing is bent along the valley by what the solve changed beyond its linear part: the
+        geodesic acceleration of Transtrum and Sethna (2012, arXiv 1201.5885).
+        """
         for _ in range(iterations):
             while True:  # damped too much to gain anything is not yet the end
                 step = self.step(point, point.damping)
@@ -200,6 +204,11 @@ class Search(Generic[F]):
                 point = replace(point, damping=max(MUCH_MORE * point.damping, DAMPING))
                 continue
             cost = self.cost(u, computed)
+            if cost > point.cost:  # once more, with what it changed beyond the linear part
+                bent = self.step(replace(point, computed=point.computed + computed - linear), point.damping)
+                if (there := self.forward(point.u + bent)) is not None:
+                    step, u, computed, cost = bent, point.u + bent, there, self.cost(point.u + bent, there)
+                    linear = point.computed + point.jacobian @ step
             if cost - point.cost > hoped:  # so far from linear that a secant would mislead
                 point = replace(point, damping=max(MORE * point.damping, DAMPING))
                 continue
@@ -211,24 +220,14 @@ class Search(Generic[F]):
                 point = replace(point, jacobian=jacobian, damping=max(MORE * point.damping, DAMPING))
         return point
 
-    def refine(
-        self,
-        point: Point,
-        rounds: int = ROUNDS,
-        iterations: int = ITERATIONS,
-        *,
-        fine: bool = False,
-        again: bool = False,
-    ) -> Point:
+    def refine(self, point: Point, rounds: int, iterations: int = ITERATIONS, *, fine: bool = False) -> Point:
         """Fresh Jacobians and descents until one gains nothing; if `fine`, by fine steps after the first.
-
-        The first ones are fine too where it was refined before, as `again` says.
 
         It ends with derivatives made where it ends, or within what gained nothing from there: secants of the
         smallest steps follow the noise of a grid that is chosen anew for each solve.
         """
         for i in range(rounds):
-            finer = fine and (again or i > 0)
+            finer = fine and i > 0
             jacobian = self.differences(point, point.jacobian, fine=finer)
             moved = self.descend(replace(point, jacobian=jacobian), iterations)
             settled = point.cost - moved.cost < SETTLED

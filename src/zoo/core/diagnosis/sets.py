@@ -8,10 +8,10 @@ simulator and weighed there.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,23 +21,24 @@ from zoo.core.causes.evidence import SetEvidence, SetModel, without
 from zoo.core.causes.posterior import CausePosterior, SetRow
 from zoo.core.causes.problem import Problem, without_doubles
 from zoo.core.causes.set_priors import CausePriors, likeness
-from zoo.core.causes.weigh import weigh_causes
+from zoo.core.causes.weigh import leading, weigh_causes
 from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.responses import Origin, Response, free_causes, listed_causes
-from zoo.core.diagnosis.search import NO_DAMPING, ROUNDS, Point, Search, SearchError
+from zoo.core.diagnosis.search import NO_DAMPING, Point, Search, SearchError
 from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear, SolvedSet, Which, tangents
 from zoo.core.effects import Effect
 from zoo.core.forward import Corrected, SolveError, pinned
 from zoo.core.threads import threads
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 MASS, MOST_SOLVED = 0.97, 5
 """Probability that the sets which are solved hold together, and how many are at most."""
-STEPS, FEW = 6, 1
-"""Steps of a descent, and rounds of fresh differences for a set that is only looked at."""
+STEPS = 6
+"""Steps of a descent."""
 TURNS = 4
 """Times that a mode is sought given errors, and errors given the mode."""
 NEARER = (1.0, 0.5, 0.2)
@@ -57,8 +58,9 @@ the most probable set is still solved."""
 WAVES, MOST_WAVES, UNKNOWN = 4, 8, 0.5
 """Times that new leading sets are solved, and that they are while sets that were not solved may hold so much
 of the probability."""
-SEEKING, SOLVING, SOLVED = 0.3, 0.45, 0.95
-"""Parts of the work that are done before sets are sought, before they are solved, and after that."""
+SEEKING, SOLVING, SOLVED, LOOKED = 0.3, 0.45, 0.95, 0.3
+"""Parts of the work that are done before sets are sought, before they are solved, and after that; of solving
+some, when they were looked at."""
 
 
 @dataclass(eq=False)
@@ -123,6 +125,7 @@ class CauseSearch:
         self.problem = self._problem(f.forward, self.base.u, residual, self.jacobian)
         values = tuple(one.values for one in responses)
         self.linears = [Linear((), self.base.u, self.problem, tuple(self.causes), values, nothing.log_z)]
+        self._linear_of: dict[Which, Linear] = {}  # what was asked since
         self.fresh: set[Which] = set()  # centres of responses of their own
         self.ends: dict[Which, Point] = {
             (i,): one.end for i, one in enumerate(responses) if one.end is not None
@@ -211,23 +214,25 @@ class CauseSearch:
         retried: set[tuple[Which, Which]] = set()
         wave = 0
         while due := self._due(found, tried, self._goes_on(found, wave)):
-            self._weigh_more(list(due))
+            self._weigh_more(due)
             tried |= set(due)
             left = (SOLVED - SOLVING) * 0.5**wave  # nobody knows how many waves follow
             begin, end = SOLVED - left, SOLVED - 0.7 * left
             sizes = sorted({len(w) for w in due})
             for i, size in enumerate(sizes):  # what fewer causes found, more begin with
                 self.span = tuple(begin + (end - begin) * x / len(sizes) for x in (i, i + 1))
-                self._solve({w: rounds for w, rounds in due.items() if len(w) == size})
+                self._solve({w: None for w in due if len(w) == size})
             again = {w: larger for w in self.solved if (larger := self._outdoing(w))}
             again = {w: larger for w, larger in again.items() if (w, larger) not in retried}
             retried |= set(again.items())
-            self._solve(dict.fromkeys(again, FEW), again)
+            self._solve(again)
             found = self._corrected(found)
             self.span = end, SOLVED - 0.5 * left
             while self._goes_on(found, wave + 1) and (centre := self._next_centre(found)) is not None:
                 found = self._around_another(found, centre)
             wave += 1
+        self._weigh_more(leading(found.log_joint, self.rows))
+        found = self._corrected(found)
         self.tick("what follows from the sets", SOLVED)
         return CauseSets(found, self)
 
@@ -249,8 +254,11 @@ class CauseSearch:
 
     def linear_of(self, which: Which) -> Linear:
         """Around which a set is linear: the largest centre that it holds, of several the most evident."""
-        around = (one for one in self.linears if set(one.centre) <= set(which))
-        return max(around, key=lambda one: one.rank)
+        found = self._linear_of.get(which)
+        if found is None:
+            around = (one for one in self.linears if set(one.centre) <= set(which))
+            found = self._linear_of[which] = max(around, key=lambda one: one.rank)
+        return found
 
     def _next_centre(self, found: CausePosterior) -> Which | None:
         """The most probable solved set around which more may be missed that is not linear around it yet."""
@@ -277,6 +285,7 @@ class CauseSearch:
         self.span = self.span[1], self.span[1]
         own = self._weigh(linear)
         self.linears.append(linear)
+        self._linear_of.clear()
         here = [row for row in own.rows if self.linear_of(row.which) is linear]
         self.rows = {w: row for w, row in self.rows.items() if self.linear_of(w) is not linear}
         self.rows |= {row.which: row for row in here}
@@ -285,24 +294,34 @@ class CauseSearch:
         guessed |= {w: x for w, x in own.guessed.items() if self.linear_of(w) is linear}
         return self._corrected(replace(found, guessed=guessed))
 
-    def _solve(self, sets: Mapping[Which, int], outdone: Mapping[Which, Which] | None = None) -> None:
-        """Take sets to their modes at once, and keep the better one of those that were solved before.
+    def _solve(self, sets: Mapping[Which, Which | None]) -> None:
+        """Look at sets with the simulator, take those that may matter to their modes, keep what is better.
 
-        Each in so many rounds of fresh differences. What is outdone by a larger set begins there.
+        Each begins where the linear model says, or where a larger set that outdoes it goes without causes.
         """
-        beside = {} if outdone is None else {w: self.solved[larger] for w, larger in outdone.items()}
-        results: list[SolvedSet | None] = []
-        with threads(self.fitting.cores) as pool:
-            for one in pool.map(
-                lambda w: self.solve(w, self.rows[w].evidence, sets[w], beside.get(w)), list(sets)
-            ):
-                results.append(one)
-                self._tell("solving sets of causes", len(results) / len(sets))
-        for which, one in zip(sets, results, strict=True):
+        looked = self._each(self._look, sets.items(), (0.0, LOOKED))
+        found = {which: one for which, one in zip(sets, looked, strict=True) if one is not None}
+        joint = {w: self.rows[w].log_prior + one.log_z for w, one in (self.solved | found).items()}
+        best = max(joint.values())
+        new = [w for w in found if found[w] is not self.solved.get(w)]
+        near = [w for w in new if len(w) == 1 or joint[w] > best - NEAR]  # derivatives may hide one alone
+        refined = self._each(self._refined, [(found[which],) for which in near], (LOOKED, 1.0))
+        for which, one in (found | dict(zip(near, refined, strict=True))).items():
             old = None if which in self.near else self.solved.get(which)
-            if one is not None and (old is None or one.log_z > old.log_z):
+            if old is None or one.log_z > old.log_z:
                 self.solved[which] = one
                 self.near.discard(which)
+
+    def _each(
+        self, of: Callable[..., T], every: Iterable[tuple[Any, ...]], part: tuple[float, float]
+    ) -> list[T]:
+        """Something of each set, at once; `part` is that of the work."""
+        found: list[T] = []
+        with threads(self.fitting.cores) as pool:
+            for one in pool.map(lambda given: of(*given), every := list(every)):
+                found.append(one)
+                self._tell("solving sets of causes", float(np.interp(len(found) / len(every), (0, 1), part)))
+        return found
 
     def _weigh_more(self, sets: Sequence[Which]) -> None:
         """Sets of which only a guess was known, by the linear model."""
@@ -320,12 +339,13 @@ class CauseSearch:
 
     def _weigh_ends(self) -> None:
         """Listed effects alone whose response was found where they fit better than the linear model says."""
-        self._weigh_more(list(self.ends))
-        with threads(self.fitting.cores) as pool:
-            for which, one in zip(self.ends, pool.map(self._at_end, self.ends), strict=True):
-                if one.log_z > self.rows[which].evidence.total(SIZE_PRIORS) + PROMISED:
-                    self.solved[which] = one
-                    self.near.add(which)
+        least = min((end.cost for end in self.ends.values()), default=0.0)
+        near = [which for which, end in self.ends.items() if end.cost < least + NEAR]
+        self._weigh_more(near)
+        for which, one in zip(near, self._each(self._at_end, [(w,) for w in near], (0.0, 0.0)), strict=True):
+            if one.log_z > self.rows[which].evidence.total(SIZE_PRIORS) + PROMISED:
+                self.solved[which] = one
+                self.near.add(which)
 
     def _at_end(self, which: Which) -> SolvedSet:
         forward = self.fitting.model((self.origins[which[0]].effect(),))
@@ -411,41 +431,37 @@ class CauseSearch:
         """The most probable set of those that were solved."""
         return max(self.solved, key=lambda which: found.log_joint[which])
 
-    def _due(self, found: CausePosterior, tried: set[Which], more: bool) -> dict[Which, int]:
+    def _due(self, found: CausePosterior, tried: set[Which], more: bool) -> list[Which]:
         """The leader without each of its causes, and leading sets if more are wanted, if not tried yet.
-
-        Each with rounds of fresh differences: as many as gain something for those that may be the answer, few
-        for those that are looked at.
 
         Where the linear model is `known` to be right only the most probable one. At first every free function
         alone is among them, which its derivative may hide, and the best listed effect of each component.
         """
         leader = self.leader(found)
         parts = [tuple(i for i in leader if i != left) for left in leader]
-        due = {which: FEW for which in parts if which not in tried}
+        due = [which for which in parts if which not in tried]
         if not more:
             return due
         total, best, known = 0.0, dict[str, Which](), self.known
+        leading = list[Which]()
         for which, p in found.probability.items():
             new = which not in tried and which not in due
             right = total > 0.0 and self.linear_of(which).centre in known
-            if new and not right and total < MASS and len(due) < MOST_SOLVED:
-                due[which] = ROUNDS
+            if new and not right and total < MASS and len(due + leading) < MOST_SOLVED:
+                leading.append(which)
             total += p
             if len(which) == 1:
                 cause = self.causes[which[0]]
                 best.setdefault(cause.name if cause.free else cause.component, which)
+        due += leading
         if not due and math.fsum((missed := self.missed_by_set(found)).values()) > UNKNOWN:
-            likely = sorted((w for w in missed if w not in tried), key=lambda w: -missed[w])
-            due = dict.fromkeys(likely[:MOST_SOLVED], ROUNDS)
-        return due if len(tried) > 1 else dict.fromkeys(best.values(), FEW) | due
+            due = sorted((w for w in missed if w not in tried), key=lambda w: -missed[w])[:MOST_SOLVED]
+        return due if len(tried) > 1 else list(dict.fromkeys([*best.values(), *due]))
 
     # -- one set with the simulator ----------------------------------------------------------------
 
-    def solve(
-        self, which: Which, linear: SetEvidence, rounds: int = ROUNDS, larger: SolvedSet | None = None
-    ) -> SolvedSet | None:
-        """A set at its mode, or the one beside a larger set; None where nothing can be solved on the way."""
+    def _look(self, which: Which, larger: Which | None = None) -> SolvedSet | None:
+        """A set where a descent by the linear model's derivatives ends; None where nothing can be solved."""
         order = tuple(sorted(which, key=lambda i: self.origins[i].added is None))  # listed effects first
         # a listed effect may need another grid than the baseline; a function is a smooth change of it
         listed = any(self.origins[i].added is not None for i in which)
@@ -453,13 +469,13 @@ class CauseSearch:
         known = None if which in self.near else self.solved.get(which)
         forward = self.fitting.model(tuple(self.origins[i].effect() for i in order), baseline)
         forward = known.forward if known else forward
-        best = linear.best(SIZE_PRIORS)
+        linear = self.rows[which].evidence
         search = Search(forward, self.data, linear.likely_variances(SIZE_PRIORS))
         point: Point | None = None
         starts = (
-            self._starts(which, order, linear.mean[best])
+            self._starts(which, order, linear.mean[linear.best(SIZE_PRIORS)])
             if larger is None
-            else [self._without(larger, order, search)]
+            else [self._without(self.solved[larger], order, search)]
         )
         for u, jacobian in starts:
             try:
@@ -478,31 +494,28 @@ class CauseSearch:
         point = search.descend(point, STEPS)
         if known and search.resume(known.point).cost < point.cost + PROMISED:
             return known
-        return self._to_mode(order, forward, point, linear, rounds)
+        return self._solved_at(order, forward, point, linear)
 
-    def _to_mode(
-        self, order: Which, forward: SearchModel, point: Point, linear: SetEvidence, rounds: int
-    ) -> SolvedSet:
-        """A set from a point near its mode, in turns of a search and of the errors beside it."""
-        kept: SolvedSet | None = None
-        reference = linear
-        # beside a discrepancy a lesser mode costs little: noise alone says first where the mode is
+    def _refined(self, looked: SolvedSet) -> SolvedSet:
+        """A set at its mode, in turns of fresh differences, a descent, and the errors beside it."""
+        kept = looked
         for turn in range(TURNS):
-            errors = reference.likely_variances(SIZE_PRIORS, alone=turn == 0)
-            search = Search(forward, self.data, errors)
-            start = point = search.resume(point)
-            if turn > 0:  # the derivatives are fresh
-                point = search.descend(point, STEPS)
-            if turn == 0 or start.cost - point.cost > PROMISED:
-                point = search.refine(point, rounds, STEPS, fine=self.fitting.smooth, again=turn > 0)
-            one = self._solved_at(order, forward, point, linear)
-            forward, point, reference = one.forward, one.point, one.evidence
-            gained = math.inf if kept is None else one.log_z - kept.log_z
-            if gained > -PROMISED:  # the later one is at the mode of better errors
-                kept = one
-            if gained < PROMISED:
+            forward, evidence, fresh = kept.forward, kept.evidence, kept.point.jacobian
+            ends = list[SolvedSet]()
+            # beside a discrepancy a lesser mode costs little: noise alone says first where the mode is
+            for alone in (True, False) if turn == 0 else (False,):
+                search = Search(forward, self.data, evidence.likely_variances(SIZE_PRIORS, alone=alone))
+                start = search.resume(kept.point)
+                if not ends:
+                    fresh = search.differences(start, fresh, fine=self.fitting.smooth)
+                point = search.descend(replace(start, jacobian=fresh), STEPS)
+                ends.append(self._solved_at(kept.order, forward, point, evidence))
+            best = max(ends, key=lambda one: one.log_z)
+            gained = best.log_z - kept.log_z
+            if turn == 0 or gained > -PROMISED:  # the derivatives of the first were of the linear model
+                kept = best
+            if gained < PROMISED and not (turn == 0 and gained < -PROMISED):
                 break
-        assert kept is not None
         return kept
 
     def _solved_at(self, order: Which, forward: SearchModel, point: Point, linear: SetEvidence) -> SolvedSet:
