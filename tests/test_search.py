@@ -230,6 +230,6 @@ def test_a_search_ends_with_derivatives_made_where_it_ends() -> None:
     forward = Helix()
     search = Search(forward, forward.data, np.full(3, 0.01))
     start = search.at(forward.start)
-    for end, least, most in (search.refine(start, 1), 0.0, 0.5), (search.descend(start, 6), 7.0, 8.5):
+    for end, least, most in (search.refine(start, 2), 0.0, 0.2), (search.descend(start, 6), 7.0, 8.5):
         exact = 10.0 * np.array([-np.cos(end.u[0]), np.sin(end.u[0])])
         assert least <= np.max(np.abs(end.jacobian[1:, 0] - exact)) <= most

@@ -342,7 +342,7 @@ class CauseSearch:
         least = min((end.cost for end in self.ends.values()), default=0.0)
         near = [which for which, end in self.ends.items() if end.cost < least + NEAR]
         self._weigh_more(near)
-        for which, one in zip(near, self._each(self._at_end, [(w,) for w in near], (0.0, 0.0)), strict=True):
+        for which, one in zip(near, self._each(self._at_end, [(w,) for w in near], (1.0, 1.0)), strict=True):
             if one.log_z > self.rows[which].evidence.total(SIZE_PRIORS) + PROMISED:
                 self.solved[which] = one
                 self.near.add(which)
@@ -443,17 +443,15 @@ class CauseSearch:
         if not more:
             return due
         total, best, known = 0.0, dict[str, Which](), self.known
-        leading = list[Which]()
         for which, p in found.probability.items():
             new = which not in tried and which not in due
             right = total > 0.0 and self.linear_of(which).centre in known
-            if new and not right and total < MASS and len(due + leading) < MOST_SOLVED:
-                leading.append(which)
+            if new and not right and total < MASS and len(due) < MOST_SOLVED:
+                due.append(which)
             total += p
             if len(which) == 1:
                 cause = self.causes[which[0]]
                 best.setdefault(cause.name if cause.free else cause.component, which)
-        due += leading
         if not due and math.fsum((missed := self.missed_by_set(found)).values()) > UNKNOWN:
             due = sorted((w for w in missed if w not in tried), key=lambda w: -missed[w])[:MOST_SOLVED]
         return due if len(tried) > 1 else list(dict.fromkeys([*best.values(), *due]))
