@@ -227,6 +227,7 @@ def totals(found: Diagnosis) -> dict[str, float]:
     return {one.name: one.probability for one in found.components}
 
 
+@pytest.mark.filterwarnings("ignore:effects kick and kick again do the same")
 def test_a_cause_that_is_given_twice_or_renamed_changes_nothing(between: Diagnosis) -> None:
     wanted = totals(between)
     configuration = {"push": 0.02 * np.exp(-0.5 * ((TIMES - 0.6) / 0.06) ** 2)}
@@ -458,6 +459,22 @@ def saturating(c, times):  # type: ignore[no-untyped-def]
     size = c.get("bump", 0.0)
     bump = size * np.exp(-0.5 * ((T - 0.6 - 0.3 * size) / 0.07) ** 2)
     return straight({**c, "bump": 0.0}, times) + bump
+
+
+def test_a_set_that_was_only_looked_at_is_not_solved_until_it_is_due_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = of_the_line(3, bump=0.15, wiggle=0.15).sets
+    search, pair = found.search, found.leader
+    assert len(pair) == 2
+    search.solved.pop(pair)
+    monkeypatch.setattr("zoo.core.diagnosis.sets.NEAR", -np.inf)
+    search._solve({pair: None})
+    posterior = search._corrected(found.posterior)
+    assert pair in search.missed_by_set(posterior)
+    assert pair in search._due(posterior, {(), pair}, True)
+    search._solve({pair: None})
+    assert pair not in search.missed_by_set(posterior)
 
 
 def test_around_another_set_the_baseline_lends_its_responses() -> None:

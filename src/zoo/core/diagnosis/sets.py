@@ -131,7 +131,7 @@ class CauseSearch:
             (i,): one.end for i, one in enumerate(responses) if one.end is not None
         }
         self.rows: dict[Which, SetRow] = {}
-        self.near: set[Which] = set()  # weighed where a search ended, not at their mode
+        self.near: set[Which] = set()  # solved where a descent ended, not taken to their mode
 
     def _why(self, name: str) -> str:
         """Why solves with an effect failed."""
@@ -304,13 +304,14 @@ class CauseSearch:
         joint = {w: self.rows[w].log_prior + one.log_z for w, one in (self.solved | found).items()}
         best = max(joint.values())
         new = [w for w in found if found[w] is not self.solved.get(w)]
-        near = [w for w in new if len(w) == 1 or joint[w] > best - NEAR]  # derivatives may hide one alone
-        refined = self._each(self._refined, [(found[which],) for which in near], (LOOKED, 1.0))
-        for which, one in (found | dict(zip(near, refined, strict=True))).items():
+        # derivatives may hide one alone; what is due again would hold much if it were nearer to its mode
+        on = [w for w in new if len(w) == 1 or w in self.near or joint[w] > best - NEAR]
+        refined = self._each(self._refined, [(found[which],) for which in on], (LOOKED, 1.0))
+        for which, one in (found | dict(zip(on, refined, strict=True))).items():
             old = None if which in self.near else self.solved.get(which)
             if old is None or one.log_z > old.log_z:
                 self.solved[which] = one
-                self.near.discard(which)
+                self.near = self.near - {which} if which in on else self.near | {which}
 
     def _each(
         self, of: Callable[..., T], every: Iterable[tuple[Any, ...]], part: tuple[float, float]
@@ -442,9 +443,9 @@ class CauseSearch:
         due = [which for which in parts if which not in tried]
         if not more:
             return due
-        total, best, known = 0.0, dict[str, Which](), self.known
+        total, best, known, done = 0.0, dict[str, Which](), self.known, tried - self.near
         for which, p in found.probability.items():
-            new = which not in tried and which not in due
+            new = which not in done and which not in due
             right = total > 0.0 and self.linear_of(which).centre in known
             if new and not right and total < MASS and len(due) < MOST_SOLVED:
                 due.append(which)
@@ -453,7 +454,7 @@ class CauseSearch:
                 cause = self.causes[which[0]]
                 best.setdefault(cause.name if cause.free else cause.component, which)
         if not due and math.fsum((missed := self.missed_by_set(found)).values()) > UNKNOWN:
-            due = sorted((w for w in missed if w not in tried), key=lambda w: -missed[w])[:MOST_SOLVED]
+            due = sorted((w for w in missed if w not in done), key=lambda w: -missed[w])[:MOST_SOLVED]
         return due if len(tried) > 1 else list(dict.fromkeys([*best.values(), *due]))
 
     # -- one set with the simulator ----------------------------------------------------------------
