@@ -136,6 +136,7 @@ def test_a_parameter_that_the_model_does_not_use_is_named() -> None:
         diagnose(measured(), idle, [drift], errors=Cosines())
 
 
+@pytest.mark.filterwarnings("ignore:effect drift")
 def test_parameters_that_do_the_same_are_named() -> None:
     def twice(configuration, times):  # type: ignore[no-untyped-def]
         return cooling({"rate": configuration["a"] + configuration["b"], "T0": 10.0}, times)

@@ -310,6 +310,7 @@ def test_causes_of_drawn_cases_are_found() -> None:
 
 @pytest.mark.slow
 @pytest.mark.needs_data
+@pytest.mark.filterwarnings("ignore:effect .* changes no sample of tanks before")
 @pytest.mark.parametrize(
     "effects",
     [

@@ -243,6 +243,7 @@ def tree(n: int) -> str:
     return text
 
 
+@pytest.mark.filterwarnings("ignore:.*the mean flow times the loads")
 def test_the_set_up_of_a_solve_grows_with_the_vessels(tmp_path):
     """From 301 vessels to 1,201 with their third power it would grow 64 times."""
     seconds = []

@@ -515,6 +515,7 @@ def sparse(noise: float = 0.003) -> Data:
     return Data(SPARSE, values, labels=["tea"], units=["K"], time_unit="min")
 
 
+@pytest.mark.filterwarnings("ignore:effect steam")
 def test_the_error_of_long_steps_is_no_cause() -> None:
     """It is six times the noise, and stays where there are no finer steps."""
     assert told(sparse(), MENDED).cause == []
@@ -654,6 +655,7 @@ def test_what_changes_nothing_is_no_cause_of_a_misfit() -> None:
     assert found.file.verdict.startswith("No listed cause explains the model error")
 
 
+@pytest.mark.filterwarnings("ignore:effect steam")
 @pytest.mark.parametrize("error", [SolveError("too fine"), ZeroDivisionError("0 steps"), None])
 def test_a_finer_simulator_that_fails_leaves_the_own(error: Exception | None) -> None:
     def fails(c, t):  # type: ignore[no-untyped-def]

@@ -51,8 +51,9 @@ def preflight(
     Warns
     -----
     UserWarning
-        Of an effect none of whose starts changes a sample, as where the simulator does not read what it sets;
-        of one that changes the series even at a size next to 0; of two that do the same.
+        Of an effect none of whose starts changes a sample, as where the simulator does not read what it sets
+        or a threshold is not reached; of one that changes the series even at a size next to 0; of two that do
+        the same.
     """
     began, baseline = time.monotonic(), fitting.forward
     first, again = baseline(baseline.start), fitting.model(baseline=model)(baseline.start)
@@ -95,7 +96,8 @@ def preflight(
             sizes = listed(f"{x:g}" for x in starts)
             warnings.warn(
                 f"effect {one.name}: {one.parameters[0].name} = {sizes} changes no sample of "
-                f"{model.name}, as where the simulator does not read what the effect sets",
+                f"{model.name} before its parameters are fitted: the simulator does not read what the effect "
+                "sets, or a threshold is not reached there",
                 stacklevel=2,
             )
     seconds = (time.monotonic() - began) / solves
