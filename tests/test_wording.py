@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from zoo.core.diagnosis import DiagnosisFile, read_diagnosis
 from zoo.core.diagnosis.cautions import undecided
-from zoo.core.diagnosis.file import LearnedFunction, NextMeasurement, SetResult
+from zoo.core.diagnosis.file import LearnedFunction, NextMeasurement, SeriesGap, SetResult
 from zoo.core.diagnosis.wording import worded
 from zoo.core.words import percent
 
@@ -49,6 +49,17 @@ def test_the_headline_has_size_and_probability_and_the_next_line_the_odds() -> N
     assert lines[2] == "Possibly in addition: kick (6 %)."  # 0.06 / 0.96
     assert "Parameters of the baseline, before → with it: level 1.34 → 1.1 ± 0.0028." in lines
     assert any(line.startswith("Model error (rms beyond the noise of ") for line in lines)
+
+
+def test_the_error_of_series_in_other_units_is_told_too() -> None:
+    first, second = FILE.gap.per_series
+    between = {"mean": 2.5, "low": 2.0, "high": 3.0}, {"mean": 0.25, "low": 0.2, "high": 0.3}
+    other = {"series": "heat", "unit": "W", "before": between[0], "after": between[1]}
+    both = [first, SeriesGap.model_validate(second.model_dump() | other)]
+    file = FILE.model_copy(update={"gap": FILE.gap.model_copy(update={"per_series": both})})
+    told = "Model error of series in other units, before → with it: heat 2.5 → 0.25 W."
+    assert told in worded(file).lines
+    assert not any("other units" in line for line in worded(FILE).lines)
 
 
 def test_a_learned_logarithm_is_told_as_a_factor() -> None:

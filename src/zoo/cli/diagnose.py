@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from zoo.blood.study import Study
     from zoo.core.diagnosis import DiagnosisFile
 
-EVERY_S = 1.5
+EVERY_S = 5.0
 """Seconds between lines where there is no terminal."""
 K_TRUSTED = 0.7
 """Pareto's k up to which importance sampling is trusted (Vehtari et al. 2024, arXiv 1507.02646)."""

@@ -122,6 +122,7 @@ def _gap(found: CauseSets, before: Discrepancy, after: Discrepancy, rows: list[i
         size = max(whole.before.mean, 1e-300)
         removed = interval_of(1.0 - after.rms(rows) / size, after.weights)
         held = hold_out(found, rows)
+    held_before, held_after, held_out = held or (None, None, "")
     return Gap(
         **whole.model_dump(exclude={"series", "before", "after"}),
         before=whole.before.mean,
@@ -130,10 +131,10 @@ def _gap(found: CauseSets, before: Discrepancy, after: Discrepancy, rows: list[i
         after_interval=(whole.after.low, whole.after.high),
         removed=removed.mean,
         removed_interval=(removed.low, removed.high),
-        held_out_before=held.before if held else None,
-        held_out_after=held.after if held else None,
-        held_out_removed=held.removed if held else None,
-        held_out=held.what if held else "",
+        held_out_before=held_before,
+        held_out_after=held_after,
+        held_out_removed=1.0 - held[1] / held[0] if held and held[0] > 0 else None,
+        held_out=held_out,
         per_series=[series_gap(label, [i]) for i, label in enumerate(data.labels)],
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,21 +20,7 @@ STEPS = 8
 """Steps of a refit to what is not held out."""
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """Rms, in the series' unit, of residuals in data that were not fitted, and what was held out."""
-
-    before: float
-    after: float
-    what: str
-
-    @property
-    def removed(self) -> float:
-        """Part of the discrepancy that is gone there."""
-        return 1.0 - self.after / self.before if self.before > 0 else 0.0
-
-
-def hold_out(found: CauseSets, rows: list[int]) -> HeldOut | None:
+def hold_out(found: CauseSets, rows: list[int]) -> tuple[float, float, str] | None:
     """Discrepancy before and after in data that a refit does not see: each series in turn, or blocks of one.
 
     Parameters
@@ -47,8 +32,9 @@ def hold_out(found: CauseSets, rows: list[int]) -> HeldOut | None:
 
     Returns
     -------
-    HeldOut or None
-        Rms of smooth residuals, sqrt(max(0, rms^2 - noise^2)); None where a refit fails.
+    (float, float, str) or None
+        Rms of smooth residuals before and after in the series' unit, sqrt(max(0, rms^2 - noise^2)), and what
+        was held out; None where a refit fails.
     """
     fitting, leader = found.search.fitting, found.solved[found.leader]
     data = fitting.data
@@ -71,7 +57,7 @@ def hold_out(found: CauseSets, rows: list[int]) -> HeldOut | None:
             sums[which] += np.sum((data.values - series)[out] ** 2 - noise[out] ** 2)
         count += int(out.sum())
     before, after = np.sqrt(np.maximum(sums / count, 0.0)).tolist()
-    return HeldOut(before, after, what)
+    return before, after, what
 
 
 class _Kept:

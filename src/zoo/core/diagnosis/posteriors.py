@@ -185,9 +185,6 @@ def sample_explanations(
     cores: int = 2,
     seed: int = 1,
     folder: str | Path | None = None,
-    draws: int = SAMPLED[0],
-    max_draws: int = SAMPLED[1],
-    progress: bool = False,
     tick: Callable[[str, float], None] | None = None,
 ) -> SampledExplanations:
     """Sample the baseline and the leading sets of listed effects, and compare them by WAIC, LOO and evidence.
@@ -199,10 +196,6 @@ def sample_explanations(
     seed : int
     folder : path, optional
         Where posteriors and checkpoints are stored; a killed run goes on there.
-    draws, max_draws : int
-        Stored draws of each of the four chains: first check, and limit.
-    progress : bool
-        Of each run.
     tick : callable, optional
         Called with a text and the share done.
 
@@ -223,8 +216,8 @@ def sample_explanations(
             tick(f"posterior of {name}", (done + 0.01) / len(chosen))
         model, start = explanation_model(sets, which)
         settings: dict[str, Any] = {
-            "draws": draws, "max_draws": max_draws, "until_ess": ENOUGH, "cores": cores, "seed": seed,
-            "start": start, "progress": progress,
+            "draws": SAMPLED[0], "max_draws": SAMPLED[1], "until_ess": ENOUGH, "cores": cores, "seed": seed,
+            "start": start, "progress": False,
         }  # fmt: skip
         if folder is None:
             idata = sample(model, **settings)

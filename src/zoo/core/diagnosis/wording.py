@@ -191,6 +191,18 @@ def _error(file: DiagnosisFile) -> str:
     return f"{text} before, {after}{unit} with it; {removed}"
 
 
+def _other_units(file: DiagnosisFile) -> str:
+    """The model error of series that are in another unit than the first one's."""
+    others = [one for one in file.gap.per_series if one.unit != file.gap.unit][:NAMED]
+    after = [f" → {one.after.mean:.2g}" if file.cause else "" for one in others]
+    told = [
+        f"{one.series} {one.before.mean:.2g}{x}{unit_words(one.unit)}"
+        for one, x in zip(others, after, strict=True)
+    ]
+    arrow = ", before → with it" if file.cause else ""
+    return f"Model error of series in other units{arrow}: {listed(told)}" if told else ""
+
+
 def _held_out(file: DiagnosisFile) -> str:
     gap = file.gap
     if gap.held_out_before is None or gap.held_out_after is None:
@@ -303,6 +315,6 @@ def _state(state: StateFile, components: set[str]) -> str:
 
 
 SENTENCES = (
-    _runner_up, _further, _components, _alike, _error, _held_out, _parameters, _sensitivity, _next,
-    _unverified,
+    _runner_up, _further, _components, _alike, _error, _other_units, _held_out, _parameters,
+    _sensitivity, _next, _unverified,
 )  # fmt: skip
