@@ -133,7 +133,7 @@ def _gap(found: CauseSets, before: Discrepancy, after: Discrepancy, rows: list[i
         removed_interval=(removed.low, removed.high),
         held_out_before=held_before,
         held_out_after=held_after,
-        held_out_removed=1.0 - held[1] / held[0] if held and held[0] > 0 else None,
+        held_out_removed=(1.0 - held[1] / held[0] if held[0] > 0 else 0.0) if held else None,
         held_out=held_out,
         per_series=[series_gap(label, [i]) for i, label in enumerate(data.labels)],
     )
