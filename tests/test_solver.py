@@ -208,6 +208,17 @@ def test_extrapolation_reaches_the_state_of_plain_beats_in_fewer():
     assert fast.beats < plain.beats
 
 
+def test_extrapolation_follows_decays_over_hundreds_of_beats():
+    """Plain beats take 2,522 to come as near."""
+    slow = A_MEDIANS | {"c": 1000.0}
+    plain, fast = (
+        mouse(accelerate=a, tolerance_mmHg=1e-4, max_beats=m).solve(**slow)
+        for a, m in ((False, 3000), (True, 100))
+    )
+    np.testing.assert_allclose(fast.pressure_mmHg, plain.pressure_mmHg, atol=2e-4)
+    assert abs(fast.outflow_ml - fast.inflow_ml) < 1e-4 * fast.inflow_ml
+
+
 @settings(max_examples=15, deadline=None)
 @given(st.data())
 def test_any_tree_conserves_mass(data):
