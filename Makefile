@@ -44,7 +44,7 @@ ON_LATER = test -n "$(LATER)" || { echo "no Python 3.12 or later runs here, whic
     $(MAKE) --no-print-directory VENV=.venv-next PYTHON="$(LATER)"
 
 # What differs between the lines of PyMC, a wheel, and the diagnosis that README.md ends with, on the later line.
-NEXT := $(patsubst %,tests/test_%.py,lines op in_numba storage comparison) \
+NEXT := $(patsubst %,tests/test_%.py,lines op in_numba storage comparison packaging) \
     tests/test_models.py::test_log_posterior_is_that_of_the_model_written_out \
     tests/test_sampling.py::test_chains_in_turns_draw_what_processes_draw \
     tests/test_docs.py::test_the_simulator_of_the_readme_gives_what_the_readme_prints
@@ -53,7 +53,6 @@ test-next:
 
 test-some: setup
 	$(BIN)/pytest $(PYTEST_ARGS) -m "not nightly" $(NEXT)
-	$(BIN)/pytest tests/test_packaging.py
 
 # Both tiers there.
 test-all-next:
