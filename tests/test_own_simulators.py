@@ -352,6 +352,21 @@ def test_samples_that_were_not_measured_are_left_out() -> None:
         Data(MINUTES, np.full(90, np.nan))
 
 
+@pytest.mark.parametrize(
+    ("times", "values", "text"),
+    [
+        ([], [], "series 0 has 0 measured values"),
+        (MINUTES, tea(), r"values = Data\(.*\): must be real numbers"),
+        (MINUTES, MINUTES + 1j, "values = .*: must be real numbers"),
+        (MINUTES.astype("datetime64[m]"), MINUTES, r"times = .*; give \(t - t\[0\]\) / np.timedelta64"),
+    ],
+    ids=["nothing", "data", "complex", "dates"],
+)
+def test_what_is_no_record_is_refused(times: Any, values: Any, text: str) -> None:
+    with pytest.raises(DataError, match=text):
+        Data(times, values)
+
+
 @pytest.mark.parametrize("error", [RuntimeError, np.linalg.LinAlgError, ZeroDivisionError, SolveError])
 def test_solves_that_fail_are_counted_and_told(error: type[Exception]) -> None:
     def brittle(c, t):  # type: ignore[no-untyped-def]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.arrays import Array, Brief
+from zoo.core.arrays import Array, Brief, shown
 
 
 class DataError(ValueError):
@@ -35,7 +35,7 @@ SAME_TIME = 1e-9
 
 def own_clocks(times: Any) -> bool:
     """Whether times are of each series: a sequence of arrays, or a row for each."""
-    return not np.isscalar(times) and len(times) > 0 and np.ndim(times[0]) > 0
+    return not np.isscalar(times) and len(times) > 0 and np.ndim(next(iter(times))) > 0
 
 
 def on_one_grid(
@@ -181,8 +181,20 @@ class Data(Brief):
         """Times (n_times,), and a row for each series, NaN where it is masked."""
         if np.ma.is_masked(times):
             raise DataError(f"{self._where}times are masked: give the time of each sample")
-        found = np.array(np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan))
-        return np.array(times, dtype=np.float64), found[None] if found.ndim == 1 else found
+        clock, found = self._numbers("times", times), self._numbers("values", values)
+        return clock, found[None] if found.ndim == 1 else found
+
+    def _numbers(self, name: str, given: Any) -> Array:
+        """A copy as numbers, NaN where it is masked."""
+        kind = ""
+        try:
+            found = np.ma.asarray(given)
+            if (kind := found.dtype.kind) not in "cmM":
+                return np.array(np.ma.filled(np.ma.asarray(found, dtype=np.float64), np.nan))
+        except (TypeError, ValueError):
+            pass
+        instead = "(t - t[0]) / np.timedelta64(1, 's')" if kind and kind in "mM" else "an array of them"
+        raise DataError(f"{self._where}{name} = {shown(given)}: must be real numbers; give {instead}")
 
     def _on_one_grid(self) -> tuple[Array, Array]:
         """All times of series that have their own, and the series there, NaN where one has no sample."""
@@ -218,7 +230,7 @@ class Data(Brief):
     def _measured(self, times: Array, values: Array) -> tuple[Array, Array]:
         """Times at which some series was measured."""
         measured = ~np.isnan(values)
-        for i in np.flatnonzero(measured.sum(axis=1) < min(2, len(times))):
+        for i in np.flatnonzero(measured.sum(axis=1) < min(2, max(1, len(times)))):
             n = measured[i].sum()
             raise DataError(f"{self._where}series {i} has {n} measured values: give at least two")
         kept = measured.any(axis=0) if len(values) else np.ones(len(times), bool)
