@@ -204,8 +204,11 @@ class Normal(Prior):
     def log_density(self, x: Array, given: Mapping[str, Array]) -> float:
         """Sum of -z^2/2 - log(sd sqrt(2 pi)) - log(mass inside the bounds), z = (x - mean)/sd."""
         z = (np.asarray(x) - self.mean) / self.sd
-        size = math.log(self.sd) + _LOG_ROOT_2PI + float(log_normal_mass(*self.limits))
-        return float(np.sum(-0.5 * z * z - size))
+        return float(np.sum(-0.5 * z * z - self._log_size))
+
+    @cached_property
+    def _log_size(self) -> float:
+        return math.log(self.sd) + _LOG_ROOT_2PI + float(log_normal_mass(*self.limits))
 
     def curvature(self, x: Array, given: Mapping[str, Array]) -> tuple[Array, Array]:
         """-(x - mean)/sd^2 and 1/sd^2."""
@@ -309,7 +312,7 @@ class LogNormal(_Exponential):
                 f"[{self.low}, {self.high}]: the first two must be positive and the bounds ascend from 0 up"
             )
 
-    @property
+    @cached_property
     def log_prior(self) -> Normal:
         """The truncated normal one."""
         low = math.log(self.low) if self.low > 0 else -math.inf
