@@ -416,7 +416,7 @@ def test_a_larger_set_tells_where_a_smaller_one_is() -> None:
     np.testing.assert_allclose(jacobian, small.point.jacobian, atol=1e-6)
     mode = small.point.u + at.step(at.resume(small.point), NO_DAMPING)
     assert at.cost(u, small.forward(u)) == pytest.approx(at.cost(mode, small.forward(mode)), abs=1e-6)
-    step, precision = u - small.point.u, as_matrix(small.forward.prior(small.point.u)[1])
+    step, precision = u - small.point.u, as_matrix(small.forward.prior(small.point.u)[0])
     square = np.sum((small.point.jacobian @ step) ** 2 / V) + step @ precision @ step
     assert np.sqrt(square) == pytest.approx(0.308, abs=0.01)  # in posterior sds: its errors are others
 

@@ -185,32 +185,35 @@ class SearchModel:
         found = self.series(u)
         return None if found is None else self.errors.flat(found)
 
-    def prior(self, u: Array) -> tuple[float, Array, Array]:
-        """Log-prior of the coordinates; its precision and pull around them.
+    def log_prior(self, u: Array) -> float:
+        """Log density of the coordinates beforehand."""
+        values = unpack(self.model.parameters, self.theta(u))
+        densities = (p.prior.log_density(values[p.name], values) for p in self.model.parameters)
+        return float(np.sum(u[self._log])) + sum(densities)
+
+    def prior(self, u: Array) -> tuple[Array, Array]:
+        """Precision and pull of the coordinates beforehand, around a point.
 
         The density there is exp(-d'P d/2 - pull'd) of its value at u, for a step d.
 
         Returns
         -------
-        log_prior : float
         precision : array (n_dim,), or (n_dim, n_dim) of a hierarchical prior
         pull : array (n_dim,)
         """
         x = self.theta(u)
         values = unpack(self.model.parameters, x)
-        total = float(np.sum(u[self._log]))
         slope, curvature = np.empty(len(u)), np.empty(len(u))
         at, where = 0, {}
         for p in self.model.parameters:
             part = slice(at, at + p.size)
             where[p.name] = part
-            total += p.prior.log_density(values[p.name], values)
             slope[part], curvature[part] = p.prior.curvature(x[part], values)
             at += p.size
         if not self.hierarchical:
             pull = -np.where(self._log, x * slope + 1.0, slope)
             precision = np.where(self._log, x * (x * curvature - slope), curvature)
-            return total, np.maximum(precision, 0.0), pull  # some densities are not log-concave everywhere
+            return np.maximum(precision, 0.0), pull  # some densities are not log-concave everywhere
         P = np.diag(curvature)
         for p in self.model.parameters:
             if not p.prior.depends_on:
@@ -228,7 +231,7 @@ class SearchModel:
         size = self.units  # a population's log-density is not concave everywhere
         eigenvalues, vectors = np.linalg.eigh(P * np.outer(size, size))
         P = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T / np.outer(size, size)
-        return total, P, pull
+        return P, pull
 
 
 def ranges(data: Data) -> dict[str, float]:

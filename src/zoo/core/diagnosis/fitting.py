@@ -161,7 +161,7 @@ class Fitting:
         """Whether series and priors tell all parameters."""
         units = self.forward.units
         J = point.jacobian * units / np.sqrt(self._loose)[:, None]
-        H = J.T @ J + as_matrix(self.forward.prior(point.u)[1]) * np.outer(units, units)
+        H = J.T @ J + as_matrix(self.forward.prior(point.u)[0]) * np.outer(units, units)
         size = np.sqrt(np.diag(H))
         return bool(np.all(size > 0.0) and np.linalg.eigvalsh(H / np.outer(size, size))[0] > SINGULAR)
 

@@ -66,7 +66,7 @@ class _Kept:
     def __init__(self, forward: Any, kept: NDArray[np.bool_]) -> None:
         self.forward, self.kept = forward, kept
         self.low, self.high, self.units = forward.low, forward.high, forward.units
-        self.prior = forward.prior
+        self.prior, self.log_prior = forward.prior, forward.log_prior
         self.last_failure = ""
         self.all: dict[bytes, Array] = {}
 

@@ -152,5 +152,5 @@ def _log_ratios(sets: CauseSets, one: SolvedSet, draws: int, rng: np.random.Gene
         left = sets.search.data - series
         step = x[i, :k]
         quadratic = problem.log_prior - 0.5 * step @ problem.P @ step - problem.pull @ step
-        found[i] = 0.5 * np.sum((linear[i] ** 2 - left**2) / V) + own.prior(u[i, :k])[0] - quadratic
+        found[i] = 0.5 * np.sum((linear[i] ** 2 - left**2) / V) + own.log_prior(u[i, :k]) - quadratic
     return found, log_weights

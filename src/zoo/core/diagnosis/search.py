@@ -47,8 +47,11 @@ class Searched(Protocol):
     def __call__(self, u: Array) -> Array | None:
         """Flat coefficients at coordinates; None where the solve failed."""
 
-    def prior(self, u: Array) -> tuple[float, Array, Array]:
-        """Log-prior, precision and pull at coordinates, as `SearchModel.prior` gives them."""
+    def log_prior(self, u: Array) -> float:
+        """Log density of the coordinates beforehand."""
+
+    def prior(self, u: Array) -> tuple[Array, Array]:
+        """Its precision and pull, as `SearchModel.prior` gives them."""
 
 
 F = TypeVar("F", bound=Searched)
@@ -103,7 +106,7 @@ class Search(Generic[F]):
     def cost(self, u: Array, computed: Array) -> float:
         """-log posterior, without constants."""
         r = self.data - computed
-        return 0.5 * float(np.sum(r * r / self.S)) - self.forward.prior(u)[0]
+        return 0.5 * float(np.sum(r * r / self.S)) - self.forward.log_prior(u)
 
     def at(self, u: Array, jacobian: Array | None = None) -> Point:
         """A point, with finite differences for its Jacobian unless one is given."""
@@ -158,7 +161,7 @@ class Search(Generic[F]):
         stops.
         """
         forward = self.forward
-        _, precision, pull = forward.prior(point.u)
+        precision, pull = forward.prior(point.u)
         scaled = point.jacobian / self.S[:, None]
         H = point.jacobian.T @ scaled + as_matrix(precision)
         b = scaled.T @ (self.data - point.computed) - pull

@@ -191,8 +191,8 @@ class CauseSearch:
 
     @staticmethod
     def _problem(forward: SearchModel, u: Array, residual: Array, jacobian: Array) -> Problem:
-        log_prior, precision, pull = forward.prior(u)
-        return Problem(residual, jacobian, precision, pull, log_prior, forward.low - u, forward.high - u)
+        bounds = forward.low - u, forward.high - u
+        return Problem(residual, jacobian, *forward.prior(u), forward.log_prior(u), *bounds)
 
     def _nothing(self) -> SolvedSet:
         """The baseline at its best fit, with no cause."""
