@@ -189,7 +189,7 @@ class SearchModel:
         """Log density of the coordinates beforehand."""
         values = unpack(self.model.parameters, self.theta(u))
         densities = (p.prior.log_density(values[p.name], values) for p in self.model.parameters)
-        return float(np.sum(u[self._log])) + sum(densities)
+        return sum(densities, float(np.sum(u[self._log])))
 
     def prior(self, u: Array) -> tuple[Array, Array]:
         """Precision and pull of the coordinates beforehand, around a point.
