@@ -24,8 +24,8 @@
  * leaves was 0.7 of it at most, and mostly a tenth; with more, derivatives are of a run too far from periodic to search by. */
 static const double EXPECTED = 1.0;
 
-/* Largest weight of a past end, in beats of the slowest decay: to follow it by its last beat alone takes one. */
-static const double LARGEST = 100.0;
+/* Largest weight of a past end, and in beats of the slowest decay, which by its last beat alone needs one. */
+static const double LARGEST = 100.0, LARGEST_BEATS = 10.0;
 
 /* What rounding may leave of a change, as a part of the state's own size. */
 static const double ROUNDING = 1e-13;
@@ -164,7 +164,7 @@ int zoo_extrapolate(zoo_sim *s, int n_past, double *left)
         for (int c = r + 1; c < m; c++)
             x[r] -= a[r][c] * x[c];
         x[r] /= a[r][r];
-        if (!(fabs(x[r]) < LARGEST / (1.0 - s->slow)))
+        if (!(fabs(x[r]) < fmax(LARGEST, LARGEST_BEATS / (1.0 - s->slow))))
             return 0;
     }
     *left = 0.0;

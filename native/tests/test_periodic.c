@@ -43,17 +43,25 @@ static void extrapolation(void)
     CHECK(zoo_extrapolate(s, 2, &left) == 1 && most > 1e-3);
     NEAR(left, most, 1e-9 * most);
     zoo_unpack(s, x);
-    /* a combination with an area below zero is refused and leaves the state alone */
-    for (int i = 0; i < n; i++) {
-        s->states[i] = fixed[i];
-        s->ends[i] = 0.6 * fixed[i];
-        s->states[n + i] = 1.1 * fixed[i];
-        s->ends[n + i] = 0.702 * fixed[i];
+    /* a combination with an area below zero is refused and leaves the state alone; so is one of a weight of 200, but
+     * where the slowest decay takes a hundred beats */
+    const double before[] = {0.55, 1.1}, after[] = {0.3, 0.702};
+    for (int k = 0; k < 2; k++) {
+        for (int i = 0; i < n; i++) {
+            s->states[i] = fixed[i];
+            s->ends[i] = 0.6 * fixed[i];
+            s->states[n + i] = before[k] * fixed[i];
+            s->ends[n + i] = after[k] * fixed[i];
+        }
+        s->slow = 0.9;
+        CHECK(zoo_extrapolate(s, 2, &left) == 0);
+        s->slow = 0.99;
+        CHECK(k == 1 || zoo_extrapolate(s, 2, &left) == 0);
     }
-    CHECK(zoo_extrapolate(s, 2, &left) == 0);
     zoo_pack(s, x);
     for (int i = 0; i < n; i++)
         NEAR(x[i], fixed[i], 1e-6 * fabs(fixed[i]) + 1e-9);
+    CHECK(zoo_extrapolate(s, 2, &left) == 1);
     free(fixed);
     free(x);
     tree_close(&t);
