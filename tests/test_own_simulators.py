@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 import zoo
 from zoo.core.data import Data, DataError
@@ -89,6 +90,7 @@ def test_what_is_predicted_holds_the_truth_where_measured_and_later() -> None:
     for times, shown in (
         (MINUTES, found.predict()),
         (later, found.predict(Outputs(("tea",), later), draws=60)),
+        (later, found.predict(later, draws=60)),
     ):
         truth = cup({"rate": 0.06, "start": 61.0, "steam": 6e-4}, times)
         assert list(shown["time"]) == list(times)
@@ -99,13 +101,25 @@ def test_what_is_predicted_holds_the_truth_where_measured_and_later() -> None:
 
 def test_samples_that_stand_out_are_named_and_no_others() -> None:
     said = told(tea((20, 50, 51), steam=6e-4)).file.warnings
-    assert any("tea: samples 20, 50, 51 stand out from their neighbours" in text for text in said)
+    at = ", ".join(f"{MINUTES[i]:.4g}" for i in (20, 50, 51))
+    assert any(f"tea: what was measured at {at} min stands out from its neighbours" in x for x in said)
 
 
 @pytest.mark.parametrize("odd", [(0,), (89,), (44,)])
 def test_a_sample_that_stands_out_anywhere_is_named(odd: tuple[int, ...]) -> None:
     said = told(tea(odd)).file.warnings
-    assert any(f"tea: samples {odd[0]} stand out" in text for text in said)
+    assert any(f"tea: what was measured at {MINUTES[odd[0]]:.4g} min stands out" in text for text in said)
+
+
+def test_correlated_noise_is_said_to_be_like_a_cause_that_is_not_listed() -> None:
+    """Of an AR(1) noise of 0.8 from sample to sample, and not of white noise of the same size."""
+    rng, full = np.random.default_rng(3), tea()
+    white = 0.3 * rng.standard_normal((2, 90))
+    correlated = lfilter([0.6], [1.0, -0.8], white[1])
+    for noise, there in ((white[0], False), (correlated, True)):
+        data = Data(MINUTES, full.values + noise, labels=["tea"], units=["K"], time_unit="min")
+        said = told(data).file.warnings
+        assert any("the noise comes out as correlated" in text for text in said) == there
 
 
 def test_what_resembles_the_cause_is_not_named_in_its_place() -> None:
@@ -350,6 +364,12 @@ def test_samples_that_were_not_measured_are_left_out() -> None:
     assert other.sd < one.sd < 1.5 * other.sd
     with pytest.raises(DataError, match="series 0 has 0 measured values: give at least two"):
         Data(MINUTES, np.full(90, np.nan))
+
+
+@pytest.mark.parametrize("given", [{"later": (MINUTES, MINUTES)}, (MINUTES, MINUTES, cup)])
+def test_what_is_held_out_has_a_name_and_a_simulator(given: Any) -> None:
+    with pytest.raises(DiagnosisError, match=r"held_out = .*: give a dict of records, \{'name': \(times"):
+        zoo.diagnose(MINUTES, tea().values, cup, PRIOR_BY_NAME, [STEAM], held_out=given)
 
 
 @pytest.mark.parametrize(

@@ -255,7 +255,12 @@ def _diagnose_series(
 
     here = bound(name, times, measured, simulate, period)
     others = []
-    for other, (t, values, function) in (held_out or {}).items():
+    records = held_out or {}
+    if not isinstance(records, Mapping) or any(len(x) != 3 for x in records.values()):
+        raise diagnosis.DiagnosisError(
+            f"held_out = {records!r:.60}: give a dict of records, {{'name': (times, measured, simulate)}}"
+        )
+    for other, (t, values, function) in records.items():
         every: Any = t
         clock = np.asarray(every[0] if own_clocks(t) else t)
         own = None if period is None else len(clock) * float(np.min(np.diff(clock)))

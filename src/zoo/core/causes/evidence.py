@@ -303,6 +303,10 @@ class SetEvidence:
             self.totals[priors] = float(both)
         return self.totals[priors]
 
+    def correlated(self, priors: SizePriors) -> float:
+        """Probability that the noise is correlated, given the set."""
+        return float(np.sum(np.exp(self.terms(priors)[0] - self.total(priors))))
+
     def small(self, priors: SizePriors, size: float) -> float:
         """Log of the part of the evidence whose discrepancy is below a size."""
         colours, smooth = self.terms(priors)

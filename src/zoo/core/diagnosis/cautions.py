@@ -14,6 +14,7 @@ from zoo.core.diagnosis.discrepancies import Discrepancy
 from zoo.core.diagnosis.file import DiagnosisFile, LearnedFunction
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.sets import CauseSets
+from zoo.core.diagnosis.solved import SIZE_PRIORS
 from zoo.core.words import listed, percent, unit_words
 
 Array = NDArray[np.float64]
@@ -131,9 +132,14 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
             f"what lies there counts as impossible, which may cut a cause off; {hooks.advice}"
         )
     told += _outliers(found) + _noise(found)
-    if not found.leader:
-        return told
     leader = found.solved[found.leader]
+    if not found.leader:
+        if (p := leader.evidence.correlated(SIZE_PRIORS)) > 0.5:
+            told.append(
+                f"the noise comes out as correlated from sample to sample ({percent(p)}), and a cause that "
+                "is not listed may look like that: list more causes, or state the noise if it is known"
+            )
+        return told
     names = {p.name for p in leader.forward.parameters[: leader.n_listed]} - {p.name for p, _ in stuck}
     told += [
         f"with {found.name(found.leader)}, {one.text}"
@@ -199,9 +205,10 @@ def _outliers(found: CauseSets) -> list[str]:
         scale = ROBUST / math.sqrt(2.0) * float(np.median(steps)) + 1e-12 * float(np.ptp(values))
         at = np.flatnonzero(data.measured[i])[np.abs(odd) > OUTLIER * scale]
         if 0 < len(at) < 0.1 * len(series):
+            times = ", ".join(f"{data.times[k]:.4g}" for k in at[:10])
             told.append(
-                f"{label}: samples {', '.join(map(str, at[:10]))} stand out from their "
-                "neighbours: if they are outliers, correct them; they count here as all others do"
+                f"{label}: what was measured at {times} {data.time_unit} stands out from its neighbours: if "
+                "that is wrong, correct it or leave it out; it counts here as all else does"
             )
     return told
 

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from zoo.core import digests
+from zoo.core.arrays import finite_array
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import answer
 from zoo.core.diagnosis.bounds import Excluded, freed
@@ -149,14 +150,17 @@ class Diagnosis:
             raise DiagnosisError("no figures here: call zoo.plots.plot_diagnosis(d)")
         return Diagnosis.plotter(self)
 
-    def predict(self, outputs: Outputs | None = None, *, draws: int = 100, seed: int = 1) -> pd.DataFrame:
+    def predict(
+        self, outputs: Outputs | ArrayLike | None = None, *, draws: int = 100, seed: int = 1
+    ) -> pd.DataFrame:
         """Predict the true series over all solved sets of causes, where measured or elsewhere.
 
         Parameters
         ----------
-        outputs : Outputs, optional
-            Other series or times, solved at draws from the posterior. If absent those that were measured,
-            with the discrepancy that no cause explains, from the linear model around each set.
+        outputs : Outputs or array (n_times,), optional
+            Other series and times, or other times of the same series, solved at draws from the posterior. If
+            absent those that were measured, with the discrepancy that no cause explains, from the linear
+            model around each set.
         draws : int
             Solves, where outputs are given.
         seed : int
@@ -179,6 +183,10 @@ class Diagnosis:
             series = self.sets.search.family.errors.unflat(flat)
             labels, times = self.data.labels, self.data.times
         else:
+            if not isinstance(outputs, Outputs):
+                outputs = Outputs(
+                    tuple(self.data.outputs), finite_array("times", outputs, error=DiagnosisError)
+                )
             rng, solved = np.random.default_rng(seed), []
             for k in rng.choice(len(sets), draws, p=[one.weight for one in sets]):
                 u = sets[k].values(slice(None))[rng.integers(len(sets[k].x))]
