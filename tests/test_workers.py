@@ -70,3 +70,16 @@ def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
         parent.wait()
     workers = [int(p.name) for p in tmp_path.iterdir()]
     assert wait_for(lambda: not any(alive(pid) for pid in workers), 10.0)
+
+
+def test_a_process_whose_answer_nobody_waits_for_ends_without_a_word() -> None:
+    code = """
+import multiprocessing, cloudpickle
+from zoo.core.inference.workers import _serve
+ours, theirs = multiprocessing.Pipe()
+ours.send_bytes(cloudpickle.dumps((abs, (-1,), {})))
+ours.close()
+_serve(theirs)
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")

@@ -312,7 +312,10 @@ def _serve(pipe: Connection) -> None:
             pickle.loads(message)
         except Exception as error:
             message = pickle.dumps((False, RuntimeError(f"{answer[1]!s:.500} cannot be sent: {error}")))
-        pipe.send_bytes(message)
+        try:
+            pipe.send_bytes(message)
+        except OSError:  # nobody waits for it: the parent was killed meanwhile
+            return
 
 
 def _end_with_parent() -> None:
