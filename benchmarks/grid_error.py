@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from zoo import get_baseline, load_study
 from zoo.blood.blind.study_cases import GENERATOR
-from zoo.blood.diagnosis import SEARCH_SHARE
-from zoo.blood.forward import study_data
+from zoo.blood.blood_flow import study_data
 from zoo.blood.solver import SolverOptions
+from zoo.blood.study_diagnosis import SEARCH_SHARE
 from zoo.core.parameters import pack, start_of
 
 Array = NDArray[np.float64]

@@ -23,8 +23,8 @@ from benchmarks.blind.sets import Job, draw_truth, plan
 
 from zoo.blood.blind.networks import inflow
 from zoo.blood.blind.study_cases import SAMPLES, Bench, Cause, stream
-from zoo.blood.diagnosis import diagnose
 from zoo.blood.study import Study
+from zoo.blood.study_diagnosis import diagnose
 from zoo.core.diagnosis import DiagnosisFile
 from zoo.core.effects import EffectError
 

@@ -36,7 +36,7 @@ from scipy.stats import qmc
 
 from zoo.blood.baseline import get_baseline
 from zoo.blood.case import Case, total_resistance
-from zoo.blood.components.outlets import IMPEDANCE_KNOTS, LOWEST_HARMONIC
+from zoo.blood.components.outlet_functions import IMPEDANCE_KNOTS, LOWEST_HARMONIC
 from zoo.blood.components.setting import MOST_HARMONICS
 from zoo.blood.conventions import PRINTED
 from zoo.blood.effects.structured_tree import foster_fit, tree_impedance

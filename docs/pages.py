@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from zoo import load_study
 from zoo.blood.baseline import get_baseline
+from zoo.blood.blood_flow import BloodFlow, study_data
 from zoo.blood.components import component_of, components
 from zoo.blood.components.plausibility import LIMITS, amount
 from zoo.blood.effects.catalogue import CATALOGUE
-from zoo.blood.forward import BloodFlow, study_data
-from zoo.cli.effects import described
+from zoo.cli.list_effects import described
 from zoo.core.components import FreeFunction
 from zoo.core.effects import Effect
 from zoo.core.forward import Outputs, SolveError

@@ -6,8 +6,8 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 from __future__ import annotations
 
 from zoo.blood.baseline import Baseline, study_model
+from zoo.blood.blood_flow import radius_dependent_stiffness
 from zoo.blood.errors import by_prior_set
-from zoo.blood.forward import radius_dependent_stiffness
 from zoo.core.errors.independent import Independent
 from zoo.core.parameters import InverseGamma, Parameter, Uniform
 
@@ -26,7 +26,7 @@ BASELINE = Baseline(
         Parameter("psi2", Uniform(0.05, 2.5), start=0.89, log=True),
         Parameter("c", Uniform(0.05, 2.5), start=1.45, log=True),
     ),
-    prior_set="paun2020",  # for mouse-c6; the priors of other studies follow from them, zoo.blood.priors
+    prior_set="paun2020",  # for mouse-c6; other studies have their own, zoo.blood.study_priors
 )
 ERRORS = Independent(sigma2=InverseGamma(0.001, 0.001), start=0.125)  # variance, mmHg2
 

@@ -10,8 +10,8 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 from __future__ import annotations
 
 from zoo.blood.baseline import Baseline, study_model
+from zoo.blood.blood_flow import stiffness_of_each_vessel
 from zoo.blood.errors import by_prior_set
-from zoo.blood.forward import stiffness_of_each_vessel
 from zoo.core.errors.independent import Independent
 from zoo.core.parameters import InverseGamma, Normal, Parameter, Population, Uniform
 
@@ -39,7 +39,7 @@ BASELINE = Baseline(
         Parameter("psi2", Uniform(0.05, 2.5), start=0.21, log=True, power=1.0),
         Parameter("c", Uniform(0.05, 2.5), start=2.08, log=True, power=1.0),
     ),
-    prior_set="paun2020",  # for mouse-c6; the priors of other studies follow from them, zoo.blood.priors
+    prior_set="paun2020",  # for mouse-c6; other studies have their own, zoo.blood.study_priors
 )
 ERRORS = Independent(sigma2=InverseGamma(0.001, 0.001), start=0.05)  # variance, mmHg2
 

@@ -10,8 +10,8 @@ Paun et al. 2020, doi 10.1098/rsif.2020.0886.
 from __future__ import annotations
 
 from zoo.blood.baseline import Baseline, study_model
+from zoo.blood.blood_flow import stiffness_of_each_vessel
 from zoo.blood.errors import by_prior_set
-from zoo.blood.forward import stiffness_of_each_vessel
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.parameters import InverseGamma, LogUniform, Normal, Parameter, Population, Uniform
 
@@ -33,7 +33,7 @@ BASELINE = Baseline(
         Parameter("psi2", Uniform(0.05, 2.5), start=0.86, log=True),
         Parameter("c", Uniform(0.05, 2.5), start=1.12, log=True),
     ),
-    prior_set="paun2020",  # for mouse-c6; the priors of other studies follow from them, zoo.blood.priors
+    prior_set="paun2020",  # for mouse-c6; other studies have their own, zoo.blood.study_priors
 )
 ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; its amplitude is in mmHg2
     w=LogUniform(1e4, 9e4), w_start=4.65e4, b=LogUniform(1, 500), b_start=161.0, unit="mmHg"

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 from zoo.blood.baseline import Baseline, study_model
+from zoo.blood.blood_flow import radius_dependent_stiffness
 from zoo.blood.errors import by_prior_set
-from zoo.blood.forward import radius_dependent_stiffness
 from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.parameters import LogUniform, Parameter, Uniform
 
@@ -34,7 +34,7 @@ BASELINE = Baseline(
         Parameter("c", Uniform(0.05, 2.5), start=1.58, log=True),
     ),
     wall_factor=1.0,
-    prior_set="paun2020",  # for mouse-c6; the priors of other studies follow from them, zoo.blood.priors
+    prior_set="paun2020",  # for mouse-c6; other studies have their own, zoo.blood.study_priors
 )
 ERRORS = GaussianProcess(  # variances of the kernel's weights, s-2, and bias; its amplitude is in mmHg2
     w=LogUniform(1e4, 9e4), w_start=4.45e4, b=LogUniform(1, 500), b_start=196.0, unit="mmHg"

@@ -8,8 +8,8 @@ import numpy as np
 
 from zoo import load_study
 from zoo.blood.baseline import get_baseline
+from zoo.blood.blood_flow import study_data
 from zoo.blood.effects import CATALOGUE
-from zoo.blood.forward import study_data
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Series, Study
 from zoo.core.diagnosis.coordinates import SearchModel

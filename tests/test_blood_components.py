@@ -13,21 +13,21 @@ from docs.pages import function_words
 from scipy.interpolate import CubicSpline
 
 from zoo.blood.baseline import get_baseline
+from zoo.blood.blood_flow import study_data
 from zoo.blood.case import simulate, with_physics
 from zoo.blood.components import COMPONENTS, component_of, components, plausible
 from zoo.blood.components.curves import curve, delay_response, gain_response, minimum_phase
 from zoo.blood.components.declared import TABLE, free_function
-from zoo.blood.components.outlets import log_impedance_change
+from zoo.blood.components.outlet_functions import log_impedance_change
 from zoo.blood.components.plausibility import LIMITS
-from zoo.blood.components.wall import added_law, added_pressure
-from zoo.blood.diagnosis import HOOKS
+from zoo.blood.components.wall_functions import added_law, added_pressure
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.effects.outflow import sections_of
 from zoo.blood.effects.structured_tree import tree_impedance
-from zoo.blood.forward import study_data
 from zoo.blood.functions import FrictionFunction
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import load_study
+from zoo.blood.study_diagnosis import HOOKS
 from zoo.core.effects import Location
 from zoo.core.forward import SolveError, pinned
 from zoo.core.parameters import pack

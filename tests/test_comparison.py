@@ -14,7 +14,7 @@ from scipy import stats
 from gaussian import a_record
 from test_op import small_study
 from zoo.blood.baseline import Baseline, study_model
-from zoo.blood.forward import radius_dependent_stiffness
+from zoo.blood.blood_flow import radius_dependent_stiffness
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Study
 from zoo.core.arviz_lines import ARVIZ_1, InferenceData, dataset, made, of_draws

@@ -10,11 +10,11 @@ import pytest
 
 from made import made
 from zoo import load_study
-from zoo.blood import diagnosis as diagnosis_module
+from zoo.blood import study_diagnosis as diagnosis_module
 from zoo.blood.baseline import get_baseline
-from zoo.blood.diagnosis import PHASES, StudyDiagnosis, _of_size, errors_of, heard, phases
-from zoo.blood.diagnosis import diagnose as diagnose_study
-from zoo.blood.forward import study_data
+from zoo.blood.blood_flow import study_data
+from zoo.blood.study_diagnosis import PHASES, StudyDiagnosis, _of_size, errors_of, heard, phases
+from zoo.blood.study_diagnosis import diagnose as diagnose_study
 from zoo.core.diagnosis import DiagnosisError, read_diagnosis
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.effects import EVERYWHERE, EffectError

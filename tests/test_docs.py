@@ -230,5 +230,5 @@ def test_every_constant_of_a_diagnosis_is_documented_with_its_value() -> None:
             values = row["values"].split("; ") if len(names) > 1 else [row["values"]]
             told |= {(row["module"], n.strip("`")): v for n, v in zip(names, values, strict=True)}
     rooms = [sorted((ROOT / "src" / "zoo" / "core" / room).glob("*.py")) for room in ("causes", "diagnosis")]
-    sources = [*rooms[0], *rooms[1], ROOT / "src" / "zoo" / "blood" / "diagnosis.py"]
+    sources = [*rooms[0], *rooms[1], ROOT / "src" / "zoo" / "blood" / "study_diagnosis.py"]
     assert told == {key: value for path in sources for key, value in constants(path).items()}

@@ -19,17 +19,17 @@ from scipy.special import jv
 import zoo
 from walls import wall_pressure_mmHg
 from zoo.blood.baseline import get_baseline
+from zoo.blood.blood_flow import study_data
 from zoo.blood.case import Case, Wave, members, simulate, total_resistance
 from zoo.blood.components import components
-from zoo.blood.diagnosis import effects_for
 from zoo.blood.effects import CATALOGUE, FAMILIES, Effect, EffectError, EffectParameter, Location, at_vessel
 from zoo.blood.effects.fluid import relative_viscosity
 from zoo.blood.effects.outflow import ladder_sections
 from zoo.blood.effects.structured_tree import foster_fit, tree_impedance
-from zoo.blood.forward import study_data
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Blood, Study, StudyError, Vessel, Windkessel, load_study
+from zoo.blood.study_diagnosis import effects_for
 from zoo.blood.units import MMHG
 from zoo.core.effects import effect, with_effects
 from zoo.core.forward import SolveError

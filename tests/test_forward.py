@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 from test_op import POINT, at, flow, small_study
-from zoo.blood import forward as module
+from zoo.blood import blood_flow as module
 from zoo.blood.baseline import get_baseline
-from zoo.blood.case import OutputError
-from zoo.blood.conventions import PRINTED, PUBLISHED_CODE
-from zoo.blood.effects import CATALOGUE, at_vessel
-from zoo.blood.forward import (
+from zoo.blood.blood_flow import (
     FAMILIES,
     BloodFlow,
     constant_stiffness,
     radius_dependent_stiffness,
     study_data,
 )
+from zoo.blood.case import OutputError
+from zoo.blood.conventions import PRINTED, PUBLISHED_CODE
+from zoo.blood.effects import CATALOGUE, at_vessel
 from zoo.blood.network import Network
 from zoo.blood.solver import Solver, SolverArgumentError, SolverOptions
 from zoo.blood.study import Study, StudyError, load_study

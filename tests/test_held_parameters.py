@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 import zoo
 from zoo.blood.baseline import get_baseline
 from zoo.blood.prior_tables import PriorsError
-from zoo.blood.priors import with_priors
 from zoo.blood.study import StudyError, load_study, save_study
+from zoo.blood.study_priors import with_priors
 from zoo.cli import app
 from zoo.core.model import record_of
 

@@ -10,10 +10,10 @@ import pytest
 from benchmarks.impedance import errors
 
 from zoo.blood.baseline import get_baseline
+from zoo.blood.blood_flow import study_data
 from zoo.blood.case import Case, simulate, wall_slope
 from zoo.blood.components import components
 from zoo.blood.conventions import PRINTED
-from zoo.blood.forward import study_data
 from zoo.blood.impedance import ImpedanceError, measured_impedance, modelled_impedance
 from zoo.blood.network import Network
 from zoo.blood.physics import NO_PHYSICS

@@ -20,8 +20,8 @@ import pytest
 import zoo
 from test_errors import CASES, some_errors
 from test_op import NAMES, POINT, at, flow
+from zoo.blood.blood_flow import BloodFlow, constant_stiffness
 from zoo.blood.effects import CATALOGUE
-from zoo.blood.forward import BloodFlow, constant_stiffness
 from zoo.core.arviz_lines import dataset
 from zoo.core.data import Data
 from zoo.core.errors.groups import GroupProcess

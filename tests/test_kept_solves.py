@@ -13,12 +13,12 @@ import pytest
 from test_surrogate import DATA, FORWARD, KNOWN, decay
 from zoo.core.forward import FunctionModel, SolveError
 from zoo.core.inference import methods
-from zoo.core.inference import surrogate as correcting
+from zoo.core.inference import surrogate_sampling as correcting
 from zoo.core.inference.checkpoint import CheckpointError, CheckpointInUseError, Folder
 from zoo.core.inference.logposterior import SamplingError
 from zoo.core.inference.methods import choose, sample
 from zoo.core.inference.record import RunRecord
-from zoo.core.inference.surrogate import sample_surrogate
+from zoo.core.inference.surrogate_sampling import sample_surrogate
 from zoo.core.inference.workers import Inline
 from zoo.core.model import bayesian_model
 from zoo.core.posterior.arviz_groups import N_PRIOR, add_groups

@@ -14,7 +14,7 @@ from made import THETA, baseline_of
 from walls import wall_pressure_mmHg
 from zoo.blood.baseline import get_baseline
 from zoo.blood.case import Case, wall_slope
-from zoo.blood.components.wall import added_pressure
+from zoo.blood.components.wall_functions import added_pressure
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.solve_errors import SolverError
 from zoo.blood.solver import Solver, SolverOptions

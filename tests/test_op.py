@@ -17,13 +17,13 @@ from pymc.step_methods import STEP_METHODS
 from pytensor.graph.traversal import ancestors
 
 from zoo.blood.baseline import Baseline
-from zoo.blood.conventions import PRINTED, PUBLISHED_CODE
-from zoo.blood.forward import (
+from zoo.blood.blood_flow import (
     BloodFlow,
     constant_stiffness,
     radius_dependent_stiffness,
     stiffness_of_each_vessel,
 )
+from zoo.blood.conventions import PRINTED, PUBLISHED_CODE
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
 from zoo.core.forward import Outputs

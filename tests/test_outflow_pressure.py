@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from zoo.blood.blood_flow import BloodFlow, constant_stiffness
 from zoo.blood.directions import Point
-from zoo.blood.forward import BloodFlow, constant_stiffness
 from zoo.blood.network import Network
 from zoo.blood.outlet_tables import StructuredTree, circuit_of
 from zoo.blood.physics import Physics, physics_words, study_physics

@@ -19,10 +19,10 @@ from benchmarks.structured_trees import tree
 
 from test_study_physics import FINE, vessel
 from test_study_physics import study as study_of
+from zoo.blood.blood_flow import BloodFlow, constant_stiffness
 from zoo.blood.case import Case
 from zoo.blood.conventions import PRINTED
 from zoo.blood.directions import Point
-from zoo.blood.forward import BloodFlow, constant_stiffness
 from zoo.blood.loads import outlet_impedance, with_impedance_change
 from zoo.blood.network import Network
 from zoo.blood.outlet_tables import MEMORY_BEATS, StructuredTree, circuit_of

@@ -15,7 +15,7 @@ from test_op import STIFF
 from walls import wall_pressure_mmHg
 from zoo.blood import predictive
 from zoo.blood.baseline import study_model
-from zoo.blood.forward import study_data
+from zoo.blood.blood_flow import study_data
 from zoo.blood.network import stiffness_profile
 from zoo.blood.predictive import (
     PredictiveError,

@@ -184,7 +184,7 @@ APART = {
 
 @pytest.mark.parametrize("name", SAME)
 def test_python_and_the_command_have_the_same_defaults(name: str) -> None:
-    from zoo.blood.diagnosis import diagnose
+    from zoo.blood.study_diagnosis import diagnose
 
     function, called = SAME[name]
     parameters = inspect.signature(diagnose if name == "diagnose" else function).parameters

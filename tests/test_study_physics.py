@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from zoo.blood.blood_flow import BloodFlow, constant_stiffness, scaled_stiffness
 from zoo.blood.effects.given import added_effects
-from zoo.blood.forward import BloodFlow, constant_stiffness, scaled_stiffness
 from zoo.blood.physics import NO_PHYSICS, physics_words
 from zoo.blood.plugins import load_models
 from zoo.blood.solver import Solver, SolverOptions

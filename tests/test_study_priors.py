@@ -13,14 +13,14 @@ import pytest
 import zoo
 from zoo import load_study
 from zoo.blood.baseline import Baseline, get_baseline
+from zoo.blood.blood_flow import constant_stiffness
 from zoo.blood.case import wall_slope
-from zoo.blood.forward import constant_stiffness
 from zoo.blood.network import Network
 from zoo.blood.prior_predictive import prior_predictive, prior_rows
 from zoo.blood.prior_tables import PriorsError, read_option, read_priors, table_of
-from zoo.blood.priors import GAMMA, stiffness_of_wave_speed, with_priors
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Blood, Study, StudyError, Vessel, Windkessel, save_study
+from zoo.blood.study_priors import GAMMA, stiffness_of_wave_speed, with_priors
 from zoo.core.arviz_lines import InferenceData
 from zoo.core.inference.record import RunRecord
 from zoo.core.parameters import (

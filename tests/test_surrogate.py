@@ -15,14 +15,14 @@ from zoo.core.errors.gaussian_process import GaussianProcess
 from zoo.core.errors.independent import Independent
 from zoo.core.forward import FunctionModel, Outputs
 from zoo.core.inference import building, methods
-from zoo.core.inference import surrogate as correcting
+from zoo.core.inference import surrogate_sampling as correcting
 from zoo.core.inference.building import Builder, Weighed
 from zoo.core.inference.correction import along_chains, pareto_weights
 from zoo.core.inference.logposterior import LogPosterior, SamplingError
 from zoo.core.inference.methods import choose, sample
 from zoo.core.inference.record import RunRecord
 from zoo.core.inference.sampling import check_settings
-from zoo.core.inference.surrogate import sample_surrogate
+from zoo.core.inference.surrogate_sampling import sample_surrogate
 from zoo.core.model import bayesian_model
 from zoo.core.parameters import InverseGamma, LogUniform, Parameter, ParameterError, Uniform
 from zoo.core.surrogate.kriging import Kriging

@@ -18,12 +18,12 @@ from benchmarks.paun2020.synthetic import (
 
 from zoo.blood.baseline import get_baseline
 from zoo.blood.conventions import get_conventions
-from zoo.blood.diagnosis import diagnose
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.ejection import ejection
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import Solver, SolverOptions
 from zoo.blood.study import load_study, save_study
+from zoo.blood.study_diagnosis import diagnose
 from zoo.core.effects import with_effects
 from zoo.core.errors.gaussian_process import neural_network_kernel
 

@@ -35,7 +35,7 @@ from zoo.blood.blind.study_cases import (
     nothing,
     stream,
 )
-from zoo.blood.diagnosis import effects_for
+from zoo.blood.study_diagnosis import effects_for
 from zoo.core.blindcheck import NULL, BlindError
 from zoo.core.blindcheck.folders import MadeCase, write_cases
 

@@ -55,7 +55,7 @@ from .core.diagnosis import DiagnosisError as DiagnosisError
 from .core.diagnosis import Hooks as Hooks
 from .core.diagnosis import OtherState as OtherState
 from .core.diagnosis import read_diagnosis as read_diagnosis
-from .report.diagnosis import write_diagnosis as write_diagnosis
+from .report.diagnosis_page import write_diagnosis as write_diagnosis
 from .front import diagnose as diagnose
 
 # Studies of blood flow
@@ -107,8 +107,8 @@ from .blood.baseline import Baseline as Baseline
 from .blood.baseline import get_baseline as get_baseline
 from .blood.baseline import study_model as study_model
 from .blood.errors import by_prior_set as by_prior_set
-from .blood.forward import scaled_stiffness as scaled_stiffness
-from .blood.forward import study_data as study_data
+from .blood.blood_flow import scaled_stiffness as scaled_stiffness
+from .blood.blood_flow import study_data as study_data
 from .blood.plugins import get_model as get_model
 from .blood.plugins import load_models as load_models
 from .models.model_a import model_A as model_A

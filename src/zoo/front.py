@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from zoo.blood.conventions import Conventions
-    from zoo.blood.diagnosis import StudyDiagnosis
     from zoo.blood.solver import SolverOptions
     from zoo.blood.study import Study
+    from zoo.blood.study_diagnosis import StudyDiagnosis
 
 Simulate = Callable[[dict[str, Any], Array], ArrayLike]
 Priors = Mapping[str, Prior | Parameter] | Mapping[str, Any]
@@ -209,8 +209,8 @@ def diagnose(*arguments: Any, **settings: Any) -> Any:
     ----------
     Kennedy and O'Hagan 2001, doi 10.1111/1467-9868.00294.
     """
-    from zoo.blood.diagnosis import diagnose as diagnose_study
     from zoo.blood.study import Study, load_study
+    from zoo.blood.study_diagnosis import diagnose as diagnose_study
 
     first = arguments[0] if arguments else settings.get("study", settings.get("data"))
     function: Any = _diagnose_data if isinstance(first, Data) else _diagnose_series

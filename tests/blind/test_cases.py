@@ -22,10 +22,10 @@ from zoo.blood.blind import BlindError, Draw, StudyDiagnosis, diagnose_cases, ma
 from zoo.blood.blind.networks import tree
 from zoo.blood.blind.study_cases import GAP_OVER_NOISE, GENERATOR, autoregressive, draw_listed, stream
 from zoo.blood.case import simulate
-from zoo.blood.diagnosis import SEARCH_SHARE
 from zoo.blood.effects import CATALOGUE, EffectParameter, Location
 from zoo.blood.solver import Solver
 from zoo.blood.study import load_study
+from zoo.blood.study_diagnosis import SEARCH_SHARE
 from zoo.cli import app
 from zoo.core.blindcheck import Answer, CaseKey
 from zoo.core.blindcheck.folders import KEY_DIGEST, read_key

@@ -15,10 +15,10 @@ from commands import TRUE
 from drawn import TIMES
 from withheld import POSTERIORS, TRIED, made
 
-from zoo.blood.diagnosis import StudyDiagnosis, diagnose
 from zoo.blood.ejection import ejection
 from zoo.blood.solver import Solver
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel, save_study
+from zoo.blood.study_diagnosis import StudyDiagnosis, diagnose
 from zoo.cli.options import SamplingOptions
 from zoo.core.arviz_lines import InferenceData, of_draws
 

@@ -139,7 +139,7 @@ def test_diagnose_says_what_to_change_before_it_works(
         raise AssertionError("it worked")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("zoo.blood.diagnosis.diagnose", worked)
+    monkeypatch.setattr("zoo.blood.study_diagnosis.diagnose", worked)
     Path("file").write_text("")
     assert message in fails("diagnose", folder, *options, "-q")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
@@ -174,7 +174,7 @@ def test_options_reach_the_diagnosis(
         given.update(posteriors=True, folder=settings["folder"])
         return self
 
-    monkeypatch.setattr("zoo.blood.diagnosis.diagnose", caught)
+    monkeypatch.setattr("zoo.blood.study_diagnosis.diagnose", caught)
     monkeypatch.setattr(Diagnosis, "with_posteriors", sampled)
     written: list[bool] = []
     monkeypatch.setattr(report, "write_diagnosis", lambda *_, **__: written.append("folder" in given) or [])

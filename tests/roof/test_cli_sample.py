@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 from commands import TRUE, fails, run, run_json
 
-from zoo.blood.forward import BloodFlow
+from zoo.blood.blood_flow import BloodFlow
 from zoo.blood.study import load_study, save_study
 from zoo.cli.command import UsageError
 from zoo.cli.sample import _keeps_what_is_there

@@ -13,7 +13,7 @@ from zoo import plots, report
 from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis
 from zoo.core.diagnosis.file import LearnedFunction
-from zoo.plots.impedance import impedance_figure, impedances_of
+from zoo.plots.root_impedance import impedance_figure, impedances_of
 
 CURVE = {
     "name": "tube-law",

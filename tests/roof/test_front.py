@@ -31,7 +31,7 @@ def test_a_diagnosis_draws_itself(one: Diagnosis, sampled: Diagnosis) -> None:
 
 
 def test_the_front_takes_studies_names_and_other_data(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("zoo.blood.diagnosis.diagnose", lambda *given, base: ("study", given, base))
+    monkeypatch.setattr("zoo.blood.study_diagnosis.diagnose", lambda *given, base: ("study", given, base))
     study = zoo.load_study("demo")
     assert front.diagnose(study, base="B") == ("study", (study,), "B")
     what, [loaded], base = front.diagnose("demo", base="B")

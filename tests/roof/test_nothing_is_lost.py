@@ -174,7 +174,7 @@ def world(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "zoo.report.gather",
         "zoo.blood.importing.table.import_table",
         "zoo.blood.importing.beats.import_beats",
-        "zoo.blood.diagnosis.diagnose",
+        "zoo.blood.study_diagnosis.diagnose",
         "zoo.blood.blind.make_cases",
         "zoo.blood.blind.diagnose_cases",
         "zoo.blood.blind.score_cases",

@@ -11,13 +11,13 @@ from drawn import texts
 from matplotlib.patches import Rectangle
 
 from zoo import plots
-from zoo.blood.diagnosis import PHASES, phases
+from zoo.blood.study_diagnosis import PHASES, phases
 from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis
 from zoo.core.diagnosis.file import Interval, LocationShare, StateFile
 from zoo.core.diagnosis.states import BASELINE, SEEN, StateResult
-from zoo.plots import causes, tree
-from zoo.plots import diagnosis as figures
+from zoo.plots import causes, vessel_tree
+from zoo.plots import diagnosis_figures as figures
 from zoo.plots.subject import leading_sets
 
 
@@ -116,7 +116,7 @@ def test_the_tree_is_coloured_by_the_probability_of_the_location(three: Diagnosi
         for line in figure.findobj(mpl.lines.Line2D)
         if line.get_gid()
     }
-    colours = mpl.colors.LinearSegmentedColormap.from_list("locations", tree.LOCATION_COLOURS)
+    colours = mpl.colors.LinearSegmentedColormap.from_list("locations", vessel_tree.LOCATION_COLOURS)
     for vessel, p in {1: 0.0, 2: 0.5, 3: 0.0, 4: 0.7, 5: 1.0}.items():
         assert lines[vessel].get_color() == pytest.approx(colours(p))
     assert lines[1].get_linewidth() > lines[5].get_linewidth()
@@ -130,8 +130,11 @@ def test_the_tree_is_coloured_by_the_probability_of_the_location(three: Diagnosi
 
 
 def test_a_tree_listed_daughters_first_is_laid_out_too(three: Diagnosis) -> None:
-    assert tree.tree_layout(three.study.vessels[::-1]).keys() == tree.tree_layout(three.study.vessels).keys()
-    ends = [place[3] for v, place in tree.tree_layout(three.study.vessels).items() if v in (3, 4, 5)]
+    assert (
+        vessel_tree.tree_layout(three.study.vessels[::-1]).keys()
+        == vessel_tree.tree_layout(three.study.vessels).keys()
+    )
+    ends = [place[3] for v, place in vessel_tree.tree_layout(three.study.vessels).items() if v in (3, 4, 5)]
     assert sorted(ends) == [-2.0, -1.0, 0.0]
 
 

@@ -9,10 +9,10 @@ from rich.console import Console
 
 from zoo import cli
 from zoo.blood.baseline import get_baseline
-from zoo.blood.diagnosis import StudyDiagnosis
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.ejection import ejection
 from zoo.blood.study import Blood, Series, Study, Vessel, Windkessel
+from zoo.blood.study_diagnosis import StudyDiagnosis
 from zoo.core.diagnosis import DiagnosisFile
 from zoo.core.effects import with_effects
 from zoo.core.forward import Outputs

@@ -9,11 +9,13 @@ from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
+from zoo.blood.blood_flow import BloodFlow, StiffnessLaw, study_data
 from zoo.blood.conventions import Conventions
 from zoo.blood.effects.given import Given, added_effects
-from zoo.blood.forward import BloodFlow, StiffnessLaw, study_data
 from zoo.blood.network import Network
-from zoo.blood.priors import (
+from zoo.blood.solver import SolverOptions
+from zoo.blood.study import Study
+from zoo.blood.study_priors import (
     GivenPrior,
     check_names,
     held_parameters,
@@ -21,8 +23,6 @@ from zoo.blood.priors import (
     study_parameters,
     with_priors,
 )
-from zoo.blood.solver import SolverOptions
-from zoo.blood.study import Study
 from zoo.core.effects import EffectError, with_effects
 from zoo.core.parameters import Parameter
 from zoo.core.words import nearest
@@ -55,7 +55,7 @@ class Baseline:
     wall : {"linear", "tangent"}
         Eq. (3.3), in whose place a study's own law stands, or (3.4).
     stiffness : function
-        Stiffness of every vessel from the parameters, a `zoo.blood.forward.StiffnessLaw`.
+        Stiffness of every vessel from the parameters, a `zoo.blood.blood_flow.StiffnessLaw`.
     parameters : tuple of Parameter
         Their starts are where a search may begin. One with dims "vessel" has an element for each vessel.
     wall_factor : float, optional
@@ -64,7 +64,7 @@ class Baseline:
         Parameters of known value, such as {"gamma": 5.0}.
     prior_set : str
         Which named set the priors of `parameters` are, such as "paun2020": studies of another set have those
-        of `zoo.blood.priors` instead. Empty: they hold for any study.
+        of `zoo.blood.study_priors` instead. Empty: they hold for any study.
     """
 
     name: str

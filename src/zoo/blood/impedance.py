@@ -108,7 +108,7 @@ def measured_impedance(
     data : Data
         Of one period.
     case : Case
-        With the recorded inflow, `zoo.blood.forward.BloodFlow.configure` without effects; the conventions'
+        With the recorded inflow, `zoo.blood.blood_flow.BloodFlow.configure` without effects; the conventions'
         lag of the samples is counted.
     noise_mmHg : float
         Sd of the pressure's white noise.

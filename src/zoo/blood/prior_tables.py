@@ -14,7 +14,7 @@ from zoo.core.words import OneLineError, choices, meant, nearest, short
 PAPER_SET = "paun2020"
 """Table 2 of Paun et al. 2020, as it stands in the files of the models."""
 STUDY_SET = "study"
-"""Priors that follow from the study, `zoo.blood.priors`."""
+"""Priors that follow from the study, `zoo.blood.study_priors`."""
 SETS = (PAPER_SET, STUDY_SET)
 
 FIELDS = ("set", "wave_speed_m_s")

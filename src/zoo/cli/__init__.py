@@ -11,14 +11,14 @@ import typer
 from zoo.cli import (
     blind,
     compare,
-    data,
+    datasets,
     diagnose,
     doctor,
-    effects,
     importing,
-    priors,
+    list_effects,
     report,
     sample,
+    show_priors,
     simulate,
 )
 from zoo.cli.command import show_tracebacks
@@ -66,16 +66,16 @@ def main(
 
 
 for function in (
-    data.fetch,
-    data.studies,
-    data.version,
+    datasets.fetch,
+    datasets.studies,
+    datasets.version,
     doctor.doctor,
     simulate.simulate,
-    priors.priors,
+    show_priors.priors,
     sample.sample,
     compare.compare,
     diagnose.diagnose,
-    effects.effects,
+    list_effects.effects,
     report.report,
 ):
     app.command()(function)

@@ -135,7 +135,8 @@ def score(
 ) -> None:
     """Score answers against their key: score.json, score.md, cases.csv and figures."""
     from zoo.blood.blind import score_cases
-    from zoo.core.blindcheck.tables import CONSTANT, SCORE_FILES, summary_rows
+    from zoo.core.blindcheck.score_tables import SCORE_FILES
+    from zoo.core.blindcheck.scoring import CONSTANT, summary_rows
 
     output_folder(output, SCORE_FILES, "--output")
     found = score_cases(answers, key, output)

@@ -96,9 +96,9 @@ def diagnose(
         # a baseline has a wall factor of its own unless one is asked for
         own = loaded.conventions if "conventions.wall_factor" in options.changes() else None
 
-        from zoo.blood.diagnosis import diagnose as run
-        from zoo.blood.diagnosis import same_tree
-        from zoo.blood.forward import study_data
+        from zoo.blood.blood_flow import study_data
+        from zoo.blood.study_diagnosis import diagnose as run
+        from zoo.blood.study_diagnosis import same_tree
         from zoo.core.errors.spectral import spectral_errors
         from zoo.report import diagnosis_files, write_diagnosis
 
@@ -168,7 +168,7 @@ def _check_lines(file: DiagnosisFile) -> list[str]:
 
 def _effect_names(text: str | None, base: str) -> list[str] | None:
     """Effects of an option, each of which the baseline can take; None for all."""
-    from zoo.blood.diagnosis import effects_for
+    from zoo.blood.study_diagnosis import effects_for
 
     names = some_names("--effects", text)
     return names and [one.name for one in effects_for(base, names)]
@@ -177,7 +177,7 @@ def _effect_names(text: str | None, base: str) -> list[str] | None:
 def _known(expected: Sequence[str], base: str, effects: list[str] | None) -> None:
     """Refuse the name of no cause and no component."""
     from zoo.blood.components.declared import TABLE
-    from zoo.blood.diagnosis import effects_for
+    from zoo.blood.study_diagnosis import effects_for
 
     listed = [one.name for one in effects_for(base, effects)]
     components = [said["component"] for said in TABLE.values()]
@@ -202,7 +202,7 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     """What the screen shows of a diagnosis."""
     from rich.text import Text
 
-    from zoo.report import diagnosis as told
+    from zoo.report import diagnosis_page as told
     from zoo.report import tables
 
     verdict, *rest = file.lines

@@ -128,8 +128,8 @@ class StudyOptions(PriorOptions):
             If an option cannot be read.
         """
         from zoo.blood.prior_tables import PriorsError, read_held
-        from zoo.blood.priors import with_priors
         from zoo.blood.study import load_study
+        from zoo.blood.study_priors import with_priors
 
         held = _each_once("--fix", self.fix, read_held, PriorsError)
         return with_priors(load_study(name, settings=self.changes()), self.table(), held)

@@ -140,7 +140,7 @@ def build_model(name: str, study: Study, errors: str | None = None) -> Any:
     """A model on a study, by its name, with its own errors or others."""
     from zoo.blood.plugins import get_model
     from zoo.blood.prior_tables import names_of
-    from zoo.blood.priors import without_use
+    from zoo.blood.study_priors import without_use
     from zoo.core.model import ModelError, record_of
 
     model = get_model(name)(study, **({} if errors is None else {"errors": errors}))

@@ -138,7 +138,7 @@ def _stiffness(
 ) -> list[float] | None:
     """A stiffness for each vessel in the study's order; None for the study's or the walls' own."""
     from zoo.blood.network import stiffness_profile
-    from zoo.blood.priors import stiffness_of_wave_speed
+    from zoo.blood.study_priors import stiffness_of_wave_speed
 
     profile = [f1, f2, f3]
     if stiffness is not None:

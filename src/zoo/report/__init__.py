@@ -2,5 +2,5 @@
 
 from zoo.report.chapter import Chapter
 from zoo.report.chapters import gather, write_chapters, write_report
-from zoo.report.diagnosis import diagnosis_files, write_diagnosis
+from zoo.report.diagnosis_page import diagnosis_files, write_diagnosis
 from zoo.report.page import ReportError

@@ -17,7 +17,7 @@ from zoo.models import MODELS, get_model
 from zoo.plots import comparison_figure, fit_figure, forest_figure, models_figure, pair_figure, rank_figure
 from zoo.report.filters import settings_text
 from zoo.report.page import ReportError, picture_of
-from zoo.report.parameters import parameter_rows
+from zoo.report.parameter_table import parameter_rows
 from zoo.report.sentences import CRITERION, summary
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from zoo.core.diagnosis.file import (
 from zoo.core.words import estimate, listed, percent, size_words, span, unit_words
 from zoo.plots.subject import TOLD, leading_sets, location_of, set_name
 from zoo.report.filters import spanned, with_error
-from zoo.report.parameters import MEANINGS
+from zoo.report.parameter_table import MEANINGS
 
 SHOWN_SETS, SHOWN_PLACES = 12, 3
 """Sets of causes, and places of an effect, that are told."""

@@ -32,15 +32,15 @@ from zoo.blood.blind.study_cases import (
     nothing,
     stream,
 )
-from zoo.blood.diagnosis import diagnose, effects_for
 from zoo.blood.plugins import add_effects
 from zoo.blood.solver import library_digest
 from zoo.blood.study import load_study
+from zoo.blood.study_diagnosis import diagnose, effects_for
 from zoo.core import digests
 from zoo.core.blindcheck.cases import NULL, Answer, BlindError, as_answer
 from zoo.core.blindcheck.folders import MadeCase, Ran, read_answers, read_sealed, run_cases, write_cases
+from zoo.core.blindcheck.score_tables import SCORE_FILES, write_score
 from zoo.core.blindcheck.scoring import Score, score_answers
-from zoo.core.blindcheck.tables import SCORE_FILES, write_score
 from zoo.core.inference.record import versions
 from zoo.core.outputs import output_folder
 
@@ -186,7 +186,7 @@ class StudyDiagnosis:
     base : str
         Name of the baseline model.
     seed, effects, priors
-        As in `zoo.blood.diagnosis.diagnose`.
+        As in `zoo.blood.study_diagnosis.diagnose`.
     effects_from : sequence of path
         Python files that define effects, which every process runs; on every machine in the same place.
     """

@@ -17,10 +17,10 @@ from scipy.signal import lfilter
 
 from zoo.blood.baseline import get_baseline
 from zoo.blood.blind.networks import Sensor, inflow, loaded, rounded, sensors, tree
+from zoo.blood.blood_flow import BloodFlow
 from zoo.blood.case import UNITS
 from zoo.blood.components import component_of
 from zoo.blood.effects import CATALOGUE
-from zoo.blood.forward import BloodFlow
 from zoo.blood.network import with_nominal_loads
 from zoo.blood.solver import SolverArgumentError, SolverOptions
 from zoo.blood.study import Blood, Series, Study, load_study, save_study

@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from zoo.blood.components import fluid, geometry, inflow, junctions, outlets, sensor, wall
+from zoo.blood.components import (
+    fluid_functions,
+    geometry_functions,
+    inflow_functions,
+    junction_functions,
+    outlet_functions,
+    sensor_functions,
+    wall_functions,
+)
 from zoo.blood.components.plausibility import plausible
 from zoo.blood.components.setting import Setting
 from zoo.core.components import FreeFunction
@@ -39,7 +47,7 @@ def components(model: Any, theta: ArrayLike, data: Data) -> tuple[FreeFunction, 
     Parameters
     ----------
     model : forward model
-        `zoo.blood.forward.BloodFlow`, also with effects: functions act on top of those.
+        `zoo.blood.blood_flow.BloodFlow`, also with effects: functions act on top of those.
     theta : array (n_values,)
         Its parameters, at which the ranges of the functions' arguments are read off.
     data : Data
@@ -57,7 +65,15 @@ def components(model: Any, theta: ArrayLike, data: Data) -> tuple[FreeFunction, 
         If the model has no solution at these parameters.
     """
     setting = Setting(model, model.configure(np.asarray(theta, dtype=np.float64)), data)
-    modules = (inflow, wall, outlets, fluid, junctions, geometry, sensor)
+    modules = (
+        inflow_functions,
+        wall_functions,
+        outlet_functions,
+        fluid_functions,
+        junction_functions,
+        geometry_functions,
+        sensor_functions,
+    )
     return tuple(function for module in modules for function in module.functions(setting))
 
 

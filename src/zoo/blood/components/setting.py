@@ -29,7 +29,7 @@ class Setting:
     Parameters
     ----------
     model : forward model
-        `zoo.blood.forward.BloodFlow`, also with effects.
+        `zoo.blood.blood_flow.BloodFlow`, also with effects.
     case : Case
         Its solve at the parameters.
     data : Data

@@ -6,11 +6,11 @@ that acts on the solved waves, as a sensor does. To add one, write a function wi
 a file of your own; docs/effects.md shows one of ten lines.
 """
 
+from zoo.blood.blood_flow import FAMILIES
 from zoo.blood.case import Case, Wave
 from zoo.blood.effects.catalogue import CATALOGUE, effect
 from zoo.blood.effects.given import added_effects
 from zoo.blood.effects.locations import at_vessel, each_vessel, sides_and_terminals, vessels_and_subtrees
-from zoo.blood.forward import FAMILIES
 from zoo.core.effects import Effect, EffectError, EffectParameter, Location, everywhere
 
 # in the order in which those of a family are applied

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from zoo.blood.forward import FAMILIES
+from zoo.blood.blood_flow import FAMILIES
 from zoo.core.effects import ENTRY_POINTS, Catalogue
 
 CATALOGUE = Catalogue(FAMILIES, entry_points=ENTRY_POINTS, home="zoo.blood.effects:CATALOGUE")

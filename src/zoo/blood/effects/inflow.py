@@ -8,7 +8,7 @@ from dataclasses import replace
 from zoo.blood.case import Case, filtered
 from zoo.blood.effects.catalogue import effect
 from zoo.blood.effects.measures import BEATS
-from zoo.blood.effects.responses import delay, low_pass
+from zoo.blood.effects.sensor_responses import delay, low_pass
 from zoo.core.effects import EffectParameter, Location
 
 _INFLOW = "Paun et al. 2020, doi 10.1098/rsif.2020.0886, takes the measured inflow as exact"

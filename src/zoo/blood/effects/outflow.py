@@ -22,7 +22,7 @@ from zoo.blood.case import (
 from zoo.blood.effects.catalogue import effect
 from zoo.blood.effects.locations import sides_and_terminals, windkessels_only
 from zoo.blood.effects.measures import TERMINAL_RADII
-from zoo.blood.effects.responses import add_to_pressures
+from zoo.blood.effects.sensor_responses import add_to_pressures
 from zoo.core.arrays import Array
 from zoo.core.effects import EffectError, EffectParameter, EverywhereIf, Location
 

@@ -7,7 +7,13 @@ import functools
 from zoo.blood.case import Case, with_wave
 from zoo.blood.effects.catalogue import effect
 from zoo.blood.effects.measures import BEATS
-from zoo.blood.effects.responses import add_to_pressures, filter_wave, jitter, resonance, scale_pressures
+from zoo.blood.effects.sensor_responses import (
+    add_to_pressures,
+    filter_wave,
+    jitter,
+    resonance,
+    scale_pressures,
+)
 from zoo.core.effects import EffectParameter, Location
 
 

@@ -6,6 +6,6 @@ that are folders, with a sealed key, are in `folders`; how an answer is scored i
 
 from zoo.core.blindcheck.cases import NULL, Answer, BlindError, CaseKey, Fitted, Group, Size, as_answer
 from zoo.core.blindcheck.drawing import DrawnCase, LinearBaseline, ModelDraw
+from zoo.core.blindcheck.score_tables import paired_table, score_table, write_score
 from zoo.core.blindcheck.scoring import Score, paired, score_answers
-from zoo.core.blindcheck.tables import paired_table, score_table, write_score
 from zoo.core.blindcheck.validation import blind_check, draw_cases

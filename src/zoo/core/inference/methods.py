@@ -18,7 +18,7 @@ from zoo.core.inference.logposterior import LogPosterior, SamplingError, model_n
 from zoo.core.inference.mode import has_many
 from zoo.core.inference.sampling import check_settings, has_gradient
 from zoo.core.inference.sampling import sample as sample_exact
-from zoo.core.inference.surrogate import sample_surrogate
+from zoo.core.inference.surrogate_sampling import sample_surrogate
 from zoo.core.joint import JointRecord
 from zoo.core.model import ModelError, ModelRecord, record_of, theta_of
 from zoo.core.surrogate.likelihood import no_table
@@ -152,7 +152,7 @@ def sample(
     fresh : bool
         Remove what the folder holds of a run, once nothing speaks against this one.
     **settings
-        Of `zoo.core.inference.sampling.sample` or `zoo.core.inference.surrogate.sample_surrogate`.
+        Of `zoo.core.inference.sampling.sample` or `zoo.core.inference.surrogate_sampling.sample_surrogate`.
 
     Raises
     ------

@@ -32,7 +32,7 @@ from zoo.plots.style import (
     size_of,
 )
 from zoo.plots.subject import TOLD, study_of
-from zoo.plots.tree import draw_locations, draw_tree
+from zoo.plots.vessel_tree import draw_locations, draw_tree
 
 if TYPE_CHECKING:
     from zoo.core.diagnosis import Diagnosis

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.blood.baseline import get_baseline
+from zoo.blood.blood_flow import study_data
 from zoo.blood.components import component_of, components, plausible
 from zoo.blood.conventions import Conventions
 from zoo.blood.effects import CATALOGUE
-from zoo.blood.forward import study_data
-from zoo.blood.priors import with_priors
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Study, Vessel, suspect_units
+from zoo.blood.study_priors import with_priors
 from zoo.core.causes.family import ErrorFamily
 from zoo.core.components import FreeFunction
 from zoo.core.data import Data

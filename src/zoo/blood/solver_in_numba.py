@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.blood.case import Place
-from zoo.blood.derivatives import NEAR
+from zoo.blood.case_changes import NEAR
 from zoo.blood.solver import SHAPES, STATUS_NAMES, TANGENT_TOLERANCE, Solver, ffi, lib
 from zoo.core.arrays import Array
 from zoo.core.derivatives import scales_at, widths_of
@@ -128,7 +128,7 @@ def blood_flow(
 ) -> InNumba | None:
     """Series of a solver and their derivatives, as functions that numba compiles.
 
-    They give what `zoo.blood.forward.BloodFlow` gives with its `solve` and `solve_derivatives`.
+    They give what `zoo.blood.blood_flow.BloodFlow` gives with its `solve` and `solve_derivatives`.
 
     Parameters
     ----------

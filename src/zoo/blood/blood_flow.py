@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from zoo.blood.case import UNITS, Case, Place, check_series, simulate, simulate_derivatives, solver_of
+from zoo.blood.case_changes import off_zero, stencil_of
 from zoo.blood.conventions import Conventions
-from zoo.blood.derivatives import off_zero, stencil_of
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.outlet_tables import TREE_FACTORS
 from zoo.blood.physics import NO_PHYSICS, study_physics
@@ -91,7 +91,7 @@ LAW_PARAMETERS = {
     stiffness_of_each_vessel: ("chi",),
     scaled_stiffness: ("stiffness_factor",),
 }
-"""Of the laws that `zoo.blood.in_numba` knows."""
+"""Of the laws that `zoo.blood.solver_in_numba` knows."""
 
 
 # ---------------------------------------------------------------------------------------------------
@@ -395,7 +395,7 @@ class BloodFlow:
 
     def in_numba(self) -> InNumba | None:
         """As functions that numba compiles; None for a stiffness law other than those of this module."""
-        from zoo.blood.in_numba import Law, blood_flow
+        from zoo.blood.solver_in_numba import Law, blood_flow
 
         net, law = self.network, next((p for f, p in LAW_PARAMETERS.items() if f is self.stiffness), None)
         ones = np.ones(len(net.ids))

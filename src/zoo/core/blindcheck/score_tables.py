@@ -1,4 +1,4 @@
-"""A score in words: text, Markdown tables, and the files of a score."""
+"""A score in Markdown tables, and the files of a score."""
 
 from __future__ import annotations
 
@@ -11,61 +11,22 @@ from typing import Any
 
 import pandas as pd
 
-from zoo.core.blindcheck.scoring import QUESTIONS, Asked, Event, Rate, Score, paired
+from zoo.core.blindcheck.scoring import (
+    CONSTANT,
+    QUESTIONS,
+    Asked,
+    Event,
+    Rate,
+    Score,
+    paired,
+    summary_rows,
+)
 from zoo.core.inference.record import versions
 from zoo.core.outputs import write_file
 
 SCORE_FILES = "score.json", "score.md", "cases.csv"
 """What `write_score` writes."""
 FORMAT = 4
-CONSTANT = "best constant answer"
-HALVES = (
-    ("parameter", "95 % interval of the effect's parameter holds the true one"),
-    ("gap", "95 % interval of the gap holds the true one"),
-    ("left", "95 % interval of what the leading causes leave holds it"),
-)
-
-
-def summary_rows(s: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """A summary in words: what, its figure, that of the best constant answer."""
-    best = s["constant"]
-    always = f"{100 * best['first'].share:.0f} % (always {best['always']})"
-    rows = []
-    for question, one in s["questions"].items():
-        words = QUESTIONS[question]
-        rows.append((f"{words}: log score", one.log_text(), f"{one.constant_log:.3f}"))
-        rows.append((f"{words}: Brier score", one.brier.text(), f"{one.constant_brier:.3f}"))
-    rows.append(("most probable is right, a component or nothing", str(s["first"]), always))
-    if s["false_alarms"].n:
-        rows.append(("nothing wrong, and a component above 50 %", str(s["false_alarms"]), "0 %"))
-    if s["sure"].n:
-        rows.append(("components above 90 % that are wrong indeed", str(s["sure"]), "–"))
-    for name, words in HALVES:
-        if s[name].n:
-            prior = best["parameter"] if name == "parameter" else Rate(0, 0)
-            rows.append((words, str(s[name]), f"{100 * prior.share:.0f} % (the prior's)" if prior.n else "–"))
-    if s["averaged"].n:
-        words = "95 % interval of a baseline's parameter holds the true one"
-        rows.append((words, str(s["averaged"]), f"{100 * s['alone'].share:.0f} % (by itself)"))
-        rows.append(("width of these over those by itself, median", f"{s['wider']:.2f}", "1"))
-    if not math.isnan(s["parameter_width"]):
-        rows.append(("width of the parameter's over the prior's, median", f"{s['parameter_width']:.3f}", "1"))
-    if s["left"].n:
-        rows.append(("error of what the leading causes leave, median", f"{s['left_error']:.3g}", "–"))
-    if not math.isnan(s["removed"]):
-        text = f"{s['removed']:.3f} (true {s['true_removed']:.3f})"
-        rows.append(("part of the gap that they remove, median", text, "0"))
-    return rows
-
-
-def score_text(score: Score) -> str:
-    """The score beside the best constant answers, a line each."""
-    s = score.summary
-    rows = summary_rows(s)
-    wide, middle = (max(len(row[i]) for row in rows) for i in (0, 1))
-    title = f"{s['n']} cases, {s['failed']} without an answer"
-    lines = [f"{title:<{wide + middle + 4}}  {CONSTANT}".rstrip()]
-    return "\n".join(lines + [f"{a:<{wide}}  {b:<{middle}}  {c}" for a, b, c in rows])
 
 
 def table(heads: str, rows: Sequence[str]) -> str:

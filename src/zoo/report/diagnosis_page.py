@@ -21,7 +21,7 @@ from zoo.plots import (
     save_figure,
 )
 from zoo.plots.causes import learned_functions
-from zoo.plots.impedance import impedance_figure, impedances_of
+from zoo.plots.root_impedance import impedance_figure, impedances_of
 from zoo.plots.subject import TOLD, study_of
 from zoo.report import tables
 from zoo.report.filters import settings_text, value_text

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from zoo.blood.blood_flow import stiffness_of_each_vessel
 from zoo.blood.case import Case, with_physics
 from zoo.blood.components.curves import curve, factors
 from zoo.blood.components.declared import free_function
 from zoo.blood.components.setting import Setting, range_knots, span_of
-from zoo.blood.forward import stiffness_of_each_vessel
 from zoo.blood.functions import WallFunction
 from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction

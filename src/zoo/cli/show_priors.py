@@ -66,7 +66,7 @@ def priors(
 
 
 def _table(rows: tuple[PriorRow, ...], name: str, study: Study) -> Any:
-    from zoo.blood.priors import prior_table
+    from zoo.blood.study_priors import prior_table
 
     title = f"priors of model {name} on {study.name}, set {prior_table(study).set}"
     numbers = ("median", "2.5 %", "97.5 %")

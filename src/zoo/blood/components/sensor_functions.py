@@ -11,7 +11,7 @@ from zoo.blood.case import Case, Wave, with_wave
 from zoo.blood.components.curves import curve, delay_response, gain_response
 from zoo.blood.components.declared import free_function
 from zoo.blood.components.setting import DELAY_KNOTS, GAIN_KNOTS, Setting
-from zoo.blood.effects.responses import filter_wave
+from zoo.blood.effects.sensor_responses import filter_wave
 from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction
 
