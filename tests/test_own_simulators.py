@@ -21,6 +21,7 @@ from zoo.core.diagnosis.solve_store import SolveStore, StoredModel
 from zoo.core.effects import Effect, EffectError, EffectParameter, effect
 from zoo.core.errors.spectral import spectral_errors
 from zoo.core.forward import FunctionModel, Outputs, SolveError, from_pints
+from zoo.core.inference.memo import CheckpointError
 from zoo.core.parameters import LogUniform, Normal, Parameter
 
 MINUTES = np.arange(0.0, 30.0, 1.0 / 3.0)
@@ -120,6 +121,15 @@ def test_correlated_noise_is_said_to_be_like_a_cause_that_is_not_listed() -> Non
         data = Data(MINUTES, full.values + noise, labels=["tea"], units=["K"], time_unit="min")
         said = told(data).file.warnings
         assert any("the noise comes out as correlated" in text for text in said) == there
+
+
+def test_a_parameter_that_is_not_read_is_named() -> None:
+    lid = Parameter("lid", Normal(0.0, 1.0), "1")
+    model = FunctionModel(cup, (*PRIORS, lid), Outputs(("tea",), MINUTES), "cup")
+    found = diagnose(tea(), model, [], cores=1)
+    assert "lid changes no series: leave it out, or let the simulator read it" in found.file.warnings
+    assert not any("changes no series" in text for text in told(tea()).file.warnings)
+    assert not any(line.startswith("Priors varied") for line in found.file.lines)  # nothing can change
 
 
 def test_what_resembles_the_cause_is_not_named_in_its_place() -> None:
@@ -294,6 +304,15 @@ def test_an_effect_of_other_arguments_is_refused_where_it_is_made() -> None:
 def test_an_effect_that_would_start_where_it_cannot_is_refused(start: float) -> None:
     with pytest.raises(EffectError, match=rf"effect steam: parameter size: start {start:g}: give one"):
         adds("steam", "steam", "1/(min K)", 1e-3, 0.0, 1e-2, start)
+
+
+def test_a_checkpoint_that_cannot_be_made_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def mkdir(*_: object, **__: object) -> None:  # as in /proc, where folders seem to be writable
+        raise FileNotFoundError(2, "No such file or directory")
+
+    monkeypatch.setattr(Path, "mkdir", mkdir)
+    with pytest.raises(CheckpointError, match=r"run: cannot be used as checkpoint folder \(No such file"):
+        SolveStore(tmp_path / "run")
 
 
 def test_no_solve_is_made_twice_and_an_interrupted_diagnosis_goes_on(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from zoo.core.diagnosis import DiagnosisFile, read_diagnosis
 from zoo.core.diagnosis.cautions import undecided
-from zoo.core.diagnosis.file import LearnedFunction, NextMeasurement, SeriesGap, SetResult
+from zoo.core.diagnosis.file import LearnedFunction, NextMeasurement, SeriesGap, SetResult, StateFile
 from zoo.core.diagnosis.wording import worded
 from zoo.core.words import percent
 
@@ -62,6 +62,20 @@ def test_the_error_of_series_in_other_units_is_told_too() -> None:
     assert not any("other units" in line for line in worded(FILE).lines)
 
 
+def test_a_state_without_a_model_error_tells_nothing() -> None:
+    none, holds = (
+        {"mean": 0.0, "low": 0.0, "high": 0.1},
+        {"names": list(FILE.leading.components), "functions": []},
+    )
+    carried = holds | {"error": none, "better": 0.5, "holds": False}
+    carried |= {"beyond": None, "unit": "K"}
+    state = {"state": "night", "checksum": "", "unit": "K", "noise": 0.1, "baseline": none}
+    state |= {"sensor": None, "carried": [carried], "failed": []}
+    file = FILE.model_copy(update={"states": [StateFile.model_validate(state)]})
+    told = "In night, refitted: the baseline misses by 0 K, and so tells nothing of what was learned."
+    assert told in worded(file).lines
+
+
 def test_a_learned_logarithm_is_told_as_a_factor() -> None:
     learned = LearnedFunction(
         name="filter", argument="log frequency", argument_unit="log Hz", unit="log gain",
@@ -92,7 +106,7 @@ def test_what_is_certain_to_all_digits_is_not_called_certain() -> None:
         ),
         (
             {"nothing": 0.4, "kick": 0.35, "law": 0.25},
-            "These data do not decide; best explanation: nothing missing (40 %)",
+            "These data do not decide; best explanation: no listed cause (40 %)",
         ),
     ],
 )
@@ -139,6 +153,10 @@ def test_what_was_only_estimated_is_told() -> None:
     assert not any(estimated in line for line in worded(far).lines)
     told = f"up to 40 % of the probability may belong to {estimated}: their log evidence may be off by 7"
     assert any(reason.startswith(told) for reason in undecided(far, 4))
+    less = FILE.leading.model_copy(update={"probability": 0.2})
+    most = FILE.model_copy(update={"missed": 0.8, "linear_error": 1.0, "sets": [less]})
+    assert not any(estimated in line for line in worded(most).lines)
+    assert sum(estimated in reason for reason in undecided(most, 4)) == 1
 
 
 def test_a_long_answer_is_cut_where_it_is_printed() -> None:

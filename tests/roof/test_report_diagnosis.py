@@ -112,11 +112,11 @@ def test_readers_read_the_times_that_are_written(one: Diagnosis, sampled: Diagno
     before, after = one.file.record, sampled.file.record
     [written] = set(after) - set(before)
     own = before["seconds"]
-    assert report.diagnosis.total_seconds(before) == own
-    assert report.diagnosis.total_seconds(after) == own + after[written] > own
+    assert report.diagnosis_page.total_seconds(before) == own
+    assert report.diagnosis_page.total_seconds(after) == own + after[written] > own
     record = after | {written: 1000.0, "states_seconds": 200.0}
     d = sampled.with_file(record=record)
-    assert report.diagnosis.total_seconds(record) == own + 1200
+    assert report.diagnosis_page.total_seconds(record) == own + 1200
     assert screen_of(d.file).strip().endswith(f", {own + 1200:.0f} s in all")
     report.write_diagnosis(d, tmp_path / "x")
     [facts] = read(tmp_path / "x" / "report.html").of_class("facts")

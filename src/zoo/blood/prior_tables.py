@@ -202,7 +202,7 @@ def _prior(name: str, value: Any) -> Prior:
     numbers = _numbers(given)
     if numbers is None or len(numbers) not in counts:
         shown = " or ".join("[" + ", ".join(words[:n]) + "]" for n in counts)
-        raise PriorsError(f"{name}: {law} = {short(given)}: must be {shown}")
+        raise PriorsError(f"{name}: {law} = {short(given)}: must be {shown}, of numbers")
     try:
         return made(*numbers)
     except ParameterError as error:

@@ -15,7 +15,7 @@ from zoo.core.diagnosis.file import DiagnosisFile, LearnedFunction
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.sets import CauseSets
 from zoo.core.diagnosis.solved import SIZE_PRIORS
-from zoo.core.words import listed, percent, unit_words
+from zoo.core.words import digits, listed, percent, unit_words
 
 Array = NDArray[np.float64]
 
@@ -54,6 +54,13 @@ def changed_by_priors(file: DiagnosisFile) -> list[str]:
     return told
 
 
+def missing(file: DiagnosisFile) -> bool:
+    """Whether sets that were not solved may have so much of the probability that it is warned of."""
+    lead = set(file.cause)
+    best = [row.probability for row in file.sets if (lead <= set(row.causes) if lead else not row.causes)]
+    return file.missed > 0.5 > math.fsum(best) or (file.linear_error > WRONG and file.missed > MISSED)
+
+
 def undecided(file: DiagnosisFile, most: int) -> list[str]:
     """Why an answer is not decided; empty if it is."""
     told = []
@@ -66,19 +73,11 @@ def undecided(file: DiagnosisFile, most: int) -> list[str]:
         )
     if file.failed and not file.cause and file.no_gap < 0.5:
         told.append(f"no listed cause explains the model error, and {listed(file.failed)} could not be tried")
-    lead = set(file.cause)
-    best = [row.probability for row in file.sets if (lead <= set(row.causes) if lead else not row.causes)]
-    if file.missed > 0.5 > math.fsum(best):
-        told.append(
-            f"combinations of causes with up to {percent(file.missed)} of the probability were not "
-            "simulated, or could not be: what is called best is the best of the others; "
-            "fewer causes to choose from have fewer combinations"
-        )
-    if file.linear_error > WRONG and file.missed > MISSED:
+    if missing(file):
         told.append(
             f"up to {percent(file.missed)} of the probability may belong to combinations of causes that were "
             f"only estimated by a linear model, not simulated: their log evidence may be off by "
-            f"{file.linear_error:.0f}; with fewer causes to choose from, more of these are simulated"
+            f"{digits(file.linear_error, 2)}; with fewer causes to choose from, more of these are simulated"
         )
     return told
 
@@ -119,6 +118,12 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
                 "hardly more than a constant would: it may not have been found; give priors nearer to it"
             )
     told += [one.text for _, one in stuck]
+    unread = [
+        p.name
+        for p, x in zip(fitting.forward.parameters, found.search.jacobian.T, strict=True)
+        if not x.any()
+    ]
+    told += [f"{name} changes no series: leave it out, or let the simulator read it" for name in unread]
     told += _beyond_priors(found)
     for name in found.search.idle:
         told.append(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from zoo.core.diagnosis.coordinates import FAILURES
 from zoo.core.forward import Around, ForwardModel, Outputs, SolveError, content_key, pinned, refined
-from zoo.core.inference.memo import Found, Memo, to_line
+from zoo.core.inference.memo import CheckpointError, Found, Memo, to_line
 from zoo.core.outputs import output_folder
 
 Array = NDArray[np.float64]
@@ -46,8 +46,12 @@ class SolveStore:
         path, self.program = None, ""
         if folder is not None:
             self.program = _program()
-            output_folder(folder, deep=True).mkdir(parents=True, exist_ok=True)
-            path = Path(folder) / FILE
+            path = output_folder(folder, deep=True) / FILE
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                text = f"{folder}: cannot be used as checkpoint folder ({error.strerror}); choose another"
+                raise CheckpointError(text) from None
         self._memo: Memo | None = Memo(path, FILE)
         self._lock = threading.Lock()
         self.known, self.made, self.failed = self._memo.known, 0, 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from zoo.core.diagnosis.cautions import WRONG, changed_by_priors
+from zoo.core.diagnosis.cautions import changed_by_priors, missing
 from zoo.core.diagnosis.file import DiagnosisFile, Estimate, LearnedFunction, StateFile
 from zoo.core.effects import Location
 from zoo.core.words import digits, estimate, listed, percent, span, unit_words
@@ -98,9 +98,9 @@ def _cause(file: DiagnosisFile, name: str, *, sized: bool = False) -> str:
 
 
 def _causes(file: DiagnosisFile, names: Iterable[str], *, sized: bool = False) -> str:
-    """Several of them, the most probable first; or that nothing is missing."""
+    """Several of them, the most probable first; or that there is none."""
     known = [c.name for c in file.causes if c.name in set(names)]
-    return " and ".join(_cause(file, name, sized=sized) for name in known) or "nothing missing"
+    return " and ".join(_cause(file, name, sized=sized) for name in known) or "no listed cause"
 
 
 def _headline(file: DiagnosisFile) -> str:
@@ -244,6 +244,8 @@ def _law(f: LearnedFunction) -> str:
 
 def _sensitivity(file: DiagnosisFile) -> str:
     stated, *others = file.sensitivity
+    if not file.causes:
+        return ""
     varied = f"Priors varied in {len(others)} ways"
     if moved := changed_by_priors(file):
         return f"{varied}: the answer changes with {listed(moved)}"
@@ -253,7 +255,7 @@ def _sensitivity(file: DiagnosisFile) -> str:
         ends = dict.fromkeys(_chance(x, 0) for x in (low, high))
         ranges.append(f"{name} {' to '.join(ends)}")
     if not ranges:
-        ranges = [f"nothing missing: {percent(min(row.nothing for row in file.sensitivity))} or more"]
+        ranges = [f"no listed cause {_chance(min(row.nothing for row in file.sensitivity), 0)} or more"]
     but = "" if file.decided else ", which does not take the warnings away"
     return f"{varied}: the same answer each time ({', '.join(ranges)}){but}"
 
@@ -289,7 +291,7 @@ def measurement(file: DiagnosisFile) -> str:
 
 
 def _unverified(file: DiagnosisFile) -> str:
-    if file.missed < UNVERIFIED or file.linear_error > WRONG:  # above it a warning says so
+    if file.missed < UNVERIFIED or missing(file):  # then a warning says so
         return ""
     estimated = "combinations of causes that were only estimated by a linear model, not simulated"
     return f"Up to {percent(file.missed)} of the probability may belong to {estimated}"
@@ -308,6 +310,8 @@ def _state(state: StateFile, components: set[str]) -> str:
     if leader is not None:
         told.append(f"with what was learned of {listed(leader.names)} by {leader.error.mean:.2g}")
     holding = [listed(c.names) for c in state.carried if c.holds]
+    if state.baseline.mean == 0.0:
+        return f"{told[0]}{unit}, and so tells nothing of what was learned"
     end = f"what holds there: {', '.join(holding)}" if holding else "nothing that was learned holds there"
     if leader is not None and leader.beyond is not None and leader.beyond > VISITED:
         end += f" ({percent(leader.beyond)} of the range there is new)"
