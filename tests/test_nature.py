@@ -8,7 +8,14 @@ import pytest
 from benchmarks.nature import CASES, durance, falling_balls, pig_aorta
 from benchmarks.nature.scoring import Case, even, score
 
-OURS = {"durance": durance.RIVALS, "pig-aorta": pig_aorta.RIVALS, "falling-balls": falling_balls.RIVALS}
+import tanks
+
+OURS = {
+    "durance": durance.RIVALS,
+    "pig-aorta": pig_aorta.RIVALS,
+    "falling-balls": falling_balls.RIVALS,
+    "cascaded-tanks": tanks.EFFECTS,
+}
 
 
 @pytest.mark.parametrize("case", OURS)

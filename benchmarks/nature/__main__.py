@@ -9,6 +9,7 @@ from pathlib import Path
 
 from benchmarks.nature import CASES, GROUPS, DataError, __doc__, data_file, durance, list_digest, pig_aorta
 from benchmarks.nature.falling_balls import diagnose_air, diagnose_ball, read_drops
+from examples import tanks as two_tanks
 from matplotlib.figure import Figure
 
 from zoo.core.diagnosis import Diagnosis
@@ -22,7 +23,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--lists", action="store_true", help="SHA-256 of the lists of rivals, and nothing else"
     )
     parser.add_argument(
-        "--cases", nargs="+", default=("falling-balls", "air", "durance", "pig-aorta"), help="these only"
+        "--cases",
+        nargs="+",
+        default=tuple(ANSWERS),
+        help="these only",
     )
     parser.add_argument("--balls", nargs="+", help="these only")
     parser.add_argument("--figures", type=Path, help="a folder for a figure of each case")
@@ -31,10 +35,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for case in CASES:
             print(case, list_digest(case))
         return
-    rows = {"falling-balls": balls, "air": air, "durance": river, "pig-aorta": pig}
     try:
         for name in asked.cases:
-            rows[name](asked)
+            ANSWERS[name](asked)
     except DataError as error:
         sys.exit(str(error))
 
@@ -139,6 +142,19 @@ def pig(asked: argparse.Namespace) -> None:
         if cause.name in GROUPS["timing"] and cause.estimates:
             shift = cause.estimates[0]
             print(f"{cause.name}: {1e3 * shift.mean:.1f} +- {1e3 * shift.sd:.1f} ms, where it is")
+
+
+def tanks(asked: argparse.Namespace) -> None:
+    """Two tanks, the upper one of which overflows."""
+    record = two_tanks.read(data_file("cascaded-tanks"))
+    found = two_tanks.diagnosed(record)
+    print(two_tanks.report(found, record))
+    if asked.figures:
+        asked.figures.mkdir(parents=True, exist_ok=True)
+        two_tanks.figure(found, record, asked.figures / "nature-cascaded-tanks.png")
+
+
+ANSWERS = {"falling-balls": balls, "air": air, "durance": river, "pig-aorta": pig, "cascaded-tanks": tanks}
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from benchmarks.nature import CASES, GROUPS, data_file, durance, falling_balls, pig_aorta
+from examples import tanks as two_tanks
 from numpy.typing import NDArray
 
 import zoo
@@ -87,11 +88,21 @@ def pig() -> Iterator[Case]:
     )
 
 
+def tanks() -> Iterator[Case]:
+    """Level of the lower one of two tanks."""
+    record = two_tanks.read(data_file("cascaded-tanks"))
+    model = two_tanks.tanks(record["uEst"])
+    priors = {one.name: one for one in model.parameters}
+    at, right = two_tanks.times(len(record["yEst"])), (CASES["cascaded-tanks"]["known"]["cascaded-tanks"],)
+    yield Case("cascaded-tanks", at, record["yEst"], model.function, priors, two_tanks.EFFECTS, right)
+
+
 def known_cases() -> Iterator[Case]:
     """All records of which the cause is known."""
     yield from balls()
     yield from river()
     yield from pig()
+    yield from tanks()
 
 
 def even(case: Case) -> dict[tuple[str, ...], float]:
