@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 import zoo
 from zoo.core.arviz_lines import ARVIZ_1, InferenceData, datasets, made, of_draws
@@ -21,6 +22,8 @@ from zoo.models import get_model
 FOLDER = Path(__file__).parent / "data" / "lines"
 LINES = ("pymc-5", "pymc-6")
 OURS = LINES[ARVIZ_1]
+IN_NUMBA = [] if ARVIZ_1 else [pytest.mark.nightly]
+"""Marks of what numba takes long to compile: the later line does it by default, the older one on request."""
 COLUMNS = [
     "waic",
     "waic_se",
@@ -30,6 +33,13 @@ COLUMNS = [
     "difference",
     "difference_se",
 ]
+
+
+def compiled_by_numba(test: Any) -> Any:
+    """A test with these marks."""
+    for mark in IN_NUMBA:
+        test = mark(test)
+    return test
 
 
 def posterior(model: Any, n_draws: int = 50) -> InferenceData:

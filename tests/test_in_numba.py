@@ -18,6 +18,7 @@ import pytensor.tensor as pt
 import pytest
 
 import zoo
+from lines import IN_NUMBA, compiled_by_numba
 from test_errors import CASES, some_errors
 from test_op import NAMES, POINT, at, flow
 from zoo.blood.blood_flow import BloodFlow, constant_stiffness
@@ -84,7 +85,10 @@ def test_series_and_slopes_are_those_by_python(letter: str) -> None:
     np.testing.assert_array_equal(alone[1], mean)
 
 
-@pytest.mark.parametrize("kind", ["gaussian process", "process", "process of known noise"])
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param("gaussian process", marks=IN_NUMBA), "process", "process of known noise"],
+)
 def test_terms_and_gradient_are_those_by_python(kind: str) -> None:
     """For weights as those of a log-density, and any; and where there is no law."""
     known = kind == "process of known noise"
@@ -136,7 +140,11 @@ def test_series_of_several_quantities_at_unordered_times(study: Any) -> None:
 
 # the functions of each wall are compared above, and A and G are compiled by test_lines.py too
 @pytest.mark.parametrize(
-    "letter", ["B", *(pytest.param(letter, marks=pytest.mark.nightly) for letter in "ACDEFGHI")]
+    "letter",
+    [
+        pytest.param("B", marks=IN_NUMBA),
+        *(pytest.param(letter, marks=pytest.mark.nightly) for letter in "ACDEFGHI"),
+    ],
 )
 def test_a_model_runs_without_python_and_without_a_warning(letter: str, calls_of_python: list[str]) -> None:
     model = getattr(zoo, f"model_{letter}")(zoo.load_study("demo"))
@@ -272,6 +280,7 @@ def _in_child(pickled: bytes, point: np.ndarray) -> Any:
     return found, op.counts
 
 
+@compiled_by_numba
 def test_a_pickled_function_is_compiled_anew(study: Any) -> None:
     op = ForwardOp(flow(study))
     inputs = [pt.dvector(), *(pt.dscalar() for _ in range(4))]
@@ -288,6 +297,7 @@ def test_a_pickled_function_is_compiled_anew(study: Any) -> None:
 # samplers
 
 
+@compiled_by_numba
 def test_nutpie_samples_a_model(study: Any) -> None:
     model = zoo.model_A(study)
     compiled = nutpie.compile_pymc_model(model)

@@ -10,7 +10,7 @@ import pymc as pm
 import pytest
 
 import zoo
-from lines import FOLDER, LINES, OURS, posterior_with_groups, waic_of_nine
+from lines import FOLDER, IN_NUMBA, LINES, OURS, posterior_with_groups, waic_of_nine
 from zoo.core.arviz_lines import datasets
 from zoo.core.inference.record import RunRecord
 from zoo.core.posterior.storage import load, save_posterior
@@ -50,7 +50,7 @@ def test_this_line_is_among_them() -> None:
     assert OURS in LINES
 
 
-@pytest.mark.parametrize("letter", ["A", "G"])
+@pytest.mark.parametrize("letter", [pytest.param(x, marks=IN_NUMBA) for x in "AG"])
 def test_models_run_in_numba_as_by_the_c_linker_and_without_a_warning(letter: str) -> None:
     """Both kinds of errors; their distributions and those of the parameters are drawn from too."""
     model = get_model(letter)(zoo.load_study("demo"))
