@@ -416,9 +416,7 @@ class SetModel:
 
     def precision(self, scales: Array) -> tuple[Array, Array]:
         """Prior precision (..., p, p) and pull (..., p) for sizes (..., n_causes)."""
-        inverse = (
-            1.0 / scales[..., self.owner] ** 2 if len(self.causes) else np.zeros((*scales.shape[:-1], 0))
-        )
+        inverse = 1.0 / scales[..., self.owner] ** 2
         diagonal = np.concatenate([np.zeros((*inverse.shape[:-1], self.k)), inverse], axis=-1)
         P = self.P0 + diagonal[..., None] * np.eye(len(self.mean))
         return P, self.pull - diagonal * self.mean

@@ -35,8 +35,6 @@ class SetRow:
         Indices of the causes.
     log_prior : float
     evidence : SetEvidence
-    solved : bool
-        Whether it is linear around its own mode, found with the simulator.
     shift : float
         What is added to its log evidence, since sets like it delivered less or more than they promised.
     """
@@ -44,7 +42,6 @@ class SetRow:
     which: tuple[int, ...]
     log_prior: float
     evidence: SetEvidence = field(repr=False)
-    solved: bool = False
     shift: float = 0.0
 
 

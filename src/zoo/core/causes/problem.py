@@ -112,14 +112,10 @@ class Problem:
         return np.diag(self.precision) if self.precision.ndim == 1 else self.precision
 
 
-def without_doubles(causes: Sequence[Cause]) -> tuple[list[Cause], dict[str, str]]:
-    """Causes that differ, and for each that was left out the label of the same one that stays."""
+def without_doubles(causes: Sequence[Cause]) -> list[Cause]:
+    """Causes that differ: of those that are the same one the first."""
     kept: list[Cause] = []
-    left: dict[str, str] = {}
     for one in causes:
-        first = next((other for other in kept if one.same(other)), None)
-        if first is None:
+        if not any(one.same(other) for other in kept):
             kept.append(one)
-        else:
-            left[one.label] = first.label
-    return kept, left
+    return kept

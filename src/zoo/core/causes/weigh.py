@@ -22,6 +22,8 @@ from zoo.core.threads import threads
 Array = NDArray[np.float64]
 Which = tuple[int, ...]
 
+SIZES = SizePriors()
+"""Of the discrepancy, while sets are sought."""
 MISSED = 0.02
 """Probability that sets which are only guessed hold together at most, where guesses are right."""
 SHAPES_WITHIN = 5.0
@@ -44,7 +46,6 @@ class _Search:
     causes: Sequence[Cause]
     family: ErrorFamily
     priors: CausePriors
-    sizes: SizePriors
     cores: int
     always: Which = ()
     weighed: dict[Which, SetEvidence] = field(default_factory=dict)
@@ -52,7 +53,7 @@ class _Search:
 
     def total(self, which: Which) -> float:
         """Log prior plus log evidence of a set, or plus an estimate of it."""
-        log = self.weighed[which].total(self.sizes) if which in self.weighed else self.guessed[which]
+        log = self.weighed[which].total(SIZES) if which in self.weighed else self.guessed[which]
         return log + self.priors.log_prior(which)
 
     def start(self) -> None:
@@ -62,22 +63,26 @@ class _Search:
         self.weighed[self.always] = model.evidence(everything, self.family.noise_start)
         self.kinds = everything
 
-    def weigh(self, sets: Sequence[Which], kinds: NDArray[np.int_]) -> None:
-        """These sets given some error models."""
-        like = max(self.weighed, key=self.total)
-        known = self.weighed[like]
-        start = known.log_noise[np.searchsorted(known.kinds, kinds)]
+    def weigh(self, sets: Sequence[Which]) -> None:
+        """These sets given the error models that are kept."""
+        known = self.weighed[max(self.weighed, key=self.total)]
+        start = known.log_noise[np.searchsorted(known.kinds, self.kinds)]
 
         def one(which: Which) -> SetEvidence:
-            return SetModel(self.problem, [self.causes[i] for i in which], self.family).evidence(kinds, start)
+            model = SetModel(self.problem, [self.causes[i] for i in which], self.family)
+            return model.evidence(self.kinds, start)
 
         with threads(self.cores) as pool:
             self.weighed.update(zip(sets, pool.map(one, sets), strict=True))
 
+    def weigh_more(self, most: int) -> None:
+        """The most probable sets that were not weighed yet."""
+        self.weigh(leading({w: self.total(w) for w in [*self.guessed, *self.weighed]}, self.weighed, most))
+
     def seek(self, parent: Which) -> None:
         """Guess the evidence of sets, given the error model that is most probable with one of them."""
         found = self.weighed[parent]
-        reference = Reference(self.problem, self.causes, found.likely_variances(self.sizes))
+        reference = Reference(self.problem, self.causes, found.likely_variances(SIZES))
         scales: tuple[float, ...] = ()
         gain = 0.0
         for i in range(len(self.always)):
@@ -88,7 +93,7 @@ class _Search:
         sizes: dict[Which, tuple[float, ...]] = {self.always: scales}
         level: list[Which] = [self.always]
         most = min(self.priors.most, len(self.priors.names))
-        for depth in range(most - len(self.always)):
+        for width in (*BEAM, 0)[: most - len(self.always)]:
             new: set[Which] = set()
             for which in level:
                 gained, best = reference.further(which, sizes[which])
@@ -102,19 +107,12 @@ class _Search:
                     if value > conditional.get(key, -np.inf):
                         conditional[key], sizes[key] = value, tuple(s for _, s in both)
                     new.add(key)
-            if depth >= len(BEAM):
-                break
-            ranked = sorted(new, key=lambda w: -(conditional[w] + self.priors.log_prior(w)))
-            level = ranked[: BEAM[depth]]
+            level = sorted(new, key=lambda w: -(conditional[w] + self.priors.log_prior(w)))[:width]
         if parent not in conditional:  # the beam went past it
             return
-        shift = found.total(self.sizes) - conditional[parent]
+        shift = found.total(SIZES) - conditional[parent]
         for key, value in conditional.items():
             self.guessed[key] = max(self.guessed.get(key, -np.inf), value + shift)
-
-    def leading(self, most: int) -> list[Which]:
-        """The most probable sets that were not weighed yet, but for those that hold `MISSED` together."""
-        return leading({w: self.total(w) for w in [*self.guessed, *self.weighed]}, self.weighed, most)
 
 
 def leading(
@@ -145,7 +143,6 @@ def weigh_causes(
     family: ErrorFamily,
     *,
     priors: CausePriors | None = None,
-    sizes: SizePriors | None = None,
     always: Which = (),
     cores: int = 2,
     tick: Callable[[str, float], None] | None = None,
@@ -162,8 +159,6 @@ def weigh_causes(
     causes : sequence of Cause
     family : ErrorFamily
     priors : CausePriors, optional
-    sizes : SizePriors, optional
-        Of the discrepancy.
     always : tuple of int
         Causes that all sets have.
     cores : int
@@ -186,12 +181,12 @@ def weigh_causes(
             raise CauseError(f"{one.label}: columns: {len(one.columns)} coefficients, the data have {n}")
     say = tick or (lambda text, share: None)
     priors = priors or CausePriors(causes)
-    search = _Search(problem, causes, family, priors, sizes or SizePriors(), cores, always)
+    search = _Search(problem, causes, family, priors, cores, always)
     with threadpool_limits(1, user_api="blas"):  # the matrices are small
         _find_sets(search, say)
     rows = [SetRow(w, search.priors.log_prior(w), e) for w, e in search.weighed.items()]
     guessed = {w: g + priors.log_prior(w) for w, g in search.guessed.items() if w not in search.weighed}
-    return CausePosterior(tuple(causes), priors, search.sizes, tuple(rows), guessed)
+    return CausePosterior(tuple(causes), priors, SIZES, tuple(rows), guessed)
 
 
 def _find_sets(search: _Search, say: Callable[[str, float], None]) -> None:
@@ -206,13 +201,13 @@ def _find_sets(search: _Search, say: Callable[[str, float], None]) -> None:
             search.seek(parent)
             if round_ == 0:  # spectra that matter given nothing or the best cause of each component
                 _fewer_kinds(search)
-            search.weigh(search.leading(1 if search.always else FIRST_WEIGHED), search.kinds)
+            search.weigh_more(1 if search.always else FIRST_WEIGHED)
             ranked = sorted(search.weighed, key=lambda w: -search.total(w))
             if ranked[0] in seen:
                 break
             parent = ranked[0]
         if not search.always:
-            search.weigh(search.leading(MOST_WEIGHED), search.kinds)
+            search.weigh_more(MOST_WEIGHED)
 
 
 def _fewer_kinds(search: _Search) -> None:
@@ -221,10 +216,10 @@ def _fewer_kinds(search: _Search) -> None:
     for which in sorted(search.guessed, key=lambda w: -search.total(w)):
         if len(which) == 1 and not search.always:
             best.setdefault(search.causes[which[0]].component, which)
-    search.weigh(list(best.values()), np.arange(search.family.n_kinds))
+    search.weigh(list(best.values()))
     behind = np.full(len(search.family.shapes), np.inf)
     for which in [search.always, *best.values()]:
-        log_colours, smooth = search.weighed[which].terms(search.sizes)
+        log_colours, smooth = search.weighed[which].terms(SIZES)
         each = np.logaddexp.reduce(smooth[: len(behind)], axis=1)
         top = max(float(smooth.max()), float(each.max()), float(log_colours.max()))
         behind = np.minimum(behind, top - each)

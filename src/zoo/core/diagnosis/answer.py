@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.causes.posterior import CausePosterior
-from zoo.core.causes.problem import Problem
 from zoo.core.causes.reference import Reference
 from zoo.core.causes.set_priors import ODDS
-from zoo.core.diagnosis.bounds import Excluded
 from zoo.core.diagnosis.cautions import cautions, lifted_bounds, undecided
 from zoo.core.diagnosis.discrepancies import (
     CauseDraws,
@@ -36,7 +34,6 @@ from zoo.core.diagnosis.file import (
     Gap,
     Interval,
     LearnedFunction,
-    LiftedBound,
     LocationShare,
     NextMeasurement,
     SensitivityRow,
@@ -266,9 +263,7 @@ def confounded(found: CauseSets) -> dict[str, list[str]]:
     one = found.solved[which]
     V = one.evidence.variances(one.evidence.best(SIZE_PRIORS))
     predicted = one.point.computed - search.base.computed
-    p = search.problem
-    problem = Problem(predicted, p.jacobian, p.precision, p.pull, p.log_prior, p.low, p.high)
-    reference = Reference(problem, search.causes, V)
+    reference = Reference(replace(search.problem, residual=predicted), search.causes, V)
     groups = {}
     for i in which:
         rest = [j for j in which if j != i]
@@ -415,24 +410,6 @@ def next_measurement(found: CauseSets, hooks: Hooks) -> NextMeasurement | None:
     )
 
 
-def _excluded(excluded: Excluded | None, found: CauseSets, rows: list[int], unit: str) -> ExcludedFit | None:
-    if excluded is None:
-        return None
-    unflat = found.search.family.errors.unflat
-    bounds = [
-        LiftedBound.model_validate(
-            {"parameter": b.parameter, "unit": b.unit, "side": b.side, "bound": b.bound, "best": value}
-        )
-        for b, value in zip(excluded.bounds, excluded.values, strict=True)
-    ]
-    return ExcludedFit(
-        unit=unit,
-        bounds=bounds,
-        residual_rms_within=_rms(unflat(excluded.within)[rows]),
-        residual_rms_free=_rms(unflat(excluded.free)[rows]),
-    )
-
-
 def _parameters(found: CauseSets, draws: CauseDraws) -> dict[str, dict[str, Estimate]]:
     """Of the baseline: by itself, with the leading set, and over all sets."""
     of, rows = found.search.fitting.forward.parameters, {}
@@ -446,7 +423,7 @@ def _parameters(found: CauseSets, draws: CauseDraws) -> dict[str, dict[str, Esti
 
 
 def answer(
-    found: CauseSets, hooks: Hooks, seed: int, record: dict[str, Any], excluded: Excluded | None = None
+    found: CauseSets, hooks: Hooks, seed: int, record: dict[str, Any], excluded: ExcludedFit | None = None
 ) -> tuple[DiagnosisFile, Discrepancy, Discrepancy, CauseDraws]:
     """The content of diagnosis.json, and the discrepancies and draws behind it.
 
@@ -458,7 +435,7 @@ def answer(
         Of the draws.
     record : dict
         How it was made.
-    excluded : Excluded, optional
+    excluded : ExcludedFit, optional
         What the baseline's prior excluded; the sets are of the baseline with these bounds lifted.
 
     Returns
@@ -482,7 +459,7 @@ def answer(
         verdict="",
         decided=True,
         cause=[found.posterior.causes[i].label for i in found.leader],
-        excluded=_excluded(excluded, found, rows, data.units[rows[0]]),
+        excluded=excluded,
         gap=_gap(found, before, after, rows),
         where=_where(found, p, before, hooks),
         no_gap=p[()] * (next(row.negligible for row in sets if not row.causes) or 0.0),

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.diagnosis.coordinates import Coordinate, SearchModel
+from zoo.core.diagnosis.file import ExcludedFit, LiftedBound
 from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.search import SearchError
 from zoo.core.forward import ForwardModel, WithPriors
@@ -28,16 +29,6 @@ WIDTHS = 2.0
 """Widths of its prior by which another bound is moved."""
 WIDENINGS = 3
 """How often at most."""
-
-
-@dataclass(frozen=True, eq=False)
-class Excluded:
-    """What a baseline's prior excludes: the bounds, what fits best, and residuals (n,) within and beyond."""
-
-    bounds: tuple[AtBound, ...]
-    values: tuple[float, ...]
-    within: Array
-    free: Array
 
 
 def at_bounds(forward: SearchModel, u: Array) -> list[tuple[Coordinate, AtBound]]:
@@ -76,7 +67,7 @@ def lifted(model: ForwardModel, bounds: Sequence[tuple[Coordinate, AtBound]]) ->
     return WithPriors(model, priors) if priors else None
 
 
-def freed(fitting: Fitting) -> tuple[Fitting, Excluded | None]:
+def freed(fitting: Fitting, rows: list[int]) -> tuple[Fitting, ExcludedFit | None]:
     """A baseline that is free to fit best, and what its prior excluded.
 
     Where the baseline's best fit stands at a bound of its prior, the bound is moved and the baseline fitted
@@ -85,15 +76,17 @@ def freed(fitting: Fitting) -> tuple[Fitting, Excluded | None]:
     Parameters
     ----------
     fitting : Fitting
+    rows : list of int
+        Series whose residuals are stated.
 
     Returns
     -------
     Fitting
         The same, or one of the baseline with wider priors.
-    Excluded or None
+    ExcludedFit or None
     """
     stuck, free = at_bounds(fitting.forward, fitting.start.u), fitting
-    bounds = tuple(one for _, one in stuck)
+    bounds = [one for _, one in stuck]
     for _ in range(WIDENINGS):
         model = lifted(free.baseline, stuck)
         if model is None:  # also where nothing stands at a bound
@@ -112,5 +105,17 @@ def freed(fitting: Fitting) -> tuple[Fitting, Excluded | None]:
         return fitting, None
     names = [p.name for p in free.forward.parameters]
     theta = free.forward.theta(free.start.u)
-    values = tuple(float(theta[names.index(one.parameter)]) for one in bounds)
-    return free, Excluded(bounds, values, within, beyond)
+    left = (fitting.errors.unflat(x)[rows] for x in (within, beyond))
+    rms = [float(np.sqrt(np.nanmean(x**2))) for x in left]
+    return free, ExcludedFit(
+        unit=fitting.data.units[rows[0]],
+        bounds=[
+            LiftedBound.model_validate(
+                {"parameter": b.parameter, "unit": b.unit, "side": b.side, "bound": b.bound}
+                | {"best": float(theta[names.index(b.parameter)])}
+            )
+            for b in bounds
+        ],
+        residual_rms_within=rms[0],
+        residual_rms_free=rms[1],
+    )

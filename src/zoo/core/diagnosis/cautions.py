@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zoo.core.components import FreeFunction
-from zoo.core.diagnosis.bounds import Excluded, at_bounds
+from zoo.core.diagnosis.bounds import at_bounds
 from zoo.core.diagnosis.discrepancies import Discrepancy
-from zoo.core.diagnosis.file import DiagnosisFile, LearnedFunction
+from zoo.core.diagnosis.file import DiagnosisFile, ExcludedFit, LearnedFunction
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.sets import CauseSets
 from zoo.core.diagnosis.solved import SIZE_PRIORS
+from zoo.core.inference.prior_check import AtBound
 from zoo.core.words import digits, listed, percent, unit_words
 
 Array = NDArray[np.float64]
@@ -250,12 +251,12 @@ def _noise(found: CauseSets) -> list[str]:
     return told
 
 
-def lifted_bounds(excluded: Excluded | None, hooks: Hooks) -> list[str]:
+def lifted_bounds(excluded: ExcludedFit | None, hooks: Hooks) -> list[str]:
     """That the baseline's prior was widened for this diagnosis."""
     if excluded is None:
         return []
     return [
-        f"{one.text} in other commands too; here the bound is lifted; if {value:.3g} "
-        f"is impossible, {hooks.advice}"
-        for one, value in zip(excluded.bounds, excluded.values, strict=True)
+        f"{AtBound(b.parameter, b.side, b.bound, b.unit).text} in other commands too; here the bound is "
+        f"lifted; if {b.best:.3g} is impossible, {hooks.advice}"
+        for b in excluded.bounds
     ]

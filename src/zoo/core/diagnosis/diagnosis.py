@@ -18,7 +18,7 @@ from zoo.core import digests
 from zoo.core.arrays import finite_array
 from zoo.core.data import Data
 from zoo.core.diagnosis.answer import answer
-from zoo.core.diagnosis.bounds import Excluded, freed
+from zoo.core.diagnosis.bounds import freed
 from zoo.core.diagnosis.discrepancies import CauseDraws, Discrepancy, estimate_of, interval_of, together
 from zoo.core.diagnosis.file import (
     CauseResult,
@@ -523,9 +523,8 @@ def _searched(
 ) -> Diagnosis:
     """The diagnosis of one record."""
     data = fitting.data
-    excluded: Excluded | None = None
     try:
-        fitting, excluded = freed(fitting)
+        fitting, excluded = freed(fitting, hooks.rows(data))
         sets = CauseSearch(fitting, effects, hooks, tick).run()
         sets.search.tick = _silent  # a display cannot be sent to another process
     except (SearchError, SolveError) as error:

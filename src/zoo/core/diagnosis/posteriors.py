@@ -90,7 +90,6 @@ def explanation_model(found: CauseSets, which: Which) -> tuple[pm.Model, dict[st
 class SampledExplanation:
     """One explanation's posterior, its marginal likelihood, and whether it counts."""
 
-    name: str
     idata: Any
     log_marginal: float
     log_marginal_se: float
@@ -225,7 +224,7 @@ def sample_explanations(
             idata = sample_to(Path(folder) / f"{name}.nc", model, **settings)
         v = verdict(idata)
         log_z, se = log_marginal_likelihood(model, idata, seed=seed)
-        found[name] = SampledExplanation(name, idata, log_z, se, v.text, v.passes)
+        found[name] = SampledExplanation(idata, log_z, se, v.text, v.passes)
         scores[name] = scores_of(model, idata)
     by_waic, by_loo = (ranked({name: both[i] for name, both in scores.items()}, "pseudo-BMA") for i in (0, 1))
     return SampledExplanations(found, by_waic, by_loo)

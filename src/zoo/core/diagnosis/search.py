@@ -57,22 +57,6 @@ class Searched(Protocol):
 F = TypeVar("F", bound=Searched)
 
 
-class Solved(Protocol):
-    """A point that was solved with its Jacobian, such as a fit."""
-
-    @property
-    def u(self) -> Array:
-        """Coordinates (d,)."""
-
-    @property
-    def computed(self) -> Array:
-        """Flat coefficients (n,)."""
-
-    @property
-    def jacobian(self) -> Array:
-        """Their derivatives (n, d)."""
-
-
 @dataclass
 class Point:
     """Where a search stands."""
@@ -117,9 +101,9 @@ class Search(Generic[F]):
         point.jacobian = self.differences(point, None) if jacobian is None else jacobian
         return point
 
-    def resume(self, point: Solved) -> Point:
-        """A point (or a fit) of another search, with its cost in this one and the damping of a first step."""
-        return Point(point.u, point.computed, point.jacobian, self.cost(point.u, point.computed))
+    def resume(self, point: Point) -> Point:
+        """A point of another search, with its cost in this one and the damping of a first step."""
+        return replace(point, cost=self.cost(point.u, point.computed), damping=DAMPING)
 
     def differences(self, point: Point, guess: Array | None, *, fine: bool = False) -> Array:
         """Jacobian by one-sided differences, of steps that change the series by about twice their noise.

@@ -27,7 +27,7 @@ from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.responses import Origin, Response, free_causes, listed_causes
 from zoo.core.diagnosis.search import NO_DAMPING, Point, Search, SearchError
-from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear, SolvedSet, Which, tangents
+from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear, SolvedSet, Which, places, tangents
 from zoo.core.effects import Effect
 from zoo.core.forward import Corrected, SolveError, pinned
 from zoo.core.threads import threads
@@ -118,7 +118,7 @@ class CauseSearch:
         moved = {one.name for one in there}
         self.failed = {name: self._why(name) for name in placed if name not in solved}
         self.idle = [one.name for one in self.effects if one.name not in self.failed.keys() | moved]
-        self.causes, _ = without_doubles(list(there))
+        self.causes = without_doubles(list(there))
         self.origins = [there[one] for one in self.causes]
         responses = [found[origin.key] for origin in self.origins]
         residual = self.data - self.base.computed
@@ -246,7 +246,6 @@ class CauseSearch:
             linear.problem,
             linear.causes,
             self.family,
-            priors=CausePriors(self.causes),
             always=linear.centre,
             cores=self.fitting.cores,
             tick=self._tell,
@@ -365,7 +364,7 @@ class CauseSearch:
         rows = [
             replace(row, shift=shifts[w])
             if w in shifts
-            else replace(row, evidence=self.solved[w].evidence.only(row.evidence.kinds), solved=True)
+            else replace(row, evidence=self.solved[w].evidence.only(row.evidence.kinds))
             for w, row in self.rows.items()
         ]
         guessed = {w: x for w, x in found.guessed.items() if w not in self.rows}
@@ -466,8 +465,8 @@ class CauseSearch:
         listed = any(self.origins[i].added is not None for i in which)
         baseline = self.fitting.baseline if listed else self.grid.model
         known = None if which in self.near else self.solved.get(which)
-        forward = self.fitting.model(tuple(self.origins[i].effect() for i in order), baseline)
-        forward = known.forward if known else forward
+        added = tuple(self.origins[i].effect() for i in order)
+        forward = known.forward if known else self.fitting.model(added, baseline)
         linear = self.rows[which].evidence
         search = Search(forward, self.data, linear.likely_variances(SIZE_PRIORS))
         point: Point | None = None
@@ -547,15 +546,13 @@ class CauseSearch:
         origin, start, jacobian = self.linear_of(which).start(which, order, mean, self.origins)
         found = [(origin + part * (start - origin), jacobian) for part in NEARER]
         k = len(self.base.u)
-        sizes = {i: len(self.origins[i].effect().effect.parameters) for i in order}
-        at = dict(zip(order, np.cumsum([k, *sizes.values()]), strict=False))
+        own = places(order, k, self.origins)
         for one in self._near(which):
             u, J = origin.copy(), jacobian.copy()
             u[:k], J[:, :k] = one.point.u[:k], one.point.jacobian[:, :k]
             for i, of in one.places(self.origins).items():
-                if i in at:
-                    to = slice(at[i], at[i] + sizes[i])
-                    u[to], J[:, to] = one.point.u[of], one.point.jacobian[:, of]
+                if i in own:
+                    u[own[i]], J[:, own[i]] = one.point.u[of], one.point.jacobian[:, of]
             found.append((u, J))
         return found
 
@@ -581,20 +578,17 @@ class CauseSearch:
         self, order: Which, forward: SearchModel, point: Point, linear: SetEvidence
     ) -> tuple[SetEvidence, int]:
         """Evidence of a set around a point: listed effects among the parameters, functions seen from 0."""
-        sizes = [len(self.origins[i].effect().effect.parameters) for i in order] if order else []
+        there = places(order, forward.n_base, self.origins)
         free = [i for i in order if self.origins[i].added is None]
-        n_listed = len(point.u) - sum(sizes[len(order) - len(free) :])
+        n_listed = there[free[0]].start if free else len(point.u)
         own = self.fitting.model(forward.added[: len(order) - len(free)]) if free else forward
-        residual, causes, at = self.data - point.computed, [], n_listed
+        residual, causes = self.data - point.computed, []
         for i in free:
-            after = at + self.causes[i].columns.shape[1]
-            Z = point.jacobian[:, at:after]
-            residual = residual + Z @ point.u[at:after]
+            Z = point.jacobian[:, there[i]]
+            residual = residual + Z @ point.u[there[i]]
             causes.append(replace(self.causes[i], columns=Z))
-            at = after
         problem = self._problem(own, point.u[:n_listed], residual, point.jacobian[:, :n_listed])
-        firsts = np.cumsum([forward.n_base, *sizes])[: len(order) - len(free)]
-        problem = replace(problem, amplitudes=tuple(int(i) for i in firsts))
+        problem = replace(problem, amplitudes=tuple(there[i].start for i in order if i not in free))
         change = point.computed - self.base.computed
         signal = (lambda V: without(self.jacobian, change, V)) if order else None
         found = SetModel(problem, causes, self.family).evidence(linear.kinds, linear.log_noise, signal)

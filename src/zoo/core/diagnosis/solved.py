@@ -20,6 +20,12 @@ Which = tuple[int, ...]
 SIZE_PRIORS = SizePriors()
 
 
+def places(order: Which, n_base: int, origins: Sequence[Origin]) -> dict[int, slice]:
+    """Coordinates of causes in an order, after those of the baseline."""
+    ends = np.cumsum([n_base, *(len(origins[i].effect().effect.parameters) for i in order)]).tolist()
+    return {i: slice(*ends[k : k + 2]) for k, i in enumerate(order)}
+
+
 @dataclass(frozen=True, eq=False)
 class SolvedSet:
     """A set of causes at its mode: the point, and its evidence there.
@@ -61,12 +67,7 @@ class SolvedSet:
 
     def places(self, origins: Sequence[Origin]) -> dict[int, slice]:
         """Coordinates of each cause by its index."""
-        found, at = {}, self.forward.n_base
-        for i in self.order:
-            size = len(origins[i].effect().effect.parameters)
-            found[i] = slice(at, at + size)
-            at += size
-        return found
+        return places(self.order, self.forward.n_base, origins)
 
 
 @dataclass(frozen=True, eq=False)

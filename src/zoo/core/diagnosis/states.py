@@ -107,9 +107,9 @@ class _Explanation:
     """What is fixed: functions with their values, or a listed effect with its amplitudes."""
 
     names: tuple[str, ...]
-    functions: tuple[tuple[FreeFunction, Array], ...] = ()
-    effects: tuple[tuple[AddedEffect, tuple[float, ...]], ...] = ()
-    shift: Array | None = None
+    functions: tuple[tuple[FreeFunction, Array], ...]
+    effects: tuple[tuple[AddedEffect, tuple[float, ...]], ...]
+    shift: Array
 
     @property
     def name(self) -> str:
@@ -181,8 +181,6 @@ def _changes(one: _Explanation, again: Mapping[str, FreeFunction]) -> list[Chang
         moved = np.interp(made.at / made.period, f.at / f.period, values, period=1.0)
         found.append(partial(_apply, made, moved))
     for added, amplitudes in one.effects:
-        if added.effect.apply is None:
-            return None
         found.append(partial(_add, added, amplitudes))
     return found
 
@@ -241,7 +239,7 @@ class _Refitted:
         fitting = Fitting(state.data, state.model, errors.bind(state.data), smooth=smooth, cores=cores)
         search = CauseSearch(fitting, (), Hooks(smooth=smooth), lambda text, share: None)
         self.fitting = search.fitting
-        found = CauseSets(search.run().posterior, search)
+        found = search.run()
         self.base, self.noise = search.base, found.noise
         one = search.solved[()].evidence
         self.S = one.variances(one.best(SIZE_PRIORS), alone=True)
@@ -354,7 +352,7 @@ def hold_in(
     for i, one in enumerate(wanted):
         say(f"state {here.name}: {one.name}", (i + 1) / (len(wanted) + 1))
         changes = _changes(one, again)
-        starts = [base.u] if one.shift is None else [base.u + one.shift, base.u]
+        starts = [base.u + one.shift, base.u]
         changed = None if changes is None else _Changed(model, changes, one.text)
         series = None if changed is None else refitted.computed(changed, here.values, starts)
         if series is not None:

@@ -265,29 +265,10 @@ def _next(file: DiagnosisFile) -> str:
     if one is None:
         return ""
     first, second = one.separates
+    what = one.text or ", ".join(f"{name} {value}" for name, value in (one.model_extra or {}).items())
     most = math.exp(min(one.expected_log_odds, 700.0))
     odds = f"up to {most:.2g}" if most < 1e3 else "above 1000"
-    return (
-        f"What would decide: {measurement(file)}, which tells {first} from {second} (expected odds {odds} "
-        "to 1)"
-    )
-
-
-def measurement(file: DiagnosisFile) -> str:
-    """What to measure next, such as "flow in vessel 5 at 0.5 of its length"; empty where nothing would tell.
-
-    Parameters
-    ----------
-    file : DiagnosisFile
-
-    Returns
-    -------
-    str
-    """
-    if file.next_measurement is None:
-        return ""
-    words = file.next_measurement.model_extra or {}
-    return file.next_measurement.text or ", ".join(f"{name} {value}" for name, value in words.items())
+    return f"What would decide: {what}, which tells {first} from {second} (expected odds {odds} to 1)"
 
 
 def _unverified(file: DiagnosisFile) -> str:
