@@ -148,7 +148,7 @@ def test_simulate_conventions_and_numerical_settings(tiny: Path) -> None:
     [
         (("--stiffness", "5x"), "--stiffness 5x: '5x' is not a number; write 5.17e4 or 4e4,5e4"),
         (("--stiffness", "4e4,5e4"), "--stiffness: 2 values; give one for all vessels, or one for each of"),
-        ((), "no stiffness: give --stiffness (2.5e+05 g cm-1 s-2 has waves of 4 m/s"),
+        (("--f1", "1", "--f2", "-1"), "--f1 and --f2 need --f3 in chi = f1 exp(f2 r0) + f3: give it too"),
         (("--stiffness", "5e4", "--f3", "5e4"), "two ways to say the same"),
         (("--stiffness", "5e4", "--gamma", "2"), "--gamma belongs to the tangent wall: add --wall tangent"),
         (("--stiffness", "5e4", "--wall", "tangent"), "--wall tangent needs --gamma"),
@@ -164,6 +164,14 @@ def test_simulate_conventions_and_numerical_settings(tiny: Path) -> None:
 )
 def test_simulate_says_what_to_change(tiny: Path, options, message) -> None:
     assert message in fails("simulate", tiny, *options)
+
+
+def test_without_a_stiffness_the_prior_s_is_taken_and_told(tiny: Path) -> None:
+    told = run("simulate", tiny)
+    stated = re.search(r"no stiffness is given: solved with (\S+) g cm-1 s-2", told)
+    assert stated is not None
+    [used] = re.findall(r"(?m)^stiffness: (\S+) g/", told)
+    assert float(used) == pytest.approx(float(stated[1]), rel=0.01)
 
 
 @pytest.mark.needs_data

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from zoo.cli.checks import numbers
 from zoo.cli.command import Role, UsageError, Without, command, option
 from zoo.cli.options import STUDY, StudyOptions
-from zoo.cli.screen import say
+from zoo.cli.screen import say, warn
 from zoo.core.outputs import output_file, write_file
 
 if TYPE_CHECKING:
@@ -137,8 +137,9 @@ def _stiffness(
     stiffness: str | None, f1: float | None, f2: float | None, f3: float | None, study: Study
 ) -> list[float] | None:
     """A stiffness for each vessel in the study's order; None for the study's or the walls' own."""
+    from zoo.blood.baseline import get_baseline
     from zoo.blood.network import stiffness_profile
-    from zoo.blood.study_priors import stiffness_of_wave_speed
+    from zoo.core.parameters import start_of
 
     profile = [f1, f2, f3]
     if stiffness is not None:
@@ -148,12 +149,14 @@ def _stiffness(
         return values if len(values) > 1 else values * len(study.vessels)
     if f3 is None and f1 is None and f2 is None and any(v.stiffness for v in study.vessels):
         return None
-    if f3 is None:
-        of_4 = stiffness_of_wave_speed(4.0, "linear", study.blood.density_g_cm3)
-        raise UsageError(
-            f"no stiffness: give --stiffness ({of_4:.2g} g cm-1 s-2 has waves of 4 m/s at rest, and it grows "
-            "with their square), or --f3 (with --f1 and --f2 for eq. 3.5)"
+    if f3 is None and f1 is None and f2 is None:
+        f3 = float(start_of(get_baseline("linear-constant").forward(study).parameters)["f3"])
+        warn(
+            f"no stiffness is given: solved with {f3:.3g} g cm-1 s-2, where the prior of this study begins "
+            "(`zoo priors`); give --stiffness, or --f3 (with --f1 and --f2 for eq. 3.5)"
         )
+    if f3 is None:
+        raise UsageError("--f1 and --f2 need --f3 in chi = f1 exp(f2 r0) + f3: give it too")
     if (f1 is None) != (f2 is None):
         raise UsageError(
             "--f1 and --f2 belong together in chi = f1 exp(f2 r0) + f3: give both, or --f3 alone"
