@@ -127,9 +127,53 @@ def test_a_parameter_that_is_not_read_is_named() -> None:
     lid = Parameter("lid", Normal(0.0, 1.0), "1")
     model = FunctionModel(cup, (*PRIORS, lid), Outputs(("tea",), MINUTES), "cup")
     found = diagnose(tea(), model, [], cores=1)
-    assert "lid changes no series: leave it out, or let the simulator read it" in found.file.warnings
+    told_of = (
+        "lid changes no series where the baseline fits best: if the simulator never reads it, leave it out"
+    )
+    assert told_of in found.file.warnings
     assert not any("changes no series" in text for text in told(tea()).file.warnings)
     assert not any(line.startswith("Priors varied") for line in found.file.lines)  # nothing can change
+
+
+def test_a_parameter_that_only_a_cause_reads_is_read() -> None:
+    @zoo.effect("steam", unit="1", size=1.0, low=0.0)
+    def steam(c, size):  # type: ignore[no-untyped-def]
+        """Steams by what the baseline has no use for."""
+        return {**c, "steam": size * c["wet"]}
+
+    wet = Parameter("wet", Normal(6e-4, 1e-4), "1/(min K)")
+    model = FunctionModel(cup, (*PRIORS, wet), Outputs(("tea",), MINUTES), "cup")
+    found = diagnose(tea(steam=6e-4), model, [steam], cores=1)
+    assert found.cause == ["steam"]
+    assert not any("changes no series" in text for text in found.file.warnings)
+
+
+def test_what_stands_out_is_told_by_its_time_on_a_late_clock() -> None:
+    late = MINUTES + 20000.0
+    values = tea(odd=(44,)).values
+    data = Data(late, values, labels=["tea"], units=["K"], time_unit="min")
+    model = FunctionModel(lambda c, t: cup(c, t - 20000.0), PRIORS, Outputs(("tea",), late), "cup")
+    said = diagnose(data, model, [STEAM], cores=1).file.warnings
+    assert any(f"at {late[44]:.7g} min stands out" in text for text in said)
+
+
+@pytest.mark.parametrize(
+    "records",
+    [
+        np.ones((3, 3)),
+        {"n": 5},
+        {"n": None},
+        {"n": "abc"},
+        {3: (MINUTES, MINUTES, cup)},
+        {"n": (MINUTES, cup)},
+    ],
+)
+def test_records_held_out_that_are_none_are_refused(records: Any) -> None:
+    priors = {one.name: one for one in PRIORS}
+    with pytest.raises(
+        DiagnosisError, match=r"give a dict of records, \{'name': \(times, measured, simulate\)\}"
+    ):
+        zoo.diagnose(MINUTES, tea().values[0], cup, priors, [], held_out=records)
 
 
 def test_what_resembles_the_cause_is_not_named_in_its_place() -> None:

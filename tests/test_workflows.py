@@ -98,6 +98,8 @@ def test_the_comparison_of_models_is_red_on_a_worse_prior_and_green_again(tmp_pa
     good, printed = push("first")
     assert good, printed
     assert "model A: sampled" in printed
+    assert "No last good run is kept" in printed
+    assert "No last good run is kept" in summary.read_text(encoding="utf-8")
     worse = "\n[priors]\nc = { uniform = [3.0, 4.0] }\n"
     good, printed = push(
         "worse", worse, "--draws 60 --tune 150"

@@ -255,8 +255,11 @@ def _diagnose_series(
 
     here = bound(name, times, measured, simulate, period)
     others = []
-    records = held_out or {}
-    if not isinstance(records, Mapping) or any(len(x) != 3 for x in records.values()):
+    records = {} if held_out is None else held_out
+    if not isinstance(records, Mapping) or not all(
+        isinstance(one, str) and one and isinstance(x, tuple | list) and len(x) == 3
+        for one, x in records.items()
+    ):
         raise diagnosis.DiagnosisError(
             f"held_out = {records!r:.60}: give a dict of records, {{'name': (times, measured, simulate)}}"
         )

@@ -619,5 +619,8 @@ def as_prior(given: Any, name: str = "") -> Prior:
             f"prior {f'{name} = ' * bool(name)}{given!r:.80}: give one of zoo, such as zoo.Normal(80, 5), or "
             "a frozen continuous distribution of SciPy, such as scipy.stats.gamma(2, scale=0.5)"
         )
+    if given.dist.name == "uniform":  # as one of zoo, whose bounds are known as such
+        low, high = given.support()
+        return Uniform(float(low), float(high))
     words = [f"{x:g}" for x in given.args] + [f"{name}={x:g}" for name, x in given.kwds.items()]
     return FrozenPrior(f"{given.dist.name}({', '.join(words)})", given)

@@ -36,6 +36,8 @@ WRONG = 3.0
 """Log evidence that the linear model may be wrong by, and other sets be given too much, unsaid."""
 MISSED = 0.05
 """Probability that may be missed up to which it is not said."""
+CORRELATED = 0.67
+"""Probability that noise is correlated above which it is said: twice as probable as not; 0.5 beforehand."""
 FAILING = 0.05
 """Part of the solves that fail from which on it is said."""
 BEYOND = 5e-5
@@ -119,12 +121,14 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
                 "hardly more than a constant would: it may not have been found; give priors nearer to it"
             )
     told += [one.text for _, one in stuck]
-    unread = [
-        p.name
-        for p, x in zip(fitting.forward.parameters, found.search.jacobian.T, strict=True)
-        if not x.any()
+    led = found.solved[found.leader].point.jacobian[:, : fitting.forward.n_base]
+    read = np.any(found.search.jacobian, axis=0) | np.any(led, axis=0)
+    told += [
+        f"{p.name} changes no series where the baseline fits best: if the simulator never reads it, "
+        "leave it out"
+        for p, any_ in zip(fitting.forward.parameters, read, strict=True)
+        if not any_
     ]
-    told += [f"{name} changes no series: leave it out, or let the simulator read it" for name in unread]
     told += _beyond_priors(found)
     for name in found.search.idle:
         told.append(
@@ -140,10 +144,11 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
     told += _outliers(found) + _noise(found)
     leader = found.solved[found.leader]
     if not found.leader:
-        if (p := leader.evidence.correlated(SIZE_PRIORS)) > 0.5:
+        if (p := leader.evidence.correlated(SIZE_PRIORS)) > CORRELATED:
+            known = "" if fitting.errors.known else ", or state the noise if it is known"
             told.append(
-                f"the noise comes out as correlated from sample to sample ({percent(p)}), and a cause that "
-                "is not listed may look like that: list more causes, or state the noise if it is known"
+                f"the noise comes out as correlated from sample to sample ({percent(min(p, 1.0 - 1e-12))}), "
+                f"and a cause that is not listed may look like that: list more causes{known}"
             )
         return told
     names = {p.name for p in leader.forward.parameters[: leader.n_listed]} - {p.name for p, _ in stuck}
@@ -211,7 +216,9 @@ def _outliers(found: CauseSets) -> list[str]:
         scale = ROBUST / math.sqrt(2.0) * float(np.median(steps)) + 1e-12 * float(np.ptp(values))
         at = np.flatnonzero(data.measured[i])[np.abs(odd) > OUTLIER * scale]
         if 0 < len(at) < 0.1 * len(series):
-            times = ", ".join(f"{data.times[k]:.4g}" for k in at[:10])
+            step = float(np.min(np.diff(data.times)))
+            places = max(4, 2 + math.ceil(math.log10(float(np.max(np.abs(data.times))) / step)))
+            times = ", ".join(f"{data.times[k]:.{places}g}" for k in at[:10])
             told.append(
                 f"{label}: what was measured at {times} {data.time_unit} stands out from its neighbours: if "
                 "that is wrong, correct it or leave it out; it counts here as all else does"

@@ -193,7 +193,11 @@ class Diagnosis:
                 if (one := sets[k].solved.forward.series(u, outputs)) is not None:
                     solved.append(one)
             if not solved:
-                raise DiagnosisError(f"outputs = {outputs.series}: no solve succeeds; ask for other series")
+                why = next((one.solved.forward.last_failure for one in sets), "")
+                raise DiagnosisError(
+                    f"outputs = {outputs.series} at {len(outputs.times)} times: no solve succeeds ({why}); "
+                    "ask for others"
+                )
             series, weights = np.array(solved), np.ones(len(solved))
             labels, times = tuple(map(str, outputs.series)), outputs.times
         bands = {

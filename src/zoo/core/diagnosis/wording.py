@@ -254,7 +254,9 @@ def _sensitivity(file: DiagnosisFile) -> str:
         low, *_, high = sorted(row.components[name] for row in file.sensitivity)
         ends = dict.fromkeys(_chance(x, 0) for x in (low, high))
         ranges.append(f"{name} {' to '.join(ends)}")
-    if not ranges:
+    if not ranges and file.cause:
+        ranges = ["no component above 50 %"]
+    elif not ranges:
         ranges = [f"no listed cause {_chance(min(row.nothing for row in file.sensitivity), 0)} or more"]
     but = "" if file.decided else ", which does not take the warnings away"
     return f"{varied}: the same answer each time ({', '.join(ranges)}){but}"
@@ -291,9 +293,9 @@ def _state(state: StateFile, components: set[str]) -> str:
     if leader is not None:
         told.append(f"with what was learned of {listed(leader.names)} by {leader.error.mean:.2g}")
     holding = [listed(c.names) for c in state.carried if c.holds]
-    if state.baseline.mean == 0.0:
-        return f"{told[0]}{unit}, and so tells nothing of what was learned"
     end = f"what holds there: {', '.join(holding)}" if holding else "nothing that was learned holds there"
+    if state.baseline.mean == 0.0:
+        end = "the baseline needs no cause there"
     if leader is not None and leader.beyond is not None and leader.beyond > VISITED:
         end += f" ({percent(leader.beyond)} of the range there is new)"
     return f"{', '.join(told)}{unit}; {end}"
