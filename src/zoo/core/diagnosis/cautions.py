@@ -216,7 +216,7 @@ def _outliers(found: CauseSets) -> list[str]:
         scale = ROBUST / math.sqrt(2.0) * float(np.median(steps)) + 1e-12 * float(np.ptp(values))
         at = np.flatnonzero(data.measured[i])[np.abs(odd) > OUTLIER * scale]
         if 0 < len(at) < 0.1 * len(series):
-            step = float(np.min(np.diff(data.times)))
+            step = float(np.median(np.diff(data.times)))
             places = max(4, 2 + math.ceil(math.log10(float(np.max(np.abs(data.times))) / step)))
             times = ", ".join(f"{data.times[k]:.{places}g}" for k in at[:10])
             told.append(
