@@ -22,10 +22,10 @@ from benchmarks.paun2020.calibration import cheap_study
 from zoo import Study, diagnose, get_baseline, load_study
 from zoo.blood.effects import CATALOGUE
 from zoo.blood.solver import SolverOptions
-from zoo.core.causes.evidence import SetModel
+from zoo.core.causes.evidence import SIZE_PRIORS, SetModel
 from zoo.core.causes.problem import Problem
 from zoo.core.diagnosis.sets import CauseSets
-from zoo.core.diagnosis.solved import SIZE_PRIORS, SolvedSet
+from zoo.core.diagnosis.solved import SolvedSet
 from zoo.core.effects import AddedEffect, with_effects
 from zoo.core.parameters import pack
 

@@ -18,7 +18,7 @@ from scipy.stats import multivariate_normal, norm
 
 import zoo
 from toys import EFFECTS, FUNCTIONS, KNOTS, MODEL, NOISE, PUSH, TIMES, bulge, data_of, hooks, kick, solve
-from zoo.core.causes.evidence import SetModel
+from zoo.core.causes.evidence import SIZE_PRIORS, SetModel
 from zoo.core.causes.posterior import SetRow
 from zoo.core.data import Data
 from zoo.core.diagnosis import Diagnosis, DiagnosisError, DiagnosisFile, diagnose, read_diagnosis
@@ -26,7 +26,7 @@ from zoo.core.diagnosis.answer import table_of
 from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.importance import check_sets
 from zoo.core.diagnosis.search import NO_DAMPING, Search, as_matrix
-from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear
+from zoo.core.diagnosis.solved import Linear
 from zoo.core.effects import Effect, EffectParameter, effect
 from zoo.core.errors.spectral import Cosines, Harmonics
 from zoo.core.forward import Corrected, FunctionModel, Outputs

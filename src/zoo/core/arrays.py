@@ -21,6 +21,11 @@ def shown(value: object) -> str:
     return " ".join(reprlib.repr(value).split())[:80]
 
 
+def rms_of(values: Array) -> float:
+    """Root mean square of the values that are there."""
+    return math.sqrt(float(np.nanmean(values**2)))
+
+
 def real_array(
     field: str, values: ArrayLike, *, ndim: int | None = None, error: type[Exception] = ValueError
 ) -> Array:

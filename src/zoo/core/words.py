@@ -121,6 +121,17 @@ def percent(share: float, digits: int = 0) -> str:
     return f">{100 - step:g} %" if float(text) == 100.0 and share < 1.0 else f"{text} %"
 
 
+def chance(p: float, digits: int = 0) -> str:
+    """A probability in percent, which data never make certain.
+
+    Examples
+    --------
+    >>> chance(1.0), chance(0.9857, 1)
+    ('>99 %', '98.6 %')
+    """
+    return percent(min(p, 1.0 - 1e-12), digits)
+
+
 def unit_words(unit: str) -> str:
     """A unit after a number: " mmHg"; nothing for a pure number."""
     return "" if unit == "1" else f" {unit}"

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 
 from zoo.core.diagnosis.file import ComponentResult, LearnedFunction
-from zoo.core.words import percent
+from zoo.core.words import chance, percent
 from zoo.plots.style import COLOURS, NARROW, cells_of, grid_behind, legend_below, new_figure, size_of
 from zoo.plots.subject import TOLD, leading_sets, set_name
 
@@ -34,7 +34,7 @@ def _draw_bars(axes: Axes, bars: Sequence[tuple[str, float, float]]) -> None:
     for row, (_, probability, prior) in enumerate(bars):
         axes.barh(row - 0.14, 100.0 * probability, color=PROBABILITY_COLOUR, height=0.44)
         axes.barh(row + 0.24, 100.0 * prior, color=PRIOR_COLOUR, height=0.24)
-        at, text = (100.0 * probability, row - 0.14), percent(min(probability, 1.0 - 1e-12))
+        at, text = (100.0 * probability, row - 0.14), chance(probability)
         axes.annotate(text, at, xytext=(4, 0), textcoords="offset points", va="center", fontsize=7)
     axes.set_yticks(range(len(bars)), [_folded(name) for name, *_ in bars], fontsize="small")
     axes.set_ylim(len(bars) - 0.4, -0.6)

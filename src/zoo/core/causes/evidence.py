@@ -140,6 +140,10 @@ class SizePriors:
         return found, {max(own, 1e-9): like}
 
 
+SIZE_PRIORS = SizePriors()
+"""Those that are believed; only the sensitivity of an answer has others."""
+
+
 @dataclass(frozen=True, eq=False)
 class Amplitudes:
     """Amplitudes of a set's listed effects: their normal prior with its bounds, and their posterior.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from zoo.core.causes.evidence import SetEvidence, SetModel, SizePriors
+from zoo.core.causes.evidence import SIZE_PRIORS, SetEvidence, SetModel
 from zoo.core.causes.family import ErrorFamily
 from zoo.core.causes.posterior import CausePosterior, SetRow
 from zoo.core.causes.problem import Cause, CauseError, Problem
@@ -22,8 +22,6 @@ from zoo.core.threads import threads
 Array = NDArray[np.float64]
 Which = tuple[int, ...]
 
-SIZES = SizePriors()
-"""Of the discrepancy, while sets are sought."""
 MISSED = 0.02
 """Probability that sets which are only guessed hold together at most, where guesses are right."""
 SHAPES_WITHIN = 5.0
@@ -53,7 +51,7 @@ class _Search:
 
     def total(self, which: Which) -> float:
         """Log prior plus log evidence of a set, or plus an estimate of it."""
-        log = self.weighed[which].total(SIZES) if which in self.weighed else self.guessed[which]
+        log = self.weighed[which].total(SIZE_PRIORS) if which in self.weighed else self.guessed[which]
         return log + self.priors.log_prior(which)
 
     def start(self) -> None:
@@ -82,7 +80,7 @@ class _Search:
     def seek(self, parent: Which) -> None:
         """Guess the evidence of sets, given the error model that is most probable with one of them."""
         found = self.weighed[parent]
-        reference = Reference(self.problem, self.causes, found.likely_variances(SIZES))
+        reference = Reference(self.problem, self.causes, found.likely_variances(SIZE_PRIORS))
         scales: tuple[float, ...] = ()
         gain = 0.0
         for i in range(len(self.always)):
@@ -110,7 +108,7 @@ class _Search:
             level = sorted(new, key=lambda w: -(conditional[w] + self.priors.log_prior(w)))[:width]
         if parent not in conditional:  # the beam went past it
             return
-        shift = found.total(SIZES) - conditional[parent]
+        shift = found.total(SIZE_PRIORS) - conditional[parent]
         for key, value in conditional.items():
             self.guessed[key] = max(self.guessed.get(key, -np.inf), value + shift)
 
@@ -186,7 +184,7 @@ def weigh_causes(
         _find_sets(search, say)
     rows = [SetRow(w, search.priors.log_prior(w), e) for w, e in search.weighed.items()]
     guessed = {w: g + priors.log_prior(w) for w, g in search.guessed.items() if w not in search.weighed}
-    return CausePosterior(tuple(causes), priors, SIZES, tuple(rows), guessed)
+    return CausePosterior(tuple(causes), priors, SIZE_PRIORS, tuple(rows), guessed)
 
 
 def _find_sets(search: _Search, say: Callable[[str, float], None]) -> None:
@@ -219,7 +217,7 @@ def _fewer_kinds(search: _Search) -> None:
     search.weigh(list(best.values()))
     behind = np.full(len(search.family.shapes), np.inf)
     for which in [search.always, *best.values()]:
-        log_colours, smooth = search.weighed[which].terms(SIZES)
+        log_colours, smooth = search.weighed[which].terms(SIZE_PRIORS)
         each = np.logaddexp.reduce(smooth[: len(behind)], axis=1)
         top = max(float(smooth.max()), float(each.max()), float(log_colours.max()))
         behind = np.minimum(behind, top - each)

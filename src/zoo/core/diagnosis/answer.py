@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.arrays import rms_of
+from zoo.core.causes.evidence import SIZE_PRIORS
 from zoo.core.causes.posterior import CausePosterior
 from zoo.core.causes.reference import Reference
 from zoo.core.causes.set_priors import ODDS
@@ -45,7 +47,7 @@ from zoo.core.diagnosis.heldout import hold_out
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.laws import simple_laws
 from zoo.core.diagnosis.sets import CauseSets
-from zoo.core.diagnosis.solved import SIZE_PRIORS, Which
+from zoo.core.diagnosis.solved import Which
 from zoo.core.diagnosis.wording import worded
 from zoo.core.effects import Location
 from zoo.core.forward import Outputs
@@ -110,8 +112,8 @@ def _gap(found: CauseSets, before: Discrepancy, after: Discrepancy, rows: list[i
             before=before.interval(own),
             after=after.interval(own),
             noise_floor=found.noise[data.groups[own[0]]],
-            residual_rms_before=_rms(before.residual[own]),
-            residual_rms_after=_rms(after.residual[own]),
+            residual_rms_before=rms_of(before.residual[own]),
+            residual_rms_after=rms_of(after.residual[own]),
         )
 
     whole, removed, held = series_gap("", rows), Interval(mean=0.0, low=0.0, high=0.0), None
@@ -134,10 +136,6 @@ def _gap(found: CauseSets, before: Discrepancy, after: Discrepancy, rows: list[i
         held_out=held_out,
         per_series=[series_gap(label, [i]) for i, label in enumerate(data.labels)],
     )
-
-
-def _rms(values: Array) -> float:
-    return math.sqrt(float(np.nanmean(values**2)))
 
 
 def _where(found: CauseSets, p: dict[Which, float], d: Discrepancy, hooks: Hooks) -> Where:

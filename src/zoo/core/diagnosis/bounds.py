@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.arrays import rms_of
 from zoo.core.diagnosis.coordinates import Coordinate, SearchModel
 from zoo.core.diagnosis.file import ExcludedFit, LiftedBound
 from zoo.core.diagnosis.fitting import Fitting
@@ -105,8 +106,7 @@ def freed(fitting: Fitting, rows: list[int]) -> tuple[Fitting, ExcludedFit | Non
         return fitting, None
     names = [p.name for p in free.forward.parameters]
     theta = free.forward.theta(free.start.u)
-    left = (fitting.errors.unflat(x)[rows] for x in (within, beyond))
-    rms = [float(np.sqrt(np.nanmean(x**2))) for x in left]
+    rms = [rms_of(fitting.errors.unflat(x)[rows]) for x in (within, beyond)]
     return free, ExcludedFit(
         unit=fitting.data.units[rows[0]],
         bounds=[

@@ -8,15 +8,15 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.causes.evidence import SIZE_PRIORS
 from zoo.core.components import FreeFunction
 from zoo.core.diagnosis.bounds import at_bounds
 from zoo.core.diagnosis.discrepancies import Discrepancy
 from zoo.core.diagnosis.file import DiagnosisFile, ExcludedFit, LearnedFunction
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.sets import CauseSets
-from zoo.core.diagnosis.solved import SIZE_PRIORS
 from zoo.core.inference.prior_check import AtBound
-from zoo.core.words import digits, listed, percent, unit_words
+from zoo.core.words import chance, digits, listed, percent, unit_words
 
 Array = NDArray[np.float64]
 
@@ -147,7 +147,7 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
         if (p := leader.evidence.correlated(SIZE_PRIORS)) > CORRELATED:
             known = "" if fitting.errors.known else ", or state the noise if it is known"
             told.append(
-                f"the noise comes out as correlated from sample to sample ({percent(min(p, 1.0 - 1e-12))}), "
+                f"the noise comes out as correlated from sample to sample ({chance(p)}), "
                 f"and a cause that is not listed may look like that: list more causes{known}"
             )
         return told

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from zoo.core.causes.evidence import SIZE_PRIORS
 from zoo.core.diagnosis.file import Estimate, Interval
 from zoo.core.diagnosis.sets import CauseSets
-from zoo.core.diagnosis.solved import SIZE_PRIORS, SolvedSet, Which
+from zoo.core.diagnosis.solved import SolvedSet, Which
 
 Array = NDArray[np.float64]
 

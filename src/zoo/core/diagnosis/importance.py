@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
 from zoo.core.arviz_lines import smoothed
+from zoo.core.causes.evidence import SIZE_PRIORS
 from zoo.core.diagnosis.sets import CauseSets
-from zoo.core.diagnosis.solved import SIZE_PRIORS, SolvedSet, Which
+from zoo.core.diagnosis.solved import SolvedSet, Which
 from zoo.core.threads import threads
 
 Array = NDArray[np.float64]

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
-from zoo.core.causes.evidence import SetEvidence
+from zoo.core.causes.evidence import SIZE_PRIORS, SetEvidence
 from zoo.core.components import FreeFunction
 from zoo.core.diagnosis.discrepancies import INTERVAL
 from zoo.core.diagnosis.file import Law
-from zoo.core.diagnosis.solved import SIZE_PRIORS
 
 Array = NDArray[np.float64]
 SHAPES = 120

@@ -15,8 +15,9 @@ from pymc.stats import compute_log_likelihood
 from scipy.special import logsumexp
 
 from zoo.core.arviz_lines import Score, dataset, made, psis_loo, ranked, waic
+from zoo.core.causes.evidence import SIZE_PRIORS
 from zoo.core.diagnosis.sets import CauseSets
-from zoo.core.diagnosis.solved import SIZE_PRIORS, Which
+from zoo.core.diagnosis.solved import Which
 from zoo.core.errors.spectral import GroupErrors, GroupPriors
 from zoo.core.inference.convergence import verdict
 from zoo.core.inference.logposterior import LogPosterior

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from zoo.core.causes.evidence import SetEvidence, SetModel, without
+from zoo.core.causes.evidence import SIZE_PRIORS, SetEvidence, SetModel, without
 from zoo.core.causes.posterior import CausePosterior, SetRow
 from zoo.core.causes.problem import Problem, without_doubles
 from zoo.core.causes.set_priors import CausePriors, likeness
@@ -27,7 +27,7 @@ from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.responses import Origin, Response, free_causes, listed_causes
 from zoo.core.diagnosis.search import NO_DAMPING, Point, Search, SearchError
-from zoo.core.diagnosis.solved import SIZE_PRIORS, Linear, SolvedSet, Which, places, tangents
+from zoo.core.diagnosis.solved import Linear, SolvedSet, Which, places, tangents
 from zoo.core.effects import Effect
 from zoo.core.forward import Corrected, SolveError, pinned
 from zoo.core.threads import threads

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.causes.evidence import SetEvidence, SizePriors
+from zoo.core.causes.evidence import SIZE_PRIORS, SetEvidence
 from zoo.core.causes.problem import Cause, Problem
 from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.responses import Origin
@@ -17,7 +17,6 @@ from zoo.core.diagnosis.search import Point
 
 Array = NDArray[np.float64]
 Which = tuple[int, ...]
-SIZE_PRIORS = SizePriors()
 
 
 def places(order: Which, n_base: int, origins: Sequence[Origin]) -> dict[int, slice]:

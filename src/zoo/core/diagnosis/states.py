@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zoo.core.causes.evidence import SIZE_PRIORS
 from zoo.core.components import FreeFunction
 from zoo.core.data import Data
 from zoo.core.diagnosis.bounds import at_bounds
@@ -24,7 +25,7 @@ from zoo.core.diagnosis.fitting import Fitting
 from zoo.core.diagnosis.hooks import Hooks
 from zoo.core.diagnosis.search import Search, SearchError
 from zoo.core.diagnosis.sets import CauseSearch, CauseSets
-from zoo.core.diagnosis.solved import SIZE_PRIORS, SolvedSet, Which
+from zoo.core.diagnosis.solved import SolvedSet, Which
 from zoo.core.effects import AddedEffect
 from zoo.core.errors.spectral import Spectral, spectral_errors
 from zoo.core.forward import Around, ForwardModel, content_key

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from zoo.core.diagnosis.cautions import changed_by_priors, missing
 from zoo.core.diagnosis.file import DiagnosisFile, Estimate, LearnedFunction, StateFile
 from zoo.core.effects import Location
-from zoo.core.words import digits, estimate, listed, percent, span, unit_words
+from zoo.core.words import chance, digits, estimate, listed, percent, span, unit_words
 
 FURTHER = 0.05
 """Least probability of a further cause, given the leading ones, from which on it is named."""
@@ -42,11 +42,6 @@ def worded(file: DiagnosisFile) -> DiagnosisFile:
     verdict = _headline(file)
     told = [verdict, *filter(None, (sentence(file) for sentence in SENTENCES)), *_laws(file), *_states(file)]
     return file.model_copy(update={"verdict": verdict, "answer": told})
-
-
-def _chance(p: float, digits: int = 1) -> str:
-    """A probability in percent, which data never make certain."""
-    return percent(min(p, 1.0 - 1e-12), digits)
 
 
 def _leader(file: DiagnosisFile) -> set[str]:
@@ -112,19 +107,19 @@ def _headline(file: DiagnosisFile) -> str:
         noise = f"noise of {file.gap.noise_floor:.2g}{unit}"
         if file.gap.before > file.gap.noise_floor:
             small = f"errors of {file.gap.before:.2g}{unit}, which a simulator's numerics may make"
-            text = f"Nothing is missing ({_chance(file.no_gap)}) beyond {small}, and {noise}"
+            text = f"Nothing is missing ({chance(file.no_gap, 1)}) beyond {small}, and {noise}"
         else:
-            text = f"Nothing is missing ({_chance(file.no_gap)}): {noise} explains what the baseline leaves"
+            text = f"Nothing is missing ({chance(file.no_gap, 1)}): {noise} explains what the baseline leaves"
     elif not wrong and nothing > 0.5:
         text = f"No listed cause explains the model error of {file.gap.before:.2g}{unit}"
-        text += f" ({_chance(nothing)})"
+        text += f" ({chance(nothing, 1)})"
     elif leader and held > 0.5:
-        text = f"Most likely missing: {best} ({_chance(held)})"
+        text = f"Most likely missing: {best} ({chance(held, 1)})"
     elif wrong:
-        parts = listed(f"{c.name} ({_chance(c.probability)})" for c in wrong)
-        text = f"Most likely wrong: {parts}; best explanation of those simulated: {best} ({_chance(held, 0)})"
+        parts = listed(f"{c.name} ({chance(c.probability, 1)})" for c in wrong)
+        text = f"Most likely wrong: {parts}; best explanation of those simulated: {best} ({chance(held)})"
     else:
-        text = f"These data do not decide; best explanation: {best} ({_chance(held, 0)})"
+        text = f"These data do not decide; best explanation: {best} ({chance(held)})"
     if not file.decided:  # what must not be believed is said before what comes out
         text = f"Not decided, see the warnings. {text}"
     if file.excluded is None:
@@ -144,10 +139,12 @@ def _runner_up(file: DiagnosisFile) -> str:
     alone = " alone" if names and names < leader else ""
     if p > _holding(file, leader):
         estimated = "More probable, but only estimated by a linear model, not simulated"
-        return f"{estimated}: {_causes(file, names)} ({_chance(p)})"
+        return f"{estimated}: {_causes(file, names)} ({chance(p, 1)})"
     odds = _holding(file, leader) / p if p > 0.0 else math.inf
     times = f"{odds:.{0 if odds >= 10 else 1}f}" if odds < 1e3 else "more than 1000"
-    return f"Runner-up: {_causes(file, names)}{alone} ({_chance(p)}; the first is {times} times as probable)"
+    return (
+        f"Runner-up: {_causes(file, names)}{alone} ({chance(p, 1)}; the first is {times} times as probable)"
+    )
 
 
 def _further(file: DiagnosisFile) -> str:
@@ -168,13 +165,13 @@ def _components(file: DiagnosisFile) -> str:
     likely = [c for c in file.components if c.probability >= FURTHER]
     if not likely or {c.name for c in likely} <= {c.name for c in file.causes}:
         return ""
-    return f"Wrong component: {listed(f'{c.name} ({_chance(c.probability, 0)})' for c in likely)}"
+    return f"Wrong component: {listed(f'{c.name} ({chance(c.probability)})' for c in likely)}"
 
 
 def _alike(file: DiagnosisFile) -> str:
     return "; ".join(
         f"These data hardly distinguish {c.name} from {' or '.join(c.confounded)}: at least one of them is "
-        f"wrong with a probability of {_chance(c.group_probability, 0)}"
+        f"wrong with a probability of {chance(c.group_probability)}"
         for c in file.components
         if c.confounded
     )
@@ -235,7 +232,7 @@ def _laws(file: DiagnosisFile) -> list[str]:
 
 def _law(f: LearnedFunction) -> str:
     best, second, *_ = f.laws
-    odds = f"{_chance(best.probability, 0)}; {second.name} {_chance(second.probability, 0)}"
+    odds = f"{chance(best.probability)}; {second.name} {chance(second.probability)}"
     name, left = f.name.replace("-", " "), percent(best.left)
     if best.left > UNLIKE:
         return f"None of five simple laws is like {name}: a {f.law} leaves {left} of it"
@@ -252,12 +249,12 @@ def _sensitivity(file: DiagnosisFile) -> str:
     ranges = []
     for name in sorted(stated.wrong, key=lambda name: -stated.components[name]):
         low, *_, high = sorted(row.components[name] for row in file.sensitivity)
-        ends = dict.fromkeys(_chance(x, 0) for x in (low, high))
+        ends = dict.fromkeys(chance(x) for x in (low, high))
         ranges.append(f"{name} {' to '.join(ends)}")
     if not ranges and file.cause:
         ranges = ["no component above 50 %"]
     elif not ranges:
-        ranges = [f"no listed cause {_chance(min(row.nothing for row in file.sensitivity), 0)} or more"]
+        ranges = [f"no listed cause {chance(min(row.nothing for row in file.sensitivity))} or more"]
     but = "" if file.decided else ", which does not take the warnings away"
     return f"{varied}: the same answer each time ({', '.join(ranges)}){but}"
 
