@@ -86,6 +86,15 @@ def test_search_stays_inside_the_bounds() -> None:
     assert point.u[4] < 0.002
 
 
+def test_a_step_to_a_bound_that_rounds_beyond_it_is_solved() -> None:
+    """A conductance of -9e-21 is refused by the solver, and was 9 % of the solves of one diagnosis."""
+    model = search_model(made([]), (("side-branches", EVERYWHERE),))
+    u = model.start
+    u[model.n_base] = -9e-21
+    assert model(u) is not None
+    np.testing.assert_array_equal(model(u), model(np.maximum(u, model.low)))
+
+
 def test_a_search_without_a_solve_says_why() -> None:
     study = made([])
     forward = search_model(study, options=replace(SEARCH, max_beats=1))

@@ -114,8 +114,12 @@ class SearchModel:
         return np.array([p.coordinate(float(x)) for p, x in zip(self.parameters, theta, strict=True)])
 
     def theta(self, u: Array) -> Array:
-        """Search coordinates to values (n_values,) of the forward model's parameters."""
-        return np.array([p.value(x) for p, x in zip(self.parameters, u, strict=True)])
+        """Search coordinates to values (n_values,) of the forward model's parameters.
+
+        A step to a bound ends beside it by a rounding error, where an effect may not exist.
+        """
+        inside = np.clip(u, self.low, self.high)
+        return np.array([p.value(x) for p, x in zip(self.parameters, inside, strict=True)])
 
     def series(self, u: Array, outputs: Outputs | None = None) -> Array | None:
         """Series (n_series, n_times) in their own units, or None where the solve failed."""
