@@ -25,7 +25,7 @@ from zoo.blood.components import components
 from zoo.blood.effects import CATALOGUE, FAMILIES, Effect, EffectError, EffectParameter, Location, at_vessel
 from zoo.blood.effects.fluid import relative_viscosity
 from zoo.blood.effects.outflow import ladder_sections
-from zoo.blood.effects.structured_tree import foster_fit, tree_impedance
+from zoo.blood.effects.structured_tree import tree_impedance
 from zoo.blood.network import Network, stiffness_profile
 from zoo.blood.solver import SolverOptions
 from zoo.blood.study import Blood, Study, StudyError, Vessel, Windkessel, load_study
@@ -462,9 +462,8 @@ def test_distributed_outflow_in_a_solve(extra: float, case: Case) -> None:
     assert changed.physics.section_resistance.shape[1] == (3 if part == 0 else 7)
 
 
-def test_the_longest_ladder_and_tree_have_at_most_40_sections_each(case: Case) -> None:
-    for name, value in (("distributed-outflow", 14.5), ("structured-tree", 1.0), ("structured-tree", 0.5)):
-        assert added(case, name, value).physics.section_resistance.shape[1] <= 40
+def test_the_longest_ladder_has_at_most_40_sections(case: Case) -> None:
+    assert added(case, "distributed-outflow", 14.5).physics.section_resistance.shape[1] <= 40
     with pytest.raises(EffectError, match="must not be negative"):
         added(case, "distributed-outflow", -0.5)
 
@@ -509,24 +508,12 @@ def trees_of(case: Case, at: Any, omega: Array) -> NDArray[np.complex128]:
     return tree_impedance(*sizes, net.density, net.viscosity, omega)
 
 
-def test_the_foster_fit_is_near_the_tree_and_exact_for_steady_flow(case: Case) -> None:
-    net = case.network
-    omega = 2 * np.pi / net.period_s * np.arange(41)
-    for tree in trees_of(case, net.terminals, omega):
-        first, resistance, tau = foster_fit(tree, net.period_s)
-        fit = first + np.sum(resistance / (1 + 1j * omega[:, None] * tau), axis=1)
-        assert first > 0
-        assert fit[0] == pytest.approx(tree[0])
-        assert close(fit, tree, 0.05)
-        assert close(fit[:6], tree[:6], 0.02)
-
-
 @pytest.mark.parametrize("share", [0.4, 1.0])
 def test_structured_tree_in_a_solve(share: float, case: Case) -> None:
     omega = 2 * np.pi / case.network.period_s * np.arange(9)
     [tree] = trees_of(case, [case.network.index(12)], omega)
     found = outlet_impedance(added(case, "structured-tree", share), 12)
-    assert close(found, (1 - share) * windkessel(case, 12) + share * tree, 0.03)
+    assert close(found, (1 - share) * windkessel(case, 12) + share * tree, 0.01)
 
 
 def test_venous_pressure_is_where_the_windkessels_end(case: Case) -> None:

@@ -231,12 +231,7 @@ def circuit_of(impedance: ArrayLike, period_s: float) -> tuple[Array, Array, Arr
 
     R1 is the mean real part of the upper half of the harmonics, R1 + R2 the steady resistance, and C such
     that R2/(1 + i omega R2 C) has the size of the first harmonic's Z - R1. What is left is met at every
-    harmonic by the response
-
-        exp(-t/tau) sum_m (a_m cos(m omega t) + b_m sin(m omega t)),   tau = `MEMORY_BEATS` beats,
-
-    whose a and b are those of complex r_m, m = -n to n, with sum_m r_m/(1/tau + i (k - m) omega) = Z_k less
-    the circuit's: a system whose matrix has a condition below exp(1/`MEMORY_BEATS`).
+    harmonic by a response.
 
     Parameters
     ----------
@@ -249,7 +244,7 @@ def circuit_of(impedance: ArrayLike, period_s: float) -> tuple[Array, Array, Arr
     array (3,)
         R1, R2 and C, cgs; R2 and C are 0 where no circuit behind R1 is needed.
     array (n + 1,), array (n + 1,)
-        a and b, dyn/cm5.
+        a and b, dyn/cm5, of `response_of`.
     """
     Z = np.asarray(impedance, dtype=np.complex128)
     n, omega = len(Z) - 1, 2 * math.pi / period_s
@@ -261,10 +256,34 @@ def circuit_of(impedance: ArrayLike, period_s: float) -> tuple[Array, Array, Arr
         apart = abs(Z[1] - R1)
         ratio = R2 / apart if apart > 1e-9 * R2 else 1e9
         tau = math.sqrt(max(ratio**2 - 1, _LEAST_TURN**2)) / omega
-    harmonics = np.arange(n + 1)
-    left = Z - R1 - R2 / (1 + 1j * omega * tau * harmonics)
+    left = Z - R1 - R2 / (1 + 1j * omega * tau * np.arange(n + 1))
+    return np.array([R1, R2, tau / R2 if R2 else 0.0]), *response_of(left, period_s)
+
+
+def response_of(impedance: ArrayLike, period_s: float) -> tuple[Array, Array]:
+    """Responses that have impedances at the harmonics of the beat, exactly.
+
+        exp(-t/tau) sum_m (a_m cos(m omega t) + b_m sin(m omega t)),   tau = `MEMORY_BEATS` beats,
+
+    whose a and b are those of complex r_m, m = -n to n, with sum_m r_m/(1/tau + i (k - m) omega) = Z_k: a
+    system whose matrix has a condition below exp(1/`MEMORY_BEATS`).
+
+    Parameters
+    ----------
+    impedance : complex array (..., n + 1)
+        At the harmonics 0 to n, dyn s/cm5.
+    period_s : float
+
+    Returns
+    -------
+    array (..., n + 1), array (..., n + 1)
+        a and b, dyn/cm5.
+    """
+    Z = np.asarray(impedance, dtype=np.complex128)
+    n, omega = Z.shape[-1] - 1, 2 * math.pi / period_s
     m = np.arange(-n, n + 1)
     matrix = 1 / (1 / (MEMORY_BEATS * period_s) + 1j * omega * (m[:, None] - m))
-    r = np.linalg.solve(matrix, np.concatenate([np.conj(left[:0:-1]), left]))[n:]
-    twice = np.where(harmonics > 0, 2.0, 1.0)
-    return np.array([R1, R2, tau / R2 if R2 else 0.0]), twice * r.real, -twice * r.imag
+    both = np.concatenate([np.conj(Z[..., :0:-1]), Z], axis=-1)
+    r = np.linalg.solve(matrix, both[..., None])[..., n:, 0]
+    twice = np.where(np.arange(n + 1) > 0, 2.0, 1.0)
+    return twice * r.real, -twice * r.imag

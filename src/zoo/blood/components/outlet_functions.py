@@ -14,17 +14,15 @@ from zoo.blood.components.curves import curve, factors, minimum_phase
 from zoo.blood.components.declared import free_function
 from zoo.blood.components.setting import MOST_HARMONICS, Setting, range_knots, span_of
 from zoo.blood.functions import OutletFunction
-from zoo.blood.loads import with_impedance_change
+from zoo.blood.loads import outlet_impedance, with_more_impedance
+from zoo.blood.outlet_tables import HARMONICS
 from zoo.core.arrays import Array
 from zoo.core.components import FreeFunction
 
-IMPEDANCE_KNOTS = 10
-LOWEST_HARMONIC = 0.1
-"""Below this part of the beat's frequency an outlet's impedance is steady."""
-POLES = 8
-"""Parallel pairs that are added to an outlet's circuit, their time constants evenly spaced in the log."""
-FITTED = 60
-"""Frequencies at which a circuit is fitted to an impedance."""
+IMPEDANCE_KNOTS = 22
+"""Nearer to one another than the shortest length of the function."""
+LOWEST_HARMONIC = 0.3
+"""Below this part of the beat's frequency an outlet's impedance changes no more."""
 STATE_KNOTS, STATE_TABLE = 8, 33
 
 
@@ -47,25 +45,39 @@ def own_loads(case: Case, values: Array) -> Case:
     return scaled_loads(scaled_loads(case, resistance, ("psi1", "psi2")), compliance, ("c",))
 
 
-def log_impedance_change(at: Array, values: Array, omega: Array) -> NDArray[np.complex128]:
-    """Change of log Z at angular frequencies (rad/s): v through the knots, and the phase that goes with it.
-
-    A passive circuit's impedance has no zeros or poles of positive real part, so that its modulus gives its
-    phase (`zoo.blood.components.curves.minimum_phase`).
-    """
-    x = np.log(omega / (2 * math.pi))
-    return np.asarray((curve(at, x) + 1j * minimum_phase(at, x)) @ values)
-
-
-def changed_impedance(case: Case, values: Array, at: Array) -> Case:
-    """Z(f) -> Z(f) exp(v(f)) at every terminal, by a circuit of `POLES` more pairs."""
+def changed_impedance(case: Case, values: Array, change: NDArray[np.complex128]) -> Case:
+    """Z -> Z exp(M v) at the harmonics 0 to n of the beat, M = `change` (n_terminals, n + 1, n_knots)."""
     if not np.any(values):
         return case
-    omega = 2 * math.pi * np.exp(np.linspace(at[0] - 1.0, at[-1] + 1.0, FITTED))
-    log_change = log_impedance_change(at, values, omega)
-    change = np.log(factors(np.append(values[0], log_change.real))) + 1j * np.append(0.0, log_change.imag)
-    tau = np.exp(-np.linspace(at[0], at[-1], POLES)) / (2 * math.pi)
-    return with_impedance_change(case, np.append(0.0, omega), change, times_s=tau)
+    log_change = change @ values
+    Z = outlet_impedance(case, 2 * math.pi / case.network.period_s * np.arange(change.shape[1]))
+    return with_more_impedance(case, Z * (factors(log_change.real) * np.exp(1j * log_change.imag) - 1))
+
+
+def impedance_changes(at: Array, radius_cm: Array, period_s: float) -> NDArray[np.complex128]:
+    """Change of log Z at harmonics of the beat by values at knots: v through them, and the phase with it.
+
+    A passive outlet's impedance has no zeros or poles of positive real part, so that its modulus gives its
+    phase (`zoo.blood.components.curves.minimum_phase`). What lies behind a wider outlet is longer in
+    proportion, so that it does at frequency f what another of radius r does at f times their ratio.
+
+    Parameters
+    ----------
+    at : array (n_knots,)
+        Logarithms of frequencies (Hz) behind an outlet of the radii's geometric mean.
+    radius_cm : array (n_terminals,)
+    period_s : float
+
+    Returns
+    -------
+    complex array (n_terminals, n + 1, n_knots)
+        At the harmonics 0 to n; in steady flow v at the first knot.
+    """
+    wider = np.log(radius_cm)[:, None] - np.mean(np.log(radius_cm))
+    x = (wider + np.log(np.arange(1, HARMONICS + 1) / period_s)).ravel()
+    moving = (curve(at, x) + 1j * minimum_phase(at, x)).reshape(len(radius_cm), HARMONICS, len(at))
+    steady = np.broadcast_to(np.eye(1, len(at)), (len(radius_cm), 1, len(at)))
+    return np.concatenate([steady, moving], axis=1)
 
 
 def changed_state(case: Case, values: Array, at: Array) -> Case:
@@ -91,11 +103,12 @@ def functions(setting: Setting) -> tuple[FreeFunction, ...]:
         return (resistance,)
     frequencies = np.linspace(math.log(LOWEST_HARMONIC), math.log(MOST_HARMONICS), IMPEDANCE_KNOTS)
     frequencies -= math.log(setting.period_s)
+    change = impedance_changes(frequencies, network.radius_out_cm[terminals], setting.period_s)
     pressure, flow = (setting.beat[name][terminals, 1] for name in ("pressure", "flow"))
     first = (setting.case.psi1 * network.R1)[terminals, None] / setting.case.conventions.mmhg
     behind = range_knots(pressure - first * flow, STATE_KNOTS)
     return (
-        free_function("outlet-impedance", frequencies, functools.partial(changed_impedance, at=frequencies)),
+        free_function("outlet-impedance", frequencies, functools.partial(changed_impedance, change=change)),
         free_function(
             "outlet-state",
             behind,

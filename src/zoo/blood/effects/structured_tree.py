@@ -5,25 +5,22 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zoo.blood.case import Case, total_resistance, with_physics
+from zoo.blood.case import Case, total_resistance
 from zoo.blood.effects.catalogue import effect
 from zoo.blood.effects.locations import windkessels_only
-from zoo.blood.effects.outflow import blended_sections, sections_of
-from zoo.core.arrays import Array
+from zoo.blood.loads import outlet_impedance, with_more_impedance
+from zoo.blood.outlet_tables import HARMONICS
 from zoo.core.effects import EffectParameter, EverywhereIf, Location
 
 TREE_ALPHA, TREE_BETA = 0.9, 0.6
 """Radii of the two daughters over their parent's, in the small arteries' tree."""
 TREE_DEPTH = 0.1
 """The tree ends where the radius is this part of the terminal's."""
-TREE_HARMONICS = 40
-TREE_POLES = 24
 
 
 def _has_daughters(relative: float) -> bool:
@@ -129,57 +126,6 @@ def tree_impedance(
     return np.concatenate([wanted.astype(np.complex128), waves[0, 0]], axis=1)
 
 
-def foster_fit(impedance: NDArray[np.complex128], period_s: float) -> tuple[float, Array, Array]:
-    """Resistance and parallel RC pairs in series whose impedance is nearest to a given one.
-
-    Z(w) = R_0 + sum of R_k/(1 + i w tau_k) with fixed tau_k, spaced evenly in their logarithm, and the R by
-    non-negative least squares of the relative error; exact for steady flow.
-
-    Parameters
-    ----------
-    impedance : complex array (m,)
-        At harmonics 0 to m - 1.
-    period_s : float
-
-    Returns
-    -------
-    float
-        R_0, positive.
-    array (n,), array (n,)
-        R_k and tau_k (s).
-    """
-    from scipy.optimize import nnls
-
-    omega = 2 * math.pi / period_s * np.arange(len(impedance))
-    tau = period_s / (2 * math.pi) * np.geomspace(0.5 / len(impedance), 20, TREE_POLES)
-    columns = 1 / (1 + 1j * omega[:, None] * np.concatenate([[0.0], tau]))
-    weight = 1 / (np.abs(impedance) * np.sqrt(np.maximum(1, np.arange(len(impedance)))))
-    weight[0] *= 1e3
-    least = 1e-3 * impedance[0].real  # R_0 stands where R1 does, which must be positive
-    rows = weight[:, None] * columns
-    target = weight * (impedance - least)
-    fitted, _ = nnls(np.concatenate([rows.real, rows.imag]), np.concatenate([target.real, target.imag]))
-    fitted[0] += least
-    fitted *= impedance[0].real / fitted.sum()
-    return float(fitted[0]), fitted[1:], tau
-
-
-@functools.lru_cache(maxsize=64)
-def _tree_sections(
-    radius: tuple[float, ...],
-    resistance: tuple[float, ...],
-    compliance: tuple[float, ...],
-    density: float,
-    viscosity: float,
-    period_s: float,
-) -> tuple[Array, Array, Array]:
-    """R_0 (n,), R_k (n, n_poles) and tau_k (n_poles,) of the trees behind n terminals."""
-    omega = 2 * math.pi / period_s * np.arange(TREE_HARMONICS + 1)
-    impedance = tree_impedance(radius, resistance, compliance, density, viscosity, omega)
-    fits = [foster_fit(z, period_s) for z in impedance]
-    return np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits]), fits[0][2]
-
-
 @effect(
     "structured-tree",
     "outflow",
@@ -192,20 +138,8 @@ def _tree_sections(
 )
 def structured_tree(case: Case, values: tuple[float, ...], location: Location) -> Case:
     """Behind each outlet lies a tree of small arteries, which sends waves back."""
-    net, share, at = case.network, values[0], case.network.terminals
-    first, resistance, tau = _tree_sections(
-        tuple(net.radius_out_cm[at].tolist()),
-        tuple(total_resistance(case)[at].tolist()),
-        tuple((case.c * net.C)[at].tolist()),
-        net.density,
-        net.viscosity,
-        net.period_s,
-    )
-    psi1, rho = case.psi1.copy(), np.zeros((len(net.ids), len(tau)))
-    kappa = np.ones_like(rho)
-    psi1[at] = (1 - share) * psi1[at] + share * first / net.R1[at]
-    rho[at] = resistance / (case.psi2 * net.R2)[at, None]
-    held = resistance > 0
-    kappa[at] = np.where(held, tau / np.where(held, resistance, 1) / (case.c * net.C)[at, None], 1.0)
-    blended = blended_sections([(1 - share, *sections_of(case)), (share, rho, kappa)])
-    return replace(with_physics(case, **blended), psi1=psi1)
+    net, at = case.network, case.network.terminals
+    omega = 2 * math.pi / net.period_s * np.arange(HARMONICS + 1)
+    sizes = net.radius_out_cm[at], total_resistance(case)[at], (case.c * net.C)[at]
+    tree = tree_impedance(*sizes, net.density, net.viscosity, omega)
+    return with_more_impedance(case, values[0] * (tree - outlet_impedance(case, omega)))
