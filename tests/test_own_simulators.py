@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -325,6 +326,11 @@ def test_a_misspelt_prior_is_told_with_the_nearest_name() -> None:
         ({"simulate": lambda c, t: None}, "cannot be solved .*: returns None; let it return its series"),
         ({"priors": list(PRIORS)}, "priors = .*: give a dict by name of parameter"),
         ({"priors": {"rate": 0.06, "start": Normal(60.0, 5.0)}}, "prior rate = 0.06: give one of zoo"),
+        ({"priors": {}}, r"cup has no parameters: give it at least one with a prior, such as priors=\{'off"),
+        ({"times": None}, "times = None: must be real numbers"),
+        ({"name": 5}, "name = 5: give a text"),
+        ({"period": float("nan")}, "period = nan: must be positive, or None"),
+        ({"simulate": lambda c, t: cup(c, t) + 1j}, "<lambda>: returns complex numbers; let it return real"),
     ],
 )
 def test_what_does_not_fit_the_short_case_is_told(change: dict[str, Any], told: str) -> None:
@@ -357,6 +363,14 @@ def test_a_checkpoint_that_cannot_be_made_is_refused(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(Path, "mkdir", mkdir)
     with pytest.raises(CheckpointError, match=r"run: cannot be used as checkpoint folder \(No such file"):
         SolveStore(tmp_path / "run")
+
+
+def test_a_checkpoint_in_the_home_folder_is_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    SolveStore("~/run").close()
+    assert (tmp_path / "home" / "run").is_dir()
+    assert not (tmp_path / "~").exists()
 
 
 def test_no_solve_is_made_twice_and_an_interrupted_diagnosis_goes_on(tmp_path: Path) -> None:
@@ -441,13 +455,32 @@ def test_what_is_held_out_has_a_name_and_a_simulator(given: Any) -> None:
         ([], [], "series 0 has 0 measured values"),
         (MINUTES, tea(), r"values = Data\(.*\): must be real numbers"),
         (MINUTES, MINUTES + 1j, "values = .*: must be real numbers"),
-        (MINUTES.astype("datetime64[m]"), MINUTES, r"times = .*; give \(t - t\[0\]\) / np.timedelta64"),
+        (MINUTES.astype("datetime64[m]"), MINUTES, "times = .*: are dates, .*give seconds since the first"),
+        (
+            [datetime(2026, 1, 1, 12, i) for i in range(9)],
+            MINUTES[:9],
+            "times = .*: are dates, .*give seconds",
+        ),
+        (
+            MINUTES,
+            [MINUTES, MINUTES[:9]],
+            r"are rows of different lengths; .*times=\[t1, t2\] and values=\[y1, y2\]",
+        ),
     ],
-    ids=["nothing", "data", "complex", "dates"],
+    ids=["nothing", "data", "complex", "dates", "datetimes", "ragged"],
 )
 def test_what_is_no_record_is_refused(times: Any, values: Any, text: str) -> None:
     with pytest.raises(DataError, match=text):
         Data(times, values)
+
+
+def test_seconds_of_dates_are_what_the_refusal_of_dates_says() -> None:
+    t = [datetime(2026, 1, 1, 12, i) for i in range(9)]
+    with pytest.raises(DataError) as caught:
+        Data(t, MINUTES[:9])
+    advice = re.search(r"\[\(.*\]", str(caught.value))
+    assert advice is not None
+    assert eval(advice[0], {"np": np, "t": t}) == [60.0 * i for i in range(9)]
 
 
 @pytest.mark.parametrize("error", [RuntimeError, np.linalg.LinAlgError, ZeroDivisionError, SolveError])

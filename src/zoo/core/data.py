@@ -7,13 +7,14 @@ import json
 import warnings
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
+from datetime import date
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zoo.core.arrays import Array, Brief, shown
+from zoo.core.arrays import Array, Brief, real_number, shown
 
 
 class DataError(ValueError):
@@ -35,7 +36,7 @@ SAME_TIME = 1e-9
 
 def own_clocks(times: Any) -> bool:
     """Whether times are of each series: a sequence of arrays, or a row for each."""
-    return not np.isscalar(times) and len(times) > 0 and np.ndim(next(iter(times))) > 0
+    return np.iterable(times) and np.ndim(next(iter(times), 0.0)) > 0
 
 
 def on_one_grid(
@@ -129,6 +130,8 @@ class Data(Brief):
     """All that were given, those that are left out too, (n,)."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise DataError(f"name = {shown(self.name)}: give a text")
         if own_clocks(self.times):
             times, values = self._on_one_grid()
         else:
@@ -186,15 +189,21 @@ class Data(Brief):
 
     def _numbers(self, name: str, given: Any) -> Array:
         """A copy as numbers, NaN where it is masked."""
-        kind = ""
+        kind, instead = "O", "must be real numbers; give an array of them"
         try:
             found = np.ma.asarray(given)
-            if (kind := found.dtype.kind) not in "cmM":
+            if (kind := found.dtype.kind) not in "cmM" and found.ndim:
                 return np.array(np.ma.filled(np.ma.asarray(found, dtype=np.float64), np.nan))
         except (TypeError, ValueError):
             pass
-        instead = "(t - t[0]) / np.timedelta64(1, 's')" if kind and kind in "mM" else "an array of them"
-        raise DataError(f"{self._where}{name} = {shown(given)}: must be real numbers; give {instead}")
+        first: Any = next(iter(given), None) if np.iterable(given) else None
+        if isinstance(first, date | np.datetime64 | np.timedelta64):
+            seconds = "[(x - t[0]) / np.timedelta64(1, 's') for x in t]"
+            instead = f"are dates, must be real numbers; give seconds since the first, {seconds}"
+        elif kind == "O" and np.ndim(first):
+            instead = "are rows of different lengths; give NaN where nothing was measured, or times of each"
+            instead += " series, times=[t1, t2] and values=[y1, y2]"
+        raise DataError(f"{self._where}{name} = {shown(given)}: {instead}")
 
     def _on_one_grid(self) -> tuple[Array, Array]:
         """All times of series that have their own, and the series there, NaN where one has no sample."""
@@ -218,6 +227,7 @@ class Data(Brief):
         """Whether times, measured at or not, are of one period."""
         if self.period is None or len(times) < 2:
             return
+        real_number(f"{self._where}period", self.period, "positive, or None", above=0.0, error=DataError)
         even, covered = _even(times), float(np.ptp(times))
         if even:
             covered = len(times) * (times[1] - times[0])

@@ -337,12 +337,14 @@ class FunctionModel:
         Raises
         ------
         SolveError
-            If the function raises one, or returns another shape or what is not finite.
+            If the function raises one, or returns another shape, or what is complex or not finite.
         """
         wanted = outputs or self.outputs
         returned = self.function(configuration, wanted.times)
         if returned is None:
             raise SolveError(f"{self.name}: returns None; let it return its series", "shape")
+        if np.iscomplexobj(returned):
+            raise SolveError(f"{self.name}: returns complex numbers; let it return real ones", "complex")
         values = np.atleast_2d(np.asarray(returned, dtype=np.float64))
         if values.shape != wanted.shape:
             turned = "; give its transpose" if values.T.shape == wanted.shape else ""

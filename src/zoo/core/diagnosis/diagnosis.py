@@ -325,6 +325,11 @@ def _checked(
             f"model = {model!r}: has not all of name, parameters, outputs, families, key, configure and "
             "solve; give a zoo.ForwardModel, such as a zoo.FunctionModel"
         )
+    if not model.parameters:
+        raise DiagnosisError(
+            f"{model.name} has no parameters: give it at least one with a prior, such as "
+            "priors={'offset': zoo.Normal(0, 1)}"
+        )
     if model.outputs.shape != data.values.shape:
         raise DiagnosisError(
             f"{data.source or data.name}: {model.name} gives series {model.outputs.shape}, the data are "

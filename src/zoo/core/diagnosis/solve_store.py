@@ -46,7 +46,7 @@ class SolveStore:
         path, self.program = None, ""
         if folder is not None:
             self.program = _program()
-            path = output_folder(folder, deep=True) / FILE
+            path = output_folder(Path(folder).expanduser(), deep=True) / FILE
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
