@@ -136,9 +136,12 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
         )
     for name, why in found.search.failed.items():
         told.append(f"effect {name}: the simulator failed at each of its starts ({why}): it was not weighed")
-    if fitting.failures > FAILING * fitting.solves:
+    if (failed := sum(model.failures.total() for model in fitting.models)) > FAILING * fitting.solves:
+        of = listed(
+            f"{'all' if n == failed else n} with {name}" for name, n in fitting.failures.most_common()
+        )
         told.append(
-            f"{percent(fitting.failures / fitting.solves)} of the solves failed ({fitting.last_failure}): "
+            f"{failed} of {fitting.solves} solves failed, {of} ({fitting.last_failure}): "
             f"what lies there counts as impossible, which may cut a cause off; {hooks.advice}"
         )
     told += _outliers(found) + _noise(found)

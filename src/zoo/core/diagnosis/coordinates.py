@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -103,7 +104,7 @@ class SearchModel:
         self.units = np.array([p.unit_step for p in self.parameters])
         self.hierarchical = any(p.prior.depends_on for p in self.model.parameters)
         self._log = np.array([p.log for p in self.parameters])
-        self.solves = self.failures = 0
+        self.solves, self.failures = 0, Counter[tuple[str, ...]]()  # these by the names of effects
         self.last_failure = ""
 
     @property
@@ -141,7 +142,7 @@ class SearchModel:
             error.add_note(f"{self.model.name} was solved with {at}; {advice}")
             raise
         if reason is not None:
-            self.failures += 1
+            self.failures[tuple(one.name for one in self.added)] += 1
             self.last_failure = reason
             return None
         return found

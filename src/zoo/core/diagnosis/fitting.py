@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -83,9 +84,12 @@ class Fitting:
         return sum(model.solves for model in self.models)
 
     @property
-    def failures(self) -> int:
-        """Solves that failed so far."""
-        return sum(model.failures for model in self.models)
+    def failures(self) -> Counter[str]:
+        """Solves that failed so far, by each effect that they were made with, or the baseline alone."""
+        found = Counter[str]()
+        for names, n in (item for model in self.models for item in model.failures.items()):
+            found.update(dict.fromkeys(names or ("the baseline alone",), n))
+        return found
 
     @property
     def last_failure(self) -> str:

@@ -320,7 +320,7 @@ class _Differences:
         try:
             series = model.solve(function.apply(model.configure(forward.theta(self.at)), values))
         except FAILURES:
-            forward.failures += 1
+            forward.failures[(function.name,)] += 1
             return None
         return np.asarray(forward.errors.flat(series) - self.base)
 
