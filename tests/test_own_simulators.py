@@ -286,6 +286,26 @@ def test_an_effect_that_nothing_reads_is_named_within_ten_solves(monkeypatch: py
     assert len(counted.at) <= 10
 
 
+def test_all_effects_that_nothing_reads_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    typos = [adds(f"vapour{i}", f"stream{i}", "1", 1.0, -2.0, 2.0, 1.0, -1.0) for i in range(9)]
+    said, solves = checked_before_a_search(monkeypatch, STEAM, *typos)
+    assert [text.split(":")[0] for text in said] == [f"effect {one.name}" for one in typos]
+    assert solves <= 10
+
+
+def test_an_effect_that_only_a_later_start_shows_is_not_called_idle(monkeypatch: pytest.MonkeyPatch) -> None:
+    rim = adds("rim", "rim", "K", 10.0, 1.0, 90.0, 70.0, 50.0)  # the tea begins at 60 K
+    typo = adds("vapour", "stream", "1", 1.0, -2.0, 2.0, 1.0)
+
+    def brimming(c, t):  # type: ignore[no-untyped-def]
+        return np.minimum(cup(c, t), c.get("rim") or 99.0)
+
+    monkeypatch.setattr("zoo.core.diagnosis.diagnosis.freed", None)
+    with pytest.warns(UserWarning, match="effect vapour") as said, pytest.raises(TypeError):
+        told(tea(), cups(brimming), [rim, typo])
+    assert not any("effect rim" in str(one.message) and "changes no" in str(one.message) for one in said)
+
+
 def hotter(low: float) -> Effect:
     @effect("hotter", unit="K", size=5.0, low=low, high=20.0)
     def change(c, size):  # type: ignore[no-untyped-def]

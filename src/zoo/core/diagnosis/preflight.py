@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zoo.core.diagnosis.coordinates import SearchModel
 from zoo.core.diagnosis.file import DiagnosisError
 from zoo.core.diagnosis.fitting import Fitting
-from zoo.core.effects import Effect
+from zoo.core.effects import AddedEffect, Effect
 from zoo.core.forward import ForwardModel
 from zoo.core.words import listed, unit_words
 
@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 MOST = 10
 """Solves at most."""
+TOGETHER = 4
+"""Of these, how many are kept for effects together once one changed nothing by itself."""
 STEADY = 1e-6
 """Rms difference of two solves at the same parameters, in parts of the range, up to which they are one."""
 NEAR = 1e-12
@@ -32,7 +34,7 @@ SEARCH = 100
 def preflight(
     fitting: Fitting, model: ForwardModel, effects: Sequence[Effect], tick: Callable[[str, float], None]
 ) -> None:
-    """Solve the baseline twice and each effect once, and say how long a search may take.
+    """Solve the baseline twice and effects, each or together, and say how long a search may take.
 
     Parameters
     ----------
@@ -65,12 +67,12 @@ def preflight(
             f"{model.name}: two solves at the same parameters differ by {apart:.2g} of the data's range: fix "
             "its random numbers, by a seed inside of the simulator, so that it computes the same each time"
         )
-    solves, seen = 2, dict[bytes | str, str]()
+    solves, seen, silent = 2, dict[bytes | str, str](), list[AddedEffect]()
     for one in effects:
-        places, starts = one.locations(model), one.parameters[0].starts
+        places, amplitude = one.locations(model), one.parameters[0]
         if len(places) != 1:
             continue
-        changed, amplitude = fitting.model((one.at(places[0]),)), one.parameters[0]
+        changed = fitting.model((one.at(places[0]),))
         same = seen.setdefault(_configured(changed) or one.name, one.name)
         if same != one.name:
             warnings.warn(
@@ -78,28 +80,50 @@ def preflight(
                 "their probability is divided between them",
                 stacklevel=2,
             )
-        if solves + 1 + len(starts) > MOST:
-            continue
-        continuous = amplitude.low <= 0.0 <= amplitude.high  # else it replaces a part at any size
-        for start in [NEAR * starts[0]] * continuous + list(starts):
-            u = changed.start
-            u[baseline.n_base] = changed.parameters[baseline.n_base].coordinate(start)
+        left = MOST - solves - TOGETHER * bool(silent)
+        silent += changed.added
+        if left <= 0 or not amplitude.low <= 0.0 <= amplitude.high:
+            continue  # without 0 it replaces a part at any size
+        u, start = changed.start, NEAR * amplitude.starts[0]
+        u[baseline.n_base] = changed.parameters[baseline.n_base].coordinate(start)
+        solves += 1
+        series = changed(u)
+        if series is None or (series != first).any():
+            silent.pop()
+        if series is not None and fitting.family.relative(series - first) > STEADY:
+            warnings.warn(_jump(fitting, changed, u, start), stacklevel=2)
+
+    def idle(group: Sequence[AddedEffect]) -> list[AddedEffect]:
+        """Those that change nothing at any start, sought in all of them together, then in halves."""
+        nonlocal solves
+        together, half = fitting.model(tuple(group)), len(group) // 2
+        starts = [one.effect.parameters[0].starts for one in group]
+        for k in range(max(map(len, starts), default=0)):
+            if solves == MOST:
+                return []
+            u, at = together.start, baseline.n_base
+            for one, sizes in zip(group, starts, strict=True):
+                u[at] = together.parameters[at].coordinate(sizes[min(k, len(sizes) - 1)])
+                at += len(one.effect.parameters)
             solves += 1
-            series = changed(u)
-            if series is None:
-                break
-            if (series != first).any():
-                if start not in starts and fitting.family.relative(series - first) > STEADY:
-                    warnings.warn(_jump(fitting, changed, u, start), stacklevel=2)
-                break
-        else:
-            sizes = listed(f"{x:g}" for x in starts)
-            warnings.warn(
-                f"effect {one.name}: {one.parameters[0].name} = {sizes} changes no sample of "
-                f"{model.name} before its parameters are fitted: the simulator does not read what the effect "
-                "sets, or a threshold is not reached there",
-                stacklevel=2,
-            )
+            try:
+                series = together(u)
+            except Exception:  # what is wrong with one is told where it is solved alone
+                if not half:
+                    raise
+                series = None
+            if series is None or (series != first).any():
+                return [*idle(group[:half]), *idle(group[half:])] if half else []
+        return list(group)
+
+    for added in idle(silent):
+        sizes = listed(f"{x:g}" for x in added.effect.parameters[0].starts)
+        warnings.warn(
+            f"effect {added.name}: {added.effect.parameters[0].name} = {sizes} changes no sample of "
+            f"{model.name} before its parameters are fitted: the simulator does not read what the effect "
+            "sets, or a threshold is not reached there",
+            stacklevel=2,
+        )
     seconds = (time.monotonic() - began) / solves
     size = (len(baseline.low) + len(effects)) / 4.0
     least = SEARCH * size
