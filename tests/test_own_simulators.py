@@ -910,3 +910,34 @@ def test_a_parameter_far_outside_its_prior_is_named() -> None:
         for w in found.file.warnings
     )
     assert not any("outside its prior" in w for w in told(wave(a=3.0), SWING, []).file.warnings)
+
+
+def test_what_a_simulator_rounds_is_not_decided() -> None:
+    """Small steps of the parameters change nothing; where the data are far coarser, that does not matter."""
+
+    def whole(c, t):  # type: ignore[no-untyped-def]
+        return np.round(cup(c, t)).astype(int)
+
+    def finer(c, t):  # type: ignore[no-untyped-def]
+        return np.round(1000.0 * cup(c, t)).astype(int)
+
+    priors = {"rate": zoo.Uniform(0.01, 0.2), "start": zoo.Uniform(40.0, 90.0)}
+    values, settings = tea(steam=6e-5).values, {"progress": False, "cores": 1}
+    found = zoo.diagnose(MINUTES, values, whole, priors, [STEAM], **settings)
+    assert found.file.verdict.startswith("Not decided, see the warnings.")
+    assert found.file.warnings[0].startswith("the simulator gives whole numbers for y0")
+    found = zoo.diagnose(MINUTES, 1000.0 * values, finer, priors, [STEAM], **settings)
+    assert not any("whole numbers" in text for text in found.file.warnings)
+
+
+def test_a_baseline_farther_away_than_the_data_vary_is_said_not_to_fit() -> None:
+    """A noise that is free may be so large that it explains even that."""
+    values = np.random.default_rng(3).standard_normal(40)
+    level = {"level": zoo.Normal(14.0, 0.01)}
+    found = zoo.diagnose(np.arange(40.0), values, lambda c, t: c["level"] + 0.0 * t, level, progress=False)
+    text = "The baseline does not fit the data: a constant would be nearer to them. Nothing is missing"
+    assert found.file.verdict.startswith(text)
+    near = {"level": zoo.Normal(2.0, 0.01)}
+    found = zoo.diagnose(np.arange(40.0), values, lambda c, t: c["level"] + 0.0 * t, near, progress=False)
+    assert any("of their range: check" in text for text in found.file.warnings)
+    assert "does not fit" not in found.file.verdict

@@ -15,7 +15,7 @@ from zoo.core.causes.evidence import SIZE_PRIORS
 from zoo.core.causes.posterior import CausePosterior
 from zoo.core.causes.reference import Reference
 from zoo.core.causes.set_priors import ODDS
-from zoo.core.diagnosis.cautions import cautions, lifted_bounds, undecided
+from zoo.core.diagnosis.cautions import cautions, lifted_bounds, rounded, undecided
 from zoo.core.diagnosis.discrepancies import (
     CauseDraws,
     Discrepancy,
@@ -477,7 +477,7 @@ def answer(
         },
         record=record | {"noise": found.noise},
     )
-    doubts = undecided(file, found.posterior.priors.most)
+    doubts = undecided(file, found.posterior.priors.most) + rounded(found, file)
     warnings = [
         *hooks.warnings,
         *lifted_bounds(excluded, hooks),

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 POOR_FIT = 0.2
 """Residual over the data's range above which input is suspected: four prior sds of the unexplained."""
+NO_FIT = "a constant would be nearer to them"
+"""What is said of a baseline that is farther from the data than these are from each other."""
 STUCK = 0.5
 """Part of the series' variance that a best fit should explain at least."""
 OUTLIER = 8.0
@@ -85,6 +87,17 @@ def undecided(file: DiagnosisFile, most: int) -> list[str]:
     return told
 
 
+def rounded(found: CauseSets, file: DiagnosisFile) -> list[str]:
+    """Series of the baseline that are whole numbers, and within 1 of the data."""
+    series = found.search.fitting.forward.series(found.search.base.u)
+    return [
+        f"the simulator gives whole numbers for {one.series}, within 1 of the data: if it rounds, "
+        "small steps of its parameters change nothing or too much; let it return what it computes"
+        for one, row in zip(file.gap.per_series, [] if series is None else series, strict=False)
+        if np.ptp(row) > 0.0 and np.all(row == np.rint(row)) and one.residual_rms_before < 1.0
+    ]
+
+
 def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: Hooks) -> list[str]:
     """What should be looked at before the answer is believed.
 
@@ -106,10 +119,11 @@ def cautions(found: CauseSets, file: DiagnosisFile, before: Discrepancy, hooks: 
     rows, gap = hooks.rows(data), file.gap
     unit = unit_words(gap.unit)
     spread = float(max(np.ptp(data.samples(i)) for i in rows))
-    if gap.residual_rms_before > POOR_FIT * spread:
+    if (part := gap.residual_rms_before / spread) > POOR_FIT:
+        worse = f"; {NO_FIT}" if part > 1.0 else ""
         told.append(
             f"the baseline misses the data by {gap.residual_rms_before:.2g}{unit}, "
-            f"{gap.residual_rms_before / spread:.0%} of their range: {hooks.advice}"
+            f"{part:.0%} of their range{worse}: {hooks.advice}"
         )
     if file.cause and gap.removed < 0.0:
         told.append("with the leading causes the model error is larger than without: do not believe them")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from zoo.core.diagnosis.cautions import changed_by_priors, missing
+from zoo.core.diagnosis.cautions import NO_FIT, changed_by_priors, missing
 from zoo.core.diagnosis.file import DiagnosisFile, Estimate, LearnedFunction, StateFile
 from zoo.core.effects import Location
 from zoo.core.words import chance, digits, estimate, listed, percent, span, unit_words
@@ -120,6 +120,8 @@ def _headline(file: DiagnosisFile) -> str:
         text = f"Most likely wrong: {parts}; best explanation of those simulated: {best} ({chance(held)})"
     else:
         text = f"These data do not decide; best explanation: {best} ({chance(held)})"
+    if any(NO_FIT in warning for warning in file.warnings):
+        text = f"The baseline does not fit the data: {NO_FIT}. {text}"
     if not file.decided:  # what must not be believed is said before what comes out
         text = f"Not decided, see the warnings. {text}"
     if file.excluded is None:
