@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,10 @@ def test_page_and_screen_have_the_numbers(cups: Diagnosis, tmp_path: Path) -> No
         assert "mmHg" not in shown
         assert "What would decide: body two, depth 0.25, which tells drift @two from nothing" in shown
         assert "By harmonic" not in shown
+    guessed = [one.model_copy(update={"solved": False}) for one in cups.file.sets]
+    for file, solved in ((cups.file, "yes"), (cups.with_file(sets=guessed).file, "no")):
+        [line] = [x for x in screen_of(file).splitlines() if re.match(r" *drift @two .* %", x) and "+" in x]
+        assert line.split()[-1] == solved
     rows = table_of(page, "Model error in each observed series")
     assert [row[:2] for row in rows] == [["one", "K"], ["two", "K"]]
     assert table_of(page, "Sets of causes")[0][0] == "drift @two"

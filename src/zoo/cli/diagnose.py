@@ -211,7 +211,7 @@ def diagnosis_screen(file: DiagnosisFile) -> list[Any]:
     causes = tables.causes_table(file)
     shown, sampled = sum(c.probability >= PROBABLE for c in file.causes), tables.posteriors_table(file)
     for table in (
-        sets.only("causes", "probability", "prior", "log evidence"),
+        sets.only("causes", "probability", "prior", "log evidence", "solved"),
         found.only("component", "probability", "before the data", "other priors", "share of the error"),
         causes.only("cause", "probability", "before the data", "size", "place", first=shown),
         sampled.only(*sampled.heads[:4]),

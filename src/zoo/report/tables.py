@@ -72,7 +72,7 @@ def sets_table(file: DiagnosisFile, most: int = SHOWN_SETS) -> Table:
         ]
 
     return Table(
-        "sets of causes (these and no others)",
+        "sets of causes (these and no others; if not solved, by the linear model)",
         ("causes", "components", "prior", "log evidence", "probability", left, "solved"),
         ("prior", "log evidence", "probability", left, "solved"),
         [cells(row) for row in leading_sets(file, most)],
