@@ -78,7 +78,7 @@ def environment() -> dict[str, str]:
 
 def run_command(line: str, folder: Path) -> str:
     """What a command prints; it has to succeed, unless it is said to fail."""
-    shell = f'zoo() {{ "{sys.executable}" -m zoo.cli "$@"; }}\n{line}\n'
+    shell = f'zoo() {{ "{sys.executable}" -m zoo "$@"; }}\n{line}\n'
     done = subprocess.run(
         ["bash", "-c", shell],
         cwd=folder,

@@ -59,7 +59,7 @@ def test_a_model_is_one_file(copy: Copy) -> None:
 
 def test_an_effect_is_one_function(copy: Copy) -> None:
     copy.run("-c", EFFECT)
-    assert "a fifth is a guess" in copy.run("-m", "zoo.cli", "effects", "resistance-split")
+    assert "a fifth is a guess" in copy.run("-m", "zoo", "effects", "resistance-split")
 
 
 def test_a_second_baseline_of_the_same_name_is_refused(copy: Copy) -> None:

@@ -116,6 +116,6 @@ def test_the_tests_and_the_command_run_on_a_machine_that_never_imported_arviz(tm
     _where_arviz_was_never_imported(first, *tests)
     assert ARVIZ_1 or (first / "arviz" / "daily_warning").is_file()
     second = tmp_path / "command"
-    said = _where_arviz_was_never_imported(second, "-m", "zoo.cli", "priors", "demo")
+    said = _where_arviz_was_never_imported(second, "-m", "zoo", "priors", "demo")
     assert ARVIZ_1 or (second / "arviz" / "daily_warning").is_file()
     assert "ArviZ" not in said

@@ -1,5 +1,0 @@
-"""`python -m zoo.cli` is `zoo`."""
-
-from zoo.cli import app
-
-app()
